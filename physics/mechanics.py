@@ -1,0 +1,148 @@
+"""What the simulated tissue is made of: integration constants, admissible parameters, and whether they are stable.
+
+Sources: Bini 2026, section 3.3, equation 9 and table 1 (constants), section 3.4.1 (admissible box).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.linalg import eigsh
+
+PARAMETERS = ("stiffness", "damping", "force")
+"""Order of θ = [k_s, k_d, F] everywhere."""
+
+REFERENCE_STIFFNESS = 5.34
+REFERENCE_DAMPING = 0.127
+"""Literature values that Bini 2026 (section 4.1) compares with: a baseline, never an initial value."""
+
+
+class UnstableConfiguration(ValueError):
+    """The admissible stiffness and the time step can't be integrated on this mesh."""
+
+
+@dataclass(frozen=True)
+class Mechanics:
+    """Constants of the mass-spring-damper rollout (Bini 2026, table 1) and the choices that the paper leaves open."""
+
+    mass: float = 0.001
+    """Mass of every vertex [kg by the paper's convention; scene geometry is normalised]."""
+    time_step: float = 0.005
+    """Integration step Δt [s]."""
+    steps: int = 200
+    """Number of steps T; the horizon is T·Δt (1 s)."""
+    load_steps: int = 50
+    """Steps during which the force acts, from the start (the first quarter), unless an observation says otherwise."""
+    damping: Literal["implicit", "explicit"] = "implicit"
+    """Implicit damping is stable for every k_d ≥ 0; explicit damping (the paper's) only below 2m/Δt."""
+    boundary: Literal["fixed", "free"] = "fixed"
+    """Whether the mesh's rim is held. The contact vertex never is."""
+    anchor: float = 0.0
+    """Spring from every vertex to its rest position, as a multiple of k_s (1 reads equation 9 literally)."""
+
+    def __post_init__(self) -> None:
+        for name in ("mass", "time_step"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0):
+                raise ValueError(f"mechanics.{name} is {value}; give a positive number.")
+        if self.steps < 1:
+            raise ValueError(f"mechanics.steps is {self.steps}; give at least 1.")
+        if not 0 <= self.load_steps <= self.steps:
+            raise ValueError(f"mechanics.load_steps is {self.load_steps}; give 0 to {self.steps} (mechanics.steps).")
+        if not (math.isfinite(self.anchor) and self.anchor >= 0):
+            raise ValueError(f"mechanics.anchor is {self.anchor}; give a number of at least 0.")
+
+    @property
+    def times(self) -> np.ndarray:
+        """Time after each step, shape [T] [s]."""
+        return self.time_step * np.arange(1, self.steps + 1)
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Admissible box of θ (Bini 2026, section 3.4.1) and where the parameter head starts inside it."""
+
+    stiffness: tuple[float, float] = (0.0, 1.0)
+    """Lowest and highest k_s [normalised]."""
+    damping: tuple[float, float] = (0.0, 1.0)
+    """Lowest and highest k_d [normalised]."""
+    force: tuple[float, float] = (-10.0, 0.0)
+    """Lowest and highest signed F [normalised]; negative presses into the tissue."""
+    initial: tuple[float, float, float] = (0.5, 0.5, -5.0)
+    """θ₀ = (k_s, k_d, F) that the head gives before training, strictly inside the box."""
+
+    def __post_init__(self) -> None:
+        for name, start in zip(PARAMETERS, self.initial, strict=True):
+            low, high = getattr(self, name)
+            if not (math.isfinite(low) and math.isfinite(high) and low < high):
+                raise ValueError(f"bounds.{name} is [{low}, {high}]; give a lower bound below a finite upper bound.")
+            if name != "force" and low < 0:
+                raise ValueError(f"bounds.{name} starts at {low}; a {name} below 0 is not physical, give 0 or more.")
+            if not low < start < high:
+                raise ValueError(f"bounds.initial gives {name} {start}; choose it strictly inside [{low}, {high}].")
+
+    @property
+    def lower(self) -> tuple[float, float, float]:
+        """Lower corner of the box, in θ's order."""
+        return (self.stiffness[0], self.damping[0], self.force[0])
+
+    @property
+    def upper(self) -> tuple[float, float, float]:
+        """Upper corner of the box, in θ's order."""
+        return (self.stiffness[1], self.damping[1], self.force[1])
+
+
+def highest_frequency(springs: np.ndarray, vertex_count: int, stiffness: float, mechanics: Mechanics) -> float:
+    """Upper bound on the highest angular frequency of the sheet [rad/s].
+
+    Bounds the elastic operator by k_s times the largest eigenvalue of the springs' graph Laplacian (each spring resists
+    along its own direction only, so the graph's operator is the larger one).
+
+    Args:
+        springs: vertex indices, shape [S, 2].
+        vertex_count: number of vertices N.
+        stiffness: k_s.
+    """
+    if len(springs) == 0:
+        return math.sqrt(mechanics.anchor * stiffness / mechanics.mass)
+    first, second = np.asarray(springs).T
+    ones = np.ones(len(springs))
+    adjacency = coo_array((ones, (first, second)), shape=(vertex_count, vertex_count)).tocsr()
+    adjacency = adjacency + adjacency.T
+    degree = np.asarray(adjacency.sum(axis=1)).ravel()
+    if vertex_count > 3:
+        signless = adjacency + coo_array((degree, (np.arange(vertex_count),) * 2), shape=adjacency.shape).tocsr()
+        start = np.ones(vertex_count)
+        # The signless Laplacian bounds the Laplacian, and its leading vector is positive, so Lanczos converges fast.
+        largest = float(eigsh(signless, k=1, which="LA", v0=start, tol=1e-3, return_eigenvectors=False)[0])
+    else:
+        largest = 2.0 * float(degree.max())
+    return math.sqrt((largest + mechanics.anchor) * stiffness / mechanics.mass)
+
+
+def require_stable(springs: np.ndarray, vertex_count: int, bounds: Bounds, mechanics: Mechanics) -> None:
+    """Refuse an admissible box that the integrator can't follow on this mesh.
+
+    Raises:
+        UnstableConfiguration: Δt·ω_max ≥ 2 at the largest admissible k_s, or explicit damping with k_d ≥ 2m/Δt.
+    """
+    stiffness, damping = bounds.stiffness[1], bounds.damping[1]
+    frequency = highest_frequency(springs, vertex_count, stiffness, mechanics)
+    product = mechanics.time_step * frequency
+    if product >= 2:
+        allowed = stiffness * (2 / product) ** 2
+        raise UnstableConfiguration(
+            f"bounds.stiffness allows k_s = {stiffness:g}, where Δt·ω_max = {product:.2f} on this mesh of "
+            f"{vertex_count} vertices and must stay below 2; lower the bound under {allowed:.3g} "
+            f"or mechanics.time_step under {2 / frequency:.3g} s."
+        )
+    limit = 2 * mechanics.mass / mechanics.time_step
+    if mechanics.damping == "explicit" and damping >= limit:
+        raise UnstableConfiguration(
+            f"bounds.damping allows k_d = {damping:g}, and explicit damping diverges from 2m/Δt = {limit:g} on; "
+            "set mechanics.damping to implicit or lower the bound."
+        )

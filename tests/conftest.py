@@ -1,0 +1,19 @@
+"""Fixtures shared by all tests."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+CHECKOUT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="session")
+def real_data() -> Path:
+    """Folder with the real clips, which are never part of the repository."""
+    folder = Path(os.environ.get("TISSUE_REAL_DATA", CHECKOUT.parent / "shared" / "data"))
+    if not (folder / "cholecseg8k").is_dir():
+        pytest.skip(f"no real data at {folder}; set TISSUE_REAL_DATA")
+    return folder

@@ -1,0 +1,148 @@
+"""What a synthetic scene may look like and how badly it is observed: every knob of the synthetic data set.
+
+The same settings and the same seed give the same clip. Lengths are scene units (the tissue lies at z of about 0.5),
+times seconds.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class SceneSettings:
+    """Parameters drawn, geometry, time course, and errors of observation of a synthetic clip."""
+
+    width: int = 854
+    """Picture width [px]."""
+    height: int = 480
+    """Picture height [px]."""
+    frames: int = 40
+    """Frames of a clip."""
+    fps: float = 25.0
+    """Frames a second."""
+    grid_width: int = 214
+    """Columns of the true mesh's grid, the network's input width."""
+    grid_height: int = 120
+    """Rows of the true mesh's grid, the network's input height."""
+    field_of_view_deg: float = 60.0
+    """Horizontal field of view [degrees]."""
+    stiffness: Range = (0.2, 1.0)
+    """k_s is drawn log-uniformly from this range [normalised]."""
+    damping: Range = (0.01, 0.3)
+    """k_d is drawn log-uniformly from this range [normalised]."""
+    force: Range = (-0.3, -0.03)
+    """Signed F, its magnitude drawn log-uniformly [normalised]; negative presses into the tissue."""
+    regime: Literal["any", "under-damped", "critical", "over-damped"] = "any"
+    """Keep only draws with ζ = k_d/(2√(k_s m)) under 0.7, from 0.7 to 1.4, or over 1.4."""
+    mass: float = 0.001
+    """Mass of every vertex [kg by the paper's convention]."""
+    peak_displacement: Range = (0.01, 0.06)
+    """Keep only draws whose largest displacement of the contact vertex lies in this range [scene units]."""
+    profile: Literal["step", "ramp"] = "step"
+    """Force while in contact: constant, or rising linearly from 0 to F at release."""
+    press_seconds: Range = (0.25, 0.5)
+    """Time in contact [s], rounded to whole frames."""
+    onset_fraction: Range = (0.15, 0.25)
+    """The first frame in contact, as a share of the clip's frames."""
+    distance: Range = (0.45, 0.6)
+    """Depth z of the contact [scene units]."""
+    max_tilt_deg: float = 0.2
+    """Largest angle between the contact normal and the line of sight [degrees]."""
+    curvature: Range = (0.4, 1.1)
+    """How fast the tissue recedes from its contact: z grows by half of this times the squared slope of the ray."""
+    relief: float = 0.012
+    """Amplitude of the tissue's random low-frequency waves, as a share of the depth."""
+    stiffness_variation: float = 0.0
+    """Standard deviation of log k_s over a smooth field of the springs: truth from another model than the fitted."""
+    nonlinearity: float = 0.0
+    """β of the spring law k_s·e·(1 + β(e/0.01)²), e the elongation [scene units]: stiffening springs, 0 is linear."""
+    depth_noise: float = 0.0
+    """Standard deviation of the depth noise of a pixel [scene units]."""
+    depth_noise_correlation: float = 0.0
+    """Standard deviation of the blur of the depth noise [px], which keeps the noise's size; 0 is white noise."""
+    depth_bits: Literal[8, 16] = 16
+    """Bits of the stored depth; 8 rounds to 1/255 scene units."""
+    scale_flicker: float = 0.0
+    """Standard deviation of log of the factor on each frame's depth."""
+    mask_error: float = 0.0
+    """Standard deviation of the masks' outlines along each axis [grid px], new in each frame."""
+    focal_error: float = 1.0
+    """Reported focal length divided by the true one."""
+    occlusion: float = 0.0
+    """Share of the tissue hidden by a drifting piece of fat."""
+    image_noise: float = 0.008
+    """Standard deviation of the picture's noise, as a share of full scale."""
+    highlights: float = 0.5
+    """Brightness of the wet tissue's mirror images of the light at 0.5 scene units, as a share of full scale."""
+    circle: bool = False
+    """Black out what lies outside a round endoscope picture."""
+
+    def __post_init__(self) -> None:
+        self._check_sizes()
+        self._check_ranges()
+        self._check_errors()
+
+    @property
+    def cell(self) -> tuple[float, float]:
+        """Size of a grid cell along u and v [px]."""
+        return self.width / self.grid_width, self.height / self.grid_height
+
+    def _check_sizes(self) -> None:
+        for name, low in (("width", 64), ("height", 48), ("grid_width", 64), ("grid_height", 48), ("frames", 8)):
+            if getattr(self, name) < low:
+                raise ValueError(f"scene.{name} is {getattr(self, name)}; give at least {low}.")
+        if self.width < self.grid_width or self.height < self.grid_height:
+            raise ValueError(
+                f"scene.width x scene.height is {self.width}x{self.height}; give at least the grid's size, "
+                f"{self.grid_width}x{self.grid_height}."
+            )
+        for name in ("fps", "mass"):
+            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
+                raise ValueError(f"scene.{name} is {getattr(self, name)}; give a positive number.")
+        if not 20 <= self.field_of_view_deg <= 110:
+            raise ValueError(f"scene.field_of_view_deg is {self.field_of_view_deg}; give 20 to 110 degrees.")
+
+    def _check_ranges(self) -> None:
+        limits = {
+            "stiffness": (1e-6, math.inf),
+            "damping": (1e-9, math.inf),
+            "force": (-math.inf, -1e-9),
+            "peak_displacement": (0.0, math.inf),
+            "press_seconds": (1e-6, math.inf),
+            "onset_fraction": (0.0, 0.9),
+            "distance": (0.3, 0.8),
+            "curvature": (0.0, 1.5),
+        }
+        for name, (lowest, highest) in limits.items():
+            low, high = getattr(self, name)
+            if not lowest <= low <= high <= highest:
+                raise ValueError(
+                    f"scene.{name} is [{low:g}, {high:g}]; give a low end up to a high end within "
+                    f"[{lowest:g}, {highest:g}]."
+                )
+
+    def _check_errors(self) -> None:
+        limits = {
+            "max_tilt_deg": (0, 45),
+            "relief": (0, 0.05),
+            "stiffness_variation": (0, 2),
+            "nonlinearity": (0, 10),
+            "depth_noise": (0, 0.2),
+            "depth_noise_correlation": (0, 100),
+            "scale_flicker": (0, 0.5),
+            "mask_error": (0, 20),
+            "focal_error": (0.2, 5),
+            "occlusion": (0, 0.8),
+            "image_noise": (0, 0.5),
+            "highlights": (0, 5),
+        }
+        for name, (low, high) in limits.items():
+            if not low <= getattr(self, name) <= high:
+                raise ValueError(f"scene.{name} is {getattr(self, name)}; give {low:g} to {high:g}.")
+        if self.depth_bits not in (8, 16):
+            raise ValueError(f"scene.depth_bits is {self.depth_bits}; give 8 or 16.")

@@ -1,0 +1,190 @@
+"""Synthetic clips as files: layout, reading back, keeping, refusing; and as arrays: determinism."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from data.class_table import CLASSES
+from data.depth import DepthSettings, open_depth
+from data.frames import discover, open_source
+from data.layout import ClipLayout
+from data.masks import MaskClasses, open_masks
+from data.synthetic import clip_seed, field_help, main, make_clip, picture_size, write_clip
+from data.synthetic_files import open_video
+from data.synthetic_settings import SceneSettings
+
+SMALL = SceneSettings(width=214, height=120, frames=20, onset_fraction=(0.15, 0.2), press_seconds=(0.2, 0.3))
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_clip(tmp_path_factory.mktemp("set"), 7, SMALL, 11)
+
+
+def test_the_same_seed_gives_the_same_clip() -> None:
+    settings = dataclasses.replace(SMALL, depth_noise=0.001, mask_error=0.5, scale_flicker=0.01)
+    first, second, other = make_clip(settings, 3), make_clip(settings, 3), make_clip(settings, 4)
+    for name in ("images", "labels", "depth"):
+        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
+    np.testing.assert_array_equal(first.motion.theta, second.motion.theta)
+    assert not np.array_equal(first.depth, other.depth)
+
+
+def test_errors_of_observation_leave_the_truth_alone() -> None:
+    clean = make_clip(SMALL, 3)
+    noisy = make_clip(dataclasses.replace(SMALL, depth_noise=0.004, depth_bits=8, focal_error=1.2), 3)
+    np.testing.assert_array_equal(clean.motion.response, noisy.motion.response)
+    np.testing.assert_array_equal(clean.images, noisy.images)
+    assert noisy.camera.fx == pytest.approx(1.2 * noisy.scene.camera.fx)
+
+
+def test_files_have_cholecseg8ks_names_and_colors(written: Path) -> None:
+    assert written.parts[-2:] == ("video07", "video07_00000")
+    clip = make_clip(SMALL, 11)
+    for number in (0, 9, 19):
+        image, color, grey, depth = (
+            cv2.imread(str(written / f"frame_{number}_endo{suffix}.png"), cv2.IMREAD_UNCHANGED)
+            for suffix in ("", "_color_mask", "_watershed_mask", "_depth")
+        )
+        np.testing.assert_array_equal(image[..., ::-1], clip.images[number])
+        np.testing.assert_array_equal(grey, np.repeat(clip.labels[number][..., None], 3, axis=2))
+        for entry in CLASSES.values():
+            where = clip.labels[number] == entry.grey
+            assert (color[where][:, ::-1] == entry.color).all()
+        assert depth.dtype == np.uint16
+        np.testing.assert_allclose(depth / 65535, clip.depth[number], atol=1e-6)
+    assert len(list(written.glob("frame_*_endo.png"))) == 20
+
+
+def test_the_projects_readers_read_it_back(written: Path) -> None:
+    clip = make_clip(SMALL, 11)
+    layout = ClipLayout()
+    source = open_source(written, layout)
+    assert (source.length, source.fps, source.size) == (20, 25.0, (214, 120))
+    masks = open_masks("annotation", layout, MaskClasses())
+    depth = open_depth(DepthSettings(), layout, source)
+    for index, frame in enumerate(source):
+        assert frame.number == index
+        assert frame.time_s == pytest.approx(index / 25)
+        np.testing.assert_array_equal(frame.image, clip.images[index])
+        labels = masks(frame)
+        np.testing.assert_array_equal(labels == 2, clip.labels[index] == CLASSES["grasper"].grey)
+        np.testing.assert_array_equal(labels == 1, clip.labels[index] == CLASSES["gallbladder"].grey)
+        np.testing.assert_allclose(depth(frame).depth, clip.depth[index], atol=1e-6)
+
+
+def test_the_truth_lies_beside_the_clip(written: Path) -> None:
+    clip = make_clip(SMALL, 11)
+    truth = json.loads((written / "truth.json").read_text(encoding="utf-8"))
+    assert list(truth["theta"].values()) == clip.motion.theta.tolist()
+    assert truth["zeta"] == pytest.approx(truth["theta"]["damping"] / (2 * (truth["theta"]["stiffness"] * 1e-3) ** 0.5))
+    assert truth["release_s"] - truth["onset_s"] == pytest.approx(clip.motion.load_seconds)
+    assert truth["settings"]["frames"] == 20
+    assert "DOP853" in truth["integrator"]
+    with np.load(written / "truth.npz") as arrays:
+        np.testing.assert_array_equal(arrays["trajectory"], clip.motion.contact)
+        np.testing.assert_array_equal(arrays["response"], clip.motion.response)
+        np.testing.assert_array_equal(arrays["mesh_vertices"], clip.scene.mesh.vertices)
+        np.testing.assert_allclose(arrays["field"], clip.motion.field, atol=5e-5)
+    description = json.loads((written / "clip.json").read_text(encoding="utf-8"))
+    assert description["camera"]["fx"] == pytest.approx(clip.camera.fx)
+    assert "theta" not in description
+
+
+def test_the_video_shows_the_same_frames(written: Path) -> None:
+    video = cv2.VideoCapture(str(written.with_suffix(".mp4")))
+    frames = []
+    while (read := video.read())[0]:
+        frames.append(read[1][..., ::-1].astype(float))
+    video.release()
+    clip = make_clip(SMALL, 11)
+    assert len(frames) == 20
+    assert np.abs(np.stack(frames) - clip.images).mean() < 6
+
+
+@pytest.mark.parametrize("without_av", [False, True])
+def test_videos_of_odd_size_lose_their_last_row_and_column(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, without_av: bool
+) -> None:
+    if without_av:
+        monkeypatch.setitem(__import__("sys").modules, "av", None)
+    settings = dataclasses.replace(SMALL, width=215, height=121)
+    with open_video(tmp_path / "odd.mp4", settings) as add:
+        for _ in range(3):
+            add(np.full((121, 215, 3), (200, 50, 50), np.uint8))
+    done, frame = cv2.VideoCapture(str(tmp_path / "odd.mp4")).read()
+    assert done
+    assert frame.shape == (120, 214, 3)
+    np.testing.assert_allclose(frame.mean(axis=(0, 1)), (50, 50, 200), atol=8)
+
+
+def test_a_clip_is_kept_or_refused_but_never_mixed(tmp_path: Path) -> None:
+    folder = write_clip(tmp_path, 1, SMALL, 1)
+    stamp = (folder / "truth.json").stat().st_mtime_ns
+    done = []
+    assert write_clip(tmp_path, 1, SMALL, 1, advance=done.append) == folder
+    assert sum(done) == 20
+    assert (folder / "truth.json").stat().st_mtime_ns == stamp
+    with pytest.raises(FileExistsError, match="video01 exists and was made with other settings"):
+        write_clip(tmp_path, 1, SMALL, 2)
+    write_clip(tmp_path, 1, SMALL, 2, overwrite=True)
+    assert json.loads((folder / "truth.json").read_text(encoding="utf-8"))["seed"] == 2
+    assert [path.name for path in tmp_path.iterdir()] == ["video01"]
+
+
+def test_an_interruption_leaves_nothing_half_written(tmp_path: Path) -> None:
+    def interrupt(frames: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_clip(tmp_path, 1, SMALL, 1, advance=interrupt)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_door_writes_clips_that_are_found(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    options = ["--clips", "2", "--size", "small", "--frames", "20", "--press-seconds", "0.2", "0.3"]
+    assert main(["--output", str(tmp_path / "ü set"), "--depth-bits", "8", *options]) == 0
+    clips = discover([tmp_path / "ü set"], ClipLayout())
+    folders = [clip for clip in clips if clip.is_dir()]
+    assert [folder.name for folder in folders] == ["video01_00000", "video02_00000"]
+    truths = [json.loads((folder / "truth.json").read_text(encoding="utf-8")) for folder in folders]
+    assert truths[0]["theta"] != truths[1]["theta"]
+    assert truths[0]["seed"] == clip_seed(0, 0)
+    assert truths[0]["settings"]["press_seconds"] == [0.2, 0.3]
+    assert cv2.imread(str(folders[0] / "frame_0_endo_depth.png"), cv2.IMREAD_UNCHANGED).dtype == np.uint8
+    assert "2 clips with truth" in " ".join(capsys.readouterr().err.split())
+
+
+def test_bad_usage_gets_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    target = ["--output", str(tmp_path / "set")]
+    assert main([*target, "--size", "huge"]) == 2
+    assert main([*target, "--clips", "0"]) == 2
+    assert main([*target, "--force", "1", "2"]) == 2
+    assert "scene.force" in capsys.readouterr().err
+    assert main([*target, "--size", "small", "--frames", "9"]) == 1
+    (tmp_path / "file").write_text("")
+    assert main(["--output", str(tmp_path / "file")]) == 1
+    message = capsys.readouterr().err
+    assert "Traceback" not in message
+    assert "can't be written" in " ".join(message.split())
+
+
+def test_sizes() -> None:
+    assert picture_size("full") == (854, 480)
+    assert picture_size("640x360") == (640, 360)
+    with pytest.raises(ValueError, match="--size"):
+        picture_size("640")
+
+
+def test_every_knob_is_documented() -> None:
+    assert set(field_help(SceneSettings)) == {field.name for field in dataclasses.fields(SceneSettings)}
+
+
+def test_clip_seeds_differ() -> None:
+    assert len({clip_seed(seed, index) for seed in range(10) for index in range(100)}) == 1000

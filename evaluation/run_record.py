@@ -1,0 +1,224 @@
+"""What a clip's results were made of: hashes, versions, settings. Also decides whether they are still up to date."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+import json
+import math
+import platform
+import tomllib
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from data.clip import PREPROCESSING_VERSION, ClipStream, PrepareSettings
+from data.clip_cache import code_version
+from data.frames import FrameSource
+from data.layout import is_file
+from estimators.estimate import FrameEstimate
+from evaluation.results import COLUMNS, ClipResults
+from models.onnx_session import ParameterModel
+
+FORMAT_VERSION = 1
+"""Version of the record's layout."""
+PACKAGES = ("numpy", "scipy", "opencv-python-headless", "onnxruntime", "av")
+UNITS = {
+    "stiffness": "scene units (normalised), not N/m",
+    "damping": "scene units (normalised), not N·s/m",
+    "force": "scene units (normalised), not N",
+    "displacement": "scene units: depth divided by the clip's one fixed scale",
+    "time": "s",
+}
+"""Units of the table where the model's metadata gives none."""
+PERSISTENT = ("unreadable", "no_mask", "bad_depth")
+"""Statuses that mean a broken input, not an empty scene."""
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """What a clip's results depend on."""
+
+    clip_sha256: str
+    """Hash of the clip's file, or of its folder's files."""
+    model_sha256: str
+    """Hash of the parameter network's file."""
+    settings: PrepareSettings
+    """How frames are prepared."""
+
+    @property
+    def fingerprint(self) -> str:
+        """Digest of everything; results with the same one need not be computed again."""
+        document = {
+            "format": FORMAT_VERSION,
+            "clip": self.clip_sha256,
+            "model": self.model_sha256,
+            "settings": self._settings(),
+            "files": _named_files(self.settings),
+            "code": [code_version(), _numbers_version()],
+            "program": program_version(),
+        }
+        return hashlib.sha256(json.dumps(document, sort_keys=True).encode("utf-8", "surrogatepass")).hexdigest()
+
+    def _settings(self) -> dict[str, Any]:
+        fields = dataclasses.asdict(self.settings)
+        for name in ("threads", "device"):  # where a model runs does not change what it means
+            fields["depth"].pop(name)
+        return fields
+
+
+def build_record(
+    clip: ClipStream,
+    provenance: Provenance,
+    model: ParameterModel,
+    results: ClipResults,
+    seconds: Mapping[str, float],
+) -> dict[str, Any]:
+    """The content of `run.json`.
+
+    Args:
+        clip: the clip, read to its end.
+        results: what was written of it.
+        seconds: time spent by stage [s].
+    """
+    source, settings, estimates = clip.source, clip.settings, results.estimates
+    depth_identity, masks_identity = clip.identity
+    return {
+        "format_version": FORMAT_VERSION,
+        "notice": "Research software, not a medical device.",
+        "fingerprint": provenance.fingerprint,
+        "input": {
+            "path": str(source.path.resolve()),
+            "sha256": provenance.clip_sha256,
+            "frames": len(estimates),
+            "width": source.size[0],
+            "height": source.size[1],
+            "fps": source.fps,
+        },
+        "model": {
+            "path": str(model.path.resolve()),
+            "sha256": provenance.model_sha256,
+            "metadata": model.metadata,
+        },
+        "depth_model": {"identity": depth_identity, "files_sha256": _named_files(settings)},
+        "masks": masks_identity,
+        "scale": {
+            "depth_at_1": clip.scale if math.isfinite(clip.scale) else None,
+            "unit": "m" if clip.metric else "of the depth source, not metric",
+        },
+        "camera": dataclasses.asdict(clip.picture_camera),
+        "settings": dataclasses.asdict(settings),
+        "units": units_of(model),
+        "columns": COLUMNS,
+        "statuses": dict(Counter(estimate.status for estimate in estimates)),
+        "verdicts": dict(Counter(estimate.verdict for estimate in estimates if estimate.verdict)),
+        "warnings": warnings_of(source, estimates, model),
+        "timings_s": {stage: round(value, 4) for stage, value in seconds.items()},
+        "overlay_encoder": results.encoder or None,
+        "versions": versions(),
+    }
+
+
+def describe(record: Mapping[str, Any]) -> str:
+    """One line about what made a clip's results, for its summary."""
+    given, model = record["input"], record["model"]
+    return " · ".join(
+        (
+            f"{given['frames']} frames, {given['width']}×{given['height']}, {given['fps']:.4g} fps",
+            f"model {Path(model['path']).name} ({model['sha256'][:8]})",
+            f"depth {record['depth_model']['identity'].split(':')[0]}",
+            f"masks {record['masks'].split(':')[0]}",
+        )
+    )
+
+
+def warnings_of(source: FrameSource, estimates: Sequence[FrameEstimate], model: ParameterModel) -> list[str]:
+    """What the user should know about a clip, one sentence each: damage to it, and frames lost to broken files."""
+    found = list(source.warnings)
+    for status in PERSISTENT:
+        hit = [estimate for estimate in estimates if estimate.status == status]
+        if hit:
+            share = f"{len(hit)} of {len(estimates)} frames are {status}"
+            found.append(f"{share}, the first is {hit[0].frame}: {hit[0].detail}")
+    trained = model.metadata.get("preprocessing_version", PREPROCESSING_VERSION)
+    if trained != PREPROCESSING_VERSION:
+        found.append(f"the model was trained on preprocessing version {trained}, this is {PREPROCESSING_VERSION}")
+    return found
+
+
+def units_of(model: ParameterModel) -> dict[str, str]:
+    """Units of the results: the model's, for a force that is a magnitude."""
+    units = {**UNITS, **{name: str(unit) for name, unit in model.metadata.get("units", {}).items()}}
+    # The network's force is signed, the table's is not.
+    units["force"] = units["force"].split(";")[0]
+    return units
+
+
+def sha256_of(path: Path, *, exclude: Path | None = None) -> str:
+    """SHA-256 of a file, or of a folder's files with their names; hidden ones and those under `exclude` don't count.
+
+    Raises:
+        OSError: a file can't be read.
+    """
+    if path.is_file():
+        state = path.stat()
+        return _file_sha256(path, state.st_size, state.st_mtime_ns)
+    digest = hashlib.sha256()
+    for file in sorted(path.rglob("*")):
+        relative = file.relative_to(path)
+        outside = exclude is None or not file.resolve().is_relative_to(exclude)
+        if outside and file.is_file() and not any(part.startswith(".") for part in relative.parts):
+            digest.update(f"{relative.as_posix()}\0{sha256_of(file)}\n".encode("utf-8", "surrogatepass"))
+    return digest.hexdigest()
+
+
+@functools.lru_cache(maxsize=64)
+def _file_sha256(path: Path, size: int, changed: int) -> str:
+    """Digest of a file's content; size and time of change only keep a changed file from being remembered."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _named_files(settings: PrepareSettings) -> dict[str, str]:
+    """Hashes of the files outside the clip that the settings name, and of the YAML files beside their models."""
+    depth = settings.depth
+    named = {"depth.source": depth.source, "depth.model": depth.model, "depth.preset": depth.preset}
+    named |= {"masks": settings.masks, "camera": settings.layout.camera}
+    paths = {name: Path(value) for name, value in named.items() if value is not None}
+    paths |= {f"{name}, yaml": path.with_suffix(".yaml") for name, path in paths.items() if path.suffix == ".onnx"}
+    return {name: sha256_of(path) for name, path in paths.items() if is_file(path)}
+
+
+@functools.cache
+def _numbers_version() -> str:
+    """Digest of the sources that turn prepared frames into numbers."""
+    root = Path(__file__).resolve().parents[1]
+    digest = hashlib.sha256()
+    for path in sorted((root / "physics").glob("*.py")) + sorted((root / "estimators").glob("*.py")):
+        digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+@functools.cache
+def program_version() -> str:
+    """Version of this program: the checkout's, or the installed package's."""
+    project = Path(__file__).resolve().parents[1] / "pyproject.toml"
+    if project.is_file():
+        return str(tomllib.loads(project.read_text(encoding="utf-8"))["project"]["version"])
+    return version("palpate")
+
+
+def versions() -> dict[str, str]:
+    """Versions of this program and of the packages that the numbers depend on."""
+    found = {"palpate": program_version(), "python": platform.python_version()}
+    found["preprocessing"] = str(PREPROCESSING_VERSION)
+    for package in PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return found

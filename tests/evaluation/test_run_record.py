@@ -1,0 +1,115 @@
+"""What results were made of, and when they are out of date."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+from data.clip import PrepareSettings, stream
+from data.depth import DepthSettings
+from data.frames import open_source
+from estimators.amortized import AmortizedEstimator
+from estimators.estimate import FrameEstimate
+from estimators.model_settings import preparation_settings
+from evaluation.results import ClipResults
+from evaluation.run_record import (
+    Provenance,
+    build_record,
+    describe,
+    program_version,
+    sha256_of,
+    units_of,
+    versions,
+    warnings_of,
+)
+from models.onnx_session import ParameterModel
+from tests.inference_inputs import metadata, write_clip, write_model
+
+PROVENANCE = Provenance("a" * 64, "b" * 64, PrepareSettings())
+
+
+def test_fingerprint_follows_what_results_depend_on(tmp_path: Path) -> None:
+    depth = DepthSettings(near=0.05)
+    others = [
+        dataclasses.replace(PROVENANCE, clip_sha256="c" * 64),
+        dataclasses.replace(PROVENANCE, model_sha256="c" * 64),
+        dataclasses.replace(PROVENANCE, settings=PrepareSettings(depth=depth)),
+        dataclasses.replace(PROVENANCE, settings=PrepareSettings(masks="automatic")),
+    ]
+    assert len({PROVENANCE.fingerprint, *(other.fingerprint for other in others)}) == 5
+    threads = dataclasses.replace(PROVENANCE, settings=PrepareSettings(depth=DepthSettings(threads=3)))
+    assert threads.fingerprint == PROVENANCE.fingerprint
+
+
+def test_fingerprint_follows_the_content_of_named_models(tmp_path: Path) -> None:
+    masks = tmp_path / "masks.onnx"
+    masks.write_bytes(b"one")
+    provenance = dataclasses.replace(PROVENANCE, settings=PrepareSettings(masks=str(masks)))
+    first = provenance.fingerprint
+    masks.write_bytes(b"other")
+    second = provenance.fingerprint
+    masks.with_suffix(".yaml").write_text("size: 3")
+    assert len({first, second, provenance.fingerprint}) == 3
+
+
+def test_record_holds_hashes_counts_units_and_times(tmp_path: Path) -> None:
+    path = write_clip(tmp_path / "clip", 6, 3)
+    model = ParameterModel(write_model(tmp_path / "model.onnx"))
+    settings = preparation_settings(model)
+    provenance = Provenance(sha256_of(path), sha256_of(model.path), settings)
+    source = open_source(path, settings.layout)
+    clip, estimator = stream(source, settings), AmortizedEstimator(model)
+    with ClipResults(tmp_path / "out", source.size, source.fps, units_of(model)) as results:
+        for result in estimator.run(clip):
+            results.write(result)
+        record = build_record(clip, provenance, model, results, {**clip.seconds, **results.seconds})
+        results.finish(record, title="clip", subtitle=describe(record))
+    stored = json.loads((tmp_path / "out" / "run.json").read_text(encoding="utf-8"))
+    assert stored["input"]["path"] == str(path.resolve())
+    assert stored["input"]["sha256"] == sha256_of(path)
+    assert stored["model"]["sha256"] == sha256_of(model.path)
+    assert stored["depth_model"]["identity"].startswith("stored:")
+    assert stored["statuses"] == {"no_contact": 3, "ok": 3}
+    assert stored["verdicts"] == {"undetermined": 3}
+    assert stored["settings"]["geometry"]["height"] == 48
+    assert stored["units"]["stiffness"] == "scene units (normalised), not N/m"
+    assert stored["columns"]["force"] == "magnitude |F|"
+    assert {"decode", "masks", "depth", "geometry", "overlay"} <= set(stored["timings_s"])
+    assert stored["versions"]["palpate"] == program_version()
+    assert stored["fingerprint"] == provenance.fingerprint
+    assert "6 frames, 160×96, 25 fps" in describe(stored)
+    assert "depth stored" in describe(stored)
+
+
+def test_units_of_the_force_say_nothing_of_its_sign(tmp_path: Path) -> None:
+    model = ParameterModel(write_model(tmp_path / "model.onnx"))
+    assert units_of(model)["force"] == "scene units"
+
+
+def test_warnings_name_broken_frames_and_another_preprocessing(tmp_path: Path) -> None:
+    path = write_clip(tmp_path / "clip", 3, 1)
+    model = ParameterModel(write_model(tmp_path / "model.onnx", metadata(preprocessing_version=0)))
+    source = open_source(path, preparation_settings(model).layout)
+    rows = [FrameEstimate(4, 0.0, "ok"), FrameEstimate(5, 0.1, "no_mask", detail="m.png does not exist; add it.")]
+    found = warnings_of(source, rows, model)
+    assert found[0] == "1 of 2 frames are no_mask, the first is 5: m.png does not exist; add it."
+    assert found[1].startswith("the model was trained on preprocessing version 0")
+
+
+def test_versions_name_the_packages() -> None:
+    assert {"palpate", "python", "numpy", "onnxruntime"} <= set(versions())
+
+
+def test_hash_of_a_folder_follows_names_and_contents(tmp_path: Path) -> None:
+    (tmp_path / "clip" / "sub").mkdir(parents=True)
+    (tmp_path / "clip" / "a.png").write_bytes(b"1")
+    (tmp_path / "clip" / "sub" / "b.png").write_bytes(b"2")
+    first = sha256_of(tmp_path / "clip")
+    (tmp_path / "clip" / ".hidden").write_bytes(b"3")
+    assert sha256_of(tmp_path / "clip") == first
+    (tmp_path / "clip" / "out").mkdir()
+    (tmp_path / "clip" / "out" / "run.json").write_bytes(b"{}")
+    assert sha256_of(tmp_path / "clip", exclude=(tmp_path / "clip" / "out").resolve()) == first
+    (tmp_path / "clip" / "a.png").rename(tmp_path / "clip" / "c.png")
+    assert sha256_of(tmp_path / "clip", exclude=(tmp_path / "clip" / "out").resolve()) != first

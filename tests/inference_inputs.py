@@ -1,0 +1,139 @@
+"""Small inputs of inference: parameter networks as ONNX files with the metadata of a real export, and drawn clips."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import onnx
+from onnx import TensorProto, helper, numpy_helper
+
+from data.clip import PREPROCESSING_VERSION
+from data.depth import DepthSettings
+from data.geometry import GeometrySettings
+from data.masks import MaskClasses
+from models.onnx_session import FORMAT_VERSION, METADATA_KEY
+from physics.mechanics import Bounds, Mechanics
+
+THETA = (0.5, 0.09, -0.4)
+"""θ that `write_model` gives for a window of zero depth."""
+SLOPE = (0.2, 0.0, 0.0)
+"""What a window's mean depth adds to it."""
+
+
+SIZE = (160, 96)
+"""Width and height of the drawn frames [px]."""
+GRID = (48, 80)
+"""Height and width of the network's input."""
+TISSUE_COLOR, TOOL_COLOR, OTHER_COLOR = (255, 160, 165), (170, 255, 0), (127, 127, 127)
+
+
+def metadata(window: int = 1, **changes: Any) -> dict[str, Any]:
+    """The document of a model exported from default settings; `changes` replace whole sections."""
+    geometry = changes.get("geometry", dataclasses.asdict(GeometrySettings(height=GRID[0], width=GRID[1])))
+    document = {
+        "format_version": FORMAT_VERSION,
+        "preprocessing_version": PREPROCESSING_VERSION,
+        "input": {"height": geometry["height"], "width": geometry["width"], "window": window},
+        "bounds": dataclasses.asdict(Bounds(force=(-1.0, 0.0), initial=(0.5, 0.5, -0.5))),
+        "units": {"stiffness": "scene units (normalised), not N/m", "force": "scene units; negative presses"},
+        "mechanics": dataclasses.asdict(Mechanics(steps=40, load_steps=10)),
+        "observation": "final",
+        "geometry": geometry,
+        "depth": dataclasses.asdict(DepthSettings()),
+        "classes": dataclasses.asdict(MaskClasses()),
+        "config_sha256": "0" * 64,
+    }
+    return document | changes
+
+
+def write_model(
+    path: Path,
+    document: dict[str, Any] | None = None,
+    *,
+    theta: tuple[float, float, float] = THETA,
+    slope: tuple[float, float, float] = SLOPE,
+    inputs: tuple[str, ...] = ("depth",),
+) -> Path:
+    """Write a network that gives θ = theta + slope · (mean depth of the window)."""
+    document = metadata() if document is None else document
+    size = document["input"]
+    shape = ["batch", size["window"], size["height"], size["width"]]
+    constants = {
+        "slope": np.array([slope], np.float32),
+        "offset": np.array([theta], np.float32),
+        "axes": np.array([1, 2, 3]),
+        "flat": np.array([-1, 1]),
+    }
+    nodes = [
+        helper.make_node("ReduceMean", [inputs[0], "axes"], ["mean"]),
+        helper.make_node("Reshape", ["mean", "flat"], ["column"]),
+        helper.make_node("MatMul", ["column", "slope"], ["scaled"]),
+        helper.make_node("Add", ["scaled", "offset"], ["theta"]),
+    ]
+    graph = helper.make_graph(
+        nodes,
+        "parameters",
+        [helper.make_tensor_value_info(name, TensorProto.FLOAT, shape) for name in inputs],
+        [helper.make_tensor_value_info("theta", TensorProto.FLOAT, ["batch", 3])],
+        [numpy_helper.from_array(value, name) for name, value in constants.items()],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=10)
+    if document:
+        helper.set_model_props(model, {METADATA_KEY: json.dumps(document)})
+    path.parent.mkdir(parents=True, exist_ok=True)
+    onnx.save(model, path)
+    return path
+
+
+def draw_frame(index: int, onset: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A tissue plane that a tool enters from above and touches from frame `onset` on, pressing it down.
+
+    Returns:
+        RGB image and colour mask, uint8 [H, W, 3], and depth uint16 [H, W].
+    """
+    width, height = SIZE
+    noise = np.random.default_rng(3).integers(90, 190, (height // 4, width // 4, 3), np.uint8)
+    image = cv2.resize(noise, SIZE, interpolation=cv2.INTER_CUBIC)
+    mask = np.full((height, width, 3), OTHER_COLOR, np.uint8)
+    top = 40
+    mask[top:] = TISSUE_COLOR
+    depth = np.full((height, width), 30000, np.uint16)
+    depth[top:] = (26000 + 20 * np.arange(height - top))[:, None]
+    tip = min(top + 4 * (index - onset) + 2, top + 14) if index >= onset else top - 24
+    if index >= onset - 3:
+        mask[:tip, 70:90] = TOOL_COLOR
+        image[:tip, 70:90] = 220
+        depth[:tip, 70:90] = 25500
+    return image, mask, depth
+
+
+def write_clip(folder: Path, frames: int = 8, onset: int = 4, *, first: int = 10) -> Path:
+    """A folder in CholecSeg8k's layout with stored depth; the tool is in view from three frames before the onset."""
+    folder.mkdir(parents=True)
+    for index in range(frames):
+        image, mask, depth = draw_frame(index, onset)
+        stem = folder / f"frame_{first + index}_endo"
+        for suffix, picture in (("", image), ("_color_mask", mask)):
+            Path(f"{stem}{suffix}.png").write_bytes(encode(cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)))
+        Path(f"{stem}_depth.png").write_bytes(encode(depth))
+    return folder
+
+
+def write_video(path: Path, frames: int = 8, onset: int = 4, fps: float = 25.0) -> Path:
+    """The same clip's images as a video file."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), fps, SIZE)
+    for index in range(frames):
+        writer.write(cv2.cvtColor(draw_frame(index, onset)[0], cv2.COLOR_RGB2BGR))
+    writer.release()
+    return path
+
+
+def encode(picture: np.ndarray) -> bytes:
+    """A picture as PNG."""
+    return cv2.imencode(".png", picture)[1].tobytes()

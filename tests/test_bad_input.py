@@ -1,0 +1,508 @@
+"""Bad input at infer.py's door: one sentence that names the file, no traceback, and the rest of the batch goes on."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import infer
+from data.geometry import GeometrySettings
+from evaluation import result_store
+from tests.inference_inputs import GRID, SIZE, encode, metadata, write_clip, write_model, write_video
+
+ROOT = Path(__file__).resolve().parents[1]
+FRAMES = 6
+"""Frames of every clip here; contact from the third on, the tool in view from the start."""
+
+
+@pytest.fixture
+def model(tmp_path: Path) -> Path:
+    return write_model(tmp_path / "parameters.onnx")
+
+
+@pytest.fixture
+def clips(tmp_path: Path) -> Path:
+    """A folder with one good clip; a test puts a bad one beside it."""
+    write_clip(tmp_path / "clips" / "good", FRAMES, 2)
+    return tmp_path / "clips"
+
+
+def call(clips: Path, *options: str) -> int:
+    base = ["--output", str(clips.parent / "out"), "--model", str(clips.parent / "parameters.onnx"), "--no-overlay"]
+    return infer.main([str(clips), *base, *options])
+
+
+def rows(clips: Path, name: str) -> list[dict[str, str]]:
+    with (clips.parent / "out" / name / "parameters.csv").open(encoding="utf-8", newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def statuses(clips: Path, name: str) -> list[str]:
+    return [row["status"] for row in rows(clips, name)]
+
+
+def is_plain(told: str) -> bool:
+    return "Traceback" not in told and "Error:" not in told
+
+
+# --- clips that can't be opened: the clip fails by name, the others complete ---
+
+
+def empty_video(clips: Path) -> Path:
+    (clips / "bad.mp4").write_bytes(b"")
+    return clips / "bad.mp4"
+
+
+def no_video(clips: Path) -> Path:
+    (clips / "bad.mp4").write_bytes(os.urandom(4000))
+    return clips / "bad.mp4"
+
+
+def headless_video(clips: Path) -> Path:
+    whole = write_video(clips / "bad.mp4", 30).read_bytes()
+    (clips / "bad.mp4").write_bytes(whole[: len(whole) // 2])
+    return clips / "bad.mp4"
+
+
+def folder_of_broken_images(clips: Path) -> Path:
+    write_clip(clips / "bad", FRAMES, 2)
+    for path in (clips / "bad").glob("*_endo.png"):
+        path.write_bytes(b"")
+    return clips / "bad"
+
+
+def broken_clip_file(clips: Path) -> Path:
+    (write_clip(clips / "bad", FRAMES, 2) / "clip.json").write_text("{")
+    return clips / "bad"
+
+
+UNUSABLE = (empty_video, no_video, headless_video, folder_of_broken_images, broken_clip_file)
+
+
+def test_unusable_clips_are_named_and_the_rest_goes_on(clips: Path, model: Path, capsys: pytest.CaptureFixture) -> None:
+    bad = []
+    for make in UNUSABLE:
+        (clips / make.__name__).mkdir()
+        bad.append(make(clips / make.__name__))
+    assert call(clips) == 1
+    told = capsys.readouterr()
+    failures = [line for line in told.err.splitlines() if line.startswith("failed: ")]
+    for path in bad:
+        named = [line for line in failures if str(path) in line]
+        assert len(named) == 1
+        assert named[0].endswith(".")
+    assert len(failures) == len(UNUSABLE)
+    assert is_plain(told.err + told.out)
+    assert statuses(clips, "good") == ["no_contact"] * 2 + ["ok"] * 4
+    assert sorted(path.name for path in (clips.parent / "out").iterdir()) == ["good"]
+
+
+# --- frames that can't be used: their rows say why, the clip's other frames are estimated ---
+
+
+def replace_frame(clip: Path, suffix: str, content: bytes, number: int = 13) -> None:
+    (clip / f"frame_{number}_endo{suffix}.png").write_bytes(content)
+
+
+def zero_byte_frame(clip: Path) -> None:
+    replace_frame(clip, "", b"")
+
+
+def truncated_frame(clip: Path) -> None:
+    path = clip / "frame_13_endo.png"
+    path.write_bytes(path.read_bytes()[:900])
+
+
+def frame_of_another_size(clip: Path) -> None:
+    replace_frame(clip, "", encode(np.zeros((50, 70, 3), np.uint8)))
+
+
+def missing_mask(clip: Path) -> None:
+    (clip / "frame_13_endo_color_mask.png").unlink()
+
+
+def mask_of_another_size(clip: Path) -> None:
+    replace_frame(clip, "_color_mask", encode(np.zeros((50, 70, 3), np.uint8)))
+
+
+def zero_byte_mask(clip: Path) -> None:
+    replace_frame(clip, "_color_mask", b"")
+
+
+def all_zero_depth(clip: Path) -> None:
+    replace_frame(clip, "_depth", encode(np.zeros(SIZE[::-1], np.uint16)))
+
+
+def constant_depth(clip: Path) -> None:
+    replace_frame(clip, "_depth", encode(np.full(SIZE[::-1], 20000, np.uint16)))
+
+
+def missing_depth(clip: Path) -> None:
+    (clip / "frame_13_endo_depth.png").unlink()
+
+
+def tool_gone(clip: Path) -> None:
+    mask = cv2.imread(str(clip / "frame_13_endo_color_mask.png"))
+    mask[(mask == (0, 255, 170)).all(axis=2)] = 127
+    replace_frame(clip, "_color_mask", encode(mask))
+
+
+def tissue_gone(clip: Path) -> None:
+    mask = cv2.imread(str(clip / "frame_13_endo_color_mask.png"))
+    mask[(mask == (165, 160, 255)).all(axis=2)] = 127
+    replace_frame(clip, "_color_mask", encode(mask))
+
+
+def tissue_of_three_pixels(clip: Path) -> None:
+    mask = cv2.imread(str(clip / "frame_13_endo_color_mask.png"))
+    mask[(mask == (165, 160, 255)).all(axis=2)] = 127
+    mask[60, 80:83] = (165, 160, 255)
+    replace_frame(clip, "_color_mask", encode(mask))
+
+
+SPOILT = {
+    zero_byte_frame: "unreadable",
+    truncated_frame: "unreadable",
+    frame_of_another_size: "unreadable",
+    missing_mask: "no_mask",
+    mask_of_another_size: "no_mask",
+    zero_byte_mask: "no_mask",
+    all_zero_depth: "bad_depth",
+    constant_depth: "bad_depth",
+    missing_depth: "bad_depth",
+    tool_gone: "no_tool",
+    tissue_gone: "no_tissue",
+    tissue_of_three_pixels: "no_tissue",
+}
+
+
+def test_unusable_frame_costs_only_its_own_row(clips: Path, model: Path, capsys: pytest.CaptureFixture) -> None:
+    for spoil in SPOILT:
+        spoil(write_clip(clips / spoil.__name__, FRAMES, 2))
+    assert call(clips) == 0
+    told = capsys.readouterr().err
+    assert is_plain(told)
+    for spoil, status in SPOILT.items():
+        name = spoil.__name__
+        assert statuses(clips, name) == ["no_contact"] * 2 + ["ok", status, "ok", "ok"], name
+        row = rows(clips, name)[3]
+        assert row["frame"] == "13"
+        assert row["stiffness"] == row["damping"] == row["force"] == row["simulated_displacement"] == ""
+        assert row["detail"], name
+        # Broken files are told on the screen too; an empty scene is no fault.
+        warned = f"{name}: 1 of 6 frames are {status}, the first is 13" in told
+        assert warned == (status in ("unreadable", "no_mask", "bad_depth")), name
+
+
+def test_stored_depth_that_is_no_depth(clips: Path, model: Path, tmp_path: Path) -> None:
+    values = {"nan": np.nan, "inf": np.inf, "zero": 0.0, "constant": 1.0}
+    for name, value in values.items():
+        clip = write_clip(clips / name, FRAMES, 2)
+        for number in range(10, 10 + FRAMES):
+            depth = cv2.imread(str(clip / f"frame_{number}_endo_depth.png"), cv2.IMREAD_UNCHANGED).astype(np.float32)
+            np.save(clip / f"depth_{number}.npy", np.full_like(depth, value) if number == 13 else depth)
+    (tmp_path / "layout.yaml").write_text("depth: 'depth_{number}.npy'\n")
+    # The good clip has no such files, and that is its failure.
+    assert call(clips, "--layout", str(tmp_path / "layout.yaml"), "--depth", "stored") == 1
+    for name in values:
+        assert statuses(clips, name) == ["no_contact"] * 2 + ["ok", "bad_depth", "ok", "ok"], name
+        assert rows(clips, name)[3]["detail"]
+
+
+def test_rgba_and_grey_masks_are_read(clips: Path, model: Path) -> None:
+    rgba, grey = write_clip(clips / "rgba", FRAMES, 2), write_clip(clips / "grey", FRAMES, 2)
+    for path in rgba.glob("*_color_mask.png"):
+        path.write_bytes(encode(cv2.cvtColor(cv2.imread(str(path)), cv2.COLOR_BGR2BGRA)))
+    for path in grey.glob("*_color_mask.png"):
+        mask = cv2.imread(str(path))
+        values = np.full(SIZE[::-1], 50, np.uint8)
+        values[(mask == (165, 160, 255)).all(axis=2)] = 22
+        values[(mask == (0, 255, 170)).all(axis=2)] = 31
+        path.write_bytes(encode(values))
+    assert call(clips) == 0
+    assert statuses(clips, "rgba") == statuses(clips, "grey") == statuses(clips, "good")
+
+
+def test_gap_in_the_frame_numbers_keeps_numbers_times_and_warns(
+    clips: Path, model: Path, capsys: pytest.CaptureFixture
+) -> None:
+    clip = write_clip(clips / "gap", FRAMES, 2)
+    for path in clip.glob("frame_13_*"):
+        path.unlink()
+    assert call(clips) == 0
+    found = rows(clips, "gap")
+    assert [row["frame"] for row in found] == ["10", "11", "12", "14", "15"]
+    assert float(found[3]["time_s"]) == pytest.approx(0.16)
+    # Nothing is compared across the gap.
+    assert found[2]["observed_displacement"] == ""
+    assert "gap: 1 frame numbers are missing between 10 and 15" in capsys.readouterr().err
+
+
+def test_truncated_video_keeps_a_row_for_every_announced_frame(
+    clips: Path, model: Path, capsys: pytest.CaptureFixture
+) -> None:
+    av = pytest.importorskip("av")
+    path = clips / "cut.mp4"
+    with av.open(str(path), "w", options={"movflags": "+faststart"}) as container:
+        stream = container.add_stream("libx264", rate=25, options={"g": "5", "crf": "10"})
+        stream.width, stream.height, stream.pix_fmt = *SIZE, "yuv420p"
+        noise = np.random.default_rng(0)
+        for _ in range(16):
+            picture = noise.integers(0, 255, (SIZE[1], SIZE[0], 3), np.uint8)
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        container.mux(stream.encode())
+    path.write_bytes(path.read_bytes()[: path.stat().st_size * 6 // 10])
+    assert call(clips) == 0
+    found = statuses(clips, "cut")
+    assert len(found) == 16
+    assert 2 < found.count("unreadable") < 14
+    assert "cut: truncated: " in capsys.readouterr().err
+
+
+def test_names_of_any_script_and_length(clips: Path, model: Path) -> None:
+    long = "é" * 100
+    write_clip(clips / "肝臓 [1] {x} vidéo", FRAMES, 2)
+    write_clip(clips / "sub" / long, FRAMES, 2)
+    assert call(clips) == 0
+    assert len(rows(clips, "肝臓 [1] {x} vidéo")) == FRAMES
+    made = [path for path in (clips.parent / "out").iterdir() if path.name.startswith("é")]
+    assert len(made) == 1
+    assert len(made[0].name.encode()) <= 120
+
+
+def test_name_that_is_not_utf8(clips: Path, model: Path, capsys: pytest.CaptureFixture) -> None:
+    clip = clips / os.fsdecode(b"clip\xff")
+    try:
+        write_clip(clips / "plain", FRAMES, 2).rename(clip)
+    except OSError:
+        pytest.skip("this file system takes UTF-8 names only")
+    (clip / "frame_13_endo_color_mask.png").write_bytes(b"")
+    assert call(clips) == 0
+    assert statuses(clips, "clip_") == ["no_contact"] * 2 + ["ok", "no_mask", "ok", "ok"]
+    assert is_plain(capsys.readouterr().err)
+    # A second run knows whose folder it is.
+    assert call(clips) == 0
+    assert sorted(path.name for path in (clips.parent / "out").iterdir()) == ["clip_", "good"]
+
+
+def test_missing_annotation_of_a_whole_clip(clips: Path, model: Path, capsys: pytest.CaptureFixture) -> None:
+    write_video(clips / "film.mp4", FRAMES)
+    assert call(clips, "--masks", "annotation") == 1
+    assert "film.mp4: a video or camera has no annotation masks; use --masks automatic" in capsys.readouterr().err
+    assert statuses(clips, "good")[-1] == "ok"
+
+
+# --- wrong usage: exit status 2 and one sentence, before anything is written ---
+
+
+def not_onnx(folder: Path) -> list[str]:
+    (folder / "bad.onnx").write_bytes(b"this is not a network")
+    return ["--model", str(folder / "bad.onnx")]
+
+
+def empty_onnx(folder: Path) -> list[str]:
+    (folder / "bad.onnx").write_bytes(b"")
+    return ["--model", str(folder / "bad.onnx")]
+
+
+def foreign_onnx(folder: Path) -> list[str]:
+    write_model(folder / "bad.onnx", {"input": {"window": 1, "height": 48, "width": 80}})
+    return ["--model", str(folder / "bad.onnx")]
+
+
+def other_inputs(folder: Path) -> list[str]:
+    write_model(folder / "bad.onnx", inputs=("picture",))
+    return ["--model", str(folder / "bad.onnx")]
+
+
+def other_input_size(folder: Path) -> list[str]:
+    geometry = dataclasses.asdict(GeometrySettings(height=GRID[0] + 1, width=GRID[1]))
+    write_model(folder / "bad.onnx", metadata() | {"geometry": geometry})
+    return ["--model", str(folder / "bad.onnx")]
+
+
+def missing_model(folder: Path) -> list[str]:
+    return ["--model", str(folder / "bad.onnx")]
+
+
+def bad_depth_model(folder: Path) -> list[str]:
+    (folder / "bad.onnx").write_bytes(b"no depth")
+    return ["--depth", str(folder / "bad.onnx"), "--depth-preset", "midas-small"]
+
+
+def depth_model_with_other_outputs(folder: Path) -> list[str]:
+    write_model(folder / "bad.onnx")
+    return ["--depth", "depthpro", "--depth-model", str(folder / "bad.onnx")]
+
+
+def bad_mask_model(folder: Path) -> list[str]:
+    (folder / "bad.onnx").write_bytes(b"no masks")
+    return ["--masks", str(folder / "bad.onnx")]
+
+
+def layout_with_unknown_key(folder: Path) -> list[str]:
+    (folder / "bad.yaml").write_text("imagee: x_{number}.png\n")
+    return ["--layout", str(folder / "bad.yaml")]
+
+
+def layout_with_impossible_bound(folder: Path) -> list[str]:
+    (folder / "bad.yaml").write_text("fps: -1\n")
+    return ["--layout", str(folder / "bad.yaml")]
+
+
+def camera_without_focal_length(folder: Path) -> list[str]:
+    (folder / "bad.yaml").write_text("cx: 1\ncy: 1\nwidth: 2\nheight: 2\n")
+    return ["--camera", str(folder / "bad.yaml")]
+
+
+def output_is_a_file(folder: Path) -> list[str]:
+    (folder / "bad.txt").write_text("")
+    return ["--output", str(folder / "bad.txt")]
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        not_onnx,
+        empty_onnx,
+        foreign_onnx,
+        other_inputs,
+        other_input_size,
+        missing_model,
+        bad_depth_model,
+        depth_model_with_other_outputs,
+        bad_mask_model,
+        layout_with_unknown_key,
+        layout_with_impossible_bound,
+        camera_without_focal_length,
+        output_is_a_file,
+    ],
+    ids=lambda make: make.__name__,
+)
+def test_wrong_usage_is_one_sentence_with_the_file(
+    make: Callable[[Path], list[str]], clips: Path, model: Path, capsys: pytest.CaptureFixture
+) -> None:
+    assert call(clips, *make(clips.parent)) == 2
+    told = capsys.readouterr().err.strip()
+    assert len(told.splitlines()) == 1
+    assert "bad." in told
+    assert told.endswith(".")
+    assert is_plain(told)
+    assert "depth.model" not in told
+    assert "depth.preset" not in told
+    assert not (clips.parent / "out").exists()
+
+
+def test_depth_preset_without_its_file_says_which_option(
+    clips: Path, model: Path, capsys: pytest.CaptureFixture
+) -> None:
+    assert call(clips, "--depth", "depthpro") == 2
+    assert "--depth-model" in capsys.readouterr().err
+    assert call(clips, "--depth", "wishful") == 2
+    assert "'wishful' is no depth preset; choose one of" in capsys.readouterr().err
+
+
+def test_input_that_is_not_there_or_holds_nothing(clips: Path, model: Path, capsys: pytest.CaptureFixture) -> None:
+    (clips / "nothing").mkdir()
+    assert call(clips.parent / "nowhere.mp4", "--output", str(clips.parent / "out")) == 2
+    assert call(clips / "nothing", "--model", str(model)) == 2
+    told = capsys.readouterr().err.splitlines()
+    assert "nowhere.mp4" in told[0]
+    assert "holds neither a video nor a folder of frames" in told[1]
+    # Beside a usable input it is a failure of its own.
+    output = ["--output", str(clips.parent / "out"), "--model", str(model), "--no-overlay"]
+    assert infer.main([str(clips / "nowhere"), str(clips / "good"), *output]) == 1
+    assert statuses(clips, "good")[-1] == "ok"
+
+
+def test_live_camera_is_refused(clips: Path, model: Path, capsys: pytest.CaptureFixture) -> None:
+    assert infer.main(["camera:0", "--output", str(clips.parent / "out"), "--model", str(model)]) == 2
+    assert "record it to a video file" in capsys.readouterr().err
+
+
+# --- the output folder ---
+
+
+def test_full_output_folder(
+    clips: Path, model: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("evaluation.results.write_summary", full)
+        assert call(clips) == 1
+    told = capsys.readouterr().err
+    assert "the output folder is full; free some space or choose another --output." in told
+    assert is_plain(told)
+    assert list((clips.parent / "out").iterdir()) == []
+    assert call(clips) == 0
+
+
+def test_files_that_may_not_grow(clips: Path, model: Path) -> None:
+    """The real thing, in a process whose files may not exceed 8 kB: overlay and summary can't be written."""
+    command = [sys.executable, "infer.py", str(clips), "--output", str(clips.parent / "out"), "--model", str(model)]
+    limit = "resource.setrlimit(resource.RLIMIT_FSIZE, (8192, 8192))"
+    limited = f"import os, resource; {limit}; os.execv({sys.executable!r}, {command!r})"
+    done = subprocess.run([sys.executable, "-c", limited], cwd=ROOT, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 1, done.stderr
+    assert "writing failed" in done.stderr
+    assert is_plain(done.stderr + done.stdout)
+    assert list((clips.parent / "out").iterdir()) == []
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_read_only_output_folder(clips: Path, model: Path, capsys: pytest.CaptureFixture) -> None:
+    output = clips.parent / "out"
+    output.mkdir(mode=0o500)
+    assert call(clips) == 2
+    assert "can't be written; change its permissions or choose another --output." in capsys.readouterr().err
+
+
+def test_read_only_file_system(
+    clips: Path, model: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError(30, "Read-only file system")
+
+    monkeypatch.setattr(result_store.Path, "mkdir", refuse)
+    assert call(clips) == 2
+    told = capsys.readouterr().err
+    assert "can't be written; change its permissions or choose another --output." in told
+    assert is_plain(told)
+
+
+# --- Ctrl-C, as a user does it ---
+
+
+def test_interrupted_process_keeps_finished_clips_and_continues(tmp_path: Path, model: Path) -> None:
+    write_clip(tmp_path / "clips" / "a", 4, 2)
+    write_clip(tmp_path / "clips" / "b", 400, 2)
+    output = tmp_path / "out"
+    command = [sys.executable, "infer.py", str(tmp_path / "clips"), "--output", str(output), "--model", str(model)]
+    process = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 60
+    while not (output / "a" / "run.json").exists() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    time.sleep(0.3)
+    process.send_signal(signal.SIGINT)
+    told = process.communicate(timeout=60)[1]
+    assert process.returncode == 130, told
+    assert is_plain(told)
+    assert "run the same command to continue" in told
+    assert [path.name for path in output.iterdir()] == ["a"]
+    before = (output / "a" / "run.json").stat().st_mtime_ns
+    short = [part if part != str(tmp_path / "clips") else str(tmp_path / "clips" / "a") for part in command]
+    assert subprocess.run(short, cwd=ROOT, capture_output=True, timeout=60).returncode == 0
+    assert (output / "a" / "run.json").stat().st_mtime_ns == before

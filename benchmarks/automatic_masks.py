@@ -14,9 +14,9 @@ import platform
 import sys
 import time
 from dataclasses import dataclass, field
+from importlib.metadata import version
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from data.automatic_masks import TOOL, AutomaticMasks
@@ -95,7 +95,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--layout", type=Path, help="layout file (default: CholecSeg8k)")
     parser.add_argument("--output", type=Path, help="CSV file with one row a frame")
     options = parser.parse_args(arguments)
-    print(f"{platform.machine()}, {os.cpu_count()} cores, OpenCV {cv2.__version__}, {time.strftime('%Y-%m-%d')}\n")
+    print(
+        f"{platform.machine()}, {os.cpu_count()} cores, OpenCV {version('opencv-python-headless')}, {time.strftime('%Y-%m-%d')}\n"
+    )
     print(HEADER)
     try:
         layout = load_layout(options.layout) if options.layout else ClipLayout()

@@ -1,0 +1,250 @@
+"""One clip from pictures to contacts: the one per-frame path, for training preparation and for inference alike.
+
+Per frame: picture → labels → depth, free of lens distortion → grid → normalised depth → contact and mesh → status; and
+with the next frame: observed displacement and the run of contact (Bini 2026, sections 3.2.1 and 3.2.2).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from data.camera import Camera, Undistortion, clip_camera
+from data.clip_cache import CacheEntry, PreparedClip, cache_key
+from data.contact_motion import ContactMotion
+from data.depth import DepthError, DepthSettings, estimate_scale, normalise, open_depth, resize_depth
+from data.frames import Frame, FrameSource, InputError, open_source
+from data.geometry import GeometrySettings, GeometryStatus, frame_geometry
+from data.layout import ClipLayout
+from data.masks import MaskClasses, MaskError, open_masks
+from data.prepared import PreparedFrame
+
+PREPROCESSING_VERSION = 1
+"""Raised when the same pixels would give a network another input; exported models carry it."""
+
+
+@dataclass(frozen=True)
+class PrepareSettings:
+    """Everything that decides how a clip's frames are prepared."""
+
+    depth: DepthSettings = field(default_factory=DepthSettings)
+    """Depth source and normalisation."""
+    geometry: GeometrySettings = field(default_factory=GeometrySettings)
+    """Grid, mesh and contact."""
+    masks: str = "auto"
+    """annotation, automatic, auto (annotation where the clip has it), or the path of an ONNX segmentation model."""
+    classes: MaskClasses = field(default_factory=MaskClasses)
+    """Which annotated classes are tool and tissue."""
+    layout: ClipLayout = field(default_factory=ClipLayout)
+    """How the clip's files are named."""
+    bridge_frames: int = 2
+    """Contact that is missing on up to this many frames in a row counts as flicker: the run of contact goes on."""
+    track_seconds: float = 1.0
+    """How long the contact's tissue point is followed from its onset, beyond its release [s]."""
+
+    def __post_init__(self) -> None:
+        if self.bridge_frames < 0:
+            raise ValueError(f"bridge_frames is {self.bridge_frames}; give 0 or more.")
+        if not (math.isfinite(self.track_seconds) and self.track_seconds >= 0):
+            raise ValueError(f"track_seconds is {self.track_seconds}; give a number of seconds of at least 0.")
+
+
+class ClipStream:
+    """Prepared frames of a clip, in order and one at a time, with one frame of look-ahead.
+
+    No bad frame ends the stream: it comes with a status other than `ok` and a sentence in `detail`.
+    """
+
+    def __init__(self, source: FrameSource, settings: PrepareSettings) -> None:
+        """Open masks and depth, and fix the clip's scale and camera.
+
+        Raises:
+            InputError: a model, preset, camera or clip file can't be used.
+        """
+        self.source, self.settings = source, settings
+        self.seconds: dict[str, float] = defaultdict(float)
+        """Time spent so far by stage [s]."""
+        self._masks = open_masks(settings.masks, settings.layout, settings.classes)
+        self._depth = open_depth(settings.depth, settings.layout, source)
+        camera = clip_camera(source.path, settings.layout)
+        self.metric = self._depth.metric
+        """Whether `scale` is in metres."""
+        self._scale_error = ""
+        with self._timed("scale"):
+            self.scale, focal = self._fix_scale()
+        """Depth that is z = 1 [unit of the depth source]."""
+        width, height = source.size
+        if camera is not None:
+            picture = camera.scaled(width, height)
+        elif focal is not None:
+            picture = Camera.from_focal(focal, width, height)
+        else:
+            picture = Camera.from_field_of_view(settings.depth.field_of_view_deg, width, height)
+        self._undistortion = Undistortion(picture) if any(picture.distortion) else None
+        self.picture_camera = dataclasses.replace(picture, distortion=())
+        """Intrinsics of the full picture, after undistortion."""
+        self.camera = self.picture_camera.scaled(settings.geometry.width, settings.geometry.height)
+        """Intrinsics of the grid."""
+
+    @property
+    def identity(self) -> tuple[str, str]:
+        """What depth and masks depend on besides the clip's own files and settings."""
+        return self._depth.identity, self._masks.identity
+
+    def __iter__(self) -> Iterator[PreparedFrame]:
+        """Prepared frames from the clip's beginning, one for each of its frames.
+
+        Raises:
+            InputError: the clip can't be masked the chosen way at all.
+        """
+        self._masks.reset()
+        motion = ContactMotion(
+            self.camera,
+            self.source.size,
+            self.settings.geometry,
+            bridge_frames=self.settings.bridge_frames,
+            track_seconds=self.settings.track_seconds,
+        )
+        previous: PreparedFrame | None = None
+        frames = iter(self.source)
+        while True:
+            with self._timed("decode"):
+                frame = next(frames, None)
+            if frame is None:
+                break
+            current = self._prepare(frame)
+            if previous is not None:
+                with self._timed("tracking"):
+                    motion.link(previous, current)
+                yield previous
+            previous = current
+        if previous is not None:
+            yield previous
+
+    def _fix_scale(self) -> tuple[float, float | None]:
+        try:
+            return estimate_scale(self.source, self._depth, self.settings.depth)
+        except DepthError as error:
+            self._scale_error = str(error)
+            return math.nan, None
+
+    def _prepare(self, frame: Frame) -> PreparedFrame:
+        """Everything about a frame that needs no other frame."""
+        shape = (self.settings.geometry.height, self.settings.geometry.width)
+        nothing, unlabelled = np.zeros(shape, np.float32), np.zeros(shape, np.uint8)
+        if frame.image is None:
+            return PreparedFrame(frame, "unreadable", frame.error, nothing, unlabelled)
+        labels, mask_error = None, ""
+        try:
+            with self._timed("masks"):
+                labels = self._masks(frame)
+        except MaskError as error:
+            mask_error = str(error)
+        depth, depth_error = self._picture_depth(frame)
+        if self._undistortion is not None:
+            frame = dataclasses.replace(frame, image=self._undistortion.image(frame.image))
+            depth = self._undistortion.depth(depth)
+            labels = None if labels is None else self._undistortion.labels(labels)
+        with self._timed("geometry"):
+            known = labels if labels is not None else np.zeros(depth.shape, np.uint8)
+            grid_depth, grid_labels = resize_depth(depth, known, shape)
+            z = nothing if depth_error else normalise(grid_depth, self.scale, self.settings.depth.bits)
+            if labels is None:
+                return PreparedFrame(frame, "no_mask", mask_error, z, grid_labels)
+            return self._judge(PreparedFrame(frame, "ok", "", z, grid_labels, labels), depth_error)
+
+    def _picture_depth(self, frame: Frame) -> tuple[np.ndarray, str]:
+        """Depth at the picture's size [unit of the depth source], or zeros and why there is none."""
+        nothing = np.zeros(frame.image.shape[:2], np.float32)
+        if self._scale_error:
+            return nothing, self._scale_error
+        try:
+            with self._timed("depth"):
+                return self._depth(frame).depth, ""
+        except DepthError as error:
+            return nothing, str(error)
+
+    def _judge(self, prepared: PreparedFrame, depth_error: str) -> PreparedFrame:
+        """Contact and mesh, or the status that says why there is none."""
+        try:
+            geometry = frame_geometry(prepared.depth, prepared.labels, self.camera, self.settings.geometry)
+        except GeometryStatus as status:
+            prepared.status, prepared.distance = status.status, status.distance
+            prepared.detail = depth_error if status.status == "bad_depth" and depth_error else status.detail
+        else:
+            prepared.geometry, prepared.distance = geometry, geometry.distance
+        return prepared
+
+    def _timed(self, stage: str) -> _Stopwatch:
+        return _Stopwatch(self.seconds, stage)
+
+
+@dataclass
+class _Stopwatch:
+    """Adds the time spent inside a `with` block to a stage's total."""
+
+    totals: dict[str, float]
+    stage: str
+    start: float = 0.0
+
+    def __enter__(self) -> None:
+        self.start = time.perf_counter()
+
+    def __exit__(self, *exception: object) -> None:
+        self.totals[self.stage] += time.perf_counter() - self.start
+
+
+def stream(source: FrameSource, settings: PrepareSettings) -> ClipStream:
+    """Open a clip for preparation, frame by frame; memory does not grow with its length.
+
+    Raises:
+        InputError: a model, preset, camera or clip file can't be used.
+    """
+    return ClipStream(source, settings)
+
+
+def prepare(
+    path: Path | str,
+    settings: PrepareSettings,
+    cache_dir: Path | str,
+    progress: Callable[[int, int], None] | None = None,
+) -> PreparedClip:
+    """Prepare a clip once: from the cache where nothing that it depends on has changed, else frame by frame.
+
+    The entry appears under its final name only when complete, so an interruption leaves nothing half-written, and of
+    several processes that prepare the same clip the first to finish wins.
+
+    Args:
+        path: frame folder or video file.
+        settings: how to prepare it.
+        cache_dir: folder of the cache; made where it does not exist.
+        progress: called with the number of frames done and of frames expected.
+
+    Raises:
+        InputError: the clip can't be prepared, or the cache can't be written.
+    """
+    path, source = Path(path), open_source(path, settings.layout)
+    if not path.exists():  # a camera
+        raise InputError(f"{path} is no file or folder, so it can't be prepared ahead; record it first.")
+    entry = CacheEntry(Path(cache_dir), source.name, cache_key(path, settings))
+    found = entry.load(path)
+    if found is not None:
+        return found
+    clip_stream = stream(source, settings)
+    with entry.writer() as writer:
+        for count, prepared in enumerate(clip_stream, start=1):
+            writer.add(prepared)
+            if progress is not None:
+                progress(count, max(source.length, count))
+        writer.finish(clip_stream)
+    found = entry.load(path)
+    if found is None:
+        raise InputError(f"{entry.folder} can't be read back; check the disk or give another cache.")
+    return found

@@ -1,0 +1,258 @@
+"""Batches for training and cases for evaluation, from a data set of clips."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import warnings
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from lightning.pytorch import LightningDataModule
+from lightning.pytorch.utilities import rank_zero_info, rank_zero_only
+from torch.utils.data import DataLoader
+from torch.utils.data.distributed import DistributedSampler
+
+from data.batches import SampleDataset, collate
+from data.cholecseg8k import list_clips
+from data.clip import PREPROCESSING_VERSION, PrepareSettings
+from data.clip_cache import PreparedClip
+from data.depth import DepthSettings
+from data.geometry import GeometrySettings
+from data.layout import ClipLayout, InputError, load_layout
+from data.masks import MaskClasses
+from data.preparation import prepare_all
+from data.prepared import STATUSES
+from data.samples import SampleSettings, list_frames, make_case, onset_of
+from data.splits import FRACTIONS, SPLITS, Place, split_samples
+from physics.mechanics import Bounds, Mechanics, require_stable
+
+
+class ClipDataModule(LightningDataModule):
+    """Pairs of consecutive frames in contact, split by video (Bini 2026, section 3.1).
+
+    Args:
+        root: folder of the data set.
+        layout: YAML file that says how the clips' files are named; none = CholecSeg8k's names.
+        depth: depth source and normalisation.
+        geometry: grid, mesh, contact, direction of the force.
+        masks: annotation, automatic, auto (annotation where a clip has it), or an ONNX segmentation model.
+        classes: annotated classes that are tool and tissue.
+        cache: folder of prepared clips; shared between runs and processes.
+        bridge_frames: contact missing on up to this many frames in a row is flicker of the detection.
+        window: frames in the network's input, K.
+        observation: what the rollout is compared with: final (paper), release, or trajectory.
+        horizon_frames: frames after the onset that a trajectory covers; none = as long as the rollout.
+        min_deformation: samples that deform less are left out as rigid motion [scene units]; 0 (off) keeps all.
+        mechanics: time base of the rollout; train.py takes it from the model.
+        bounds: admissible box, checked for stability on the training meshes; train.py takes it from the model.
+        batch_size: samples a batch and process.
+        num_workers: processes that load samples; 0 loads in the training process.
+        fractions: share of videos for train, val and test.
+        seed: draws the split and the order of the samples.
+        progress: whether preparation draws a progress bar.
+    """
+
+    def __init__(
+        self,
+        root: str,
+        layout: str | None = None,
+        depth: DepthSettings = DepthSettings(),  # noqa: B008 (frozen)
+        geometry: GeometrySettings = GeometrySettings(),  # noqa: B008
+        masks: str = "auto",
+        classes: MaskClasses = MaskClasses(),  # noqa: B008
+        cache: str = "runs/cache",
+        bridge_frames: int = 2,
+        window: int = 1,
+        observation: Literal["final", "release", "trajectory"] = "final",
+        horizon_frames: int | None = None,
+        min_deformation: float = 0.0,
+        mechanics: Mechanics = Mechanics(),  # noqa: B008
+        bounds: Bounds = Bounds(),  # noqa: B008
+        batch_size: int = 2,
+        num_workers: int = 0,
+        fractions: tuple[float, float, float] = FRACTIONS,
+        seed: int = 0,
+        progress: bool = True,
+    ) -> None:
+        super().__init__()
+        if batch_size < 1 or num_workers < 0:
+            raise ValueError(f"batch_size is {batch_size} and num_workers {num_workers}; give at least 1 and 0.")
+        if len(fractions) != len(SPLITS) or min(fractions) < 0 or not fractions[0] > 0:
+            raise ValueError(f"fractions are {list(fractions)}; give the shares of train, val and test.")
+        self.root, self.cache = Path(root), Path(cache)
+        self.preparation = PrepareSettings(
+            depth=depth,
+            geometry=geometry,
+            masks=masks,
+            classes=classes,
+            layout=ClipLayout() if layout is None else load_layout(layout),
+            bridge_frames=bridge_frames,
+            track_seconds=mechanics.steps * mechanics.time_step,
+        )
+        self.samples = SampleSettings(window, observation, horizon_frames, min_deformation, geometry, mechanics)
+        self.mechanics, self.bounds = mechanics, bounds
+        self.batch_size, self.num_workers = batch_size, num_workers
+        self.fractions, self.seed, self.progress = tuple(fractions), seed, progress
+        self.clips: list[PreparedClip] = []
+        self.places: dict[str, list[Place]] = {}
+        """Samples of each split."""
+        self.left_out: Counter[str] = Counter()
+        """Frames that give no sample, by reason."""
+
+    def prepare_data(self) -> None:
+        """Prepare all clips into the cache; Lightning calls this in one process a node."""
+        self._load(show=self.progress)
+
+    def setup(self, stage: str) -> None:
+        """Read the prepared clips, list the samples and split them.
+
+        Raises:
+            InputError: no clip can be prepared, or none gives a sample.
+            UnstableConfiguration: the admissible box can't be integrated on a training mesh.
+        """
+        if self.places:
+            return
+        clips = self._load(show=False)
+        found: list[Place] = []
+        for index, clip in enumerate(clips):
+            frames, reasons = list_frames(clip, self.samples)
+            found += [(index, frame) for frame in frames]
+            self.left_out += reasons
+        if not found:
+            raise InputError(self._nothing_found())
+        places, warning = split_samples(self.clips, found, self.samples, self.fractions, self.seed)
+        if warning:
+            _warn(f"{self.root} {warning}")
+        self._require_stable(places["train"])
+        self.places = places
+        rank_zero_info(self.summary())
+
+    def summary(self) -> str:
+        """What the splits hold and what was left out, in two sentences."""
+        sizes = ", ".join(f"{len(self.places[split])} {split}" for split in SPLITS)
+        reasons = ", ".join(f"{count} {reason}" for reason, count in self.left_out.most_common()) or "none"
+        return f"{self.root}: samples {sizes}, from {len(self.clips)} clips. Frames left out: {reasons}."
+
+    def train_dataloader(self) -> DataLoader:
+        """Shuffled batches, in an order that depends on seed and epoch only, so that a resumed run sees the same."""
+        return self._loader("train", shuffle=True)
+
+    def val_dataloader(self) -> DataLoader:
+        """Batches in order."""
+        return self._loader("val", shuffle=False)
+
+    def test_dataloader(self) -> DataLoader:
+        """Batches in order."""
+        return self._loader("test", shuffle=False)
+
+    def cases(self, split: str, limit: int | None = None) -> list[dict[str, Any]]:
+        """Contacts of a split for the simulator, evenly spaced where there are more than `limit`.
+
+        Returns:
+            Dictionaries with `clip`, `frame` and the fields of ContactCase, numpy throughout.
+        """
+        places = self.places[split]
+        if limit is not None and len(places) > limit:
+            places = [places[index] for index in np.linspace(0, len(places) - 1, limit).round().astype(int)]
+        cases = []
+        for clip, frame in places:
+            case = make_case(self.clips[clip], frame, self.samples)
+            fields = {entry.name: getattr(case, entry.name) for entry in dataclasses.fields(case)}
+            cases.append({"clip": self.clips[clip].name, "frame": frame, **fields})
+        return cases
+
+    def metadata(self) -> dict[str, Any]:
+        """What inference must repeat, JSON-able; no file path of this machine."""
+        depth = dataclasses.asdict(self.preparation.depth)
+        for name in ("model", "threads", "device"):
+            depth.pop(name)
+        for name in ("source", "preset"):
+            depth[name] = depth[name] and Path(depth[name]).name
+        masks = self.preparation.masks
+        return {
+            "preprocessing_version": PREPROCESSING_VERSION,
+            "geometry": dataclasses.asdict(self.preparation.geometry),
+            "depth": depth,
+            "masks": Path(masks).name,
+            "classes": _plain(dataclasses.asdict(self.preparation.classes)),
+            "observation": self.samples.observation,
+            "horizon_frames": self.samples.horizon_frames,
+            "bridge_frames": self.preparation.bridge_frames,
+            "track_seconds": self.preparation.track_seconds,
+        }
+
+    def _load(self, *, show: bool) -> list[PreparedClip]:
+        """All prepared clips, from the cache where they are there."""
+        if not self.clips:
+            paths = list_clips(self.root, self.preparation.layout)
+            clips, failures = prepare_all(paths, self.preparation, self.cache, show=show)
+            if not clips:
+                raise InputError(next(iter(failures.values())))
+            for path, reason in failures.items():
+                _warn(f"{path.name} is left out: {reason}")
+            self.clips = clips
+        return self.clips
+
+    def _require_stable(self, places: Sequence[Place]) -> None:
+        """Check the box on the training meshes.
+
+        The largest eigenvalue of a graph's Laplacian is at most the largest sum of two neighbours' degrees (Anderson
+        and Morley 1985), so only meshes where that bound does not settle it need the eigenvalue itself.
+        """
+        meshes: dict[Place, float] = {}
+        for clip, frame in places:
+            start = onset_of(self.clips[clip], frame) if self.samples.observation == "trajectory" else frame
+            if (clip, start) not in meshes:
+                meshes[clip, start] = _degree_bound(self.clips[clip].mesh(start).springs)
+        stiffness, mechanics = self.bounds.stiffness[1], self.mechanics
+        worst = max(meshes, key=meshes.__getitem__)
+        for (clip, frame), bound in meshes.items():
+            frequency = math.sqrt((bound + mechanics.anchor) * stiffness / mechanics.mass)
+            if (clip, frame) == worst or mechanics.time_step * frequency >= 2:
+                mesh = self.clips[clip].mesh(frame)
+                require_stable(mesh.springs, len(mesh.vertices), self.bounds, mechanics)
+
+    def _nothing_found(self) -> str:
+        counts = Counter(status for clip in self.clips for status in clip.status)
+        seen = ", ".join(f"{counts[status]} {status}" for status in STATUSES if counts[status])
+        if not counts["ok"]:
+            return (
+                f"{self.root} has no frame in contact ({seen}); check masks and classes, or raise "
+                "geometry.contact_pixels or geometry.contact_distance."
+            )
+        reasons = ", ".join(f"{count} {reason}" for reason, count in self.left_out.most_common())
+        trajectory = self.samples.observation == "trajectory"
+        remedy = "choose data.observation final" if trajectory else "record longer contact"
+        return f"{self.root} has {counts['ok']} frames in contact and no sample of them ({reasons}); {remedy}."
+
+    def _loader(self, split: str, *, shuffle: bool) -> DataLoader:
+        dataset = SampleDataset(self.clips, self.places[split], self.samples)
+        world, rank = (1, 0) if self.trainer is None else (self.trainer.world_size, self.trainer.global_rank)
+        # A DistributedSampler of our own keeps Lightning from putting one in whose order ignores our seed.
+        sampler = DistributedSampler(dataset, world, rank, shuffle=shuffle, seed=self.seed)
+        return DataLoader(
+            dataset,
+            batch_size=self.batch_size,
+            sampler=sampler,
+            num_workers=self.num_workers,
+            collate_fn=collate,
+            persistent_workers=self.num_workers > 0,
+        )
+
+
+@rank_zero_only
+def _warn(message: str) -> None:
+    warnings.warn(message, stacklevel=3)
+
+
+def _degree_bound(springs: np.ndarray) -> float:
+    degree = np.bincount(springs.ravel())
+    return float(degree[springs].sum(axis=1).max())
+
+
+def _plain(fields: dict[str, Any]) -> dict[str, Any]:
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in fields.items()}

@@ -1,0 +1,70 @@
+"""Prepares the clips of a data set one after the other, with a progress bar; one bad clip does not end it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
+from rich.text import Text
+
+from data.clip import PrepareSettings, prepare
+from data.clip_cache import PreparedClip
+from data.frames import open_source
+from data.layout import InputError
+
+
+class FrameRate(ProgressColumn):
+    """Frames a second."""
+
+    def render(self, task: Task) -> Text:
+        speed = task.finished_speed or task.speed
+        return Text("" if speed is None else f"{speed:.1f} frames/s")
+
+
+def prepare_all(
+    paths: Sequence[Path], settings: PrepareSettings, cache_dir: Path, *, show: bool = True
+) -> tuple[list[PreparedClip], dict[Path, str]]:
+    """Prepare clips, or read them from the cache.
+
+    Args:
+        paths: frame folders or video files.
+        settings: how to prepare them.
+        cache_dir: folder of the cache.
+        show: whether to draw a progress bar on standard error.
+
+    Returns:
+        The prepared clips, and why others could not be prepared.
+    """
+    clips, failures = [], {}
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        FrameRate(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), disable=not show) as bar:
+        task = bar.add_task("preparing", total=sum(_length(path, settings) for path in paths))
+        done = 0
+        for number, path in enumerate(paths, start=1):
+            bar.update(task, description=f"preparing {path.name} ({number}/{len(paths)})")
+            try:
+                clip = prepare(
+                    path, settings, cache_dir, lambda count, _, start=done: bar.update(task, completed=start + count)
+                )
+            except InputError as error:
+                failures[path] = str(error)
+                continue
+            clips.append(clip)
+            done += len(clip)
+            bar.update(task, completed=done)
+    return clips, failures
+
+
+def _length(path: Path, settings: PrepareSettings) -> int:
+    try:
+        return open_source(path, settings.layout).length
+    except InputError:
+        return 0  # Reported when the clip's turn comes.

@@ -1,0 +1,67 @@
+"""One prepared frame: what training preparation stores and inference consumes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from data.frames import Frame
+from data.geometry import FrameGeometry
+
+STATUSES = ("ok", "no_tool", "no_tissue", "no_contact", "bad_depth", "unreadable", "no_mask")
+"""`ok` means in contact; the others say why a frame gives no contact."""
+
+
+def _not_a_point() -> np.ndarray:
+    return np.full(3, np.nan)
+
+
+@dataclass
+class PreparedFrame:
+    """A frame with its depth, labels, contact and motion; the motion is filled in once the next frame is known."""
+
+    frame: Frame
+    """The frame, its image free of lens distortion."""
+    status: str
+    """One of STATUSES."""
+    detail: str
+    """Why the status is not `ok`, one sentence."""
+    depth: np.ndarray
+    """z on the grid, shape [h, w], float32 in [0, 1] [scene units]; 0 = invalid."""
+    labels: np.ndarray
+    """Label map on the grid, shape [h, w], uint8."""
+    picture_labels: np.ndarray | None = None
+    """Label map at the image's size, or None where there is no image or no mask."""
+    geometry: FrameGeometry | None = None
+    """Contact and mesh where the status is `ok`."""
+    distance: float = math.nan
+    """Distance of tool and tissue [scene units]; not a number where it was not measured."""
+    displacement: np.ndarray | None = None
+    """Observed motion of the contact from this frame to the next, shape [3] [scene units]."""
+    backward: np.ndarray | None = None
+    """Observed motion of this frame's contact back to the preceding frame, shape [3] [scene units]."""
+    rigid: np.ndarray | None = None
+    """Motion to the next frame if the contact moved rigidly with the tissue far from it, shape [3] [scene units]."""
+    consecutive: bool = False
+    """Whether a next frame exists and bears the next number."""
+    track_start: int = -1
+    """Index of the frame where this run of contact began, kept after its release; -1 where no onset was seen."""
+    track_position: np.ndarray = field(default_factory=_not_a_point)
+    """Where the tissue point that was the contact at `track_start` is now, shape [3]; not a number once it is lost."""
+
+    @property
+    def in_contact(self) -> bool:
+        """Whether the tool touches the tissue."""
+        return self.geometry is not None
+
+    @property
+    def visible(self) -> bool:
+        """Whether the frame has an image and labels, so that tissue can be followed into it."""
+        return self.picture_labels is not None
+
+    @property
+    def has_depth(self) -> bool:
+        """Whether any pixel has a depth, so that the frame can be part of a window."""
+        return bool(self.depth.any())

@@ -1,0 +1,93 @@
+"""What the tissue around a point looked like, to find it again: flow from frame to frame drifts, this does not."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from data.geometry import TISSUE, TOOL
+
+RADIUS = 32
+"""Half side of the patch [px]."""
+REACH = 8
+"""Largest correction along each axis [px]."""
+TOOL_MARGIN = 12
+"""Pixels this near to the tool (its shadow, its highlights) are not compared [px]."""
+LEAST_SHARE = 0.3
+"""Share of the patch's pixels that must be tissue in both frames."""
+LEAST_CORRELATION = 0.7
+"""Weaker matches are no match."""
+
+
+class TissueTemplate:
+    """A patch of tissue that is found again by normalised correlation, pixels of the tool left out in both frames."""
+
+    def __init__(self, image: np.ndarray, labels: np.ndarray, point: np.ndarray) -> None:
+        """
+        Args:
+            image: RGB, uint8, shape [H, W, 3].
+            labels: label map, shape [H, W].
+            point: (u, v) [px].
+        """
+        self._offset = point - np.rint(point)
+        self._patch, self._usable = _crop(image, labels, np.rint(point).astype(int), RADIUS)
+
+    def locate(self, image: np.ndarray, labels: np.ndarray, near: np.ndarray) -> np.ndarray | None:
+        """The point in another picture, within REACH of `near` (u, v), or None where nothing matches well.
+
+        Returns:
+            (u, v) [px], to a fraction of a pixel.
+        """
+        centre = np.rint(near - self._offset).astype(int)
+        picture, usable = _crop(image, labels, centre, RADIUS + REACH)
+        side = 2 * RADIUS + 1
+        pictures = np.lib.stride_tricks.sliding_window_view(picture, (side, side))
+        both = np.lib.stride_tricks.sliding_window_view(usable, (side, side)) & self._usable
+        score = _correlation(self._patch, pictures, both)
+        row, column = np.unravel_index(np.argmax(score), score.shape)
+        inside = 0 < row < 2 * REACH and 0 < column < 2 * REACH
+        if not inside or score[row, column] < LEAST_CORRELATION:
+            return None
+        across = _peak(score[row, column - 1 : column + 2])
+        down = _peak(score[row - 1 : row + 2, column])
+        return centre + self._offset + (column + across - REACH, row + down - REACH)
+
+
+def _crop(image: np.ndarray, labels: np.ndarray, centre: np.ndarray, radius: int) -> tuple[np.ndarray, np.ndarray]:
+    """Grey square around a pixel, float32, and where it shows tissue away from the tool (outside: nowhere)."""
+    padding = radius + TOOL_MARGIN
+    low, high = centre - padding, centre + padding + 1
+    top, left = max(low[1], 0), max(low[0], 0)
+    window = np.s_[top : max(high[1], top), left : max(high[0], left)]
+    side = 2 * padding + 1
+    grey, kinds = np.zeros((side, side), np.float32), np.zeros((side, side), np.uint8)
+    found = labels[window]
+    if found.size:
+        place = np.s_[top - low[1] : top - low[1] + found.shape[0], left - low[0] : left - low[0] + found.shape[1]]
+        grey[place], kinds[place] = cv2.cvtColor(image[window], cv2.COLOR_RGB2GRAY), found
+    near_tool = cv2.dilate((kinds == TOOL).astype(np.uint8), np.ones((2 * TOOL_MARGIN + 1,) * 2, np.uint8)) > 0
+    inner = np.s_[TOOL_MARGIN : side - TOOL_MARGIN, TOOL_MARGIN : side - TOOL_MARGIN]
+    return grey[inner], ((kinds == TISSUE) & ~near_tool)[inner]
+
+
+def _correlation(patch: np.ndarray, pictures: np.ndarray, usable: np.ndarray) -> np.ndarray:
+    """Normalised correlation at every shift [2R+1, 2R+1] over the usable pixels; -1 where they are too few."""
+    count = usable.sum(axis=(2, 3)).astype(np.float64)
+    shares = usable.astype(np.float32)
+
+    def total(values: np.ndarray) -> np.ndarray:
+        return np.einsum("ijkl,ijkl->ij", shares, values, dtype=np.float64, casting="unsafe")
+
+    patches = np.broadcast_to(patch, pictures.shape)
+    safe = np.maximum(count, 1)
+    first, second = total(patches) / safe, total(pictures) / safe
+    covariance = total(patches * pictures) / safe - first * second
+    spread = (total(patches * patches) / safe - first**2) * (total(pictures * pictures) / safe - second**2)
+    enough = (count >= LEAST_SHARE * patch.size) & (spread > 1e-6)
+    return np.where(enough, covariance / np.sqrt(np.where(enough, spread, 1)), -1)
+
+
+def _peak(values: np.ndarray) -> float:
+    """Place of a parabola's peak through three values at -1, 0, 1."""
+    curvature = values[0] - 2 * values[1] + values[2]
+    return 0.0 if curvature >= 0 else float(np.clip(0.5 * (values[0] - values[2]) / curvature, -0.5, 0.5))

@@ -1,0 +1,171 @@
+"""Triangulated tissue surface from a depth grid: vertices, springs, held rim, contact vertex and contact normal.
+
+Source: Bini 2026, section 3.2.2 (grid triangulation, edge filter, decimation, equations 4 to 8).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import binary_dilation
+from scipy.spatial import Delaunay
+
+OCCLUDER_REACH = 2
+"""Pixels around the occluder in which a boundary of the mesh counts as hidden, not as an edge of the tissue.
+
+Resizing leaves up to one invalid pixel between tool and tissue, so direct neighbourhood would miss some."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """A spring mesh in camera coordinates, every vertex of which is a pixel of the depth grid."""
+
+    vertices: np.ndarray
+    """Positions at rest, shape [N, 3], float32 [scene units]."""
+    triangles: np.ndarray
+    """Vertex indices, shape [F, 3], int32."""
+    springs: np.ndarray
+    """Unique edges of the triangles, shape [S, 2], int32, the smaller index first."""
+    rim: np.ndarray
+    """Vertices held when ``Mechanics.boundary`` is "fixed", shape [N], bool; edges against the occluder aren't rim."""
+    pixels: np.ndarray
+    """Row and column of every vertex in the grid, shape [N, 2], int32."""
+    grid_shape: tuple[int, int]
+    """Height and width of the grid [px]."""
+
+
+def grid_mesh(
+    points: np.ndarray,
+    valid: np.ndarray,
+    *,
+    occluder: np.ndarray | None = None,
+    max_edge: float = 0.05,
+    keep: float = 1.0,
+) -> Mesh:
+    """Triangulate the valid pixels of a back-projected depth grid (Bini 2026, section 3.2.2).
+
+    Every 2×2 cell gives two triangles, split along the diagonal from top left to bottom right. Vertices that no
+    triangle uses are left out, so the mesh may be empty.
+
+    Args:
+        points: camera coordinates of the pixels, shape [H, W, 3] [scene units].
+        valid: pixels that show tissue with a valid depth, shape [H, W], bool.
+        occluder: pixels that hide tissue (the tool), shape [H, W], bool.
+        max_edge: triangles with a longer edge span a depth discontinuity and are dropped [scene units].
+        keep: share of the pixels that are kept as vertices, in (0, 1]; the paper's decimation is 0.3.
+
+    Raises:
+        ValueError: shapes that don't fit, or ``keep`` or ``max_edge`` outside their range.
+    """
+    points = np.asarray(points, dtype=np.float32)
+    valid = np.asarray(valid, dtype=bool)
+    if points.ndim != 3 or points.shape[2] != 3 or valid.shape != points.shape[:2]:
+        raise ValueError(f"points have shape {points.shape} and valid {valid.shape}; give [H, W, 3] and [H, W].")
+    if occluder is not None and np.shape(occluder) != valid.shape:
+        raise ValueError(f"occluder has shape {np.shape(occluder)}; give the grid's shape {valid.shape}.")
+    if not 0 < keep <= 1:
+        raise ValueError(f"keep is {keep}; give a share above 0 and at most 1.")
+    if not max_edge > 0:
+        raise ValueError(f"max_edge is {max_edge}; give a positive length in scene units.")
+    valid = valid & np.isfinite(points).all(axis=2)
+    triangles = _grid_triangles(valid) if keep == 1 else _decimated_triangles(valid, keep)
+    corners = points.reshape(-1, 3)[triangles]
+    lengths = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
+    return _compact(points, triangles[(lengths <= max_edge).all(axis=1)], occluder, 1 / math.sqrt(keep))
+
+
+def nearest_vertex(mesh: Mesh, point: np.ndarray) -> int:
+    """Index of the vertex nearest to a point (Bini 2026, equation 4).
+
+    Args:
+        mesh: a mesh of at least one vertex.
+        point: position, shape [3] [scene units].
+
+    Raises:
+        ValueError: the mesh is empty.
+    """
+    if len(mesh.vertices) == 0:
+        raise ValueError("the mesh has no vertices; a contact needs tissue with valid depth.")
+    return int(np.argmin(np.square(mesh.vertices - np.asarray(point)).sum(axis=1)))
+
+
+def contact_normal(mesh: Mesh, vertex: int) -> np.ndarray:
+    """Unit normal at a vertex: area-weighted mean of the incident faces' normals (Bini 2026, equations 5 to 8).
+
+    Oriented towards the camera, which sits at the origin. Where the faces have no area or cancel out, the
+    direction to the camera stands in.
+
+    Returns:
+        Unit vector, shape [3], float64.
+    """
+    position = mesh.vertices[vertex].astype(np.float64)
+    incident = mesh.triangles[(mesh.triangles == vertex).any(axis=1)]
+    first, second, third = mesh.vertices[incident].astype(np.float64).transpose(1, 0, 2)
+    crosses = np.cross(second - first, third - first)
+    # A cross product is 2·area·normal. What a camera sees faces it, whichever way the triangle is wound.
+    crosses *= np.where((crosses * first).sum(axis=1, keepdims=True) > 0, -1.0, 1.0)
+    normal = crosses.sum(axis=0)
+    length = np.linalg.norm(normal)
+    if length < np.finfo(np.float32).tiny:
+        normal, length = -position, np.linalg.norm(position)
+    if length == 0:
+        return np.array([0.0, 0.0, -1.0])
+    return normal / length
+
+
+def _grid_triangles(valid: np.ndarray) -> np.ndarray:
+    """Triangles [F, 3] of flat pixel indices: two a 2×2 cell, where all three pixels are valid."""
+    index = np.arange(valid.size).reshape(valid.shape)
+    top_left, top_right = index[:-1, :-1].ravel(), index[:-1, 1:].ravel()
+    bottom_left, bottom_right = index[1:, :-1].ravel(), index[1:, 1:].ravel()
+    lower = np.stack([top_left, bottom_left, bottom_right], axis=1)
+    upper = np.stack([top_left, bottom_right, top_right], axis=1)
+    triangles = np.concatenate([lower, upper])
+    return triangles[valid.ravel()[triangles].all(axis=1)]
+
+
+def _decimated_triangles(valid: np.ndarray, keep: float) -> np.ndarray:
+    """Delaunay triangles [F, 3] of flat pixel indices over an evenly spaced share of the valid pixels."""
+    spacing = 1 / math.sqrt(keep)
+    kept = np.zeros_like(valid)
+    rows, columns = (np.round(np.arange(0, size - 0.5, spacing)).astype(int) for size in valid.shape)
+    kept[np.ix_(rows[rows < valid.shape[0]], columns[columns < valid.shape[1]])] = True
+    pixels = np.argwhere(kept & valid)
+    if len(pixels) < 3 or np.linalg.matrix_rank(pixels - pixels[0]) < 2:
+        return np.empty((0, 3), dtype=np.int64)
+    triangles = Delaunay(pixels).simplices
+    corners = pixels[triangles]
+    # Delaunay fills the convex hull: drop what bridges a hole, a gap or a bay of the mask.
+    middles = (corners + np.roll(corners, -1, axis=1)) / 2
+    probes = np.concatenate([middles, corners.mean(axis=1, keepdims=True)], axis=1)
+    rows, columns = np.floor(probes + 0.5).astype(int).transpose(2, 0, 1)
+    inside = valid[rows, columns].all(axis=1)
+    short = (np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2) <= 3 * spacing).all(axis=1)
+    return (pixels[:, 0] * valid.shape[1] + pixels[:, 1])[triangles[inside & short]]
+
+
+def _compact(points: np.ndarray, triangles: np.ndarray, occluder: np.ndarray | None, spacing: float) -> Mesh:
+    """Number the used pixels and derive springs and rim; ``triangles`` [F, 3] holds flat pixel indices."""
+    height, width = points.shape[:2]
+    used, triangles = np.unique(triangles, return_inverse=True)
+    triangles = triangles.reshape(-1, 3).astype(np.int32)
+    pixels = np.stack(np.unravel_index(used, (height, width)), axis=1).astype(np.int32)
+    edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    keys, counts = np.unique(edges[:, 0].astype(np.int64) * len(used) + edges[:, 1], return_counts=True)
+    springs = np.stack([keys // max(len(used), 1), keys % max(len(used), 1)], axis=1)
+    rim = np.zeros(len(used), dtype=bool)
+    rim[springs[counts == 1]] = True
+    if occluder is not None and np.any(occluder):
+        reach = 2 * math.ceil(OCCLUDER_REACH * spacing) + 1
+        hidden = binary_dilation(np.asarray(occluder, dtype=bool), np.ones((reach, reach), dtype=bool))
+        rim &= ~hidden[pixels[:, 0], pixels[:, 1]]
+    return Mesh(
+        vertices=points.reshape(-1, 3)[used],
+        triangles=triangles,
+        springs=springs.astype(np.int32),
+        rim=rim,
+        pixels=pixels,
+        grid_shape=(height, width),
+    )

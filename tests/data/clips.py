@@ -1,0 +1,78 @@
+"""Tiny clips in CholecSeg8k's layout whose contact and motion are known."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from data.class_table import CLASSES
+from data.clip import PrepareSettings
+from data.geometry import GeometrySettings
+
+WIDTH, HEIGHT = 128, 96
+FOCAL = 100.0
+EDGE = 88
+"""First column right of the tissue; the tool touches here."""
+GRID = GeometrySettings(height=48, width=64)
+SETTINGS = PrepareSettings(geometry=GRID, masks="annotation")
+DEPTH_STEP = 0.002
+"""Depth added in a frame [scene units]."""
+
+SLOPE = 1e-4
+"""Rise of the depth from row to row [scene units]."""
+
+
+def picture(frame: int, shift: float, generator_seed: int = 0) -> np.ndarray:
+    """Textured tissue, moved `shift` pixels to the left a frame, BGR."""
+    noise = np.random.default_rng(generator_seed).uniform(40, 220, (HEIGHT // 4, WIDTH // 4 + 30)).astype(np.float32)
+    texture = cv2.resize(noise, None, fx=4, fy=4, interpolation=cv2.INTER_CUBIC)
+    move = np.array([[1, 0, -shift * frame], [0, 1, 0]], np.float32)
+    moved = cv2.warpAffine(texture, move, (WIDTH, HEIGHT), flags=cv2.INTER_CUBIC)
+    return np.repeat(np.clip(moved, 0, 255).astype(np.uint8)[..., None], 3, axis=2)
+
+
+def write_clip(
+    folder: Path,
+    contact: tuple[int, ...] = (3, 4, 5, 6, 7),
+    frames: int = 12,
+    *,
+    shift: float = 0.0,
+    recede: float = DEPTH_STEP,
+    first: int = 0,
+) -> Path:
+    """Write a clip: tissue on the left, a tool on the right that touches it in the `contact` frames and is out of view
+    in the others.
+
+    Args:
+        folder: videoNN/videoNN_SSSSS.
+        contact: indices of the frames in contact.
+        frames: number of frames.
+        shift: pixels that the picture moves left in each frame.
+        recede: depth added in each frame [scene units]; the picture stays, so the scene grows as it recedes.
+        first: number of the first frame.
+    """
+    folder.mkdir(parents=True)
+    for index in range(frames):
+        image = picture(index, shift)
+        mask = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+        mask[:, :EDGE] = CLASSES["gallbladder"].color[::-1]
+        depth = np.full((HEIGHT, WIDTH), 0.5 + recede * index) + SLOPE * np.arange(HEIGHT)[:, None]
+        if index in contact:
+            image[40:56, EDGE:] = 200
+            mask[40:56, EDGE:] = CLASSES["grasper"].color[::-1]
+        stem = folder / f"frame_{first + index}_endo"
+        cv2.imwrite(f"{stem}.png", image)
+        cv2.imwrite(f"{stem}_color_mask.png", mask)
+        cv2.imwrite(f"{stem}_depth.png", np.rint(depth * 65535).astype(np.uint16))
+    camera = {"fx": FOCAL, "fy": FOCAL, "cx": 63.5, "cy": 47.5, "width": WIDTH, "height": HEIGHT}
+    (folder / "clip.json").write_text(json.dumps({"fps": 25.0, "camera": camera, "depth_scale": 1.0}))
+    return folder
+
+
+def remove_frame(folder: Path, number: int) -> None:
+    """Take a frame out of a clip, which leaves a gap in its numbers."""
+    for path in folder.glob(f"frame_{number}_endo*"):
+        path.unlink()

@@ -1,0 +1,364 @@
+"""The per-frame path, its statuses, the observed motion, and the cache."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import pickle
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from data.clip import PrepareSettings, prepare, stream
+from data.clip_cache import CacheEntry, cache_key
+from data.contact_motion import grid_to_picture, lift, picture_to_grid, rigid_motion
+from data.depth import DepthSettings
+from data.frames import open_source
+from data.geometry import GeometrySettings
+from data.layout import ClipLayout, InputError, load_layout
+from data.windows import FrameWindow, future_indices, window_indices
+from tests.data.clips import DEPTH_STEP, FOCAL, GRID, SETTINGS, SLOPE, remove_frame, write_clip
+
+
+def run(folder: Path, settings: PrepareSettings = SETTINGS) -> list:
+    return list(stream(open_source(folder, settings.layout), settings))
+
+
+def statuses(frames: list) -> str:
+    return " ".join(frame.status for frame in frames)
+
+
+def test_statuses_runs_and_positions_of_a_clean_clip(tmp_path):
+    frames = run(write_clip(tmp_path / "video01_00000"))
+    assert statuses(frames) == " ".join(["no_tool"] * 3 + ["ok"] * 5 + ["no_tool"] * 4)
+    assert [frame.track_start for frame in frames] == [-1] * 3 + [3] * 9
+    assert [frame.consecutive for frame in frames] == [True] * 11 + [False]
+    first = frames[3]
+    assert first.geometry.pixel[0] == 43  # last tissue column on the grid
+    assert first.track_position == pytest.approx(first.geometry.tissue_point, abs=1e-6)
+    assert first.depth.dtype == np.float32
+    assert first.depth[0, 0] == pytest.approx(0.5 + 3 * DEPTH_STEP + 0.5 * SLOPE, abs=1e-5)
+
+
+def test_observed_motion_follows_the_tissue(tmp_path):
+    folder = write_clip(tmp_path / "video01_00000", shift=1.0)
+    frames = run(folder)
+    for t in (4, 5):
+        z, next_z = frames[t].geometry.tissue_point[2], frames[t + 1].geometry.tissue_point[2]
+        u = grid_to_picture(np.array(frames[t].geometry.pixel), (48, 64), (128, 96))[0]
+        expected_x = ((u - 1 - 63.5) * next_z - (u - 63.5) * z) / FOCAL
+        # A fifth of a pixel of flow is 0.001 here.
+        assert frames[t].displacement == pytest.approx([expected_x, 0, DEPTH_STEP], abs=1e-3)
+        assert frames[t + 1].backward[2] == pytest.approx(-DEPTH_STEP, abs=1e-4)
+    assert frames[9].track_position[2] - frames[3].track_position[2] == pytest.approx(6 * DEPTH_STEP, abs=2e-4)
+    # Re-detection sticks to the outline, which does not move.
+    again = run(folder, replace(SETTINGS, geometry=replace(GRID, displacement="redetected")))
+    expected = again[5].geometry.tissue_point - again[4].geometry.tissue_point
+    assert again[4].displacement == pytest.approx(expected, abs=1e-7)
+    assert again[5].backward == pytest.approx(-expected, abs=1e-7)
+
+
+def test_rigid_motion_is_measured_and_can_be_subtracted(tmp_path):
+    folder = write_clip(tmp_path / "video01_00000", shift=1.0, recede=0.0)
+    frames = run(folder)
+    step = -0.504 / FOCAL  # one pixel at the contact's depth
+    for t in (4, 5):
+        assert frames[t].displacement == pytest.approx([step, 0, 0], abs=1e-3)
+        assert frames[t].rigid == pytest.approx([step, 0, 0], abs=1e-3)
+    assert (frames[9].track_position - frames[3].track_position)[0] == pytest.approx(6 * step, abs=3e-3)
+    still = run(folder, replace(SETTINGS, geometry=replace(GRID, rigid_motion="subtract")))
+    assert still[4].displacement == pytest.approx(np.zeros(3), abs=1e-3)
+    assert np.linalg.norm(still[9].track_position - still[3].track_position) < 3e-3
+
+
+def test_tracking_ends_after_its_time(tmp_path):
+    frames = run(write_clip(tmp_path / "clip"), replace(SETTINGS, track_seconds=0.2))
+    assert [frame.track_start for frame in frames] == [-1] * 3 + [3] * 7 + [-1] * 2  # 0.2 s and the bridge
+
+
+def test_flicker_is_bridged_and_a_second_contact_is_a_run_of_its_own(tmp_path):
+    frames = run(write_clip(tmp_path / "clip", contact=(2, 3, 5, 9, 10)))
+    assert [frame.track_start for frame in frames] == [-1, -1, 2, 2, 2, 2, 2, 2, 2, 9, 9, 9]
+    strict = run(tmp_path / "clip", replace(SETTINGS, bridge_frames=0))
+    assert [frame.track_start for frame in strict] == [-1, -1, 2, 2, 2, 5, 5, 5, 5, 9, 9, 9]
+
+
+def test_contact_from_the_first_frame_has_no_onset(tmp_path):
+    frames = run(write_clip(tmp_path / "clip", contact=(0, 1, 2, 8, 9)))
+    assert [frame.track_start for frame in frames] == [-1] * 8 + [8] * 4
+    assert frames[0].displacement is not None
+
+
+def test_a_gap_in_the_numbers_ends_the_run(tmp_path):
+    folder = write_clip(tmp_path / "clip", first=10)
+    remove_frame(folder, 15)
+    frames = run(folder)
+    assert [frame.frame.number for frame in frames][4:6] == [14, 16]
+    assert not frames[4].consecutive
+    assert frames[4].displacement is None
+    assert frames[5].backward is None
+    assert [frame.track_start for frame in frames] == [-1, -1, -1, 3, 3] + [-1] * 6
+
+
+def spoil(folder: Path) -> None:
+    """One defect a frame."""
+    (folder / "frame_1_endo.png").write_bytes(b"")
+    cv2.imwrite(str(folder / "frame_2_endo.png"), np.zeros((50, 60, 3), np.uint8))
+    (folder / "frame_4_endo_color_mask.png").unlink()
+    cv2.imwrite(str(folder / "frame_5_endo_depth.png"), np.zeros((96, 128), np.uint16))
+    cv2.imwrite(str(folder / "frame_6_endo_color_mask.png"), np.zeros((20, 20, 3), np.uint8))
+    three = np.zeros((96, 128, 3), np.uint8)
+    three[40:56, 88:] = (0, 255, 170)
+    three[40, 85:88] = (165, 160, 255)
+    cv2.imwrite(str(folder / "frame_7_endo_color_mask.png"), three)
+
+
+def test_every_bad_frame_gets_a_status_and_a_sentence_and_none_is_lost(tmp_path):
+    folder = write_clip(tmp_path / "clip")
+    spoil(folder)
+    frames = run(folder)
+    expected = "no_tool unreadable unreadable ok no_mask bad_depth no_mask no_tissue no_tool no_tool no_tool no_tool"
+    assert statuses(frames) == expected
+    for frame in frames:
+        assert bool(frame.detail) == (frame.status != "ok")
+    assert "60x50 while the clip is 128x96" in frames[2].detail
+    assert "zero everywhere" in frames[5].detail
+    assert not frames[5].has_depth
+    assert frames[4].has_depth
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 0.0, 0.5])
+def test_a_clip_without_any_usable_depth_gives_rows_not_an_error(tmp_path, value):
+    folder = write_clip(tmp_path / "clip", frames=5, contact=(2, 3))
+    for index in range(5):
+        np.save(folder / f"frame_{index}_endo_depth.npy", np.full((96, 128), value, np.float32))
+    (folder / "clip.json").unlink()
+    settings = replace(SETTINGS, layout=ClipLayout(depth="frame_{number}_endo_depth.npy"))
+    frames = run(folder, settings)
+    assert statuses(frames) == "no_tool no_tool bad_depth bad_depth no_tool"
+    assert frames[2].detail
+
+
+def test_distortion_is_removed_from_picture_labels_and_depth(tmp_path):
+    folder = write_clip(tmp_path / "clip", frames=5)
+    text = (folder / "clip.json").read_text()
+    (folder / "clip.json").write_text(text.replace('"fx"', '"distortion": [2.0, 0, 0, 0, 0], "fx"'))
+    clip = stream(open_source(folder, ClipLayout()), SETTINGS)
+    frames = list(clip)
+    assert clip.camera.distortion == ()
+    assert frames[3].status == "ok"
+    # Column 87.5 is 0.24 from the axis, which is the distorted place of x with x·(1 + 2x²) = 0.24: x = 0.218.
+    row = frames[3].picture_labels[48]
+    assert np.flatnonzero(row == 1).max() == pytest.approx(63.5 + 21.8, abs=1)
+
+
+def test_prepared_clip_equals_the_stream(tmp_path):
+    folder = write_clip(tmp_path / "clip", shift=0.5)
+    frames, clip = run(folder), prepare(folder, SETTINGS, tmp_path / "cache")
+    assert clip.status == [frame.status for frame in frames]
+    assert clip.counts["ok"] == 5
+    assert len(clip) == 12
+    assert np.array_equal(clip.usable, [True] * 12)
+    for index, frame in enumerate(frames):
+        assert np.array_equal(clip.depth(index), frame.depth)
+        assert np.array_equal(clip.labels[index], frame.labels)
+        assert clip.numbers[index] == frame.frame.number
+        if frame.displacement is not None:
+            assert clip.displacement[index] == pytest.approx(frame.displacement, abs=1e-6)
+        if frame.geometry is not None:
+            mesh, expected = clip.mesh(index), frame.geometry.mesh
+            for name in ("vertices", "triangles", "springs", "rim", "pixels"):
+                assert np.array_equal(getattr(mesh, name), getattr(expected, name))
+            assert clip.vertex[index] == frame.geometry.vertex
+    with pytest.raises(IndexError, match="no_tool"):
+        clip.mesh(0)
+    assert np.array_equal(pickle.loads(pickle.dumps(clip)).depth(3), clip.depth(3))
+
+
+def entries(cache: Path) -> set[str]:
+    return {path.name for path in cache.iterdir()}
+
+
+def test_cache_is_reused_and_invalidated_by_files_settings_and_code(tmp_path, monkeypatch):
+    folder, cache = write_clip(tmp_path / "clip", frames=5), tmp_path / "cache"
+    clip = prepare(folder, SETTINGS, cache)
+    before = (clip.folder / "depth.npy").stat().st_mtime_ns
+    assert prepare(folder, SETTINGS, cache).folder == clip.folder
+    assert (clip.folder / "depth.npy").stat().st_mtime_ns == before
+    known = cache_key(folder, SETTINGS)
+    # What samples make of the geometry, and where a model runs, leaves the clip as it is.
+    same = replace(SETTINGS, geometry=replace(GRID, force_direction="displacement"), depth=DepthSettings(threads=3))
+    assert cache_key(folder, same) == known
+    for changed in (
+        replace(SETTINGS, geometry=replace(GRID, max_edge=0.04)),
+        replace(SETTINGS, depth=DepthSettings(bits=8)),
+        replace(SETTINGS, depth=DepthSettings(source="photometric")),
+        replace(SETTINGS, masks="automatic"),
+        replace(SETTINGS, track_seconds=0.5),
+    ):
+        assert cache_key(folder, changed) != known
+    os.utime(folder / "frame_2_endo.png", ns=(1, 1))
+    assert cache_key(folder, SETTINGS) != known
+    monkeypatch.setattr("data.clip_cache.code_version", lambda: "another")
+    touched = cache_key(folder, SETTINGS)
+    monkeypatch.undo()
+    assert cache_key(folder, SETTINGS) != touched
+    prepare(folder, SETTINGS, cache)
+    assert len(entries(cache)) == 2
+
+
+def test_interrupted_preparation_leaves_nothing_and_can_go_on(tmp_path):
+    folder, cache = write_clip(tmp_path / "clip", frames=6), tmp_path / "cache"
+
+    def interrupt(count: int, _: int) -> None:
+        if count == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        prepare(folder, SETTINGS, cache, interrupt)
+    assert entries(cache) == set()
+    assert len(prepare(folder, SETTINGS, cache)) == 6
+
+
+def test_leftovers_of_a_killed_process_are_removed_after_a_day(tmp_path):
+    folder, cache = write_clip(tmp_path / "clip", frames=3), tmp_path / "cache"
+    for name, age in ((".tmp-old", 90_000), (".tmp-young", 60)):
+        (cache / name).mkdir(parents=True)
+        (cache / name / "depth.npy").write_bytes(b"half")
+        stamp = time.time() - age
+        for path in (cache / name / "depth.npy", cache / name):
+            os.utime(path, (stamp, stamp))
+    clip = prepare(folder, SETTINGS, cache)
+    assert entries(cache) == {".tmp-young", clip.folder.name}
+
+
+def test_a_damaged_entry_is_prepared_again(tmp_path):
+    folder, cache = write_clip(tmp_path / "clip", frames=5), tmp_path / "cache"
+    clip = prepare(folder, SETTINGS, cache)
+    (clip.folder / "clip.json").write_text("{")
+    assert prepare(folder, SETTINGS, cache).counts["ok"] == 2
+
+
+def test_an_unwritable_cache_and_a_missing_clip_are_sentences(tmp_path):
+    folder = write_clip(tmp_path / "clip", frames=3)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="change the cache"):
+        prepare(folder, SETTINGS, tmp_path / "file" / "cache")
+    with pytest.raises(InputError, match="nowhere"):
+        prepare(tmp_path / "nowhere", SETTINGS, tmp_path / "cache")
+    with pytest.raises(InputError, match="masks 'guess' is unknown"):
+        prepare(folder, replace(SETTINGS, masks="guess"), tmp_path / "cache")
+
+
+def _prepare_at(barrier, folder: Path, cache: Path, results) -> None:
+    barrier.wait()
+    clip = prepare(folder, SETTINGS, cache)
+    results.put((clip.folder.name, clip.counts["ok"]))
+
+
+def test_two_processes_prepare_the_same_clip_at_once(tmp_path):
+    folder, cache = write_clip(tmp_path / "clip"), tmp_path / "cache"
+    context = multiprocessing.get_context("fork")
+    barrier, results = context.Barrier(2), context.Queue()
+    processes = [context.Process(target=_prepare_at, args=(barrier, folder, cache, results)) for _ in range(2)]
+    for process in processes:
+        process.start()
+    found = [results.get(timeout=60) for _ in processes]
+    for process in processes:
+        process.join()
+    assert found[0] == found[1]
+    assert found[0][1] == 5
+    assert entries(cache) == {found[0][0]}
+
+
+def test_the_loser_of_a_race_discards_its_own(tmp_path):
+    folder, cache = write_clip(tmp_path / "clip", frames=3), tmp_path / "cache"
+    entry = CacheEntry(cache, "clip", cache_key(folder, SETTINGS))
+    clip = stream(open_source(folder, ClipLayout()), SETTINGS)
+    with entry.writer() as writer:
+        for frame in clip:
+            writer.add(frame)
+        writer.finish(clip)
+        winner = prepare(folder, SETTINGS, cache)
+    assert entries(cache) == {winner.folder.name}
+
+
+def test_names_of_any_length_and_alphabet(tmp_path):
+    folder = write_clip(tmp_path / ("ö" * 100), frames=3)
+    assert len(prepare(folder, SETTINGS, tmp_path / "cache")) == 3
+
+
+def test_windows_repeat_the_first_frame_hold_bad_ones_and_stop_at_gaps():
+    consecutive = np.array([True, True, False, True, True, False])
+    usable = np.array([True, False, True, True, True, True])
+    assert window_indices(2, 4, consecutive, usable).tolist() == [0, 0, 0, 2]
+    assert window_indices(4, 4, consecutive, usable).tolist() == [3, 3, 3, 4]
+    assert window_indices(5, 2, consecutive, usable).tolist() == [4, 5]
+    assert future_indices(3, 4, consecutive, usable).tolist() == [5, 5, 4, 3]
+    assert future_indices(0, 2, consecutive, usable).tolist() == [0, 0]
+    assert window_indices(1, 1, consecutive, usable) is None
+
+
+def test_streamed_windows_equal_those_of_training(tmp_path):
+    folder = write_clip(tmp_path / "clip", first=5)
+    spoil_depth = folder / "frame_9_endo_depth.png"
+    cv2.imwrite(str(spoil_depth), np.zeros((96, 128), np.uint16))
+    remove_frame(folder, 12)
+    clip, window = prepare(folder, SETTINGS, tmp_path / "cache"), FrameWindow(3)
+    for index, frame in enumerate(run(folder)):
+        indices = window_indices(index, 3, clip.consecutive, clip.usable)
+        assert np.array_equal(window.push(frame), np.stack([clip.depth(i) for i in indices]))
+
+
+def test_grid_and_picture_coordinates_are_inverse():
+    pixels = np.array([[0.0, 0.0], [63.0, 47.0]])
+    there = grid_to_picture(pixels, (48, 64), (128, 96))
+    assert there == pytest.approx(np.array([[0.5, 0.5], [126.5, 94.5]]))
+    assert picture_to_grid(there, (48, 64), (128, 96)) == pytest.approx(pixels)
+
+
+def test_lift_reads_tissue_only():
+    from tests.data.test_geometry import CAMERA, scene
+
+    depth, labels = scene(tool_depth=0.9)
+    depth[:, :40] += np.arange(40) * 0.001
+    points = lift(np.array([[30.0, 24.0], [44.0, 24.0], [60.0, 5.0]]), depth, labels, CAMERA)
+    assert points[0, 2] == pytest.approx(0.53)
+    assert points[1, 2] == pytest.approx(0.539)  # the tool is there; nearest tissue
+    assert np.isnan(points[2]).all()
+    fitted = lift(np.array([[30.4, 24.0]]), depth, labels, CAMERA, radius=3)
+    assert fitted[0] == pytest.approx([0.5304 * (30.4 - 31.5) / 100, 0.5304 * 0.5 / 110, 0.5304], abs=1e-6)
+
+
+def test_rigid_motion_is_recovered_despite_a_deforming_part():
+    random = np.random.default_rng(0)
+    before = random.uniform(-0.5, 0.5, (60, 3))
+    angle = 0.05
+    rotation = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    after = before @ rotation.T + (0.01, -0.02, 0.03)
+    after[:8] += 0.1
+    at = np.array([0.2, 0.1, 0.5])
+    expected = rotation @ at + (0.01, -0.02, 0.03) - at
+    assert rigid_motion(before, after, at) == pytest.approx(expected, abs=1e-9)
+    assert rigid_motion(before[:5], after[:5], at) is None
+
+
+@pytest.mark.slow
+def test_real_clip_is_in_contact_where_the_tool_is(real_data, tmp_path):
+    settings = PrepareSettings(masks="annotation", depth=DepthSettings(source="photometric"))
+    clip = prepare(real_data / "cholecseg8k" / "video01" / "video01_00080", settings, tmp_path)
+    assert clip.counts["no_tool"] == 69
+    assert set(clip.status[:69]) == {"no_tool"}
+    assert clip.counts["ok"] >= 9
+
+
+def test_real_stereo_sequence_runs_by_configuration(real_data, tmp_path):
+    layout = load_layout(Path(__file__).parents[2] / "configs" / "layouts" / "recover_tissue.yaml")
+    settings = PrepareSettings(layout=layout, geometry=GeometrySettings())
+    clip = prepare(real_data / "recover_tissue", settings, tmp_path)
+    assert clip.counts["ok"] == 16
+    assert clip.camera.fx == pytest.approx(732.25 * 214 / 740)

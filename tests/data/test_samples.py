@@ -1,0 +1,122 @@
+"""Which frames become samples, and what the simulation is compared with."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from data.clip import prepare
+from data.geometry import GeometrySettings
+from data.samples import SampleSettings, consecutive_pairs, list_frames, make_sample
+from physics.mechanics import Mechanics
+from tests.data.clips import DEPTH_STEP, GRID, SETTINGS, remove_frame, write_clip
+
+PAIRS = SampleSettings(geometry=GRID)
+TRAJECTORY = SampleSettings(window=4, observation="trajectory", geometry=GRID)
+
+
+@pytest.fixture
+def clip(tmp_path):
+    """Contact in frames 3 to 7 of 12, 40 ms apart."""
+    return prepare(write_clip(tmp_path / "clip"), SETTINGS, tmp_path / "cache")
+
+
+def test_pairs_are_consecutive_frames_in_contact_and_the_rest_is_counted(clip):
+    frames, left_out = list_frames(clip, PAIRS)
+    assert frames == [3, 4, 5, 6] == consecutive_pairs(clip)
+    assert left_out == {"no_tool": 7, "next frame not in contact": 1}
+    assert sum(left_out.values()) + len(frames) == len(clip)
+
+
+def test_no_pair_crosses_a_gap(tmp_path):
+    folder = write_clip(tmp_path / "clip")
+    remove_frame(folder, 5)
+    clip = prepare(folder, SETTINGS, tmp_path / "cache")
+    frames, left_out = list_frames(clip, PAIRS)
+    assert [clip.numbers[frame] for frame in frames] == [3, 6]
+    assert left_out["no next frame"] == 1
+
+
+@pytest.mark.parametrize(("observation", "step"), [("final", 199), ("release", 49)])
+def test_a_pair_observes_one_displacement_at_one_step(clip, observation, step):
+    sample = make_sample(clip, 4, replace(PAIRS, observation=observation, window=3))
+    assert np.array_equal(sample.window_a, [clip.depth(2), clip.depth(3), clip.depth(4)])
+    assert np.array_equal(sample.window_b, [clip.depth(7), clip.depth(6), clip.depth(5)])
+    for case, frame, sign in ((sample.case_a, 4, 1), (sample.case_b, 5, -1)):
+        assert case.steps.tolist() == [step]
+        assert case.load_steps == 50
+        assert case.weight.tolist() == [1]
+        assert case.displacement[0, 2] == pytest.approx(sign * DEPTH_STEP, abs=2e-4)
+        assert case.vertex == clip.vertex[frame]
+        assert case.direction == pytest.approx(clip.normal[frame])
+        assert len(case.mesh.vertices) == len(clip.mesh(frame).vertices)
+
+
+def test_the_first_frame_is_repeated_at_a_clips_start(tmp_path):
+    clip = prepare(write_clip(tmp_path / "clip", contact=(0, 1, 2), frames=3), SETTINGS, tmp_path / "cache")
+    sample = make_sample(clip, 0, replace(PAIRS, window=4))
+    assert np.array_equal(sample.window_a, [clip.depth(0)] * 4)
+    assert np.array_equal(sample.window_b, [clip.depth(2), clip.depth(2), clip.depth(2), clip.depth(1)])
+
+
+def test_a_trajectory_is_observed_at_the_frames_time_stamps(clip):
+    frames, left_out = list_frames(clip, TRAJECTORY)
+    assert frames == [3, 4, 5, 6]
+    assert left_out == {"no_tool": 3, "onset outside the window": 5}
+    sample = make_sample(clip, 5, TRAJECTORY)
+    case = sample.case_a
+    # Frames 40 ms apart are 8 steps of 5 ms; index i is the time (i + 1)·Δt.
+    assert case.steps.tolist() == [8 * k - 1 for k in range(1, 9)]
+    assert case.displacement[:, 2] == pytest.approx(DEPTH_STEP * np.arange(1, 9), abs=2e-4)
+    assert case.load_steps == 5 * 8  # contact in frames 3 to 7, out of it in frame 8
+    assert case.vertex == clip.vertex[3]
+    assert sample.case_b is case
+
+
+def test_a_trajectory_ends_with_its_horizon_and_with_the_rollout(clip):
+    short = make_sample(clip, 4, replace(TRAJECTORY, horizon_frames=3)).case_a
+    assert short.steps.tolist() == [7, 15, 23]
+    brief = make_sample(clip, 4, replace(TRAJECTORY, mechanics=Mechanics(steps=20, load_steps=5))).case_a
+    assert brief.steps.tolist() == [7, 15]
+    assert brief.load_steps == 20
+
+
+def test_contact_that_never_ends_loads_the_whole_rollout(tmp_path):
+    clip = prepare(write_clip(tmp_path / "clip", contact=(2, 3, 4), frames=5), SETTINGS, tmp_path / "cache")
+    assert make_sample(clip, 2, TRAJECTORY).case_a.load_steps == 200
+
+
+def test_contact_without_onset_gives_no_trajectory(tmp_path):
+    clip = prepare(write_clip(tmp_path / "clip", contact=(0, 1, 2), frames=6), SETTINGS, tmp_path / "cache")
+    frames, left_out = list_frames(clip, TRAJECTORY)
+    assert frames == []
+    assert left_out == {"onset not seen": 3, "no_tool": 3}
+
+
+def test_rigid_motion_can_be_left_out(tmp_path):
+    folder = write_clip(tmp_path / "clip", shift=1.0, recede=0.0)
+    clip = prepare(folder, SETTINGS, tmp_path / "cache")
+    for settings in (PAIRS, TRAJECTORY):
+        assert list_frames(clip, settings)[0] == [3, 4, 5, 6]
+        frames, left_out = list_frames(clip, replace(settings, min_deformation=0.004))
+        assert frames == []
+        assert left_out["rigid motion"] == 4
+
+
+def test_direction_of_the_observed_motion(clip):
+    along = replace(PAIRS, geometry=GeometrySettings(height=48, width=64, force_direction="displacement"))
+    sample = make_sample(clip, 4, along)
+    motion = sample.case_a.displacement[0]
+    assert sample.case_a.direction == pytest.approx(-motion / np.linalg.norm(motion), abs=1e-5)
+    assert sample.case_a.direction @ clip.normal[4] > 0
+    assert sample.case_b.direction @ clip.normal[5] > 0
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"window": 0}, {"observation": "all"}, {"horizon_frames": 0}, {"min_deformation": float("nan")}]
+)
+def test_impossible_settings_are_refused(wrong):
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        SampleSettings(**wrong)

@@ -95,9 +95,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--layout", type=Path, help="layout file (default: CholecSeg8k)")
     parser.add_argument("--output", type=Path, help="CSV file with one row a frame")
     options = parser.parse_args(arguments)
-    print(
-        f"{platform.machine()}, {os.cpu_count()} cores, OpenCV {version('opencv-python-headless')}, {time.strftime('%Y-%m-%d')}\n"
-    )
+    opencv = version("opencv-python-headless")
+    print(f"{platform.machine()}, {os.cpu_count()} cores, OpenCV {opencv}, {time.strftime('%Y-%m-%d')}\n")
     print(HEADER)
     try:
         layout = load_layout(options.layout) if options.layout else ClipLayout()

@@ -153,6 +153,13 @@ class AnnotationElseAutomatic:
         return self._chosen(frame)
 
 
+def chosen_kind(kind: str, clip: Path, layout: ClipLayout) -> str:
+    """What `open_masks(kind, …)` uses for a clip (its folder or video file): "auto" resolved, anything else as it is."""
+    if kind != "auto":
+        return kind
+    return "annotation" if clip.is_dir() and has_masks(clip, layout) else "automatic"
+
+
 def has_masks(clip: Path, layout: ClipLayout) -> bool:
     """Whether a clip's folder holds at least one annotation mask."""
     return any(matches(clip, pattern) for pattern in layout.mask_patterns)

@@ -20,6 +20,7 @@ from data.clip import PREPROCESSING_VERSION, ClipStream, PrepareSettings
 from data.clip_cache import code_version
 from data.frames import FrameSource
 from data.layout import is_file
+from data.masks import chosen_kind
 from estimators.estimate import FrameEstimate
 from evaluation.results import COLUMNS, ClipResults
 from models.onnx_session import ParameterModel
@@ -105,7 +106,7 @@ def build_record(
             "metadata": model.metadata,
         },
         "depth_model": {"identity": depth_identity, "files_sha256": _named_files(settings)},
-        "masks": masks_identity,
+        "masks": {"source": chosen_kind(settings.masks, source.path, settings.layout), "identity": masks_identity},
         "scale": {
             "depth_at_1": clip.scale if math.isfinite(clip.scale) else None,
             "unit": "m" if clip.metric else "of the depth source, not metric",
@@ -116,7 +117,7 @@ def build_record(
         "columns": COLUMNS,
         "statuses": dict(Counter(estimate.status for estimate in estimates)),
         "verdicts": dict(Counter(estimate.verdict for estimate in estimates if estimate.verdict)),
-        "warnings": warnings_of(source, estimates, model),
+        "warnings": warnings_of(source, estimates, model, settings),
         "timings_s": {stage: round(value, 4) for stage, value in seconds.items()},
         "overlay_encoder": results.encoder or None,
         "versions": versions(),
@@ -131,14 +132,21 @@ def describe(record: Mapping[str, Any]) -> str:
             f"{given['frames']} frames, {given['width']}×{given['height']}, {given['fps']:.4g} fps",
             f"model {Path(model['path']).name} ({model['sha256'][:8]})",
             f"depth {record['depth_model']['identity'].split(':')[0]}",
-            f"masks {record['masks'].split(':')[0]}",
+            f"masks {record['masks']['source']}",
         )
     )
 
 
-def warnings_of(source: FrameSource, estimates: Sequence[FrameEstimate], model: ParameterModel) -> list[str]:
-    """What the user should know about a clip, one sentence each: damage to it, and frames lost to broken files."""
+def warnings_of(
+    source: FrameSource, estimates: Sequence[FrameEstimate], model: ParameterModel, settings: PrepareSettings
+) -> list[str]:
+    """What the user should know about a clip, one sentence each: damage to it, doubtful masks, broken files."""
     found = list(source.warnings)
+    if chosen_kind(settings.masks, source.path, settings.layout) == "automatic":
+        found.append(
+            "automatic masks take all lit tissue, so an instrument touches it in the picture whenever it is seen: "
+            "contact here means in view, not pressing"
+        )
     for status in PERSISTENT:
         hit = [estimate for estimate in estimates if estimate.status == status]
         if hit:

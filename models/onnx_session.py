@@ -38,8 +38,8 @@ class ParameterModel:
         threads: CPU threads for one call; None leaves the choice to ONNX Runtime.
 
     Raises:
-        ModelFileError: no such file, not an ONNX file, not a parameter network of ours, with other inputs, or newer than
-            this program.
+        ModelFileError: no such file, not an ONNX file, not a parameter network of ours, with other inputs, or newer
+            than this program.
     """
 
     def __init__(self, path: str | Path, threads: int | None = None) -> None:

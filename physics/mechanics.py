@@ -21,6 +21,9 @@ REFERENCE_DAMPING = 0.127
 """Literature values that Bini 2026 (section 4.1) compares with: a baseline, never an initial value."""
 
 
+CHOICES = {"scheme": ("euler", "dkd"), "damping": ("implicit", "explicit"), "boundary": ("fixed", "free")}
+
+
 class UnstableConfiguration(ValueError):
     """The admissible stiffness and the time step can't be integrated on this mesh."""
 
@@ -37,12 +40,16 @@ class Mechanics:
     """Number of steps T; the horizon is T·Δt (1 s)."""
     load_steps: int = 50
     """Steps during which the force acts, from the start (the first quarter), unless an observation says otherwise."""
+    scheme: Literal["euler", "dkd"] = "euler"
+    """Semi-implicit Euler (the paper's, order 1) or drift–kick–drift (order 2, exact damping, same cost)."""
     damping: Literal["implicit", "explicit"] = "implicit"
-    """Implicit damping is stable for every k_d ≥ 0; explicit damping (the paper's) only below 2m/Δt."""
+    """Euler's damping: implicit is stable for every k_d ≥ 0, explicit (the paper's) only below 2m/Δt."""
     boundary: Literal["fixed", "free"] = "fixed"
     """Whether the mesh's rim is held. The contact vertex never is."""
     anchor: float = 0.0
     """Spring from every vertex to its rest position, as a multiple of k_s (1 reads equation 9 literally)."""
+    window_error: float = 0.0
+    """Relative error of the contact's trajectory that compiled rollouts may trade for speed; 0 computes it exactly."""
 
     def __post_init__(self) -> None:
         for name in ("mass", "time_step"):
@@ -53,8 +60,15 @@ class Mechanics:
             raise ValueError(f"mechanics.steps is {self.steps}; give at least 1.")
         if not 0 <= self.load_steps <= self.steps:
             raise ValueError(f"mechanics.load_steps is {self.load_steps}; give 0 to {self.steps} (mechanics.steps).")
+        for name, choices in CHOICES.items():
+            if getattr(self, name) not in choices:
+                raise ValueError(f"mechanics.{name} is {getattr(self, name)!r}; choose {' or '.join(choices)}.")
+        if self.scheme == "dkd" and self.damping == "explicit":
+            raise ValueError("mechanics.scheme dkd damps exactly; leave mechanics.damping at implicit with it.")
         if not (math.isfinite(self.anchor) and self.anchor >= 0):
             raise ValueError(f"mechanics.anchor is {self.anchor}; give a number of at least 0.")
+        if not 0 <= self.window_error < 1:
+            raise ValueError(f"mechanics.window_error is {self.window_error}; give 0 (exact) or a share below 1.")
 
     @property
     def times(self) -> np.ndarray:
@@ -118,7 +132,7 @@ def highest_frequency(springs: np.ndarray, vertex_count: int, stiffness: float, 
         signless = adjacency + coo_array((degree, (np.arange(vertex_count),) * 2), shape=adjacency.shape).tocsr()
         start = np.ones(vertex_count)
         # The signless Laplacian bounds the Laplacian, and its leading vector is positive, so Lanczos converges fast.
-        largest = float(eigsh(signless, k=1, which="LA", v0=start, tol=1e-3, return_eigenvectors=False)[0])
+        largest = float(eigsh(signless, k=1, which="LA", v0=start, tol=1e-3, return_eigenvectors=False)[0]) * 1.001
     else:
         largest = 2.0 * float(degree.max())
     return math.sqrt((largest + mechanics.anchor) * stiffness / mechanics.mass)

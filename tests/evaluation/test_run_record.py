@@ -79,7 +79,7 @@ def test_record_holds_hashes_counts_units_and_times(tmp_path: Path) -> None:
     assert stored["versions"]["palpate"] == program_version()
     assert stored["fingerprint"] == provenance.fingerprint
     assert "6 frames, 160×96, 25 fps" in describe(stored)
-    assert "depth stored" in describe(stored)
+    assert "depth stored · masks annotation" in describe(stored)
 
 
 def test_units_of_the_force_say_nothing_of_its_sign(tmp_path: Path) -> None:
@@ -90,11 +90,14 @@ def test_units_of_the_force_say_nothing_of_its_sign(tmp_path: Path) -> None:
 def test_warnings_name_broken_frames_and_another_preprocessing(tmp_path: Path) -> None:
     path = write_clip(tmp_path / "clip", 3, 1)
     model = ParameterModel(write_model(tmp_path / "model.onnx", metadata(preprocessing_version=0)))
-    source = open_source(path, preparation_settings(model).layout)
+    settings = preparation_settings(model)
+    source = open_source(path, settings.layout)
     rows = [FrameEstimate(4, 0.0, "ok"), FrameEstimate(5, 0.1, "no_mask", detail="m.png does not exist; add it.")]
-    found = warnings_of(source, rows, model)
+    found = warnings_of(source, rows, model, settings)
     assert found[0] == "1 of 2 frames are no_mask, the first is 5: m.png does not exist; add it."
     assert found[1].startswith("the model was trained on preprocessing version 0")
+    automatic = warnings_of(source, rows, model, dataclasses.replace(settings, masks="automatic"))
+    assert automatic[0].endswith("contact here means in view, not pressing")
 
 
 def test_versions_name_the_packages() -> None:

@@ -140,6 +140,7 @@ class CacheWriter:
             "fps": stream.source.fps,
             "scale": stream.scale,
             "metric": stream.metric,
+            "sources": stream.sources,
             "camera": dataclasses.asdict(stream.camera),
             "warnings": stream.source.warnings,
             "details": self._details,

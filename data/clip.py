@@ -23,7 +23,7 @@ from data.depth import DepthError, DepthSettings, estimate_scale, normalise, ope
 from data.frames import Frame, FrameSource, InputError, open_source
 from data.geometry import GeometrySettings, GeometryStatus, frame_geometry
 from data.layout import ClipLayout
-from data.masks import MaskClasses, MaskError, open_masks
+from data.masks import MaskClasses, MaskError, chosen_kind, open_masks
 from data.prepared import PreparedFrame
 
 PREPROCESSING_VERSION = 1
@@ -97,6 +97,14 @@ class ClipStream:
     def identity(self) -> tuple[str, str]:
         """What depth and masks depend on besides the clip's own files and settings."""
         return self._depth.identity, self._masks.identity
+
+    @property
+    def sources(self) -> dict[str, str]:
+        """Where depth and masks of this clip come from, in a word each: what a network trained on them depends on."""
+        return {
+            "depth": self._depth.identity.split(":")[0],
+            "masks": Path(chosen_kind(self.settings.masks, self.source.path, self.settings.layout)).name,
+        }
 
     def __iter__(self) -> Iterator[PreparedFrame]:
         """Prepared frames from the clip's beginning, one for each of its frames.

@@ -160,6 +160,8 @@ class PreparedClip:
         """Depth that is z = 1 [unit of the depth source]; not a number where no frame had depth."""
         self.metric: bool = described["metric"]
         """Whether `scale` is in metres."""
+        self.sources: dict[str, str] = described["sources"]
+        """Where `depth` and `masks` came from, in a word each."""
         self.camera = Camera(**{**described["camera"], "distortion": tuple(described["camera"]["distortion"])})
         """Intrinsics of the grid."""
         self.warnings: list[str] = described["warnings"]

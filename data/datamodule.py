@@ -102,6 +102,8 @@ class ClipDataModule(LightningDataModule):
         """Samples of each split."""
         self.left_out: Counter[str] = Counter()
         """Frames that give no sample, by reason."""
+        self.trained_on: dict[str, list[str]] | None = None
+        """Where depth and masks of a checkpoint's training clips came from."""
 
     def prepare_data(self) -> None:
         """Prepare all clips into the cache; Lightning calls this in one process a node."""
@@ -165,6 +167,16 @@ class ClipDataModule(LightningDataModule):
             cases.append({"clip": self.clips[clip].name, "frame": frame, **fields})
         return cases
 
+    def state_dict(self) -> dict[str, Any]:
+        """What a checkpoint keeps of the data: where depth and masks of the clips came from."""
+        return {
+            "trained_on": {name: sorted({clip.sources[name] for clip in self.clips}) for name in ("depth", "masks")},
+        }
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Take over a checkpoint's record, for `metadata`."""
+        self.trained_on = state_dict["trained_on"]
+
     def metadata(self) -> dict[str, Any]:
         """What inference must repeat, JSON-able; no file path of this machine."""
         depth = dataclasses.asdict(self.preparation.depth)
@@ -178,6 +190,7 @@ class ClipDataModule(LightningDataModule):
             "geometry": dataclasses.asdict(self.preparation.geometry),
             "depth": depth,
             "masks": Path(masks).name,
+            "trained_on": self.trained_on,
             "classes": _plain(dataclasses.asdict(self.preparation.classes)),
             "observation": self.samples.observation,
             "horizon_frames": self.samples.horizon_frames,

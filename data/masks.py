@@ -154,7 +154,7 @@ class AnnotationElseAutomatic:
 
 
 def chosen_kind(kind: str, clip: Path, layout: ClipLayout) -> str:
-    """What `open_masks(kind, …)` uses for a clip (its folder or video file): "auto" resolved, anything else as it is."""
+    """What `open_masks(kind, …)` uses for a clip, given its folder or video file: "auto" is resolved."""
     if kind != "auto":
         return kind
     return "annotation" if clip.is_dir() and has_masks(clip, layout) else "automatic"

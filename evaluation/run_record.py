@@ -20,7 +20,6 @@ from data.clip import PREPROCESSING_VERSION, ClipStream, PrepareSettings
 from data.clip_cache import code_version
 from data.frames import FrameSource
 from data.layout import is_file
-from data.masks import chosen_kind
 from estimators.estimate import FrameEstimate
 from evaluation.results import COLUMNS, ClipResults
 from models.onnx_session import ParameterModel
@@ -106,7 +105,7 @@ def build_record(
             "metadata": model.metadata,
         },
         "depth_model": {"identity": depth_identity, "files_sha256": _named_files(settings)},
-        "masks": {"source": chosen_kind(settings.masks, source.path, settings.layout), "identity": masks_identity},
+        "masks": {"source": clip.sources["masks"], "identity": masks_identity},
         "scale": {
             "depth_at_1": clip.scale if math.isfinite(clip.scale) else None,
             "unit": "m" if clip.metric else "of the depth source, not metric",
@@ -117,7 +116,7 @@ def build_record(
         "columns": COLUMNS,
         "statuses": dict(Counter(estimate.status for estimate in estimates)),
         "verdicts": dict(Counter(estimate.verdict for estimate in estimates if estimate.verdict)),
-        "warnings": warnings_of(source, estimates, model, settings),
+        "warnings": warnings_of(source, estimates, model, clip.sources),
         "timings_s": {stage: round(value, 4) for stage, value in seconds.items()},
         "overlay_encoder": results.encoder or None,
         "versions": versions(),
@@ -138,11 +137,24 @@ def describe(record: Mapping[str, Any]) -> str:
 
 
 def warnings_of(
-    source: FrameSource, estimates: Sequence[FrameEstimate], model: ParameterModel, settings: PrepareSettings
+    source: FrameSource, estimates: Sequence[FrameEstimate], model: ParameterModel, sources: Mapping[str, str]
 ) -> list[str]:
-    """What the user should know about a clip, one sentence each: damage to it, doubtful masks, broken files."""
+    """What the user should know about a clip, one sentence each: damage to it, doubtful masks, broken files.
+
+    Args:
+        source: the clip.
+        estimates: its results.
+        model: what estimated them.
+        sources: where its `depth` and `masks` came from.
+    """
     found = list(source.warnings)
-    if chosen_kind(settings.masks, source.path, settings.layout) == "automatic":
+    for what, trained in (model.metadata.get("trained_on") or {}).items():
+        if sources[what] not in trained:
+            found.append(
+                f"the model was trained on {what} from {' and '.join(trained)} and this clip's come from "
+                f"{sources[what]}: its estimates here are off by an amount that nobody has measured"
+            )
+    if sources["masks"] == "automatic":
         found.append(
             "automatic masks take all lit tissue, so an instrument touches it in the picture whenever it is seen: "
             "contact here means in view, not pressing"

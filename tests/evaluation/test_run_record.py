@@ -90,14 +90,27 @@ def test_units_of_the_force_say_nothing_of_its_sign(tmp_path: Path) -> None:
 def test_warnings_name_broken_frames_and_another_preprocessing(tmp_path: Path) -> None:
     path = write_clip(tmp_path / "clip", 3, 1)
     model = ParameterModel(write_model(tmp_path / "model.onnx", metadata(preprocessing_version=0)))
-    settings = preparation_settings(model)
-    source = open_source(path, settings.layout)
+    source = open_source(path, preparation_settings(model).layout)
+    sources = {"depth": "stored", "masks": "annotation"}
     rows = [FrameEstimate(4, 0.0, "ok"), FrameEstimate(5, 0.1, "no_mask", detail="m.png does not exist; add it.")]
-    found = warnings_of(source, rows, model, settings)
+    found = warnings_of(source, rows, model, sources)
     assert found[0] == "1 of 2 frames are no_mask, the first is 5: m.png does not exist; add it."
     assert found[1].startswith("the model was trained on preprocessing version 0")
-    automatic = warnings_of(source, rows, model, dataclasses.replace(settings, masks="automatic"))
-    assert automatic[0].endswith("contact here means in view, not pressing")
+
+
+def test_warnings_name_sources_the_model_was_not_trained_on(tmp_path: Path) -> None:
+    path = write_clip(tmp_path / "clip", 3, 1)
+    trained_on = {"depth": ["depthpro", "stored"], "masks": ["annotation"]}
+    model = ParameterModel(write_model(tmp_path / "model.onnx", metadata(trained_on=trained_on)))
+    source = open_source(path, preparation_settings(model).layout)
+    rows = [FrameEstimate(0, 0.0, "ok")]
+    assert warnings_of(source, rows, model, {"depth": "stored", "masks": "annotation"}) == []
+    found = warnings_of(source, rows, model, {"depth": "photometric", "masks": "automatic"})
+    assert found[0].startswith(
+        "the model was trained on depth from depthpro and stored and this clip's come from photo"
+    )
+    assert found[1].startswith("the model was trained on masks from annotation and this clip's come from automatic")
+    assert found[2].endswith("contact here means in view, not pressing")
 
 
 def test_versions_name_the_packages() -> None:

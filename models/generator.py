@@ -1,0 +1,176 @@
+"""Dual-mode conditional generator: one encoder, a parameter head, and a decoder conditioned on the parameters.
+
+Source: Bini 2026, section 3.4.1 and figure 2.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from physics.mechanics import Bounds
+
+SMALLEST_SIDE = 16
+"""Smallest height and width [pixels]: the features are a quarter of that and still leave a variance to normalise by."""
+
+
+def normalised_block(layer: nn.Conv2d) -> nn.Sequential:
+    """Convolution, instance norm without learned scale, ReLU (Bini 2026, section 3.4.1)."""
+    return nn.Sequential(layer, nn.InstanceNorm2d(layer.out_channels), nn.ReLU())
+
+
+class ResidualBlock(nn.Module):
+    """Two 3×3 convolutions with instance norm around an identity path; keeps the shape [B, C, h, w]."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.layers = nn.Sequential(
+            normalised_block(nn.Conv2d(channels, channels, 3, padding=1, padding_mode="reflect")),
+            nn.Conv2d(channels, channels, 3, padding=1, padding_mode="reflect"),
+            nn.InstanceNorm2d(channels),
+        )
+
+    def forward(self, features: Tensor) -> Tensor:
+        return features + self.layers(features)
+
+
+class ParameterHead(nn.Module):
+    """θ = [k_s, k_d, F] from the encoder's features: sigmoid for k_s and k_d, tanh for F, scaled to the box.
+
+    There is no normalisation in the head: instance norm before the average pool would give every frame the same zeros.
+    """
+
+    lower: Tensor
+    upper: Tensor
+
+    def __init__(self, channels: int, bounds: Bounds) -> None:
+        super().__init__()
+        self.convolution = nn.Conv2d(channels, channels, 3, stride=2, padding=1)
+        self.layers = nn.Sequential(
+            nn.Linear(channels, channels),
+            nn.ReLU(),
+            nn.Linear(channels, channels // 2),
+            nn.ReLU(),
+            nn.Linear(channels // 2, 3),
+        )
+        self.register_buffer("lower", torch.tensor(bounds.lower), persistent=False)
+        self.register_buffer("upper", torch.tensor(bounds.upper), persistent=False)
+        self._start_at(torch.tensor(bounds.initial))
+
+    def _start_at(self, initial: Tensor) -> None:
+        """Make the untrained head give θ₀, nearly: the small weights leave it a slope in its input."""
+        fraction = (initial - self.lower) / (self.upper - self.lower)
+        last = self.layers[-1]
+        with torch.no_grad():
+            last.weight.mul_(0.1)
+            last.bias[:2] = torch.logit(fraction[:2])
+            last.bias[2] = torch.atanh(2 * fraction[2] - 1)
+
+    def scaled(self, theta: Tensor) -> Tensor:
+        """θ [B, 3] in physical units → its place in the box, [0, 1] inside."""
+        return (theta - self.lower) / (self.upper - self.lower)
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Features [B, C, h, w] → θ [B, 3] in physical units, F signed, never outside the box."""
+        pooled = functional.relu(self.convolution(features)).mean(dim=(2, 3))
+        raw = self.layers(pooled)
+        fraction = torch.cat([torch.sigmoid(raw[:, :2]), 0.5 * (torch.tanh(raw[:, 2:]) + 1)], dim=1)
+        # Rounding may carry the scaled value past a bound by one unit in the last place.
+        return torch.clamp(self.lower + (self.upper - self.lower) * fraction, self.lower, self.upper)
+
+
+class Decoder(nn.Module):
+    """Next depth map from features and θ: θ tiled onto the features, residual blocks, two upsamplings.
+
+    Source: Bini 2026, section 3.4.1.
+    Upsampling resizes to a given size before a 3×3 convolution, so that odd sizes are met exactly.
+    """
+
+    def __init__(self, width: int, residual_blocks: int) -> None:
+        super().__init__()
+        channels = 4 * width
+        # No instance norm here: it would subtract a tiled constant, and θ would never reach the picture.
+        self.condition = nn.Sequential(nn.Conv2d(channels + 3, channels, 1), nn.ReLU())
+        self.blocks = nn.Sequential(*(ResidualBlock(channels) for _ in range(residual_blocks)))
+        self.up_half = normalised_block(nn.Conv2d(channels, 2 * width, 3, padding=1, padding_mode="reflect"))
+        self.up_full = normalised_block(nn.Conv2d(2 * width, width, 3, padding=1, padding_mode="reflect"))
+        self.output = nn.Conv2d(width, 1, 7, padding=3, padding_mode="reflect")
+
+    def forward(self, features: Tensor, scaled_theta: Tensor, size: tuple[int, int]) -> Tensor:
+        """Features [B, 4·width, h, w], θ in [0, 1] [B, 3], output size (H, W) → depth [B, 1, H, W] in (0, 1)."""
+        tiled = scaled_theta[:, :, None, None].expand(-1, -1, *features.shape[2:])
+        hidden = self.blocks(self.condition(torch.cat([features, tiled], dim=1)))
+        hidden = self.up_half(functional.interpolate(hidden, size=(size[0] // 2, size[1] // 2)))
+        hidden = self.up_full(functional.interpolate(hidden, size=size))
+        return torch.sigmoid(self.output(hidden))
+
+
+class Generator(nn.Module):
+    """G of Bini 2026, section 3.4.1; the defaults are the paper's.
+
+    Depth is normalised by the clip's fixed scale, in [0, 1], with 0 where it is invalid. The window's last channel is
+    the current frame. θ = [k_s, k_d, F] is in physical units with F signed.
+
+    Args:
+        channels: frames in the input window (K; the paper has 1).
+        width: channels after the first convolution; the features have four times as many.
+        residual_blocks: residual blocks of the decoder.
+        bounds: admissible box of θ and where the head starts in it.
+    """
+
+    def __init__(
+        self, channels: int = 1, width: int = 64, residual_blocks: int = 9, bounds: Bounds | None = None
+    ) -> None:
+        super().__init__()
+        if channels < 1 or width < 1 or residual_blocks < 0:
+            raise ValueError(
+                f"channels is {channels}, width {width} and residual_blocks {residual_blocks}; "
+                "give at least 1 channel, a width of at least 1 and no negative number of blocks."
+            )
+        self.channels = channels
+        self.encoder = nn.Sequential(
+            normalised_block(nn.Conv2d(channels, width, 7, padding=3, padding_mode="reflect")),
+            # 4×4 kernels turn 120×214 into the paper's 30×53; 3×3 would give 30×54.
+            normalised_block(nn.Conv2d(width, 2 * width, 4, stride=2, padding=1)),
+            normalised_block(nn.Conv2d(2 * width, 4 * width, 4, stride=2, padding=1)),
+        )
+        self.head = ParameterHead(4 * width, bounds or Bounds())
+        self.decoder = Decoder(width, residual_blocks)
+
+    def encode(self, depth: Tensor) -> Tensor:
+        """Window of depth maps [B, K, H, W] → features [B, 4·width, H//4, W//4] (256×30×53 for 120×214).
+
+        Raises:
+            ValueError: another number of channels or dimensions, or a picture under 16 pixels a side.
+        """
+        if depth.ndim != 4 or depth.shape[1] != self.channels:
+            raise ValueError(f"depth has shape {list(depth.shape)}; expected [B, {self.channels}, H, W].")
+        if depth.shape[2] < SMALLEST_SIDE or depth.shape[3] < SMALLEST_SIDE:
+            raise ValueError(f"depth is {depth.shape[2]}×{depth.shape[3]}; give {SMALLEST_SIDE} pixels a side or more.")
+        return self.encoder(depth)
+
+    def estimate(self, depth: Tensor) -> Tensor:
+        """P(E(D)): window [B, K, H, W] → θ [B, 3] (Bini 2026, below equation 12)."""
+        return self.head(self.encode(depth))
+
+    def decode(self, features: Tensor, theta: Tensor, current: Tensor) -> Tensor:
+        """Next depth map from features that are already there.
+
+        Args:
+            features: `encode`'s answer, shape [B, 4·width, H//4, W//4].
+            theta: [k_s, k_d, F], physical units, shape [B, 3].
+            current: the current frame's depth, shape [B, 1, H, W]; its invalid pixels (0) stay invalid, because no
+                network can know what a hole hides and a filled hole would give every fake away.
+
+        Returns:
+            Depth in [0, 1], shape [B, 1, H, W].
+        """
+        if theta.shape != (features.shape[0], 3):
+            raise ValueError(f"theta has shape {list(theta.shape)}; expected [{features.shape[0]}, 3].")
+        size = (current.shape[2], current.shape[3])
+        return self.decoder(features, self.head.scaled(theta), size) * (current > 0)
+
+    def generate(self, depth: Tensor, theta: Tensor) -> Tensor:
+        """G(D, θ): window [B, K, H, W] and θ [B, 3] → predicted next depth [B, 1, H, W], exactly the input's size."""
+        return self.decode(self.encode(depth), theta, depth[:, -1:])

@@ -1,0 +1,120 @@
+"""The five terms of the training loss, one function each.
+
+Source: Bini 2026, section 3.4.2. Depth is in [0, 1], normalised by the clip's fixed scale; 0 marks a pixel without a
+measurement. Such pixels are left out of every reconstruction term: a difference to "unknown" is not an error.
+A term that belongs to one generator is added over the two directions of time, and the cycle term, which both generators
+share, carries the paper's ½: each generator then sees exactly the paper's weights.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+import torch
+from torch import Tensor
+
+from physics.mechanics import Bounds, Mechanics
+from physics.msd import ContactBatch, MeshBatch, rollout
+from physics.observation import ObservationBatch, displacement_error
+
+
+@dataclass(frozen=True)
+class LossWeights:
+    """λ of the total loss (Bini 2026, equation 10 and section 3.4.2)."""
+
+    gan: float = 1.0
+    """λ_GAN."""
+    cycle: float = 10.0
+    """λ_cyc."""
+    identity: float = 1.0
+    """λ_id."""
+    physics: float = 2.0
+    """λ_phys."""
+    regularisation: float = 0.1
+    """λ_reg; the paper only calls it comparatively low."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not (math.isfinite(value) and value >= 0):
+                raise ValueError(f"weights.{field.name} is {value}; give a finite number of at least 0.")
+
+
+@dataclass(frozen=True)
+class LossTerms:
+    """The five unweighted terms, each a scalar tensor."""
+
+    gan: Tensor
+    cycle: Tensor
+    identity: Tensor
+    physics: Tensor
+    regularisation: Tensor
+
+    def total(self, weights: LossWeights) -> Tensor:
+        """L = Σ λ·term (Bini 2026, equation 10)."""
+        return sum(getattr(weights, field.name) * getattr(self, field.name) for field in fields(self))
+
+    def items(self) -> dict[str, Tensor]:
+        """Detached terms by name, for logging."""
+        return {field.name: getattr(self, field.name).detach() for field in fields(self)}
+
+
+def generator_adversarial_loss(fake_scores: Tensor) -> Tensor:
+    """E[(D(G) − 1)²]: the generator wants its patches called real (Bini 2026, equation 11, least squares)."""
+    return (fake_scores - 1).square().mean()
+
+
+def discriminator_loss(real_scores: Tensor, fake_scores: Tensor) -> Tensor:
+    """E[(D(real) − 1)²] + E[D(G)²] (Bini 2026, equation 11, least squares)."""
+    return (real_scores - 1).square().mean() + fake_scores.square().mean()
+
+
+def masked_l1(prediction: Tensor, target: Tensor) -> Tensor:
+    """Mean |prediction − target| over the target's valid pixels (> 0); 0 when there is none."""
+    valid = target > 0
+    difference = torch.where(valid, (prediction - target).abs(), 0.0)
+    return difference.sum() / valid.sum().clamp(min=1)
+
+
+def cycle_loss(cycled_a: Tensor, real_a: Tensor, cycled_b: Tensor, real_b: Tensor) -> Tensor:
+    """½(‖G_BA(G_AB(D_t)) − D_t‖₁ + ‖G_AB(G_BA(D_t+1)) − D_t+1‖₁) (Bini 2026, equation 12)."""
+    return 0.5 * (masked_l1(cycled_a, real_a) + masked_l1(cycled_b, real_b))
+
+
+def null_parameters(theta: Tensor) -> Tensor:
+    """θ_null = (k_s, k_d, F = 0), detached: without a force the tissue stays as it is (Bini 2026, equation 13)."""
+    return theta.detach() * theta.new_tensor([1.0, 1.0, 0.0])
+
+
+def identity_loss(unchanged: Tensor, real: Tensor) -> Tensor:
+    """‖G(D_t, θ_null) − D_t‖₁ (Bini 2026, equation 13)."""
+    return masked_l1(unchanged, real)
+
+
+def physics_loss(
+    theta: Tensor, mesh: MeshBatch, contact: ContactBatch, observation: ObservationBatch, mechanics: Mechanics
+) -> Tensor:
+    """E[‖Φ_MSD(θ) − d_obs‖²], gradient through all steps of the rollout (Bini 2026, equations 14 and 15).
+
+    Args:
+        theta: [k_s, k_d, F], physical units, shape [B, 3].
+        mesh: the frames' tissue meshes.
+        contact: where and along which direction the force acts.
+        observation: contact displacements that were seen, and the steps at which [scene units].
+        mechanics: the rollout's constants.
+
+    Returns:
+        Mean squared displacement error [scene units²], a scalar.
+    """
+    return displacement_error(rollout(theta, mesh, contact, mechanics), observation).mean()
+
+
+def regularisation_loss(theta: Tensor, bounds: Bounds) -> Tensor:
+    """Squared hinge outside the admissible box, summed over θ, mean over the batch; 0 inside (Bini 2026, equation 16).
+
+    Physical units, as the paper has it. The bounded head never leaves the box, so the term guards other heads only.
+    """
+    lower, upper = theta.new_tensor(bounds.lower), theta.new_tensor(bounds.upper)
+    outside = (lower - theta).clamp(min=0).square() + (theta - upper).clamp(min=0).square()
+    return outside.sum(dim=1).mean()

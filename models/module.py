@@ -1,0 +1,225 @@
+"""The training step: two generators, two discriminators, three optimisers (Bini 2026, sections 3.4 and 3.5)."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+import torch
+from lightning.pytorch import LightningModule
+from lightning.pytorch.core.optimizer import LightningOptimizer
+from torch import Tensor
+
+from models.augmentation import AugmentationSettings, WindowAugmentation
+from models.discriminator import PatchDiscriminator
+from models.generator import Generator
+from models.losses import (
+    LossTerms,
+    LossWeights,
+    cycle_loss,
+    discriminator_loss,
+    generator_adversarial_loss,
+    identity_loss,
+    null_parameters,
+    physics_loss,
+    regularisation_loss,
+)
+from models.records import pair_records
+from physics.mechanics import PARAMETERS, Bounds, Mechanics
+
+
+class TrainingDiverged(ValueError):
+    """A loss is no longer a finite number."""
+
+
+def with_current(window: Tensor, frame: Tensor) -> Tensor:
+    """Window [B, K, H, W] whose last (current) frame is replaced by [B, 1, H, W]."""
+    return torch.cat([window[:, :-1], frame], dim=1)
+
+
+class PhysicsInformedGAN(LightningModule):
+    """CycleGAN over depth maps whose condition θ = [k_s, k_d, F] also drives a mass-spring-damper rollout.
+
+    G_AB predicts forward in time (A = frame t, B = frame t+1), G_BA backward. No label enters: θ is learnt from the
+    next depth map and from the contact's observed displacement. Defaults are the paper's.
+
+    Args:
+        window: frames in the input window, K.
+        width: channels of the networks' first layer.
+        residual_blocks: residual blocks of each decoder.
+        bounds: admissible box of θ.
+        mechanics: constants of the rollout.
+        weights: λ of the five loss terms.
+        augmentation: disturbances of the input windows while training.
+        learning_rate: Adam's, for all three optimisers.
+        betas: Adam's momentum coefficients.
+    """
+
+    def __init__(
+        self,
+        window: int = 1,
+        width: int = 64,
+        residual_blocks: int = 9,
+        bounds: Bounds = Bounds(),  # noqa: B008 (frozen)
+        mechanics: Mechanics = Mechanics(),  # noqa: B008
+        weights: LossWeights = LossWeights(),  # noqa: B008
+        augmentation: AugmentationSettings = AugmentationSettings(),  # noqa: B008
+        learning_rate: float = 2e-4,
+        betas: tuple[float, float] = (0.5, 0.999),
+    ) -> None:
+        super().__init__()
+        if not (learning_rate > 0 and all(0 <= beta < 1 for beta in betas)):
+            raise ValueError(
+                f"learning_rate is {learning_rate} and betas {list(betas)}; give a positive rate and betas in [0, 1)."
+            )
+        # Plain values only: a checkpoint must load without running code.
+        self.save_hyperparameters(
+            {
+                "window": window,
+                "width": width,
+                "residual_blocks": residual_blocks,
+                "bounds": asdict(bounds),
+                "mechanics": asdict(mechanics),
+                "weights": asdict(weights),
+                "augmentation": asdict(augmentation),
+                "learning_rate": learning_rate,
+                "betas": list(betas),
+            }
+        )
+        self.automatic_optimization = False
+        self.bounds, self.mechanics, self.weights = bounds, mechanics, weights
+        self.learning_rate, self.betas = learning_rate, betas
+        self.generator_ab = Generator(window, width, residual_blocks, bounds)
+        self.generator_ba = Generator(window, width, residual_blocks, bounds)
+        self.discriminator_a = PatchDiscriminator(1, width)
+        self.discriminator_b = PatchDiscriminator(1, width)
+        self.augmentation = WindowAugmentation(augmentation)
+        self.sample: tuple[Tensor, Tensor] | None = None
+        """Real and predicted next depth of the first validation pair, shape [H, W] each, for the tracked pictures."""
+        self.test_records: list[dict[str, Any]] = []
+        """One record a test pair; see `models.records.pair_records`."""
+        self._theta: dict[str, list[Tensor]] = {"train": [], "val": []}
+
+    def configure_optimizers(self) -> list[torch.optim.Optimizer]:
+        """One Adam for both generators, one for each discriminator (Bini 2026, section 3.5)."""
+        generators = [*self.generator_ab.parameters(), *self.generator_ba.parameters()]
+        groups = (generators, self.discriminator_a.parameters(), self.discriminator_b.parameters())
+        return [torch.optim.Adam(group, lr=self.learning_rate, betas=self.betas) for group in groups]
+
+    def generator_losses(self, batch: dict[str, Any]) -> tuple[LossTerms, Tensor, Tensor, Tensor]:
+        """The five terms, both fakes [B, 1, H, W] and θ_AB [B, 3] of a batch of the data module."""
+        real_a, real_b = batch["window_a"][:, -1:], batch["window_b"][:, -1:]
+        window_a, window_b = self._augmented(batch["window_a"], 0), self._augmented(batch["window_b"], 1)
+        features_a, features_b = self.generator_ab.encode(window_a), self.generator_ba.encode(window_b)
+        theta_ab, theta_ba = self.generator_ab.head(features_a), self.generator_ba.head(features_b)
+        fake_b = self.generator_ab.decode(features_a, theta_ab, real_a)
+        fake_a = self.generator_ba.decode(features_b, theta_ba, real_b)
+        # The fake takes the current frame's place among the *real* earlier frames of the other direction's window.
+        # The own window with the fake appended would show the cycle's target to the network that must find it.
+        cycled_a = self.generator_ba.generate(with_current(window_b, fake_b), theta_ba)
+        cycled_b = self.generator_ab.generate(with_current(window_a, fake_a), theta_ab)
+        unchanged_a = self.generator_ab.decode(features_a, null_parameters(theta_ab), real_a)
+        unchanged_b = self.generator_ba.decode(features_b, null_parameters(theta_ba), real_b)
+        terms = LossTerms(
+            gan=generator_adversarial_loss(self.discriminator_b(fake_b))
+            + generator_adversarial_loss(self.discriminator_a(fake_a)),
+            cycle=cycle_loss(cycled_a, real_a, cycled_b, real_b),
+            identity=identity_loss(unchanged_a, real_a) + identity_loss(unchanged_b, real_b),
+            physics=self._physics(theta_ab, theta_ba, batch),
+            regularisation=regularisation_loss(theta_ab, self.bounds) + regularisation_loss(theta_ba, self.bounds),
+        )
+        return terms, fake_a, fake_b, theta_ab
+
+    def training_step(self, batch: dict[str, Any], batch_index: int) -> None:
+        """One step of the generators, then one of each discriminator (Bini 2026, section 3.4.3)."""
+        optimizer_g, optimizer_a, optimizer_b = self.optimizers()
+        real_a, real_b = batch["window_a"][:, -1:], batch["window_b"][:, -1:]
+
+        self.toggle_optimizer(optimizer_g)  # freezes both discriminators
+        terms, fake_a, fake_b, theta = self.generator_losses(batch)
+        self._step(optimizer_g, terms.total(self.weights), batch)
+        self.untoggle_optimizer(optimizer_g)
+
+        self.toggle_optimizer(optimizer_a)
+        loss_a = discriminator_loss(self.discriminator_a(real_a), self.discriminator_a(fake_a.detach()))
+        self._step(optimizer_a, loss_a, batch)
+        self.untoggle_optimizer(optimizer_a)
+
+        self.toggle_optimizer(optimizer_b)
+        loss_b = discriminator_loss(self.discriminator_b(real_b), self.discriminator_b(fake_b.detach()))
+        self._step(optimizer_b, loss_b, batch)
+        self.untoggle_optimizer(optimizer_b)
+
+        self._theta["train"].append(theta.detach())
+        pairs = len(real_a)
+        self.log_dict(terms.items(), prog_bar=True, logger=False, batch_size=pairs)
+        losses = terms.items() | {"discriminator_a": loss_a.detach(), "discriminator_b": loss_b.detach()}
+        averages = {f"train/{name}": value for name, value in losses.items()}
+        self.log_dict(averages, on_step=False, on_epoch=True, batch_size=pairs, sync_dist=True)
+
+    def validation_step(self, batch: dict[str, Any], batch_index: int) -> None:
+        """L_physics in both directions, which chooses the best checkpoint (Bini 2026, section 3.5)."""
+        features_a = self.generator_ab.encode(batch["window_a"])
+        theta_ab = self.generator_ab.head(features_a)
+        theta_ba = self.generator_ba.estimate(batch["window_b"])
+        pairs = len(theta_ab)
+        physics = self._physics(theta_ab, theta_ba, batch)
+        self.log("val/physics", physics, prog_bar=True, on_epoch=True, batch_size=pairs, sync_dist=True)
+        self._theta["val"].append(theta_ab)
+        if batch_index == 0:
+            predicted = self.generator_ab.decode(features_a[:1], theta_ab[:1], batch["window_a"][:1, -1:])
+            self.sample = (batch["window_b"][0, -1], predicted[0, 0])
+
+    def test_step(self, batch: dict[str, Any], batch_index: int) -> None:
+        """Collect `test_records` and log the mean errors."""
+        records = pair_records(batch, self.generator_ab, self.mechanics)
+        self.test_records += records
+        for name in ("error_predicted", "error_reference", "next_depth_error", "copy_error"):
+            mean = sum(record[name] for record in records) / len(records)
+            self.log(f"test/{name}", mean, on_epoch=True, batch_size=len(records), sync_dist=True)
+
+    def on_train_epoch_end(self) -> None:
+        self._log_theta("train")
+
+    def on_validation_epoch_end(self) -> None:
+        self._log_theta("val")
+
+    def on_test_epoch_start(self) -> None:
+        self.test_records.clear()
+
+    def _log_theta(self, stage: str) -> None:
+        """Log mean and standard deviation of θ_AB over the epoch's pairs: a spread near 0 is the sign of collapse."""
+        if not self._theta[stage]:
+            return
+        theta = torch.cat(self._theta[stage])
+        self._theta[stage].clear()
+        for name, values in zip(PARAMETERS, theta.T, strict=True):
+            self.log(f"{stage}/{name}_mean", values.mean(), sync_dist=True)
+            self.log(f"{stage}/{name}_sd", values.std(correction=0), sync_dist=True)
+
+    def _physics(self, theta_ab: Tensor, theta_ba: Tensor, batch: dict[str, Any]) -> Tensor:
+        """L_physics in both directions of time (Bini 2026, figure 2)."""
+        forward = physics_loss(theta_ab, batch["mesh_a"], batch["contact_a"], batch["observation_a"], self.mechanics)
+        backward = physics_loss(theta_ba, batch["mesh_b"], batch["contact_b"], batch["observation_b"], self.mechanics)
+        return forward + backward
+
+    def _augmented(self, window: Tensor, direction: int) -> Tensor:
+        """The window as the networks see it while training; the seed follows the step, so that resuming is exact."""
+        step = self.global_step if self._trainer is not None else 0
+        return self.augmentation(window, seed=(2 * step + direction) * 1009 + self.global_rank)
+
+    def _step(self, optimizer: LightningOptimizer, loss: Tensor, batch: dict[str, Any]) -> None:
+        """One step down the loss.
+
+        Raises:
+            TrainingDiverged: the loss is not finite.
+        """
+        if not torch.isfinite(loss):
+            frames = [f"{clip} frame {int(frame)}" for clip, frame in zip(batch["clip"], batch["frame"], strict=True)]
+            raise TrainingDiverged(
+                f"the loss is {float(loss)} in epoch {self.current_epoch} at {' and '.join(frames)}; lower "
+                "model.learning_rate or narrow model.bounds, and resume from the last checkpoint."
+            )
+        optimizer.zero_grad()
+        self.manual_backward(loss)
+        optimizer.step()

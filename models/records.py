@@ -1,0 +1,104 @@
+"""What `train.py test` writes down for every pair of frames; `evaluation` makes the tables and figures of it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from models.generator import Generator
+from models.losses import masked_l1
+from physics.mechanics import REFERENCE_DAMPING, REFERENCE_STIFFNESS, Mechanics
+from physics.mesh import Mesh
+from physics.msd import MeshBatch, rollout
+from physics.observation import displacement_error
+
+
+def with_reference_tissue(theta: Tensor) -> Tensor:
+    """θ [B, 3] with k_s and k_d replaced by the literature's, F as it is (Bini 2026, section 4.1)."""
+    tissue = theta.new_tensor([REFERENCE_STIFFNESS, REFERENCE_DAMPING]).expand(len(theta), 2)
+    return torch.cat([tissue, theta[:, 2:]], dim=1)
+
+
+def farthest_corner(theta: Tensor, lower: Tensor, upper: Tensor) -> Tensor:
+    """The corner of the box farthest from θ [B, 3], parameter by parameter: the strongest change of condition."""
+    return torch.where(theta - lower > upper - theta, lower, upper)
+
+
+def mesh_of(batch: MeshBatch, index: int) -> Mesh:
+    """One mesh of a batch with what a simulation needs: the triangles, which only its making needed, are left out."""
+    first, last = batch.vertex_offsets[index : index + 2].tolist()
+    springs = batch.springs[slice(*batch.spring_offsets[index : index + 2].tolist())] - first
+    return Mesh(
+        vertices=_numpy(batch.vertices[first:last]),
+        triangles=np.empty((0, 3), dtype=np.int32),
+        springs=_numpy(springs).astype(np.int32),
+        rim=_numpy(batch.rim[first:last]),
+        pixels=_numpy(batch.pixels[first:last]).astype(np.int32),
+        grid_shape=batch.grid_shape,
+    )
+
+
+@torch.no_grad()
+def pair_records(batch: dict[str, Any], generator: Generator, mechanics: Mechanics) -> list[dict[str, Any]]:
+    """One record a pair of the batch, forward in time.
+
+    Args:
+        batch: the data module's batch.
+        generator: G_AB.
+        mechanics: the rollout's constants.
+
+    Returns:
+        Dictionaries with: `clip` (name), `frame` (index of t), `theta` [3] (physical units), `trajectory` and
+        `reference_trajectory` [T, 3] (contact vertex under θ, and under the literature's k_s, k_d with the same F
+        [scene units]), `observation` (`steps` [M], `displacement` [M, 3], `weight` [M]), `load_steps`,
+        `error_predicted`, `error_reference` (squared displacement errors [scene units²]), `case` (`mesh`,
+        `vertex`, `direction` [3]: what a simulation needs besides), `next_depth_error`,
+        `copy_error` (mean |Δz| of G_AB's picture, and of D_t itself, against D_t+1, over pixels valid in both), and
+        `theta_sensitivity` (mean |Δz| of the picture when θ moves to the box's farthest corner).
+    """
+    window, now, later = batch["window_a"], batch["window_a"][:, -1:], batch["window_b"][:, -1:]
+    mesh, contact, observation = batch["mesh_a"], batch["contact_a"], batch["observation_a"]
+    features = generator.encode(window)
+    theta = generator.head(features)
+    predicted = generator.decode(features, theta, now)
+    moved = generator.decode(features, farthest_corner(theta, generator.head.lower, generator.head.upper), now)
+    trajectory = rollout(theta, mesh, contact, mechanics)
+    reference = rollout(with_reference_tissue(theta), mesh, contact, mechanics)
+    error, reference_error = (displacement_error(simulated, observation) for simulated in (trajectory, reference))
+    records = []
+    for index, clip in enumerate(batch["clip"]):
+        target = later[index] * (now[index] > 0)
+        kept = observation.weight[index] > 0
+        records.append(
+            {
+                "clip": clip,
+                "frame": int(batch["frame"][index]),
+                "theta": _numpy(theta[index]),
+                "trajectory": _numpy(trajectory[index]),
+                "reference_trajectory": _numpy(reference[index]),
+                "observation": {
+                    "steps": _numpy(observation.steps[index][kept]),
+                    "displacement": _numpy(observation.displacement[index][kept]),
+                    "weight": _numpy(observation.weight[index][kept]),
+                },
+                "load_steps": int(contact.load_steps[index]),
+                "case": {
+                    "mesh": mesh_of(mesh, index),
+                    "vertex": int(contact.vertex[index]),
+                    "direction": _numpy(contact.direction[index]),
+                },
+                "error_predicted": float(error[index]),
+                "error_reference": float(reference_error[index]),
+                "next_depth_error": float(masked_l1(predicted[index], target)),
+                "copy_error": float(masked_l1(now[index], target)),
+                "theta_sensitivity": float(masked_l1(moved[index], predicted[index])),
+            }
+        )
+    return records
+
+
+def _numpy(tensor: Tensor) -> np.ndarray:
+    return tensor.detach().cpu().numpy()

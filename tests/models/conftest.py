@@ -1,0 +1,60 @@
+"""A small batch made by hand: two pairs of curved depth maps with their meshes, contacts and observed displacements."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from physics.mechanics import Mechanics
+from physics.mesh import contact_normal, grid_mesh
+from physics.msd import ContactBatch, MeshBatch
+from physics.observation import ObservationBatch
+
+HEIGHT, WIDTH = 40, 48
+MECHANICS = Mechanics(steps=24, load_steps=8)
+
+
+def _depth(bump: float) -> np.ndarray:
+    rows, columns = np.meshgrid(np.linspace(-1, 1, HEIGHT), np.linspace(-1, 1, WIDTH), indexing="ij")
+    return (0.5 + 0.1 * columns - bump * np.exp(-4 * (rows**2 + columns**2))).astype(np.float32)
+
+
+def _mesh(depth: np.ndarray):
+    rows, columns = np.meshgrid(np.arange(HEIGHT), np.arange(WIDTH), indexing="ij")
+    points = np.stack([(columns - WIDTH / 2) / WIDTH * depth, (rows - HEIGHT / 2) / WIDTH * depth, depth], axis=-1)
+    inside = (abs(rows - HEIGHT // 2) <= 6) & (abs(columns - WIDTH // 2) <= 6)
+    return grid_mesh(points, inside & (depth > 0), max_edge=0.5)
+
+
+@pytest.fixture
+def make_batch() -> Callable[..., dict[str, Any]]:
+    """`make_batch(window=1)`: a batch of two pairs in the data module's form; pixel (0, 0) is invalid everywhere."""
+
+    def build(window: int = 1) -> dict[str, Any]:
+        bumps = [[0.02 * pair + 0.01 * frame for frame in range(-window + 1, window + 1)] for pair in (1, 2)]
+        frames = torch.from_numpy(np.stack([[_depth(bump) for bump in pair] for pair in bumps]))
+        frames[..., 0, 0] = 0.0
+        batch: dict[str, Any] = {
+            "window_a": frames[:, :window],
+            "window_b": frames[:, window:].flip(1),
+            "clip": ["one", "two"],
+            "frame": torch.tensor([3, 7]),
+        }
+        for side, sign in (("a", 1.0), ("b", -1.0)):
+            meshes = [_mesh(depth) for depth in batch[f"window_{side}"][:, -1].numpy()]
+            vertices = [len(mesh.vertices) // 2 for mesh in meshes]
+            normals = [contact_normal(mesh, vertex) for mesh, vertex in zip(meshes, vertices, strict=True)]
+            batch[f"mesh_{side}"] = MeshBatch.from_meshes(meshes)
+            batch[f"contact_{side}"] = ContactBatch(
+                torch.tensor(vertices), torch.from_numpy(np.stack(normals)).float(), torch.full((2,), 8)
+            )
+            batch[f"observation_{side}"] = ObservationBatch(
+                torch.full((2, 1), 7), sign * torch.tensor([[[0.0, 0.0, 0.02]]]).expand(2, 1, 3), torch.ones(2, 1)
+            )
+        return batch
+
+    return build

@@ -1,0 +1,93 @@
+"""Model files that can't be used get a sentence with the remedy."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+from onnx import TensorProto, helper
+
+from models.onnx_session import FORMAT_VERSION, METADATA_KEY, ModelFileError, ParameterModel
+
+METADATA = {"format_version": FORMAT_VERSION, "input": {"window": 2, "height": 4, "width": 6}}
+
+
+def write_model(
+    path: Path, metadata: object = METADATA, name: str = "depth", shape: tuple = ("batch", 2, 4, 6)
+) -> Path:
+    """θ = first three pixels of the input: a graph with the exported signature."""
+    graph = helper.make_graph(
+        [
+            helper.make_node("Flatten", [name], ["flat"]),
+            helper.make_node("Slice", ["flat", "start", "end", "axis"], ["theta"]),
+        ],
+        "parameters",
+        [helper.make_tensor_value_info(name, TensorProto.FLOAT, shape)],
+        [helper.make_tensor_value_info("theta", TensorProto.FLOAT, ("batch", 3))],
+        [
+            helper.make_tensor("start", TensorProto.INT64, [1], [0]),
+            helper.make_tensor("end", TensorProto.INT64, [1], [3]),
+            helper.make_tensor("axis", TensorProto.INT64, [1], [1]),
+        ],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=9)
+    if metadata is not None:
+        helper.set_model_props(model, {METADATA_KEY: metadata if isinstance(metadata, str) else json.dumps(metadata)})
+    onnx.save(model, path)
+    return path
+
+
+def test_a_good_file(tmp_path):
+    model = ParameterModel(write_model(tmp_path / "m.onnx"), threads=1)
+    assert model.window == 2
+    assert model.input_size == (4, 6)
+    windows = np.arange(96, dtype=np.float64).reshape(2, 2, 4, 6)
+    assert model(windows).tolist() == [[0, 1, 2], [48, 49, 50]]
+
+
+def test_windows_of_another_shape_are_refused(tmp_path):
+    model = ParameterModel(write_model(tmp_path / "m.onnx"))
+    with pytest.raises(ValueError, match=r"\[1, 1, 4, 6\]; expected \[B, 2, 4, 6\]"):
+        model(np.zeros((1, 1, 4, 6)))
+
+
+def test_missing_file(tmp_path):
+    with pytest.raises(ModelFileError, match=r"nothing\.onnx is not a file; give"):
+        ParameterModel(tmp_path / "nothing.onnx")
+
+
+@pytest.mark.parametrize("content", [b"", b"this is text", bytes(range(256)) * 8])
+def test_not_an_onnx_file(tmp_path, content: bytes):
+    path = tmp_path / "m.onnx"
+    path.write_bytes(content)
+    with pytest.raises(ModelFileError, match=r"m\.onnx is not a readable ONNX file"):
+        ParameterModel(path)
+
+
+def test_truncated_file(tmp_path):
+    path = write_model(tmp_path / "m.onnx")
+    path.write_bytes(path.read_bytes()[:-40])
+    with pytest.raises(ModelFileError, match=r"m\.onnx is"):
+        ParameterModel(path)
+
+
+@pytest.mark.parametrize(
+    "metadata", [None, "not json", "[1]", {"format_version": 1}, {"format_version": 1, "input": {}}]
+)
+def test_not_ours(tmp_path, metadata: object):
+    with pytest.raises(ModelFileError, match="without palpate's metadata; give"):
+        ParameterModel(write_model(tmp_path / "m.onnx", metadata))
+
+
+def test_newer_format(tmp_path):
+    with pytest.raises(ModelFileError, match="update the program"):
+        ParameterModel(write_model(tmp_path / "m.onnx", METADATA | {"format_version": FORMAT_VERSION + 1}))
+
+
+@pytest.mark.parametrize(("name", "shape"), [("image", ("batch", 2, 4, 6)), ("depth", ("batch", 3, 4, 6))])
+def test_other_inputs(tmp_path, name: str, shape: tuple):
+    with pytest.raises(ModelFileError, match=r"m\.onnx takes .* not depth \[batch, 2, 4, 6\]"):
+        ParameterModel(write_model(tmp_path / "m.onnx", name=name, shape=shape))

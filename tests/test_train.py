@@ -1,0 +1,270 @@
+"""The training door: fit, validate, test, export, resume, two processes, and what it says when something is wrong."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import torch
+import yaml
+
+import train
+from data import synthetic
+from models.onnx_session import ParameterModel
+
+# Lightning warns of arguments given from Python beside pytest's own on the command line.
+pytestmark = pytest.mark.filterwarnings("ignore:LightningCLI's args parameter")
+CHECKOUT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="module")
+def clips(tmp_path_factory) -> Path:
+    """Four small synthetic clips: two to train, one to validate, one to test."""
+    folder = tmp_path_factory.mktemp("clips") / "data"
+    arguments = "--clips 4 --frames 14 --seed 1 --size 128x96 --grid-width 64 --grid-height 48 --press-seconds 0.2 0.24"
+    assert not synthetic.main(["--output", str(folder), *arguments.split()])
+    return folder
+
+
+@pytest.fixture(scope="module")
+def config(clips: Path) -> Path:
+    """Configuration of a network that trains in seconds; the run folder is `run` beside it."""
+    settings = {
+        "seed_everything": 0,
+        "trainer": {
+            "default_root_dir": str(clips.parent / "run"),
+            "max_epochs": 1,
+            "accelerator": "cpu",
+            "devices": 1,
+            "enable_progress_bar": False,
+            "enable_model_summary": False,
+        },
+        "tracking": False,
+        "model": {
+            "width": 4,
+            "residual_blocks": 1,
+            "mechanics": {"steps": 40, "load_steps": 10},
+            "bounds": {"force": [-0.3, 0.0], "initial": [0.5, 0.1, -0.05]},
+            "augmentation": {"noise": 0.002, "erasing": 0.3},
+        },
+        "data": {
+            "root": str(clips),
+            "cache": str(clips.parent / "cache"),
+            "window": 6,
+            "observation": "trajectory",
+            "fractions": [0.5, 0.25, 0.25],
+            "geometry": {"height": 40, "width": 56},
+            "progress": False,
+        },
+    }
+    path = clips.parent / "tiny.yaml"
+    path.write_text(yaml.safe_dump(settings))
+    return path
+
+
+@pytest.fixture(scope="module")
+def trained(config: Path) -> Path:
+    """Run folder of one epoch."""
+    assert train.main(["fit", "-c", str(config)]) == 0
+    return config.parent / "run"
+
+
+def command(*arguments: object) -> list[str]:
+    return [sys.executable, str(CHECKOUT / "train.py"), *map(str, arguments)]
+
+
+def run(*arguments: object, timeout: float = 240) -> subprocess.CompletedProcess[str]:
+    environment = os.environ | {"OMP_NUM_THREADS": "1"}
+    return subprocess.run(
+        command(*arguments), capture_output=True, text=True, env=environment, timeout=timeout, check=False
+    )
+
+
+def last(folder: Path) -> dict:
+    return torch.load(folder / "checkpoints" / "last.ckpt", weights_only=True)
+
+
+def test_fit_leaves_checkpoints_logs_configuration_and_pictures(trained: Path):
+    checkpoint = last(trained)
+    assert len(checkpoint["optimizer_states"]) == 3
+    assert yaml.safe_load(checkpoint["configuration"])["model"]["width"] == 4
+    assert (trained / "checkpoints" / "best.ckpt").is_file()
+    log = trained / "logs" / "version_0"
+    assert yaml.safe_load((log / "config.yaml").read_text())["data"]["window"] == 6
+    header = (log / "metrics.csv").read_text().splitlines()[0].split(",")
+    terms = {f"train/{term}" for term in ("gan", "cycle", "identity", "physics", "regularisation")}
+    assert terms | {"val/physics", "val/force_mean", "train/stiffness_sd"} <= set(header)
+    assert (trained / "samples" / "next_depth_epoch_000.png").stat().st_size > 0
+
+
+def test_validate_and_test_write_the_evaluation(trained: Path, config: Path, capsys):
+    assert train.main(["validate", "-c", str(config), "--ckpt_path", "best"]) == 0
+    assert train.main(["test", "-c", str(config), "--ckpt_path", "best"]) == 0
+    assert str(trained / "evaluation" / "table2.md") in capsys.readouterr().out
+    for name in ("table2.md", "table2.csv", "figure3.png", "collapse.md", "evaluation.json"):
+        assert (trained / "evaluation" / name).stat().st_size > 0
+
+
+def test_export_writes_a_model_that_inference_opens(trained: Path, config: Path, capsys):
+    output = trained / "out" / "parameters.onnx"
+    assert train.main(["export", "-c", str(config), "--ckpt_path", "last", "--output", str(output)]) == 0
+    assert "largest difference from torch" in capsys.readouterr().out
+    model = ParameterModel(output)
+    assert (model.window, model.input_size) == (6, (40, 56))
+    metadata = model.metadata
+    assert metadata["bounds"]["force"] == [-0.3, 0.0]
+    assert metadata["mechanics"]["steps"] == 40
+    assert len(metadata["config_sha256"]) == 64
+    assert {"geometry", "depth", "classes", "observation", "preprocessing_version", "units"} <= metadata.keys()
+    assert str(trained) not in str(metadata)
+
+
+def refused(capsys, *arguments: object) -> str:
+    """Run in this process, expect exit status 2, and return what was said: one line."""
+    assert train.main([str(argument) for argument in arguments]) == 2
+    said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("train.py:")]
+    assert len(said) == 1
+    return said[0]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"model": {"widht": 5}}, "model.widht"),
+        ({"model": {"bounds": {"force": [0.0, -1.0]}}}, "bounds.force is [0.0, -1.0]; give a lower bound below"),
+        ({"model": {"bounds": {"initial": [0.5, 0.1, 0.5]}}}, "choose it strictly inside"),
+        ({"model": {"mechanics": {"steps": 0}}}, "mechanics.steps is 0"),
+        ({"data": {"window": 0}}, "give at least 1"),
+        ({"data": {"observation": "everything"}}, "data.observation"),
+        ({"trainer": {"max_epochs": -7}}, "max_epochs"),
+    ],
+)
+def test_a_bad_configuration_gets_a_sentence(config: Path, tmp_path: Path, capsys, change: dict, message: str):
+    path = tmp_path / "bad.yaml"
+    path.write_text(yaml.safe_dump(change))
+    assert message in refused(capsys, "fit", "-c", config, "-c", path)
+
+
+def test_a_bad_option_or_file_gets_a_sentence(config: Path, tmp_path: Path, capsys):
+    assert "--model.widht" in refused(capsys, "fit", "-c", config, "--model.widht", 5)
+    assert "nothere.yaml" in refused(capsys, "fit", "-c", tmp_path / "nothere.yaml")
+    broken = tmp_path / "broken.yaml"
+    broken.write_text("model: [1")
+    assert "parsing" in refused(capsys, "fit", "-c", broken)
+
+
+def test_a_bad_checkpoint_gets_a_sentence(trained: Path, config: Path, tmp_path: Path, capsys):
+    assert "add --ckpt_path" in refused(capsys, "test", "-c", config)
+    assert "nothere.ckpt does not exist" in refused(
+        capsys, "test", "-c", config, "--ckpt_path", tmp_path / "nothere.ckpt"
+    )
+    text = tmp_path / "text.ckpt"
+    text.write_text("not a checkpoint")
+    assert "text.ckpt is not a readable checkpoint" in refused(capsys, "export", "-c", config, "--ckpt_path", text)
+    cut = tmp_path / "cut.ckpt"
+    cut.write_bytes((trained / "checkpoints" / "last.ckpt").read_bytes()[:-1000])
+    assert "cut.ckpt is not a readable checkpoint" in refused(capsys, "test", "-c", config, "--ckpt_path", cut)
+    foreign = tmp_path / "foreign.ckpt"
+    torch.save({"weights": torch.zeros(2)}, foreign)
+    assert "another program" in refused(capsys, "test", "-c", config, "--ckpt_path", foreign)
+
+
+def test_a_checkpoint_of_another_architecture_is_refused_not_followed(trained: Path, config: Path, capsys):
+    arguments = ("test", "-c", config, "--ckpt_path", "best")
+    assert "model.width = 4 and the configuration says 8" in refused(capsys, *arguments, "--model.width", 8)
+    said = refused(capsys, *arguments, "--model.bounds.force", "[-0.2, 0.0]")
+    assert "model.bounds.force = [-0.3, 0.0]" in said
+    assert "model.mechanics.steps = 40" in refused(capsys, *arguments, "--model.mechanics.steps", 60)
+
+
+def test_a_data_set_that_is_not_there_gets_a_sentence(config: Path, tmp_path: Path, capsys):
+    assert train.main(["fit", "-c", str(config), "--data.root", str(tmp_path / "nothing")]) == 1
+    assert str(tmp_path / "nothing") in capsys.readouterr().err
+
+
+def test_a_run_folder_that_can_t_be_made_gets_a_sentence(config: Path, tmp_path: Path, capsys):
+    (tmp_path / "file").write_text("")
+    arguments = ["fit", "-c", str(config), "--trainer.default_root_dir", str(tmp_path / "file" / "run")]
+    assert train.main(arguments) == 1
+    assert "train.py:" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_killed_training_resumes_and_ends_where_an_uninterrupted_run_ends(config: Path, tmp_path: Path):
+    arguments = ("fit", "-c", config, "--trainer.max_epochs", 12, "--ckpt_path", "last", "--trainer.default_root_dir")
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    assert run(*arguments, whole).returncode == 0
+    with subprocess.Popen(
+        command(*arguments, killed),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        env=os.environ | {"OMP_NUM_THREADS": "1"},
+    ) as process:
+        deadline = time.monotonic() + 120
+        while not (killed / "checkpoints" / "last.ckpt").is_file() and time.monotonic() < deadline:
+            time.sleep(0.05)
+        process.send_signal(signal.SIGKILL)
+    interrupted = last(killed)
+    assert interrupted["epoch"] < 11
+    assert len(interrupted["optimizer_states"]) == 3
+    assert run(*arguments, killed).returncode == 0
+    expected, resumed = last(whole), last(killed)
+    assert resumed["epoch"] == expected["epoch"] == 11
+    assert resumed["global_step"] == expected["global_step"]
+    for name, weights in expected["state_dict"].items():
+        torch.testing.assert_close(resumed["state_dict"][name], weights, rtol=1e-5, atol=1e-6)
+    for ours, theirs in zip(resumed["optimizer_states"], expected["optimizer_states"], strict=True):
+        for key, state in theirs["state"].items():
+            torch.testing.assert_close(ours["state"][key]["exp_avg"], state["exp_avg"], rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_two_cpu_processes_train_together(config: Path, tmp_path: Path):
+    arguments = ("--trainer.strategy", "ddp", "--trainer.devices", 2, "--trainer.accelerator", "cpu")
+    done = run("fit", "-c", config, *arguments, "--trainer.default_root_dir", tmp_path / "run")
+    assert done.returncode == 0, done.stderr
+    assert "Starting with 2 processes" in done.stderr + done.stdout
+    steps = last(tmp_path / "run")["global_step"]
+    # Half of the samples each: half the steps of one process.
+    assert run("fit", "-c", config, "--trainer.default_root_dir", tmp_path / "one").returncode == 0
+    assert 2 * steps == last(tmp_path / "one")["global_step"]
+
+
+@pytest.mark.slow
+def test_interrupt_ends_cleanly_and_keeps_the_last_checkpoint(config: Path, tmp_path: Path):
+    folder = tmp_path / "run"
+    with subprocess.Popen(
+        command("fit", "-c", config, "--trainer.max_epochs", 500, "--trainer.default_root_dir", folder),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    ) as process:
+        deadline = time.monotonic() + 120
+        while not (folder / "checkpoints" / "last.ckpt").is_file() and time.monotonic() < deadline:
+            time.sleep(0.05)
+        process.send_signal(signal.SIGINT)
+        output, _ = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "--ckpt_path last" in output
+    assert "Traceback" not in output
+    assert last(folder)["epoch"] >= 0
+
+
+@pytest.mark.slow
+def test_mlflow_holds_parameters_losses_theta_pictures_and_the_configuration(config: Path, tmp_path: Path):
+    done = run("fit", "-c", config, "--tracking", "true", "--trainer.default_root_dir", tmp_path / "größe")
+    assert done.returncode == 0, done.stderr
+    with sqlite3.connect(tmp_path / "mlflow.db") as database:
+        metrics = {row[0] for row in database.execute("select key from metrics")}
+        parameters = dict(database.execute("select key, value from params"))
+    terms = {f"train/{term}" for term in ("gan", "cycle", "identity", "physics", "regularisation")}
+    assert terms | {"val/physics", "val/stiffness_mean", "val/stiffness_sd"} <= metrics
+    assert parameters["width"] == "4"
+    artifacts = {path.name for path in (tmp_path / "mlflow").rglob("*") if path.is_file()}
+    assert {"config.yaml", "next_depth_epoch_000.png"} <= artifacts

@@ -1,0 +1,281 @@
+"""Train, validate, test or export the parameter network, from one configuration file.
+
+    python train.py fit -c configs/paper.yaml [--trainer.max_epochs 5 …] [--ckpt_path last]
+    python train.py validate|test -c configs/paper.yaml --ckpt_path best
+    python train.py export -c configs/paper.yaml --ckpt_path best --output parameters.onnx
+
+`--ckpt_path` is a file, or `best` or `last` of the run folder (`trainer.default_root_dir`), which also gets logs,
+pictures and the evaluation. Exit status: 0 done, 1 failed, 2 wrong usage, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+import warnings
+from collections.abc import Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, NoReturn
+
+os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")  # read when mlflow is imported
+os.environ.setdefault("DO_NOT_TRACK", "true")
+os.environ.setdefault("MLFLOW_LOGGING_LEVEL", "WARNING")
+
+import matplotlib.image
+import numpy as np
+from lightning.pytorch import LightningModule, Trainer
+from lightning.pytorch.callbacks import ModelCheckpoint, TQDMProgressBar
+from lightning.pytorch.cli import LightningArgumentParser, LightningCLI, SaveConfigCallback
+from lightning.pytorch.loggers import CSVLogger, MLFlowLogger
+from lightning.pytorch.utilities import disable_possible_user_warnings
+from lightning.pytorch.utilities.exceptions import MisconfigurationException
+
+from data.datamodule import ClipDataModule
+from data.frames import InputError
+from evaluation.report import EvaluationError, write_evaluation
+from models.checkpoint import CheckpointError, read_checkpoint, require_same_model
+from models.module import PhysicsInformedGAN, TrainingDiverged
+from models.onnx_export import ParityError, export
+from physics.mechanics import Bounds, Mechanics, UnstableConfiguration
+
+INTERRUPTED = 130
+"""Exit status after Ctrl-C, as shells have it."""
+CHECKPOINTS = {
+    "best_checkpoint": {"filename": "best", "monitor": "val/physics"},
+    "periodic_checkpoint": {"filename": "epoch_{epoch:03d}", "every_n_epochs": 10, "save_top_k": -1},
+    "last_checkpoint": {"filename": "last", "every_n_epochs": 1},
+}
+"""When to save what (Bini 2026, section 3.5). `save_last` would follow the best checkpoint only, so last is its own; it
+comes last because it holds the others' state."""
+CHECKPOINT_DEFAULTS = {
+    "auto_insert_metric_name": False,
+    "enable_version_counter": False,
+    "save_on_train_epoch_end": True,
+}
+TRAIN_CASES = 200
+"""Training pairs that the constant-θ baseline of the evaluation is fitted on, at most."""
+
+
+class UsageError(ValueError):
+    """The command line or the configuration can't be followed, in one sentence."""
+
+
+class SentenceParser(LightningArgumentParser):
+    """Says what is wrong in a sentence, without the list of all options."""
+
+    def error(self, message: str, ex: Exception | None = None) -> NoReturn:
+        sentence = " ".join(message.split()).rstrip(".")
+        raise UsageError(f"{sentence}; train.py {{fit,validate,test,export}} --help lists what there is.") from ex
+
+
+class RunRecord(SaveConfigCallback):
+    """What a run leaves beside its checkpoints: its configuration (in every checkpoint, too) and sample pictures."""
+
+    def save_config(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
+        # Only rank 0 comes here, and `trainer.log_dir` would wait for the others.
+        for logger in trainer.loggers:
+            if isinstance(logger, CSVLogger):
+                log_artifact(trainer, Path(logger.log_dir) / self.config_filename)
+
+    def on_save_checkpoint(self, trainer: Trainer, pl_module: LightningModule, checkpoint: dict[str, Any]) -> None:
+        checkpoint["configuration"] = self.parser.dump(self.config)
+
+    def on_validation_end(self, trainer: Trainer, pl_module: PhysicsInformedGAN) -> None:
+        """Write the first validation pair's next depth: real, predicted, and ten times their difference."""
+        if trainer.sanity_checking or not trainer.is_global_zero or pl_module.sample is None:
+            return
+        real, predicted = (picture.detach().float().cpu().numpy() for picture in pl_module.sample)
+        strip = np.concatenate([real, predicted, 10 * np.abs(real - predicted)], axis=1)
+        path = Path(trainer.default_root_dir) / "samples" / f"next_depth_epoch_{trainer.current_epoch:03d}.png"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        matplotlib.image.imsave(path, strip, cmap="viridis", vmin=0.0, vmax=1.0)
+        log_artifact(trainer, path, "samples")
+
+    def on_exception(self, trainer: Trainer, pl_module: LightningModule, exception: BaseException) -> None:
+        if isinstance(exception, KeyboardInterrupt) and trainer.state.fn == "fit":
+            print("Interrupted. Add --ckpt_path last to the same command to go on after the last finished epoch.")
+
+
+class LossBar(TQDMProgressBar):
+    """Progress, rate and time left, with the five loss terms."""
+
+    def get_metrics(self, trainer: Trainer, pl_module: LightningModule) -> dict[str, Any]:
+        metrics = super().get_metrics(trainer, pl_module)
+        metrics.pop("v_num", None)
+        return metrics
+
+
+class RunTrainer(Trainer):
+    """Lightning's trainer, and export."""
+
+    def export(
+        self,
+        model: PhysicsInformedGAN,
+        datamodule: ClipDataModule,
+        ckpt_path: str | None = None,
+        output: str = "parameters.onnx",
+    ) -> None:
+        """Write encoder and parameter head of a checkpoint as one ONNX file for infer.py.
+
+        Args:
+            model: network of the checkpoint's architecture.
+            datamodule: preparation settings, which go into the file's metadata.
+            ckpt_path: checkpoint file, or best or last of the run folder.
+            output: file to write.
+        """
+        checkpoint = read_checkpoint(Path(ckpt_path))
+        model.load_state_dict(checkpoint["state_dict"])
+        datamodule.load_state_dict(checkpoint[ClipDataModule.__name__])
+        metadata = datamodule.metadata() | {
+            "bounds": model.hparams["bounds"],
+            "mechanics": model.hparams["mechanics"],
+            "config_sha256": hashlib.sha256(checkpoint.get("configuration", "").encode()).hexdigest(),
+        }
+        geometry = metadata["geometry"]
+        difference = export(model.generator_ab, Path(output), (geometry["height"], geometry["width"]), metadata)
+        print(f"{output}: written; largest difference from torch over batches of 1, 2 and 7 is {difference:.1e}")
+
+
+class TrainCLI(LightningCLI):
+    """Command line: one configuration file, any field of which can be overridden."""
+
+    @staticmethod
+    def subcommands() -> dict[str, set[str]]:
+        loaders = {"model", "dataloaders", "train_dataloaders", "val_dataloaders", "datamodule", "weights_only"}
+        return dict.fromkeys(("fit", "validate", "test", "export"), loaders)
+
+    def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
+        parser.add_argument("--tracking", type=bool, default=True, help="Log to MLflow beside the run folder.")
+        parser.link_arguments("data.window", "model.window")
+        for group, settings in (("mechanics", Mechanics), ("bounds", Bounds)):
+            for field in fields(settings):
+                parser.link_arguments(f"model.{group}.{field.name}", f"data.{group}.{field.name}")
+        for name, settings in CHECKPOINTS.items():
+            parser.add_lightning_class_args(ModelCheckpoint, name)
+            parser.set_defaults({f"{name}.{key}": value for key, value in (CHECKPOINT_DEFAULTS | settings).items()})
+            parser.link_arguments("trainer.default_root_dir", f"{name}.dirpath", compute_fn=checkpoint_folder)
+
+    def _parse_ckpt_path(self) -> None:
+        """Resolve and check `--ckpt_path`. Lightning's own version lets the checkpoint override the command line."""
+        config, command = self.config[self.config.subcommand], self.config.subcommand
+        if config.ckpt_path in ("best", "last"):
+            path = Path(checkpoint_folder(config.trainer.default_root_dir)) / f"{config.ckpt_path}.ckpt"
+            if command == "fit" and not path.is_file():
+                print(f"There is no {path} yet; training starts from the beginning.")
+                config.ckpt_path = None
+                return
+            config.ckpt_path = str(path)
+        if config.ckpt_path is None:
+            if command != "fit":
+                raise UsageError(f"{command} needs a trained network; add --ckpt_path FILE, best or last.")
+            return
+        require_same_model(Path(config.ckpt_path), config.model.as_dict() | {"window": config.data.window})
+
+    def before_instantiate_classes(self) -> None:
+        trainer = self.config[self.subcommand].trainer
+        if trainer.strategy == "ddp" or (trainer.strategy == "auto" and str(trainer.devices) not in ("1", "auto")):
+            # Each of the three backward passes reaches a part of the parameters only.
+            trainer.strategy = "ddp_find_unused_parameters_true"
+
+    def instantiate_classes(self) -> None:
+        try:
+            super().instantiate_classes()
+        except (ValueError, MisconfigurationException) as error:  # a setting's own check
+            raise UsageError(str(error)) from error
+
+    def instantiate_trainer(self, **kwargs: Any) -> Trainer:
+        config = self.config_init[self.subcommand]
+        folder = Path(config.trainer.default_root_dir)
+        if config.trainer.logger in (None, True):
+            kwargs["logger"] = run_loggers(folder, tracking=config.tracking and self.subcommand != "export")
+        if config.trainer.enable_progress_bar is not False:
+            config.trainer.callbacks = [*(config.trainer.callbacks or []), LossBar()]
+        return super().instantiate_trainer(**kwargs)
+
+    def _prepare_subcommand_kwargs(self, subcommand: str) -> dict[str, Any]:
+        kwargs = super()._prepare_subcommand_kwargs(subcommand)
+        # A checkpoint is data; loading one never runs code.
+        return kwargs if subcommand == "export" else kwargs | {"weights_only": True}
+
+    def after_test(self) -> None:
+        """Write the paper's table 2 and figure 3, the collapse check and the baselines."""
+        if not self.trainer.is_global_zero:
+            return
+        folder = Path(self.trainer.default_root_dir) / "evaluation"
+        cases = self.datamodule.cases("train", TRAIN_CASES)
+        files = write_evaluation(self.model.test_records, cases, self.model.mechanics, self.model.bounds, folder)
+        for name, path in files.items():
+            log_artifact(self.trainer, Path(path), "evaluation")
+            print(f"{name}: {path}")
+
+
+def checkpoint_folder(run_folder: str | os.PathLike[str] | None) -> str:
+    """Where a run keeps its checkpoints."""
+    return str(Path(run_folder or ".") / "checkpoints")
+
+
+def run_loggers(folder: Path, tracking: bool) -> list[CSVLogger | MLFlowLogger]:
+    """CSV files in the run folder first (its folder also gets config.yaml), then MLflow beside the run folder."""
+    loggers: list[CSVLogger | MLFlowLogger] = [CSVLogger(folder, name="logs")]
+    if tracking:
+        root = folder.resolve().parent
+        root.mkdir(parents=True, exist_ok=True)
+        loggers.append(
+            MLFlowLogger(
+                experiment_name=folder.name,
+                tracking_uri=f"sqlite:///{root / 'mlflow.db'}",
+                artifact_location=str(root / "mlflow"),
+            )
+        )
+    return loggers
+
+
+def log_artifact(trainer: Trainer, path: Path, folder: str | None = None) -> None:
+    """Copy a file to the run's MLflow artifacts, where it is tracked."""
+    for logger in trainer.loggers:
+        if isinstance(logger, MLFlowLogger) and trainer.is_global_zero:
+            logger.experiment.log_artifact(logger.run_id, str(path), folder)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return the exit status."""
+    warnings.filterwarnings("ignore", message=".*LeafSpec.*")  # Lightning about torch's internals
+    disable_possible_user_warnings()  # guesses about worker counts
+    try:
+        TrainCLI(
+            PhysicsInformedGAN,
+            ClipDataModule,
+            save_config_callback=RunRecord,
+            trainer_class=RunTrainer,
+            trainer_defaults={"default_root_dir": "runs/train"},
+            parser_class=SentenceParser,
+            seed_everything_default=0,
+            parser_kwargs={"description": __doc__},
+            auto_configure_optimizers=False,
+            args=arguments,
+        )
+    except (UsageError, CheckpointError, UnstableConfiguration, MisconfigurationException) as error:
+        print(f"train.py: {error}", file=sys.stderr)
+        return 2
+    except (InputError, TrainingDiverged, ParityError, EvaluationError) as error:
+        print(f"train.py: {error}", file=sys.stderr)
+        return 1
+    except OSError as error:
+        if error.strerror is None:  # not the file system's
+            raise
+        where = error.filename or "The run folder"
+        print(f"train.py: {where}: {error.strerror}; make room or choose another folder.", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except SystemExit as stop:
+        if not isinstance(stop.__context__, KeyboardInterrupt):  # Lightning turns Ctrl-C into exit status 1
+            raise
+        return INTERRUPTED
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,61 @@
+"""Small meshes and an independent right-hand side for the tests of the simulator."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from physics.mesh import Mesh, grid_mesh
+
+
+def surface(height: int, width: int, depth: float = 0.5) -> np.ndarray:
+    """Points [H, W, 3] of a wavy surface seen through a 60° pinhole camera."""
+    row, column = np.mgrid[:height, :width]
+    focal = width / 2 / np.tan(np.deg2rad(30))
+    z = depth + 0.02 * np.sin(column / 3.1) + 0.01 * np.cos(row / 2.3)
+    return np.stack([(column - width / 2) * z / focal, (row - height / 2) * z / focal, z], -1).astype(np.float32)
+
+
+def sheet(height: int = 10, width: int = 10, spacing: float = 0.01, keep: float = 1.0) -> Mesh:
+    """A wavy grid mesh with a spacing near that of real tissue."""
+    row, column = np.mgrid[:height, :width]
+    z = 0.5 + 0.3 * spacing * np.sin(column / 1.7) + 0.2 * spacing * np.cos(row / 1.3)
+    points = np.stack([column * spacing, row * spacing, z], -1).astype(np.float32)
+    return grid_mesh(points, np.ones((height, width), dtype=bool), max_edge=10 * spacing, keep=keep)
+
+
+def hand_mesh(vertices, springs, rim=None, triangles=()) -> Mesh:
+    """A mesh from lists; pixels are given as one row."""
+    vertices = np.asarray(vertices, dtype=np.float32).reshape(-1, 3)
+    count = len(vertices)
+    return Mesh(
+        vertices=vertices,
+        triangles=np.asarray(triangles, dtype=np.int32).reshape(-1, 3),
+        springs=np.asarray(springs, dtype=np.int32).reshape(-1, 2),
+        rim=np.zeros(count, dtype=bool) if rim is None else np.asarray(rim, dtype=bool),
+        pixels=np.stack([np.zeros(count), np.arange(count)], axis=1).astype(np.int32),
+        grid_shape=(1, count),
+    )
+
+
+def position_form_force(displacement: np.ndarray, mesh: Mesh, stiffness: float, anchor: float = 0.0) -> np.ndarray:
+    """Elastic force [N, 3] written the textbook way, k (|d| − |d₀|) d/|d| a spring, one spring after the other."""
+    rest = mesh.vertices.astype(np.float64)
+    force = -anchor * stiffness * displacement
+    for first, second in mesh.springs:
+        current = rest[second] + displacement[second] - rest[first] - displacement[first]
+        length, rest_length = np.linalg.norm(current), np.linalg.norm(rest[second] - rest[first])
+        if length > 0:
+            pull = stiffness * (length - rest_length) * current / length
+            force[first] += pull
+            force[second] -= pull
+    return force
+
+
+def energy(displacement: np.ndarray, velocity: np.ndarray, mesh: Mesh, stiffness: float, mass: float) -> float:
+    """Elastic plus kinetic energy."""
+    position = mesh.vertices.astype(np.float64) + displacement
+    rest = mesh.vertices.astype(np.float64)
+    first, second = mesh.springs.T
+    length = np.linalg.norm(position[second] - position[first], axis=1)
+    rest_length = np.linalg.norm(rest[second] - rest[first], axis=1)
+    return 0.5 * stiffness * ((length - rest_length) ** 2).sum() + 0.5 * mass * (velocity**2).sum()

@@ -1,0 +1,91 @@
+"""Settings of the simulator: what is refused, and the stability bound."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from sheets import sheet
+
+from physics.mechanics import Bounds, Mechanics, UnstableConfiguration, highest_frequency, require_stable
+
+
+def test_defaults_are_the_papers():
+    mechanics = Mechanics()
+    assert (mechanics.mass, mechanics.time_step, mechanics.steps, mechanics.load_steps) == (0.001, 0.005, 200, 50)
+    np.testing.assert_allclose(mechanics.times[[0, -1]], [0.005, 1.0])
+    bounds = Bounds()
+    assert bounds.lower == (0.0, 0.0, -10.0)
+    assert bounds.upper == (1.0, 1.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"mass": 0.0}, "mechanics.mass is 0.0"),
+        ({"time_step": float("nan")}, "mechanics.time_step"),
+        ({"steps": 0}, "mechanics.steps is 0"),
+        ({"load_steps": 201}, "give 0 to 200"),
+        ({"anchor": -1.0}, "mechanics.anchor is -1.0"),
+        ({"window_error": 1.0}, "mechanics.window_error is 1.0"),
+        ({"scheme": "rk4"}, "choose euler or dkd"),
+        ({"boundary": "loose"}, "choose fixed or free"),
+        ({"scheme": "dkd", "damping": "explicit"}, "leave mechanics.damping at implicit"),
+    ],
+)
+def test_impossible_mechanics_are_refused(settings, said):
+    with pytest.raises(ValueError, match=said):
+        Mechanics(**settings)
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"stiffness": (1.0, 1.0)}, "bounds.stiffness"),
+        ({"damping": (-0.1, 1.0)}, "not physical"),
+        ({"force": (0.0, float("inf"))}, "bounds.force"),
+        ({"initial": (0.5, 0.5, -11.0)}, "strictly inside"),
+    ],
+)
+def test_impossible_bounds_are_refused(settings, said):
+    with pytest.raises(ValueError, match=said):
+        Bounds(**settings)
+
+
+def test_highest_frequency_bounds_the_elastic_operator():
+    mesh, stiffness, mechanics = sheet(8, 9), 0.7, Mechanics(anchor=0.5)
+    operator = 0.5 * stiffness * np.eye(3 * len(mesh.vertices))
+    for first, second in mesh.springs:
+        along = (mesh.vertices[second] - mesh.vertices[first]).astype(np.float64)
+        along /= np.linalg.norm(along)
+        row = np.zeros((len(mesh.vertices), 3))
+        row[first], row[second] = -along, along
+        operator += stiffness * np.outer(row, row)
+    exact = np.sqrt(np.linalg.eigvalsh(operator)[-1] / mechanics.mass)
+    bound = highest_frequency(mesh.springs, len(mesh.vertices), stiffness, mechanics)
+    assert exact <= bound < 1.5 * exact
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_highest_frequency_of_tiny_meshes(count):
+    springs = np.array([[0, 1], [1, 2], [0, 2]])[: 2 * count - 3]
+    exact = {2: 2.0, 3: 3.0}[count]
+    assert highest_frequency(springs, count, 1.0, Mechanics()) ** 2 * 0.001 >= exact - 1e-9
+
+
+def test_highest_frequency_without_springs_is_the_anchors():
+    assert highest_frequency(np.empty((0, 2), int), 1, 4.0, Mechanics(anchor=1.0)) == pytest.approx(np.sqrt(4000.0))
+
+
+def test_stable_box_passes_and_unstable_ones_say_what_to_do():
+    mesh = sheet()
+    require_stable(mesh.springs, len(mesh.vertices), Bounds(), Mechanics())
+    with pytest.raises(UnstableConfiguration, match=r"lower the bound under 1[0-9]\.?\d* or mechanics.time_step under"):
+        require_stable(mesh.springs, len(mesh.vertices), Bounds(stiffness=(0.0, 40.0)), Mechanics())
+    with pytest.raises(UnstableConfiguration, match=r"explicit damping diverges from 2m/Δt = 0\.4"):
+        require_stable(mesh.springs, len(mesh.vertices), Bounds(), Mechanics(damping="explicit"))
+    require_stable(
+        mesh.springs,
+        len(mesh.vertices),
+        Bounds(damping=(0.0, 0.3), initial=(0.5, 0.1, -1.0)),
+        Mechanics(damping="explicit"),
+    )

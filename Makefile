@@ -5,7 +5,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 DEMO := runs/demo
 BEST := --ckpt_path $(DEMO)/training/checkpoints/best.ckpt
-VIDEO := $(DEMO)/clips/video06/video06_00000
+VIDEO := $(DEMO)/clips/video04/video04_00000
 INSTALLED := .venv/.installed
 
 .PHONY: demo test test-fast lint bench clean

@@ -14,6 +14,7 @@ import csv
 import platform
 import shutil
 import statistics
+import sys
 import time
 from collections.abc import Callable
 from datetime import date
@@ -127,6 +128,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=5, help="timed steps a configuration")
     parser.add_argument("--root", type=Path, help="data set; without it, four synthetic clips are made")
     arguments = parser.parse_args()
+    del sys.argv[1:]  # they are ours; LightningCLI warns when it sees them beside its own
     root = arguments.root
     if root is None:
         root = FOLDER / "clips"

@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -177,7 +176,7 @@ def _parser() -> argparse.ArgumentParser:
         epilog="Exit status: 0 all clips done, 1 some failed, 2 wrong usage, 130 interrupted.",
     )
     add = parser.add_argument
-    add("inputs", nargs="+", type=Path, metavar="INPUT", help="video files, frame folders, or folders of those")
+    add("inputs", nargs="+", type=_input, metavar="INPUT", help="video files, frame folders, or folders of those")
     add("--output", type=Path, required=True, metavar="DIR", help="folder of the results, one folder a clip")
     add("--model", type=Path, default=Path("parameters.onnx"), help="file from train.py export (default: %(default)s)")
     sources = f"auto, stored, {', '.join(preset_names())}, or a depth model's .onnx file"
@@ -200,6 +199,12 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _input(text: str) -> Path:
+    if not text:  # an unset shell variable; as a path it would be the whole working folder
+        raise argparse.ArgumentTypeError("an INPUT is empty; name a video file or a folder of frames")
+    return Path(text)
+
+
 def _count(text: str) -> int:
     if not text.isdecimal():
         raise argparse.ArgumentTypeError(f"'{text}' is not a number of threads; give 0 or more")
@@ -213,15 +218,16 @@ def _progress(console: Console) -> Progress:
 
 def _table(outcomes: list[Outcome]) -> Table:
     """Clips with their counts by status, and where the results lie."""
-    total = sum((Counter(outcome.statuses) for outcome in outcomes), Counter())
     table = Table(title="Clips", title_justify="left")
-    for column in ("clip", "result", *total):
-        table.add_column(column, justify="right" if column in total else "left")
+    for column in ("clip", "result", "frames"):
+        table.add_column(column, no_wrap=True)
     table.add_column("results in, or why not", overflow="fold")
     for outcome in outcomes:
-        counts = [str(outcome.statuses.get(status, 0)) for status in total]
-        cells = (_short(outcome.name), outcome.state, *counts, outcome.where)
-        table.add_row(*(Text(_encodable(cell)) for cell in cells))
+        # A line a status: a column each would leave no room for the rest on a narrow terminal.
+        counts = "\n".join(f"{count} {status}" for status, count in outcome.statuses.items())
+        cells = (_short(outcome.name, 24), outcome.state, outcome.where)
+        name, state, where = (Text(_encodable(cell)) for cell in cells)
+        table.add_row(name, state, counts, where)
     return table
 
 

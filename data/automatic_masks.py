@@ -155,6 +155,8 @@ class AutomaticMasks:
         flow = self._flow.calc(first, second, None)
         rows, columns = (grid.ravel() for grid in np.mgrid[4 : size[1] : 8, 4 : size[0] : 8])
         seen = field[rows * 2, columns * 2]
+        if seen.sum() < 3:  # three points make an affine motion; a black picture has none
+            return np.zeros(gray.shape, np.float32)
         source = np.stack([columns, rows], axis=1)[seen].astype(np.float32)
         target = source + flow[rows[seen], columns[seen]]
         matrix, _ = cv2.estimateAffine2D(source, target, method=cv2.RANSAC, ransacReprojThreshold=1.0, maxIters=200)

@@ -90,7 +90,7 @@ def check_clip(path: Path, layout: ClipLayout, classes: MaskClasses, *, masks: b
         previous = frame.number
         if frame.image is None:
             check.unreadable += 1
-            check.problems.append(f"Frame {frame.number}: {frame.error}.")
+            check.problems.append(f"Frame {frame.number}: {frame.error}")
         elif masks and frame.path is not None and layout.mask_patterns:
             try:
                 strangers = _unknown_pixels(frame.path, frame.image.shape[:2], layout, classes)

@@ -163,6 +163,7 @@ class ClipStream:
         with self._timed("geometry"):
             known = labels if labels is not None else np.zeros(depth.shape, np.uint8)
             grid_depth, grid_labels = resize_depth(depth, known, shape)
+            depth_error = depth_error or self._beyond_scale(grid_depth)
             z = nothing if depth_error else normalise(grid_depth, self.scale, self.settings.depth.bits)
             if labels is None:
                 return PreparedFrame(frame, "no_mask", mask_error, z, grid_labels)
@@ -178,6 +179,16 @@ class ClipStream:
                 return self._depth(frame).depth, ""
         except DepthError as error:
             return nothing, str(error)
+
+    def _beyond_scale(self, depth: np.ndarray) -> str:
+        """Complaint about depth of which most would be cut off at z = 1: a flat wall that looks like tissue."""
+        valid = depth[depth > 0]
+        if len(valid) == 0 or np.median(valid) <= self.scale:
+            return ""
+        return (
+            f"Half of the depth lies beyond the clip's scale of {self.scale:g} (median {np.median(valid):g}); "
+            "check that depth_scale in clip.json or depth.scale is in the depth's own unit."
+        )
 
     def _judge(self, prepared: PreparedFrame, depth_error: str) -> PreparedFrame:
         """Contact and mesh, or the status that says why there is none."""

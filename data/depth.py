@@ -129,13 +129,15 @@ def estimate_scale(source: FrameSource, depth: DepthSource, settings: DepthSetti
     known = settings.scale if settings.scale is not None else depth.known_scale
     if known is not None and not depth.depends_on_clip:
         return known, None
-    samples = list(_samples(source, depth, settings))
+    problems: list[str] = []
+    samples = list(_samples(source, depth, settings, problems))
     if samples:
         depth.freeze(samples)
     maps = [depth.convert(sample) for sample in samples]
     extents = [_largest_depth(map_.depth) for map_ in maps if map_.depth.any()]
     if not extents:
-        raise DepthError(f"{source.path} has no frame with usable depth; choose another source with depth.source.")
+        reason = problems[0] if problems else "choose another source with depth.source."
+        raise DepthError(f"{source.path} has no frame with usable depth; {reason}")
     focal = maps[0].focal_px
     width = samples[0].values.shape[1]
     focal_px = None if focal is None else focal / width * source.size[0]
@@ -144,8 +146,13 @@ def estimate_scale(source: FrameSource, depth: DepthSource, settings: DepthSetti
     return float(np.quantile(extents, CLIP_QUANTILE, method="lower")), focal_px
 
 
-def _samples(source: FrameSource, depth: DepthSource, settings: DepthSettings) -> Iterator[RawDepth]:
-    """Thumbnails of the network's output for the frames that decide the scale; unusable frames give way to the next."""
+def _samples(
+    source: FrameSource, depth: DepthSource, settings: DepthSettings, problems: list[str]
+) -> Iterator[RawDepth]:
+    """Thumbnails of the network's output for the frames that decide the scale.
+
+    Unusable frames give way to the next; why they are is added to `problems`.
+    """
     start = due = interval = 0.0
     taken = 0
     for frame in source:
@@ -157,7 +164,8 @@ def _samples(source: FrameSource, depth: DepthSource, settings: DepthSettings) -
             continue
         try:
             sample = depth.observe(frame)
-        except DepthError:
+        except DepthError as error:
+            problems.append(str(error))
             continue
         if not taken:
             start = frame.time_s

@@ -6,19 +6,17 @@ No frame is lost silently: one that can't be read comes as a `Frame` without an 
 from __future__ import annotations
 
 import math
-import os
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
-# Decoder messages about broken files would bury our own sentence; both are read when OpenCV first opens a file.
-os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")
 import cv2
 import numpy as np
 
+from data.images import printable, read_image
 from data.layout import IMAGE_SUFFIXES, ClipLayout, InputError, frame_files, list_folder, read_clip_file
 
 __all__ = [
@@ -42,6 +40,10 @@ RESULT_FILE = "run.json"
 """Marks a folder of our own results, whose overlay video is no input."""
 FASTEST = 1000.0
 """A stored frame rate above this is a container's default, not a camera's [1/s]."""
+LARGEST_NUMBER = 2**53
+"""Frame numbers below this are exact as floating-point numbers too."""
+LEAST_SIDE, MOST_ASPECT = 32, 4
+"""Smallest picture [px] and longest side over shortest; on smaller or longer ones OpenCV's optical flow crashes."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +61,7 @@ class Frame:
     path: Path | None = None
     """The image's file, None for a video."""
     error: str = ""
-    """Why there is no image."""
+    """Why there is no image, a sentence."""
 
 
 class FrameSource(ABC):
@@ -79,12 +81,12 @@ class FrameSource(ABC):
     def __iter__(self) -> Iterator[Frame]:
         """Frames in order, from the beginning."""
 
-    def size_error(self, image: np.ndarray) -> str:
-        """Complaint about an image whose size is not the clip's, else an empty string."""
+    def size_error(self, image: np.ndarray, named: str) -> str:
+        """Complaint about an image, called `named`, whose size is not the clip's, else an empty string."""
         height, width = image.shape[:2]
         if (width, height) == self.size:
             return ""
-        return f"is {width}x{height} while the clip is {self.size[0]}x{self.size[1]}"
+        return f"{named} is {width}x{height} while the clip is {self.size[0]}x{self.size[1]}; export all at one size."
 
 
 class FrameFolder(FrameSource):
@@ -97,6 +99,7 @@ class FrameFolder(FrameSource):
         self.files = frame_files(path, layout)
         if not self.files:
             raise InputError(f"{path} holds no frame images ({layout.image}); give a folder of frames or a video file.")
+        _check_numbers(self.files)
         description = read_clip_file(path)
         self.fps = float(description.get("fps", layout.fps))
         self.length = len(self.files)
@@ -114,7 +117,7 @@ class FrameFolder(FrameSource):
                 image = read_image(file)
             except InputError:
                 continue  # Reported with its own row when iterating.
-            return image.shape[1], image.shape[0]
+            return _picture_size(self.path, image)
         raise InputError(f"{self.path} holds {self.length} images and none can be decoded; check or replace the files.")
 
     def __iter__(self) -> Iterator[Frame]:
@@ -125,7 +128,7 @@ class FrameFolder(FrameSource):
             image, error = None, ""
             try:
                 image = read_image(file)
-                error = self.size_error(image)
+                error = self.size_error(image, printable(file))
             except InputError as problem:
                 error = str(problem)
             if error:
@@ -155,7 +158,7 @@ class VideoFile(FrameSource):
             capture.release()
         if not done:
             raise InputError(f"{path} holds no frame that can be decoded; copy it again or convert it to MP4.")
-        self.size = image.shape[1], image.shape[0]
+        self.size = _picture_size(path, image)
         self.fps = float(fps) if 0 < fps <= FASTEST else fallback_fps
         self.length = max(int(count), 1) if math.isfinite(count) else 1
         exact = path.suffix.lower() in EXACT_COUNT_SUFFIXES
@@ -191,7 +194,7 @@ class VideoFile(FrameSource):
                     stamp += gap
                     # A jump in the time stamps is a jump in the numbers: the frames around it are no neighbours.
                     number += max(1, round(gap * self.fps))
-                error = self.size_error(image)
+                error = self.size_error(image, f"Frame {number} of {self.path}")
                 rgb = None if error else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
                 yield Frame(decoded, number, stamp, rgb, None, error)
                 decoded += 1
@@ -201,7 +204,7 @@ class VideoFile(FrameSource):
             return
         self.warnings.append(f"truncated: {decoded} of {self.length} frames decoded")
         for step, index in enumerate(range(decoded, self.length), start=1):
-            error = f"is missing: {self.path.name} ends early or is damaged"
+            error = f"{self.path} ends before frame {number + step} or is damaged; copy it again."
             yield Frame(index, number + step, stamp + step / self.fps, None, None, error)
 
 
@@ -233,37 +236,28 @@ class LiveCamera(FrameSource):
             index += 1
 
 
-def read_image(path: Path, flags: int = cv2.IMREAD_COLOR_RGB) -> np.ndarray:
-    """Read an image file by its bytes, so that any file name works: RGB uint8 [H, W, 3] by default.
+def _picture_size(path: Path, image: np.ndarray) -> tuple[int, int]:
+    """(width, height) of a clip's pictures.
 
     Raises:
-        InputError: missing, empty, truncated or undecodable file.
+        InputError: they are too small or too long to see anything in them.
     """
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{printable(path)} can't be read ({error.strerror}); check the file.") from error
-    if not content:
-        raise InputError(f"{printable(path)} is an empty file (0 bytes); copy it again.")
-    try:
-        image = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
-    except cv2.error:
-        image = None
-    if image is None or _truncated(content):
-        raise InputError(f"{printable(path)} can't be decoded as an image (truncated or damaged); copy it again.")
-    return image
+    height, width = image.shape[:2]
+    if min(width, height) < LEAST_SIDE or max(width, height) > MOST_ASPECT * min(width, height):
+        raise InputError(
+            f"{printable(path)} has pictures of {width}x{height}; give at least {LEAST_SIDE}x{LEAST_SIDE} and at most "
+            f"{MOST_ASPECT}:1."
+        )
+    return width, height
 
 
-def _truncated(content: bytes) -> bool:
-    """Whether a PNG or JPEG lacks its end marker: decoders may fill up the rest of the picture with grey."""
-    if content.startswith(b"\x89PNG"):
-        return b"IEND" not in content[-4096:]
-    return content.startswith(b"\xff\xd8") and b"\xff\xd9" not in content[-4096:]
-
-
-def printable(path: Path) -> str:
-    """The path as text that any terminal and file can hold."""
-    return os.fsencode(path).decode("utf-8", "replace")
+def _check_numbers(files: Sequence[tuple[int, Path]]) -> None:
+    """Raise an InputError where sorted frame numbers repeat or are too large to count with."""
+    for (number, file), (following, other) in pairwise(files):
+        if number == following:
+            raise InputError(f"{printable(file)} and {printable(other)} are both frame {number}; remove one of them.")
+    if files[-1][0] > LARGEST_NUMBER:
+        raise InputError(f"{printable(files[-1][1])} has a frame number above {LARGEST_NUMBER}; rename the file.")
 
 
 def open_source(path: Path | str, layout: ClipLayout) -> FrameSource:

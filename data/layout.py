@@ -10,6 +10,7 @@ import itertools
 import json
 import math
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -81,6 +82,22 @@ class ClipLayout:
         return tuple(pattern for pattern in (self.label_mask, self.color_mask, self.class_mask) if pattern is not None)
 
 
+def _is_whole(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
+_KINDS: dict[str, tuple[str, Callable[[Any], bool]]] = {
+    "str": ("text", lambda value: isinstance(value, str)),
+    "int": ("a whole number", _is_whole),
+    "float": ("a number", lambda value: _is_whole(value) or isinstance(value, float)),
+    "tuple[int, ...]": (
+        "a list of whole numbers",
+        lambda value: isinstance(value, list) and all(map(_is_whole, value)),
+    ),
+}
+"""What a field's annotation asks of a file: in words, and as a check."""
+
+
 def load_layout(path: Path | str) -> ClipLayout:
     """Read a layout from a YAML file; a camera file beside it becomes an absolute path.
 
@@ -93,6 +110,9 @@ def load_layout(path: Path | str) -> ClipLayout:
     for key in values:
         if key not in known:
             raise InputError(f"{path} has the unknown key '{key}'; known are {', '.join(known)}.")
+        wanted, fits = _KINDS.get(ClipLayout.__annotations__[key].removesuffix(" | None"), ("", None))
+        if fits is not None and values[key] is not None and not fits(values[key]):
+            raise InputError(f"{path} gives {key} {values[key]!r}; give {wanted}.")
     camera = values.get("camera")
     if isinstance(camera, str) and is_file(path.parent / camera):
         values["camera"] = str((path.parent / camera).resolve())

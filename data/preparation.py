@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -54,13 +55,22 @@ def prepare_all(
                 clip = prepare(
                     path, settings, cache_dir, lambda count, _, start=done: bar.update(task, completed=start + count)
                 )
-            except InputError as error:
-                failures[path] = str(error)
+            except Exception as error:
+                failures[path] = _reason(error)
                 continue
             clips.append(clip)
             done += len(clip)
             bar.update(task, completed=done)
     return clips, failures
+
+
+def _reason(error: Exception) -> str:
+    """One sentence about why a clip failed, for a user."""
+    told = " ".join(str(error).split())
+    if isinstance(error, InputError):
+        return told
+    logging.getLogger(__name__).debug("a clip failed", exc_info=error)
+    return f"unexpected {type(error).__name__} ({told}); report it with the clip's files."
 
 
 def _length(path: Path, settings: PrepareSettings) -> int:

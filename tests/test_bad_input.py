@@ -87,7 +87,28 @@ def broken_clip_file(clips: Path) -> Path:
     return clips / "bad"
 
 
-UNUSABLE = (empty_video, no_video, headless_video, folder_of_broken_images, broken_clip_file)
+def two_images_of_one_number(clips: Path) -> Path:
+    folder = write_clip(clips / "bad", FRAMES, 2)
+    (folder / "frame_012_endo.png").write_bytes((folder / "frame_12_endo.png").read_bytes())
+    return folder
+
+
+def strip(clips: Path) -> Path:
+    (clips / "bad").mkdir()
+    for index in range(3):
+        (clips / "bad" / f"{index}.png").write_bytes(encode(np.full((40, 400, 3), 90, np.uint8)))
+    return clips / "bad"
+
+
+UNUSABLE = (
+    empty_video,
+    no_video,
+    headless_video,
+    folder_of_broken_images,
+    broken_clip_file,
+    two_images_of_one_number,
+    strip,
+)
 
 
 def test_unusable_clips_are_named_and_the_rest_goes_on(clips: Path, model: Path, capsys: pytest.CaptureFixture) -> None:
@@ -424,6 +445,35 @@ def test_input_that_is_not_there_or_holds_nothing(clips: Path, model: Path, caps
     output = ["--output", str(clips.parent / "out"), "--model", str(model), "--no-overlay"]
     assert infer.main([str(clips / "nowhere"), str(clips / "good"), *output]) == 1
     assert statuses(clips, "good")[-1] == "ok"
+
+
+def test_empty_input_is_not_the_working_folder(model: Path, capsys: pytest.CaptureFixture) -> None:
+    with pytest.raises(SystemExit) as ended:
+        infer.main(["", "--output", str(model.parent / "out"), "--model", str(model)])
+    assert ended.value.code == 2
+    assert "an INPUT is empty; name a video file" in capsys.readouterr().err
+
+
+def test_covered_lens_gives_rows_without_a_tool(clips: Path, model: Path) -> None:
+    (clips / "black").mkdir()
+    for index in range(3):
+        (clips / "black" / f"{index}.png").write_bytes(encode(np.zeros((96, 160, 3), np.uint8)))
+    assert call(clips) == 0
+    assert statuses(clips, "black") == ["no_tool"] * 3
+
+
+def test_decoders_say_nothing_of_their_own(tmp_path: Path, model: Path) -> None:
+    write_clip(tmp_path / "clips" / "cut", FRAMES, 2)
+    image = tmp_path / "clips" / "cut" / "frame_12_endo.png"
+    image.write_bytes(image.read_bytes()[:500])
+    (tmp_path / "clips" / "bad.mp4").write_bytes(b"no video")
+    command = [sys.executable, "infer.py", str(tmp_path / "clips"), "--output", str(tmp_path / "out"), "--no-overlay"]
+    done = subprocess.run(
+        [*command, "--model", str(model)], cwd=ROOT, capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode == 1
+    assert "WARN" not in done.stderr
+    assert "libpng" not in done.stderr
 
 
 def test_live_camera_is_refused(clips: Path, model: Path, capsys: pytest.CaptureFixture) -> None:

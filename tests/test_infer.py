@@ -37,6 +37,16 @@ def rows(folder: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(stream))
 
 
+def test_closing_table_is_readable_on_a_narrow_terminal(
+    inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    assert call(inputs, tmp_path, "--no-overlay", clips="clips/folder") == 0
+    told = capsys.readouterr().out
+    assert all(text in told for text in ("folder", "done", "1 no_tool", "3 no_contact", "4 ok"))
+    assert "…" not in told
+
+
 def test_folder_and_video_give_complete_results(inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     assert call(inputs, tmp_path) == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == ["film", "folder"]

@@ -187,3 +187,9 @@ def test_real_clip_keeps_what_docs_masks_reports(real_data):
     assert len(scores) == 11
     assert np.mean(list(scores.values())) > 0.25
     assert min(scores[number] for number in range(155, 160)) > 0.4
+
+
+def test_a_covered_lens_shows_neither_tool_nor_tissue():
+    masks, black = AutomaticMasks(), np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+    for index in range(3):
+        assert not masks(Frame(index, index, index / 25, black)).any()

@@ -143,6 +143,17 @@ def test_a_clip_without_any_usable_depth_gives_rows_not_an_error(tmp_path, value
     assert frames[2].detail
 
 
+def test_depth_in_another_unit_than_its_scale_is_bad_depth_not_a_flat_wall(tmp_path):
+    folder = write_clip(tmp_path / "clip", frames=4, contact=(1, 2))
+    description = (folder / "clip.json").read_text()
+    (folder / "clip.json").write_text(description.replace('"depth_scale": 1.0', '"depth_scale": 0.001'))
+    frames = run(folder)
+    assert statuses(frames) == "no_tool bad_depth bad_depth no_tool"
+    assert "beyond the clip's scale of 0.001 (median 0.50" in frames[1].detail
+    assert "depth_scale in clip.json" in frames[1].detail
+    assert not any(frame.has_depth for frame in frames)
+
+
 def test_distortion_is_removed_from_picture_labels_and_depth(tmp_path):
     folder = write_clip(tmp_path / "clip", frames=5)
     text = (folder / "clip.json").read_text()

@@ -221,8 +221,10 @@ def test_unusable_frames_give_way_to_the_next():
 
 
 def test_a_clip_without_usable_depth_gets_a_sentence():
-    with pytest.raises(DepthError, match=r"clip has no frame with usable depth; .*depth\.source"):
+    with pytest.raises(DepthError, match=r"clip has no frame with usable depth; frame 0 is zero everywhere; .*choose"):
         estimate_scale(Frames(5), Planes(lambda index: np.zeros((30, 40))), DepthSettings())
+    with pytest.raises(DepthError, match=r"clip has no frame with usable depth; choose another .*depth\.source"):
+        estimate_scale(Frames(0), Planes(lambda index: tilted(2.0)), DepthSettings())
 
 
 def test_a_given_scale_is_taken_as_it_is_and_nothing_is_read():

@@ -98,9 +98,36 @@ def test_bad_frames_of_a_folder_keep_their_rows(tmp_path):
     assert "frame_0_endo.png is an empty file (0 bytes)" in frames[0].error
     assert "can't be decoded" in frames[2].error
     assert "can't be decoded" in frames[3].error
-    assert frames[4].error == "is 32x24 while the clip is 64x48"
+    path = folder / "frame_4_endo.png"
+    assert frames[4].error == f"{path} is 32x24 while the clip is 64x48; export all at one size."
     assert frames[5].error == ""
     assert source.warnings == ["unreadable: 4 of 6 frames"]
+
+
+def test_two_images_of_one_number_are_named(tmp_path):
+    folder = make_folder(tmp_path / "clip", range(3))
+    write_png(folder / "frame_01_endo.png", picture())
+    with pytest.raises(InputError, match=r"frame_01_endo\.png and .*frame_1_endo\.png are both frame 1; remove one"):
+        open_source(folder, LAYOUT)
+
+
+def test_a_number_too_large_to_count_with_is_named(tmp_path):
+    folder = make_folder(tmp_path / "clip", range(3))
+    write_png(folder / f"frame_{10**30}_endo.png", picture())
+    with pytest.raises(InputError, match=r"0_endo\.png has a frame number above 9007199254740992; rename the file"):
+        open_source(folder, LAYOUT)
+
+
+@pytest.mark.parametrize(
+    ("size", "allowed"), [((31, 64), False), ((32, 129), False), ((128, 32), True), ((1, 1), False)]
+)
+def test_pictures_too_small_or_too_long_for_optical_flow_are_refused(tmp_path, size, allowed):
+    write_png(tmp_path / "clip" / "frame_0_endo.png", picture(0, size))
+    if allowed:
+        assert open_source(tmp_path / "clip", LAYOUT).size == size[::-1]
+    else:
+        with pytest.raises(InputError, match=rf"clip has pictures of {size[1]}x{size[0]}; give at least 32x32 and"):
+            open_source(tmp_path / "clip", LAYOUT)
 
 
 def test_folder_without_any_readable_image(tmp_path):
@@ -154,7 +181,8 @@ def test_truncated_video_loses_no_row(tmp_path):
     assert 5 < decoded < 38
     assert len(frames) == 40
     assert [frame.index for frame in frames] == list(range(40))
-    assert all("cut.mp4 ends early" in frame.error for frame in frames[decoded:])
+    told = [frame.error for frame in frames[decoded:]]
+    assert told == [f"{path} ends before frame {n} or is damaged; copy it again." for n in range(decoded, 40)]
     assert frames[-1].time_s == pytest.approx(39 / 25, abs=1e-3)
     assert source.warnings == [f"truncated: {decoded} of 40 frames decoded"]
 

@@ -78,8 +78,14 @@ def test_impossible_values_are_refused(values, message):
         ("imagge: x", "unknown key 'imagge'; known are image"),
         ("fps: [", "is not a clip layout"),
         ("- a\n- b", "write a mapping"),
-        ("fps: fast", "is not a clip layout"),
-        ("image: 3", "is not a clip layout"),
+        ("fps: fast", "gives fps 'fast'; give a number"),
+        ("fps: true", "gives fps True; give a number"),
+        ("fps: -1", "is not a clip layout: layout.fps is -1; give a positive number"),
+        ("image: 3", "gives image 3; give text"),
+        ("depth: 5", "gives depth 5; give text"),
+        ("mask_opening_px: x", "gives mask_opening_px 'x'; give a whole number"),
+        ("tool_values: 3", "gives tool_values 3; give a list of whole numbers"),
+        ("tool_values: [a]", r"gives tool_values \['a'\]; give a list of whole numbers"),
     ],
 )
 def test_bad_layout_files_get_one_sentence(tmp_path, text, message):

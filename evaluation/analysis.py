@@ -79,6 +79,8 @@ class Evaluation:
 
     clips: np.ndarray
     frames: np.ndarray
+    contacts: int
+    """Different observed motions behind the frames."""
     theta: np.ndarray
     """Predicted (k_s, k_d, F), F signed, shape [n, 3]."""
     errors: dict[str, np.ndarray]
@@ -107,6 +109,18 @@ def _case(record: Record) -> Case | None:
     if contact is None:
         return None
     return {**record["observation"], "load_steps": record["load_steps"], **contact}
+
+
+def count_contacts(records: Sequence[Record]) -> int:
+    """How many different motions were observed; the frames of one contact may share theirs."""
+    observed = (
+        (
+            str(record["clip"]),
+            *(np.asarray(record["observation"][name]).tobytes() for name in ("steps", "displacement")),
+        )
+        for record in records
+    )
+    return len(set(observed))
 
 
 def _column(records: Sequence[Record], name: str) -> np.ndarray:
@@ -155,6 +169,9 @@ def analyse_next_depth(decoder: np.ndarray, copy: np.ndarray, sensitivity: np.nd
             f"Moving θ to the farthest corner of the admissible box changes the decoded depth by {summary.mean:.3g} "
             f"scene units, {100 * share:.3g} % of the change between frames: {reach}."
         )
+        own = _finite_summary(decoder, clips).mean
+        if summary.mean and own is not None and own > 2 * summary.mean:
+            second += f" The decoder's own error is {own / summary.mean:,.0f} times that."
     return NextDepth(_finite_summary(decoder, clips), change, summary, comparison, share, (first, second))
 
 
@@ -211,12 +228,19 @@ def analyse(
     baselines = [name for name in (REFERENCE, CONSTANT, MEAN, NO_MOTION) if name in errors]
     comparisons = {name: compare(errors[PREDICTED], errors[name], clips) for name in baselines}
     check = check_collapse(theta, clips, bounds)
+    contacts = count_contacts(records)
+    if contacts < len(records):
+        missing.append(
+            f"The {len(records)} test frames share {contacts} observed motion{'' if contacts == 1 else 's'} of a "
+            "contact: p-values and intervals over frames overstate what they prove."
+        )
     depth_errors = {name: _column(records, name) for name in ("next_depth_error", "copy_error", "theta_sensitivity")}
     thetas = {REFERENCE: reference_theta(theta), PREDICTED: theta}
     frames = np.array([int(record["frame"]) for record in records])
     return Evaluation(
         clips=clips,
         frames=frames,
+        contacts=contacts,
         theta=theta,
         errors=errors,
         summaries={name: _finite_summary(values, clips) for name, values in errors.items()},
@@ -226,7 +250,7 @@ def analyse(
         regularity={name: _regularity(trajectories[name], thetas[name], cases, mechanics) for name in trajectories},
         check=check,
         sentences=tuple(describe(value, "The predicted θ", PHRASES[name]) for name, value in comparisons.items()),
-        conclusion=conclude(check, comparisons.get(CONSTANT), comparisons[REFERENCE]),
+        conclusion=conclude(check, comparisons.get(CONSTANT), comparisons[REFERENCE], contacts),
         settling={
             name: [settle(one, steps, mechanics) for one, steps in zip(values, load_steps, strict=True)]
             for name, values in trajectories.items()

@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from evaluation.statistics import Comparison, judge
+from evaluation.statistics import MINIMUM_FOR_WILCOXON, Comparison, judge, relative_size
 from physics.mechanics import PARAMETERS, Bounds
 
 MINIMUM_SPREAD = 0.02
@@ -143,7 +143,7 @@ def describe(comparison: Comparison, regime: str, baseline: str) -> str:
         return f"{regime} can't be compared with {baseline}: no pair of finite errors."
     change = comparison.relative_change_percent
     amount = "the same as" if not comparison.mean_difference else (
-        f"{abs(change):.3g} % {'below' if change < 0 else 'above'}" if change is not None else "different from"
+        relative_size(change) if change is not None else "different from"
     )  # fmt: skip
     verdict = judge(comparison)
     if verdict == "untested":
@@ -161,13 +161,24 @@ def describe(comparison: Comparison, regime: str, baseline: str) -> str:
     return f"{text}; the clip-level interval of the difference {'includes' if crosses else 'excludes'} 0."
 
 
-def conclude(check: CollapseCheck, constant: Comparison | None, reference: Comparison) -> str:
-    """The evaluation's one-sentence conclusion, from the spread and from the two baselines."""
+def conclude(check: CollapseCheck, constant: Comparison | None, reference: Comparison, contacts: int) -> str:
+    """The evaluation's one-sentence conclusion, from the spread and from the two baselines.
+
+    Args:
+        contacts: different observed motions behind the test frames. Frames of one contact share their observation, so
+            many frames of a few contacts prove no more than these contacts.
+    """
     if constant is None:
         return f"No conclusion: the comparison with a fitted constant θ is missing. {check.sentence}"
     against_constant, against_reference = judge(constant), judge(reference)
     if against_constant == "untested":
         return f"No conclusion: n is too small to compare with the fitted constant θ. {check.sentence}"
+    if against_constant == "better" and contacts < MINIMUM_FOR_WILCOXON:
+        shown = f"{contacts} observed contact{'' if contacts == 1 else 's'}, {MINIMUM_FOR_WILCOXON} needed"
+        return (
+            "No conclusion: the estimates have a lower error than the constant θ fitted on the training cases, but the "
+            f"test frames show too few contacts to test it ({shown}). {check.sentence}"
+        )
     if against_constant == "better":
         lead = "The estimates beat the constant θ fitted on the training cases"
         interval = constant.difference_clip_interval

@@ -68,6 +68,11 @@ def _image(png: bytes, caption: str, description: str) -> str:
     )
 
 
+def _change(percent: float) -> str:
+    """A relative change as a card shows it; from a doubling on as a factor."""
+    return f"× {1 + percent / 100:,.3g}" if percent >= 100 else f"{percent:+.1f} %".replace("-", "−")
+
+
 def _cards(evaluation: Evaluation) -> str:
     def card(value: str, label: str) -> str:
         return f"<div class='card'><b>{html.escape(value)}</b><span>{html.escape(label)}</span></div>"
@@ -75,12 +80,13 @@ def _cards(evaluation: Evaluation) -> str:
     cards = [
         card(
             str(len(evaluation.frames)),
-            f"test frames from {evaluation.check.clips} clip{'' if evaluation.check.clips == 1 else 's'}",
+            f"test frames from {evaluation.check.clips} clip{'' if evaluation.check.clips == 1 else 's'}, "
+            f"{evaluation.contacts} observed motion{'' if evaluation.contacts == 1 else 's'}",
         )
     ]
     for name, comparison in evaluation.comparisons.items():
         change = comparison.relative_change_percent
-        value = "–" if change is None else f"{change:+.1f} %".replace("-", "−")
+        value = "–" if change is None else _change(change)
         cards.append(card(value, f"error of the predicted θ against {name}"))
     return f"<div class='cards'>{''.join(cards)}</div>"
 

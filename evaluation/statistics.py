@@ -24,6 +24,8 @@ MINIMUM_CLIPS = 3
 """Fewest clips for a bootstrap over clips."""
 COARSE_CLIPS = 10
 """Below this many clips the bootstrap over clips is reported with the remark that it is coarse."""
+LEAST_CHANGE = 0.1
+"""Relative changes below this [%] are not told apart in words."""
 RESAMPLES_AT_ONCE = 500
 """Resamples held in memory together."""
 
@@ -214,6 +216,16 @@ def compare(regime: np.ndarray, baseline: np.ndarray, clips: np.ndarray) -> Comp
         cohens_d=d,
         notes={key: note for key, note in notes.items() if note},
     )
+
+
+def relative_size(change_percent: float) -> str:
+    """A relative change in words, before "that of …": percentages up to a doubling, factors above."""
+    if abs(change_percent) < LEAST_CHANGE:
+        return f"within {LEAST_CHANGE:g} % of"
+    factor = 1 + change_percent / 100
+    if factor >= 2:
+        return f"{factor:.2g} times" if factor < 10 else f"{factor:,.0f} times"
+    return f"{abs(change_percent):.3g} % {'below' if change_percent < 0 else 'above'}"
 
 
 def judge(comparison: Comparison) -> Literal["better", "worse", "no different", "untested"]:

@@ -14,7 +14,7 @@ import torch
 from physics.mechanics import Mechanics
 
 FIXED = (
-    *("window", "width", "residual_blocks", "bounds.stiffness", "bounds.damping", "bounds.force"),
+    *("window", "width", "residual_blocks", "decoder", "bounds.stiffness", "bounds.damping", "bounds.force"),
     *(f"mechanics.{field.name}" for field in fields(Mechanics)),
 )
 """Model settings that a trained network can't change any more: its shape, and what its θ means."""

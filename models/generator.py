@@ -5,6 +5,8 @@ Source: Bini 2026, section 3.4.1 and figure 2.
 
 from __future__ import annotations
 
+from typing import Literal
+
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
@@ -13,6 +15,9 @@ from physics.mechanics import Bounds
 
 SMALLEST_SIDE = 16
 """Smallest height and width [pixels]: the features are a quarter of that and still leave a variance to normalise by."""
+DECODERS = ("direct", "residual")
+LEAST_DEPTH = 1e-3
+"""Depths are kept this far from 0 and 1 before their logit is taken."""
 
 
 def normalised_block(layer: nn.Conv2d) -> nn.Sequential:
@@ -85,10 +90,13 @@ class Decoder(nn.Module):
 
     Source: Bini 2026, section 3.4.1.
     Upsampling resizes to a given size before a 3×3 convolution, so that odd sizes are met exactly.
+    Instance norm takes the level and the spread of a depth map away before the decoder sees it, and the tiled θ can't
+    bring them back. `residual` therefore adds the layers' answer to the current frame, in logit space.
     """
 
-    def __init__(self, width: int, residual_blocks: int) -> None:
+    def __init__(self, width: int, residual_blocks: int, kind: Literal["direct", "residual"]) -> None:
         super().__init__()
+        self.kind = kind
         channels = 4 * width
         # No instance norm here: it would subtract a tiled constant, and θ would never reach the picture.
         self.condition = nn.Sequential(nn.Conv2d(channels + 3, channels, 1), nn.ReLU())
@@ -96,14 +104,22 @@ class Decoder(nn.Module):
         self.up_half = normalised_block(nn.Conv2d(channels, 2 * width, 3, padding=1, padding_mode="reflect"))
         self.up_full = normalised_block(nn.Conv2d(2 * width, width, 3, padding=1, padding_mode="reflect"))
         self.output = nn.Conv2d(width, 1, 7, padding=3, padding_mode="reflect")
+        if kind == "residual":
+            with torch.no_grad():
+                self.output.weight.mul_(0.1)  # start near the current frame, with a slope in θ
+                self.output.bias.zero_()
 
-    def forward(self, features: Tensor, scaled_theta: Tensor, size: tuple[int, int]) -> Tensor:
-        """Features [B, 4·width, h, w], θ in [0, 1] [B, 3], output size (H, W) → depth [B, 1, H, W] in (0, 1)."""
+    def forward(self, features: Tensor, scaled_theta: Tensor, current: Tensor) -> Tensor:
+        """Features [B, 4·width, h, w], θ in [0, 1] [B, 3], current depth [B, 1, H, W] → the next, in (0, 1)."""
+        size = (current.shape[2], current.shape[3])
         tiled = scaled_theta[:, :, None, None].expand(-1, -1, *features.shape[2:])
         hidden = self.blocks(self.condition(torch.cat([features, tiled], dim=1)))
         hidden = self.up_half(functional.interpolate(hidden, size=(size[0] // 2, size[1] // 2)))
         hidden = self.up_full(functional.interpolate(hidden, size=size))
-        return torch.sigmoid(self.output(hidden))
+        change = self.output(hidden)
+        if self.kind == "residual":
+            change = change + torch.logit(current, eps=LEAST_DEPTH)
+        return torch.sigmoid(change)
 
 
 class Generator(nn.Module):
@@ -117,12 +133,20 @@ class Generator(nn.Module):
         width: channels after the first convolution; the features have four times as many.
         residual_blocks: residual blocks of the decoder.
         bounds: admissible box of θ and where the head starts in it.
+        decoder: direct (paper) or residual; see `Decoder`.
     """
 
     def __init__(
-        self, channels: int = 1, width: int = 64, residual_blocks: int = 9, bounds: Bounds | None = None
+        self,
+        channels: int = 1,
+        width: int = 64,
+        residual_blocks: int = 9,
+        bounds: Bounds | None = None,
+        decoder: Literal["direct", "residual"] = "direct",
     ) -> None:
         super().__init__()
+        if decoder not in DECODERS:
+            raise ValueError(f"decoder is {decoder!r}; choose {' or '.join(DECODERS)}.")
         if channels < 1 or width < 1 or residual_blocks < 0:
             raise ValueError(
                 f"channels is {channels}, width {width} and residual_blocks {residual_blocks}; "
@@ -136,7 +160,7 @@ class Generator(nn.Module):
             normalised_block(nn.Conv2d(2 * width, 4 * width, 4, stride=2, padding=1)),
         )
         self.head = ParameterHead(4 * width, bounds or Bounds())
-        self.decoder = Decoder(width, residual_blocks)
+        self.decoder = Decoder(width, residual_blocks, decoder)
 
     def encode(self, depth: Tensor) -> Tensor:
         """Window of depth maps [B, K, H, W] → features [B, 4·width, H//4, W//4] (256×30×53 for 120×214).
@@ -168,8 +192,7 @@ class Generator(nn.Module):
         """
         if theta.shape != (features.shape[0], 3):
             raise ValueError(f"theta has shape {list(theta.shape)}; expected [{features.shape[0]}, 3].")
-        size = (current.shape[2], current.shape[3])
-        return self.decoder(features, self.head.scaled(theta), size) * (current > 0)
+        return self.decoder(features, self.head.scaled(theta), current) * (current > 0)
 
     def generate(self, depth: Tensor, theta: Tensor) -> Tensor:
         """G(D, θ): window [B, K, H, W] and θ [B, 3] → predicted next depth [B, 1, H, W], exactly the input's size."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from lightning.pytorch import LightningModule
@@ -47,6 +47,7 @@ class PhysicsInformedGAN(LightningModule):
         window: frames in the input window, K.
         width: channels of the networks' first layer.
         residual_blocks: residual blocks of each decoder.
+        decoder: direct (paper): the next depth map from features and θ alone; residual: as a change of the current one.
         bounds: admissible box of θ.
         mechanics: constants of the rollout.
         weights: λ of the five loss terms.
@@ -60,6 +61,7 @@ class PhysicsInformedGAN(LightningModule):
         window: int = 1,
         width: int = 64,
         residual_blocks: int = 9,
+        decoder: Literal["direct", "residual"] = "direct",
         bounds: Bounds = Bounds(),  # noqa: B008 (frozen)
         mechanics: Mechanics = Mechanics(),  # noqa: B008
         weights: LossWeights = LossWeights(),  # noqa: B008
@@ -78,6 +80,7 @@ class PhysicsInformedGAN(LightningModule):
                 "window": window,
                 "width": width,
                 "residual_blocks": residual_blocks,
+                "decoder": decoder,
                 "bounds": asdict(bounds),
                 "mechanics": asdict(mechanics),
                 "weights": asdict(weights),
@@ -89,8 +92,8 @@ class PhysicsInformedGAN(LightningModule):
         self.automatic_optimization = False
         self.bounds, self.mechanics, self.weights = bounds, mechanics, weights
         self.learning_rate, self.betas = learning_rate, betas
-        self.generator_ab = Generator(window, width, residual_blocks, bounds)
-        self.generator_ba = Generator(window, width, residual_blocks, bounds)
+        self.generator_ab = Generator(window, width, residual_blocks, bounds, decoder)
+        self.generator_ba = Generator(window, width, residual_blocks, bounds, decoder)
         self.discriminator_a = PatchDiscriminator(1, width)
         self.discriminator_b = PatchDiscriminator(1, width)
         self.augmentation = WindowAugmentation(augmentation)

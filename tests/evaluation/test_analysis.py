@@ -34,6 +34,15 @@ def test_an_estimator_that_follows_the_truth_succeeds(followers, train_cases):
     assert result.missing == ()
 
 
+def test_frames_that_share_an_observation_are_counted_once(followers, train_cases):
+    shared = [record(SOFT, SOFT * 1.05, "one", 0) | {"frame": frame} for frame in range(8)]
+    result = analyse(shared, train_cases, MECHANICS, BOUNDS, SETTINGS)
+    assert (len(result.frames), result.contacts) == (8, 1)
+    assert any("8 test frames share 1 observed motion of a contact" in sentence for sentence in result.missing)
+    assert not result.conclusion.startswith("The estimates beat")
+    assert analyse(followers, train_cases, MECHANICS, BOUNDS, SETTINGS).contacts == 12
+
+
 def test_errors_of_the_baselines_are_simulated_on_the_test_frames(followers, train_cases):
     result = analyse(followers, train_cases, MECHANICS, BOUNDS, SETTINGS)
     ordered = sorted(followers, key=lambda one: (one["clip"], one["frame"]))
@@ -102,7 +111,7 @@ def test_next_depth_better_than_copying_and_conditioned():
 def test_next_depth_that_copies_and_ignores_theta():
     result = analyse_next_depth(1.1 * COPY, COPY, 0.01 * COPY, CLIPS)
     assert "no motion that repeating the last frame would not" in result.sentences[0]
-    assert result.sentences[1].endswith("θ hardly reaches the picture.")
+    assert "θ hardly reaches the picture. The decoder's own error is 110 times that." in result.sentences[1]
 
 
 def test_next_depth_of_a_still_scene():

@@ -109,23 +109,30 @@ CONSTANT = check_collapse(_theta([0.001, 0.001, 0.01]), CLIPS, BOUNDS)
     ],
 )
 def test_conclusions(check, constant, reference, start):
-    assert conclude(check, constant, reference).startswith(start)
+    assert conclude(check, constant, reference, contacts=100).startswith(start)
 
 
 def test_beating_only_the_literature_is_not_success():
     assert "they beat only the literature constants, and that is not success" in conclude(
-        VARIES, _compare(-0.5), _compare(0.5)
+        VARIES, _compare(-0.5), _compare(0.5), contacts=100
     )
-    assert "literature" not in conclude(VARIES, _compare(-0.5), _compare(-0.5))
+    assert "literature" not in conclude(VARIES, _compare(-0.5), _compare(-0.5), contacts=100)
 
 
 def test_success_on_frames_but_not_on_clips_is_said():
     # One clip in four carries the whole gain: frames alone call it better, resampled clips don't.
     baseline = np.r_[np.full(25, 3.0), np.full(75, 1.001)]
     by_clip = compare(np.ones(100), baseline - np.r_[np.zeros(75), np.full(25, 0.4)], np.repeat(list("abcd"), 25))
-    assert "though not when whole clips are resampled" in conclude(VARIES, by_clip, by_clip)
+    assert "though not when whole clips are resampled" in conclude(VARIES, by_clip, by_clip, contacts=100)
     one_clip = _compare(0.5, np.zeros(100))
-    assert "with frames taken as independent." in conclude(VARIES, one_clip, one_clip)
+    assert "with frames taken as independent." in conclude(VARIES, one_clip, one_clip, contacts=100)
+
+
+def test_many_frames_of_few_contacts_conclude_nothing():
+    text = conclude(CONSTANT, _compare(0.5), _compare(0.5), contacts=1)
+    assert text.startswith("No conclusion: the estimates have a lower error than the constant θ")
+    assert "(1 observed contact, 6 needed)" in text
+    assert conclude(VARIES, _compare(-0.5), _compare(0.5), contacts=1).startswith("No success")
 
 
 def test_descriptions():

@@ -9,11 +9,25 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy import stats
 
-from evaluation.statistics import Comparison, compare, judge, summarise
+from evaluation.statistics import Comparison, compare, judge, relative_size, summarise
 
 REGIME = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0])
 BASELINE = REGIME + np.array([1.0, 2.0, -0.5, 3.0, 4.0, -1.5, 5.0, 6.0])
 CLIPS = np.array(list("aabbccdd"))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (-69.34, "69.3 % below"),
+        (12.0, "12 % above"),
+        (150.0, "2.5 times"),
+        (6.48e4, "649 times"),
+        (-0.009, "within 0.1 % of"),
+    ],
+)
+def test_large_changes_read_as_factors(change, words):
+    assert relative_size(change) == words
 
 
 def test_summary_by_hand():

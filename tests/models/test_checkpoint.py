@@ -16,6 +16,7 @@ SETTINGS = {
     "window": 1,
     "width": 4,
     "residual_blocks": 1,
+    "decoder": "direct",
     "bounds": asdict(Bounds()),
     "mechanics": asdict(Mechanics(steps=40, load_steps=10)),
 }
@@ -38,6 +39,7 @@ def test_the_same_model_passes_and_where_it_starts_does_not_matter(checkpoint: P
     ("change", "message"),
     [
         ({"width": 8}, r"model\.width = 4 and the configuration says 8"),
+        ({"decoder": "residual"}, r"model\.decoder = direct"),
         ({"window": 2}, r"model\.window = 1"),
         ({"bounds": asdict(Bounds(force=(-6.0, 0.0)))}, r"model\.bounds\.force = \[-10\.0, 0\.0\]"),
         ({"mechanics": asdict(Mechanics(steps=60, load_steps=10))}, r"model\.mechanics\.steps = 40"),

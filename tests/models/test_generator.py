@@ -72,6 +72,35 @@ def test_theta_reaches_the_picture():
     assert (soft - stiff).abs().mean() > 1e-3
 
 
+def test_a_residual_decoder_starts_near_the_current_frame_and_theta_still_reaches_the_picture():
+    torch.manual_seed(0)
+    bounds = Bounds(force=(-0.3, 0.0), initial=(0.4, 0.1, -0.1))
+    generator = Generator(width=8, residual_blocks=2, bounds=bounds, decoder="residual")
+    depth = 0.2 + 0.6 * torch.rand(1, 1, 32, 40)
+    depth[:, :, 4:7] = 0.0
+    depth.requires_grad_()  # as a fake in the cycle
+    soft = generator.generate(depth, torch.tensor([[0.1, 0.1, -0.3]]))
+    stiff = generator.generate(depth, torch.tensor([[0.9, 0.9, 0.0]]))
+    assert (soft - depth).abs().mean() < 0.03
+    assert (soft - stiff).abs().mean() > 1e-4
+    assert (soft[:, :, 4:7] == 0).all()
+    soft.sum().backward()
+    assert depth.grad.isfinite().all()
+
+
+def test_the_decoder_is_conditioned_on_theta_s_place_in_the_box():
+    bounds = Bounds(stiffness=(0.2, 0.6), force=(-0.3, 0.1), initial=(0.4, 0.1, -0.1))
+    generator, seen = Generator(**SMALL, bounds=bounds), []
+    generator.decoder.register_forward_pre_hook(lambda _, inputs: seen.append(inputs[1]))
+    generator.generate(torch.rand(1, 1, 16, 16), torch.tensor([[0.3, 0.5, -0.2]]))
+    torch.testing.assert_close(seen[0], torch.tensor([[0.25, 0.5, 0.25]]))
+
+
+def test_an_unknown_decoder_is_refused():
+    with pytest.raises(ValueError, match="direct or residual"):
+        Generator(**SMALL, decoder="copy")
+
+
 def test_holes_of_the_current_frame_stay_holes():
     generator = Generator(2, **SMALL)
     depth = torch.rand(1, 2, 20, 24) + 0.1

@@ -123,6 +123,20 @@ def test_cycle_of_a_longer_window_never_shows_its_target(make_batch):
     assert all(not torch.equal(seen[0][:, channel], real_a) for channel in range(3))
 
 
+def test_every_picture_is_conditioned_on_its_own_generators_theta(make_batch):
+    """θ_AB from the real D_t conditions G_AB, θ_BA from the real D_t+1 conditions G_BA, in the cycle too."""
+    batch, module, seen = make_batch(), build(), {}
+    for name in ("generator_ab", "generator_ba"):
+        generator, seen[name] = getattr(module, name), []
+        generator.decode = lambda f, t, c, n=name, inner=generator.decode: seen[n].append(t) or inner(f, t, c)
+    module.generator_losses(batch)
+    without_force = torch.tensor([1.0, 1.0, 0.0])
+    for name, window in (("generator_ab", "window_a"), ("generator_ba", "window_b")):
+        theta = getattr(module, name).estimate(batch[window])
+        for given, expected in zip(seen[name], (theta, theta, theta * without_force), strict=True):
+            torch.testing.assert_close(given, expected)
+
+
 def test_with_current_replaces_the_last_frame():
     window = torch.arange(6.0).reshape(1, 3, 1, 2)
     assert with_current(window, torch.full((1, 1, 1, 2), 9.0)).flatten().tolist() == [0, 1, 2, 3, 9, 9]
@@ -151,7 +165,7 @@ def test_hyperparameters_are_plain_values():
     hparams = dict(build(weights=LossWeights(physics=3.0)).hparams)
     assert hparams["weights"]["physics"] == 3.0
     assert hparams["bounds"]["force"] == (-0.3, 0.0)
-    assert {type(value) for value in hparams.values()} <= {int, float, dict, list}
+    assert {type(value) for value in hparams.values()} <= {int, float, str, dict, list}
 
 
 def test_impossible_learning_rate_is_refused():

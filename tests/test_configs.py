@@ -61,3 +61,5 @@ def test_paper_configuration_is_the_paper_s(load):
     assert (geometry.force_direction, geometry.displacement) == ("normal", "redetected")
     periodic = next(c for c in cli.trainer.checkpoint_callbacks if c.filename.startswith("epoch"))
     assert periodic._every_n_epochs == 10
+    best = next(c for c in cli.trainer.checkpoint_callbacks if c.filename == "best")
+    assert (best.monitor, best.mode) == ("val/physics", "min")

@@ -23,8 +23,7 @@ os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")  # read when mlflow is
 os.environ.setdefault("DO_NOT_TRACK", "true")
 os.environ.setdefault("MLFLOW_LOGGING_LEVEL", "WARNING")
 
-import matplotlib.image
-import numpy as np
+import yaml
 from lightning.pytorch import LightningModule, Trainer
 from lightning.pytorch.callbacks import ModelCheckpoint, TQDMProgressBar
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI, SaveConfigCallback
@@ -34,6 +33,7 @@ from lightning.pytorch.utilities.exceptions import MisconfigurationException
 
 from data.datamodule import ClipDataModule
 from data.frames import InputError
+from evaluation.figures import draw_next_depth
 from evaluation.report import EvaluationError, write_evaluation
 from models.checkpoint import CheckpointError, read_checkpoint, require_same_model
 from models.module import PhysicsInformedGAN, TrainingDiverged
@@ -78,19 +78,21 @@ class RunRecord(SaveConfigCallback):
         for logger in trainer.loggers:
             if isinstance(logger, CSVLogger):
                 log_artifact(trainer, Path(logger.log_dir) / self.config_filename)
+            else:  # the model's settings are logged as its hyperparameters
+                settings = yaml.safe_load(self.parser.dump(self.config))
+                logger.log_hyperparams({name: settings[name] for name in ("seed_everything", "trainer", "data")})
 
     def on_save_checkpoint(self, trainer: Trainer, pl_module: LightningModule, checkpoint: dict[str, Any]) -> None:
         checkpoint["configuration"] = self.parser.dump(self.config)
 
     def on_validation_end(self, trainer: Trainer, pl_module: PhysicsInformedGAN) -> None:
-        """Write the first validation pair's next depth: real, predicted, and ten times their difference."""
+        """Draw the first validation pair's next depth: real, predicted, and their difference."""
         if trainer.sanity_checking or not trainer.is_global_zero or pl_module.sample is None:
             return
         real, predicted = (picture.detach().float().cpu().numpy() for picture in pl_module.sample)
-        strip = np.concatenate([real, predicted, 10 * np.abs(real - predicted)], axis=1)
         path = Path(trainer.default_root_dir) / "samples" / f"next_depth_epoch_{trainer.current_epoch:03d}.png"
         path.parent.mkdir(parents=True, exist_ok=True)
-        matplotlib.image.imsave(path, strip, cmap="viridis", vmin=0.0, vmax=1.0)
+        draw_next_depth(real, predicted).savefig(path)
         log_artifact(trainer, path, "samples")
 
     def on_exception(self, trainer: Trainer, pl_module: LightningModule, exception: BaseException) -> None:

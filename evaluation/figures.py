@@ -84,8 +84,8 @@ def _draw_heat_map(figure: Figure, axes: Axes, data: Response) -> None:
     for text in legend.get_texts():
         text.set_color("white")
     bar = figure.colorbar(image, ax=axes, pad=0.02)
-    bar.set_label("relative displacement [–]", fontsize=10)
     bar.ax.tick_params(labelsize=9)
+    bar.ax.set_title("relative\ndisplacement [–]", fontsize=9)
     axes.set_title(f"(a) Each test frame (n = {count})", loc="left", fontsize=11, fontweight="bold")
     axes.tick_params(labelsize=9)
 
@@ -217,4 +217,25 @@ def draw_theta(data: ThetaSeries, constant: Sequence[float] | None = None) -> Fi
     figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=4, fontsize=9, frameon=False)
     count, clips = len(data.values), len(data.clip_names)
     figure.suptitle(f"Estimated parameters by test frame (n = {count}, clips: {clips})", fontsize=11)
+    return figure
+
+
+def draw_next_depth(real: np.ndarray, predicted: np.ndarray) -> Figure:
+    """Real next depth map beside the predicted one and their absolute difference.
+
+    Args:
+        real: D_t+1, shape [H, W] [scene units], 0 = invalid.
+        predicted: G_AB's answer, same shape.
+    """
+    figure = Figure(figsize=(13, 2.9), layout="constrained", dpi=100)
+    panels = figure.subplots(1, 3)
+    difference = np.abs(predicted - real)
+    pictures = {"real next depth": real, "predicted": predicted, "|predicted − real|": difference}
+    highest = max(float(real.max()), float(predicted.max()))
+    for axes, (title, picture) in zip(panels, pictures.items(), strict=True):
+        limit = highest if picture is not difference else None
+        image = axes.imshow(picture, cmap="viridis" if limit else "magma", vmin=0, vmax=limit)
+        axes.set_title(title, fontsize=11)
+        axes.set(xticks=[], yticks=[])
+        figure.colorbar(image, ax=axes).set_label("scene units", fontsize=9)
     return figure

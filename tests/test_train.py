@@ -266,5 +266,7 @@ def test_mlflow_holds_parameters_losses_theta_pictures_and_the_configuration(con
     terms = {f"train/{term}" for term in ("gan", "cycle", "identity", "physics", "regularisation")}
     assert terms | {"val/physics", "val/stiffness_mean", "val/stiffness_sd"} <= metrics
     assert parameters["width"] == "4"
+    assert parameters["data/observation"] == "trajectory"
+    assert parameters["trainer/max_epochs"].isdigit()
     artifacts = {path.name for path in (tmp_path / "mlflow").rglob("*") if path.is_file()}
     assert {"config.yaml", "next_depth_epoch_000.png"} <= artifacts

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from evaluation.figures import draw_response, draw_theta, response, theta_series
+from evaluation.figures import draw_next_depth, draw_response, draw_theta, response, theta_series
 from physics.mechanics import Bounds, Mechanics
 
 MECHANICS = Mechanics(time_step=0.01, steps=100, load_steps=25)
@@ -108,3 +108,13 @@ def test_many_clips_are_not_named_on_the_axis():
     figure = draw_theta(theta_series(theta, [f"clip {i}" for i in range(30)], [0] * 30, Bounds()))
     figure.canvas.draw()
     assert not any("clip" in tick.get_text() for tick in figure.axes[4].get_xticklabels())
+
+
+def test_next_depth_shows_both_on_one_scale_and_their_difference():
+    real, predicted = np.full((4, 6), 0.5), np.full((4, 6), 0.4)
+    panels = [axes for axes in draw_next_depth(real, predicted).axes if axes.images]
+    drawn = [axes.images[0] for axes in panels]
+    np.testing.assert_array_equal(drawn[0].get_array(), real)
+    np.testing.assert_array_equal(drawn[1].get_array(), predicted)
+    np.testing.assert_allclose(drawn[2].get_array(), 0.1)
+    assert drawn[0].get_clim() == drawn[1].get_clim() == (0, 0.5)

@@ -39,9 +39,11 @@ def specialised(pitch: int, sensitive: bool) -> Callable:
     """
 
     @kernel
-    def rollout(rest, first, last, contact, radii, load, push, force, numbers, places, trajectory, jacobian, field):
-        layout = (rest, first, last, contact)
-        _rollout(*layout, radii, load, push, force, numbers, places, trajectory, jacobian, field, pitch, sensitive)
+    def rollout(
+        rest, first, last, contact, radii, load, push, force, numbers, places, trajectory, jacobian, field, begin
+    ):
+        layout, out = (rest, first, last, contact), (trajectory, jacobian, field, begin)
+        _rollout(*layout, radii, load, push, force, numbers, places, *out, pitch, sensitive)
 
     return rollout
 
@@ -216,8 +218,9 @@ def _press(state, place, factor, push, force, numbers, pitch, sensitive):
 
 @inlined
 def _rollout(
-    rest, first, last, contact, radii, load, push, force, numbers, places, trajectory, jacobian, field, pitch, sensitive
-):
+    rest, first, last, contact, radii, load, push, force, numbers, places, trajectory, jacobian, field, begin,
+    pitch, sensitive,
+):  # fmt: skip
     """All steps.
 
     Args:
@@ -230,7 +233,8 @@ def _rollout(
         places: where to find the vertices for `field`, [N] or [0].
         trajectory: out, displacement of the contact vertex, [T, 3].
         jacobian: out, its derivatives by θ, [T, 3, 3], or [0, 3, 3].
-        field: out, displacement of all vertices, [T, N, 3], or [T, 0, 3].
+        field: out, displacement of all vertices of a batch, [T, ΣN, 3], or [T, 0, 3].
+        begin: first vertex of this mesh in `field`.
     """
     planes, sums = (SENSITIVITY_PLANES, 12) if sensitive else (FORWARD_PLANES, 3)
     state = np.zeros((first.shape[0] - 1) * planes * pitch, rest.dtype)
@@ -249,4 +253,4 @@ def _rollout(
         for vertex in range(places.shape[0]):
             for axis in range(3):
                 moved = places[vertex] + axis * pitch
-                field[step, vertex, axis] = state[moved] - lag * state[moved + 3 * pitch]
+                field[step, begin + vertex, axis] = state[moved] - lag * state[moved + 3 * pitch]

@@ -2,10 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import hashlib
+import os
+import tempfile
+import threading
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
+import numpy as np
+
+try:
+    import fcntl
+except ImportError:  # Windows; numba's own care has to do there
+    fcntl = None
 try:
     import numba
 
@@ -14,9 +26,14 @@ except ImportError:
     COMPILED = False
 """Whether the loops are compiled."""
 
+SOURCES = Path(__file__).parent
+"""Where the simulator's sources lie."""
+
 # Contraction and reciprocals vectorise and lose nothing; reassociation would undo the displacement form, and
 # assuming that no NaN occurs would hide one.
 OPTIONS = {"fastmath": {"contract", "arcp", "nsz"}, "error_model": "numpy", "nogil": True}
+
+_SETTING = threading.Lock()
 
 
 class Kernel:
@@ -26,18 +43,89 @@ class Kernel:
         """Compile at the first call, which takes seconds, or a fraction of one where the disk has the code."""
         self.function = function
         functools.update_wrapper(self, function)
-        try:
-            self.run = numba.njit(function, cache=True, **OPTIONS)
-        except RuntimeError:  # "cannot cache function: no locator available": no folder can be written
-            self.run = numba.njit(function, **OPTIONS)
+        self.folder = code_folder()
+        self.run = self._compilable()
+        self.known: set[tuple] = set()
 
     def __call__(self, *arguments):
         """Run it; where the code can't be written to disk, it is compiled for this process only."""
-        try:
+        kinds = tuple(_kind(argument) for argument in arguments)
+        if kinds in self.known:
             return self.run(*arguments)
-        except OSError:
-            self.run = numba.njit(self.function, **OPTIONS)
-            return self.run(*arguments)
+        with _alone(self.folder):
+            try:
+                result = self.run(*arguments)
+            except OSError:
+                self.folder = None
+                self.run = self._compilable()
+                result = self.run(*arguments)
+        self.known.add(kinds)
+        return result
+
+    def _compilable(self) -> Callable:
+        """The function as numba's, with its code kept in ``folder`` if there is one."""
+        if self.folder is None:
+            return numba.njit(self.function, **OPTIONS)
+        with _SETTING:
+            before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(self.folder)
+            try:
+                return numba.njit(self.function, cache=True, **OPTIONS)
+            except RuntimeError:  # "cannot cache function: no locator available"
+                return numba.njit(self.function, **OPTIONS)
+            finally:
+                numba.config.CACHE_DIR = before
+
+
+def _kind(argument) -> tuple:
+    """What numba compiles anew for, as far as the arguments of one kernel differ in it."""
+    if isinstance(argument, np.ndarray):
+        return argument.dtype.char, argument.flags.c_contiguous, argument.flags.writeable
+    if isinstance(argument, tuple):
+        return tuple(type(value) for value in argument)
+    return (type(argument),)
+
+
+@functools.cache
+def code_folder() -> Path | None:
+    """Folder for machine code of exactly these sources, or None where nothing can be written.
+
+    numba looks at a function's own file only, but constants and inlined parts come from others: a digest of all the
+    simulator's sources names the folder, so that no code outlives them.
+    """
+    digest = hashlib.sha256()
+    for source in sorted(SOURCES.glob("*.py")):
+        digest.update(source.name.encode() + b"\0" + source.read_bytes())
+    name = f"numba-{digest.hexdigest()[:16]}"
+    own = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "palpate"
+    chosen = [Path(numba.config.CACHE_DIR)] if numba.config.CACHE_DIR else []
+    for place in (*chosen, SOURCES / "__pycache__", own):
+        with contextlib.suppress(OSError):
+            folder = place / name
+            folder.mkdir(parents=True, exist_ok=True)
+            tempfile.TemporaryFile(dir=folder).close()
+            return folder
+    return None
+
+
+@contextlib.contextmanager
+def _alone(folder: Path | None) -> Iterator[None]:
+    """Let one process at a time compile into a folder: others wait, and then find its code.
+
+    numba writes its index and its code one after the other, so two writers could leave one's code under the other's
+    signature.
+    """
+    lock = None
+    if folder is not None and fcntl is not None:
+        with contextlib.suppress(OSError):
+            lock = (folder / "lock").open("w")
+            fcntl.flock(lock, fcntl.LOCK_EX)
+    try:
+        yield
+    finally:
+        if lock is not None:
+            with contextlib.suppress(OSError):
+                fcntl.flock(lock, fcntl.LOCK_UN)  # a fork would hold on to it after a mere close
+            lock.close()
 
 
 def kernel(function: Callable) -> Callable:

@@ -63,24 +63,29 @@ def contact_rollout(case: Case, sensitive: bool) -> tuple[np.ndarray, np.ndarray
     return _within(case, _layout(case, exact), exact, sensitive)
 
 
-def field_rollout(case: Case) -> np.ndarray:
-    """Displacement of every vertex, shape [T, N, 3] [scene units]."""
+def field_rollout(case: Case, field: np.ndarray, begin: int = 0) -> None:
+    """Write the displacement of every vertex [scene units] into its place in a batch's field.
+
+    Args:
+        case: the sample.
+        field: out, shape [T, ΣN, 3], contiguous, of θ's precision.
+        begin: first vertex of the sample in it.
+    """
     radii = growing_radii(case.mechanics.steps)
     count, dtype = len(case.mesh.vertices), case.theta.dtype
     trajectory, none = np.empty((len(radii), 3), dtype), np.empty((0, 3, 3), dtype)
     free = free_vertices(case.mesh, case.vertex, case.mechanics)
     layout = grid_layout(case.mesh, case.vertex, free, max(case.mesh.grid_shape), dtype)
     if layout is not None:
-        field = np.empty((len(radii), count, 3), dtype)
         where = places(layout, case.mesh, FORWARD_PLANES)
-        _run_grid(case, layout, radii, False, where, trajectory, none, field)
-        return field
-    field = np.zeros((len(radii), count, 3), dtype)
+        _run_grid(case, layout, radii, False, where, trajectory, none, field, begin)
+        return
     graph = spring_graph(case.mesh, case.vertex, len(radii), dtype)
     sorted_field = np.empty((len(radii), len(graph.order), 3), dtype)
     _run_edges(case, graph, radii, trajectory, sorted_field)
-    field[:, graph.order] = sorted_field
-    return field
+    own = field[:, begin : begin + count]
+    own[:] = 0
+    own[:, graph.order] = sorted_field
 
 
 def numbers(case: Case) -> tuple:
@@ -144,8 +149,10 @@ def _within(case: Case, layout: GridLayout | SpringGraph, radii: np.ndarray, sen
     return trajectory, jacobian
 
 
-def _run_grid(case: Case, layout: GridLayout, radii, sensitive: bool, where, trajectory, jacobian, field) -> None:
-    """Call the grid kernel; the last three arrays are filled."""
+def _run_grid(
+    case: Case, layout: GridLayout, radii, sensitive: bool, where, trajectory, jacobian, field, begin: int = 0
+) -> None:
+    """Call the grid kernel, which fills trajectory, jacobian and field from `begin` on."""
     dtype = case.theta.dtype
     specialised(layout.pitch, sensitive)(
         layout.rest,
@@ -161,6 +168,7 @@ def _run_grid(case: Case, layout: GridLayout, radii, sensitive: bool, where, tra
         trajectory,
         jacobian,
         field,
+        begin,
     )
 
 

@@ -85,7 +85,9 @@ def simulate_field(
     """Displacement of every vertex after each step, shape [T, N, 3] [scene units]; arguments as in `simulate`."""
     case = _case(theta, mesh, vertex, direction, mechanics, load_steps, load, dtype)
     if jit.COMPILED:
-        return msd_compiled.field_rollout(case)
+        field = np.empty((mechanics.steps, len(mesh.vertices), 3), dtype)
+        msd_compiled.field_rollout(case, field)
+        return field
     jit.say_slow()
     return np.stack(list(msd_numpy.steps(*_plain(case))))
 

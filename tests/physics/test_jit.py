@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 import textwrap
@@ -88,14 +89,95 @@ def test_code_that_cannot_be_kept_is_compiled_for_this_process(monkeypatch):
 
 @pytest.mark.skipif(not jit.COMPILED, reason="numba isn't installed")
 def test_without_any_folder_to_write_to_it_compiles_all_the_same(monkeypatch):
-    calls = []
+    asked = []
 
-    def refusing(function, **options):
-        calls.append(options.pop("cache", False))
-        if calls[-1]:
-            raise RuntimeError("cannot cache function 'triple': no locator available")
+    def watched(function, **options):
+        asked.append(options.pop("cache", False))
         return function
 
-    monkeypatch.setattr(jit.numba, "njit", refusing)
+    monkeypatch.setattr(jit, "code_folder", lambda: None)
+    monkeypatch.setattr(jit.numba, "njit", watched)
     assert Kernel(lambda value: 3 * value)(5) == 15
-    assert calls == [True, False]
+    assert asked == [False]
+
+
+@pytest.fixture
+def copied(tmp_path) -> Path:
+    """A checkout of the simulator of its own, without compiled code."""
+    shutil.copytree(ROOT / "physics", tmp_path / "physics", ignore=shutil.ignore_patterns("__pycache__"))
+    return tmp_path
+
+
+SHOW = """
+    import numpy as np
+    from test_jit import ARGUMENTS
+    from physics import jit, msd_kernel
+    assert jit.__file__.startswith(FOLDER)
+    print(jit.code_folder())
+    print(msd_kernel.simulate(*ARGUMENTS, dtype=np.TYPE)[-1].tolist())
+"""
+
+
+def start(checkout: Path, dtype: str = "float32", **environment: str) -> subprocess.Popen:
+    """A process that computes ARGUMENTS with a checkout's simulator and prints its folder and the end point."""
+    paths = os.pathsep.join(map(str, (checkout, ROOT / "tests" / "physics")))
+    return subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(SHOW).replace("FOLDER", repr(str(checkout))).replace("TYPE", dtype)],
+        cwd=checkout,
+        env={**os.environ, "PYTHONPATH": paths, **environment},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def shown(process: subprocess.Popen) -> tuple[str, np.ndarray]:
+    output, errors = process.communicate(timeout=300)
+    assert process.returncode == 0, errors
+    folder, values = output.splitlines()
+    return folder, np.array(eval(values))
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not jit.COMPILED, reason="numba isn't installed")
+def test_code_does_not_outlive_a_constant_of_another_file(copied):
+    folder, before = shown(start(copied))
+    layout = copied / "physics" / "grid_layout.py"
+    text = layout.read_text()
+    moved = text.replace(
+        "LENGTH, LINK, MOBILE, REST_PLANES = 0, 3, 6, 9, 10", "MOBILE, LENGTH, LINK, REST_PLANES = 0, 3, 4, 7, 11"
+    )
+    assert moved != text
+    layout.write_text(moved)
+    changed_folder, after = shown(start(copied))
+    assert changed_folder != folder
+    np.testing.assert_array_equal(after, before)
+    layout.write_text(text)
+    assert shown(start(copied))[0] == folder
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not jit.COMPILED, reason="numba isn't installed")
+def test_processes_that_start_together_and_find_no_code_compute_the_same(copied):
+    kinds = ["float32", "float64", "float32", "float64"]
+    results = [shown(process)[1] for process in [start(copied, kind) for kind in kinds]]
+    again = [shown(start(copied, kind))[1] for kind in kinds[:2]]
+    for kind, result in zip(kinds, results, strict=True):
+        np.testing.assert_array_equal(result, again[kinds.index(kind)])
+    np.testing.assert_allclose(again[0], again[1], rtol=1e-4)
+    np.testing.assert_allclose(again[1], simulate(*ARGUMENTS, dtype=np.float64)[-1], rtol=1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not jit.COMPILED, reason="numba isn't installed")
+def test_a_checkout_that_cannot_be_written_keeps_its_code_elsewhere_or_nowhere(copied, tmp_path):
+    (copied / "physics" / "__pycache__").write_text("a file where the folder would be: nothing can be kept here")
+    home = tmp_path / "home"
+    folder, expected = shown(start(copied, XDG_CACHE_HOME=str(home)))
+    assert Path(folder).is_relative_to(home)
+    assert any(Path(folder).rglob("*.nbc"))
+    blocked = tmp_path / "blocked"
+    blocked.write_text("")
+    folder, seen = shown(start(copied, XDG_CACHE_HOME=str(blocked)))
+    assert folder == "None"
+    np.testing.assert_array_equal(seen, expected)

@@ -1,0 +1,116 @@
+"""What was asked of the rollout as a whole: memory, growth with the mesh, several processes, bounds."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+
+import pytest
+import torch
+from batches import batch_of
+from sheets import sheet
+
+from benchmarks.rollout import Contender
+from benchmarks.rollout_cases import GRID, Field, Ours, make_task
+from physics import jit
+from physics.msd import rollout
+
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(not jit.COMPILED, reason="numba isn't installed")]
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="memory is read from Linux' /proc")
+@pytest.mark.parametrize("variant", ["exact", "window"])
+def test_forward_and_gradient_of_two_meshes_take_under_40_mb(variant, tmp_path):
+    contender = Contender(("numba", variant, 2), (2, 1.0, GRID), tmp_path)
+    try:
+        assert contender.vertices > 2 * 14_000
+        assert contender.ask("memory and times")[0] < 40
+    finally:
+        contender.stop()
+
+
+def fastest(work, count: int = 4) -> float:
+    durations = []
+    for _ in range(count):
+        start = time.perf_counter()
+        work()
+        durations.append(time.perf_counter() - start)
+    return min(durations)
+
+
+def test_cost_is_linear_in_vertices_for_the_field_and_nearly_flat_for_a_windowed_contact():
+    times = {}
+    for scale in (1.0, 16.0):
+        task = make_task(1, scale)
+        times[scale] = fastest(Field(task).forward, 3), fastest(Ours(task, "window").total)
+    # Linear, with room for what no longer fits the cache, and for an output of 16 times the size.
+    assert times[16.0][0] < 2.5 * 16 * times[1.0][0]
+    # All that grows is reading the mesh.
+    assert times[16.0][1] < 4 * times[1.0][1]
+
+
+def test_distributed_training_has_the_gradient_of_one_process(tmp_path):
+    code = textwrap.dedent(f"""
+        import sys; sys.path[:0] = [{str(ROOT)!r}, {str(ROOT / "tests" / "physics")!r}]
+        import torch
+        import torch.distributed as distributed
+        from torch.nn.parallel import DistributedDataParallel
+        from batches import batch_of
+        from sheets import sheet
+        from physics.msd import rollout
+
+        rank = int(sys.argv[1])
+        store = "file://" + sys.argv[2]
+        distributed.init_process_group("gloo", init_method=store, rank=rank, world_size=2)
+        torch.set_num_threads(2)
+        head = torch.nn.Linear(1, 3, bias=False)
+        with torch.no_grad():
+            head.weight.copy_(torch.tensor([[0.7], [0.05], [-0.1]]))
+        mesh, contact = batch_of([sheet(9, 8)] * 2, [[30, 31], [20, 37]][rank])
+        everywhere = DistributedDataParallel(head)
+        theta = everywhere(torch.ones(2, 1))
+        (1e3 * rollout(theta, mesh, contact).square().mean()).backward()
+        print(head.weight.grad.ravel().tolist())
+        distributed.destroy_process_group()
+    """)
+    processes = [
+        subprocess.Popen(
+            [sys.executable, "-c", code, str(rank), str(tmp_path / "store")],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        for rank in range(2)
+    ]
+    gradients = []
+    for process in processes:
+        output, errors = process.communicate(timeout=240)
+        assert process.returncode == 0, errors
+        gradients.append(torch.tensor(eval(output.splitlines()[-1])))
+
+    theta = torch.tensor([[0.7, 0.05, -0.1]], requires_grad=True)
+    mesh, contact = batch_of([sheet(9, 8)] * 4, [30, 31, 20, 37])
+    (1e3 * rollout(theta.expand(4, 3), mesh, contact).square().mean()).backward()
+    for gradient in gradients:
+        torch.testing.assert_close(gradient, theta.grad[0], rtol=1e-4, atol=1e-7)
+
+
+def test_no_index_leaves_its_array(tmp_path):
+    # numba's own check, which raises where an index lies outside, over all meshes and random masks.
+    chosen = ["tests/physics/test_msd_compiled.py", "-k", "any_mask or (compiled_equals_plain and default)"]
+    result = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *chosen],
+        cwd=ROOT,
+        env={**os.environ, "NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        timeout=600,
+    )
+    assert result.returncode == 0, result.stdout
+    assert "passed" in result.stdout

@@ -39,7 +39,10 @@ demo: $(INSTALLED)
 	@echo "results:  $(DEMO)/results/*/ (parameters.csv, overlay.mp4, summary.png, run.json)"
 	@ls -1 $(DEMO)/results/*/parameters.csv $(DEMO)/results/*/overlay.mp4 $(DEMO)/results/*/summary.png
 
+# Without Warp or Taichi (no wheel for this machine) the rest is timed all the same.
 bench: $(INSTALLED)
+	-$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[bench]"
+	$(BIN)/python -m benchmarks.rollout
 	$(BIN)/python -m benchmarks.training_step
 
 clean:

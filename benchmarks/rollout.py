@@ -3,8 +3,10 @@
     python -m benchmarks.rollout [--quick] [--output runs/bench/rollout]
 
 Every contender runs in a process of its own and must give the baseline's trajectory and gradient before it is timed;
-they take turns, so that all ratios come from one run. Warp and Taichi (`pip install -e ".[bench]"`) hold every step's
-state for their tapes, which counts to their process, not to the memory above base. Warp's CPU backend has one thread.
+they take turns, so that all ratios come from one run. Only large settings see them one after the other, because they
+wouldn't fit into memory together. Whoever needs too much of it (judged by the first setting's peak), fails, or computes
+something else is left out, and a line says so. Warp and Taichi (`pip install -e ".[bench]"`) hold every step's state
+for their tapes, which counts to their process, not to the memory above base. Warp's CPU backend has one thread.
 
 Writes rollout.csv (medians; ratio = baseline / this), rollout_details.csv (with spreads and first calls) and
 rollout.png. First calls are forward + gradient and forward; they find no compiled code in the first setting only.
@@ -13,19 +15,16 @@ rollout.png. First calls are forward + gradient and forward; they find no compil
 from __future__ import annotations
 
 import argparse
+import contextlib
 import csv
 import importlib.util
-import multiprocessing
 import os
 import platform
-import statistics
 import tempfile
-import time
+from collections.abc import Callable, Iterator
 from datetime import date
 from pathlib import Path
-from unittest import mock
 
-import numpy as np
 import torch
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -33,8 +32,8 @@ from rich.table import Table
 from torch import Tensor
 
 from benchmarks.rollout_cases import GRID, Autograd
+from benchmarks.rollout_contender import Contender, Failure, title
 from benchmarks.rollout_plot import plot
-from benchmarks.rollout_worker import serve
 
 COLUMNS = (
     "backend", "variant", "batch", "vertices", "threads",
@@ -44,10 +43,16 @@ DETAILS = (*COLUMNS, "forward_min_ms", "forward_max_ms", "total_min_ms", "total_
 BASELINE = ("torch", "edges", 1)
 SETTINGS = ((2, 1.0), (1, 1.0), (16, 1.0), (1, 2.0), (1, 4.0), (1, 16.0))
 """Batch and multiple of 14,800 vertices; the baseline's graph would fill the memory at both large."""
-SLOW = 5.0
-"""First call from which on a contender's memory is measured together with its time [s]."""
-SAME_TRAJECTORY, SAME_GRADIENT = 1e-3, 1e-2
-"""Largest difference from the baseline's, relative to the latter's peak: single precision over 200 steps."""
+TOGETHER = 4
+"""Batch times multiple up to which all contenders' processes are held at once."""
+SHARE = 0.6
+"""Share of the available memory that one contender may be expected to need."""
+MEMORY = Path("/proc/meminfo")
+UNPREDICTED = ("warp", "taichi")
+"""Backends whose peak says nothing of a larger setting, because they allocate before it is measured."""
+
+Name = tuple[str, str, int]
+"""A contender's backend, variant and threads."""
 
 
 class EdgeList(Autograd):
@@ -77,7 +82,7 @@ class EdgeList(Autograd):
         return torch.stack(trajectory, dim=1)
 
 
-def contenders() -> list[tuple[str, str, int]]:
+def contenders() -> list[Name]:
     """Backend, variant and threads of all that can run here, the baseline first."""
     ours = [("numba", variant) for variant in ("exact", "window", "field")] if importlib.util.find_spec("numba") else []
     ours.append(("torch", "stencil"))
@@ -86,119 +91,120 @@ def contenders() -> list[tuple[str, str, int]]:
     return [name for name in chosen if name[0] not in ("warp", "taichi") or importlib.util.find_spec(name[0])]
 
 
-class Contender:
-    """One contender's process."""
-
-    def __init__(self, name: tuple[str, str, int], setting: tuple, cache: Path) -> None:
-        """Start it and let it make its first calls.
-
-        Raises:
-            RuntimeError: it failed.
-        """
-        self.name = name
-        self.forward: list[float] = []
-        self.total: list[float] = []
-        self.spent = 0.0
-        self.peak: float | None = None
-        context = multiprocessing.get_context("spawn")
-        self.connection, other = context.Pipe()
-        own = cache / "-".join(map(str, name))
-        # Before it starts: a spawned process imports this module, and numba with it, before it runs anything.
-        self.process = context.Process(target=serve, args=(other, name, setting), daemon=True)
-        with mock.patch.dict(os.environ, NUMBA_CACHE_DIR=str(own / "numba"), WARP_CACHE_PATH=str(own / "warp")):
-            self.process.start()
-        other.close()
-        self.vertices, self.first_call, self.trajectory, self.gradient = self._receive()
-
-    def _receive(self):
-        try:
-            answer = self.connection.recv()
-        except EOFError:
-            answer = f"it ended with status {self.process.exitcode}"
-        if isinstance(answer, str):
-            raise RuntimeError(f"{' '.join(map(str, self.name))}: {answer}")
-        return answer
-
-    def ask(self, what: str):
-        """Let it measure."""
-        self.connection.send(what)
-        return self._receive()
-
-    def turn(self) -> None:
-        """Time it once."""
-        start = time.perf_counter()
-        # Whoever is slow is measured only once, with its memory.
-        self.peak, forward, total = self.ask("memory and times" if self.first_call > SLOW else "times")
-        self.spent += time.perf_counter() - start
-        self.forward.append(forward)
-        if total is not None:
-            self.total.append(total)
-
-    def require_same(self, baseline: Contender) -> None:
-        """Refuse to time what computes something else.
-
-        Raises:
-            RuntimeError: trajectory or gradient differ from the baseline's.
-        """
-        for what, seen, expected, allowed in (
-            ("trajectory", self.trajectory, baseline.trajectory, SAME_TRAJECTORY),
-            ("gradient", self.gradient, baseline.gradient, SAME_GRADIENT),
-        ):
-            if seen is None:
-                continue
-            difference = (np.abs(seen - expected) / np.abs(expected).max()).max()
-            if not difference <= allowed:
-                raise RuntimeError(f"{' '.join(map(str, self.name))}: its {what} differs by {difference:.1e}.")
-
-    def row(self, batch: int) -> dict[str, object]:
-        """Medians and spreads; no ratios yet."""
-        if self.first_call <= SLOW:
-            self.peak = self.ask("memory and times")[0]
-        row: dict[str, object] = dict(zip(("backend", "variant", "threads"), self.name, strict=True))
-        row |= {"batch": batch, "vertices": self.vertices // batch, "peak_mb": self.peak}
-        row |= {"first_call_s": self.first_call, "rounds": len(self.forward)}
-        for key, values in (("forward", self.forward), ("total", self.total)):
-            if values:
-                row |= {f"{key}_ms": statistics.median(values)}
-                row |= {f"{key}_min_ms": min(values), f"{key}_max_ms": max(values)}
-        return row
-
-    def stop(self) -> None:
-        """End the process."""
-        if self.process.is_alive():
-            self.connection.send("stop")
-        self.process.join(10)
-        self.process.terminate()
-
-
-def measure(setting: tuple, rounds: int, patience: float, cache: Path, advance) -> list[dict[str, object]]:
-    """Time all contenders in turns on one setting (batch, scale, grid) and return their rows.
+def unfit(needs: dict[Name, float], size: float, available: float | None) -> dict[Name, str]:
+    """Reasons to leave contenders out of a setting.
 
     Args:
-        setting: arguments of `make_task`.
-        rounds: times that each contender is timed; once at least, and no more after `patience` seconds.
-        cache: folder for the contenders' compiled code.
-        advance: called once a contender.
+        needs: their peaks [MB] for a batch times scale of 1; who isn't in it is let in.
+        size: batch times scale.
+        available: memory to be had [MB], or None where unknown, which lets everybody in.
     """
-    running: list[Contender] = []
+    if available is None:
+        return {}
+    return {
+        name: f"it needs about {need * size / 1e3:.3g} GB of {available / 1e3:.3g} GB"
+        for name, need in needs.items()
+        if need * size > SHARE * available
+    }
+
+
+def needs_of(rows: list[dict[str, object]], size: float) -> dict[Name, float]:
+    """Peaks [MB] for a batch times scale of 1, from the rows of a setting of another size, of whom they are known."""
+    return {
+        (row["backend"], row["variant"], row["threads"]): row["peak_mb"] / size
+        for row in rows
+        if row["peak_mb"] is not None and row["backend"] not in UNPREDICTED
+    }
+
+
+def available_memory() -> float | None:
+    """Memory that processes can have [MB]; None where unknown."""
     try:
-        for name in contenders():
-            running.append(Contender(name, setting, cache))
-            running[-1].require_same(running[0])
-            advance(f"batch {setting[0]}, {setting[1]:g}×: {name[0]} {name[1]}")
-        for _ in range(rounds):
+        line = next(line for line in MEMORY.read_text().splitlines() if line.startswith("MemAvailable"))
+        return int(line.split()[1]) / 1024
+    except (OSError, StopIteration):
+        return None
+
+
+class Setting:
+    """One batch and mesh size, and who takes part."""
+
+    def __init__(self, task: tuple, cache: Path, advance: Callable[[str], None], say: Callable[[str], None]) -> None:
+        """Keep the arguments.
+
+        Args:
+            task: batch, scale and grid: arguments of `make_task`.
+            cache: folder for the contenders' compiled code.
+            advance: called with what is at work, once a contender.
+            say: called with a line on everybody who is left out.
+        """
+        self.task, self.cache, self.advance, self.say = task, cache, advance, say
+        self.size = task[0] * task[1]
+        self.where = f"batch {task[0]}" + (f", {task[1]:g}× the vertices" if task[1] != 1 else "")
+        self.baseline: Contender | None = None
+
+    def measure(self, rounds: int, patience: float, needs: dict[Name, float]) -> list[dict[str, object]]:
+        """Time who can take part and return their rows, the baseline's first; none where that can't.
+
+        Args:
+            rounds: times that each contender is timed; once at least.
+            patience: a contender that took so long has no further round [s].
+            needs: memory, as for `unfit`.
+        """
+        refused = unfit(needs, self.size, available_memory())
+        for name, reason in refused.items():
+            self.advance(self.where)
+            self._leave_out(name, reason)
+        names = [name for name in contenders() if name not in refused]
+        if BASELINE not in names:
+            self.say(f"{self.where}: left out, because there is nothing to compare with")
+            return []
+        groups = [names] if self.size <= TOGETHER else [[name] for name in names]
+        rows = [row for group in groups for row in self._group(group, rounds, patience)]
+        for row in rows:
+            for key in ("forward", "total"):
+                if row.get(f"{key}_ms"):
+                    row[f"{key}_ratio"] = rows[0][f"{key}_ms"] / row[f"{key}_ms"]
+        return rows
+
+    def _group(self, names: list[Name], rounds: int, patience: float) -> list[dict[str, object]]:
+        """Rows of contenders that run side by side and take turns."""
+        running: list[Contender] = []
+        rows: list[dict[str, object]] = []
+        try:
+            for name in names:
+                self.advance(f"{self.where}: {title(name)}")
+                with self._surviving(name, running):
+                    running.append(Contender(name, self.task, self.cache))
+                    self.baseline = self.baseline or running[-1]  # it comes first, and outlives its process here
+                    running[-1].require_same(self.baseline)
+            for _ in range(rounds):
+                for contender in [each for each in running if each.wants_turn(patience)]:
+                    with self._surviving(contender.name, running):
+                        contender.turn()
+            for contender in running.copy():
+                with self._surviving(contender.name, running):
+                    rows.append(contender.row(self.task[0]))
+        finally:
             for contender in running:
-                if not contender.forward or contender.spent < patience:
-                    contender.turn()
-        rows = [contender.row(setting[0]) for contender in running]
-    finally:
-        for contender in running:
-            contender.stop()
-    for row in rows:
-        for key in ("forward", "total"):
-            if row.get(f"{key}_ms"):
-                row[f"{key}_ratio"] = rows[0][f"{key}_ms"] / row[f"{key}_ms"]
-    return rows
+                contender.stop()
+        return rows
+
+    @contextlib.contextmanager
+    def _surviving(self, name: Name, running: list[Contender]) -> Iterator[None]:
+        """Go on without a contender that fails, unless all others are compared with it."""
+        try:
+            yield
+        except Failure as failure:
+            if name == BASELINE:
+                raise
+            self._leave_out(name, failure.reason.partition("\n")[0])
+            for contender in [each for each in running if each.name == name]:
+                running.remove(contender)
+                contender.stop()
+
+    def _leave_out(self, name: Name, reason: str) -> None:
+        self.say(f"{title(name)}: left out at {self.where}, {reason}")
 
 
 def show(rows: list[dict[str, object]], machine: str) -> None:
@@ -238,7 +244,7 @@ def main(arguments: list[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     grid, settings, rounds = GRID, SETTINGS, options.rounds
     if options.quick:
-        grid, settings, rounds = (24, 32), ((2, 1.0), (1, 4.0)), 1
+        grid, settings, rounds = (24, 32), ((2, 1.0), (1, 6.0)), 1
     options.output.mkdir(parents=True, exist_ok=True)
     machine = f"{os.cpu_count()} cores {platform.machine()}, load {os.getloadavg()[0]:.1f}, {date.today()}"
     rows: list[dict[str, object]] = []
@@ -249,9 +255,14 @@ def main(arguments: list[str] | None = None) -> None:
         def advance(text: str) -> None:
             progress.update(job, advance=1, description=text)
 
+        def say(line: str) -> None:
+            progress.console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+        needs: dict[Name, float] = {}
         for index, (batch, scale) in enumerate(settings):
             patience = options.patience * (1 if index else 4)  # the first setting is the one that is judged
-            rows += measure((batch, scale, grid), rounds, patience, Path(cache), advance)
+            rows += Setting((batch, scale, grid), Path(cache), advance, say).measure(rounds, patience, needs)
+            needs = needs or needs_of(rows, batch * scale)
             write(options.output / "rollout.csv", COLUMNS, rows)
             write(options.output / "rollout_details.csv", DETAILS, rows)
     show(rows, machine)

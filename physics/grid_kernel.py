@@ -23,7 +23,8 @@ FORWARD_PLANES, SENSITIVITY_PLANES = 6, 24
 """Planes of a state without and with derivatives."""
 
 # Unsigned: numba reads a signed index below 0 from the end, and that choice would keep the loops from being vectorised.
-TWO, THREE, SIX, NINE, TWELVE, FIFTEEN, EIGHTEEN, TWENTYONE = map(np.uint64, (2, 3, 6, 9, 12, 15, 18, 21))
+ONE, TWO, THREE, FOUR, FIVE, SIX, NINE = map(np.uint64, (1, 2, 3, 4, 5, 6, 9))
+TWELVE, FIFTEEN, EIGHTEEN, TWENTYONE = map(np.uint64, (12, 15, 18, 21))
 
 
 @functools.cache
@@ -40,10 +41,10 @@ def specialised(pitch: int, sensitive: bool) -> Callable:
 
     @kernel
     def rollout(
-        rest, first, last, contact, radii, load, push, force, numbers, places, trajectory, jacobian, field, begin
+        rest, first, last, contact, radii, load, push, force, numbers, runs, trajectory, jacobian, field, begin
     ):
         layout, out = (rest, first, last, contact), (trajectory, jacobian, field, begin)
-        _rollout(*layout, radii, load, push, force, numbers, places, *out, pitch, sensitive)
+        _rollout(*layout, radii, load, push, force, numbers, runs, *out, pitch, sensitive)
 
     return rollout
 
@@ -217,8 +218,24 @@ def _press(state, place, factor, push, force, numbers, pitch, sensitive):
 
 
 @inlined
+def _record(state, runs, field, lag, pitch):
+    """Copy the vertices' displacement out of the planes into a stretch of the field, [N·3].
+
+    The field is flat, so that its step of 3 is known to the compiler, which then interleaves x, y and z in vectors.
+    """
+    pitch = np.uint64(pitch)
+    for run in range(runs.shape[0]):
+        vertex, place, count = runs[run, 0], runs[run, 1], runs[run, 2]
+        moved, out = state[place:], field[3 * vertex :]
+        for i in range(np.uint64(count)):
+            out[THREE * i] = moved[i] - lag * moved[THREE * pitch + i]
+            out[THREE * i + ONE] = moved[pitch + i] - lag * moved[FOUR * pitch + i]
+            out[THREE * i + TWO] = moved[TWO * pitch + i] - lag * moved[FIVE * pitch + i]
+
+
+@inlined
 def _rollout(
-    rest, first, last, contact, radii, load, push, force, numbers, places, trajectory, jacobian, field, begin,
+    rest, first, last, contact, radii, load, push, force, numbers, runs, trajectory, jacobian, field, begin,
     pitch, sensitive,
 ):  # fmt: skip
     """All steps.
@@ -230,7 +247,7 @@ def _rollout(
         push: direction of the force, [3].
         force: F.
         numbers: k_s, keep, kick and the latter two's slopes by k_d, Δt, anchor, lag, tiny, guard.
-        places: where to find the vertices for `field`, [N] or [0].
+        runs: where to find the vertices for `field`, as `grid_layout.runs` gives them, [R, 3] or [0, 3].
         trajectory: out, displacement of the contact vertex, [T, 3].
         jacobian: out, its derivatives by θ, [T, 3, 3], or [0, 3, 3].
         field: out, displacement of all vertices of a batch, [T, ΣN, 3], or [T, 0, 3].
@@ -240,7 +257,7 @@ def _rollout(
     state = np.zeros((first.shape[0] - 1) * planes * pitch, rest.dtype)
     forces = np.zeros(5 * sums * pitch, rest.dtype)
     place = contact[0] * planes * pitch + contact[1]
-    lag = numbers[7]
+    lag, whole = numbers[7], field.reshape(-1)
     for step in range(radii.shape[0]):
         _step(state, rest, forces, first, last, contact, radii[step], numbers, pitch, sensitive)
         _press(state, place, load[step], push, force, numbers, pitch, sensitive)
@@ -250,7 +267,4 @@ def _rollout(
                 for parameter in range(3):
                     moved = place + (6 + 3 * parameter + axis) * pitch
                     jacobian[step, axis, parameter] = state[moved] - lag * state[moved + 9 * pitch]
-        for vertex in range(places.shape[0]):
-            for axis in range(3):
-                moved = places[vertex] + axis * pitch
-                field[step, begin + vertex, axis] = state[moved] - lag * state[moved + 3 * pitch]
+        _record(state, runs, whole[3 * (step * field.shape[1] + begin) :], lag, pitch)

@@ -86,13 +86,19 @@ def grid_layout(mesh: Mesh, vertex: int, mobile: np.ndarray, reach: int, dtype: 
     return GridLayout(pitch, rows, rest, first, last, (row, column), (int(low[0]) - 1, int(low[1]) - 1))
 
 
-def places(layout: GridLayout, mesh: Mesh, planes: int) -> np.ndarray:
-    """Where each vertex's first plane lies in a state of ``planes`` planes, shape [N], int64.
+def runs(layout: GridLayout, mesh: Mesh, planes: int) -> np.ndarray:
+    """Where the vertices lie in a state of ``planes`` planes, as stretches that are contiguous in mesh and state.
 
     The window must hold the whole mesh.
+
+    Returns:
+        First vertex, its place in the state's first plane and the number of vertices of each run, shape [R, 3], int64.
+        Vertices numbered row by row make one run a row, and one more for every hole.
     """
     row, column = mesh.pixels.T.astype(np.int64)
-    return (row - layout.corner[0]) * planes * layout.pitch + column - layout.corner[1]
+    places = (row - layout.corner[0]) * planes * layout.pitch + column - layout.corner[1]
+    starts = np.concatenate([[0], np.flatnonzero(np.diff(places) != 1) + 1])
+    return np.stack([starts, places[starts], np.diff(starts, append=len(places))], axis=1)
 
 
 @kernel

@@ -142,10 +142,11 @@ def rollout_field(
     if wanted and backend == "numba":
         raise ValueError("the compiled whole field has no gradient; pass backend='torch' or detach theta.")
     if not wanted and _compiled(backend, (theta,), mesh, contact):
-        field = torch.empty(mechanics.steps, len(mesh.vertices), 3, dtype=theta.dtype)
+        # numpy asks for huge pages and torch doesn't: with small ones, page faults take longer than the motion.
+        field = np.empty((mechanics.steps, len(mesh.vertices), 3), theta.detach().numpy().dtype)
         samples = zip(cases(theta, mesh, contact, load, mechanics), mesh.vertex_offsets.tolist(), strict=False)
-        map_samples(lambda sample: field_rollout(sample[0], field.numpy(), sample[1]), list(samples))
-        return field
+        map_samples(lambda sample: field_rollout(sample[0], field, sample[1]), list(samples))
+        return torch.from_numpy(field)
     parameters = (*msd_torch.uniform(theta, mesh), theta[:, 2:3])
     return torch.stack(list(msd_torch.edge_steps(*parameters, mesh, contact, load, mechanics)))
 

@@ -9,7 +9,7 @@ import numpy as np
 from physics.cone import GRID_EIGENVALUE, exact_radii, growing_radii, window_radii
 from physics.edge_kernel import edge_forward, edge_sensitivity
 from physics.grid_kernel import FORWARD_PLANES, specialised
-from physics.grid_layout import GridLayout, grid_layout, places
+from physics.grid_layout import GridLayout, grid_layout, runs
 from physics.mechanics import Mechanics
 from physics.mesh import Mesh
 from physics.msd_numpy import NORM_GUARD, free_vertices, integrator
@@ -77,7 +77,7 @@ def field_rollout(case: Case, field: np.ndarray, begin: int = 0) -> None:
     free = free_vertices(case.mesh, case.vertex, case.mechanics)
     layout = grid_layout(case.mesh, case.vertex, free, max(case.mesh.grid_shape), dtype)
     if layout is not None:
-        where = places(layout, case.mesh, FORWARD_PLANES)
+        where = runs(layout, case.mesh, FORWARD_PLANES)
         _run_grid(case, layout, radii, False, where, trajectory, none, field, begin)
         return
     graph = spring_graph(case.mesh, case.vertex, len(radii), dtype)
@@ -127,7 +127,7 @@ def _within(case: Case, layout: GridLayout | SpringGraph, radii: np.ndarray, sen
     trajectory = np.empty((steps, 3), dtype)
     jacobian = np.empty((steps if sensitive else 0, 3, 3), dtype)
     if isinstance(layout, GridLayout):
-        nowhere, nothing = np.empty(0, np.int64), np.empty((steps, 0, 3), dtype)
+        nowhere, nothing = np.empty((0, 3), np.int64), np.empty((steps, 0, 3), dtype)
         _run_grid(case, layout, radii, sensitive, nowhere, trajectory, jacobian, nothing)
     elif sensitive:
         free = free_vertices(case.mesh, case.vertex, case.mechanics)

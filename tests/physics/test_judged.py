@@ -14,8 +14,8 @@ import torch
 from batches import batch_of
 from sheets import sheet
 
-from benchmarks.rollout import Contender
 from benchmarks.rollout_cases import GRID, Field, Ours, make_task
+from benchmarks.rollout_contender import Contender
 from physics import jit
 from physics.msd import rollout
 

@@ -13,7 +13,7 @@ from sheets import hand_mesh, sheet, surface
 
 from physics import grid_layout, jit, msd_numpy
 from physics.mechanics import Bounds, Mechanics
-from physics.mesh import contact_normal, grid_mesh
+from physics.mesh import Mesh, contact_normal, grid_mesh
 from physics.msd_compiled import Case, contact_rollout, field_rollout
 from physics.msd_kernel import load_profile, simulate, simulate_field, simulate_sensitivities
 
@@ -22,10 +22,21 @@ pytestmark = pytest.mark.skipif(not jit.COMPILED, reason="numba isn't installed"
 HOLES = np.random.default_rng(0).random((14, 17)) > 0.15
 NECK = np.ones((11, 15), dtype=bool)
 NECK[:5, 7], NECK[7:, 7] = False, False
+
+
+def shuffled(mesh: Mesh) -> Mesh:
+    """The same mesh with its vertices in another order."""
+    order = np.random.default_rng(1).permutation(len(mesh.vertices))
+    rank = np.argsort(order).astype(np.int32)
+    parts = (mesh.vertices[order], rank[mesh.triangles], rank[mesh.springs], mesh.rim[order], mesh.pixels[order])
+    return Mesh(*parts, mesh.grid_shape)
+
+
 MESHES = {
     "grid": sheet(9, 8),
     "decimated": sheet(12, 12, keep=0.5),
     "holes": grid_mesh(surface(14, 17), HOLES, max_edge=1.0),
+    "shuffled": shuffled(grid_mesh(surface(14, 17), HOLES, max_edge=1.0)),
     "neck": grid_mesh(surface(11, 15), NECK, max_edge=1.0),
     "one": hand_mesh([[0, 0, 1]], []),
     "two": hand_mesh([[0, 0, 1], [0.1, 0, 1]], [[0, 1]], [False, True]),

@@ -1,0 +1,186 @@
+"""What a contact's motion can tell about stiffness, damping and force: Fisher information, bound, verdict.
+
+Bini 2026 leaves the question open (section 5). For an observation d = Φ(θ) + noise of standard deviation σ in every
+coordinate the Fisher information of φ = (log k_s, log k_d, log |F|) is I = Σ (∂Φ/∂φ)ᵀ(∂Φ/∂φ)/σ², and no unbiased
+estimate of φ has a covariance below I⁻¹ (Cramér–Rao bound). A bound of 0.1 is a relative error of about 10 %.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from physics.mechanics import Mechanics
+from physics.mesh import Mesh
+from physics.msd_kernel import simulate_field, simulate_sensitivities
+
+LIMIT = 0.5
+"""A parameter whose bound lies below is identifiable: its one-sigma interval spans less than a factor e."""
+RATIOS = np.array([[1.0, -1.0, 0.0], [0.0, -1.0, 1.0]])
+"""k_s/k_d and F/k_d in logarithms: what an over-damped response still determines."""
+NAMES = ("k_s", "k_d", "F")
+NOTHING = 1e-9
+"""Information below this is rounding: a bound of 30,000."""
+LOG_STEP = 1e-3
+"""Step of the differences in log θ that give the whole field's sensitivities."""
+
+Verdict = Literal["determined", "ratios", "undetermined"]
+
+
+@dataclass(frozen=True)
+class Direction:
+    """One principal direction of what is known about log θ."""
+
+    sd: float
+    """Cramér–Rao bound along it, in units of log θ; infinite where nothing is known."""
+    vector: np.ndarray
+    """Unit vector over (log k_s, log k_d, log |F|), shape [3]."""
+    words: str
+    """The product of powers that it stands for, such as `F / k_d`."""
+
+
+def log_jacobian(jacobian: np.ndarray, theta: np.ndarray) -> np.ndarray:
+    """∂Φ/∂φ from ∂Φ/∂θ: φ = (log k_s, log k_d, log |F|) makes every column θ times as large, F's with its sign.
+
+    Args:
+        jacobian: shape [..., 3], the last axis θ's.
+        theta: [k_s, k_d, F], shape [3].
+    """
+    return jacobian * np.asarray(theta, jacobian.dtype)
+
+
+def fisher_information(jacobian: np.ndarray, noise: float) -> np.ndarray:
+    """I = Σ (∂Φ/∂φ)ᵀ(∂Φ/∂φ)/σ², shape [3, 3].
+
+    Args:
+        jacobian: ∂Φ/∂φ of everything that is observed, shape [..., 3].
+        noise: σ of every observed coordinate [scene units].
+
+    Raises:
+        ValueError: the noise is not positive.
+    """
+    if not noise > 0:
+        raise ValueError(f"noise is {noise}; give a positive standard deviation.")
+    rows = np.asarray(jacobian, np.float64).reshape(-1, 3)
+    return rows.T @ rows / noise**2
+
+
+def contact_information(
+    theta: np.ndarray,
+    mesh: Mesh,
+    vertex: int,
+    direction: np.ndarray,
+    mechanics: Mechanics,
+    steps: np.ndarray,
+    noise: float,
+    *,
+    load_steps: int | None = None,
+) -> np.ndarray:
+    """Fisher information of the contact vertex's trajectory, shape [3, 3].
+
+    Args:
+        theta, mesh, vertex, direction, mechanics, load_steps: as in `physics.msd_kernel.simulate`.
+        steps: indices into the trajectory of the observations, shape [M].
+        noise: σ of every observed coordinate [scene units].
+    """
+    used = dataclasses.replace(mechanics, steps=int(np.max(steps)) + 1, load_steps=0)
+    load = min(mechanics.load_steps if load_steps is None else load_steps, used.steps)
+    _, jacobian = simulate_sensitivities(theta, mesh, vertex, direction, used, load_steps=load, dtype=np.float64)
+    return fisher_information(log_jacobian(jacobian[steps], theta), noise)
+
+
+def field_information(
+    theta: np.ndarray,
+    mesh: Mesh,
+    vertex: int,
+    direction: np.ndarray,
+    mechanics: Mechanics,
+    steps: np.ndarray,
+    noise: float,
+    *,
+    load_steps: int | None = None,
+    visible: np.ndarray | None = None,
+) -> np.ndarray:
+    """Fisher information of the whole visible field, shape [3, 3]: what tracking every vertex would add.
+
+    Arguments as in `contact_information`; `visible` are the observed vertices, shape [N] bool, None = all.
+    """
+    used = dataclasses.replace(mechanics, steps=int(np.max(steps)) + 1, load_steps=0)
+    load = min(mechanics.load_steps if load_steps is None else load_steps, used.steps)
+    seen = slice(None) if visible is None else visible
+
+    def observed(logs: np.ndarray) -> np.ndarray:
+        values = np.sign(theta) * np.exp(logs)
+        field = simulate_field(values, mesh, vertex, direction, used, load_steps=load, dtype=np.float64)
+        return field[steps][:, seen]
+
+    start = np.log(np.abs(theta))
+    offsets = LOG_STEP * np.eye(3)
+    columns = [(observed(start + offset) - observed(start - offset)) / (2 * LOG_STEP) for offset in offsets]
+    return fisher_information(np.stack(columns, axis=-1), noise)
+
+
+def covariance(information: np.ndarray) -> np.ndarray:
+    """I⁻¹, shape [3, 3]; infinite variances along directions about which nothing is known give infinities."""
+    values, vectors = np.linalg.eigh(information)
+    variances = np.where(values > NOTHING, 1 / np.maximum(values, NOTHING), 1 / NOTHING)
+    return (vectors * variances) @ vectors.T
+
+
+def bounds(information: np.ndarray) -> np.ndarray:
+    """Cramér–Rao bounds on the standard deviations of (log k_s, log k_d, log |F|), shape [3]."""
+    return np.sqrt(np.diag(covariance(information)))
+
+
+def ratio_bounds(information: np.ndarray) -> np.ndarray:
+    """Cramér–Rao bounds on log(k_s/k_d) and log(F/k_d), shape [2]."""
+    return np.sqrt(np.einsum("ij,jk,ik->i", RATIOS, covariance(information), RATIOS))
+
+
+def verdict(information: np.ndarray, limit: float = LIMIT) -> Verdict:
+    """`determined`: every parameter's bound lies below the limit. `ratios`: not, but those of k_s/k_d and F/k_d do."""
+    if (bounds(information) < limit).all():
+        return "determined"
+    return "ratios" if (ratio_bounds(information) < limit).all() else "undetermined"
+
+
+def principal_directions(information: np.ndarray) -> list[Direction]:
+    """Eigenvectors of the information with their bounds, the best known first, named in words."""
+    values, vectors = np.linalg.eigh(information)
+    found = []
+    for value, vector in sorted(zip(values, vectors.T, strict=True), key=lambda pair: -pair[0]):
+        vector = vector * np.sign(vector[np.argmax(np.abs(vector))])
+        sd = float(1 / np.sqrt(value)) if value > NOTHING else float("inf")
+        found.append(Direction(sd, vector, in_words(vector)))
+    return found
+
+
+def in_words(vector: np.ndarray) -> str:
+    """A direction in log θ as a product of powers, such as `k_s / k_d` or `k_s · k_d · F` (the common scale).
+
+    Exponents are rounded to halves of the largest; those below a quarter of it are left out.
+    """
+    powers = np.rint(2 * np.asarray(vector) / np.max(np.abs(vector))) / 2
+    above = [_power(name, power) for name, power in zip(NAMES, powers, strict=True) if power > 0]
+    below = [_power(name, -power) for name, power in zip(NAMES, powers, strict=True) if power < 0]
+    over = " · ".join(above) or "1"
+    return over if not below else f"{over} / {' / '.join(below)}"
+
+
+def _power(name: str, power: float) -> str:
+    return name if power == 1 else f"√{name}"
+
+
+def describe(information: np.ndarray, limit: float = LIMIT) -> str:
+    """What is determined and what isn't, a sentence such as `F / k_d (±0.02) is determined, k_s · k_d · F isn't`."""
+    directions = principal_directions(information)
+    known = [f"{item.words} (±{item.sd:.2g})" for item in directions if item.sd < limit]
+    unknown = [item.words for item in directions if item.sd >= limit]
+    if not unknown:
+        return f"{', '.join(known)} are determined"
+    if not known:
+        return "nothing is determined"
+    return f"{', '.join(known)} {'is' if len(known) == 1 else 'are'} determined, {', '.join(unknown)} {'is' if len(unknown) == 1 else 'are'} not"

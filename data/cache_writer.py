@@ -41,6 +41,7 @@ COLUMNS: dict[str, tuple[type, tuple[int, ...], float]] = {
     "pixel": (np.int16, (2,), -1),
     "tool_pixel": (np.int16, (2,), -1),
     "touching": (np.bool_, (), False),
+    "noise": (np.float32, (), math.nan),
     "displacement": (np.float32, (3,), math.nan),
     "backward": (np.float32, (3,), math.nan),
     "rigid": (np.float32, (3,), math.nan),

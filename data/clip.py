@@ -19,11 +19,11 @@ import numpy as np
 from data.camera import Camera, Undistortion, clip_camera
 from data.clip_cache import CacheEntry, PreparedClip, cache_key
 from data.contact_motion import ContactMotion
-from data.depth import DepthError, DepthSettings, estimate_scale, normalise, open_depth, resize_depth
+from data.depth import DepthError, DepthSettings, DepthSource, estimate_scale, normalise, open_depth, resize_depth
 from data.frames import Frame, FrameSource, InputError, open_source
 from data.geometry import GeometrySettings, GeometryStatus, frame_geometry
 from data.layout import ClipLayout
-from data.masks import MaskClasses, MaskError, chosen_kind, open_masks
+from data.masks import MaskClasses, MaskError, MaskSource, chosen_kind, open_masks
 from data.prepared import PreparedFrame
 
 PREPROCESSING_VERSION = 1
@@ -56,14 +56,28 @@ class PrepareSettings:
             raise ValueError(f"track_seconds is {self.track_seconds}; give a number of seconds of at least 0.")
 
 
+@dataclass(frozen=True)
+class ClipInputs:
+    """Where labels, depth and camera of a clip come from when they lie in no file."""
+
+    masks: MaskSource
+    depth: DepthSource
+    camera: Camera
+
+
 class ClipStream:
     """Prepared frames of a clip, in order and one at a time, with one frame of look-ahead.
 
     No bad frame ends the stream: it comes with a status other than `ok` and a sentence in `detail`.
     """
 
-    def __init__(self, source: FrameSource, settings: PrepareSettings) -> None:
+    def __init__(self, source: FrameSource, settings: PrepareSettings, inputs: ClipInputs | None = None) -> None:
         """Open masks and depth, and fix the clip's scale and camera.
+
+        Args:
+            source: the pictures.
+            settings: how to prepare them.
+            inputs: labels, depth and camera, instead of those that the settings name.
 
         Raises:
             InputError: a model, preset, camera or clip file can't be used.
@@ -71,9 +85,12 @@ class ClipStream:
         self.source, self.settings = source, settings
         self.seconds: dict[str, float] = defaultdict(float)
         """Time spent so far by stage [s]."""
-        self._masks = open_masks(settings.masks, settings.layout, settings.classes)
-        self._depth = open_depth(settings.depth, settings.layout, source)
-        camera = clip_camera(source.path, settings.layout)
+        if inputs is None:
+            self._masks = open_masks(settings.masks, settings.layout, settings.classes)
+            self._depth = open_depth(settings.depth, settings.layout, source)
+            camera = clip_camera(source.path, settings.layout)
+        else:
+            self._masks, self._depth, camera = inputs.masks, inputs.depth, inputs.camera
         self.metric = self._depth.metric
         """Whether `scale` is in metres."""
         self._scale_error = ""
@@ -107,7 +124,7 @@ class ClipStream:
         }
 
     def __iter__(self) -> Iterator[PreparedFrame]:
-        """Prepared frames from the clip's beginning, one for each of its frames.
+        """Prepared frames from the clip's beginning, one for each of its frames, up to five frames late.
 
         Raises:
             InputError: the clip can't be masked the chosen way at all.
@@ -121,6 +138,7 @@ class ClipStream:
             track_seconds=self.settings.track_seconds,
         )
         previous: PreparedFrame | None = None
+        held: list[PreparedFrame] = []
         frames = iter(self.source)
         while True:
             with self._timed("decode"):
@@ -131,8 +149,13 @@ class ClipStream:
             if previous is not None:
                 with self._timed("tracking"):
                     motion.link(previous, current)
-                yield previous
+                held.append(previous)
+                if motion.settled:
+                    yield from held
+                    held.clear()
             previous = current
+        motion.settle()
+        yield from held
         if previous is not None:
             yield previous
 

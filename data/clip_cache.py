@@ -141,6 +141,7 @@ class PreparedClip:
     pixel: np.ndarray
     tool_pixel: np.ndarray
     touching: np.ndarray
+    noise: np.ndarray
     displacement: np.ndarray
     backward: np.ndarray
     rigid: np.ndarray

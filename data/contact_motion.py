@@ -6,6 +6,8 @@ point instead (dense optical flow, then its depth) observes deformation.
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,11 +15,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from data.camera import Camera
-from data.geometry import TISSUE, GeometrySettings
+from data.geometry import TISSUE, GeometrySettings, GeometryStatus, frame_geometry, move_contact
 from data.prepared import PreparedFrame
+from data.rest_depth import RestDepth
+from data.smooth_surface import smooth_surface
 from data.template import TissueTemplate
 from data.tracking import TissueTracker
 
+REFINE_REACH = 3
+"""The tissue that yields most is looked for this far from where the contact was detected [grid pixels]."""
+REFINE_SIGMA = 3.5
+"""Its mean change must exceed this many standard deviations."""
+REFINE_FRAMES = 5
+"""Frames after the onset that decide where the contact is."""
 LIFT_REACH = 8
 """Farthest tissue that gives a covered point its depth [grid pixels]."""
 PLANE_POINTS = 6
@@ -123,6 +133,37 @@ def reference_pixels(depth: np.ndarray, labels: np.ndarray, contact: Sequence[in
     return pixels[chosen].astype(np.float64)
 
 
+def pressed_pixel(
+    onset: PreparedFrame, later: Sequence[tuple[PreparedFrame, np.ndarray]], sigmas: float
+) -> tuple[int, int] | None:
+    """Grid pixel (u, v) near a contact whose depth changes most from its rest shape, on average over later frames.
+
+    Args:
+        onset: first frame in contact, its mesh at rest.
+        later: following frames, and where each has the contact's tissue, (u, v) [grid pixels].
+        sigmas: the mean change must exceed this many of its standard deviations.
+    """
+    mesh, (u, v) = onset.geometry.mesh, onset.geometry.pixel
+    near = np.flatnonzero((np.abs(mesh.pixels - (v, u)) <= REFINE_REACH).all(axis=1) & ~mesh.rim)
+    total, count = np.zeros(len(near)), np.zeros(len(near))
+    for prepared, place in later:
+        rows, columns = (mesh.pixels[near] + np.rint(place[::-1] - (v, u)).astype(int)).T
+        height, width = prepared.depth.shape
+        inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
+        rows, columns = rows.clip(0, height - 1), columns.clip(0, width - 1)
+        seen = inside & (prepared.labels[rows, columns] == TISSUE) & (prepared.depth[rows, columns] > 0)
+        total += np.where(seen, prepared.depth[rows, columns] - mesh.vertices[near, 2], 0.0)
+        count += seen
+    change = np.abs(total) / np.maximum(count, 1)
+    if len(near) == 0 or not later:
+        return None
+    best = int(np.argmax(np.where(2 * count >= len(later), change, 0.0)))
+    if change[best] <= sigmas * onset.geometry.noise / math.sqrt(max(count[best], 1)):
+        return None
+    row, column = mesh.pixels[near[best]]
+    return int(column), int(row)
+
+
 @dataclass
 class _Run:
     """A run of contact whose onset was seen, and the tissue point that is followed from it."""
@@ -137,6 +178,10 @@ class _Run:
     """The tissue around it at the onset."""
     drift: np.ndarray
     """Rigid motion subtracted so far, shape [3] [scene units]."""
+    onset: PreparedFrame
+    """The first frame in contact."""
+    young: list[tuple[PreparedFrame, np.ndarray, np.ndarray]] | None
+    """Frames after it with the point's pixel and the drift in each; None once the contact's place is settled."""
 
 
 class ContactMotion:
@@ -161,6 +206,8 @@ class ContactMotion:
         self.camera, self.size, self.settings = camera, size, settings
         self.bridge_frames, self.track_seconds = bridge_frames, track_seconds
         self._tracker = TissueTracker()
+        self._rest = RestDepth()
+        self._smooth: tuple[int, np.ndarray | None] = (-1, None)
         self._run: _Run | None = None
         self._last_contact: int | None = None
 
@@ -169,10 +216,12 @@ class ContactMotion:
         before.consecutive = after.frame.number - before.frame.number == 1
         if not (before.consecutive and before.visible and after.visible):
             # Contact that is already there when the view returns has no known onset.
+            self.settle()
             self._run, self._last_contact = None, after.frame.index if after.in_contact else None
             return
         if before.in_contact:
             self._last_contact = before.frame.index
+        self._rest.push(before)
         if self._run is not None or before.in_contact or after.in_contact:
             self._observe(before, after)
         self._update_run(before, after)
@@ -180,6 +229,44 @@ class ContactMotion:
             after.track_start = self._run.start
             if self._run.pixel is not None:
                 after.track_position = self._lift(self._run.pixel[None], after)[0] - self._run.drift
+            self._grow_older(after)
+
+    @property
+    def settled(self) -> bool:
+        """Whether nothing more will change about the frames linked so far."""
+        return self._run is None or self._run.young is None
+
+    def settle(self) -> None:
+        """Move a young run's contact to the nearby tissue that has yielded most, and follow that instead.
+
+        Depth noise shifts the closest pair of points by a pixel or two, and a point load makes a dent hardly wider.
+        """
+        if self.settled:
+            return
+        run, young = self._run, self._run.young
+        run.young = None
+        shape, contact = run.onset.depth.shape, self._picture_pixel(run.onset)
+        places = [(prepared, picture_to_grid(pixel, shape, self.size)) for prepared, pixel, _ in young]
+        yielded = pressed_pixel(run.onset, places, REFINE_SIGMA)
+        if yielded is None or yielded == run.onset.geometry.pixel:
+            return
+        run.onset.geometry = move_contact(run.onset.geometry, yielded)
+        moved = self._picture_pixel(run.onset)
+        run.onset.track_position = self._lift(moved[None], run.onset)[0]
+        for prepared, pixel, drift in young:
+            prepared.track_position = self._lift((pixel + moved - contact)[None], prepared)[0] - drift
+        if run.pixel is not None:
+            run.pixel = run.pixel + moved - contact
+        run.template = TissueTemplate(run.onset.frame.image, run.onset.picture_labels, moved)
+
+    def _grow_older(self, latest: PreparedFrame) -> None:
+        run = self._run
+        if run.young is None or latest is run.onset:
+            return
+        if run.pixel is not None and latest.in_contact:
+            run.young.append((latest, run.pixel, run.drift))
+        if len(run.young) == REFINE_FRAMES or run.pixel is None or not latest.in_contact:
+            self.settle()
 
     def _observe(self, before: PreparedFrame, after: PreparedFrame) -> None:
         before.rigid = self._rigid(before, after)
@@ -206,13 +293,22 @@ class ContactMotion:
             if expired and missing >= self.bridge_frames:
                 self._run = None
         elif missing > self.bridge_frames:
+            self.settle()
             known = before.status in ("no_tool", "no_contact")
             self._run = self._begin(after) if known else None
 
     def _begin(self, onset: PreparedFrame) -> _Run:
+        if self.settings.smoothing > 0:
+            # The frames before show the same tissue at rest, and the contact without the tool in front of it.
+            with contextlib.suppress(GeometryStatus):
+                noise = onset.geometry.noise
+                rest = self._rest.at(onset)
+                resting = frame_geometry(onset.depth, onset.labels, self.camera, self.settings, rest)
+                onset.geometry = dataclasses.replace(resting, noise=noise)
         pixel = self._picture_pixel(onset)
         template = TissueTemplate(onset.frame.image, onset.picture_labels, pixel)
-        return _Run(onset.frame.index, onset.frame.time_s, pixel, template, np.zeros(3))
+        young = [] if math.isfinite(onset.geometry.noise) else None
+        return _Run(onset.frame.index, onset.frame.time_s, pixel, template, np.zeros(3), onset, young)
 
     def _follow_contact(self, source: PreparedFrame, target: PreparedFrame) -> np.ndarray:
         """Motion of the source's contact point to the target, shape [3]; not a number where it can't be followed."""
@@ -249,7 +345,7 @@ class ContactMotion:
             return None
         moved, _ = self._step(before, after, pixels)
         place = self._lift(pixel[None], before)[0]
-        motion = rigid_motion(self._lift(pixels, before), self._lift(moved, after), place)
+        motion = rigid_motion(self._lift_smooth(pixels, before), self._lift_smooth(moved, after), place)
         return None if motion is None else _finite(motion)
 
     def _step(self, source: PreparedFrame, target: PreparedFrame, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -265,6 +361,18 @@ class ContactMotion:
         """Points [P, 3] of full-picture pixels [P, 2]."""
         grid = picture_to_grid(pixels, prepared.depth.shape, self.size)
         return lift(grid, prepared.depth, prepared.labels, self.camera, self.settings.depth_radius)
+
+    def _lift_smooth(self, pixels: np.ndarray, prepared: PreparedFrame) -> np.ndarray:
+        """Points [P, 3] on the smoothed surface: drift adds up from frame to frame, and with it the depth's noise."""
+        if self.settings.smoothing == 0:
+            return self._lift(pixels, prepared)
+        index, depth = self._smooth
+        if index != prepared.frame.index:
+            tissue = (prepared.labels == TISSUE) & (prepared.depth > 0)
+            depth = smooth_surface(prepared.depth, tissue, self.settings.smoothing)[0]
+            self._smooth = prepared.frame.index, depth
+        grid = picture_to_grid(pixels, prepared.depth.shape, self.size)
+        return lift(grid, depth, prepared.labels, self.camera)
 
 
 def _finite(vector: np.ndarray) -> np.ndarray | None:

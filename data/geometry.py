@@ -6,6 +6,7 @@ that z is in (0, 1] and 0 means "no depth". Label maps hold 0 = other, 1 = tissu
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 from typing import Literal
@@ -15,6 +16,7 @@ from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 
 from data.camera import Camera, back_project
+from data.smooth_surface import smooth_surface
 from physics.mesh import Mesh, contact_normal, grid_mesh, nearest_vertex
 
 TISSUE, TOOL = 1, 2
@@ -92,6 +94,9 @@ class GeometrySettings:
     """Columns of that grid."""
     max_edge: float = 0.05
     """Longest edge of a mesh triangle [scene units] (Bini 2026, section 3.2.2)."""
+    smoothing: float = 0.0
+    """Standard deviation of the weights with which the tissue's depth is smoothed before it becomes a mesh and a
+    contact [grid pixels]; 0 leaves it as it is (paper). Noisy or rounded depth asks for 3 to 6."""
     keep: float = 1.0
     """Share of the mesh's vertices that decimation keeps; the paper names 0.3 and used 1."""
     contact_pixels: float = 2.0
@@ -121,7 +126,7 @@ class GeometrySettings:
         for name, low in least.items():
             if getattr(self, name) < low:
                 raise ValueError(f"geometry.{name} is {getattr(self, name)}; give at least {low}.")
-        for name in ("contact_pixels", "contact_distance", "min_displacement"):
+        for name in ("smoothing", "contact_pixels", "contact_distance", "min_displacement"):
             if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
                 raise ValueError(f"geometry.{name} is {getattr(self, name)}; give a number of at least 0.")
         if not self.max_edge > 0:
@@ -154,9 +159,18 @@ class FrameGeometry:
     """Grid pixel (u, v) of g*."""
     touching: bool
     """Whether the masks touch; otherwise the clouds are within the contact distance."""
+    noise: float = math.nan
+    """Standard deviation of the tissue's depth about its smoothed surface [scene units]; not a number without
+    `GeometrySettings.smoothing`."""
 
 
-def frame_geometry(depth: np.ndarray, labels: np.ndarray, camera: Camera, settings: GeometrySettings) -> FrameGeometry:
+def frame_geometry(
+    depth: np.ndarray,
+    labels: np.ndarray,
+    camera: Camera,
+    settings: GeometrySettings,
+    rest: tuple[np.ndarray, np.ndarray] | None = None,
+) -> FrameGeometry:
     """Contact and mesh of one frame.
 
     A frame is in contact when the masks touch or the clouds are close. Monocular depth of a shiny tool is often wrong
@@ -167,17 +181,24 @@ def frame_geometry(depth: np.ndarray, labels: np.ndarray, camera: Camera, settin
         depth: z, shape [h, w] [scene units], 0 = invalid.
         labels: label map, shape [h, w].
         camera: intrinsics of the grid.
+        rest: the tissue's depth at rest and where it is known, hidden by the tool or not, shapes [h, w]; None = as it
+            is seen. The mesh covers all of it, the contact lies on what is seen.
 
     Raises:
         GeometryStatus: `no_tool`, `no_tissue`, `bad_depth` or `no_contact`, in this order.
     """
     tool, tissue = labels == TOOL, labels == TISSUE
     _require_pixels(tool, tissue, depth, settings)
-    points = back_project(depth, camera)
+    resting, surface = (depth, tissue & (depth > 0)) if rest is None else rest
+    noise = math.nan
+    if settings.smoothing > 0:
+        resting, noise = smooth_surface(resting, surface, settings.smoothing)
+    sheet = back_project(resting, camera)
+    points = np.where(tissue[..., None], sheet, back_project(depth, camera))
     touching = _touching(tool, tissue, settings.contact_pixels)
     pair = _outline_pair(points, tool, tissue, settings) if touching else _cloud_pair(points, tool, tissue, settings)
     (tool_row, tool_column), (row, column) = pair
-    mesh = grid_mesh(points, tissue & (depth > 0), occluder=tool, max_edge=settings.max_edge, keep=settings.keep)
+    mesh = grid_mesh(sheet, surface, occluder=tool & ~surface, max_edge=settings.max_edge, keep=settings.keep)
     if len(mesh.vertices) == 0:
         raise GeometryStatus("bad_depth", "The tissue's depth is so rough that no mesh triangle is short enough.")
     tissue_point = points[row, column]
@@ -186,7 +207,21 @@ def frame_geometry(depth: np.ndarray, labels: np.ndarray, camera: Camera, settin
     distance = float(np.linalg.norm(tool_point - tissue_point))
     normal = contact_normal(mesh, vertex)
     pixel, tool_pixel = (int(column), int(row)), (int(tool_column), int(tool_row))
-    return FrameGeometry(mesh, vertex, normal, tool_point, tissue_point, distance, pixel, tool_pixel, touching)
+    return FrameGeometry(mesh, vertex, normal, tool_point, tissue_point, distance, pixel, tool_pixel, touching, noise)
+
+
+def move_contact(geometry: FrameGeometry, pixel: tuple[int, int]) -> FrameGeometry:
+    """The same frame with the mesh's vertex at the grid pixel (u, v) as its contact."""
+    vertex = int(np.flatnonzero((geometry.mesh.pixels == pixel[::-1]).all(axis=1))[0])
+    point = geometry.mesh.vertices[vertex]
+    return dataclasses.replace(
+        geometry,
+        vertex=vertex,
+        normal=contact_normal(geometry.mesh, vertex),
+        tissue_point=point,
+        distance=float(np.linalg.norm(geometry.tool_point - point)),
+        pixel=pixel,
+    )
 
 
 def force_direction(normal: np.ndarray, displacement: np.ndarray | None, settings: GeometrySettings) -> np.ndarray:

@@ -68,6 +68,8 @@ class ContactCase:
     """Observed displacement, shape [M, 3], float32 [scene units]."""
     weight: np.ndarray
     """Weight of each observation, shape [M], float32."""
+    noise: float = math.nan
+    """Standard deviation of every observed coordinate [scene units]; not a number where it isn't known."""
 
 
 @dataclass(frozen=True)
@@ -205,14 +207,23 @@ def _pair_case(clip: PreparedClip, frame: int, motion: np.ndarray, settings: Sam
 def _run_case(clip: PreparedClip, onset: int, settings: SampleSettings) -> ContactCase:
     """Case of a run of contact, observed at the frames' own time stamps since its onset."""
     frames, steps = _observed_frames(clip, onset, settings)
-    displacement = (clip.track_position[frames] - clip.track_position[onset]).astype(np.float32)
+    mesh, vertex = clip.mesh(onset), int(clip.vertex[onset])
+    rest = mesh.vertices[vertex] if math.isfinite(clip.noise[onset]) else clip.track_position[onset]
+    displacement = (clip.track_position[frames] - rest).astype(np.float32)
     farthest = displacement[np.argmax(np.linalg.norm(displacement, axis=1))]
     return ContactCase(
-        mesh=clip.mesh(onset),
-        vertex=int(clip.vertex[onset]),
+        mesh=mesh,
+        vertex=vertex,
         direction=force_direction(clip.normal[onset], farthest, settings.geometry),
         load_steps=_load_steps(clip, onset, settings.mechanics),
         steps=steps,
         displacement=displacement,
         weight=np.ones(len(steps), np.float32),
+        noise=float(clip.noise[onset]),
     )
+
+
+def contact_cases(clip: PreparedClip, settings: SampleSettings) -> dict[int, ContactCase]:
+    """Every run of contact of a clip whose onset was seen and whose tissue was followed, by the frame of its onset."""
+    onsets = np.flatnonzero(clip.track_start == np.arange(len(clip))).tolist()
+    return {onset: _run_case(clip, onset, settings) for onset in onsets if len(_observed_frames(clip, onset, settings)[1])}

@@ -5,6 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
+from physics.identifiability import verdict
+
 Verdict = Literal["", "onset_in_view", "undetermined"]
 
 
@@ -50,3 +54,31 @@ class FrameEstimate:
     """Length of the simulated displacement of the contact vertex [scene units]."""
     observed_displacement: float | None = None
     """Length of the observed displacement of the contact point [scene units]."""
+
+
+@dataclass(frozen=True)
+class ContactEstimate:
+    """Parameters of one whole run of contact, with their uncertainty."""
+
+    theta: np.ndarray
+    """k_s, k_d and signed F, shape [3] [scene units (normalised)]."""
+    covariance: np.ndarray
+    """Covariance of (log k_s, log k_d, log |F|), shape [3, 3]."""
+    information: np.ndarray
+    """Fisher information of the same from the observed contact trajectory at `theta`, shape [3, 3]."""
+    noise: float
+    """Standard deviation of every observed coordinate [scene units]."""
+    misfit: float
+    """Root mean square of observed minus simulated displacement over `noise`: 1 where the model explains the data."""
+    at_bound: np.ndarray
+    """Whether a parameter lies at its range's end, shape [3], bool."""
+
+    @property
+    def log_sd(self) -> np.ndarray:
+        """Standard deviations of the logarithms, shape [3]: relative errors, while they are small."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def verdict(self) -> str:
+        """`determined`, `ratios` or `undetermined` (see physics.identifiability.verdict)."""
+        return verdict(self.information)

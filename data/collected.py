@@ -1,0 +1,71 @@
+"""A prepared clip in memory, with what samples are made of: the twin of `data.clip_cache.PreparedClip`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from data.cache_writer import COLUMNS, LEVELS
+from data.prepared import STATUSES, PreparedFrame
+from physics.mesh import Mesh
+
+
+class CollectedClip:
+    """Prepared frames of a short clip; attributes as of `PreparedClip`, arrays with frames first."""
+
+    numbers: np.ndarray
+    times: np.ndarray
+    usable: np.ndarray
+    consecutive: np.ndarray
+    vertex: np.ndarray
+    normal: np.ndarray
+    noise: np.ndarray
+    displacement: np.ndarray
+    backward: np.ndarray
+    rigid: np.ndarray
+    track_start: np.ndarray
+    track_position: np.ndarray
+
+    def __init__(self, name: str, fps: float, frames: Iterable[PreparedFrame]) -> None:
+        """Collect frames; their pictures and full-size labels are dropped."""
+        self.name, self.fps = name, fps
+        self._depths: list[np.ndarray] = []
+        self._meshes: list[Mesh | None] = []
+        rows: dict[str, list] = {column: [] for column in COLUMNS}
+        for prepared in frames:
+            geometry = prepared.geometry
+            self._depths.append(np.rint(prepared.depth * LEVELS).astype(np.uint16))
+            self._meshes.append(None if geometry is None else geometry.mesh)
+            given = {
+                "numbers": prepared.frame.number,
+                "times": prepared.frame.time_s,
+                "codes": STATUSES.index(prepared.status),
+                "usable": prepared.has_depth,
+            }
+            for column, (_, shape, missing) in COLUMNS.items():
+                value = given.get(column, getattr(prepared, column, None))
+                value = getattr(geometry, column, None) if value is None else value
+                rows[column].append(np.full(shape, missing) if value is None else value)
+        for column, (dtype, shape, _) in COLUMNS.items():
+            setattr(self, column, np.array(rows[column], dtype).reshape(len(self._depths), *shape))
+        self.status = [STATUSES[code] for code in self.codes]
+        self.contact = self.codes == STATUSES.index("ok")
+
+    def __len__(self) -> int:
+        return len(self._depths)
+
+    def depth(self, index: int) -> np.ndarray:
+        """z of a frame, shape [h, w], float32 in [0, 1] [scene units]; 0 = invalid."""
+        return (self._depths[index] / np.float32(LEVELS)).astype(np.float32)
+
+    def mesh(self, index: int) -> Mesh:
+        """Tissue mesh of a frame in contact.
+
+        Raises:
+            IndexError: the frame is not in contact.
+        """
+        mesh = self._meshes[index]
+        if mesh is None:
+            raise IndexError(f"Frame {index} of {self.name} is {self.status[index]}; only contact has a mesh.")
+        return mesh

@@ -1,0 +1,55 @@
+"""The tissue's smooth surface behind noisy depth, and how noisy the depth is.
+
+A grid cell is a few thousandths of the scene, no more than a depth model's noise: springs between raw depths would
+have lengths and directions of noise. At rest tissue is smooth, so a plane fitted around every pixel takes the noise away.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+REACH = 3.0
+"""The weights end at this many standard deviations."""
+LEAST_WEIGHT = 1e-6
+"""Squared spread of a neighbourhood, relative to the weights', below which it holds no plane and its mean is taken."""
+
+
+def smooth_surface(depth: np.ndarray, tissue: np.ndarray, smoothing: float) -> tuple[np.ndarray, float]:
+    """Depth of the tissue by a plane fitted around every pixel with Gaussian weights (local linear regression).
+
+    Args:
+        depth: z, shape [h, w] [scene units].
+        tissue: pixels that are tissue and have a depth, shape [h, w], bool; only they are read and changed.
+        smoothing: standard deviation of the weights [grid pixels], above 0.
+
+    Returns:
+        Smoothed depth [h, w] float32, elsewhere as it was, and the noise: the standard deviation of the tissue's depth
+        about it [scene units], not a number without tissue.
+    """
+    if not tissue.any():
+        return depth, float("nan")
+    height, width = depth.shape
+    columns, rows = np.meshgrid(np.arange(width) - width / 2, np.arange(height) - height / 2)
+    weight = tissue.astype(np.float64)
+    z = np.where(tissue, depth, 0).astype(np.float64)
+    size = 2 * int(np.ceil(REACH * smoothing)) + 1
+
+    def around(values: np.ndarray) -> np.ndarray:
+        return cv2.GaussianBlur(values * weight, (size, size), smoothing, borderType=cv2.BORDER_CONSTANT)[tissue]
+
+    total = around(np.ones_like(z))
+    mean_x, mean_y, mean_z = (around(values) / total for values in (columns, rows, z))
+    xx, xy, yy = (around(values) / total for values in (columns * columns, columns * rows, rows * rows))
+    xz, yz = around(columns * z) / total, around(rows * z) / total
+    xx, xy, yy = xx - mean_x**2, xy - mean_x * mean_y, yy - mean_y**2
+    xz, yz = xz - mean_x * mean_z, yz - mean_y * mean_z
+    determinant = xx * yy - xy * xy
+    flat = determinant > LEAST_WEIGHT * smoothing**4
+    safe = np.where(flat, determinant, 1.0)
+    slope_x = np.where(flat, (yy * xz - xy * yz) / safe, 0.0)
+    slope_y = np.where(flat, (xx * yz - xy * xz) / safe, 0.0)
+    fitted = mean_z + slope_x * (columns[tissue] - mean_x) + slope_y * (rows[tissue] - mean_y)
+    smooth = depth.astype(np.float32, copy=True)
+    smooth[tissue] = fitted
+    return smooth, float(np.sqrt(np.mean(np.square(depth[tissue] - fitted))))

@@ -1,0 +1,171 @@
+"""The direct estimator: θ of one contact by nonlinear least squares through the simulator, without a trained network.
+
+The strongest classical rival of a network (spec, section 2, item 10). Levenberg–Marquardt with a trust region
+(`scipy.optimize.least_squares`) over φ = (log k_s, log k_d, log |F|) with the rollout's exact Jacobian, from several
+starts. The covariance at the optimum is the inverse Fisher information, which is the Cramér–Rao bound there.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.stats.qmc import Sobol
+
+from data.clip_cache import PreparedClip
+from data.collected import CollectedClip
+from data.samples import ContactCase, SampleSettings, contact_cases
+from estimators.estimate import ContactEstimate
+from physics.identifiability import covariance, fisher_information, log_jacobian
+from physics.mechanics import Mechanics
+from physics.msd_kernel import simulate, simulate_sensitivities
+
+CANDIDATES = 128
+"""Points of a Sobol sequence over the box among which the starts are chosen: an under-damped response has many local
+optima, one for every number of swings."""
+STARTS = 4
+"""Fits, begun at the candidates that explain the data best."""
+SCREENING_STEP = 0.005
+"""Time step with which candidates are compared [s]."""
+TOLERANCE = 1e-8
+MOST_EVALUATIONS = 60
+AT_BOUND = 1e-3
+"""Estimates this near to the end of their range in φ lie at it."""
+
+
+class NoEstimate(ValueError):
+    """A contact can't be fitted; the message is a sentence that says why."""
+
+
+@dataclass(frozen=True)
+class DirectSettings:
+    """The model that is fitted."""
+
+    mechanics: Mechanics = dataclasses.field(
+        default_factory=lambda: Mechanics(time_step=0.0025, steps=400, scheme="dkd", window_error=1e-6)
+    )
+    """Integrator; its own error must lie below the noise: of second order, with half the paper's step."""
+    stiffness: tuple[float, float] = (0.05, 1.0)
+    """Range of k_s [normalised]."""
+    damping: tuple[float, float] = (0.005, 0.5)
+    """Range of k_d [normalised]."""
+    force: tuple[float, float] = (0.01, 0.3)
+    """Range of |F| [normalised]."""
+    noise: float | None = None
+    """σ of every observed coordinate [scene units]; None = the clip's own depth noise."""
+
+    def __post_init__(self) -> None:
+        for name in ("stiffness", "damping", "force"):
+            low, high = getattr(self, name)
+            if not 0 < low < high < math.inf:
+                raise ValueError(f"{name} is [{low}, {high}]; give two positive numbers, the lower one first.")
+        if self.noise is not None and not self.noise > 0:
+            raise ValueError(f"noise is {self.noise}; give a positive length or leave it out.")
+
+    @property
+    def box(self) -> np.ndarray:
+        """Lower and upper φ, shape [2, 3]."""
+        return np.log(np.array([self.stiffness, self.damping, self.force]).T)
+
+
+def fit_contact(case: ContactCase, settings: DirectSettings) -> ContactEstimate:
+    """Fit θ to one contact.
+
+    Args:
+        case: the contact; its steps must have been made with the settings' time step.
+
+    Raises:
+        NoEstimate: fewer than three observations, or no noise level.
+    """
+    noise = settings.noise if settings.noise is not None else case.noise
+    if not (math.isfinite(noise) and noise > 0):
+        raise NoEstimate("the depth's noise isn't known; set geometry.smoothing above 0, or give the noise.")
+    if len(case.steps) < 3:
+        raise NoEstimate(f"the contact was followed over {len(case.steps)} frames after its onset; 3 are needed.")
+    problem = _Problem(case, settings.mechanics, noise)
+    low, high = settings.box
+    ends = [
+        least_squares(
+            problem.residual, start, problem.jacobian, (low, high), method="trf",
+            x_scale="jac", ftol=TOLERANCE, xtol=TOLERANCE, gtol=TOLERANCE, max_nfev=MOST_EVALUATIONS,
+        )
+        for start in problem.starts(low, high)
+    ]  # fmt: skip
+    best = min(ends, key=lambda end: end.cost)
+    information = fisher_information(problem.jacobian(best.x), 1.0)
+    return ContactEstimate(
+        theta=problem.theta(best.x),
+        covariance=covariance(information),
+        information=information,
+        noise=noise,
+        misfit=math.sqrt(2 * best.cost / len(case.steps)),
+        at_bound=np.minimum(best.x - low, high - best.x) < AT_BOUND,
+    )
+
+
+def fit_clip(clip: PreparedClip | CollectedClip, settings: DirectSettings) -> dict[int, ContactEstimate | NoEstimate]:
+    """Fit every run of contact of a prepared clip whose onset was seen; an estimate, or why there is none, by onset."""
+    samples = SampleSettings(observation="trajectory", mechanics=settings.mechanics)
+    found: dict[int, ContactEstimate | NoEstimate] = {}
+    for onset, case in contact_cases(clip, samples).items():
+        try:
+            found[onset] = fit_contact(case, settings)
+        except NoEstimate as reason:
+            found[onset] = reason
+    return found
+
+
+class _Problem:
+    """Residuals and their exact derivatives by φ, each in units of the noise."""
+
+    def __init__(self, case: ContactCase, mechanics: Mechanics, noise: float) -> None:
+        self.case, self.noise = case, noise
+        steps = int(case.steps.max()) + 1
+        self.mechanics = dataclasses.replace(mechanics, steps=steps, load_steps=0)
+        self.load_steps = min(case.load_steps, steps)
+        self.observed = case.displacement.astype(np.float64)
+        self._at: np.ndarray | None = None
+
+    @staticmethod
+    def theta(logs: np.ndarray) -> np.ndarray:
+        """θ with F pressing."""
+        return np.exp(logs) * (1.0, 1.0, -1.0)
+
+    def starts(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        """φ of the candidates with the smallest misfit, shape [STARTS, 3]."""
+        candidates = low + Sobol(3, rng=0).random(CANDIDATES) * (high - low)
+        coarse = max(1, round(SCREENING_STEP / self.mechanics.time_step))
+        steps = -(-self.mechanics.steps // coarse)
+        mechanics = dataclasses.replace(
+            self.mechanics, time_step=coarse * self.mechanics.time_step, steps=steps, window_error=1e-3
+        )
+        seen = (self.case.steps + 1) // coarse - 1
+        case, load_steps = self.case, min(round(self.load_steps / coarse), steps)
+        misfits = []
+        for logs in candidates:
+            path = simulate(self.theta(logs), case.mesh, case.vertex, case.direction, mechanics, load_steps=load_steps)
+            misfits.append(np.square(path[seen] - self.observed).sum())
+        return candidates[np.argsort(misfits)[:STARTS]]
+
+    def residual(self, logs: np.ndarray) -> np.ndarray:
+        """(Φ - d)/σ, flattened."""
+        self._evaluate(logs)
+        return self._residual
+
+    def jacobian(self, logs: np.ndarray) -> np.ndarray:
+        """Its derivatives by φ."""
+        self._evaluate(logs)
+        return self._jacobian
+
+    def _evaluate(self, logs: np.ndarray) -> None:
+        if self._at is not None and np.array_equal(logs, self._at):
+            return
+        theta, case = self.theta(logs), self.case
+        arguments = theta, case.mesh, case.vertex, case.direction, self.mechanics
+        path, slopes = simulate_sensitivities(*arguments, load_steps=self.load_steps, dtype=np.float64)
+        self._at = logs.copy()
+        self._residual = ((path[case.steps] - self.observed) / self.noise).ravel()
+        self._jacobian = (log_jacobian(slopes[case.steps], theta) / self.noise).reshape(-1, 3)

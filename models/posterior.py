@@ -1,0 +1,108 @@
+"""Amortised posterior of one contact: mean and covariance of (log k_s, log k_d, log |F|) from what was seen of it.
+
+A residual network on the contact's features (`data.contact_features`); a picture's features may be added through a
+projection that starts at zero, so that it changes nothing until it helps.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor, nn
+
+LOG_SD_RANGE = (-5.0, 1.0)
+"""Diagonal of the covariance's factor, in logarithms: standard deviations between 0.7 % and a factor e^2.7."""
+
+
+class ResidualLayer(nn.Module):
+    """x + W₂·gelu(W₁·norm(x)); keeps the shape [B, width]."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.layers = nn.Sequential(
+            nn.LayerNorm(width), nn.Linear(width, width), nn.GELU(), nn.Linear(width, width)
+        )  # fmt: skip
+
+    def forward(self, hidden: Tensor) -> Tensor:
+        return hidden + self.layers(hidden)
+
+
+class ContactPosterior(nn.Module):
+    """q(φ | contact) = N(mean, L·Lᵀ) for φ = (log k_s, log k_d, log |F|), its mean inside the admissible box.
+
+    Args:
+        features: length of the contact's vector.
+        box: lower and upper φ, shape [2, 3].
+        width: of the hidden layers.
+        blocks: residual layers.
+        picture: channels of the encoder's features; 0 = none.
+    """
+
+    lower: Tensor
+    upper: Tensor
+    centre: Tensor
+    scale: Tensor
+
+    def __init__(self, features: int, box: Tensor, width: int = 256, blocks: int = 4, picture: int = 0) -> None:
+        super().__init__()
+        self.entry = nn.Linear(features, width)
+        self.blocks = nn.Sequential(*(ResidualLayer(width) for _ in range(blocks)))
+        self.exit = nn.Sequential(nn.LayerNorm(width), nn.Linear(width, 9))
+        self.picture = nn.Linear(picture, width) if picture else None
+        box = torch.as_tensor(box, dtype=torch.float32)
+        self.register_buffer("lower", box[0])
+        self.register_buffer("upper", box[1])
+        self.register_buffer("centre", torch.zeros(features))
+        self.register_buffer("scale", torch.ones(features))
+        with torch.no_grad():
+            self.exit[-1].weight.mul_(0.1)
+            self.exit[-1].bias[3:6] = math.log(0.5)
+            if self.picture is not None:
+                nn.init.zeros_(self.picture.weight)
+                nn.init.zeros_(self.picture.bias)
+
+    def standardise(self, features: Tensor) -> None:
+        """Set the inputs' centre and scale from examples, shape [N, features]."""
+        self.centre.copy_(features.mean(dim=0))
+        self.scale.copy_(features.std(dim=0).clamp(min=1e-2))
+
+    def forward(self, contact: Tensor, picture: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Contact features [B, features] and pooled picture features [B, picture] → mean [B, 3], factor L [B, 3, 3]."""
+        hidden = self.entry((contact - self.centre) / self.scale)
+        if self.picture is not None and picture is not None:
+            hidden = hidden + self.picture(picture)
+        raw = self.exit(self.blocks(hidden))
+        mean = self.lower + (self.upper - self.lower) * torch.sigmoid(raw[:, :3])
+        diagonal = torch.exp(raw[:, 3:6].clamp(*LOG_SD_RANGE))
+        # Rows below the diagonal in units of their own diagonal, so that a correlation is one number whatever the size.
+        first, second, third = diagonal.unbind(1)
+        zero = torch.zeros_like(first)
+        slopes = raw[:, 6:]
+        rows = (
+            torch.stack([first, zero, zero], 1),
+            torch.stack([slopes[:, 0] * first, second, zero], 1),
+            torch.stack([slopes[:, 1] * first, slopes[:, 2] * second, third], 1),
+        )
+        return mean, torch.stack(rows, dim=1)
+
+
+def evidence_loss(mean: Tensor, factor: Tensor, gradient: Tensor, information: Tensor, weight: Tensor) -> Tensor:
+    """Negative evidence bound of Gaussian posteriors, up to a constant, with the likelihood linearised at the mean.
+
+    -E_q[log p(d|φ)] + KL(q‖prior) for d = Φ(φ) + noise and Φ linear within the posterior's width has, by the mean, the
+    gradient of the misfit and the prior, and by the covariance Σ that of ½ tr(ΣH) - ½ log det Σ, with H the Fisher
+    information plus the prior's. The rollout's exact Jacobian gives both, so no sampling is needed.
+
+    Args:
+        mean, factor: of q, shapes [B, 3] and [B, 3, 3].
+        gradient: of misfit and prior by φ at the mean, shape [B, 3], a constant.
+        information: H there, shape [B, 3, 3], a constant.
+        weight: of every sample's mean, shape [B].
+
+    Returns:
+        Scalar whose gradient is the bound's.
+    """
+    spread = 0.5 * (factor.transpose(1, 2) @ information @ factor).diagonal(dim1=1, dim2=2).sum(1)
+    entropy = torch.log(factor.diagonal(dim1=1, dim2=2)).sum(1)
+    return (weight * (gradient * mean).sum(1) + spread - entropy).mean()

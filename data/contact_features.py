@@ -7,6 +7,7 @@ the sheet's equations know no other scale than F; the noise and the spacing itse
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,20 +26,34 @@ FEATURES = 4 * SLOTS + 4 * len(NEIGHBOURS) + len(NEIGHBOURS) + 4
 """Length of the vector."""
 
 
-def contact_features(case: ContactCase, time_step: float, seconds: float = math.inf) -> np.ndarray:
+@dataclass(frozen=True)
+class Surroundings:
+    """The mesh around a contact; the same for every instant of it."""
+
+    spacing: float
+    """Mean length of the contact's springs [scene units]."""
+    vector: np.ndarray
+    """Neighbours in the contact's own frame over the spacing, whether there are any, distances to the rim."""
+
+
+def contact_features(
+    case: ContactCase, time_step: float, seconds: float = math.inf, surroundings: Surroundings | None = None
+) -> np.ndarray:
     """The vector of a contact, shape [FEATURES], float32.
 
     Args:
         case: the contact with its noise.
         time_step: of the case's steps [s].
         seconds: only what was seen until this long after the onset is told.
+        surroundings: of the contact where they are known already.
 
     Raises:
         ValueError: the noise is not known.
     """
     if not (math.isfinite(case.noise) and case.noise > 0):
         raise ValueError(f"the contact's noise is {case.noise}; prepare the clip with geometry.smoothing above 0.")
-    spacing = contact_spacing(case.mesh, case.vertex)
+    around = contact_surroundings(case) if surroundings is None else surroundings
+    spacing = around.spacing
     relative_noise = case.noise / spacing
     times = (case.steps + 1) * time_step
     seen = times <= seconds + 1e-9
@@ -50,9 +65,8 @@ def contact_features(case: ContactCase, time_step: float, seconds: float = math.
         along = known * np.interp(slots, np.concatenate(([0], times[seen])), np.concatenate(([0], pressed)))
     loaded = (slots <= min(case.load_steps * time_step, seconds) + 1e-9).astype(np.float64)
     scaled = np.arcsinh(along / (2 * relative_noise)) / 5
-    shape, present, rims = _surroundings(case, spacing)
     scales = [math.log(spacing / 0.0027), math.log(relative_noise), math.log(relative_noise) ** 2 / 4, known.mean()]
-    return np.concatenate([along / 8, scaled, known, loaded, shape, present, rims, scales]).astype(np.float32)
+    return np.concatenate([along / 8, scaled, known, loaded, around.vector, scales]).astype(np.float32)
 
 
 def contact_spacing(mesh: Mesh, vertex: int) -> float:
@@ -61,9 +75,10 @@ def contact_spacing(mesh: Mesh, vertex: int) -> float:
     return float(np.linalg.norm(mesh.vertices[ends[:, 1]] - mesh.vertices[ends[:, 0]], axis=1).mean())
 
 
-def _surroundings(case: ContactCase, spacing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Neighbours in the contact's own frame [24] over the spacing, whether there are any [8], distances to the rim [8]."""
+def contact_surroundings(case: ContactCase) -> Surroundings:
+    """Where the neighbours of a contact are and how far the rim is."""
     mesh, vertex = case.mesh, case.vertex
+    spacing = contact_spacing(mesh, vertex)
     normal = np.asarray(case.direction, np.float64)
     across = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
     across /= np.linalg.norm(across)
@@ -78,7 +93,7 @@ def _surroundings(case: ContactCase, spacing: float) -> tuple[np.ndarray, np.nda
             present[index] = 1
             shape[index] = frame @ (mesh.vertices[neighbour] - mesh.vertices[vertex]) / spacing
         rims[index] = _steps_to_rim(number, mesh.rim, centre, np.array(offset)) / FARTHEST_RIM
-    return shape.ravel(), present, rims
+    return Surroundings(spacing, np.concatenate([shape.ravel(), present, rims]))
 
 
 def _steps_to_rim(number: np.ndarray, rim: np.ndarray, centre: np.ndarray, offset: np.ndarray) -> int:

@@ -40,10 +40,7 @@ class TissueTemplate:
         """
         centre = np.rint(near - self._offset).astype(int)
         picture, usable = _crop(image, labels, centre, RADIUS + REACH)
-        side = 2 * RADIUS + 1
-        pictures = np.lib.stride_tricks.sliding_window_view(picture, (side, side))
-        both = np.lib.stride_tricks.sliding_window_view(usable, (side, side)) & self._usable
-        score = _correlation(self._patch, pictures, both)
+        score = _correlation(self._patch, self._usable, picture, usable)
         row, column = np.unravel_index(np.argmax(score), score.shape)
         inside = 0 < row < 2 * REACH and 0 < column < 2 * REACH
         if not inside or score[row, column] < LEAST_CORRELATION:
@@ -70,19 +67,29 @@ def _crop(image: np.ndarray, labels: np.ndarray, centre: np.ndarray, radius: int
     return grey[inner], ((kinds == TISSUE) & ~near_tool)[inner]
 
 
-def _correlation(patch: np.ndarray, pictures: np.ndarray, usable: np.ndarray) -> np.ndarray:
-    """Normalised correlation at every shift [2R+1, 2R+1] over the usable pixels; -1 where they are too few."""
-    count = usable.sum(axis=(2, 3)).astype(np.float64)
-    shares = usable.astype(np.float32)
+def _correlation(patch: np.ndarray, known: np.ndarray, picture: np.ndarray, usable: np.ndarray) -> np.ndarray:
+    """Normalised correlation of a patch at every shift within a larger picture, over the pixels usable in both.
 
-    def total(values: np.ndarray) -> np.ndarray:
-        return np.einsum("ijkl,ijkl->ij", shares, values, dtype=np.float64, casting="unsafe")
+    Args:
+        patch, known: grey values and usable pixels of the patch, shape [2R+1, 2R+1].
+        picture, usable: the same of the picture, shape [S, S].
 
-    patches = np.broadcast_to(patch, pictures.shape)
+    Returns:
+        Shape [S-2R, S-2R]; -1 where too few pixels are usable.
+    """
+    # Around the patch's mean, so that single precision loses nothing to the square of a large mean.
+    middle = float(patch[known].mean()) if known.any() else 0.0
+    ours, theirs = known.astype(np.float32), usable.astype(np.float32)
+    first, second = (patch - middle) * ours, (picture - middle) * theirs
+
+    def total(large: np.ndarray, small: np.ndarray) -> np.ndarray:
+        return cv2.matchTemplate(large, small, cv2.TM_CCORR).astype(np.float64)
+
+    count = np.rint(total(theirs, ours))
     safe = np.maximum(count, 1)
-    first, second = total(patches) / safe, total(pictures) / safe
-    covariance = total(patches * pictures) / safe - first * second
-    spread = (total(patches * patches) / safe - first**2) * (total(pictures * pictures) / safe - second**2)
+    mean_first, mean_second = total(theirs, first) / safe, total(second, ours) / safe
+    covariance = total(second, first) / safe - mean_first * mean_second
+    spread = (total(theirs, first * first) / safe - mean_first**2) * (total(second * second, ours) / safe - mean_second**2)
     enough = (count >= LEAST_SHARE * patch.size) & (spread > 1e-6)
     return np.where(enough, covariance / np.sqrt(np.where(enough, spread, 1)), -1)
 

@@ -21,7 +21,7 @@ from data.clip import ClipStream, PreparedFrame
 from data.contact_motion import grid_to_picture
 from data.geometry import force_direction
 from data.windows import FrameWindow
-from estimators.estimate import FrameEstimate, Verdict
+from estimators.estimate import ContactEstimate, FrameEstimate, Verdict, uncertainty
 from estimators.model_settings import section
 from models.onnx_session import ModelFileError, ParameterModel
 from physics.mechanics import Bounds, Mechanics
@@ -89,10 +89,10 @@ class AmortizedEstimator:
             if current.in_contact:
                 theta = self._theta(depth, current)
                 lengths = self._displacements(theta, current, following, known, clip)
-                estimate = _estimate(current, clip, theta, lengths, _verdict(statuses))
-                yield FrameResult(current, estimate, self._arrow(theta, current, clip))
+                estimate = frame_estimate(current, clip, theta, lengths, _verdict(statuses))
+                yield FrameResult(current, estimate, force_arrow(theta, current, clip, self.bounds))
             else:
-                yield FrameResult(current, _estimate(current, clip), None)
+                yield FrameResult(current, frame_estimate(current, clip), None)
             previous = current
 
     def _theta(self, window: np.ndarray, prepared: PreparedFrame) -> np.ndarray:
@@ -141,31 +141,35 @@ class AmortizedEstimator:
         self.seconds["simulation"] += time.perf_counter() - started
         return _length(path[-1]), None if observed is None else _length(observed)
 
-    def _arrow(
-        self, theta: np.ndarray, prepared: PreparedFrame, clip: ClipStream
-    ) -> tuple[tuple[float, float], tuple[float, float]] | None:
-        """The force as it acts: an arrow that ends at the contact point, as long in the scene as |F| is large."""
-        contact, largest = prepared.geometry, max(abs(value) for value in self.bounds.force)
-        tip = contact.tissue_point.astype(np.float64)
-        direction = force_direction(contact.normal, prepared.displacement, clip.settings.geometry)
-        tail = tip - direction * (FULL_ARROW * tip[2] * float(theta[2]) / largest)
-        if theta[2] == 0 or tail[2] <= 0:
-            return None
-        return _project(tail, clip.picture_camera), _project(tip, clip.picture_camera)
+
+def force_arrow(
+    theta: np.ndarray, prepared: PreparedFrame, clip: ClipStream, bounds: Bounds
+) -> tuple[tuple[float, float], tuple[float, float]] | None:
+    """The force as it acts: an arrow that ends at the contact point, as long in the scene as |F| is large."""
+    contact, largest = prepared.geometry, max(abs(value) for value in bounds.force)
+    tip = contact.tissue_point.astype(np.float64)
+    direction = force_direction(contact.normal, prepared.displacement, clip.settings.geometry)
+    tail = tip - direction * (FULL_ARROW * tip[2] * float(theta[2]) / largest)
+    if theta[2] == 0 or tail[2] <= 0:
+        return None
+    return _project(tail, clip.picture_camera), _project(tip, clip.picture_camera)
 
 
-def _estimate(
+def frame_estimate(
     prepared: PreparedFrame,
     clip: ClipStream,
     theta: np.ndarray | None = None,
     lengths: tuple[float | None, float | None] = (None, None),
     verdict: Verdict = "",
+    found: ContactEstimate | None = None,
 ) -> FrameEstimate:
     """The record of a frame; without θ it holds the status and what is known of the contact.
 
     Args:
         theta: k_s, k_d and signed F, shape [3].
         lengths: of the simulated and the observed displacement [scene units].
+        verdict: what the data determine.
+        found: the estimate with its uncertainty, where the model gives one.
     """
     frame, contact, detail = prepared.frame, prepared.geometry, prepared.detail
     if contact is not None and lengths[0] is None:
@@ -192,6 +196,7 @@ def _estimate(
         contact_v=v,
         simulated_displacement=lengths[0],
         observed_displacement=lengths[1],
+        **({} if found is None else uncertainty(found)),
     )
 
 

@@ -24,7 +24,7 @@ import torch
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from torch import Tensor
 
-from data.contact_features import FEATURES, contact_features
+from data.contact_features import FEATURES, contact_features, contact_surroundings
 from data.samples import ContactCase
 from data.simulated_contacts import SimulatedContact, draw_contacts
 from data.synthetic_settings import SceneSettings
@@ -109,6 +109,7 @@ class Trainer:
         torch.manual_seed(seed)
         self.contacts = contacts
         self.generator = np.random.default_rng([seed, 17])
+        self.surroundings = [contact_surroundings(contact.case) for contact in contacts]
         box = settings.box
         self.prior_mean = torch.tensor(box.mean(axis=0), dtype=torch.float32)
         self.prior = torch.diag(torch.tensor(12 / (box[1] - box[0]) ** 2, dtype=torch.float32))
@@ -119,9 +120,9 @@ class Trainer:
 
     def draw(self) -> tuple[ContactCase, np.ndarray]:
         """A contact as seen, and its features."""
-        contact = self.contacts[self.generator.integers(len(self.contacts))]
-        case = observed(contact, self.generator)
-        return case, contact_features(case, MECHANICS.time_step)
+        index = self.generator.integers(len(self.contacts))
+        case = observed(self.contacts[index], self.generator)
+        return case, contact_features(case, MECHANICS.time_step, surroundings=self.surroundings[index])
 
     def loss(self, batch: list[tuple[ContactCase, np.ndarray]], blur: float) -> tuple[Tensor, Tensor]:
         """Evidence loss of a batch, and its mean misfit in σ."""
@@ -150,7 +151,7 @@ class Trainer:
             torch.nn.utils.clip_grad_norm_(self.posterior.parameters(), 1.0)
             optimizer.step()
             schedule.step()
-            advance(step, float(loss), float(move))
+            advance(step, float(loss.detach()), float(move))
 
 
 @torch.no_grad()

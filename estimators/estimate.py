@@ -7,9 +7,12 @@ from typing import Literal
 
 import numpy as np
 
-from physics.identifiability import verdict
+from physics.identifiability import bounds, verdict
+from physics.mechanics import PARAMETERS
 
-Verdict = Literal["", "onset_in_view", "undetermined"]
+Verdict = Literal["", "onset_in_view", "determined", "ratios", "undetermined"]
+NINETY = 1.6449
+"""Standard deviations on either side of the mean that hold 90 % of a normal distribution."""
 
 
 @dataclass(frozen=True)
@@ -28,20 +31,39 @@ class FrameEstimate:
     detail: str = ""
     """One sentence about the status, or about something missing although the status is ok."""
     verdict: Verdict = ""
-    """Whether the model's window shows the onset of contact; without it the response that separates stiffness,
-    damping and force is out of view, and the numbers are `undetermined`. Empty unless the status is ok."""
+    """What the data determine: every parameter (`determined`), only k_s/k_d and F/k_d (`ratios`), or not even those
+    (`undetermined`); see physics.identifiability. Models without a posterior only say whether their window shows the
+    onset of contact (`onset_in_view`), without which nothing is determined. Empty unless the status is ok."""
     stiffness: float | None = None
     """k_s [scene units (normalised)]."""
     stiffness_sd: float | None = None
     """Standard deviation of `stiffness`."""
+    stiffness_low: float | None = None
+    """Lower end of the 90 % interval of k_s."""
+    stiffness_high: float | None = None
+    """Upper end of the 90 % interval of k_s."""
+    stiffness_bound: float | None = None
+    """Cramér–Rao bound on the standard deviation of log k_s, at the estimate."""
     damping: float | None = None
     """k_d [scene units (normalised)]."""
     damping_sd: float | None = None
     """Standard deviation of `damping`."""
+    damping_low: float | None = None
+    """Lower end of the 90 % interval of k_d."""
+    damping_high: float | None = None
+    """Upper end of the 90 % interval of k_d."""
+    damping_bound: float | None = None
+    """Cramér–Rao bound on the standard deviation of log k_d, at the estimate."""
     force: float | None = None
     """Magnitude |F| [scene units (normalised)], never negative."""
     force_sd: float | None = None
     """Standard deviation of `force`."""
+    force_low: float | None = None
+    """Lower end of the 90 % interval of |F|."""
+    force_high: float | None = None
+    """Upper end of the 90 % interval of |F|."""
+    force_bound: float | None = None
+    """Cramér–Rao bound on the standard deviation of log |F|, at the estimate."""
     contact: bool | None = None
     """Whether tool and tissue touch; None where that could not be decided."""
     contact_distance: float | None = None
@@ -82,3 +104,16 @@ class ContactEstimate:
     def verdict(self) -> str:
         """`determined`, `ratios` or `undetermined` (see physics.identifiability.verdict)."""
         return verdict(self.information)
+
+
+def uncertainty(found: ContactEstimate) -> dict[str, float]:
+    """The uncertainty fields of a `FrameEstimate`: log-normal standard deviations and 90 % intervals, and bounds."""
+    fields: dict[str, float] = {}
+    limits = bounds(found.information)
+    for name, value, log_sd, limit in zip(PARAMETERS, np.abs(found.theta), found.log_sd, limits, strict=True):
+        fields[f"{name}_sd"] = float(value * np.exp(log_sd**2 / 2) * np.sqrt(np.expm1(log_sd**2)))
+        fields[f"{name}_low"], fields[f"{name}_high"] = (
+            float(value * np.exp(sign * NINETY * log_sd)) for sign in (-1, 1)
+        )  # fmt: skip
+        fields[f"{name}_bound"] = float(limit)
+    return fields

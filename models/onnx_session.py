@@ -44,8 +44,8 @@ class ParameterModel:
 
     def __init__(self, path: str | Path, threads: int | None = None) -> None:
         self.path = Path(path)
-        self._session = _open_session(self.path, threads)
-        self.metadata: dict[str, Any] = _read_metadata(self.path, self._session)
+        self._session = open_session(self.path, threads)
+        self.metadata: dict[str, Any] = read_metadata(self.path, self._session)
         """Everything the export wrote: bounds, units, mechanics, preprocessing settings and versions."""
         size = self.metadata["input"]
         self.window: int = size["window"]
@@ -72,7 +72,12 @@ class ParameterModel:
         return self._session.run([OUTPUT], {INPUT: np.ascontiguousarray(windows, dtype=np.float32)})[0]
 
 
-def _open_session(path: Path, threads: int | None) -> onnxruntime.InferenceSession:
+def open_session(path: Path, threads: int | None) -> onnxruntime.InferenceSession:
+    """Open an ONNX file.
+
+    Raises:
+        ModelFileError: no such file, or not an ONNX file.
+    """
     if not path.is_file():
         raise ModelFileError(f"{path} is not a file; give the file that train.py export wrote.")
     options = onnxruntime.SessionOptions()
@@ -89,7 +94,12 @@ def _open_session(path: Path, threads: int | None) -> onnxruntime.InferenceSessi
         raise ModelFileError(f"{path} can't be read ({error.strerror}); check the file and its permissions.") from error
 
 
-def _read_metadata(path: Path, session: onnxruntime.InferenceSession) -> dict[str, Any]:
+def read_metadata(path: Path, session: onnxruntime.InferenceSession) -> dict[str, Any]:
+    """The document that our export wrote into a file.
+
+    Raises:
+        ModelFileError: the file is not ours, or newer than this program.
+    """
     foreign = f"{path} is an ONNX file without palpate's metadata; give a file that train.py export wrote."
     text = session.get_modelmeta().custom_metadata_map.get(METADATA_KEY)
     if text is None:

@@ -1,0 +1,198 @@
+"""The contact posterior at work: every frame in contact gets θ, its uncertainty and a verdict from what was seen so far."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from collections import defaultdict
+from collections.abc import Iterator
+
+import numpy as np
+
+from data.clip import ClipStream, PreparedFrame
+from data.clip_cache import PreparedClip
+from data.collected import CollectedClip
+from data.contact_features import Surroundings, contact_features, contact_surroundings
+from data.geometry import force_direction
+from data.samples import ContactCase, SampleSettings, contact_cases
+from data.windows import FrameWindow
+from estimators.amortized import FrameResult, force_arrow, frame_estimate
+from estimators.direct import NoEstimate
+from estimators.estimate import ContactEstimate
+from estimators.model_settings import section
+from models.onnx_session import ModelFileError
+from models.posterior_session import PosteriorModel
+from physics.identifiability import fisher_information, log_jacobian
+from physics.mechanics import Bounds, Mechanics
+from physics.msd_kernel import simulate_sensitivities
+
+PRESSING = np.array([1.0, 1.0, -1.0])
+"""Signs of k_s, k_d and F."""
+EDGE = 0.02
+"""A mean within this share of the box's end (in logarithms) lies at it."""
+
+
+class ContactNetwork:
+    """Runs an exported contact posterior over prepared clips.
+
+    Args:
+        model: the exported network.
+
+    Raises:
+        ModelFileError: its metadata can't be used.
+    """
+
+    def __init__(self, model: PosteriorModel) -> None:
+        self.model = model
+        self.mechanics: Mechanics = section(model, "mechanics", Mechanics)
+        self.bounds: Bounds = section(model, "bounds", Bounds)
+        self.seconds: dict[str, float] = defaultdict(float)
+        """Time spent on the current clip in `network` and `simulation` [s]."""
+
+    def run(self, clip: ClipStream) -> Iterator[FrameResult]:
+        """Results of a clip's frames, one for each, in order; memory does not grow with the clip.
+
+        Raises:
+            ModelFileError: the network gives a number that is not finite.
+        """
+        self.seconds.clear()
+        window, run = FrameWindow(self.model.window), None
+        for current in clip:
+            depth = window.push(current)
+            if current.track_start == current.frame.index:
+                run = _Run(current, clip, self.mechanics)
+            known = run if run is not None and current.track_start == run.onset.frame.index else None
+            if known is not None:
+                known.add(current)
+            if not current.in_contact:
+                yield FrameResult(current, frame_estimate(current, clip), None)
+            elif known is None or not math.isfinite(known.onset.geometry.noise):
+                yield FrameResult(current, frame_estimate(current, clip, verdict="undetermined"), None)
+            else:
+                case = known.case(current)
+                found = self.estimate(case, known.surroundings, depth)
+                lengths = self._lengths(found, case, current, known)
+                result = frame_estimate(current, clip, found.theta, lengths, found.verdict, found)
+                yield FrameResult(current, result, force_arrow(found.theta, current, clip, self.bounds))
+
+    def estimate_clip(self, clip: PreparedClip | CollectedClip) -> dict[int, ContactEstimate | NoEstimate]:
+        """Every run of contact of a prepared clip whose onset was seen, or why it has no estimate, by its onset."""
+        samples = SampleSettings(observation="trajectory", mechanics=self.mechanics)
+        found: dict[int, ContactEstimate | NoEstimate] = {}
+        for onset, case in contact_cases(clip, samples).items():
+            if not (math.isfinite(case.noise) and case.noise > 0):
+                found[onset] = NoEstimate("the depth's noise isn't known; prepare with geometry.smoothing above 0.")
+                continue
+            depth = np.stack([clip.depth(onset)] * self.model.window) if self.model.takes_depth else None
+            found[onset] = self.estimate(case, contact_surroundings(case), depth)
+        return found
+
+    def estimate(self, case: ContactCase, surroundings: Surroundings, depth: np.ndarray | None) -> ContactEstimate:
+        """Posterior of a contact from what was seen of it.
+
+        Args:
+            case: the contact; its steps count in the model's time step.
+            surroundings: of the contact.
+            depth: window [K, h, w], where the model looks at it.
+
+        Raises:
+            ModelFileError: the network gives a number that is not finite.
+        """
+        start = time.perf_counter()
+        features = contact_features(case, self.mechanics.time_step, surroundings=surroundings)
+        window = depth[None] if self.model.takes_depth else None
+        mean, covariance = (values[0] for values in self.model(features[None], window))
+        self.seconds["network"] += time.perf_counter() - start
+        if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
+            raise ModelFileError(f"{self.model.path} gives a number that is not finite; export another checkpoint.")
+        theta = np.exp(mean) * PRESSING
+        information, misfit = self._information(theta, case)
+        low, high = log_box(self.bounds)
+        return ContactEstimate(
+            theta, covariance, information, case.noise, misfit, np.minimum(mean - low, high - mean) < EDGE * (high - low)
+        )  # fmt: skip
+
+    def _information(self, theta: np.ndarray, case: ContactCase) -> tuple[np.ndarray, float]:
+        """Fisher information of the contact's trajectory at θ, shape [3, 3], and the residual's size in σ."""
+        if len(case.steps) == 0:
+            return np.zeros((3, 3)), math.nan
+        start = time.perf_counter()
+        steps = int(case.steps.max()) + 1
+        mechanics = dataclasses.replace(self.mechanics, steps=steps, load_steps=0)
+        path, slopes = simulate_sensitivities(
+            theta, case.mesh, case.vertex, case.direction, mechanics, load_steps=min(case.load_steps, steps)
+        )
+        information = fisher_information(log_jacobian(slopes[case.steps].astype(np.float64), theta), case.noise)
+        residual = (path[case.steps] - case.displacement) / case.noise
+        self.seconds["simulation"] += time.perf_counter() - start
+        return information, float(np.sqrt(np.square(residual).sum(axis=1).mean()))
+
+    def _lengths(
+        self, found: ContactEstimate, case: ContactCase, current: PreparedFrame, run: _Run
+    ) -> tuple[float | None, float | None]:
+        """Lengths of the simulated and of the observed displacement of the contact's tissue in this frame."""
+        elapsed = current.frame.time_s - run.onset.frame.time_s
+        steps = round(elapsed / self.mechanics.time_step)
+        moved = current.track_position - run.rest
+        observed = float(np.linalg.norm(moved)) if np.isfinite(moved).all() else None
+        if steps == 0:
+            return 0.0, observed
+        if steps > self.mechanics.steps:
+            return None, observed
+        mechanics = dataclasses.replace(self.mechanics, steps=steps, load_steps=0)
+        path, _ = simulate_sensitivities(
+            found.theta, case.mesh, case.vertex, case.direction, mechanics, load_steps=min(case.load_steps, steps)
+        )
+        return float(np.linalg.norm(path[-1])), observed
+
+
+class _Run:
+    """A run of contact as it is seen frame by frame."""
+
+    def __init__(self, onset: PreparedFrame, clip: ClipStream, mechanics: Mechanics) -> None:
+        self.onset, self.mechanics = onset, mechanics
+        contact = onset.geometry
+        self.rest = contact.mesh.vertices[contact.vertex].astype(np.float64)
+        self.settings = clip.settings.geometry
+        self.steps: list[int] = []
+        self.moves: list[np.ndarray] = []
+        self.released: int | None = None
+        self.surroundings = contact_surroundings(self.case(onset))
+
+    def add(self, current: PreparedFrame) -> None:
+        """Take in where the followed tissue is in a frame."""
+        step = round((current.frame.time_s - self.onset.frame.time_s) / self.mechanics.time_step) - 1
+        moved = current.track_position - self.rest
+        if 0 <= step < self.mechanics.steps and np.isfinite(moved).all():
+            self.steps.append(step)
+            self.moves.append(moved)
+
+    def case(self, current: PreparedFrame) -> ContactCase:
+        """The contact as seen until a frame in contact."""
+        contact, moves = self.onset.geometry, np.array(self.moves, np.float32).reshape(-1, 3)
+        farthest = moves[np.argmax(np.linalg.norm(moves, axis=1))] if len(moves) else None
+        elapsed = round((current.frame.time_s - self.onset.frame.time_s) / self.mechanics.time_step)
+        return ContactCase(
+            mesh=contact.mesh,
+            vertex=contact.vertex,
+            direction=force_direction(contact.normal, farthest, self.settings),
+            load_steps=min(max(elapsed, 1), self.mechanics.steps),
+            steps=np.array(self.steps, np.int64),
+            displacement=moves,
+            weight=np.ones(len(moves), np.float32),
+            noise=contact.noise,
+        )
+
+
+def log_box(bounds: Bounds) -> np.ndarray:
+    """Lower and upper (log k_s, log k_d, log |F|) of an admissible box, shape [2, 3].
+
+    Raises:
+        ValueError: a parameter may vanish, or the force may pull.
+    """
+    pressing = (-bounds.force[1], -bounds.force[0])
+    ranges = np.array([bounds.stiffness, bounds.damping, pressing])
+    if not (ranges > 0).all():
+        raise ValueError(f"bounds {ranges.tolist()} reach 0, which has no logarithm; give positive lower ends.")
+    return np.log(ranges.T)

@@ -44,9 +44,12 @@ NOT_STORED = (
 NOT_PREPARATION = (
     "batches.py",
     "cholecseg8k.py",
+    "collected.py",
+    "contact_features.py",
     "datamodule.py",
     "preparation.py",
     "samples.py",
+    "simulated_contacts.py",
     "splits.py",
     "windows.py",
 )

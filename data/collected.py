@@ -27,16 +27,26 @@ class CollectedClip:
     track_start: np.ndarray
     track_position: np.ndarray
 
-    def __init__(self, name: str, fps: float, frames: Iterable[PreparedFrame]) -> None:
-        """Collect frames; their pictures and full-size labels are dropped."""
+    def __init__(self, name: str, fps: float, frames: Iterable[PreparedFrame], *, onsets_only: bool = False) -> None:
+        """Collect frames; their pictures and full-size labels are dropped.
+
+        Args:
+            name: of the clip.
+            fps: frames a second.
+            frames: the clip's frames.
+            onsets_only: keep no depth, and the mesh only of the frame where a run of contact begins, which is all that
+                fitting the runs needs: a minute of contact has a gigabyte of meshes.
+        """
         self.name, self.fps = name, fps
         self._depths: list[np.ndarray] = []
         self._meshes: list[Mesh | None] = []
         rows: dict[str, list] = {column: [] for column in COLUMNS}
         for prepared in frames:
             geometry = prepared.geometry
-            self._depths.append(np.rint(prepared.depth * LEVELS).astype(np.uint16))
-            self._meshes.append(None if geometry is None else geometry.mesh)
+            kept = geometry is not None and (not onsets_only or prepared.track_start == prepared.frame.index)
+            self._meshes.append(geometry.mesh if kept else None)
+            if not onsets_only:
+                self._depths.append(np.rint(prepared.depth * LEVELS).astype(np.uint16))
             given = {
                 "numbers": prepared.frame.number,
                 "times": prepared.frame.time_s,
@@ -48,12 +58,12 @@ class CollectedClip:
                 value = getattr(geometry, column, None) if value is None else value
                 rows[column].append(np.full(shape, missing) if value is None else value)
         for column, (dtype, shape, _) in COLUMNS.items():
-            setattr(self, column, np.array(rows[column], dtype).reshape(len(self._depths), *shape))
+            setattr(self, column, np.array(rows[column], dtype).reshape(len(self._meshes), *shape))
         self.status = [STATUSES[code] for code in self.codes]
         self.contact = self.codes == STATUSES.index("ok")
 
     def __len__(self) -> int:
-        return len(self._depths)
+        return len(self._meshes)
 
     def depth(self, index: int) -> np.ndarray:
         """z of a frame, shape [h, w], float32 in [0, 1] [scene units]; 0 = invalid."""
@@ -63,9 +73,9 @@ class CollectedClip:
         """Tissue mesh of a frame in contact.
 
         Raises:
-            IndexError: the frame is not in contact.
+            IndexError: the frame is not in contact, or its mesh wasn't kept.
         """
         mesh = self._meshes[index]
         if mesh is None:
-            raise IndexError(f"Frame {index} of {self.name} is {self.status[index]}; only contact has a mesh.")
+            raise IndexError(f"Frame {index} of {self.name} is {self.status[index]} and has no mesh here.")
         return mesh

@@ -53,20 +53,42 @@ def contact_features(
     if not (math.isfinite(case.noise) and case.noise > 0):
         raise ValueError(f"the contact's noise is {case.noise}; prepare the clip with geometry.smoothing above 0.")
     around = contact_surroundings(case) if surroundings is None else surroundings
-    spacing = around.spacing
-    relative_noise = case.noise / spacing
     times = (case.steps + 1) * time_step
     seen = times <= seconds + 1e-9
-    slots = np.arange(1, SLOTS + 1) / FRAME_RATE
-    known = np.zeros(SLOTS) if not seen.any() else (slots <= times[seen][-1] + 1e-9).astype(np.float64)
-    along = np.zeros(SLOTS)
+    slots = slot_times()
+    known, along = np.zeros(SLOTS), np.zeros(SLOTS)
     if seen.any():
-        pressed = -(case.displacement[seen] @ case.direction) / spacing
-        along = known * np.interp(slots, np.concatenate(([0], times[seen])), np.concatenate(([0], pressed)))
+        known = (slots <= times[seen][-1] + 1e-9).astype(np.float64)
+        pressed = -(case.displacement[seen] @ case.direction) / around.spacing
+        along = np.interp(slots, np.concatenate(([0], times[seen])), np.concatenate(([0], pressed)))
     loaded = (slots <= min(case.load_steps * time_step, seconds) + 1e-9).astype(np.float64)
-    scaled = np.arcsinh(along / (2 * relative_noise)) / 5
-    scales = [math.log(spacing / 0.0027), math.log(relative_noise), math.log(relative_noise) ** 2 / 4, known.mean()]
-    return np.concatenate([along / 8, scaled, known, loaded, around.vector, scales]).astype(np.float32)
+    scales = np.array([around.spacing]), np.array([case.noise])
+    return join_features(along[None], known[None], loaded[None], around.vector[None], *scales)[0]
+
+
+def slot_times() -> np.ndarray:
+    """Times since the onset that are told, shape [SLOTS] [s]."""
+    return np.arange(1, SLOTS + 1) / FRAME_RATE
+
+
+def join_features(
+    along: np.ndarray, known: np.ndarray, loaded: np.ndarray, around: np.ndarray, spacing: np.ndarray, noise: np.ndarray
+) -> np.ndarray:
+    """Vectors of many contacts, shape [B, FEATURES], float32.
+
+    Args:
+        along: motion against the force's direction over the spacing, shape [B, SLOTS].
+        known, loaded: whether an instant was seen, and was under load, shapes [B, SLOTS].
+        around: `Surroundings.vector`, shape [B, 40].
+        spacing: of the meshes, shape [B] [scene units].
+        noise: of every observed coordinate, shape [B] [scene units].
+    """
+    relative = (noise / spacing)[:, None]
+    along = along * known
+    logs = np.log(relative)
+    scales = np.concatenate([np.log(spacing / 0.0027)[:, None], logs, logs**2 / 4, known.mean(1)[:, None]], axis=1)
+    scaled = np.arcsinh(along / (2 * relative)) / 5
+    return np.concatenate([along / 8, scaled, known, loaded, around, scales], axis=1).astype(np.float32)
 
 
 def contact_spacing(mesh: Mesh, vertex: int) -> float:

@@ -1,8 +1,8 @@
 """Contacts without pictures: motions of the true scenes' meshes, as many as a network's first training needs.
 
-Geometry, tissue and timing are drawn as for the synthetic clips (spec, section 3), but the motion is the simulator's own
-and nothing is rendered, which is some hundred times faster. What a training reads of them is the observed motion; θ is
-kept for evaluation alone.
+Geometry, tissue and timing are drawn as for the synthetic clips (spec, section 3), but the motion is the simulator's
+own and nothing is rendered, which is some hundred times faster. What a training reads of them is the observed motion; θ
+is kept for evaluation alone.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def crop_mesh(mesh: Mesh, vertex: int, reach: int) -> tuple[Mesh, int]:
 
 
 def draw_contacts(settings: SceneSettings, seed: int, count: int, time_step: float) -> list[SimulatedContact]:
-    """Contacts of one scene, each with its own tissue and timing; fewer than `count` where draws move too much or little.
+    """Contacts of one scene, each with its own tissue and timing; fewer where too many draws move too much or little.
 
     Args:
         settings: what is drawn.

@@ -1,7 +1,7 @@
 """The tissue's smooth surface behind noisy depth, and how noisy the depth is.
 
 A grid cell is a few thousandths of the scene, no more than a depth model's noise: springs between raw depths would
-have lengths and directions of noise. At rest tissue is smooth, so a plane fitted around every pixel takes the noise away.
+have lengths and directions of noise. At rest tissue is smooth, so a plane fitted around every pixel takes it away.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The contact posterior at work: every frame in contact gets θ, its uncertainty and a verdict from what was seen so far."""
+"""The contact posterior at work: θ, its uncertainty and a verdict for every frame, from what was seen so far."""
 
 from __future__ import annotations
 
@@ -18,8 +18,7 @@ from data.geometry import force_direction
 from data.samples import ContactCase, SampleSettings, contact_cases
 from data.windows import FrameWindow
 from estimators.amortized import FrameResult, force_arrow, frame_estimate
-from estimators.direct import NoEstimate
-from estimators.estimate import ContactEstimate
+from estimators.estimate import ContactEstimate, NoEstimate
 from estimators.model_settings import section
 from models.onnx_session import ModelFileError
 from models.posterior_session import PosteriorModel
@@ -109,9 +108,8 @@ class ContactNetwork:
         theta = np.exp(mean) * PRESSING
         information, misfit = self._information(theta, case)
         low, high = log_box(self.bounds)
-        return ContactEstimate(
-            theta, covariance, information, case.noise, misfit, np.minimum(mean - low, high - mean) < EDGE * (high - low)
-        )  # fmt: skip
+        at_bound = np.minimum(mean - low, high - mean) < EDGE * (high - low)
+        return ContactEstimate(theta, covariance, information, case.noise, misfit, at_bound)
 
     def _information(self, theta: np.ndarray, case: ContactCase) -> tuple[np.ndarray, float]:
         """Fisher information of the contact's trajectory at θ, shape [3, 3], and the residual's size in σ."""

@@ -18,7 +18,7 @@ from scipy.stats.qmc import Sobol
 from data.clip_cache import PreparedClip
 from data.collected import CollectedClip
 from data.samples import ContactCase, SampleSettings, contact_cases
-from estimators.estimate import ContactEstimate
+from estimators.estimate import ContactEstimate, NoEstimate
 from physics.identifiability import covariance, fisher_information, log_jacobian
 from physics.mechanics import Mechanics
 from physics.msd_kernel import simulate, simulate_sensitivities
@@ -34,10 +34,6 @@ TOLERANCE = 1e-8
 MOST_EVALUATIONS = 60
 AT_BOUND = 1e-3
 """Estimates this near to the end of their range in φ lie at it."""
-
-
-class NoEstimate(ValueError):
-    """A contact can't be fitted; the message is a sentence that says why."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +81,7 @@ def fit_contact(case: ContactCase, settings: DirectSettings) -> ContactEstimate:
         raise NoEstimate("the depth's noise isn't known; set geometry.smoothing above 0, or give the noise.")
     if len(case.steps) < 3:
         raise NoEstimate(f"the contact was followed over {len(case.steps)} frames after its onset; 3 are needed.")
-    problem = _Problem(case, settings.mechanics, noise)
+    problem = ContactProblem(case, settings.mechanics, noise)
     low, high = settings.box
     ends = [
         least_squares(
@@ -118,7 +114,7 @@ def fit_clip(clip: PreparedClip | CollectedClip, settings: DirectSettings) -> di
     return found
 
 
-class _Problem:
+class ContactProblem:
     """Residuals and their exact derivatives by φ, each in units of the noise."""
 
     def __init__(self, case: ContactCase, mechanics: Mechanics, noise: float) -> None:

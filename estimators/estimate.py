@@ -15,6 +15,10 @@ NINETY = 1.6449
 """Standard deviations on either side of the mean that hold 90 % of a normal distribution."""
 
 
+class NoEstimate(ValueError):
+    """A contact can't be fitted; the message is a sentence that says why."""
+
+
 @dataclass(frozen=True)
 class FrameEstimate:
     """Parameters of one frame, or the reason why there are none.

@@ -129,6 +129,13 @@ def _panel(canvas: np.ndarray, estimate: FrameEstimate, unit: str) -> None:
         text(canvas, fit_text(note, width - 2 * pad, size * 0.72), (2 * pad, baseline), size * 0.72, _SOFT)
 
 
+_VERDICTS = {
+    "determined": "all three are determined",
+    "ratios": "only k_s/k_d and F/k_d are determined",
+    "undetermined": "undetermined by what was seen so far",
+}
+
+
 def _number_lines(estimate: FrameEstimate) -> list[tuple[str, str]]:
     """Name and value of what the frame has."""
     entries: tuple[tuple[str, float | None, float | None], ...] = (
@@ -148,8 +155,8 @@ def _number_lines(estimate: FrameEstimate) -> list[tuple[str, str]]:
 def _notes(estimate: FrameEstimate, unit: str) -> list[str]:
     """Small print under the numbers: the unit, and what the numbers can't say."""
     notes = [unit] if unit and estimate.stiffness is not None else []
-    if estimate.verdict == "undetermined":
-        notes.append("undetermined: onset of contact out of view")
+    if estimate.verdict in _VERDICTS:
+        notes.append(_VERDICTS[estimate.verdict])
     return notes
 
 

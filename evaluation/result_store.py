@@ -9,13 +9,14 @@ import os
 import re
 import shutil
 import unicodedata
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 TABLE, OVERLAY, SUMMARY, RECORD = "parameters.csv", "overlay.mp4", "summary.png", "run.json"
 """Files of a clip's folder. The record is written last: a folder that has it is complete."""
+NOT_OURS = "something that is not ours"
 _NAME_BYTES = 120
 
 
@@ -62,13 +63,14 @@ class ResultStore:
 
     Args:
         output: the folder; made when it is not there.
+        program: whose results they are; another program's are never replaced.
 
     Raises:
         OutputError: it can't be made or written.
     """
 
-    def __init__(self, output: Path) -> None:
-        self.output = output
+    def __init__(self, output: Path, program: str) -> None:
+        self.output, self.program = output, program
         self._taken: dict[str, str] = {}
         if output.exists() and not output.is_dir():
             raise OutputError(f"{output}: is a file; give a folder as --output.")
@@ -97,11 +99,10 @@ class ResultStore:
                     return self.output / name
         raise OutputError(f"{self.output / name}: holds something else; move it away or choose another --output.")
 
-    def is_complete(self, folder: Path, fingerprint: str, overlay: bool) -> bool:
-        """Whether the folder holds all results of exactly this input, these models and these settings."""
-        wanted = (TABLE, SUMMARY, RECORD) + ((OVERLAY,) if overlay else ())
+    def is_complete(self, folder: Path, fingerprint: str, files: Iterable[str]) -> bool:
+        """Whether the folder holds these files as results of exactly this input, these models and these settings."""
         record = read_record(folder)
-        return record.get("fingerprint") == fingerprint and all((folder / name).is_file() for name in wanted)
+        return record.get("fingerprint") == fingerprint and all((folder / name).is_file() for name in files)
 
     def _owner(self, name: str) -> str:
         """Source whose results the folder `name` holds; empty when it is free."""
@@ -111,7 +112,9 @@ class ResultStore:
             return taken
         if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
             return ""
-        return str(read_record(folder).get("input", {}).get("path", "something that is not ours"))
+        record = read_record(folder)
+        ours = record.get("program") == self.program
+        return str(record.get("input", {}).get("path", NOT_OURS)) if ours else NOT_OURS
 
 
 def read_record(folder: Path) -> dict[str, Any]:
@@ -121,6 +124,27 @@ def read_record(folder: Path) -> dict[str, Any]:
     except (OSError, ValueError):
         return {}
     return record if isinstance(record, dict) else {}
+
+
+def write_record(folder: Path, record: Mapping[str, Any]) -> None:
+    """Store a run record as JSON; only numbers that JSON knows may be in it."""
+    document = json.dumps(dict(record), indent=2, ensure_ascii=False, allow_nan=False)
+    # File names that are not UTF-8 become \udcXX, which is JSON's own way to write them.
+    (folder / RECORD).write_bytes((document + "\n").encode("utf-8", "backslashreplace"))
+
+
+def partial_folder(folder: Path) -> Path:
+    """Hidden folder beside the final one, in which this process gathers the results."""
+    return folder.with_name(f".{folder.name}.partial-{os.getpid()}")
+
+
+def publish(partial: Path, folder: Path) -> None:
+    """Swap a finished folder in; earlier results leave only once the new ones are complete."""
+    earlier = folder.with_name(f".{folder.name}.old-{os.getpid()}")
+    if folder.exists():
+        os.replace(folder, earlier)
+    os.replace(partial, folder)
+    shutil.rmtree(earlier, ignore_errors=True)
 
 
 def remove_leftovers(folder: Path) -> None:

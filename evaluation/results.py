@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
-import os
 import shutil
 import time
 from collections import defaultdict
@@ -16,7 +14,16 @@ from typing import IO, Any
 from estimators.amortized import FrameResult
 from estimators.estimate import FrameEstimate
 from evaluation.overlay import OverlayVideo, draw_overlay
-from evaluation.result_store import OVERLAY, RECORD, SUMMARY, TABLE, remove_leftovers, writing
+from evaluation.result_store import (
+    OVERLAY,
+    SUMMARY,
+    TABLE,
+    partial_folder,
+    publish,
+    remove_leftovers,
+    write_record,
+    writing,
+)
 from evaluation.summary import draw_summary, write_summary
 
 COLUMNS: dict[str, str] = {
@@ -35,7 +42,16 @@ COLUMNS: dict[str, str] = {
     "simulated_displacement": "scene units",
     "observed_displacement": "scene units",
     "status": "ok, or why the frame has no parameters",
-    "verdict": "onset_in_view or undetermined (the window does not show the onset of contact)",
+    "verdict": "determined, ratios (only k_s/k_d and F/k_d), undetermined; onset_in_view: the model doesn't tell",
+    "stiffness_low": "lower end of the 90 % interval of k_s",
+    "stiffness_high": "upper end of the 90 % interval of k_s",
+    "stiffness_bound": "Cramér–Rao bound on the standard deviation of log k_s",
+    "damping_low": "lower end of the 90 % interval of k_d",
+    "damping_high": "upper end of the 90 % interval of k_d",
+    "damping_bound": "Cramér–Rao bound on the standard deviation of log k_d",
+    "force_low": "lower end of the 90 % interval of |F|",
+    "force_high": "upper end of the 90 % interval of |F|",
+    "force_bound": "Cramér–Rao bound on the standard deviation of log |F|",
     "detail": "sentence about the status",
 }
 """Columns of the table, in order, each with what it is."""
@@ -66,7 +82,7 @@ class ClipResults:
         """Name of the video encoder; empty without an overlay."""
         self.seconds: dict[str, float] = defaultdict(float)
         """Time spent so far on the `overlay` [s]."""
-        self._partial = folder.with_name(f".{folder.name}.partial-{os.getpid()}")
+        self._partial = partial_folder(folder)
         self._table: IO[str] | None = None
         self._video: OverlayVideo | None = None
         try:
@@ -110,23 +126,13 @@ class ClipResults:
             self._table.close()
             picture = draw_summary(self.estimates, title=title, subtitle=subtitle, units=self._units)
             write_summary(self._partial / SUMMARY, picture)
-            document = json.dumps(dict(record), indent=2, ensure_ascii=False, allow_nan=False)
-            # File names that are not UTF-8 become \udcXX, which is JSON's own way to write them.
-            (self._partial / RECORD).write_bytes((document + "\n").encode("utf-8", "backslashreplace"))
-            self._publish()
+            write_record(self._partial, record)
+            publish(self._partial, self.folder)
 
     def _close_video(self) -> None:
         if self._video is not None:
             self._video.close()
             self._video = None
-
-    def _publish(self) -> None:
-        """Swap the finished folder in; earlier results leave only once the new ones are complete."""
-        earlier = self.folder.with_name(f".{self.folder.name}.old-{os.getpid()}")
-        if self.folder.exists():
-            os.replace(self.folder, earlier)
-        os.replace(self._partial, self.folder)
-        shutil.rmtree(earlier, ignore_errors=True)
 
     def _discard(self) -> None:
         """Close what is open and remove the hidden folder; nothing here may hide the error that led to it."""
@@ -140,10 +146,10 @@ class ClipResults:
 
 def table_row(estimate: FrameEstimate) -> list[str]:
     """The cells of one frame, in the order of COLUMNS."""
-    return [_cell(getattr(estimate, name), decimals=6 if name == "time_s" else None) for name in COLUMNS]
+    return [cell(getattr(estimate, name), decimals=6 if name == "time_s" else None) for name in COLUMNS]
 
 
-def _cell(value: float | int | bool | str | None, *, decimals: int | None = None) -> str:
+def cell(value: float | int | bool | str | None, *, decimals: int | None = None) -> str:
     """A value as text: seven significant digits (float32's), or a fixed number of decimals, and text on one line."""
     if value is None:
         return ""

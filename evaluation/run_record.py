@@ -46,9 +46,11 @@ class Provenance:
     clip_sha256: str
     """Hash of the clip's file, or of its folder's files."""
     model_sha256: str
-    """Hash of the parameter network's file."""
+    """Hash of the parameter network's file; empty where none is used."""
     settings: PrepareSettings
     """How frames are prepared."""
+    estimator: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    """Settings of an estimator without a network."""
 
     @property
     def fingerprint(self) -> str:
@@ -58,6 +60,7 @@ class Provenance:
             "clip": self.clip_sha256,
             "model": self.model_sha256,
             "settings": self._settings(),
+            "estimator": self.estimator,
             "files": _named_files(self.settings),
             "code": [code_version(), _numbers_version()],
             "program": program_version(),
@@ -85,24 +88,47 @@ def build_record(
         results: what was written of it.
         seconds: time spent by stage [s].
     """
-    source, settings, estimates = clip.source, clip.settings, results.estimates
+    return {
+        **clip_record(clip, provenance, "infer.py", results.estimates),
+        "model": {
+            "path": str(model.path.resolve()),
+            "sha256": provenance.model_sha256,
+            "metadata": model.metadata,
+        },
+        "units": units_of(model),
+        "columns": COLUMNS,
+        "verdicts": dict(Counter(estimate.verdict for estimate in results.estimates if estimate.verdict)),
+        "warnings": warnings_of(clip.source, results.estimates, model, clip.sources),
+        "timings_s": {stage: round(value, 4) for stage, value in seconds.items()},
+        "overlay_encoder": results.encoder or None,
+        "versions": versions(),
+    }
+
+
+def clip_record(
+    clip: ClipStream, provenance: Provenance, program: str, frames: Sequence[FrameEstimate]
+) -> dict[str, Any]:
+    """What `run.json` says about a clip and its preparation, whatever estimated from it.
+
+    Args:
+        clip: the clip, read to its end.
+        program: what wrote the results.
+        frames: its frames' statuses.
+    """
+    source, settings = clip.source, clip.settings
     depth_identity, masks_identity = clip.identity
     return {
         "format_version": FORMAT_VERSION,
+        "program": program,
         "notice": "Research software, not a medical device.",
         "fingerprint": provenance.fingerprint,
         "input": {
             "path": str(source.path.resolve()),
             "sha256": provenance.clip_sha256,
-            "frames": len(estimates),
+            "frames": len(frames),
             "width": source.size[0],
             "height": source.size[1],
             "fps": source.fps,
-        },
-        "model": {
-            "path": str(model.path.resolve()),
-            "sha256": provenance.model_sha256,
-            "metadata": model.metadata,
         },
         "depth_model": {"identity": depth_identity, "files_sha256": _named_files(settings)},
         "masks": {"source": clip.sources["masks"], "identity": masks_identity},
@@ -112,14 +138,7 @@ def build_record(
         },
         "camera": dataclasses.asdict(clip.picture_camera),
         "settings": dataclasses.asdict(settings),
-        "units": units_of(model),
-        "columns": COLUMNS,
-        "statuses": dict(Counter(estimate.status for estimate in estimates)),
-        "verdicts": dict(Counter(estimate.verdict for estimate in estimates if estimate.verdict)),
-        "warnings": warnings_of(source, estimates, model, clip.sources),
-        "timings_s": {stage: round(value, 4) for stage, value in seconds.items()},
-        "overlay_encoder": results.encoder or None,
-        "versions": versions(),
+        "statuses": dict(Counter(frame.status for frame in frames)),
     }
 
 
@@ -147,26 +166,33 @@ def warnings_of(
         model: what estimated them.
         sources: where its `depth` and `masks` came from.
     """
-    found = list(source.warnings)
+    found = []
     for what, trained in (model.metadata.get("trained_on") or {}).items():
         if sources[what] not in trained:
             found.append(
                 f"the model was trained on {what} from {' and '.join(trained)} and this clip's come from "
                 f"{sources[what]}: its estimates here are off by an amount that nobody has measured"
             )
+    found += clip_warnings(source, estimates, sources)
+    trained = model.metadata.get("preprocessing_version", PREPROCESSING_VERSION)
+    if trained != PREPROCESSING_VERSION:
+        found.append(f"the model was trained on preprocessing version {trained}, this is {PREPROCESSING_VERSION}")
+    return found
+
+
+def clip_warnings(source: FrameSource, frames: Sequence[FrameEstimate], sources: Mapping[str, str]) -> list[str]:
+    """The part of `warnings_of` that no model has a part in."""
+    found = list(source.warnings)
     if sources["masks"] == "automatic":
         found.append(
             "automatic masks take all lit tissue, so an instrument touches it in the picture whenever it is seen: "
             "contact here means in view, not pressing"
         )
     for status in PERSISTENT:
-        hit = [estimate for estimate in estimates if estimate.status == status]
+        hit = [frame for frame in frames if frame.status == status]
         if hit:
-            share = f"{len(hit)} of {len(estimates)} frames are {status}"
+            share = f"{len(hit)} of {len(frames)} frames are {status}"
             found.append(f"{share}, the first is {hit[0].frame}: {hit[0].detail}")
-    trained = model.metadata.get("preprocessing_version", PREPROCESSING_VERSION)
-    if trained != PREPROCESSING_VERSION:
-        found.append(f"the model was trained on preprocessing version {trained}, this is {PREPROCESSING_VERSION}")
     return found
 
 
@@ -218,7 +244,8 @@ def _numbers_version() -> str:
     """Digest of the sources that turn prepared frames into numbers."""
     root = Path(__file__).resolve().parents[1]
     digest = hashlib.sha256()
-    for path in sorted((root / "physics").glob("*.py")) + sorted((root / "estimators").glob("*.py")):
+    files = [*sorted((root / "physics").glob("*.py")), *sorted((root / "estimators").glob("*.py"))]
+    for path in [*files, root / "data" / "samples.py"]:
         digest.update(path.name.encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:16]
 

@@ -95,10 +95,10 @@ def _draw_panel(
     curves: tuple[tuple[str, str, Color], ...],
     labels: tuple[str, str, str],
 ) -> None:
-    """One set of axes with its curves, bands of one standard deviation where the model gives them, and a legend."""
+    """One set of axes with its curves, bands of uncertainty where the model gives them, and a legend."""
     values = [_column(estimates, attribute) for _, attribute, _ in curves]
-    spreads = [_column(estimates, f"{attribute}_sd") for _, attribute, _ in curves]
-    everything = [edge for value, sd in zip(values, spreads, strict=True) for edge in (value, value - sd, value + sd)]
+    bands = [_band(estimates, attribute, value) for (_, attribute, _), value in zip(curves, values, strict=True)]
+    everything = [edge for value, band in zip(values, bands, strict=True) for edge in (value, *band)]
     width = WIDTH - _LEFT - _RIGHT
     axes = Axes(image, _LEFT, top, width, _PANEL, x_range, _value_range(np.concatenate(everything)))
     axes.frame(*labels[:2], x_label=labels[2])
@@ -106,8 +106,8 @@ def _draw_panel(
         middle = (_LEFT + width / 2, top + _PANEL / 2)
         text(image, "no value in any frame", middle, 18, MUTED, align="center")
         return
-    for (_, attribute, color), value, sd in zip(curves, values, spreads, strict=True):
-        axes.band(times, value - sd, value + sd, color)
+    for (_, attribute, color), value, band in zip(curves, values, bands, strict=True):
+        axes.band(times, *band, color)
         axes.curve(times, value, color, hollow=None if attribute == "observed_displacement" else hollow)
     right = _LEFT + width
     for label, _, color in reversed([curve for curve in curves if curve[0]]):
@@ -115,6 +115,13 @@ def _draw_panel(
         right -= text_width(label, 17) + 12
         cv2.line(image, (right - 26, top - 18), (right, top - 18), color, 3, cv2.LINE_AA)
         right -= 48
+
+
+def _band(estimates: Sequence[FrameEstimate], attribute: str, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """90 % interval where the model gives one, else one standard deviation; limited to five times the value."""
+    low, high, sd = (_column(estimates, f"{attribute}_{end}") for end in ("low", "high", "sd"))
+    low, high = np.where(np.isfinite(low), low, value - sd), np.where(np.isfinite(high), high, value + sd)
+    return low, np.minimum(high, 5 * np.abs(value))
 
 
 def _draw_status_strip(

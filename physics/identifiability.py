@@ -124,10 +124,15 @@ def field_information(
 
 
 def covariance(information: np.ndarray) -> np.ndarray:
-    """I⁻¹, shape [3, 3]; infinite variances along directions about which nothing is known give infinities."""
-    values, vectors = np.linalg.eigh(information)
-    variances = np.where(values > NOTHING, 1 / np.maximum(values, NOTHING), 1 / NOTHING)
+    """I⁻¹, shape [3, 3]; along a direction about which nothing is known the variance is 1/NOTHING, not infinite."""
+    variances, vectors = _variances(information)
     return (vectors * variances) @ vectors.T
+
+
+def _variances(information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Variance along each principal direction [3], and the directions as columns [3, 3]."""
+    values, vectors = np.linalg.eigh(information)
+    return 1 / np.maximum(values, NOTHING), vectors
 
 
 def bounds(information: np.ndarray) -> np.ndarray:
@@ -137,7 +142,9 @@ def bounds(information: np.ndarray) -> np.ndarray:
 
 def ratio_bounds(information: np.ndarray) -> np.ndarray:
     """Cramér–Rao bounds on log(k_s/k_d) and log(F/k_d), shape [2]."""
-    return np.sqrt(np.einsum("ij,jk,ik->i", RATIOS, covariance(information), RATIOS))
+    # By directions, not by differences of large covariances: the common scale's may be a billion times the ratios'.
+    variances, vectors = _variances(information)
+    return np.sqrt((RATIOS @ vectors) ** 2 @ variances)
 
 
 def verdict(information: np.ndarray, limit: float = LIMIT) -> Verdict:
@@ -183,4 +190,5 @@ def describe(information: np.ndarray, limit: float = LIMIT) -> str:
         return f"{', '.join(known)} are determined"
     if not known:
         return "nothing is determined"
-    return f"{', '.join(known)} {'is' if len(known) == 1 else 'are'} determined, {', '.join(unknown)} {'is' if len(unknown) == 1 else 'are'} not"
+    verbs = ["is" if len(names) == 1 else "are" for names in (known, unknown)]
+    return f"{', '.join(known)} {verbs[0]} determined, {', '.join(unknown)} {verbs[1]} not"

@@ -115,7 +115,11 @@ def test_direction_of_the_observed_motion(clip):
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"window": 0}, {"observation": "all"}, {"horizon_frames": 0}, {"min_deformation": float("nan")}]
+    "wrong",
+    [
+        {"window": 0}, {"observation": "all"}, {"horizon_frames": 0}, {"min_deformation": float("nan")},
+        {"onset_within": 0},
+    ],
 )
 def test_impossible_settings_are_refused(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):

@@ -1,0 +1,154 @@
+"""A young contact moves to the tissue that yields: constructed frames whose pressed pixel is known."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import cv2
+import numpy as np
+import pytest
+
+from data.camera import Camera
+from data.contact_motion import REFINE_FRAMES, ContactMotion, pressed_pixel
+from data.frames import Frame
+from data.geometry import TISSUE, TOOL, GeometrySettings, frame_geometry, move_contact
+from data.prepared import PreparedFrame
+from physics.mesh import contact_normal
+
+HEIGHT, WIDTH = 48, 64
+CAMERA = Camera(80.0, 80.0, 31.5, 23.5, WIDTH, HEIGHT)
+SETTINGS = GeometrySettings(height=HEIGHT, width=WIDTH, smoothing=3.0)
+NOISE, DENT = 0.0005, 0.01
+ONSET = 3
+AWAY = (-2, 1)
+"""Where the tissue yields, from the contact that is detected at the onset, (u, v) [grid pixels]."""
+
+
+def picture() -> np.ndarray:
+    coarse = np.random.default_rng(2).uniform(40, 220, (HEIGHT // 3, WIDTH // 3)).astype(np.float32)
+    grey = cv2.resize(coarse, (WIDTH, HEIGHT), interpolation=cv2.INTER_CUBIC)
+    return np.repeat(np.clip(grey, 0, 255).astype(np.uint8)[..., None], 3, axis=2)
+
+
+def frame(index: int, *, contact: bool, dent: tuple[int, int] | None = None) -> PreparedFrame:
+    """Flat tissue left of column 40, a tool beside it in frames in contact, one pixel (u, v) pressed in."""
+    labels = np.zeros((HEIGHT, WIDTH), np.uint8)
+    labels[:, :40] = TISSUE
+    if contact:
+        labels[20:28, 40:] = TOOL
+    generator = np.random.default_rng(100 + index)
+    depth = np.where(labels > 0, 0.5 + generator.normal(0, NOISE, labels.shape), 0).astype(np.float32)
+    if dent is not None:
+        depth[dent[1], dent[0]] += DENT
+    prepared = PreparedFrame(Frame(index, index, index / 25, picture()), "no_tool", "", depth, labels, labels)
+    if contact:
+        prepared.status, prepared.geometry = "ok", frame_geometry(depth, labels, CAMERA, SETTINGS)
+    return prepared
+
+
+def motion(settings: GeometrySettings = SETTINGS) -> ContactMotion:
+    return ContactMotion(CAMERA, (WIDTH, HEIGHT), settings, bridge_frames=2, track_seconds=1.0)
+
+
+def follow(linked: ContactMotion, pressed: int, *, dented: bool = True) -> tuple[list[PreparedFrame], tuple[int, int]]:
+    """Link three frames at rest, an onset, `pressed` frames with the dent, and one after the release."""
+    frames = [frame(index, contact=False) for index in range(ONSET)] + [frame(ONSET, contact=True)]
+    detected = frames[ONSET].geometry.pixel
+    dent = (detected[0] + AWAY[0], detected[1] + AWAY[1])
+    last = ONSET + pressed
+    frames += [frame(index, contact=True, dent=dent if dented else None) for index in range(ONSET + 1, last + 1)]
+    frames.append(frame(last + 1, contact=False))
+    for before, after in pairwise(frames):
+        linked.link(before, after)
+    return frames, dent
+
+
+@pytest.mark.parametrize("pressed", [REFINE_FRAMES + 2, 2])
+def test_the_contact_moves_to_the_pressed_pixel(pressed: int) -> None:
+    linked = motion()
+    frames, dent = follow(linked, pressed)
+    geometry = frames[ONSET].geometry
+    assert linked.settled
+    assert geometry.pixel == dent
+    assert tuple(geometry.mesh.pixels[geometry.vertex][::-1]) == dent
+    np.testing.assert_allclose(geometry.normal, contact_normal(geometry.mesh, geometry.vertex))
+    # The pixel's own track, also in the frames that were linked before it was chosen.
+    for later in frames[ONSET + 1 : ONSET + 1 + pressed]:
+        assert later.track_start == ONSET
+        assert later.track_position[2] == pytest.approx(later.depth[dent[1], dent[0]], abs=1e-6)
+        assert later.track_position[2] - 0.5 == pytest.approx(DENT, abs=4 * NOISE)
+    assert frames[-1].track_position[2] == pytest.approx(0.5, abs=4 * NOISE)
+
+
+def test_noise_alone_does_not_move_it() -> None:
+    linked = motion()
+    frames, _ = follow(linked, REFINE_FRAMES, dented=False)
+    assert frames[ONSET].geometry.pixel == frame(ONSET, contact=True).geometry.pixel
+
+
+def test_a_contact_without_a_noise_level_stays_where_it_was_detected() -> None:
+    raw = GeometrySettings(height=HEIGHT, width=WIDTH)
+    linked = motion(raw)
+    onset = frame(ONSET, contact=True)
+    onset.geometry = frame_geometry(onset.depth, onset.labels, CAMERA, raw)
+    detected = onset.geometry.pixel
+    linked.link(frame(ONSET - 1, contact=False), onset)
+    assert linked.settled
+    linked.link(onset, frame(ONSET + 1, contact=True, dent=(detected[0] - 2, detected[1])))
+    assert onset.geometry.pixel == detected
+
+
+def test_frames_wait_until_the_contact_is_settled() -> None:
+    linked = motion()
+    onset = frame(ONSET, contact=True)
+    linked.link(frame(ONSET - 1, contact=False), onset)
+    assert not linked.settled
+    before = onset
+    for index in range(ONSET + 1, ONSET + REFINE_FRAMES):
+        after = frame(index, contact=True)
+        linked.link(before, after)
+        assert not linked.settled
+        before = after
+    linked.link(before, frame(ONSET + REFINE_FRAMES, contact=True))
+    assert linked.settled
+
+
+def test_the_mesh_at_rest_has_less_noise_and_no_hole_under_the_tool() -> None:
+    frames, _ = follow(motion(), REFINE_FRAMES)
+    alone = frame(ONSET, contact=True).geometry.mesh
+    rest = frames[ONSET].geometry.mesh
+    assert rest.vertices[:, 2].std() < 0.8 * alone.vertices[:, 2].std()
+    assert frames[ONSET].geometry.noise == pytest.approx(NOISE, rel=0.1)
+
+
+def test_pressed_pixel_needs_enough_frames_and_a_clear_change() -> None:
+    onset = frame(ONSET, contact=True)
+    u, v = onset.geometry.pixel
+    place = np.array([u, v], float)
+    dent = (u - 1, v)
+    later = [(frame(ONSET + 1 + k, contact=True, dent=dent), place) for k in range(4)]
+    assert pressed_pixel(onset, later, 3.5) == dent
+    assert pressed_pixel(onset, later, 1000.0) is None
+    assert pressed_pixel(onset, [], 3.5) is None
+    # A pixel seen in fewer than half of the frames does not count.
+    for prepared, _ in later[1:]:
+        prepared.labels[dent[1], dent[0]] = 0
+    assert pressed_pixel(onset, later, 3.5) != dent
+    # Tissue that has moved in the picture is compared with itself.
+    moved = [(frame(ONSET + 1 + k, contact=True, dent=(u - 2, v)), place - (1, 0)) for k in range(4)]
+    assert pressed_pixel(onset, moved, 3.5) == dent
+
+
+def test_a_moved_contact_is_the_meshes_own_vertex() -> None:
+    geometry = frame(ONSET, contact=True).geometry
+    u, v = geometry.pixel
+    moved = move_contact(geometry, (u - 2, v))
+    assert moved.pixel == (u - 2, v)
+    np.testing.assert_array_equal(moved.mesh.pixels[moved.vertex], (v, u - 2))
+    np.testing.assert_array_equal(moved.tissue_point, moved.mesh.vertices[moved.vertex])
+    assert moved.distance == pytest.approx(np.linalg.norm(geometry.tool_point - moved.tissue_point))
+    assert (moved.noise, moved.touching, moved.tool_pixel) == (
+        geometry.noise,
+        geometry.touching,
+        geometry.tool_pixel,
+    )

@@ -1,0 +1,94 @@
+"""The contact posterior: its box, its covariance, its loss, and the exported file."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from models.onnx_session import ModelFileError
+from models.posterior import ContactPosterior, evidence_loss
+from models.posterior_export import export_posterior
+from models.posterior_session import PosteriorModel
+
+BOX = torch.tensor([[-3.0, -5.0, -4.0], [0.0, -0.7, -1.2]])
+METADATA = {"input": {"window": 1, "height": 24, "width": 32}}
+
+
+@pytest.fixture
+def posterior() -> ContactPosterior:
+    torch.manual_seed(0)
+    return ContactPosterior(10, BOX, width=16, blocks=2)
+
+
+@settings(max_examples=30, deadline=None)
+@given(scale=st.floats(0.1, 1e4), seed=st.integers(0, 1000))
+def test_mean_in_the_box_and_covariance_positive(scale: float, seed: int) -> None:
+    torch.manual_seed(seed)
+    network = ContactPosterior(10, BOX, width=16, blocks=2)
+    mean, factor = network(scale * torch.randn(8, 10))
+    assert ((mean >= BOX[0]) & (mean <= BOX[1])).all()
+    assert (torch.linalg.eigvalsh((factor @ factor.transpose(1, 2)).double()) > 0).all()
+
+
+def test_the_picture_changes_nothing_at_first() -> None:
+    torch.manual_seed(0)
+    network = ContactPosterior(10, BOX, width=16, blocks=1, picture=4)
+    contact, picture = torch.randn(3, 10), torch.randn(3, 4)
+    for with_picture, without in zip(network(contact, picture), network(contact), strict=True):
+        torch.testing.assert_close(with_picture, without)
+    network.picture.weight.data.normal_()
+    assert not torch.allclose(network(contact, picture)[0], network(contact)[0])
+
+
+def test_loss_is_least_at_the_exact_posterior() -> None:
+    """For a linear model the bound's optimum is N(H⁻¹(Jᵀd/σ² + Pm), H⁻¹) with H = JᵀJ/σ² + P."""
+    generator = np.random.default_rng(1)
+    jacobian, prior = generator.normal(size=(12, 3)), np.diag([1.0, 2.0, 3.0])
+    observed, noise = generator.normal(size=12), 0.3
+    curvature = torch.tensor(jacobian.T @ jacobian / noise**2 + prior)
+    exact = torch.linalg.solve(curvature, torch.tensor(jacobian.T @ observed / noise**2))
+    mean = exact[None].clone().requires_grad_()
+    factor = torch.linalg.cholesky(torch.linalg.inv(curvature))[None].clone().requires_grad_()
+    gradient = (curvature @ (mean.detach()[0] - exact))[None]
+    evidence_loss(mean, factor, gradient, curvature[None], torch.ones(1)).backward()
+    torch.testing.assert_close(mean.grad, torch.zeros_like(mean.grad))
+    torch.testing.assert_close(torch.tril(factor.grad[0]), torch.zeros(3, 3, dtype=torch.float64), atol=1e-10, rtol=0)
+    for change in (1.1, 0.9):  # and any other covariance is worse
+        other = evidence_loss(mean, change * factor, gradient, curvature[None], torch.ones(1))
+        assert other > evidence_loss(mean, factor, gradient, curvature[None], torch.ones(1))
+
+
+def test_gradient_by_the_mean_is_the_misfits() -> None:
+    mean = torch.zeros(2, 3, requires_grad=True)
+    gradient = torch.tensor([[1.0, -2.0, 3.0], [0.5, 0.0, -1.0]])
+    factor, curvature = torch.eye(3).expand(2, 3, 3), torch.eye(3).expand(2, 3, 3)
+    evidence_loss(mean, factor, gradient, curvature, torch.tensor([1.0, 0.5])).backward()
+    torch.testing.assert_close(mean.grad, gradient * torch.tensor([[0.5], [0.25]]))
+
+
+def test_exported_file_agrees_and_is_calibrated(posterior: ContactPosterior, tmp_path) -> None:
+    posterior.standardise(torch.randn(50, 10) * 3 + 1)
+    scale = np.array([1.0, 2.0, 0.5])
+    assert export_posterior(posterior, tmp_path / "contact.onnx", METADATA, scale) < 1e-5
+    model = PosteriorModel(tmp_path / "contact.onnx")
+    contact = np.random.default_rng(0).normal(size=(5, 10)).astype(np.float32)
+    mean, covariance = model(contact)
+    with torch.no_grad():
+        expected, factor = posterior(torch.from_numpy(contact))
+    np.testing.assert_allclose(mean, expected.numpy(), atol=1e-5)
+    plain = (factor @ factor.transpose(1, 2)).numpy()
+    np.testing.assert_allclose(covariance, plain * scale[:, None] * scale, rtol=1e-4, atol=1e-6)
+    assert model.metadata["calibration"] == [1.0, 2.0, 0.5]
+    assert (model.features, model.takes_depth) == (10, False)
+    with pytest.raises(ValueError, match=r"expected \[B, 10\]"):
+        model(contact[:, :9])
+
+
+def test_another_file_is_refused(tmp_path) -> None:
+    path = tmp_path / "text.onnx"
+    path.write_text("no network")
+    with pytest.raises(ModelFileError, match="not a readable ONNX file"):
+        PosteriorModel(path)

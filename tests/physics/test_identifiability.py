@@ -1,0 +1,182 @@
+"""Fisher information and what is read from it, against closed forms, finite differences and repeated fits."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from physics.identifiability import (
+    LIMIT,
+    RATIOS,
+    bounds,
+    contact_information,
+    covariance,
+    describe,
+    field_information,
+    fisher_information,
+    in_words,
+    log_jacobian,
+    principal_directions,
+    ratio_bounds,
+    verdict,
+)
+from physics.mechanics import Mechanics
+from physics.mesh import contact_normal
+from physics.msd_kernel import simulate, simulate_sensitivities
+from tests.physics.sheets import sheet
+
+MECHANICS = Mechanics(time_step=0.0025, steps=120, scheme="dkd")
+THETA = np.array([0.5, 0.06, -0.1])
+STEPS = np.array([15, 31, 47, 63, 79, 95])
+LOAD = 60
+MESH = sheet(9, 9)
+VERTEX = 40
+DIRECTION = contact_normal(MESH, VERTEX)
+
+matrices = st.lists(st.floats(-10, 10), min_size=12, max_size=12).map(lambda values: np.reshape(values, (4, 3)))
+
+
+def with_eigenvalues(values: tuple[float, float, float], vectors: np.ndarray | None = None) -> np.ndarray:
+    vectors = np.eye(3) if vectors is None else vectors
+    return vectors @ np.diag(values) @ vectors.T
+
+
+def test_information_of_a_jacobian_by_hand() -> None:
+    jacobian = np.array([[[1.0, 0.0, 2.0], [0.0, 3.0, 0.0]], [[0.0, 0.0, 1.0], [1.0, 1.0, 0.0]]])
+    by_hand = np.array([[2.0, 1.0, 2.0], [1.0, 10.0, 0.0], [2.0, 0.0, 5.0]])
+    np.testing.assert_allclose(fisher_information(jacobian, 1.0), by_hand, rtol=1e-14)
+    np.testing.assert_allclose(fisher_information(jacobian, 0.1), 100 * by_hand, rtol=1e-14)
+    np.testing.assert_allclose(bounds(100 * by_hand), 0.1 * bounds(by_hand), rtol=1e-12)
+
+
+@pytest.mark.parametrize("noise", [0.0, -1.0, math.nan])
+def test_noise_must_be_positive(noise: float) -> None:
+    with pytest.raises(ValueError, match="give a positive standard deviation"):
+        fisher_information(np.ones((1, 3)), noise)
+
+
+def test_bounds_are_the_spread_of_least_squares() -> None:
+    """y = Jφ + noise: the spread of 20,000 fits is I⁻¹, within its own sampling error of 1/√40,000 = 0.5 %."""
+    generator = np.random.default_rng(0)
+    jacobian, noise = generator.normal(size=(12, 3)), 0.3
+    data = noise * generator.normal(size=(12, 20_000))
+    fits = np.linalg.lstsq(jacobian, data, rcond=None)[0]
+    information = fisher_information(jacobian, noise)
+    np.testing.assert_allclose(fits.std(axis=1), bounds(information), rtol=0.02)
+    np.testing.assert_allclose((RATIOS @ fits).std(axis=1), ratio_bounds(information), rtol=0.02)
+    np.testing.assert_allclose(np.cov(fits), covariance(information), atol=0.03 * np.abs(covariance(information)).max())
+
+
+def test_log_jacobian_is_the_derivative_by_the_logarithms() -> None:
+    """Central differences of float64 rollouts; their error is (1e-4)²/6 times the third derivative."""
+    path, slopes = simulate_sensitivities(THETA, MESH, VERTEX, DIRECTION, MECHANICS, load_steps=LOAD, dtype=np.float64)
+    exact = log_jacobian(slopes, THETA)
+
+    def at(logs: np.ndarray) -> np.ndarray:
+        theta = np.sign(THETA) * np.exp(logs)
+        return simulate(theta, MESH, VERTEX, DIRECTION, MECHANICS, load_steps=LOAD, dtype=np.float64)
+
+    start = np.log(np.abs(THETA))
+    differences = [(at(start + step) - at(start - step)) / 2e-4 for step in 1e-4 * np.eye(3)]
+    np.testing.assert_allclose(exact, np.stack(differences, -1), atol=1e-7 * np.abs(path).max() * 10)
+    # The force scales a nearly linear response: its column is the displacement itself.
+    assert np.abs(exact[..., 2] - path).max() < 0.5 * np.abs(path).max()
+
+
+def test_contact_information_is_that_of_its_jacobian() -> None:
+    _, slopes = simulate_sensitivities(THETA, MESH, VERTEX, DIRECTION, MECHANICS, load_steps=LOAD, dtype=np.float64)
+    expected = fisher_information(log_jacobian(slopes[STEPS], THETA), 1e-3)
+    found = contact_information(THETA, MESH, VERTEX, DIRECTION, MECHANICS, STEPS, 1e-3, load_steps=LOAD)
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+    # The load of the mechanics counts where none is given.
+    loaded = dataclasses.replace(MECHANICS, load_steps=LOAD)
+    given = contact_information(THETA, MESH, VERTEX, DIRECTION, loaded, STEPS, 1e-3)
+    np.testing.assert_allclose(given, expected, rtol=1e-9)
+
+
+def test_the_field_tells_at_least_what_the_contact_tells() -> None:
+    arguments = THETA, MESH, VERTEX, DIRECTION, MECHANICS, STEPS, 1e-3
+    contact = contact_information(*arguments, load_steps=LOAD)
+    field = field_information(*arguments, load_steps=LOAD)
+    assert np.linalg.eigvalsh(field - contact).min() > 0
+    assert (bounds(field) < bounds(contact)).all()
+    only = np.arange(len(MESH.vertices)) == VERTEX
+    seen = field_information(*arguments, load_steps=LOAD, visible=only)
+    np.testing.assert_allclose(seen, contact, rtol=1e-4)
+
+
+def test_what_is_unknown_has_no_finite_bound() -> None:
+    """Only k_s/k_d and F/k_d seen: the common scale has no bound, the two ratios have theirs."""
+    information = RATIOS.T @ np.diag([100.0, 400.0]) @ RATIOS
+    assert (bounds(information) > 1e4).all()
+    np.testing.assert_allclose(ratio_bounds(information), [0.1, 0.05], rtol=1e-9)
+    np.testing.assert_allclose(ratio_bounds(1e8 * information), [1e-5, 5e-6], rtol=1e-3)
+    assert verdict(information) == "ratios"
+    assert principal_directions(information)[2].sd == math.inf
+    assert principal_directions(information)[2].words == "k_s · k_d · F"
+    assert "k_s · k_d · F is not" in describe(information)
+
+
+def test_verdicts_change_at_the_limit() -> None:
+    below, above = 1 / (0.99 * LIMIT) ** 2, 1 / (1.01 * LIMIT) ** 2
+    assert verdict(below * np.eye(3)) == "determined"
+    assert verdict(with_eigenvalues((below, below, above))) == "undetermined"  # F/k_d is no better known than F
+    assert verdict(above * np.eye(3)) == "undetermined"
+    assert verdict(np.zeros((3, 3))) == "undetermined"
+    assert verdict(above * np.eye(3), limit=1.02 * LIMIT) == "determined"
+    # Of two independent parameters the ratio is √2 times as uncertain, so this limit keeps both ratios out.
+    assert verdict(with_eigenvalues((2.1 * below, 2.1 * below, below)), limit=0.98 * LIMIT) == "undetermined"
+    assert describe(np.zeros((3, 3))) == "nothing is determined"
+    assert describe(below * np.eye(3)).endswith("are determined")
+
+
+@pytest.mark.parametrize(
+    ("vector", "words"),
+    [
+        ((1, 0, 0), "k_s"),
+        ((0, 0, 1), "F"),
+        ((1, -1, 0), "k_s / k_d"),
+        ((0, -1, 1), "F / k_d"),
+        ((1, 1, 1), "k_s · k_d · F"),
+        ((-0.5, -0.5, 1), "F / √k_s / √k_d"),
+        ((1, 0.2, -0.24), "k_s"),
+        ((0.5, 1, 0), "√k_s · k_d"),
+        ((-1, 0, 0), "1 / k_s"),
+    ],
+)
+def test_directions_in_words(vector: tuple[float, float, float], words: str) -> None:
+    assert in_words(np.array(vector) / np.linalg.norm(vector)) == words
+
+
+def test_principal_directions_of_a_known_matrix() -> None:
+    common, first = np.ones(3) / math.sqrt(3), np.array([1.0, -1.0, 0.0]) / math.sqrt(2)
+    vectors = np.stack([common, first, np.cross(common, first)], axis=1)
+    found = principal_directions(with_eigenvalues((4.0, 100.0, 0.25), vectors))
+    np.testing.assert_allclose([item.sd for item in found], [0.1, 0.5, 2.0], rtol=1e-9)
+    assert found[0].words in ("k_s / k_d", "k_d / k_s")
+    assert found[1].words == "k_s · k_d · F"
+    for item, column in zip(found, (1, 0, 2), strict=True):
+        assert abs(item.vector @ vectors[:, column]) == pytest.approx(1)
+        assert item.vector[np.argmax(np.abs(item.vector))] > 0
+
+
+@given(matrices)
+def test_covariance_is_symmetric_and_not_below_the_diagonal(rows: np.ndarray) -> None:
+    information = fisher_information(rows, 1.0)
+    found = covariance(information)
+    np.testing.assert_allclose(found, found.T, rtol=1e-9, atol=1e-12 * np.abs(found).max())
+    assert np.linalg.eigvalsh(found).min() > 0 or np.linalg.cond(information) > 1e12
+    known = np.diag(information) > 1e-6
+    # A parameter is known best where the others are given: sd² ≥ 1/I_ii.
+    assert (bounds(information)[known] >= (1 - 1e-6) / np.sqrt(np.diag(information)[known])).all()
+
+
+@given(matrices, matrices)
+def test_more_data_never_loosen_a_bound(first: np.ndarray, second: np.ndarray) -> None:
+    alone, both = fisher_information(first, 1.0), fisher_information(np.concatenate([first, second]), 1.0)
+    assert (bounds(both) <= bounds(alone) * (1 + 1e-6) + 1e-9).all() or np.linalg.cond(alone) > 1e10

@@ -89,7 +89,9 @@ def _correlation(patch: np.ndarray, known: np.ndarray, picture: np.ndarray, usab
     safe = np.maximum(count, 1)
     mean_first, mean_second = total(theirs, first) / safe, total(second, ours) / safe
     covariance = total(second, first) / safe - mean_first * mean_second
-    spread = (total(theirs, first * first) / safe - mean_first**2) * (total(second * second, ours) / safe - mean_second**2)
+    spread = (total(theirs, first * first) / safe - mean_first**2) * (
+        total(second * second, ours) / safe - mean_second**2
+    )
     enough = (count >= LEAST_SHARE * patch.size) & (spread > 1e-6)
     return np.where(enough, covariance / np.sqrt(np.where(enough, spread, 1)), -1)
 

@@ -1,6 +1,6 @@
 """Trains the contact posterior without labels: amortised variational inference on observed contact motions.
 
-    python -m estimators.contact_training --output runs/contact [--contacts 16000]
+    python -m estimators.contact_training --output runs/contact [--contacts 8000]
 
 The loss is the evidence bound: the trajectory residual with its σ is the likelihood, the admissible box the prior (a
 Gaussian with the box's mean and variance). It reads motions and noise levels, never θ; θ of held-out contacts is read
@@ -58,6 +58,8 @@ BLUR = 0.3, 0.03
 """σ of the rough stage is raised by this share of a contact's largest motion, at its beginning and its end."""
 LONGEST_MOVE = 1.0
 """A mean is moved no farther than this at once in any log-parameter: the linearisation reaches no farther."""
+PULL = 0.2
+"""Weight of the mean's pull against the covariance's; it changes how fast the two are learnt, not where they end."""
 EXPLAINED = 2e-4
 """A fit explains a motion without noise where its RMS residual is below this [scene units]."""
 
@@ -222,13 +224,18 @@ class Trainer:
         self._descend(loss, steps, rate, advance)
 
     def _bound(self, mean: Tensor, factor: Tensor, gradient: Tensor, information: Tensor) -> Tensor:
-        """Evidence loss with the prior added; far from the optimum a mean's pull is limited."""
+        """Evidence loss with the prior added.
+
+        The mean's pull H·move is replaced by √H·move, which vanishes at the same place: what is known a hundred times
+        better than something else would otherwise be learnt ten thousand times faster.
+        """
         information = information + self.prior
         gradient = gradient + (mean.detach() - self.prior_mean) @ self.prior
-        move = torch.linalg.solve(information, gradient)
+        values, vectors = torch.linalg.eigh(information)
+        move = torch.einsum("bpq,bq,brq,br->bp", vectors, 1 / values, vectors, gradient)
+        pull = PULL * torch.einsum("bpq,bq,brq,br->bp", vectors, values.rsqrt(), vectors, gradient)
         shorter = (LONGEST_MOVE / move.abs().amax(dim=1)).clamp(max=1.0)
-        weight = shorter / information.diagonal(dim1=1, dim2=2).mean(1).sqrt()
-        return evidence_loss(mean, factor, gradient, information, weight)
+        return evidence_loss(mean, factor, pull, information, shorter)
 
     def _descend(self, loss_of, steps: int, rate: float, advance: Callable[[int, float], None]) -> None:
         optimizer = torch.optim.AdamW(self.posterior.parameters(), lr=rate, weight_decay=1e-4)
@@ -317,9 +324,9 @@ def main() -> None:
     """Train, evaluate, save."""
     parser = argparse.ArgumentParser(prog="python -m estimators.contact_training", description=__doc__.split("\n")[0])
     parser.add_argument("--output", type=Path, required=True, help="folder for posterior.pt and training.jsonl")
-    parser.add_argument("--contacts", type=int, default=16000, help="motions to train on (default %(default)s)")
+    parser.add_argument("--contacts", type=int, default=8000, help="motions to train on (default %(default)s)")
     parser.add_argument("--rough-steps", type=int, default=1500, help="(default %(default)s)")
-    parser.add_argument("--fine-steps", type=int, default=20000, help="(default %(default)s)")
+    parser.add_argument("--fine-steps", type=int, default=10000, help="(default %(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="(default %(default)s)")
     options = parser.parse_args()
     options.output.mkdir(parents=True, exist_ok=True)

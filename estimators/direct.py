@@ -2,14 +2,17 @@
 
 The strongest classical rival of a network (spec, section 2, item 10). Levenberg–Marquardt with a trust region
 (`scipy.optimize.least_squares`) over φ = (log k_s, log k_d, log |F|) with the rollout's exact Jacobian, from several
-starts. The covariance at the optimum is the inverse Fisher information, which is the Cramér–Rao bound there.
+starts. The covariance at an optimum is the inverse Fisher information, which is the Cramér–Rao bound there; where
+several optima explain the data, mean and covariance are those of their mixture.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -26,12 +29,16 @@ from physics.msd_kernel import simulate, simulate_sensitivities
 CANDIDATES = 128
 """Points of a Sobol sequence over the box among which the starts are chosen: an under-damped response has many local
 optima, one for every number of swings."""
-STARTS = 4
+STARTS = 6
 """Fits, begun at the candidates that explain the data best."""
 SCREENING_STEP = 0.005
 """Time step with which candidates are compared [s]."""
 TOLERANCE = 1e-8
 MOST_EVALUATIONS = 60
+SAME = 0.05
+"""Optima nearer to each other than this in every log-parameter are one."""
+NEGLIGIBLE = 1e-3
+"""Optima with less than this share of the likeliest one's evidence are left out."""
 AT_BOUND = 1e-3
 """Estimates this near to the end of their range in φ lie at it."""
 
@@ -90,16 +97,58 @@ def fit_contact(case: ContactCase, settings: DirectSettings) -> ContactEstimate:
         )
         for start in problem.starts(low, high)
     ]  # fmt: skip
-    best = min(ends, key=lambda end: end.cost)
-    information = fisher_information(problem.jacobian(best.x), 1.0)
+    optima = _distinct([Optimum(end.x, end.cost, fisher_information(end.jac, 1.0)) for end in ends])
+    mean, spread, likeliest = combine(optima, np.diag(12 / (high - low) ** 2))
     return ContactEstimate(
-        theta=problem.theta(best.x),
-        covariance=covariance(information),
-        information=information,
+        theta=problem.theta(mean),
+        covariance=spread,
+        information=likeliest.information,
         noise=noise,
-        misfit=math.sqrt(2 * best.cost / len(case.steps)),
-        at_bound=np.minimum(best.x - low, high - best.x) < AT_BOUND,
+        misfit=math.sqrt(2 * likeliest.cost / len(case.steps)),
+        at_bound=np.minimum(mean - low, high - mean) < AT_BOUND,
     )
+
+
+class Optimum(NamedTuple):
+    """A local optimum of the misfit."""
+
+    logs: np.ndarray
+    """φ, shape [3]."""
+    cost: float
+    """Half of χ²."""
+    information: np.ndarray
+    """Fisher information of φ, shape [3, 3]."""
+
+
+def combine(optima: Sequence[Optimum], prior: np.ndarray) -> tuple[np.ndarray, np.ndarray, Optimum]:
+    """Mean [3] and covariance [3, 3] of φ over several optima, and the likeliest of them.
+
+    Each optimum stands for a normal distribution whose share is its evidence by Laplace's method, exp(-χ²/2) times the
+    volume of φ that explains the data as well: a slightly worse fit of many φ can be likelier than the best of few.
+
+    Args:
+        optima: at least one.
+        prior: information of the admissible box, which limits that volume, shape [3, 3].
+    """
+    volumes = [-0.5 * np.linalg.slogdet(optimum.information + prior)[1] for optimum in optima]
+    logs = np.array([volume - optimum.cost for volume, optimum in zip(volumes, optima, strict=True)])
+    shares = np.exp(logs - logs.max())
+    shares = np.where(shares < NEGLIGIBLE, 0.0, shares)
+    shares /= shares.sum()
+    places = np.array([optimum.logs for optimum in optima])
+    mean = shares @ places
+    apart = np.einsum("o,op,oq->pq", shares, places - mean, places - mean)
+    within = sum(share * covariance(optimum.information) for share, optimum in zip(shares, optima, strict=True))
+    return mean, within + apart, optima[int(np.argmax(shares))]
+
+
+def _distinct(optima: Sequence[Optimum]) -> list[Optimum]:
+    """The optima without those that another start found as well, the best first."""
+    kept: list[Optimum] = []
+    for optimum in sorted(optima, key=lambda item: item.cost):
+        if all(np.abs(optimum.logs - other.logs).max() > SAME for other in kept):
+            kept.append(optimum)
+    return kept
 
 
 def fit_clip(clip: PreparedClip | CollectedClip, settings: DirectSettings) -> dict[int, ContactEstimate | NoEstimate]:

@@ -9,7 +9,7 @@ import pytest
 
 from data.collected import CollectedClip
 from data.samples import ContactCase
-from estimators.direct import DirectSettings, fit_clip, fit_contact
+from estimators.direct import DirectSettings, Optimum, combine, fit_clip, fit_contact
 from estimators.estimate import NoEstimate
 from physics.identifiability import contact_information, covariance
 from physics.mechanics import Mechanics
@@ -148,3 +148,18 @@ def test_a_clips_contacts_are_fitted_by_their_onset() -> None:
     short = fit_clip(Recorded(case, 2), SETTINGS)
     assert isinstance(short[0], NoEstimate)
     assert fit_clip(Recorded(case, 0), SETTINGS) == {}
+
+
+def test_optima_are_weighed_by_their_evidence() -> None:
+    """Two equally good fits, one eight times as wide in every direction: 512 times as much φ explains the data."""
+    narrow = Optimum(np.array([0.0, 0.0, 0.0]), 5.0, 6400 * np.eye(3))
+    wide = Optimum(np.array([1.0, 0.0, 0.0]), 5.0, 100 * np.eye(3))
+    mean, spread, likeliest = combine([narrow, wide], np.zeros((3, 3)))
+    share = 512 / 513
+    np.testing.assert_allclose(mean, [share, 0, 0], rtol=1e-6)
+    np.testing.assert_allclose(spread[0, 0], share / 100 + (1 - share) / 6400 + share * (1 - share), rtol=1e-6)
+    assert likeliest is wide
+    mean, spread, likeliest = combine([narrow, wide._replace(cost=30.0)], np.zeros((3, 3)))  # e⁻²⁵·512 is nothing
+    np.testing.assert_array_equal(mean, narrow.logs)
+    np.testing.assert_allclose(spread, np.eye(3) / 6400)
+    assert likeliest is narrow

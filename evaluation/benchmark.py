@@ -1,0 +1,262 @@
+"""How well θ is recovered on synthetic clips with known truth, against the best that is possible.
+
+    python -m evaluation.benchmark --suite clean --estimator direct --clips 60 --seed 0 --output runs/benchmark
+
+Clips are made in memory and thrown away. Results are appended to DIR/results.jsonl as they come; the same command
+continues an interrupted run, and a later one may add suites, estimators or clips. Writes table.csv, details.csv
+(see `evaluation.recovery_details`) and figures/. A clip that can't be estimated is counted and shown.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
+from rich.text import Text
+
+from evaluation.benchmark_output import show, write_results
+from evaluation.recovery import OK, ClipTask, Recovery, draw_log_theta, evaluate_clip
+from evaluation.recovery_estimators import NAMES, NEEDS_MODEL, EstimatorSpec, check_model
+from evaluation.recovery_scores import score_all
+from evaluation.recovery_store import RecoveryStore
+from evaluation.result_store import OutputError
+from evaluation.run_record import sha256_of
+from evaluation.suites import FITTED_ON, LARGEST_SEED, SPLITS, SUITES, suite_clip_seed
+from evaluation.worker_pool import WorkerLost, run_tasks
+from models.onnx_session import ModelFileError
+
+CONSTANT_CLIPS = 60
+"""Truths whose mean is the constant: its error is then within 1 % of the best constant's."""
+INTERRUPTED = 130
+
+
+class UsageError(ValueError):
+    """Options that can't be used; the message is a sentence."""
+
+
+class RateColumn(ProgressColumn):
+    """Clips a minute, averaged over the last ones."""
+
+    def render(self, task: Task) -> Text:
+        """Text of the column."""
+        return Text(f"{60 * task.speed:.1f} clips/min" if task.speed else "", style="progress.data.speed")
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """Command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m evaluation.benchmark",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog="suites:\n"
+        + "\n".join(f"  {suite.name:12s}{suite.reason}" for suite in SUITES.values())
+        + "\n\nExit status: 0 done, also where clips could not be estimated; 1 nothing could be; 2 wrong usage; "
+        "130 interrupted.",
+    )
+    add = parser.add_argument
+    several = {"nargs": "+", "action": "extend"}
+    add("--suite", **several, choices=[*SUITES, "all"], metavar="SUITE", help="suites, or all (default clean)")
+    add("--estimator", **several, choices=NAMES, metavar="NAME", help=f"{', '.join(NAMES)} (default direct)")
+    add("--model", type=Path, metavar="FILE", help="ONNX file of the estimator network")
+    add("--paper-model", type=Path, metavar="FILE", help="ONNX file of the estimator paper: one estimate a frame")
+    add("--noise", type=float, metavar="SIGMA", help="σ that direct is told [scene units] (default: the clip's own)")
+    add(
+        "--clips", type=int, default=60, metavar="N", help="clips of each suite, a third a regime (default %(default)s)"
+    )
+    add("--seed", type=int, default=0, metavar="N", help="another seed gives other clips (default %(default)s)")
+    add("--split", choices=list(SPLITS), default="test", help="stream of seeds (default %(default)s)")
+    add("--output", type=Path, required=True, metavar="DIR", help="folder of the results")
+    add("--workers", type=int, default=2, metavar="N", help="processes; 0 = in this one (default %(default)s)")
+    text = "truths of another split whose mean is the constant estimate (default %(default)s)"
+    add("--constant-clips", type=int, default=CONSTANT_CLIPS, metavar="N", help=text)
+    return parser
+
+
+def check_options(options: argparse.Namespace) -> None:
+    """Fill in what was left out, and refuse what can't be used.
+
+    Raises:
+        UsageError: an option is out of range or lacks its file.
+    """
+    chosen = dict.fromkeys(options.suite or ["clean"])
+    options.suite = [name for name in SUITES if "all" in chosen or name in chosen]
+    options.estimator = [name for name in NAMES if name in (options.estimator or ["direct"])]
+    for name, lowest in (("clips", 1), ("seed", 0), ("workers", 0), ("constant_clips", 2)):
+        if getattr(options, name) < lowest:
+            value = getattr(options, name)
+            raise UsageError(f"--{name.replace('_', '-')} is {value}; give a whole number of at least {lowest}.")
+    if options.seed > LARGEST_SEED:
+        raise UsageError(f"--seed is {options.seed}; give at most {LARGEST_SEED}.")
+    if options.noise is not None and not (math.isfinite(options.noise) and options.noise > 0):
+        raise UsageError(f"--noise is {options.noise}; give a positive length in scene units or leave it out.")
+    for name, option in NEEDS_MODEL.items():
+        given = getattr(options, option[2:].replace("-", "_"))
+        if name in options.estimator and given is None:
+            raise UsageError(f"--estimator {name} needs a network; give its file as {option} FILE.")
+        if name not in options.estimator and given is not None:
+            raise UsageError(f"{option} {given} is of no use without --estimator {name}; add that or leave it out.")
+
+
+def estimator_specs(options: argparse.Namespace) -> list[EstimatorSpec]:
+    """What is compared, every network opened once; `constant` gets its numbers later.
+
+    Raises:
+        ModelFileError: a network can't be used.
+    """
+    specs = []
+    for name in options.estimator:
+        option = NEEDS_MODEL.get(name)
+        path = getattr(options, option[2:].replace("-", "_")) if option else None
+        if path is not None and not path.is_file():
+            raise ModelFileError(f"{path} is not a file; give the file that was exported as {option}.")
+        spec = EstimatorSpec(
+            name,
+            model=str(path or ""),
+            model_sha256=sha256_of(path) if path else "",
+            noise=options.noise if name == "direct" else None,
+        )
+        if path is not None:
+            check_model(spec)
+        specs.append(spec)
+    return specs
+
+
+class Benchmark:
+    """One run: what is left to do of it, and what comes out."""
+
+    def __init__(self, options: argparse.Namespace, specs: Sequence[EstimatorSpec], console: Console) -> None:
+        self.options, self.specs, self.console = options, list(specs), console
+        wanted = {
+            "seed": options.seed,
+            "split": options.split,
+            "constant_clips": options.constant_clips,
+            "suites": {name: SUITES[name].describe() for name in options.suite},
+            "estimators": {spec.name: spec.describe() for spec in specs},
+        }
+        self.store = RecoveryStore(options.output, wanted)
+        if self.store.outdated:
+            text = (
+                "Results of another version of the program are kept; give another --output to measure all of this one."
+            )
+            console.print(text, style="yellow")
+
+    def run(self) -> np.ndarray:
+        """Do what is left; returns the constant's log θ, shape [3]."""
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            RateColumn(),
+            TimeRemainingColumn(),
+        )
+        with Progress(*columns, console=self.console) as progress:
+            logs = self._constant(progress)
+            moments = tuple(map(tuple, np.vstack((logs.mean(axis=0), np.cov(logs.T))).tolist()))
+            tasks = self._tasks(moments)
+            bar = progress.add_task("clips", total=self.options.clips, completed=self.options.clips - len(tasks))
+            for rows in run_tasks(evaluate_clip, tasks, self.options.workers):
+                self.store.append(rows)
+                progress.advance(bar)
+        return logs.mean(axis=0)
+
+    def chosen(self) -> list[Recovery]:
+        """Results that this run's options ask for, those of earlier runs included, in the order of tables."""
+        options = self.options
+        rows = [
+            row
+            for row in self.store.rows
+            if row.suite in options.suite and row.estimator in options.estimator and row.index < options.clips
+        ]
+        places = list(SUITES)
+        return sorted(rows, key=lambda row: (NAMES.index(row.estimator), places.index(row.suite), row.index))
+
+    def _constant(self, progress: Progress) -> np.ndarray:
+        """True log θ of the split on which the constant is fitted, shape [n, 3]."""
+        options = self.options
+        split, count = FITTED_ON[options.split], options.constant_clips
+        stored = self.store.constant(split, count)
+        if stored is not None:
+            return stored
+        bar = progress.add_task(f"truths of the {split} split", total=count)
+        tasks = [(index, suite_clip_seed(split, options.seed, index)) for index in range(count)]
+        drawn = []
+        for logs in run_tasks(draw_log_theta, tasks, options.workers):
+            drawn.append(logs)
+            progress.advance(bar)
+        found = np.array(sorted(logs.tolist() for logs in drawn if logs is not None))
+        self.store.keep_constant(split, count, found)
+        return found
+
+    def _tasks(self, moments: tuple[tuple[float, ...], ...]) -> list[ClipTask]:
+        """Clips of which something is left to do, and what."""
+        options, done = self.options, self.store.done
+        specs = [
+            EstimatorSpec("constant", constant=moments) if spec.name == "constant" else spec for spec in self.specs
+        ]
+        tasks = []
+        for index in range(options.clips):
+            left = ((suite, tuple(s for s in specs if (suite, index, s.name) not in done)) for suite in options.suite)
+            wanted = tuple((suite, some) for suite, some in left if some)
+            if wanted:
+                tasks.append(ClipTask(index, suite_clip_seed(options.split, options.seed, index), wanted))
+        return tasks
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the benchmark that the command line asks for; returns the exit status."""
+    console = Console(stderr=True)
+    options = build_parser().parse_args(arguments)
+    try:
+        check_options(options)
+        benchmark = Benchmark(options, estimator_specs(options), console)
+    except (UsageError, ModelFileError, OutputError) as error:
+        console.print(str(error), style="red", markup=False, highlight=False, soft_wrap=True)
+        return 2
+    status, constant = 0, None
+    try:
+        constant = benchmark.run()
+    except KeyboardInterrupt:
+        console.print("Interrupted; finished clips are kept, and the same command continues.", style="yellow")
+        status = INTERRUPTED
+    except (OutputError, WorkerLost) as error:
+        console.print(f"{error} Finished clips are kept.", style="red", markup=False, highlight=False, soft_wrap=True)
+        status = 1
+    return finish(benchmark, constant, status)
+
+
+def finish(benchmark: Benchmark, constant: np.ndarray | None, status: int) -> int:
+    """Write and print what there is; returns the exit status.
+
+    Args:
+        constant: the constant's log θ, shape [3]; None where the run ended early.
+        status: exit status so far.
+    """
+    options, console = benchmark.options, benchmark.console
+    if constant is None:
+        logs = benchmark.store.constant(FITTED_ON[options.split], options.constant_clips)
+        constant = None if logs is None else logs.mean(axis=0)
+    rows = benchmark.chosen()
+    if constant is None or not rows:
+        return status or 1
+    scores = score_all(rows, constant)
+    try:
+        table = write_results(options.output, scores)
+    except OutputError as error:
+        console.print(str(error), style="red", markup=False, highlight=False, soft_wrap=True)
+        return 1
+    show(table, scores, console)
+    console.print(f"written: {options.output}/table.csv, details.csv, figures/", markup=False, highlight=False)
+    if not any(row.status == OK for row in rows):
+        console.print("No clip could be estimated.", style="red")
+        return status or 1
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())

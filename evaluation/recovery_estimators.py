@@ -1,0 +1,150 @@
+"""What the benchmark compares: estimators by name, each a function from a prepared clip to θ of its contacts."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from data.collected import CollectedClip
+from data.windows import window_indices
+from estimators.contact_network import ContactNetwork
+from estimators.direct import DirectSettings, fit_clip
+from estimators.estimate import ContactEstimate, NoEstimate
+from models.onnx_session import ModelFileError, ParameterModel
+from models.posterior_session import PosteriorModel
+
+NAMES = ("direct", "network", "paper", "constant")
+"""Estimators in the order of tables."""
+NEEDS_MODEL = {"network": "--model", "paper": "--paper-model"}
+"""Estimators that read a file, and the option that names it."""
+GRID = (120, 214)
+"""Height and width of the clips' depth [px]."""
+SMALLEST = 1e-12
+"""Parameters nearer to 0 count as this before their logarithm is taken."""
+
+
+@dataclass(frozen=True)
+class EstimatorSpec:
+    """Everything that opens an estimator in another process."""
+
+    name: str
+    model: str = ""
+    """Path of its network."""
+    model_sha256: str = ""
+    noise: float | None = None
+    """σ that `direct` is told; None = the clip's own estimate."""
+    constant: tuple[tuple[float, ...], ...] = ()
+    """Means of log θ, then their covariance: what `constant` answers, shape [4][3]."""
+
+    def describe(self) -> dict[str, object]:
+        """What its estimates depend on, for the run's record."""
+        return {"model_sha256": self.model_sha256, "noise": self.noise}
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What an estimator says about one contact."""
+
+    theta: np.ndarray
+    """k_s, k_d and signed F, shape [3]."""
+    covariance: np.ndarray | None = None
+    """Of (log k_s, log k_d, log |F|), shape [3, 3]; None from an estimator that gives none."""
+    verdict: str = ""
+    """determined, ratios, undetermined, or empty."""
+    noise: float = math.nan
+    """σ that it believed in [scene units]."""
+    misfit: float = math.nan
+    """RMS residual over that σ."""
+    at_bound: np.ndarray = field(default_factory=lambda: np.zeros(3, bool))
+    """Whether a parameter lies at the end of its range, shape [3]."""
+
+
+Estimator = Callable[[CollectedClip], dict[int, Answer | NoEstimate]]
+"""From a prepared clip to an answer, or the reason for none, by the frame of onset."""
+
+
+@functools.cache
+def open_estimator(spec: EstimatorSpec) -> Estimator:
+    """The estimator, opened once a process.
+
+    Raises:
+        ModelFileError: its network can't be used.
+    """
+    if spec.name == "direct":
+        settings = DirectSettings(noise=spec.noise)
+        return lambda clip: _answers(fit_clip(clip, settings))
+    if spec.name == "constant":
+        return functools.partial(_constant, np.array(spec.constant))
+    if spec.name == "paper":
+        model = ParameterModel(spec.model, threads=1)
+        _require_grid(model)
+        return functools.partial(_frame_average, model)
+    posterior = PosteriorModel(spec.model, threads=1)
+    if posterior.takes_depth:
+        _require_grid(posterior)
+    network = ContactNetwork(posterior)
+    return lambda clip: _answers(network.estimate_clip(clip))
+
+
+def _require_grid(model: ParameterModel | PosteriorModel) -> None:
+    if model.input_size != GRID:
+        height, width = model.input_size
+        raise ModelFileError(
+            f"{model.path} takes depth of {width}x{height} pixels and the benchmark's has {GRID[1]}x{GRID[0]}; "
+            "export a network that was trained at that size."
+        )
+
+
+def _answers(found: dict[int, ContactEstimate | NoEstimate]) -> dict[int, Answer | NoEstimate]:
+    return {onset: item if isinstance(item, NoEstimate) else _answer(item) for onset, item in found.items()}
+
+
+def _answer(estimate: ContactEstimate) -> Answer:
+    return Answer(
+        theta=np.asarray(estimate.theta, np.float64),
+        covariance=np.asarray(estimate.covariance, np.float64),
+        verdict=estimate.verdict,
+        noise=float(estimate.noise),
+        misfit=float(estimate.misfit),
+        at_bound=np.asarray(estimate.at_bound, bool),
+    )
+
+
+def _onsets(clip: CollectedClip) -> list[int]:
+    """Frames at which a run of contact whose onset was seen begins."""
+    return np.flatnonzero(clip.track_start == np.arange(len(clip))).tolist()
+
+
+def _constant(moments: np.ndarray, clip: CollectedClip) -> dict[int, Answer | NoEstimate]:
+    """The same θ whatever is seen, as wide as the parameters it was fitted on."""
+    theta = np.exp(moments[0]) * (1.0, 1.0, -1.0)
+    return {onset: Answer(theta, covariance=moments[1:]) for onset in _onsets(clip)}
+
+
+def _frame_average(model: ParameterModel, clip: CollectedClip) -> dict[int, Answer | NoEstimate]:
+    """A network of one estimate a frame: the mean of log θ over a run's frames in contact."""
+    return {onset: _average(model, clip, onset) for onset in _onsets(clip)}
+
+
+def _average(model: ParameterModel, clip: CollectedClip, onset: int) -> Answer | NoEstimate:
+    frames = np.flatnonzero((clip.track_start == onset) & clip.contact)
+    indices = [window_indices(frame, model.window, clip.consecutive, clip.usable) for frame in frames]
+    windows = [np.stack([clip.depth(index) for index in window]) for window in indices if window is not None]
+    thetas = [model(window[None])[0] for window in windows]
+    if not thetas or not np.isfinite(thetas).all():
+        return NoEstimate("the network gives no finite θ for any frame in contact.")
+    logs = np.log(np.maximum(np.abs(np.array(thetas, np.float64)), SMALLEST))
+    return Answer(np.exp(logs.mean(axis=0)) * (1.0, 1.0, -1.0))
+
+
+def check_model(spec: EstimatorSpec) -> None:
+    """Open an estimator's network once, so that a wrong file is told before any work.
+
+    Raises:
+        ModelFileError: it can't be used.
+    """
+    open_estimator(spec)

@@ -1,0 +1,38 @@
+"""Results of the benchmark whose scores are known in closed form."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from evaluation.recovery import Recovery
+from evaluation.suites import REGIMES, suite_clip_seed
+
+TRUTH = np.array([0.5, 0.05, -0.1])
+
+
+def recovery(index: int = 0, **changes) -> Recovery:
+    """A clip whose θ was estimated exactly, with bounds of 0.1 for tracking noise of 0.001."""
+    fields = {
+        "suite": "clean",
+        "index": index,
+        "estimator": "direct",
+        "seed": suite_clip_seed("test", 0, index),
+        "regime": REGIMES[index % 3],
+        "theta": TRUTH,
+        "peak": 0.03,
+        "information": np.eye(3) * (0.001 / 0.1) ** 2,
+        "tracking": np.array([0.001, -0.001]),
+        "estimate": TRUTH,
+        "covariance": np.eye(3) * 0.01,
+        "verdict": "determined",
+        "noise": 0.001,
+        "misfit": 1.0,
+        "at_bound": np.zeros(3, bool),
+        "seconds": 1.0,
+    }
+    return Recovery(**fields | changes)
+
+
+def off_by(errors: object) -> np.ndarray:
+    """θ whose logarithms differ from the truth's by these, shape [3]."""
+    return TRUTH * np.exp(np.asarray(errors, float))

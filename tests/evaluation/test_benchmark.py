@@ -1,0 +1,150 @@
+"""The benchmark's command: options, resuming, exit status, and one real run."""
+
+import csv
+
+import numpy as np
+import pytest
+
+from evaluation import benchmark
+from evaluation.benchmark import INTERRUPTED, main
+from evaluation.recovery_scores import COLUMNS
+from tests.evaluation.recovery_cases import off_by, recovery
+
+
+@pytest.fixture
+def evaluated(monkeypatch):
+    """Clips that were evaluated, by a stand-in that does so at once."""
+    seen = []
+
+    def evaluate(task):
+        seen.append(task.index)
+        errors = np.random.default_rng(task.index).normal(0, 0.1, 3)
+        return [
+            recovery(task.index, suite=suite, estimator=spec.name, estimate=off_by(errors))
+            for suite, specs in task.wanted
+            for spec in specs
+        ]
+
+    monkeypatch.setattr(benchmark, "evaluate_clip", evaluate)
+    monkeypatch.setattr(benchmark, "draw_log_theta", lambda task: np.array([-1.0, -3.0, -2.5]) + 0.1 * task[0])
+    return seen
+
+
+def run(output, *arguments, clips=6):
+    return main(["--output", str(output), "--workers", "0", "--clips", str(clips), *arguments])
+
+
+def read(path):
+    with path.open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_tables_and_figures_are_written(tmp_path, evaluated):
+    assert run(tmp_path, "--suite", "clean", "8bit", "--estimator", "direct", "constant") == 0
+    rows = read(tmp_path / "table.csv")
+    assert tuple(rows[0]) == COLUMNS
+    assert {(row["estimator"], row["suite"]) for row in rows} == {
+        (estimator, suite) for estimator in ("direct", "constant") for suite in ("clean", "8bit")
+    }
+    assert (tmp_path / "details.csv").is_file()
+    assert (tmp_path / "figures" / "recovery_direct_8bit.png").is_file()
+
+
+def test_a_second_run_does_only_what_is_left(tmp_path, evaluated):
+    run(tmp_path)
+    assert sorted(evaluated) == [0, 1, 2, 3, 4, 5]
+    evaluated.clear()
+    assert run(tmp_path) == 0
+    assert evaluated == []
+    assert run(tmp_path, clips=8) == 0
+    assert sorted(evaluated) == [6, 7]
+    evaluated.clear()
+    run(tmp_path, "--suite", "noisy", clips=2)
+    assert sorted(evaluated) == [0, 1]
+    assert {row["suite"] for row in read(tmp_path / "table.csv")} == {"noisy"}
+
+
+def test_an_interrupted_run_keeps_and_shows_what_is_done(tmp_path, evaluated, monkeypatch, capsys):
+    finished = benchmark.evaluate_clip
+
+    def interrupted(task):
+        if task.index == 3:
+            raise KeyboardInterrupt
+        return finished(task)
+
+    monkeypatch.setattr(benchmark, "evaluate_clip", interrupted)
+    assert run(tmp_path) == INTERRUPTED
+    assert "same command continues" in capsys.readouterr().err
+    assert next(row for row in read(tmp_path / "table.csv") if row["regime"] == "all")["n"] == "3"
+    monkeypatch.setattr(benchmark, "evaluate_clip", finished)
+    evaluated.clear()
+    assert run(tmp_path) == 0
+    assert evaluated == [3, 4, 5]
+
+
+def test_failed_clips_are_shown_and_no_error(tmp_path, monkeypatch, evaluated, capsys):
+    lost = {"estimate": None, "covariance": None, "information": None, "tracking": None}
+
+    def evaluate(task):
+        status = {} if task.index else {"status": "no contact", "reason": "no onset of contact was found.", **lost}
+        return [recovery(task.index, **status)]
+
+    monkeypatch.setattr(benchmark, "evaluate_clip", evaluate)
+    assert run(tmp_path, clips=2) == 0
+    assert "clip 0 (under-damped): no contact" in capsys.readouterr().err
+    monkeypatch.setattr(benchmark, "evaluate_clip", lambda task: [recovery(task.index, status="no contact", **lost)])
+    assert run(tmp_path / "none", clips=2) == 1
+    assert "No clip could be estimated" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (("--seed", "-1"), "--seed is -1"),
+        (("--estimator", "network"), "give its file as --model FILE"),
+        (("--paper-model", "x.onnx"), "of no use without --estimator paper"),
+        (("--estimator", "paper", "--paper-model", "missing.onnx"), "missing.onnx is not a file"),
+        (("--noise", "0"), "--noise is 0"),
+        (("--constant-clips", "1"), "--constant-clips is 1"),
+    ],
+)
+def test_wrong_usage_is_one_sentence(tmp_path, arguments, sentence, capsys):
+    assert run(tmp_path, *arguments) == 2
+    text = capsys.readouterr().err
+    assert sentence in " ".join(text.split())
+    assert "Traceback" not in text
+
+
+def test_a_file_that_is_no_network_is_refused(tmp_path, capsys):
+    (tmp_path / "model.onnx").write_text("no")
+    assert run(tmp_path / "out", "--estimator", "network", "--model", str(tmp_path / "model.onnx")) == 2
+    assert "model.onnx" in capsys.readouterr().err
+
+
+def test_another_seeds_folder_is_refused(tmp_path, evaluated, capsys):
+    run(tmp_path)
+    assert run(tmp_path, "--seed", "1") == 2
+    assert "holds results of another seed" in capsys.readouterr().err
+
+
+def test_unknown_suite_is_wrong_usage(tmp_path):
+    with pytest.raises(SystemExit) as stop:
+        run(tmp_path, "--suite", "dirty")
+    assert stop.value.code == 2
+
+
+def test_all_suites_once_and_in_order(tmp_path):
+    options = benchmark.build_parser().parse_args(["--output", "x", "--suite", "noisy", "--suite", "all", "clean"])
+    benchmark.check_options(options)
+    assert options.suite == list(benchmark.SUITES)
+    assert options.estimator == ["direct"]
+
+
+@pytest.mark.slow
+def test_two_real_clips_in_two_processes(tmp_path):
+    arguments = ["--output", str(tmp_path), "--clips", "2", "--constant-clips", "3", "--workers", "2"]
+    assert main([*arguments, "--estimator", "direct", "constant"]) == 0
+    rows = [row for row in read(tmp_path / "table.csv") if row["regime"] == "all" and row["estimator"] == "direct"]
+    force = next(row for row in rows if row["parameter"] == "force/damping")
+    assert force["n"] == "2"
+    assert float(force["rmse_log"]) < float(force["constant_rmse_log"])

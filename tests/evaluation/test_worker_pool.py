@@ -1,0 +1,49 @@
+"""Processes that share out tasks and end when nobody wants more."""
+
+import multiprocessing
+import os
+
+import pytest
+
+from evaluation.worker_pool import WorkerLost, run_tasks
+
+
+def square(value: int) -> int:
+    return value * value
+
+
+def limits(_: int) -> str:
+    return os.environ.get("OMP_NUM_THREADS", "")
+
+
+def die(_: int) -> None:
+    os._exit(1)
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_every_task_is_done(workers):
+    assert sorted(run_tasks(square, range(5), workers)) == [0, 1, 4, 9, 16]
+
+
+def test_no_tasks_need_no_workers():
+    assert list(run_tasks(square, [], 2)) == []
+
+
+def test_workers_have_one_native_thread_and_the_parent_keeps_its_own(monkeypatch):
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    assert set(run_tasks(limits, range(2), 2)) == {"1"}
+    assert "OMP_NUM_THREADS" not in os.environ
+
+
+def test_leaving_early_ends_the_workers():
+    results = run_tasks(square, range(50), 2)
+    next(results)
+    results.close()
+    for process in multiprocessing.active_children():
+        process.join(10)
+    assert multiprocessing.active_children() == []
+
+
+def test_a_killed_worker_is_told():
+    with pytest.raises(WorkerLost, match="fewer --workers"):
+        list(run_tasks(die, range(3), 2))

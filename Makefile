@@ -1,6 +1,7 @@
 # make demo  — everything from nothing: clips, training, evaluation, export, inference on a video file
 # make test  — lint and all tests; make test-fast leaves the slow ones out
 # make bench — what is timed, against what (see benchmarks/)
+# make model — trains, calibrates and exports the contact posterior that comes along (docs/identifiability.md)
 PYTHON ?= python3
 BIN := .venv/bin
 DEMO := runs/demo
@@ -8,7 +9,7 @@ BEST := --ckpt_path $(DEMO)/training/checkpoints/best.ckpt
 VIDEO := $(DEMO)/clips/video04/video04_00000
 INSTALLED := .venv/.installed
 
-.PHONY: demo test test-fast lint bench clean
+.PHONY: demo test test-fast lint bench model clean
 
 $(INSTALLED): pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
@@ -44,6 +45,15 @@ bench: $(INSTALLED)
 	-$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[bench]"
 	$(BIN)/python -m benchmarks.rollout
 	$(BIN)/python -m benchmarks.training_step
+
+MODEL := runs/contact
+model: $(INSTALLED)
+	$(BIN)/python -m estimators.contact_training --output $(MODEL)
+	$(BIN)/python -m evaluation.calibration --weights $(MODEL)/posterior.pt --output $(MODEL)/uncalibrated.onnx
+	$(BIN)/python -m evaluation.benchmark --suite clean 8bit noisy --estimator network --split validation --clips 150 \
+		--model $(MODEL)/uncalibrated.onnx --output $(MODEL)/validation
+	$(BIN)/python -m evaluation.calibration --weights $(MODEL)/posterior.pt --output models/weights/contact.onnx \
+		--validation $(MODEL)/validation
 
 clean:
 	rm -rf .venv runs build *.egg-info

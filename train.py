@@ -31,6 +31,7 @@ from lightning.pytorch.loggers import CSVLogger, MLFlowLogger
 from lightning.pytorch.utilities import disable_possible_user_warnings
 from lightning.pytorch.utilities.exceptions import MisconfigurationException
 
+from data.contact_features import FEATURES
 from data.datamodule import ClipDataModule
 from data.frames import InputError
 from evaluation.figures import draw_next_depth
@@ -38,6 +39,7 @@ from evaluation.report import EvaluationError, write_evaluation
 from models.checkpoint import CheckpointError, read_checkpoint, require_same_model
 from models.module import PhysicsInformedGAN, TrainingDiverged
 from models.onnx_export import ParityError, export
+from models.posterior_export import export_posterior
 from physics.mechanics import Bounds, Mechanics, UnstableConfiguration
 
 INTERRUPTED = 130
@@ -135,8 +137,12 @@ class RunTrainer(Trainer):
             "mechanics": model.hparams["mechanics"],
             "config_sha256": hashlib.sha256(checkpoint.get("configuration", "").encode()).hexdigest(),
         }
-        geometry = metadata["geometry"]
-        difference = export(model.generator_ab, Path(output), (geometry["height"], geometry["width"]), metadata)
+        geometry, generator = metadata["geometry"], model.generator_ab
+        size = {"window": generator.channels, "height": geometry["height"], "width": geometry["width"]}
+        if model.hparams["head"] == "posterior":
+            difference = export_posterior(generator, Path(output), metadata | {"input": size})
+        else:
+            difference = export(generator, Path(output), (size["height"], size["width"]), metadata)
         print(f"{output}: written; largest difference from torch over batches of 1, 2 and 7 is {difference:.1e}")
 
 
@@ -151,6 +157,8 @@ class TrainCLI(LightningCLI):
     def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
         parser.add_argument("--tracking", type=bool, default=True, help="Log to MLflow beside the run folder.")
         parser.link_arguments("data.window", "model.window")
+        told = ("data.observation", "data.geometry.smoothing")
+        parser.link_arguments(told, "model.contact_features", compute_fn=contact_features)
         for group, settings in (("mechanics", Mechanics), ("bounds", Bounds)):
             for field in fields(settings):
                 parser.link_arguments(f"model.{group}.{field.name}", f"data.{group}.{field.name}")
@@ -211,6 +219,11 @@ class TrainCLI(LightningCLI):
         for name, path in files.items():
             log_artifact(self.trainer, Path(path), "evaluation")
             print(f"{name}: {path}")
+
+
+def contact_features(observation: str, smoothing: float) -> int:
+    """Length of the contact's vector in the batches; 0 where they have none, for want of a motion or its noise."""
+    return FEATURES if observation == "trajectory" and smoothing > 0 else 0
 
 
 def checkpoint_folder(run_folder: str | os.PathLike[str] | None) -> str:

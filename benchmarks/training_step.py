@@ -25,6 +25,7 @@ from rich.console import Console
 from rich.table import Table
 
 from data.synthetic import main as make_clips
+from models.generator import Answer
 from models.module import PhysicsInformedGAN
 from train import main as train
 
@@ -41,7 +42,7 @@ class StepTimer:
         self.forward: list[float] = []
         """Rollouts of each step, forward, both directions of time."""
         self.gradient: list[float] = []
-        """Gradient of those rollouts in θ."""
+        """Gradient of those rollouts in θ, or in the mean of log θ."""
         self._originals = PhysicsInformedGAN.training_step, PhysicsInformedGAN._physics
 
     def __enter__(self) -> StepTimer:
@@ -51,11 +52,11 @@ class StepTimer:
             (_, elapsed) = timed(lambda: training_step(module, batch, batch_index))
             self.steps.append(elapsed - self.gradient[-1])
 
-        def timed_physics(module: PhysicsInformedGAN, theta_ab: torch.Tensor, theta_ba: torch.Tensor, batch: dict):
-            loss, forward = timed(lambda: physics(module, theta_ab, theta_ba, batch))
+        def timed_physics(module: PhysicsInformedGAN, ab: Answer, ba: Answer, batch: dict):
+            loss, forward = timed(lambda: physics(module, ab, ba, batch))
             if loss.requires_grad:
-                thetas = [theta_ab, theta_ba]
-                _, gradient = timed(lambda: torch.autograd.grad(loss, thetas, retain_graph=True, allow_unused=True))
+                heads = [answer.theta if answer.mean is None else answer.mean for answer in (ab, ba)]
+                _, gradient = timed(lambda: torch.autograd.grad(loss, heads, retain_graph=True, allow_unused=True))
                 self.forward.append(forward)
                 self.gradient.append(gradient)
             return loss

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import warnings
 from collections import Counter
@@ -47,6 +48,7 @@ class ClipDataModule(LightningDataModule):
         observation: what the rollout is compared with: final (paper), release, or trajectory.
         horizon_frames: frames after the onset that a trajectory covers; none = as long as the rollout.
         min_deformation: samples that deform less are left out as rigid motion [scene units]; 0 (off) keeps all.
+        onset_within: a trajectory's samples lie less than this many frames after the onset; none = the window.
         mechanics: time base of the rollout; train.py takes it from the model.
         bounds: admissible box, checked for stability on the training meshes; train.py takes it from the model.
         batch_size: samples a batch and process.
@@ -70,6 +72,7 @@ class ClipDataModule(LightningDataModule):
         observation: Literal["final", "release", "trajectory"] = "final",
         horizon_frames: int | None = None,
         min_deformation: float = 0.0,
+        onset_within: int | None = None,
         mechanics: Mechanics = Mechanics(),  # noqa: B008
         bounds: Bounds = Bounds(),  # noqa: B008
         batch_size: int = 2,
@@ -93,7 +96,9 @@ class ClipDataModule(LightningDataModule):
             bridge_frames=bridge_frames,
             track_seconds=mechanics.steps * mechanics.time_step,
         )
-        self.samples = SampleSettings(window, observation, horizon_frames, min_deformation, geometry, mechanics)
+        self.samples = SampleSettings(
+            window, observation, horizon_frames, min_deformation, onset_within, geometry, mechanics
+        )
         self.mechanics, self.bounds = mechanics, bounds
         self.batch_size, self.num_workers = batch_size, num_workers
         self.fractions, self.seed, self.progress = tuple(fractions), seed, progress
@@ -194,6 +199,7 @@ class ClipDataModule(LightningDataModule):
             "classes": _plain(dataclasses.asdict(self.preparation.classes)),
             "observation": self.samples.observation,
             "horizon_frames": self.samples.horizon_frames,
+            "onset_within": self.samples.onset_within,
             "bridge_frames": self.preparation.bridge_frames,
             "track_seconds": self.preparation.track_seconds,
         }
@@ -252,7 +258,7 @@ class ClipDataModule(LightningDataModule):
             batch_size=self.batch_size,
             sampler=sampler,
             num_workers=self.num_workers,
-            collate_fn=collate,
+            collate_fn=functools.partial(collate, time_step=self.mechanics.time_step),
             persistent_workers=self.num_workers > 0,
         )
 

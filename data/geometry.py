@@ -22,6 +22,8 @@ from physics.mesh import Mesh, contact_normal, grid_mesh, nearest_vertex
 TISSUE, TOOL = 1, 2
 COARSE_POINTS = 1000
 """Number of tool points in each pass of the two-pass search (Bini 2026, section 3.2.2)."""
+LEAST_NOISE = 3e-4
+"""Noise is never taken for smaller [scene units]: fitting planes to curved tissue errs by about 2e-4."""
 DEPTH_HOLE_REACH = 5.0
 """How many times `contact_pixels` the nearest valid tissue depth may lie from a touching outline."""
 
@@ -193,6 +195,7 @@ def frame_geometry(
     noise = math.nan
     if settings.smoothing > 0:
         resting, noise = smooth_surface(resting, surface, settings.smoothing)
+        noise = max(noise, LEAST_NOISE)
     sheet = back_project(resting, camera)
     points = np.where(tissue[..., None], sheet, back_project(depth, camera))
     touching = _touching(tool, tissue, settings.contact_pixels)

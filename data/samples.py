@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -34,6 +34,9 @@ class SampleSettings:
     """Frames after the onset that a trajectory covers; none = as many as the rollout lasts."""
     min_deformation: float = 0.0
     """Samples whose observed motion, less the rigid motion, is shorter are left out [scene units]; 0 keeps all."""
+    onset_within: int | None = None
+    """A trajectory's frame is a sample where its onset is less than this many frames back; none = the window, farther
+    back than which no network can see. One that is told the contact's motion beside the window can have more."""
     geometry: GeometrySettings = field(default_factory=GeometrySettings)
     """The force's direction is taken from here."""
     mechanics: Mechanics = field(default_factory=Mechanics)
@@ -46,6 +49,8 @@ class SampleSettings:
             raise ValueError(f"observation is '{self.observation}'; choose {', '.join(OBSERVATIONS)}.")
         if self.horizon_frames is not None and self.horizon_frames < 1:
             raise ValueError(f"horizon_frames is {self.horizon_frames}; give at least 1, or leave it out.")
+        if self.onset_within is not None and self.onset_within < 1:
+            raise ValueError(f"onset_within is {self.onset_within}; give at least 1, or leave it out.")
         if not (math.isfinite(self.min_deformation) and self.min_deformation >= 0):
             raise ValueError(f"min_deformation is {self.min_deformation}; give a length of at least 0.")
 
@@ -88,6 +93,8 @@ class Sample:
     """Name of the clip."""
     frame: int
     """Index of t."""
+    seen: ContactCase | None = None
+    """`case_a` as it was known at frame t; none but for trajectories of a clip whose noise is known."""
 
 
 def consecutive_pairs(clip: PreparedClip) -> list[int]:
@@ -120,7 +127,8 @@ def make_sample(clip: PreparedClip, frame: int, settings: SampleSettings) -> Sam
     case_a = make_case(clip, frame, settings)
     case_b = case_a if settings.observation == "trajectory" else _pair_case(clip, frame + 1, clip.backward, settings)
     window_a, window_b = (np.stack([clip.depth(index) for index in indices]) for indices in (earlier, later))
-    return Sample(window_a, window_b, case_a, case_b, clip.name, frame)
+    seen = seen_case(clip, frame, settings) if settings.observation == "trajectory" and case_a.noise > 0 else None
+    return Sample(window_a, window_b, case_a, case_b, clip.name, frame, seen)
 
 
 def make_case(clip: PreparedClip, frame: int, settings: SampleSettings) -> ContactCase:
@@ -128,6 +136,17 @@ def make_case(clip: PreparedClip, frame: int, settings: SampleSettings) -> Conta
     if settings.observation == "trajectory":
         return _run_case(clip, onset_of(clip, frame), settings)
     return _pair_case(clip, frame, clip.displacement, settings)
+
+
+def seen_case(clip: PreparedClip, frame: int, settings: SampleSettings) -> ContactCase:
+    """The run of contact that a frame belongs to as it was known at that frame: nothing of it comes from later ones.
+
+    `load_steps` are those until the frame, or until the contact's end where that was seen before.
+    """
+    onset = onset_of(clip, frame)
+    case = _run_case(clip, onset, settings, last=frame)
+    elapsed = round((clip.times[frame] - clip.times[onset]) / settings.mechanics.time_step)
+    return replace(case, load_steps=min(case.load_steps, elapsed))
 
 
 def _judge_pair(clip: PreparedClip, frame: int, settings: SampleSettings) -> str:
@@ -151,12 +170,14 @@ def _judge_run(clip: PreparedClip, frame: int, settings: SampleSettings) -> str:
     onset = onset_of(clip, frame)
     if onset < 0:
         return "onset not seen" if clip.contact[frame] else clip.status[frame]
-    if frame - onset >= settings.window:
-        return "onset outside the window"
+    if frame - onset >= (settings.onset_within or settings.window):
+        return "onset outside the window" if settings.onset_within is None else "onset too far back"
     if not clip.consecutive[frame]:
         return "no next frame"
     if not clip.usable[frame : frame + 2].all():
         return "bad_depth"
+    if settings.geometry.smoothing > 0 and not clip.noise[onset] > 0:
+        return "noise not known"
     observed, steps = _observed_frames(clip, onset, settings)
     if len(steps) == 0:
         return "contact not followed"
@@ -204,13 +225,15 @@ def _pair_case(clip: PreparedClip, frame: int, motion: np.ndarray, settings: Sam
     )
 
 
-def _run_case(clip: PreparedClip, onset: int, settings: SampleSettings) -> ContactCase:
-    """Case of a run of contact, observed at the frames' own time stamps since its onset."""
+def _run_case(clip: PreparedClip, onset: int, settings: SampleSettings, last: int | None = None) -> ContactCase:
+    """Case of a run of contact, observed at the frames' own time stamps since its onset, up to frame `last`."""
     frames, steps = _observed_frames(clip, onset, settings)
+    if last is not None:
+        frames, steps = frames[frames <= last], steps[frames <= last]
     mesh, vertex = clip.mesh(onset), int(clip.vertex[onset])
     rest = mesh.vertices[vertex] if math.isfinite(clip.noise[onset]) else clip.track_position[onset]
     displacement = (clip.track_position[frames] - rest).astype(np.float32)
-    farthest = displacement[np.argmax(np.linalg.norm(displacement, axis=1))]
+    farthest = max(displacement, key=np.linalg.norm, default=np.zeros(3, np.float32))
     return ContactCase(
         mesh=mesh,
         vertex=vertex,
@@ -226,4 +249,6 @@ def _run_case(clip: PreparedClip, onset: int, settings: SampleSettings) -> Conta
 def contact_cases(clip: PreparedClip, settings: SampleSettings) -> dict[int, ContactCase]:
     """Every run of contact of a clip whose onset was seen and whose tissue was followed, by the frame of its onset."""
     onsets = np.flatnonzero(clip.track_start == np.arange(len(clip))).tolist()
-    return {onset: _run_case(clip, onset, settings) for onset in onsets if len(_observed_frames(clip, onset, settings)[1])}
+    return {
+        onset: _run_case(clip, onset, settings) for onset in onsets if len(_observed_frames(clip, onset, settings)[1])
+    }

@@ -69,8 +69,12 @@ class _Masks:
         """There is nothing to forget."""
 
 
+def open_synthetic(clip: SyntheticClip, settings: PrepareSettings) -> ClipStream:
+    """A synthetic clip as a stream of prepared frames, with its own depth, labels and camera."""
+    return ClipStream(SyntheticSource(clip), settings, ClipInputs(_Masks(clip), _Depth(clip), clip.camera))
+
+
 def prepare_synthetic(clip: SyntheticClip, settings: PrepareSettings) -> CollectedClip:
-    """A synthetic clip through the same preparation as any other, with its own depth, labels and camera."""
-    source = SyntheticSource(clip)
-    stream = ClipStream(source, settings, ClipInputs(_Masks(clip), _Depth(clip), clip.camera))
-    return CollectedClip(source.name, source.fps, stream)
+    """A synthetic clip through the same preparation as any other."""
+    stream = open_synthetic(clip, settings)
+    return CollectedClip(stream.source.name, stream.source.fps, stream)

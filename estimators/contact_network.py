@@ -22,7 +22,7 @@ from estimators.estimate import ContactEstimate, NoEstimate
 from estimators.model_settings import section
 from models.onnx_session import ModelFileError
 from models.posterior_session import PosteriorModel
-from physics.identifiability import fisher_information, log_jacobian
+from physics.identifiability import fisher_information, least_informative, log_jacobian
 from physics.mechanics import Bounds, Mechanics
 from physics.msd_kernel import simulate_sensitivities
 
@@ -87,12 +87,14 @@ class ContactNetwork:
             found[onset] = self.estimate(case, contact_surroundings(case), depth)
         return found
 
-    def estimate(self, case: ContactCase, surroundings: Surroundings, depth: np.ndarray | None) -> ContactEstimate:
+    def estimate(
+        self, case: ContactCase, surroundings: Surroundings | None, depth: np.ndarray | None
+    ) -> ContactEstimate:
         """Posterior of a contact from what was seen of it.
 
         Args:
             case: the contact; its steps count in the model's time step.
-            surroundings: of the contact.
+            surroundings: of the contact, where they are known already.
             depth: window [K, h, w], where the model looks at it.
 
         Raises:
@@ -105,26 +107,26 @@ class ContactNetwork:
         self.seconds["network"] += time.perf_counter() - start
         if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
             raise ModelFileError(f"{self.model.path} gives a number that is not finite; export another checkpoint.")
-        theta = np.exp(mean) * PRESSING
-        information, misfit = self._information(theta, case)
-        low, high = log_box(self.bounds)
-        at_bound = np.minimum(mean - low, high - mean) < EDGE * (high - low)
+        theta, box = np.exp(mean) * PRESSING, log_box(self.bounds)
+        information, misfit = np.zeros((3, 3)), math.nan
+        if len(case.steps):
+            start = time.perf_counter()
+            misfit = self._linearise(mean, case)[0]
+            information = least_informative(lambda logs: self._linearise(logs, case)[1], mean, covariance, box)
+            self.seconds["simulation"] += time.perf_counter() - start
+        at_bound = np.minimum(mean - box[0], box[1] - mean) < EDGE * (box[1] - box[0])
         return ContactEstimate(theta, covariance, information, case.noise, misfit, at_bound)
 
-    def _information(self, theta: np.ndarray, case: ContactCase) -> tuple[np.ndarray, float]:
-        """Fisher information of the contact's trajectory at θ, shape [3, 3], and the residual's size in σ."""
-        if len(case.steps) == 0:
-            return np.zeros((3, 3)), math.nan
-        start = time.perf_counter()
-        steps = int(case.steps.max()) + 1
+    def _linearise(self, logs: np.ndarray, case: ContactCase) -> tuple[float, np.ndarray]:
+        """Residual's size in σ, and Fisher information [3, 3] of the contact's trajectory, at φ."""
+        steps, theta = int(case.steps.max()) + 1, np.exp(logs) * PRESSING
         mechanics = dataclasses.replace(self.mechanics, steps=steps, load_steps=0)
         path, slopes = simulate_sensitivities(
             theta, case.mesh, case.vertex, case.direction, mechanics, load_steps=min(case.load_steps, steps)
         )
-        information = fisher_information(log_jacobian(slopes[case.steps].astype(np.float64), theta), case.noise)
         residual = (path[case.steps] - case.displacement) / case.noise
-        self.seconds["simulation"] += time.perf_counter() - start
-        return information, float(np.sqrt(np.square(residual).sum(axis=1).mean()))
+        jacobian = log_jacobian(slopes[case.steps].astype(np.float64), theta)
+        return float(np.sqrt(np.square(residual).sum(axis=1).mean())), fisher_information(jacobian, case.noise)
 
     def _lengths(
         self, found: ContactEstimate, case: ContactCase, current: PreparedFrame, run: _Run

@@ -22,7 +22,7 @@ from data.clip_cache import PreparedClip
 from data.collected import CollectedClip
 from data.samples import ContactCase, SampleSettings, contact_cases
 from estimators.estimate import ContactEstimate, NoEstimate
-from physics.identifiability import covariance, fisher_information, log_jacobian
+from physics.identifiability import covariance, fisher_information, least_informative, log_jacobian
 from physics.mechanics import Mechanics
 from physics.msd_kernel import simulate, simulate_sensitivities
 
@@ -102,7 +102,7 @@ def fit_contact(case: ContactCase, settings: DirectSettings) -> ContactEstimate:
     return ContactEstimate(
         theta=problem.theta(mean),
         covariance=spread,
-        information=likeliest.information,
+        information=least_informative(problem.information, mean, spread, settings.box),
         noise=noise,
         misfit=math.sqrt(2 * likeliest.cost / len(case.steps)),
         at_bound=np.minimum(mean - low, high - mean) < AT_BOUND,
@@ -194,6 +194,10 @@ class ContactProblem:
             path = simulate(self.theta(logs), case.mesh, case.vertex, case.direction, mechanics, load_steps=load_steps)
             misfits.append(np.square(path[seen] - self.observed).sum())
         return candidates[np.argsort(misfits)[:STARTS]]
+
+    def information(self, logs: np.ndarray) -> np.ndarray:
+        """Fisher information at φ, shape [3, 3]."""
+        return fisher_information(self.jacobian(logs), 1.0)
 
     def residual(self, logs: np.ndarray) -> np.ndarray:
         """(Φ - d)/σ, flattened."""

@@ -11,13 +11,19 @@ from typing import Any
 
 import torch
 
+from models.posterior import ContactPosterior
 from physics.mechanics import Mechanics
 
 FIXED = (
-    *("window", "width", "residual_blocks", "decoder", "bounds.stiffness", "bounds.damping", "bounds.force"),
+    *("window", "width", "residual_blocks", "decoder", "head", "bounds.stiffness", "bounds.damping", "bounds.force"),
     *(f"mechanics.{field.name}" for field in fields(Mechanics)),
 )
 """Model settings that a trained network can't change any more: its shape, and what its θ means."""
+
+WRITER = "python -m estimators.contact_training"
+"""What writes pretrained posteriors."""
+SINCE = {"head": "parameters"}
+"""What settings were that checkpoints of earlier versions don't name."""
 
 
 class CheckpointError(ValueError):
@@ -30,15 +36,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     Raises:
         CheckpointError: no such file, or not such a checkpoint.
     """
-    if not path.is_file():
-        raise CheckpointError(f"{path} does not exist; give a checkpoint that train.py fit wrote.")
-    unreadable = f"{path} is not a readable checkpoint; give one that train.py fit wrote."
-    if not zipfile.is_zipfile(path):  # not a checkpoint at all, or cut short
-        raise CheckpointError(unreadable)
-    try:
-        checkpoint = torch.load(path, map_location="cpu", weights_only=True)
-    except (pickle.UnpicklingError, RuntimeError, EOFError) as error:
-        raise CheckpointError(unreadable) from error
+    checkpoint = _read(path, "train.py fit")
     if "bounds" not in checkpoint.get("hyper_parameters", {}) or "state_dict" not in checkpoint:
         raise CheckpointError(f"{path} is a checkpoint of another program; give one that train.py fit wrote.")
     return checkpoint
@@ -54,7 +52,7 @@ def require_same_model(path: Path, configured: Mapping[str, Any]) -> None:
     Raises:
         CheckpointError: the checkpoint can't be read, or one of `FIXED` differs; the message names it.
     """
-    trained = read_checkpoint(path)["hyper_parameters"]
+    trained = SINCE | read_checkpoint(path)["hyper_parameters"]
     for name in FIXED:
         was, now = _field(trained, name), _field(configured, name)
         if was != now:
@@ -62,6 +60,45 @@ def require_same_model(path: Path, configured: Mapping[str, Any]) -> None:
                 f"{path} was trained with model.{name} = {was} and the configuration says {now}; "
                 "give the configuration it was trained with."
             )
+
+
+def load_posterior(posterior: ContactPosterior, path: Path) -> None:
+    """Give a contact posterior the weights of a file of ours; reading it runs no code.
+
+    The file knows no pictures: that projection stays as it is.
+
+    Raises:
+        CheckpointError: no such file, not such a file, or one of another network or box.
+    """
+    weights = _read(path, WRITER)
+    own = {name: value for name, value in posterior.state_dict().items() if not name.startswith("picture.")}
+    shapes = {name: getattr(value, "shape", None) for name, value in weights.items()}
+    if shapes != {name: value.shape for name, value in own.items()}:
+        raise CheckpointError(f"{path} holds no contact posterior of this version; give a file that {WRITER} wrote.")
+    for name in ("lower", "upper"):
+        if not torch.allclose(weights[name], own[name], atol=1e-4):
+            there, here = ([f"{number:.4g}" for number in box[name].exp().tolist()] for box in (weights, own))
+            raise CheckpointError(
+                f"{path} was trained with {name} bounds of k_s, k_d and |F| of {', '.join(there)}, and model.bounds "
+                f"say {', '.join(here)}; give the same bounds, or leave model.pretrained out."
+            )
+    posterior.load_state_dict(weights, strict=False)
+
+
+def _read(path: Path, writer: str) -> dict[str, Any]:
+    """A dictionary that torch saved, on the CPU, without running code."""
+    if not path.is_file():
+        raise CheckpointError(f"{path} does not exist; give a file that {writer} wrote.")
+    unreadable = f"{path} is not a readable checkpoint; give one that {writer} wrote."
+    if not zipfile.is_zipfile(path):  # not a checkpoint at all, or cut short
+        raise CheckpointError(unreadable)
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+    except (pickle.UnpicklingError, RuntimeError, EOFError) as error:
+        raise CheckpointError(unreadable) from error
+    if not isinstance(content, dict):
+        raise CheckpointError(unreadable)
+    return content
 
 
 def _field(settings: Mapping[str, Any], name: str) -> Any:

@@ -5,19 +5,32 @@ Source: Bini 2026, section 3.4.1 and figure 2.
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from models.contact_head import ContactHead
 from physics.mechanics import Bounds
 
 SMALLEST_SIDE = 16
 """Smallest height and width [pixels]: the features are a quarter of that and still leave a variance to normalise by."""
 DECODERS = ("direct", "residual")
+HEADS = ("parameters", "posterior")
 LEAST_DEPTH = 1e-3
 """Depths are kept this far from 0 and 1 before their logit is taken."""
+
+
+class Answer(NamedTuple):
+    """What a head says about a batch."""
+
+    theta: Tensor
+    """[k_s, k_d, F], physical units, F signed, shape [B, 3]."""
+    mean: Tensor | None = None
+    """Mean of (log k_s, log k_d, log |F|), shape [B, 3]; none from head parameters."""
+    factor: Tensor | None = None
+    """Lower triangular L of their covariance L·Lᵀ, shape [B, 3, 3]; none from head parameters."""
 
 
 def normalised_block(layer: nn.Conv2d) -> nn.Sequential:
@@ -134,6 +147,9 @@ class Generator(nn.Module):
         residual_blocks: residual blocks of the decoder.
         bounds: admissible box of θ and where the head starts in it.
         decoder: direct (paper) or residual; see `Decoder`.
+        head: parameters (paper): θ from the window alone; posterior: a Gaussian over log θ from the contact's vector
+            and the window; see `models.contact_head.ContactHead`.
+        contact_features: length of the contact's vector; head posterior needs it.
     """
 
     def __init__(
@@ -143,10 +159,13 @@ class Generator(nn.Module):
         residual_blocks: int = 9,
         bounds: Bounds | None = None,
         decoder: Literal["direct", "residual"] = "direct",
+        head: Literal["parameters", "posterior"] = "parameters",
+        contact_features: int = 0,
     ) -> None:
         super().__init__()
-        if decoder not in DECODERS:
-            raise ValueError(f"decoder is {decoder!r}; choose {' or '.join(DECODERS)}.")
+        for name, value, choices in (("decoder", decoder, DECODERS), ("head", head, HEADS)):
+            if value not in choices:
+                raise ValueError(f"{name} is {value!r}; choose {' or '.join(choices)}.")
         if channels < 1 or width < 1 or residual_blocks < 0:
             raise ValueError(
                 f"channels is {channels}, width {width} and residual_blocks {residual_blocks}; "
@@ -159,7 +178,12 @@ class Generator(nn.Module):
             normalised_block(nn.Conv2d(width, 2 * width, 4, stride=2, padding=1)),
             normalised_block(nn.Conv2d(2 * width, 4 * width, 4, stride=2, padding=1)),
         )
-        self.head = ParameterHead(4 * width, bounds or Bounds())
+        bounds = bounds or Bounds()
+        self.head: ParameterHead | ContactHead
+        if head == "posterior":
+            self.head = ContactHead(4 * width, bounds, contact_features)
+        else:
+            self.head = ParameterHead(4 * width, bounds)
         self.decoder = Decoder(width, residual_blocks, decoder)
 
     def encode(self, depth: Tensor) -> Tensor:
@@ -174,9 +198,29 @@ class Generator(nn.Module):
             raise ValueError(f"depth is {depth.shape[2]}×{depth.shape[3]}; give {SMALLEST_SIDE} pixels a side or more.")
         return self.encoder(depth)
 
-    def estimate(self, depth: Tensor) -> Tensor:
-        """P(E(D)): window [B, K, H, W] → θ [B, 3] (Bini 2026, below equation 12)."""
-        return self.head(self.encode(depth))
+    def answer(self, features: Tensor, contact: Tensor | None = None) -> Answer:
+        """The head's answer to features [B, 4·width, H//4, W//4].
+
+        Args:
+            features: `encode`'s answer.
+            contact: the contact's vector, shape [B, contact_features]; head parameters has no use for it.
+
+        Raises:
+            ValueError: head posterior without the contact's vector.
+        """
+        if isinstance(self.head, ParameterHead):
+            return Answer(self.head(features))
+        if contact is None:
+            raise ValueError(
+                "the batch lacks the contacts' vectors; head posterior needs data.observation trajectory and "
+                "data.geometry.smoothing above 0."
+            )
+        mean, factor = self.head(features, contact)
+        return Answer(self.head.theta(mean), mean, factor)
+
+    def estimate(self, depth: Tensor, contact: Tensor | None = None) -> Tensor:
+        """P(E(D)): window [B, K, H, W] and contact's vector → θ [B, 3] (Bini 2026, below equation 12)."""
+        return self.answer(self.encode(depth), contact).theta
 
     def decode(self, features: Tensor, theta: Tensor, current: Tensor) -> Tensor:
         """Next depth map from features that are already there.

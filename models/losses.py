@@ -1,4 +1,4 @@
-"""The five terms of the training loss, one function each.
+"""The five terms of the training loss, one function each; `models.evidence` has the physics term of head posterior.
 
 Source: Bini 2026, section 3.4.2. Depth is in [0, 1], normalised by the clip's fixed scale; 0 marks a pixel without a
 measurement. Such pixels are left out of every reconstruction term: a difference to "unknown" is not an error.
@@ -21,7 +21,7 @@ from physics.observation import ObservationBatch, displacement_error
 
 @dataclass(frozen=True)
 class LossWeights:
-    """λ of the total loss (Bini 2026, equation 10 and section 3.4.2)."""
+    """λ of the total loss (Bini 2026, equation 10 and section 3.4.2); a term of weight 0 isn't computed."""
 
     gan: float = 1.0
     """λ_GAN."""
@@ -39,6 +39,8 @@ class LossWeights:
             value = getattr(self, field.name)
             if not (math.isfinite(value) and value >= 0):
                 raise ValueError(f"weights.{field.name} is {value}; give a finite number of at least 0.")
+        if not any(getattr(self, field.name) for field in fields(self)):
+            raise ValueError("weights are all 0; give at least one term a weight.")
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any, Literal
 
 import torch
@@ -11,8 +12,10 @@ from lightning.pytorch.core.optimizer import LightningOptimizer
 from torch import Tensor
 
 from models.augmentation import AugmentationSettings, WindowAugmentation
+from models.checkpoint import load_posterior
 from models.discriminator import PatchDiscriminator
-from models.generator import Generator
+from models.evidence import linearise_batch, negative_evidence
+from models.generator import Answer, Generator
 from models.losses import (
     LossTerms,
     LossWeights,
@@ -48,9 +51,13 @@ class PhysicsInformedGAN(LightningModule):
         width: channels of the networks' first layer.
         residual_blocks: residual blocks of each decoder.
         decoder: direct (paper): the next depth map from features and θ alone; residual: as a change of the current one.
+        head: parameters (paper): θ from the window, trained by the squared displacement error; posterior: θ with its
+            covariance from the contact's motion and the window, trained by the evidence bound.
+        contact_features: length of the contact's vector, for head posterior; train.py takes it from the data.
+        pretrained: weights of head posterior that `estimators.contact_training` wrote, taken over before training.
         bounds: admissible box of θ.
         mechanics: constants of the rollout.
-        weights: λ of the five loss terms.
+        weights: λ of the five loss terms; a term of weight 0 is not computed, and without gan no discriminator trains.
         augmentation: disturbances of the input windows while training.
         learning_rate: Adam's, for all three optimisers.
         betas: Adam's momentum coefficients.
@@ -62,6 +69,9 @@ class PhysicsInformedGAN(LightningModule):
         width: int = 64,
         residual_blocks: int = 9,
         decoder: Literal["direct", "residual"] = "direct",
+        head: Literal["parameters", "posterior"] = "parameters",
+        contact_features: int = 0,
+        pretrained: str | None = None,
         bounds: Bounds = Bounds(),  # noqa: B008 (frozen)
         mechanics: Mechanics = Mechanics(),  # noqa: B008
         weights: LossWeights = LossWeights(),  # noqa: B008
@@ -74,6 +84,8 @@ class PhysicsInformedGAN(LightningModule):
             raise ValueError(
                 f"learning_rate is {learning_rate} and betas {list(betas)}; give a positive rate and betas in [0, 1)."
             )
+        if pretrained is not None and head != "posterior":
+            raise ValueError(f"pretrained is {pretrained} and head {head}; it holds weights of head posterior.")
         # Plain values only: a checkpoint must load without running code.
         self.save_hyperparameters(
             {
@@ -81,6 +93,8 @@ class PhysicsInformedGAN(LightningModule):
                 "width": width,
                 "residual_blocks": residual_blocks,
                 "decoder": decoder,
+                "head": head,
+                "contact_features": contact_features,
                 "bounds": asdict(bounds),
                 "mechanics": asdict(mechanics),
                 "weights": asdict(weights),
@@ -92,8 +106,9 @@ class PhysicsInformedGAN(LightningModule):
         self.automatic_optimization = False
         self.bounds, self.mechanics, self.weights = bounds, mechanics, weights
         self.learning_rate, self.betas = learning_rate, betas
-        self.generator_ab = Generator(window, width, residual_blocks, bounds, decoder)
-        self.generator_ba = Generator(window, width, residual_blocks, bounds, decoder)
+        self.pretrained = pretrained
+        shape = (window, width, residual_blocks, bounds, decoder, head, contact_features)
+        self.generator_ab, self.generator_ba = Generator(*shape), Generator(*shape)
         self.discriminator_a = PatchDiscriminator(1, width)
         self.discriminator_b = PatchDiscriminator(1, width)
         self.augmentation = WindowAugmentation(augmentation)
@@ -103,35 +118,53 @@ class PhysicsInformedGAN(LightningModule):
         """One record a test pair; see `models.records.pair_records`."""
         self._theta: dict[str, list[Tensor]] = {"train": [], "val": []}
 
+    def on_fit_start(self) -> None:
+        """Take over the pretrained head, unless training goes on from a checkpoint.
+
+        Raises:
+            CheckpointError: the file is missing, not such a file, or of another box.
+        """
+        if self.pretrained is not None and self.trainer.ckpt_path is None:
+            for generator in (self.generator_ab, self.generator_ba):
+                load_posterior(generator.head.posterior, Path(self.pretrained))
+
     def configure_optimizers(self) -> list[torch.optim.Optimizer]:
         """One Adam for both generators, one for each discriminator (Bini 2026, section 3.5)."""
         generators = [*self.generator_ab.parameters(), *self.generator_ba.parameters()]
         groups = (generators, self.discriminator_a.parameters(), self.discriminator_b.parameters())
         return [torch.optim.Adam(group, lr=self.learning_rate, betas=self.betas) for group in groups]
 
-    def generator_losses(self, batch: dict[str, Any]) -> tuple[LossTerms, Tensor, Tensor, Tensor]:
-        """The five terms, both fakes [B, 1, H, W] and θ_AB [B, 3] of a batch of the data module."""
+    def generator_losses(self, batch: dict[str, Any]) -> tuple[LossTerms, Tensor | None, Tensor | None, Tensor]:
+        """The five terms, both fakes [B, 1, H, W] (none where no term needs them) and θ_AB [B, 3] of a batch."""
+        weights = self.weights
         real_a, real_b = batch["window_a"][:, -1:], batch["window_b"][:, -1:]
         window_a, window_b = self._augmented(batch["window_a"], 0), self._augmented(batch["window_b"], 1)
         features_a, features_b = self.generator_ab.encode(window_a), self.generator_ba.encode(window_b)
-        theta_ab, theta_ba = self.generator_ab.head(features_a), self.generator_ba.head(features_b)
-        fake_b = self.generator_ab.decode(features_a, theta_ab, real_a)
-        fake_a = self.generator_ba.decode(features_b, theta_ba, real_b)
-        # The fake takes the current frame's place among the *real* earlier frames of the other direction's window.
-        # The own window with the fake appended would show the cycle's target to the network that must find it.
-        cycled_a = self.generator_ba.generate(with_current(window_b, fake_b), theta_ba)
-        cycled_b = self.generator_ab.generate(with_current(window_a, fake_a), theta_ab)
-        unchanged_a = self.generator_ab.decode(features_a, null_parameters(theta_ab), real_a)
-        unchanged_b = self.generator_ba.decode(features_b, null_parameters(theta_ba), real_b)
-        terms = LossTerms(
-            gan=generator_adversarial_loss(self.discriminator_b(fake_b))
-            + generator_adversarial_loss(self.discriminator_a(fake_a)),
-            cycle=cycle_loss(cycled_a, real_a, cycled_b, real_b),
-            identity=identity_loss(unchanged_a, real_a) + identity_loss(unchanged_b, real_b),
-            physics=self._physics(theta_ab, theta_ba, batch),
-            regularisation=regularisation_loss(theta_ab, self.bounds) + regularisation_loss(theta_ba, self.bounds),
-        )
-        return terms, fake_a, fake_b, theta_ab
+        ab = self.generator_ab.answer(features_a, batch.get("contact_features_a"))
+        ba = self.generator_ba.answer(features_b, batch.get("contact_features_b"))
+        gan = cycle = identity = physics = regularisation = real_a.new_zeros(())
+        fake_a = fake_b = None
+        if weights.gan or weights.cycle:
+            fake_b = self.generator_ab.decode(features_a, ab.theta, real_a)
+            fake_a = self.generator_ba.decode(features_b, ba.theta, real_b)
+        if weights.gan:
+            gan = generator_adversarial_loss(self.discriminator_b(fake_b))
+            gan = gan + generator_adversarial_loss(self.discriminator_a(fake_a))
+        if weights.cycle:
+            # The fake takes the current frame's place among the *real* earlier frames of the other direction's window.
+            # The own window with the fake appended would show the cycle's target to the network that must find it.
+            cycled_a = self.generator_ba.generate(with_current(window_b, fake_b), ba.theta)
+            cycled_b = self.generator_ab.generate(with_current(window_a, fake_a), ab.theta)
+            cycle = cycle_loss(cycled_a, real_a, cycled_b, real_b)
+        if weights.identity:
+            unchanged_a = self.generator_ab.decode(features_a, null_parameters(ab.theta), real_a)
+            unchanged_b = self.generator_ba.decode(features_b, null_parameters(ba.theta), real_b)
+            identity = identity_loss(unchanged_a, real_a) + identity_loss(unchanged_b, real_b)
+        if weights.physics:
+            physics = self._physics(ab, ba, batch)
+        if weights.regularisation:
+            regularisation = regularisation_loss(ab.theta, self.bounds) + regularisation_loss(ba.theta, self.bounds)
+        return LossTerms(gan, cycle, identity, physics, regularisation), fake_a, fake_b, ab.theta
 
     def training_step(self, batch: dict[str, Any], batch_index: int) -> None:
         """One step of the generators, then one of each discriminator (Bini 2026, section 3.4.3)."""
@@ -143,34 +176,30 @@ class PhysicsInformedGAN(LightningModule):
         self._step(optimizer_g, terms.total(self.weights), batch)
         self.untoggle_optimizer(optimizer_g)
 
-        self.toggle_optimizer(optimizer_a)
-        loss_a = discriminator_loss(self.discriminator_a(real_a), self.discriminator_a(fake_a.detach()))
-        self._step(optimizer_a, loss_a, batch)
-        self.untoggle_optimizer(optimizer_a)
-
-        self.toggle_optimizer(optimizer_b)
-        loss_b = discriminator_loss(self.discriminator_b(real_b), self.discriminator_b(fake_b.detach()))
-        self._step(optimizer_b, loss_b, batch)
-        self.untoggle_optimizer(optimizer_b)
-
-        self._theta["train"].append(theta.detach())
+        losses = terms.items()
         pairs = len(real_a)
-        self.log_dict(terms.items(), prog_bar=True, logger=False, batch_size=pairs)
-        losses = terms.items() | {"discriminator_a": loss_a.detach(), "discriminator_b": loss_b.detach()}
+        self.log_dict(losses, prog_bar=True, logger=False, batch_size=pairs)
+        if self.weights.gan:
+            losses["discriminator_a"] = self._judge(optimizer_a, self.discriminator_a, real_a, fake_a, batch)
+            losses["discriminator_b"] = self._judge(optimizer_b, self.discriminator_b, real_b, fake_b, batch)
+        self._theta["train"].append(theta.detach())
         averages = {f"train/{name}": value for name, value in losses.items()}
         self.log_dict(averages, on_step=False, on_epoch=True, batch_size=pairs, sync_dist=True)
 
     def validation_step(self, batch: dict[str, Any], batch_index: int) -> None:
-        """L_physics in both directions, which chooses the best checkpoint (Bini 2026, section 3.5)."""
+        """L_physics in both directions, which chooses the best checkpoint (Bini 2026, section 3.5).
+
+        Squared displacements [scene units²] with head parameters, the negative evidence bound [nats] with posterior.
+        """
         features_a = self.generator_ab.encode(batch["window_a"])
-        theta_ab = self.generator_ab.head(features_a)
-        theta_ba = self.generator_ba.estimate(batch["window_b"])
-        pairs = len(theta_ab)
-        physics = self._physics(theta_ab, theta_ba, batch)
+        ab = self.generator_ab.answer(features_a, batch.get("contact_features_a"))
+        ba = self.generator_ba.answer(self.generator_ba.encode(batch["window_b"]), batch.get("contact_features_b"))
+        pairs = len(ab.theta)
+        physics = self._physics(ab, ba, batch)
         self.log("val/physics", physics, prog_bar=True, on_epoch=True, batch_size=pairs, sync_dist=True)
-        self._theta["val"].append(theta_ab)
+        self._theta["val"].append(ab.theta)
         if batch_index == 0:
-            predicted = self.generator_ab.decode(features_a[:1], theta_ab[:1], batch["window_a"][:1, -1:])
+            predicted = self.generator_ab.decode(features_a[:1], ab.theta[:1], batch["window_a"][:1, -1:])
             self.sample = (batch["window_b"][0, -1], predicted[0, 0])
 
     def test_step(self, batch: dict[str, Any], batch_index: int) -> None:
@@ -200,11 +229,38 @@ class PhysicsInformedGAN(LightningModule):
             self.log(f"{stage}/{name}_mean", values.mean(), sync_dist=True)
             self.log(f"{stage}/{name}_sd", values.std(correction=0), sync_dist=True)
 
-    def _physics(self, theta_ab: Tensor, theta_ba: Tensor, batch: dict[str, Any]) -> Tensor:
+    def _physics(self, ab: Answer, ba: Answer, batch: dict[str, Any]) -> Tensor:
         """L_physics in both directions of time (Bini 2026, figure 2)."""
-        forward = physics_loss(theta_ab, batch["mesh_a"], batch["contact_a"], batch["observation_a"], self.mechanics)
-        backward = physics_loss(theta_ba, batch["mesh_b"], batch["contact_b"], batch["observation_b"], self.mechanics)
-        return forward + backward
+        return self._physics_of(self.generator_ab, ab, batch, "a") + self._physics_of(self.generator_ba, ba, batch, "b")
+
+    def _physics_of(self, generator: Generator, answer: Answer, batch: dict[str, Any], side: str) -> Tensor:
+        """The squared displacement error of a head's θ, or the negative evidence bound of its posterior.
+
+        The latter is about the frames up to the sample's own: a posterior is judged by what it was told.
+        """
+        mesh = batch[f"mesh_{side}"]
+        if answer.mean is None:
+            contact, observation = batch[f"contact_{side}"], batch[f"observation_{side}"]
+            return physics_loss(answer.theta, mesh, contact, observation, self.mechanics)
+        seen = batch[f"seen_contact_{side}"], batch[f"seen_observation_{side}"]
+        found = linearise_batch(answer.mean, batch[f"noise_{side}"], mesh, *seen, self.mechanics)
+        box = generator.head.posterior
+        return negative_evidence(answer.mean, answer.factor, found, box.lower, box.upper)
+
+    def _judge(
+        self,
+        optimizer: LightningOptimizer,
+        discriminator: PatchDiscriminator,
+        real: Tensor,
+        fake: Tensor,
+        batch: dict[str, Any],
+    ) -> Tensor:
+        """One step of a discriminator; its loss, detached."""
+        self.toggle_optimizer(optimizer)
+        loss = discriminator_loss(discriminator(real), discriminator(fake.detach()))
+        self._step(optimizer, loss, batch)
+        self.untoggle_optimizer(optimizer)
+        return loss.detach()
 
     def _augmented(self, window: Tensor, direction: int) -> Tensor:
         """The window as the networks see it while training; the seed follows the step, so that resuming is exact."""

@@ -62,7 +62,7 @@ def pair_records(batch: dict[str, Any], generator: Generator, mechanics: Mechani
     window, now, later = batch["window_a"], batch["window_a"][:, -1:], batch["window_b"][:, -1:]
     mesh, contact, observation = batch["mesh_a"], batch["contact_a"], batch["observation_a"]
     features = generator.encode(window)
-    theta = generator.head(features)
+    theta = generator.answer(features, batch.get("contact_features_a")).theta
     predicted = generator.decode(features, theta, now)
     moved = generator.decode(features, farthest_corner(theta, generator.head.lower, generator.head.upper), now)
     trajectory = rollout(theta, mesh, contact, mechanics)

@@ -16,11 +16,16 @@ import yaml
 
 import train
 from data import synthetic
+from data.contact_features import FEATURES
+from models.contact_head import log_box
 from models.onnx_session import ParameterModel
+from models.posterior import ContactPosterior
+from physics.mechanics import Bounds
 
 # Lightning warns of arguments given from Python beside pytest's own on the command line.
 pytestmark = pytest.mark.filterwarnings("ignore:LightningCLI's args parameter")
 CHECKOUT = Path(__file__).resolve().parents[1]
+TERMS = ("gan", "cycle", "identity", "physics", "regularisation")
 
 
 @pytest.fixture(scope="module")
@@ -75,6 +80,23 @@ def trained(config: Path) -> Path:
     return config.parent / "run"
 
 
+@pytest.fixture(scope="module")
+def told(config: Path) -> Path:
+    """What to add to `config` for head posterior."""
+    change = {
+        "trainer": {"default_root_dir": str(config.parent / "posterior")},
+        "model": {
+            "head": "posterior",
+            "weights": {"physics": 1.0},
+            "bounds": {"stiffness": [0.05, 1.0], "damping": [0.005, 0.5], "force": [-0.3, -0.01]},
+        },
+        "data": {"onset_within": 26, "geometry": {"height": 40, "width": 56, "smoothing": 3.0}},
+    }
+    path = config.parent / "told.yaml"
+    path.write_text(yaml.safe_dump(change))
+    return path
+
+
 def command(*arguments: object) -> list[str]:
     return [sys.executable, str(CHECKOUT / "train.py"), *map(str, arguments)]
 
@@ -98,7 +120,7 @@ def test_fit_leaves_checkpoints_logs_configuration_and_pictures(trained: Path):
     log = trained / "logs" / "version_0"
     assert yaml.safe_load((log / "config.yaml").read_text())["data"]["window"] == 6
     header = (log / "metrics.csv").read_text().splitlines()[0].split(",")
-    terms = {f"train/{term}" for term in ("gan", "cycle", "identity", "physics", "regularisation")}
+    terms = {f"train/{term}" for term in TERMS}
     assert terms | {"val/physics", "val/force_mean", "train/stiffness_sd"} <= set(header)
     assert (trained / "samples" / "next_depth_epoch_000.png").stat().st_size > 0
 
@@ -133,9 +155,40 @@ def refused(capsys, *arguments: object) -> str:
     return said[0]
 
 
+def test_head_posterior_starts_pretrained_and_resumes_without_the_file(
+    config: Path, told: Path, tmp_path: Path, capsys
+):
+    bounds = Bounds((0.05, 1.0), (0.005, 0.5), (-0.3, -0.01), (0.5, 0.1, -0.05))
+    torch.manual_seed(3)
+    pretrained = ContactPosterior(FEATURES, log_box(bounds))
+    torch.save(pretrained.state_dict(), tmp_path / "posterior.pt")
+    arguments = ["fit", "-c", str(config), "-c", str(told), "--model.learning_rate", "1e-12", "--model.pretrained"]
+    assert train.main([*arguments, str(tmp_path / "posterior.pt")]) == 0
+    weights = last(config.parent / "posterior")["state_dict"]
+    for generator in ("generator_ab", "generator_ba"):
+        for name, value in pretrained.state_dict().items():
+            torch.testing.assert_close(weights[f"{generator}.head.posterior.{name}"], value, atol=1e-6, rtol=1e-6)
+    missing = [*arguments, str(tmp_path / "nothing.pt"), "--trainer.max_epochs", "2"]
+    assert "nothing.pt does not exist; give a file that python -m estimators" in refused(capsys, *missing)
+    assert train.main([*missing, "--ckpt_path", "last"]) == 0
+    assert last(config.parent / "posterior")["epoch"] == 1
+    assert train.main(["test", "-c", str(config), "-c", str(told), "--ckpt_path", "last"]) == 0
+    assert (config.parent / "posterior" / "evaluation" / "table2.md").stat().st_size > 0
+
+
+def test_a_checkpoint_of_another_head_is_refused(trained: Path, config: Path, capsys):
+    said = refused(capsys, "test", "-c", config, "--model.head", "posterior", "--ckpt_path", "best")
+    assert "model.head = parameters and the configuration says posterior" in said
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
+        ({"model": {"head": "posterior"}}, "data.geometry.smoothing above 0, or choose head parameters"),
+        ({"model": {"head": "posterior"}, "data": {"geometry": {"smoothing": 3}}}, "bounds.stiffness starts at 0.0"),
+        ({"model": {"pretrained": "some.pt"}}, "head parameters; it holds weights of head posterior"),
+        ({"model": {"weights": dict.fromkeys(TERMS, 0)}}, "weights are all 0"),
+        ({"data": {"onset_within": 0}}, "onset_within is 0"),
         ({"model": {"widht": 5}}, "model.widht"),
         ({"model": {"bounds": {"force": [0.0, -1.0]}}}, "bounds.force is [0.0, -1.0]; give a lower bound below"),
         ({"model": {"bounds": {"initial": [0.5, 0.1, 0.5]}}}, "choose it strictly inside"),
@@ -263,7 +316,7 @@ def test_mlflow_holds_parameters_losses_theta_pictures_and_the_configuration(con
     with sqlite3.connect(tmp_path / "mlflow.db") as database:
         metrics = {row[0] for row in database.execute("select key from metrics")}
         parameters = dict(database.execute("select key, value from params"))
-    terms = {f"train/{term}" for term in ("gan", "cycle", "identity", "physics", "regularisation")}
+    terms = {f"train/{term}" for term in TERMS}
     assert terms | {"val/physics", "val/stiffness_mean", "val/stiffness_sd"} <= metrics
     assert parameters["width"] == "4"
     assert parameters["data/observation"] == "trajectory"

@@ -117,7 +117,10 @@ def test_direction_of_the_observed_motion(clip):
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"window": 0}, {"observation": "all"}, {"horizon_frames": 0}, {"min_deformation": float("nan")},
+        {"window": 0},
+        {"observation": "all"},
+        {"horizon_frames": 0},
+        {"min_deformation": float("nan")},
         {"onset_within": 0},
     ],
 )

@@ -11,7 +11,7 @@ from data.collected import CollectedClip
 from data.samples import ContactCase
 from estimators.direct import DirectSettings, Optimum, combine, fit_clip, fit_contact
 from estimators.estimate import NoEstimate
-from physics.identifiability import contact_information, covariance
+from physics.identifiability import bounds, contact_information, covariance
 from physics.mechanics import Mechanics
 from physics.mesh import contact_normal
 from physics.msd_kernel import simulate
@@ -64,8 +64,9 @@ def test_the_covariance_is_the_inverse_information_at_the_estimate() -> None:
     theta = REGIMES["critical"]
     estimate = fit_contact(case_of(theta), SETTINGS)
     expected = contact_information(np.array(theta), MESH, VERTEX, DIRECTION, MECHANICS, STEPS, NOISE, load_steps=LOAD)
-    np.testing.assert_allclose(estimate.information, expected, rtol=0.02)
-    np.testing.assert_allclose(estimate.covariance, covariance(estimate.information), rtol=1e-9)
+    np.testing.assert_allclose(estimate.covariance, covariance(expected), rtol=0.02)
+    # The verdict's information is that of the least informative point within one standard deviation.
+    assert bounds(estimate.information).max() >= bounds(expected).max() * 0.999
     np.testing.assert_allclose(estimate.log_sd, np.sqrt(np.diag(estimate.covariance)))
     # Twice the noise, twice the uncertainty, the same parameters.
     wider = fit_contact(case_of(theta), dataclasses.replace(SETTINGS, noise=2 * NOISE))

@@ -16,6 +16,7 @@ from physics.observation import ObservationBatch
 
 HEIGHT, WIDTH = 40, 48
 MECHANICS = Mechanics(steps=24, load_steps=8)
+CONTACT_FEATURES = 6
 
 
 def _depth(bump: float) -> np.ndarray:
@@ -55,6 +56,29 @@ def make_batch() -> Callable[..., dict[str, Any]]:
             batch[f"observation_{side}"] = ObservationBatch(
                 torch.full((2, 1), 7), sign * torch.tensor([[[0.0, 0.0, 0.02]]]).expand(2, 1, 3), torch.ones(2, 1)
             )
+        return batch
+
+    return build
+
+
+@pytest.fixture
+def make_told_batch(make_batch) -> Callable[..., dict[str, Any]]:
+    """`make_told_batch(window=1)`: the same with what was known of the contacts, for head posterior."""
+
+    def build(window: int = 1) -> dict[str, Any]:
+        batch = make_batch(window)
+        vectors = torch.from_numpy(np.random.default_rng(4).normal(size=(2, CONTACT_FEATURES))).float()
+        for side in ("a", "b"):
+            batch[f"mesh_{side}"], batch[f"contact_{side}"] = batch["mesh_a"], batch["contact_a"]
+            batch[f"observation_{side}"] = batch["observation_a"]
+            batch[f"seen_contact_{side}"] = batch["contact_a"]
+            batch[f"seen_observation_{side}"] = ObservationBatch(
+                torch.tensor([[3, 7], [3, 0]]),
+                torch.tensor([[0.0, 0.0, 0.01], [0.0, 0.0, 0.02]]).expand(2, 2, 3),
+                torch.tensor([[1.0, 1.0], [1.0, 0.0]]),
+            )
+            batch[f"contact_features_{side}"] = vectors
+            batch[f"noise_{side}"] = torch.tensor([1e-3, 2e-3])
         return batch
 
     return build

@@ -8,8 +8,10 @@ from pathlib import Path
 import pytest
 import torch
 
-from models.checkpoint import CheckpointError, read_checkpoint, require_same_model
+from models.checkpoint import CheckpointError, load_posterior, read_checkpoint, require_same_model
+from models.contact_head import log_box
 from models.module import PhysicsInformedGAN
+from models.posterior import ContactPosterior
 from physics.mechanics import Bounds, Mechanics
 
 SETTINGS = {
@@ -17,6 +19,7 @@ SETTINGS = {
     "width": 4,
     "residual_blocks": 1,
     "decoder": "direct",
+    "head": "parameters",
     "bounds": asdict(Bounds()),
     "mechanics": asdict(Mechanics(steps=40, load_steps=10)),
 }
@@ -40,6 +43,7 @@ def test_the_same_model_passes_and_where_it_starts_does_not_matter(checkpoint: P
     [
         ({"width": 8}, r"model\.width = 4 and the configuration says 8"),
         ({"decoder": "residual"}, r"model\.decoder = direct"),
+        ({"head": "posterior"}, r"model\.head = parameters and the configuration says posterior"),
         ({"window": 2}, r"model\.window = 1"),
         ({"bounds": asdict(Bounds(force=(-6.0, 0.0)))}, r"model\.bounds\.force = \[-10\.0, 0\.0\]"),
         ({"mechanics": asdict(Mechanics(steps=60, load_steps=10))}, r"model\.mechanics\.steps = 40"),
@@ -68,3 +72,52 @@ def test_reading_runs_no_code(tmp_path: Path):
     torch.save({"state_dict": torch.nn.Linear(1, 1), "hyper_parameters": {"bounds": {}}}, path)
     with pytest.raises(CheckpointError, match="not a readable checkpoint"):
         read_checkpoint(path)
+
+
+def test_a_checkpoint_from_before_there_were_heads_has_head_parameters(checkpoint: Path):
+    content = torch.load(checkpoint, weights_only=True)
+    del content["hyper_parameters"]["head"]
+    torch.save(content, checkpoint)
+    require_same_model(checkpoint, SETTINGS)
+    with pytest.raises(CheckpointError, match=r"model\.head = parameters"):
+        require_same_model(checkpoint, SETTINGS | {"head": "posterior"})
+
+
+BOX = log_box(Bounds(stiffness=(0.05, 1.0), damping=(0.005, 0.5), force=(-0.3, -0.01), initial=(0.4, 0.08, -0.1)))
+
+
+@pytest.fixture
+def pretrained(tmp_path: Path) -> tuple[Path, ContactPosterior]:
+    """A file as `estimators.contact_training` writes it, and what it was written from."""
+    torch.manual_seed(1)
+    posterior = ContactPosterior(7, BOX)
+    posterior.standardise(torch.randn(20, 7))
+    torch.save(posterior.state_dict(), tmp_path / "posterior.pt")
+    return tmp_path / "posterior.pt", posterior
+
+
+def test_a_pretrained_posterior_answers_as_it_did_with_any_picture(pretrained):
+    path, trained = pretrained
+    torch.manual_seed(2)
+    posterior = ContactPosterior(7, BOX, picture=16)
+    contact, picture = torch.randn(3, 7), torch.randn(3, 16)
+    assert not torch.allclose(posterior(contact, picture)[0], trained(contact)[0])
+    load_posterior(posterior, path)
+    for value, expected in zip(posterior(contact, picture), trained(contact), strict=True):
+        assert torch.equal(value, expected)
+
+
+def test_a_pretrained_posterior_that_does_not_fit_is_refused(pretrained, checkpoint: Path, tmp_path: Path):
+    path, _ = pretrained
+    with pytest.raises(CheckpointError, match=r"nothing\.pt does not exist; give a file that python -m estimators"):
+        load_posterior(ContactPosterior(7, BOX), tmp_path / "nothing.pt")
+    for foreign, size in ((checkpoint, 7), (path, 8)):
+        with pytest.raises(CheckpointError, match="holds no contact posterior of this version"):
+            load_posterior(ContactPosterior(size, BOX), foreign)
+    torch.save([1, 2], tmp_path / "list.pt")
+    with pytest.raises(CheckpointError, match="not a readable checkpoint"):
+        load_posterior(ContactPosterior(7, BOX), tmp_path / "list.pt")
+    wider = BOX.clone()
+    wider[1, 2] = torch.log(torch.tensor(0.6))
+    with pytest.raises(CheckpointError, match=r"upper bounds .* 1, 0\.5, 0\.3, and model\.bounds say 1, 0\.5, 0\.6"):
+        load_posterior(ContactPosterior(7, wider), path)

@@ -92,3 +92,5 @@ def test_total_uses_the_paper_s_weights():
 def test_impossible_weights_are_refused():
     with pytest.raises(ValueError, match=r"weights\.physics is -1"):
         LossWeights(physics=-1)
+    with pytest.raises(ValueError, match="weights are all 0"):
+        LossWeights(gan=0, cycle=0, identity=0, physics=0, regularisation=0)

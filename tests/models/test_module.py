@@ -10,8 +10,10 @@ from lightning.pytorch import Trainer
 from torch.utils.data import DataLoader
 
 from models.augmentation import AugmentationSettings
+from models.contact_head import log_box
 from models.losses import LossWeights
 from models.module import PhysicsInformedGAN, TrainingDiverged, with_current
+from models.posterior import ContactPosterior
 from physics.mechanics import Bounds, Mechanics
 
 MECHANICS = Mechanics(steps=24, load_steps=8)
@@ -182,3 +184,104 @@ def test_one_record_a_test_pair(make_batch):
             module, DataLoader([batch, batch], batch_size=None), verbose=False
         )
     assert [(record["clip"], record["frame"]) for record in module.test_records] == [("one", 3), ("two", 7)] * 2
+
+
+POSTERIOR = {
+    "head": "posterior",
+    "contact_features": 6,
+    "bounds": Bounds(stiffness=(0.05, 1.0), damping=(0.005, 0.5), force=(-0.3, -0.01), initial=(0.4, 0.08, -0.1)),
+    "weights": LossWeights(physics=1.0),
+}
+
+
+def parts(network: torch.nn.Module) -> dict[str, torch.Tensor]:
+    return {name: parameter.detach().clone() for name, parameter in network.named_parameters()}
+
+
+@pytest.mark.parametrize("settings", [{}, POSTERIOR], ids=["parameters", "posterior"])
+@pytest.mark.parametrize("term", ["gan", "cycle", "identity", "physics", "regularisation"])
+def test_a_weight_of_zero_switches_its_term_off(make_told_batch, monkeypatch, settings: dict, term: str):
+    """It is not computed at all, the others stay what they are, and without gan no discriminator moves."""
+    batch = make_told_batch()
+    full = build(**settings).generator_losses(batch)[0].items()
+    functions = {
+        "gan": ("generator_adversarial_loss", "discriminator_loss"),
+        "cycle": ("cycle_loss",),
+        "identity": ("identity_loss",),
+        "physics": ("physics_loss", "negative_evidence"),
+        "regularisation": ("regularisation_loss",),
+    }
+    for name in functions[term]:
+        monkeypatch.setattr(f"models.module.{name}", None)  # calling it would fail
+    module = build(Watched, **settings | {"weights": LossWeights(**{"physics": 1.0, term: 0.0})})
+    found = module.generator_losses(batch)[0].items()
+    assert full[term] != 0 or term == "regularisation"  # bounded heads never leave the box
+    assert found == {name: 0 if name == term else pytest.approx(value.item()) for name, value in full.items()}
+    before = parts(module.discriminator_a)
+    # Validation needs the physics whatever its weight: it chooses the best checkpoint.
+    module.validation_step = lambda *_: None
+    fit(module, [batch])
+    moved = any(not torch.equal(before[name], value) for name, value in parts(module.discriminator_a).items())
+    assert moved == (term != "gan")
+    assert len(module.changes) == (1 if term == "gan" else 3)
+
+
+def test_physics_alone_leaves_the_decoder_as_it_is(make_told_batch):
+    weights = LossWeights(gan=0.0, cycle=0.0, identity=0.0, physics=1.0, regularisation=0.0)
+    module = build(**POSTERIOR | {"weights": weights})
+    decoder, head = parts(module.generator_ab.decoder), parts(module.generator_ab.head)
+    fit(module, [make_told_batch()])
+    assert all(torch.equal(decoder[name], value) for name, value in parts(module.generator_ab.decoder).items())
+    assert any(not torch.equal(head[name], value) for name, value in parts(module.generator_ab.head).items())
+
+
+def test_head_posterior_trains_both_heads_by_the_evidence_bound(make_told_batch):
+    batch = make_told_batch()
+    module = build(learning_rate=2e-3, **POSTERIOR)
+    with torch.no_grad():
+        before = module.generator_losses(batch)[0].physics.item()
+    metrics = fit(module, [batch], epochs=40).callback_metrics
+    assert metrics["val/physics"] < 0.2 * before
+    assert metrics["train/regularisation"] == 0
+    module.zero_grad()
+    module.generator_losses(batch)[0].physics.backward()
+    for generator in (module.generator_ab, module.generator_ba):
+        assert all(p.grad is not None for p in generator.head.parameters())
+        assert all(p.grad is None for p in generator.decoder.parameters())
+
+
+def test_the_bound_is_about_what_was_seen_until_the_frame(make_told_batch):
+    """Later frames are in the batch for evaluation; the training of head posterior doesn't look at them."""
+    batch = make_told_batch()
+    expected = build(**POSTERIOR).generator_losses(batch)[0].physics
+    batch["observation_a"].displacement = torch.full((2, 1, 3), 9.0)
+    assert torch.equal(build(**POSTERIOR).generator_losses(batch)[0].physics, expected)
+    batch["seen_observation_a"].displacement = torch.zeros(2, 2, 3)
+    assert not torch.equal(build(**POSTERIOR).generator_losses(batch)[0].physics, expected)
+
+
+def test_test_records_of_head_posterior(make_told_batch):
+    module, batch = build(**POSTERIOR), make_told_batch()
+    module.trainer = Trainer(accelerator="cpu", logger=False, enable_progress_bar=False, enable_checkpointing=False)
+    module.log = lambda *_, **__: None
+    module.test_step(batch, 0)
+    theta = module.generator_ab.estimate(batch["window_a"], batch["contact_features_a"])
+    torch.testing.assert_close(torch.from_numpy(module.test_records[1]["theta"]), theta[1].detach())
+
+
+def test_a_pretrained_head_is_taken_over_when_training_starts(make_told_batch, tmp_path):
+    torch.manual_seed(9)
+    bounds = POSTERIOR["bounds"]
+    trained = ContactPosterior(6, log_box(bounds))
+    torch.save(trained.state_dict(), tmp_path / "posterior.pt")
+    module = build(pretrained=str(tmp_path / "posterior.pt"), **POSTERIOR | {"learning_rate": 1e-12})
+    contact = torch.randn(5, 6)
+    fit(module, [make_told_batch()])
+    for generator in (module.generator_ab, module.generator_ba):
+        torch.testing.assert_close(generator.head.posterior(contact)[0], trained(contact)[0], atol=1e-4, rtol=1e-4)
+    assert "pretrained" not in module.hparams
+
+
+def test_pretrained_weights_need_the_head_that_they_are_for():
+    with pytest.raises(ValueError, match="pretrained is some\\.pt and head parameters"):
+        build(pretrained="some.pt")

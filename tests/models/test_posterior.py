@@ -8,10 +8,12 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from models.generator import Generator
 from models.onnx_session import ModelFileError
 from models.posterior import ContactPosterior, evidence_loss
 from models.posterior_export import export_posterior
 from models.posterior_session import PosteriorModel
+from physics.mechanics import Bounds
 
 BOX = torch.tensor([[-3.0, -5.0, -4.0], [0.0, -0.7, -1.2]])
 METADATA = {"input": {"window": 1, "height": 24, "width": 32}}
@@ -85,6 +87,26 @@ def test_exported_file_agrees_and_is_calibrated(posterior: ContactPosterior, tmp
     assert (model.features, model.takes_depth) == (10, False)
     with pytest.raises(ValueError, match=r"expected \[B, 10\]"):
         model(contact[:, :9])
+
+
+def test_a_generators_posterior_takes_the_depth_window_too(tmp_path) -> None:
+    torch.manual_seed(0)
+    bounds = Bounds((0.05, 1.0), (0.005, 0.5), (-0.3, -0.01), (0.4, 0.08, -0.1))
+    generator = Generator(2, 4, 1, bounds, head="posterior", contact_features=10)
+    generator.head.posterior.picture.weight.data.normal_()
+    document = {"input": {"window": 2, "height": 24, "width": 32}}
+    assert export_posterior(generator, tmp_path / "both.onnx", document) < 1e-5
+    model = PosteriorModel(tmp_path / "both.onnx")
+    assert model.takes_depth
+    random = np.random.default_rng(0)
+    contact, depth = random.normal(size=(3, 10)), random.uniform(size=(3, 2, 24, 32))
+    mean, _ = model(contact, depth)
+    assert not np.allclose(mean, model(contact, depth[::-1])[0])  # the picture counts
+    with torch.no_grad():
+        theta = generator.eval().estimate(torch.tensor(depth).float(), torch.tensor(contact).float())
+    np.testing.assert_allclose(np.exp(mean) * (1, 1, -1), theta.numpy(), rtol=1e-4)
+    with pytest.raises(ValueError, match="depth windows"):
+        model(contact)
 
 
 def test_another_file_is_refused(tmp_path) -> None:

@@ -1,0 +1,80 @@
+"""The generator's parameter head that says how sure it is: the contact's posterior, with the picture beside it."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from models.posterior import ContactPosterior
+from physics.mechanics import Bounds
+
+
+def log_box(bounds: Bounds) -> Tensor:
+    """Lower and upper (log k_s, log k_d, log |F|) of the admissible box, shape [2, 3], float64.
+
+    Raises:
+        ValueError: the box reaches 0 in some parameter, or F changes its sign in it.
+    """
+    for name in ("stiffness", "damping"):
+        if not getattr(bounds, name)[0] > 0:
+            raise ValueError(
+                f"bounds.{name} starts at {getattr(bounds, name)[0]} and head posterior works with logarithms; "
+                "give a positive lower bound, or choose head parameters."
+            )
+    if not bounds.force[1] < 0:
+        raise ValueError(
+            f"bounds.force ends at {bounds.force[1]} and head posterior works with log |F|; "
+            "give a negative upper bound such as -0.01, or choose head parameters."
+        )
+    pressing = (-bounds.force[1], -bounds.force[0])
+    return torch.log(torch.tensor([bounds.stiffness, bounds.damping, pressing], dtype=torch.float64).T)
+
+
+class ContactHead(nn.Module):
+    """q(φ | contact, picture) for φ = (log k_s, log k_d, log |F|), and θ = (e^φ₁, e^φ₂, -e^φ₃) at its mean.
+
+    The picture comes in as in `models.generator.ParameterHead`: a convolution without instance norm, which would leave
+    the average pool nothing but zeros, then ReLU and the pool.
+
+    Args:
+        channels: of the encoder's features.
+        bounds: admissible box of θ and where the untrained head starts in it.
+        contact_features: length of the contact's vector.
+    """
+
+    lower: Tensor
+    upper: Tensor
+
+    def __init__(self, channels: int, bounds: Bounds, contact_features: int) -> None:
+        super().__init__()
+        if contact_features < 1:
+            raise ValueError(
+                "head posterior is told of the contact's motion and its noise; set data.observation to trajectory and "
+                "data.geometry.smoothing above 0, or choose head parameters."
+            )
+        self.convolution = nn.Conv2d(channels, channels, 3, stride=2, padding=1)
+        self.posterior = ContactPosterior(contact_features, log_box(bounds), picture=channels)
+        self.register_buffer("lower", torch.tensor(bounds.lower), persistent=False)
+        self.register_buffer("upper", torch.tensor(bounds.upper), persistent=False)
+        with torch.no_grad():
+            place = self.scaled(torch.tensor([bounds.initial]))[0]
+            self.posterior.exit[-1].bias[:3] = torch.logit(place)
+
+    def scaled(self, theta: Tensor) -> Tensor:
+        """θ [B, 3] in physical units → its place in the box of logarithms, [0, 1] inside.
+
+        No force at all, as in the identity loss, has the place of the weakest.
+        """
+        low, high = self.posterior.lower, self.posterior.upper
+        return (torch.log(theta.abs().clamp(min=torch.exp(low))) - low) / (high - low)
+
+    def theta(self, mean: Tensor) -> Tensor:
+        """φ [B, 3] → θ [B, 3] in physical units, F signed, never outside the box."""
+        theta = torch.exp(mean) * mean.new_tensor([1.0, 1.0, -1.0])
+        return torch.clamp(theta, self.lower, self.upper)  # rounding may carry it past a bound
+
+    def forward(self, features: Tensor, contact: Tensor) -> tuple[Tensor, Tensor]:
+        """Features [B, C, h, w] and the contact's vector [B, contact_features] → mean [B, 3], factor L [B, 3, 3]."""
+        picture = functional.relu(self.convolution(features)).mean(dim=(2, 3))
+        return self.posterior(contact, picture)

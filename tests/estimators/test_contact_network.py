@@ -1,0 +1,97 @@
+"""The exported contact posterior on prepared clips: what every frame gets, and that streams and whole clips agree."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from data.clip import ClipStream
+from data.contact_features import FEATURES
+from data.samples import SampleSettings, contact_cases
+from data.synthetic import make_clip
+from data.synthetic_settings import SceneSettings
+from data.synthetic_source import open_synthetic, prepare_synthetic
+from estimators.contact_network import ContactNetwork, log_box
+from estimators.contact_training import BOUNDS, MECHANICS
+from estimators.estimate import NINETY, NoEstimate
+from evaluation.calibration import metadata
+from evaluation.recovery import PREPARE
+from models.posterior import ContactPosterior
+from models.posterior_export import export_posterior
+from models.posterior_session import PosteriorModel
+from physics.mechanics import Bounds
+
+
+@pytest.fixture(scope="module")
+def network(tmp_path_factory) -> ContactNetwork:
+    """An untrained posterior, exported."""
+    torch.manual_seed(0)
+    folder = tmp_path_factory.mktemp("model")
+    weights = folder / "posterior.pt"
+    posterior = ContactPosterior(FEATURES, torch.tensor(log_box(BOUNDS)), width=16, blocks=1)
+    torch.save(posterior.state_dict(), weights)
+    export_posterior(posterior, folder / "contact.onnx", metadata(weights), np.ones(3))
+    return ContactNetwork(PosteriorModel(folder / "contact.onnx"))
+
+
+@pytest.fixture(scope="module")
+def clip():
+    """A small synthetic clip in memory."""
+    return make_clip(SceneSettings(width=214, height=120, depth_noise=0.001, frames=28, press_seconds=(0.3, 0.3)), 4)
+
+
+def test_every_frame_has_its_row(network: ContactNetwork, clip) -> None:
+    stream: ClipStream = open_synthetic(clip, PREPARE)
+    results = [result.estimate for result in network.run(stream)]
+    assert [item.frame for item in results] == list(range(28))
+    onset, release = clip.motion.onset_frame, clip.motion.release_frame
+    for item in results:
+        if item.status != "ok":
+            assert (item.stiffness, item.verdict, item.stiffness_sd) == (None, "", None)
+            continue
+        assert onset <= item.frame < release
+        assert item.verdict in ("determined", "ratios", "undetermined")
+        low, high = item.stiffness_low, item.stiffness_high
+        assert low < item.stiffness < high
+        log_sd = math.log(high / low) / (2 * NINETY)
+        expected = item.stiffness * math.exp(log_sd**2 / 2) * math.sqrt(math.expm1(log_sd**2))
+        assert item.stiffness_sd == pytest.approx(expected)
+    assert results[onset].verdict == "undetermined"  # nothing has moved yet
+    assert results[onset].force_bound > 1e3
+
+
+def test_a_stream_ends_where_the_whole_clip_would(network: ContactNetwork, clip) -> None:
+    """The last frame in contact is told exactly what a clip cut off there is told."""
+    last = clip.motion.release_frame - 1
+    stream = open_synthetic(clip, PREPARE)
+    streamed = [result.estimate for result in network.run(stream)][last]
+    prepared = prepare_synthetic(clip, PREPARE)
+    samples = SampleSettings(observation="trajectory", mechanics=MECHANICS)
+    onset, case = next(iter(contact_cases(prepared, samples).items()))
+    seen = case.steps <= round((prepared.times[last] - prepared.times[onset]) / MECHANICS.time_step) - 1
+    cut = dataclasses.replace(case, steps=case.steps[seen], displacement=case.displacement[seen])
+    cut = dataclasses.replace(cut, load_steps=int(cut.steps[-1]) + 1)
+    found = network.estimate(cut, None, None)
+    assert streamed.stiffness == pytest.approx(found.theta[0], rel=1e-5)
+    assert streamed.force == pytest.approx(-found.theta[2], rel=1e-5)
+
+
+def test_without_a_noise_level_there_is_no_estimate(network: ContactNetwork, clip) -> None:
+    rough = dataclasses.replace(PREPARE, geometry=dataclasses.replace(PREPARE.geometry, smoothing=0.0))
+    found = network.estimate_clip(prepare_synthetic(clip, rough))
+    assert found
+    assert all(isinstance(item, NoEstimate) for item in found.values())
+    results = [result.estimate for result in network.run(open_synthetic(clip, rough))]
+    touched = [item for item in results if item.status == "ok"]
+    assert touched
+    assert all(item.verdict == "undetermined" and item.stiffness is None for item in touched)
+
+
+def test_log_box_needs_positive_ranges() -> None:
+    np.testing.assert_allclose(np.exp(log_box(BOUNDS)), [[0.05, 0.005, 0.01], [1.0, 0.5, 0.3]])
+    with pytest.raises(ValueError, match="no logarithm"):
+        log_box(Bounds())

@@ -1,0 +1,72 @@
+"""The model that comes along, through the door that users take."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data.synthetic import write_clip
+from data.synthetic_settings import SceneSettings
+from estimators.contact_network import ContactNetwork
+from estimators.estimate import NINETY
+from estimators.exported import open_exported
+from infer import SHIPPED, main
+
+LARGEST = 6e6
+"""Size limit of what ships [bytes]."""
+
+
+def test_it_is_small_and_says_what_it_is() -> None:
+    assert SHIPPED.stat().st_size < LARGEST
+    assert SHIPPED.with_suffix(".md").is_file()
+    network = open_exported(SHIPPED)
+    assert isinstance(network, ContactNetwork)
+    assert network.model.metadata["observation"] == "trajectory"
+    assert min(network.model.metadata["calibration"]) > 0.5
+    assert "scene units" in network.model.metadata["units"]["force"]
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory) -> tuple[list[dict[str, str]], dict, Path]:
+    """Rows and record of a synthetic clip, and the folder that holds its truth."""
+    folder = tmp_path_factory.mktemp("shipped")
+    settings = SceneSettings(width=214, height=120, depth_noise=0.001, regime="critical")
+    clip = write_clip(folder / "clips", 1, settings, 12)
+    assert main([str(clip), "--output", str(folder / "out"), "--no-overlay"]) == 0
+    output = folder / "out" / clip.name
+    with (output / "parameters.csv").open() as file:
+        return list(csv.DictReader(file)), json.loads((output / "run.json").read_text()), clip
+
+
+def test_rows_carry_uncertainty_and_verdict(results) -> None:
+    rows, record, _ = results
+    assert len(rows) == 40
+    touched = [row for row in rows if row["status"] == "ok"]
+    assert touched
+    assert touched[0]["verdict"] == "undetermined"  # nothing has moved yet
+    assert {row["verdict"] for row in touched} <= {"determined", "ratios", "undetermined"}
+    assert sum(record["verdicts"].values()) == len(touched)
+    for row in touched:
+        for name in ("stiffness", "damping", "force"):
+            low, value, high = (float(row[f"{name}{end}"]) for end in ("_low", "", "_high"))
+            assert 0 < low < value < high
+            assert float(row[f"{name}_sd"]) > 0
+    first, last = touched[1], touched[-1]
+    assert float(last["stiffness_bound"]) < float(first["stiffness_bound"])  # more motion tells more
+    assert all(row["stiffness"] == row["stiffness_sd"] == "" for row in rows if row["status"] != "ok")
+
+
+def test_the_last_frame_in_contact_is_near_the_truth(results) -> None:
+    """Within three of its own standard deviations: what a calibrated estimate misses once in 370 times."""
+    rows, _, clip = results
+    truth = json.loads((clip / "truth.json").read_text())
+    last = [row for row in rows if row["status"] == "ok"][-1]
+    theta = np.abs(truth["theta"] if isinstance(truth["theta"], list) else list(truth["theta"].values()))
+    for name, true in zip(("stiffness", "damping", "force"), theta, strict=True):
+        log_sd = np.log(float(last[f"{name}_high"]) / float(last[f"{name}_low"])) / (2 * NINETY)
+        assert abs(np.log(float(last[name]) / true)) < 3 * log_sd
+    assert float(last["simulated_displacement"]) == pytest.approx(float(last["observed_displacement"]), rel=0.25)

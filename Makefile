@@ -50,7 +50,7 @@ MODEL := runs/contact
 model: $(INSTALLED)
 	$(BIN)/python -m estimators.contact_training --output $(MODEL)
 	$(BIN)/python -m evaluation.calibration --weights $(MODEL)/posterior.pt --output $(MODEL)/uncalibrated.onnx
-	$(BIN)/python -m evaluation.benchmark --suite clean 8bit noisy --estimator network --split validation --clips 150 \
+	$(BIN)/python -m evaluation.benchmark --suite clean 8bit noisy --estimator network --split validation --clips 210 \
 		--model $(MODEL)/uncalibrated.onnx --output $(MODEL)/validation
 	$(BIN)/python -m evaluation.calibration --weights $(MODEL)/posterior.pt --output models/weights/contact.onnx \
 		--validation $(MODEL)/validation

@@ -91,8 +91,8 @@ class ContactEstimate:
     covariance: np.ndarray
     """Covariance of (log k_s, log k_d, log |F|), shape [3, 3]."""
     information: np.ndarray
-    """Fisher information of the same from the observed contact trajectory, shape [3, 3]: the least of that at `theta` and
-    one standard deviation to either side (`physics.identifiability.least_informative`)."""
+    """Fisher information of the same from the observed contact trajectory, shape [3, 3]: the least of that at `theta`
+    and one standard deviation to either side (`physics.identifiability.least_informative`)."""
     noise: float
     """Standard deviation of every observed coordinate [scene units]."""
     misfit: float

@@ -27,115 +27,37 @@ from pathlib import Path
 import numpy as np
 import torch
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from scipy.optimize import least_squares
 from torch import Tensor
 
-from data.contact_features import FEATURES, SLOTS, contact_features, contact_surroundings, join_features, slot_times
+from data.contact_features import FEATURES, contact_features, contact_surroundings, join_features, slot_times
 from data.samples import ContactCase
 from data.simulated_contacts import SimulatedContact, draw_contacts
 from data.synthetic_settings import SceneSettings
+from estimators.contact_fits import (
+    BOUNDS,
+    EXPLAINED,
+    MECHANICS,
+    NOISE,
+    Fits,
+    draw_errors,
+    draw_known,
+    fit_motion,
+)
 from estimators.contact_network import log_box
-from estimators.direct import ContactProblem
-from models.posterior import ContactPosterior, evidence_loss
-from physics.identifiability import bounds, fisher_information, log_jacobian
-from physics.mechanics import Bounds, Mechanics
-from physics.msd_kernel import simulate_sensitivities
+from models.evidence import Linearised, Motion, linearise, preconditioned
+from models.posterior import ContactPosterior
+from physics.identifiability import bounds
 
-MECHANICS = Mechanics(time_step=0.005, steps=200, load_steps=0, scheme="dkd", window_error=1e-4)
-"""The fitted simulator."""
-BOUNDS = Bounds((0.05, 1.0), (0.005, 0.5), (-0.3, -0.01), (0.4, 0.08, -0.1))
-"""Admissible box, the prior."""
 CONTACTS_A_SCENE = 8
-NOISE = (3e-4, 6e-3)
-"""σ is drawn log-uniformly from this range [scene units]."""
-ROUNDING_SHARE, LEVEL = 0.25, 1 / 255
-"""Share of samples whose depth is rounded instead, as 8 bits do, and the rounding's step [scene units]."""
-REST_SHARE = 0.15
-"""Error of the rest position, in σ: the rest surface is an average of many depths."""
-CUT_SHARE = 0.3
-"""Share of samples that are cut off before the second is over, as live frames see them."""
 BLUR = 0.3, 0.03
 """σ of the rough stage is raised by this share of a contact's largest motion, at its beginning and its end."""
-LONGEST_MOVE = 1.0
-"""A mean is moved no farther than this at once in any log-parameter: the linearisation reaches no farther."""
-PULL = 0.2
-"""Weight of the mean's pull against the covariance's; it changes how fast the two are learnt, not where they end."""
-EXPLAINED = 2e-4
-"""A fit explains a motion without noise where its RMS residual is below this [scene units]."""
 
 
-def noise_level(case: ContactCase, noise: float) -> ContactCase:
-    """The contact as if observed with that noise level, but without the noise."""
-    return dataclasses.replace(case, noise=noise)
-
-
-@dataclasses.dataclass(frozen=True)
-class Linearised:
-    """A contact's misfit around one φ."""
-
-    gradient: np.ndarray
-    """Jᵀr/σ², shape [3]."""
-    information: np.ndarray
-    """JᵀJ/σ², shape [3, 3]."""
-
-
-def linearise(case: ContactCase, logs: np.ndarray, blur: float) -> Linearised:
-    """Gradient and Fisher information of a contact's misfit at φ; `blur` widens σ by a share of the largest motion."""
-    theta = np.exp(logs.astype(np.float64)) * (1.0, 1.0, -1.0)
-    steps = int(case.steps[-1]) + 1
-    mechanics = dataclasses.replace(MECHANICS, steps=steps)
-    path, slopes = simulate_sensitivities(
-        theta, case.mesh, case.vertex, case.direction, mechanics, load_steps=min(case.load_steps, steps)
-    )
+def widened(case: ContactCase, logs: np.ndarray, blur: float) -> Linearised:
+    """A contact's misfit around φ, with σ widened by a share (`blur`) of its largest motion."""
+    motion = Motion(case.mesh, case.vertex, case.direction, case.load_steps, case.steps, case.displacement)
     largest = float(np.linalg.norm(case.displacement, axis=1).max())
-    sigma = math.hypot(case.noise, blur * largest)
-    residual = (path[case.steps] - case.displacement).astype(np.float64).ravel()
-    jacobian = log_jacobian(slopes[case.steps].astype(np.float64), theta).reshape(-1, 3)
-    return Linearised(jacobian.T @ residual / sigma**2, fisher_information(jacobian, sigma))
-
-
-@dataclasses.dataclass(frozen=True)
-class Fits:
-    """Contacts with what explains their motions, as arrays; N contacts."""
-
-    motion: np.ndarray
-    """Motion against the force's direction at the slots, without noise, shape [N, SLOTS] [scene units]."""
-    logs: np.ndarray
-    """φ that explains it, shape [N, 3]."""
-    slopes: np.ndarray
-    """Derivatives of the motion by φ there, shape [N, SLOTS, 3] [scene units]."""
-    loaded: np.ndarray
-    """Whether a slot is under load, shape [N, SLOTS]."""
-    around: np.ndarray
-    """`Surroundings.vector`, shape [N, 40]."""
-    spacing: np.ndarray
-    """Shape [N] [scene units]."""
-
-
-def fit_motion(task: tuple[ContactCase, np.ndarray]) -> tuple[np.ndarray, np.ndarray, float]:
-    """φ [3] that explains a motion, its slopes along the force [SLOTS, 3], and the RMS residual [scene units].
-
-    Args:
-        task: the contact without noise, and where to start.
-    """
-    case, start = task
-    low, high = log_box(BOUNDS)
-    problem = ContactProblem(noise_level(case, 1e-3), MECHANICS, 1e-3)
-    starts = [np.clip(start, low + 1e-3, high - 1e-3)]
-    best, rms = None, math.inf
-    while starts:
-        end = least_squares(
-            problem.residual, starts.pop(0), problem.jacobian, (low, high), x_scale="jac", ftol=1e-6, max_nfev=30
-        )
-        residual = 1e-3 * math.sqrt(2 * end.cost / len(case.steps))
-        if best is None or residual < rms:
-            if best is None and residual > EXPLAINED:
-                starts = list(problem.starts(low, high))
-            best, rms = end.x, residual
-        if rms <= EXPLAINED:
-            break
-    jacobian = 1e-3 * problem.jacobian(best).reshape(len(case.steps), 3, 3)
-    return best, -np.einsum("tdp,d->tp", jacobian, case.direction), rms
+    return linearise(motion, logs, math.hypot(case.noise, blur * largest), MECHANICS)
 
 
 class Trainer:
@@ -146,10 +68,7 @@ class Trainer:
         self.contacts = contacts
         self.generator = np.random.default_rng([seed, 17])
         self.surroundings = [contact_surroundings(contact.case) for contact in contacts]
-        box = log_box(BOUNDS)
-        self.prior_mean = torch.tensor(box.mean(axis=0), dtype=torch.float32)
-        self.prior = torch.diag(torch.tensor(12 / (box[1] - box[0]) ** 2, dtype=torch.float32))
-        self.posterior = ContactPosterior(FEATURES, torch.tensor(box))
+        self.posterior = ContactPosterior(FEATURES, torch.tensor(log_box(BOUNDS)))
         sample = [self.draw() for _ in range(2000)]
         self.posterior.standardise(torch.tensor(np.stack([features for _, features in sample])))
         self.threads = ThreadPoolExecutor(os.cpu_count())
@@ -171,15 +90,21 @@ class Trainer:
             batch = [self.draw() for _ in range(batch_size)]
             mean, factor = self.posterior(torch.from_numpy(np.stack([features for _, features in batch])))
             cases = [case for case, _ in batch]
-            found = list(self.threads.map(linearise, cases, mean.detach().numpy(), [blur] * len(cases)))
-            gradient = _tensor([item.gradient for item in found])
-            return self._bound(mean, factor, gradient, _tensor([item.information for item in found]), rough=True)
+            found = list(self.threads.map(widened, cases, mean.detach().numpy(), [blur] * len(cases)))
+            gradient, information = (
+                _tensor([getattr(item, name) for item in found]) for name in ("gradient", "information")
+            )
+            box = self.posterior.lower, self.posterior.upper
+            return preconditioned(mean, factor, gradient, information, *box, whiten=False)
 
         self._descend(loss, steps, rate, advance)
 
     def fit(self, progress: Progress) -> Fits:
         """Second stage: what explains every motion; motions that nothing explains are left out and counted."""
-        quiet = [contact_features(noise_level(contact.case, 3e-4), MECHANICS.time_step) for contact in self.contacts]
+        quiet = [
+            contact_features(dataclasses.replace(contact.case, noise=NOISE[0]), MECHANICS.time_step)
+            for contact in self.contacts
+        ]
         with torch.no_grad():
             starts = self.posterior.eval()(torch.from_numpy(np.stack(quiet)))[0].double().numpy()
         self.posterior.train()
@@ -219,29 +144,10 @@ class Trainer:
             pull = np.einsum("btp,bt->bp", slopes, error * known / noise[:, None])
             offset = mean.detach() - _tensor(fits.logs[index])
             gradient = torch.einsum("bpq,bq->bp", _tensor(information), offset) - _tensor(pull)
-            return self._bound(mean, factor, gradient, _tensor(information))
+            box = self.posterior.lower, self.posterior.upper
+            return preconditioned(mean, factor, gradient, _tensor(information), *box)
 
         self._descend(loss, steps, rate, advance)
-
-    def _bound(
-        self, mean: Tensor, factor: Tensor, gradient: Tensor, information: Tensor, *, rough: bool = False
-    ) -> Tensor:
-        """Evidence loss with the prior added.
-
-        The mean's pull H·move is scaled by the root of H's mean diagonal, or, once the ratios are known, replaced by
-        √H·move, which vanishes at the same place: what is known a hundred times better than something else would
-        otherwise be learnt ten thousand times faster.
-        """
-        information = information + self.prior
-        gradient = gradient + (mean.detach() - self.prior_mean) @ self.prior
-        values, vectors = torch.linalg.eigh(information)
-        move = torch.einsum("bpq,bq,brq,br->bp", vectors, 1 / values, vectors, gradient)
-        shorter = (LONGEST_MOVE / move.abs().amax(dim=1)).clamp(max=1.0)
-        if rough:
-            pull = gradient / information.diagonal(dim1=1, dim2=2).mean(dim=1, keepdim=True).sqrt()
-        else:
-            pull = PULL * torch.einsum("bpq,bq,brq,br->bp", vectors, values.rsqrt(), vectors, gradient)
-        return evidence_loss(mean, factor, pull, information, shorter)
 
     def _descend(self, loss_of, steps: int, rate: float, advance: Callable[[int, float], None]) -> None:
         optimizer = torch.optim.AdamW(self.posterior.parameters(), lr=rate, weight_decay=1e-4)
@@ -254,28 +160,6 @@ class Trainer:
             optimizer.step()
             schedule.step()
             advance(step, float(loss.detach()))
-
-
-def draw_errors(motion: np.ndarray, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Errors of observed motions, shape [B, SLOTS], and the noise level that each is said to have, [B] [scene units].
-
-    A part of the samples is rounded like 8-bit depth, the others have Gaussian noise and an error of the rest position.
-    """
-    count = len(motion)
-    noise = np.exp(generator.uniform(*np.log(NOISE), size=count))
-    error = noise[:, None] * (generator.normal(size=motion.shape) + REST_SHARE * generator.normal(size=(count, 1)))
-    rounded = generator.random(count) < ROUNDING_SHARE
-    place = generator.uniform(0, LEVEL, (count, 1))
-    steps = np.rint((motion + place) / LEVEL) * LEVEL - np.rint(place / LEVEL) * LEVEL
-    error[rounded] = (steps - motion)[rounded]
-    noise[rounded] = LEVEL / math.sqrt(12)
-    return error, noise
-
-
-def draw_known(count: int, generator: np.random.Generator) -> np.ndarray:
-    """Which slots are seen, shape [count, SLOTS]: all, or the first few."""
-    last = np.where(generator.random(count) < CUT_SHARE, generator.integers(2, SLOTS + 1, count), SLOTS)
-    return (np.arange(SLOTS) < last[:, None]).astype(np.float64)
 
 
 def _tensor(values) -> Tensor:
@@ -295,7 +179,7 @@ def evaluate(posterior: ContactPosterior, contacts: list[SimulatedContact], nois
         mean, factor = posterior(torch.from_numpy(contact_features(case, MECHANICS.time_step))[None])
         error = mean[0].double().numpy() - truth
         errors.append(error)
-        limits.append(bounds(linearise(case, truth, 0.0).information))
+        limits.append(bounds(widened(case, truth, 0.0).information))
         scores.append(error / (factor[0] @ factor[0].T).diagonal().sqrt().double().numpy())
     errors, limits, scores = np.array(errors), np.array(limits), np.array(scores)
     pick = [limits[:, index] < 0.5 for index in range(3)]

@@ -22,8 +22,8 @@ import torch
 
 from data.contact_features import FEATURES, FRAME_RATE, SLOTS
 from data.masks import MaskClasses
+from estimators.contact_fits import BOUNDS, MECHANICS
 from estimators.contact_network import log_box
-from estimators.contact_training import BOUNDS, MECHANICS
 from estimators.estimate import NINETY
 from evaluation.recovery import OK, PREPARE, Recovery
 from evaluation.recovery_store import RESULTS, read_results

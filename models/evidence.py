@@ -145,7 +145,14 @@ def negative_evidence(
 
 
 def preconditioned(
-    mean: Tensor, factor: Tensor, gradient: Tensor, information: Tensor, lower: Tensor, upper: Tensor
+    mean: Tensor,
+    factor: Tensor,
+    gradient: Tensor,
+    information: Tensor,
+    lower: Tensor,
+    upper: Tensor,
+    *,
+    whiten: bool = True,
 ) -> Tensor:
     """`evidence_loss` with the prior added and every mean's pull H·move replaced by √H·move, no longer than allowed.
 
@@ -156,13 +163,18 @@ def preconditioned(
         mean, factor: of q, shapes [B, 3] and [B, 3, 3].
         gradient, information: of the misfits at the means, shapes [B, 3] and [B, 3, 3], constants.
         lower, upper: φ's box, shape [3].
+        whiten: off for the plain pull, divided by the root of H's mean diagonal: at first, what can be known best may
+            well be learnt first.
     """
     prior, away = _prior(mean, lower, upper)
     gradient, information = gradient + away @ prior, information + prior
     values, vectors = torch.linalg.eigh(information)
     along = torch.einsum("brq,br->bq", vectors, gradient)
     move = torch.einsum("bpq,bq->bp", vectors, along / values)
-    pull = PULL * torch.einsum("bpq,bq->bp", vectors, along * values.rsqrt())
+    if whiten:
+        pull = PULL * torch.einsum("bpq,bq->bp", vectors, along * values.rsqrt())
+    else:
+        pull = gradient / values.mean(dim=1, keepdim=True).sqrt()
     shorter = (LONGEST_MOVE / move.abs().amax(dim=1).clamp(min=1e-12)).clamp(max=1.0)
     return evidence_loss(mean, factor, pull, information, shorter)
 

@@ -15,8 +15,8 @@ from data.samples import SampleSettings, contact_cases
 from data.synthetic import make_clip
 from data.synthetic_settings import SceneSettings
 from data.synthetic_source import open_synthetic, prepare_synthetic
+from estimators.contact_fits import BOUNDS, MECHANICS
 from estimators.contact_network import ContactNetwork, log_box
-from estimators.contact_training import BOUNDS, MECHANICS
 from estimators.estimate import NINETY, NoEstimate
 from evaluation.calibration import metadata
 from evaluation.recovery import PREPARE

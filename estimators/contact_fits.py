@@ -1,0 +1,102 @@
+"""Observed contact motions with what explains them: the material of the posterior's last training stage.
+
+Every motion is explained once by least squares; around that fit its likelihood is a known parabola, whatever noise,
+rounding or cut-off window is drawn on top.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from data.contact_features import SLOTS
+from data.samples import ContactCase
+from estimators.contact_network import log_box
+from estimators.direct import ContactProblem
+from physics.mechanics import Bounds, Mechanics
+
+MECHANICS = Mechanics(time_step=0.005, steps=200, load_steps=0, scheme="dkd", window_error=1e-4)
+"""The fitted simulator."""
+BOUNDS = Bounds((0.05, 1.0), (0.005, 0.5), (-0.3, -0.01), (0.4, 0.08, -0.1))
+"""Admissible box, the prior."""
+NOISE = (3e-4, 6e-3)
+"""σ is drawn log-uniformly from this range [scene units]."""
+ROUNDING_SHARE, LEVEL = 0.25, 1 / 255
+"""Share of samples whose depth is rounded instead, as 8 bits do, and the rounding's step [scene units]."""
+REST_SHARE = 0.15
+"""Error of the rest position, in σ: the rest surface is an average of many depths."""
+CUT_SHARE = 0.3
+"""Share of samples that are cut off before the second is over, as live frames see them."""
+EXPLAINED = 2e-4
+"""A fit explains a motion without noise where its RMS residual is below this [scene units]."""
+NOMINAL = 1e-3
+"""σ in which residuals of motions without noise are counted [scene units]."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Fits:
+    """Contacts with what explains their motions, as arrays; N contacts."""
+
+    motion: np.ndarray
+    """Motion against the force's direction at the slots, without noise, shape [N, SLOTS] [scene units]."""
+    logs: np.ndarray
+    """φ that explains it, shape [N, 3]."""
+    slopes: np.ndarray
+    """Derivatives of the motion by φ there, shape [N, SLOTS, 3] [scene units]."""
+    loaded: np.ndarray
+    """Whether a slot is under load, shape [N, SLOTS]."""
+    around: np.ndarray
+    """`Surroundings.vector`, shape [N, 40]."""
+    spacing: np.ndarray
+    """Shape [N] [scene units]."""
+
+
+def fit_motion(task: tuple[ContactCase, np.ndarray]) -> tuple[np.ndarray, np.ndarray, float]:
+    """φ [3] that explains a motion, its slopes along the force [SLOTS, 3], and the RMS residual [scene units].
+
+    Args:
+        task: the contact without noise, and where to start.
+    """
+    case, start = task
+    low, high = log_box(BOUNDS)
+    problem = ContactProblem(case, MECHANICS, NOMINAL)
+    starts = [np.clip(start, low + 1e-3, high - 1e-3)]
+    best, rms = None, math.inf
+    while starts:
+        end = least_squares(
+            problem.residual, starts.pop(0), problem.jacobian, (low, high), x_scale="jac", ftol=1e-6, max_nfev=30
+        )
+        residual = NOMINAL * math.sqrt(2 * end.cost / len(case.steps))
+        if best is None or residual < rms:
+            if best is None and residual > EXPLAINED:
+                starts = list(problem.starts(low, high))
+            best, rms = end.x, residual
+        if rms <= EXPLAINED:
+            break
+    jacobian = NOMINAL * problem.jacobian(best).reshape(len(case.steps), 3, 3)
+    return best, -np.einsum("tdp,d->tp", jacobian, case.direction), rms
+
+
+def draw_errors(motion: np.ndarray, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Errors of observed motions, shape [B, SLOTS], and the noise level that each is said to have, [B] [scene units].
+
+    A part of the samples is rounded like 8-bit depth, the others have Gaussian noise and an error of the rest position.
+    """
+    count = len(motion)
+    noise = np.exp(generator.uniform(*np.log(NOISE), size=count))
+    error = noise[:, None] * (generator.normal(size=motion.shape) + REST_SHARE * generator.normal(size=(count, 1)))
+    rounded = generator.random(count) < ROUNDING_SHARE
+    place = generator.uniform(0, LEVEL, (count, 1))
+    steps = np.rint((motion + place) / LEVEL) * LEVEL - np.rint(place / LEVEL) * LEVEL
+    error[rounded] = (steps - motion)[rounded]
+    noise[rounded] = LEVEL / math.sqrt(12)
+    return error, noise
+
+
+def draw_known(count: int, generator: np.random.Generator) -> np.ndarray:
+    """Which slots are seen, shape [count, SLOTS]: all, or the first few."""
+    last = np.where(generator.random(count) < CUT_SHARE, generator.integers(2, SLOTS + 1, count), SLOTS)
+    return (np.arange(SLOTS) < last[:, None]).astype(np.float64)

@@ -1,0 +1,78 @@
+"""Training the contact posterior: fits, drawn errors, and that the last stage learns what a fit would say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from data.contact_features import SLOTS
+from data.simulated_contacts import SimulatedContact, draw_contacts
+from data.synthetic_settings import SceneSettings
+from estimators.contact_fits import BOUNDS, LEVEL, MECHANICS, NOISE, Fits, draw_errors, draw_known, fit_motion
+from estimators.contact_network import log_box
+from estimators.contact_training import Trainer, evaluate, widened
+
+
+@pytest.fixture(scope="module")
+def contacts() -> list[SimulatedContact]:
+    """A few contacts of two scenes."""
+    settings = SceneSettings(width=214, height=120, regime="critical")
+    return [contact for seed in (1, 2) for contact in draw_contacts(settings, seed, 4, MECHANICS.time_step)]
+
+
+def test_a_fit_explains_its_motion(contacts: list[SimulatedContact]) -> None:
+    """From a poor start: θ within the integrators' difference, and slopes that predict the effect of another θ."""
+    contact = contacts[0]
+    logs, slopes, rms = fit_motion((contact.case, log_box(BOUNDS).mean(axis=0)))
+    assert rms < 1e-4
+    np.testing.assert_allclose(logs, np.log(np.abs(contact.theta)), atol=0.05)
+    assert slopes.shape == (SLOTS, 3)
+    assert (slopes[:, 2] > 0).all()  # more force, more motion
+
+
+def test_drawn_errors_are_as_large_as_said() -> None:
+    generator = np.random.default_rng(0)
+    motion = np.linspace(0, 0.05, SLOTS)[None].repeat(4000, axis=0)
+    error, noise = draw_errors(motion, generator)
+    assert (noise.min(), noise.max()) == (pytest.approx(NOISE[0], rel=0.1), pytest.approx(NOISE[1], rel=0.1))
+    rounded = noise == LEVEL / np.sqrt(12)
+    assert 0.2 < rounded.mean() < 0.3
+    scaled = error / noise[:, None]
+    assert np.sqrt(np.square(scaled[~rounded]).mean()) == pytest.approx(np.sqrt(1 + 0.15**2), rel=0.02)
+    # The rest position is rounded too, so that a rounded motion has the error of two roundings.
+    assert np.sqrt(np.square(scaled[rounded]).mean()) == pytest.approx(np.sqrt(2), rel=0.1)
+
+
+def test_windows_are_cut_at_their_end() -> None:
+    known = draw_known(2000, np.random.default_rng(0))
+    lengths = known.sum(axis=1)
+    assert lengths.min() >= 2
+    assert 0.65 < (lengths == SLOTS).mean() < 0.75
+    assert (np.diff(known, axis=1) <= 0).all()
+
+
+def test_a_wider_noise_level_tells_less(contacts: list[SimulatedContact]) -> None:
+    logs = np.log(np.abs(contacts[0].theta))
+    case = contacts[0].case
+    narrow, wide = (widened(case, logs, blur) for blur in (0.1, 0.2))
+    np.testing.assert_allclose(narrow.information, 4 * wide.information, rtol=1e-6)
+
+
+def test_the_last_stage_learns(contacts: list[SimulatedContact]) -> None:
+    """On eight contacts, a hundred steps bring the estimates nearer to what explains the motions."""
+    trainer = Trainer(contacts, 0)
+    found = [fit_motion((contact.case, np.log(np.abs(contact.theta)))) for contact in contacts]
+    times = np.arange(1, SLOTS + 1) / 25
+    fits = Fits(
+        motion=np.stack([-(contact.case.displacement @ contact.case.direction) for contact in contacts]),
+        logs=np.stack([logs for logs, _, _ in found]),
+        slopes=np.stack([slopes for _, slopes, _ in found]),
+        loaded=np.stack([times <= contact.case.load_steps * MECHANICS.time_step + 1e-9 for contact in contacts]) * 1.0,
+        around=np.stack([around.vector for around in trainer.surroundings]),
+        spacing=np.array([around.spacing for around in trainer.surroundings]),
+    )
+    before = evaluate(trainer.posterior.eval(), contacts, 1e-3, 0)
+    trainer.posterior.train()
+    trainer.fine(fits, 100, 64, 2e-3, lambda step, loss: None)
+    after = evaluate(trainer.posterior.eval(), contacts, 1e-3, 0)
+    assert np.mean(after["rmse"]) < 0.5 * np.mean(before["rmse"])

@@ -151,7 +151,8 @@ class Trainer:
 
     def _descend(self, loss_of, steps: int, rate: float, advance: Callable[[int, float], None]) -> None:
         optimizer = torch.optim.AdamW(self.posterior.parameters(), lr=rate, weight_decay=1e-4)
-        schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, rate, total_steps=steps, pct_start=0.1)
+        rise = max(0.1, 3 / steps)
+        schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, rate, total_steps=steps, pct_start=rise)
         for step in range(steps):
             loss = loss_of(step)
             optimizer.zero_grad()

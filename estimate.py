@@ -75,10 +75,9 @@ class DirectFits(Batch):
 
     def __init__(self, options: argparse.Namespace, console: Console) -> None:
         self.direct = DirectSettings(noise=options.noise)
+        self.mechanics = self.direct.mechanics
+        """Its simulator, the steps matched to the current clip's frame rate."""
         super().__init__(options, console)
-        self.samples = SampleSettings(
-            observation="trajectory", geometry=self.settings.geometry, mechanics=self.direct.mechanics
-        )
 
     def preparation(self) -> PrepareSettings:
         """Smoothed tissue, the camera's motion taken off, and otherwise what the user chooses."""
@@ -99,6 +98,7 @@ class DirectFits(Batch):
             self.say(f"{source.name}: up to date in {folder}; --overwrite computes it again")
             return Outcome(source.name, UP_TO_DATE, str(folder), read_record(folder).get("contacts", {}))
         task = progress.add_task(f"{place} {short(source.name)}", total=source.length or None)
+        self.mechanics = self.direct.mechanics.matched(1 / source.fps)
         try:
             clip, frames, started = stream(source, self.settings), [], time.perf_counter()
             collected = CollectedClip(source.name, source.fps, _noting(clip, frames, progress, task), onsets_only=True)
@@ -106,7 +106,7 @@ class DirectFits(Batch):
             results = self._fit(collected, progress, task, f"{place} fitting {short(source.name)}")
             seconds = {**clip.seconds, "fit": time.perf_counter() - prepared, "total": time.perf_counter() - started}
             record = self._record(clip, provenance, frames, results, seconds)
-            write_contacts(folder, results, self.direct.mechanics, record, source.name)
+            write_contacts(folder, results, self.mechanics, record, source.name)
         finally:
             progress.remove_task(task)
         for warning in record["warnings"]:
@@ -115,7 +115,9 @@ class DirectFits(Batch):
 
     def _fit(self, clip: CollectedClip, progress: Progress, task: TaskID, description: str) -> list[ContactResult]:
         """Every run of contact of a clip, fitted or with the reason why not."""
-        runs, cases = contact_runs(clip, self.settings.bridge_frames), contact_cases(clip, self.samples)
+        geometry = self.settings.geometry
+        samples = SampleSettings(observation="trajectory", geometry=geometry, mechanics=self.mechanics)
+        runs, cases = contact_runs(clip, self.settings.bridge_frames), contact_cases(clip, samples)
         results = []
         progress.reset(task, total=len(runs), description=description)
         for found in runs:
@@ -129,7 +131,7 @@ class DirectFits(Batch):
         if case is None:
             return ContactResult(number, seconds, load, None, None, NOT_FOLLOWED if found.onset_seen else NO_ONSET)
         try:
-            estimate = fit_contact(case, self.direct)
+            estimate = fit_contact(case, dataclasses.replace(self.direct, mechanics=self.mechanics))
         except NoEstimate as reason:
             return ContactResult(number, seconds, load, case, None, self.sentence(reason))
         ranges = (self.direct.stiffness, self.direct.damping, self.direct.force)

@@ -62,6 +62,7 @@ def contact_features(
         pressed = -(case.displacement[seen] @ case.direction) / around.spacing
         along = np.interp(slots, np.concatenate(([0], times[seen])), np.concatenate(([0], pressed)))
     loaded = (slots <= min(case.load_steps * time_step, seconds) + 1e-9).astype(np.float64)
+    loaded = loaded * known
     scales = np.array([around.spacing]), np.array([case.noise])
     return join_features(along[None], known[None], loaded[None], around.vector[None], *scales)[0]
 

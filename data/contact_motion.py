@@ -134,25 +134,26 @@ def reference_pixels(depth: np.ndarray, labels: np.ndarray, contact: Sequence[in
 
 
 def pressed_pixel(
-    onset: PreparedFrame, later: Sequence[tuple[PreparedFrame, np.ndarray]], sigmas: float
+    onset: PreparedFrame, later: Sequence[tuple[PreparedFrame, np.ndarray, float]], sigmas: float
 ) -> tuple[int, int] | None:
     """Grid pixel (u, v) near a contact whose depth changes most from its rest shape, on average over later frames.
 
     Args:
         onset: first frame in contact, its mesh at rest.
-        later: following frames, and where each has the contact's tissue, (u, v) [grid pixels].
+        later: following frames, where each has the contact's tissue, (u, v) [grid pixels], and by how much its depth is
+            larger because of the camera [scene units].
         sigmas: the mean change must exceed this many of its standard deviations.
     """
     mesh, (u, v) = onset.geometry.mesh, onset.geometry.pixel
     near = np.flatnonzero((np.abs(mesh.pixels - (v, u)) <= REFINE_REACH).all(axis=1) & ~mesh.rim)
     total, count = np.zeros(len(near)), np.zeros(len(near))
-    for prepared, place in later:
+    for prepared, place, away in later:
         rows, columns = (mesh.pixels[near] + np.rint(place[::-1] - (v, u)).astype(int)).T
         height, width = prepared.depth.shape
         inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
         rows, columns = rows.clip(0, height - 1), columns.clip(0, width - 1)
         seen = inside & (prepared.labels[rows, columns] == TISSUE) & (prepared.depth[rows, columns] > 0)
-        total += np.where(seen, prepared.depth[rows, columns] - mesh.vertices[near, 2], 0.0)
+        total += np.where(seen, prepared.depth[rows, columns] - away - mesh.vertices[near, 2], 0.0)
         count += seen
     change = np.abs(total) / np.maximum(count, 1)
     if len(near) == 0 or not later:
@@ -217,6 +218,7 @@ class ContactMotion:
         if not (before.consecutive and before.visible and after.visible):
             # Contact that is already there when the view returns has no known onset.
             self.settle()
+            self._rest = RestDepth()
             self._run, self._last_contact = None, after.frame.index if after.in_contact else None
             return
         if before.in_contact:
@@ -246,7 +248,9 @@ class ContactMotion:
         run, young = self._run, self._run.young
         run.young = None
         shape, contact = run.onset.depth.shape, self._picture_pixel(run.onset)
-        places = [(prepared, picture_to_grid(pixel, shape, self.size)) for prepared, pixel, _ in young]
+        places = [
+            (prepared, picture_to_grid(pixel, shape, self.size), float(drift[2])) for prepared, pixel, drift in young
+        ]
         yielded = pressed_pixel(run.onset, places, REFINE_SIGMA)
         if yielded is None or yielded == run.onset.geometry.pixel:
             return
@@ -267,6 +271,8 @@ class ContactMotion:
             run.young.append((latest, run.pixel, run.drift))
         if len(run.young) == REFINE_FRAMES or run.pixel is None or not latest.in_contact:
             self.settle()
+            if run.pixel is not None:
+                latest.track_position = self._lift(run.pixel[None], latest)[0] - run.drift
 
     def _observe(self, before: PreparedFrame, after: PreparedFrame) -> None:
         before.rigid = self._rigid(before, after)

@@ -24,10 +24,13 @@ from models.onnx_session import ModelFileError
 from models.posterior_session import PosteriorModel
 from physics.identifiability import fisher_information, least_informative, log_jacobian
 from physics.mechanics import Bounds, Mechanics
-from physics.msd_kernel import simulate_sensitivities
+from physics.msd_kernel import simulate, simulate_sensitivities
 
 PRESSING = np.array([1.0, 1.0, -1.0])
 """Signs of k_s, k_d and F."""
+LEAST_OBSERVATIONS = 2
+"""Frames after the onset in which the tissue was followed; the network never saw fewer."""
+TOO_EARLY = "The contact's tissue was not followed over two frames after its onset yet."
 EDGE = 0.02
 """A mean within this share of the box's end (in logarithms) lies at it."""
 
@@ -44,7 +47,9 @@ class ContactNetwork:
 
     def __init__(self, model: PosteriorModel) -> None:
         self.model = model
-        self.mechanics: Mechanics = section(model, "mechanics", Mechanics)
+        self.trained: Mechanics = section(model, "mechanics", Mechanics)
+        self.mechanics = self.trained
+        """The trained simulator, its steps matched to the current clip's frame rate."""
         self.bounds: Bounds = section(model, "bounds", Bounds)
         self.seconds: dict[str, float] = defaultdict(float)
         """Time spent on the current clip in `network` and `simulation` [s]."""
@@ -56,6 +61,7 @@ class ContactNetwork:
             ModelFileError: the network gives a number that is not finite.
         """
         self.seconds.clear()
+        self.mechanics = self.trained.matched(1 / clip.source.fps)
         window, run = FrameWindow(self.model.window), None
         for current in clip:
             depth = window.push(current)
@@ -68,6 +74,9 @@ class ContactNetwork:
                 yield FrameResult(current, frame_estimate(current, clip), None)
             elif known is None or not math.isfinite(known.onset.geometry.noise):
                 yield FrameResult(current, frame_estimate(current, clip, verdict="undetermined"), None)
+            elif len(known.steps) < LEAST_OBSERVATIONS:
+                early = dataclasses.replace(frame_estimate(current, clip, verdict="undetermined"), detail=TOO_EARLY)
+                yield FrameResult(current, early, None)
             else:
                 case = known.case(current)
                 found = self.estimate(case, known.surroundings, depth)
@@ -77,6 +86,7 @@ class ContactNetwork:
 
     def estimate_clip(self, clip: PreparedClip | CollectedClip) -> dict[int, ContactEstimate | NoEstimate]:
         """Every run of contact of a prepared clip whose onset was seen, or why it has no estimate, by its onset."""
+        self.mechanics = self.trained.matched(1 / clip.fps)
         samples = SampleSettings(observation="trajectory", mechanics=self.mechanics)
         found: dict[int, ContactEstimate | NoEstimate] = {}
         for onset, case in contact_cases(clip, samples).items():
@@ -141,9 +151,10 @@ class ContactNetwork:
         if steps > self.mechanics.steps:
             return None, observed
         mechanics = dataclasses.replace(self.mechanics, steps=steps, load_steps=0)
-        path, _ = simulate_sensitivities(
-            found.theta, case.mesh, case.vertex, case.direction, mechanics, load_steps=min(case.load_steps, steps)
-        )
+        started = time.perf_counter()
+        contact = case.mesh, case.vertex, case.direction
+        path = simulate(found.theta, *contact, mechanics, load_steps=min(case.load_steps, steps))
+        self.seconds["simulation"] += time.perf_counter() - started
         return float(np.linalg.norm(path[-1])), observed
 
 
@@ -157,7 +168,6 @@ class _Run:
         self.settings = clip.settings.geometry
         self.steps: list[int] = []
         self.moves: list[np.ndarray] = []
-        self.released: int | None = None
         self.surroundings = contact_surroundings(self.case(onset))
 
     def add(self, current: PreparedFrame) -> None:

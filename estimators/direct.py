@@ -153,6 +153,7 @@ def _distinct(optima: Sequence[Optimum]) -> list[Optimum]:
 
 def fit_clip(clip: PreparedClip | CollectedClip, settings: DirectSettings) -> dict[int, ContactEstimate | NoEstimate]:
     """Fit every run of contact of a prepared clip whose onset was seen; an estimate, or why there is none, by onset."""
+    settings = dataclasses.replace(settings, mechanics=settings.mechanics.matched(1 / clip.fps))
     samples = SampleSettings(observation="trajectory", mechanics=settings.mechanics)
     found: dict[int, ContactEstimate | NoEstimate] = {}
     for onset, case in contact_cases(clip, samples).items():

@@ -47,7 +47,7 @@ class FrameEstimate:
     stiffness_high: float | None = None
     """Upper end of the 90 % interval of k_s."""
     stiffness_bound: float | None = None
-    """Cramér–Rao bound on the standard deviation of log k_s, at the estimate."""
+    """Cramér–Rao bound on the standard deviation of log k_s, the largest within one `sd` of the estimate."""
     damping: float | None = None
     """k_d [scene units (normalised)]."""
     damping_sd: float | None = None
@@ -57,7 +57,7 @@ class FrameEstimate:
     damping_high: float | None = None
     """Upper end of the 90 % interval of k_d."""
     damping_bound: float | None = None
-    """Cramér–Rao bound on the standard deviation of log k_d, at the estimate."""
+    """Cramér–Rao bound on the standard deviation of log k_d, the largest within one `sd` of the estimate."""
     force: float | None = None
     """Magnitude |F| [scene units (normalised)], never negative."""
     force_sd: float | None = None
@@ -67,7 +67,7 @@ class FrameEstimate:
     force_high: float | None = None
     """Upper end of the 90 % interval of |F|."""
     force_bound: float | None = None
-    """Cramér–Rao bound on the standard deviation of log |F|, at the estimate."""
+    """Cramér–Rao bound on the standard deviation of log |F|, the largest within one `sd` of the estimate."""
     contact: bool | None = None
     """Whether tool and tissue touch; None where that could not be decided."""
     contact_distance: float | None = None

@@ -4,8 +4,9 @@
         [--validation runs/contact/validation]
 
 Split-conformal: a parameter's standard deviation is multiplied by the factor that lets its 90 % intervals hold the
-truth in 90 % of the validation clips (Vovk's finite-sample quantile). Without --validation the factors are 1. Truth of
-validation clips serves this and nothing else; no weight of the network changes.
+truth in 90 % of the validation results (Vovk's quantile, exact for one suite; several observe the same clips, so their
+results are alike). Without --validation the factors are 1. Truth of validation clips serves this and nothing else; no
+weight of the network changes.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ def conformal_scale(errors: np.ndarray, deviations: np.ndarray) -> np.ndarray:
 
 
 def scale_from(rows: Sequence[Recovery]) -> np.ndarray:
-    """Factors from the network's validation results, every suite with the same weight however many clips it has."""
+    """Factors from the network's validation results, all suites together."""
     used = [row for row in rows if row.estimator == "network" and row.status == OK and row.covariance is not None]
     errors = np.array([np.log(np.abs(row.estimate)) - np.log(np.abs(row.theta)) for row in used])
     deviations = np.array([np.sqrt(np.diag(row.covariance)) for row in used])

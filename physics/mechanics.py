@@ -5,6 +5,7 @@ Sources: Bini 2026, section 3.3, equation 9 and table 1 (constants), section 3.4
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 from typing import Literal
@@ -69,6 +70,20 @@ class Mechanics:
             raise ValueError(f"mechanics.anchor is {self.anchor}; give a number of at least 0.")
         if not 0 <= self.window_error < 1:
             raise ValueError(f"mechanics.window_error is {self.window_error}; give 0 (exact) or a share below 1.")
+
+    def matched(self, interval: float) -> Mechanics:
+        """The same over the same time, with the largest step of at most Δt that divides an interval [s].
+
+        Observations at multiples of the interval then lie on steps; rounding them to the nearest step would shift a
+        30 Hz clip's by up to a quarter of a step's worth of motion.
+        """
+        step = interval / math.ceil(interval / self.time_step - 1e-6)
+        scale = self.time_step / step
+        if abs(scale - 1) < 1e-9:
+            return self
+        return dataclasses.replace(
+            self, time_step=step, steps=round(self.steps * scale), load_steps=round(self.load_steps * scale)
+        )
 
     @property
     def times(self) -> np.ndarray:

@@ -83,7 +83,7 @@ def test_a_contact_with_known_truth_is_recovered_within_its_uncertainty(done: Pa
         assert found > 0
         assert abs(found - abs(value)) < 4 * sd
         assert abs(np.log(found / abs(value))) < 0.25
-        assert sd == pytest.approx(bound * found, rel=1e-5)
+        assert sd == pytest.approx(bound * found, rel=0.2)  # the bound is the largest within one sd
     # The noise is what was put in, and the relief that a plane around every pixel leaves.
     assert 0.9 * SCENE.depth_noise < float(row["noise"]) < 1.3 * SCENE.depth_noise
     assert 0.3 < float(row["misfit"]) < 1.5

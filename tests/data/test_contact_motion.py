@@ -126,16 +126,16 @@ def test_pressed_pixel_needs_enough_frames_and_a_clear_change() -> None:
     u, v = onset.geometry.pixel
     place = np.array([u, v], float)
     dent = (u - 1, v)
-    later = [(frame(ONSET + 1 + k, contact=True, dent=dent), place) for k in range(4)]
+    later = [(frame(ONSET + 1 + k, contact=True, dent=dent), place, 0.0) for k in range(4)]
     assert pressed_pixel(onset, later, 3.5) == dent
     assert pressed_pixel(onset, later, 1000.0) is None
     assert pressed_pixel(onset, [], 3.5) is None
     # A pixel seen in fewer than half of the frames does not count.
-    for prepared, _ in later[1:]:
+    for prepared, _, _ in later[1:]:
         prepared.labels[dent[1], dent[0]] = 0
     assert pressed_pixel(onset, later, 3.5) != dent
     # Tissue that has moved in the picture is compared with itself.
-    moved = [(frame(ONSET + 1 + k, contact=True, dent=(u - 2, v)), place - (1, 0)) for k in range(4)]
+    moved = [(frame(ONSET + 1 + k, contact=True, dent=(u - 2, v)), place - (1, 0), 0.0) for k in range(4)]
     assert pressed_pixel(onset, moved, 3.5) == dent
 
 

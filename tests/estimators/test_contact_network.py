@@ -53,6 +53,10 @@ def test_every_frame_has_its_row(network: ContactNetwork, clip) -> None:
         if item.status != "ok":
             assert (item.stiffness, item.verdict, item.stiffness_sd) == (None, "", None)
             continue
+        if item.frame < onset + 2:  # too little motion was seen
+            assert (item.stiffness, item.verdict) == (None, "undetermined")
+            assert "two frames" in item.detail
+            continue
         assert onset <= item.frame < release
         assert item.verdict in ("determined", "ratios", "undetermined")
         low, high = item.stiffness_low, item.stiffness_high
@@ -60,8 +64,7 @@ def test_every_frame_has_its_row(network: ContactNetwork, clip) -> None:
         log_sd = math.log(high / low) / (2 * NINETY)
         expected = item.stiffness * math.exp(log_sd**2 / 2) * math.sqrt(math.expm1(log_sd**2))
         assert item.stiffness_sd == pytest.approx(expected)
-    assert results[onset].verdict == "undetermined"  # nothing has moved yet
-    assert results[onset].force_bound > 1e3
+    assert results[onset + 2].force_bound > results[release - 1].force_bound
 
 
 def test_a_stream_ends_where_the_whole_clip_would(network: ContactNetwork, clip) -> None:

@@ -75,7 +75,7 @@ def test_panel_shows_numbers_only_where_there_are_some() -> None:
 
 def test_undetermined_is_said() -> None:
     estimate = FrameEstimate(1, 0.0, "ok", verdict="undetermined", stiffness=0.5)
-    assert overlay._notes(estimate, "scene units") == ["scene units", "undetermined: onset of contact out of view"]
+    assert overlay._notes(estimate, "scene units") == ["scene units", "undetermined by what was seen so far"]
 
 
 @pytest.mark.parametrize("with_av", [True, False])

@@ -89,3 +89,14 @@ def test_stable_box_passes_and_unstable_ones_say_what_to_do():
         Bounds(damping=(0.0, 0.3), initial=(0.5, 0.1, -1.0)),
         Mechanics(damping="explicit"),
     )
+
+
+@pytest.mark.parametrize("fps", [10.0, 25.0, 29.97, 30.0, 50.0, 60.0, 240.0, 500.0])
+def test_matched_steps_divide_the_frame_interval(fps: float) -> None:
+    mechanics = Mechanics(time_step=0.005, steps=200, load_steps=50)
+    matched = mechanics.matched(1 / fps)
+    ratio = 1 / fps / matched.time_step
+    assert ratio == pytest.approx(round(ratio))
+    assert matched.time_step <= mechanics.time_step * (1 + 1e-9)
+    assert matched.steps * matched.time_step == pytest.approx(1.0, abs=matched.time_step)
+    assert (matched is mechanics) == (fps in (10.0, 25.0, 50.0))

@@ -152,3 +152,17 @@ def test_a_moved_contact_is_the_meshes_own_vertex() -> None:
         geometry.touching,
         geometry.tool_pixel,
     )
+
+
+def test_a_camera_that_comes_nearer_hides_no_dent() -> None:
+    """All depth falls by 0.02 a frame while the contact is pressed away: the dent changes least in depth."""
+    onset = frame(ONSET, contact=True)
+    u, v = onset.geometry.pixel
+    dent, place = (u - 1, v), np.array([u, v], float)
+    later = []
+    for k in range(4):
+        pressed, away = frame(ONSET + 1 + k, contact=True, dent=dent), -0.02 * (k + 1)
+        pressed.depth = np.where(pressed.depth > 0, pressed.depth + np.float32(away), 0)
+        later.append((pressed, place, away))
+    assert pressed_pixel(onset, later, 3.5) == dent
+    assert pressed_pixel(onset, [(prepared, at, 0.0) for prepared, at, _ in later], 3.5) != dent

@@ -148,7 +148,7 @@ def _draw_status_strip(
 
 def _draw_footer(image: np.ndarray, undetermined: bool) -> None:
     if undetermined:
-        note = "Rings: the onset of contact is out of the model's view; stiffness, damping and force are undetermined."
+        note = "Rings: stiffness, damping and force are undetermined by what was seen so far. Bands: 90 % intervals."
         text(image, note, (_LEFT, HEIGHT - 46), 16, MUTED)
     text(image, "palpate: research software, not a medical device.", (_LEFT, HEIGHT - 20), 16, MUTED)
 

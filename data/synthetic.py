@@ -100,12 +100,16 @@ def make_clip(settings: SceneSettings, seed: int) -> SyntheticClip:
     Raises:
         SceneError: the settings leave nothing to draw.
     """
-    scene, motion = draw_truth(settings, seed)
+    return synthetic_clip(*draw_truth(settings, seed), seed)
+
+
+def synthetic_clip(scene: Scene, motion: Motion, seed: int) -> SyntheticClip:
+    """A clip in memory of a truth that was drawn already, observed as the scene's settings say."""
     frames = list(observe(scene, motion, seed))
     return SyntheticClip(
         scene,
         motion,
-        reported_camera(scene.camera, settings),
+        reported_camera(scene.camera, scene.settings),
         seed,
         np.stack([frame.image for frame in frames]),
         np.stack([frame.labels for frame in frames]),

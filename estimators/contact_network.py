@@ -121,8 +121,12 @@ class ContactNetwork:
         information, misfit = np.zeros((3, 3)), math.nan
         if len(case.steps):
             start = time.perf_counter()
-            misfit = self._linearise(mean, case)[0]
-            information = least_informative(lambda logs: self._linearise(logs, case)[1], mean, covariance, box)
+            misfit, central = self._linearise(mean, case)
+
+            def information_at(logs: np.ndarray) -> np.ndarray:
+                return central if np.array_equal(logs, mean) else self._linearise(logs, case)[1]
+
+            information = least_informative(information_at, mean, covariance, box)
             self.seconds["simulation"] += time.perf_counter() - start
         at_bound = np.minimum(mean - box[0], box[1] - mean) < EDGE * (box[1] - box[0])
         return ContactEstimate(theta, covariance, information, case.noise, misfit, at_bound)

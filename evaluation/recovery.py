@@ -19,8 +19,7 @@ from data.collected import CollectedClip
 from data.depth import DepthSettings
 from data.geometry import GeometrySettings
 from data.samples import ContactCase, SampleSettings, contact_cases
-from data.synthetic import SyntheticClip, draw_truth, observe
-from data.synthetic_errors import reported_camera, stored_to_depth
+from data.synthetic import draw_truth, synthetic_clip
 from data.synthetic_scene import Scene, SceneError
 from data.synthetic_settings import SceneSettings
 from data.synthetic_source import prepare_synthetic
@@ -161,15 +160,6 @@ def _evaluate_suite(task: ClipTask, suite: str, specs: tuple[EstimatorSpec, ...]
     tracking, information = compare_tracking(cases[onset], scene, motion)
     known = dataclasses.replace(known, tracking=tracking, information=information)
     return [_estimate(known, spec, clip, onset) for spec in specs]
-
-
-def synthetic_clip(scene: Scene, motion: Motion, seed: int) -> SyntheticClip:
-    """A clip of known truth, observed as the scene's settings say; the same as `data.synthetic.make_clip` makes."""
-    frames = list(observe(scene, motion, seed))
-    camera = reported_camera(scene.camera, scene.settings)
-    images, labels = (np.stack([getattr(frame, name) for frame in frames]) for name in ("image", "labels"))
-    depth = np.stack([stored_to_depth(frame.stored_depth) for frame in frames])
-    return SyntheticClip(scene, motion, camera, seed, images, labels, depth)
 
 
 def compare_tracking(case: ContactCase, scene: Scene, motion: Motion) -> tuple[np.ndarray, np.ndarray]:

@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from data.synthetic import make_clip
+from data.synthetic import make_clip, synthetic_clip
 from data.synthetic_scene import SceneError
 from evaluation import recovery
-from evaluation.recovery import ClipTask, Recovery, draw_log_theta, evaluate_clip, synthetic_clip
+from evaluation.recovery import ClipTask, Recovery, draw_log_theta, evaluate_clip
 from evaluation.recovery_estimators import EstimatorSpec
 from evaluation.suites import SUITES, suite_clip_seed
 

@@ -38,7 +38,8 @@ from evaluation.figures import draw_next_depth
 from evaluation.report import EvaluationError, write_evaluation
 from models.checkpoint import CheckpointError, read_checkpoint, require_same_model
 from models.module import PhysicsInformedGAN, TrainingDiverged
-from models.onnx_export import ParityError, export
+from models.onnx_export import export
+from models.onnx_file import ParityError
 from models.posterior_export import export_posterior
 from physics.mechanics import Bounds, Mechanics, UnstableConfiguration
 

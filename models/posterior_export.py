@@ -5,23 +5,16 @@ With a generator the file holds its encoder too and takes the depth window besid
 
 from __future__ import annotations
 
-import json
-import logging
-import os
-import platform
-import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import onnx
-import onnxruntime
 import torch
 from torch import Tensor, nn
 
 from models.generator import Generator
-from models.onnx_export import OPSET, PARITY_BATCHES, PARITY_TOLERANCE, UNITS, ParityError
-from models.onnx_session import FORMAT_VERSION, INPUT, METADATA_KEY
+from models.onnx_file import PARITY_BATCHES, write_onnx
+from models.onnx_session import INPUT
 from models.posterior import ContactPosterior
 from models.posterior_session import CONTACT, LOG_COVARIANCE, LOG_MEAN, POSTERIOR, PosteriorModel
 
@@ -65,36 +58,18 @@ def export_posterior(
     """
     scale = np.ones(3) if scale is None else scale
     estimator = _Calibrated(network, scale).cpu().eval()
-    document = {
-        "format_version": FORMAT_VERSION,
-        "head": POSTERIOR,
-        "units": UNITS,
-        "calibration": [float(value) for value in scale],
-        "versions": {
-            "python": platform.python_version(),
-            "torch": torch.__version__,
-            "onnx": onnx.__version__,
-            "onnxruntime": onnxruntime.__version__,
-        },
-    } | metadata
+    document = {"head": POSTERIOR, "calibration": [float(value) for value in scale]} | metadata
     size = document["input"]
     window = (size["window"], size["height"], size["width"]) if isinstance(network, Generator) else None
-    model = _to_onnx(estimator, _inputs(network, window, 2))
-    onnx.helper.set_model_props(model, {METADATA_KEY: json.dumps(document, ensure_ascii=False, sort_keys=True)})
-    output.parent.mkdir(parents=True, exist_ok=True)
-    partial = output.with_name(f"{output.name}.{os.getpid()}.partial")
-    try:
-        onnx.save(model, partial, format="protobuf")
-        difference = _parity(estimator, PosteriorModel(partial), window)
-        if difference > PARITY_TOLERANCE:
-            raise ParityError(
-                f"the exported posterior differs from torch by {difference:.2g}, more than {PARITY_TOLERANCE:g}; "
-                f"nothing was written to {output}."
-            )
-        os.replace(partial, output)
-    finally:
-        partial.unlink(missing_ok=True)
-    return difference
+    example = dict(zip((CONTACT, INPUT), _inputs(network, window, 2), strict=False))
+    return write_onnx(
+        estimator,
+        example,
+        [LOG_MEAN, LOG_COVARIANCE],
+        document,
+        output,
+        lambda path: _parity(estimator, PosteriorModel(path), window),
+    )
 
 
 def _inputs(
@@ -118,22 +93,3 @@ def _parity(estimator: _Calibrated, model: PosteriorModel, window: tuple[int, in
         for wanted, given in zip(expected, found, strict=True):
             largest = max(largest, float(np.max(np.abs(given - wanted.numpy()))))
     return largest
-
-
-def _to_onnx(estimator: _Calibrated, inputs: tuple[Tensor, ...]) -> onnx.ModelProto:
-    # The exporter tells of a missing torchvision, which nothing here uses, and of its dependencies' deprecations.
-    logging.getLogger("torch.onnx._internal.exporter._registration").setLevel(logging.ERROR)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        program = torch.onnx.export(
-            estimator,
-            inputs,
-            dynamo=True,
-            dynamic_shapes=tuple({0: torch.export.Dim("batch")} for _ in inputs),
-            input_names=[CONTACT, INPUT][: len(inputs)],
-            output_names=[LOG_MEAN, LOG_COVARIANCE],
-            opset_version=OPSET,
-            external_data=False,
-            verbose=False,
-        )
-    return program.model_proto

@@ -46,14 +46,17 @@ bench: $(INSTALLED)
 	$(BIN)/python -m benchmarks.rollout
 	$(BIN)/python -m benchmarks.training_step
 
+# An interrupted run goes on where it was: a finished training is kept, and so is every validation clip.
 MODEL := runs/contact
-model: $(INSTALLED)
-	$(BIN)/python -m estimators.contact_training --output $(MODEL)
+model: $(INSTALLED) $(MODEL)/posterior.pt
 	$(BIN)/python -m evaluation.calibration --weights $(MODEL)/posterior.pt --output $(MODEL)/uncalibrated.onnx
 	$(BIN)/python -m evaluation.benchmark --suite clean 8bit noisy --estimator network --split validation --clips 210 \
 		--model $(MODEL)/uncalibrated.onnx --output $(MODEL)/validation
 	$(BIN)/python -m evaluation.calibration --weights $(MODEL)/posterior.pt --output models/weights/contact.onnx \
 		--validation $(MODEL)/validation
+
+$(MODEL)/posterior.pt: | $(INSTALLED)
+	$(BIN)/python -m estimators.contact_training --output $(MODEL)
 
 clean:
 	rm -rf .venv runs build *.egg-info

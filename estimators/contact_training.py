@@ -214,7 +214,12 @@ def make_contacts(count: int, seed: int, progress: Progress) -> list[SimulatedCo
 def main() -> None:
     """Train, evaluate, save."""
     parser = argparse.ArgumentParser(prog="python -m estimators.contact_training", description=__doc__.split("\n")[0])
-    parser.add_argument("--output", type=Path, required=True, help="folder for posterior.pt and training.jsonl")
+    parser.add_argument(
+        "--output",
+        type=Path,
+        required=True,
+        help="folder for posterior.pt (unfinished.pt until all is done) and training.jsonl",
+    )
     parser.add_argument("--contacts", type=int, default=8000, help="motions to train on (default %(default)s)")
     parser.add_argument("--rough-steps", type=int, default=2250, help="(default %(default)s)")
     parser.add_argument("--fine-steps", type=int, default=12000, help="(default %(default)s)")
@@ -222,7 +227,7 @@ def main() -> None:
     options = parser.parse_args()
     options.output.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(max(1, os.cpu_count() // 2))
-    start = time.time()
+    start, unfinished = time.time(), options.output / "unfinished.pt"
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns) as progress, (options.output / "training.jsonl").open("w") as log:
         contacts = make_contacts(options.contacts, options.seed, progress)
@@ -240,7 +245,7 @@ def main() -> None:
                     row = {"stage": name, "step": step + 1, "seconds": round(time.time() - start), "loss": loss}
                     log.write(json.dumps(row | report) + "\n")
                     log.flush()
-                    torch.save(trainer.posterior.state_dict(), options.output / "posterior.pt")
+                    torch.save(trainer.posterior.state_dict(), unfinished)
 
             return advance
 
@@ -248,6 +253,8 @@ def main() -> None:
             trainer.rough(options.rough_steps, 64, 1e-3, stage("rough", options.rough_steps))
         fits = trainer.fit(progress)
         trainer.fine(fits, options.fine_steps, 512, 2e-3, stage("fine", options.fine_steps))
+    torch.save(trainer.posterior.state_dict(), unfinished)
+    os.replace(unfinished, options.output / "posterior.pt")
     print(f"{options.output}/posterior.pt written after {(time.time() - start) / 3600:.2f} h")
 
 

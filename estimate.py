@@ -127,15 +127,16 @@ class DirectFits(Batch):
 
     def _result(self, clip: CollectedClip, found: ContactRun, case: ContactCase | None) -> ContactResult:
         number, seconds = int(clip.numbers[found.first]), float(clip.times[found.first])
-        load = load_seconds(clip, found)
+        load, remark = load_seconds(clip, found), clip.details.get(found.first, "")
         if case is None:
-            return ContactResult(number, seconds, load, None, None, NOT_FOLLOWED if found.onset_seen else NO_ONSET)
+            reason = remark or (NOT_FOLLOWED if found.onset_seen else NO_ONSET)
+            return ContactResult(number, seconds, load, None, None, reason)
         try:
             estimate = fit_contact(case, dataclasses.replace(self.direct, mechanics=self.mechanics))
         except NoEstimate as reason:
             return ContactResult(number, seconds, load, case, None, self.sentence(reason))
         ranges = (self.direct.stiffness, self.direct.damping, self.direct.force)
-        return ContactResult(number, seconds, load, case, estimate, doubts(estimate, ranges))
+        return ContactResult(number, seconds, load, case, estimate, f"{remark} {doubts(estimate, ranges)}".strip())
 
     def _record(
         self,

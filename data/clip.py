@@ -26,7 +26,7 @@ from data.layout import ClipLayout
 from data.masks import MaskClasses, MaskError, MaskSource, chosen_kind, open_masks
 from data.prepared import PreparedFrame
 
-PREPROCESSING_VERSION = 1
+PREPROCESSING_VERSION = 2
 """Raised when the same pixels would give a network another input; exported models carry it."""
 
 

@@ -170,7 +170,7 @@ class PreparedClip:
         """Intrinsics of the grid."""
         self.warnings: list[str] = described["warnings"]
         self.details = {int(index): detail for index, detail in described["details"].items()}
-        """Why frames are not `ok`, by index."""
+        """Why frames are not `ok`, or what is wrong with a contact, by index."""
         for name in COLUMNS:
             setattr(self, name, np.load(folder / f"{name}.npy"))
         self.status = [STATUSES[code] for code in self.codes]

@@ -40,11 +40,15 @@ class CollectedClip:
         self.name, self.fps = name, fps
         self._depths: list[np.ndarray] = []
         self._meshes: list[Mesh | None] = []
+        self.details: dict[int, str] = {}
+        """Why frames are not `ok`, or what is wrong with a contact, by index."""
         rows: dict[str, list] = {column: [] for column in COLUMNS}
         for prepared in frames:
             geometry = prepared.geometry
             kept = geometry is not None and (not onsets_only or prepared.track_start == prepared.frame.index)
             self._meshes.append(geometry.mesh if kept else None)
+            if prepared.detail:
+                self.details[len(self._meshes) - 1] = prepared.detail
             if not onsets_only:
                 self._depths.append(np.rint(prepared.depth * LEVELS).astype(np.uint16))
             given = {

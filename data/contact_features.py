@@ -36,15 +36,16 @@ class Surroundings:
     """Neighbours in the contact's own frame over the spacing, whether there are any, distances to the rim."""
 
 
-def contact_features(
-    case: ContactCase, time_step: float, seconds: float = math.inf, surroundings: Surroundings | None = None
-) -> np.ndarray:
+def contact_features(case: ContactCase, time_step: float, surroundings: Surroundings | None = None) -> np.ndarray:
     """The vector of a contact, shape [FEATURES], float32.
+
+    Every instant up to the last observation counts as known, as in training at 25 frames a second. Instants between
+    observations farther apart (lower frame rates, frames without depth) are interpolated and look like observations:
+    such a contact seems better observed than it is.
 
     Args:
         case: the contact with its noise.
         time_step: of the case's steps [s].
-        seconds: only what was seen until this long after the onset is told.
         surroundings: of the contact where they are known already.
 
     Raises:
@@ -54,15 +55,13 @@ def contact_features(
         raise ValueError(f"the contact's noise is {case.noise}; prepare the clip with geometry.smoothing above 0.")
     around = contact_surroundings(case) if surroundings is None else surroundings
     times = (case.steps + 1) * time_step
-    seen = times <= seconds + 1e-9
     slots = slot_times()
     known, along = np.zeros(SLOTS), np.zeros(SLOTS)
-    if seen.any():
-        known = (slots <= times[seen][-1] + 1e-9).astype(np.float64)
-        pressed = -(case.displacement[seen] @ case.direction) / around.spacing
-        along = np.interp(slots, np.concatenate(([0], times[seen])), np.concatenate(([0], pressed)))
-    loaded = (slots <= min(case.load_steps * time_step, seconds) + 1e-9).astype(np.float64)
-    loaded = loaded * known
+    if len(times):
+        known = (slots <= times[-1] + 1e-9).astype(np.float64)
+        pressed = -(case.displacement @ case.direction) / around.spacing
+        along = np.interp(slots, np.concatenate(([0], times)), np.concatenate(([0], pressed)))
+    loaded = (slots <= case.load_steps * time_step + 1e-9) * known
     scales = np.array([around.spacing]), np.array([case.noise])
     return join_features(along[None], known[None], loaded[None], around.vector[None], *scales)[0]
 

@@ -16,6 +16,7 @@ from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 
 from data.camera import Camera, back_project
+from data.outlines import tool_depth
 from data.smooth_surface import smooth_surface
 from physics.mesh import Mesh, contact_normal, grid_mesh, nearest_vertex
 
@@ -199,6 +200,8 @@ def frame_geometry(
     sheet = back_project(resting, camera)
     points = np.where(tissue[..., None], sheet, back_project(depth, camera))
     touching = _touching(tool, tissue, settings.contact_pixels)
+    if not touching:
+        points = np.where(tool[..., None], back_project(tool_depth(depth, tool), camera), points)
     pair = _outline_pair(points, tool, tissue, settings) if touching else _cloud_pair(points, tool, tissue, settings)
     (tool_row, tool_column), (row, column) = pair
     mesh = grid_mesh(sheet, surface, occluder=tool & ~surface, max_edge=settings.max_edge, keep=settings.keep)

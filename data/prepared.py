@@ -12,6 +12,8 @@ from data.geometry import FrameGeometry
 
 STATUSES = ("ok", "no_tool", "no_tissue", "no_contact", "bad_depth", "unreadable", "no_mask")
 """`ok` means in contact; the others say why a frame gives no contact."""
+SEEN_OUT = ("no_tool", "no_contact")
+"""The frame was seen out of contact; with the other statuses but `ok` it isn't known whether it is in contact."""
 
 
 def _not_a_point() -> np.ndarray:
@@ -27,7 +29,7 @@ class PreparedFrame:
     status: str
     """One of STATUSES."""
     detail: str
-    """Why the status is not `ok`, one sentence."""
+    """Why the status is not `ok`, or what is wrong with a contact, one sentence; empty where nothing is."""
     depth: np.ndarray
     """z on the grid, shape [h, w], float32 in [0, 1] [scene units]; 0 = invalid."""
     labels: np.ndarray

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from data.geometry import TISSUE, TOOL
+from data.outlines import near
 from data.prepared import PreparedFrame
 
 FRAMES = 8
@@ -34,7 +35,8 @@ class RestDepth:
         """Depth of the first frame in contact with its tissue averaged over the remembered frames.
 
         A frame is moved by the shift of the picture between the two, and by the median difference of the depths, so
-        that a slowly moving camera does no harm.
+        that a slowly moving camera does no harm. Beside the tool, whose frayed outline may count as tissue, the
+        remembered frames alone count where they show the tissue.
 
         Returns:
             z [h, w] float32 [scene units], and the tissue that is seen now or was seen where the tool is now,
@@ -42,7 +44,7 @@ class RestDepth:
         """
         tissue, tool = (onset.labels == TISSUE) & (onset.depth > 0), onset.labels == TOOL
         total, count = np.where(tissue, onset.depth, 0).astype(np.float64), tissue.astype(np.float64)
-        grey = _grey(onset)
+        grey, beside = _grey(onset), tissue & near(tool)
         for before, depth, valid in self._frames:
             shift, _ = cv2.phaseCorrelate(before, grey)
             if max(abs(shift[0]), abs(shift[1])) > LARGEST_SHIFT:
@@ -56,6 +58,9 @@ class RestDepth:
                 used = shared | (tool & seen)
                 total[used] += moved[used] + np.median(onset.depth[shared] - moved[shared])
                 count[used] += 1
+        alone = beside & (count > 1)
+        total[alone] -= onset.depth[alone]
+        count[alone] -= 1
         known = count > 0
         return np.where(known, total / np.maximum(count, 1), onset.depth).astype(np.float32), known
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from data.clip_cache import PreparedClip
 from data.geometry import GeometrySettings, force_direction
+from data.prepared import SEEN_OUT
 from data.windows import future_indices, window_indices
 from physics.mechanics import Mechanics
 from physics.mesh import Mesh
@@ -141,7 +142,9 @@ def make_case(clip: PreparedClip, frame: int, settings: SampleSettings) -> Conta
 def seen_case(clip: PreparedClip, frame: int, settings: SampleSettings) -> ContactCase:
     """The run of contact that a frame belongs to as it was known at that frame: nothing of it comes from later ones.
 
-    `load_steps` are those until the frame, or until the contact's end where that was seen before.
+    But for two things of a few frames: where the contact is was decided in the first five frames after its onset
+    (`contact_refinement`), and contact that is bridged counts as contact. `load_steps` are those until the frame, or
+    until the contact's end where that was seen before.
     """
     onset = onset_of(clip, frame)
     case = _run_case(clip, onset, settings, last=frame)
@@ -189,9 +192,15 @@ def _judge_run(clip: PreparedClip, frame: int, settings: SampleSettings) -> str:
 
 
 def _observed_frames(clip: PreparedClip, onset: int, settings: SampleSettings) -> tuple[np.ndarray, np.ndarray]:
-    """Frames after an onset in which its tissue point was followed, and the trajectory index of each."""
+    """Frames after an onset in which its tissue point was followed, and the trajectory index of each.
+
+    They end with the last frame in contact where the next one doesn't show whether the tool still presses.
+    """
     frames = np.arange(onset + 1, len(clip))
     followed = (clip.track_start[frames] == onset) & np.isfinite(clip.track_position[frames]).all(axis=1)
+    pressed = _last_pressed(clip, onset)
+    if release_after(clip, pressed) is None:
+        followed &= frames <= pressed
     if settings.horizon_frames is not None:
         followed &= frames - onset <= settings.horizon_frames
     elapsed = clip.times[frames] - clip.times[onset]
@@ -200,14 +209,27 @@ def _observed_frames(clip: PreparedClip, onset: int, settings: SampleSettings) -
     return frames[followed], steps[followed]
 
 
+def _last_pressed(clip: PreparedClip, onset: int) -> int:
+    """The last frame in contact of the run that began at an onset; what flickers in between is pressed as well."""
+    return int(np.flatnonzero((clip.track_start == onset) & clip.contact)[-1])
+
+
+def release_after(clip: PreparedClip, pressed: int) -> int | None:
+    """The frame after a run's last one in contact where it was seen out of contact, None where that isn't known.
+
+    A frame without depth or mask says nothing about contact: after it the load isn't known any more.
+    """
+    after = pressed + 1
+    seen = after < len(clip) and clip.consecutive[pressed] and clip.status[after] in SEEN_OUT
+    return after if seen else None
+
+
 def _load_steps(clip: PreparedClip, onset: int, mechanics: Mechanics) -> int:
     """Steps under load: from the first frame in contact to the first frame out of it, or all where none is seen."""
-    run = np.flatnonzero((clip.track_start == onset) & clip.contact)
-    last = int(run[-1])
-    if last + 1 >= len(clip) or not clip.consecutive[last] or clip.contact[last + 1]:
+    release = release_after(clip, _last_pressed(clip, onset))
+    if release is None:
         return mechanics.steps
-    load = round((clip.times[last + 1] - clip.times[onset]) / mechanics.time_step)
-    return int(np.clip(load, 1, mechanics.steps))
+    return int(np.clip(round((clip.times[release] - clip.times[onset]) / mechanics.time_step), 1, mechanics.steps))
 
 
 def _pair_case(clip: PreparedClip, frame: int, motion: np.ndarray, settings: SampleSettings) -> ContactCase:

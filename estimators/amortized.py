@@ -18,8 +18,9 @@ import numpy as np
 
 from data.camera import Camera
 from data.clip import ClipStream, PreparedFrame
-from data.contact_motion import grid_to_picture
 from data.geometry import force_direction
+from data.prepared import SEEN_OUT
+from data.tissue_points import grid_to_picture
 from data.windows import FrameWindow
 from estimators.estimate import ContactEstimate, FrameEstimate, Verdict, uncertainty
 from estimators.model_settings import section
@@ -30,8 +31,6 @@ from physics.msd_kernel import simulate
 OBSERVATIONS = ("final", "release", "trajectory")
 FULL_ARROW = 0.3
 """Length of the drawn arrow of the largest admissible force, as a share of the contact point's depth."""
-WITHOUT_CONTACT = ("no_tool", "no_contact")
-"""Statuses of frames that were seen and show no contact."""
 
 
 @dataclass(frozen=True)
@@ -173,8 +172,8 @@ def frame_estimate(
     """
     frame, contact, detail = prepared.frame, prepared.geometry, prepared.detail
     if contact is not None and lengths[0] is None:
-        detail = "No displacement: the onset of contact was not seen, or lies beyond the model's horizon."
-    touching = True if contact is not None else False if prepared.status in WITHOUT_CONTACT else None
+        detail = detail or "No displacement: the onset of contact was not seen, or lies beyond the model's horizon."
+    touching = True if contact is not None else False if prepared.status in SEEN_OUT else None
     distance = float(prepared.distance) if math.isfinite(prepared.distance) else None
     u, v = None, None
     if contact is not None:
@@ -202,7 +201,7 @@ def frame_estimate(
 
 def _verdict(statuses: deque[str]) -> Verdict:
     """Whether a window of consecutive frames shows contact begin, without which θ is undetermined."""
-    begins = any(before in WITHOUT_CONTACT and after == "ok" for before, after in pairwise(statuses))
+    begins = any(before in SEEN_OUT and after == "ok" for before, after in pairwise(statuses))
     return "onset_in_view" if begins else "undetermined"
 
 

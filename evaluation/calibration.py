@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from data.clip import PREPROCESSING_VERSION
 from data.contact_features import FEATURES, FRAME_RATE, SLOTS
 from data.masks import MaskClasses
 from estimators.contact_fits import BOUNDS, MECHANICS
@@ -75,6 +76,7 @@ def metadata(weights: Path) -> dict[str, object]:
         "input": {"window": 1, "height": geometry["height"], "width": geometry["width"]},
         "contact": {"features": FEATURES, "slots": SLOTS, "frame_rate": FRAME_RATE},
         "observation": "trajectory",
+        "preprocessing_version": PREPROCESSING_VERSION,
         "bounds": dataclasses.asdict(BOUNDS),
         "mechanics": dataclasses.asdict(MECHANICS),
         "geometry": geometry,

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from data.collected import CollectedClip
-from data.samples import ContactCase
+from data.samples import ContactCase, release_after
 from estimators.estimate import ContactEstimate
 from evaluation.contact_picture import draw_fits
 from evaluation.result_store import RECORD, partial_folder, publish, remove_leftovers, write_record, writing
@@ -100,9 +100,12 @@ def contact_runs(clip: CollectedClip, bridge_frames: int) -> list[ContactRun]:
 
 
 def load_seconds(clip: CollectedClip, run: ContactRun) -> float | None:
-    """Time from a run's onset to the first frame after its release [s]; None where either was not seen."""
-    released = run.last + 1 < len(clip) and clip.consecutive[run.last]
-    return float(clip.times[run.last + 1] - clip.times[run.first]) if run.onset_seen and released else None
+    """Time from a run's onset to the first frame seen out of contact [s]; None where either was not seen.
+
+    Where a frame without depth or mask comes first, the release was not seen.
+    """
+    release = release_after(clip, run.last)
+    return None if release is None or not run.onset_seen else float(clip.times[release] - clip.times[run.first])
 
 
 def doubts(estimate: ContactEstimate, ranges: Sequence[tuple[float, float]]) -> str:

@@ -15,11 +15,11 @@ import pytest
 
 from data.clip import PrepareSettings, prepare, stream
 from data.clip_cache import CacheEntry, cache_key
-from data.contact_motion import grid_to_picture, lift, picture_to_grid, rigid_motion
 from data.depth import DepthSettings
 from data.frames import open_source
 from data.geometry import GeometrySettings
 from data.layout import ClipLayout, InputError, load_layout
+from data.tissue_points import grid_to_picture, lift, picture_to_grid, rigid_motion
 from data.windows import FrameWindow, future_indices, window_indices
 from tests.data.clips import DEPTH_STEP, FOCAL, GRID, SETTINGS, SLOPE, remove_frame, write_clip
 

@@ -32,6 +32,8 @@ def test_it_holds_what_the_cache_holds(folder: Path, tmp_path: Path) -> None:
     cached, collected = prepare(folder, SETTINGS, tmp_path), collect(folder)
     assert (collected.name, collected.fps, len(collected)) == (cached.name, cached.fps, len(cached))
     assert collected.status == cached.status
+    assert collected.details == cached.details
+    assert sorted(collected.details) == [0, 1, 2, 8, 9, 10, 11]
     for name in (*COLUMNS, "contact"):
         np.testing.assert_array_equal(getattr(collected, name), getattr(cached, name), err_msg=name)
     for index in range(len(cached)):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from itertools import pairwise
 
 import cv2
@@ -9,7 +10,8 @@ import numpy as np
 import pytest
 
 from data.camera import Camera
-from data.contact_motion import REFINE_FRAMES, ContactMotion, pressed_pixel
+from data.contact_motion import DENTED, LOST, ContactMotion
+from data.contact_refinement import REFINE_FRAMES, pressed_pixel
 from data.frames import Frame
 from data.geometry import TISSUE, TOOL, GeometrySettings, frame_geometry, move_contact
 from data.prepared import PreparedFrame
@@ -137,6 +139,117 @@ def test_pressed_pixel_needs_enough_frames_and_a_clear_change() -> None:
     # Tissue that has moved in the picture is compared with itself.
     moved = [(frame(ONSET + 1 + k, contact=True, dent=(u - 2, v)), place - (1, 0), 0.0) for k in range(4)]
     assert pressed_pixel(onset, moved, 3.5) == dent
+
+
+def test_pressed_tissue_is_found_all_along_the_touching_outline() -> None:
+    onset = frame(ONSET, contact=True)
+    u, v = onset.geometry.pixel
+    place = np.array([u, v], float)
+    assert 20 <= v <= 27  # the tool's rows
+    far = (u, 27 if v < 24 else 20)  # beyond REFINE_REACH of what was detected
+    later = [(frame(ONSET + 1 + k, contact=True, dent=far), place, 0.0) for k in range(4)]
+    for prepared, _, _ in later:
+        # A tool pixel that is taken for tissue: in front of it, and by more.
+        prepared.depth[v, u - 1] -= 3 * DENT
+    assert pressed_pixel(onset, later, 3.5) == far
+    # Away from the outline nothing is looked for.
+    inland = [(frame(ONSET + 1 + k, contact=True, dent=(u - 12, v)), place, 0.0) for k in range(4)]
+    assert pressed_pixel(onset, inland, 3.5) is None
+
+
+def test_tissue_that_is_pulled_counts_where_nothing_is_pressed() -> None:
+    onset = frame(ONSET, contact=True)
+    u, v = onset.geometry.pixel
+    later = [(frame(ONSET + 1 + k, contact=True), np.array([u, v], float), 0.0) for k in range(4)]
+    for prepared, _, _ in later:
+        prepared.depth[v, u - 1] -= DENT
+    assert pressed_pixel(onset, later, 3.5) == (u - 1, v)
+
+
+def test_of_equal_dents_the_one_that_masks_show_most_often_is_tissue() -> None:
+    """The tip of the tool goes as deep as the tissue it presses; frayed outlines show it as tissue now and then."""
+    onset = frame(ONSET, contact=True)
+    u, v = onset.geometry.pixel
+    later = []
+    for k in range(4):
+        prepared = frame(ONSET + 1 + k, contact=True, dent=(u - 2, v))
+        prepared.depth[v, u - 1] = 0.5 + DENT + NOISE / 2  # hardly deeper
+        if k % 2:
+            prepared.labels[v, u - 1] = TOOL
+        later.append((prepared, np.array([u, v], float), 0.0))
+    assert pressed_pixel(onset, later, 3.5) == (u - 2, v)
+    for prepared, _, _ in later:
+        prepared.depth[v, u - 1] += 10 * NOISE  # deeper beyond doubt
+    assert pressed_pixel(onset, later, 3.5) == (u - 1, v)
+
+
+def test_noise_is_measured_away_from_the_outlines() -> None:
+    linked = motion()
+    frames = [frame(index, contact=False) for index in range(ONSET)] + [frame(ONSET, contact=True)]
+    frames[ONSET].depth[18:30, 38:40] -= 20 * NOISE  # tool that counts as tissue
+    for before, after in pairwise(frames):
+        linked.link(before, after)
+    onset = frames[ONSET]
+    assert onset.geometry.noise == pytest.approx(NOISE, rel=0.1)
+    assert onset.geometry.mesh.vertices[:, 2] == pytest.approx(0.5, abs=2 * NOISE)  # nor is the rest shape dented
+    # Of the tissue beside the tool (columns 38 and 39, rows 18 to 29) all is in front.
+    assert onset.detail.startswith("The masks' outlines disagree with the depth: 100%")
+
+
+def test_clean_outlines_and_a_followed_contact_need_no_words() -> None:
+    frames, _ = follow(motion(), REFINE_FRAMES + 2)
+    assert not any(prepared.detail for prepared in frames[ONSET:-1])
+
+
+@pytest.mark.parametrize("what", ["no flow", "no depth"])
+def test_a_lost_track_is_told(what: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    linked = motion()
+    frames = [frame(index, contact=False) for index in range(ONSET)]
+    frames += [frame(index, contact=True) for index in range(ONSET, ONSET + 4)]
+    for before, after in pairwise(frames[:-1]):
+        linked.link(before, after)
+    if what == "no flow":
+
+        def lose(*arguments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            return np.full((len(arguments[-1]), 2), np.nan), np.zeros(len(arguments[-1]), bool)
+
+        monkeypatch.setattr(linked._tracker, "step", lose)
+    else:
+        frames[-1].depth[:, 20:] = 0
+    linked.link(*frames[-2:])
+    assert not np.isfinite(frames[-1].track_position).any()
+    assert [prepared.detail for prepared in frames[ONSET:]] == ["", "", "", LOST]
+
+
+def press_again(settings: GeometrySettings, pause: int, left: float) -> list[PreparedFrame]:
+    """A press of six frames, `pause` frames without contact and with a dent of `left`, and another press."""
+    linked = motion(settings)
+    frames, dent = follow(linked, REFINE_FRAMES)
+    for index in range(len(frames), len(frames) + pause):
+        frames.append(frame(index, contact=False))
+        frames[-1].depth[dent[1], dent[0]] += np.float32(left)
+    frames += [frame(len(frames) + k, contact=True) for k in range(2)]
+    for before, after in pairwise(frames[-3 - pause :]):
+        linked.link(before, after)
+    return frames[-2:]
+
+
+SUBTRACTED = dataclasses.replace(SETTINGS, rigid_motion="subtract")
+
+
+@pytest.mark.parametrize(
+    ("settings", "pause", "left", "refused"),
+    [
+        (SUBTRACTED, 8, 0.0, False),  # followed, and back at rest
+        (SUBTRACTED, 8, DENT / 2, True),  # followed, and still dented
+        (SETTINGS, 8, 0.0, True),  # the camera's motion is in the track, so only time tells
+        (SETTINGS, 30, 0.0, False),
+    ],
+)
+def test_a_contact_on_dented_tissue_has_no_onset_at_rest(settings, pause, left, refused) -> None:
+    onset, after = press_again(settings, pause, left)
+    assert (onset.detail == DENTED) == refused
+    assert (onset.track_start, after.track_start) == ((-1, -1) if refused else (onset.frame.index,) * 2)
 
 
 def test_a_moved_contact_is_the_meshes_own_vertex() -> None:

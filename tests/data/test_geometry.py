@@ -163,6 +163,18 @@ def test_clouds_within_the_distance_are_in_contact():
     assert caught.value.distance == pytest.approx(0.025, rel=1e-4)
 
 
+def test_background_within_a_frayed_outline_makes_no_contact():
+    depth, labels = scene(gap_columns=4, tool_depth=0.4)
+    labels[18:20, 44:], labels[20:29, 42:44] = 2, 2  # two pixels of background, as deep as the tissue
+    near = GeometrySettings(height=48, width=64, contact_distance=0.03)
+    with pytest.raises(GeometryStatus) as caught:
+        frame_geometry(depth, labels, CAMERA, near)
+    assert caught.value.status == "no_contact"
+    assert caught.value.distance > 0.1
+    labels[20:29, 41] = 2  # where the masks touch, depth doesn't count
+    assert frame_geometry(depth, labels, CAMERA, near).touching
+
+
 def test_a_hovering_tool_needs_the_distance_when_the_masks_do_not_count():
     depth, labels = scene(tool_depth=0.3)
     with pytest.raises(GeometryStatus, match="more than"):

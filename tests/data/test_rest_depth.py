@@ -76,6 +76,18 @@ def test_a_change_of_the_distance_is_undone() -> None:
     np.testing.assert_allclose(depth, PLANE, atol=1e-6)
 
 
+def test_beside_the_tool_earlier_frames_alone_count() -> None:
+    """A frayed outline: the tool's own depth is labelled as tissue up to two pixels beside it."""
+    beside = np.zeros((HEIGHT, WIDTH), bool)
+    beside[8:27, 28:47] = True
+    onset = frame(3, np.where(beside, 0.3, PLANE), tool=True)
+    rest = RestDepth()
+    assert rest.at(onset)[0][9, 29] == np.float32(0.3)  # nothing else is known
+    for index in range(3):
+        rest.push(frame(index, PLANE))
+    np.testing.assert_allclose(rest.at(onset)[0], PLANE, atol=1e-6)
+
+
 def test_tissue_behind_the_tool_is_filled() -> None:
     onset = frame(3, np.where(frame(3, PLANE, tool=True).labels == TOOL, 0.3, PLANE), tool=True)
     unseen = RestDepth().at(onset)[1]

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
 from data.clip import prepare
 from data.geometry import GeometrySettings
-from data.samples import SampleSettings, consecutive_pairs, list_frames, make_sample
+from data.samples import SampleSettings, consecutive_pairs, contact_cases, list_frames, make_sample, release_after
 from physics.mechanics import Mechanics
-from tests.data.clips import DEPTH_STEP, GRID, SETTINGS, remove_frame, write_clip
+from tests.data.clips import DEPTH_STEP, GRID, HEIGHT, SETTINGS, WIDTH, remove_frame, write_clip
 
 PAIRS = SampleSettings(geometry=GRID)
 TRAJECTORY = SampleSettings(window=4, observation="trajectory", geometry=GRID)
@@ -86,6 +87,43 @@ def test_a_trajectory_ends_with_its_horizon_and_with_the_rollout(clip):
 def test_contact_that_never_ends_loads_the_whole_rollout(tmp_path):
     clip = prepare(write_clip(tmp_path / "clip", contact=(2, 3, 4), frames=5), SETTINGS, tmp_path / "cache")
     assert make_sample(clip, 2, TRAJECTORY).case_a.load_steps == 200
+
+
+def spoiled(tmp_path, frames: tuple[int, ...], what: str, contact: tuple[int, ...] = (3, 4, 5, 6, 7)):
+    """A clip some of whose frames have no depth or no mask."""
+    folder = write_clip(tmp_path / "clip", contact=contact)
+    for index in frames:
+        if what == "depth":
+            cv2.imwrite(str(folder / f"frame_{index}_endo_depth.png"), np.zeros((HEIGHT, WIDTH), np.uint16))
+        else:
+            (folder / f"frame_{index}_endo_color_mask.png").unlink()
+    return prepare(folder, SETTINGS, tmp_path / "cache")
+
+
+def test_a_frame_without_depth_within_a_press_is_no_release(tmp_path):
+    clip = spoiled(tmp_path, (5,), "depth")
+    assert clip.status[4:7] == ["ok", "bad_depth", "ok"]
+    case = contact_cases(clip, TRAJECTORY)[3]
+    assert case.load_steps == 5 * 8
+    assert case.steps.tolist() == [7, 23, 31, 39, 47, 55, 63]  # all but the frame itself
+    assert release_after(clip, 7) == 8
+
+
+@pytest.mark.parametrize(("frames", "what"), [((8,), "depth"), ((8, 9), "depth"), ((8,), "mask")])
+def test_after_an_unknown_frame_without_contact_nothing_is_observed(tmp_path, frames, what):
+    clip = spoiled(tmp_path, frames, what, contact=tuple(range(3, frames[-1] + 1)))
+    assert clip.status[8] == ("bad_depth" if what == "depth" else "no_mask")
+    assert release_after(clip, 7) is None
+    case = contact_cases(clip, TRAJECTORY)[3]
+    assert case.load_steps == 200  # it wasn't seen to end
+    assert case.steps.tolist() == [7, 15, 23, 31]  # frames 4 to 7
+
+
+def test_a_longer_unknown_stretch_ends_the_run(tmp_path):
+    clip = spoiled(tmp_path, (5, 6, 7), "depth", contact=(3, 4, 5, 6, 7, 8, 9))
+    case = contact_cases(clip, TRAJECTORY)[3]
+    assert (case.load_steps, case.steps.tolist()) == (200, [7])
+    assert clip.track_start.tolist() == [-1] * 3 + [3] * 5 + [-1] * 4
 
 
 def test_contact_without_onset_gives_no_trajectory(tmp_path):

@@ -54,10 +54,12 @@ GOOD = ContactResult(7, 0.28, 0.16, CASE, ESTIMATE)
 
 
 def clip(contact: str, starts: list[int]) -> CollectedClip:
-    """A clip from a picture of its contact ('#' in contact, 'x' before a gap in the numbers) and its tracks."""
+    """A clip from a picture of its contact ('#' in contact, 'x' before a gap in the numbers, '?' not known)."""
     found = CollectedClip("clip", 25.0, [])
     found._meshes = [None] * len(contact)
     found.contact = np.array([letter in "#x" for letter in contact])
+    statuses = {"#": "ok", "x": "ok", "?": "bad_depth"}
+    found.status = [statuses.get(letter, "no_tool") for letter in contact]
     found.consecutive = np.array([letter != "x" for letter in contact])
     found.consecutive[-1] = False
     found.track_start = np.array(starts)
@@ -85,6 +87,7 @@ def test_the_load_lasts_from_a_seen_onset_to_a_seen_release() -> None:
     assert load_seconds(clip("..##..", [-1, -1, 2, 2, 2, 2]), ContactRun(2, 3, True)) == pytest.approx(0.08)
     assert load_seconds(clip("..####", [-1, -1, 2, 2, 2, 2]), ContactRun(2, 5, True)) is None
     assert load_seconds(clip("..#x..", [-1, -1, 2, 2, -1, -1]), ContactRun(2, 3, True)) is None
+    assert load_seconds(clip("..##?.", [-1, -1, 2, 2, -1, -1]), ContactRun(2, 3, True)) is None
     assert load_seconds(clip("####..", [-1] * 6), ContactRun(0, 3, False)) is None
 
 

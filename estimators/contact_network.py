@@ -75,7 +75,8 @@ class ContactNetwork:
             elif known is None or not math.isfinite(known.onset.geometry.noise):
                 yield FrameResult(current, frame_estimate(current, clip, verdict="undetermined"), None)
             elif len(known.steps) < LEAST_OBSERVATIONS:
-                early = dataclasses.replace(frame_estimate(current, clip, verdict="undetermined"), detail=TOO_EARLY)
+                early = frame_estimate(current, clip, verdict="undetermined")
+                early = dataclasses.replace(early, detail=current.detail or TOO_EARLY)
                 yield FrameResult(current, early, None)
             else:
                 case = known.case(current)
@@ -84,10 +85,17 @@ class ContactNetwork:
                 result = frame_estimate(current, clip, found.theta, lengths, found.verdict, found)
                 yield FrameResult(current, result, force_arrow(found.theta, current, clip, self.bounds))
 
-    def estimate_clip(self, clip: PreparedClip | CollectedClip) -> dict[int, ContactEstimate | NoEstimate]:
-        """Every run of contact of a prepared clip whose onset was seen, or why it has no estimate, by its onset."""
+    def estimate_clip(
+        self, clip: PreparedClip | CollectedClip, horizon_frames: int | None = None
+    ) -> dict[int, ContactEstimate | NoEstimate]:
+        """Every run of contact of a prepared clip whose onset was seen, or why it has no estimate, by its onset.
+
+        Args:
+            clip: the clip.
+            horizon_frames: only so many frames after an onset are used; None = one second.
+        """
         self.mechanics = self.trained.matched(1 / clip.fps)
-        samples = SampleSettings(observation="trajectory", mechanics=self.mechanics)
+        samples = SampleSettings(observation="trajectory", horizon_frames=horizon_frames, mechanics=self.mechanics)
         found: dict[int, ContactEstimate | NoEstimate] = {}
         for onset, case in contact_cases(clip, samples).items():
             if not (math.isfinite(case.noise) and case.noise > 0):

@@ -34,6 +34,8 @@ from models.onnx_session import ModelFileError
 CONSTANT_CLIPS = 60
 """Truths whose mean is the constant: its error is then within 1 % of the best constant's."""
 INTERRUPTED = 130
+LEAST_SEEN = 3
+"""Fewer frames after the onset are refused by `direct`."""
 
 
 class UsageError(ValueError):
@@ -71,6 +73,8 @@ def build_parser() -> argparse.ArgumentParser:
     )
     add("--seed", type=int, default=0, metavar="N", help="another seed gives other clips (default %(default)s)")
     add("--split", choices=list(SPLITS), default="test", help="stream of seeds (default %(default)s)")
+    text = "only the first N frames after the onset are seen, as live frames do (default: one second)"
+    add("--seen", type=int, metavar="N", help=text)
     add("--output", type=Path, required=True, metavar="DIR", help="folder of the results")
     add("--workers", type=int, default=2, metavar="N", help="processes; 0 = in this one (default %(default)s)")
     text = "truths of another split whose mean is the constant estimate (default %(default)s)"
@@ -95,6 +99,10 @@ def check_options(options: argparse.Namespace) -> None:
         raise UsageError(f"--seed is {options.seed}; give at most {LARGEST_SEED}.")
     if options.noise is not None and not (math.isfinite(options.noise) and options.noise > 0):
         raise UsageError(f"--noise is {options.noise}; give a positive length in scene units or leave it out.")
+    if options.seen is not None and options.seen < LEAST_SEEN:
+        raise UsageError(f"--seen is {options.seen}; give at least {LEAST_SEEN} frames or leave it out.")
+    if options.seen is not None and "paper" in options.estimator:
+        raise UsageError("--seen is of no use to paper, which sees single frames; leave one of the two out.")
     for name, option in NEEDS_MODEL.items():
         given = getattr(options, option[2:].replace("-", "_"))
         if name in options.estimator and given is None:
@@ -120,6 +128,7 @@ def estimator_specs(options: argparse.Namespace) -> list[EstimatorSpec]:
             model=str(path or ""),
             model_sha256=sha256_of(path) if path else "",
             noise=options.noise if name == "direct" else None,
+            seen=options.seen,
         )
         if path is not None:
             check_model(spec)
@@ -136,6 +145,7 @@ class Benchmark:
             "seed": options.seed,
             "split": options.split,
             "constant_clips": options.constant_clips,
+            "seen": options.seen,
             "suites": {name: SUITES[name].describe() for name in options.suite},
             "estimators": {spec.name: spec.describe() for spec in specs},
         }
@@ -204,7 +214,7 @@ class Benchmark:
             left = ((suite, tuple(s for s in specs if (suite, index, s.name) not in done)) for suite in options.suite)
             wanted = tuple((suite, some) for suite, some in left if some)
             if wanted:
-                tasks.append(ClipTask(index, suite_clip_seed(options.split, options.seed, index), wanted))
+                tasks.append(ClipTask(index, suite_clip_seed(options.split, options.seed, index), wanted, options.seen))
         return tasks
 
 

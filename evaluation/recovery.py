@@ -115,6 +115,8 @@ class ClipTask:
     """Seed of the clip."""
     wanted: tuple[tuple[str, tuple[EstimatorSpec, ...]], ...]
     """Suites, each with the estimators that are to be tried."""
+    seen: int | None = None
+    """Frames after the onset that estimators and bound see; none = one second."""
 
 
 @dataclass
@@ -148,7 +150,7 @@ def _evaluate_suite(task: ClipTask, suite: str, specs: tuple[EstimatorSpec, ...]
         return [_failed(blank, spec, "no scene", str(error)) for spec in specs]
     try:
         clip = prepare_synthetic(synthetic_clip(scene, motion, task.seed), PREPARE)
-        cases = contact_cases(clip, SAMPLES)
+        cases = contact_cases(clip, dataclasses.replace(SAMPLES, horizon_frames=task.seen))
     except Exception as error:  # a clip that breaks the preparation is a result, and the others go on
         return [_failed(known, spec, "error", f"{type(error).__name__}: {error}") for spec in specs]
     onset = motion.onset_frame

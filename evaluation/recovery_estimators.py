@@ -37,12 +37,14 @@ class EstimatorSpec:
     model_sha256: str = ""
     noise: float | None = None
     """σ that `direct` is told; None = the clip's own estimate."""
+    seen: int | None = None
+    """Frames after the onset that `direct` and `network` see; None = one second."""
     constant: tuple[tuple[float, ...], ...] = ()
     """Means of log θ, then their covariance: what `constant` answers, shape [4][3]."""
 
     def describe(self) -> dict[str, object]:
         """What its estimates depend on, for the run's record."""
-        return {"model_sha256": self.model_sha256, "noise": self.noise}
+        return {"model_sha256": self.model_sha256, "noise": self.noise, "seen": self.seen}
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,7 @@ def open_estimator(spec: EstimatorSpec) -> Estimator:
     """
     if spec.name == "direct":
         settings = DirectSettings(noise=spec.noise)
-        return lambda clip: _answers(fit_clip(clip, settings))
+        return lambda clip: _answers(fit_clip(clip, settings, spec.seen))
     if spec.name == "constant":
         return functools.partial(_constant, np.array(spec.constant))
     if spec.name == "paper":
@@ -87,7 +89,7 @@ def open_estimator(spec: EstimatorSpec) -> Estimator:
     if posterior.takes_depth:
         _require_grid(posterior)
     network = ContactNetwork(posterior)
-    return lambda clip: _answers(network.estimate_clip(clip))
+    return lambda clip: _answers(network.estimate_clip(clip, spec.seen))
 
 
 def _require_grid(model: ParameterModel | PosteriorModel) -> None:

@@ -15,7 +15,7 @@ from evaluation.recovery import Recovery
 from evaluation.result_store import OutputError, writing
 
 RESULTS, RECORD, CONSTANT = "results.jsonl", "run.json", "constant.json"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 _ROOT = Path(__file__).resolve().parents[1]
 _CODE = ("physics", "data", "models", "estimators")
 

@@ -89,7 +89,7 @@ def _draw_contact(
     pressed = simulate(theta, mesh, vertex, scene.direction, fine, load_steps=fine.steps)
     if not low <= np.linalg.norm(pressed, axis=1).max() <= high:
         return None
-    path = simulate(theta, mesh, vertex, scene.direction, FINE, load_steps=fine.steps)
+    path = simulate(theta, mesh, vertex, scene.direction, FINE, load_steps=min(fine.steps, FINE.steps))
     times = np.arange(1, round(settings.fps) + 1) / settings.fps
     case = ContactCase(
         mesh=mesh,

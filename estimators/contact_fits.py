@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 
 import numpy as np
 from scipy.optimize import least_squares
 
-from data.contact_features import SLOTS
+from data.contact_features import SLOTS, join_features
 from data.samples import ContactCase
 from estimators.contact_network import log_box
 from estimators.direct import ContactProblem
@@ -30,6 +31,8 @@ REST_SHARE = 0.15
 """Error of the rest position, in σ: the rest surface is an average of many depths."""
 CUT_SHARE = 0.3
 """Share of samples that are cut off before the second is over, as live frames see them."""
+PRESS_SECONDS = 0.2, 1.1
+"""Presses last between these [s]; those of real clips often outlast the second that is told."""
 EXPLAINED = 2e-4
 """A fit explains a motion without noise where its RMS residual is below this [scene units]."""
 NOMINAL = 1e-3
@@ -97,6 +100,48 @@ def draw_errors(motion: np.ndarray, generator: np.random.Generator) -> tuple[np.
 
 
 def draw_known(count: int, generator: np.random.Generator) -> np.ndarray:
-    """Which slots are seen, shape [count, SLOTS]: all, or the first few."""
-    last = np.where(generator.random(count) < CUT_SHARE, generator.integers(2, SLOTS + 1, count), SLOTS)
+    """Which slots are seen, shape [count, SLOTS]: all, or the first few, or none."""
+    last = np.where(generator.random(count) < CUT_SHARE, generator.integers(0, SLOTS + 1, count), SLOTS)
     return (np.arange(SLOTS) < last[:, None]).astype(np.float64)
+
+
+@dataclasses.dataclass(frozen=True)
+class Drawn:
+    """Contacts as they might have been observed, with their likelihood's parabola; B samples."""
+
+    features: np.ndarray
+    """What is told of them, shape [B, FEATURES], float32."""
+    logs: np.ndarray
+    """φ that explains each motion without its errors, shape [B, 3]."""
+    information: np.ndarray
+    """Fisher information of what was seen, shape [B, 3, 3]."""
+    pull: np.ndarray
+    """Σ slopes·error/σ² of what was seen, shape [B, 3]: the errors move the likelihood's optimum by its share."""
+
+
+def draw_observed(
+    fits: Fits,
+    count: int,
+    generator: np.random.Generator,
+    seen: Callable[[np.ndarray], np.ndarray] | None = None,
+) -> Drawn:
+    """Contacts of the fits with new errors.
+
+    Args:
+        fits: to draw from.
+        count: samples, B.
+        generator: draws contacts, errors and what is seen.
+        seen: from the slots under load to those that are seen, shapes [B, SLOTS]; none = `draw_known`.
+    """
+    index = generator.integers(len(fits.logs), size=count)
+    motion, loaded, spacing = fits.motion[index], fits.loaded[index], fits.spacing[index]
+    error, noise = draw_errors(motion, generator)
+    known = draw_known(count, generator) if seen is None else seen(loaded)
+    along = (motion + error) / spacing[:, None]
+    slopes = fits.slopes[index] * (known / noise[:, None])[..., None]
+    return Drawn(
+        features=join_features(along, known, loaded * known, fits.around[index], spacing, noise),
+        logs=fits.logs[index],
+        information=np.einsum("btp,btq->bpq", slopes, slopes),
+        pull=np.einsum("btp,bt->bp", slopes, error * known / noise[:, None]),
+    )

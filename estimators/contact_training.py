@@ -29,7 +29,7 @@ import torch
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from torch import Tensor
 
-from data.contact_features import FEATURES, contact_features, contact_surroundings, join_features, slot_times
+from data.contact_features import FEATURES, contact_features, contact_surroundings, slot_times
 from data.samples import ContactCase
 from data.simulated_contacts import SimulatedContact, draw_contacts
 from data.synthetic_settings import SceneSettings
@@ -38,9 +38,11 @@ from estimators.contact_fits import (
     EXPLAINED,
     MECHANICS,
     NOISE,
+    PRESS_SECONDS,
+    Drawn,
     Fits,
-    draw_errors,
     draw_known,
+    draw_observed,
     fit_motion,
 )
 from estimators.contact_network import log_box
@@ -56,7 +58,7 @@ BLUR = 0.3, 0.03
 def widened(case: ContactCase, logs: np.ndarray, blur: float) -> Linearised:
     """A contact's misfit around φ, with σ widened by a share (`blur`) of its largest motion."""
     motion = Motion(case.mesh, case.vertex, case.direction, case.load_steps, case.steps, case.displacement)
-    largest = float(np.linalg.norm(case.displacement, axis=1).max())
+    largest = float(np.linalg.norm(case.displacement, axis=1).max(initial=0.0))
     return linearise(motion, logs, math.hypot(case.noise, blur * largest), MECHANICS)
 
 
@@ -74,12 +76,16 @@ class Trainer:
         self.threads = ThreadPoolExecutor(os.cpu_count())
 
     def draw(self) -> tuple[ContactCase, np.ndarray]:
-        """A contact with Gaussian noise, and its features."""
+        """A contact with Gaussian noise as far as it was seen, and its features."""
         index = int(self.generator.integers(len(self.contacts)))
         case = self.contacts[index].case
         noise = math.exp(self.generator.uniform(*np.log(NOISE)))
+        known = draw_known(1, self.generator)[0] > 0
         error = self.generator.normal(0, noise, len(case.steps))[:, None] * case.direction
-        seen = dataclasses.replace(case, displacement=(case.displacement + error).astype(np.float32), noise=noise)
+        observed = (case.displacement + error)[known].astype(np.float32)
+        seen = dataclasses.replace(
+            case, steps=case.steps[known], displacement=observed, weight=case.weight[known], noise=noise
+        )
         return seen, contact_features(seen, MECHANICS.time_step, surroundings=self.surroundings[index])
 
     def rough(self, steps: int, batch_size: int, rate: float, advance: Callable[[int, float], None]) -> None:
@@ -97,7 +103,7 @@ class Trainer:
             box = self.posterior.lower, self.posterior.upper
             return preconditioned(mean, factor, gradient, information, *box, whiten=False)
 
-        self._descend(loss, steps, rate, advance)
+        descend(self.posterior, loss, steps, rate, advance)
 
     def fit(self, progress: Progress) -> Fits:
         """Second stage: what explains every motion; motions that nothing explains are left out and counted."""
@@ -131,36 +137,39 @@ class Trainer:
         """Third stage, on fits: `advance(step, loss)` is called after each of its steps."""
 
         def loss(_: int) -> Tensor:
-            index = self.generator.integers(len(fits.logs), size=batch_size)
-            motion = fits.motion[index]
-            error, noise = draw_errors(motion, self.generator)
-            known = draw_known(batch_size, self.generator)
-            along = (motion + error) / fits.spacing[index, None]
-            loaded = fits.loaded[index] * known
-            features = join_features(along, known, loaded, fits.around[index], fits.spacing[index], noise)
-            mean, factor = self.posterior(torch.from_numpy(features))
-            slopes = fits.slopes[index] * (known / noise[:, None])[..., None]
-            information = np.einsum("btp,btq->bpq", slopes, slopes)
-            pull = np.einsum("btp,bt->bp", slopes, error * known / noise[:, None])
-            offset = mean.detach() - _tensor(fits.logs[index])
-            gradient = torch.einsum("bpq,bq->bp", _tensor(information), offset) - _tensor(pull)
-            box = self.posterior.lower, self.posterior.upper
-            return preconditioned(mean, factor, gradient, _tensor(information), *box)
+            return fine_loss(self.posterior, draw_observed(fits, batch_size, self.generator))
 
-        self._descend(loss, steps, rate, advance)
+        descend(self.posterior, loss, steps, rate, advance)
 
-    def _descend(self, loss_of, steps: int, rate: float, advance: Callable[[int, float], None]) -> None:
-        optimizer = torch.optim.AdamW(self.posterior.parameters(), lr=rate, weight_decay=1e-4)
-        rise = max(0.1, 3 / steps)
-        schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, rate, total_steps=steps, pct_start=rise)
-        for step in range(steps):
-            loss = loss_of(step)
-            optimizer.zero_grad()
-            loss.backward()
-            torch.nn.utils.clip_grad_norm_(self.posterior.parameters(), 1.0)
-            optimizer.step()
-            schedule.step()
-            advance(step, float(loss.detach()))
+
+def fine_loss(posterior: ContactPosterior, drawn: Drawn) -> Tensor:
+    """The evidence bound with every likelihood linearised at its own fit, a scalar."""
+    mean, factor = posterior(torch.from_numpy(drawn.features))
+    information = _tensor(drawn.information)
+    offset = mean.detach() - _tensor(drawn.logs)
+    gradient = torch.einsum("bpq,bq->bp", information, offset) - _tensor(drawn.pull)
+    return preconditioned(mean, factor, gradient, information, posterior.lower, posterior.upper)
+
+
+def descend(
+    posterior: ContactPosterior,
+    loss_of: Callable[[int], Tensor],
+    steps: int,
+    rate: float,
+    advance: Callable[[int, float], None],
+) -> None:
+    """Descend a loss of the step's number; `advance(step, loss)` is called after each step."""
+    optimizer = torch.optim.AdamW(posterior.parameters(), lr=rate, weight_decay=1e-4)
+    rise = max(0.1, 3 / steps)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, rate, total_steps=steps, pct_start=rise)
+    for step in range(steps):
+        loss = loss_of(step)
+        optimizer.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(posterior.parameters(), 1.0)
+        optimizer.step()
+        schedule.step()
+        advance(step, float(loss.detach()))
 
 
 def _tensor(values) -> Tensor:
@@ -199,7 +208,7 @@ def _scene_contacts(task: tuple[SceneSettings, int, float]) -> list[SimulatedCon
 
 def make_contacts(count: int, seed: int, progress: Progress) -> list[SimulatedContact]:
     """About `count` contacts of many scenes, drawn on all cores."""
-    settings = SceneSettings(width=214, height=120)
+    settings = SceneSettings(width=214, height=120, press_seconds=PRESS_SECONDS)
     seeds = np.random.SeedSequence((seed, 0xC0)).generate_state(-(-count // CONTACTS_A_SCENE)).tolist()
     tasks = [(settings, scene, MECHANICS.time_step) for scene in seeds]
     found: list[SimulatedContact] = []

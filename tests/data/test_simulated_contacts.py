@@ -41,6 +41,15 @@ def test_draws_keep_to_their_ranges() -> None:
         np.testing.assert_allclose((contact.case.steps + 1) * 0.005, np.arange(1, 26) / 25)
 
 
+def test_a_press_may_outlast_the_second_that_is_told() -> None:
+    long = dataclasses.replace(SETTINGS, press_seconds=(1.2, 1.3))
+    for contact in draw_contacts(long, 11, 2, 0.005):
+        case = contact.case
+        assert 240 <= case.load_steps <= 260
+        loaded = simulate(contact.theta, case.mesh, case.vertex, case.direction, FINE, load_steps=FINE.steps)
+        np.testing.assert_allclose(case.displacement, loaded[15::16], atol=1e-7)
+
+
 def test_the_same_seed_gives_the_same_contacts() -> None:
     first, again = (draw_contacts(SETTINGS, 5, 2, 0.005) for _ in range(2))
     for one, two in zip(first, again, strict=True):

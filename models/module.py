@@ -55,6 +55,7 @@ class PhysicsInformedGAN(LightningModule):
             covariance from the contact's motion and the window, trained by the evidence bound.
         contact_features: length of the contact's vector, for head posterior; train.py takes it from the data.
         pretrained: weights of head posterior that `estimators.contact_training` wrote, taken over before training.
+        pretrained_rate: share of `learning_rate` at which pretrained heads are trained on; 0 keeps them as they are.
         bounds: admissible box of θ.
         mechanics: constants of the rollout.
         weights: λ of the five loss terms; a term of weight 0 is not computed, and without gan no discriminator trains.
@@ -72,6 +73,7 @@ class PhysicsInformedGAN(LightningModule):
         head: Literal["parameters", "posterior"] = "parameters",
         contact_features: int = 0,
         pretrained: str | None = None,
+        pretrained_rate: float = 0.1,
         bounds: Bounds = Bounds(),  # noqa: B008 (frozen)
         mechanics: Mechanics = Mechanics(),  # noqa: B008
         weights: LossWeights = LossWeights(),  # noqa: B008
@@ -86,6 +88,8 @@ class PhysicsInformedGAN(LightningModule):
             )
         if pretrained is not None and head != "posterior":
             raise ValueError(f"pretrained is {pretrained} and head {head}; it holds weights of head posterior.")
+        if not 0 <= pretrained_rate <= 1:
+            raise ValueError(f"pretrained_rate is {pretrained_rate}; give a share of learning_rate in [0, 1].")
         # Plain values only: a checkpoint must load without running code.
         self.save_hyperparameters(
             {
@@ -106,7 +110,7 @@ class PhysicsInformedGAN(LightningModule):
         self.automatic_optimization = False
         self.bounds, self.mechanics, self.weights = bounds, mechanics, weights
         self.learning_rate, self.betas = learning_rate, betas
-        self.pretrained = pretrained
+        self.pretrained, self.pretrained_rate = pretrained, pretrained_rate
         shape = (window, width, residual_blocks, bounds, decoder, head, contact_features)
         self.generator_ab, self.generator_ba = Generator(*shape), Generator(*shape)
         self.discriminator_a = PatchDiscriminator(1, width)
@@ -129,8 +133,19 @@ class PhysicsInformedGAN(LightningModule):
                 load_posterior(generator.head.posterior, Path(self.pretrained))
 
     def configure_optimizers(self) -> list[torch.optim.Optimizer]:
-        """One Adam for both generators, one for each discriminator (Bini 2026, section 3.5)."""
-        generators = [*self.generator_ab.parameters(), *self.generator_ba.parameters()]
+        """One Adam for both generators, one for each discriminator (Bini 2026, section 3.5).
+
+        A pretrained head starts near its optimum, where the gradient of a small batch is mostly noise. Adam's steps do
+        not shrink with the gradient, so that its full rate would carry the head away; see `pretrained_rate`.
+        """
+        generators: list[Any] = [*self.generator_ab.parameters(), *self.generator_ba.parameters()]
+        if self.pretrained is not None:
+            heads = [*self.generator_ab.head.parameters(), *self.generator_ba.head.parameters()]
+            known = {id(parameter) for parameter in heads}
+            generators = [
+                {"params": [parameter for parameter in generators if id(parameter) not in known]},
+                {"params": heads, "lr": self.pretrained_rate * self.learning_rate},
+            ]
         groups = (generators, self.discriminator_a.parameters(), self.discriminator_b.parameters())
         return [torch.optim.Adam(group, lr=self.learning_rate, betas=self.betas) for group in groups]
 

@@ -285,3 +285,38 @@ def test_a_pretrained_head_is_taken_over_when_training_starts(make_told_batch, t
 def test_pretrained_weights_need_the_head_that_they_are_for():
     with pytest.raises(ValueError, match="pretrained is some\\.pt and head parameters"):
         build(pretrained="some.pt")
+
+
+def test_a_pretrained_head_moves_at_its_share_of_the_rate(make_told_batch, tmp_path):
+    """Adam's first step is as long as its rate, whatever the gradient; the decoder keeps the whole one."""
+    torch.save(ContactPosterior(6, log_box(POSTERIOR["bounds"])).state_dict(), tmp_path / "posterior.pt")
+
+    def longest_step(**settings) -> dict[str, float]:
+        module = build(learning_rate=1e-3, **POSTERIOR | settings)
+        module.trainer = Trainer(accelerator="cpu", logger=False, enable_progress_bar=False, enable_checkpointing=False)
+        module.on_fit_start()
+        optimizer = module.configure_optimizers()[0]
+        before = {name: parts(getattr(module.generator_ab, name)) for name in ("head", "decoder")}
+        module.generator_losses(make_told_batch())[0].total(module.weights).backward()
+        optimizer.step()
+        after = {name: parts(getattr(module.generator_ab, name)) for name in before}
+        return {name: max(float((after[name][k] - v).abs().max()) for k, v in before[name].items()) for name in before}
+
+    pretrained = {"pretrained": str(tmp_path / "posterior.pt")}
+    assert longest_step() == pytest.approx({"head": 1e-3, "decoder": 1e-3}, rel=0.01)
+    assert longest_step(**pretrained) == pytest.approx({"head": 1e-4, "decoder": 1e-3}, rel=0.01)
+    assert longest_step(pretrained_rate=1.0, **pretrained) == pytest.approx({"head": 1e-3, "decoder": 1e-3}, rel=0.01)
+    assert longest_step(pretrained_rate=0.0, **pretrained)["head"] == 0
+
+
+def test_every_parameter_of_the_generators_is_trained_once(tmp_path):
+    module = build(**POSTERIOR | {"pretrained": "posterior.pt"})
+    groups = module.configure_optimizers()[0].param_groups
+    found = [id(parameter) for group in groups for parameter in group["params"]]
+    networks = (module.generator_ab, module.generator_ba)
+    assert sorted(found) == sorted(id(parameter) for network in networks for parameter in network.parameters())
+
+
+def test_impossible_pretrained_rate_is_refused():
+    with pytest.raises(ValueError, match="pretrained_rate is 1\\.5; give a share"):
+        build(pretrained_rate=1.5)

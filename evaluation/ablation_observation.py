@@ -1,0 +1,155 @@
+"""What is observed, ablated: the contact posterior alone, trained on fewer of the frames after the onset.
+
+Every row trains a new network by the `fine` stage of `estimators.contact_training` on the same fits, equally long; only
+what is seen of a motion differs, in the features as in the likelihood. Judged on held-out contacts with Gaussian noise
+against the bound of their whole first second, so that all rows are divided by the same number.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from pathlib import Path
+
+import numpy as np
+import torch
+from rich.progress import Progress
+
+from data.contact_features import FEATURES, SLOTS, contact_surroundings, join_features, slot_times
+from data.simulated_contacts import SimulatedContact
+from estimators.contact_fits import BOUNDS, MECHANICS, Drawn, Fits, draw_observed
+from estimators.contact_network import log_box
+from estimators.contact_training import Trainer, descend, fine_loss, make_contacts
+from evaluation.ablation_scores import numbers
+from evaluation.recovery_scores import TO_QUANTITIES
+from evaluation.suites import CLEAN_NOISE
+from models.posterior import ContactPosterior
+from physics.identifiability import covariance, fisher_information, log_jacobian
+from physics.msd_kernel import simulate_sensitivities
+
+BATCH, RATE = 512, 2e-3
+"""Of the fine stage, as `estimators.contact_training` has them."""
+EXAMPLES = 4000
+"""Samples that the inputs' centre and scale are taken from."""
+LEAST_SPREAD = 0.3
+"""An input that hardly varies in a row, such as a slot that is never seen, is not blown up."""
+
+
+def seen_slots(row: str, loaded: np.ndarray) -> np.ndarray:
+    """What a row sees: `release` the last slot under load, `final` the last of the second, a number that many frames.
+
+    Args:
+        row: name of the observation.
+        loaded: whether a slot is under load, shape [B, SLOTS].
+
+    Returns:
+        Shape [B, SLOTS], 1 where seen, else 0.
+    """
+    slots = np.arange(SLOTS)
+    if row == "release":
+        # A press shorter than a frame has its first slot.
+        return (slots == np.maximum(loaded.sum(axis=1, keepdims=True) - 1, 0)).astype(np.float64)
+    seen = slots == SLOTS - 1 if row == "final" else slots < int(row)
+    return np.broadcast_to(seen, loaded.shape).astype(np.float64)
+
+
+@dataclasses.dataclass(frozen=True)
+class Material:
+    """What all rows are trained and judged on."""
+
+    fits: Fits
+    """Training contacts around what explains them."""
+    held_out: Fits
+    """Other contacts, around their truth: evaluation alone reads them."""
+
+
+def write_material(path: Path, weights: Path, contacts: int, held_out: int, seed: int, progress: Progress) -> None:
+    """Make the material once; it appears under its name only when complete.
+
+    Args:
+        path: file to write.
+        weights: contact posterior whose estimates the fits begin from.
+        contacts, held_out: about how many of either kind.
+        seed: another seed gives other contacts.
+        progress: gets a bar for each stage.
+    """
+    drawn = make_contacts(contacts, seed, progress)
+    trainer = Trainer(drawn, seed)
+    trainer.posterior.load_state_dict(torch.load(weights, map_location="cpu", weights_only=True))
+    parts = {"fits": trainer.fit(progress), "held_out": around_truth(make_contacts(held_out, seed + 1, progress))}
+    arrays = {
+        f"{part}_{field.name}": getattr(fits, field.name)
+        for part, fits in parts.items()
+        for field in dataclasses.fields(Fits)
+    }
+    unfinished = path.with_suffix(".unfinished.npz")
+    np.savez(unfinished, **arrays)
+    os.replace(unfinished, path)
+
+
+def read_material(path: Path) -> Material:
+    """Back from `write_material`; reading it runs no code."""
+    with np.load(path, allow_pickle=False) as stored:
+        names = [field.name for field in dataclasses.fields(Fits)]
+        parts = {part: Fits(**{name: stored[f"{part}_{name}"] for name in names}) for part in ("fits", "held_out")}
+    return Material(**parts)
+
+
+def around_truth(contacts: list[SimulatedContact]) -> Fits:
+    """Contacts with their true φ, and the motion's slopes there."""
+    slots = slot_times() + 1e-9
+    around = [contact_surroundings(contact.case) for contact in contacts]
+    cases = [contact.case for contact in contacts]
+    return Fits(
+        motion=np.stack([-(case.displacement @ case.direction) for case in cases]).astype(np.float64),
+        logs=np.stack([np.log(np.abs(contact.theta)) for contact in contacts]),
+        slopes=np.stack([_slopes(contact) for contact in contacts]),
+        loaded=np.stack([slots <= case.load_steps * MECHANICS.time_step + 2e-9 for case in cases]) * 1.0,
+        around=np.stack([item.vector for item in around]),
+        spacing=np.array([item.spacing for item in around]),
+    )
+
+
+def _slopes(contact: SimulatedContact) -> np.ndarray:
+    """Derivatives by φ of the motion against the force's direction, shape [SLOTS, 3] [scene units]."""
+    case = contact.case
+    _, slopes = simulate_sensitivities(
+        contact.theta, case.mesh, case.vertex, case.direction, MECHANICS, load_steps=case.load_steps, dtype=np.float64
+    )
+    return -np.einsum("tdp,d->tp", log_jacobian(slopes[case.steps], contact.theta), case.direction)
+
+
+def train_row(row: str, material: Material, steps: int, seed: int) -> dict[str, float | None]:
+    """Train on what a row sees, and judge it; returns the row's numbers."""
+    torch.manual_seed(seed)
+    generator = np.random.default_rng([seed, 23])
+    posterior = ContactPosterior(FEATURES, torch.tensor(log_box(BOUNDS)))
+
+    def draw(count: int) -> Drawn:
+        return draw_observed(material.fits, count, generator, lambda loaded: seen_slots(row, loaded))
+
+    posterior.standardise(torch.from_numpy(draw(EXAMPLES).features))
+    posterior.scale.clamp_(min=LEAST_SPREAD)
+    descend(posterior, lambda _: fine_loss(posterior, draw(BATCH)), steps, RATE, lambda step, loss: None)
+    return judge(posterior.eval(), row, material, seed)
+
+
+@torch.no_grad()
+def judge(posterior: ContactPosterior, row: str, material: Material, seed: int) -> dict[str, float | None]:
+    """A row's numbers on the held-out contacts, whose noise is the same in every row."""
+    held = material.held_out
+    error = np.random.default_rng([seed, 29]).normal(0, CLEAN_NOISE, held.motion.shape)
+    known = seen_slots(row, held.loaded)
+    along, noise = (held.motion + error) / held.spacing[:, None], np.full(len(held.logs), CLEAN_NOISE)
+    features = join_features(along, known, held.loaded * known, held.around, held.spacing, noise)
+    mean, factor = (values.double().numpy() for values in posterior(torch.from_numpy(features)))
+    limits = np.stack([covariance(fisher_information(slopes, CLEAN_NOISE)) for slopes in held.slopes])
+    truth = held.logs @ TO_QUANTITIES.T
+    constant = material.fits.logs.mean(axis=0) @ TO_QUANTITIES.T
+    spread = _deviations(factor @ factor.transpose(0, 2, 1))
+    return numbers(mean @ TO_QUANTITIES.T - truth, constant - truth, _deviations(limits), spread)
+
+
+def _deviations(covariances: np.ndarray) -> np.ndarray:
+    """Standard deviations of all quantities, shape [n, 5], from covariances of φ, shape [n, 3, 3]."""
+    return np.sqrt(np.einsum("ij,njk,ik->ni", TO_QUANTITIES, covariances, TO_QUANTITIES))

@@ -1,0 +1,74 @@
+"""What an observation's row sees, its shared material, and that a row learns."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from data.contact_features import SLOTS
+from data.simulated_contacts import SimulatedContact, draw_contacts
+from data.synthetic_settings import SceneSettings
+from estimators.contact_fits import MECHANICS, draw_observed
+from evaluation.ablation_observation import Material, around_truth, seen_slots, train_row
+from physics.msd_kernel import simulate
+
+LOADED = (np.arange(SLOTS) < np.array([[7], [0], [SLOTS]])).astype(float)
+
+
+@pytest.fixture(scope="module")
+def contacts() -> list[SimulatedContact]:
+    settings = SceneSettings(width=214, height=120, regime="critical")
+    return [contact for seed in (1, 2) for contact in draw_contacts(settings, seed, 4, MECHANICS.time_step)]
+
+
+@pytest.mark.parametrize("frames", [1, 2, 4, 8, 16, 25])
+def test_a_number_sees_the_first_frames(frames: int) -> None:
+    known = seen_slots(str(frames), LOADED)
+    assert known.shape == LOADED.shape
+    assert known.sum(axis=1).tolist() == [frames] * 3
+    assert known[:, :frames].all()
+
+
+def test_release_sees_the_last_frame_under_load_and_final_the_last_of_all() -> None:
+    release, final = seen_slots("release", LOADED), seen_slots("final", LOADED)
+    assert release.argmax(axis=1).tolist() == [6, 0, SLOTS - 1]
+    assert final.argmax(axis=1).tolist() == [SLOTS - 1] * 3
+    assert release.sum(axis=1).tolist() == final.sum(axis=1).tolist() == [1.0] * 3
+
+
+def test_slopes_around_the_truth_are_the_simulator_s(contacts: list[SimulatedContact]) -> None:
+    """Against central differences in log θ, in float64."""
+    held, contact = around_truth(contacts[:1]), contacts[0]
+    case, step = contact.case, 1e-4
+
+    def pressed(logs: np.ndarray) -> np.ndarray:
+        theta, load = np.exp(logs) * (1, 1, -1), case.load_steps
+        tissue = case.mesh, case.vertex, case.direction
+        path = simulate(theta, *tissue, MECHANICS, load_steps=load, dtype=np.float64)
+        return -(path[case.steps] @ case.direction)
+
+    for column, offset in enumerate(step * np.eye(3)):
+        slope = (pressed(held.logs[0] + offset) - pressed(held.logs[0] - offset)) / (2 * step)
+        np.testing.assert_allclose(held.slopes[0, :, column], slope, atol=1e-5)
+    np.testing.assert_allclose(pressed(held.logs[0]), held.motion[0], atol=2e-4)
+    assert held.loaded.sum() == round(case.load_steps / 8)
+
+
+def test_features_and_likelihood_know_the_seen_slots_alone(contacts: list[SimulatedContact]) -> None:
+    fits = around_truth(contacts)
+    drawn = draw_observed(fits, 64, np.random.default_rng(0), lambda loaded: seen_slots("4", loaded))
+    assert not drawn.features[:, 4:SLOTS].any()
+    assert drawn.features[:, 2 * SLOTS : 3 * SLOTS].sum(axis=1).tolist() == [4.0] * 64
+    one = draw_observed(fits, 64, np.random.default_rng(0), lambda loaded: seen_slots("final", loaded))
+    values = np.linalg.eigvalsh(one.information)
+    assert (values[:, 1] < 1e-9 * values[:, 2]).all()  # one number tells one direction
+
+
+def test_seeing_more_frames_leaves_a_smaller_error(contacts: list[SimulatedContact]) -> None:
+    """On eight contacts, a row learns what its frames tell, and the same seed gives the same numbers."""
+    material = Material(around_truth(contacts), around_truth(contacts))
+    many, few = (train_row(row, material, 60, 0) for row in ("25", "1"))
+    assert many["judged"] == few["judged"] > 0
+    assert many["rms_force_damping"] < few["rms_force_damping"]
+    assert many["constant_over_bound_damping"] == few["constant_over_bound_damping"]
+    assert train_row("1", material, 60, 0) == few

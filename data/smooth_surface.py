@@ -18,6 +18,9 @@ LEAST_WEIGHT = 1e-6
 def smooth_surface(depth: np.ndarray, tissue: np.ndarray, smoothing: float) -> tuple[np.ndarray, float]:
     """Depth of the tissue by a plane fitted around every pixel with Gaussian weights (local linear regression).
 
+    A plane cuts off what is curved: on synthetic tissue 0.2 of a depth noise of 0.001 where the tool touches, in all
+    frames alike. So the same fit to what it left is added (twicing, Tukey 1977), whose bias is of higher order.
+
     Args:
         depth: z, shape [h, w] [scene units].
         tissue: pixels that are tissue and have a depth, shape [h, w], bool; only they are read and changed.
@@ -25,7 +28,7 @@ def smooth_surface(depth: np.ndarray, tissue: np.ndarray, smoothing: float) -> t
 
     Returns:
         Smoothed depth [h, w] float32, elsewhere as it was, and the noise: the standard deviation of the tissue's depth
-        about it [scene units], not a number without tissue.
+        about the planes [scene units], not a number without tissue.
     """
     if not tissue.any():
         return depth, float("nan")
@@ -39,17 +42,24 @@ def smooth_surface(depth: np.ndarray, tissue: np.ndarray, smoothing: float) -> t
         return cv2.GaussianBlur(values * weight, (size, size), smoothing, borderType=cv2.BORDER_CONSTANT)[tissue]
 
     total = around(np.ones_like(z))
-    mean_x, mean_y, mean_z = (around(values) / total for values in (columns, rows, z))
+    mean_x, mean_y = (around(values) / total for values in (columns, rows))
     xx, xy, yy = (around(values) / total for values in (columns * columns, columns * rows, rows * rows))
-    xz, yz = around(columns * z) / total, around(rows * z) / total
     xx, xy, yy = xx - mean_x**2, xy - mean_x * mean_y, yy - mean_y**2
-    xz, yz = xz - mean_x * mean_z, yz - mean_y * mean_z
     determinant = xx * yy - xy * xy
     flat = determinant > LEAST_WEIGHT * smoothing**4
     safe = np.where(flat, determinant, 1.0)
-    slope_x = np.where(flat, (yy * xz - xy * yz) / safe, 0.0)
-    slope_y = np.where(flat, (xx * yz - xy * xz) / safe, 0.0)
-    fitted = mean_z + slope_x * (columns[tissue] - mean_x) + slope_y * (rows[tissue] - mean_y)
+
+    def fit(values: np.ndarray) -> np.ndarray:
+        mean_z, xz, yz = (around(weights * values) / total for weights in (1.0, columns, rows))
+        xz, yz = xz - mean_x * mean_z, yz - mean_y * mean_z
+        slope_x = np.where(flat, (yy * xz - xy * yz) / safe, 0.0)
+        slope_y = np.where(flat, (xx * yz - xy * xz) / safe, 0.0)
+        return mean_z + slope_x * (columns[tissue] - mean_x) + slope_y * (rows[tissue] - mean_y)
+
+    fitted = fit(z)
+    left = np.zeros_like(z)
+    left[tissue] = z[tissue] - fitted
+    fitted = fitted + fit(left)
     smooth = depth.astype(np.float32, copy=True)
     smooth[tissue] = fitted
-    return smooth, float(np.sqrt(np.mean(np.square(depth[tissue] - fitted))))
+    return smooth, float(np.sqrt(np.mean(np.square(left[tissue]))))

@@ -34,9 +34,19 @@ def test_noise_is_measured_and_taken_away() -> None:
     noisy = plane + np.random.default_rng(1).normal(0, 0.003, plane.shape)
     smooth, noise = smooth_surface(noisy.astype(np.float32), np.ones(plane.shape, bool), 4.0)
     assert noise == pytest.approx(0.003, rel=0.02)
-    # White noise through Gaussian weights keeps 1/(2σ√π) of its standard deviation; at the rim a plane keeps more.
+    # White noise through 2g - g∗g of a Gaussian g keeps √(11/24π)/σ of its deviation; at the rim a plane keeps more.
     inside = np.s_[15:-15, 15:-15]
-    assert (smooth - plane)[inside].std() == pytest.approx(0.003 / (2 * 4 * np.sqrt(np.pi)), rel=0.15)
+    assert (smooth - plane)[inside].std() == pytest.approx(0.003 * np.sqrt(11 / 24 / np.pi) / 4, rel=0.15)
+
+
+def test_curved_tissue_is_not_cut_off() -> None:
+    """A plane alone is off by κσ² on a paraboloid of curvature κ."""
+    rows, columns = np.mgrid[:120, :160]
+    curved = 0.5 + 0.5e-4 * (np.square(columns - 80.0) + np.square(rows - 60.0))
+    smooth, noise = smooth_surface(curved.astype(np.float32), np.ones(curved.shape, bool), 3.0)
+    inside = np.s_[25:-25, 25:-25]
+    np.testing.assert_allclose(smooth[inside], curved[inside], atol=2e-5)
+    assert noise == pytest.approx(1e-4 * 3.0**2, rel=0.1)
 
 
 def test_a_line_of_pixels_holds_no_plane_and_takes_its_mean() -> None:

@@ -16,13 +16,13 @@ from data.collected import CollectedClip
 from data.contact_features import Surroundings, contact_features, contact_surroundings
 from data.geometry import force_direction
 from data.samples import ContactCase, SampleSettings, contact_cases
-from data.windows import FrameWindow
+from data.windows import FrameWindow, window_indices
 from estimators.amortized import FrameResult, force_arrow, frame_estimate
 from estimators.estimate import ContactEstimate, NoEstimate
 from estimators.model_settings import section
 from models.onnx_session import ModelFileError
 from models.posterior_session import PosteriorModel
-from physics.identifiability import fisher_information, least_informative, log_jacobian
+from physics.identifiability import fisher_information, log_jacobian
 from physics.mechanics import Bounds, Mechanics
 from physics.msd_kernel import simulate, simulate_sensitivities
 
@@ -101,9 +101,14 @@ class ContactNetwork:
             if not (math.isfinite(case.noise) and case.noise > 0):
                 found[onset] = NoEstimate("the depth's noise isn't known; prepare with geometry.smoothing above 0.")
                 continue
-            depth = np.stack([clip.depth(onset)] * self.model.window) if self.model.takes_depth else None
+            depth = self._window(clip, onset, case) if self.model.takes_depth else None
             found[onset] = self.estimate(case, contact_surroundings(case), depth)
         return found
+
+    def _window(self, clip: PreparedClip | CollectedClip, onset: int, case: ContactCase) -> np.ndarray:
+        """Depth of the last frames in which a contact was followed, shape [K, h, w]."""
+        last = onset + round((int(case.steps[-1]) + 1) * self.mechanics.time_step * clip.fps)
+        return np.stack([clip.depth(i) for i in window_indices(last, self.model.window, clip.consecutive, clip.usable)])
 
     def estimate(
         self, case: ContactCase, surroundings: Surroundings | None, depth: np.ndarray | None
@@ -129,12 +134,7 @@ class ContactNetwork:
         information, misfit = np.zeros((3, 3)), math.nan
         if len(case.steps):
             start = time.perf_counter()
-            misfit, central = self._linearise(mean, case)
-
-            def information_at(logs: np.ndarray) -> np.ndarray:
-                return central if np.array_equal(logs, mean) else self._linearise(logs, case)[1]
-
-            information = least_informative(information_at, mean, covariance, box)
+            misfit, information = self._linearise(mean, case)
             self.seconds["simulation"] += time.perf_counter() - start
         at_bound = np.minimum(mean - box[0], box[1] - mean) < EDGE * (box[1] - box[0])
         return ContactEstimate(theta, covariance, information, case.noise, misfit, at_bound)

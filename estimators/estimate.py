@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from physics.identifiability import bounds, verdict
+from physics.identifiability import bounds, describe, verdict
 from physics.mechanics import PARAMETERS
 
 Verdict = Literal["", "onset_in_view", "determined", "ratios", "undetermined"]
@@ -35,9 +35,10 @@ class FrameEstimate:
     detail: str = ""
     """One sentence about the status, or about something missing although the status is ok."""
     verdict: Verdict = ""
-    """What the data determine: every parameter (`determined`), only k_s/k_d and F/k_d (`ratios`), or not even those
-    (`undetermined`); see physics.identifiability. Models without a posterior only say whether their window shows the
-    onset of contact (`onset_in_view`), without which nothing is determined. Empty unless the status is ok."""
+    """What is determined, by the estimate's own standard deviations: every parameter (`determined`), only k_s/k_d and
+    F/k_d (`ratios`), or not even those (`undetermined`); see physics.identifiability. Models without a posterior only
+    say whether their window shows the onset of contact (`onset_in_view`), without which nothing is determined. Empty
+    unless the status is ok."""
     stiffness: float | None = None
     """k_s [scene units (normalised)]."""
     stiffness_sd: float | None = None
@@ -47,7 +48,7 @@ class FrameEstimate:
     stiffness_high: float | None = None
     """Upper end of the 90 % interval of k_s."""
     stiffness_bound: float | None = None
-    """Cramér–Rao bound on the standard deviation of log k_s, the largest within one `sd` of the estimate."""
+    """Cramér–Rao bound on the standard deviation of log k_s at the estimate."""
     damping: float | None = None
     """k_d [scene units (normalised)]."""
     damping_sd: float | None = None
@@ -57,7 +58,7 @@ class FrameEstimate:
     damping_high: float | None = None
     """Upper end of the 90 % interval of k_d."""
     damping_bound: float | None = None
-    """Cramér–Rao bound on the standard deviation of log k_d, the largest within one `sd` of the estimate."""
+    """Cramér–Rao bound on the standard deviation of log k_d at the estimate."""
     force: float | None = None
     """Magnitude |F| [scene units (normalised)], never negative."""
     force_sd: float | None = None
@@ -67,7 +68,7 @@ class FrameEstimate:
     force_high: float | None = None
     """Upper end of the 90 % interval of |F|."""
     force_bound: float | None = None
-    """Cramér–Rao bound on the standard deviation of log |F|, the largest within one `sd` of the estimate."""
+    """Cramér–Rao bound on the standard deviation of log |F| at the estimate."""
     contact: bool | None = None
     """Whether tool and tissue touch; None where that could not be decided."""
     contact_distance: float | None = None
@@ -91,14 +92,16 @@ class ContactEstimate:
     covariance: np.ndarray
     """Covariance of (log k_s, log k_d, log |F|), shape [3, 3]."""
     information: np.ndarray
-    """Fisher information of the same from the observed contact trajectory, shape [3, 3]: the least of that at `theta`
-    and one standard deviation to either side (`physics.identifiability.least_informative`)."""
+    """Fisher information of the same from the observed contact trajectory, at `theta`, shape [3, 3]."""
     noise: float
     """Standard deviation of every observed coordinate [scene units]."""
     misfit: float
     """Root mean square of observed minus simulated displacement over `noise`: 1 where the model explains the data."""
     at_bound: np.ndarray
     """Whether a parameter lies at its range's end, shape [3], bool."""
+    decisive: np.ndarray | None = None
+    """Information by which the verdict is given, shape [3, 3]; None = that of `covariance`. The bound is one of θ, and θ
+    is uncertain: where an estimate is badly known, so is the information at it."""
 
     @property
     def log_sd(self) -> np.ndarray:
@@ -108,7 +111,16 @@ class ContactEstimate:
     @property
     def verdict(self) -> str:
         """`determined`, `ratios` or `undetermined` (see physics.identifiability.verdict)."""
-        return verdict(self.information)
+        return verdict(self._decisive)
+
+    @property
+    def explanation(self) -> str:
+        """The verdict's reason in words (see physics.identifiability.describe)."""
+        return describe(self._decisive)
+
+    @property
+    def _decisive(self) -> np.ndarray:
+        return np.linalg.inv(self.covariance) if self.decisive is None else self.decisive
 
 
 def uncertainty(found: ContactEstimate) -> dict[str, float]:

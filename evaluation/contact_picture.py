@@ -12,7 +12,6 @@ import numpy as np
 from data.samples import ContactCase
 from estimators.estimate import ContactEstimate
 from evaluation.drawing import INK, MUTED, Axes, Color, fit_text, text, text_width
-from physics.identifiability import describe
 from physics.mechanics import Mechanics
 from physics.msd_kernel import simulate
 
@@ -108,7 +107,7 @@ def _draw_head(image: np.ndarray, top: int, result: ContactResult) -> None:
     )
     heading = f"Contact from frame {result.onset_frame} ({result.onset_time_s:.3f} s): {numbers}"
     text(image, fit_text(heading, width, 22, bold=True), (_LEFT, top + 28), 22, INK, bold=True)
-    told = f"{estimate.verdict}: {describe(estimate.information)}; misfit {estimate.misfit:.2f}. {result.detail}"
+    told = f"{estimate.verdict}: {estimate.explanation}; misfit {estimate.misfit:.2f}. {result.detail}"
     text(image, fit_text(told, width, 17), (_LEFT, top + 56), 17, MUTED)
 
 

@@ -18,7 +18,7 @@ from evaluation.contact_picture import draw_fits
 from evaluation.result_store import RECORD, partial_folder, publish, remove_leftovers, write_record, writing
 from evaluation.results import cell
 from evaluation.summary import write_summary
-from physics.identifiability import bounds, describe
+from physics.identifiability import bounds
 from physics.mechanics import PARAMETERS, Mechanics
 
 CONTACTS, FIT = "contacts.csv", "fit.png"
@@ -150,7 +150,7 @@ def _numbers(estimate: ContactEstimate) -> dict[str, Any]:
         found |= {name: float(value), f"{name}_sd": float(value * log_sd), f"{name}_bound": float(bound)}
     return found | {
         "verdict": estimate.verdict,
-        "explanation": describe(estimate.information),
+        "explanation": estimate.explanation,
         "noise": estimate.noise,
         "misfit": estimate.misfit,
         "at_bound": " ".join(name for name, stuck in zip(PARAMETERS, estimate.at_bound, strict=True) if stuck),

@@ -8,7 +8,6 @@ estimate of φ has a covariance below I⁻¹ (Cramér–Rao bound). A bound of 0
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -146,26 +145,6 @@ def ratio_bounds(information: np.ndarray) -> np.ndarray:
     # By directions, not by differences of large covariances: the common scale's may be a billion times the ratios'.
     variances, vectors = _variances(information)
     return np.sqrt((RATIOS @ vectors) ** 2 @ variances)
-
-
-def least_informative(
-    information_at: Callable[[np.ndarray], np.ndarray], logs: np.ndarray, spread: np.ndarray, box: np.ndarray
-) -> np.ndarray:
-    """The smallest information [3, 3] among an estimate and one standard deviation to either side of it.
-
-    How much a motion tells depends on θ itself, most along the direction in which θ is known least. A verdict that
-    only held at the estimate would be as uncertain as that.
-
-    Args:
-        information_at: φ [3] → Fisher information [3, 3].
-        logs: estimated φ = (log k_s, log k_d, log |F|), shape [3].
-        spread: its covariance, shape [3, 3].
-        box: lower and upper φ, shape [2, 3]; points beyond are moved to its edge.
-    """
-    values, vectors = np.linalg.eigh(spread)
-    aside = np.sqrt(max(values[-1], 0.0)) * vectors[:, -1]
-    places = (np.clip(logs + share * aside, *box) for share in (0.0, -1.0, 1.0))
-    return max((information_at(place) for place in places), key=lambda found: float(bounds(found).max()))
 
 
 def verdict(information: np.ndarray, limit: float = LIMIT) -> Verdict:

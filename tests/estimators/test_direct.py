@@ -9,8 +9,12 @@ import pytest
 
 from data.collected import CollectedClip
 from data.samples import ContactCase
-from estimators.direct import DirectSettings, Optimum, combine, fit_clip, fit_contact
+from estimators import contact_optima, direct, tracking_noise
+from estimators.contact_optima import Optimum, combine
+from estimators.direct import ContactProblem, DirectSettings, cautious, fit_clip, fit_contact
 from estimators.estimate import NoEstimate
+from estimators.posterior_sampling import Draws, sample_posterior
+from estimators.tracking_noise import log_likelihood
 from physics.identifiability import bounds, contact_information, covariance
 from physics.mechanics import Mechanics
 from physics.mesh import contact_normal
@@ -54,44 +58,143 @@ def case_of(theta: tuple[float, float, float], noise: float = NOISE, seed: int |
 @pytest.mark.parametrize("theta", REGIMES.values(), ids=REGIMES)
 def test_exact_motion_gives_the_parameters_back(theta: tuple[float, float, float]) -> None:
     estimate = fit_contact(case_of(theta), SETTINGS)
-    np.testing.assert_allclose(estimate.theta, theta, rtol=1e-3)
+    # The posterior is not quite symmetric, so its mean lies a little beside its mode.
+    assert (np.abs(np.log(estimate.theta / theta)) < 0.25 * estimate.log_sd).all()
     assert estimate.misfit < 0.01
     assert not estimate.at_bound.any()
     assert estimate.noise == NOISE
 
 
-def test_the_covariance_is_the_inverse_information_at_the_estimate() -> None:
+def test_the_covariance_is_near_the_inverse_information_where_little_is_unknown(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The rest position and rounding are unknown besides, a tenth or two of the variance; sampling adds as much."""
+    monkeypatch.setattr(tracking_noise, "SIGMA_FREEDOM", 1e9)
     theta = REGIMES["critical"]
     estimate = fit_contact(case_of(theta), SETTINGS)
     expected = contact_information(np.array(theta), MESH, VERTEX, DIRECTION, MECHANICS, STEPS, NOISE, load_steps=LOAD)
-    np.testing.assert_allclose(estimate.covariance, covariance(expected), rtol=0.02)
-    # The verdict's information is that of the least informative point within one standard deviation.
-    assert bounds(estimate.information).max() >= bounds(expected).max() * 0.999
+    np.testing.assert_allclose(estimate.covariance, covariance(expected), rtol=0.3)
     np.testing.assert_allclose(estimate.log_sd, np.sqrt(np.diag(estimate.covariance)))
-    # Twice the noise, twice the uncertainty, the same parameters.
+    np.testing.assert_allclose(bounds(estimate.information), bounds(expected), rtol=0.05)
+    # Twice the noise, twice the uncertainty.
     wider = fit_contact(case_of(theta), dataclasses.replace(SETTINGS, noise=2 * NOISE))
-    np.testing.assert_allclose(wider.theta, estimate.theta, rtol=1e-3)
-    np.testing.assert_allclose(wider.log_sd, 2 * estimate.log_sd, rtol=0.01)
+    np.testing.assert_allclose(wider.log_sd, 2 * estimate.log_sd, rtol=0.15)
     assert wider.noise == 2 * NOISE
 
 
-def test_the_covariance_is_the_spread_of_repeated_fits() -> None:
-    """16 fits: a standard deviation is known to 1/√32 = 18 %, so a factor of 1.8 is four of those away."""
-    theta = np.array(REGIMES["under-damped"])
-    estimates = [fit_contact(case_of(tuple(theta), seed=seed), SETTINGS) for seed in range(16)]
-    errors = np.log(np.array([estimate.theta for estimate in estimates]) / theta)
-    claimed = np.mean([estimate.log_sd for estimate in estimates], axis=0)
-    spread = np.sqrt(np.square(errors).mean(axis=0))
-    assert (spread < 1.8 * claimed).all()
-    assert (spread > claimed / 1.8).all()
+def test_a_motion_that_the_model_cannot_explain_widens_the_posterior() -> None:
+    """Noise eight times as large as it is said to be."""
+    theta = REGIMES["critical"]
+    good, bad = (fit_contact(case_of(theta, noise, seed=2), SETTINGS).log_sd for noise in (NOISE, 8 * NOISE))
+    told = dataclasses.replace(SETTINGS, noise=NOISE)
+    unsuspecting = fit_contact(case_of(theta, 8 * NOISE, seed=2), told)
+    assert unsuspecting.misfit > 8
+    assert (unsuspecting.log_sd > 2.5 * good).all()
+    assert (unsuspecting.log_sd < 1.5 * bad).all()
+
+
+def test_errors_are_as_large_as_claimed() -> None:
+    """θ from the prior, noise of the assumed kind: the mean square of error over standard deviation is 1.
+
+    16 contacts with three parameters that hang together: known to about √(2/16) = 35 %.
+    """
+    settings = dataclasses.replace(SETTINGS, stiffness=(0.1, 0.5), damping=(0.01, 0.15), force=(0.02, 0.1))
+    low, high = settings.box
+    generator = np.random.default_rng(5)
+    ratios, misfits = [], []
+    for seed in range(16):
+        logs = generator.uniform(low, high)
+        noise = 1e-3
+        estimate = fit_contact(case_of(tuple(ContactProblem.theta(logs)), noise, seed=seed), settings)
+        ratios.append((np.log(np.abs(estimate.theta)) - logs) / estimate.log_sd)
+        misfits.append(estimate.misfit)
+    squares = np.square(ratios).mean(axis=0)
+    assert (squares > 0.35).all()
+    assert (squares < 1.9).all()
     # The noise is drawn in all three coordinates, and the misfit counts their sum.
-    assert np.mean([estimate.misfit for estimate in estimates]) == pytest.approx(np.sqrt(3), rel=0.1)
+    assert np.mean(misfits) == pytest.approx(np.sqrt(3), rel=0.1)
+
+
+def test_mean_and_covariance_are_those_of_the_posterior_on_a_grid() -> None:
+    """An over-damped contact whose ridge the box cuts off, against 16³ rollouts."""
+    settings = dataclasses.replace(SETTINGS, stiffness=(0.1, 0.4), damping=(0.03, 0.12), force=(0.03, 0.12))
+    case = case_of(REGIMES["over-damped"], 4e-3, seed=7)
+    estimate = fit_contact(case, settings)
+    low, high = settings.box
+    problem = ContactProblem(case, MECHANICS, case.noise)
+    axes = [low[axis] + (np.arange(16) + 0.5) / 16 * (high[axis] - low[axis]) for axis in range(3)]
+    logs = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    along = problem.coarse_paths(logs) @ DIRECTION / case.noise
+    values = log_likelihood(case.displacement @ DIRECTION / case.noise, along)
+    weights = np.exp(values - values.max())
+    weights /= weights.sum()
+    assert 1 / np.square(weights).sum() > 50  # the grid resolves it
+    mean = weights @ logs
+    sd = np.sqrt(weights @ np.square(logs - mean))
+    np.testing.assert_allclose((np.log(np.abs(estimate.theta)) - mean) / sd, 0, atol=0.2)
+    np.testing.assert_allclose(estimate.log_sd, sd, rtol=0.15)
+    assert sd[0] < 0.8 * estimate_free(case)  # cut off indeed
+
+
+def estimate_free(case: ContactCase) -> float:
+    """Standard deviation of log k_s in the whole box."""
+    return float(fit_contact(case, SETTINGS).log_sd[0])
+
+
+def test_the_same_contact_gives_the_same_estimate() -> None:
+    first, second = (fit_contact(case_of(REGIMES["critical"], 1e-3, seed=1), SETTINGS) for _ in range(2))
+    np.testing.assert_array_equal(first.theta, second.theta)
+    np.testing.assert_array_equal(first.covariance, second.covariance)
+    np.testing.assert_array_equal(first.information, second.information)
+
+
+def lone(logs: np.ndarray, likeliest: np.ndarray) -> Draws:
+    """A sample of which one point has all the weight."""
+    return Draws(np.array([logs, logs + 1]), np.array([1.0, 0.0]), likeliest)
+
+
+def test_an_optimum_that_the_starts_missed_is_found_from_the_likeliest_draw(monkeypatch: pytest.MonkeyPatch) -> None:
+    theta = np.array(REGIMES["under-damped"])
+    truth = np.log(np.abs(theta))
+    known = []
+
+    def first_fails(log_likelihood, box, start, candidates) -> Draws:
+        known.append(start.means)
+        if len(known) == 1:
+            return lone(truth, truth + 0.02)
+        return sample_posterior(log_likelihood, box, start, candidates)
+
+    monkeypatch.setattr(direct, "sample_posterior", first_fails)
+    monkeypatch.setattr(ContactProblem, "best_starts", lambda *_: np.log([[0.06, 0.4, 0.02]]))
+    monkeypatch.setattr(contact_optima, "MOST_EVALUATIONS", 2)
+    estimate = fit_contact(case_of(tuple(theta)), SETTINGS)
+    assert len(known) == 2
+    assert np.abs(known[0] - truth).max(axis=1).min() > 0.5
+    assert np.abs(known[1] - truth).max(axis=1).min() < 0.01
+    assert (np.abs(np.log(estimate.theta / theta)) < 0.25 * estimate.log_sd).all()
+
+
+def test_where_sampling_fails_the_optima_speak(monkeypatch: pytest.MonkeyPatch) -> None:
+    theta = REGIMES["critical"]
+    monkeypatch.setattr(direct, "sample_posterior", lambda *_: lone(np.zeros(3), np.log(np.abs(theta))))
+    estimate = fit_contact(case_of(theta), SETTINGS)
+    np.testing.assert_allclose(estimate.theta, theta, rtol=1e-3)
+    expected = contact_information(np.array(theta), MESH, VERTEX, DIRECTION, MECHANICS, STEPS, NOISE, load_steps=LOAD)
+    np.testing.assert_allclose(estimate.covariance, covariance(expected), rtol=0.02)
+
+
+def test_most_draws_must_agree_that_a_contact_determines_its_parameters() -> None:
+    """Two thirds: seven of ten."""
+    draws = [scale * np.diag([100.0, 200.0, 300.0]) for scale in (1, 2, 3, 4, 5, 6, 7, 8, 9, 10)]
+    np.testing.assert_array_equal(cautious(draws[::-1]), draws[3])
+    np.testing.assert_array_equal(cautious(draws[:1]), draws[0])
 
 
 def test_parameters_outside_the_ranges_are_said_to_be_at_their_end() -> None:
     narrow = dataclasses.replace(SETTINGS, stiffness=(0.05, 0.3))
     estimate = fit_contact(case_of(REGIMES["under-damped"]), narrow)
-    assert estimate.theta[0] == pytest.approx(0.3, rel=2e-3)
+    assert estimate.theta[0] == pytest.approx(0.3, rel=0.02)
+    assert estimate.theta[0] < 0.3
     assert estimate.at_bound.tolist() == [True, False, False]
     assert estimate.misfit > 1.5
 
@@ -133,6 +236,7 @@ class Recorded(CollectedClip):
         self.track_start = np.zeros(frames, int)
         self.contact = np.arange(frames) < 8
         self.consecutive = np.arange(frames) < frames - 1
+        self.status = np.where(self.contact, "ok", "no_contact").tolist()
         self.vertex, self.noise = np.full(frames, case.vertex), np.full(frames, case.noise)
         self.normal = np.tile(case.direction, (frames, 1))
         moved = np.concatenate([np.zeros((1, 3)), case.displacement])
@@ -145,7 +249,7 @@ def test_a_clips_contacts_are_fitted_by_their_onset() -> None:
     case = case_of(theta)
     found = fit_clip(Recorded(case, len(STEPS)), SETTINGS)
     assert list(found) == [0]
-    np.testing.assert_allclose(found[0].theta, theta, rtol=2e-3)
+    np.testing.assert_allclose(found[0].theta, theta, rtol=0.01)
     short = fit_clip(Recorded(case, 2), SETTINGS)
     assert isinstance(short[0], NoEstimate)
     assert fit_clip(Recorded(case, 0), SETTINGS) == {}

@@ -130,7 +130,7 @@ def test_doubts_name_a_misfit_and_parameters_at_their_ranges_end() -> None:
 
 def test_counts_by_verdict() -> None:
     failed = ContactResult(1, 0.0, None, None, None, "")
-    loose = dataclasses.replace(GOOD, estimate=dataclasses.replace(ESTIMATE, information=np.eye(3)))
+    loose = dataclasses.replace(GOOD, estimate=dataclasses.replace(ESTIMATE, covariance=np.eye(3)))
     assert count_contacts([failed, GOOD, loose, GOOD]) == {"determined": 2, "undetermined": 1, "no_estimate": 1}
     assert count_contacts([]) == {}
 

@@ -20,7 +20,6 @@ from physics.identifiability import (
     field_information,
     fisher_information,
     in_words,
-    least_informative,
     log_jacobian,
     principal_directions,
     ratio_bounds,
@@ -181,20 +180,3 @@ def test_covariance_is_symmetric_and_not_below_the_diagonal(rows: np.ndarray) ->
 def test_more_data_never_loosen_a_bound(first: np.ndarray, second: np.ndarray) -> None:
     alone, both = fisher_information(first, 1.0), fisher_information(np.concatenate([first, second]), 1.0)
     assert (bounds(both) <= bounds(alone) * (1 + 1e-6) + 1e-9).all() or np.linalg.cond(alone) > 1e10
-
-
-def test_the_least_informative_point_is_found_along_the_widest_direction() -> None:
-    """Information that falls with log k_s: the point one standard deviation up is the least informative."""
-    spread = np.diag([0.25, 0.01, 0.01])
-    box = np.array([[-10.0] * 3, [10.0] * 3])
-    seen = []
-
-    def information_at(logs: np.ndarray) -> np.ndarray:
-        seen.append(logs)
-        return np.exp(-2 * logs[0]) * np.eye(3)
-
-    found = least_informative(information_at, np.zeros(3), spread, box)
-    np.testing.assert_allclose(found, np.exp(-1.0) * np.eye(3))
-    np.testing.assert_allclose(sorted(place[0] for place in seen), [-0.5, 0.0, 0.5])
-    box[1, 0] = 0.2  # not beyond the admissible box
-    np.testing.assert_allclose(least_informative(information_at, np.zeros(3), spread, box), np.exp(-0.4) * np.eye(3))

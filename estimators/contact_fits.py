@@ -15,7 +15,6 @@ from scipy.optimize import least_squares
 
 from data.contact_features import SLOTS, join_features
 from data.samples import ContactCase
-from estimators.contact_network import log_box
 from estimators.direct import ContactProblem
 from physics.mechanics import Bounds, Mechanics
 
@@ -64,7 +63,7 @@ def fit_motion(task: tuple[ContactCase, np.ndarray]) -> tuple[np.ndarray, np.nda
         task: the contact without noise, and where to start.
     """
     case, start = task
-    low, high = log_box(BOUNDS)
+    low, high = BOUNDS.log_box
     problem = ContactProblem(case, MECHANICS, NOMINAL)
     starts = [np.clip(start, low + 1e-3, high - 1e-3)]
     best, rms = None, math.inf

@@ -130,7 +130,7 @@ class ContactNetwork:
         self.seconds["network"] += time.perf_counter() - start
         if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
             raise ModelFileError(f"{self.model.path} gives a number that is not finite; export another checkpoint.")
-        theta, box = np.exp(mean) * PRESSING, log_box(self.bounds)
+        theta, box = np.exp(mean) * PRESSING, self.bounds.log_box
         information, misfit = np.zeros((3, 3)), math.nan
         if len(case.steps):
             start = time.perf_counter()
@@ -205,16 +205,3 @@ class _Run:
             weight=np.ones(len(moves), np.float32),
             noise=contact.noise,
         )
-
-
-def log_box(bounds: Bounds) -> np.ndarray:
-    """Lower and upper (log k_s, log k_d, log |F|) of an admissible box, shape [2, 3].
-
-    Raises:
-        ValueError: a parameter may vanish, or the force may pull.
-    """
-    pressing = (-bounds.force[1], -bounds.force[0])
-    ranges = np.array([bounds.stiffness, bounds.damping, pressing])
-    if not (ranges > 0).all():
-        raise ValueError(f"bounds {ranges.tolist()} reach 0, which has no logarithm; give positive lower ends.")
-    return np.log(ranges.T)

@@ -45,7 +45,6 @@ from estimators.contact_fits import (
     draw_observed,
     fit_motion,
 )
-from estimators.contact_network import log_box
 from models.evidence import Linearised, Motion, linearise, preconditioned
 from models.posterior import ContactPosterior
 from physics.identifiability import bounds
@@ -70,7 +69,7 @@ class Trainer:
         self.contacts = contacts
         self.generator = np.random.default_rng([seed, 17])
         self.surroundings = [contact_surroundings(contact.case) for contact in contacts]
-        self.posterior = ContactPosterior(FEATURES, torch.tensor(log_box(BOUNDS)))
+        self.posterior = ContactPosterior(FEATURES, torch.tensor(BOUNDS.log_box))
         sample = [self.draw() for _ in range(2000)]
         self.posterior.standardise(torch.tensor(np.stack([features for _, features in sample])))
         self.threads = ThreadPoolExecutor(os.cpu_count())

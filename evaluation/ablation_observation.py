@@ -18,7 +18,6 @@ from rich.progress import Progress
 from data.contact_features import FEATURES, SLOTS, contact_surroundings, join_features, slot_times
 from data.simulated_contacts import SimulatedContact
 from estimators.contact_fits import BOUNDS, MECHANICS, Drawn, Fits, draw_observed
-from estimators.contact_network import log_box
 from estimators.contact_training import Trainer, descend, fine_loss, make_contacts
 from evaluation.ablation_scores import numbers
 from evaluation.recovery_scores import TO_QUANTITIES
@@ -123,7 +122,7 @@ def train_row(row: str, material: Material, steps: int, seed: int) -> dict[str, 
     """Train on what a row sees, and judge it; returns the row's numbers."""
     torch.manual_seed(seed)
     generator = np.random.default_rng([seed, 23])
-    posterior = ContactPosterior(FEATURES, torch.tensor(log_box(BOUNDS)))
+    posterior = ContactPosterior(FEATURES, torch.tensor(BOUNDS.log_box))
 
     def draw(count: int) -> Drawn:
         return draw_observed(material.fits, count, generator, lambda loaded: seen_slots(row, loaded))

@@ -25,7 +25,6 @@ from data.clip import PREPROCESSING_VERSION
 from data.contact_features import FEATURES, FRAME_RATE, SLOTS
 from data.masks import MaskClasses
 from estimators.contact_fits import BOUNDS, MECHANICS
-from estimators.contact_network import log_box
 from estimators.estimate import NINETY
 from evaluation.recovery import OK, PREPARE, Recovery
 from evaluation.recovery_store import RESULTS, read_results
@@ -99,7 +98,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     scale = np.ones(3)
     try:
-        posterior = ContactPosterior(FEATURES, torch.tensor(log_box(BOUNDS)))
+        posterior = ContactPosterior(FEATURES, torch.tensor(BOUNDS.log_box))
         posterior.load_state_dict(torch.load(options.weights, map_location="cpu", weights_only=True))
         if options.validation is not None:
             scale = scale_from(read_results(options.validation / RESULTS))

@@ -10,27 +10,6 @@ from models.posterior import ContactPosterior
 from physics.mechanics import Bounds
 
 
-def log_box(bounds: Bounds) -> Tensor:
-    """Lower and upper (log k_s, log k_d, log |F|) of the admissible box, shape [2, 3], float64.
-
-    Raises:
-        ValueError: the box reaches 0 in some parameter, or F changes its sign in it.
-    """
-    for name in ("stiffness", "damping"):
-        if not getattr(bounds, name)[0] > 0:
-            raise ValueError(
-                f"bounds.{name} starts at {getattr(bounds, name)[0]} and head posterior works with logarithms; "
-                "give a positive lower bound, or choose head parameters."
-            )
-    if not bounds.force[1] < 0:
-        raise ValueError(
-            f"bounds.force ends at {bounds.force[1]} and head posterior works with log |F|; "
-            "give a negative upper bound such as -0.01, or choose head parameters."
-        )
-    pressing = (-bounds.force[1], -bounds.force[0])
-    return torch.log(torch.tensor([bounds.stiffness, bounds.damping, pressing], dtype=torch.float64).T)
-
-
 class ContactHead(nn.Module):
     """q(φ | contact, picture) for φ = (log k_s, log k_d, log |F|), and θ = (e^φ₁, e^φ₂, -e^φ₃) at its mean.
 
@@ -54,7 +33,7 @@ class ContactHead(nn.Module):
                 "data.geometry.smoothing above 0, or choose head parameters."
             )
         self.convolution = nn.Conv2d(channels, channels, 3, stride=2, padding=1)
-        self.posterior = ContactPosterior(contact_features, log_box(bounds), picture=channels)
+        self.posterior = ContactPosterior(contact_features, torch.from_numpy(bounds.log_box), picture=channels)
         self.register_buffer("lower", torch.tensor(bounds.lower), persistent=False)
         self.register_buffer("upper", torch.tensor(bounds.upper), persistent=False)
         with torch.no_grad():

@@ -124,6 +124,26 @@ class Bounds:
         """Upper corner of the box, in θ's order."""
         return (self.stiffness[1], self.damping[1], self.force[1])
 
+    @property
+    def log_box(self) -> np.ndarray:
+        """Lower and upper φ = (log k_s, log k_d, log |F|) of the box, shape [2, 3], for what estimates logarithms.
+
+        Raises:
+            ValueError: the box reaches 0 in some parameter, or F changes its sign in it.
+        """
+        for name in ("stiffness", "damping"):
+            if not getattr(self, name)[0] > 0:
+                raise ValueError(
+                    f"bounds.{name} starts at {getattr(self, name)[0]} and head posterior works with logarithms; "
+                    "give a positive lower bound, or choose head parameters."
+                )
+        if not self.force[1] < 0:
+            raise ValueError(
+                f"bounds.force ends at {self.force[1]} and head posterior works with log |F|; "
+                "give a negative upper bound such as -0.01, or choose head parameters."
+            )
+        return np.log([self.stiffness, self.damping, (-self.force[1], -self.force[0])]).T
+
 
 def highest_frequency(springs: np.ndarray, vertex_count: int, stiffness: float, mechanics: Mechanics) -> float:
     """Upper bound on the highest angular frequency of the sheet [rad/s].

@@ -17,7 +17,6 @@ import yaml
 import train
 from data import synthetic
 from data.contact_features import FEATURES
-from models.contact_head import log_box
 from models.onnx_session import ParameterModel
 from models.posterior import ContactPosterior
 from physics.mechanics import Bounds
@@ -160,7 +159,7 @@ def test_head_posterior_starts_pretrained_and_resumes_without_the_file(
 ):
     bounds = Bounds((0.05, 1.0), (0.005, 0.5), (-0.3, -0.01), (0.5, 0.1, -0.05))
     torch.manual_seed(3)
-    pretrained = ContactPosterior(FEATURES, log_box(bounds))
+    pretrained = ContactPosterior(FEATURES, torch.from_numpy(bounds.log_box))
     torch.save(pretrained.state_dict(), tmp_path / "posterior.pt")
     arguments = ["fit", "-c", str(config), "-c", str(told), "--model.learning_rate", "1e-12", "--model.pretrained"]
     assert train.main([*arguments, str(tmp_path / "posterior.pt")]) == 0

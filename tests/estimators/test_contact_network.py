@@ -16,14 +16,13 @@ from data.synthetic import make_clip
 from data.synthetic_settings import SceneSettings
 from data.synthetic_source import open_synthetic, prepare_synthetic
 from estimators.contact_fits import BOUNDS, MECHANICS
-from estimators.contact_network import ContactNetwork, log_box
+from estimators.contact_network import ContactNetwork
 from estimators.estimate import NINETY, NoEstimate
 from evaluation.calibration import metadata
 from evaluation.recovery import PREPARE
 from models.posterior import ContactPosterior
 from models.posterior_export import export_posterior
 from models.posterior_session import PosteriorModel
-from physics.mechanics import Bounds
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +31,7 @@ def network(tmp_path_factory) -> ContactNetwork:
     torch.manual_seed(0)
     folder = tmp_path_factory.mktemp("model")
     weights = folder / "posterior.pt"
-    posterior = ContactPosterior(FEATURES, torch.tensor(log_box(BOUNDS)), width=16, blocks=1)
+    posterior = ContactPosterior(FEATURES, torch.tensor(BOUNDS.log_box), width=16, blocks=1)
     torch.save(posterior.state_dict(), weights)
     export_posterior(posterior, folder / "contact.onnx", metadata(weights), np.ones(3))
     return ContactNetwork(PosteriorModel(folder / "contact.onnx"))
@@ -92,9 +91,3 @@ def test_without_a_noise_level_there_is_no_estimate(network: ContactNetwork, cli
     touched = [item for item in results if item.status == "ok"]
     assert touched
     assert all(item.verdict == "undetermined" and item.stiffness is None for item in touched)
-
-
-def test_log_box_needs_positive_ranges() -> None:
-    np.testing.assert_allclose(np.exp(log_box(BOUNDS)), [[0.05, 0.005, 0.01], [1.0, 0.5, 0.3]])
-    with pytest.raises(ValueError, match="no logarithm"):
-        log_box(Bounds())

@@ -9,7 +9,6 @@ from data.contact_features import SLOTS
 from data.simulated_contacts import SimulatedContact, draw_contacts
 from data.synthetic_settings import SceneSettings
 from estimators.contact_fits import BOUNDS, LEVEL, MECHANICS, NOISE, Fits, draw_errors, draw_known, fit_motion
-from estimators.contact_network import log_box
 from estimators.contact_training import Trainer, evaluate, widened
 
 
@@ -23,7 +22,7 @@ def contacts() -> list[SimulatedContact]:
 def test_a_fit_explains_its_motion(contacts: list[SimulatedContact]) -> None:
     """From a poor start: θ within the integrators' difference, and slopes that predict the effect of another θ."""
     contact = contacts[0]
-    logs, slopes, rms = fit_motion((contact.case, log_box(BOUNDS).mean(axis=0)))
+    logs, slopes, rms = fit_motion((contact.case, BOUNDS.log_box.mean(axis=0)))
     assert rms < 1e-4
     np.testing.assert_allclose(logs, np.log(np.abs(contact.theta)), atol=0.05)
     assert slopes.shape == (SLOTS, 3)

@@ -17,7 +17,6 @@ from evaluation.ablation_output import COLUMNS, FAILED, Result, draw, keep, kept
 from evaluation.ablation_rows import ROWS
 from evaluation.ablation_scores import NUMBERS, numbers
 from evaluation.ablation_training import RowFailed, TrainingSettings, next_depth, train_row
-from models.contact_head import log_box
 from models.posterior import ContactPosterior
 
 SETTINGS = {"steps": 100}
@@ -27,7 +26,7 @@ VALUES = dict.fromkeys(NUMBERS, 1.0) | {"judged": 7, "over_bound_damping": 2.345
 @pytest.fixture
 def weights(tmp_path: Path) -> Path:
     torch.manual_seed(0)
-    torch.save(ContactPosterior(FEATURES, log_box(BOUNDS)).state_dict(), tmp_path / "posterior.pt")
+    torch.save(ContactPosterior(FEATURES, torch.from_numpy(BOUNDS.log_box)).state_dict(), tmp_path / "posterior.pt")
     return tmp_path / "posterior.pt"
 
 

@@ -9,7 +9,6 @@ import pytest
 import torch
 
 from models.checkpoint import CheckpointError, load_posterior, read_checkpoint, require_same_model
-from models.contact_head import log_box
 from models.module import PhysicsInformedGAN
 from models.posterior import ContactPosterior
 from physics.mechanics import Bounds, Mechanics
@@ -83,7 +82,7 @@ def test_a_checkpoint_from_before_there_were_heads_has_head_parameters(checkpoin
         require_same_model(checkpoint, SETTINGS | {"head": "posterior"})
 
 
-BOX = log_box(Bounds(stiffness=(0.05, 1.0), damping=(0.005, 0.5), force=(-0.3, -0.01), initial=(0.4, 0.08, -0.1)))
+BOX = torch.from_numpy(Bounds((0.05, 1.0), (0.005, 0.5), (-0.3, -0.01), (0.4, 0.08, -0.1)).log_box)
 
 
 @pytest.fixture

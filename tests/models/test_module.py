@@ -10,7 +10,6 @@ from lightning.pytorch import Trainer
 from torch.utils.data import DataLoader
 
 from models.augmentation import AugmentationSettings
-from models.contact_head import log_box
 from models.losses import LossWeights
 from models.module import PhysicsInformedGAN, TrainingDiverged, with_current
 from models.posterior import ContactPosterior
@@ -272,7 +271,7 @@ def test_test_records_of_head_posterior(make_told_batch):
 def test_a_pretrained_head_is_taken_over_when_training_starts(make_told_batch, tmp_path):
     torch.manual_seed(9)
     bounds = POSTERIOR["bounds"]
-    trained = ContactPosterior(6, log_box(bounds))
+    trained = ContactPosterior(6, torch.from_numpy(bounds.log_box))
     torch.save(trained.state_dict(), tmp_path / "posterior.pt")
     module = build(pretrained=str(tmp_path / "posterior.pt"), **POSTERIOR | {"learning_rate": 1e-12})
     contact = torch.randn(5, 6)
@@ -289,7 +288,9 @@ def test_pretrained_weights_need_the_head_that_they_are_for():
 
 def test_a_pretrained_head_moves_at_its_share_of_the_rate(make_told_batch, tmp_path):
     """Adam's first step is as long as its rate, whatever the gradient; the decoder keeps the whole one."""
-    torch.save(ContactPosterior(6, log_box(POSTERIOR["bounds"])).state_dict(), tmp_path / "posterior.pt")
+    torch.save(
+        ContactPosterior(6, torch.from_numpy(POSTERIOR["bounds"].log_box)).state_dict(), tmp_path / "posterior.pt"
+    )
 
     def longest_step(**settings) -> dict[str, float]:
         module = build(learning_rate=1e-3, **POSTERIOR | settings)

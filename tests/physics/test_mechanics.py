@@ -100,3 +100,8 @@ def test_matched_steps_divide_the_frame_interval(fps: float) -> None:
     assert matched.time_step <= mechanics.time_step * (1 + 1e-9)
     assert matched.steps * matched.time_step == pytest.approx(1.0, abs=matched.time_step)
     assert (matched is mechanics) == (fps in (10.0, 25.0, 50.0))
+
+
+def test_the_box_of_logarithms_takes_the_force_as_a_magnitude() -> None:
+    box = Bounds((0.05, 1.0), (0.005, 0.5), (-0.3, -0.01), (0.4, 0.08, -0.1)).log_box
+    np.testing.assert_allclose(np.exp(box), [[0.05, 0.005, 0.01], [1.0, 0.5, 0.3]])

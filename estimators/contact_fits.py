@@ -15,6 +15,7 @@ from scipy.optimize import least_squares
 
 from data.contact_features import SLOTS, join_features
 from data.samples import ContactCase
+from data.synthetic_settings import SceneSettings
 from estimators.direct import ContactProblem
 from physics.mechanics import Bounds, Mechanics
 
@@ -30,8 +31,8 @@ REST_SHARE = 0.15
 """Error of the rest position, in σ: the rest surface is an average of many depths."""
 CUT_SHARE = 0.3
 """Share of samples that are cut off before the second is over, as live frames see them."""
-PRESS_SECONDS = 0.2, 1.1
-"""Presses last between these [s]; those of real clips often outlast the second that is told."""
+SCENES = SceneSettings(width=214, height=120)
+"""What contacts are drawn from."""
 EXPLAINED = 2e-4
 """A fit explains a motion without noise where its RMS residual is below this [scene units]."""
 NOMINAL = 1e-3
@@ -99,8 +100,8 @@ def draw_errors(motion: np.ndarray, generator: np.random.Generator) -> tuple[np.
 
 
 def draw_known(count: int, generator: np.random.Generator) -> np.ndarray:
-    """Which slots are seen, shape [count, SLOTS]: all, or the first few, or none."""
-    last = np.where(generator.random(count) < CUT_SHARE, generator.integers(0, SLOTS + 1, count), SLOTS)
+    """Which slots are seen, shape [count, SLOTS]: all, or the first few."""
+    last = np.where(generator.random(count) < CUT_SHARE, generator.integers(2, SLOTS + 1, count), SLOTS)
     return (np.arange(SLOTS) < last[:, None]).astype(np.float64)
 
 

@@ -31,6 +31,8 @@ PRESSING = np.array([1.0, 1.0, -1.0])
 LEAST_OBSERVATIONS = 2
 """Frames after the onset in which the tissue was followed; the network never saw fewer."""
 TOO_EARLY = "The contact's tissue was not followed over two frames after its onset yet."
+ROUNDING = 1e-6
+"""Of times [s]."""
 EDGE = 0.02
 """A mean within this share of the box's end (in logarithms) lies at it."""
 
@@ -51,6 +53,10 @@ class ContactNetwork:
         self.mechanics = self.trained
         """The trained simulator, its steps matched to the current clip's frame rate."""
         self.bounds: Bounds = section(model, "bounds", Bounds)
+        self.press_seconds: tuple[float, float] = tuple(
+            model.metadata.get("contact", {}).get("press_seconds", (0.0, math.inf))
+        )
+        """Shortest and longest press that the network was trained on [s]."""
         self.seconds: dict[str, float] = defaultdict(float)
         """Time spent on the current clip in `network` and `simulation` [s]."""
 
@@ -105,6 +111,19 @@ class ContactNetwork:
             found[onset] = self.estimate(case, contact_surroundings(case), depth)
         return found
 
+    def _told(self, case: ContactCase) -> ContactCase:
+        """A contact as far as it resembles what the network was trained on.
+
+        It knows presses of certain lengths, or their beginning. Of a longer press it is told the beginning, of a
+        shorter one what was seen before the release.
+        """
+        load, (shortest, longest) = case.load_steps * self.mechanics.time_step, self.press_seconds
+        if shortest - ROUNDING <= load <= longest + ROUNDING:
+            return case
+        kept = (case.steps + 1) * self.mechanics.time_step <= min(load, longest) + ROUNDING
+        kept_arrays = {name: getattr(case, name)[kept] for name in ("steps", "displacement", "weight")}
+        return dataclasses.replace(case, **kept_arrays)
+
     def _window(self, clip: PreparedClip | CollectedClip, onset: int, case: ContactCase) -> np.ndarray:
         """Depth of the last frames in which a contact was followed, shape [K, h, w]."""
         last = onset + round((int(case.steps[-1]) + 1) * self.mechanics.time_step * clip.fps)
@@ -123,6 +142,7 @@ class ContactNetwork:
         Raises:
             ModelFileError: the network gives a number that is not finite.
         """
+        case = self._told(case)
         start = time.perf_counter()
         features = contact_features(case, self.mechanics.time_step, surroundings=surroundings)
         window = depth[None] if self.model.takes_depth else None

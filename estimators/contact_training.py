@@ -38,10 +38,9 @@ from estimators.contact_fits import (
     EXPLAINED,
     MECHANICS,
     NOISE,
-    PRESS_SECONDS,
+    SCENES,
     Drawn,
     Fits,
-    draw_known,
     draw_observed,
     fit_motion,
 )
@@ -57,7 +56,7 @@ BLUR = 0.3, 0.03
 def widened(case: ContactCase, logs: np.ndarray, blur: float) -> Linearised:
     """A contact's misfit around φ, with σ widened by a share (`blur`) of its largest motion."""
     motion = Motion(case.mesh, case.vertex, case.direction, case.load_steps, case.steps, case.displacement)
-    largest = float(np.linalg.norm(case.displacement, axis=1).max(initial=0.0))
+    largest = float(np.linalg.norm(case.displacement, axis=1).max())
     return linearise(motion, logs, math.hypot(case.noise, blur * largest), MECHANICS)
 
 
@@ -75,16 +74,12 @@ class Trainer:
         self.threads = ThreadPoolExecutor(os.cpu_count())
 
     def draw(self) -> tuple[ContactCase, np.ndarray]:
-        """A contact with Gaussian noise as far as it was seen, and its features."""
+        """A contact with Gaussian noise, and its features."""
         index = int(self.generator.integers(len(self.contacts)))
         case = self.contacts[index].case
         noise = math.exp(self.generator.uniform(*np.log(NOISE)))
-        known = draw_known(1, self.generator)[0] > 0
         error = self.generator.normal(0, noise, len(case.steps))[:, None] * case.direction
-        observed = (case.displacement + error)[known].astype(np.float32)
-        seen = dataclasses.replace(
-            case, steps=case.steps[known], displacement=observed, weight=case.weight[known], noise=noise
-        )
+        seen = dataclasses.replace(case, displacement=(case.displacement + error).astype(np.float32), noise=noise)
         return seen, contact_features(seen, MECHANICS.time_step, surroundings=self.surroundings[index])
 
     def rough(self, steps: int, batch_size: int, rate: float, advance: Callable[[int, float], None]) -> None:
@@ -207,9 +202,8 @@ def _scene_contacts(task: tuple[SceneSettings, int, float]) -> list[SimulatedCon
 
 def make_contacts(count: int, seed: int, progress: Progress) -> list[SimulatedContact]:
     """About `count` contacts of many scenes, drawn on all cores."""
-    settings = SceneSettings(width=214, height=120, press_seconds=PRESS_SECONDS)
     seeds = np.random.SeedSequence((seed, 0xC0)).generate_state(-(-count // CONTACTS_A_SCENE)).tolist()
-    tasks = [(settings, scene, MECHANICS.time_step) for scene in seeds]
+    tasks = [(SCENES, scene, MECHANICS.time_step) for scene in seeds]
     found: list[SimulatedContact] = []
     job = progress.add_task("scenes", total=len(tasks))
     with ProcessPoolExecutor() as pool:

@@ -100,8 +100,8 @@ class ContactEstimate:
     at_bound: np.ndarray
     """Whether a parameter lies at its range's end, shape [3], bool."""
     decisive: np.ndarray | None = None
-    """Information by which the verdict is given, shape [3, 3]; None = that of `covariance`. Not that at `theta`: where an
-    estimate is badly known, so is the information at it."""
+    """Information by which the verdict is given, shape [3, 3]; None = that of `covariance`. Not that at `theta`: where
+    an estimate is badly known, so is the information at it."""
 
     @property
     def log_sd(self) -> np.ndarray:

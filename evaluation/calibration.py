@@ -24,7 +24,7 @@ import torch
 from data.clip import PREPROCESSING_VERSION
 from data.contact_features import FEATURES, FRAME_RATE, SLOTS
 from data.masks import MaskClasses
-from estimators.contact_fits import BOUNDS, MECHANICS
+from estimators.contact_fits import BOUNDS, MECHANICS, SCENES
 from estimators.estimate import NINETY
 from evaluation.recovery import OK, PREPARE, Recovery
 from evaluation.recovery_store import RESULTS, read_results
@@ -71,9 +71,10 @@ def metadata(weights: Path) -> dict[str, object]:
     """What inference needs beside the network: how clips are prepared, the simulator and the admissible box."""
     geometry = dataclasses.asdict(PREPARE.geometry)
     depth = dataclasses.asdict(PREPARE.depth) | {"source": "auto"}
+    pressed = [round(seconds * SCENES.fps) / SCENES.fps for seconds in SCENES.press_seconds]
     return {
         "input": {"window": 1, "height": geometry["height"], "width": geometry["width"]},
-        "contact": {"features": FEATURES, "slots": SLOTS, "frame_rate": FRAME_RATE},
+        "contact": {"features": FEATURES, "slots": SLOTS, "frame_rate": FRAME_RATE, "press_seconds": pressed},
         "observation": "trajectory",
         "preprocessing_version": PREPROCESSING_VERSION,
         "bounds": dataclasses.asdict(BOUNDS),

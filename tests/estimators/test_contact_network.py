@@ -91,3 +91,26 @@ def test_without_a_noise_level_there_is_no_estimate(network: ContactNetwork, cli
     touched = [item for item in results if item.status == "ok"]
     assert touched
     assert all(item.verdict == "undetermined" and item.stiffness is None for item in touched)
+
+
+@pytest.mark.parametrize(
+    ("load", "told"),
+    [
+        (0.24, 25),  # the shortest press of the training, and what followed
+        (0.48, 25),
+        (0.52, 12),  # longer: its beginning
+        (5.0, 12),
+        (0.12, 3),  # shorter: as far as it lasted
+    ],
+)
+def test_presses_unlike_the_training_s_are_told_in_part(network: ContactNetwork, clip, load: float, told: int) -> None:
+    samples = SampleSettings(observation="trajectory", mechanics=MECHANICS)
+    (case,) = contact_cases(prepare_synthetic(clip, PREPARE), samples).values()
+    steps = np.arange(7, 200, 8)
+    motion = np.ones((25, 3), np.float32)
+    case = dataclasses.replace(
+        case, load_steps=round(load / 0.005), steps=steps, displacement=motion, weight=motion[:, 0]
+    )
+    network.mechanics = network.trained
+    np.testing.assert_array_equal(network._told(case).steps, steps[:told])
+    np.testing.assert_array_equal(network._told(case).displacement, motion[:told])

@@ -169,8 +169,8 @@ class ContactMotion:
             return False
         followed = self._run is not None and self.settings.rigid_motion == "subtract" and len(self._left) == REST_FRAMES
         if followed and np.isfinite(self._left).all():
-            spread = self._run.onset.geometry.noise / math.sqrt(REST_FRAMES)
-            return abs(float(np.mean(self._left))) > REST_SIGMA * spread
+            # Not over the root of REST_FRAMES: rounding errors and the camera's drift are the same in all of them.
+            return abs(float(np.mean(self._left))) > REST_SIGMA * self._run.onset.geometry.noise
         return onset.frame.time_s - self._last_time < REST_SECONDS
 
     def _begin(self, onset: PreparedFrame) -> ContactRun:

@@ -14,6 +14,8 @@ FRAY = 2
 """Outlines are uncertain by this much [grid pixels]."""
 BESIDE = 4
 """The tool's outline takes its depth from the tool within this many rows and columns [grid pixels]."""
+MOST_BEHIND = 0.25
+"""A larger share of the tool's outline isn't the bottom of a dent."""
 CLEARLY = 3.0
 """A depth lies clearly behind others from this many standard deviations of its noise."""
 
@@ -31,7 +33,8 @@ def inside(mask: np.ndarray) -> np.ndarray:
 def uncover(depth: np.ndarray, labels: np.ndarray, noise: float) -> np.ndarray:
     """Labels in which tool pixels at the tissue's outline that lie clearly behind all tissue around them are tissue.
 
-    Such is the bottom of a dent that a frayed outline of the pressing tool covers.
+    Such is the bottom of a dent that a frayed outline of the pressing tool covers. Where much of the tool's outline
+    lies behind, the tool's depth itself is wrong, as a photometric depth of black plastic is, and says nothing.
 
     Args:
         depth: z, shape [h, w] [scene units], 0 = invalid.
@@ -42,7 +45,10 @@ def uncover(depth: np.ndarray, labels: np.ndarray, noise: float) -> np.ndarray:
         return labels
     tissue = np.where(labels == TISSUE, depth, 0).astype(np.float32)
     around = cv2.dilate(tissue, np.ones((2 * FRAY + 1,) * 2, np.uint8))
-    behind = (labels == TOOL) & (around > 0) & (depth > around + CLEARLY * noise)
+    outline = (labels == TOOL) & (around > 0) & (depth > 0)
+    behind = outline & (depth > around + CLEARLY * noise)
+    if behind.sum() > MOST_BEHIND * outline.sum():
+        return labels
     return np.where(behind, np.uint8(TISSUE), labels)
 
 

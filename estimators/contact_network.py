@@ -80,14 +80,13 @@ class ContactNetwork:
                 yield FrameResult(current, frame_estimate(current, clip), None)
             elif known is None or not math.isfinite(known.onset.geometry.noise):
                 yield FrameResult(current, frame_estimate(current, clip, verdict="undetermined"), None)
-            elif len(known.steps) < LEAST_OBSERVATIONS:
+            elif len((told := self._told(known.case(current))).steps) < LEAST_OBSERVATIONS:
                 early = frame_estimate(current, clip, verdict="undetermined")
-                early = dataclasses.replace(early, detail=current.detail or TOO_EARLY)
+                early = dataclasses.replace(early, detail=f"{current.detail} {TOO_EARLY}".strip())
                 yield FrameResult(current, early, None)
             else:
-                case = known.case(current)
-                found = self.estimate(case, known.surroundings, depth)
-                lengths = self._lengths(found, case, current, known)
+                found = self.estimate(told, known.surroundings, depth)
+                lengths = self._lengths(found, known.case(current), current, known)
                 result = frame_estimate(current, clip, found.theta, lengths, found.verdict, found)
                 yield FrameResult(current, result, force_arrow(found.theta, current, clip, self.bounds))
 
@@ -107,8 +106,12 @@ class ContactNetwork:
             if not (math.isfinite(case.noise) and case.noise > 0):
                 found[onset] = NoEstimate("the depth's noise isn't known; prepare with geometry.smoothing above 0.")
                 continue
-            depth = self._window(clip, onset, case) if self.model.takes_depth else None
-            found[onset] = self.estimate(case, contact_surroundings(case), depth)
+            told = self._told(case)
+            if len(told.steps) < LEAST_OBSERVATIONS:
+                found[onset] = NoEstimate(TOO_EARLY)
+                continue
+            depth = self._window(clip, onset, told) if self.model.takes_depth else None
+            found[onset] = self.estimate(told, contact_surroundings(case), depth)
         return found
 
     def _told(self, case: ContactCase) -> ContactCase:
@@ -126,8 +129,10 @@ class ContactNetwork:
 
     def _window(self, clip: PreparedClip | CollectedClip, onset: int, case: ContactCase) -> np.ndarray:
         """Depth of the last frames in which a contact was followed, shape [K, h, w]."""
-        last = onset + round((int(case.steps[-1]) + 1) * self.mechanics.time_step * clip.fps)
-        return np.stack([clip.depth(i) for i in window_indices(last, self.model.window, clip.consecutive, clip.usable)])
+        seconds = (int(case.steps[-1]) + 1) * self.mechanics.time_step
+        last = int(np.argmin(np.abs(clip.times - clip.times[onset] - seconds)))
+        indices = window_indices(last, self.model.window, clip.consecutive, clip.usable)
+        return np.stack([clip.depth(index) for index in ([onset] * self.model.window if indices is None else indices)])
 
     def estimate(
         self, case: ContactCase, surroundings: Surroundings | None, depth: np.ndarray | None
@@ -142,7 +147,6 @@ class ContactNetwork:
         Raises:
             ModelFileError: the network gives a number that is not finite.
         """
-        case = self._told(case)
         start = time.perf_counter()
         features = contact_features(case, self.mechanics.time_step, surroundings=surroundings)
         window = depth[None] if self.model.takes_depth else None

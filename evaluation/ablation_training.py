@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from evaluation import calibration
 from evaluation.ablation_rows import Row
@@ -47,10 +48,17 @@ class TrainingSettings:
     """Steps of the generators' optimiser, a multiple of EPOCH."""
     width: int
     residual_blocks: int
+    training_clips: int
+    """Synthetic clips that are read; training takes seven of ten."""
     clips: int
     """Validation clips."""
     seed: int
-    """Of the validation clips."""
+    """Of all clips."""
+
+
+def clips_folder(folder: Path, settings: TrainingSettings) -> Path:
+    """Where the clips of some settings lie."""
+    return folder / f"clips-{settings.training_clips}-{settings.seed}"
 
 
 def write_clips(folder: Path, count: int, seed: int) -> None:
@@ -87,11 +95,25 @@ def train_row(row: Row, folder: Path, weights: Path, settings: TrainingSettings,
         for command in (("fit", *common, *start), ("test", *common, *last), ("export", *common, *last)):
             output = ("--output", str(model)) if command[0] == "export" else ()
             _run(("train.py", *command, *output), run / f"{command[0]}.log")
+            if command[0] == "fit":
+                require_steps(run / "checkpoints" / "last.ckpt", settings.steps)
         found["next_depth_over_copy"] = next_depth(run / "evaluation" / "evaluation.json")
     elif calibration.main(["--weights", str(weights), "--output", str(model)]):
         raise RowFailed(f"{weights} could not be exported.")
     name = "paper" if row.config.endswith("paper.yaml") else "network"
     return judge(EstimatorSpec(name, model=str(model), model_sha256=sha256_of(model)), settings, constant) | found
+
+
+def require_steps(checkpoint: Path, steps: int) -> None:
+    """Refuse a training that made fewer steps than all others: an epoch ends with its clips.
+
+    Raises:
+        RowFailed: it did.
+    """
+    loops = torch.load(checkpoint, map_location="cpu", weights_only=True)["loops"]
+    done = loops["fit_loop"]["epoch_loop.batch_progress"]["total"]["completed"]
+    if done != steps:
+        raise RowFailed(f"{done} of {steps} steps were made; give more --training-clips.")
 
 
 def next_depth(path: Path) -> float:
@@ -120,7 +142,7 @@ def _common(folder: Path, run: Path, settings: TrainingSettings) -> tuple[str, .
     """Options of all trainings."""
     values = {
         "tracking": "false",
-        "data.root": folder / "clips",
+        "data.root": clips_folder(folder, settings),
         "data.cache": folder / "cache",
         "data.fractions": FRACTIONS,
         "data.progress": "false",

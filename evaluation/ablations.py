@@ -102,10 +102,19 @@ def settings_of(row: Row, options: argparse.Namespace, weights_sha256: str) -> d
         return common | {
             "steps": options.observation_steps, "contacts": options.contacts, "held_out": options.held_out
         }  # fmt: skip
-    training = TrainingSettings(
-        options.training_steps, options.width, options.residual_blocks, options.validation_clips, options.seed
+    return common | asdict(training_settings(options))
+
+
+def training_settings(options: argparse.Namespace) -> TrainingSettings:
+    """What all trainings share."""
+    return TrainingSettings(
+        steps=options.training_steps,
+        width=options.width,
+        residual_blocks=options.residual_blocks,
+        training_clips=options.training_clips,
+        clips=options.validation_clips,
+        seed=options.seed,
     )
-    return common | asdict(training) | {"training_clips": options.training_clips}
 
 
 def measure(task: Task) -> Result:
@@ -148,7 +157,8 @@ def prepare(left: list[Row], options: argparse.Namespace, sha256: str, progress:
     if not any(row.family == TRAINING for row in left):
         return ()
     bar = progress.add_task("clips", total=None)
-    ablation_training.write_clips(options.output / "clips", options.training_clips, options.seed)
+    folder = ablation_training.clips_folder(options.output, training_settings(options))
+    ablation_training.write_clips(folder, options.training_clips, options.seed)
     progress.update(bar, total=1, completed=1)
     path = options.output / f"constant-{options.seed}.json"
     if path.is_file():

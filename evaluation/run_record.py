@@ -174,7 +174,7 @@ def warnings_of(
                 f"{sources[what]}: its estimates here are off by an amount that nobody has measured"
             )
     found += clip_warnings(source, estimates, sources)
-    trained = model.metadata.get("preprocessing_version", PREPROCESSING_VERSION)
+    trained = model.metadata.get("preprocessing_version", 1)  # contact posteriors of version 1 did not say
     if trained != PREPROCESSING_VERSION:
         found.append(f"the model was trained on preprocessing version {trained}, this is {PREPROCESSING_VERSION}")
     return found

@@ -102,4 +102,12 @@ def _to_onnx(network: nn.Module, inputs: dict[str, Tensor], outputs: Sequence[st
             external_data=False,
             verbose=False,
         )
-    return program.model_proto
+    return _without_traces(program.model_proto)
+
+
+def _without_traces(model: onnx.ModelProto) -> onnx.ModelProto:
+    """Drop the exporter's notes: they hold stack traces with the paths of the machine that exported."""
+    graph = model.graph
+    for item in (graph, *graph.node, *graph.input, *graph.output, *graph.value_info, *graph.initializer):
+        del item.metadata_props[:]
+    return model

@@ -16,7 +16,7 @@ from evaluation import ablation_observation, ablation_training, ablations
 from evaluation.ablation_output import COLUMNS, FAILED, Result, draw, keep, kept, write_all
 from evaluation.ablation_rows import ROWS
 from evaluation.ablation_scores import NUMBERS, numbers
-from evaluation.ablation_training import RowFailed, TrainingSettings, next_depth, train_row
+from evaluation.ablation_training import RowFailed, TrainingSettings, next_depth, require_steps, train_row
 from models.posterior import ContactPosterior
 
 SETTINGS = {"steps": 100}
@@ -144,7 +144,7 @@ def test_next_depth_is_the_decoder_s_error_over_that_of_copying(tmp_path: Path) 
 
 def test_a_training_that_ends_badly_says_how(tmp_path: Path, weights: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """There are no clips, so that train.py refuses."""
-    settings = TrainingSettings(steps=50, width=4, residual_blocks=1, clips=1, seed=0)
+    settings = TrainingSettings(steps=50, width=4, residual_blocks=1, training_clips=16, clips=1, seed=0)
     with pytest.raises(RowFailed, match=r"train\.py fit ended with status 1: .*clips.*fit\.log\)"):
         train_row(ROWS["baseline"], tmp_path, weights, settings, np.zeros(3))
 
@@ -158,11 +158,14 @@ def test_a_row_is_trained_tested_exported_and_judged(
     def run(arguments: tuple[str, ...], log: Path) -> None:
         commands.setdefault(log.parent.name, []).append(arguments)
         (log.parent / "parameters.onnx").write_bytes(b"network")
+        (log.parent / "checkpoints").mkdir(exist_ok=True)
+        done = {"fit_loop": {"epoch_loop.batch_progress": {"total": {"completed": 150}}}}
+        torch.save({"loops": done}, log.parent / "checkpoints" / "last.ckpt")
 
     monkeypatch.setattr(ablation_training, "_run", run)
     monkeypatch.setattr(ablation_training, "next_depth", lambda path: 1.25)
     monkeypatch.setattr(ablation_training, "judge", lambda spec, *_: judged.update({spec.model: spec.name}) or {})
-    settings = TrainingSettings(steps=150, width=4, residual_blocks=1, clips=1, seed=0)
+    settings = TrainingSettings(steps=150, width=4, residual_blocks=1, training_clips=16, clips=1, seed=0)
     names = ("baseline", "no-gan", "scratch", "paper")
     found = [train_row(ROWS[name], tmp_path, weights, settings, np.zeros(3)) for name in names]
     assert found == [{"next_depth_over_copy": 1.25}] * 4
@@ -175,6 +178,14 @@ def test_a_row_is_trained_tested_exported_and_judged(
         assert ("--model.pretrained" in fit) == (name in ("baseline", "no-gan"))
         assert fit.get("--model.weights.gan") == ("0" if name == "no-gan" else None)
         assert test["--ckpt_path"] == export["--ckpt_path"] == "last"
+
+
+def test_a_training_of_fewer_steps_is_refused(tmp_path: Path) -> None:
+    done = {"fit_loop": {"epoch_loop.batch_progress": {"total": {"completed": 45}}}}
+    torch.save({"loops": done}, tmp_path / "last.ckpt")
+    require_steps(tmp_path / "last.ckpt", 45)
+    with pytest.raises(RowFailed, match="45 of 50 steps were made"):
+        require_steps(tmp_path / "last.ckpt", 50)
 
 
 @pytest.mark.slow

@@ -31,8 +31,10 @@ REACH = 0.7
 enough to count several steps [steps]."""
 INDEPENDENT = 0.35
 """Share of the variance that is independent nevertheless: sub-pixel tracking and the camera's drift."""
-
-
+WIDENED = 1.25
+"""Factor of the rounding errors' variance: they are not normal, and a normal likelihood reads more from their phase
+than they tell. Without it the mean square of error over standard deviation was 1.28 on 208 validation clips of `8bit`.
+"""
 SIGMA_FREEDOM = 100.0
 """Degrees of freedom with which σ is known, to 7 %: it comes from the first frame in contact. Where a model can't
 explain a motion, behind drifting fat say, the residuals then widen the posterior. With 20, chance narrows it.
@@ -53,7 +55,7 @@ def log_likelihood(observed: np.ndarray, simulated: np.ndarray) -> np.ndarray:
     frames = len(observed)
     common = TRACKING**2 * np.eye(frames) + REST**2
     white = _log_density(apart, (np.eye(frames) + common)[None])
-    return np.logaddexp(white, _log_density(apart, rounding_covariance(simulated) + common)) - math.log(2)
+    return np.logaddexp(white, _log_density(apart, WIDENED * rounding_covariance(simulated) + common)) - math.log(2)
 
 
 def rounding_covariance(simulated: np.ndarray) -> np.ndarray:

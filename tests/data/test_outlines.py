@@ -42,6 +42,13 @@ def test_a_dent_under_the_outline_is_tissue_and_the_tool_is_not() -> None:
     assert uncover(depth, labels, float("nan")) is labels
 
 
+def test_a_tool_whose_depth_is_wrong_is_no_dent() -> None:
+    """Photometric depth puts black plastic far away."""
+    depth, labels = flat()
+    depth[6:14, 12:] = 0.52
+    np.testing.assert_array_equal(uncover(depth, labels, NOISE), labels)
+
+
 def test_the_tools_outline_takes_the_depth_of_the_tool_beside_it() -> None:
     depth, labels = flat()
     true = depth.copy()

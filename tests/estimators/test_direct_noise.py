@@ -15,9 +15,15 @@ MOTION = 8 * np.exp(-FRAMES / 3.0)
 """A tissue that creeps back to rest [σ]."""
 
 
+def independent_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make both kinds of noise the independent one."""
+    monkeypatch.setattr(tracking_noise, "INDEPENDENT", 1.0)
+    monkeypatch.setattr(tracking_noise, "WIDENED", 1.0)
+
+
 def test_the_rest_positions_error_is_marginalised(monkeypatch: pytest.MonkeyPatch) -> None:
     """Against the integral over it, with independent noise alone."""
-    monkeypatch.setattr(tracking_noise, "INDEPENDENT", 1.0)  # both kinds of noise are independent then
+    independent_alone(monkeypatch)
     monkeypatch.setattr(tracking_noise, "SIGMA_FREEDOM", 1e9)  # and σ is known
     generator = np.random.default_rng(0)
     observed = MOTION + 0.4 + generator.normal(size=20)
@@ -38,7 +44,7 @@ def test_the_rest_positions_error_is_marginalised(monkeypatch: pytest.MonkeyPatc
 
 def test_the_scale_of_the_noise_is_marginalised(monkeypatch: pytest.MonkeyPatch) -> None:
     """Against the integral over it: 20/scale has a chi-square distribution of 20 degrees of freedom."""
-    monkeypatch.setattr(tracking_noise, "INDEPENDENT", 1.0)
+    independent_alone(monkeypatch)
     monkeypatch.setattr(tracking_noise, "SIGMA_FREEDOM", 20.0)
     observed = MOTION + np.random.default_rng(4).normal(0, 3, 20)
     simulated = np.stack([MOTION, 1.2 * MOTION, np.zeros(20)])
@@ -87,7 +93,7 @@ def test_the_motion_decides_whether_it_was_rounded(monkeypatch: pytest.MonkeyPat
     rounded = np.rint((MOTION + places) / STEP) * STEP - places
     noisy = MOTION + generator.normal(size=(200, 20))
     both = [[log_likelihood(observed, MOTION[None])[0] for observed in group] for group in (rounded, noisy)]
-    monkeypatch.setattr(tracking_noise, "INDEPENDENT", 1.0)
+    independent_alone(monkeypatch)
     white = [[log_likelihood(observed, MOTION[None])[0] for observed in group] for group in (rounded, noisy)]
     gains = np.array(both) - np.array(white)
     assert np.median(gains[0]) > 2

@@ -98,6 +98,16 @@ def test_warnings_name_broken_frames_and_another_preprocessing(tmp_path: Path) -
     assert found[1].startswith("the model was trained on preprocessing version 0")
 
 
+def test_a_model_that_names_no_preprocessing_is_of_the_first(tmp_path: Path) -> None:
+    path = write_clip(tmp_path / "clip", 3, 1)
+    told = metadata()
+    del told["preprocessing_version"]
+    model = ParameterModel(write_model(tmp_path / "model.onnx", told))
+    source = open_source(path, preparation_settings(model).layout)
+    found = warnings_of(source, [], model, {"depth": "stored", "masks": "annotation"})
+    assert any(item.startswith("the model was trained on preprocessing version 1") for item in found)
+
+
 def test_warnings_name_sources_the_model_was_not_trained_on(tmp_path: Path) -> None:
     path = write_clip(tmp_path / "clip", 3, 1)
     trained_on = {"depth": ["depthpro", "stored"], "masks": ["annotation"]}

@@ -78,3 +78,10 @@ def test_a_file_that_differs_from_torch_is_never_left(tmp_path, monkeypatch):
     with pytest.raises(ParityError, match=r"differs from torch by 0\.01"):
         export(Generator(width=4, residual_blocks=0), tmp_path / "parameters.onnx", SIZE, {})
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_tells_no_paths_of_the_machine_that_wrote_it(tmp_path):
+    export(Generator(width=4, residual_blocks=0), tmp_path / "parameters.onnx", SIZE, {})
+    written = (tmp_path / "parameters.onnx").read_bytes()
+    assert b"site-packages" not in written
+    assert b"generator.py" not in written

@@ -46,7 +46,8 @@ bench: $(INSTALLED)
 	$(BIN)/python -m benchmarks.rollout
 	$(BIN)/python -m benchmarks.training_step
 
-# An interrupted run goes on where it was: a finished training is kept, and so is every validation clip.
+# An interrupted run goes on where it was: a finished training is kept, and so is every validation clip. After a change of
+# the code `rm -r runs/contact` first, or the old training is exported again.
 MODEL := runs/contact
 model: $(INSTALLED) $(MODEL)/posterior.pt
 	$(BIN)/python -m evaluation.calibration --weights $(MODEL)/posterior.pt --output $(MODEL)/uncalibrated.onnx

@@ -10,13 +10,13 @@ import pytest
 import torch
 
 from data.clip import ClipStream
-from data.contact_features import FEATURES
+from data.contact_features import FEATURES, contact_features
 from data.samples import SampleSettings, contact_cases
 from data.synthetic import make_clip
 from data.synthetic_settings import SceneSettings
 from data.synthetic_source import open_synthetic, prepare_synthetic
 from estimators.contact_fits import BOUNDS, MECHANICS
-from estimators.contact_network import ContactNetwork
+from estimators.contact_network import LARGEST_MISFIT, ContactNetwork
 from estimators.estimate import NINETY, NoEstimate
 from evaluation.calibration import metadata
 from evaluation.recovery import PREPARE
@@ -114,3 +114,22 @@ def test_presses_unlike_the_training_s_are_told_in_part(network: ContactNetwork,
     network.mechanics = network.trained
     np.testing.assert_array_equal(network._told(case).steps, steps[:told])
     np.testing.assert_array_equal(network._told(case).displacement, motion[:told])
+
+
+def test_a_motion_that_is_not_explained_widens_the_intervals(network: ContactNetwork, clip) -> None:
+    samples = SampleSettings(observation="trajectory", mechanics=MECHANICS)
+    (case,) = contact_cases(prepare_synthetic(clip, PREPARE), samples).values()
+    network.mechanics = network.trained
+    still = dataclasses.replace(case, noise=1.0)  # next to such noise every motion is explained
+    explained = network.estimate(still, None, None)
+    raw = network.model(contact_features(still, MECHANICS.time_step)[None], None)[1][0]
+    assert explained.misfit < 1
+    np.testing.assert_array_equal(explained.covariance, raw)
+    sure = dataclasses.replace(case, noise=1e-5)
+    found = network.estimate(sure, None, None)
+    raw = network.model(contact_features(sure, MECHANICS.time_step)[None], None)[1][0]
+    assert found.misfit > LARGEST_MISFIT
+    box = BOUNDS.log_box
+    added = np.linalg.inv(found.information / found.misfit**2 + np.diag(12 / (box[1] - box[0]) ** 2))
+    np.testing.assert_allclose(found.covariance, raw + added, rtol=1e-6)
+    assert (np.diag(added) <= (box[1] - box[0]) ** 2 / 12 + 1e-12).all()  # never wider than the prior

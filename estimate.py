@@ -129,12 +129,12 @@ class DirectFits(Batch):
         number, seconds = int(clip.numbers[found.first]), float(clip.times[found.first])
         load, remark = load_seconds(clip, found), clip.details.get(found.first, "")
         if case is None:
-            reason = remark or (NOT_FOLLOWED if found.onset_seen else NO_ONSET)
+            reason = f"{remark} {NOT_FOLLOWED}".strip() if found.onset_seen else remark or NO_ONSET
             return ContactResult(number, seconds, load, None, None, reason)
         try:
             estimate = fit_contact(case, dataclasses.replace(self.direct, mechanics=self.mechanics))
         except NoEstimate as reason:
-            return ContactResult(number, seconds, load, case, None, self.sentence(reason))
+            return ContactResult(number, seconds, load, case, None, f"{remark} {self.sentence(reason)}".strip())
         ranges = (self.direct.stiffness, self.direct.damping, self.direct.force)
         return ContactResult(number, seconds, load, case, estimate, f"{remark} {doubts(estimate, ranges)}".strip())
 

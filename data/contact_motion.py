@@ -75,6 +75,8 @@ class ContactMotion:
         self._last_contact: int | None = None
         self._last_time = -math.inf
         self._left: deque[float] = deque(maxlen=REST_FRAMES)
+        self._refused = False
+        """Whether the contact under way began on tissue that was not at rest."""
 
     def link(self, before: PreparedFrame, after: PreparedFrame) -> None:
         """Fill in the motion of `before`, and the run, tracked point and backward motion of `after`."""
@@ -84,6 +86,7 @@ class ContactMotion:
             self.settle()
             self._rest = RestDepth()
             self._run, self._last_contact = None, after.frame.index if after.in_contact else None
+            self._refused = False
             if before.in_contact:
                 self._last_time = before.frame.time_s
             return
@@ -93,6 +96,8 @@ class ContactMotion:
         if self._run is not None or before.in_contact or after.in_contact:
             self._observe(before, after)
         self._update_run(before, after)
+        if self._run is None and self._refused and after.in_contact:
+            after.detail = after.detail or DENTED
         if self._run is not None:
             after.track_start = self._run.start
             if self._run.pixel is not None:
@@ -149,10 +154,8 @@ class ContactMotion:
                 self._run = None
         elif missing > self.bridge_frames:
             self.settle()
-            dented = self._dented(after)
-            if dented:
-                after.detail = DENTED
-            self._run = self._begin(after) if before.status in SEEN_OUT and not dented else None
+            self._refused = self._dented(after)
+            self._run = self._begin(after) if before.status in SEEN_OUT and not self._refused else None
             self._left.clear()
 
     def _note_return(self, latest: PreparedFrame) -> None:

@@ -8,15 +8,15 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
-from scipy.optimize import least_squares
 
-from data.contact_features import SLOTS, join_features
+from data.contact_features import SLOTS, Surroundings, join_features, slot_times
 from data.samples import ContactCase
 from data.synthetic_settings import SceneSettings
-from estimators.direct import ContactProblem
+from estimators.contact_optima import find_optimum
+from estimators.contact_problem import ContactProblem
 from physics.mechanics import Bounds, Mechanics
 
 MECHANICS = Mechanics(time_step=0.005, steps=200, load_steps=0, scheme="dkd", window_error=1e-4)
@@ -56,6 +56,36 @@ class Fits:
     spacing: np.ndarray
     """Shape [N] [scene units]."""
 
+    @classmethod
+    def of(
+        cls,
+        cases: Sequence[ContactCase],
+        surroundings: Sequence[Surroundings],
+        logs: Sequence[np.ndarray],
+        slopes: Sequence[np.ndarray],
+    ) -> Fits:
+        """Contacts without noise, with φ [3] of each and the slopes [SLOTS, 3] there."""
+        slots = slot_times() + 1e-9
+        return cls(
+            motion=np.stack([-(case.displacement @ case.direction) for case in cases]).astype(np.float64),
+            logs=np.stack(logs),
+            slopes=np.stack(slopes),
+            loaded=np.stack([slots <= case.load_steps * MECHANICS.time_step + 2e-9 for case in cases]) * 1.0,
+            around=np.stack([item.vector for item in surroundings]),
+            spacing=np.array([item.spacing for item in surroundings]),
+        )
+
+
+def observed_exactly(case: ContactCase) -> ContactProblem:
+    """The problem of explaining a motion without noise."""
+    return ContactProblem(case, MECHANICS, NOMINAL)
+
+
+def motion_slopes(problem: ContactProblem, logs: np.ndarray) -> np.ndarray:
+    """Derivatives by φ of the motion against the force's direction, at φ [3], shape [SLOTS, 3] [scene units]."""
+    jacobian = NOMINAL * problem.jacobian(logs).reshape(-1, 3, 3)
+    return -np.einsum("tdp,d->tp", jacobian, problem.case.direction)
+
 
 def fit_motion(task: tuple[ContactCase, np.ndarray]) -> tuple[np.ndarray, np.ndarray, float]:
     """φ [3] that explains a motion, its slopes along the force [SLOTS, 3], and the RMS residual [scene units].
@@ -65,22 +95,19 @@ def fit_motion(task: tuple[ContactCase, np.ndarray]) -> tuple[np.ndarray, np.nda
     """
     case, start = task
     low, high = BOUNDS.log_box
-    problem = ContactProblem(case, MECHANICS, NOMINAL)
+    problem = observed_exactly(case)
     starts = [np.clip(start, low + 1e-3, high - 1e-3)]
     best, rms = None, math.inf
     while starts:
-        end = least_squares(
-            problem.residual, starts.pop(0), problem.jacobian, (low, high), x_scale="jac", ftol=1e-6, max_nfev=30
-        )
+        end = find_optimum(problem, starts.pop(0), low, high)
         residual = NOMINAL * math.sqrt(2 * end.cost / len(case.steps))
         if best is None or residual < rms:
             if best is None and residual > EXPLAINED:
                 starts = list(problem.starts(low, high))
-            best, rms = end.x, residual
+            best, rms = end.logs, residual
         if rms <= EXPLAINED:
             break
-    jacobian = NOMINAL * problem.jacobian(best).reshape(len(case.steps), 3, 3)
-    return best, -np.einsum("tdp,d->tp", jacobian, case.direction), rms
+    return best, motion_slopes(problem, best), rms
 
 
 def draw_errors(motion: np.ndarray, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:

@@ -18,11 +18,11 @@ from data.geometry import force_direction
 from data.samples import ContactCase, SampleSettings, contact_cases
 from data.windows import FrameWindow, window_indices
 from estimators.amortized import FrameResult, force_arrow, frame_estimate
-from estimators.estimate import ContactEstimate, NoEstimate
+from estimators.estimate import ContactEstimate, FrameEstimate, NoEstimate
 from estimators.model_settings import section
 from models.onnx_session import ModelFileError
 from models.posterior_session import PosteriorModel
-from physics.identifiability import fisher_information, log_jacobian
+from physics.identifiability import box_information, fisher_information, log_jacobian
 from physics.mechanics import Bounds, Mechanics
 from physics.msd_kernel import simulate, simulate_sensitivities
 
@@ -31,6 +31,7 @@ PRESSING = np.array([1.0, 1.0, -1.0])
 LEAST_OBSERVATIONS = 2
 """Frames after the onset in which the tissue was followed; the network never saw fewer."""
 TOO_EARLY = "The contact's tissue was not followed over two frames after its onset yet."
+NO_NOISE = "The depth's noise isn't known; prepare with geometry.smoothing above 0."
 LARGEST_MISFIT = 2.0
 """A motion farther from the simulated one than this many σ is unlike what the network was trained on, and its own
 covariance means nothing: that of a noise as large as the misfit, within the box, is added. Of 630 validation clips
@@ -83,20 +84,24 @@ class ContactNetwork:
                 known.add(current)
             if not current.in_contact:
                 yield FrameResult(current, frame_estimate(current, clip), None)
-            elif known is None or not math.isfinite(known.onset.geometry.noise):
+            elif known is None:
                 yield FrameResult(current, frame_estimate(current, clip, verdict="undetermined"), None)
-            elif len((told := self._told(known.case(current))).steps) < LEAST_OBSERVATIONS:
-                early = frame_estimate(current, clip, verdict="undetermined")
-                early = dataclasses.replace(early, detail=f"{current.detail} {TOO_EARLY}".strip())
-                yield FrameResult(current, early, None)
             else:
-                found = self.estimate(told, known.surroundings, depth)
-                lengths = self._lengths(found, known.case(current), current, known)
-                result = frame_estimate(current, clip, found.theta, lengths, found.verdict, found)
-                if found.misfit > LARGEST_MISFIT:
-                    told_why = f"{result.detail} {UNEXPLAINED.format(found.misfit)}".strip()
-                    result = dataclasses.replace(result, detail=told_why)
-                yield FrameResult(current, result, force_arrow(found.theta, current, clip, self.bounds))
+                yield self._frame(current, clip, known, depth)
+
+    def _frame(self, current: PreparedFrame, clip: ClipStream, run: _Run, depth: np.ndarray | None) -> FrameResult:
+        """Result of a frame in contact of a run whose onset was seen."""
+        case = run.case(current)
+        try:
+            found = self.estimate(self._told(case), run.surroundings, depth)
+        except NoEstimate as reason:
+            early = frame_estimate(current, clip, verdict="undetermined")
+            return FrameResult(current, _remark(early, current.detail, str(reason)), None)
+        lengths = self._lengths(found, case, current, run)
+        result = frame_estimate(current, clip, found.theta, lengths, found.verdict, found)
+        if found.misfit > LARGEST_MISFIT:
+            result = _remark(result, result.detail, UNEXPLAINED.format(found.misfit))
+        return FrameResult(current, result, force_arrow(found.theta, current, clip, self.bounds))
 
     def estimate_clip(
         self, clip: PreparedClip | CollectedClip, horizon_frames: int | None = None
@@ -111,12 +116,10 @@ class ContactNetwork:
         samples = SampleSettings(observation="trajectory", horizon_frames=horizon_frames, mechanics=self.mechanics)
         found: dict[int, ContactEstimate | NoEstimate] = {}
         for onset, case in contact_cases(clip, samples).items():
-            if not (math.isfinite(case.noise) and case.noise > 0):
-                found[onset] = NoEstimate("the depth's noise isn't known; prepare with geometry.smoothing above 0.")
-                continue
-            told = self._told(case)
-            if len(told.steps) < LEAST_OBSERVATIONS:
-                found[onset] = NoEstimate(TOO_EARLY)
+            try:
+                told = self._told(case)
+            except NoEstimate as reason:
+                found[onset] = reason
                 continue
             depth = self._window(clip, onset, told) if self.model.takes_depth else None
             found[onset] = self.estimate(told, contact_surroundings(case), depth)
@@ -127,13 +130,20 @@ class ContactNetwork:
 
         It knows presses of certain lengths, or their beginning. Of a longer press it is told the beginning, of a
         shorter one what was seen before the release.
+
+        Raises:
+            NoEstimate: the noise isn't known, or too little is left.
         """
+        if not (math.isfinite(case.noise) and case.noise > 0):
+            raise NoEstimate(NO_NOISE)
         load, (shortest, longest) = case.load_steps * self.mechanics.time_step, self.press_seconds
-        if shortest - ROUNDING <= load <= longest + ROUNDING:
-            return case
-        kept = (case.steps + 1) * self.mechanics.time_step <= min(load, longest) + ROUNDING
-        kept_arrays = {name: getattr(case, name)[kept] for name in ("steps", "displacement", "weight")}
-        return dataclasses.replace(case, **kept_arrays)
+        if not shortest - ROUNDING <= load <= longest + ROUNDING:
+            kept = (case.steps + 1) * self.mechanics.time_step <= min(load, longest) + ROUNDING
+            parts = {name: getattr(case, name)[kept] for name in ("steps", "displacement", "weight")}
+            case = dataclasses.replace(case, **parts)
+        if len(case.steps) < LEAST_OBSERVATIONS:
+            raise NoEstimate(TOO_EARLY)
+        return case
 
     def _window(self, clip: PreparedClip | CollectedClip, onset: int, case: ContactCase) -> np.ndarray:
         """Depth of the last frames in which a contact was followed, shape [K, h, w]."""
@@ -148,7 +158,7 @@ class ContactNetwork:
         """Posterior of a contact from what was seen of it.
 
         Args:
-            case: the contact; its steps count in the model's time step.
+            case: the contact, observed once at least; its steps count in the model's time step.
             surroundings: of the contact, where they are known already.
             depth: window [K, h, w], where the model looks at it.
 
@@ -162,14 +172,12 @@ class ContactNetwork:
         self.seconds["network"] += time.perf_counter() - start
         if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
             raise ModelFileError(f"{self.model.path} gives a number that is not finite; export another checkpoint.")
+        start = time.perf_counter()
+        misfit, information = self._linearise(mean, case)
+        self.seconds["simulation"] += time.perf_counter() - start
         theta, box = np.exp(mean) * PRESSING, self.bounds.log_box
-        information, misfit = np.zeros((3, 3)), math.nan
-        if len(case.steps):
-            start = time.perf_counter()
-            misfit, information = self._linearise(mean, case)
-            self.seconds["simulation"] += time.perf_counter() - start
         if misfit > LARGEST_MISFIT:
-            covariance = covariance + np.linalg.inv(information / misfit**2 + np.diag(12 / (box[1] - box[0]) ** 2))
+            covariance = covariance + np.linalg.inv(information / misfit**2 + box_information(box))
         at_bound = np.minimum(mean - box[0], box[1] - mean) < EDGE * (box[1] - box[0])
         return ContactEstimate(theta, covariance, information, case.noise, misfit, at_bound)
 
@@ -202,6 +210,11 @@ class ContactNetwork:
         path = simulate(found.theta, *contact, mechanics, load_steps=min(case.load_steps, steps))
         self.seconds["simulation"] += time.perf_counter() - started
         return float(np.linalg.norm(path[-1])), observed
+
+
+def _remark(estimate: FrameEstimate, *sentences: str) -> FrameEstimate:
+    """A frame's estimate with other sentences as its detail."""
+    return dataclasses.replace(estimate, detail=" ".join(filter(None, sentences)))
 
 
 class _Run:

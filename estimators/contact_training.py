@@ -29,7 +29,7 @@ import torch
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from torch import Tensor
 
-from data.contact_features import FEATURES, contact_features, contact_surroundings, slot_times
+from data.contact_features import FEATURES, contact_features, contact_surroundings
 from data.samples import ContactCase
 from data.simulated_contacts import SimulatedContact, draw_contacts
 from data.synthetic_settings import SceneSettings
@@ -49,6 +49,8 @@ from models.posterior import ContactPosterior
 from physics.identifiability import bounds
 
 CONTACTS_A_SCENE = 8
+FINE_BATCH, FINE_RATE = 512, 2e-3
+"""Samples a step of the fine stage, and its largest learning rate."""
 BLUR = 0.3, 0.03
 """σ of the rough stage is raised by this share of a contact's largest motion, at its beginning and its end."""
 
@@ -117,14 +119,11 @@ class Trainer:
                 progress.advance(job)
         kept = [index for index, (_, _, rms) in enumerate(found) if rms <= EXPLAINED]
         print(f"{len(kept)} of {len(found)} motions explained to {EXPLAINED:g}")
-        slots = slot_times() + 1e-9
-        return Fits(
-            motion=np.stack([-(cases[index].displacement @ cases[index].direction) for index in kept]),
-            logs=np.stack([found[index][0] for index in kept]),
-            slopes=np.stack([found[index][1] for index in kept]),
-            loaded=np.stack([slots <= cases[index].load_steps * MECHANICS.time_step + 2e-9 for index in kept]) * 1.0,
-            around=np.stack([self.surroundings[index].vector for index in kept]),
-            spacing=np.array([self.surroundings[index].spacing for index in kept]),
+        return Fits.of(
+            [cases[index] for index in kept],
+            [self.surroundings[index] for index in kept],
+            [found[index][0] for index in kept],
+            [found[index][1] for index in kept],
         )
 
     def fine(self, fits: Fits, steps: int, batch_size: int, rate: float, advance: Callable[[int, float], None]) -> None:
@@ -254,7 +253,7 @@ def main() -> None:
         if options.rough_steps:
             trainer.rough(options.rough_steps, 64, 1e-3, stage("rough", options.rough_steps))
         fits = trainer.fit(progress)
-        trainer.fine(fits, options.fine_steps, 512, 2e-3, stage("fine", options.fine_steps))
+        trainer.fine(fits, options.fine_steps, FINE_BATCH, FINE_RATE, stage("fine", options.fine_steps))
     torch.save(trainer.posterior.state_dict(), unfinished)
     os.replace(unfinished, options.output / "posterior.pt")
     print(f"{options.output}/posterior.pt written after {(time.time() - start) / 3600:.2f} h")

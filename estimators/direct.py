@@ -23,7 +23,7 @@ from estimators.contact_problem import ContactProblem
 from estimators.estimate import ContactEstimate, NoEstimate
 from estimators.posterior_sampling import Draws, Mixture, sample_posterior
 from estimators.tracking_noise import log_likelihood, variance_scale
-from physics.identifiability import bounds
+from physics.identifiability import bounds, box_information
 from physics.mechanics import Mechanics
 
 AT_BOUND = 1e-3
@@ -91,7 +91,7 @@ def fit_contact(case: ContactCase, settings: DirectSettings) -> ContactEstimate:
     low, high = settings.box
     candidates = problem.candidates(low, high)
     paths = problem.coarse_paths(candidates)
-    prior = np.diag(12 / (high - low) ** 2)
+    prior = box_information(settings.box)
     optima = distinct(
         [find_optimum(problem, start, low, high) for start in problem.best_starts(candidates, paths, low, high)]
     )

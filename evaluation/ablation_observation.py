@@ -15,19 +15,16 @@ import numpy as np
 import torch
 from rich.progress import Progress
 
-from data.contact_features import FEATURES, SLOTS, contact_surroundings, join_features, slot_times
+from data.contact_features import FEATURES, SLOTS, contact_surroundings, join_features
 from data.simulated_contacts import SimulatedContact
-from estimators.contact_fits import BOUNDS, MECHANICS, Drawn, Fits, draw_observed
-from estimators.contact_training import Trainer, descend, fine_loss, make_contacts
+from estimators.contact_fits import BOUNDS, Drawn, Fits, draw_observed, motion_slopes, observed_exactly
+from estimators.contact_training import FINE_BATCH, FINE_RATE, Trainer, descend, fine_loss, make_contacts
 from evaluation.ablation_scores import numbers
-from evaluation.recovery_scores import TO_QUANTITIES
+from evaluation.recovery_scores import TO_QUANTITIES, deviations
 from evaluation.suites import CLEAN_NOISE
 from models.posterior import ContactPosterior
-from physics.identifiability import covariance, fisher_information, log_jacobian
-from physics.msd_kernel import simulate_sensitivities
+from physics.identifiability import covariance, fisher_information
 
-BATCH, RATE = 512, 2e-3
-"""Of the fine stage, as `estimators.contact_training` has them."""
 EXAMPLES = 4000
 """Samples that the inputs' centre and scale are taken from."""
 LEAST_SPREAD = 0.3
@@ -96,26 +93,10 @@ def read_material(path: Path) -> Material:
 
 def around_truth(contacts: list[SimulatedContact]) -> Fits:
     """Contacts with their true φ, and the motion's slopes there."""
-    slots = slot_times() + 1e-9
-    around = [contact_surroundings(contact.case) for contact in contacts]
     cases = [contact.case for contact in contacts]
-    return Fits(
-        motion=np.stack([-(case.displacement @ case.direction) for case in cases]).astype(np.float64),
-        logs=np.stack([np.log(np.abs(contact.theta)) for contact in contacts]),
-        slopes=np.stack([_slopes(contact) for contact in contacts]),
-        loaded=np.stack([slots <= case.load_steps * MECHANICS.time_step + 2e-9 for case in cases]) * 1.0,
-        around=np.stack([item.vector for item in around]),
-        spacing=np.array([item.spacing for item in around]),
-    )
-
-
-def _slopes(contact: SimulatedContact) -> np.ndarray:
-    """Derivatives by φ of the motion against the force's direction, shape [SLOTS, 3] [scene units]."""
-    case = contact.case
-    _, slopes = simulate_sensitivities(
-        contact.theta, case.mesh, case.vertex, case.direction, MECHANICS, load_steps=case.load_steps, dtype=np.float64
-    )
-    return -np.einsum("tdp,d->tp", log_jacobian(slopes[case.steps], contact.theta), case.direction)
+    logs = [np.log(np.abs(contact.theta)) for contact in contacts]
+    slopes = [motion_slopes(observed_exactly(case), at) for case, at in zip(cases, logs, strict=True)]
+    return Fits.of(cases, [contact_surroundings(case) for case in cases], logs, slopes)
 
 
 def train_row(row: str, material: Material, steps: int, seed: int) -> dict[str, float | None]:
@@ -127,9 +108,8 @@ def train_row(row: str, material: Material, steps: int, seed: int) -> dict[str, 
     def draw(count: int) -> Drawn:
         return draw_observed(material.fits, count, generator, lambda loaded: seen_slots(row, loaded))
 
-    posterior.standardise(torch.from_numpy(draw(EXAMPLES).features))
-    posterior.scale.clamp_(min=LEAST_SPREAD)
-    descend(posterior, lambda _: fine_loss(posterior, draw(BATCH)), steps, RATE, lambda step, loss: None)
+    posterior.standardise(torch.from_numpy(draw(EXAMPLES).features), least=LEAST_SPREAD)
+    descend(posterior, lambda _: fine_loss(posterior, draw(FINE_BATCH)), steps, FINE_RATE, lambda step, loss: None)
     return judge(posterior.eval(), row, material, seed)
 
 
@@ -145,10 +125,5 @@ def judge(posterior: ContactPosterior, row: str, material: Material, seed: int) 
     limits = np.stack([covariance(fisher_information(slopes, CLEAN_NOISE)) for slopes in held.slopes])
     truth = held.logs @ TO_QUANTITIES.T
     constant = material.fits.logs.mean(axis=0) @ TO_QUANTITIES.T
-    spread = _deviations(factor @ factor.transpose(0, 2, 1))
-    return numbers(mean @ TO_QUANTITIES.T - truth, constant - truth, _deviations(limits), spread)
-
-
-def _deviations(covariances: np.ndarray) -> np.ndarray:
-    """Standard deviations of all quantities, shape [n, 5], from covariances of φ, shape [n, 3, 3]."""
-    return np.sqrt(np.einsum("ij,njk,ik->ni", TO_QUANTITIES, covariances, TO_QUANTITIES))
+    spread = deviations(factor @ factor.transpose(0, 2, 1))
+    return numbers(mean @ TO_QUANTITIES.T - truth, constant - truth, deviations(limits), spread)

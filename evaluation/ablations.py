@@ -29,11 +29,11 @@ from evaluation import ablation_observation, ablation_training
 from evaluation.ablation_output import FAILED, Result, keep, kept, write_all
 from evaluation.ablation_rows import OBSERVATION, ROWS, TRAINING, Row
 from evaluation.ablation_training import EPOCH, SPLIT, RowFailed, TrainingSettings
-from evaluation.recovery import draw_log_theta
+from evaluation.constant import draw_truths
 from evaluation.recovery_store import replace_text
 from evaluation.result_store import OutputError
 from evaluation.run_record import sha256_of
-from evaluation.suites import FITTED_ON, suite_clip_seed
+from evaluation.suites import FITTED_ON
 from evaluation.worker_pool import WorkerLost, run_tasks
 
 INTERRUPTED = 130
@@ -163,13 +163,7 @@ def prepare(left: list[Row], options: argparse.Namespace, sha256: str, progress:
     path = options.output / f"constant-{options.seed}.json"
     if path.is_file():
         return tuple(json.loads(path.read_text(encoding="utf-8")))
-    tasks = [(i, suite_clip_seed(FITTED_ON[SPLIT], options.seed, i)) for i in range(CONSTANT_CLIPS)]
-    bar = progress.add_task("truths of the constant", total=len(tasks))
-    drawn = []
-    for logs in run_tasks(draw_log_theta, tasks, options.workers):
-        drawn += [] if logs is None else [logs]
-        progress.advance(bar)
-    mean = np.mean(sorted(logs.tolist() for logs in drawn), axis=0).tolist()  # whatever order they came in
+    mean = draw_truths(FITTED_ON[SPLIT], options.seed, CONSTANT_CLIPS, options.workers, progress).mean(axis=0).tolist()
     replace_text(path, json.dumps(mean))
     return tuple(mean)
 

@@ -21,7 +21,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColum
 from rich.text import Text
 
 from evaluation.benchmark_output import show, write_results
-from evaluation.recovery import OK, ClipTask, Recovery, draw_log_theta, evaluate_clip
+from evaluation.constant import draw_truths
+from evaluation.recovery import OK, ClipTask, Recovery, evaluate_clip
 from evaluation.recovery_estimators import NAMES, NEEDS_MODEL, EstimatorSpec, check_model
 from evaluation.recovery_scores import score_all
 from evaluation.recovery_store import RecoveryStore
@@ -193,13 +194,7 @@ class Benchmark:
         stored = self.store.constant(split, count)
         if stored is not None:
             return stored
-        bar = progress.add_task(f"truths of the {split} split", total=count)
-        tasks = [(index, suite_clip_seed(split, options.seed, index)) for index in range(count)]
-        drawn = []
-        for logs in run_tasks(draw_log_theta, tasks, options.workers):
-            drawn.append(logs)
-            progress.advance(bar)
-        found = np.array(sorted(logs.tolist() for logs in drawn if logs is not None))
+        found = draw_truths(split, options.seed, count, options.workers, progress)
         self.store.keep_constant(split, count, found)
         return found
 

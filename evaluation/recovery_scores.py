@@ -114,8 +114,8 @@ def score(rows: Sequence[Recovery], noise: Noise, constant: np.ndarray) -> Score
     truth, estimate = (
         np.log(np.abs([getattr(row, name) for row in kept])).reshape(-1, 3) for name in ("theta", "estimate")
     )
-    limits = [_deviations(covariance(row.information / noise.sigma**2)) for row in kept]
-    sds = [np.full(5, np.nan) if row.covariance is None else _deviations(row.covariance) for row in kept]
+    limits = [deviations(covariance(row.information / noise.sigma**2)) for row in kept]
+    sds = [np.full(5, np.nan) if row.covariance is None else deviations(row.covariance) for row in kept]
     return Scores(
         estimator=rows[0].estimator,
         suite=rows[0].suite,
@@ -131,9 +131,9 @@ def score(rows: Sequence[Recovery], noise: Noise, constant: np.ndarray) -> Score
     )
 
 
-def _deviations(matrix: np.ndarray) -> np.ndarray:
-    """Standard deviations of all quantities from a covariance of log θ, shape [5]."""
-    return np.sqrt(np.einsum("ij,jk,ik->i", TO_QUANTITIES, matrix, TO_QUANTITIES))
+def deviations(covariances: np.ndarray) -> np.ndarray:
+    """Standard deviations of all quantities, shape [..., 5], from covariances of log θ, shape [..., 3, 3]."""
+    return np.sqrt(np.einsum("ij,...jk,ik->...i", TO_QUANTITIES, covariances, TO_QUANTITIES))
 
 
 def score_all(rows: Sequence[Recovery], constant: np.ndarray) -> list[Scores]:

@@ -62,10 +62,10 @@ class ContactPosterior(nn.Module):
                 nn.init.zeros_(self.picture.weight)
                 nn.init.zeros_(self.picture.bias)
 
-    def standardise(self, features: Tensor) -> None:
-        """Set the inputs' centre and scale from examples, shape [N, features]."""
+    def standardise(self, features: Tensor, least: float = 1e-2) -> None:
+        """Set the inputs' centre and scale, `least` or more, from examples, shape [N, features]."""
         self.centre.copy_(features.mean(dim=0))
-        self.scale.copy_(features.std(dim=0).clamp(min=1e-2))
+        self.scale.copy_(features.std(dim=0).clamp(min=least))
 
     def forward(self, contact: Tensor, picture: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """Contact features [B, features] and pooled picture features [B, picture] → mean [B, 3], factor L [B, 3, 3]."""

@@ -129,6 +129,15 @@ def covariance(information: np.ndarray) -> np.ndarray:
     return (vectors * variances) @ vectors.T
 
 
+def box_information(box: np.ndarray) -> np.ndarray:
+    """Information of the uniform prior on a box of φ, as that of the normal distribution with its variance, [3, 3].
+
+    Args:
+        box: lower and upper φ, shape [2, 3].
+    """
+    return np.diag(12 / (box[1] - box[0]) ** 2)
+
+
 def _variances(information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Variance along each principal direction [3], and the directions as columns [3, 3]."""
     values, vectors = np.linalg.eigh(information)

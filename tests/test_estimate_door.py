@@ -15,6 +15,7 @@ import pytest
 
 import estimate
 import infer
+from data.contact_motion import FRAYED
 from data.synthetic import write_clip as write_synthetic
 from data.synthetic_settings import SceneSettings
 from evaluation.contact_results import COLUMNS
@@ -153,6 +154,32 @@ def test_contact_from_the_first_frame_on_has_no_estimate(tmp_path: Path) -> None
     assert row["status"] == "no_estimate"
     assert row["detail"].startswith("The onset of the contact was not seen")
     assert record(tmp_path / "out" / "clip")["contacts"] == {"no_estimate": 1}
+
+
+@pytest.mark.parametrize(
+    ("seen", "reason"),
+    [
+        (0, "The tissue at the contact could not be followed after its onset."),
+        (2, "the contact was followed over 2 frames after its onset; 3 are needed."),
+    ],
+)
+def test_what_is_wrong_with_a_contact_is_told_beside_the_reason_for_no_estimate(
+    seen: int, reason: str, clips: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The clip ends `seen` frames after the onset, and its outlines disagree with its depth."""
+    folder = shutil.copytree(clips / "video01_00000", tmp_path / "clip")
+    onset = json.loads((folder / "truth.json").read_text(encoding="utf-8"))["onset_frame"]
+    for path in folder.glob("frame_*"):
+        if int(path.name.split("_")[1]) > onset + seen:
+            path.unlink()
+    layout = json.loads((folder / "clip.json").read_text(encoding="utf-8"))
+    layout["times"] = layout["times"][: onset + seen + 1]
+    (folder / "clip.json").write_text(json.dumps(layout), encoding="utf-8")
+    monkeypatch.setattr("data.contact_motion.frayed_share", lambda *_: 0.25)
+    assert call(folder, tmp_path / "out") == 0
+    (row,) = rows(tmp_path / "out" / "clip")
+    assert (row["onset_frame"], row["frames"], row["status"]) == (str(onset), str(seen), "no_estimate")
+    assert row["detail"] == f"{FRAYED.format(share=0.25)} {reason}"
 
 
 def test_one_failing_clip_does_not_stop_the_others(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:

@@ -222,16 +222,17 @@ def test_a_lost_track_is_told(what: str, monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def press_again(settings: GeometrySettings, pause: int, left: float) -> list[PreparedFrame]:
-    """A press of six frames, `pause` frames without contact and with a dent of `left`, and another press."""
+    """The last four frames of: a press of six frames, `pause` frames without contact and with a dent of `left`, and
+    another press, during which the contact flickers."""
     linked = motion(settings)
     frames, dent = follow(linked, REFINE_FRAMES)
     for index in range(len(frames), len(frames) + pause):
         frames.append(frame(index, contact=False))
         frames[-1].depth[dent[1], dent[0]] += np.float32(left)
-    frames += [frame(len(frames) + k, contact=True) for k in range(2)]
-    for before, after in pairwise(frames[-3 - pause :]):
+    frames += [frame(len(frames) + k, contact=k != 2) for k in range(4)]
+    for before, after in pairwise(frames[-5 - pause :]):
         linked.link(before, after)
-    return frames[-2:]
+    return frames[-4:]
 
 
 SUBTRACTED = dataclasses.replace(SETTINGS, rigid_motion="subtract")
@@ -247,9 +248,31 @@ SUBTRACTED = dataclasses.replace(SETTINGS, rigid_motion="subtract")
     ],
 )
 def test_a_contact_on_dented_tissue_has_no_onset_at_rest(settings, pause, left, refused) -> None:
-    onset, after = press_again(settings, pause, left)
-    assert (onset.detail == DENTED) == refused
-    assert (onset.track_start, after.track_start) == ((-1, -1) if refused else (onset.frame.index,) * 2)
+    frames = press_again(settings, pause, left)
+    told = DENTED if refused else ""
+    assert [prepared.detail for prepared in frames] == [told, told, "", told]  # all that are in contact
+    assert {prepared.track_start for prepared in frames} == {-1 if refused else frames[0].frame.index}
+
+
+@pytest.mark.parametrize("what", ["at rest again", "out of view"])
+def test_a_contact_after_a_refused_one_is_judged_anew(what: str) -> None:
+    linked = motion()
+    frames, _ = follow(linked, REFINE_FRAMES)
+    count = len(frames)
+    frames += [frame(count + k, contact=k >= 8) for k in range(10)]  # soon after the first
+    count = len(frames)
+    if what == "at rest again":
+        frames += [frame(count + k, contact=k >= 30) for k in range(32)]
+    else:
+        frames.append(frame(count, contact=False))
+        frames[-1].picture_labels = None
+        frames += [frame(count + 1 + k, contact=True) for k in range(2)]
+    for before, after in pairwise(frames[REFINE_FRAMES + ONSET + 1 :]):
+        linked.link(before, after)
+    assert [prepared.detail for prepared in frames[count - 2 : count]] == [DENTED] * 2
+    assert [prepared.detail for prepared in frames[-2:]] == ["", ""]
+    start = frames[-2].frame.index if what == "at rest again" else -1  # back in view, contact is already there
+    assert [prepared.track_start for prepared in frames[-2:]] == [start] * 2
 
 
 def test_a_moved_contact_is_the_meshes_own_vertex() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -11,12 +12,14 @@ import torch
 
 from data.clip import ClipStream
 from data.contact_features import FEATURES, contact_features
+from data.contact_motion import FRAYED, LOST
+from data.prepared import PreparedFrame
 from data.samples import SampleSettings, contact_cases
 from data.synthetic import make_clip
 from data.synthetic_settings import SceneSettings
 from data.synthetic_source import open_synthetic, prepare_synthetic
 from estimators.contact_fits import BOUNDS, MECHANICS
-from estimators.contact_network import LARGEST_MISFIT, ContactNetwork
+from estimators.contact_network import LARGEST_MISFIT, NO_NOISE, TOO_EARLY, UNEXPLAINED, ContactNetwork
 from estimators.estimate import NINETY, NoEstimate
 from evaluation.calibration import metadata
 from evaluation.recovery import PREPARE
@@ -54,7 +57,7 @@ def test_every_frame_has_its_row(network: ContactNetwork, clip) -> None:
             continue
         if item.frame < onset + 2:  # too little motion was seen
             assert (item.stiffness, item.verdict) == (None, "undetermined")
-            assert "two frames" in item.detail
+            assert item.detail == TOO_EARLY
             continue
         assert onset <= item.frame < release
         assert item.verdict in ("determined", "ratios", "undetermined")
@@ -86,11 +89,74 @@ def test_without_a_noise_level_there_is_no_estimate(network: ContactNetwork, cli
     rough = dataclasses.replace(PREPARE, geometry=dataclasses.replace(PREPARE.geometry, smoothing=0.0))
     found = network.estimate_clip(prepare_synthetic(clip, rough))
     assert found
-    assert all(isinstance(item, NoEstimate) for item in found.values())
+    assert all(isinstance(item, NoEstimate) and str(item) == NO_NOISE for item in found.values())
     results = [result.estimate for result in network.run(open_synthetic(clip, rough))]
     touched = [item for item in results if item.status == "ok"]
     assert touched
     assert all(item.verdict == "undetermined" and item.stiffness is None for item in touched)
+    assert {item.detail for item in touched} == {NO_NOISE}
+
+
+@pytest.mark.parametrize("noise", [math.nan, math.inf, 0.0])
+def test_a_noise_level_is_a_positive_number(network: ContactNetwork, clip, noise: float) -> None:
+    samples = SampleSettings(observation="trajectory", mechanics=MECHANICS)
+    (case,) = contact_cases(prepare_synthetic(clip, PREPARE), samples).values()
+    with pytest.raises(NoEstimate) as refused:
+        network._told(dataclasses.replace(case, noise=noise))
+    assert str(refused.value) == NO_NOISE
+
+
+def test_one_observation_is_too_early(network: ContactNetwork, clip) -> None:
+    prepared = prepare_synthetic(clip, PREPARE)
+    early, enough = (network.estimate_clip(prepared, frames)[clip.motion.onset_frame] for frames in (1, 2))
+    assert isinstance(early, NoEstimate)
+    assert str(early) == TOO_EARLY
+    assert np.isfinite(enough.theta).all()
+
+
+def test_what_is_wrong_with_a_contact_is_told_beside_why_it_has_no_estimate(
+    network: ContactNetwork, clip, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Outlines that disagree with the depth are a remark of the onset's frame."""
+    monkeypatch.setattr("data.contact_motion.frayed_share", lambda *_: 0.25)
+    results = [result.estimate for result in network.run(open_synthetic(clip, PREPARE))]
+    onset = clip.motion.onset_frame
+    assert results[onset].detail == f"{FRAYED.format(share=0.25)} {TOO_EARLY}"
+    assert (results[onset].verdict, results[onset].stiffness) == ("undetermined", None)
+    assert results[onset + 1].detail == TOO_EARLY
+
+
+class Remarked:
+    """A clip stream of which every frame in contact has a remark."""
+
+    def __init__(self, stream: ClipStream) -> None:
+        self.stream = stream
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self.stream, name)
+
+    def __iter__(self) -> Iterator[PreparedFrame]:
+        for prepared in self.stream:
+            prepared.detail = LOST if prepared.in_contact else ""
+            yield prepared
+
+
+def test_remarks_stay_beside_what_the_network_says(
+    network: ContactNetwork, clip, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found, estimate = [], network.estimate
+    monkeypatch.setattr(network, "estimate", lambda *told: found.append(estimate(*told)) or found[-1])
+    results = [result.estimate for result in network.run(Remarked(open_synthetic(clip, PREPARE)))]
+    onset, release = clip.motion.onset_frame, clip.motion.release_frame
+    assert [item.detail for item in results[onset : onset + 2]] == [f"{LOST} {TOO_EARLY}"] * 2
+    misfits = [item.misfit for item in found]
+    assert min(misfits) > LARGEST_MISFIT  # an untrained network explains nothing
+    expected = [f"{LOST} {UNEXPLAINED.format(misfit)}" for misfit in misfits]
+    assert [item.detail for item in results[onset + 2 : release]] == expected
+    assert {item.detail for item in results[:onset]} == {""}
+    rough = dataclasses.replace(PREPARE, geometry=dataclasses.replace(PREPARE.geometry, smoothing=0.0))
+    blind = [result.estimate.detail for result in network.run(Remarked(open_synthetic(clip, rough)))]
+    assert set(blind) == {"", f"{LOST} {NO_NOISE}"}
 
 
 @pytest.mark.parametrize(

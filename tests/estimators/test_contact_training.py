@@ -61,15 +61,8 @@ def test_the_last_stage_learns(contacts: list[SimulatedContact]) -> None:
     """On eight contacts, a hundred steps bring the estimates nearer to what explains the motions."""
     trainer = Trainer(contacts, 0)
     found = [fit_motion((contact.case, np.log(np.abs(contact.theta)))) for contact in contacts]
-    times = np.arange(1, SLOTS + 1) / 25
-    fits = Fits(
-        motion=np.stack([-(contact.case.displacement @ contact.case.direction) for contact in contacts]),
-        logs=np.stack([logs for logs, _, _ in found]),
-        slopes=np.stack([slopes for _, slopes, _ in found]),
-        loaded=np.stack([times <= contact.case.load_steps * MECHANICS.time_step + 1e-9 for contact in contacts]) * 1.0,
-        around=np.stack([around.vector for around in trainer.surroundings]),
-        spacing=np.array([around.spacing for around in trainer.surroundings]),
-    )
+    logs, slopes, _ = zip(*found, strict=True)
+    fits = Fits.of([contact.case for contact in contacts], trainer.surroundings, logs, slopes)
     before = evaluate(trainer.posterior.eval(), contacts, 1e-3, 0)
     trainer.posterior.train()
     trainer.fine(fits, 100, 64, 2e-3, lambda step, loss: None)

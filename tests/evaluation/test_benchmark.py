@@ -5,7 +5,7 @@ import csv
 import numpy as np
 import pytest
 
-from evaluation import benchmark
+from evaluation import benchmark, constant
 from evaluation.benchmark import INTERRUPTED, main
 from evaluation.recovery_scores import COLUMNS
 from tests.evaluation.recovery_cases import off_by, recovery
@@ -26,7 +26,7 @@ def evaluated(monkeypatch):
         ]
 
     monkeypatch.setattr(benchmark, "evaluate_clip", evaluate)
-    monkeypatch.setattr(benchmark, "draw_log_theta", lambda task: np.array([-1.0, -3.0, -2.5]) + 0.1 * task[0])
+    monkeypatch.setattr(constant, "draw_log_theta", lambda task: np.array([-1.0, -3.0, -2.5]) + 0.1 * task[0])
     return seen
 
 

@@ -11,6 +11,7 @@ from evaluation.recovery_scores import (
     NORMAL_90,
     QUANTITIES,
     coverage,
+    deviations,
     measure_noise,
     score,
     score_all,
@@ -66,6 +67,21 @@ def test_ratios_use_the_whole_covariance():
         assert row["bound_log"] == pytest.approx(0.1)
         assert row["coverage90"] == 1.0
     assert table([recovery()])["non-identifiable", "force/damping"]["n"] == 0
+
+
+def test_deviations_of_ratios_in_closed_form():
+    # var(log a/b) = var(log a) + var(log b) − 2·cov(log a, log b).
+    sds, correlations = np.array([0.1, 0.2, 0.4]), np.array([[1, 0.5, 0.3], [0.5, 1, -0.25], [0.3, -0.25, 1]])
+    matrix = correlations * np.outer(sds, sds)
+    expected = [0.1, 0.2, 0.4, math.sqrt(0.01 + 0.04 - 2 * 0.01), math.sqrt(0.16 + 0.04 + 2 * 0.02)]
+    assert QUANTITIES[3:] == ("stiffness/damping", "force/damping")
+    assert deviations(matrix) == pytest.approx(expected)
+    # The same of many at once; where all errors are one, ratios have none.
+    found = deviations(np.stack([matrix, 9 * matrix, 0.25 * np.ones((3, 3)), np.full((3, 3), np.nan)]))
+    np.testing.assert_allclose(found[:2], [expected, 3 * np.array(expected)], rtol=1e-12)
+    np.testing.assert_allclose(found[2], [0.5, 0.5, 0.5, 0, 0], atol=1e-12)
+    assert np.isnan(found[3]).all()
+    assert found.shape == (4, 5)
 
 
 def test_identifiable_is_decided_for_each_parameter():

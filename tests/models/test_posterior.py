@@ -45,6 +45,17 @@ def test_the_picture_changes_nothing_at_first() -> None:
     assert not torch.allclose(network(contact, picture)[0], network(contact)[0])
 
 
+def test_inputs_are_standardised_by_their_spread_or_the_least_one() -> None:
+    network = ContactPosterior(3, BOX, width=16, blocks=1)
+    features = torch.tensor([[1.0, 5.0, 0.0], [3.0, 5.0, 0.2], [5.0, 5.0, 0.4]])  # of spread 2, 0 and 0.2
+    network.standardise(features)
+    torch.testing.assert_close(network.centre, torch.tensor([3.0, 5.0, 0.2]))
+    torch.testing.assert_close(network.scale, torch.tensor([2.0, 0.01, 0.2]))
+    network.standardise(features, least=0.3)
+    torch.testing.assert_close(network.centre, torch.tensor([3.0, 5.0, 0.2]))
+    torch.testing.assert_close(network.scale, torch.tensor([2.0, 0.3, 0.3]))
+
+
 def test_loss_is_least_at_the_exact_posterior() -> None:
     """For a linear model the bound's optimum is N(H⁻¹(Jᵀd/σ² + Pm), H⁻¹) with H = JᵀJ/σ² + P."""
     generator = np.random.default_rng(1)

@@ -24,6 +24,10 @@ FARTHEST_RIM = 32
 """Waves from a rim farther away don't return within a second [grid pixels]."""
 FEATURES = 4 * SLOTS + 4 * len(NEIGHBOURS) + len(NEIGHBOURS) + 4
 """Length of the vector."""
+REFERENCE_SPACING = 0.0027
+"""A usual spacing of the mesh at the contact [scene units]."""
+LOG_NOISE = FEATURES - 4, FEATURES - 3
+"""Places in the vector whose sum is the logarithm of the noise over REFERENCE_SPACING."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +90,9 @@ def join_features(
     relative = (noise / spacing)[:, None]
     along = along * known
     logs = np.log(relative)
-    scales = np.concatenate([np.log(spacing / 0.0027)[:, None], logs, logs**2 / 4, known.mean(1)[:, None]], axis=1)
+    scales = np.concatenate(
+        [np.log(spacing / REFERENCE_SPACING)[:, None], logs, logs**2 / 4, known.mean(1)[:, None]], axis=1
+    )
     scaled = np.arcsinh(along / (2 * relative)) / 5
     return np.concatenate([along / 8, scaled, known, loaded, around, scales], axis=1).astype(np.float32)
 

@@ -168,18 +168,21 @@ class ContactNetwork:
         start = time.perf_counter()
         features = contact_features(case, self.mechanics.time_step, surroundings=surroundings)
         window = depth[None] if self.model.takes_depth else None
-        mean, covariance = (values[0] for values in self.model(features[None], window))
+        mean, covariance, decisive = (values[0] for values in self.model(features[None], window))
         self.seconds["network"] += time.perf_counter() - start
-        if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
+        if not all(np.isfinite(values).all() for values in (mean, covariance, decisive)):
             raise ModelFileError(f"{self.model.path} gives a number that is not finite; export another checkpoint.")
         start = time.perf_counter()
         misfit, information = self._linearise(mean, case)
         self.seconds["simulation"] += time.perf_counter() - start
         theta, box = np.exp(mean) * PRESSING, self.bounds.log_box
         if misfit > LARGEST_MISFIT:
-            covariance = covariance + np.linalg.inv(information / misfit**2 + box_information(box))
+            unexplained = np.linalg.inv(information / misfit**2 + box_information(box))
+            covariance, decisive = covariance + unexplained, decisive + unexplained
         at_bound = np.minimum(mean - box[0], box[1] - mean) < EDGE * (box[1] - box[0])
-        return ContactEstimate(theta, covariance, information, case.noise, misfit, at_bound)
+        return ContactEstimate(
+            theta, covariance, information, case.noise, misfit, at_bound, decisive=np.linalg.inv(decisive)
+        )
 
     def _linearise(self, logs: np.ndarray, case: ContactCase) -> tuple[float, np.ndarray]:
         """Residual's size in σ, and Fisher information [3, 3] of the contact's trajectory, at φ."""

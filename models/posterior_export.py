@@ -12,35 +12,52 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from models.calibration import Calibration
 from models.generator import Generator
 from models.onnx_file import PARITY_BATCHES, write_onnx
 from models.onnx_session import INPUT
 from models.posterior import ContactPosterior
-from models.posterior_session import CONTACT, LOG_COVARIANCE, LOG_MEAN, POSTERIOR, PosteriorModel
+from models.posterior_session import CONTACT, DECISIVE, LOG_COVARIANCE, LOG_MEAN, POSTERIOR, PosteriorModel
 
 
 class _Calibrated(nn.Module):
-    """Mean and covariance with every standard deviation times its calibration factor."""
+    """Mean, calibrated covariance, and the covariance by which verdicts are given."""
 
     scale: Tensor
+    power: Tensor
+    noise: Tensor
+    decisive: Tensor
 
-    def __init__(self, network: ContactPosterior | Generator, scale: np.ndarray) -> None:
+    def __init__(self, network: ContactPosterior | Generator, calibration: Calibration) -> None:
         super().__init__()
-        self.network = network
-        self.register_buffer("scale", torch.as_tensor(scale, dtype=torch.float32))
+        self.network, self.noise_features = network, list(calibration.noise_features)
+        for name in ("scale", "power", "noise", "decisive"):
+            self.register_buffer(name, torch.tensor(getattr(calibration, name), dtype=torch.float32))
 
-    def forward(self, contact: Tensor, depth: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    def forward(self, contact: Tensor, depth: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
         if depth is None:
             mean, factor = self.network(contact)
         else:
             answer = self.network.answer(self.network.encode(depth), contact)
             mean, factor = answer.mean, answer.factor
-        factor = factor * self.scale[:, None]
-        return mean, factor @ factor.transpose(1, 2)
+        log_sd = 0.5 * torch.log(factor.square().sum(dim=2))
+        widened = self.scale * torch.exp((self.power - 1) * log_sd)
+        if self.noise_features:
+            widened = widened * torch.exp(self.noise * contact[:, self.noise_features].sum(dim=1, keepdim=True))
+        return mean, _covariance(factor, widened), _covariance(factor, self.decisive.expand_as(log_sd))
+
+
+def _covariance(factor: Tensor, scale: Tensor) -> Tensor:
+    """L·Lᵀ [B, 3, 3] with its standard deviations times `scale` [B, 3]."""
+    scaled = factor * scale[:, :, None]
+    return scaled @ scaled.transpose(1, 2)
 
 
 def export_posterior(
-    network: ContactPosterior | Generator, output: Path, metadata: dict[str, Any], scale: np.ndarray | None = None
+    network: ContactPosterior | Generator,
+    output: Path,
+    metadata: dict[str, Any],
+    calibration: Calibration | None = None,
 ) -> float:
     """Write a contact posterior with a dynamic batch, and compare the file with torch.
 
@@ -48,24 +65,24 @@ def export_posterior(
         network: trained posterior, or a generator whose head is one.
         output: file to write; it appears only when it is complete and agrees with torch.
         metadata: JSON-able entries beside those written here; must hold `input` (window, height, width).
-        scale: factors of the standard deviations of (log k_s, log k_d, log |F|), shape [3], from calibration; None = 1.
+        calibration: of the standard deviations; None leaves them as they are.
 
     Returns:
-        Largest difference of mean and covariance over batches of 1, 2 and 7.
+        Largest difference of mean and covariances over batches of 1, 2 and 7.
 
     Raises:
         ParityError: the difference is over 1e-5.
     """
-    scale = np.ones(3) if scale is None else scale
-    estimator = _Calibrated(network, scale).cpu().eval()
-    document = {"head": POSTERIOR, "calibration": [float(value) for value in scale]} | metadata
+    calibration = Calibration() if calibration is None else calibration
+    estimator = _Calibrated(network, calibration).cpu().eval()
+    document = {"head": POSTERIOR, "calibration": calibration.document()} | metadata
     size = document["input"]
     window = (size["window"], size["height"], size["width"]) if isinstance(network, Generator) else None
     example = dict(zip((CONTACT, INPUT), _inputs(network, window, 2), strict=False))
     return write_onnx(
         estimator,
         example,
-        [LOG_MEAN, LOG_COVARIANCE],
+        [LOG_MEAN, LOG_COVARIANCE, DECISIVE],
         document,
         output,
         lambda path: _parity(estimator, PosteriorModel(path), window),

@@ -9,7 +9,7 @@ import numpy as np
 
 from models.onnx_session import INPUT, ModelFileError, open_session, read_metadata
 
-CONTACT, LOG_MEAN, LOG_COVARIANCE = "contact", "log_mean", "log_covariance"
+CONTACT, LOG_MEAN, LOG_COVARIANCE, DECISIVE = "contact", "log_mean", "log_covariance", "decisive_covariance"
 POSTERIOR = "posterior"
 """Value of the metadata's `head` for such a file."""
 
@@ -32,10 +32,10 @@ class PosteriorModel:
         """Everything the export wrote: bounds, units, mechanics, preprocessing settings, calibration and versions."""
         inputs = {value.name: list(value.shape) for value in self._session.get_inputs()}
         outputs = [value.name for value in self._session.get_outputs()]
-        if CONTACT not in inputs or not {LOG_MEAN, LOG_COVARIANCE} <= set(outputs):
+        if CONTACT not in inputs or not {LOG_MEAN, LOG_COVARIANCE, DECISIVE} <= set(outputs):
             raise ModelFileError(
                 f"{self.path} takes {', '.join(inputs)} and gives {', '.join(outputs)}, not {CONTACT} and {LOG_MEAN}, "
-                f"{LOG_COVARIANCE}; export it again."
+                f"{LOG_COVARIANCE}, {DECISIVE}; export it again."
             )
         size = self.metadata["input"]
         self.window: int = size["window"]
@@ -47,7 +47,9 @@ class PosteriorModel:
         self.takes_depth = INPUT in inputs
         """Whether it looks at the depth window as well."""
 
-    def __call__(self, contact: np.ndarray, depth: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def __call__(
+        self, contact: np.ndarray, depth: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Posterior of contacts.
 
         Args:
@@ -55,7 +57,8 @@ class PosteriorModel:
             depth: depth windows, shape [B, K, H, W], where the model takes them.
 
         Returns:
-            Mean [B, 3] and covariance [B, 3, 3] of (log k_s, log k_d, log |F|), float64, calibrated.
+            Of (log k_s, log k_d, log |F|): mean [B, 3], calibrated covariance [B, 3, 3], and the covariance [B, 3, 3]
+            by which the verdict is given; float64.
 
         Raises:
             ValueError: another shape.
@@ -67,5 +70,6 @@ class PosteriorModel:
             if depth is None or depth.shape[1:] != (self.window, *self.input_size):
                 raise ValueError(f"{self.path} takes depth windows [B, {self.window}, H, W] as well.")
             feed[INPUT] = np.ascontiguousarray(depth, np.float32)
-        mean, covariance = self._session.run([LOG_MEAN, LOG_COVARIANCE], feed)
-        return mean.astype(np.float64), covariance.astype(np.float64)
+        found = self._session.run([LOG_MEAN, LOG_COVARIANCE, DECISIVE], feed)
+        mean, covariance, decisive = (values.astype(np.float64) for values in found)
+        return mean, covariance, decisive

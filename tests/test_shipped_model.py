@@ -26,7 +26,9 @@ def test_it_is_small_and_says_what_it_is() -> None:
     network = open_exported(SHIPPED)
     assert isinstance(network, ContactNetwork)
     assert network.model.metadata["observation"] == "trajectory"
-    assert min(network.model.metadata["calibration"]) > 0.5
+    calibration = network.model.metadata["calibration"]
+    assert min(calibration["decisive"]) > 0.5
+    assert 0.3 < min(calibration["power"]) <= max(calibration["power"]) < 1.2
     assert "scene units" in network.model.metadata["units"]["force"]
 
 

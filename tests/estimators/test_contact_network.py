@@ -36,7 +36,7 @@ def network(tmp_path_factory) -> ContactNetwork:
     weights = folder / "posterior.pt"
     posterior = ContactPosterior(FEATURES, torch.tensor(BOUNDS.log_box), width=16, blocks=1)
     torch.save(posterior.state_dict(), weights)
-    export_posterior(posterior, folder / "contact.onnx", metadata(weights), np.ones(3))
+    export_posterior(posterior, folder / "contact.onnx", metadata(weights))
     return ContactNetwork(PosteriorModel(folder / "contact.onnx"))
 
 

@@ -1,34 +1,70 @@
-"""Conformal factors: by hand, and that they make intervals hold what they say."""
+"""Calibration by hand, on errors of known size, and what it refuses."""
 
 from __future__ import annotations
+
+import json
 
 import numpy as np
 import pytest
 
+from data.contact_features import LOG_NOISE
 from estimators.estimate import NINETY
-from evaluation.calibration import conformal_scale, main
+from evaluation.calibration import check_record, conformal_scale, fit_calibration, fit_widths, main
 
 
 def test_factor_by_hand() -> None:
     """With 199 scores 1…199 in units of sd the 180th is the 90 % quantile of 200."""
-    errors = np.repeat(np.arange(1.0, 200.0)[:, None], 3, axis=1) * (1, -1, 2)
-    scale = conformal_scale(errors, np.ones((199, 3)))
-    np.testing.assert_allclose(scale * NINETY, [180, 180, 360])
+    errors = np.arange(1.0, 200.0)
+    assert conformal_scale(errors, np.ones(199)) * NINETY == pytest.approx(180)
+    assert conformal_scale(-2 * errors, np.ones(199)) * NINETY == pytest.approx(360)
 
 
-def test_overconfident_estimates_become_calibrated() -> None:
+def test_widths_are_found_again() -> None:
     generator = np.random.default_rng(0)
-    sd = generator.uniform(0.05, 0.5, (4000, 3))
-    errors = generator.normal(size=(4000, 3)) * sd * 1.7
-    scale = conformal_scale(errors[:2000], sd[:2000])
-    np.testing.assert_allclose(scale, 1.7, rtol=0.06)
-    covered = (np.abs(errors[2000:]) <= NINETY * scale * sd[2000:]).mean(axis=0)
-    np.testing.assert_allclose(covered, 0.9, atol=0.02)
+    known = np.log(generator.uniform(0.05, 0.5, (20000, 2)))
+    errors = generator.normal(size=20000) * np.exp(0.3 + known @ (0.7, 0.2))
+    np.testing.assert_allclose(fit_widths(errors, known), (0.7, 0.2), atol=0.03)
+    known[:, 1] = 1.0  # tells nothing, so the rest must come out as without it
+    found = fit_widths(errors, known)
+    assert found[1] == 0
+    np.testing.assert_allclose(found[:1], fit_widths(errors, known[:, :1]), rtol=1e-6)
+
+
+def test_overconfident_estimates_become_calibrated_at_any_width() -> None:
+    """Errors with a floor under their size: one factor for all leaves narrow intervals too narrow."""
+    generator = np.random.default_rng(0)
+    sd, noise = generator.uniform(0.03, 0.6, (6000, 3)), generator.choice([0.4, 1.5], 6000)
+    errors = generator.normal(size=(6000, 3)) * 1.3 * sd**0.7 * noise[:, None] ** 0.2
+    found = fit_calibration(errors[:3000], sd[:3000], noise[:3000])
+    np.testing.assert_allclose(found.power, 0.7, atol=0.06)
+    np.testing.assert_allclose(found.noise, 0.2, atol=0.06)
+    assert found.noise_features == LOG_NOISE
+    widths = found.scale * sd[3000:] ** found.power * noise[3000:, None] ** np.array(found.noise)
+    held = np.abs(errors[3000:]) <= NINETY * widths
+    flat = np.abs(errors[3000:]) <= NINETY * sd[3000:] * np.array(found.decisive)
+    np.testing.assert_allclose(flat.mean(axis=0), 0.9, atol=0.02)
+    for parameter in range(3):
+        narrow, wide = np.array_split(np.argsort(sd[3000:, parameter]), 2)
+        for half in (narrow, wide):
+            assert held[half, parameter].mean() == pytest.approx(0.9, abs=0.03)
+        assert flat[narrow, parameter].mean() < 0.87 < 0.93 < flat[wide, parameter].mean()
 
 
 def test_too_few_clips_are_refused() -> None:
     with pytest.raises(ValueError, match="needs 100"):
-        conformal_scale(np.zeros((99, 3)), np.ones((99, 3)))
+        fit_calibration(np.zeros((99, 3)), np.ones((99, 3)), np.ones(99))
+
+
+def test_results_of_another_split_or_of_unfinished_contacts_are_refused(tmp_path) -> None:
+    for record, words in (
+        ({"split": "test", "seen": None}, "holds the test split"),
+        ({"split": "validation", "seen": 8}, "made with --seen 8"),
+    ):
+        (tmp_path / "run.json").write_text(json.dumps(record))
+        with pytest.raises(ValueError, match=words):
+            check_record(tmp_path)
+    (tmp_path / "run.json").write_text(json.dumps({"split": "validation", "seen": None}))
+    check_record(tmp_path)
 
 
 def test_a_missing_file_is_one_sentence(tmp_path, capsys) -> None:

@@ -8,6 +8,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from models.calibration import Calibration
 from models.generator import Generator
 from models.onnx_session import ModelFileError
 from models.posterior import ContactPosterior, evidence_loss
@@ -84,20 +85,42 @@ def test_gradient_by_the_mean_is_the_misfits() -> None:
 
 def test_exported_file_agrees_and_is_calibrated(posterior: ContactPosterior, tmp_path) -> None:
     posterior.standardise(torch.randn(50, 10) * 3 + 1)
-    scale = np.array([1.0, 2.0, 0.5])
-    assert export_posterior(posterior, tmp_path / "contact.onnx", METADATA, scale) < 1e-5
+    calibration = Calibration(
+        scale=(1.0, 2.0, 0.5), power=(1.0, 0.8, 0.5), noise=(0.0, 0.2, 0.1), noise_features=(8, 9), decisive=(1, 3, 2)
+    )
+    assert export_posterior(posterior, tmp_path / "contact.onnx", METADATA, calibration) < 1e-5
     model = PosteriorModel(tmp_path / "contact.onnx")
     contact = np.random.default_rng(0).normal(size=(5, 10)).astype(np.float32)
-    mean, covariance = model(contact)
+    mean, covariance, decisive = model(contact)
     with torch.no_grad():
         expected, factor = posterior(torch.from_numpy(contact))
     np.testing.assert_allclose(mean, expected.numpy(), atol=1e-5)
     plain = (factor @ factor.transpose(1, 2)).numpy()
-    np.testing.assert_allclose(covariance, plain * scale[:, None] * scale, rtol=1e-4, atol=1e-6)
-    assert model.metadata["calibration"] == [1.0, 2.0, 0.5]
+    sd = np.sqrt(np.diagonal(plain, axis1=1, axis2=2))
+    noise = np.exp(contact[:, 8] + contact[:, 9])[:, None]
+    wanted = (1.0, 2.0, 0.5) * sd ** (1.0, 0.8, 0.5) * noise ** (0.0, 0.2, 0.1)
+    np.testing.assert_allclose(np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)), wanted, rtol=1e-4)
+    np.testing.assert_allclose(_correlations(covariance), _correlations(plain), atol=1e-4)
+    factors = np.array([1.0, 3.0, 2.0])
+    np.testing.assert_allclose(decisive, plain * factors[:, None] * factors, rtol=1e-4, atol=1e-6)
+    assert Calibration(**model.metadata["calibration"]).document() == calibration.document()
     assert (model.features, model.takes_depth) == (10, False)
     with pytest.raises(ValueError, match=r"expected \[B, 10\]"):
         model(contact[:, :9])
+
+
+def _correlations(covariances: np.ndarray) -> np.ndarray:
+    sd = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
+    return covariances / (sd[:, :, None] * sd[:, None])
+
+
+def test_without_calibration_the_covariance_is_the_networks_own(posterior: ContactPosterior, tmp_path) -> None:
+    export_posterior(posterior, tmp_path / "contact.onnx", METADATA)
+    _, covariance, decisive = PosteriorModel(tmp_path / "contact.onnx")(np.ones((2, 10), np.float32))
+    with torch.no_grad():
+        factor = posterior(torch.ones(2, 10))[1]
+    np.testing.assert_allclose(covariance, (factor @ factor.transpose(1, 2)).numpy(), rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(decisive, covariance, rtol=1e-4, atol=1e-6)
 
 
 def test_a_generators_posterior_takes_the_depth_window_too(tmp_path) -> None:
@@ -111,7 +134,7 @@ def test_a_generators_posterior_takes_the_depth_window_too(tmp_path) -> None:
     assert model.takes_depth
     random = np.random.default_rng(0)
     contact, depth = random.normal(size=(3, 10)), random.uniform(size=(3, 2, 24, 32))
-    mean, _ = model(contact, depth)
+    mean, *_ = model(contact, depth)
     assert not np.allclose(mean, model(contact, depth[::-1])[0])  # the picture counts
     with torch.no_grad():
         theta = generator.eval().estimate(torch.tensor(depth).float(), torch.tensor(contact).float())

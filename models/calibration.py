@@ -1,0 +1,31 @@
+"""How a contact posterior's standard deviations become ones that hold, as found on validation clips."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+Triple = tuple[float, float, float]
+"""One number for each of (log k_s, log k_d, log |F|)."""
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Calibrated standard deviations of log θ: scale · sd^power · σ^noise; the default leaves them as they are.
+
+    Networks are surest where they should be least so: their own error hardly shrinks with the posterior's width. A
+    power below 1 widens narrow intervals more than wide ones.
+    """
+
+    scale: Triple = (1.0, 1.0, 1.0)
+    power: Triple = (1.0, 1.0, 1.0)
+    noise: Triple = (0.0, 0.0, 0.0)
+    """Exponents of the observation's σ, in the unit in which the contact's features tell it."""
+    noise_features: tuple[int, ...] = ()
+    """Features whose sum is log σ."""
+    decisive: Triple = (1.0, 1.0, 1.0)
+    """Factors of the network's own standard deviations by which the verdict is given."""
+
+    def document(self) -> dict[str, Any]:
+        """As JSON-able values."""
+        return {name: list(values) for name, values in asdict(self).items()}

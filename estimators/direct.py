@@ -22,7 +22,7 @@ from estimators.contact_optima import Optimum, combine, distinct, evidence_share
 from estimators.contact_problem import ContactProblem
 from estimators.estimate import ContactEstimate, NoEstimate
 from estimators.posterior_sampling import Draws, Mixture, sample_posterior
-from estimators.tracking_noise import log_likelihood, variance_scale
+from estimators.tracking_noise import log_likelihoods, variance_scale
 from physics.identifiability import bounds, box_information
 from physics.mechanics import Mechanics
 
@@ -136,10 +136,10 @@ def _sample(
         np.array([WIDER * np.linalg.inv(_tempered(optimum, len(observed)) + prior) for optimum in optima]),
     )
     return sample_posterior(
-        lambda logs: log_likelihood(observed, problem.coarse_paths(logs) @ direction / problem.noise),
+        lambda logs: log_likelihoods(observed, problem.coarse_paths(logs) @ direction / problem.noise),
         box,
         start,
-        (candidates, log_likelihood(observed, paths @ direction / problem.noise)),
+        (candidates, log_likelihoods(observed, paths @ direction / problem.noise)),
     )
 
 

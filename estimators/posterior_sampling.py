@@ -22,15 +22,16 @@ ROUND = 128
 """Points of a round; a power of two, as Sobol points want."""
 ENOUGH = 150.0
 """Effective draws after which no further round is made: a mean is then within a twelfth of a standard deviation."""
-ROUNDS = (2, 5)
+ROUNDS = (2, 8)
 """Fewest and most rounds: the first one's mixture is a guess."""
 WIDER = 1.2
 """Moved components are this much wider than the draws that they follow, in standard deviations."""
 KEPT = 0.1
 """Share of a component's former covariance in the moved one, so that few draws don't make it flat."""
 
-LogLikelihood = Callable[[np.ndarray], np.ndarray]
-"""From points in the box, shape [n, D], to log-likelihoods up to a constant, shape [n]."""
+LogLikelihoods = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""From points in the box, shape [n, D], to log-likelihoods under H hypotheses, each up to a constant, by which points
+are weighed, and to those by which hypotheses are, all up to the same constant, shapes [n, H]."""
 
 
 @dataclass(frozen=True)
@@ -115,40 +116,46 @@ class Draws:
 
 
 def sample_posterior(
-    log_likelihood: LogLikelihood,
+    log_likelihoods: LogLikelihoods,
     box: np.ndarray,
     start: Mixture,
-    known: tuple[np.ndarray, np.ndarray],
+    known: tuple[np.ndarray, tuple[np.ndarray, np.ndarray]],
 ) -> Draws:
     """Weighted draws from a likelihood times a uniform prior; the caller judges whether enough of them count.
 
     Args:
-        log_likelihood: called with points inside the box only.
+        log_likelihoods: called with points inside the box only.
         box: lower and upper ends, shape [2, D].
         start: where the first points are drawn: around the modes.
-        known: evenly spread points of the box [U, D] whose log-likelihoods [U] are known already: modes that `start`
-            has missed.
+        known: evenly spread points of the box [U, D] whose log-likelihoods ([U, H], [U, H]) are known already: modes
+            that `start` has missed.
     """
     low, high = box
     sequence = Sobol(box.shape[1] + 2, rng=1)
-    points, values = known
+    points, (values, evidences) = known
     uniform = math.log(len(points)) - float(np.log(high - low).sum())
     mixtures = [start]
     while True:
         found = mixtures[-1].draw(np.clip(sequence.random(ROUND), 1e-9, 1 - 1e-9))
         found = found[((found >= low) & (found <= high)).all(axis=1)]
-        points, values = np.concatenate((points, found)), np.concatenate((values, log_likelihood(found)))
-        draws = _weigh(points, values, uniform, mixtures)
+        points, more = np.concatenate((points, found)), log_likelihoods(found)
+        values, evidences = (np.concatenate(pair) for pair in zip((values, evidences), more, strict=True))
+        draws = _weigh(points, values, evidences, uniform, mixtures)
         rounds = len(mixtures)
         if rounds >= ROUNDS[1] or (rounds >= ROUNDS[0] and draws.effective >= ENOUGH):
             return draws
         mixtures.append(mixtures[-1].moved(draws.points, draws.weights))
 
 
-def _weigh(points: np.ndarray, values: np.ndarray, uniform: float, mixtures: Sequence[Mixture]) -> Draws:
+def _weigh(
+    points: np.ndarray, values: np.ndarray, evidences: np.ndarray, uniform: float, mixtures: Sequence[Mixture]
+) -> Draws:
     """Points weighed by likelihood over the density of all draws, `uniform` being the log of the known ones'."""
     drawn = [np.full(len(points), uniform)]
     drawn += [math.log(ROUND) + logsumexp(mixture.log_densities(points), axis=1) for mixture in mixtures]
-    logs = values - logsumexp(drawn, axis=0)
+    density = logsumexp(drawn, axis=0)
+    shares = [logsumexp(logs - density[:, None], axis=0) for logs in (evidences, values)]
+    likelihoods = logsumexp(values + shares[0] - shares[1], axis=1)
+    logs = likelihoods - density
     weights = np.exp(logs - logs.max())
-    return Draws(points, weights / weights.sum(), points[np.argmax(values)])
+    return Draws(points, weights / weights.sum(), points[np.argmax(likelihoods)])

@@ -14,7 +14,7 @@ from estimators.contact_optima import Optimum, combine
 from estimators.direct import ContactProblem, DirectSettings, cautious, fit_clip, fit_contact
 from estimators.estimate import NoEstimate
 from estimators.posterior_sampling import Draws, sample_posterior
-from estimators.tracking_noise import log_likelihood
+from estimators.tracking_noise import log_likelihoods
 from physics.identifiability import bounds, contact_information, covariance
 from physics.mechanics import Mechanics
 from physics.mesh import contact_normal
@@ -125,9 +125,10 @@ def test_mean_and_covariance_are_those_of_the_posterior_on_a_grid() -> None:
     axes = [low[axis] + (np.arange(16) + 0.5) / 16 * (high[axis] - low[axis]) for axis in range(3)]
     logs = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     along = problem.coarse_paths(logs) @ DIRECTION / case.noise
-    values = log_likelihood(case.displacement @ DIRECTION / case.noise, along)
-    weights = np.exp(values - values.max())
-    weights /= weights.sum()
+    values, evidences = log_likelihoods(case.displacement @ DIRECTION / case.noise, along)
+    shares = np.exp(evidences - evidences.max()).sum(axis=0)
+    weights = np.exp(values - values.max(axis=0))
+    weights = weights / weights.sum(axis=0) @ (shares / shares.sum())
     assert 1 / np.square(weights).sum() > 50  # the grid resolves it
     mean = weights @ logs
     sd = np.sqrt(weights @ np.square(logs - mean))
@@ -158,11 +159,11 @@ def test_an_optimum_that_the_starts_missed_is_found_from_the_likeliest_draw(monk
     truth = np.log(np.abs(theta))
     known = []
 
-    def first_fails(log_likelihood, box, start, candidates) -> Draws:
+    def first_fails(log_likelihoods, box, start, candidates) -> Draws:
         known.append(start.means)
         if len(known) == 1:
             return lone(truth, truth + 0.02)
-        return sample_posterior(log_likelihood, box, start, candidates)
+        return sample_posterior(log_likelihoods, box, start, candidates)
 
     monkeypatch.setattr(direct, "sample_posterior", first_fails)
     monkeypatch.setattr(ContactProblem, "best_starts", lambda *_: np.log([[0.06, 0.4, 0.02]]))

@@ -26,7 +26,12 @@ def normal(mean: np.ndarray, covariance: np.ndarray):
 
 def sampled(log_likelihood, means: list, scales: list) -> Draws:
     mixture = Mixture(np.full(len(means), 1 / len(means)), np.array(means, float), np.array(scales, float))
-    return sample_posterior(log_likelihood, BOX, mixture, (KNOWN, log_likelihood(KNOWN)))
+
+    def log_likelihoods(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        values = log_likelihood(points)[:, None]
+        return values, values
+
+    return sample_posterior(log_likelihoods, BOX, mixture, (KNOWN, log_likelihoods(KNOWN)))
 
 
 @pytest.mark.parametrize("scale", [0.3, 1.0, 4.0])
@@ -57,6 +62,21 @@ def test_a_mode_that_nobody_knew_is_found_among_the_known_points() -> None:
     share = draws.weights[draws.points[:, 0] > 0].sum()
     assert share == pytest.approx(8 / 9, abs=0.03)  # twice as wide in three directions
     np.testing.assert_allclose(draws.mean, here / 9 + 8 * there / 9, atol=0.12)
+
+
+def test_hypotheses_weigh_as_their_evidences_say() -> None:
+    """Two about where the mode is: shares 3 to 1 by the evidences, whatever constants the points' likelihoods carry."""
+    here, there = np.array([-1.0, 0.0, 1.0]), np.array([1.0, 0.5, -1.0])
+    first, second, spread = normal(here, 0.04 * np.eye(3)), normal(there, 0.04 * np.eye(3)), normal(here, np.eye(3))
+
+    def log_likelihoods(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        values = np.stack([first(points) + 70, second(points) - 70], axis=1)
+        return values, np.stack([spread(points) + np.log(3), spread(points)], axis=1)
+
+    mixture = Mixture(np.array([0.5, 0.5]), np.stack([here, there]), np.stack([0.04 * np.eye(3)] * 2))
+    draws = sample_posterior(log_likelihoods, BOX, mixture, (KNOWN, log_likelihoods(KNOWN)))
+    np.testing.assert_allclose(draws.mean, 0.75 * here + 0.25 * there, atol=0.03)
+    assert np.linalg.norm(draws.likeliest - here) < 0.3
 
 
 def test_without_enough_effective_draws_all_rounds_are_made() -> None:

@@ -30,8 +30,8 @@ depth's [σ]: within a clip errors of `clean` spread by 1.037 σ."""
 STEP = math.sqrt(12)
 """Rounding step whose error has a standard deviation of σ [σ]."""
 BLUR = 0.08
-"""Standard deviation of what blurs a step's ends [σ]: following the point, the camera's motion, the mesh. Of 0.08, 0.12,
-0.16 and 0.2 it gave the truth of 240 validation clips of `8bit` the largest density under the posterior."""
+"""Standard deviation of what blurs a step's ends [σ]: following the point, the camera's motion, the mesh. Of 0.08,
+0.12, 0.16 and 0.2 it gave the truth of 240 validation clips of `8bit` the largest density under the posterior."""
 ASTRAY = 0.005
 """Share of observations that lie outside their step for other reasons, with a standard deviation of WANDER."""
 WANDER = 1.5

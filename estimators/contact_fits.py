@@ -27,8 +27,8 @@ NOISE = (3e-4, 6e-3)
 """σ is drawn log-uniformly from this range [scene units]."""
 ROUNDING_SHARE, LEVEL = 0.25, 1 / 255
 """Share of samples whose depth is rounded instead, as 8 bits do, and the rounding's step [scene units]."""
-REST_SHARE = 0.15
-"""Error of the rest position, in σ: the rest surface is an average of many depths."""
+REST_SHARE = 0.1
+"""Error of the rest position, in σ: the rest surface is an average of many depths (`benchmarks.tracking_noise`)."""
 CUT_SHARE = 0.3
 """Share of samples that are cut off before the second is over, as live frames see them."""
 SCENES = SceneSettings(width=214, height=120)
@@ -113,17 +113,17 @@ def fit_motion(task: tuple[ContactCase, np.ndarray]) -> tuple[np.ndarray, np.nda
 def draw_errors(motion: np.ndarray, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Errors of observed motions, shape [B, SLOTS], and the noise level that each is said to have, [B] [scene units].
 
-    A part of the samples is rounded like 8-bit depth, the others have Gaussian noise and an error of the rest position.
+    A part of the samples is rounded like 8-bit depth, the others have Gaussian noise. The rest position has an error of
+    its own: it is no depth that was rounded once, but comes from a surface through many.
     """
     count = len(motion)
     noise = np.exp(generator.uniform(*np.log(NOISE), size=count))
-    error = noise[:, None] * (generator.normal(size=motion.shape) + REST_SHARE * generator.normal(size=(count, 1)))
     rounded = generator.random(count) < ROUNDING_SHARE
-    place = generator.uniform(0, LEVEL, (count, 1))
-    steps = np.rint((motion + place) / LEVEL) * LEVEL - np.rint(place / LEVEL) * LEVEL
-    error[rounded] = (steps - motion)[rounded]
     noise[rounded] = LEVEL / math.sqrt(12)
-    return error, noise
+    error = noise[:, None] * generator.normal(size=motion.shape)
+    depth = motion + generator.uniform(0, LEVEL, (count, 1))
+    error[rounded] = (np.rint(depth / LEVEL) * LEVEL - depth)[rounded]
+    return error + noise[:, None] * REST_SHARE * generator.normal(size=(count, 1)), noise
 
 
 def draw_known(count: int, generator: np.random.Generator) -> np.ndarray:

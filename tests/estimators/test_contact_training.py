@@ -8,7 +8,7 @@ import pytest
 from data.contact_features import SLOTS
 from data.simulated_contacts import SimulatedContact, draw_contacts
 from data.synthetic_settings import SceneSettings
-from estimators.contact_fits import BOUNDS, LEVEL, MECHANICS, NOISE, Fits, draw_errors, draw_known, fit_motion
+from estimators.contact_fits import BOUNDS, LEVEL, MECHANICS, NOISE, REST_SHARE, Fits, draw_errors, draw_known, fit_motion
 from estimators.contact_training import Trainer, evaluate, widened
 
 
@@ -37,9 +37,11 @@ def test_drawn_errors_are_as_large_as_said() -> None:
     rounded = noise == LEVEL / np.sqrt(12)
     assert 0.2 < rounded.mean() < 0.3
     scaled = error / noise[:, None]
-    assert np.sqrt(np.square(scaled[~rounded]).mean()) == pytest.approx(np.sqrt(1 + 0.15**2), rel=0.02)
-    # The rest position is rounded too, so that a rounded motion has the error of two roundings.
-    assert np.sqrt(np.square(scaled[rounded]).mean()) == pytest.approx(np.sqrt(2), rel=0.1)
+    for kind in (rounded, ~rounded):
+        assert np.sqrt(np.square(scaled[kind]).mean()) == pytest.approx(np.sqrt(1 + REST_SHARE**2), rel=0.02)
+    # What a clip's frames share is the error of the rest position, and rounding stays within half a step of it.
+    assert scaled[~rounded].mean(axis=1).std() == pytest.approx(np.hypot(REST_SHARE, 1 / np.sqrt(SLOTS)), rel=0.05)
+    assert np.abs(error[rounded]).max() < LEVEL / 2 + 5 * REST_SHARE * LEVEL / np.sqrt(12)
 
 
 def test_windows_are_cut_at_their_end() -> None:

@@ -26,6 +26,9 @@ ROUNDS = (2, 8)
 """Fewest and most rounds: the first one's mixture is a guess."""
 WIDER = 1.2
 """Moved components are this much wider than the draws that they follow, in standard deviations."""
+GUIDES = 40.0
+"""Effective draws that a mixture is moved by: where fewer count, a flattened posterior is followed. Bounded errors cut
+jagged pieces out of a posterior, and a mixture that jumps to the first piece found misses the others."""
 KEPT = 0.1
 """Share of a component's former covariance in the moved one, so that few draws don't make it flat."""
 
@@ -144,7 +147,16 @@ def sample_posterior(
         rounds = len(mixtures)
         if rounds >= ROUNDS[1] or (rounds >= ROUNDS[0] and draws.effective >= ENOUGH):
             return draws
-        mixtures.append(mixtures[-1].moved(draws.points, draws.weights))
+        mixtures.append(mixtures[-1].moved(draws.points, _flattened(draws.weights)))
+
+
+def _flattened(weights: np.ndarray) -> np.ndarray:
+    """Weights [N] to the largest power up to 1 that makes GUIDES of them count, or to the smallest one tried."""
+    for power in 0.75 ** np.arange(12):
+        flat = weights**power / (weights**power).sum()
+        if 1 / np.square(flat).sum() >= GUIDES:
+            break
+    return flat
 
 
 def _weigh(

@@ -114,3 +114,20 @@ def test_thinned_draws_are_evenly_spread() -> None:
     np.testing.assert_allclose(np.sort(draws.thinned(4)[:, 1]), [0.25, 0.75, 1.25, 1.75], atol=0.03)
     np.testing.assert_allclose(draws.mean, [0, 1, 0])
     assert draws.effective == pytest.approx(101)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_pieces_of_a_posterior_are_found_from_one_of_them(seed: int) -> None:
+    """Bounded errors leave thin slices of a posterior, in any direction; together they have its mean and covariance."""
+    across = np.random.default_rng(seed).normal(size=3)
+    across /= np.linalg.norm(across)
+    sd = 0.3
+    smooth = normal(np.zeros(3), sd**2 * np.eye(3))
+
+    def sliced(points: np.ndarray) -> np.ndarray:
+        return smooth(points) - 30 * (np.abs((points @ across / sd) % 1 - 0.5) > 0.15)
+
+    middle = 0.5 * sd * across
+    draws = sampled(sliced, [middle], [(0.1 * sd) ** 2 * np.eye(3)])
+    np.testing.assert_allclose(draws.mean / sd, 0, atol=0.3)
+    np.testing.assert_allclose(np.sqrt(np.diag(draws.covariance)) / sd, 1, atol=0.3)

@@ -53,8 +53,10 @@ model: $(INSTALLED) $(MODEL)/posterior.pt
 	$(BIN)/python -m evaluation.calibration --weights $(MODEL)/posterior.pt --output $(MODEL)/uncalibrated.onnx
 	$(BIN)/python -m evaluation.benchmark --suite clean 8bit noisy --estimator network --split validation --clips 210 \
 		--model $(MODEL)/uncalibrated.onnx --output $(MODEL)/validation
+	$(BIN)/python -m evaluation.benchmark --suite clean 8bit noisy --estimator network --split validation --clips 210 \
+		--seen press --model $(MODEL)/uncalibrated.onnx --output $(MODEL)/pressed
 	$(BIN)/python -m evaluation.calibration --weights $(MODEL)/posterior.pt --output models/weights/contact.onnx \
-		--validation $(MODEL)/validation
+		--validation $(MODEL)/validation --pressed $(MODEL)/pressed
 
 $(MODEL)/posterior.pt: | $(INSTALLED)
 	$(BIN)/python -m estimators.contact_training --output $(MODEL)

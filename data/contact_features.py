@@ -26,6 +26,8 @@ FEATURES = 4 * SLOTS + 4 * len(NEIGHBOURS) + len(NEIGHBOURS) + 4
 """Length of the vector."""
 REFERENCE_SPACING = 0.0027
 """A usual spacing of the mesh at the contact [scene units]."""
+KNOWN, LOADED = (tuple(range(first * SLOTS, (first + 1) * SLOTS)) for first in (2, 3))
+"""Places in the vector that are 1 for instants that were seen, and for those seen under load."""
 LOG_NOISE = FEATURES - 4, FEATURES - 3
 """Places in the vector whose sum is the logarithm of the noise over REFERENCE_SPACING."""
 

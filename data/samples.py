@@ -20,6 +20,9 @@ from physics.mechanics import Mechanics
 from physics.mesh import Mesh
 
 OBSERVATIONS = ("final", "release", "trajectory")
+PRESS = "press"
+Horizon = int | Literal["press"] | None
+"""How much of a contact's trajectory counts: so many frames after its onset, those under the tool, or all."""
 
 
 @dataclass(frozen=True)
@@ -31,8 +34,9 @@ class SampleSettings:
     observation: Literal["final", "release", "trajectory"] = "final"
     """final (paper): the motion of one frame against the end of the rollout. release: against the rollout at the end of
     its load. trajectory: the contact's whole motion since its onset, at the frames' own time stamps."""
-    horizon_frames: int | None = None
-    """Frames after the onset that a trajectory covers; none = as many as the rollout lasts."""
+    horizon_frames: Horizon = None
+    """Frames after the onset that a trajectory covers; "press" = those in contact, none = as many as the rollout
+    lasts."""
     min_deformation: float = 0.0
     """Samples whose observed motion, less the rigid motion, is shorter are left out [scene units]; 0 keeps all."""
     onset_within: int | None = None
@@ -48,8 +52,10 @@ class SampleSettings:
             raise ValueError(f"window is {self.window}; give at least 1 frame.")
         if self.observation not in OBSERVATIONS:
             raise ValueError(f"observation is '{self.observation}'; choose {', '.join(OBSERVATIONS)}.")
-        if self.horizon_frames is not None and self.horizon_frames < 1:
-            raise ValueError(f"horizon_frames is {self.horizon_frames}; give at least 1, or leave it out.")
+        if self.horizon_frames not in (None, PRESS) and not (
+            isinstance(self.horizon_frames, int) and self.horizon_frames >= 1
+        ):
+            raise ValueError(f"horizon_frames is {self.horizon_frames}; give at least 1, press, or leave it out.")
         if self.onset_within is not None and self.onset_within < 1:
             raise ValueError(f"onset_within is {self.onset_within}; give at least 1, or leave it out.")
         if not (math.isfinite(self.min_deformation) and self.min_deformation >= 0):
@@ -201,7 +207,9 @@ def _observed_frames(clip: PreparedClip, onset: int, settings: SampleSettings) -
     pressed = _last_pressed(clip, onset)
     if release_after(clip, pressed) is None:
         followed &= frames <= pressed
-    if settings.horizon_frames is not None:
+    if settings.horizon_frames == PRESS:
+        followed &= frames <= pressed
+    elif settings.horizon_frames is not None:
         followed &= frames - onset <= settings.horizon_frames
     elapsed = clip.times[frames] - clip.times[onset]
     steps = np.rint(elapsed / settings.mechanics.time_step).astype(np.int64) - 1

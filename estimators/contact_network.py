@@ -15,7 +15,7 @@ from data.clip_cache import PreparedClip
 from data.collected import CollectedClip
 from data.contact_features import Surroundings, contact_features, contact_surroundings
 from data.geometry import force_direction
-from data.samples import ContactCase, SampleSettings, contact_cases
+from data.samples import ContactCase, Horizon, SampleSettings, contact_cases
 from data.windows import FrameWindow, window_indices
 from estimators.amortized import FrameResult, force_arrow, frame_estimate
 from estimators.estimate import ContactEstimate, FrameEstimate, NoEstimate
@@ -104,13 +104,13 @@ class ContactNetwork:
         return FrameResult(current, result, force_arrow(found.theta, current, clip, self.bounds))
 
     def estimate_clip(
-        self, clip: PreparedClip | CollectedClip, horizon_frames: int | None = None
+        self, clip: PreparedClip | CollectedClip, horizon_frames: Horizon = None
     ) -> dict[int, ContactEstimate | NoEstimate]:
         """Every run of contact of a prepared clip whose onset was seen, or why it has no estimate, by its onset.
 
         Args:
             clip: the clip.
-            horizon_frames: only so many frames after an onset are used; None = one second.
+            horizon_frames: only these frames after an onset are used; None = one second.
         """
         self.mechanics = self.trained.matched(1 / clip.fps)
         samples = SampleSettings(observation="trajectory", horizon_frames=horizon_frames, mechanics=self.mechanics)

@@ -17,7 +17,7 @@ import numpy as np
 
 from data.clip_cache import PreparedClip
 from data.collected import CollectedClip
-from data.samples import ContactCase, SampleSettings, contact_cases
+from data.samples import ContactCase, Horizon, SampleSettings, contact_cases
 from estimators.contact_optima import Optimum, combine, distinct, evidence_shares, find_optimum
 from estimators.contact_problem import ContactProblem
 from estimators.estimate import ContactEstimate, NoEstimate
@@ -158,14 +158,14 @@ def cautious(information: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def fit_clip(
-    clip: PreparedClip | CollectedClip, settings: DirectSettings, horizon_frames: int | None = None
+    clip: PreparedClip | CollectedClip, settings: DirectSettings, horizon_frames: Horizon = None
 ) -> dict[int, ContactEstimate | NoEstimate]:
     """Fit every run of contact of a prepared clip whose onset was seen; an estimate, or why there is none, by onset.
 
     Args:
         clip: the clip.
         settings: the model that is fitted.
-        horizon_frames: only so many frames after an onset are used; None = as many as the rollout lasts.
+        horizon_frames: only these frames after an onset are used; None = as many as the rollout lasts.
     """
     settings = dataclasses.replace(settings, mechanics=settings.mechanics.matched(1 / clip.fps))
     samples = SampleSettings(observation="trajectory", horizon_frames=horizon_frames, mechanics=settings.mechanics)

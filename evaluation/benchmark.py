@@ -20,6 +20,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
+from data.samples import PRESS
 from evaluation.benchmark_output import show, write_results
 from evaluation.constant import draw_truths
 from evaluation.recovery import OK, ClipTask, Recovery, evaluate_clip
@@ -74,13 +75,19 @@ def build_parser() -> argparse.ArgumentParser:
     )
     add("--seed", type=int, default=0, metavar="N", help="another seed gives other clips (default %(default)s)")
     add("--split", choices=list(SPLITS), default="test", help="stream of seeds (default %(default)s)")
-    text = "only the first N frames after the onset are seen, as live frames do (default: one second)"
-    add("--seen", type=int, metavar="N", help=text)
+    text = "only the first N frames after the onset are seen, or with 'press' those in contact (default: one second)"
+    add("--seen", type=_seen, metavar="N", help=text)
     add("--output", type=Path, required=True, metavar="DIR", help="folder of the results")
     add("--workers", type=int, default=2, metavar="N", help="processes; 0 = in this one (default %(default)s)")
     text = "truths of another split whose mean is the constant estimate (default %(default)s)"
     add("--constant-clips", type=int, default=CONSTANT_CLIPS, metavar="N", help=text)
     return parser
+
+
+def _seen(text: str) -> int | str:
+    if text == PRESS or (text.isascii() and text.isdigit() and int(text) >= LEAST_SEEN):
+        return PRESS if text == PRESS else int(text)
+    raise argparse.ArgumentTypeError(f"{text} is no part of a contact; give at least {LEAST_SEEN} frames, or {PRESS}")
 
 
 def check_options(options: argparse.Namespace) -> None:
@@ -100,8 +107,6 @@ def check_options(options: argparse.Namespace) -> None:
         raise UsageError(f"--seed is {options.seed}; give at most {LARGEST_SEED}.")
     if options.noise is not None and not (math.isfinite(options.noise) and options.noise > 0):
         raise UsageError(f"--noise is {options.noise}; give a positive length in scene units or leave it out.")
-    if options.seen is not None and options.seen < LEAST_SEEN:
-        raise UsageError(f"--seen is {options.seen}; give at least {LEAST_SEEN} frames or leave it out.")
     if options.seen is not None and "paper" in options.estimator:
         raise UsageError("--seen is of no use to paper, which sees single frames; leave one of the two out.")
     for name, option in NEEDS_MODEL.items():
@@ -131,9 +136,7 @@ def estimator_specs(options: argparse.Namespace) -> list[EstimatorSpec]:
             noise=options.noise if name == "direct" else None,
             seen=options.seen,
         )
-        if path is not None:
-            check_model(spec)
-        specs.append(spec)
+        specs.append(spec if path is None else check_model(spec))
     return specs
 
 

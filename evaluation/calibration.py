@@ -1,14 +1,14 @@
 """From a trained contact posterior to the model that `infer.py` uses: calibrated on validation clips and exported.
 
     python -m evaluation.calibration --weights runs/contact/posterior.pt --output models/weights/contact.onnx \
-        [--validation runs/contact/validation]
+        [--validation runs/contact/validation --pressed runs/contact/pressed]
 
 Errors are taken to have standard deviations scale · sd^power · σ^noise, with sd the network's own and σ the
 observation's; the exponents are the likeliest ones for normal errors, the scale is then set so that the 90 % intervals
 hold the truth in 90 % of the validation results (conformal prediction, Vovk's quantile, with a normalised score). Both
-come from the same results and several suites observe the same clips, so the guarantee is not exact. Without
---validation nothing is changed. Truth of validation clips serves this and nothing else; no weight of the network
-changes.
+come from the same results and several suites observe the same clips, so the guarantee is not exact. One more factor a
+parameter does the same for contacts whose release has not been seen (--pressed). Without --validation nothing is
+changed. Truth of validation clips serves this and nothing else; no weight of the network changes.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import json
 import math
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -26,14 +27,16 @@ import torch
 from scipy.optimize import minimize
 
 from data.clip import PREPROCESSING_VERSION
-from data.contact_features import FEATURES, FRAME_RATE, LOG_NOISE, REFERENCE_SPACING, SLOTS
+from data.contact_features import FEATURES, FRAME_RATE, KNOWN, LOADED, LOG_NOISE, REFERENCE_SPACING, SLOTS
 from data.masks import MaskClasses
+from data.samples import PRESS
 from estimators.contact_fits import BOUNDS, MECHANICS, SCENES
 from estimators.estimate import NINETY
 from evaluation.recovery import OK, PREPARE, Recovery
 from evaluation.recovery_store import RECORD, RESULTS, read_results
 from evaluation.run_record import sha256_of
 from models.calibration import Calibration
+from models.checkpoint import load_posterior
 from models.posterior import ContactPosterior
 from models.posterior_export import export_posterior
 
@@ -45,29 +48,56 @@ LEAST_CLIPS = 100
 """Fewer validation estimates say too little about a 90 % quantile."""
 
 
-def fit_calibration(errors: np.ndarray, deviations: np.ndarray, noise: np.ndarray) -> Calibration:
+@dataclass(frozen=True)
+class Scored:
+    """Estimates of validation contacts beside the truth; n of them.
+
+    Raises:
+        ValueError: fewer than 100.
+    """
+
+    errors: np.ndarray
+    """Estimated minus true log θ, shape [n, 3]."""
+    deviations: np.ndarray
+    """Standard deviations that the network gave, shape [n, 3]."""
+    noise: np.ndarray
+    """σ of each observation over REFERENCE_SPACING, shape [n]."""
+
+    def __post_init__(self) -> None:
+        if len(self.errors) < LEAST_CLIPS:
+            raise ValueError(f"{len(self.errors)} validation estimates; calibration needs {LEAST_CLIPS} or more.")
+
+    @classmethod
+    def of(cls, rows: Sequence[Recovery]) -> Scored:
+        """The network's estimates among a benchmark's results, all suites together."""
+        used = [row for row in rows if row.estimator == "network" and row.status == OK and row.covariance is not None]
+        errors = np.array([np.log(np.abs(row.estimate)) - np.log(np.abs(row.theta)) for row in used])
+        deviations = np.array([np.sqrt(np.diag(row.covariance)) for row in used])
+        noise = np.array([row.noise / REFERENCE_SPACING for row in used])
+        return cls(errors.reshape(-1, 3), deviations.reshape(-1, 3), noise)
+
+
+def fit_calibration(whole: Scored, pressed: Scored) -> Calibration:
     """What makes the 90 % intervals hold 90 % of the truths, and narrow ones as often as wide ones.
 
     Args:
-        errors: estimated minus true log θ, shape [n, 3].
-        deviations: standard deviations that the network gave, shape [n, 3].
-        noise: σ of each observation over REFERENCE_SPACING, shape [n].
-
-    Raises:
-        ValueError: fewer than 100 estimates.
+        whole: contacts seen through their release.
+        pressed: contacts seen as long as the tool pressed.
     """
-    if len(errors) < LEAST_CLIPS:
-        raise ValueError(f"{len(errors)} validation estimates; calibration needs {LEAST_CLIPS} or more.")
     scales, powers, exponents = [], [], []
-    for error, deviation in zip(errors.T, deviations.T, strict=True):
-        known = np.stack([np.log(deviation), np.log(noise)], axis=1)
+    for error, deviation in zip(whole.errors.T, whole.deviations.T, strict=True):
+        known = np.stack([np.log(deviation), np.log(whole.noise)], axis=1)
         power, exponent = fit_widths(error, known)
         powers.append(power)
         exponents.append(exponent)
         scales.append(conformal_scale(error, np.exp(known @ (power, exponent))))
-    decisive = [conformal_scale(*pair) for pair in zip(errors.T, deviations.T, strict=True)]
-    triples = (tuple(map(float, values)) for values in (scales, powers, exponents))
-    return Calibration(*triples, noise_features=LOG_NOISE, decisive=tuple(map(float, decisive)))
+    widths = scales * pressed.deviations**powers * pressed.noise[:, None] ** np.array(exponents)
+    factors = [conformal_scale(*pair) for pair in zip(pressed.errors.T, widths.T, strict=True)]
+    decisive = [conformal_scale(*pair) for pair in zip(whole.errors.T, whole.deviations.T, strict=True)]
+    scale, power, noise, before, verdict = (
+        tuple(map(float, values)) for values in (scales, powers, exponents, factors, decisive)
+    )
+    return Calibration(scale, power, noise, LOG_NOISE, before, KNOWN, LOADED, verdict)
 
 
 def fit_widths(errors: np.ndarray, known: np.ndarray) -> np.ndarray:
@@ -100,30 +130,29 @@ def conformal_scale(errors: np.ndarray, deviations: np.ndarray) -> float:
     return float(np.sort(np.abs(errors) / deviations)[rank - 1] / NINETY)
 
 
-def calibration_from(rows: Sequence[Recovery]) -> Calibration:
-    """Calibration by the network's validation results, all suites together.
+def check_record(folder: Path, weights_sha256: str, seen: str | None) -> None:
+    """Refuse results that are of something else than what is to be calibrated.
+
+    Args:
+        folder: of the benchmark.
+        weights_sha256: of the network that is calibrated.
+        seen: how much of the contacts must have been seen.
 
     Raises:
-        ValueError: too few of them.
-    """
-    used = [row for row in rows if row.estimator == "network" and row.status == OK and row.covariance is not None]
-    errors = np.array([np.log(np.abs(row.estimate)) - np.log(np.abs(row.theta)) for row in used])
-    deviations = np.array([np.sqrt(np.diag(row.covariance)) for row in used])
-    noise = np.array([row.noise / REFERENCE_SPACING for row in used])
-    return fit_calibration(errors.reshape(-1, 3), deviations.reshape(-1, 3), noise)
-
-
-def check_record(folder: Path) -> None:
-    """Refuse results that say nothing about what `infer.py` meets at a contact's end.
-
-    Raises:
-        OSError, ValueError: no record, another split than validation, or frames left out.
+        OSError, ValueError: no record, another split than validation, other frames, or another or a calibrated network.
     """
     record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
-    if record["split"] != "validation":
-        raise ValueError(f"{folder} holds the {record['split']} split; run the benchmark with --split validation.")
-    if record["seen"] is not None:
-        raise ValueError(f"{folder} was made with --seen {record['seen']}; run the benchmark without it.")
+    network = record.get("estimators", {}).get("network", {})
+    wanted = {"split": "validation", "seen": seen}
+    for name, value in wanted.items():
+        if record.get(name) != value:
+            remedy = f"with --{name} {value}" if value else f"without --{name}"
+            raise ValueError(f"{folder} has {name} {record.get(name)}; run the benchmark {remedy}.")
+    if network.get("weights_sha256") != weights_sha256 or network.get("calibrated") is not False:
+        raise ValueError(
+            f"{folder} is not of the uncalibrated network of these weights; export it without --validation, and run "
+            "the benchmark with that file."
+        )
 
 
 def metadata(weights: Path) -> dict[str, object]:
@@ -154,15 +183,24 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m evaluation.calibration", description=__doc__.split("\n")[0])
     parser.add_argument("--weights", type=Path, required=True, help="posterior.pt of estimators.contact_training")
     parser.add_argument("--output", type=Path, required=True, help="ONNX file to write")
-    parser.add_argument("--validation", type=Path, help="results of evaluation.benchmark --split validation")
+    text = "results of evaluation.benchmark --split validation"
+    parser.add_argument("--validation", type=Path, metavar="DIR", help=text)
+    parser.add_argument("--pressed", type=Path, metavar="DIR", help=f"{text} --seen {PRESS}")
     options = parser.parse_args(arguments)
+    if (options.validation is None) != (options.pressed is None):
+        parser.error("give --validation and --pressed, or neither.")
     calibration = Calibration()
     try:
         posterior = ContactPosterior(FEATURES, torch.tensor(BOUNDS.log_box))
-        posterior.load_state_dict(torch.load(options.weights, map_location="cpu", weights_only=True))
+        load_posterior(posterior, options.weights)
         if options.validation is not None:
-            check_record(options.validation)
-            calibration = calibration_from(read_results(options.validation / RESULTS))
+            weights = sha256_of(options.weights)
+            check_record(options.validation, weights, None)
+            check_record(options.pressed, weights, PRESS)
+            whole, pressed = (
+                Scored.of(read_results(folder / RESULTS)) for folder in (options.validation, options.pressed)
+            )
+            calibration = fit_calibration(whole, pressed)
         difference = export_posterior(posterior, options.output, metadata(options.weights), calibration)
     except (OSError, RuntimeError, ValueError) as error:
         print(error, file=sys.stderr)

@@ -18,7 +18,7 @@ from data.clip import PrepareSettings
 from data.collected import CollectedClip
 from data.depth import DepthSettings
 from data.geometry import GeometrySettings
-from data.samples import ContactCase, SampleSettings, contact_cases
+from data.samples import ContactCase, Horizon, SampleSettings, contact_cases
 from data.synthetic import draw_truth, synthetic_clip
 from data.synthetic_scene import Scene, SceneError
 from data.synthetic_settings import SceneSettings
@@ -115,7 +115,7 @@ class ClipTask:
     """Seed of the clip."""
     wanted: tuple[tuple[str, tuple[EstimatorSpec, ...]], ...]
     """Suites, each with the estimators that are to be tried."""
-    seen: int | None = None
+    seen: Horizon = None
     """Frames after the onset that estimators and bound see; none = one second."""
 
 

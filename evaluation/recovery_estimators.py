@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
 from collections.abc import Callable
@@ -10,10 +11,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from data.collected import CollectedClip
+from data.samples import Horizon
 from data.windows import window_indices
 from estimators.contact_network import ContactNetwork
 from estimators.direct import DirectSettings, fit_clip
 from estimators.estimate import ContactEstimate, NoEstimate
+from models.calibration import Calibration
 from models.onnx_session import ModelFileError, ParameterModel
 from models.posterior_session import PosteriorModel
 
@@ -35,16 +38,21 @@ class EstimatorSpec:
     model: str = ""
     """Path of its network."""
     model_sha256: str = ""
+    weights_sha256: str = ""
+    """Of what a contact posterior was exported from."""
+    calibrated: bool | None = None
+    """Whether a contact posterior's intervals are; None = no such network."""
     noise: float | None = None
     """σ that `direct` is told; None = the clip's own estimate."""
-    seen: int | None = None
+    seen: Horizon = None
     """Frames after the onset that `direct` and `network` see; None = one second."""
     constant: tuple[tuple[float, ...], ...] = ()
     """Means of log θ, then their covariance: what `constant` answers, shape [4][3]."""
 
     def describe(self) -> dict[str, object]:
         """What its estimates depend on, for the run's record."""
-        return {"model_sha256": self.model_sha256, "noise": self.noise, "seen": self.seen}
+        names = ("model_sha256", "weights_sha256", "calibrated", "noise", "seen")
+        return {name: getattr(self, name) for name in names}
 
 
 @dataclass(frozen=True)
@@ -143,10 +151,16 @@ def _average(model: ParameterModel, clip: CollectedClip, onset: int) -> Answer |
     return Answer(np.exp(logs.mean(axis=0)) * (1.0, 1.0, -1.0))
 
 
-def check_model(spec: EstimatorSpec) -> None:
-    """Open an estimator's network once, so that a wrong file is told before any work.
+def check_model(spec: EstimatorSpec) -> EstimatorSpec:
+    """Open an estimator's network once, so that a wrong file is told before any work; the spec with what it is.
 
     Raises:
         ModelFileError: it can't be used.
     """
     open_estimator(spec)
+    if spec.name != "network":
+        return spec
+    metadata = PosteriorModel(spec.model, threads=1).metadata
+    calibrated = metadata.get("calibration", Calibration().document()) != Calibration().document()
+    weights = metadata.get("training", {}).get("weights_sha256", "")
+    return dataclasses.replace(spec, weights_sha256=weights, calibrated=calibrated)

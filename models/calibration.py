@@ -11,7 +11,9 @@ Triple = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Calibration:
-    """Calibrated standard deviations of log θ: scale · sd^power · σ^noise; the default leaves them as they are.
+    """Calibrated standard deviations of log θ: scale · sd^power · σ^noise, times `pressed` until the release is seen.
+
+    The default leaves them as they are.
 
     Networks are surest where they should be least so: their own error hardly shrinks with the posterior's width. A
     power below 1 widens narrow intervals more than wide ones.
@@ -23,6 +25,12 @@ class Calibration:
     """Exponents of the observation's σ, in the unit in which the contact's features tell it."""
     noise_features: tuple[int, ...] = ()
     """Features whose sum is log σ."""
+    pressed: Triple = (1.0, 1.0, 1.0)
+    """Factors of contacts whose release has not been seen, of the verdict's standard deviations too."""
+    known_features: tuple[int, ...] = ()
+    """Features that are 1 for instants that were seen."""
+    loaded_features: tuple[int, ...] = ()
+    """Features that are 1 for instants that were seen under load."""
     decisive: Triple = (1.0, 1.0, 1.0)
     """Factors of the network's own standard deviations by which the verdict is given."""
 

@@ -26,12 +26,14 @@ class _Calibrated(nn.Module):
     scale: Tensor
     power: Tensor
     noise: Tensor
+    pressed: Tensor
     decisive: Tensor
 
     def __init__(self, network: ContactPosterior | Generator, calibration: Calibration) -> None:
         super().__init__()
         self.network, self.noise_features = network, list(calibration.noise_features)
-        for name in ("scale", "power", "noise", "decisive"):
+        self.known, self.loaded = list(calibration.known_features), list(calibration.loaded_features)
+        for name in ("scale", "power", "noise", "pressed", "decisive"):
             self.register_buffer(name, torch.tensor(getattr(calibration, name), dtype=torch.float32))
 
     def forward(self, contact: Tensor, depth: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
@@ -44,7 +46,12 @@ class _Calibrated(nn.Module):
         widened = self.scale * torch.exp((self.power - 1) * log_sd)
         if self.noise_features:
             widened = widened * torch.exp(self.noise * contact[:, self.noise_features].sum(dim=1, keepdim=True))
-        return mean, _covariance(factor, widened), _covariance(factor, self.decisive.expand_as(log_sd))
+        decisive = self.decisive.expand_as(log_sd)
+        if self.known:
+            known, loaded = (contact[:, places].sum(dim=1, keepdim=True) for places in (self.known, self.loaded))
+            factors = torch.where(known - loaded > 0.5, torch.ones_like(self.pressed), self.pressed)
+            widened, decisive = widened * factors, decisive * factors
+        return mean, _covariance(factor, widened), _covariance(factor, decisive)
 
 
 def _covariance(factor: Tensor, scale: Tensor) -> Tensor:

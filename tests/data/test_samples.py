@@ -79,6 +79,8 @@ def test_a_trajectory_is_observed_at_the_frames_time_stamps(clip):
 def test_a_trajectory_ends_with_its_horizon_and_with_the_rollout(clip):
     short = make_sample(clip, 4, replace(TRAJECTORY, horizon_frames=3)).case_a
     assert short.steps.tolist() == [7, 15, 23]
+    pressed = make_sample(clip, 4, replace(TRAJECTORY, horizon_frames="press")).case_a
+    assert pressed.steps.tolist() == [7, 15, 23, 31]  # contact in frames 3 to 7
     brief = make_sample(clip, 4, replace(TRAJECTORY, mechanics=Mechanics(steps=20, load_steps=5))).case_a
     assert brief.steps.tolist() == [7, 15]
     assert brief.load_steps == 20
@@ -158,6 +160,7 @@ def test_direction_of_the_observed_motion(clip):
         {"window": 0},
         {"observation": "all"},
         {"horizon_frames": 0},
+        {"horizon_frames": "release"},
         {"min_deformation": float("nan")},
         {"onset_within": 0},
     ],

@@ -7,9 +7,9 @@ import json
 import numpy as np
 import pytest
 
-from data.contact_features import LOG_NOISE
+from data.contact_features import KNOWN, LOADED, LOG_NOISE
 from estimators.estimate import NINETY
-from evaluation.calibration import check_record, conformal_scale, fit_calibration, fit_widths, main
+from evaluation.calibration import Scored, check_record, conformal_scale, fit_calibration, fit_widths, main
 
 
 def test_factor_by_hand() -> None:
@@ -35,10 +35,14 @@ def test_overconfident_estimates_become_calibrated_at_any_width() -> None:
     generator = np.random.default_rng(0)
     sd, noise = generator.uniform(0.03, 0.6, (6000, 3)), generator.choice([0.4, 1.5], 6000)
     errors = generator.normal(size=(6000, 3)) * 1.3 * sd**0.7 * noise[:, None] ** 0.2
-    found = fit_calibration(errors[:3000], sd[:3000], noise[:3000])
+    early = errors * (1.0, 1.4, 0.8)  # of contacts that were not seen to the end
+    found = fit_calibration(
+        Scored(errors[:3000], sd[:3000], noise[:3000]), Scored(early[:3000], sd[:3000], noise[:3000])
+    )
     np.testing.assert_allclose(found.power, 0.7, atol=0.06)
     np.testing.assert_allclose(found.noise, 0.2, atol=0.06)
-    assert found.noise_features == LOG_NOISE
+    np.testing.assert_allclose(found.pressed, (1.0, 1.4, 0.8), rtol=1e-6)
+    assert (found.noise_features, found.known_features, found.loaded_features) == (LOG_NOISE, KNOWN, LOADED)
     widths = found.scale * sd[3000:] ** found.power * noise[3000:, None] ** np.array(found.noise)
     held = np.abs(errors[3000:]) <= NINETY * widths
     flat = np.abs(errors[3000:]) <= NINETY * sd[3000:] * np.array(found.decisive)
@@ -52,19 +56,27 @@ def test_overconfident_estimates_become_calibrated_at_any_width() -> None:
 
 def test_too_few_clips_are_refused() -> None:
     with pytest.raises(ValueError, match="needs 100"):
-        fit_calibration(np.zeros((99, 3)), np.ones((99, 3)), np.ones(99))
+        Scored(np.zeros((99, 3)), np.ones((99, 3)), np.ones(99))
 
 
-def test_results_of_another_split_or_of_unfinished_contacts_are_refused(tmp_path) -> None:
-    for record, words in (
-        ({"split": "test", "seen": None}, "holds the test split"),
-        ({"split": "validation", "seen": 8}, "made with --seen 8"),
+def test_results_of_something_else_are_refused(tmp_path) -> None:
+    """Another split, contacts cut off otherwise, another network, or one whose intervals are calibrated already."""
+    network = {"weights_sha256": "abc", "calibrated": False}
+    right = {"split": "validation", "seen": None, "estimators": {"network": network}}
+    for change, words in (
+        ({"split": "test"}, "has split test; run the benchmark with --split validation"),
+        ({"seen": "press"}, "has seen press; run the benchmark without --seen"),
+        ({"estimators": {"network": network | {"weights_sha256": "def"}}}, "not of the uncalibrated network"),
+        ({"estimators": {"network": network | {"calibrated": True}}}, "not of the uncalibrated network"),
+        ({"estimators": {}}, "not of the uncalibrated network"),
     ):
-        (tmp_path / "run.json").write_text(json.dumps(record))
+        (tmp_path / "run.json").write_text(json.dumps(right | change))
         with pytest.raises(ValueError, match=words):
-            check_record(tmp_path)
-    (tmp_path / "run.json").write_text(json.dumps({"split": "validation", "seen": None}))
-    check_record(tmp_path)
+            check_record(tmp_path, "abc", None)
+    (tmp_path / "run.json").write_text(json.dumps(right))
+    check_record(tmp_path, "abc", None)
+    with pytest.raises(ValueError, match="with --seen press"):
+        check_record(tmp_path, "abc", "press")
 
 
 def test_a_missing_file_is_one_sentence(tmp_path, capsys) -> None:

@@ -86,11 +86,21 @@ def test_gradient_by_the_mean_is_the_misfits() -> None:
 def test_exported_file_agrees_and_is_calibrated(posterior: ContactPosterior, tmp_path) -> None:
     posterior.standardise(torch.randn(50, 10) * 3 + 1)
     calibration = Calibration(
-        scale=(1.0, 2.0, 0.5), power=(1.0, 0.8, 0.5), noise=(0.0, 0.2, 0.1), noise_features=(8, 9), decisive=(1, 3, 2)
+        scale=(1.0, 2.0, 0.5),
+        power=(1.0, 0.8, 0.5),
+        noise=(0.0, 0.2, 0.1),
+        noise_features=(8, 9),
+        pressed=(1.5, 1.0, 3.0),
+        known_features=(4, 5),
+        loaded_features=(6, 7),
+        decisive=(1, 3, 2),
     )
     assert export_posterior(posterior, tmp_path / "contact.onnx", METADATA, calibration) < 1e-5
     model = PosteriorModel(tmp_path / "contact.onnx")
     contact = np.random.default_rng(0).normal(size=(5, 10)).astype(np.float32)
+    # Two instants seen, none or one of them after the release; or one alone, under load.
+    contact[:, 4:8] = [(1, 1, 1, 1), (1, 1, 1, 0), (1, 1, 1, 1), (1, 0, 1, 0), (1, 1, 1, 0)]
+    still = np.array([1, 0, 1, 1, 0], bool)[:, None]
     mean, covariance, decisive = model(contact)
     with torch.no_grad():
         expected, factor = posterior(torch.from_numpy(contact))
@@ -98,11 +108,12 @@ def test_exported_file_agrees_and_is_calibrated(posterior: ContactPosterior, tmp
     plain = (factor @ factor.transpose(1, 2)).numpy()
     sd = np.sqrt(np.diagonal(plain, axis1=1, axis2=2))
     noise = np.exp(contact[:, 8] + contact[:, 9])[:, None]
-    wanted = (1.0, 2.0, 0.5) * sd ** (1.0, 0.8, 0.5) * noise ** (0.0, 0.2, 0.1)
+    pressed = np.where(still, (1.5, 1.0, 3.0), 1.0)
+    wanted = (1.0, 2.0, 0.5) * sd ** (1.0, 0.8, 0.5) * noise ** (0.0, 0.2, 0.1) * pressed
     np.testing.assert_allclose(np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)), wanted, rtol=1e-4)
     np.testing.assert_allclose(_correlations(covariance), _correlations(plain), atol=1e-4)
-    factors = np.array([1.0, 3.0, 2.0])
-    np.testing.assert_allclose(decisive, plain * factors[:, None] * factors, rtol=1e-4, atol=1e-6)
+    factors = np.array([1.0, 3.0, 2.0]) * pressed
+    np.testing.assert_allclose(decisive, plain * factors[:, :, None] * factors[:, None], rtol=1e-4, atol=1e-6)
     assert Calibration(**model.metadata["calibration"]).document() == calibration.document()
     assert (model.features, model.takes_depth) == (10, False)
     with pytest.raises(ValueError, match=r"expected \[B, 10\]"):

@@ -1,6 +1,6 @@
 """Contacts without pictures: motions of the true scenes' meshes, as many as a network's first training needs.
 
-Geometry, tissue and timing are drawn as for the synthetic clips (spec, section 3), but the motion is the simulator's
+Geometry, tissue and timing are drawn as for the synthetic clips (`data.synthetic`), but the motion is the simulator's
 own and nothing is rendered, which is some hundred times faster. What a training reads of them is the observed motion; θ
 is kept for evaluation alone.
 """

@@ -29,7 +29,7 @@ UNITS = {
 }
 ARRAYS = {
     "trajectory": "displacement of the contact vertex at the frames' times [F, 3]",
-    "response": "the same every 5 ms from onset, the first 5 ms after it [R, 3]",
+    "response": "the same every 5 ms from the force's start (onset_s + force_delay_s), the first 5 ms after it [R, 3]",
     "force": "signed force just after each frame's time [F]",
     "times": "time stamps [F]",
     "mesh_*": "organ at rest: vertices [N, 3], springs [S, 2], rim [N], pixels (row, column) [N, 2]",
@@ -89,6 +89,7 @@ def _truth_entries(scene: Scene, motion: Motion, seed: int) -> dict:
         "release_frame": motion.release_frame,
         "onset_s": float(motion.times[motion.onset_frame]),
         "release_s": float(motion.times[motion.release_frame]),
+        "force_delay_s": motion.delay,
         "force_profile": scene.settings.profile,
         "peak_displacement": motion.peak,
         "contact_vertex": scene.vertex,

@@ -2,7 +2,7 @@
 
 The sheet is a smooth height field over the camera's rays, its normal at the contact within a few degrees of the line of
 sight, so that the depth map shows a press. The true mesh is the grid mesh of the undeformed organ on the network's
-grid, the very topology that is later fitted (spec, section 3).
+grid, the very topology that is later fitted (docs/identifiability.md).
 """
 
 from __future__ import annotations

@@ -49,6 +49,9 @@ class SceneSettings:
     """Time in contact [s], rounded to whole frames."""
     onset_fraction: Range = (0.15, 0.25)
     """The first frame in contact, as a share of the clip's frames."""
+    onset_delay: Range = (0.0, 0.0)
+    """Share of a frame interval by which the force starts (and ends) after the time stamp of the first frame in contact
+    (released frame); drawn uniformly from this range. Frames of a real video don't wait for the tool."""
     distance: Range = (0.45, 0.6)
     """Depth z of the contact [scene units]."""
     max_tilt_deg: float = 0.2
@@ -115,6 +118,7 @@ class SceneSettings:
             "peak_displacement": (0.0, math.inf),
             "press_seconds": (1e-6, math.inf),
             "onset_fraction": (0.0, 0.9),
+            "onset_delay": (0.0, 1.0),
             "distance": (0.3, 0.8),
             "curvature": (0.0, 1.5),
         }

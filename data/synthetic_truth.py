@@ -1,7 +1,8 @@
 """True motion of a synthetic scene: θ, the force in time, and the sheet's motion by an adaptive integrator.
 
 Same model as Bini 2026, section 3.3 (m ẍ + k_d ẋ + springs = F·n), another integrator: DOP853, an eighth-order
-Runge-Kutta method with step control, so that recovering θ with the fitted scheme proves something (spec, section 3).
+Runge-Kutta method with step control, so that recovering θ with the fitted scheme proves something (see
+docs/identifiability.md, "Recovery of known parameters").
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ WINDOW_LEAK = 1e-6
 """Largest displacement allowed where the window cuts the mesh [scene units]."""
 VARIATION_LENGTH = 6.0
 """Correlation length of the spring-to-spring variation [grid px]."""
+ROUNDING = 1e-9
+"""Of times [s]."""
 
 Regime = Literal["under-damped", "critical", "over-damped"]
 
@@ -43,15 +46,18 @@ class Motion:
     regime: Regime
     """By ζ: under 0.7, 0.7 to 1.4, over 1.4."""
     onset_frame: int
-    """First frame in contact; the force starts at its time stamp, when the tissue is still at rest."""
+    """First frame in contact; the force starts `delay` after its time stamp, until when the tissue is at rest."""
     release_frame: int
-    """First frame after contact; the force ends at its time stamp."""
+    """First frame after contact; the force ends `delay` after its time stamp."""
+    delay: float
+    """Time from the first frame in contact to the start of the force [s], at most a frame interval."""
     times: np.ndarray
     """Time stamps of the frames [s], shape [F]."""
     contact: np.ndarray
     """Displacement of the contact vertex at the frames' times, shape [F, 3] [scene units]."""
     response: np.ndarray
-    """Displacement of the contact vertex every 5 ms from onset on, the first 5 ms after it, shape [R, 3]."""
+    """Displacement of the contact vertex every 5 ms from the start of the force on, the first 5 ms after it, shape
+    [R, 3]."""
     force: np.ndarray
     """Signed force at the frames' times, just after them, shape [F]."""
     moving: np.ndarray
@@ -61,7 +67,7 @@ class Motion:
 
     @property
     def load_seconds(self) -> float:
-        """Time in contact [s]."""
+        """Time under load [s]."""
         return float(self.times[self.release_frame] - self.times[self.onset_frame])
 
     @property
@@ -93,7 +99,7 @@ class Window:
 
 
 def regime_of(zeta: float) -> Regime:
-    """Regime of a damping ratio (spec, section 2, item 10)."""
+    """Regime of a damping ratio, as the tables of docs/identifiability.md tell them apart."""
     return "under-damped" if zeta < 0.7 else "critical" if zeta <= 1.4 else "over-damped"
 
 
@@ -129,13 +135,15 @@ def draw_motion(scene: Scene, generator: np.random.Generator) -> Motion:
     low, high = settings.peak_displacement
     onset, release = _draw_contact_frames(settings, generator)
     variation = _stiffness_field(settings, generator)
+    # A stream of its own: θ and the frames of contact don't depend on the delay.
+    delay = float(generator.spawn(1)[0].uniform(*settings.onset_delay)) / settings.fps
     peaks = []
     for _ in range(60):
         theta = draw_theta(settings, generator)
         peak = _peak_under_load(scene, theta, (release - onset) / settings.fps, variation)
         peaks.append(peak)
         if low <= peak <= high:
-            return simulate_motion(scene, theta, onset, release, variation)
+            return simulate_motion(scene, theta, onset, release, variation, delay)
     raise SceneError(
         f"scene.force {settings.force} moves the contact by {min(peaks):.2g} to {max(peaks):.2g}, outside "
         f"scene.peak_displacement [{low:g}, {high:g}]; change one of them."
@@ -143,7 +151,7 @@ def draw_motion(scene: Scene, generator: np.random.Generator) -> Motion:
 
 
 def simulate_motion(
-    scene: Scene, theta: np.ndarray, onset: int, release: int, variation: np.ndarray | None = None
+    scene: Scene, theta: np.ndarray, onset: int, release: int, variation: np.ndarray | None = None, delay: float = 0.0
 ) -> Motion:
     """Integrate the sheet from rest through press and release.
 
@@ -152,11 +160,12 @@ def simulate_motion(
         onset: first frame in contact.
         release: first frame after contact.
         variation: relative stiffness over the grid, shape [h, w]; None is 1 everywhere.
+        delay: from those frames' time stamps to the start and the end of the force [s], at most a frame interval.
     """
     settings = scene.settings
     times = np.arange(settings.frames) / settings.fps
     load = (release - onset) / settings.fps
-    after = times[onset:] - times[onset]
+    after = times[onset:] - times[onset] - delay  # since the start of the force
     fine = SAMPLE_STEP * np.arange(1, math.floor(after[-1] / SAMPLE_STEP + 1e-9) + 1)
     window, frames, response = _integrate(scene, theta, load, after, fine, variation)
     field = np.zeros((settings.frames, len(window.vertices), 3), np.float32)
@@ -164,9 +173,12 @@ def simulate_motion(
     contact = np.zeros((settings.frames, 3))
     contact[onset:] = frames[:, window.contact]
     force = np.zeros(settings.frames)
-    force[onset:release] = theta[2] * _profile(settings, after[: release - onset], load)
+    pressed = (after > -ROUNDING) & (after < load - ROUNDING)
+    force[onset:][pressed] = theta[2] * _profile(settings, after[pressed], load)
     zeta = damping_ratio(theta[0], theta[1], settings.mass)
-    return Motion(theta, zeta, regime_of(zeta), onset, release, times, contact, response, force, window.vertices, field)
+    return Motion(
+        theta, zeta, regime_of(zeta), onset, release, delay, times, contact, response, force, window.vertices, field
+    )
 
 
 def _draw_contact_frames(settings: SceneSettings, generator: np.random.Generator) -> tuple[int, int]:
@@ -190,7 +202,7 @@ def _stiffness_field(settings: SceneSettings, generator: np.random.Generator) ->
 
 
 def _profile(settings: SceneSettings, time: np.ndarray, load: float) -> np.ndarray:
-    """Force at a time since onset as a share of F, for times within the load."""
+    """Force at a time since its start as a share of F, for times within the load."""
     return np.ones_like(time) if settings.profile == "step" else time / load
 
 
@@ -238,7 +250,8 @@ def _integrate(
 ) -> tuple[Window, np.ndarray, np.ndarray]:
     """Window, all its displacements at the coarse times [C, M, 3], and the contact's at the fine times [R, 3].
 
-    Times count from onset. The window grows until nothing moves where it cuts the mesh.
+    Times count from the start of the force, before which all is at rest. The window grows until nothing moves where it
+    cuts the mesh.
     """
     radius = _reach(scene, theta, max(coarse[-1], fine[-1]))
     largest = max(scene.mesh.grid_shape)

@@ -1,6 +1,6 @@
 """One synthetic clip against its truth: made in memory, observed as each suite says, estimated, compared.
 
-One task is one clip in all wanted suites, because the true motion costs most and is the same in all but `mismatch`.
+One task is one clip in all wanted suites, because the true motion costs most and is the same in most of them.
 """
 
 from __future__ import annotations
@@ -42,6 +42,8 @@ STATUSES = (OK, "no scene", "no contact", "other onset", "no estimate", "error")
 """Whether a clip was estimated, or why not: its draw failed, no run of contact was found, one was found but in another
 frame, the estimator declined, or something broke."""
 Truth = tuple[Scene, Motion]
+TRUTH_FIELDS = ("stiffness_variation", "nonlinearity", "max_tilt_deg", "onset_delay")
+"""Fields of SceneSettings in which suites differ and that change the truth, not only how it is observed."""
 _ARRAYS = ("theta", "information", "tracking", "estimate", "covariance", "at_bound")
 
 
@@ -124,10 +126,10 @@ class _Truths:
     """True motions of one clip; suites that only observe otherwise share one."""
 
     seed: int
-    known: dict[tuple[float, float], Truth] = field(default_factory=dict)
+    known: dict[tuple[object, ...], Truth] = field(default_factory=dict)
 
     def of(self, settings: SceneSettings) -> Truth:
-        key = settings.stiffness_variation, settings.nonlinearity
+        key = tuple(getattr(settings, name) for name in TRUTH_FIELDS)
         if key not in self.known:
             self.known[key] = draw_truth(settings, self.seed)
         scene, motion = self.known[key]
@@ -167,6 +169,9 @@ def _evaluate_suite(task: ClipTask, suite: str, specs: tuple[EstimatorSpec, ...]
 def compare_tracking(case: ContactCase, scene: Scene, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
     """Errors of a tracked contact, shape [M], and the information for σ = 1 that a perfect one would have, [3, 3].
 
+    The information is that of the true instants since the force's start, to the nearest step of the simulator (2.5 ms),
+    as if that start were known.
+
     Args:
         case: the contact as observed; it must begin in the true onset's frame.
     """
@@ -174,8 +179,12 @@ def compare_tracking(case: ContactCase, scene: Scene, motion: Motion) -> tuple[n
     frames = motion.onset_frame + np.rint((case.steps + 1) * MECHANICS.time_step * fps).astype(int)
     errors = (case.displacement - motion.contact[frames]) @ scene.direction
     load = round(motion.load_seconds / MECHANICS.time_step)
+    steps = case.steps - round(motion.delay / MECHANICS.time_step)
+    steps = steps[steps >= 0]  # before the force starts the tissue is at rest and tells nothing
+    if not len(steps):
+        return errors, np.zeros((3, 3))
     information = contact_information(
-        motion.theta, scene.mesh, scene.vertex, scene.direction, MECHANICS, case.steps, 1.0, load_steps=load
+        motion.theta, scene.mesh, scene.vertex, scene.direction, MECHANICS, steps, 1.0, load_steps=load
     )
     return errors, information
 

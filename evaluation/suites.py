@@ -1,8 +1,9 @@
 """Named suites of synthetic clips, each with one error of observation, and the seeds that keep the splits apart.
 
 Clip i of a split has the same truth in every suite, because errors of observation have random streams of their own
-(`data.synthetic.draw_truth`); only `mismatch` moves otherwise, on the same geometry. Regimes take turns:
-clip 0 is under-damped, 1 critical, 2 over-damped, 3 under-damped again.
+(`data.synthetic.draw_truth`); `mismatch` moves otherwise on the same geometry, `late-onset` moves the same, but later,
+and `oblique` has other geometry. Regimes take turns: clip 0 is under-damped, 1 critical, 2 over-damped, 3 under-damped
+again.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from data.synthetic_settings import SceneSettings
+from data.synthetic_settings import Range, SceneSettings
 
 REGIMES = ("under-damped", "critical", "over-damped")
 """Regime of clip i: REGIMES[i % 3]."""
@@ -36,9 +37,9 @@ class Suite:
     """What it stands for, and why the error is as large as it is."""
     errors: Mapping[str, float]
     """Fields of SceneSettings that leave the truth as it is."""
-    truth: Mapping[str, float] = field(default_factory=dict)
-    """Fields of SceneSettings that change how the tissue answers."""
-    every_other_truth: Mapping[str, float] = field(default_factory=dict)
+    truth: Mapping[str, float | Range] = field(default_factory=dict)
+    """Fields of SceneSettings that change how, or when, the tissue answers, or how it lies."""
+    every_other_truth: Mapping[str, float | Range] = field(default_factory=dict)
     """The same, in every other clip of each regime only."""
 
     def settings(self, index: int) -> SceneSettings:
@@ -46,7 +47,7 @@ class Suite:
         extra = self.every_other_truth if index // len(REGIMES) % 2 else {}
         return SceneSettings(**SIZE, regime=REGIMES[index % len(REGIMES)], **self.errors, **self.truth, **extra)
 
-    def describe(self) -> dict[str, dict[str, float]]:
+    def describe(self) -> dict[str, dict[str, float | Range]]:
         """What decides the suite's clips, for the run's record."""
         return {name: dict(getattr(self, name)) for name in ("errors", "truth", "every_other_truth")}
 
@@ -94,6 +95,18 @@ _ALL = (
         {"depth_noise": CLEAN_NOISE},
         truth={"stiffness_variation": 0.3},
         every_other_truth={"nonlinearity": 0.5},
+    ),
+    Suite(
+        "oblique",
+        "pressed at up to 30 degrees to the line of sight, not 0.2: a dent one grid cell wide hides its own bottom",
+        {"depth_noise": CLEAN_NOISE},
+        truth={"max_tilt_deg": 30.0},
+    ),
+    Suite(
+        "late-onset",
+        "the force starts and ends up to one frame after the time stamp that says so: cameras don't wait for the tool",
+        {"depth_noise": CLEAN_NOISE},
+        truth={"onset_delay": (0.0, 1.0)},
     ),
 )
 SUITES = {suite.name: suite for suite in _ALL}

@@ -86,6 +86,7 @@ def test_the_truth_lies_beside_the_clip(written: Path) -> None:
     assert truth["zeta"] == pytest.approx(truth["theta"]["damping"] / (2 * (truth["theta"]["stiffness"] * 1e-3) ** 0.5))
     assert truth["release_s"] - truth["onset_s"] == pytest.approx(clip.motion.load_seconds)
     assert truth["settings"]["frames"] == 20
+    assert truth["force_delay_s"] == clip.motion.delay == 0
     assert "DOP853" in truth["integrator"]
     with np.load(written / "truth.npz") as arrays:
         np.testing.assert_array_equal(arrays["trajectory"], clip.motion.contact)
@@ -95,6 +96,13 @@ def test_the_truth_lies_beside_the_clip(written: Path) -> None:
     description = json.loads((written / "clip.json").read_text(encoding="utf-8"))
     assert description["camera"]["fx"] == pytest.approx(clip.camera.fx)
     assert "theta" not in description
+
+
+def test_the_truth_tells_when_the_force_started(tmp_path: Path) -> None:
+    folder = write_clip(tmp_path, 1, dataclasses.replace(SMALL, onset_delay=(0.25, 0.25)), 11)
+    truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    assert truth["force_delay_s"] == pytest.approx(0.01)
+    assert truth["onset_s"] == pytest.approx(truth["onset_frame"] / 25)  # the frame's, which is all that is seen
 
 
 def test_the_video_shows_the_same_frames(written: Path) -> None:

@@ -109,6 +109,49 @@ def test_a_ramp_reaches_the_force_at_release(scene: Scene, motion: Motion) -> No
     assert ramp.peak < motion.peak
 
 
+@pytest.mark.parametrize("share", [0.25, 0.625, 1.0])
+def test_a_late_force_is_the_same_motion_later(scene: Scene, motion: Motion, share: float) -> None:
+    delay = share / 25
+    late = simulate_motion(scene, THETA, ONSET, RELEASE, delay=delay)
+    assert (late.delay, late.load_seconds) == (delay, motion.load_seconds)
+    np.testing.assert_allclose(late.response, motion.response[: len(late.response)], atol=1e-6)
+    # The delays are whole samples of the response: 5 ms are an eighth of a frame interval.
+    assert not late.contact[: ONSET + 1].any()
+    late_samples = np.arange(1, 24 - ONSET) * 8 - round(8 * share)
+    expected = np.concatenate((np.zeros((1, 3)), late.response))[late_samples]
+    np.testing.assert_allclose(late.contact[ONSET + 1 :], expected, atol=1e-6)
+    where = np.flatnonzero(late.moving == scene.vertex)[0]
+    np.testing.assert_allclose(late.field[:, where], late.contact, atol=1e-7)
+    # Frames show the force that acts just after them: it starts after the onset's and ends after the release's.
+    first, last = (ONSET + 1, RELEASE + 1)
+    np.testing.assert_array_equal(late.force != 0, (np.arange(24) >= first) & (np.arange(24) < last))
+
+
+def test_a_late_ramp_rises_from_its_start(scene: Scene) -> None:
+    ramp = simulate_motion(with_settings(scene, profile="ramp"), THETA, ONSET, RELEASE, delay=0.01)
+    np.testing.assert_allclose(ramp.force[ONSET + 1 : RELEASE + 1], THETA[2] * (np.arange(1, 9) - 0.25) / 8)
+    assert not ramp.force[[ONSET, RELEASE + 1]].any()
+
+
+def test_the_delay_has_a_random_stream_of_its_own(scene: Scene) -> None:
+    seeds = range(3)
+    on_time = [draw_motion(scene, np.random.default_rng(seed)) for seed in seeds]
+    waiting = with_settings(scene, onset_delay=(0.0, 1.0))
+    late = [draw_motion(waiting, np.random.default_rng(seed)) for seed in seeds]
+    for before, after in zip(on_time, late, strict=True):
+        np.testing.assert_array_equal(after.theta, before.theta)
+        assert (after.onset_frame, after.release_frame) == (before.onset_frame, before.release_frame)
+        assert before.delay == 0 < after.delay < 1 / 25
+    assert len({motion.delay for motion in late}) == 3
+    half = with_settings(scene, onset_delay=(0.5, 0.5))
+    assert draw_motion(half, np.random.default_rng(0)).delay == pytest.approx(0.02)
+
+
+def test_a_delay_of_more_than_a_frame_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"scene.onset_delay is \[0, 1.5\]; give .* within \[0, 1\]"):
+        dataclasses.replace(SMALL, onset_delay=(0.0, 1.5))
+
+
 def test_mismatch_knobs_change_the_truth(scene: Scene, motion: Motion) -> None:
     stiffening = simulate_motion(with_settings(scene, nonlinearity=1.0), THETA, ONSET, RELEASE)
     assert stiffening.peak < 0.95 * motion.peak

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from data.synthetic import clip_seed, draw_truth
+from data.synthetic_scene import draw_scene
 from evaluation.suites import FITTED_ON, REGIMES, SPLITS, SUITES, suite_clip_seed
 
 NAMES = ["clean", "8bit", "noisy", "flicker", "mask-error", "focal-error", "occlusion", "mismatch"]
+NAMES += ["oblique", "late-onset"]
 
 
 def test_suites_are_those_that_were_agreed():
@@ -27,6 +29,8 @@ def test_suites_are_those_that_were_agreed():
         ("focal-error", {"focal_error": 1.1}),
         ("occlusion", {"occlusion": 0.2}),
         ("mismatch", {"stiffness_variation": 0.3}),
+        ("oblique", {"max_tilt_deg": 30.0}),
+        ("late-onset", {"onset_delay": (0.0, 1.0)}),
     ],
 )
 def test_each_suite_has_one_error(name, changed):
@@ -39,6 +43,30 @@ def test_regimes_take_turns_and_half_of_each_has_nonlinear_springs_in_mismatch()
     assert [each.regime for each in settings] == [*REGIMES] * 4
     for regime in REGIMES:
         assert [each.nonlinearity for each in settings if each.regime == regime] == [0.0, 0.5, 0.0, 0.5]
+
+
+def test_late_onset_has_the_clean_suites_truth_with_a_force_that_waits():
+    seed = suite_clip_seed("test", 0, 2)
+    (scene, clean), (same, late) = (draw_truth(SUITES[name].settings(2), seed) for name in ("clean", "late-onset"))
+    np.testing.assert_array_equal(same.mesh.vertices, scene.mesh.vertices)
+    np.testing.assert_array_equal(late.theta, clean.theta)
+    assert (late.onset_frame, late.release_frame) == (clean.onset_frame, clean.release_frame)
+    assert clean.delay == 0 < late.delay < 0.04
+    # The same motion, later: sampled from the force's start on it is the same.
+    np.testing.assert_allclose(late.response, clean.response[: len(late.response)], atol=1e-6)
+    assert not np.allclose(late.contact, clean.contact, atol=1e-3)
+
+
+def test_oblique_clips_are_tilted_by_up_to_30_degrees():
+    tilts = []
+    for index in range(12):
+        generator = np.random.default_rng([suite_clip_seed("test", 0, index), 0])
+        scene = draw_scene(SUITES["oblique"].settings(index), generator)
+        ray = np.array([*scene.sheet.contact_ray, 1.0])
+        tilts.append(np.degrees(np.arccos(-scene.sheet.normal @ ray / np.linalg.norm(ray))))
+    assert max(tilts) <= 30
+    # The angle's square is uniform, so half of the angles lie above 30/√2 = 21 degrees.
+    assert np.median(tilts) > 15
 
 
 def test_splits_share_no_seed_at_any_seed():

@@ -27,7 +27,7 @@ from data.frames import open_source
 from data.geometry import GeometrySettings
 from data.prepared import PreparedFrame
 from data.samples import ContactCase, SampleSettings, contact_cases
-from estimators.direct import DirectSettings, fit_contact
+from estimators.direct import LEAST_SIGMA, DirectSettings, fit_contact
 from estimators.estimate import FrameEstimate, NoEstimate
 from evaluation.batch import (
     DONE,
@@ -211,7 +211,7 @@ def _smoothing(text: str) -> float:
 
 
 def _noise(text: str) -> float:
-    return _number(text, "a noise; give a number above 0", sys.float_info.min)
+    return _number(text, f"a noise above the simulator's own error; give {LEAST_SIGMA:g} or more", LEAST_SIGMA)
 
 
 def _number(text: str, wanted: str, least: float) -> float:

@@ -20,9 +20,10 @@ from data.windows import FrameWindow, window_indices
 from estimators.amortized import FrameResult, force_arrow, frame_estimate
 from estimators.estimate import ContactEstimate, FrameEstimate, NoEstimate
 from estimators.model_settings import section
+from estimators.oblique import effective_misfit, remark, view_angle, widened
 from models.onnx_session import ModelFileError
 from models.posterior_session import PosteriorModel
-from physics.identifiability import box_information, fisher_information, log_jacobian
+from physics.identifiability import fisher_information, log_jacobian
 from physics.mechanics import Bounds, Mechanics
 from physics.msd_kernel import simulate, simulate_sensitivities
 
@@ -99,8 +100,8 @@ class ContactNetwork:
             return FrameResult(current, _remark(early, current.detail, str(reason)), None)
         lengths = self._lengths(found, case, current, run)
         result = frame_estimate(current, clip, found.theta, lengths, found.verdict, found)
-        if found.misfit > LARGEST_MISFIT:
-            result = _remark(result, result.detail, UNEXPLAINED.format(found.misfit))
+        unexplained = UNEXPLAINED.format(found.misfit) if found.misfit > LARGEST_MISFIT else ""
+        result = _remark(result, result.detail, unexplained, remark(found))
         return FrameResult(current, result, force_arrow(found.theta, current, clip, self.bounds))
 
     def estimate_clip(
@@ -176,13 +177,12 @@ class ContactNetwork:
         misfit, information = self._linearise(mean, case)
         self.seconds["simulation"] += time.perf_counter() - start
         theta, box = np.exp(mean) * PRESSING, self.bounds.log_box
-        if misfit > LARGEST_MISFIT:
-            unexplained = np.linalg.inv(information / misfit**2 + box_information(box))
-            covariance, decisive = covariance + unexplained, decisive + unexplained
         at_bound = np.minimum(mean - box[0], box[1] - mean) < EDGE * (box[1] - box[0])
-        return ContactEstimate(
-            theta, covariance, information, case.noise, misfit, at_bound, decisive=np.linalg.inv(decisive)
+        found = ContactEstimate(
+            theta, covariance, information, case.noise, misfit, at_bound, np.linalg.inv(decisive), view_angle(case)
         )
+        error = effective_misfit(found)
+        return widened(found, error, box) if error > LARGEST_MISFIT else found
 
     def _linearise(self, logs: np.ndarray, case: ContactCase) -> tuple[float, np.ndarray]:
         """Residual's size in σ, and Fisher information [3, 3] of the contact's trajectory, at φ."""

@@ -1,6 +1,6 @@
 """The direct estimator: θ of one contact from its motion through the simulator, without a trained network.
 
-The strongest classical rival of a network (spec, section 2, item 10). Levenberg–Marquardt with a trust region
+The strongest classical rival of a network (docs/identifiability.md). Levenberg–Marquardt with a trust region
 (`estimators.contact_optima`) finds what explains the motion best, in φ = (log k_s, log k_d, log |F|). Around these
 optima the posterior is sampled (`estimators.posterior_sampling`), with a uniform prior on the box of φ and with noise
 as tracked contacts have it (`estimators.tracking_noise`): its mean and covariance are the estimate.
@@ -21,11 +21,15 @@ from data.samples import ContactCase, Horizon, SampleSettings, contact_cases
 from estimators.contact_optima import Optimum, combine, distinct, evidence_shares, find_optimum
 from estimators.contact_problem import ContactProblem
 from estimators.estimate import ContactEstimate, NoEstimate
+from estimators.oblique import effective_misfit, is_oblique, view_angle, widened
 from estimators.posterior_sampling import Draws, Mixture, sample_posterior
 from estimators.tracking_noise import log_likelihoods, variance_scale
 from physics.identifiability import bounds, box_information
 from physics.mechanics import Mechanics
 
+LEAST_SIGMA = 3e-5
+"""A smaller σ is refused [scene units]: that is the fitted simulator's own error (docs/identifiability.md), which would
+be taken for motion of the tissue."""
 AT_BOUND = 1e-3
 """Best fits this near to the end of their range in φ lie at it."""
 LEAST_SHARE = 0.02
@@ -56,15 +60,15 @@ class DirectSettings:
     force: tuple[float, float] = (0.01, 0.3)
     """Range of |F| [normalised]."""
     noise: float | None = None
-    """σ of every observed coordinate [scene units]; None = the clip's own depth noise."""
+    """σ of every observed coordinate [scene units], at least LEAST_SIGMA; None = the clip's own depth noise."""
 
     def __post_init__(self) -> None:
         for name in ("stiffness", "damping", "force"):
             low, high = getattr(self, name)
             if not 0 < low < high < math.inf:
                 raise ValueError(f"{name} is [{low}, {high}]; give two positive numbers, the lower one first.")
-        if self.noise is not None and not self.noise > 0:
-            raise ValueError(f"noise is {self.noise}; give a positive length or leave it out.")
+        if self.noise is not None and not LEAST_SIGMA <= self.noise < math.inf:
+            raise ValueError(f"noise is {self.noise}; give a length of {LEAST_SIGMA:g} or more, or leave it out.")
 
     @property
     def box(self) -> np.ndarray:
@@ -79,14 +83,18 @@ def fit_contact(case: ContactCase, settings: DirectSettings) -> ContactEstimate:
         case: the contact; its steps must have been made with the settings' time step.
         settings: the model that is fitted.
 
+    Returns:
+        The estimate. Where the contact is pressed aslant to the line of sight (`estimators.oblique`) its uncertainty is
+        widened, because what it was fitted to may not be the bottom of the dent.
+
     Raises:
         NoEstimate: fewer than three observations, or no noise level.
     """
     noise = settings.noise if settings.noise is not None else case.noise
     if not (math.isfinite(noise) and noise > 0):
-        raise NoEstimate("the depth's noise isn't known; set geometry.smoothing above 0, or give the noise.")
+        raise NoEstimate("The depth's noise isn't known; set geometry.smoothing above 0, or give the noise.")
     if len(case.steps) < 3:
-        raise NoEstimate(f"the contact was followed over {len(case.steps)} frames after its onset; 3 are needed.")
+        raise NoEstimate(f"The contact was followed over {len(case.steps)} frames after its onset; 3 are needed.")
     problem = ContactProblem(case, settings.mechanics, noise)
     low, high = settings.box
     candidates = problem.candidates(low, high)
@@ -104,7 +112,7 @@ def fit_contact(case: ContactCase, settings: DirectSettings) -> ContactEstimate:
     judges = mean[None]
     if draws.effective >= TOO_FEW:
         mean, spread, judges = draws.mean, draws.covariance, draws.thinned(JUDGES)
-    return ContactEstimate(
+    found = ContactEstimate(
         theta=problem.theta(mean),
         covariance=spread,
         information=problem.information(mean),
@@ -112,7 +120,9 @@ def fit_contact(case: ContactCase, settings: DirectSettings) -> ContactEstimate:
         misfit=math.sqrt(2 * best.cost / len(case.steps)),
         at_bound=np.minimum(best.logs - low, high - best.logs) < AT_BOUND,
         decisive=cautious([problem.information(logs) for logs in judges]),
+        view_angle=view_angle(case),
     )
+    return widened(found, effective_misfit(found), settings.box) if is_oblique(found) else found
 
 
 def _sample(

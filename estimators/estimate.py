@@ -11,7 +11,7 @@ from physics.identifiability import bounds, describe, verdict
 from physics.mechanics import PARAMETERS
 
 Verdict = Literal["", "onset_in_view", "determined", "ratios", "undetermined"]
-NINETY = 1.6449
+NINETY = 1.6448536269514722
 """Standard deviations on either side of the mean that hold 90 % of a normal distribution."""
 
 
@@ -102,6 +102,9 @@ class ContactEstimate:
     decisive: np.ndarray | None = None
     """Information by which the verdict is given, shape [3, 3]; None = that of `covariance`. Not that at `theta`: where
     an estimate is badly known, so is the information at it."""
+    view_angle: float | None = None
+    """Angle between the contact's direction and the line of sight [degrees] (see estimators.oblique); None = not
+    known."""
 
     @property
     def log_sd(self) -> np.ndarray:

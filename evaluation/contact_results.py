@@ -13,18 +13,18 @@ import numpy as np
 
 from data.collected import CollectedClip
 from data.samples import ContactCase, release_after
-from estimators.estimate import ContactEstimate
+from estimators.estimate import ContactEstimate, uncertainty
+from estimators.oblique import remark
 from evaluation.contact_picture import draw_fits
 from evaluation.result_store import RECORD, partial_folder, publish, remove_leftovers, write_record, writing
 from evaluation.results import cell
 from evaluation.summary import write_summary
-from physics.identifiability import bounds
 from physics.mechanics import PARAMETERS, Mechanics
 
 CONTACTS, FIT = "contacts.csv", "fit.png"
 FILES = (CONTACTS, FIT, RECORD)
 """Files of a clip's folder."""
-LARGEST_MISFIT = 1.5
+DOUBTFUL_MISFIT = 1.5
 """The model does not explain what lies farther from it than this, in units of the noise."""
 COLUMNS: dict[str, str] = {
     "onset_frame": "number of the run's first frame in contact",
@@ -37,9 +37,15 @@ COLUMNS: dict[str, str] = {
     "damping_sd": "standard deviation of damping",
     "force": "magnitude |F|",
     "force_sd": "standard deviation of force",
-    "stiffness_bound": "Cramér–Rao bound on the standard deviation of log stiffness (0.1: 10 %)",
-    "damping_bound": "the same of log damping",
-    "force_bound": "the same of log force",
+    "stiffness_low": "lower end of the 90 % interval of k_s",
+    "stiffness_high": "upper end of the 90 % interval of k_s",
+    "stiffness_bound": "Cramér–Rao bound on the standard deviation of log k_s (0.1: 10 %)",
+    "damping_low": "lower end of the 90 % interval of k_d",
+    "damping_high": "upper end of the 90 % interval of k_d",
+    "damping_bound": "Cramér–Rao bound on the standard deviation of log k_d",
+    "force_low": "lower end of the 90 % interval of |F|",
+    "force_high": "upper end of the 90 % interval of |F|",
+    "force_bound": "Cramér–Rao bound on the standard deviation of log |F|",
     "verdict": "determined, ratios (only k_s/k_d and F/k_d are) or undetermined",
     "explanation": "which products of k_s, k_d and F are determined, with their relative errors",
     "noise": "standard deviation of every observed coordinate, scene units",
@@ -114,11 +120,13 @@ def doubts(estimate: ContactEstimate, ranges: Sequence[tuple[float, float]]) -> 
     Args:
         ranges: admissible k_s, k_d and |F|.
     """
-    told = []
-    if estimate.misfit > LARGEST_MISFIT:
+    oblique = remark(estimate)
+    told = [oblique] if oblique else []
+    if estimate.misfit > DOUBTFUL_MISFIT:
         told.append(
-            f"The model does not explain the data: they lie {estimate.misfit:.2g} times the noise from it, so the "
-            "uncertainties are too small."
+            f"The model does not explain the data: they lie {estimate.misfit:.2g} times the noise from it"
+            # An oblique one was widened by its misfit.
+            + ("." if oblique else ", so the uncertainties are too small.")
         )
     for name, stuck, value, (low, high) in zip(PARAMETERS, estimate.at_bound, estimate.theta, ranges, strict=True):
         if stuck:
@@ -143,12 +151,9 @@ def table_row(result: ContactResult) -> list[str]:
 
 
 def _numbers(estimate: ContactEstimate) -> dict[str, Any]:
-    magnitude = np.abs(estimate.theta)
-    columns = zip(PARAMETERS, magnitude, estimate.log_sd, bounds(estimate.information), strict=True)
-    found: dict[str, Any] = {}
-    for name, value, log_sd, bound in columns:
-        found |= {name: float(value), f"{name}_sd": float(value * log_sd), f"{name}_bound": float(bound)}
-    return found | {
+    return {
+        **dict(zip(PARAMETERS, np.abs(estimate.theta).tolist(), strict=True)),
+        **uncertainty(estimate),
         "verdict": estimate.verdict,
         "explanation": estimate.explanation,
         "noise": estimate.noise,

@@ -18,6 +18,7 @@ import infer
 from data.contact_motion import FRAYED
 from data.synthetic import write_clip as write_synthetic
 from data.synthetic_settings import SceneSettings
+from estimators.estimate import NINETY
 from evaluation.contact_results import COLUMNS
 from tests.inference_inputs import write_clip, write_model
 from tests.test_architecture import NOT_AT_INFERENCE, ROOT
@@ -85,6 +86,9 @@ def test_a_contact_with_known_truth_is_recovered_within_its_uncertainty(done: Pa
         assert abs(found - abs(value)) < 4 * sd
         assert abs(np.log(found / abs(value))) < 0.25
         assert sd == pytest.approx(bound * found, rel=0.2)  # the bound is the largest within one sd
+        low, high = (float(row[f"{name}_{end}"]) for end in ("low", "high"))
+        assert low < found < high
+        assert np.log(high / low) / 2 == pytest.approx(NINETY * sd / found, rel=0.05)
     # The noise is what was put in, and the relief that a plane around every pixel leaves.
     assert 0.9 * SCENE.depth_noise < float(row["noise"]) < 1.3 * SCENE.depth_noise
     assert 0.3 < float(row["misfit"]) < 1.5
@@ -127,7 +131,7 @@ def test_without_a_noise_level_the_options_that_give_one_are_named(clips: Path, 
     assert call(clips, tmp_path, "--smoothing", "0") == 0
     (row,) = rows(tmp_path / "video01_00000")
     assert row["status"] == "no_estimate"
-    assert row["detail"] == "the depth's noise isn't known; set --smoothing above 0, or give --noise."
+    assert row["detail"] == "The depth's noise isn't known; set --smoothing above 0, or give --noise."
     assert {row[name] for name in COLUMNS if name.startswith(("stiff", "damp", "force", "verd", "misf"))} == {""}
     assert int(row["frames"]) > 10
     # A noise of one's own makes another result of it.
@@ -160,7 +164,7 @@ def test_contact_from_the_first_frame_on_has_no_estimate(tmp_path: Path) -> None
     ("seen", "reason"),
     [
         (0, "The tissue at the contact could not be followed after its onset."),
-        (2, "the contact was followed over 2 frames after its onset; 3 are needed."),
+        (2, "The contact was followed over 2 frames after its onset; 3 are needed."),
     ],
 )
 def test_what_is_wrong_with_a_contact_is_told_beside_the_reason_for_no_estimate(
@@ -208,6 +212,19 @@ def test_wrong_usage(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     with pytest.raises(SystemExit) as ended:
         estimate.main([])
     assert ended.value.code == 2
+
+
+@pytest.mark.parametrize("noise", ["0", "1e-300", "1e-12", "2.9e-5", "-0.001", "nan", "inf"])
+def test_a_noise_below_the_simulators_own_error_is_wrong_usage(
+    noise: str, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    """Smaller ones ended in numpy's complaint about infinite numbers, or in certainty of 1e-7."""
+    with pytest.raises(SystemExit) as ended:
+        call(tmp_path, tmp_path / "out", f"--noise={noise}")
+    assert ended.value.code == 2
+    told = flat(capsys.readouterr().err)
+    assert f"'{noise}' is not a noise above the simulator's own error; give 3e-05 or more" in told
+    assert "Traceback" not in told
 
 
 def test_results_of_infer_are_left_alone(tmp_path: Path) -> None:

@@ -14,18 +14,20 @@ from data.clip import ClipStream
 from data.contact_features import FEATURES, contact_features
 from data.contact_motion import FRAYED, LOST
 from data.prepared import PreparedFrame
-from data.samples import SampleSettings, contact_cases
+from data.samples import ContactCase, SampleSettings, contact_cases
 from data.synthetic import make_clip
 from data.synthetic_settings import SceneSettings
 from data.synthetic_source import open_synthetic, prepare_synthetic
 from estimators.contact_fits import BOUNDS, MECHANICS
 from estimators.contact_network import LARGEST_MISFIT, NO_NOISE, TOO_EARLY, UNEXPLAINED, ContactNetwork
 from estimators.estimate import NINETY, NoEstimate
+from estimators.oblique import HIDDEN_ERROR, OBLIQUE
 from evaluation.calibration import metadata
 from evaluation.recovery import PREPARE
 from models.posterior import ContactPosterior
 from models.posterior_export import export_posterior
 from models.posterior_session import PosteriorModel
+from physics.msd_kernel import simulate
 
 
 @pytest.fixture(scope="module")
@@ -199,3 +201,44 @@ def test_a_motion_that_is_not_explained_widens_the_intervals(network: ContactNet
     added = np.linalg.inv(found.information / found.misfit**2 + np.diag(12 / (box[1] - box[0]) ** 2))
     np.testing.assert_allclose(found.covariance, raw + added, rtol=1e-6)
     assert (np.diag(added) <= (box[1] - box[0]) ** 2 / 12 + 1e-12).all()  # never wider than the prior
+
+
+def aslant(case: ContactCase, degrees: float) -> ContactCase:
+    """A contact moved aside, so that its direction lies that far from the line of sight; its motion stays."""
+    normal = np.asarray(case.direction, np.float64)
+    ray = -0.5 * normal + 0.5 * math.tan(math.radians(degrees)) * np.linalg.svd(normal[None])[2][1]
+    vertices = (case.mesh.vertices - case.mesh.vertices[case.vertex] + ray).astype(np.float32)
+    return dataclasses.replace(case, mesh=dataclasses.replace(case.mesh, vertices=vertices))
+
+
+def test_a_press_aslant_to_the_line_of_sight_widens_the_intervals(network: ContactNetwork, clip) -> None:
+    samples = SampleSettings(observation="trajectory", mechanics=MECHANICS)
+    (case,) = contact_cases(prepare_synthetic(clip, PREPARE), samples).values()
+    network.mechanics = network.trained
+    calm = dataclasses.replace(case, displacement=0 * case.displacement, noise=0.003)
+    first = network.estimate(aslant(calm, 0.0), None, None)
+    path = simulate(
+        first.theta, case.mesh, case.vertex, case.direction, network.trained, load_steps=case.load_steps
+    )  # what it answers to is explained only if it moves so
+    still = dataclasses.replace(calm, displacement=path[case.steps].astype(np.float32), noise=0.003)
+    facing, oblique = (network.estimate(aslant(still, degrees), None, None) for degrees in (3.9, 4.1))
+    assert max(facing.misfit, oblique.misfit) < LARGEST_MISFIT < HIDDEN_ERROR / 0.003
+    assert (facing.view_angle, oblique.view_angle) == pytest.approx((3.9, 4.1), abs=1e-3)
+    np.testing.assert_allclose(oblique.theta, facing.theta, rtol=1e-3)
+    box = BOUNDS.log_box
+    added = np.linalg.inv(oblique.information / 5**2 + np.diag(12 / (box[1] - box[0]) ** 2))
+    np.testing.assert_allclose(oblique.covariance, facing.covariance + added, rtol=0.01, atol=1e-3)
+    # So does what decides the verdict.
+    decisive = np.linalg.inv(facing.decisive) + added
+    np.testing.assert_allclose(np.linalg.inv(oblique.decisive), decisive, rtol=0.01, atol=1e-3)
+
+
+def test_frames_of_an_oblique_press_say_so(network: ContactNetwork, clip, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("estimators.contact_network.view_angle", lambda _: 17.4)
+    onset, release = clip.motion.onset_frame, clip.motion.release_frame
+    results = [result.estimate for result in network.run(open_synthetic(clip, PREPARE))]
+    told = OBLIQUE.format(17.4)
+    assert "at 17° to the line of sight" in told
+    details = [item.detail for item in results]
+    assert all(detail.endswith(told) for detail in details[onset + 2 : release])
+    assert not any(told in detail for detail in details[: onset + 2] + details[release:])

@@ -13,11 +13,12 @@ from estimators import contact_optima, direct, tracking_noise
 from estimators.contact_optima import Optimum, combine
 from estimators.direct import ContactProblem, DirectSettings, cautious, fit_clip, fit_contact
 from estimators.estimate import NoEstimate
+from estimators.oblique import HIDDEN_ERROR
 from estimators.posterior_sampling import Draws, sample_posterior
 from estimators.tracking_noise import log_likelihoods
 from physics.identifiability import bounds, contact_information, covariance
 from physics.mechanics import Mechanics
-from physics.mesh import contact_normal
+from physics.mesh import Mesh, contact_normal
 from physics.msd_kernel import simulate
 from tests.physics.sheets import sheet
 
@@ -26,9 +27,18 @@ SETTINGS = DirectSettings(mechanics=MECHANICS)
 STEPS = 16 * np.arange(1, 16) - 1
 """Frames at 25 Hz for 0.6 s."""
 LOAD = 128
-MESH = sheet(13, 13)
 VERTEX = 6 * 13 + 6
-DIRECTION = contact_normal(MESH, VERTEX)
+
+
+def facing_sheet() -> tuple[Mesh, np.ndarray]:
+    """A sheet that lies so that its normal at the contact is the line of sight, and that normal."""
+    mesh = sheet(13, 13)
+    normal = contact_normal(mesh, VERTEX)
+    vertices = (mesh.vertices - mesh.vertices[VERTEX] - 0.5 * normal).astype(np.float32)
+    return dataclasses.replace(mesh, vertices=vertices), normal
+
+
+MESH, DIRECTION = facing_sheet()
 NOISE = 2e-4
 REGIMES = {
     "under-damped": (0.4, 0.015, -0.05),
@@ -91,6 +101,23 @@ def test_a_motion_that_the_model_cannot_explain_widens_the_posterior() -> None:
     assert unsuspecting.misfit > 8
     assert (unsuspecting.log_sd > 1.9 * good).all()
     assert (unsuspecting.log_sd < 1.5 * bad).all()
+
+
+def test_a_press_aslant_to_the_line_of_sight_widens_the_posterior() -> None:
+    """The same motion of the same sheet, moved aside: its dent could hide its own bottom."""
+    theta = REGIMES["critical"]
+    case = case_of(theta)
+    aside = 0.5 * np.tan(np.deg2rad(12)) * np.linalg.svd(DIRECTION[None])[2][1]
+    aslant = dataclasses.replace(MESH, vertices=(MESH.vertices + aside).astype(np.float32))
+    facing, found = (fit_contact(each, SETTINGS) for each in (case, dataclasses.replace(case, mesh=aslant)))
+    assert facing.view_angle < 0.01
+    assert found.view_angle == pytest.approx(12, abs=0.01)
+    assert (facing.verdict, found.verdict) == ("determined", "undetermined")
+    np.testing.assert_allclose(np.log(found.theta / facing.theta), 0, atol=0.01)
+    low, high = SETTINGS.box
+    scaled = found.information * (NOISE / HIDDEN_ERROR) ** 2
+    added = np.linalg.inv(scaled + np.diag(12 / (high - low) ** 2))
+    np.testing.assert_allclose(found.covariance, facing.covariance + added, atol=1e-3)
 
 
 def test_errors_are_as_large_as_claimed() -> None:
@@ -218,7 +245,9 @@ def test_no_estimate_says_why() -> None:
         ({"stiffness": (0.0, 1.0)}, "stiffness is .0.0, 1.0.; give two positive numbers"),
         ({"damping": (0.5, 0.1)}, "the lower one first"),
         ({"force": (0.1, float("inf"))}, "force is"),
-        ({"noise": 0.0}, "give a positive length"),
+        ({"noise": 0.0}, "give a length of 3e-05 or more"),
+        ({"noise": 2.9e-5}, "noise is 2.9e-05; give a length of 3e-05 or more"),
+        ({"noise": float("inf")}, "noise is inf"),
     ],
 )
 def test_impossible_settings_are_refused(wrong: dict, words: str) -> None:

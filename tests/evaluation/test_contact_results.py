@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from data.collected import CollectedClip
 from data.samples import ContactCase
@@ -24,6 +25,7 @@ from evaluation.contact_results import (
     table_row,
     write_contacts,
 )
+from evaluation.results import COLUMNS as FRAME_COLUMNS
 from physics.identifiability import bounds
 from physics.mechanics import Mechanics
 from physics.mesh import contact_normal
@@ -51,6 +53,8 @@ ESTIMATE = ContactEstimate(
     at_bound=np.zeros(3, bool),
 )
 GOOD = ContactResult(7, 0.28, 0.16, CASE, ESTIMATE)
+DEVIATES = norm.ppf((np.arange(100_000) + 0.5) / 100_000)
+"""A standard normal distribution, as evenly likely values."""
 
 
 def clip(contact: str, starts: list[int]) -> CollectedClip:
@@ -97,12 +101,23 @@ def test_a_row_has_values_spreads_and_bounds() -> None:
     assert (row["onset_frame"], row["frames"], row["load_s"], row["status"]) == ("7", "8", "0.16", "ok")
     for name, value, log_sd in (("stiffness", 0.5, 0.1), ("damping", 0.06, 0.2), ("force", 0.1, 0.05)):
         assert float(row[name]) == pytest.approx(value)
-        assert float(row[f"{name}_sd"]) == pytest.approx(value * log_sd)
+        draws = value * np.exp(log_sd * DEVIATES)  # log-normal, as in parameters.csv
+        assert float(row[f"{name}_sd"]) == pytest.approx(draws.std(), rel=1e-3)
+        ends = [float(row[f"{name}_{end}"]) for end in ("low", "high")]
+        assert ends == pytest.approx(np.quantile(draws, (0.05, 0.95)), rel=1e-4)
         assert float(row[f"{name}_bound"]) == pytest.approx(log_sd)
     np.testing.assert_allclose(bounds(ESTIMATE.information), [0.1, 0.2, 0.05])
     assert row["verdict"] == "determined"
     assert row["explanation"] == "F (±0.05), k_s (±0.1), k_d (±0.2) are determined"
     assert (row["noise"], row["misfit"], row["at_bound"], row["detail"]) == ("0.001", "1.1", "", "")
+
+
+def test_uncertainty_has_the_names_and_the_order_of_the_table_of_frames() -> None:
+    def of_parameters(columns: dict[str, str]) -> list[str]:
+        return [name for name in columns if name.startswith(("stiffness", "damping", "force"))]
+
+    assert of_parameters(COLUMNS) == of_parameters(FRAME_COLUMNS)
+    assert len(of_parameters(COLUMNS)) == 15
 
 
 def test_a_run_without_estimate_has_no_numbers() -> None:
@@ -126,6 +141,17 @@ def test_doubts_name_a_misfit_and_parameters_at_their_ranges_end() -> None:
     assert told.endswith("The force of 0.1 is the end of its admissible range, 0.01 to 0.3.")
     stuck = dataclasses.replace(GOOD, estimate=poor, detail=told)
     assert dict(zip(COLUMNS, table_row(stuck), strict=True))["at_bound"] == "force"
+
+
+def test_doubts_name_a_press_aslant_to_the_line_of_sight_whose_uncertainties_were_widened() -> None:
+    facing, aslant = (dataclasses.replace(ESTIMATE, misfit=7.0, view_angle=angle) for angle in (3.0, 12.0))
+    misfit = "The model does not explain the data: they lie 7 times the noise from it"
+    assert doubts(facing, RANGES) == f"{misfit}, so the uncertainties are too small."
+    angle = (
+        "The tissue is pressed at 12° to the line of sight, so its dent may hide its own bottom; intervals are widened."
+    )
+    assert doubts(aslant, RANGES) == f"{angle} {misfit}."
+    assert doubts(dataclasses.replace(aslant, misfit=1.0), RANGES) == angle
 
 
 def test_counts_by_verdict() -> None:

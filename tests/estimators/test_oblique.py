@@ -1,0 +1,83 @@
+"""Presses aslant to the line of sight: their angle, the error that they may hide, and how much wider intervals get."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from data.samples import ContactCase
+from estimators.estimate import ContactEstimate
+from estimators.oblique import HIDDEN_ERROR, LARGEST_ANGLE, effective_misfit, is_oblique, remark, view_angle, widened
+from tests.physics.sheets import sheet
+
+MESH = sheet(5, 5)
+BOX = np.log([[0.05, 0.005, 0.01], [1.0, 0.5, 0.3]])
+ESTIMATE = ContactEstimate(
+    theta=np.array([0.3, 0.03, -0.05]),
+    covariance=0.01 * np.eye(3),
+    information=100 * np.eye(3),
+    noise=0.001,
+    misfit=1.0,
+    at_bound=np.zeros(3, bool),
+)
+
+
+def seen_at(angle: float) -> ContactEstimate:
+    return dataclasses.replace(ESTIMATE, view_angle=angle)
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+@pytest.mark.parametrize("angle", [0.0, 1e-4, 4.0, 30.0, 90.0])
+def test_the_angle_is_that_between_ray_and_direction_either_way(angle: float, sign: int) -> None:
+    ray = np.array([0.3, -0.4, 1.2]) / 1.3
+    across = np.cross(ray, [0.0, 1.0, 0.0])
+    across /= np.linalg.norm(across)
+    turn = math.radians(angle)
+    vertices = MESH.vertices.astype(np.float64)
+    mesh = dataclasses.replace(MESH, vertices=vertices - vertices[12] + 0.5 * ray)
+    case = ContactCase(
+        mesh=mesh,
+        vertex=12,
+        direction=sign * (math.cos(turn) * ray + math.sin(turn) * across),
+        load_steps=1,
+        steps=np.array([7]),
+        displacement=np.zeros((1, 3), np.float32),
+        weight=np.ones(1, np.float32),
+    )
+    assert view_angle(case) == pytest.approx(angle, abs=1e-9)
+
+
+def test_only_oblique_contacts_are_expected_to_hide_an_error() -> None:
+    for facing in (ESTIMATE, seen_at(0.2), seen_at(LARGEST_ANGLE)):
+        assert not is_oblique(facing)
+        assert effective_misfit(facing) == 1.0
+        assert remark(facing) == ""
+    aslant = seen_at(12.4)
+    assert is_oblique(aslant)
+    assert effective_misfit(aslant) == pytest.approx(HIDDEN_ERROR / 0.001) == pytest.approx(15)
+    # A misfit that was measured to be larger stays; so does one in units of a larger noise.
+    assert effective_misfit(dataclasses.replace(aslant, misfit=17.0)) == 17.0
+    assert effective_misfit(dataclasses.replace(aslant, noise=0.03)) == 1.0
+    assert remark(aslant) == (
+        "The tissue is pressed at 12° to the line of sight, so its dent may hide its own bottom; intervals are widened."
+    )
+
+
+def test_widening_adds_the_covariance_of_the_larger_noise_within_the_box() -> None:
+    # I = 100: a noise ten times as large leaves 1, the box 12/w². Both covariance and verdict get 1/(1 + 12/w²) more.
+    added = 1 / (1 + 12 / (BOX[1] - BOX[0]) ** 2)
+    found = widened(ESTIMATE, 10.0, BOX)
+    np.testing.assert_allclose(found.covariance, np.diag(0.01 + added))
+    np.testing.assert_allclose(np.linalg.inv(found.decisive), np.diag(0.01 + added))
+    assert (ESTIMATE.verdict, found.verdict) == ("determined", "undetermined")
+    cautious = dataclasses.replace(ESTIMATE, decisive=4 * np.eye(3))
+    np.testing.assert_allclose(np.linalg.inv(widened(cautious, 10.0, BOX).decisive), np.diag(0.25 + added))
+    # However large the misfit, never wider than the prior besides; and where nothing was known, still finite.
+    prior = np.diag((BOX[1] - BOX[0]) ** 2 / 12)
+    np.testing.assert_allclose(widened(ESTIMATE, 1e9, BOX).covariance, ESTIMATE.covariance + prior)
+    blind = dataclasses.replace(ESTIMATE, decisive=np.zeros((3, 3)))
+    assert np.isfinite(widened(blind, 10.0, BOX).decisive).all()
+    assert widened(blind, 10.0, BOX).verdict == "undetermined"

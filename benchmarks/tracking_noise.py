@@ -31,10 +31,10 @@ from data.synthetic_truth import Motion
 from estimators import tracking_noise as noise
 from estimators.contact_problem import ContactProblem
 from estimators.tracking_noise import BLUR, REST, STEP, TRACKING
+from estimators.worker_pool import WorkerLost, run_tasks
 from evaluation.benchmark import RateColumn
 from evaluation.recovery import MECHANICS, PREPARE, SAMPLES
 from evaluation.suites import LARGEST_SEED, SUITES, suite_clip_seed
-from evaluation.worker_pool import WorkerLost, run_tasks
 
 NAMES = ("clean", "8bit", "noisy")
 """Suites, which observe the same truth; the noise of `clean` and `noisy` differs in its size alone."""

@@ -19,13 +19,15 @@ import dataclasses
 import json
 import math
 import os
+import sys
 import time
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import torch
+from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from torch import Tensor
 
@@ -44,15 +46,29 @@ from estimators.contact_fits import (
     draw_observed,
     fit_motion,
 )
+from estimators.worker_pool import WorkerLost, run_tasks
 from models.evidence import Linearised, Motion, linearise, preconditioned
 from models.posterior import ContactPosterior
 from physics.identifiability import bounds
 
+WEIGHTS, UNFINISHED, LOG = "posterior.pt", "unfinished.pt", "training.jsonl"
+"""Files of the output folder; the second becomes the first when all is done."""
+INTERRUPTED = 130
 CONTACTS_A_SCENE = 8
+HELD_OUT = 400
+"""Contacts that the logged evaluation reads."""
+LEAST_STEPS = 4
+"""A stage's learning rate rises over three steps, and falls."""
+LARGEST_NUMBER = 2**63 - 1
+"""torch takes no larger seed."""
 FINE_BATCH, FINE_RATE = 512, 2e-3
 """Samples a step of the fine stage, and its largest learning rate."""
 BLUR = 0.3, 0.03
 """σ of the rough stage is raised by this share of a contact's largest motion, at its beginning and its end."""
+
+
+class TrainingError(ValueError):
+    """There is nothing to train on; the message is a sentence."""
 
 
 def widened(case: ContactCase, logs: np.ndarray, blur: float) -> Linearised:
@@ -101,8 +117,17 @@ class Trainer:
 
         descend(self.posterior, loss, steps, rate, advance)
 
-    def fit(self, progress: Progress) -> Fits:
-        """Second stage: what explains every motion; motions that nothing explains are left out and counted."""
+    def fit(self, progress: Progress, workers: int | None = None) -> Fits:
+        """Second stage: what explains every motion; motions that nothing explains are left out and counted.
+
+        Args:
+            progress: gets a bar.
+            workers: processes; None = one a core, 0 = in this one.
+
+        Raises:
+            TrainingError: nothing explains any motion.
+            WorkerLost: a process was killed.
+        """
         quiet = [
             contact_features(dataclasses.replace(contact.case, noise=NOISE[0]), MECHANICS.time_step)
             for contact in self.contacts
@@ -113,12 +138,14 @@ class Trainer:
         cases = [contact.case for contact in self.contacts]
         job = progress.add_task("fits", total=len(cases))
         found = []
-        with ProcessPoolExecutor() as pool:
-            for result in pool.map(fit_motion, zip(cases, starts, strict=True), chunksize=16):
-                found.append(result)
-                progress.advance(job)
+        tasks = list(zip(cases, starts, strict=True))
+        for result in run_tasks(fit_motion, tasks, os.cpu_count() if workers is None else workers, ordered=True):
+            found.append(result)
+            progress.advance(job)
         kept = [index for index, (_, _, rms) in enumerate(found) if rms <= EXPLAINED]
         print(f"{len(kept)} of {len(found)} motions explained to {EXPLAINED:g}")
+        if not kept:
+            raise TrainingError("No motion could be explained; give more --contacts.")
         return Fits.of(
             [cases[index] for index in kept],
             [self.surroundings[index] for index in kept],
@@ -199,40 +226,77 @@ def _scene_contacts(task: tuple[SceneSettings, int, float]) -> list[SimulatedCon
     return draw_contacts(settings, seed, CONTACTS_A_SCENE, time_step)
 
 
-def make_contacts(count: int, seed: int, progress: Progress) -> list[SimulatedContact]:
-    """About `count` contacts of many scenes, drawn on all cores."""
+def make_contacts(count: int, seed: int, progress: Progress, workers: int | None = None) -> list[SimulatedContact]:
+    """About `count` contacts of many scenes.
+
+    Args:
+        count: contacts.
+        seed: another seed gives other scenes.
+        progress: gets a bar.
+        workers: processes; None = one a core, 0 = in this one.
+
+    Raises:
+        TrainingError: none could be drawn.
+        WorkerLost: a process was killed.
+    """
     seeds = np.random.SeedSequence((seed, 0xC0)).generate_state(-(-count // CONTACTS_A_SCENE)).tolist()
     tasks = [(SCENES, scene, MECHANICS.time_step) for scene in seeds]
     found: list[SimulatedContact] = []
     job = progress.add_task("scenes", total=len(tasks))
-    with ProcessPoolExecutor() as pool:
-        for contacts in pool.map(_scene_contacts, tasks, chunksize=4):
-            found += contacts
-            progress.advance(job)
+    for contacts in run_tasks(_scene_contacts, tasks, os.cpu_count() if workers is None else workers, ordered=True):
+        found += contacts
+        progress.advance(job)
+    if not found:
+        raise TrainingError("No contact could be drawn; give more --contacts or another --seed.")
     return found
 
 
-def main() -> None:
-    """Train, evaluate, save."""
-    parser = argparse.ArgumentParser(prog="python -m estimators.contact_training", description=__doc__.split("\n")[0])
-    parser.add_argument(
-        "--output",
-        type=Path,
-        required=True,
-        help="folder for posterior.pt (unfinished.pt until all is done) and training.jsonl",
+def build_parser() -> argparse.ArgumentParser:
+    """Command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m estimators.contact_training",
+        description=__doc__.split("\n")[0],
+        epilog="Exit status: 0 done; 1 failed; 2 wrong usage; 130 interrupted.",
     )
-    parser.add_argument("--contacts", type=int, default=8000, help="motions to train on (default %(default)s)")
-    parser.add_argument("--rough-steps", type=int, default=2250, help="(default %(default)s)")
-    parser.add_argument("--fine-steps", type=int, default=12000, help="(default %(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="(default %(default)s)")
-    options = parser.parse_args()
+    add = parser.add_argument
+    text = f"folder for {WEIGHTS} ({UNFINISHED} until all is done) and {LOG}"
+    add("--output", type=Path, required=True, help=text)
+    add("--contacts", type=_number(1), default=8000, help="motions to train on (default %(default)s)")
+    add("--rough-steps", type=_number(LEAST_STEPS, or_zero=True), default=2250, help="0 = none (default %(default)s)")
+    add("--fine-steps", type=_number(LEAST_STEPS), default=12000, help="(default %(default)s)")
+    add("--seed", type=_number(0), default=0, help="(default %(default)s)")
+    text = "processes that draw contacts and explain motions; 0 = in this one (default: one a core)"
+    add("--workers", type=_number(0), default=os.cpu_count(), help=text)
+    return parser
+
+
+def _number(least: int, *, or_zero: bool = False) -> Callable[[str], int]:
+    def whole(text: str) -> int:
+        value = int(text)
+        if value < least and not (or_zero and value == 0):
+            raise argparse.ArgumentTypeError(f"{value} is less than {least}" + " and not 0" * or_zero)
+        if value > LARGEST_NUMBER:
+            raise argparse.ArgumentTypeError(f"{value} is more than {LARGEST_NUMBER}")
+        return value
+
+    return whole
+
+
+def train(options: argparse.Namespace) -> None:
+    """Train, evaluate, save.
+
+    Raises:
+        OSError: the output folder can't be written.
+        TrainingError: there is nothing to train on.
+        WorkerLost: a process was killed.
+    """
     options.output.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(max(1, os.cpu_count() // 2))
-    start, unfinished = time.time(), options.output / "unfinished.pt"
+    start, unfinished = time.time(), options.output / UNFINISHED
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns) as progress, (options.output / "training.jsonl").open("w") as log:
-        contacts = make_contacts(options.contacts, options.seed, progress)
-        held_out = make_contacts(400, options.seed + 1, progress)
+    with Progress(*columns) as progress, (options.output / LOG).open("w") as log:
+        contacts = make_contacts(options.contacts, options.seed, progress, options.workers)
+        held_out = make_contacts(HELD_OUT, options.seed + 1, progress, options.workers)
         trainer = Trainer(contacts, options.seed)
 
         def stage(name: str, steps: int) -> Callable[[int, float], None]:
@@ -252,12 +316,33 @@ def main() -> None:
 
         if options.rough_steps:
             trainer.rough(options.rough_steps, 64, 1e-3, stage("rough", options.rough_steps))
-        fits = trainer.fit(progress)
+        fits = trainer.fit(progress, options.workers)
         trainer.fine(fits, options.fine_steps, FINE_BATCH, FINE_RATE, stage("fine", options.fine_steps))
     torch.save(trainer.posterior.state_dict(), unfinished)
-    os.replace(unfinished, options.output / "posterior.pt")
-    print(f"{options.output}/posterior.pt written after {(time.time() - start) / 3600:.2f} h")
+    os.replace(unfinished, options.output / WEIGHTS)
+    print(f"{options.output}/{WEIGHTS} written after {(time.time() - start) / 3600:.2f} h")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Train as the command line asks for; returns the exit status."""
+    console, options = Console(stderr=True), build_parser().parse_args(arguments)
+
+    def say(text: str, color: str) -> None:
+        console.print(text, style=color, markup=False, highlight=False, soft_wrap=True)
+
+    if (options.output / WEIGHTS).exists():
+        say(f"{options.output} holds a finished training; give another --output, or remove that folder.", "red")
+        return 2
+    try:
+        train(options)
+    except KeyboardInterrupt:
+        say(f"Interrupted; {options.output} holds no {WEIGHTS}, and the same command starts anew.", "yellow")
+        return INTERRUPTED
+    except (OSError, TrainingError, WorkerLost) as error:
+        say(str(error), "red")
+        return 1
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

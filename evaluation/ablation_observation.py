@@ -3,6 +3,9 @@
 Every row trains a new network by the `fine` stage of `estimators.contact_training` on the same fits, equally long; only
 what is seen of a motion differs, in the features as in the likelihood. Judged on held-out contacts with Gaussian noise
 against the bound of their whole first second, so that all rows are divided by the same number.
+
+The row `supervised` has the same network, contacts and steps, but descends the negative log density of the true log θ:
+what training without labels could reach at best. Nothing else here trains on a true θ, and nothing is shipped from it.
 """
 
 from __future__ import annotations
@@ -25,6 +28,9 @@ from evaluation.suites import CLEAN_NOISE
 from models.posterior import ContactPosterior
 from physics.identifiability import covariance, fisher_information
 
+SUPERVISED = "supervised"
+"""The row that is told the truth."""
+
 EXAMPLES = 4000
 """Samples that the inputs' centre and scale are taken from."""
 LEAST_SPREAD = 0.3
@@ -32,7 +38,8 @@ LEAST_SPREAD = 0.3
 
 
 def seen_slots(row: str, loaded: np.ndarray) -> np.ndarray:
-    """What a row sees: `release` the last slot under load, `final` the last of the second, a number that many frames.
+    """What a row sees: `release` the last slot under load, `final` the last of the second, a number that many frames,
+    `supervised` all.
 
     Args:
         row: name of the observation.
@@ -45,7 +52,7 @@ def seen_slots(row: str, loaded: np.ndarray) -> np.ndarray:
     if row == "release":
         # A press shorter than a frame has its first slot.
         return (slots == np.maximum(loaded.sum(axis=1, keepdims=True) - 1, 0)).astype(np.float64)
-    seen = slots == SLOTS - 1 if row == "final" else slots < int(row)
+    seen = slots == SLOTS - 1 if row == "final" else slots < (SLOTS if row == SUPERVISED else int(row))
     return np.broadcast_to(seen, loaded.shape).astype(np.float64)
 
 
@@ -55,6 +62,8 @@ class Material:
 
     fits: Fits
     """Training contacts around what explains them."""
+    labelled: Fits
+    """The same contacts around their truth: the row `supervised` alone reads them."""
     held_out: Fits
     """Other contacts, around their truth: evaluation alone reads them."""
 
@@ -72,7 +81,11 @@ def write_material(path: Path, weights: Path, contacts: int, held_out: int, seed
     drawn = make_contacts(contacts, seed, progress)
     trainer = Trainer(drawn, seed)
     trainer.posterior.load_state_dict(torch.load(weights, map_location="cpu", weights_only=True))
-    parts = {"fits": trainer.fit(progress), "held_out": around_truth(make_contacts(held_out, seed + 1, progress))}
+    parts = {
+        "fits": trainer.fit(progress),
+        "labelled": around_truth(drawn),
+        "held_out": around_truth(make_contacts(held_out, seed + 1, progress)),
+    }
     arrays = {
         f"{part}_{field.name}": getattr(fits, field.name)
         for part, fits in parts.items()
@@ -87,8 +100,8 @@ def read_material(path: Path) -> Material:
     """Back from `write_material`; reading it runs no code."""
     with np.load(path, allow_pickle=False) as stored:
         names = [field.name for field in dataclasses.fields(Fits)]
-        parts = {part: Fits(**{name: stored[f"{part}_{name}"] for name in names}) for part in ("fits", "held_out")}
-    return Material(**parts)
+        parts = [field.name for field in dataclasses.fields(Material)]
+        return Material(**{part: Fits(**{name: stored[f"{part}_{name}"] for name in names}) for part in parts})
 
 
 def around_truth(contacts: list[SimulatedContact]) -> Fits:
@@ -101,16 +114,30 @@ def around_truth(contacts: list[SimulatedContact]) -> Fits:
 
 def train_row(row: str, material: Material, steps: int, seed: int) -> dict[str, float | None]:
     """Train on what a row sees, and judge it; returns the row's numbers."""
+    fits, loss_of = (material.labelled, label_loss) if row == SUPERVISED else (material.fits, fine_loss)
     torch.manual_seed(seed)
     generator = np.random.default_rng([seed, 23])
     posterior = ContactPosterior(FEATURES, torch.tensor(BOUNDS.log_box))
 
     def draw(count: int) -> Drawn:
-        return draw_observed(material.fits, count, generator, lambda loaded: seen_slots(row, loaded))
+        return draw_observed(fits, count, generator, lambda loaded: seen_slots(row, loaded))
 
     posterior.standardise(torch.from_numpy(draw(EXAMPLES).features), least=LEAST_SPREAD)
-    descend(posterior, lambda _: fine_loss(posterior, draw(FINE_BATCH)), steps, FINE_RATE, lambda step, loss: None)
+    descend(posterior, lambda _: loss_of(posterior, draw(FINE_BATCH)), steps, FINE_RATE, lambda step, loss: None)
     return judge(posterior.eval(), row, material, seed)
+
+
+def label_loss(posterior: ContactPosterior, drawn: Drawn) -> torch.Tensor:
+    """Negative log density of the true φ, a scalar without the constant 3/2·log 2π.
+
+    Args:
+        posterior: that is trained.
+        drawn: samples whose φ is the truth.
+    """
+    mean, factor = posterior(torch.from_numpy(drawn.features))
+    error = torch.from_numpy(drawn.logs).to(mean) - mean
+    scaled = torch.linalg.solve_triangular(factor, error[..., None], upper=False)[..., 0]
+    return (0.5 * scaled.square().sum(1) + torch.log(factor.diagonal(dim1=1, dim2=2)).sum(1)).mean()
 
 
 @torch.no_grad()

@@ -48,6 +48,7 @@ ROWS = {
         *(_named(frames) for frames in FRAMES),
         Row(OBSERVATION, "release", "only the frame at the end of the load"),
         Row(OBSERVATION, "final", "only the last frame of the second"),
+        Row(OBSERVATION, "supervised", "as K=25, but told the true θ of its simulated contacts: an upper bound"),
         Row(TRAINING, "posterior", "the pretrained posterior as it is, no picture", trained=False),
         Row(TRAINING, "baseline", "configs/recommended.yaml from the pretrained posterior"),
         Row(TRAINING, "no-gan", "without the adversarial term", options=_without("gan")),

@@ -24,7 +24,7 @@ from evaluation.ablation_rows import Row
 from evaluation.ablation_scores import numbers
 from evaluation.recovery import OK, ClipTask, evaluate_clip
 from evaluation.recovery_estimators import EstimatorSpec
-from evaluation.recovery_scores import measure_noise, score
+from evaluation.recovery_scores import TO_QUANTITIES, measure_noise, score
 from evaluation.run_record import sha256_of
 from evaluation.suites import suite_clip_seed
 
@@ -134,8 +134,8 @@ def judge(spec: EstimatorSpec, settings: TrainingSettings, constant: np.ndarray)
         rows += evaluate_clip(ClipTask(index, seed, ((SUITE, (spec,)),)))
     if not any(row.status == OK for row in rows):
         raise RowFailed(f"no validation clip gave an estimate: {rows[0].reason}")
-    scores = score(rows, measure_noise(rows), constant)
-    return numbers(scores.errors, scores.constant - scores.truth, scores.bounds, scores.sd)
+    scores = score(rows, measure_noise(rows))
+    return numbers(scores.errors, TO_QUANTITIES @ constant - scores.truth, scores.bounds, scores.sd)
 
 
 def _common(folder: Path, run: Path, settings: TrainingSettings) -> tuple[str, ...]:

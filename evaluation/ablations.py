@@ -2,8 +2,9 @@
 
     python -m evaluation.ablations --output runs/ablations --weights runs/contact/posterior.pt [--rows K=4 no-gan …]
 
-Two families. Observation: the contact posterior alone, trained on K frames after the onset, or on one. Training: the
-generators of configs/recommended.yaml at a small width, each loss term off, and configs/paper.yaml beside them.
+Two families. Observation: the contact posterior alone, trained on K frames after the onset, or on one; beside it a
+twin that is told the true θ, which no real clip has. Training: the generators of configs/recommended.yaml at a small
+width, each loss term off, and configs/paper.yaml beside them.
 Contacts, clips and finished rows are kept in DIR, and the same command continues; a row that fails is reported and the
 others go on. Writes ablations.csv, ablations.md and ablations.png.
 """
@@ -25,6 +26,8 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from estimators.contact_training import LEAST_STEPS
+from estimators.worker_pool import WorkerLost, run_tasks
 from evaluation import ablation_observation, ablation_training
 from evaluation.ablation_output import FAILED, Result, keep, kept, write_all
 from evaluation.ablation_rows import OBSERVATION, ROWS, TRAINING, Row
@@ -34,7 +37,6 @@ from evaluation.recovery_store import replace_text
 from evaluation.result_store import OutputError
 from evaluation.run_record import sha256_of
 from evaluation.suites import FITTED_ON
-from evaluation.worker_pool import WorkerLost, run_tasks
 
 INTERRUPTED = 130
 CONSTANT_CLIPS = 30
@@ -72,7 +74,7 @@ def build_parser() -> argparse.ArgumentParser:
         ("seed", 0, 0, "another seed gives other contacts and clips"),
         ("contacts", 4000, 1, "simulated contacts that observations are trained on"),
         ("held-out", 600, 1, "simulated contacts that they are judged on"),
-        ("observation-steps", 3000, 1, "steps of an observation's row"),
+        ("observation-steps", 3000, LEAST_STEPS, "steps of an observation's row"),
         ("training-clips", 16, 4, "synthetic clips that trainings read"),
         ("training-steps", 400, EPOCH, f"steps of a training's row, a multiple of {EPOCH}"),
         ("width", 8, 1, "channels of the generators' first layer"),
@@ -142,7 +144,7 @@ def _numbers(task: Task) -> dict[str, float | None]:
 def _contacts(folder: Path, settings: dict[str, Any]) -> Path:
     """File of the contacts, by what decides them."""
     parts = settings["contacts"], settings["held_out"], settings["seed"], settings["weights_sha256"][:8]
-    return folder / f"contacts-{'-'.join(map(str, parts))}.npz"
+    return folder / f"material-{'-'.join(map(str, parts))}.npz"
 
 
 def prepare(left: list[Row], options: argparse.Namespace, sha256: str, progress: Progress) -> tuple[float, ...]:

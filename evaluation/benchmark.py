@@ -4,7 +4,9 @@
 
 Clips are made in memory and thrown away. Results are appended to DIR/results.jsonl as they come; the same command
 continues an interrupted run, and a later one may add suites, estimators or clips. Writes table.csv, details.csv
-(see `evaluation.recovery_details`) and figures/. A clip that can't be estimated is counted and shown.
+(see `evaluation.recovery_details`) and figures/. A clip that can't be estimated is counted and shown. In table.csv
+constant_rmse_log is the error of the best constant for exactly the clips of a row; the estimator constant, whose θ is
+the mean over another split, can't reach it.
 """
 
 from __future__ import annotations
@@ -21,6 +23,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColum
 from rich.text import Text
 
 from data.samples import PRESS
+from estimators.direct import LEAST_SIGMA
+from estimators.worker_pool import WorkerLost, run_tasks
 from evaluation.benchmark_output import show, write_results
 from evaluation.constant import draw_truths
 from evaluation.recovery import OK, ClipTask, Recovery, evaluate_clip
@@ -30,11 +34,10 @@ from evaluation.recovery_store import RecoveryStore
 from evaluation.result_store import OutputError
 from evaluation.run_record import sha256_of
 from evaluation.suites import FITTED_ON, LARGEST_SEED, SPLITS, SUITES, suite_clip_seed
-from evaluation.worker_pool import WorkerLost, run_tasks
 from models.onnx_session import ModelFileError
 
 CONSTANT_CLIPS = 60
-"""Truths whose mean is the constant: its error is then within 1 % of the best constant's."""
+"""Truths whose mean the estimator `constant` answers: over all clips its error is then within 1 % of the least."""
 INTERRUPTED = 130
 LEAST_SEEN = 3
 """Fewer frames after the onset are refused by `direct`."""
@@ -79,7 +82,7 @@ def build_parser() -> argparse.ArgumentParser:
     add("--seen", type=_seen, metavar="N", help=text)
     add("--output", type=Path, required=True, metavar="DIR", help="folder of the results")
     add("--workers", type=int, default=2, metavar="N", help="processes; 0 = in this one (default %(default)s)")
-    text = "truths of another split whose mean is the constant estimate (default %(default)s)"
+    text = "truths of another split whose mean the estimator constant answers (default %(default)s)"
     add("--constant-clips", type=int, default=CONSTANT_CLIPS, metavar="N", help=text)
     return parser
 
@@ -105,8 +108,8 @@ def check_options(options: argparse.Namespace) -> None:
             raise UsageError(f"--{name.replace('_', '-')} is {value}; give a whole number of at least {lowest}.")
     if options.seed > LARGEST_SEED:
         raise UsageError(f"--seed is {options.seed}; give at most {LARGEST_SEED}.")
-    if options.noise is not None and not (math.isfinite(options.noise) and options.noise > 0):
-        raise UsageError(f"--noise is {options.noise}; give a positive length in scene units or leave it out.")
+    if options.noise is not None and not LEAST_SIGMA <= options.noise < math.inf:
+        raise UsageError(f"--noise is {options.noise}; give {LEAST_SIGMA:g} scene units or more, or leave it out.")
     if options.seen is not None and "paper" in options.estimator:
         raise UsageError("--seen is of no use to paper, which sees single frames; leave one of the two out.")
     for name, option in NEEDS_MODEL.items():
@@ -160,8 +163,8 @@ class Benchmark:
             )
             console.print(text, style="yellow")
 
-    def run(self) -> np.ndarray:
-        """Do what is left; returns the constant's log θ, shape [3]."""
+    def run(self) -> None:
+        """Do what is left."""
         columns = (
             TextColumn("{task.description}"),
             BarColumn(),
@@ -170,14 +173,11 @@ class Benchmark:
             TimeRemainingColumn(),
         )
         with Progress(*columns, console=self.console) as progress:
-            logs = self._constant(progress)
-            moments = tuple(map(tuple, np.vstack((logs.mean(axis=0), np.cov(logs.T))).tolist()))
-            tasks = self._tasks(moments)
+            tasks = self._tasks(self._moments(progress))
             bar = progress.add_task("clips", total=self.options.clips, completed=self.options.clips - len(tasks))
             for rows in run_tasks(evaluate_clip, tasks, self.options.workers):
                 self.store.append(rows)
                 progress.advance(bar)
-        return logs.mean(axis=0)
 
     def chosen(self) -> list[Recovery]:
         """Results that this run's options ask for, those of earlier runs included, in the order of tables."""
@@ -190,8 +190,15 @@ class Benchmark:
         places = list(SUITES)
         return sorted(rows, key=lambda row: (NAMES.index(row.estimator), places.index(row.suite), row.index))
 
-    def _constant(self, progress: Progress) -> np.ndarray:
-        """True log θ of the split on which the constant is fitted, shape [n, 3]."""
+    def _moments(self, progress: Progress) -> tuple[tuple[float, ...], ...]:
+        """What the estimator `constant` answers: mean and covariance of log θ, shape [4][3]; empty without it."""
+        if "constant" not in self.options.estimator:
+            return ()
+        logs = self._fitted_on(progress)
+        return tuple(map(tuple, np.vstack((logs.mean(axis=0), np.cov(logs.T))).tolist()))
+
+    def _fitted_on(self, progress: Progress) -> np.ndarray:
+        """True log θ of the split on which the estimator `constant` is fitted, shape [n, 3]."""
         options = self.options
         split, count = FITTED_ON[options.split], options.constant_clips
         stored = self.store.constant(split, count)
@@ -226,33 +233,29 @@ def main(arguments: list[str] | None = None) -> int:
     except (UsageError, ModelFileError, OutputError) as error:
         console.print(str(error), style="red", markup=False, highlight=False, soft_wrap=True)
         return 2
-    status, constant = 0, None
+    status = 0
     try:
-        constant = benchmark.run()
+        benchmark.run()
     except KeyboardInterrupt:
         console.print("Interrupted; finished clips are kept, and the same command continues.", style="yellow")
         status = INTERRUPTED
     except (OutputError, WorkerLost) as error:
         console.print(f"{error} Finished clips are kept.", style="red", markup=False, highlight=False, soft_wrap=True)
         status = 1
-    return finish(benchmark, constant, status)
+    return finish(benchmark, status)
 
 
-def finish(benchmark: Benchmark, constant: np.ndarray | None, status: int) -> int:
+def finish(benchmark: Benchmark, status: int) -> int:
     """Write and print what there is; returns the exit status.
 
     Args:
-        constant: the constant's log θ, shape [3]; None where the run ended early.
         status: exit status so far.
     """
     options, console = benchmark.options, benchmark.console
-    if constant is None:
-        logs = benchmark.store.constant(FITTED_ON[options.split], options.constant_clips)
-        constant = None if logs is None else logs.mean(axis=0)
     rows = benchmark.chosen()
-    if constant is None or not rows:
+    if not rows:
         return status or 1
-    scores = score_all(rows, constant)
+    scores = score_all(rows)
     try:
         table = write_results(options.output, scores)
     except OutputError as error:

@@ -41,7 +41,10 @@ def coverage_curve(scores: Scores, quantity: int) -> np.ndarray | None:
 
 
 def draw_recovery(scores: Scores) -> Figure:
-    """Estimated against true parameters; bars are the Cramér–Rao bound around each estimate."""
+    """Estimated against true parameters; bars are the Cramér–Rao bound around each estimate.
+
+    The dotted line is the best constant for the clips whose bound lies below the limit.
+    """
     figure, panels = _panels(f"{scores.estimator} on {scores.suite}: estimated against true, bars = Cramér–Rao bound")
     for column, axes in enumerate(panels):
         truth, estimate, bounds = (array[:, column] for array in (scores.truth, scores.estimate, scores.bounds))
@@ -60,7 +63,9 @@ def draw_recovery(scores: Scores) -> Figure:
             )  # fmt: skip
         limits = _limits(np.exp(np.concatenate((truth, estimate))))
         axes.plot(limits, limits, color=GREY, lw=1, ls="--", zorder=0)
-        axes.axhline(math.exp(scores.constant[column]), color=GREY, lw=1, ls=":", zorder=0, label="best constant")
+        if known.any():
+            best = math.exp(truth[known].mean())
+            axes.axhline(best, color=GREY, lw=1, ls=":", zorder=0, label="best constant")
         axes.set(xscale="log", yscale="log", xlim=limits, ylim=limits, aspect="equal")
         axes.set_xlabel(f"true {SYMBOLS[column]} [scene units]")
         axes.set_ylabel(f"estimated {SYMBOLS[column]} [scene units]")

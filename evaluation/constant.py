@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from rich.progress import Progress
 
+from estimators.worker_pool import run_tasks
 from evaluation.recovery import draw_log_theta
 from evaluation.suites import suite_clip_seed
-from evaluation.worker_pool import run_tasks
 
 
 def draw_truths(split: str, seed: int, count: int, workers: int, progress: Progress) -> np.ndarray:

@@ -2,14 +2,32 @@
 
 from __future__ import annotations
 
+import dataclasses
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
+import torch
+from rich.progress import Progress
 
 from data.contact_features import SLOTS
 from data.simulated_contacts import SimulatedContact, draw_contacts
 from data.synthetic_settings import SceneSettings
-from estimators.contact_fits import BOUNDS, LEVEL, MECHANICS, NOISE, REST_SHARE, Fits, draw_errors, draw_known, fit_motion
-from estimators.contact_training import Trainer, evaluate, widened
+from estimators import contact_training
+from estimators.contact_fits import (
+    BOUNDS,
+    LEVEL,
+    MECHANICS,
+    NOISE,
+    REST_SHARE,
+    Fits,
+    draw_errors,
+    draw_known,
+    fit_motion,
+)
+from estimators.contact_training import INTERRUPTED, Trainer, TrainingError, evaluate, main, make_contacts, widened
+from estimators.worker_pool import WorkerLost
 
 
 @pytest.fixture(scope="module")
@@ -70,3 +88,108 @@ def test_the_last_stage_learns(contacts: list[SimulatedContact]) -> None:
     trainer.fine(fits, 100, 64, 2e-3, lambda step, loss: None)
     after = evaluate(trainer.posterior.eval(), contacts, 1e-3, 0)
     assert np.mean(after["rmse"]) < 0.5 * np.mean(before["rmse"])
+
+
+def test_contacts_and_fits_are_the_same_in_processes_of_their_own(contacts: list[SimulatedContact]) -> None:
+    """Equal to the last bit, and in order: a training does not depend on how many cores there are."""
+    here, there = (make_contacts(12, 3, Progress(disable=True), workers) for workers in (0, 2))
+    assert len(here) == len(there) == 16  # two scenes
+    for one, other in zip(here, there, strict=True):
+        assert np.array_equal(one.theta, other.theta)
+        assert np.array_equal(one.case.displacement, other.case.displacement)
+        assert np.array_equal(one.case.mesh.vertices, other.case.mesh.vertices)
+    fits, same = (Trainer(contacts, 0).fit(Progress(disable=True), workers) for workers in (0, 2))
+    assert len(fits.logs) > 0
+    for field in dataclasses.fields(Fits):
+        assert np.array_equal(getattr(fits, field.name), getattr(same, field.name))
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "reason"),
+    [
+        ("--contacts", "0", "0 is less than 1"),
+        ("--contacts", "many", "invalid"),
+        ("--rough-steps", "3", "3 is less than 4 and not 0"),
+        ("--rough-steps", "-1", "-1 is less than 4 and not 0"),
+        ("--fine-steps", "0", "0 is less than 4"),
+        ("--fine-steps", "3", "3 is less than 4"),
+        ("--seed", "-1", "-1 is less than 0"),
+        ("--seed", str(2**63), "is more than"),
+        ("--workers", "-1", "-1 is less than 0"),
+    ],
+)
+def test_numbers_that_would_end_a_training_late_are_refused_at_once(
+    option: str, value: str, reason: str, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["--output", str(tmp_path / "out"), option, value])
+    assert ended.value.code == 2
+    assert reason in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.fixture
+def few(contacts: list[SimulatedContact], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Drawing takes no time."""
+    monkeypatch.setattr(contact_training, "make_contacts", lambda *_: contacts)
+
+
+def short(folder: Path) -> int:
+    return main(["--output", str(folder), "--rough-steps", "4", "--fine-steps", "4", "--workers", "0"])
+
+
+def test_a_training_leaves_its_weights_and_its_record(few, tmp_path: Path) -> None:
+    assert short(tmp_path / "out") == 0
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["posterior.pt", "training.jsonl"]
+    rows = [json.loads(line) for line in (tmp_path / "out" / "training.jsonl").read_text().splitlines()]
+    assert [(row["stage"], row["step"]) for row in rows] == [(s, n) for s in ("rough", "fine") for n in (1, 2, 3, 4)]
+    weights = torch.load(tmp_path / "out" / "posterior.pt", weights_only=True)
+    assert all(torch.isfinite(value).all() for value in weights.values())
+
+
+def test_a_finished_training_is_not_written_over(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    for name in ("posterior.pt", "training.jsonl"):
+        (tmp_path / name).write_text(name)
+    assert short(tmp_path) == 2
+    assert "holds a finished training" in capsys.readouterr().err
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {
+        name: name for name in ("posterior.pt", "training.jsonl")
+    }
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "told"),
+    [
+        (KeyboardInterrupt(), INTERRUPTED, "Interrupted;"),
+        (WorkerLost("A worker was killed."), 1, "A worker was killed."),
+        (OSError("The disk is full."), 1, "The disk is full."),
+    ],
+)
+def test_what_ends_a_training_is_one_sentence(
+    error: BaseException,
+    status: int,
+    told: str,
+    few,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture,
+) -> None:
+    def fail(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr(Trainer, "fine", fail)
+    assert short(tmp_path) == status
+    caught = capsys.readouterr().err
+    assert caught.startswith(told)
+    assert "Traceback" not in caught
+    assert not (tmp_path / "posterior.pt").exists()
+    assert len((tmp_path / "training.jsonl").read_text().splitlines()) == 4  # of the stage before
+
+
+def test_nothing_to_train_on_is_told(contacts: list[SimulatedContact], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(contact_training, "EXPLAINED", -1.0)
+    with pytest.raises(TrainingError, match="No motion could be explained"):
+        Trainer(contacts[:2], 0).fit(Progress(disable=True), 0)
+    monkeypatch.setattr(contact_training, "draw_contacts", lambda *_: [])
+    with pytest.raises(TrainingError, match="No contact could be drawn"):
+        make_contacts(8, 0, Progress(disable=True), 0)

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
+import torch
+from scipy.stats import multivariate_normal
 
-from data.contact_features import SLOTS
+from data.contact_features import FEATURES, SLOTS
 from data.simulated_contacts import SimulatedContact, draw_contacts
 from data.synthetic_settings import SceneSettings
-from estimators.contact_fits import MECHANICS, draw_observed
-from evaluation.ablation_observation import Material, around_truth, seen_slots, train_row
+from estimators.contact_fits import BOUNDS, MECHANICS, draw_observed
+from evaluation.ablation_observation import Material, around_truth, label_loss, seen_slots, train_row
+from models.posterior import ContactPosterior
 from physics.msd_kernel import simulate
 
 LOADED = (np.arange(SLOTS) < np.array([[7], [0], [SLOTS]])).astype(float)
@@ -34,6 +39,36 @@ def test_release_sees_the_last_frame_under_load_and_final_the_last_of_all() -> N
     assert release.argmax(axis=1).tolist() == [6, 0, SLOTS - 1]
     assert final.argmax(axis=1).tolist() == [SLOTS - 1] * 3
     assert release.sum(axis=1).tolist() == final.sum(axis=1).tolist() == [1.0] * 3
+
+
+def test_the_supervised_row_sees_all_frames() -> None:
+    np.testing.assert_array_equal(seen_slots("supervised", LOADED), np.ones_like(LOADED))
+
+
+def test_the_supervised_loss_is_the_normal_density_of_the_truth(contacts: list[SimulatedContact]) -> None:
+    torch.manual_seed(0)
+    drawn = draw_observed(around_truth(contacts), 16, np.random.default_rng(0))
+    posterior = ContactPosterior(FEATURES, torch.tensor(BOUNDS.log_box), width=16, blocks=1)
+    mean, factor = (values.detach().double().numpy() for values in posterior(torch.from_numpy(drawn.features)))
+    densities = [
+        multivariate_normal.logpdf(logs, at, lower @ lower.T)
+        for logs, at, lower in zip(drawn.logs, mean, factor, strict=True)
+    ]
+    expected = -np.mean(densities) - 1.5 * np.log(2 * np.pi)
+    assert float(label_loss(posterior, drawn).detach()) == pytest.approx(expected, abs=1e-5)
+
+
+def test_the_supervised_row_alone_is_told_the_truth(contacts: list[SimulatedContact]) -> None:
+    """Labels of other tissue, k_s half as stiff again, move what it answers, and no other row's numbers."""
+    right = around_truth(contacts)
+    wrong = dataclasses.replace(right, logs=right.logs + np.log([1.5, 1.0, 1.0]))
+    (taught, misled), (blind, same) = (
+        [train_row(row, Material(right, labels, right), 80, 0) for labels in (right, wrong)]
+        for row in ("supervised", "25")
+    )
+    assert blind == same
+    assert taught["over_bound_stiffness"] < misled["over_bound_stiffness"]
+    assert taught["constant_over_bound_stiffness"] == blind["constant_over_bound_stiffness"]
 
 
 def test_slopes_around_the_truth_are_the_simulator_s(contacts: list[SimulatedContact]) -> None:
@@ -66,7 +101,7 @@ def test_features_and_likelihood_know_the_seen_slots_alone(contacts: list[Simula
 
 def test_seeing_more_frames_leaves_a_smaller_error(contacts: list[SimulatedContact]) -> None:
     """On eight contacts, a row learns what its frames tell, and the same seed gives the same numbers."""
-    material = Material(around_truth(contacts), around_truth(contacts))
+    material = Material(*[around_truth(contacts)] * 3)
     many, few = (train_row(row, material, 60, 0) for row in ("25", "1"))
     assert many["judged"] == few["judged"] > 0
     assert many["rms_force_damping"] < few["rms_force_damping"]

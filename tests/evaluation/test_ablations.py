@@ -31,7 +31,7 @@ def weights(tmp_path: Path) -> Path:
 
 
 def test_the_rows_are_those_that_were_asked_for() -> None:
-    assert list(ROWS)[:8] == ["K=1", "K=2", "K=4", "K=8", "K=16", "K=25", "release", "final"]
+    assert list(ROWS)[:9] == ["K=1", "K=2", "K=4", "K=8", "K=16", "K=25", "release", "final", "supervised"]
     terms = {row.name: row.options[::2] for row in ROWS.values() if row.name.startswith("no-")}
     assert terms["no-gan-no-cycle"] == ("--model.weights.gan", "--model.weights.cycle")
     assert sorted(term for found in terms.values() for term in found if len(found) == 1) == [

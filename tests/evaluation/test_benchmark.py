@@ -46,8 +46,18 @@ def test_tables_and_figures_are_written(tmp_path, evaluated):
     assert {(row["estimator"], row["suite"]) for row in rows} == {
         (estimator, suite) for estimator in ("direct", "constant") for suite in ("clean", "8bit")
     }
+    assert (tmp_path / "constant.json").is_file()
     assert (tmp_path / "details.csv").is_file()
     assert (tmp_path / "figures" / "recovery_direct_8bit.png").is_file()
+
+
+def test_the_constant_is_fitted_only_where_it_is_asked_for(tmp_path, evaluated, monkeypatch):
+    monkeypatch.setattr(constant, "draw_log_theta", lambda task: pytest.fail("a truth was drawn"))
+    assert run(tmp_path) == 0
+    rows = read(tmp_path / "table.csv")
+    # All stand-in clips have the same θ, which one constant hits.
+    assert [float(row["constant_rmse_log"]) for row in rows if row["n"] != "0"] == pytest.approx([0] * 20, abs=1e-9)
+    assert not (tmp_path / "constant.json").exists()
 
 
 def test_a_second_run_does_only_what_is_left(tmp_path, evaluated):

@@ -7,24 +7,26 @@ from evaluation.recovery_details import COLUMNS, detail_rows, true_verdicts
 from evaluation.recovery_scores import score_all
 from tests.evaluation.recovery_cases import off_by, recovery
 
-CONSTANT = np.log(np.abs(off_by([0.5, 0, 0])))
-
 
 def details(rows):
-    (scores,) = score_all(rows, CONSTANT)
+    (scores,) = score_all(rows)
     found = list(detail_rows(scores))
     assert all(set(row) <= set(COLUMNS) for row in found)
     return {(row["regime"], row["parameter"], row["quantity"]): row for row in found}
 
 
 def test_errors_of_known_size():
-    rows = [recovery(i, estimate=off_by([error, 0, 0])) for i, error in enumerate((0.1, -0.3, 0.2))]
+    shifts = (-0.5, 0.0, 0.5)
+    rows = [
+        recovery(i, theta=off_by([shift, 0, 0]), estimate=off_by([shift + error, 0, 0]))
+        for i, (shift, error) in enumerate(zip(shifts, (0.1, -0.3, 0.2), strict=True))
+    ]
     found = details(rows)
     assert found["all", "stiffness", "median_abs_error"]["value"] == pytest.approx(0.2)
     assert found["all", "stiffness", "mean_error"]["value"] == pytest.approx(0.0)
     assert found["all", "stiffness", "error_over_bound_variance"]["value"] == pytest.approx((1 + 9 + 4) / 3)
-    # The constant is off by 0.5, the bound is 0.1, the estimates' RMS √(0.14/3) = 0.216.
-    closed = (0.5 - np.sqrt(0.14 / 3)) / (0.5 - 0.1)
+    # The best constant is off by √(0.5/3) = 0.408, the bound is 0.1, the estimates' RMS √(0.14/3) = 0.216.
+    closed = (np.sqrt(0.5 / 3) - np.sqrt(0.14 / 3)) / (np.sqrt(0.5 / 3) - 0.1)
     assert found["all", "stiffness", "gap_closed"]["value"] == pytest.approx(closed)
 
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from estimators.estimate import NINETY
 from evaluation.recovery_scores import (
     COLUMNS,
-    NORMAL_90,
     QUANTITIES,
     coverage,
     deviations,
@@ -19,11 +19,9 @@ from evaluation.recovery_scores import (
 )
 from tests.evaluation.recovery_cases import off_by, recovery
 
-CONSTANT = np.log(np.abs(off_by([0.3, 0, 0])))
-
 
 def table(rows):
-    (scores,) = score_all(rows, CONSTANT)
+    (scores,) = score_all(rows)
     return {(row["regime"], row["parameter"]): row for row in table_rows(scores)}
 
 
@@ -42,8 +40,25 @@ def test_errors_bounds_and_coverage_by_hand():
     assert row["rmse_log"] == pytest.approx(math.sqrt(0.05))
     assert row["bound_log"] == pytest.approx(0.1)
     assert row["ratio"] == pytest.approx(math.sqrt(5))
-    assert row["constant_rmse_log"] == pytest.approx(0.3)
+    assert row["constant_rmse_log"] == pytest.approx(0, abs=1e-12)  # both clips have the same θ
     assert row["coverage90"] == 0.5
+
+
+def test_the_best_constant_is_that_of_the_row_s_own_clips():
+    # Clips 0 and 3 are under-damped, 1 is critical; of clip 2, which is over-damped, k_s is not identifiable.
+    vague = np.diag((0.001 / np.array([0.6, 0.1, 0.1])) ** 2)
+    truths = [off_by([shift, 0, 0]) for shift in (0.0, 0.3, 1.2, 0.6)]
+    rows = [recovery(index, theta=theta, estimate=theta) for index, theta in enumerate(truths)]
+    rows[2] = recovery(2, theta=truths[2], estimate=truths[2], information=vague)
+    found = table(rows)
+    kept = np.array([0.0, 0.3, 0.6])
+    assert found["all", "stiffness"]["constant_rmse_log"] == pytest.approx(np.sqrt(np.mean((kept - 0.3) ** 2)))
+    least = min(np.sqrt(np.mean((kept - guess) ** 2)) for guess in np.linspace(-1, 2, 3001))
+    assert found["all", "stiffness"]["constant_rmse_log"] == pytest.approx(least)
+    assert found["under-damped", "stiffness"]["constant_rmse_log"] == pytest.approx(0.3)  # 0 and 0.6
+    assert found["over-damped", "stiffness"]["constant_rmse_log"] is None
+    assert found["all", "stiffness/damping"]["constant_rmse_log"] == pytest.approx(np.std([0, 0.3, 1.2, 0.6]))
+    assert found["non-identifiable", "stiffness/damping"]["constant_rmse_log"] == pytest.approx(0, abs=1e-12)
 
 
 def test_regimes_get_their_own_rows():
@@ -104,7 +119,7 @@ def test_calibrated_and_efficient_estimates_score_1_and_90_percent():
 
 
 def test_the_interval_is_the_normal_one():
-    assert norm.cdf(NORMAL_90) - norm.cdf(-NORMAL_90) == pytest.approx(0.9)
+    assert norm.cdf(NINETY) - norm.cdf(-NINETY) == pytest.approx(0.9)
     assert coverage(np.array([0.16, -0.17]), np.array([0.1, 0.1])) == 0.5
 
 
@@ -124,13 +139,13 @@ def test_lost_tracks_do_not_excuse_estimators():
 
 def test_a_suites_bound_follows_its_measured_noise():
     rows = [recovery(0), recovery(0, suite="noisy", tracking=np.array([0.003, -0.003]))]
-    bounds = [scores.bounds[0, 0] for scores in score_all(rows, CONSTANT)]
+    bounds = [scores.bounds[0, 0] for scores in score_all(rows)]
     assert bounds == pytest.approx([0.1, 0.3])
 
 
 def test_clips_without_estimate_are_kept_apart():
     rows = [recovery(0), recovery(1, status="no contact", estimate=None, covariance=None, information=None)]
-    scores = score(rows, measure_noise(rows), CONSTANT)
+    scores = score(rows, measure_noise(rows))
     assert [row.index for row in scores.rows] == [0]
     assert [row.index for row in scores.failed] == [1]
 

@@ -6,6 +6,9 @@ import dataclasses
 import json
 from pathlib import Path
 
+import pytest
+import torch
+
 from data.clip import PrepareSettings, stream
 from data.depth import DepthSettings
 from data.frames import open_source
@@ -14,6 +17,7 @@ from estimators.estimate import FrameEstimate
 from estimators.model_settings import preparation_settings
 from evaluation.results import ClipResults
 from evaluation.run_record import (
+    UNCALIBRATED,
     Provenance,
     build_record,
     describe,
@@ -23,7 +27,11 @@ from evaluation.run_record import (
     versions,
     warnings_of,
 )
+from models.calibration import Calibration
 from models.onnx_session import ParameterModel
+from models.posterior import ContactPosterior
+from models.posterior_export import export_posterior
+from models.posterior_session import PosteriorModel
 from tests.inference_inputs import metadata, write_clip, write_model
 
 PROVENANCE = Provenance("a" * 64, "b" * 64, PrepareSettings())
@@ -121,6 +129,25 @@ def test_warnings_name_sources_the_model_was_not_trained_on(tmp_path: Path) -> N
     )
     assert found[1].startswith("the model was trained on masks from annotation and this clip's come from automatic")
     assert found[2].endswith("contact here means in view, not pressing")
+
+
+@pytest.mark.parametrize(
+    ("calibration", "told"),
+    [
+        (None, [UNCALIBRATED]),
+        (Calibration(decisive=(2.0, 2.0, 2.0)), [UNCALIBRATED]),  # that of the verdict is none of the intervals'
+        (Calibration(power=(1.0, 0.8, 1.0)), []),
+    ],
+)
+def test_intervals_that_were_never_calibrated_are_warned_of(
+    calibration: Calibration | None, told: list[str], tmp_path: Path
+) -> None:
+    path = write_clip(tmp_path / "clip", 3, 1)
+    posterior = ContactPosterior(10, torch.tensor([[-3.0, -5.0, -4.0], [0.0, -0.7, -1.2]]), width=16, blocks=1)
+    export_posterior(posterior, tmp_path / "contact.onnx", metadata(), calibration)
+    model = PosteriorModel(tmp_path / "contact.onnx")
+    source = open_source(path, preparation_settings(model).layout)
+    assert warnings_of(source, [], model, {"depth": "stored", "masks": "annotation"}) == told
 
 
 def test_versions_name_the_packages() -> None:

@@ -4,17 +4,23 @@ import multiprocessing
 import os
 import time
 
+import cv2
 import pytest
 
-from evaluation.worker_pool import WorkerLost, run_tasks
+from estimators.worker_pool import WorkerLost, run_tasks
 
 
 def square(value: int) -> int:
     return value * value
 
 
-def limits(_: int) -> str:
-    return os.environ.get("OMP_NUM_THREADS", "")
+def late_first(value: int) -> int:
+    time.sleep(0.3 if value == 0 else 0)
+    return value * value
+
+
+def limits(_: int) -> tuple[str, int]:
+    return os.environ.get("OMP_NUM_THREADS", ""), cv2.getNumThreads()
 
 
 def die(_: int) -> None:
@@ -26,13 +32,18 @@ def test_every_task_is_done(workers):
     assert sorted(run_tasks(square, range(5), workers)) == [0, 1, 4, 9, 16]
 
 
+@pytest.mark.parametrize("workers", [0, 2])
+def test_results_come_in_the_order_of_their_tasks_where_that_is_asked_for(workers):
+    assert list(run_tasks(late_first, range(6), workers, ordered=True)) == [0, 1, 4, 9, 16, 25]
+
+
 def test_no_tasks_need_no_workers():
     assert list(run_tasks(square, [], 2)) == []
 
 
 def test_workers_have_one_native_thread_and_the_parent_keeps_its_own(monkeypatch):
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
-    assert set(run_tasks(limits, range(2), 2)) == {"1"}
+    assert set(run_tasks(limits, range(2), 2)) == {("1", 1)}
     assert "OMP_NUM_THREADS" not in os.environ
 
 

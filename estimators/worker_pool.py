@@ -11,18 +11,24 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from typing import TypeVar
 
-import cv2
-
 Task = TypeVar("Task")
 Result = TypeVar("Result")
-_LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+_LIMITS = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "NUMBA_NUM_THREADS",
+    "OPENCV_FOR_THREADS_NUM",
+)
 
 
 class WorkerLost(RuntimeError):
     """A worker process ended by itself; the message is a sentence."""
 
 
-def run_tasks(function: Callable[[Task], Result], tasks: Sequence[Task], workers: int) -> Iterator[Result]:
+def run_tasks(
+    function: Callable[[Task], Result], tasks: Sequence[Task], workers: int, *, ordered: bool = False
+) -> Iterator[Result]:
     """Results of all tasks, in the order in which they are done.
 
     Leaving the loop early, as Ctrl-C does, ends the workers at once.
@@ -30,6 +36,7 @@ def run_tasks(function: Callable[[Task], Result], tasks: Sequence[Task], workers
     Args:
         function: importable by its name.
         workers: processes; 0 = in this one, one after the other.
+        ordered: in the order of the tasks instead.
 
     Raises:
         WorkerLost: a process was killed, most likely for want of memory.
@@ -43,7 +50,8 @@ def run_tasks(function: Callable[[Task], Result], tasks: Sequence[Task], workers
             min(workers, len(tasks)), mp_context=multiprocessing.get_context("spawn"), initializer=_start_worker
         )
         try:
-            for future in as_completed([pool.submit(function, task) for task in tasks]):
+            futures = [pool.submit(function, task) for task in tasks]
+            for future in futures if ordered else as_completed(futures):
                 yield future.result()
             pool.shutdown()
         except BrokenProcessPool as error:
@@ -57,7 +65,6 @@ def run_tasks(function: Callable[[Task], Result], tasks: Sequence[Task], workers
 def _start_worker() -> None:
     # Ctrl-C reaches every process of the terminal; the parent decides what becomes of it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    cv2.setNumThreads(1)
 
 
 @contextlib.contextmanager

@@ -16,7 +16,6 @@ from data.windows import window_indices
 from estimators.contact_network import ContactNetwork
 from estimators.direct import DirectSettings, fit_clip
 from estimators.estimate import ContactEstimate, NoEstimate
-from models.calibration import Calibration
 from models.onnx_session import ModelFileError, ParameterModel
 from models.posterior_session import PosteriorModel
 
@@ -160,7 +159,6 @@ def check_model(spec: EstimatorSpec) -> EstimatorSpec:
     open_estimator(spec)
     if spec.name != "network":
         return spec
-    metadata = PosteriorModel(spec.model, threads=1).metadata
-    calibrated = metadata.get("calibration", Calibration().document()) != Calibration().document()
-    weights = metadata.get("training", {}).get("weights_sha256", "")
-    return dataclasses.replace(spec, weights_sha256=weights, calibrated=calibrated)
+    network = PosteriorModel(spec.model, threads=1)
+    weights = network.metadata.get("training", {}).get("weights_sha256", "")
+    return dataclasses.replace(spec, weights_sha256=weights, calibrated=network.calibrated)

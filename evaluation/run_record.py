@@ -23,7 +23,9 @@ from data.layout import is_file
 from estimators.estimate import FrameEstimate
 from evaluation.results import COLUMNS, ClipResults
 from models.onnx_session import ParameterModel
+from models.posterior_session import PosteriorModel
 
+Model = ParameterModel | PosteriorModel
 FORMAT_VERSION = 1
 """Version of the record's layout."""
 PACKAGES = ("numpy", "scipy", "opencv-python-headless", "onnxruntime", "av")
@@ -35,6 +37,10 @@ UNITS = {
     "time": "s",
 }
 """Units of the table where the model's metadata gives none."""
+UNCALIBRATED = (
+    "the model's uncertainty was never calibrated: its standard deviations are the network's own, and its 90 % "
+    "intervals hold the truth less often than that"
+)
 PERSISTENT = ("unreadable", "no_mask", "bad_depth")
 """Statuses that mean a broken input, not an empty scene."""
 
@@ -77,7 +83,7 @@ class Provenance:
 def build_record(
     clip: ClipStream,
     provenance: Provenance,
-    model: ParameterModel,
+    model: Model,
     results: ClipResults,
     seconds: Mapping[str, float],
 ) -> dict[str, Any]:
@@ -156,9 +162,9 @@ def describe(record: Mapping[str, Any]) -> str:
 
 
 def warnings_of(
-    source: FrameSource, estimates: Sequence[FrameEstimate], model: ParameterModel, sources: Mapping[str, str]
+    source: FrameSource, estimates: Sequence[FrameEstimate], model: Model, sources: Mapping[str, str]
 ) -> list[str]:
-    """What the user should know about a clip, one sentence each: damage to it, doubtful masks, broken files.
+    """What the user should know about a clip, one sentence each: damage to it, doubtful masks or intervals.
 
     Args:
         source: the clip.
@@ -174,6 +180,8 @@ def warnings_of(
                 f"{sources[what]}: its estimates here are off by an amount that nobody has measured"
             )
     found += clip_warnings(source, estimates, sources)
+    if isinstance(model, PosteriorModel) and not model.calibrated:
+        found.append(UNCALIBRATED)
     trained = model.metadata.get("preprocessing_version", 1)  # contact posteriors of version 1 did not say
     if trained != PREPROCESSING_VERSION:
         found.append(f"the model was trained on preprocessing version {trained}, this is {PREPROCESSING_VERSION}")
@@ -196,7 +204,7 @@ def clip_warnings(source: FrameSource, frames: Sequence[FrameEstimate], sources:
     return found
 
 
-def units_of(model: ParameterModel) -> dict[str, str]:
+def units_of(model: Model) -> dict[str, str]:
     """Units of the results: the model's, for a force that is a magnitude."""
     units = {**UNITS, **{name: str(unit) for name, unit in model.metadata.get("units", {}).items()}}
     # The network's force is signed, the table's is not.

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from models.calibration import Calibration
 from models.onnx_session import INPUT, ModelFileError, open_session, read_metadata
 
 CONTACT, LOG_MEAN, LOG_COVARIANCE, DECISIVE = "contact", "log_mean", "log_covariance", "decisive_covariance"
@@ -46,6 +47,11 @@ class PosteriorModel:
         """Length of the contact's vector."""
         self.takes_depth = INPUT in inputs
         """Whether it looks at the depth window as well."""
+        plain, told = Calibration().document(), self.metadata.get("calibration", {})
+        self.calibrated = any(
+            told.get(name, plain[name]) != plain[name] for name in ("scale", "power", "noise", "pressed")
+        )
+        """Whether its standard deviations are more than the network's own."""
 
     def __call__(
         self, contact: np.ndarray, depth: np.ndarray | None = None

@@ -1,4 +1,4 @@
-"""PatchGAN: receptive field and shapes (spec 1.5)."""
+"""PatchGAN: receptive field and shapes (Bini 2026, section 3.4.1)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The generator against the paper's shapes and ranges (spec 1.5)."""
+"""The generator against the paper's shapes and ranges (Bini 2026, section 3.4.1)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Each loss term against a computation by hand (spec 1.6)."""
+"""Each loss term against a computation by hand (Bini 2026, section 3.4.2)."""
 
 from __future__ import annotations
 

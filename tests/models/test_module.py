@@ -1,4 +1,4 @@
-"""The training step: who moves whom, and by which pathway gradients arrive (spec 1.6, 1.7)."""
+"""The training step: who moves whom, and by which pathway gradients arrive (Bini 2026, section 3.4)."""
 
 from __future__ import annotations
 

@@ -115,7 +115,7 @@ def test_exported_file_agrees_and_is_calibrated(posterior: ContactPosterior, tmp
     factors = np.array([1.0, 3.0, 2.0]) * pressed
     np.testing.assert_allclose(decisive, plain * factors[:, :, None] * factors[:, None], rtol=1e-4, atol=1e-6)
     assert Calibration(**model.metadata["calibration"]).document() == calibration.document()
-    assert (model.features, model.takes_depth) == (10, False)
+    assert (model.features, model.takes_depth, model.calibrated) == (10, False, True)
     with pytest.raises(ValueError, match=r"expected \[B, 10\]"):
         model(contact[:, :9])
 
@@ -127,7 +127,9 @@ def _correlations(covariances: np.ndarray) -> np.ndarray:
 
 def test_without_calibration_the_covariance_is_the_networks_own(posterior: ContactPosterior, tmp_path) -> None:
     export_posterior(posterior, tmp_path / "contact.onnx", METADATA)
-    _, covariance, decisive = PosteriorModel(tmp_path / "contact.onnx")(np.ones((2, 10), np.float32))
+    model = PosteriorModel(tmp_path / "contact.onnx")
+    assert not model.calibrated
+    _, covariance, decisive = model(np.ones((2, 10), np.float32))
     with torch.no_grad():
         factor = posterior(torch.ones(2, 10))[1]
     np.testing.assert_allclose(covariance, (factor @ factor.transpose(1, 2)).numpy(), rtol=1e-4, atol=1e-6)

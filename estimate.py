@@ -29,8 +29,10 @@ from data.prepared import PreparedFrame
 from data.samples import ContactCase, SampleSettings, contact_cases
 from estimators.direct import LEAST_SIGMA, DirectSettings, fit_contact
 from estimators.estimate import FrameEstimate, NoEstimate
+from estimators.onset import BETWEEN, ONSETS, onset_error
 from evaluation.batch import (
     DONE,
+    ONSET_HELP,
     UP_TO_DATE,
     Batch,
     Outcome,
@@ -74,7 +76,7 @@ class DirectFits(Batch):
     words: ClassVar = {**Batch.words, "geometry.smoothing": "--smoothing", "give the noise": "give --noise"}
 
     def __init__(self, options: argparse.Namespace, console: Console) -> None:
-        self.direct = DirectSettings(noise=options.noise)
+        self.direct = DirectSettings(noise=options.noise, onset=options.onset)
         self.mechanics = self.direct.mechanics
         """Its simulator, the steps matched to the current clip's frame rate."""
         super().__init__(options, console)
@@ -132,7 +134,8 @@ class DirectFits(Batch):
             reason = f"{remark} {NOT_FOLLOWED}".strip() if found.onset_seen else remark or NO_ONSET
             return ContactResult(number, seconds, load, None, None, reason)
         try:
-            estimate = fit_contact(case, dataclasses.replace(self.direct, mechanics=self.mechanics))
+            settings = dataclasses.replace(self.direct, mechanics=self.mechanics)
+            estimate = fit_contact(case, settings, onset_error(settings.onset, clip.fps))
         except NoEstimate as reason:
             return ContactResult(number, seconds, load, case, None, f"{remark} {self.sentence(reason)}".strip())
         ranges = (self.direct.stiffness, self.direct.damping, self.direct.force)
@@ -202,6 +205,7 @@ def _parser() -> argparse.ArgumentParser:
         help="smooth the tissue's resting shape over this many grid pixels, which also measures the depth's noise "
         "(default: %(default)g)",
     )
+    add("--onset", choices=ONSETS, default=BETWEEN, help=ONSET_HELP)
     add("--noise", type=_noise, metavar="X", help="noise of the depth [scene units] (default: as measured)")
     return parser
 

@@ -18,10 +18,13 @@ from rich.progress import Progress
 
 from data.clip import PrepareSettings, stream
 from data.frames import open_source
+from estimators.contact_network import ContactNetwork
 from estimators.exported import open_exported
 from estimators.model_settings import preparation_settings
+from estimators.onset import ONSETS
 from evaluation.batch import (
     DONE,
+    ONSET_HELP,
     UP_TO_DATE,
     Batch,
     Outcome,
@@ -50,7 +53,7 @@ class Inference(Batch):
     program, counted = "infer.py", "frames"
 
     def __init__(self, options: argparse.Namespace, console: Console) -> None:
-        self.estimator = open_exported(options.model, threads=options.threads or None)
+        self.estimator = open_exported(options.model, options.threads or None, options.onset)
         self.model = self.estimator.model
         super().__init__(options, console)
         self.model_sha256 = sha256_of(self.model.path)
@@ -65,7 +68,8 @@ class Inference(Batch):
         """Estimate every frame of a clip and write its results."""
         source, output = open_source(path, self.settings.layout), self.options.output
         folder = self.store.folder(source.name, path)
-        provenance = Provenance(sha256_of(path, exclude=output.resolve()), self.model_sha256, self.settings)
+        estimator = {"onset": self.estimator.onset} if isinstance(self.estimator, ContactNetwork) else {}
+        provenance = Provenance(sha256_of(path, exclude=output.resolve()), self.model_sha256, self.settings, estimator)
         if not self.options.overwrite and self.store.is_complete(folder, provenance.fingerprint, self.files):
             self.say(f"{source.name}: up to date in {folder}; --overwrite computes it again")
             return Outcome(source.name, UP_TO_DATE, str(folder), read_record(folder).get("statuses", {}))
@@ -107,6 +111,7 @@ def _parser() -> argparse.ArgumentParser:
         help="file from train.py export (default: the one that comes along)",
     )
     parser.add_argument("--no-overlay", dest="overlay", action="store_false", help="leave the overlay video out")
+    parser.add_argument("--onset", choices=ONSETS, help=ONSET_HELP)
     add_version(parser)
     return parser
 

@@ -21,9 +21,10 @@ from estimators.amortized import FrameResult, force_arrow, frame_estimate
 from estimators.estimate import ContactEstimate, FrameEstimate, NoEstimate
 from estimators.model_settings import section
 from estimators.oblique import effective_misfit, remark, view_angle, widened
+from estimators.onset import STAMP, onset_covariance, onset_error, velocities
 from models.onnx_session import ModelFileError
 from models.posterior_session import PosteriorModel
-from physics.identifiability import fisher_information, log_jacobian
+from physics.identifiability import box_information, fisher_information, log_jacobian
 from physics.mechanics import Bounds, Mechanics
 from physics.msd_kernel import simulate, simulate_sensitivities
 
@@ -49,13 +50,16 @@ class ContactNetwork:
 
     Args:
         model: the exported network.
+        onset: when a press begins, one of `estimators.onset.ONSETS`.
 
     Raises:
         ModelFileError: its metadata can't be used.
     """
 
-    def __init__(self, model: PosteriorModel) -> None:
-        self.model = model
+    def __init__(self, model: PosteriorModel, onset: str = STAMP) -> None:
+        self.model, self.onset = model, onset
+        self._onset_error = 0.0
+        """How far from the first frame in contact the current clip's presses may begin [s]."""
         self.trained: Mechanics = section(model, "mechanics", Mechanics)
         self.mechanics = self.trained
         """The trained simulator, its steps matched to the current clip's frame rate."""
@@ -74,7 +78,7 @@ class ContactNetwork:
             ModelFileError: the network gives a number that is not finite.
         """
         self.seconds.clear()
-        self.mechanics = self.trained.matched(1 / clip.source.fps)
+        self._match(clip.source.fps)
         window, run = FrameWindow(self.model.window), None
         for current in clip:
             depth = window.push(current)
@@ -113,7 +117,7 @@ class ContactNetwork:
             clip: the clip.
             horizon_frames: only these frames after an onset are used; None = one second.
         """
-        self.mechanics = self.trained.matched(1 / clip.fps)
+        self._match(clip.fps)
         samples = SampleSettings(observation="trajectory", horizon_frames=horizon_frames, mechanics=self.mechanics)
         found: dict[int, ContactEstimate | NoEstimate] = {}
         for onset, case in contact_cases(clip, samples).items():
@@ -125,6 +129,11 @@ class ContactNetwork:
             depth = self._window(clip, onset, told) if self.model.takes_depth else None
             found[onset] = self.estimate(told, contact_surroundings(case), depth)
         return found
+
+    def _match(self, fps: float) -> None:
+        """Prepare for a clip of so many frames a second."""
+        self.mechanics = self.trained.matched(1 / fps)
+        self._onset_error = onset_error(self.onset, fps)
 
     def _told(self, case: ContactCase) -> ContactCase:
         """A contact as far as it resembles what the network was trained on.
@@ -174,26 +183,30 @@ class ContactNetwork:
         if not all(np.isfinite(values).all() for values in (mean, covariance, decisive)):
             raise ModelFileError(f"{self.model.path} gives a number that is not finite; export another checkpoint.")
         start = time.perf_counter()
-        misfit, information = self._linearise(mean, case)
+        misfit, jacobian, velocity = self._linearise(mean, case)
         self.seconds["simulation"] += time.perf_counter() - start
+        information = fisher_information(jacobian, 1.0)
         theta, box = np.exp(mean) * PRESSING, self.bounds.log_box
         at_bound = np.minimum(mean - box[0], box[1] - mean) < EDGE * (box[1] - box[0])
         found = ContactEstimate(
             theta, covariance, information, case.noise, misfit, at_bound, np.linalg.inv(decisive), view_angle(case)
         )
+        if self._onset_error:
+            found = found.less_certain(onset_covariance(jacobian, velocity, box_information(box), self._onset_error))
         error = effective_misfit(found)
         return widened(found, error, box) if error > LARGEST_MISFIT else found
 
-    def _linearise(self, logs: np.ndarray, case: ContactCase) -> tuple[float, np.ndarray]:
-        """Residual's size in σ, and Fisher information [3, 3] of the contact's trajectory, at φ."""
+    def _linearise(self, logs: np.ndarray, case: ContactCase) -> tuple[float, np.ndarray, np.ndarray]:
+        """At φ, in σ: the residual's size, and the motion's derivatives by φ [3M, 3] and by time [3M] [1/s]."""
         steps, theta = int(case.steps.max()) + 1, np.exp(logs) * PRESSING
         mechanics = dataclasses.replace(self.mechanics, steps=steps, load_steps=0)
         path, slopes = simulate_sensitivities(
             theta, case.mesh, case.vertex, case.direction, mechanics, load_steps=min(case.load_steps, steps)
         )
         residual = (path[case.steps] - case.displacement) / case.noise
-        jacobian = log_jacobian(slopes[case.steps].astype(np.float64), theta)
-        return float(np.sqrt(np.square(residual).sum(axis=1).mean())), fisher_information(jacobian, case.noise)
+        jacobian = log_jacobian(slopes[case.steps].astype(np.float64), theta).reshape(-1, 3) / case.noise
+        velocity = velocities(path, case.steps, mechanics.time_step).ravel() / case.noise
+        return float(np.sqrt(np.square(residual).sum(axis=1).mean())), jacobian, velocity
 
     def _lengths(
         self, found: ContactEstimate, case: ContactCase, current: PreparedFrame, run: _Run

@@ -22,6 +22,7 @@ from estimators.contact_optima import Optimum, combine, distinct, evidence_share
 from estimators.contact_problem import ContactProblem
 from estimators.estimate import ContactEstimate, NoEstimate
 from estimators.oblique import effective_misfit, is_oblique, view_angle, widened
+from estimators.onset import ONSETS, STAMP, onset_covariance, onset_error
 from estimators.posterior_sampling import Draws, Mixture, sample_posterior
 from estimators.tracking_noise import log_likelihoods, variance_scale
 from physics.identifiability import bounds, box_information
@@ -62,7 +63,12 @@ class DirectSettings:
     noise: float | None = None
     """σ of every observed coordinate [scene units], at least LEAST_SIGMA; None = the clip's own depth noise."""
 
+    onset: str = STAMP
+    """When a press begins, one of `estimators.onset.ONSETS`."""
+
     def __post_init__(self) -> None:
+        if self.onset not in ONSETS:
+            raise ValueError(f"onset is '{self.onset}'; choose {' or '.join(ONSETS)}.")
         for name in ("stiffness", "damping", "force"):
             low, high = getattr(self, name)
             if not 0 < low < high < math.inf:
@@ -76,16 +82,18 @@ class DirectSettings:
         return np.log(np.array([self.stiffness, self.damping, self.force]).T)
 
 
-def fit_contact(case: ContactCase, settings: DirectSettings) -> ContactEstimate:
+def fit_contact(case: ContactCase, settings: DirectSettings, within: float = 0.0) -> ContactEstimate:
     """Fit θ to one contact.
 
     Args:
         case: the contact; its steps must have been made with the settings' time step.
         settings: the model that is fitted.
+        within: how far from the first frame in contact the press may have begun [s].
 
     Returns:
-        The estimate. Where the contact is pressed aslant to the line of sight (`estimators.oblique`) its uncertainty is
-        widened, because what it was fitted to may not be the bottom of the dent.
+        The estimate. Its uncertainty is widened where the beginning of the press isn't known (`estimators.onset`), and
+        where the contact is pressed aslant to the line of sight (`estimators.oblique`), because what it was fitted to
+        may not be the bottom of the dent.
 
     Raises:
         NoEstimate: fewer than three observations, or no noise level.
@@ -122,6 +130,8 @@ def fit_contact(case: ContactCase, settings: DirectSettings) -> ContactEstimate:
         decisive=cautious([problem.information(logs) for logs in judges]),
         view_angle=view_angle(case),
     )
+    if within:
+        found = found.less_certain(onset_covariance(problem.jacobian(mean), problem.velocity(mean), prior, within))
     return widened(found, effective_misfit(found), settings.box) if is_oblique(found) else found
 
 
@@ -182,7 +192,7 @@ def fit_clip(
     found: dict[int, ContactEstimate | NoEstimate] = {}
     for onset, case in contact_cases(clip, samples).items():
         try:
-            found[onset] = fit_contact(case, settings)
+            found[onset] = fit_contact(case, settings, onset_error(settings.onset, clip.fps))
         except NoEstimate as reason:
             found[onset] = reason
     return found

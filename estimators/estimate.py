@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import Literal
 
@@ -124,6 +125,12 @@ class ContactEstimate:
     @property
     def _decisive(self) -> np.ndarray:
         return np.linalg.inv(self.covariance) if self.decisive is None else self.decisive
+
+    def less_certain(self, added: np.ndarray) -> ContactEstimate:
+        """The same with a covariance [3, 3] added to its own, and to that of its verdict."""
+        # (D⁻¹ + A)⁻¹ = (1 + DA)⁻¹D, which exists where D is singular, too.
+        decisive = np.linalg.solve(np.eye(3) + self._decisive @ added, self._decisive)
+        return dataclasses.replace(self, covariance=self.covariance + added, decisive=(decisive + decisive.T) / 2)
 
 
 def uncertainty(found: ContactEstimate) -> dict[str, float]:

@@ -8,13 +8,11 @@ shows what it does to estimates.
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 
 from data.samples import ContactCase
 from estimators.estimate import ContactEstimate
-from physics.identifiability import box_information, covariance
+from physics.identifiability import box_information
 
 LARGEST_ANGLE = 5.0
 """Presses at a larger angle to the line of sight are oblique [degrees]: there the bottom of a dent of 0.03 lies a whole
@@ -58,8 +56,4 @@ def widened(estimate: ContactEstimate, misfit: float, box: np.ndarray) -> Contac
         misfit: in units of the estimate's noise.
         box: lower and upper φ, shape [2, 3].
     """
-    added = np.linalg.inv(estimate.information / misfit**2 + box_information(box))
-    decisive = estimate.covariance if estimate.decisive is None else covariance(estimate.decisive)
-    return dataclasses.replace(
-        estimate, covariance=estimate.covariance + added, decisive=np.linalg.inv(decisive + added)
-    )
+    return estimate.less_certain(np.linalg.inv(estimate.information / misfit**2 + box_information(box)))

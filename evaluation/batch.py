@@ -149,6 +149,12 @@ def run(kind: type[Batch], options: argparse.Namespace) -> int:
     return int(any(outcome.state == FAILED for outcome in outcomes))
 
 
+ONSET_HELP = (
+    "when a press begins: between frames, up to a frame's time from the first frame in contact (default, as in real "
+    "videos), or at that frame's time stamp (as in data.synthetic's clips)"
+)
+
+
 def add_input_options(add: Callable[..., Any], depth_default: str) -> None:
     """Options that say which clips to read and how, common to all programs.
 

@@ -24,6 +24,7 @@ from rich.text import Text
 
 from data.samples import PRESS
 from estimators.direct import LEAST_SIGMA
+from estimators.onset import ONSETS, STAMP
 from estimators.worker_pool import WorkerLost, run_tasks
 from evaluation.benchmark_output import show, write_results
 from evaluation.constant import draw_truths
@@ -80,6 +81,8 @@ def build_parser() -> argparse.ArgumentParser:
     add("--split", choices=list(SPLITS), default="test", help="stream of seeds (default %(default)s)")
     text = "only the first N frames after the onset are seen, or with 'press' those in contact (default: one second)"
     add("--seen", type=_seen, metavar="N", help=text)
+    text = "when direct and network take a press to begin: at a frame's stamp (default, as in most suites) or between"
+    add("--onset", choices=ONSETS, default=STAMP, help=text)
     add("--output", type=Path, required=True, metavar="DIR", help="folder of the results")
     add("--workers", type=int, default=2, metavar="N", help="processes; 0 = in this one (default %(default)s)")
     text = "truths of another split whose mean the estimator constant answers (default %(default)s)"
@@ -138,6 +141,7 @@ def estimator_specs(options: argparse.Namespace) -> list[EstimatorSpec]:
             model_sha256=sha256_of(path) if path else "",
             noise=options.noise if name == "direct" else None,
             seen=options.seen,
+            onset=options.onset,
         )
         specs.append(spec if path is None else check_model(spec))
     return specs

@@ -16,6 +16,7 @@ from data.windows import window_indices
 from estimators.contact_network import ContactNetwork
 from estimators.direct import DirectSettings, fit_clip
 from estimators.estimate import ContactEstimate, NoEstimate
+from estimators.onset import STAMP
 from models.onnx_session import ModelFileError, ParameterModel
 from models.posterior_session import PosteriorModel
 
@@ -45,12 +46,14 @@ class EstimatorSpec:
     """σ that `direct` is told; None = the clip's own estimate."""
     seen: Horizon = None
     """Frames after the onset that `direct` and `network` see; None = one second."""
+    onset: str = STAMP
+    """When `direct` and `network` take a press to begin, one of `estimators.onset.ONSETS`."""
     constant: tuple[tuple[float, ...], ...] = ()
     """Means of log θ, then their covariance: what `constant` answers, shape [4][3]."""
 
     def describe(self) -> dict[str, object]:
         """What its estimates depend on, for the run's record."""
-        names = ("model_sha256", "weights_sha256", "calibrated", "noise", "seen")
+        names = ("model_sha256", "weights_sha256", "calibrated", "noise", "seen", "onset")
         return {name: getattr(self, name) for name in names}
 
 
@@ -84,7 +87,7 @@ def open_estimator(spec: EstimatorSpec) -> Estimator:
         ModelFileError: its network can't be used.
     """
     if spec.name == "direct":
-        settings = DirectSettings(noise=spec.noise)
+        settings = DirectSettings(noise=spec.noise, onset=spec.onset)
         return lambda clip: _answers(fit_clip(clip, settings, spec.seen))
     if spec.name == "constant":
         return functools.partial(_constant, np.array(spec.constant))
@@ -95,7 +98,7 @@ def open_estimator(spec: EstimatorSpec) -> Estimator:
     posterior = PosteriorModel(spec.model, threads=1)
     if posterior.takes_depth:
         _require_grid(posterior)
-    network = ContactNetwork(posterior)
+    network = ContactNetwork(posterior, spec.onset)
     return lambda clip: _answers(network.estimate_clip(clip, spec.seen))
 
 

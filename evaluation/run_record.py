@@ -56,7 +56,7 @@ class Provenance:
     settings: PrepareSettings
     """How frames are prepared."""
     estimator: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    """Settings of an estimator without a network."""
+    """Settings of the estimator that are not in a network's file."""
 
     @property
     def fingerprint(self) -> str:
@@ -101,6 +101,7 @@ def build_record(
             "sha256": provenance.model_sha256,
             "metadata": model.metadata,
         },
+        "estimator": dict(provenance.estimator),
         "units": units_of(model),
         "columns": COLUMNS,
         "verdicts": dict(Counter(estimate.verdict for estimate in results.estimates if estimate.verdict)),

@@ -55,7 +55,8 @@ def done(clips: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def call(clips: Path, output: Path, *options: str) -> int:
-    return estimate.main(["direct", str(clips), "--output", str(output), *options])
+    """Synthetic presses begin at a frame's time stamp."""
+    return estimate.main(["direct", str(clips), "--output", str(output), "--onset", "stamp", *options])
 
 
 def rows(folder: Path) -> list[dict[str, str]]:
@@ -93,6 +94,17 @@ def test_a_contact_with_known_truth_is_recovered_within_its_uncertainty(done: Pa
     assert 0.9 * SCENE.depth_noise < float(row["noise"]) < 1.3 * SCENE.depth_noise
     assert 0.3 < float(row["misfit"]) < 1.5
     assert "determined" in row["explanation"]
+
+
+def test_real_presses_begin_between_frames(done: Path, clips: Path, tmp_path: Path) -> None:
+    """Unless told otherwise; the same estimate is less certain then."""
+    assert estimate.main(["direct", str(clips), "--output", str(tmp_path)]) == 0
+    ((exact,), (between,)) = rows(done), rows(tmp_path / "video01_00000")
+    for name in ("stiffness", "damping", "force"):
+        assert between[name] == exact[name]
+        assert float(between[f"{name}_sd"]) > float(exact[f"{name}_sd"])
+    told = [record(folder)["estimator"]["onset"] for folder in (done, tmp_path / "video01_00000")]
+    assert told == ["stamp", "between"]
 
 
 def test_record_says_what_was_done(done: Path) -> None:

@@ -181,6 +181,14 @@ def test_files_of_another_layout_and_a_camera_are_read(inputs: Path, tmp_path: P
     assert record["camera"]["fx"] == 150.0
 
 
+def test_an_onset_is_refused_by_networks_that_know_none(
+    inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    assert call(inputs, tmp_path / "out", "--onset", "stamp") == 2
+    told = " ".join(capsys.readouterr().err.split())
+    assert "parameters.onnx knows nothing of when a press begins; leave --onset stamp out." in told
+
+
 @pytest.mark.parametrize("option", ["--version", "--help"])
 def test_help_and_version(option: str, capsys: pytest.CaptureFixture) -> None:
     with pytest.raises(SystemExit) as ended:

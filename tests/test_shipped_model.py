@@ -63,6 +63,21 @@ def test_rows_carry_uncertainty_and_verdict(results) -> None:
     assert all(row["stiffness"] == row["stiffness_sd"] == "" for row in rows if row["status"] != "ok")
 
 
+def test_a_press_at_a_known_instant_is_known_better(results, tmp_path) -> None:
+    """Real presses begin between frames, which is what intervals allow for unless told otherwise; means stay."""
+    rows, record, clip = results
+    assert record["estimator"] == {"onset": "between"}
+    assert main([str(clip), "--output", str(tmp_path), "--no-overlay", "--onset", "stamp"]) == 0
+    with (tmp_path / clip.name / "parameters.csv").open() as file:
+        exact = [row for row in csv.DictReader(file) if row["stiffness"]]
+    between = [row for row in rows if row["stiffness"]]
+    assert [row["stiffness"] for row in exact] == [row["stiffness"] for row in between]
+    for name in ("stiffness", "damping", "force"):
+        for known, unsure in zip(exact, between, strict=True):
+            assert float(known[f"{name}_high"]) < float(unsure[f"{name}_high"])
+    assert json.loads((tmp_path / clip.name / "run.json").read_text())["estimator"] == {"onset": "stamp"}
+
+
 def test_the_last_frame_in_contact_is_near_the_truth(results) -> None:
     """Within three of its own standard deviations: what a calibrated estimate misses once in 370 times."""
     rows, _, clip = results

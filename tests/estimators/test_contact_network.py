@@ -21,7 +21,7 @@ from data.synthetic_source import open_synthetic, prepare_synthetic
 from estimators.contact_fits import BOUNDS, MECHANICS
 from estimators.contact_network import LARGEST_MISFIT, NO_NOISE, TOO_EARLY, UNEXPLAINED, ContactNetwork
 from estimators.estimate import NINETY, NoEstimate
-from estimators.oblique import HIDDEN_ERROR, OBLIQUE
+from estimators.oblique import HIDDEN_ERROR, LARGEST_ANGLE, OBLIQUE
 from evaluation.calibration import metadata
 from evaluation.recovery import PREPARE
 from models.posterior import ContactPosterior
@@ -221,9 +221,10 @@ def test_a_press_aslant_to_the_line_of_sight_widens_the_intervals(network: Conta
         first.theta, case.mesh, case.vertex, case.direction, network.trained, load_steps=case.load_steps
     )  # what it answers to is explained only if it moves so
     still = dataclasses.replace(calm, displacement=path[case.steps].astype(np.float32), noise=0.003)
-    facing, oblique = (network.estimate(aslant(still, degrees), None, None) for degrees in (3.9, 4.1))
+    angles = LARGEST_ANGLE - 0.1, LARGEST_ANGLE + 0.1
+    facing, oblique = (network.estimate(aslant(still, degrees), None, None) for degrees in angles)
     assert max(facing.misfit, oblique.misfit) < LARGEST_MISFIT < HIDDEN_ERROR / 0.003
-    assert (facing.view_angle, oblique.view_angle) == pytest.approx((3.9, 4.1), abs=1e-3)
+    assert (facing.view_angle, oblique.view_angle) == pytest.approx(angles, abs=1e-3)
     np.testing.assert_allclose(oblique.theta, facing.theta, rtol=1e-3)
     box = BOUNDS.log_box
     added = np.linalg.inv(oblique.information / 5**2 + np.diag(12 / (box[1] - box[0]) ** 2))
@@ -231,6 +232,30 @@ def test_a_press_aslant_to_the_line_of_sight_widens_the_intervals(network: Conta
     # So does what decides the verdict.
     decisive = np.linalg.inv(facing.decisive) + added
     np.testing.assert_allclose(np.linalg.inv(oblique.decisive), decisive, rtol=0.01, atol=1e-3)
+
+
+def test_a_press_that_began_between_frames_is_known_less(network: ContactNetwork, clip) -> None:
+    """The share of its velocity is added to the covariance and to the verdict's, and the estimate stays."""
+    samples = SampleSettings(observation="trajectory", mechanics=MECHANICS)
+    prepared = prepare_synthetic(clip, PREPARE)
+    (case,) = contact_cases(prepared, samples).values()
+    case = dataclasses.replace(case, noise=0.03)
+    unsure = ContactNetwork(network.model, "between")
+    for estimator in (network, unsure):
+        estimator.estimate_clip(prepared)  # matches the clip's frame rate
+    stamp, between = (estimator.estimate(case, None, None) for estimator in (network, unsure))
+    assert stamp.misfit < LARGEST_MISFIT
+    np.testing.assert_array_equal(stamp.theta, between.theta)
+    added = between.covariance - stamp.covariance
+    decisive = np.linalg.inv(between.decisive) - np.linalg.inv(stamp.decisive)
+    np.testing.assert_allclose(decisive, added, rtol=1e-3, atol=1e-9)
+    widths = np.linalg.eigvalsh(added)
+    assert widths[2] > 1e-6
+    assert abs(widths[:2]).max() < 1e-6 * widths[2]  # there is one delay
+    # Half the frame rate leaves twice as much open.
+    unsure._onset_error *= 2
+    twice = unsure.estimate(case, None, None).covariance - stamp.covariance
+    np.testing.assert_allclose(twice, 4 * added, rtol=1e-6)
 
 
 def test_frames_of_an_oblique_press_say_so(network: ContactNetwork, clip, monkeypatch: pytest.MonkeyPatch) -> None:

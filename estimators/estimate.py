@@ -133,6 +133,18 @@ class ContactEstimate:
         return dataclasses.replace(self, covariance=self.covariance + added, decisive=(decisive + decisive.T) / 2)
 
 
+UNCERTAINTY = {
+    column: text.format(symbol)
+    for name, symbol in zip(PARAMETERS, ("k_s", "k_d", "|F|"), strict=True)
+    for column, text in (
+        (f"{name}_low", "lower end of the 90 % interval of {}"),
+        (f"{name}_high", "upper end of the 90 % interval of {}"),
+        (f"{name}_bound", "Cramér–Rao bound on the standard deviation of log {} (0.1: 10 %), were the onset known"),
+    )
+}
+"""Columns of intervals and bounds, in order, each with what it is."""
+
+
 def uncertainty(found: ContactEstimate) -> dict[str, float]:
     """The uncertainty fields of a `FrameEstimate`: log-normal standard deviations and 90 % intervals, and bounds."""
     fields: dict[str, float] = {}

@@ -13,7 +13,7 @@ import numpy as np
 
 from data.collected import CollectedClip
 from data.samples import ContactCase, release_after
-from estimators.estimate import ContactEstimate, uncertainty
+from estimators.estimate import UNCERTAINTY, ContactEstimate, uncertainty
 from estimators.oblique import remark
 from evaluation.contact_picture import draw_fits
 from evaluation.result_store import RECORD, partial_folder, publish, remove_leftovers, write_record, writing
@@ -37,15 +37,7 @@ COLUMNS: dict[str, str] = {
     "damping_sd": "standard deviation of damping",
     "force": "magnitude |F|",
     "force_sd": "standard deviation of force",
-    "stiffness_low": "lower end of the 90 % interval of k_s",
-    "stiffness_high": "upper end of the 90 % interval of k_s",
-    "stiffness_bound": "Cramér–Rao bound on the standard deviation of log k_s (0.1: 10 %)",
-    "damping_low": "lower end of the 90 % interval of k_d",
-    "damping_high": "upper end of the 90 % interval of k_d",
-    "damping_bound": "Cramér–Rao bound on the standard deviation of log k_d",
-    "force_low": "lower end of the 90 % interval of |F|",
-    "force_high": "upper end of the 90 % interval of |F|",
-    "force_bound": "Cramér–Rao bound on the standard deviation of log |F|",
+    **UNCERTAINTY,
     "verdict": "determined, ratios (only k_s/k_d and F/k_d are) or undetermined",
     "explanation": "which products of k_s, k_d and F are determined, with their relative errors",
     "noise": "standard deviation of every observed coordinate, scene units",

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from estimators.amortized import FrameResult
-from estimators.estimate import FrameEstimate
+from estimators.estimate import UNCERTAINTY, FrameEstimate
 from evaluation.overlay import OverlayVideo, draw_overlay
 from evaluation.result_store import (
     OVERLAY,
@@ -43,15 +43,7 @@ COLUMNS: dict[str, str] = {
     "observed_displacement": "scene units",
     "status": "ok, or why the frame has no parameters",
     "verdict": "determined, ratios (only k_s/k_d and F/k_d), undetermined; onset_in_view: the model doesn't tell",
-    "stiffness_low": "lower end of the 90 % interval of k_s",
-    "stiffness_high": "upper end of the 90 % interval of k_s",
-    "stiffness_bound": "Cramér–Rao bound on the standard deviation of log k_s",
-    "damping_low": "lower end of the 90 % interval of k_d",
-    "damping_high": "upper end of the 90 % interval of k_d",
-    "damping_bound": "Cramér–Rao bound on the standard deviation of log k_d",
-    "force_low": "lower end of the 90 % interval of |F|",
-    "force_high": "upper end of the 90 % interval of |F|",
-    "force_bound": "Cramér–Rao bound on the standard deviation of log |F|",
+    **UNCERTAINTY,
     "detail": "sentence about the status",
 }
 """Columns of the table, in order, each with what it is."""

@@ -7,8 +7,9 @@ Errors are taken to have standard deviations scale · sd^power · σ^noise, with
 observation's; the exponents are the likeliest ones for normal errors, the scale is then set so that the 90 % intervals
 hold the truth in 90 % of the validation results (conformal prediction, Vovk's quantile, with a normalised score). Both
 come from the same results and several suites observe the same clips, so the guarantee is not exact. One more factor a
-parameter does the same for contacts whose release has not been seen (--pressed). Without --validation nothing is
-changed. Truth of validation clips serves this and nothing else; no weight of the network changes.
+parameter does the same for contacts whose release has not been seen (--pressed). Verdicts go by standard deviations of
+their own, chosen so that most of them are right. Without --validation nothing is changed. Truth of validation clips
+serves this and nothing else; no weight of the network changes.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from scipy.ndimage import uniform_filter
 from scipy.optimize import minimize
 
 from data.clip import PREPROCESSING_VERSION
@@ -33,6 +35,8 @@ from data.samples import PRESS
 from estimators.contact_fits import BOUNDS, MECHANICS, SCENES
 from estimators.estimate import NINETY
 from evaluation.recovery import OK, PREPARE, Recovery
+from evaluation.recovery_details import true_verdicts
+from evaluation.recovery_scores import deviations, score_all
 from evaluation.recovery_store import RECORD, RESULTS, read_results
 from evaluation.run_record import sha256_of
 from models.calibration import Calibration
@@ -42,6 +46,9 @@ from models.posterior_export import export_posterior
 
 LEVEL = 0.9
 """Share of truths that the calibrated intervals hold."""
+VERDICT_SCALES = np.geomspace(0.6, 1.6, 21)
+VERDICT_EXPONENTS = np.linspace(-0.4, 0.4, 17)
+"""What is tried for the verdicts' standard deviations."""
 LEAST_SPREAD = 1e-6
 """Of a column of logarithms that can have a coefficient."""
 LEAST_CLIPS = 100
@@ -98,6 +105,33 @@ def fit_calibration(whole: Scored, pressed: Scored) -> Calibration:
         tuple(map(float, values)) for values in (scales, powers, exponents, factors, decisive)
     )
     return Calibration(scale, power, noise, LOG_NOISE, before, KNOWN, LOADED, verdict)
+
+
+def fit_verdicts(rows: Sequence[Recovery], factors: np.ndarray) -> tuple[np.ndarray, float]:
+    """Factors of standard deviations, and an exponent of σ, that give most right verdicts on clear clips.
+
+    Every suite counts alike. The best is sought where its neighbours are good as well, and amidst what is as good.
+
+    Args:
+        rows: a benchmark's results.
+        factors: their ratios are kept, shape [3].
+
+    Returns:
+        The factors times one number, shape [3], and the exponent of σ over REFERENCE_SPACING.
+    """
+    used = [row for row in rows if row.estimator == "network" and row.status == OK and row.covariance is not None]
+    score = np.zeros((len(VERDICT_SCALES), len(VERDICT_EXPONENTS)))
+    for item in score_all(used):
+        true, clear = true_verdicts(item.bounds)
+        log_noise = np.log([row.noise / REFERENCE_SPACING for row in item.rows])
+        covariances = np.array([row.covariance for row in item.rows]) * np.outer(factors, factors)
+        for place in np.ndindex(score.shape):
+            wider = VERDICT_SCALES[place[0]] * np.exp(VERDICT_EXPONENTS[place[1]] * log_noise)
+            given, _ = true_verdicts(wider[:, None] * deviations(covariances))
+            score[place] += (given == true)[clear].mean()
+    smooth = uniform_filter(score, 3, mode="nearest")
+    scale, exponent = np.rint(np.argwhere(smooth >= smooth.max() - 1e-9).mean(axis=0)).astype(int)
+    return factors * VERDICT_SCALES[scale], float(VERDICT_EXPONENTS[exponent])
 
 
 def fit_widths(errors: np.ndarray, known: np.ndarray) -> np.ndarray:
@@ -197,10 +231,11 @@ def main(arguments: list[str] | None = None) -> int:
             weights = sha256_of(options.weights)
             check_record(options.validation, weights, None)
             check_record(options.pressed, weights, PRESS)
-            whole, pressed = (
-                Scored.of(read_results(folder / RESULTS)) for folder in (options.validation, options.pressed)
-            )
+            rows = [read_results(folder / RESULTS) for folder in (options.validation, options.pressed)]
+            whole, pressed = map(Scored.of, rows)
             calibration = fit_calibration(whole, pressed)
+            decisive, exponent = fit_verdicts(rows[0], np.array(calibration.decisive))
+            calibration = dataclasses.replace(calibration, decisive=tuple(decisive.tolist()), decisive_noise=exponent)
         difference = export_posterior(posterior, options.output, metadata(options.weights), calibration)
     except (OSError, RuntimeError, ValueError) as error:
         print(error, file=sys.stderr)

@@ -27,6 +27,8 @@ COLUMNS = (
 )  # fmt: skip
 NON_IDENTIFIABLE = "non-identifiable"
 """In the column of regimes: clips of any regime with a parameter whose bound is not below the limit."""
+EVERY = "every clip"
+"""In the column of regimes, of a parameter: identifiable or not. Intervals are calibrated to hold over these."""
 CENTRAL = 0.6826894921370859
 """Probability within one standard deviation."""
 ASTRAY = 4.0
@@ -81,13 +83,16 @@ class Scores:
     def groups(self, quantity: int) -> dict[str, np.ndarray]:
         """Clips [n] bool that a quantity's rows of the table are about, by the name in the column of regimes.
 
-        Parameters: the clips whose own bound lies below the limit. Ratios: all clips, and the non-identifiable ones.
+        Parameters: the clips whose own bound lies below the limit, and every clip. Ratios: all clips, and the
+        non-identifiable ones.
         """
         used = self.identifiable[:, quantity] if quantity < 3 else np.ones(len(self.rows), bool)
         found = {regime: used & (self.regimes == regime) for regime in REGIMES}
         found["all"] = used
         if quantity >= 3:
             found[NON_IDENTIFIABLE] = ~self.identifiable.all(axis=1)
+        else:
+            found[EVERY] = np.ones(len(self.rows), bool)
         return found
 
 

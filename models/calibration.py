@@ -33,7 +33,9 @@ class Calibration:
     """Features that are 1 for instants that were seen under load."""
     decisive: Triple = (1.0, 1.0, 1.0)
     """Factors of the network's own standard deviations by which the verdict is given."""
+    decisive_noise: float = 0.0
+    """Exponent of σ in them."""
 
     def document(self) -> dict[str, Any]:
         """As JSON-able values."""
-        return {name: list(values) for name, values in asdict(self).items()}
+        return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(self).items()}

@@ -32,6 +32,7 @@ class _Calibrated(nn.Module):
     def __init__(self, network: ContactPosterior | Generator, calibration: Calibration) -> None:
         super().__init__()
         self.network, self.noise_features = network, list(calibration.noise_features)
+        self.decisive_noise = calibration.decisive_noise
         self.known, self.loaded = list(calibration.known_features), list(calibration.loaded_features)
         for name in ("scale", "power", "noise", "pressed", "decisive"):
             self.register_buffer(name, torch.tensor(getattr(calibration, name), dtype=torch.float32))
@@ -44,9 +45,11 @@ class _Calibrated(nn.Module):
             mean, factor = answer.mean, answer.factor
         log_sd = 0.5 * torch.log(factor.square().sum(dim=2))
         widened = self.scale * torch.exp((self.power - 1) * log_sd)
-        if self.noise_features:
-            widened = widened * torch.exp(self.noise * contact[:, self.noise_features].sum(dim=1, keepdim=True))
         decisive = self.decisive.expand_as(log_sd)
+        if self.noise_features:
+            log_noise = contact[:, self.noise_features].sum(dim=1, keepdim=True)
+            widened = widened * torch.exp(self.noise * log_noise)
+            decisive = decisive * torch.exp(self.decisive_noise * log_noise)
         if self.known:
             known, loaded = (contact[:, places].sum(dim=1, keepdim=True) for places in (self.known, self.loaded))
             factors = torch.where(known - loaded > 0.5, torch.ones_like(self.pressed), self.pressed)

@@ -56,7 +56,7 @@ def test_the_constant_is_fitted_only_where_it_is_asked_for(tmp_path, evaluated, 
     assert run(tmp_path) == 0
     rows = read(tmp_path / "table.csv")
     # All stand-in clips have the same θ, which one constant hits.
-    assert [float(row["constant_rmse_log"]) for row in rows if row["n"] != "0"] == pytest.approx([0] * 20, abs=1e-9)
+    assert [float(row["constant_rmse_log"]) for row in rows if row["n"] != "0"] == pytest.approx([0] * 23, abs=1e-9)
     assert not (tmp_path / "constant.json").exists()
 
 

@@ -7,9 +7,18 @@ import json
 import numpy as np
 import pytest
 
-from data.contact_features import KNOWN, LOADED, LOG_NOISE
+from data.contact_features import KNOWN, LOADED, LOG_NOISE, REFERENCE_SPACING
 from estimators.estimate import NINETY
-from evaluation.calibration import Scored, check_record, conformal_scale, fit_calibration, fit_widths, main
+from evaluation.calibration import (
+    Scored,
+    check_record,
+    conformal_scale,
+    fit_calibration,
+    fit_verdicts,
+    fit_widths,
+    main,
+)
+from tests.evaluation.recovery_cases import recovery
 
 
 def test_factor_by_hand() -> None:
@@ -52,6 +61,31 @@ def test_overconfident_estimates_become_calibrated_at_any_width() -> None:
         for half in (narrow, wide):
             assert held[half, parameter].mean() == pytest.approx(0.9, abs=0.03)
         assert flat[narrow, parameter].mean() < 0.87 < 0.93 < flat[wide, parameter].mean()
+
+
+@pytest.mark.parametrize(("scale", "exponent"), [(0.8, -0.2), (1.2, 0.1)])
+def test_verdicts_find_the_standard_deviations_that_are_the_bounds(scale: float, exponent: float) -> None:
+    """Networks whose sd, times a factor and a power of σ, are the bounds: nearly all verdicts are right again."""
+    generator = np.random.default_rng(0)
+    rows = []
+    for suite, sigma in (("clean", 0.001), ("noisy", 0.004)):
+        for index in range(150):
+            bound = np.exp(generator.uniform(-2.5, 1.5))
+            wider = scale * (sigma / REFERENCE_SPACING) ** exponent
+            rows.append(
+                recovery(
+                    index,
+                    suite=suite,
+                    estimator="network",
+                    noise=sigma,
+                    tracking=np.array([sigma, -sigma]),
+                    information=np.eye(3) * (sigma / bound) ** 2,
+                    covariance=np.eye(3) * (bound / wider / 2) ** 2,
+                )
+            )
+    factors, found = fit_verdicts(rows, np.array([2.0, 2.0, 2.0]))
+    np.testing.assert_allclose(factors, 2 * scale, rtol=0.1)
+    assert found == pytest.approx(exponent, abs=0.075)
 
 
 def test_too_few_clips_are_refused() -> None:

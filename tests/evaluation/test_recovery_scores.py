@@ -103,6 +103,9 @@ def test_identifiable_is_decided_for_each_parameter():
     information = np.diag((0.001 / np.array([0.1, 0.6, 0.1])) ** 2)
     found = table([recovery(0, information=information)])
     assert [found["all", name]["n"] for name in QUANTITIES] == [1, 0, 1, 1, 1]
+    assert [found["every clip", name]["n"] for name in QUANTITIES[:3]] == [1, 1, 1]
+    assert found["every clip", "damping"]["coverage90"] == 1.0
+    assert found["every clip", "damping"]["bound_log"] == pytest.approx(0.6)
     assert found["non-identifiable", "force/damping"]["n"] == 1
 
 

@@ -94,6 +94,7 @@ def test_exported_file_agrees_and_is_calibrated(posterior: ContactPosterior, tmp
         known_features=(4, 5),
         loaded_features=(6, 7),
         decisive=(1, 3, 2),
+        decisive_noise=-0.1,
     )
     assert export_posterior(posterior, tmp_path / "contact.onnx", METADATA, calibration) < 1e-5
     model = PosteriorModel(tmp_path / "contact.onnx")
@@ -112,7 +113,7 @@ def test_exported_file_agrees_and_is_calibrated(posterior: ContactPosterior, tmp
     wanted = (1.0, 2.0, 0.5) * sd ** (1.0, 0.8, 0.5) * noise ** (0.0, 0.2, 0.1) * pressed
     np.testing.assert_allclose(np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)), wanted, rtol=1e-4)
     np.testing.assert_allclose(_correlations(covariance), _correlations(plain), atol=1e-4)
-    factors = np.array([1.0, 3.0, 2.0]) * pressed
+    factors = np.array([1.0, 3.0, 2.0]) * pressed * noise**-0.1
     np.testing.assert_allclose(decisive, plain * factors[:, :, None] * factors[:, None], rtol=1e-4, atol=1e-6)
     assert Calibration(**model.metadata["calibration"]).document() == calibration.document()
     assert (model.features, model.takes_depth, model.calibrated) == (10, False, True)

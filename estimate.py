@@ -29,7 +29,7 @@ from data.prepared import PreparedFrame
 from data.samples import ContactCase, SampleSettings, contact_cases
 from estimators.direct import LEAST_SIGMA, DirectSettings, fit_contact
 from estimators.estimate import FrameEstimate, NoEstimate
-from estimators.onset import BETWEEN, ONSETS, onset_error
+from estimators.onset import BETWEEN, ONSETS
 from evaluation.batch import (
     DONE,
     ONSET_HELP,
@@ -76,9 +76,9 @@ class DirectFits(Batch):
     words: ClassVar = {**Batch.words, "geometry.smoothing": "--smoothing", "give the noise": "give --noise"}
 
     def __init__(self, options: argparse.Namespace, console: Console) -> None:
-        self.direct = DirectSettings(noise=options.noise, onset=options.onset)
-        self.mechanics = self.direct.mechanics
-        """Its simulator, the steps matched to the current clip's frame rate."""
+        self.direct = DirectSettings(noise=options.noise)
+        self.matched = self.direct
+        """The same for the current clip's frame rate."""
         super().__init__(options, console)
 
     def preparation(self) -> PrepareSettings:
@@ -94,13 +94,13 @@ class DirectFits(Batch):
         """Fit every contact of a clip and write its results."""
         source, output = open_source(path, self.settings.layout), self.options.output
         folder = self.store.folder(source.name, path)
-        estimator = {"name": "direct", **dataclasses.asdict(self.direct)}
+        estimator = {"name": "direct", "onset": self.options.onset, **dataclasses.asdict(self.direct)}
         provenance = Provenance(sha256_of(path, exclude=output.resolve()), "", self.settings, estimator)
         if not self.options.overwrite and self.store.is_complete(folder, provenance.fingerprint, FILES):
             self.say(f"{source.name}: up to date in {folder}; --overwrite computes it again")
             return Outcome(source.name, UP_TO_DATE, str(folder), read_record(folder).get("contacts", {}))
         task = progress.add_task(f"{place} {short(source.name)}", total=source.length or None)
-        self.mechanics = self.direct.mechanics.matched(1 / source.fps)
+        self.matched = self.direct.matched(source.fps, self.options.onset)
         try:
             clip, frames, started = stream(source, self.settings), [], time.perf_counter()
             collected = CollectedClip(source.name, source.fps, _noting(clip, frames, progress, task), onsets_only=True)
@@ -108,7 +108,7 @@ class DirectFits(Batch):
             results = self._fit(collected, progress, task, f"{place} fitting {short(source.name)}")
             seconds = {**clip.seconds, "fit": time.perf_counter() - prepared, "total": time.perf_counter() - started}
             record = self._record(clip, provenance, frames, results, seconds)
-            write_contacts(folder, results, self.mechanics, record, source.name)
+            write_contacts(folder, results, self.matched.mechanics, record, source.name)
         finally:
             progress.remove_task(task)
         for warning in record["warnings"]:
@@ -118,7 +118,7 @@ class DirectFits(Batch):
     def _fit(self, clip: CollectedClip, progress: Progress, task: TaskID, description: str) -> list[ContactResult]:
         """Every run of contact of a clip, fitted or with the reason why not."""
         geometry = self.settings.geometry
-        samples = SampleSettings(observation="trajectory", geometry=geometry, mechanics=self.mechanics)
+        samples = SampleSettings(observation="trajectory", geometry=geometry, mechanics=self.matched.mechanics)
         runs, cases = contact_runs(clip, self.settings.bridge_frames), contact_cases(clip, samples)
         results = []
         progress.reset(task, total=len(runs), description=description)
@@ -134,8 +134,7 @@ class DirectFits(Batch):
             reason = f"{remark} {NOT_FOLLOWED}".strip() if found.onset_seen else remark or NO_ONSET
             return ContactResult(number, seconds, load, None, None, reason)
         try:
-            settings = dataclasses.replace(self.direct, mechanics=self.mechanics)
-            estimate = fit_contact(case, settings, onset_error(settings.onset, clip.fps))
+            estimate = fit_contact(case, self.matched)
         except NoEstimate as reason:
             return ContactResult(number, seconds, load, case, None, f"{remark} {self.sentence(reason)}".strip())
         ranges = (self.direct.stiffness, self.direct.damping, self.direct.force)

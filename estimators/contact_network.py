@@ -18,13 +18,13 @@ from data.geometry import force_direction
 from data.samples import ContactCase, Horizon, SampleSettings, contact_cases
 from data.windows import FrameWindow, window_indices
 from estimators.amortized import FrameResult, force_arrow, frame_estimate
-from estimators.estimate import ContactEstimate, FrameEstimate, NoEstimate
+from estimators.estimate import ContactEstimate, FrameEstimate, NoEstimate, combined
 from estimators.model_settings import section
-from estimators.oblique import effective_misfit, remark, view_angle, widened
-from estimators.onset import STAMP, onset_covariance, onset_error, velocities
+from estimators.oblique import effective_misfit, is_oblique, remark, view_angle, widened
+from estimators.onset import STAMP, begun_otherwise, onset_error
 from models.onnx_session import ModelFileError
 from models.posterior_session import PosteriorModel
-from physics.identifiability import box_information, fisher_information, log_jacobian
+from physics.identifiability import fisher_information, log_jacobian
 from physics.mechanics import Bounds, Mechanics
 from physics.msd_kernel import simulate, simulate_sensitivities
 
@@ -175,38 +175,47 @@ class ContactNetwork:
         Raises:
             ModelFileError: the network gives a number that is not finite.
         """
+        cases = begun_otherwise(case, self._onset_error, self.mechanics.time_step, LEAST_OBSERVATIONS)
         start = time.perf_counter()
-        features = contact_features(case, self.mechanics.time_step, surroundings=surroundings)
-        window = depth[None] if self.model.takes_depth else None
-        mean, covariance, decisive = (values[0] for values in self.model(features[None], window))
+        features = [contact_features(each, self.mechanics.time_step, surroundings=surroundings) for each in cases]
+        window = np.repeat(depth[None], len(cases), axis=0) if self.model.takes_depth else None
+        answers = self.model(np.stack(features), window)
         self.seconds["network"] += time.perf_counter() - start
-        if not all(np.isfinite(values).all() for values in (mean, covariance, decisive)):
+        if not all(np.isfinite(values).all() for values in answers):
             raise ModelFileError(f"{self.model.path} gives a number that is not finite; export another checkpoint.")
-        start = time.perf_counter()
-        misfit, jacobian, velocity = self._linearise(mean, case)
+        start, box = time.perf_counter(), self.bounds.log_box
+        found = combined([self._judged(*told) for told in zip(cases, *answers, strict=True)])
         self.seconds["simulation"] += time.perf_counter() - start
-        information = fisher_information(jacobian, 1.0)
-        theta, box = np.exp(mean) * PRESSING, self.bounds.log_box
-        at_bound = np.minimum(mean - box[0], box[1] - mean) < EDGE * (box[1] - box[0])
-        found = ContactEstimate(
-            theta, covariance, information, case.noise, misfit, at_bound, np.linalg.inv(decisive), view_angle(case)
-        )
-        if self._onset_error:
-            found = found.less_certain(onset_covariance(jacobian, velocity, box_information(box), self._onset_error))
         error = effective_misfit(found)
-        return widened(found, error, box) if error > LARGEST_MISFIT else found
+        return widened(found, error, box) if is_oblique(found) or error > LARGEST_MISFIT else found
 
-    def _linearise(self, logs: np.ndarray, case: ContactCase) -> tuple[float, np.ndarray, np.ndarray]:
-        """At φ, in σ: the residual's size, and the motion's derivatives by φ [3M, 3] and by time [3M] [1/s]."""
+    def _judged(
+        self, case: ContactCase, mean: np.ndarray, covariance: np.ndarray, decisive: np.ndarray
+    ) -> ContactEstimate:
+        """What the network says of a contact, mean [3] and covariances [3, 3], with how well it explains the motion."""
+        misfit, information = self._linearise(mean, case)
+        box = self.bounds.log_box
+        return ContactEstimate(
+            theta=np.exp(mean) * PRESSING,
+            covariance=covariance,
+            information=information,
+            noise=case.noise,
+            misfit=misfit,
+            at_bound=np.minimum(mean - box[0], box[1] - mean) < EDGE * (box[1] - box[0]),
+            decisive=np.linalg.inv(decisive),
+            view_angle=view_angle(case),
+        )
+
+    def _linearise(self, logs: np.ndarray, case: ContactCase) -> tuple[float, np.ndarray]:
+        """Residual's size in σ, and Fisher information [3, 3] of the contact's trajectory, at φ."""
         steps, theta = int(case.steps.max()) + 1, np.exp(logs) * PRESSING
         mechanics = dataclasses.replace(self.mechanics, steps=steps, load_steps=0)
         path, slopes = simulate_sensitivities(
             theta, case.mesh, case.vertex, case.direction, mechanics, load_steps=min(case.load_steps, steps)
         )
         residual = (path[case.steps] - case.displacement) / case.noise
-        jacobian = log_jacobian(slopes[case.steps].astype(np.float64), theta).reshape(-1, 3) / case.noise
-        velocity = velocities(path, case.steps, mechanics.time_step).ravel() / case.noise
-        return float(np.sqrt(np.square(residual).sum(axis=1).mean())), jacobian, velocity
+        jacobian = log_jacobian(slopes[case.steps].astype(np.float64), theta)
+        return float(np.sqrt(np.square(residual).sum(axis=1).mean())), fisher_information(jacobian, case.noise)
 
     def _lengths(
         self, found: ContactEstimate, case: ContactCase, current: PreparedFrame, run: _Run

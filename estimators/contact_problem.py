@@ -8,7 +8,6 @@ import numpy as np
 from scipy.stats.qmc import Sobol
 
 from data.samples import ContactCase
-from estimators.onset import velocities
 from physics.identifiability import fisher_information, log_jacobian
 from physics.mechanics import Mechanics
 from physics.msd_kernel import simulate, simulate_sensitivities
@@ -90,13 +89,6 @@ class ContactProblem:
     def information(self, logs: np.ndarray) -> np.ndarray:
         """Fisher information at φ, shape [3, 3]."""
         return fisher_information(self.jacobian(logs), 1.0)
-
-    def velocity(self, logs: np.ndarray) -> np.ndarray:
-        """The motion's derivative by time at the observations, in units of the noise, flattened [1/s]."""
-        theta, case, mechanics = self.theta(logs), self.case, self.mechanics
-        arguments = theta, case.mesh, case.vertex, case.direction, mechanics
-        path = simulate(*arguments, load_steps=self.load_steps)
-        return velocities(path, case.steps, mechanics.time_step).ravel() / self.noise
 
     def residual(self, logs: np.ndarray) -> np.ndarray:
         """(Φ - d)/σ, flattened."""

@@ -60,7 +60,7 @@ HELD_OUT = 400
 LEAST_STEPS = 4
 """A stage's learning rate rises over three steps, and falls."""
 LARGEST_NUMBER = 2**63 - 1
-"""torch takes no larger seed."""
+"""Larger numbers are no counts, and no seeds of both libraries that draw here."""
 FINE_BATCH, FINE_RATE = 512, 2e-3
 """Samples a step of the fine stage, and its largest learning rate."""
 BLUR = 0.3, 0.03

@@ -20,9 +20,9 @@ from data.collected import CollectedClip
 from data.samples import ContactCase, Horizon, SampleSettings, contact_cases
 from estimators.contact_optima import Optimum, combine, distinct, evidence_shares, find_optimum
 from estimators.contact_problem import ContactProblem
-from estimators.estimate import ContactEstimate, NoEstimate
+from estimators.estimate import ContactEstimate, NoEstimate, combined
 from estimators.oblique import effective_misfit, is_oblique, view_angle, widened
-from estimators.onset import ONSETS, STAMP, onset_covariance, onset_error
+from estimators.onset import STAMP, begun_otherwise, onset_error
 from estimators.posterior_sampling import Draws, Mixture, sample_posterior
 from estimators.tracking_noise import log_likelihoods, variance_scale
 from physics.identifiability import bounds, box_information
@@ -31,6 +31,8 @@ from physics.mechanics import Mechanics
 LEAST_SIGMA = 3e-5
 """A smaller σ is refused [scene units]: that is the fitted simulator's own error (docs/identifiability.md), which would
 be taken for motion of the tissue."""
+LEAST_OBSERVATIONS = 3
+"""Frames after the onset in which the tissue was followed."""
 AT_BOUND = 1e-3
 """Best fits this near to the end of their range in φ lie at it."""
 LEAST_SHARE = 0.02
@@ -63,12 +65,10 @@ class DirectSettings:
     noise: float | None = None
     """σ of every observed coordinate [scene units], at least LEAST_SIGMA; None = the clip's own depth noise."""
 
-    onset: str = STAMP
-    """When a press begins, one of `estimators.onset.ONSETS`."""
+    onset_within: float = 0.0
+    """How far from the time stamp of the first frame in contact the press may have begun [s]."""
 
     def __post_init__(self) -> None:
-        if self.onset not in ONSETS:
-            raise ValueError(f"onset is '{self.onset}'; choose {' or '.join(ONSETS)}.")
         for name in ("stiffness", "damping", "force"):
             low, high = getattr(self, name)
             if not 0 < low < high < math.inf:
@@ -76,24 +76,29 @@ class DirectSettings:
         if self.noise is not None and not LEAST_SIGMA <= self.noise < math.inf:
             raise ValueError(f"noise is {self.noise}; give a length of {LEAST_SIGMA:g} or more, or leave it out.")
 
+    def matched(self, fps: float, onset: str) -> DirectSettings:
+        """The same for clips of so many frames a second, whose presses begin as one of `estimators.onset.ONSETS`."""
+        return dataclasses.replace(
+            self, mechanics=self.mechanics.matched(1 / fps), onset_within=onset_error(onset, fps)
+        )
+
     @property
     def box(self) -> np.ndarray:
         """Lower and upper φ, shape [2, 3]."""
         return np.log(np.array([self.stiffness, self.damping, self.force]).T)
 
 
-def fit_contact(case: ContactCase, settings: DirectSettings, within: float = 0.0) -> ContactEstimate:
+def fit_contact(case: ContactCase, settings: DirectSettings) -> ContactEstimate:
     """Fit θ to one contact.
 
     Args:
         case: the contact; its steps must have been made with the settings' time step.
         settings: the model that is fitted.
-        within: how far from the first frame in contact the press may have begun [s].
 
     Returns:
-        The estimate. Its uncertainty is widened where the beginning of the press isn't known (`estimators.onset`), and
-        where the contact is pressed aslant to the line of sight (`estimators.oblique`), because what it was fitted to
-        may not be the bottom of the dent.
+        The estimate. Where the beginning of the press isn't known it is that of several beginnings together
+        (`estimators.onset`). Where the contact is pressed aslant to the line of sight its uncertainty is widened
+        (`estimators.oblique`), because what it was fitted to may not be the bottom of the dent.
 
     Raises:
         NoEstimate: fewer than three observations, or no noise level.
@@ -101,8 +106,17 @@ def fit_contact(case: ContactCase, settings: DirectSettings, within: float = 0.0
     noise = settings.noise if settings.noise is not None else case.noise
     if not (math.isfinite(noise) and noise > 0):
         raise NoEstimate("The depth's noise isn't known; set geometry.smoothing above 0, or give the noise.")
-    if len(case.steps) < 3:
-        raise NoEstimate(f"The contact was followed over {len(case.steps)} frames after its onset; 3 are needed.")
+    if len(case.steps) < LEAST_OBSERVATIONS:
+        raise NoEstimate(
+            f"The contact was followed over {len(case.steps)} frames after its onset; {LEAST_OBSERVATIONS} are needed."
+        )
+    cases = begun_otherwise(case, settings.onset_within, settings.mechanics.time_step, LEAST_OBSERVATIONS)
+    found = combined([_fit(each, settings, noise) for each in cases])
+    return widened(found, effective_misfit(found), settings.box) if is_oblique(found) else found
+
+
+def _fit(case: ContactCase, settings: DirectSettings, noise: float) -> ContactEstimate:
+    """Fit θ to a contact that began at its time stamp."""
     problem = ContactProblem(case, settings.mechanics, noise)
     low, high = settings.box
     candidates = problem.candidates(low, high)
@@ -120,7 +134,7 @@ def fit_contact(case: ContactCase, settings: DirectSettings, within: float = 0.0
     judges = mean[None]
     if draws.effective >= TOO_FEW:
         mean, spread, judges = draws.mean, draws.covariance, draws.thinned(JUDGES)
-    found = ContactEstimate(
+    return ContactEstimate(
         theta=problem.theta(mean),
         covariance=spread,
         information=problem.information(mean),
@@ -130,9 +144,6 @@ def fit_contact(case: ContactCase, settings: DirectSettings, within: float = 0.0
         decisive=cautious([problem.information(logs) for logs in judges]),
         view_angle=view_angle(case),
     )
-    if within:
-        found = found.less_certain(onset_covariance(problem.jacobian(mean), problem.velocity(mean), prior, within))
-    return widened(found, effective_misfit(found), settings.box) if is_oblique(found) else found
 
 
 def _sample(
@@ -178,7 +189,7 @@ def cautious(information: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def fit_clip(
-    clip: PreparedClip | CollectedClip, settings: DirectSettings, horizon_frames: Horizon = None
+    clip: PreparedClip | CollectedClip, settings: DirectSettings, horizon_frames: Horizon = None, onset: str = STAMP
 ) -> dict[int, ContactEstimate | NoEstimate]:
     """Fit every run of contact of a prepared clip whose onset was seen; an estimate, or why there is none, by onset.
 
@@ -187,12 +198,12 @@ def fit_clip(
         settings: the model that is fitted.
         horizon_frames: only these frames after an onset are used; None = as many as the rollout lasts.
     """
-    settings = dataclasses.replace(settings, mechanics=settings.mechanics.matched(1 / clip.fps))
+    settings = settings.matched(clip.fps, onset)
     samples = SampleSettings(observation="trajectory", horizon_frames=horizon_frames, mechanics=settings.mechanics)
     found: dict[int, ContactEstimate | NoEstimate] = {}
-    for onset, case in contact_cases(clip, samples).items():
+    for first, case in contact_cases(clip, samples).items():
         try:
-            found[onset] = fit_contact(case, settings, onset_error(settings.onset, clip.fps))
+            found[first] = fit_contact(case, settings)
         except NoEstimate as reason:
-            found[onset] = reason
+            found[first] = reason
     return found

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
+from estimators.onset import together
 from physics.identifiability import bounds, describe, verdict
 from physics.mechanics import PARAMETERS
 
@@ -115,22 +117,44 @@ class ContactEstimate:
     @property
     def verdict(self) -> str:
         """`determined`, `ratios` or `undetermined` (see physics.identifiability.verdict)."""
-        return verdict(self._decisive)
+        return verdict(self.decisive_information)
 
     @property
     def explanation(self) -> str:
         """The verdict's reason in words (see physics.identifiability.describe)."""
-        return describe(self._decisive)
+        return describe(self.decisive_information)
 
     @property
-    def _decisive(self) -> np.ndarray:
+    def decisive_information(self) -> np.ndarray:
+        """Information by which the verdict is given, shape [3, 3]."""
         return np.linalg.inv(self.covariance) if self.decisive is None else self.decisive
 
     def less_certain(self, added: np.ndarray) -> ContactEstimate:
         """The same with a covariance [3, 3] added to its own, and to that of its verdict."""
         # (D⁻¹ + A)⁻¹ = (1 + DA)⁻¹D, which exists where D is singular, too.
-        decisive = np.linalg.solve(np.eye(3) + self._decisive @ added, self._decisive)
+        decisive = np.linalg.solve(np.eye(3) + self.decisive_information @ added, self.decisive_information)
         return dataclasses.replace(self, covariance=self.covariance + added, decisive=(decisive + decisive.T) / 2)
+
+
+def combined(found: Sequence[ContactEstimate]) -> ContactEstimate:
+    """Several estimates of one contact that count alike, as one, with their common mean and covariance.
+
+    What else it says is that of the one which explains the motion best.
+    """
+    best = min(found, key=lambda item: item.misfit)
+    if len(found) == 1:
+        return best
+    means, signs = np.log(np.abs([item.theta for item in found])), np.sign(best.theta)
+    mean, covariance = together(means, np.array([item.covariance for item in found]))
+    apart = covariance - np.mean([item.covariance for item in found], axis=0)
+    decisive = np.mean([np.linalg.pinv(item.decisive_information) for item in found], axis=0) + apart
+    return dataclasses.replace(
+        best,
+        theta=np.exp(mean) * signs,
+        covariance=covariance,
+        at_bound=np.all([item.at_bound for item in found], axis=0),
+        decisive=np.linalg.inv(decisive),
+    )
 
 
 UNCERTAINTY = {

@@ -1,19 +1,25 @@
 """When a press begins is known to a frame only: what that adds to an estimate's uncertainty.
 
-Every simulated press begins at the time stamp of the first frame in contact. A real one begins up to a frame interval T
-before or after it, and an estimate that takes the stamp for the beginning is surer than it may be: the motion is off by
-its velocity times the delay. To first order the parameters follow as in a least-squares fit within the box, and a delay
-spread evenly over ±T has a variance of T²/3. `python -m evaluation.benchmark --suite late-onset --onset between`, or
-without that option, shows what it makes of the intervals.
+Every simulated press begins at the time stamp of the first frame in contact. A real one begins up to a frame interval
+before or after it, and an estimate that takes the stamp for the beginning is surer than it may be: a few milliseconds
+look like other tissue. So the contact is estimated as if it had begun at several instants, evenly spread, and these
+estimates are taken together. They count alike: how well each explains the motion was no good guide to the true one.
+`python -m evaluation.benchmark --suite late-onset --onset between`, or without that option, shows what it is worth.
 """
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
+
+from data.samples import ContactCase
 
 BETWEEN, STAMP = "between", "stamp"
 ONSETS = (BETWEEN, STAMP)
 """A press begins anywhere within a frame interval of the first frame in contact, or at that frame's time stamp."""
+INSTANTS = 5
+"""Beginnings that are tried."""
 
 
 def onset_error(onset: str, fps: float) -> float:
@@ -21,25 +27,29 @@ def onset_error(onset: str, fps: float) -> float:
     return 1 / fps if onset == BETWEEN else 0.0
 
 
-def velocities(path: np.ndarray, steps: np.ndarray, time_step: float) -> np.ndarray:
-    """Velocity of a simulated contact at some steps, shape [M, 3] [scene units/s].
+def begun_otherwise(case: ContactCase, within: float, time_step: float, least: int) -> list[ContactCase]:
+    """The contact as if it had begun at other instants; itself alone where it began at its time stamp.
 
     Args:
-        path: displacement after every step, shape [T, 3]; before the first it is 0.
-        steps: indices into it, shape [M].
-        time_step: [s].
+        case: the contact.
+        within: how far from the time stamp it may have begun [s].
+        time_step: of the case's steps [s].
+        least: instants that leave fewer observations are left out, unless none remains.
     """
-    return np.gradient(np.concatenate([np.zeros((1, 3)), path]), time_step, axis=0)[1:][steps]
+    if not within:
+        return [case]
+    found = []
+    for delay in np.rint(np.linspace(-within, within, INSTANTS) / time_step).astype(int):
+        steps = case.steps - delay
+        kept = steps >= 0  # before it begins the tissue is at rest and tells nothing
+        parts = {"steps": steps[kept], "displacement": case.displacement[kept], "weight": case.weight[kept]}
+        if kept.sum() >= least:
+            found.append(dataclasses.replace(case, **parts))
+    return found or [case]
 
 
-def onset_covariance(jacobian: np.ndarray, velocity: np.ndarray, prior: np.ndarray, interval: float) -> np.ndarray:
-    """Covariance of φ that an unknown beginning within ±`interval` [s] adds, shape [3, 3].
-
-    Args:
-        jacobian: derivatives of the observed motion by φ, in units of its noise, shape [R, 3].
-        velocity: its derivative by time, in units of the noise, shape [R] [1/s].
-        prior: information of the box, shape [3, 3].
-        interval: [s].
-    """
-    moved = np.linalg.solve(jacobian.T @ jacobian + prior, jacobian.T @ velocity)
-    return np.outer(moved, moved) * interval**2 / 3
+def together(means: np.ndarray, covariances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean [D] and covariance [D, D] of several distributions that count alike, shapes [n, D] and [n, D, D]."""
+    mean = means.mean(axis=0)
+    apart = means - mean
+    return mean, covariances.mean(axis=0) + apart.T @ apart / len(means)

@@ -63,12 +63,14 @@ class Material:
     fits: Fits
     """Training contacts around what explains them."""
     labelled: Fits
-    """The same contacts around their truth: the row `supervised` alone reads them."""
+    """The same, and those that nothing explains, around their truth: the row `supervised` alone reads them."""
     held_out: Fits
     """Other contacts, around their truth: evaluation alone reads them."""
 
 
-def write_material(path: Path, weights: Path, contacts: int, held_out: int, seed: int, progress: Progress) -> None:
+def write_material(
+    path: Path, weights: Path, contacts: int, held_out: int, seed: int, progress: Progress, workers: int
+) -> None:
     """Make the material once; it appears under its name only when complete.
 
     Args:
@@ -77,14 +79,15 @@ def write_material(path: Path, weights: Path, contacts: int, held_out: int, seed
         contacts, held_out: about how many of either kind.
         seed: another seed gives other contacts.
         progress: gets a bar for each stage.
+        workers: processes; 0 = in this one.
     """
-    drawn = make_contacts(contacts, seed, progress)
+    drawn = make_contacts(contacts, seed, progress, workers)
     trainer = Trainer(drawn, seed)
     trainer.posterior.load_state_dict(torch.load(weights, map_location="cpu", weights_only=True))
     parts = {
-        "fits": trainer.fit(progress),
+        "fits": trainer.fit(progress, workers),
         "labelled": around_truth(drawn),
-        "held_out": around_truth(make_contacts(held_out, seed + 1, progress)),
+        "held_out": around_truth(make_contacts(held_out, seed + 1, progress, workers)),
     }
     arrays = {
         f"{part}_{field.name}": getattr(fits, field.name)

@@ -26,7 +26,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from estimators.contact_training import LEAST_STEPS
+from estimators.contact_training import LEAST_STEPS, TrainingError
 from estimators.worker_pool import WorkerLost, run_tasks
 from evaluation import ablation_observation, ablation_training
 from evaluation.ablation_output import FAILED, Result, keep, kept, write_all
@@ -154,7 +154,7 @@ def prepare(left: list[Row], options: argparse.Namespace, sha256: str, progress:
         path = _contacts(options.output, settings_of(row, options, sha256))
         if not path.is_file():
             ablation_observation.write_material(
-                path, options.weights, options.contacts, options.held_out, options.seed, progress
+                path, options.weights, options.contacts, options.held_out, options.seed, progress, options.workers
             )
     if not any(row.family == TRAINING for row in left):
         return ()
@@ -226,7 +226,7 @@ def main(arguments: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         console.print("Interrupted; finished rows are kept, and the same command continues.", style="yellow")
         return INTERRUPTED
-    except (OSError, OutputError, RowFailed, WorkerLost) as error:
+    except (OSError, OutputError, RowFailed, TrainingError, WorkerLost) as error:
         console.print(f"{error} Finished rows are kept.", style="red", markup=False, highlight=False, soft_wrap=True)
         return 1
     table = (options.output / "ablations.md").read_text(encoding="utf-8")

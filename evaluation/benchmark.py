@@ -141,7 +141,7 @@ def estimator_specs(options: argparse.Namespace) -> list[EstimatorSpec]:
             model_sha256=sha256_of(path) if path else "",
             noise=options.noise if name == "direct" else None,
             seen=options.seen,
-            onset=options.onset,
+            onset=options.onset if name in ("direct", "network") else STAMP,
         )
         specs.append(spec if path is None else check_model(spec))
     return specs

@@ -34,6 +34,7 @@ from data.masks import MaskClasses
 from data.samples import PRESS
 from estimators.contact_fits import BOUNDS, MECHANICS, SCENES
 from estimators.estimate import NINETY
+from estimators.onset import STAMP
 from evaluation.recovery import OK, PREPARE, Recovery
 from evaluation.recovery_details import true_verdicts
 from evaluation.recovery_scores import deviations, score_all
@@ -118,17 +119,24 @@ def fit_verdicts(rows: Sequence[Recovery], factors: np.ndarray) -> tuple[np.ndar
 
     Returns:
         The factors times one number, shape [3], and the exponent of σ over REFERENCE_SPACING.
+
+    Raises:
+        ValueError: no clip has a clear verdict.
     """
     used = [row for row in rows if row.estimator == "network" and row.status == OK and row.covariance is not None]
     score = np.zeros((len(VERDICT_SCALES), len(VERDICT_EXPONENTS)))
     for item in score_all(used):
         true, clear = true_verdicts(item.bounds)
+        if not clear.any():
+            continue
         log_noise = np.log([row.noise / REFERENCE_SPACING for row in item.rows])
         covariances = np.array([row.covariance for row in item.rows]) * np.outer(factors, factors)
         for place in np.ndindex(score.shape):
             wider = VERDICT_SCALES[place[0]] * np.exp(VERDICT_EXPONENTS[place[1]] * log_noise)
             given, _ = true_verdicts(wider[:, None] * deviations(covariances))
             score[place] += (given == true)[clear].mean()
+    if not score.any():
+        raise ValueError("No validation clip has a clear verdict; run the benchmark with more --clips.")
     smooth = uniform_filter(score, 3, mode="nearest")
     scale, exponent = np.rint(np.argwhere(smooth >= smooth.max() - 1e-9).mean(axis=0)).astype(int)
     return factors * VERDICT_SCALES[scale], float(VERDICT_EXPONENTS[exponent])
@@ -182,6 +190,8 @@ def check_record(folder: Path, weights_sha256: str, seen: str | None) -> None:
         if record.get(name) != value:
             remedy = f"with --{name} {value}" if value else f"without --{name}"
             raise ValueError(f"{folder} has {name} {record.get(name)}; run the benchmark {remedy}.")
+    if network.get("onset", STAMP) != STAMP:
+        raise ValueError(f"{folder} was made with --onset {network['onset']}; run the benchmark without it.")
     if network.get("weights_sha256") != weights_sha256 or network.get("calibrated") is not False:
         raise ValueError(
             f"{folder} is not of the uncalibrated network of these weights; export it without --validation, and run "

@@ -87,8 +87,8 @@ def open_estimator(spec: EstimatorSpec) -> Estimator:
         ModelFileError: its network can't be used.
     """
     if spec.name == "direct":
-        settings = DirectSettings(noise=spec.noise, onset=spec.onset)
-        return lambda clip: _answers(fit_clip(clip, settings, spec.seen))
+        settings = DirectSettings(noise=spec.noise)
+        return lambda clip: _answers(fit_clip(clip, settings, spec.seen, spec.onset))
     if spec.name == "constant":
         return functools.partial(_constant, np.array(spec.constant))
     if spec.name == "paper":

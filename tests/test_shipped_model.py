@@ -64,17 +64,20 @@ def test_rows_carry_uncertainty_and_verdict(results) -> None:
 
 
 def test_a_press_at_a_known_instant_is_known_better(results, tmp_path) -> None:
-    """Real presses begin between frames, which is what intervals allow for unless told otherwise; means stay."""
+    """Real presses begin between frames, which is what intervals allow for unless told otherwise."""
     rows, record, clip = results
     assert record["estimator"] == {"onset": "between"}
     assert main([str(clip), "--output", str(tmp_path), "--no-overlay", "--onset", "stamp"]) == 0
     with (tmp_path / clip.name / "parameters.csv").open() as file:
         exact = [row for row in csv.DictReader(file) if row["stiffness"]]
     between = [row for row in rows if row["stiffness"]]
-    assert [row["stiffness"] for row in exact] == [row["stiffness"] for row in between]
+    assert len(between) == len(exact) > 3
     for name in ("stiffness", "damping", "force"):
-        for known, unsure in zip(exact, between, strict=True):
-            assert float(known[f"{name}_high"]) < float(unsure[f"{name}_high"])
+        widths = [
+            np.mean([np.log(float(row[f"{name}_high"]) / float(row[f"{name}_low"])) for row in found])
+            for found in (exact, between)
+        ]
+        assert widths[0] < 0.9 * widths[1]
     assert json.loads((tmp_path / clip.name / "run.json").read_text())["estimator"] == {"onset": "stamp"}
 
 

@@ -1,32 +1,54 @@
-"""What not knowing when a press began adds to an estimate, against the least-squares fits that it stands for."""
+"""Contacts as if they had begun at other instants, and what estimates of them are together."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from estimators.onset import onset_covariance, onset_error, velocities
+from data.samples import ContactCase
+from estimators.onset import begun_otherwise, onset_error, together
+from physics.mesh import grid_mesh
+
+CASE = ContactCase(
+    mesh=grid_mesh(np.dstack([*np.meshgrid([0.0, 0.01], [0.0, 0.01]), np.ones((2, 2))]), np.ones((2, 2), bool)),
+    vertex=0,
+    direction=np.array([0.0, 0.0, -1.0], np.float32),
+    load_steps=50,
+    steps=np.array([7, 15, 23, 31]),
+    displacement=np.arange(12, dtype=np.float32).reshape(4, 3),
+    weight=np.ones(4, np.float32),
+    noise=0.001,
+)
 
 
-def test_covariance_is_that_of_fits_to_motions_that_began_otherwise() -> None:
-    """Delays evenly spread over ±T, a linear model, and a fit with a prior about the true parameters."""
+def test_later_beginnings_leave_less_time_for_the_same_motion() -> None:
+    """Frames of 40 ms are 8 steps: what was seen in the 8th step happened 4 or 12 steps after other beginnings."""
+    assert begun_otherwise(CASE, 0.0, 0.005, 2) == [CASE]
+    found = begun_otherwise(CASE, 0.04, 0.005, 2)
+    assert [case.steps.tolist() for case in found] == [
+        [15, 23, 31, 39],
+        [11, 19, 27, 35],
+        [7, 15, 23, 31],
+        [3, 11, 19, 27],
+        [7, 15, 23],  # the tissue was still at rest in the first of the frames
+    ]
+    np.testing.assert_array_equal(found[-1].displacement, CASE.displacement[1:])
+    assert {case.load_steps for case in found} == {50}
+    assert len(begun_otherwise(CASE, 0.04, 0.005, 4)) == 4
+    assert begun_otherwise(CASE, 0.04, 0.005, 5) == [CASE]
+
+
+def test_together_they_are_a_mixture() -> None:
+    """Mean and covariance of draws of which every distribution gives as many."""
     generator = np.random.default_rng(0)
-    jacobian, velocity = generator.normal(size=(40, 3)), generator.normal(size=40)
-    prior, interval = np.diag([1.0, 20.0, 5.0]), 0.04
-    delays = interval * np.linspace(-1, 1, 20001)
-    errors = np.linalg.solve(jacobian.T @ jacobian + prior, np.outer(jacobian.T @ velocity, delays))
-    np.testing.assert_allclose(
-        onset_covariance(jacobian, velocity, prior, interval), errors @ errors.T / len(delays), rtol=1e-3
+    means = np.array([[0.0, 1.0], [2.0, -1.0], [1.0, 0.5]])
+    factors = np.array([[[1.0, 0.0], [0.5, 0.3]], [[0.2, 0.0], [0.0, 2.0]], [[1.0, 0.0], [-0.4, 0.1]]])
+    draws = np.concatenate(
+        [mean + generator.normal(size=(200_000, 2)) @ f.T for mean, f in zip(means, factors, strict=True)]
     )
-
-
-def test_velocity_of_a_known_motion() -> None:
-    """d = (t², -3t, 0): second-order differences are exact, also at the first step, before which it rests."""
-    time_step, times = 0.01, 0.01 * np.arange(1, 101)
-    path = np.stack([times**2, -3 * times, 0 * times], axis=1)
-    steps = np.array([0, 10, 98])
-    expected = np.stack([2 * times, np.full(100, -3.0), 0 * times], axis=1)[steps]
-    np.testing.assert_allclose(velocities(path, steps, time_step), expected, atol=1e-12)
+    mean, covariance = together(means, factors @ factors.transpose(0, 2, 1))
+    np.testing.assert_allclose(mean, draws.mean(axis=0), atol=0.01)
+    np.testing.assert_allclose(covariance, np.cov(draws.T), atol=0.02)
 
 
 def test_a_frame_is_what_is_not_known() -> None:

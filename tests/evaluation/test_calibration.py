@@ -88,6 +88,17 @@ def test_verdicts_find_the_standard_deviations_that_are_the_bounds(scale: float,
     assert found == pytest.approx(exponent, abs=0.075)
 
 
+def test_suites_without_a_clear_verdict_say_nothing() -> None:
+    unclear = np.eye(3) * (0.001 / 0.5) ** 2  # bounds at the limit
+    clear = [recovery(index, estimator="network") for index in range(20)]
+    factors, exponent = fit_verdicts(clear, np.ones(3))
+    odd = recovery(0, suite="noisy", estimator="network", information=unclear)
+    np.testing.assert_array_equal(fit_verdicts([*clear, odd], np.ones(3))[0], factors)
+    assert fit_verdicts([*clear, odd], np.ones(3))[1] == exponent
+    with pytest.raises(ValueError, match="No validation clip has a clear verdict"):
+        fit_verdicts([odd], np.ones(3))
+
+
 def test_too_few_clips_are_refused() -> None:
     with pytest.raises(ValueError, match="needs 100"):
         Scored(np.zeros((99, 3)), np.ones((99, 3)), np.ones(99))
@@ -102,6 +113,7 @@ def test_results_of_something_else_are_refused(tmp_path) -> None:
         ({"seen": "press"}, "has seen press; run the benchmark without --seen"),
         ({"estimators": {"network": network | {"weights_sha256": "def"}}}, "not of the uncalibrated network"),
         ({"estimators": {"network": network | {"calibrated": True}}}, "not of the uncalibrated network"),
+        ({"estimators": {"network": network | {"onset": "between"}}}, "made with --onset between"),
         ({"estimators": {}}, "not of the uncalibrated network"),
     ):
         (tmp_path / "run.json").write_text(json.dumps(right | change))

@@ -6,10 +6,10 @@
 Errors are taken to have standard deviations scale · sd^power · σ^noise, with sd the network's own and σ the
 observation's; the exponents are the likeliest ones for normal errors, the scale is then set so that the 90 % intervals
 hold the truth in 90 % of the validation results (conformal prediction, Vovk's quantile, with a normalised score). Both
-come from the same results and several suites observe the same clips, so the guarantee is not exact. One more factor a
-parameter does the same for contacts whose release has not been seen (--pressed). Verdicts go by standard deviations of
-their own, chosen so that most of them are right. Without --validation nothing is changed. Truth of validation clips
-serves this and nothing else; no weight of the network changes.
+come from the same results and several suites observe the same clips, so the guarantee is not exact. Verdicts go by
+standard deviations of their own, chosen so that most of them are right. All that is done once for whole contacts, and
+once for those whose release has not been seen (--pressed). Without --validation nothing is changed. Truth of validation
+clips serves this and nothing else; no weight of the network changes.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from evaluation.recovery_details import true_verdicts
 from evaluation.recovery_scores import deviations, score_all
 from evaluation.recovery_store import RECORD, RESULTS, read_results
 from evaluation.run_record import sha256_of
-from models.calibration import Calibration
+from models.calibration import Calibration, Widths
 from models.checkpoint import load_posterior
 from models.posterior import ContactPosterior
 from models.posterior_export import export_posterior
@@ -85,27 +85,24 @@ class Scored:
         return cls(errors.reshape(-1, 3), deviations.reshape(-1, 3), noise)
 
 
-def fit_calibration(whole: Scored, pressed: Scored) -> Calibration:
-    """What makes the 90 % intervals hold 90 % of the truths, and narrow ones as often as wide ones.
+def fit_widths_of(rows: Sequence[Recovery]) -> Widths:
+    """What makes the 90 % intervals hold 90 % of the truths, narrow ones as often as wide ones, and verdicts right.
 
-    Args:
-        whole: contacts seen through their release.
-        pressed: contacts seen as long as the tool pressed.
+    Raises:
+        ValueError: too few results, or none with a clear verdict.
     """
+    seen = Scored.of(rows)
     scales, powers, exponents = [], [], []
-    for error, deviation in zip(whole.errors.T, whole.deviations.T, strict=True):
-        known = np.stack([np.log(deviation), np.log(whole.noise)], axis=1)
-        power, exponent = fit_widths(error, known)
+    for error, deviation in zip(seen.errors.T, seen.deviations.T, strict=True):
+        known = np.stack([np.log(deviation), np.log(seen.noise)], axis=1)
+        power, exponent = fit_exponents(error, known)
         powers.append(power)
         exponents.append(exponent)
         scales.append(conformal_scale(error, np.exp(known @ (power, exponent))))
-    widths = scales * pressed.deviations**powers * pressed.noise[:, None] ** np.array(exponents)
-    factors = [conformal_scale(*pair) for pair in zip(pressed.errors.T, widths.T, strict=True)]
-    decisive = [conformal_scale(*pair) for pair in zip(whole.errors.T, whole.deviations.T, strict=True)]
-    scale, power, noise, before, verdict = (
-        tuple(map(float, values)) for values in (scales, powers, exponents, factors, decisive)
-    )
-    return Calibration(scale, power, noise, LOG_NOISE, before, KNOWN, LOADED, verdict)
+    plain = [conformal_scale(*pair) for pair in zip(seen.errors.T, seen.deviations.T, strict=True)]
+    decisive, decisive_noise = fit_verdicts(rows, np.array(plain))
+    scale, power, noise, verdict = (tuple(map(float, values)) for values in (scales, powers, exponents, decisive))
+    return Widths(scale, power, noise, verdict, decisive_noise)
 
 
 def fit_verdicts(rows: Sequence[Recovery], factors: np.ndarray) -> tuple[np.ndarray, float]:
@@ -142,7 +139,7 @@ def fit_verdicts(rows: Sequence[Recovery], factors: np.ndarray) -> tuple[np.ndar
     return factors * VERDICT_SCALES[scale], float(VERDICT_EXPONENTS[exponent])
 
 
-def fit_widths(errors: np.ndarray, known: np.ndarray) -> np.ndarray:
+def fit_exponents(errors: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Likeliest coefficients b of normal errors with standard deviations exp(a + known·b), shape [D]; a is free.
 
     Args:
@@ -241,18 +238,18 @@ def main(arguments: list[str] | None = None) -> int:
             weights = sha256_of(options.weights)
             check_record(options.validation, weights, None)
             check_record(options.pressed, weights, PRESS)
-            rows = [read_results(folder / RESULTS) for folder in (options.validation, options.pressed)]
-            whole, pressed = map(Scored.of, rows)
-            calibration = fit_calibration(whole, pressed)
-            decisive, exponent = fit_verdicts(rows[0], np.array(calibration.decisive))
-            calibration = dataclasses.replace(calibration, decisive=tuple(decisive.tolist()), decisive_noise=exponent)
+            whole, pressed = (
+                fit_widths_of(read_results(folder / RESULTS)) for folder in (options.validation, options.pressed)
+            )
+            calibration = Calibration(whole, pressed, LOG_NOISE, KNOWN, LOADED)
         difference = export_posterior(posterior, options.output, metadata(options.weights), calibration)
     except (OSError, RuntimeError, ValueError) as error:
         print(error, file=sys.stderr)
         return 1
     print(f"{options.output}: written; largest difference from torch {difference:.1e}")
-    for name, values in calibration.document().items():
-        print(f"  {name}: {np.round(values, 3).tolist()}")
+    for name in ("whole", "pressed"):
+        for field, values in dataclasses.asdict(getattr(calibration, name)).items():
+            print(f"  {name} {field}: {np.round(values, 3).tolist()}")
     return 0
 
 

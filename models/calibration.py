@@ -10,10 +10,8 @@ Triple = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
-class Calibration:
-    """Calibrated standard deviations of log θ: scale · sd^power · σ^noise, times `pressed` until the release is seen.
-
-    The default leaves them as they are.
+class Widths:
+    """Calibrated standard deviations of log θ: scale · sd^power · σ^noise; the default leaves them as they are.
 
     Networks are surest where they should be least so: their own error hardly shrinks with the posterior's width. A
     power below 1 widens narrow intervals more than wide ones.
@@ -23,19 +21,34 @@ class Calibration:
     power: Triple = (1.0, 1.0, 1.0)
     noise: Triple = (0.0, 0.0, 0.0)
     """Exponents of the observation's σ, in the unit in which the contact's features tell it."""
-    noise_features: tuple[int, ...] = ()
-    """Features whose sum is log σ."""
-    pressed: Triple = (1.0, 1.0, 1.0)
-    """Factors of contacts whose release has not been seen, of the verdict's standard deviations too."""
-    known_features: tuple[int, ...] = ()
-    """Features that are 1 for instants that were seen."""
-    loaded_features: tuple[int, ...] = ()
-    """Features that are 1 for instants that were seen under load."""
     decisive: Triple = (1.0, 1.0, 1.0)
     """Factors of the network's own standard deviations by which the verdict is given."""
     decisive_noise: float = 0.0
     """Exponent of σ in them."""
 
+
+@dataclass(frozen=True)
+class Calibration:
+    """Widths by what was seen of a contact, and where its features tell that."""
+
+    whole: Widths = Widths()
+    """Of contacts seen through their release."""
+    pressed: Widths = Widths()
+    """Of contacts whose release has not been seen; used where `known_features` are given."""
+    noise_features: tuple[int, ...] = ()
+    """Features whose sum is log σ."""
+    known_features: tuple[int, ...] = ()
+    """Features that are 1 for instants that were seen."""
+    loaded_features: tuple[int, ...] = ()
+    """Features that are 1 for instants that were seen under load."""
+
     def document(self) -> dict[str, Any]:
         """As JSON-able values."""
-        return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(self).items()}
+        return {
+            name: {key: _plain(item) for key, item in value.items()} if isinstance(value, dict) else _plain(value)
+            for name, value in asdict(self).items()
+        }
+
+
+def _plain(value: Any) -> Any:
+    return list(value) if isinstance(value, tuple) else value

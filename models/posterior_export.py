@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from models.calibration import Calibration
+from models.calibration import Calibration, Widths
 from models.generator import Generator
 from models.onnx_file import PARITY_BATCHES, write_onnx
 from models.onnx_session import INPUT
@@ -20,22 +20,34 @@ from models.posterior import ContactPosterior
 from models.posterior_session import CONTACT, DECISIVE, LOG_COVARIANCE, LOG_MEAN, POSTERIOR, PosteriorModel
 
 
-class _Calibrated(nn.Module):
-    """Mean, calibrated covariance, and the covariance by which verdicts are given."""
+class _Widened(nn.Module):
+    """Factors of a posterior's standard deviations: for its covariance, and for the one by which verdicts are given."""
 
     scale: Tensor
     power: Tensor
     noise: Tensor
-    pressed: Tensor
     decisive: Tensor
+
+    def __init__(self, widths: Widths) -> None:
+        super().__init__()
+        self.decisive_noise = widths.decisive_noise
+        for name in ("scale", "power", "noise", "decisive"):
+            self.register_buffer(name, torch.tensor(getattr(widths, name), dtype=torch.float32))
+
+    def forward(self, log_sd: Tensor, log_noise: Tensor) -> tuple[Tensor, Tensor]:
+        """Shapes [B, 3], of standard deviations [B, 3] and σ [B, 1], both in logarithms."""
+        widened = self.scale * torch.exp((self.power - 1) * log_sd + self.noise * log_noise)
+        return widened, self.decisive * torch.exp(self.decisive_noise * log_noise)
+
+
+class _Calibrated(nn.Module):
+    """Mean, calibrated covariance, and the covariance by which verdicts are given."""
 
     def __init__(self, network: ContactPosterior | Generator, calibration: Calibration) -> None:
         super().__init__()
         self.network, self.noise_features = network, list(calibration.noise_features)
-        self.decisive_noise = calibration.decisive_noise
         self.known, self.loaded = list(calibration.known_features), list(calibration.loaded_features)
-        for name in ("scale", "power", "noise", "pressed", "decisive"):
-            self.register_buffer(name, torch.tensor(getattr(calibration, name), dtype=torch.float32))
+        self.whole, self.pressed = _Widened(calibration.whole), _Widened(calibration.pressed)
 
     def forward(self, contact: Tensor, depth: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
         if depth is None:
@@ -44,16 +56,16 @@ class _Calibrated(nn.Module):
             answer = self.network.answer(self.network.encode(depth), contact)
             mean, factor = answer.mean, answer.factor
         log_sd = 0.5 * torch.log(factor.square().sum(dim=2))
-        widened = self.scale * torch.exp((self.power - 1) * log_sd)
-        decisive = self.decisive.expand_as(log_sd)
+        log_noise = torch.zeros_like(log_sd[:, :1])
         if self.noise_features:
             log_noise = contact[:, self.noise_features].sum(dim=1, keepdim=True)
-            widened = widened * torch.exp(self.noise * log_noise)
-            decisive = decisive * torch.exp(self.decisive_noise * log_noise)
+        factors = self.whole(log_sd, log_noise)
         if self.known:
             known, loaded = (contact[:, places].sum(dim=1, keepdim=True) for places in (self.known, self.loaded))
-            factors = torch.where(known - loaded > 0.5, torch.ones_like(self.pressed), self.pressed)
-            widened, decisive = widened * factors, decisive * factors
+            released = known - loaded > 0.5
+            pressed = self.pressed(log_sd, log_noise)
+            factors = tuple(torch.where(released, *pair) for pair in zip(factors, pressed, strict=True))
+        widened, decisive = factors
         return mean, _covariance(factor, widened), _covariance(factor, decisive)
 
 

@@ -47,10 +47,9 @@ class PosteriorModel:
         """Length of the contact's vector."""
         self.takes_depth = INPUT in inputs
         """Whether it looks at the depth window as well."""
-        plain, told = Calibration().document(), self.metadata.get("calibration", {})
-        self.calibrated = any(
-            told.get(name, plain[name]) != plain[name] for name in ("scale", "power", "noise", "pressed")
-        )
+        plain = Calibration().document()["whole"]
+        told = self.metadata.get("calibration", {}).get("whole", plain)
+        self.calibrated = any(told.get(name) != plain[name] for name in ("scale", "power", "noise"))
         """Whether its standard deviations are more than the network's own."""
 
     def __call__(

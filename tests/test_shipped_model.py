@@ -27,8 +27,10 @@ def test_it_is_small_and_says_what_it_is() -> None:
     assert isinstance(network, ContactNetwork)
     assert network.model.metadata["observation"] == "trajectory"
     calibration = network.model.metadata["calibration"]
-    assert min(calibration["decisive"]) > 0.5
-    assert 0.3 < min(calibration["power"]) <= max(calibration["power"]) < 1.2
+    assert network.model.calibrated
+    for widths in (calibration["whole"], calibration["pressed"]):
+        assert min(widths["decisive"]) > 0.5
+        assert 0.3 < min(widths["power"]) <= max(widths["power"]) < 1.2
     assert "scene units" in network.model.metadata["units"]["force"]
 
 

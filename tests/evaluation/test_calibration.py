@@ -7,18 +7,18 @@ import json
 import numpy as np
 import pytest
 
-from data.contact_features import KNOWN, LOADED, LOG_NOISE, REFERENCE_SPACING
+from data.contact_features import REFERENCE_SPACING
 from estimators.estimate import NINETY
 from evaluation.calibration import (
     Scored,
     check_record,
     conformal_scale,
-    fit_calibration,
+    fit_exponents,
     fit_verdicts,
-    fit_widths,
+    fit_widths_of,
     main,
 )
-from tests.evaluation.recovery_cases import recovery
+from tests.evaluation.recovery_cases import off_by, recovery
 
 
 def test_factor_by_hand() -> None:
@@ -32,11 +32,11 @@ def test_widths_are_found_again() -> None:
     generator = np.random.default_rng(0)
     known = np.log(generator.uniform(0.05, 0.5, (20000, 2)))
     errors = generator.normal(size=20000) * np.exp(0.3 + known @ (0.7, 0.2))
-    np.testing.assert_allclose(fit_widths(errors, known), (0.7, 0.2), atol=0.03)
+    np.testing.assert_allclose(fit_exponents(errors, known), (0.7, 0.2), atol=0.03)
     known[:, 1] = 1.0  # tells nothing, so the rest must come out as without it
-    found = fit_widths(errors, known)
+    found = fit_exponents(errors, known)
     assert found[1] == 0
-    np.testing.assert_allclose(found[:1], fit_widths(errors, known[:, :1]), rtol=1e-6)
+    np.testing.assert_allclose(found[:1], fit_exponents(errors, known[:, :1]), rtol=1e-6)
 
 
 def test_overconfident_estimates_become_calibrated_at_any_width() -> None:
@@ -44,23 +44,30 @@ def test_overconfident_estimates_become_calibrated_at_any_width() -> None:
     generator = np.random.default_rng(0)
     sd, noise = generator.uniform(0.03, 0.6, (6000, 3)), generator.choice([0.4, 1.5], 6000)
     errors = generator.normal(size=(6000, 3)) * 1.3 * sd**0.7 * noise[:, None] ** 0.2
-    early = errors * (1.0, 1.4, 0.8)  # of contacts that were not seen to the end
-    found = fit_calibration(
-        Scored(errors[:3000], sd[:3000], noise[:3000]), Scored(early[:3000], sd[:3000], noise[:3000])
-    )
+    rows = [
+        recovery(
+            index,
+            estimator="network",
+            estimate=off_by(error),
+            covariance=np.diag(deviation**2),
+            noise=level * REFERENCE_SPACING,
+        )
+        for index, (error, deviation, level) in enumerate(zip(errors[:3000], sd[:3000], noise[:3000], strict=True))
+    ]
+    found = fit_widths_of(rows)
     np.testing.assert_allclose(found.power, 0.7, atol=0.06)
     np.testing.assert_allclose(found.noise, 0.2, atol=0.06)
-    np.testing.assert_allclose(found.pressed, (1.0, 1.4, 0.8), rtol=1e-6)
-    assert (found.noise_features, found.known_features, found.loaded_features) == (LOG_NOISE, KNOWN, LOADED)
     widths = found.scale * sd[3000:] ** found.power * noise[3000:, None] ** np.array(found.noise)
     held = np.abs(errors[3000:]) <= NINETY * widths
-    flat = np.abs(errors[3000:]) <= NINETY * sd[3000:] * np.array(found.decisive)
-    np.testing.assert_allclose(flat.mean(axis=0), 0.9, atol=0.02)
     for parameter in range(3):
-        narrow, wide = np.array_split(np.argsort(sd[3000:, parameter]), 2)
-        for half in (narrow, wide):
+        order = np.argsort(sd[3000:, parameter])
+        for half in np.array_split(order, 2):
             assert held[half, parameter].mean() == pytest.approx(0.9, abs=0.03)
-        assert flat[narrow, parameter].mean() < 0.87 < 0.93 < flat[wide, parameter].mean()
+        flat = conformal_scale(errors[:3000, parameter], sd[:3000, parameter]) * sd[3000:, parameter]
+        narrow, wide = (
+            (np.abs(errors[3000:, parameter]) <= NINETY * flat)[half].mean() for half in np.array_split(order, 2)
+        )
+        assert narrow < 0.87 < 0.93 < wide
 
 
 @pytest.mark.parametrize(("scale", "exponent"), [(0.8, -0.2), (1.2, 0.1)])

@@ -27,7 +27,7 @@ from evaluation.run_record import (
     versions,
     warnings_of,
 )
-from models.calibration import Calibration
+from models.calibration import Calibration, Widths
 from models.onnx_session import ParameterModel
 from models.posterior import ContactPosterior
 from models.posterior_export import export_posterior
@@ -135,8 +135,11 @@ def test_warnings_name_sources_the_model_was_not_trained_on(tmp_path: Path) -> N
     ("calibration", "told"),
     [
         (None, [UNCALIBRATED]),
-        (Calibration(decisive=(2.0, 2.0, 2.0)), [UNCALIBRATED]),  # that of the verdict is none of the intervals'
-        (Calibration(power=(1.0, 0.8, 1.0)), []),
+        (
+            Calibration(Widths(decisive=(2.0, 2.0, 2.0))),
+            [UNCALIBRATED],
+        ),  # that of the verdict is none of the intervals'
+        (Calibration(Widths(power=(1.0, 0.8, 1.0))), []),
     ],
 )
 def test_intervals_that_were_never_calibrated_are_warned_of(

@@ -8,7 +8,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from models.calibration import Calibration
+from models.calibration import Calibration, Widths
 from models.generator import Generator
 from models.onnx_session import ModelFileError
 from models.posterior import ContactPosterior, evidence_loss
@@ -85,17 +85,9 @@ def test_gradient_by_the_mean_is_the_misfits() -> None:
 
 def test_exported_file_agrees_and_is_calibrated(posterior: ContactPosterior, tmp_path) -> None:
     posterior.standardise(torch.randn(50, 10) * 3 + 1)
-    calibration = Calibration(
-        scale=(1.0, 2.0, 0.5),
-        power=(1.0, 0.8, 0.5),
-        noise=(0.0, 0.2, 0.1),
-        noise_features=(8, 9),
-        pressed=(1.5, 1.0, 3.0),
-        known_features=(4, 5),
-        loaded_features=(6, 7),
-        decisive=(1, 3, 2),
-        decisive_noise=-0.1,
-    )
+    whole = Widths((1.0, 2.0, 0.5), (1.0, 0.8, 0.5), (0.0, 0.2, 0.1), (1.0, 3.0, 2.0), -0.1)
+    pressed = Widths((1.5, 2.0, 1.5), (0.9, 0.8, 0.7), (0.1, 0.1, 0.0), (2.0, 1.0, 1.0), 0.05)
+    calibration = Calibration(whole, pressed, noise_features=(8, 9), known_features=(4, 5), loaded_features=(6, 7))
     assert export_posterior(posterior, tmp_path / "contact.onnx", METADATA, calibration) < 1e-5
     model = PosteriorModel(tmp_path / "contact.onnx")
     contact = np.random.default_rng(0).normal(size=(5, 10)).astype(np.float32)
@@ -109,13 +101,18 @@ def test_exported_file_agrees_and_is_calibrated(posterior: ContactPosterior, tmp
     plain = (factor @ factor.transpose(1, 2)).numpy()
     sd = np.sqrt(np.diagonal(plain, axis1=1, axis2=2))
     noise = np.exp(contact[:, 8] + contact[:, 9])[:, None]
-    pressed = np.where(still, (1.5, 1.0, 3.0), 1.0)
-    wanted = (1.0, 2.0, 0.5) * sd ** (1.0, 0.8, 0.5) * noise ** (0.0, 0.2, 0.1) * pressed
+    wanted, factors = (
+        np.where(still, *(of(each) for each in (pressed, whole)))
+        for of in (
+            lambda each: np.array(each.scale) * sd ** np.array(each.power) * noise ** np.array(each.noise),
+            lambda each: np.array(each.decisive) * noise**each.decisive_noise,
+        )
+    )
     np.testing.assert_allclose(np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)), wanted, rtol=1e-4)
     np.testing.assert_allclose(_correlations(covariance), _correlations(plain), atol=1e-4)
-    factors = np.array([1.0, 3.0, 2.0]) * pressed * noise**-0.1
     np.testing.assert_allclose(decisive, plain * factors[:, :, None] * factors[:, None], rtol=1e-4, atol=1e-6)
-    assert Calibration(**model.metadata["calibration"]).document() == calibration.document()
+    assert model.metadata["calibration"] == calibration.document()
+    assert model.calibrated
     assert (model.features, model.takes_depth, model.calibrated) == (10, False, True)
     with pytest.raises(ValueError, match=r"expected \[B, 10\]"):
         model(contact[:, :9])

@@ -138,7 +138,7 @@ def test_warnings_name_sources_the_model_was_not_trained_on(tmp_path: Path) -> N
         (
             Calibration(Widths(decisive=(2.0, 2.0, 2.0))),
             [UNCALIBRATED],
-        ),  # that of the verdict is none of the intervals'
+        ),  # the verdict's are no intervals
         (Calibration(Widths(power=(1.0, 0.8, 1.0))), []),
     ],
 )

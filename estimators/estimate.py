@@ -152,7 +152,6 @@ def combined(found: Sequence[ContactEstimate]) -> ContactEstimate:
         best,
         theta=np.exp(mean) * signs,
         covariance=covariance,
-        at_bound=np.all([item.at_bound for item in found], axis=0),
         decisive=np.linalg.inv(decisive),
     )
 

@@ -120,9 +120,9 @@ def doubts(estimate: ContactEstimate, ranges: Sequence[tuple[float, float]]) -> 
             # An oblique one was widened by its misfit.
             + ("." if oblique else ", so the uncertainties are too small.")
         )
-    for name, stuck, value, (low, high) in zip(PARAMETERS, estimate.at_bound, estimate.theta, ranges, strict=True):
+    for name, stuck, (low, high) in zip(PARAMETERS, estimate.at_bound, ranges, strict=True):
         if stuck:
-            told.append(f"The {name} of {abs(value):.3g} is the end of its admissible range, {low:g} to {high:g}.")
+            told.append(f"The best fit lies at the end of the {name}'s admissible range, {low:g} to {high:g}.")
     return " ".join(told)
 
 

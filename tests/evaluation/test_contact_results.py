@@ -138,7 +138,7 @@ def test_doubts_name_a_misfit_and_parameters_at_their_ranges_end() -> None:
     poor = dataclasses.replace(ESTIMATE, misfit=2.34, at_bound=np.array([False, False, True]))
     told = doubts(poor, RANGES)
     assert told.startswith("The model does not explain the data: they lie 2.3 times the noise from it")
-    assert told.endswith("The force of 0.1 is the end of its admissible range, 0.01 to 0.3.")
+    assert told.endswith("The best fit lies at the end of the force's admissible range, 0.01 to 0.3.")
     stuck = dataclasses.replace(GOOD, estimate=poor, detail=told)
     assert dict(zip(COLUMNS, table_row(stuck), strict=True))["at_bound"] == "force"
 

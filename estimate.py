@@ -94,13 +94,13 @@ class DirectFits(Batch):
         """Fit every contact of a clip and write its results."""
         source, output = open_source(path, self.settings.layout), self.options.output
         folder = self.store.folder(source.name, path)
-        estimator = {"name": "direct", "onset": self.options.onset, **dataclasses.asdict(self.direct)}
+        self.matched = self.direct.matched(source.fps, self.options.onset)
+        estimator = {"name": "direct", "onset": self.options.onset, **dataclasses.asdict(self.matched)}
         provenance = Provenance(sha256_of(path, exclude=output.resolve()), "", self.settings, estimator)
         if not self.options.overwrite and self.store.is_complete(folder, provenance.fingerprint, FILES):
             self.say(f"{source.name}: up to date in {folder}; --overwrite computes it again")
             return Outcome(source.name, UP_TO_DATE, str(folder), read_record(folder).get("contacts", {}))
         task = progress.add_task(f"{place} {short(source.name)}", total=source.length or None)
-        self.matched = self.direct.matched(source.fps, self.options.onset)
         try:
             clip, frames, started = stream(source, self.settings), [], time.perf_counter()
             collected = CollectedClip(source.name, source.fps, _noting(clip, frames, progress, task), onsets_only=True)

@@ -30,7 +30,7 @@ from data.synthetic_source import prepare_synthetic
 from data.synthetic_truth import Motion
 from estimators import tracking_noise as noise
 from estimators.contact_problem import ContactProblem
-from estimators.tracking_noise import BLUR, REST, STEP, TRACKING
+from estimators.tracking_noise import BLUR, REST, STEP, TRACKING, sawtooth
 from estimators.worker_pool import WorkerLost, run_tasks
 from evaluation.benchmark import RateColumn
 from evaluation.recovery import MECHANICS, PREPARE, SAMPLES
@@ -118,12 +118,6 @@ def jackknife(statistic: Callable[[Sequence[Any]], Any], clips: Sequence[Any]) -
 def spread(errors: Sequence[np.ndarray]) -> float:
     """Standard deviation of errors [M] or [M, axes] within clips, which count alike."""
     return math.sqrt(np.mean([each.var(axis=0, ddof=1).mean() for each in errors]))
-
-
-def sawtooth(steps: np.ndarray) -> np.ndarray:
-    """Correlation in theory of the rounding errors of depths that differ by so many steps."""
-    part = np.abs(steps) % 1
-    return 1 - 6 * part * (1 - part)
 
 
 def common_variance(clips: Sequence[ClipErrors], rounded: bool) -> float:

@@ -83,6 +83,12 @@ def bounded_log_density(apart: np.ndarray, blur: float = BLUR) -> np.ndarray:
     return logsumexp(frames.sum(axis=2), axis=0, b=_SHARES[:, None])
 
 
+def sawtooth(steps: np.ndarray) -> np.ndarray:
+    """Correlation in theory of the rounding errors of depths that differ by so many steps, any shape."""
+    part = np.abs(steps) % 1
+    return 1 - 6 * part * (1 - part)
+
+
 def rounding_covariance(simulated: np.ndarray) -> np.ndarray:
     """Covariance of rounding errors between frames, shape [n, M, M] [σ²].
 
@@ -90,9 +96,8 @@ def rounding_covariance(simulated: np.ndarray) -> np.ndarray:
         simulated: displacement along the force, shape [n, M] [σ].
     """
     steps = (simulated[:, :, None] - simulated[:, None]) / STEP
-    part = np.abs(steps) % 1
     # A product of positive definite functions of the depths is one too.
-    kernel = (1 - 6 * part * (1 - part)) * np.exp(-0.5 * np.square(steps / REACH))
+    kernel = sawtooth(steps) * np.exp(-0.5 * np.square(steps / REACH))
     return (1 - INDEPENDENT) * kernel + INDEPENDENT * np.eye(simulated.shape[1])
 
 

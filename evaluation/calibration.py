@@ -77,11 +77,10 @@ class Scored:
 
     @classmethod
     def of(cls, rows: Sequence[Recovery]) -> Scored:
-        """The network's estimates among a benchmark's results, all suites together."""
-        used = [row for row in rows if row.estimator == "network" and row.status == OK and row.covariance is not None]
-        errors = np.array([np.log(np.abs(row.estimate)) - np.log(np.abs(row.theta)) for row in used])
-        deviations = np.array([np.sqrt(np.diag(row.covariance)) for row in used])
-        noise = np.array([row.noise / REFERENCE_SPACING for row in used])
+        """Of results, all suites together."""
+        errors = np.array([np.log(np.abs(row.estimate)) - np.log(np.abs(row.theta)) for row in rows])
+        deviations = np.array([np.sqrt(np.diag(row.covariance)) for row in rows])
+        noise = np.array([row.noise / REFERENCE_SPACING for row in rows])
         return cls(errors.reshape(-1, 3), deviations.reshape(-1, 3), noise)
 
 
@@ -91,6 +90,7 @@ def fit_widths_of(rows: Sequence[Recovery]) -> Widths:
     Raises:
         ValueError: too few results, or none with a clear verdict.
     """
+    rows = [row for row in rows if row.estimator == "network" and row.status == OK and row.covariance is not None]
     seen = Scored.of(rows)
     scales, powers, exponents = [], [], []
     for error, deviation in zip(seen.errors.T, seen.deviations.T, strict=True):
@@ -111,7 +111,7 @@ def fit_verdicts(rows: Sequence[Recovery], factors: np.ndarray) -> tuple[np.ndar
     Every suite counts alike. The best is sought where its neighbours are good as well, and amidst what is as good.
 
     Args:
-        rows: a benchmark's results.
+        rows: the network's estimates.
         factors: their ratios are kept, shape [3].
 
     Returns:
@@ -120,9 +120,8 @@ def fit_verdicts(rows: Sequence[Recovery], factors: np.ndarray) -> tuple[np.ndar
     Raises:
         ValueError: no clip has a clear verdict.
     """
-    used = [row for row in rows if row.estimator == "network" and row.status == OK and row.covariance is not None]
     score = np.zeros((len(VERDICT_SCALES), len(VERDICT_EXPONENTS)))
-    for item in score_all(used):
+    for item in score_all(rows):
         true, clear = true_verdicts(item.bounds)
         if not clear.any():
             continue

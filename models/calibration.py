@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -44,11 +45,4 @@ class Calibration:
 
     def document(self) -> dict[str, Any]:
         """As JSON-able values."""
-        return {
-            name: {key: _plain(item) for key, item in value.items()} if isinstance(value, dict) else _plain(value)
-            for name, value in asdict(self).items()
-        }
-
-
-def _plain(value: Any) -> Any:
-    return list(value) if isinstance(value, tuple) else value
+        return json.loads(json.dumps(asdict(self)))

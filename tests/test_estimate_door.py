@@ -105,6 +105,8 @@ def test_real_presses_begin_between_frames(done: Path, clips: Path, tmp_path: Pa
         assert widths[1] > 1.2 * widths[0]
     told = [record(folder)["estimator"]["onset"] for folder in (done, tmp_path / "video01_00000")]
     assert told == ["stamp", "between"]
+    within = [record(folder)["estimator"]["onset_within"] for folder in (done, tmp_path / "video01_00000")]
+    assert within == [0.0, pytest.approx(0.04)]
 
 
 def test_record_says_what_was_done(done: Path) -> None:

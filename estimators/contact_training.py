@@ -4,12 +4,13 @@
 
 The loss is the evidence bound: the trajectory residual with its σ is the likelihood, the admissible box the prior (a
 Gaussian with the box's mean and variance). It reads motions and noise levels, never θ; θ of held-out contacts is read
-by the logged evaluation alone. Three stages, because a rollout costs more than the network:
+by the logged evaluation alone. Four stages, because a rollout costs more than the network:
  1. `rough`: rollouts at the network's own mean, with σ raised by a share of the motion: an under-damped response has an
     optimum for every number of swings, and only the wide view shows which is right.
  2. `fit`: every motion is explained once, by least squares from the network's estimate (or from several starts).
  3. `fine`: the likelihood is linearised at those fits (exact Jacobians), so that noise, rounding and cut-off windows
     are drawn anew for every step without a rollout.
+ 4. `bound`: a network of its own learns how large the Cramér–Rao bound is at those fits; verdicts go by it.
 """
 
 from __future__ import annotations
@@ -24,17 +25,19 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import torch
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from torch import Tensor
+from torch import Tensor, nn
 
 from data.contact_features import FEATURES, contact_features, contact_surroundings
 from data.samples import ContactCase
 from data.simulated_contacts import SimulatedContact, draw_contacts
 from data.synthetic_settings import SceneSettings
+from data.synthetic_truth import Regime
 from estimators.contact_fits import (
     BOUNDS,
     EXPLAINED,
@@ -48,6 +51,7 @@ from estimators.contact_fits import (
 )
 from estimators.worker_pool import WorkerLost, run_tasks
 from models.evidence import Linearised, Motion, linearise, preconditioned
+from models.expected_bound import bound_loss
 from models.posterior import ContactPosterior
 from physics.identifiability import bounds
 
@@ -62,7 +66,7 @@ LEAST_STEPS = 4
 LARGEST_NUMBER = 2**63 - 1
 """Larger numbers are no counts, and no seeds of both libraries that draw here."""
 FINE_BATCH, FINE_RATE = 512, 2e-3
-"""Samples a step of the fine stage, and its largest learning rate."""
+"""Samples a step of the last two stages, and their largest learning rate."""
 BLUR = 0.3, 0.03
 """σ of the rough stage is raised by this share of a contact's largest motion, at its beginning and its end."""
 
@@ -161,6 +165,17 @@ class Trainer:
 
         descend(self.posterior, loss, steps, rate, advance)
 
+    def bound(
+        self, fits: Fits, steps: int, batch_size: int, rate: float, advance: Callable[[int, float], None]
+    ) -> None:
+        """Last stage, on fits: `advance(step, loss)` is called after each of its steps."""
+
+        def loss(_: int) -> Tensor:
+            drawn = draw_observed(fits, batch_size, self.generator)
+            return bound_loss(self.posterior.bound(torch.from_numpy(drawn.features)), drawn.information)
+
+        descend(self.posterior.expected_bound, loss, steps, rate, advance)
+
 
 def fine_loss(posterior: ContactPosterior, drawn: Drawn) -> Tensor:
     """The evidence bound with every likelihood linearised at its own fit, a scalar."""
@@ -172,21 +187,21 @@ def fine_loss(posterior: ContactPosterior, drawn: Drawn) -> Tensor:
 
 
 def descend(
-    posterior: ContactPosterior,
+    network: nn.Module,
     loss_of: Callable[[int], Tensor],
     steps: int,
     rate: float,
     advance: Callable[[int, float], None],
 ) -> None:
-    """Descend a loss of the step's number; `advance(step, loss)` is called after each step."""
-    optimizer = torch.optim.AdamW(posterior.parameters(), lr=rate, weight_decay=1e-4)
+    """Descend a network's loss, a function of the step's number; `advance(step, loss)` is called after each step."""
+    optimizer = torch.optim.AdamW(network.parameters(), lr=rate, weight_decay=1e-4)
     rise = max(0.1, 3 / steps)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, rate, total_steps=steps, pct_start=rise)
     for step in range(steps):
         loss = loss_of(step)
         optimizer.zero_grad()
         loss.backward()
-        torch.nn.utils.clip_grad_norm_(posterior.parameters(), 1.0)
+        torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
         optimizer.step()
         schedule.step()
         advance(step, float(loss.detach()))
@@ -227,7 +242,7 @@ def _scene_contacts(task: tuple[SceneSettings, int, float]) -> list[SimulatedCon
 
 
 def make_contacts(count: int, seed: int, progress: Progress, workers: int | None = None) -> list[SimulatedContact]:
-    """About `count` contacts of many scenes.
+    """About `count` contacts of many scenes, the regimes in turn, as in the benchmark.
 
     Args:
         count: contacts.
@@ -240,7 +255,8 @@ def make_contacts(count: int, seed: int, progress: Progress, workers: int | None
         WorkerLost: a process was killed.
     """
     seeds = np.random.SeedSequence((seed, 0xC0)).generate_state(-(-count // CONTACTS_A_SCENE)).tolist()
-    tasks = [(SCENES, scene, MECHANICS.time_step) for scene in seeds]
+    turns = [dataclasses.replace(SCENES, regime=regime) for regime in get_args(Regime)]
+    tasks = [(turns[number % len(turns)], scene, MECHANICS.time_step) for number, scene in enumerate(seeds)]
     found: list[SimulatedContact] = []
     job = progress.add_task("scenes", total=len(tasks))
     for contacts in run_tasks(_scene_contacts, tasks, os.cpu_count() if workers is None else workers, ordered=True):
@@ -264,6 +280,7 @@ def build_parser() -> argparse.ArgumentParser:
     add("--contacts", type=_number(1), default=8000, help="motions to train on (default %(default)s)")
     add("--rough-steps", type=_number(LEAST_STEPS, or_zero=True), default=2250, help="0 = none (default %(default)s)")
     add("--fine-steps", type=_number(LEAST_STEPS), default=12000, help="(default %(default)s)")
+    add("--bound-steps", type=_number(LEAST_STEPS), default=4000, help="(default %(default)s)")
     add("--seed", type=_number(0), default=0, help="(default %(default)s)")
     text = "processes that draw contacts and explain motions; 0 = in this one (default: one a core)"
     add("--workers", type=_number(0), default=os.cpu_count(), help=text)
@@ -318,6 +335,7 @@ def train(options: argparse.Namespace) -> None:
             trainer.rough(options.rough_steps, 64, 1e-3, stage("rough", options.rough_steps))
         fits = trainer.fit(progress, options.workers)
         trainer.fine(fits, options.fine_steps, FINE_BATCH, FINE_RATE, stage("fine", options.fine_steps))
+        trainer.bound(fits, options.bound_steps, FINE_BATCH, FINE_RATE, stage("bound", options.bound_steps))
     torch.save(trainer.posterior.state_dict(), unfinished)
     os.replace(unfinished, options.output / WEIGHTS)
     print(f"{options.output}/{WEIGHTS} written after {(time.time() - start) / 3600:.2f} h")

@@ -6,10 +6,9 @@
 Errors are taken to have standard deviations scale · sd^power · σ^noise, with sd the network's own and σ the
 observation's; the exponents are the likeliest ones for normal errors, the scale is then set so that the 90 % intervals
 hold the truth in 90 % of the validation results (conformal prediction, Vovk's quantile, with a normalised score). Both
-come from the same results and several suites observe the same clips, so the guarantee is not exact. Verdicts go by
-standard deviations of their own, chosen so that most of them are right. All that is done once for whole contacts, and
-once for those whose release has not been seen (--pressed). Without --validation nothing is changed. Truth of validation
-clips serves this and nothing else; no weight of the network changes.
+come from the same results and several suites observe the same clips, so the guarantee is not exact. It is done once for
+whole contacts, and once for those whose release has not been seen (--pressed). Without --validation nothing is changed.
+Truth of validation clips serves this and nothing else; no weight of the network changes.
 """
 
 from __future__ import annotations
@@ -25,7 +24,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from scipy.ndimage import uniform_filter
 from scipy.optimize import minimize
 
 from data.clip import PREPROCESSING_VERSION
@@ -36,8 +34,6 @@ from estimators.contact_fits import BOUNDS, MECHANICS, SCENES
 from estimators.estimate import NINETY
 from estimators.onset import STAMP
 from evaluation.recovery import OK, PREPARE, Recovery
-from evaluation.recovery_details import true_verdicts
-from evaluation.recovery_scores import deviations, score_all
 from evaluation.recovery_store import RECORD, RESULTS, read_results
 from evaluation.run_record import sha256_of
 from models.calibration import Calibration, Widths
@@ -47,9 +43,6 @@ from models.posterior_export import export_posterior
 
 LEVEL = 0.9
 """Share of truths that the calibrated intervals hold."""
-VERDICT_SCALES = np.geomspace(0.6, 1.6, 21)
-VERDICT_EXPONENTS = np.linspace(-0.4, 0.4, 17)
-"""What is tried for the verdicts' standard deviations."""
 LEAST_SPREAD = 1e-6
 """Of a column of logarithms that can have a coefficient."""
 LEAST_CLIPS = 100
@@ -85,10 +78,10 @@ class Scored:
 
 
 def fit_widths_of(rows: Sequence[Recovery]) -> Widths:
-    """What makes the 90 % intervals hold 90 % of the truths, narrow ones as often as wide ones, and verdicts right.
+    """What makes the 90 % intervals hold 90 % of the truths, narrow ones as often as wide ones.
 
     Raises:
-        ValueError: too few results, or none with a clear verdict.
+        ValueError: too few results.
     """
     rows = [row for row in rows if row.estimator == "network" and row.status == OK and row.covariance is not None]
     seen = Scored.of(rows)
@@ -99,43 +92,7 @@ def fit_widths_of(rows: Sequence[Recovery]) -> Widths:
         powers.append(power)
         exponents.append(exponent)
         scales.append(conformal_scale(error, np.exp(known @ (power, exponent))))
-    plain = [conformal_scale(*pair) for pair in zip(seen.errors.T, seen.deviations.T, strict=True)]
-    decisive, decisive_noise = fit_verdicts(rows, np.array(plain))
-    scale, power, noise, verdict = (tuple(map(float, values)) for values in (scales, powers, exponents, decisive))
-    return Widths(scale, power, noise, verdict, decisive_noise)
-
-
-def fit_verdicts(rows: Sequence[Recovery], factors: np.ndarray) -> tuple[np.ndarray, float]:
-    """Factors of standard deviations, and an exponent of σ, that give most right verdicts on clear clips.
-
-    Every suite counts alike. The best is sought where its neighbours are good as well, and amidst what is as good.
-
-    Args:
-        rows: the network's estimates.
-        factors: their ratios are kept, shape [3].
-
-    Returns:
-        The factors times one number, shape [3], and the exponent of σ over REFERENCE_SPACING.
-
-    Raises:
-        ValueError: no clip has a clear verdict.
-    """
-    score = np.zeros((len(VERDICT_SCALES), len(VERDICT_EXPONENTS)))
-    for item in score_all(rows):
-        true, clear = true_verdicts(item.bounds)
-        if not clear.any():
-            continue
-        log_noise = np.log([row.noise / REFERENCE_SPACING for row in item.rows])
-        covariances = np.array([row.covariance for row in item.rows]) * np.outer(factors, factors)
-        for place in np.ndindex(score.shape):
-            wider = VERDICT_SCALES[place[0]] * np.exp(VERDICT_EXPONENTS[place[1]] * log_noise)
-            given, _ = true_verdicts(wider[:, None] * deviations(covariances))
-            score[place] += (given == true)[clear].mean()
-    if not score.any():
-        raise ValueError("No validation clip has a clear verdict; run the benchmark with more --clips.")
-    smooth = uniform_filter(score, 3, mode="nearest")
-    scale, exponent = np.rint(np.argwhere(smooth >= smooth.max() - 1e-9).mean(axis=0)).astype(int)
-    return factors * VERDICT_SCALES[scale], float(VERDICT_EXPONENTS[exponent])
+    return Widths(*(tuple(map(float, values)) for values in (scales, powers, exponents)))
 
 
 def fit_exponents(errors: np.ndarray, known: np.ndarray) -> np.ndarray:

@@ -22,10 +22,6 @@ class Widths:
     power: Triple = (1.0, 1.0, 1.0)
     noise: Triple = (0.0, 0.0, 0.0)
     """Exponents of the observation's σ, in the unit in which the contact's features tell it."""
-    decisive: Triple = (1.0, 1.0, 1.0)
-    """Factors of the network's own standard deviations by which the verdict is given."""
-    decisive_noise: float = 0.0
-    """Exponent of σ in them."""
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 import torch
 from lightning.pytorch import LightningModule
 from lightning.pytorch.core.optimizer import LightningOptimizer
@@ -15,6 +16,7 @@ from models.augmentation import AugmentationSettings, WindowAugmentation
 from models.checkpoint import load_posterior
 from models.discriminator import PatchDiscriminator
 from models.evidence import linearise_batch, negative_evidence
+from models.expected_bound import bound_loss
 from models.generator import Answer, Generator
 from models.losses import (
     LossTerms,
@@ -251,7 +253,8 @@ class PhysicsInformedGAN(LightningModule):
     def _physics_of(self, generator: Generator, answer: Answer, batch: dict[str, Any], side: str) -> Tensor:
         """The squared displacement error of a head's θ, or the negative evidence bound of its posterior.
 
-        The latter is about the frames up to the sample's own: a posterior is judged by what it was told.
+        The latter is about the frames up to the sample's own: a posterior is judged by what it was told. Beside it the
+        bound by which verdicts are given is learnt, from the information at the mean.
         """
         mesh = batch[f"mesh_{side}"]
         if answer.mean is None:
@@ -259,8 +262,13 @@ class PhysicsInformedGAN(LightningModule):
             return physics_loss(answer.theta, mesh, contact, observation, self.mechanics)
         seen = batch[f"seen_contact_{side}"], batch[f"seen_observation_{side}"]
         found = linearise_batch(answer.mean, batch[f"noise_{side}"], mesh, *seen, self.mechanics)
-        box = generator.head.posterior
-        return negative_evidence(answer.mean, answer.factor, found, box.lower, box.upper)
+        posterior = generator.head.posterior
+        evidence = negative_evidence(answer.mean, answer.factor, found, posterior.lower, posterior.upper)
+        if self.pretrained is not None:  # it has learnt the expected bound where θ was known better
+            return evidence
+        bound = posterior.bound(batch[f"contact_features_{side}"])
+        wrong = bound_loss(bound, np.stack([item.information for item in found]))
+        return evidence + (wrong - wrong.detach())  # learnt beside it, and no part of its value
 
     def _judge(
         self,

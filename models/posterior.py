@@ -11,21 +11,8 @@ import math
 import torch
 from torch import Tensor, nn
 
-LOG_SD_RANGE = (-5.0, 1.0)
-"""Diagonal of the covariance's factor, in logarithms: standard deviations between 0.7 % and a factor e^2.7."""
-
-
-class ResidualLayer(nn.Module):
-    """x + W₂·gelu(W₁·norm(x)); keeps the shape [B, width]."""
-
-    def __init__(self, width: int) -> None:
-        super().__init__()
-        self.layers = nn.Sequential(
-            nn.LayerNorm(width), nn.Linear(width, width), nn.GELU(), nn.Linear(width, width)
-        )  # fmt: skip
-
-    def forward(self, hidden: Tensor) -> Tensor:
-        return hidden + self.layers(hidden)
+from models.contact_layers import FACTOR, ResidualLayer, covariance_factor
+from models.expected_bound import ExpectedBound
 
 
 class ContactPosterior(nn.Module):
@@ -48,8 +35,9 @@ class ContactPosterior(nn.Module):
         super().__init__()
         self.entry = nn.Linear(features, width)
         self.blocks = nn.Sequential(*(ResidualLayer(width) for _ in range(blocks)))
-        self.exit = nn.Sequential(nn.LayerNorm(width), nn.Linear(width, 9))
+        self.exit = nn.Sequential(nn.LayerNorm(width), nn.Linear(width, 3 + FACTOR))
         self.picture = nn.Linear(picture, width) if picture else None
+        self.expected_bound = ExpectedBound(features)
         box = torch.as_tensor(box, dtype=torch.float32)
         self.register_buffer("lower", box[0])
         self.register_buffer("upper", box[1])
@@ -74,17 +62,11 @@ class ContactPosterior(nn.Module):
             hidden = hidden + self.picture(picture)
         raw = self.exit(self.blocks(hidden))
         mean = self.lower + (self.upper - self.lower) * torch.sigmoid(raw[:, :3])
-        diagonal = torch.exp(raw[:, 3:6].clamp(*LOG_SD_RANGE))
-        # Rows below the diagonal in units of their own diagonal, so that a correlation is one number whatever the size.
-        first, second, third = diagonal.unbind(1)
-        zero = torch.zeros_like(first)
-        slopes = raw[:, 6:]
-        rows = (
-            torch.stack([first, zero, zero], 1),
-            torch.stack([slopes[:, 0] * first, second, zero], 1),
-            torch.stack([slopes[:, 1] * first, slopes[:, 2] * second, third], 1),
-        )
-        return mean, torch.stack(rows, dim=1)
+        return mean, covariance_factor(raw[:, 3:])
+
+    def bound(self, contact: Tensor) -> Tensor:
+        """Contact features [B, features] → factor [B, 3, 3] of `ExpectedBound`; trained for itself."""
+        return self.expected_bound((contact - self.centre) / self.scale)
 
 
 def evidence_loss(mean: Tensor, factor: Tensor, gradient: Tensor, information: Tensor, weight: Tensor) -> Tensor:

@@ -21,27 +21,24 @@ from models.posterior_session import CONTACT, DECISIVE, LOG_COVARIANCE, LOG_MEAN
 
 
 class _Widened(nn.Module):
-    """Factors of a posterior's standard deviations: for its covariance, and for the one by which verdicts are given."""
+    """Factors of a posterior's standard deviations."""
 
     scale: Tensor
     power: Tensor
     noise: Tensor
-    decisive: Tensor
 
     def __init__(self, widths: Widths) -> None:
         super().__init__()
-        self.decisive_noise = widths.decisive_noise
-        for name in ("scale", "power", "noise", "decisive"):
+        for name in ("scale", "power", "noise"):
             self.register_buffer(name, torch.tensor(getattr(widths, name), dtype=torch.float32))
 
-    def forward(self, log_sd: Tensor, log_noise: Tensor) -> tuple[Tensor, Tensor]:
-        """Shapes [B, 3], of standard deviations [B, 3] and σ [B, 1], both in logarithms."""
-        widened = self.scale * torch.exp((self.power - 1) * log_sd + self.noise * log_noise)
-        return widened, self.decisive * torch.exp(self.decisive_noise * log_noise)
+    def forward(self, log_sd: Tensor, log_noise: Tensor) -> Tensor:
+        """Shape [B, 3], of standard deviations [B, 3] and σ [B, 1], both in logarithms."""
+        return self.scale * torch.exp((self.power - 1) * log_sd + self.noise * log_noise)
 
 
 class _Calibrated(nn.Module):
-    """Mean, calibrated covariance, and the covariance by which verdicts are given."""
+    """Mean, calibrated covariance, and the expected bound, by which verdicts are given."""
 
     def __init__(self, network: ContactPosterior | Generator, calibration: Calibration) -> None:
         super().__init__()
@@ -59,20 +56,21 @@ class _Calibrated(nn.Module):
         log_noise = torch.zeros_like(log_sd[:, :1])
         if self.noise_features:
             log_noise = contact[:, self.noise_features].sum(dim=1, keepdim=True)
-        factors = self.whole(log_sd, log_noise)
+        widened = self.whole(log_sd, log_noise)
         if self.known:
             known, loaded = (contact[:, places].sum(dim=1, keepdim=True) for places in (self.known, self.loaded))
             released = known - loaded > 0.5
-            pressed = self.pressed(log_sd, log_noise)
-            factors = tuple(torch.where(released, *pair) for pair in zip(factors, pressed, strict=True))
-        widened, decisive = factors
-        return mean, _covariance(factor, widened), _covariance(factor, decisive)
+            widened = torch.where(released, widened, self.pressed(log_sd, log_noise))
+        return mean, _covariance(factor * widened[:, :, None]), _covariance(_posterior(self.network).bound(contact))
 
 
-def _covariance(factor: Tensor, scale: Tensor) -> Tensor:
-    """L·Lᵀ [B, 3, 3] with its standard deviations times `scale` [B, 3]."""
-    scaled = factor * scale[:, :, None]
-    return scaled @ scaled.transpose(1, 2)
+def _posterior(network: ContactPosterior | Generator) -> ContactPosterior:
+    return network.head.posterior if isinstance(network, Generator) else network
+
+
+def _covariance(factor: Tensor) -> Tensor:
+    """L·Lᵀ of factors L, shape [B, 3, 3]."""
+    return factor @ factor.transpose(1, 2)
 
 
 def export_posterior(
@@ -116,7 +114,7 @@ def _inputs(
 ) -> tuple[Tensor, ...]:
     """Random contacts [B, features], spread like the training's, and depth windows where the network takes them."""
     random = torch.Generator().manual_seed(batch)
-    posterior = network.head.posterior if isinstance(network, Generator) else network
+    posterior = _posterior(network)
     noise = torch.randn(batch, posterior.centre.numel(), generator=random)
     contact = posterior.centre + posterior.scale * noise
     return (contact,) if window is None else (contact, torch.rand(batch, *window, generator=random))

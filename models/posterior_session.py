@@ -49,7 +49,7 @@ class PosteriorModel:
         """Whether it looks at the depth window as well."""
         plain = Calibration().document()["whole"]
         told = self.metadata.get("calibration", {}).get("whole", plain)
-        self.calibrated = any(told.get(name) != plain[name] for name in ("scale", "power", "noise"))
+        self.calibrated = any(told.get(name) != value for name, value in plain.items())
         """Whether its standard deviations are more than the network's own."""
 
     def __call__(
@@ -63,7 +63,7 @@ class PosteriorModel:
 
         Returns:
             Of (log k_s, log k_d, log |F|): mean [B, 3], calibrated covariance [B, 3, 3], and the covariance [B, 3, 3]
-            by which the verdict is given; float64.
+            whose standard deviations are the expected bounds, by which the verdict is given; float64.
 
         Raises:
             ValueError: another shape.

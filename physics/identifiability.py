@@ -124,9 +124,9 @@ def field_information(
 
 
 def covariance(information: np.ndarray) -> np.ndarray:
-    """I⁻¹, shape [3, 3]; along a direction about which nothing is known the variance is 1/NOTHING, not infinite."""
+    """I⁻¹, shape [..., 3, 3]; along directions about which nothing is known the variance is 1/NOTHING, not infinite."""
     variances, vectors = _variances(information)
-    return (vectors * variances) @ vectors.T
+    return (vectors * variances[..., None, :]) @ np.swapaxes(vectors, -1, -2)
 
 
 def box_information(box: np.ndarray) -> np.ndarray:
@@ -139,21 +139,21 @@ def box_information(box: np.ndarray) -> np.ndarray:
 
 
 def _variances(information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Variance along each principal direction [3], and the directions as columns [3, 3]."""
+    """Variance along each principal direction [..., 3], and the directions as columns [..., 3, 3]."""
     values, vectors = np.linalg.eigh(information)
     return 1 / np.maximum(values, NOTHING), vectors
 
 
 def bounds(information: np.ndarray) -> np.ndarray:
-    """Cramér–Rao bounds on the standard deviations of (log k_s, log k_d, log |F|), shape [3]."""
-    return np.sqrt(np.diag(covariance(information)))
+    """Cramér–Rao bounds on the standard deviations of (log k_s, log k_d, log |F|), shape [..., 3]."""
+    return np.sqrt(np.diagonal(covariance(information), axis1=-2, axis2=-1))
 
 
 def ratio_bounds(information: np.ndarray) -> np.ndarray:
-    """Cramér–Rao bounds on log(k_s/k_d) and log(F/k_d), shape [2]."""
+    """Cramér–Rao bounds on log(k_s/k_d) and log(F/k_d), shape [..., 2]."""
     # By directions, not by differences of large covariances: the common scale's may be a billion times the ratios'.
     variances, vectors = _variances(information)
-    return np.sqrt((RATIOS @ vectors) ** 2 @ variances)
+    return np.sqrt(((RATIOS @ vectors) ** 2 @ variances[..., None])[..., 0])
 
 
 def verdict(information: np.ndarray, limit: float = LIMIT) -> Verdict:

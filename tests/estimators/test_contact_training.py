@@ -14,6 +14,7 @@ from rich.progress import Progress
 from data.contact_features import SLOTS
 from data.simulated_contacts import SimulatedContact, draw_contacts
 from data.synthetic_settings import SceneSettings
+from data.synthetic_truth import damping_ratio, regime_of
 from estimators import contact_training
 from estimators.contact_fits import (
     BOUNDS,
@@ -21,13 +22,16 @@ from estimators.contact_fits import (
     MECHANICS,
     NOISE,
     REST_SHARE,
+    SCENES,
     Fits,
     draw_errors,
     draw_known,
+    draw_observed,
     fit_motion,
 )
 from estimators.contact_training import INTERRUPTED, Trainer, TrainingError, evaluate, main, make_contacts, widened
 from estimators.worker_pool import WorkerLost
+from physics.identifiability import LIMIT, bounds
 
 
 @pytest.fixture(scope="module")
@@ -90,6 +94,38 @@ def test_the_last_stage_learns(contacts: list[SimulatedContact]) -> None:
     assert np.mean(after["rmse"]) < 0.5 * np.mean(before["rmse"])
 
 
+def test_the_expected_bound_learns_and_leaves_the_posterior_alone(contacts: list[SimulatedContact]) -> None:
+    """On eight contacts, two hundred steps tell how well each was seen, under noise that was not drawn before."""
+    trainer = Trainer(contacts, 0)
+    found = [fit_motion((contact.case, np.log(np.abs(contact.theta)))) for contact in contacts]
+    logs, slopes, _ = zip(*found, strict=True)
+    fits = Fits.of([contact.case for contact in contacts], trainer.surroundings, logs, slopes)
+    drawn = draw_observed(fits, 400, np.random.default_rng(5))
+    features = torch.from_numpy(drawn.features)
+
+    def told() -> tuple[torch.Tensor, torch.Tensor, np.ndarray]:
+        with torch.no_grad():
+            bound = trainer.posterior.bound(features).double().numpy()
+            return *trainer.posterior(features), np.linalg.norm(bound, axis=2)
+
+    mean, factor, _ = told()
+    trainer.bound(fits, 200, 128, 2e-3, lambda step, loss: None)
+    same_mean, same_factor, expected = told()
+    assert torch.equal(mean, same_mean)
+    assert torch.equal(factor, same_factor)
+    true = bounds(drawn.information)
+    clear = np.abs(np.log(true / LIMIT)) > np.log(1.5)
+    assert ((expected < LIMIT) == (true < LIMIT))[clear].mean() > 0.93
+    assert 0.2 < (true < LIMIT)[clear].mean() < 0.85  # a guess would be wrong more often
+
+
+def test_contacts_are_of_every_regime() -> None:
+    """In turn by scene, as in the benchmark."""
+    drawn = make_contacts(24, 3, Progress(disable=True), 0)
+    regimes = [regime_of(damping_ratio(*contact.theta[:2], SCENES.mass)) for contact in drawn]
+    assert regimes == ["under-damped"] * 8 + ["critical"] * 8 + ["over-damped"] * 8
+
+
 def test_contacts_and_fits_are_the_same_in_processes_of_their_own(contacts: list[SimulatedContact]) -> None:
     """Equal to the last bit, and in order: a training does not depend on how many cores there are."""
     here, there = (make_contacts(12, 3, Progress(disable=True), workers) for workers in (0, 2))
@@ -113,6 +149,7 @@ def test_contacts_and_fits_are_the_same_in_processes_of_their_own(contacts: list
         ("--rough-steps", "-1", "-1 is less than 4 and not 0"),
         ("--fine-steps", "0", "0 is less than 4"),
         ("--fine-steps", "3", "3 is less than 4"),
+        ("--bound-steps", "3", "3 is less than 4"),
         ("--seed", "-1", "-1 is less than 0"),
         ("--seed", str(2**63), "is more than"),
         ("--workers", "-1", "-1 is less than 0"),
@@ -135,14 +172,17 @@ def few(contacts: list[SimulatedContact], monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def short(folder: Path) -> int:
-    return main(["--output", str(folder), "--rough-steps", "4", "--fine-steps", "4", "--workers", "0"])
+    steps = [text for stage in ("rough", "fine", "bound") for text in (f"--{stage}-steps", "4")]
+    return main(["--output", str(folder), *steps, "--workers", "0"])
 
 
 def test_a_training_leaves_its_weights_and_its_record(few, tmp_path: Path) -> None:
     assert short(tmp_path / "out") == 0
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["posterior.pt", "training.jsonl"]
     rows = [json.loads(line) for line in (tmp_path / "out" / "training.jsonl").read_text().splitlines()]
-    assert [(row["stage"], row["step"]) for row in rows] == [(s, n) for s in ("rough", "fine") for n in (1, 2, 3, 4)]
+    assert [(row["stage"], row["step"]) for row in rows] == [
+        (s, n) for s in ("rough", "fine", "bound") for n in (1, 2, 3, 4)
+    ]
     weights = torch.load(tmp_path / "out" / "posterior.pt", weights_only=True)
     assert all(torch.isfinite(value).all() for value in weights.values())
 

@@ -14,7 +14,6 @@ from evaluation.calibration import (
     check_record,
     conformal_scale,
     fit_exponents,
-    fit_verdicts,
     fit_widths_of,
     main,
 )
@@ -68,42 +67,6 @@ def test_overconfident_estimates_become_calibrated_at_any_width() -> None:
             (np.abs(errors[3000:, parameter]) <= NINETY * flat)[half].mean() for half in np.array_split(order, 2)
         )
         assert narrow < 0.87 < 0.93 < wide
-
-
-@pytest.mark.parametrize(("scale", "exponent"), [(0.8, -0.2), (1.2, 0.1)])
-def test_verdicts_find_the_standard_deviations_that_are_the_bounds(scale: float, exponent: float) -> None:
-    """Networks whose sd, times a factor and a power of σ, are the bounds: nearly all verdicts are right again."""
-    generator = np.random.default_rng(0)
-    rows = []
-    for suite, sigma in (("clean", 0.001), ("noisy", 0.004)):
-        for index in range(150):
-            bound = np.exp(generator.uniform(-2.5, 1.5))
-            wider = scale * (sigma / REFERENCE_SPACING) ** exponent
-            rows.append(
-                recovery(
-                    index,
-                    suite=suite,
-                    estimator="network",
-                    noise=sigma,
-                    tracking=np.array([sigma, -sigma]),
-                    information=np.eye(3) * (sigma / bound) ** 2,
-                    covariance=np.eye(3) * (bound / wider / 2) ** 2,
-                )
-            )
-    factors, found = fit_verdicts(rows, np.array([2.0, 2.0, 2.0]))
-    np.testing.assert_allclose(factors, 2 * scale, rtol=0.1)
-    assert found == pytest.approx(exponent, abs=0.075)
-
-
-def test_suites_without_a_clear_verdict_say_nothing() -> None:
-    unclear = np.eye(3) * (0.001 / 0.5) ** 2  # bounds at the limit
-    clear = [recovery(index, estimator="network") for index in range(20)]
-    factors, exponent = fit_verdicts(clear, np.ones(3))
-    odd = recovery(0, suite="noisy", estimator="network", information=unclear)
-    np.testing.assert_array_equal(fit_verdicts([*clear, odd], np.ones(3))[0], factors)
-    assert fit_verdicts([*clear, odd], np.ones(3))[1] == exponent
-    with pytest.raises(ValueError, match="No validation clip has a clear verdict"):
-        fit_verdicts([odd], np.ones(3))
 
 
 def test_too_few_clips_are_refused() -> None:

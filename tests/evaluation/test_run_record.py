@@ -135,10 +135,7 @@ def test_warnings_name_sources_the_model_was_not_trained_on(tmp_path: Path) -> N
     ("calibration", "told"),
     [
         (None, [UNCALIBRATED]),
-        (
-            Calibration(Widths(decisive=(2.0, 2.0, 2.0))),
-            [UNCALIBRATED],
-        ),  # the verdict's are no intervals
+        (Calibration(), [UNCALIBRATED]),
         (Calibration(Widths(power=(1.0, 0.8, 1.0))), []),
     ],
 )

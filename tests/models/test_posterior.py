@@ -85,8 +85,8 @@ def test_gradient_by_the_mean_is_the_misfits() -> None:
 
 def test_exported_file_agrees_and_is_calibrated(posterior: ContactPosterior, tmp_path) -> None:
     posterior.standardise(torch.randn(50, 10) * 3 + 1)
-    whole = Widths((1.0, 2.0, 0.5), (1.0, 0.8, 0.5), (0.0, 0.2, 0.1), (1.0, 3.0, 2.0), -0.1)
-    pressed = Widths((1.5, 2.0, 1.5), (0.9, 0.8, 0.7), (0.1, 0.1, 0.0), (2.0, 1.0, 1.0), 0.05)
+    whole = Widths((1.0, 2.0, 0.5), (1.0, 0.8, 0.5), (0.0, 0.2, 0.1))
+    pressed = Widths((1.5, 2.0, 1.5), (0.9, 0.8, 0.7), (0.1, 0.1, 0.0))
     calibration = Calibration(whole, pressed, noise_features=(8, 9), known_features=(4, 5), loaded_features=(6, 7))
     assert export_posterior(posterior, tmp_path / "contact.onnx", METADATA, calibration) < 1e-5
     model = PosteriorModel(tmp_path / "contact.onnx")
@@ -97,20 +97,18 @@ def test_exported_file_agrees_and_is_calibrated(posterior: ContactPosterior, tmp
     mean, covariance, decisive = model(contact)
     with torch.no_grad():
         expected, factor = posterior(torch.from_numpy(contact))
+        bound = posterior.bound(torch.from_numpy(contact))
     np.testing.assert_allclose(mean, expected.numpy(), atol=1e-5)
     plain = (factor @ factor.transpose(1, 2)).numpy()
     sd = np.sqrt(np.diagonal(plain, axis1=1, axis2=2))
     noise = np.exp(contact[:, 8] + contact[:, 9])[:, None]
-    wanted, factors = (
-        np.where(still, *(of(each) for each in (pressed, whole)))
-        for of in (
-            lambda each: np.array(each.scale) * sd ** np.array(each.power) * noise ** np.array(each.noise),
-            lambda each: np.array(each.decisive) * noise**each.decisive_noise,
-        )
+    whole_sd, pressed_sd = (
+        np.array(each.scale) * sd ** np.array(each.power) * noise ** np.array(each.noise) for each in (whole, pressed)
     )
+    wanted = np.where(still, pressed_sd, whole_sd)
     np.testing.assert_allclose(np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)), wanted, rtol=1e-4)
     np.testing.assert_allclose(_correlations(covariance), _correlations(plain), atol=1e-4)
-    np.testing.assert_allclose(decisive, plain * factors[:, :, None] * factors[:, None], rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(decisive, (bound @ bound.transpose(1, 2)).numpy(), rtol=1e-4, atol=1e-6)
     assert model.metadata["calibration"] == calibration.document()
     assert model.calibrated
     assert (model.features, model.takes_depth, model.calibrated) == (10, False, True)
@@ -127,11 +125,10 @@ def test_without_calibration_the_covariance_is_the_networks_own(posterior: Conta
     export_posterior(posterior, tmp_path / "contact.onnx", METADATA)
     model = PosteriorModel(tmp_path / "contact.onnx")
     assert not model.calibrated
-    _, covariance, decisive = model(np.ones((2, 10), np.float32))
+    _, covariance, _ = model(np.ones((2, 10), np.float32))
     with torch.no_grad():
         factor = posterior(torch.ones(2, 10))[1]
     np.testing.assert_allclose(covariance, (factor @ factor.transpose(1, 2)).numpy(), rtol=1e-4, atol=1e-6)
-    np.testing.assert_allclose(decisive, covariance, rtol=1e-4, atol=1e-6)
 
 
 def test_a_generators_posterior_takes_the_depth_window_too(tmp_path) -> None:
@@ -159,3 +156,15 @@ def test_another_file_is_refused(tmp_path) -> None:
     path.write_text("no network")
     with pytest.raises(ModelFileError, match="not a readable ONNX file"):
         PosteriorModel(path)
+
+
+def test_the_expected_bound_knows_no_prior(posterior: ContactPosterior) -> None:
+    """It is a network of its own: neither the picture nor the posterior's weights change it."""
+    contact = torch.randn(4, 10)
+    before = posterior.bound(contact)
+    for name, weights in posterior.named_parameters():
+        if not name.startswith("expected_bound."):
+            weights.data.add_(0.1)
+    torch.testing.assert_close(posterior.bound(contact), before)
+    posterior.standardise(3 * torch.randn(50, 10) + 1)
+    assert not torch.allclose(posterior.bound(contact), before)  # but it sees standardised features, too

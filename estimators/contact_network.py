@@ -207,15 +207,15 @@ class ContactNetwork:
         )
 
     def _linearise(self, logs: np.ndarray, case: ContactCase) -> tuple[float, np.ndarray]:
-        """Residual's size in σ, and Fisher information [3, 3] of the contact's trajectory, at φ."""
+        """Residual's size along the force in σ, and Fisher information [3, 3] of the contact's trajectory, at φ."""
         steps, theta = int(case.steps.max()) + 1, np.exp(logs) * PRESSING
         mechanics = dataclasses.replace(self.mechanics, steps=steps, load_steps=0)
         path, slopes = simulate_sensitivities(
             theta, case.mesh, case.vertex, case.direction, mechanics, load_steps=min(case.load_steps, steps)
         )
-        residual = (path[case.steps] - case.displacement) / case.noise
+        residual = (path[case.steps] - case.displacement) @ case.direction / case.noise
         jacobian = log_jacobian(slopes[case.steps].astype(np.float64), theta)
-        return float(np.sqrt(np.square(residual).sum(axis=1).mean())), fisher_information(jacobian, case.noise)
+        return float(np.sqrt(np.square(residual).mean())), fisher_information(jacobian, case.noise)
 
     def _lengths(
         self, found: ContactEstimate, case: ContactCase, current: PreparedFrame, run: _Run

@@ -139,7 +139,7 @@ def _fit(case: ContactCase, settings: DirectSettings, noise: float) -> ContactEs
         covariance=spread,
         information=problem.information(mean),
         noise=noise,
-        misfit=math.sqrt(2 * best.cost / len(case.steps)),
+        misfit=float(np.sqrt(np.square((problem.path(best.logs) - problem.observed) @ case.direction).mean())) / noise,
         at_bound=np.minimum(best.logs - low, high - best.logs) < AT_BOUND,
         decisive=cautious([problem.information(logs) for logs in judges]),
         view_angle=view_angle(case),

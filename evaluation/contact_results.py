@@ -41,7 +41,7 @@ COLUMNS: dict[str, str] = {
     "verdict": "determined, ratios (only k_s/k_d and F/k_d are) or undetermined",
     "explanation": "which products of k_s, k_d and F are determined, with their relative errors",
     "noise": "standard deviation of every observed coordinate, scene units",
-    "misfit": "root mean square of observed minus simulated displacement, over the noise; 1: the model fits",
+    "misfit": "root mean square of observed minus simulated displacement along the force over the noise; 1: it fits",
     "at_bound": "parameters that lie at the end of their admissible range",
     "status": "ok or no_estimate",
     "detail": "sentence about the status, or about a fit that can't be trusted",

@@ -119,7 +119,7 @@ def test_a_motion_that_the_model_cannot_explain_widens_the_posterior() -> None:
     good, bad = (fit_contact(case_of(theta, noise, seed=2), SETTINGS).log_sd for noise in (NOISE, 8 * NOISE))
     told = dataclasses.replace(SETTINGS, noise=NOISE)
     unsuspecting = fit_contact(case_of(theta, 8 * NOISE, seed=2), told)
-    assert unsuspecting.misfit > 8
+    assert unsuspecting.misfit > 5
     assert (unsuspecting.log_sd > 1.9 * good).all()
     assert (unsuspecting.log_sd < 1.5 * bad).all()
 
@@ -159,8 +159,8 @@ def test_errors_are_as_large_as_claimed() -> None:
     squares = np.square(ratios).mean(axis=0)
     assert (squares > 0.35).all()
     assert (squares < 1.9).all()
-    # The noise is drawn in all three coordinates, and the misfit counts their sum.
-    assert np.mean(misfits) == pytest.approx(np.sqrt(3), rel=0.1)
+    # The noise is drawn in all three coordinates, the misfit counts the one along the force, and three are fitted.
+    assert np.mean(misfits) == pytest.approx(np.sqrt(1 - 3 / len(STEPS)), rel=0.1)
 
 
 def test_mean_and_covariance_are_those_of_the_posterior_on_a_grid() -> None:

@@ -79,6 +79,8 @@ class Recovery:
     misfit: float = math.nan
     at_bound: np.ndarray | None = None
     """Whether an estimate lies at its range's end, shape [3]."""
+    warned: bool | None = None
+    """Whether the estimate says that it may not be trusted (see `recovery_estimators.Answer`)."""
     seconds: float = math.nan
     """Time that the estimate took [s]."""
 
@@ -208,6 +210,7 @@ def _estimate(known: Recovery, spec: EstimatorSpec, clip: CollectedClip, onset: 
         noise=answer.noise,
         misfit=answer.misfit,
         at_bound=answer.at_bound,
+        warned=answer.warned,
         seconds=time.perf_counter() - start,
     )
 

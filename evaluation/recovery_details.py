@@ -7,6 +7,7 @@ error_over_bound_variance     mean square of error / Cramér–Rao bound: 1 is t
 error_over_sd_variance        mean square of error / the estimate's own standard deviation: 1 is calibrated
 gap_closed                    share of the way from the best constant's error (for these clips) to the bound
 ratio, coverage90             as in the table, with 95 % intervals from a bootstrap over clips
+coverage90_narrow, _wide      coverage90 of the third of the clips with the narrowest, and with the widest, intervals
 spread, true_spread           standard deviation of log θ over all estimated clips, estimated and true
 collapse                      spread / true_spread: near 0 for an estimator that ignores its input
 at_bound                      share of estimated clips where a parameter lies at the end of its range
@@ -14,6 +15,8 @@ clips, failed                 number of clips, and of those without an estimate,
 sigma, sigma_rms              measured tracking noise [scene units] (see `evaluation.recovery_scores.Noise`)
 verdict_accuracy              share of clips where the estimated verdict is the true one
 verdict_accuracy_clear        the same where no bound lies within a factor 1.5 of the limit
+warned                        share of clips whose estimate says that its model doesn't explain the motion, or that the
+                              contact is pressed aslant
 misfit, seconds               median of the RMS residual over σ, and of the time of an estimate [s]
 """
 
@@ -68,6 +71,10 @@ def _errors(scores: Scores, column: int, clips: np.ndarray) -> Iterator[dict[str
     yield _with_interval("ratio", len(clips), lambda chosen: rms(errors[chosen]) / rms(bounds[chosen]))
     if known.any():
         yield _with_interval("coverage90", len(clips), lambda chosen: coverage(errors[chosen], sd[chosen]))
+        if len(clips) >= 3 * LEAST_CLIPS:
+            narrow, _, wide = np.array_split(np.argsort(sd), 3)
+            for quantity, third in (("coverage90_narrow", narrow), ("coverage90_wide", wide)):
+                yield {"quantity": quantity, "n": len(third), "value": coverage(errors[third], sd[third])}
 
 
 def _with_interval(quantity: str, count: int, statistic: Statistic) -> dict[str, object]:
@@ -115,6 +122,9 @@ def _whole(scores: Scores) -> Iterator[dict[str, object]]:
                 "value": float(right.mean()),
                 "note": _mistakes(true, given, used),
             }
+    told = [row.warned for row in scores.rows if row.warned is not None]
+    if told:
+        yield {"quantity": "warned", "n": len(told), "value": float(np.mean(told))}
     for name in ("misfit", "seconds"):
         values = np.array([getattr(row, name) for row in scores.rows])
         values = values[np.isfinite(values)]

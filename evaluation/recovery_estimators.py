@@ -13,9 +13,10 @@ import numpy as np
 from data.collected import CollectedClip
 from data.samples import Horizon
 from data.windows import window_indices
-from estimators.contact_network import ContactNetwork
+from estimators.contact_network import LARGEST_MISFIT, ContactNetwork
 from estimators.direct import DirectSettings, fit_clip
 from estimators.estimate import ContactEstimate, NoEstimate
+from estimators.oblique import is_oblique
 from estimators.onset import STAMP
 from models.onnx_session import ModelFileError, ParameterModel
 from models.posterior_session import PosteriorModel
@@ -73,6 +74,9 @@ class Answer:
     """RMS residual over that σ."""
     at_bound: np.ndarray = field(default_factory=lambda: np.zeros(3, bool))
     """Whether a parameter lies at the end of its range, shape [3]."""
+    warned: bool | None = None
+    """Whether it says that the model doesn't explain the motion, or that a dent may hide its bottom; None = it never
+    says so."""
 
 
 Estimator = Callable[[CollectedClip], dict[int, Answer | NoEstimate]]
@@ -123,6 +127,7 @@ def _answer(estimate: ContactEstimate) -> Answer:
         noise=float(estimate.noise),
         misfit=float(estimate.misfit),
         at_bound=np.asarray(estimate.at_bound, bool),
+        warned=estimate.misfit > LARGEST_MISFIT or is_oblique(estimate),
     )
 
 

@@ -51,6 +51,26 @@ def test_intervals_need_clips_and_hold_the_value():
         assert row["low"] < row["value"] < row["high"]
 
 
+def test_narrow_intervals_are_told_from_wide_ones():
+    """Errors of 0.1 throughout: standard deviations of 0.02 hold none of them, 0.1 and 0.5 all."""
+    rows = [
+        recovery(index, estimate=off_by([0.1, 0, 0]), covariance=np.eye(3) * (0.02, 0.1, 0.5)[index % 3] ** 2)
+        for index in range(15)
+    ]
+    found = details(rows)
+    assert found["all", "stiffness", "coverage90_narrow"]["value"] == 0
+    assert found["all", "stiffness", "coverage90_wide"]["value"] == 1
+    assert found["all", "stiffness", "coverage90_wide"]["n"] == 5
+    assert ("all", "stiffness", "coverage90_wide") not in details(rows[:14])
+
+
+def test_warnings_are_counted():
+    rows = [recovery(0, warned=True), recovery(1, warned=False), recovery(2, warned=False), recovery(3)]
+    row = details(rows)["all", "all", "warned"]
+    assert (row["n"], row["value"]) == (3, pytest.approx(1 / 3))
+    assert ("all", "all", "warned") not in details([recovery(0)])
+
+
 def test_failures_are_counted_with_their_reasons():
     lost = {"estimate": None, "covariance": None, "information": None}
     rows = [recovery(0), recovery(1, status="no contact", **lost), recovery(2, status="other onset", **lost)]

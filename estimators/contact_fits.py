@@ -1,4 +1,4 @@
-"""Observed contact motions with what explains them: the material of the posterior's last training stage.
+"""Observed contact motions with what explains them: the material of the posterior's fine training stage.
 
 Every motion is explained once by least squares; around that fit its likelihood is a known parabola, whatever noise,
 rounding or cut-off window is drawn on top.

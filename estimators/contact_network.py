@@ -36,8 +36,8 @@ TOO_EARLY = "The contact's tissue was not followed over two frames after its ons
 NO_NOISE = "The depth's noise isn't known; prepare with geometry.smoothing above 0."
 LARGEST_MISFIT = 2.0
 """A motion farther from the simulated one than this many σ is unlike what the network was trained on, and its own
-covariance means nothing: that of a noise as large as the misfit, within the box, is added. Of 630 validation clips
-(`clean`, `8bit`, `noisy`) none is so far off."""
+covariance means nothing: that of a noise as large as the misfit, within the box, is added. Of 300 validation
+clips (`clean`, `8bit` and `noisy`; `warned` in details.csv of `make model`) none is so far off."""
 UNEXPLAINED = "The model does not explain the motion, which lies {:.2g} times the noise from it; intervals are widened."
 ROUNDING = 1e-6
 """Of times [s]."""

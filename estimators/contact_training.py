@@ -165,14 +165,14 @@ class Trainer:
 
         descend(self.posterior, loss, steps, rate, advance)
 
-    def bound(
+    def learn_bound(
         self, fits: Fits, steps: int, batch_size: int, rate: float, advance: Callable[[int, float], None]
     ) -> None:
         """Last stage, on fits: `advance(step, loss)` is called after each of its steps."""
 
         def loss(_: int) -> Tensor:
             drawn = draw_observed(fits, batch_size, self.generator)
-            return bound_loss(self.posterior.bound(torch.from_numpy(drawn.features)), drawn.information)
+            return bound_loss(self.posterior.expected_bound_factor(torch.from_numpy(drawn.features)), drawn.information)
 
         descend(self.posterior.expected_bound, loss, steps, rate, advance)
 
@@ -213,25 +213,31 @@ def _tensor(values) -> Tensor:
 
 @torch.no_grad()
 def evaluate(posterior: ContactPosterior, contacts: list[SimulatedContact], noise: float, seed: int) -> dict[str, list]:
-    """Root mean square log errors against bounds on held-out contacts, where the bounds are below 0.5."""
+    """Root mean square log errors against bounds on held-out contacts, where the bounds are below 0.5.
+
+    And `expected`: the median of |log expected bound / bound|, where the bounds are below that as well.
+    """
     generator = np.random.default_rng(seed)
-    errors, limits, scores = [], [], []
+    errors, limits, scores, expected = [], [], [], []
     for contact in contacts:
         values = generator.normal(0, noise, len(contact.case.steps))[:, None] * contact.case.direction
         moved = (contact.case.displacement + values).astype(np.float32)
         case = dataclasses.replace(contact.case, displacement=moved, noise=noise)
         truth = np.log(np.abs(contact.theta))
-        mean, factor = posterior(torch.from_numpy(contact_features(case, MECHANICS.time_step))[None])
+        features = torch.from_numpy(contact_features(case, MECHANICS.time_step))[None]
+        mean, factor = posterior(features)
+        expected.append(posterior.expected_bound_factor(features)[0].norm(dim=1).double().numpy())
         error = mean[0].double().numpy() - truth
         errors.append(error)
         limits.append(bounds(widened(case, truth, 0.0).information))
         scores.append(error / (factor[0] @ factor[0].T).diagonal().sqrt().double().numpy())
-    errors, limits, scores = np.array(errors), np.array(limits), np.array(scores)
+    errors, limits, scores, expected = (np.array(values) for values in (errors, limits, scores, expected))
     pick = [limits[:, index] < 0.5 for index in range(3)]
     return {
         "rmse": [float(np.sqrt(np.mean(errors[k, i] ** 2))) for i, k in enumerate(pick)],
         "bound": [float(np.sqrt(np.mean(limits[k, i] ** 2))) for i, k in enumerate(pick)],
         "score": [float(np.sqrt(np.mean(scores[k, i] ** 2))) for i, k in enumerate(pick)],
+        "expected": [float(np.median(np.abs(np.log(expected[k, i] / limits[k, i])))) for i, k in enumerate(pick)],
         "ratio_rmse": [float(np.sqrt(np.mean((errors[:, a] - errors[:, 1]) ** 2))) for a in (0, 2)],
     }
 
@@ -335,7 +341,7 @@ def train(options: argparse.Namespace) -> None:
             trainer.rough(options.rough_steps, 64, 1e-3, stage("rough", options.rough_steps))
         fits = trainer.fit(progress, options.workers)
         trainer.fine(fits, options.fine_steps, FINE_BATCH, FINE_RATE, stage("fine", options.fine_steps))
-        trainer.bound(fits, options.bound_steps, FINE_BATCH, FINE_RATE, stage("bound", options.bound_steps))
+        trainer.learn_bound(fits, options.bound_steps, FINE_BATCH, FINE_RATE, stage("bound", options.bound_steps))
     torch.save(trainer.posterior.state_dict(), unfinished)
     os.replace(unfinished, options.output / WEIGHTS)
     print(f"{options.output}/{WEIGHTS} written after {(time.time() - start) / 3600:.2f} h")

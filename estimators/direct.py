@@ -33,6 +33,8 @@ LEAST_SIGMA = 3e-5
 be taken for motion of the tissue."""
 LEAST_OBSERVATIONS = 3
 """Frames after the onset in which the tissue was followed."""
+DOUBTFUL_MISFIT = 1.5
+"""The model does not explain what lies farther from its best fit than this many σ."""
 AT_BOUND = 1e-3
 """Best fits this near to the end of their range in φ lie at it."""
 LEAST_SHARE = 0.02

@@ -100,7 +100,8 @@ class ContactEstimate:
     """Standard deviation of every observed coordinate [scene units]."""
     misfit: float
     """Root mean square of observed minus simulated displacement along the force over `noise`: 1 where the model
-    explains the data. Across the force it would tell how far off the measured normal is, up to 6° with 8-bit depth."""
+    explains the data. Not across it, where a measured normal that is off by a few degrees (8-bit depth) tells more than
+    the tissue; so a sideways motion that the model can't explain is not told."""
     at_bound: np.ndarray
     """Whether a parameter lies at its range's end, shape [3], bool."""
     decisive: np.ndarray | None = None

@@ -25,6 +25,7 @@ from estimators.contact_training import FINE_BATCH, FINE_RATE, Trainer, descend,
 from evaluation.ablation_scores import numbers
 from evaluation.recovery_scores import TO_QUANTITIES, deviations
 from evaluation.suites import CLEAN_NOISE
+from models.checkpoint import load_posterior
 from models.posterior import ContactPosterior
 from physics.identifiability import covariance, fisher_information
 
@@ -83,7 +84,7 @@ def write_material(
     """
     drawn = make_contacts(contacts, seed, progress, workers)
     trainer = Trainer(drawn, seed)
-    trainer.posterior.load_state_dict(torch.load(weights, map_location="cpu", weights_only=True))
+    load_posterior(trainer.posterior, weights)
     parts = {
         "fits": trainer.fit(progress, workers),
         "labelled": around_truth(drawn),

@@ -37,6 +37,7 @@ from evaluation.recovery_store import replace_text
 from evaluation.result_store import OutputError
 from evaluation.run_record import sha256_of
 from evaluation.suites import FITTED_ON
+from models.checkpoint import CheckpointError
 
 INTERRUPTED = 130
 CONSTANT_CLIPS = 30
@@ -226,7 +227,7 @@ def main(arguments: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         console.print("Interrupted; finished rows are kept, and the same command continues.", style="yellow")
         return INTERRUPTED
-    except (OSError, OutputError, RowFailed, TrainingError, WorkerLost) as error:
+    except (CheckpointError, OSError, OutputError, RowFailed, TrainingError, WorkerLost) as error:
         console.print(f"{error} Finished rows are kept.", style="red", markup=False, highlight=False, soft_wrap=True)
         return 1
     table = (options.output / "ablations.md").read_text(encoding="utf-8")

@@ -13,6 +13,7 @@ import numpy as np
 
 from data.collected import CollectedClip
 from data.samples import ContactCase, release_after
+from estimators.direct import DOUBTFUL_MISFIT
 from estimators.estimate import UNCERTAINTY, ContactEstimate, uncertainty
 from estimators.oblique import remark
 from evaluation.contact_picture import draw_fits
@@ -24,8 +25,6 @@ from physics.mechanics import PARAMETERS, Mechanics
 CONTACTS, FIT = "contacts.csv", "fit.png"
 FILES = (CONTACTS, FIT, RECORD)
 """Files of a clip's folder."""
-DOUBTFUL_MISFIT = 1.5
-"""The model does not explain what lies farther from it than this, in units of the noise."""
 COLUMNS: dict[str, str] = {
     "onset_frame": "number of the run's first frame in contact",
     "onset_time_s": "s",

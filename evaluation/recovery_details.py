@@ -17,7 +17,7 @@ verdict_accuracy              share of clips where the estimated verdict is the 
 verdict_accuracy_clear        the same where no bound lies within a factor 1.5 of the limit
 warned                        share of clips whose estimate says that its model doesn't explain the motion, or that the
                               contact is pressed aslant
-misfit, seconds               median of the RMS residual over σ, and of the time of an estimate [s]
+misfit, seconds               median of the RMS residual along the force over σ, and of the time of an estimate [s]
 """
 
 from __future__ import annotations
@@ -71,10 +71,20 @@ def _errors(scores: Scores, column: int, clips: np.ndarray) -> Iterator[dict[str
     yield _with_interval("ratio", len(clips), lambda chosen: rms(errors[chosen]) / rms(bounds[chosen]))
     if known.any():
         yield _with_interval("coverage90", len(clips), lambda chosen: coverage(errors[chosen], sd[chosen]))
-        if len(clips) >= 3 * LEAST_CLIPS:
-            narrow, _, wide = np.array_split(np.argsort(sd), 3)
-            for quantity, third in (("coverage90_narrow", narrow), ("coverage90_wide", wide)):
-                yield {"quantity": quantity, "n": len(third), "value": coverage(errors[third], sd[third])}
+        yield from _by_width(errors[known], sd[known])
+
+
+def _by_width(errors: np.ndarray, sd: np.ndarray) -> Iterator[dict[str, object]]:
+    """Coverage of the thirds of some clips [n] with the narrowest and with the widest intervals, if they differ."""
+    if len(sd) < 3 * LEAST_CLIPS or np.ptp(sd) == 0:
+        return
+    narrow, _, wide = np.array_split(np.argsort(sd, kind="stable"), 3)
+    for quantity, third in (("coverage90_narrow", narrow), ("coverage90_wide", wide)):
+        part, width = errors[third], sd[third]
+        told = _with_interval(
+            quantity, len(third), lambda chosen, part=part, width=width: coverage(part[chosen], width[chosen])
+        )
+        yield {"n": len(third), **told}
 
 
 def _with_interval(quantity: str, count: int, statistic: Statistic) -> dict[str, object]:

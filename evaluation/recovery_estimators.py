@@ -14,7 +14,7 @@ from data.collected import CollectedClip
 from data.samples import Horizon
 from data.windows import window_indices
 from estimators.contact_network import LARGEST_MISFIT, ContactNetwork
-from estimators.direct import DirectSettings, fit_clip
+from estimators.direct import DOUBTFUL_MISFIT, DirectSettings, fit_clip
 from estimators.estimate import ContactEstimate, NoEstimate
 from estimators.oblique import is_oblique
 from estimators.onset import STAMP
@@ -71,7 +71,7 @@ class Answer:
     noise: float = math.nan
     """σ that it believed in [scene units]."""
     misfit: float = math.nan
-    """RMS residual over that σ."""
+    """RMS residual along the force over that σ."""
     at_bound: np.ndarray = field(default_factory=lambda: np.zeros(3, bool))
     """Whether a parameter lies at the end of its range, shape [3]."""
     warned: bool | None = None
@@ -92,7 +92,7 @@ def open_estimator(spec: EstimatorSpec) -> Estimator:
     """
     if spec.name == "direct":
         settings = DirectSettings(noise=spec.noise)
-        return lambda clip: _answers(fit_clip(clip, settings, spec.seen, spec.onset))
+        return lambda clip: _answers(fit_clip(clip, settings, spec.seen, spec.onset), DOUBTFUL_MISFIT)
     if spec.name == "constant":
         return functools.partial(_constant, np.array(spec.constant))
     if spec.name == "paper":
@@ -103,7 +103,7 @@ def open_estimator(spec: EstimatorSpec) -> Estimator:
     if posterior.takes_depth:
         _require_grid(posterior)
     network = ContactNetwork(posterior, spec.onset)
-    return lambda clip: _answers(network.estimate_clip(clip, spec.seen))
+    return lambda clip: _answers(network.estimate_clip(clip, spec.seen), LARGEST_MISFIT)
 
 
 def _require_grid(model: ParameterModel | PosteriorModel) -> None:
@@ -115,11 +115,16 @@ def _require_grid(model: ParameterModel | PosteriorModel) -> None:
         )
 
 
-def _answers(found: dict[int, ContactEstimate | NoEstimate]) -> dict[int, Answer | NoEstimate]:
-    return {onset: item if isinstance(item, NoEstimate) else _answer(item) for onset, item in found.items()}
+def _answers(found: dict[int, ContactEstimate | NoEstimate], largest_misfit: float) -> dict[int, Answer | NoEstimate]:
+    """Answers by onset; a larger misfit than that is what the estimator warns of."""
+    return {
+        onset: item if isinstance(item, NoEstimate) else answer_of(item, largest_misfit)
+        for onset, item in found.items()
+    }
 
 
-def _answer(estimate: ContactEstimate) -> Answer:
+def answer_of(estimate: ContactEstimate, largest_misfit: float) -> Answer:
+    """An estimate as an answer; a larger misfit than that is what the estimator warns of."""
     return Answer(
         theta=np.asarray(estimate.theta, np.float64),
         covariance=np.asarray(estimate.covariance, np.float64),
@@ -127,7 +132,7 @@ def _answer(estimate: ContactEstimate) -> Answer:
         noise=float(estimate.noise),
         misfit=float(estimate.misfit),
         at_bound=np.asarray(estimate.at_bound, bool),
-        warned=estimate.misfit > LARGEST_MISFIT or is_oblique(estimate),
+        warned=estimate.misfit > largest_misfit or is_oblique(estimate),
     )
 
 

@@ -22,6 +22,8 @@ FIXED = (
 
 WRITER = "python -m estimators.contact_training"
 """What writes pretrained posteriors."""
+EXPECTED_BOUND = ".expected_bound."
+"""In the names of weights by which verdicts are given."""
 SINCE = {"head": "parameters"}
 """What settings were that checkpoints of earlier versions don't name."""
 
@@ -52,7 +54,8 @@ def require_same_model(path: Path, configured: Mapping[str, Any]) -> None:
     Raises:
         CheckpointError: the checkpoint can't be read, or one of `FIXED` differs; the message names it.
     """
-    trained = SINCE | read_checkpoint(path)["hyper_parameters"]
+    checkpoint = read_checkpoint(path)
+    trained = SINCE | checkpoint["hyper_parameters"]
     for name in FIXED:
         was, now = _field(trained, name), _field(configured, name)
         if was != now:
@@ -60,6 +63,8 @@ def require_same_model(path: Path, configured: Mapping[str, Any]) -> None:
                 f"{path} was trained with model.{name} = {was} and the configuration says {now}; "
                 "give the configuration it was trained with."
             )
+    if trained["head"] == "posterior" and not any(EXPECTED_BOUND in name for name in checkpoint["state_dict"]):
+        raise CheckpointError(f"{path} knows no expected bounds, as earlier versions did not; train it again.")
 
 
 def load_posterior(posterior: ContactPosterior, path: Path) -> None:

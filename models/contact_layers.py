@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 LOG_SD_RANGE = (-5.0, 1.0)
 """Diagonal of a covariance's factor, in logarithms: standard deviations between 0.7 % and a factor e^2.7."""
-FACTOR = 6
+FACTOR_NUMBERS = 6
 """Numbers that make a factor of a covariance: its diagonal's logarithms, and its slopes."""
 
 
@@ -25,7 +25,7 @@ class ResidualLayer(nn.Module):
 
 
 def covariance_factor(raw: Tensor) -> Tensor:
-    """Lower triangular L of the covariance L·Lᵀ, shape [B, 3, 3], from a network's numbers, shape [B, FACTOR]."""
+    """Lower triangular L of the covariance L·Lᵀ, shape [B, 3, 3], from a network's numbers [B, FACTOR_NUMBERS]."""
     first, second, third = torch.exp(raw[:, :3].clamp(*LOG_SD_RANGE)).unbind(1)
     # Rows below the diagonal in units of their own diagonal, so that a correlation is one number whatever the size.
     zero = torch.zeros_like(first)

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from models.contact_layers import FACTOR, ResidualLayer, covariance_factor
+from models.contact_layers import FACTOR_NUMBERS, ResidualLayer, covariance_factor
 from physics.identifiability import LIMIT, RATIOS, bounds, ratio_bounds
 
 FARTHEST = 2.0
@@ -20,7 +20,10 @@ FARTHEST = 2.0
 
 
 class ExpectedBound(nn.Module):
-    """Factor L of a covariance L·Lᵀ whose standard deviations are the medians of the Cramér–Rao bounds.
+    """Factor L of a covariance L·Lᵀ whose standard deviations are about the medians of the Cramér–Rao bounds.
+
+    Those of k_s, k_d, |F| and of the ratios k_s/k_d and F/k_d, between 0.07 and 2.7. Nothing else about it is learnt:
+    its other directions mean nothing.
 
     Args:
         features: length of the contact's vector.
@@ -34,7 +37,7 @@ class ExpectedBound(nn.Module):
             nn.Linear(features, width),
             *(ResidualLayer(width) for _ in range(blocks)),
             nn.LayerNorm(width),
-            nn.Linear(width, FACTOR),
+            nn.Linear(width, FACTOR_NUMBERS),
         )
         with torch.no_grad():
             self.layers[-1].weight.mul_(0.1)

@@ -253,8 +253,9 @@ class PhysicsInformedGAN(LightningModule):
     def _physics_of(self, generator: Generator, answer: Answer, batch: dict[str, Any], side: str) -> Tensor:
         """The squared displacement error of a head's θ, or the negative evidence bound of its posterior.
 
-        The latter is about the frames up to the sample's own: a posterior is judged by what it was told. Beside it the
-        bound by which verdicts are given is learnt, from the information at the mean.
+        The latter is about the frames up to the sample's own: a posterior is judged by what it was told. Unless the
+        head is pretrained, the bound by which verdicts are given is learnt beside it, from the information at the mean:
+        nothing better is known then, and how often such verdicts are right was not measured.
         """
         mesh = batch[f"mesh_{side}"]
         if answer.mean is None:
@@ -264,11 +265,11 @@ class PhysicsInformedGAN(LightningModule):
         found = linearise_batch(answer.mean, batch[f"noise_{side}"], mesh, *seen, self.mechanics)
         posterior = generator.head.posterior
         evidence = negative_evidence(answer.mean, answer.factor, found, posterior.lower, posterior.upper)
-        if self.pretrained is not None:  # it has learnt the expected bound where θ was known better
+        if self.pretrained is not None:  # it has learnt the bound where θ was known better
             return evidence
-        bound = posterior.bound(batch[f"contact_features_{side}"])
-        wrong = bound_loss(bound, np.stack([item.information for item in found]))
-        return evidence + (wrong - wrong.detach())  # learnt beside it, and no part of its value
+        expected = posterior.expected_bound_factor(batch[f"contact_features_{side}"])
+        error = bound_loss(expected, np.stack([item.information for item in found]))
+        return evidence + (error - error.detach())  # learnt beside it, and no part of its value
 
     def _judge(
         self,

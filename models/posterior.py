@@ -11,7 +11,7 @@ import math
 import torch
 from torch import Tensor, nn
 
-from models.contact_layers import FACTOR, ResidualLayer, covariance_factor
+from models.contact_layers import FACTOR_NUMBERS, ResidualLayer, covariance_factor
 from models.expected_bound import ExpectedBound
 
 
@@ -35,7 +35,7 @@ class ContactPosterior(nn.Module):
         super().__init__()
         self.entry = nn.Linear(features, width)
         self.blocks = nn.Sequential(*(ResidualLayer(width) for _ in range(blocks)))
-        self.exit = nn.Sequential(nn.LayerNorm(width), nn.Linear(width, 3 + FACTOR))
+        self.exit = nn.Sequential(nn.LayerNorm(width), nn.Linear(width, 3 + FACTOR_NUMBERS))
         self.picture = nn.Linear(picture, width) if picture else None
         self.expected_bound = ExpectedBound(features)
         box = torch.as_tensor(box, dtype=torch.float32)
@@ -64,7 +64,7 @@ class ContactPosterior(nn.Module):
         mean = self.lower + (self.upper - self.lower) * torch.sigmoid(raw[:, :3])
         return mean, covariance_factor(raw[:, 3:])
 
-    def bound(self, contact: Tensor) -> Tensor:
+    def expected_bound_factor(self, contact: Tensor) -> Tensor:
         """Contact features [B, features] → factor [B, 3, 3] of `ExpectedBound`; trained for itself."""
         return self.expected_bound((contact - self.centre) / self.scale)
 

@@ -49,7 +49,11 @@ class PosteriorModel:
         """Whether it looks at the depth window as well."""
         plain = Calibration().document()["whole"]
         told = self.metadata.get("calibration", {}).get("whole", plain)
-        self.calibrated = any(told.get(name) != value for name, value in plain.items())
+        if "decisive" in told:
+            raise ModelFileError(
+                f"{self.path} gives its verdicts by standard deviations, as an earlier version did; export it again."
+            )
+        self.calibrated = any(told.get(name, value) != value for name, value in plain.items())
         """Whether its standard deviations are more than the network's own."""
 
     def __call__(
@@ -63,7 +67,7 @@ class PosteriorModel:
 
         Returns:
             Of (log k_s, log k_d, log |F|): mean [B, 3], calibrated covariance [B, 3, 3], and the covariance [B, 3, 3]
-            whose standard deviations are the expected bounds, by which the verdict is given; float64.
+            by whose standard deviations the verdict is given (`models.expected_bound.ExpectedBound`); float64.
 
         Raises:
             ValueError: another shape.

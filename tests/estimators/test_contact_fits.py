@@ -1,4 +1,4 @@
-"""Material of the last training stage: contacts as arrays, the problem without noise, and the motion's slopes."""
+"""Material of the last training stages: contacts as arrays, the problem without noise, and the motion's slopes."""
 
 from __future__ import annotations
 

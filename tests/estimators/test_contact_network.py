@@ -203,6 +203,18 @@ def test_a_motion_that_is_not_explained_widens_the_intervals(network: ContactNet
     assert (np.diag(added) <= (box[1] - box[0]) ** 2 / 12 + 1e-12).all()  # never wider than the prior
 
 
+def test_a_motion_across_the_force_is_no_misfit(network: ContactNetwork, clip) -> None:
+    """A measured normal that is off by some degrees would look like it; the network is not told of it either."""
+    samples = SampleSettings(observation="trajectory", mechanics=MECHANICS)
+    (case,) = contact_cases(prepare_synthetic(clip, PREPARE), samples).values()
+    network.mechanics = network.trained
+    across = np.cross(case.direction, [1.0, 0.0, 0.0])
+    sideways = dataclasses.replace(case, displacement=(case.displacement + 0.05 * across).astype(np.float32))
+    straight, moved = (network.estimate(item, None, None) for item in (case, sideways))
+    assert moved.misfit == pytest.approx(straight.misfit, rel=1e-4)
+    np.testing.assert_allclose(moved.theta, straight.theta, rtol=1e-4)
+
+
 def aslant(case: ContactCase, degrees: float) -> ContactCase:
     """A contact moved aside, so that its direction lies that far from the line of sight; its motion stays."""
     normal = np.asarray(case.direction, np.float64)

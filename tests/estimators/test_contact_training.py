@@ -1,4 +1,4 @@
-"""Training the contact posterior: fits, drawn errors, and that the last stage learns what a fit would say."""
+"""Training the contact posterior: fits, drawn errors, and that the fine stage learns what a fit would say."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_a_wider_noise_level_tells_less(contacts: list[SimulatedContact]) -> Non
     np.testing.assert_allclose(narrow.information, 4 * wide.information, rtol=1e-6)
 
 
-def test_the_last_stage_learns(contacts: list[SimulatedContact]) -> None:
+def test_the_fine_stage_learns(contacts: list[SimulatedContact]) -> None:
     """On eight contacts, a hundred steps bring the estimates nearer to what explains the motions."""
     trainer = Trainer(contacts, 0)
     found = [fit_motion((contact.case, np.log(np.abs(contact.theta)))) for contact in contacts]
@@ -105,11 +105,13 @@ def test_the_expected_bound_learns_and_leaves_the_posterior_alone(contacts: list
 
     def told() -> tuple[torch.Tensor, torch.Tensor, np.ndarray]:
         with torch.no_grad():
-            bound = trainer.posterior.bound(features).double().numpy()
+            bound = trainer.posterior.expected_bound_factor(features).double().numpy()
             return *trainer.posterior(features), np.linalg.norm(bound, axis=2)
 
     mean, factor, _ = told()
-    trainer.bound(fits, 200, 128, 2e-3, lambda step, loss: None)
+    before = evaluate(trainer.posterior, contacts, 1e-3, 0)["expected"]
+    trainer.learn_bound(fits, 200, 128, 2e-3, lambda step, loss: None)
+    assert np.mean(evaluate(trainer.posterior, contacts, 1e-3, 0)["expected"]) < 0.5 * np.mean(before)
     same_mean, same_factor, expected = told()
     assert torch.equal(mean, same_mean)
     assert torch.equal(factor, same_factor)

@@ -62,6 +62,8 @@ def test_narrow_intervals_are_told_from_wide_ones():
     assert found["all", "stiffness", "coverage90_wide"]["value"] == 1
     assert found["all", "stiffness", "coverage90_wide"]["n"] == 5
     assert ("all", "stiffness", "coverage90_wide") not in details(rows[:14])
+    alike = [recovery(index, covariance=0.01 * np.eye(3)) for index in range(15)]
+    assert ("all", "stiffness", "coverage90_wide") not in details(alike)
 
 
 def test_warnings_are_counted():

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from estimators.estimate import NoEstimate
+from estimators.estimate import ContactEstimate, NoEstimate
 from evaluation import recovery_estimators
-from evaluation.recovery_estimators import Answer, EstimatorSpec, open_estimator
+from evaluation.recovery_estimators import Answer, EstimatorSpec, answer_of, open_estimator
 from models.onnx_session import ModelFileError
 
 
@@ -41,6 +41,22 @@ def test_the_constant_answers_the_same_at_every_onset():
     assert (onset, rest) == (1, [])
     np.testing.assert_allclose(answer.theta, [1.0, np.exp(-1), -np.exp(-2)])
     np.testing.assert_array_equal(answer.covariance, np.diag([1.0, 2.0, 3.0]))
+
+
+@pytest.mark.parametrize(
+    ("misfit", "angle", "warned"), [(1.4, 1.0, False), (1.6, 1.0, True), (1.4, 4.9, False), (1.4, 5.1, True)]
+)
+def test_an_estimate_warns_of_a_motion_it_does_not_explain_and_of_one_seen_aslant(misfit, angle, warned):
+    estimate = ContactEstimate(
+        theta=np.array([0.3, 0.05, -0.1]),
+        covariance=np.eye(3),
+        information=np.eye(3),
+        noise=0.001,
+        misfit=misfit,
+        at_bound=np.zeros(3, bool),
+        view_angle=angle,
+    )
+    assert answer_of(estimate, 1.5).warned is warned
 
 
 def test_the_papers_network_is_averaged_in_logarithms_over_the_frames_in_contact(monkeypatch):

@@ -53,6 +53,21 @@ def test_another_model_is_refused_by_name(checkpoint: Path, change: dict, messag
         require_same_model(checkpoint, SETTINGS | change)
 
 
+def test_a_posterior_without_expected_bounds_is_refused(tmp_path: Path):
+    """Checkpoints of earlier versions."""
+    bounds = Bounds((0.05, 1.0), (0.005, 0.5), (-0.3, -0.01), (0.4, 0.08, -0.1))
+    settings = SETTINGS | {"head": "posterior", "bounds": asdict(bounds)}
+    same = {"width": 4, "residual_blocks": 1, "mechanics": Mechanics(steps=40, load_steps=10)}
+    module = PhysicsInformedGAN(head="posterior", contact_features=6, bounds=bounds, **same)
+    weights, path = module.state_dict(), tmp_path / "last.ckpt"
+    torch.save({"state_dict": weights, "hyper_parameters": dict(module.hparams)}, path)
+    require_same_model(path, settings)
+    former = {name: value for name, value in weights.items() if "expected_bound" not in name}
+    torch.save({"state_dict": former, "hyper_parameters": dict(module.hparams)}, path)
+    with pytest.raises(CheckpointError, match="knows no expected bounds"):
+        require_same_model(path, settings)
+
+
 def test_unusable_files(checkpoint: Path, tmp_path: Path):
     with pytest.raises(CheckpointError, match="does not exist"):
         read_checkpoint(tmp_path / "nothing.ckpt")

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import warnings
 
+import numpy as np
 import pytest
 import torch
 from lightning.pytorch import Trainer
 from torch.utils.data import DataLoader
 
 from models.augmentation import AugmentationSettings
+from models.evidence import linearise_batch
+from models.expected_bound import bound_loss
 from models.losses import LossWeights
 from models.module import PhysicsInformedGAN, TrainingDiverged, with_current
 from models.posterior import ContactPosterior
@@ -249,6 +252,38 @@ def test_head_posterior_trains_both_heads_by_the_evidence_bound(make_told_batch)
         assert all(p.grad is None for p in generator.decoder.parameters())
 
 
+def test_the_expected_bound_is_learnt_beside_the_evidence(make_told_batch, tmp_path):
+    """Without a pretrained head: no part of the loss's value, and nothing but its own weights changes for it."""
+    batch = make_told_batch()
+    torch.save(build(**POSTERIOR).generator_ab.head.posterior.state_dict(), tmp_path / "posterior.pt")
+    learning, keeping = build(**POSTERIOR), build(pretrained=str(tmp_path / "posterior.pt"), **POSTERIOR)
+    losses = [module.generator_losses(batch)[0].physics for module in (learning, keeping)]
+    assert losses[0].item() == pytest.approx(losses[1].item(), rel=1e-6)
+    for loss in losses:
+        loss.backward()
+    heads = [dict(module.generator_ab.head.named_parameters()) for module in (learning, keeping)]
+    for name, parameter in heads[0].items():
+        other = heads[1][name].grad
+        if ".expected_bound." in f".{name}":
+            assert parameter.grad is not None
+            assert other is None
+        else:
+            torch.testing.assert_close(parameter.grad, other)
+
+    def error(module: PhysicsInformedGAN) -> float:
+        generator = module.generator_ab
+        mean = generator.answer(generator.encode(batch["window_a"]), batch["contact_features_a"]).mean
+        seen = (batch[f"{name}_a"] for name in ("noise", "mesh", "seen_contact", "seen_observation"))
+        found = linearise_batch(mean, *seen, module.mechanics)
+        factor = generator.head.posterior.expected_bound_factor(batch["contact_features_a"])
+        return float(bound_loss(factor, np.stack([item.information for item in found])))
+
+    module = build(learning_rate=2e-3, **POSTERIOR)
+    before = error(module)
+    fit(module, [batch], epochs=40)
+    assert error(module) < 0.5 * before
+
+
 def test_the_bound_is_about_what_was_seen_until_the_frame(make_told_batch):
     """Later frames are in the batch for evaluation; the training of head posterior doesn't look at them."""
     batch = make_told_batch()
@@ -278,6 +313,8 @@ def test_a_pretrained_head_is_taken_over_when_training_starts(make_told_batch, t
     fit(module, [make_told_batch()])
     for generator in (module.generator_ab, module.generator_ba):
         torch.testing.assert_close(generator.head.posterior(contact)[0], trained(contact)[0], atol=1e-4, rtol=1e-4)
+        for name, value in trained.expected_bound.state_dict().items():  # and not trained on
+            assert torch.equal(generator.head.posterior.expected_bound.state_dict()[name], value)
     assert "pretrained" not in module.hparams
 
 

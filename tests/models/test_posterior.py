@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from models.calibration import Calibration, Widths
 from models.generator import Generator
+from models.onnx_file import ParityError
 from models.onnx_session import ModelFileError
 from models.posterior import ContactPosterior, evidence_loss
 from models.posterior_export import export_posterior
@@ -97,7 +98,7 @@ def test_exported_file_agrees_and_is_calibrated(posterior: ContactPosterior, tmp
     mean, covariance, decisive = model(contact)
     with torch.no_grad():
         expected, factor = posterior(torch.from_numpy(contact))
-        bound = posterior.bound(torch.from_numpy(contact))
+        bound = posterior.expected_bound_factor(torch.from_numpy(contact))
     np.testing.assert_allclose(mean, expected.numpy(), atol=1e-5)
     plain = (factor @ factor.transpose(1, 2)).numpy()
     sd = np.sqrt(np.diagonal(plain, axis1=1, axis2=2))
@@ -151,6 +152,30 @@ def test_a_generators_posterior_takes_the_depth_window_too(tmp_path) -> None:
         model(contact)
 
 
+def test_files_that_give_verdicts_otherwise_are_refused(posterior: ContactPosterior, tmp_path) -> None:
+    """Earlier versions wrote factors of standard deviations instead of expected bounds."""
+    document = METADATA | {"calibration": {"whole": {"decisive": [1.0, 1.0, 1.0]}}}
+    with pytest.raises(ModelFileError, match="as an earlier version did; export it again"):
+        export_posterior(posterior, tmp_path / "old.onnx", document)
+
+
+def test_large_bounds_are_compared_relative_to_their_size(posterior: ContactPosterior, tmp_path, monkeypatch) -> None:
+    """Variances of 7 can't agree to 1e-5 in float32; a difference of as many parts of 1 can."""
+    with torch.no_grad():
+        posterior.expected_bound.layers[-1].bias[:] = torch.tensor([1.0, 1.0, 1.0, 30.0, 30.0, 30.0])
+    exported = export_posterior(posterior, tmp_path / "large.onnx", METADATA)
+    model = PosteriorModel(tmp_path / "large.onnx")
+    contact = np.ones((1, 10), np.float32)
+    assert model(contact)[2].max() > 1000
+    assert exported < 1e-5
+    plain = PosteriorModel.__call__
+    monkeypatch.setattr(
+        PosteriorModel, "__call__", lambda *told: (*plain(*told)[:2], plain(*told)[2] * 1.001)
+    )  # a thousandth off
+    with pytest.raises(ParityError):
+        export_posterior(posterior, tmp_path / "off.onnx", METADATA)
+
+
 def test_another_file_is_refused(tmp_path) -> None:
     path = tmp_path / "text.onnx"
     path.write_text("no network")
@@ -158,13 +183,15 @@ def test_another_file_is_refused(tmp_path) -> None:
         PosteriorModel(path)
 
 
-def test_the_expected_bound_knows_no_prior(posterior: ContactPosterior) -> None:
-    """It is a network of its own: neither the picture nor the posterior's weights change it."""
+def test_the_expected_bound_is_a_network_of_its_own(posterior: ContactPosterior) -> None:
+    """The posterior's weights don't change it."""
     contact = torch.randn(4, 10)
-    before = posterior.bound(contact)
+    before = posterior.expected_bound_factor(contact)
     for name, weights in posterior.named_parameters():
         if not name.startswith("expected_bound."):
             weights.data.add_(0.1)
-    torch.testing.assert_close(posterior.bound(contact), before)
+    torch.testing.assert_close(posterior.expected_bound_factor(contact), before)
     posterior.standardise(3 * torch.randn(50, 10) + 1)
-    assert not torch.allclose(posterior.bound(contact), before)  # but it sees standardised features, too
+    assert not torch.allclose(
+        posterior.expected_bound_factor(contact), before
+    )  # but it sees standardised features, too

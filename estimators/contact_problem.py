@@ -40,8 +40,8 @@ class ContactProblem:
         return np.exp(logs) * (1.0, 1.0, -1.0)
 
     def candidates(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-        """φ evenly spread over the box, shape [CANDIDATES, 3]."""
-        return low + Sobol(3, rng=0).random(CANDIDATES) * (high - low)
+        """φ evenly spread over the box, shape [CANDIDATES, 3] (or with further parameters)."""
+        return low + Sobol(len(low), rng=0).random(CANDIDATES) * (high - low)
 
     def starts(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
         """φ of the candidates with the smallest misfit, shape [at most STARTS, 3]."""

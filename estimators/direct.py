@@ -20,9 +20,10 @@ from data.collected import CollectedClip
 from data.samples import ContactCase, Horizon, SampleSettings, contact_cases
 from estimators.contact_optima import Optimum, combine, distinct, evidence_shares, find_optimum
 from estimators.contact_problem import ContactProblem
-from estimators.estimate import ContactEstimate, NoEstimate, combined
+from estimators.delayed_problem import DelayedProblem, about_tissue
+from estimators.estimate import ContactEstimate, NoEstimate
 from estimators.oblique import effective_misfit, is_oblique, view_angle, widened
-from estimators.onset import STAMP, begun_otherwise, onset_error
+from estimators.onset import STAMP, onset_error
 from estimators.posterior_sampling import Draws, Mixture, sample_posterior
 from estimators.tracking_noise import log_likelihoods, variance_scale
 from physics.identifiability import bounds, box_information
@@ -98,9 +99,10 @@ def fit_contact(case: ContactCase, settings: DirectSettings) -> ContactEstimate:
         settings: the model that is fitted.
 
     Returns:
-        The estimate. Where the beginning of the press isn't known it is that of several beginnings together
-        (`estimators.onset`). Where the contact is pressed aslant to the line of sight its uncertainty is widened
-        (`estimators.oblique`), because what it was fitted to may not be the bottom of the dent.
+        The estimate. Where the beginning of the press isn't known its delay is fitted as well
+        (`estimators.delayed_problem`), and the information is what there would be if it were known. Where the contact
+        is pressed aslant to the line of sight its uncertainty is widened (`estimators.oblique`), because what it was
+        fitted to may not be the bottom of the dent.
 
     Raises:
         NoEstimate: fewer than three observations, or no noise level.
@@ -112,39 +114,44 @@ def fit_contact(case: ContactCase, settings: DirectSettings) -> ContactEstimate:
         raise NoEstimate(
             f"The contact was followed over {len(case.steps)} frames after its onset; {LEAST_OBSERVATIONS} are needed."
         )
-    cases = begun_otherwise(case, settings.onset_within, settings.mechanics.time_step, LEAST_OBSERVATIONS)
-    found = combined([_fit(each, settings, noise) for each in cases])
+    if settings.onset_within > 0:
+        problem = DelayedProblem(case, settings.mechanics, noise, settings.onset_within)
+        delays = settings.onset_within * np.array([[-1.0], [1.0]])
+        found = _fit(problem, np.hstack([settings.box, delays]))
+    else:
+        found = _fit(ContactProblem(case, settings.mechanics, noise), settings.box)
     return widened(found, effective_misfit(found), settings.box) if is_oblique(found) else found
 
 
-def _fit(case: ContactCase, settings: DirectSettings, noise: float) -> ContactEstimate:
-    """Fit θ to a contact that began at its time stamp."""
-    problem = ContactProblem(case, settings.mechanics, noise)
-    low, high = settings.box
+def _fit(problem: ContactProblem, box: np.ndarray) -> ContactEstimate:
+    """Fit a problem's parameters, those of θ first, within their box, shape [2, D]."""
+    low, high = box
     candidates = problem.candidates(low, high)
     paths = problem.coarse_paths(candidates)
-    prior = box_information(settings.box)
+    prior = box_information(box)
     optima = distinct(
         [find_optimum(problem, start, low, high) for start in problem.best_starts(candidates, paths, low, high)]
     )
-    draws = _sample(problem, optima, settings.box, prior, candidates, paths)
+    draws = _sample(problem, optima, box, prior, candidates, paths)
     if draws.effective < TOO_FEW:
         # Most likely all starts have missed the best optimum, and some draw came near it.
         optima = distinct([*optima, find_optimum(problem, draws.likeliest, low, high)])
-        draws = _sample(problem, optima, settings.box, prior, candidates, paths)
+        draws = _sample(problem, optima, box, prior, candidates, paths)
     mean, spread, best = combine(optima, prior)
     judges = mean[None]
     if draws.effective >= TOO_FEW:
         mean, spread, judges = draws.mean, draws.covariance, draws.thinned(JUDGES)
+    residual = (problem.path(best.logs) - problem.observed) @ problem.case.direction
     return ContactEstimate(
         theta=problem.theta(mean),
-        covariance=spread,
-        information=problem.information(mean),
-        noise=noise,
-        misfit=float(np.sqrt(np.square((problem.path(best.logs) - problem.observed) @ case.direction).mean())) / noise,
-        at_bound=np.minimum(best.logs - low, high - best.logs) < AT_BOUND,
-        decisive=cautious([problem.information(logs) for logs in judges]),
-        view_angle=view_angle(case),
+        covariance=spread[:3, :3],
+        information=problem.information(mean)[:3, :3],
+        noise=problem.noise,
+        misfit=float(np.sqrt(np.square(residual).mean())) / problem.noise,
+        at_bound=np.minimum(best.logs - low, high - best.logs)[:3] < AT_BOUND,
+        decisive=cautious([about_tissue(problem.information(logs), prior) for logs in judges]),
+        delay=float(mean[3]) if len(mean) > 3 else None,
+        view_angle=view_angle(problem.case),
     )
 
 

@@ -2,8 +2,9 @@
 
 Every simulated press begins at the time stamp of the first frame in contact. A real one begins up to a frame interval
 before or after it, and an estimate that takes the stamp for the beginning is surer than it may be: a few milliseconds
-look like other tissue. So the contact is estimated as if it had begun at several instants, evenly spread, and these
-estimates are taken together. They count alike: how well each explains the motion was no good guide to the true one.
+look like other tissue. `direct` fits the delay (`estimators.delayed_problem`). The network has learnt presses that
+begin at their time stamp only; it estimates the contact as if it had begun at several instants, evenly spread, and
+these estimates are taken together. They count alike: so far apart, how well each explains the motion is no guide.
 `python -m evaluation.benchmark --suite late-onset --onset between`, or without that option, shows what it is worth.
 """
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -59,10 +60,14 @@ def along_force(case: ContactCase, theta: np.ndarray, displacement: np.ndarray) 
 
 
 def fitted_path(case: ContactCase, estimate: ContactEstimate, mechanics: Mechanics) -> np.ndarray:
-    """Simulated displacement from the onset to the last observation, shape [T, 3]; index i is the time (i+1)·Δt."""
-    steps = int(case.steps.max()) + 1
+    """Simulated displacement since the press began, shape [T, 3]; index i is the time (i+1)·Δt.
+
+    It reaches to the last observation, before which it may have begun earlier than the first frame in contact.
+    """
+    observed = int(case.steps.max()) + 1
+    steps = observed + math.ceil(max(-(estimate.delay or 0.0), 0.0) / mechanics.time_step)
     used = dataclasses.replace(mechanics, steps=steps, load_steps=0)
-    load = min(case.load_steps, steps)
+    load = case.load_steps if case.load_steps < observed else steps  # a press that was not seen to end goes on
     return simulate(estimate.theta, case.mesh, case.vertex, case.direction, used, load_steps=load)
 
 
@@ -79,8 +84,10 @@ def _draw_panel(image: np.ndarray, top: int, result: ContactResult, mechanics: M
     times = (case.steps + 1) * mechanics.time_step
     observed = along_force(case, estimate.theta, case.displacement)
     path = along_force(case, estimate.theta, fitted_path(case, estimate, mechanics))
-    path_times = mechanics.time_step * np.arange(len(path) + 1)
-    path = np.concatenate([[0.0], path])
+    delay = estimate.delay or 0.0
+    began = delay + mechanics.time_step * np.arange(len(path) + 1)
+    path_times = np.linspace(0, times[-1], len(path) + 1)
+    path = np.interp(path_times, began, np.concatenate([[0.0], path]))
     _draw_head(image, top, result)
     shown = np.concatenate([observed - estimate.noise, observed + estimate.noise, path])
     margin = 0.08 * max(float(np.ptp(shown)), 1e-6)
@@ -88,8 +95,9 @@ def _draw_panel(image: np.ndarray, top: int, result: ContactResult, mechanics: M
     width = WIDTH - _LEFT - _RIGHT
     axes = Axes(image, _LEFT, top + _HEAD, width, _PANEL, (0.0, float(times[-1])), values)
     axes.frame("Displacement along the force", "[scene units (normalised)]", x_label="time since the onset [s]")
-    if case.load_steps * mechanics.time_step < times[-1]:
-        _draw_release(axes, case.load_steps * mechanics.time_step)
+    release = delay + case.load_steps * mechanics.time_step
+    if release < times[-1]:
+        _draw_release(axes, release)
     axes.band(times, observed - estimate.noise, observed + estimate.noise, _OBSERVED)
     axes.curve(path_times, path, _FITTED)
     for center in np.round(axes.pixels(times, observed)).astype(int).tolist():

@@ -30,6 +30,7 @@ COLUMNS: dict[str, str] = {
     "onset_time_s": "s",
     "frames": "frames after the onset in which its tissue was followed",
     "load_s": "s from the onset to the release; empty: the onset or the release was not seen",
+    "delay_s": "s from the onset frame to the beginning of the press, as fitted; empty: taken to be 0",
     "stiffness": "k_s",
     "stiffness_sd": "standard deviation of stiffness",
     "damping": "k_d",
@@ -145,6 +146,7 @@ def _numbers(estimate: ContactEstimate) -> dict[str, Any]:
     return {
         **dict(zip(PARAMETERS, np.abs(estimate.theta).tolist(), strict=True)),
         **uncertainty(estimate),
+        "delay_s": estimate.delay,
         "verdict": estimate.verdict,
         "explanation": estimate.explanation,
         "noise": estimate.noise,

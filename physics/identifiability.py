@@ -53,10 +53,10 @@ def log_jacobian(jacobian: np.ndarray, theta: np.ndarray) -> np.ndarray:
 
 
 def fisher_information(jacobian: np.ndarray, noise: float) -> np.ndarray:
-    """I = Σ (∂Φ/∂φ)ᵀ(∂Φ/∂φ)/σ², shape [3, 3].
+    """I = Σ (∂Φ/∂φ)ᵀ(∂Φ/∂φ)/σ², shape [3, 3], or [D, D] of any other parameters φ.
 
     Args:
-        jacobian: ∂Φ/∂φ of everything that is observed, shape [..., 3].
+        jacobian: ∂Φ/∂φ of everything that is observed, shape [..., D].
         noise: σ of every observed coordinate [scene units].
 
     Raises:
@@ -64,7 +64,7 @@ def fisher_information(jacobian: np.ndarray, noise: float) -> np.ndarray:
     """
     if not noise > 0:
         raise ValueError(f"noise is {noise}; give a positive standard deviation.")
-    rows = np.asarray(jacobian, np.float64).reshape(-1, 3)
+    rows = np.asarray(jacobian, np.float64).reshape(-1, jacobian.shape[-1])
     return rows.T @ rows / noise**2
 
 

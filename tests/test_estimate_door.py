@@ -102,7 +102,10 @@ def test_real_presses_begin_between_frames(done: Path, clips: Path, tmp_path: Pa
     ((exact,), (between,)) = rows(done), rows(tmp_path / "video01_00000")
     for name in ("stiffness", "damping", "force"):
         widths = [np.log(float(row[f"{name}_high"]) / float(row[f"{name}_low"])) for row in (exact, between)]
-        assert widths[1] > 1.2 * widths[0]
+        assert widths[1] > 1.1 * widths[0]
+    assert exact["delay_s"] == ""
+    assert abs(float(between["delay_s"])) < 0.01  # it began at the stamp, and the fit finds that
+    assert between["verdict"] == "determined"
     told = [record(folder)["estimator"]["onset"] for folder in (done, tmp_path / "video01_00000")]
     assert told == ["stamp", "between"]
     within = [record(folder)["estimator"]["onset_within"] for folder in (done, tmp_path / "video01_00000")]

@@ -190,6 +190,17 @@ def test_displacements_count_along_the_force() -> None:
     assert path[0] == pytest.approx(0.1 / 0.001 * 0.0025**2 / 2, rel=0.1)
 
 
+def test_a_press_that_began_earlier_has_moved_for_longer() -> None:
+    early = dataclasses.replace(ESTIMATE, delay=-8 * MECHANICS.time_step)
+    late = dataclasses.replace(ESTIMATE, delay=8 * MECHANICS.time_step)
+    plain = fitted_path(CASE, ESTIMATE, MECHANICS)
+    assert len(fitted_path(CASE, early, MECHANICS)) == len(plain) + 8
+    np.testing.assert_array_equal(fitted_path(CASE, early, MECHANICS)[: len(plain)], plain)
+    np.testing.assert_array_equal(fitted_path(CASE, late, MECHANICS), plain)
+    pictures = [draw_fits([dataclasses.replace(GOOD, estimate=item)], MECHANICS, "clip") for item in (early, late)]
+    assert (pictures[0] != pictures[1]).any()
+
+
 def test_the_picture_has_a_panel_for_each_fit_up_to_a_number() -> None:
     heights = [len(draw_fits([GOOD] * count, MECHANICS, "clip")) for count in (0, 1, 2, MOST_PANELS, MOST_PANELS + 3)]
     assert heights[2] - heights[1] == heights[1] - heights[0] > 300

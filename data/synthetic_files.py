@@ -90,6 +90,7 @@ def _truth_entries(scene: Scene, motion: Motion, seed: int) -> dict:
         "onset_s": float(motion.times[motion.onset_frame]),
         "release_s": float(motion.times[motion.release_frame]),
         "force_delay_s": motion.delay,
+        "release_delay_s": motion.release_delay,
         "force_profile": scene.settings.profile,
         "peak_displacement": motion.peak,
         "contact_vertex": scene.vertex,

@@ -50,8 +50,10 @@ class SceneSettings:
     onset_fraction: Range = (0.15, 0.25)
     """The first frame in contact, as a share of the clip's frames."""
     onset_delay: Range = (0.0, 0.0)
-    """Share of a frame interval by which the force starts (and ends) after the time stamp of the first frame in contact
-    (released frame); drawn uniformly from this range. Frames of a real video don't wait for the tool."""
+    """Share of a frame interval by which the force starts after the time stamp of the first frame in contact; drawn
+    uniformly from this range. Frames of a real video don't wait for the tool."""
+    release_delay: Range = (0.0, 0.0)
+    """Share of a frame interval by which the force ends after the time stamp of the first frame after contact."""
     distance: Range = (0.45, 0.6)
     """Depth z of the contact [scene units]."""
     max_tilt_deg: float = 0.2
@@ -119,6 +121,7 @@ class SceneSettings:
             "press_seconds": (1e-6, math.inf),
             "onset_fraction": (0.0, 0.9),
             "onset_delay": (0.0, 1.0),
+            "release_delay": (0.0, 1.0),
             "distance": (0.3, 0.8),
             "curvature": (0.0, 1.5),
         }

@@ -48,9 +48,11 @@ class Motion:
     onset_frame: int
     """First frame in contact; the force starts `delay` after its time stamp, until when the tissue is at rest."""
     release_frame: int
-    """First frame after contact; the force ends `delay` after its time stamp."""
+    """First frame after contact; the force ends `release_delay` after its time stamp."""
     delay: float
     """Time from the first frame in contact to the start of the force [s], at most a frame interval."""
+    release_delay: float
+    """Time from the first frame after contact to the end of the force [s], at most a frame interval."""
     times: np.ndarray
     """Time stamps of the frames [s], shape [F]."""
     contact: np.ndarray
@@ -68,7 +70,8 @@ class Motion:
     @property
     def load_seconds(self) -> float:
         """Time under load [s]."""
-        return float(self.times[self.release_frame] - self.times[self.onset_frame])
+        stamped = self.times[self.release_frame] - self.times[self.onset_frame]
+        return float(stamped + self.release_delay - self.delay)
 
     @property
     def peak(self) -> float:
@@ -135,15 +138,18 @@ def draw_motion(scene: Scene, generator: np.random.Generator) -> Motion:
     low, high = settings.peak_displacement
     onset, release = _draw_contact_frames(settings, generator)
     variation = _stiffness_field(settings, generator)
-    # A stream of its own: θ and the frames of contact don't depend on the delay.
-    delay = float(generator.spawn(1)[0].uniform(*settings.onset_delay)) / settings.fps
+    # Streams of their own: θ and the frames of contact don't depend on the delays.
+    ranges = settings.onset_delay, settings.release_delay
+    delays = [
+        float(stream.uniform(*share)) / settings.fps for stream, share in zip(generator.spawn(2), ranges, strict=True)
+    ]
     peaks = []
     for _ in range(60):
         theta = draw_theta(settings, generator)
         peak = _peak_under_load(scene, theta, (release - onset) / settings.fps, variation)
         peaks.append(peak)
         if low <= peak <= high:
-            return simulate_motion(scene, theta, onset, release, variation, delay)
+            return simulate_motion(scene, theta, onset, release, variation, *delays)
     raise SceneError(
         f"scene.force {settings.force} moves the contact by {min(peaks):.2g} to {max(peaks):.2g}, outside "
         f"scene.peak_displacement [{low:g}, {high:g}]; change one of them."
@@ -151,7 +157,13 @@ def draw_motion(scene: Scene, generator: np.random.Generator) -> Motion:
 
 
 def simulate_motion(
-    scene: Scene, theta: np.ndarray, onset: int, release: int, variation: np.ndarray | None = None, delay: float = 0.0
+    scene: Scene,
+    theta: np.ndarray,
+    onset: int,
+    release: int,
+    variation: np.ndarray | None = None,
+    delay: float = 0.0,
+    release_delay: float = 0.0,
 ) -> Motion:
     """Integrate the sheet from rest through press and release.
 
@@ -160,11 +172,17 @@ def simulate_motion(
         onset: first frame in contact.
         release: first frame after contact.
         variation: relative stiffness over the grid, shape [h, w]; None is 1 everywhere.
-        delay: from those frames' time stamps to the start and the end of the force [s], at most a frame interval.
+        delay, release_delay: from those frames' time stamps to the start and the end of the force [s], at most a frame
+            interval each.
+
+    Raises:
+        SceneError: the force ends before it starts.
     """
     settings = scene.settings
     times = np.arange(settings.frames) / settings.fps
-    load = (release - onset) / settings.fps
+    load = (release - onset) / settings.fps + release_delay - delay
+    if load <= 0:
+        raise SceneError("The force ends before it starts; give a longer scene.press_seconds.")
     after = times[onset:] - times[onset] - delay  # since the start of the force
     fine = SAMPLE_STEP * np.arange(1, math.floor(after[-1] / SAMPLE_STEP + 1e-9) + 1)
     window, frames, response = _integrate(scene, theta, load, after, fine, variation)
@@ -177,7 +195,19 @@ def simulate_motion(
     force[onset:][pressed] = theta[2] * _profile(settings, after[pressed], load)
     zeta = damping_ratio(theta[0], theta[1], settings.mass)
     return Motion(
-        theta, zeta, regime_of(zeta), onset, release, delay, times, contact, response, force, window.vertices, field
+        theta=theta,
+        zeta=zeta,
+        regime=regime_of(zeta),
+        onset_frame=onset,
+        release_frame=release,
+        delay=delay,
+        release_delay=release_delay,
+        times=times,
+        contact=contact,
+        response=response,
+        force=force,
+        moving=window.vertices,
+        field=field,
     )
 
 

@@ -39,6 +39,13 @@ class ContactProblem:
         """θ with F pressing."""
         return np.exp(logs) * (1.0, 1.0, -1.0)
 
+    def delays(self, logs: np.ndarray) -> tuple[float, ...]:
+        """Time from the stamps of the first frame in contact, and of the first one after it, to the true instants [s].
+
+        None of either where it is no parameter.
+        """
+        return ()
+
     def candidates(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
         """φ evenly spread over the box, shape [CANDIDATES, 3] (or with further parameters)."""
         return low + Sobol(len(low), rng=0).random(CANDIDATES) * (high - low)

@@ -1,9 +1,10 @@
 """The direct estimator: θ of one contact from its motion through the simulator, without a trained network.
 
 The strongest classical rival of a network (docs/identifiability.md). Levenberg–Marquardt with a trust region
-(`estimators.contact_optima`) finds what explains the motion best, in φ = (log k_s, log k_d, log |F|). Around these
-optima the posterior is sampled (`estimators.posterior_sampling`), with a uniform prior on the box of φ and with noise
-as tracked contacts have it (`estimators.tracking_noise`): its mean and covariance are the estimate.
+(`estimators.contact_optima`) finds what explains the motion best, in φ = (log k_s, log k_d, log |F|) and, where the
+instants are not known, in the delays of the press (`estimators.delayed_problem`). Around these optima the posterior is
+sampled (`estimators.posterior_sampling`), with a uniform prior on the box of these and with noise as tracked contacts
+have it (`estimators.tracking_noise`): mean and covariance of φ are the estimate.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from estimators.contact_optima import Optimum, combine, distinct, evidence_share
 from estimators.contact_problem import ContactProblem
 from estimators.delayed_problem import DelayedProblem, about_tissue
 from estimators.estimate import ContactEstimate, NoEstimate
-from estimators.oblique import effective_misfit, is_oblique, view_angle, widened
+from estimators.oblique import effective_misfit, is_oblique, view_angle
 from estimators.onset import STAMP, onset_error
 from estimators.posterior_sampling import Draws, Mixture, sample_posterior
 from estimators.tracking_noise import log_likelihoods, variance_scale
@@ -38,6 +39,8 @@ DOUBTFUL_MISFIT = 1.5
 """The model does not explain what lies farther from its best fit than this many σ."""
 AT_BOUND = 1e-3
 """Best fits this near to the end of their range in φ lie at it."""
+DELAY_AT_END = 0.9
+"""Delays beyond this share of their range lie at its end: the press may have begun outside of it."""
 LEAST_SHARE = 0.02
 """Every optimum gets at least this share of the first draws, relative to the likeliest."""
 WIDER = 1.2
@@ -116,11 +119,8 @@ def fit_contact(case: ContactCase, settings: DirectSettings) -> ContactEstimate:
         )
     if settings.onset_within > 0:
         problem = DelayedProblem(case, settings.mechanics, noise, settings.onset_within)
-        delays = settings.onset_within * np.array([[-1.0], [1.0]])
-        found = _fit(problem, np.hstack([settings.box, delays]))
-    else:
-        found = _fit(ContactProblem(case, settings.mechanics, noise), settings.box)
-    return widened(found, effective_misfit(found), settings.box) if is_oblique(found) else found
+        return _fit(problem, problem.box(settings.box))
+    return _fit(ContactProblem(case, settings.mechanics, noise), settings.box)
 
 
 def _fit(problem: ContactProblem, box: np.ndarray) -> ContactEstimate:
@@ -141,18 +141,24 @@ def _fit(problem: ContactProblem, box: np.ndarray) -> ContactEstimate:
     judges = mean[None]
     if draws.effective >= TOO_FEW:
         mean, spread, judges = draws.mean, draws.covariance, draws.thinned(JUDGES)
+    information = problem.information(mean)
     residual = (problem.path(best.logs) - problem.observed) @ problem.case.direction
-    return ContactEstimate(
+    found = ContactEstimate(
         theta=problem.theta(mean),
         covariance=spread[:3, :3],
-        information=problem.information(mean)[:3, :3],
+        information=information[:3, :3],
         noise=problem.noise,
         misfit=float(np.sqrt(np.square(residual).mean())) / problem.noise,
         at_bound=np.minimum(best.logs - low, high - best.logs)[:3] < AT_BOUND,
         decisive=cautious([about_tissue(problem.information(logs), prior) for logs in judges]),
-        delay=float(mean[3]) if len(mean) > 3 else None,
+        delays=problem.delays(mean),
+        delays_at_end=bool((np.abs(mean[3:]) > DELAY_AT_END).any()),
         view_angle=view_angle(problem.case),
     )
+    if not is_oblique(found):
+        return found
+    hidden = about_tissue(information / effective_misfit(found) ** 2, prior)
+    return found.less_certain(np.linalg.inv(hidden + prior[:3, :3]))
 
 
 def _sample(

@@ -107,8 +107,11 @@ class ContactEstimate:
     decisive: np.ndarray | None = None
     """Information by which the verdict is given, shape [3, 3]; None = that of `covariance`. Not that at `theta`: where
     an estimate is badly known, so is the information at it."""
-    delay: float | None = None
-    """Fitted time from the first frame in contact to the beginning of the press [s]; None = not fitted."""
+    delays: tuple[float, ...] = ()
+    """Fitted times from the first frame in contact to the beginning of the press, and from the first one after it to
+    its end [s]; none of either that was not fitted."""
+    delays_at_end: bool = False
+    """Whether one of them lies at its range's end."""
     view_angle: float | None = None
     """Angle between the contact's direction and the line of sight [degrees] (see estimators.oblique); None = not
     known."""

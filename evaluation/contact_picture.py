@@ -64,11 +64,26 @@ def fitted_path(case: ContactCase, estimate: ContactEstimate, mechanics: Mechani
 
     It reaches to the last observation, before which it may have begun earlier than the first frame in contact.
     """
-    observed = int(case.steps.max()) + 1
-    steps = observed + math.ceil(max(-(estimate.delay or 0.0), 0.0) / mechanics.time_step)
+    delay, release = _delays(estimate)
+    steps = int(case.steps.max()) + 1 + math.ceil(max(-delay, 0.0) / mechanics.time_step)
     used = dataclasses.replace(mechanics, steps=steps, load_steps=0)
-    load = case.load_steps if case.load_steps < observed else steps  # a press that was not seen to end goes on
-    return simulate(estimate.theta, case.mesh, case.vertex, case.direction, used, load_steps=load)
+    load = np.ones(steps)
+    if case.load_steps < mechanics.steps:
+        load = np.clip(case.load_steps + (release - delay) / mechanics.time_step - np.arange(steps), 0, 1)
+    return simulate(estimate.theta, case.mesh, case.vertex, case.direction, used, load=load)
+
+
+def shown_path(case: ContactCase, estimate: ContactEstimate, mechanics: Mechanics) -> tuple[np.ndarray, np.ndarray]:
+    """Times from the first frame in contact to the last observation, and the motion along the force then, [T] each."""
+    path = along_force(case, estimate.theta, fitted_path(case, estimate, mechanics))
+    began = _delays(estimate)[0] + mechanics.time_step * np.arange(len(path) + 1)
+    times = np.linspace(0, (case.steps[-1] + 1) * mechanics.time_step, len(path) + 1)
+    return times, np.interp(times, began, np.concatenate([[0.0], path]))
+
+
+def _delays(estimate: ContactEstimate) -> tuple[float, float]:
+    """Of the beginning and of the end of the press [s], 0 where they were not fitted."""
+    return (*estimate.delays, 0.0, 0.0)[:2]
 
 
 def _subtitle(runs: int, fitted: int, drawn: int) -> str:
@@ -83,11 +98,7 @@ def _draw_panel(image: np.ndarray, top: int, result: ContactResult, mechanics: M
     case, estimate = result.case, result.estimate
     times = (case.steps + 1) * mechanics.time_step
     observed = along_force(case, estimate.theta, case.displacement)
-    path = along_force(case, estimate.theta, fitted_path(case, estimate, mechanics))
-    delay = estimate.delay or 0.0
-    began = delay + mechanics.time_step * np.arange(len(path) + 1)
-    path_times = np.linspace(0, times[-1], len(path) + 1)
-    path = np.interp(path_times, began, np.concatenate([[0.0], path]))
+    path_times, path = shown_path(case, estimate, mechanics)
     _draw_head(image, top, result)
     shown = np.concatenate([observed - estimate.noise, observed + estimate.noise, path])
     margin = 0.08 * max(float(np.ptp(shown)), 1e-6)
@@ -95,8 +106,8 @@ def _draw_panel(image: np.ndarray, top: int, result: ContactResult, mechanics: M
     width = WIDTH - _LEFT - _RIGHT
     axes = Axes(image, _LEFT, top + _HEAD, width, _PANEL, (0.0, float(times[-1])), values)
     axes.frame("Displacement along the force", "[scene units (normalised)]", x_label="time since the onset [s]")
-    release = delay + case.load_steps * mechanics.time_step
-    if release < times[-1]:
+    release = _delays(estimate)[1] + case.load_steps * mechanics.time_step
+    if case.load_steps < mechanics.steps and release < times[-1]:
         _draw_release(axes, release)
     axes.band(times, observed - estimate.noise, observed + estimate.noise, _OBSERVED)
     axes.curve(path_times, path, _FITTED)

@@ -30,7 +30,8 @@ COLUMNS: dict[str, str] = {
     "onset_time_s": "s",
     "frames": "frames after the onset in which its tissue was followed",
     "load_s": "s from the onset to the release; empty: the onset or the release was not seen",
-    "delay_s": "s from the onset frame to the beginning of the press, as fitted; empty: taken to be 0",
+    "delay_s": "s from the onset frame to the beginning of the press, as fitted; empty: taken to be 0, or no estimate",
+    "release_delay_s": "s from the first frame after contact to the end of the press; empty: the same, or not seen",
     "stiffness": "k_s",
     "stiffness_sd": "standard deviation of stiffness",
     "damping": "k_d",
@@ -120,6 +121,10 @@ def doubts(estimate: ContactEstimate, ranges: Sequence[tuple[float, float]]) -> 
             # An oblique one was widened by its misfit.
             + ("." if oblique else ", so the uncertainties are too small.")
         )
+    if estimate.delays_at_end:
+        told.append(
+            "The press seems to have begun or ended a whole frame from where it was seen to; don't trust the fit."
+        )
     for name, stuck, (low, high) in zip(PARAMETERS, estimate.at_bound, ranges, strict=True):
         if stuck:
             told.append(f"The best fit lies at the end of the {name}'s admissible range, {low:g} to {high:g}.")
@@ -146,7 +151,7 @@ def _numbers(estimate: ContactEstimate) -> dict[str, Any]:
     return {
         **dict(zip(PARAMETERS, np.abs(estimate.theta).tolist(), strict=True)),
         **uncertainty(estimate),
-        "delay_s": estimate.delay,
+        **dict(zip(("delay_s", "release_delay_s"), estimate.delays, strict=False)),
         "verdict": estimate.verdict,
         "explanation": estimate.explanation,
         "noise": estimate.noise,

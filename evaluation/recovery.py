@@ -42,7 +42,7 @@ STATUSES = (OK, "no scene", "no contact", "other onset", "no estimate", "error")
 """Whether a clip was estimated, or why not: its draw failed, no run of contact was found, one was found but in another
 frame, the estimator declined, or something broke."""
 Truth = tuple[Scene, Motion]
-TRUTH_FIELDS = ("stiffness_variation", "nonlinearity", "max_tilt_deg", "onset_delay")
+TRUTH_FIELDS = ("stiffness_variation", "nonlinearity", "max_tilt_deg", "onset_delay", "release_delay")
 """Fields of SceneSettings in which suites differ and that change the truth, not only how it is observed."""
 _ARRAYS = ("theta", "information", "tracking", "estimate", "covariance", "at_bound")
 

@@ -104,9 +104,10 @@ _ALL = (
     ),
     Suite(
         "late-onset",
-        "the force starts and ends up to one frame after the time stamp that says so: cameras don't wait for the tool",
+        "the force starts and ends up to one frame after the time stamps that say so, each for itself: cameras don't "
+        "wait for the tool",
         {"depth_noise": CLEAN_NOISE},
-        truth={"onset_delay": (0.0, 1.0)},
+        truth={"onset_delay": (0.0, 1.0), "release_delay": (0.0, 1.0)},
     ),
 )
 SUITES = {suite.name: suite for suite in _ALL}

@@ -99,9 +99,9 @@ def test_the_truth_lies_beside_the_clip(written: Path) -> None:
 
 
 def test_the_truth_tells_when_the_force_started(tmp_path: Path) -> None:
-    folder = write_clip(tmp_path, 1, dataclasses.replace(SMALL, onset_delay=(0.25, 0.25)), 11)
+    folder = write_clip(tmp_path, 1, dataclasses.replace(SMALL, onset_delay=(0.25, 0.25), release_delay=(0.5, 0.5)), 11)
     truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
-    assert truth["force_delay_s"] == pytest.approx(0.01)
+    assert (truth["force_delay_s"], truth["release_delay_s"]) == (pytest.approx(0.01), pytest.approx(0.02))
     assert truth["onset_s"] == pytest.approx(truth["onset_frame"] / 25)  # the frame's, which is all that is seen
 
 

@@ -112,8 +112,9 @@ def test_a_ramp_reaches_the_force_at_release(scene: Scene, motion: Motion) -> No
 @pytest.mark.parametrize("share", [0.25, 0.625, 1.0])
 def test_a_late_force_is_the_same_motion_later(scene: Scene, motion: Motion, share: float) -> None:
     delay = share / 25
-    late = simulate_motion(scene, THETA, ONSET, RELEASE, delay=delay)
-    assert (late.delay, late.load_seconds) == (delay, motion.load_seconds)
+    late = simulate_motion(scene, THETA, ONSET, RELEASE, delay=delay, release_delay=delay)
+    assert (late.delay, late.release_delay) == (delay, delay)
+    assert late.load_seconds == pytest.approx(motion.load_seconds)
     np.testing.assert_allclose(late.response, motion.response[: len(late.response)], atol=1e-6)
     # The delays are whole samples of the response: 5 ms are an eighth of a frame interval.
     assert not late.contact[: ONSET + 1].any()
@@ -128,7 +129,7 @@ def test_a_late_force_is_the_same_motion_later(scene: Scene, motion: Motion, sha
 
 
 def test_a_late_ramp_rises_from_its_start(scene: Scene) -> None:
-    ramp = simulate_motion(with_settings(scene, profile="ramp"), THETA, ONSET, RELEASE, delay=0.01)
+    ramp = simulate_motion(with_settings(scene, profile="ramp"), THETA, ONSET, RELEASE, delay=0.01, release_delay=0.01)
     np.testing.assert_allclose(ramp.force[ONSET + 1 : RELEASE + 1], THETA[2] * (np.arange(1, 9) - 0.25) / 8)
     assert not ramp.force[[ONSET, RELEASE + 1]].any()
 
@@ -143,8 +144,25 @@ def test_the_delay_has_a_random_stream_of_its_own(scene: Scene) -> None:
         assert (after.onset_frame, after.release_frame) == (before.onset_frame, before.release_frame)
         assert before.delay == 0 < after.delay < 1 / 25
     assert len({motion.delay for motion in late}) == 3
-    half = with_settings(scene, onset_delay=(0.5, 0.5))
-    assert draw_motion(half, np.random.default_rng(0)).delay == pytest.approx(0.02)
+    half = draw_motion(
+        with_settings(scene, onset_delay=(0.5, 0.5), release_delay=(0.25, 0.25)), np.random.default_rng(0)
+    )
+    assert (half.delay, half.release_delay) == (pytest.approx(0.02), pytest.approx(0.01))
+    both = with_settings(scene, onset_delay=(0.0, 1.0), release_delay=(0.0, 1.0))
+    found = draw_motion(both, np.random.default_rng(0))
+    assert found.delay == late[0].delay != found.release_delay
+
+
+def test_a_late_release_holds_the_force_for_longer(scene: Scene, motion: Motion) -> None:
+    late = simulate_motion(scene, THETA, ONSET, RELEASE, release_delay=0.03)
+    assert late.load_seconds == pytest.approx(motion.load_seconds + 0.03)
+    np.testing.assert_allclose(late.contact[: RELEASE + 1], motion.contact[: RELEASE + 1], atol=1e-6)
+    longer = simulate_motion(scene, THETA, ONSET, RELEASE + 1)  # before a frame that is held no difference shows
+    held = round((RELEASE - ONSET) / 25 / 0.005) + 6
+    np.testing.assert_allclose(late.response[:held], longer.response[:held], atol=1e-6)
+    assert not np.allclose(late.response[held:], longer.response[held:], atol=1e-4)
+    with pytest.raises(SceneError, match="ends before it starts"):
+        simulate_motion(scene, THETA, ONSET, ONSET + 1, delay=0.04)
 
 
 def test_a_delay_of_more_than_a_frame_is_refused() -> None:

@@ -1,4 +1,4 @@
-"""A press that began at an unknown instant: the delayed motion, its derivatives, and what is left to know of θ."""
+"""A press that began and ended at unknown instants: the delayed motion, its derivatives, what is left to know of θ."""
 
 from __future__ import annotations
 
@@ -11,7 +11,18 @@ from estimators.contact_problem import ContactProblem
 from estimators.delayed_problem import DelayedProblem, about_tissue
 from physics.identifiability import box_information, covariance
 from physics.msd_kernel import simulate
-from tests.estimators.test_direct import DIRECTION, LOAD, MECHANICS, MESH, NOISE, REGIMES, STEPS, VERTEX, case_of
+from tests.estimators.test_direct import (
+    DIRECTION,
+    LOAD,
+    MECHANICS,
+    MESH,
+    NOISE,
+    REGIMES,
+    SETTINGS,
+    STEPS,
+    VERTEX,
+    case_of,
+)
 
 STEP = MECHANICS.time_step
 WITHIN = 0.02
@@ -21,53 +32,84 @@ def problem_of(theta: tuple[float, float, float], within: float = WITHIN) -> Del
     return DelayedProblem(case_of(theta), MECHANICS, NOISE, within)
 
 
-def logs_of(theta: tuple[float, float, float], delay: float) -> np.ndarray:
-    return np.append(np.log(np.abs(theta)), delay)
+def values_of(theta: tuple[float, float, float], *delays: float) -> np.ndarray:
+    """All parameters, the delays in seconds."""
+    return np.concatenate([np.log(np.abs(theta)), np.array(delays) / WITHIN])
+
+
+def moved(theta: tuple[float, float, float], began: int, ended: int, released: bool = True) -> np.ndarray:
+    """Motion at STEPS of a press that began and ended so many steps after its stamps, at rest before, shape [M, 3]."""
+    mechanics = dataclasses.replace(MECHANICS, steps=int(STEPS.max()) + 10, load_steps=0)
+    load = LOAD + ended - began if released else mechanics.steps
+    path = simulate(np.array(theta), MESH, VERTEX, DIRECTION, mechanics, load_steps=load, dtype=np.float64)
+    since = STEPS - began
+    return np.where((since >= 0)[:, None], path[np.maximum(since, 0)], 0)
 
 
 @pytest.mark.parametrize("theta", REGIMES.values(), ids=REGIMES)
-def test_without_a_delay_it_is_the_plain_problem(theta: tuple[float, float, float]) -> None:
+def test_without_delays_it_is_the_plain_problem(theta: tuple[float, float, float]) -> None:
     plain, delayed = ContactProblem(case_of(theta), MECHANICS, NOISE), problem_of(theta)
-    logs = logs_of(theta, 0.0) + 0.1 * np.array([1.0, -1.0, 1.0, 0.0])
-    np.testing.assert_allclose(delayed.residual(logs), plain.residual(logs[:3]), atol=1e-6)
-    np.testing.assert_allclose(delayed.jacobian(logs)[:, :3], plain.jacobian(logs[:3]), atol=1e-5)
-    np.testing.assert_array_equal(delayed.theta(logs), plain.theta(logs[:3]))
-    np.testing.assert_allclose(delayed.coarse_paths(logs[None]), plain.coarse_paths(logs[None, :3]), atol=0.1 * NOISE)
+    values = values_of(theta, 0.0, 0.0) + 0.1 * np.array([1.0, -1.0, 1.0, 0.0, 0.0])
+    np.testing.assert_allclose(delayed.residual(values), plain.residual(values[:3]), atol=1e-6)
+    np.testing.assert_allclose(delayed.jacobian(values)[:, :3], plain.jacobian(values[:3]), atol=1e-5)
+    np.testing.assert_array_equal(delayed.theta(values), plain.theta(values[:3]))
 
 
-@pytest.mark.parametrize("shift", [-4, 3, 8])
-def test_a_delay_of_whole_steps_shifts_the_motion(shift: int) -> None:
-    """Against the simulator at the shifted steps: at rest before the press, and load and release are both delayed."""
+@pytest.mark.parametrize(("began", "ended"), [(-4, -4), (3, 3), (8, -2), (-3, 5)])
+def test_delays_of_whole_steps_shift_load_and_release(began: int, ended: int) -> None:
     theta = REGIMES["under-damped"]
-    mechanics = dataclasses.replace(MECHANICS, steps=int(STEPS.max()) + 10, load_steps=0)
-    path = simulate(np.array(theta), MESH, VERTEX, DIRECTION, mechanics, load_steps=LOAD, dtype=np.float64)
-    since = STEPS - shift
-    expected = np.where((since >= 0)[:, None], path[np.maximum(since, 0)], 0)
-    found = problem_of(theta).path(logs_of(theta, shift * STEP))
-    np.testing.assert_allclose(found, expected, atol=1e-7)
+    problem = problem_of(theta)
+    values = values_of(theta, began * STEP, ended * STEP)
+    np.testing.assert_allclose(problem.path(values), moved(theta, began, ended), atol=1e-7)
+    assert problem.delays(values) == pytest.approx((began * STEP, ended * STEP))
 
 
-@pytest.mark.parametrize("delay", [-0.0113, 0.0071])
-def test_derivatives_are_those_of_the_residual(delay: float) -> None:
-    problem, logs = problem_of(REGIMES["critical"]), logs_of(REGIMES["critical"], delay)
-    for column, size in enumerate((1e-4, 1e-4, 1e-4, 1e-6)):
-        step = size * np.eye(4)[column]
-        slope = (problem.residual(logs + step) - problem.residual(logs - step)) / (2 * size)
-        scale = np.abs(slope).max()
-        np.testing.assert_allclose(problem.jacobian(logs)[:, column], slope, atol=2e-3 * scale)
+@pytest.mark.parametrize(("fps", "load_frames"), [(25.0, 3), (24.0, 3), (60.0, 9)])
+def test_the_coarse_motion_is_off_by_less_than_the_noise(fps: float, load_frames: int) -> None:
+    """Also where frames, and the release, lie between its steps."""
+    mechanics = MECHANICS.matched(1 / fps)
+    frame = round(1 / fps / mechanics.time_step)
+    case = dataclasses.replace(
+        case_of(REGIMES["under-damped"]), steps=frame * np.arange(1, len(STEPS) + 1) - 1, load_steps=frame * load_frames
+    )
+    problem = DelayedProblem(case, mechanics, 1e-3, 1 / fps)
+    for delays in ((0.0, 0.0), (0.37, -0.61), (-0.9, 0.2)):
+        values = np.concatenate([np.log(np.abs(REGIMES["under-damped"])), delays])
+        apart = problem.coarse_paths(values[None])[0] - problem.path(values)
+        assert np.abs(apart).max() < 0.3e-3
+
+
+@pytest.mark.parametrize("delays", [(-0.0113, 0.0042), (0.0071, -0.0132)])
+def test_derivatives_are_those_of_the_residual(delays: tuple[float, float]) -> None:
+    problem, values = problem_of(REGIMES["critical"]), values_of(REGIMES["critical"], *delays)
+    for column, size in enumerate((1e-4, 1e-4, 1e-4, 0.1, 0.1)):
+        step = size * np.eye(5)[column]
+        slope = (problem.residual(values + step) - problem.residual(values - step)) / (2 * size)
+        found, scale = problem.jacobian(values)[:, column], np.abs(slope).max()
+        # Within the step in which the force ends a curve through whole steps is off.
+        np.testing.assert_allclose(found, slope, atol=0.07 * scale)
+        assert np.abs(found - slope).mean() < 0.005 * scale
 
 
 def test_a_press_that_was_not_seen_to_end_goes_on() -> None:
-    """Begun earlier than its stamp it has lasted longer; the load is no part of what was seen."""
+    """Begun earlier than its stamp it has lasted longer; when it ends is no parameter."""
     theta = REGIMES["critical"]
-    case = case_of(theta)
-    under = case.steps < LOAD
-    parts = {name: getattr(case, name)[under] for name in ("steps", "displacement", "weight")}
-    pressed = dataclasses.replace(case, **parts, load_steps=int(case.steps[under].max()) + 1)
-    earlier = DelayedProblem(pressed, MECHANICS, NOISE, WITHIN).path(logs_of(theta, -WITHIN))
-    mechanics = dataclasses.replace(MECHANICS, steps=int(pressed.steps.max()) + 10, load_steps=0)
-    path = simulate(np.array(theta), MESH, VERTEX, DIRECTION, mechanics, load_steps=mechanics.steps, dtype=np.float64)
-    np.testing.assert_allclose(earlier, path[pressed.steps + round(WITHIN / STEP)], atol=1e-7)
+    pressed = dataclasses.replace(case_of(theta), load_steps=MECHANICS.steps)
+    problem = DelayedProblem(pressed, MECHANICS, NOISE, WITHIN)
+    assert problem.box(SETTINGS.box).shape == (2, 4)
+    found = problem.path(values_of(theta, -WITHIN))
+    np.testing.assert_allclose(found, moved(theta, -round(WITHIN / STEP), 0, released=False), atol=1e-7)
+    assert problem.jacobian(values_of(theta, -WITHIN)).shape == (3 * len(STEPS), 4)
+
+
+def test_a_release_in_the_last_frame_was_seen() -> None:
+    theta = REGIMES["critical"]
+    whole = case_of(theta)
+    under = whole.steps < LOAD
+    parts = {name: getattr(whole, name)[under] for name in ("steps", "displacement", "weight")}
+    problem = DelayedProblem(dataclasses.replace(whole, **parts), MECHANICS, NOISE, WITHIN)
+    values = values_of(theta, -3 * STEP, -3 * STEP)
+    np.testing.assert_allclose(problem.path(values), moved(theta, -3, -3)[under], atol=1e-7)
 
 
 def test_starts_are_at_the_delays_that_suit_them() -> None:
@@ -75,17 +117,18 @@ def test_starts_are_at_the_delays_that_suit_them() -> None:
     case = case_of(theta)
     late = dataclasses.replace(case, steps=case.steps + round(delay / STEP))
     problem = DelayedProblem(late, MECHANICS, NOISE, WITHIN)
-    candidates = np.array([logs_of(theta, 0.0), logs_of((0.06, 0.3, -0.05), 0.0)])
+    candidates = np.array([values_of(theta, 0.0, 0.0), values_of((0.06, 0.3, -0.05), 0.0, 0.0)])
     low, high = candidates.min(axis=0) - 1, candidates.max(axis=0) + 1
     best = problem.best_starts(candidates, problem.coarse_paths(candidates), low, high)[0]
-    np.testing.assert_allclose(best, logs_of(theta, delay), atol=2e-3)
+    np.testing.assert_allclose(best, values_of(theta, delay, delay), atol=0.07)
 
 
-def test_what_another_unknown_leaves_is_the_block_of_the_covariance() -> None:
+def test_what_other_unknowns_leave_is_the_block_of_the_covariance() -> None:
     generator = np.random.default_rng(0)
-    slopes = generator.normal(size=(20, 4))
-    information, prior = slopes.T @ slopes, box_information(np.array([[-1.0, -2, -1, -0.5], [1, 2, 1, 0.5]]))
+    slopes = generator.normal(size=(20, 5))
+    ends = np.array([1.0, 2.0, 1.0, 0.5, 0.5])
+    information, prior = slopes.T @ slopes, box_information(np.array([-ends, ends]))
     weighed = information.copy()
-    weighed[3, 3] += prior[3, 3]
+    weighed[3:, 3:] += prior[3:, 3:]
     np.testing.assert_allclose(covariance(about_tissue(information, prior)), np.linalg.inv(weighed)[:3, :3], rtol=1e-9)
     np.testing.assert_array_equal(about_tissue(information[:3, :3], prior[:3, :3]), information[:3, :3])

@@ -107,7 +107,8 @@ def test_the_delay_of_a_press_is_fitted_beside_its_parameters() -> None:
     assert (found.log_sd > known.log_sd).all()
     np.testing.assert_allclose(bounds(found.information), bounds(known.information), rtol=0.1)
     assert found.covariance.shape == (3, 3)
-    assert (stamp.delay, found.delay) == (None, pytest.approx(0.01, abs=1e-3))
+    assert (stamp.delays, found.delays) == ((), pytest.approx((0.01, 0.01), abs=1.5e-3))
+    assert not found.delays_at_end
     assert (bounds(found.decisive) > bounds(known.decisive)).all()
 
 

@@ -13,7 +13,7 @@ from scipy.stats import norm
 from data.collected import CollectedClip
 from data.samples import ContactCase
 from estimators.estimate import ContactEstimate
-from evaluation.contact_picture import MOST_PANELS, along_force, draw_fits, fitted_path
+from evaluation.contact_picture import MOST_PANELS, along_force, draw_fits, fitted_path, shown_path
 from evaluation.contact_results import (
     COLUMNS,
     ContactResult,
@@ -191,14 +191,47 @@ def test_displacements_count_along_the_force() -> None:
 
 
 def test_a_press_that_began_earlier_has_moved_for_longer() -> None:
-    early = dataclasses.replace(ESTIMATE, delay=-8 * MECHANICS.time_step)
-    late = dataclasses.replace(ESTIMATE, delay=8 * MECHANICS.time_step)
+    shift = 8 * MECHANICS.time_step
+    early, late = (dataclasses.replace(ESTIMATE, delays=(delay, delay)) for delay in (-shift, shift))
     plain = fitted_path(CASE, ESTIMATE, MECHANICS)
     assert len(fitted_path(CASE, early, MECHANICS)) == len(plain) + 8
     np.testing.assert_array_equal(fitted_path(CASE, early, MECHANICS)[: len(plain)], plain)
     np.testing.assert_array_equal(fitted_path(CASE, late, MECHANICS), plain)
-    pictures = [draw_fits([dataclasses.replace(GOOD, estimate=item)], MECHANICS, "clip") for item in (early, late)]
-    assert (pictures[0] != pictures[1]).any()
+    held = dataclasses.replace(ESTIMATE, delays=(0.0, shift))
+    longer = fitted_path(CASE, held, MECHANICS)
+    np.testing.assert_array_equal(longer[: CASE.load_steps], plain[: CASE.load_steps])
+    assert not np.allclose(longer[CASE.load_steps + 1 :], plain[CASE.load_steps + 1 :], atol=1e-5)
+    # What is drawn is at rest until the press begins, and then the same motion.
+    times, shown = shown_path(CASE, late, MECHANICS)
+    assert not shown[times < shift].any()
+    _, usual = shown_path(CASE, ESTIMATE, MECHANICS)
+    np.testing.assert_allclose(np.interp(times[:-8], times - shift, shown), usual[:-8], atol=1e-4)
+
+
+def test_a_release_is_drawn_where_one_was_seen() -> None:
+    def releases(load_steps: int, *delays: float) -> int:
+        estimate = dataclasses.replace(ESTIMATE, delays=delays)
+        result = dataclasses.replace(GOOD, case=dataclasses.replace(CASE, load_steps=load_steps), estimate=estimate)
+        return int((draw_fits([result], MECHANICS, "clip") == (234, 88, 12)).all(axis=2).sum())
+
+    assert releases(CASE.load_steps) > 100
+    assert releases(CASE.load_steps, -0.01, -0.01) > 100
+    assert releases(MECHANICS.steps, -0.01) == 0
+
+
+def test_delays_are_told_and_doubted_at_the_end_of_their_range() -> None:
+    found = dict(zip(COLUMNS, table_row(dataclasses.replace(GOOD, estimate=with_delays(0.01, -0.02))), strict=True))
+    assert (float(found["delay_s"]), float(found["release_delay_s"])) == (0.01, -0.02)
+    plain = dict(zip(COLUMNS, table_row(GOOD), strict=True))
+    assert plain["delay_s"] == plain["release_delay_s"] == ""
+    stuck = dataclasses.replace(with_delays(0.04), delays_at_end=True)
+    ranges = ((0.05, 1.0), (0.005, 0.5), (0.01, 0.3))
+    assert "begun or ended a whole frame" in doubts(stuck, ranges)
+    assert "begun" not in doubts(with_delays(0.01), ranges)
+
+
+def with_delays(*delays: float) -> ContactEstimate:
+    return dataclasses.replace(ESTIMATE, delays=delays)
 
 
 def test_the_picture_has_a_panel_for_each_fit_up_to_a_number() -> None:

@@ -54,7 +54,7 @@ def test_suites_of_another_truth_draw_their_own():
 
 def test_a_late_force_is_compared_and_bounded_at_its_own_instants():
     """A delay of half a frame, eight steps of the simulator: a track without error, and the information it holds."""
-    settings = dataclasses.replace(SUITES["late-onset"].settings(2), onset_delay=(0.5, 0.5))
+    settings = dataclasses.replace(SUITES["late-onset"].settings(2), onset_delay=(0.5, 0.5), release_delay=(0.5, 0.5))
     scene, motion = draw_truth(settings, SEED)
     after = np.arange(1, 26)
     observed = motion.contact[motion.onset_frame + after] - 0.002 * scene.direction

@@ -47,10 +47,21 @@ REGIMES = {
 }
 
 
-def case_of(theta: tuple[float, float, float], noise: float = NOISE, seed: int | None = None) -> ContactCase:
-    """A contact that moved as the simulator says, with noise along the force where there is a seed."""
-    mechanics = dataclasses.replace(MECHANICS, steps=int(STEPS.max()) + 1, load_steps=0)
-    path = simulate(np.array(theta), MESH, VERTEX, DIRECTION, mechanics, load_steps=LOAD, dtype=np.float64)[STEPS]
+def case_of(
+    theta: tuple[float, float, float],
+    noise: float = NOISE,
+    seed: int | None = None,
+    delays: tuple[int, int] = (0, 0),
+) -> ContactCase:
+    """A contact that moved as the simulator says, with noise where there is a seed.
+
+    Its load began, and ended, `delays` steps later than it says.
+    """
+    began, ended = delays
+    mechanics = dataclasses.replace(MECHANICS, steps=int(STEPS.max()) + 1 + max(-began, 0), load_steps=0)
+    load = LOAD + ended - began
+    moved = simulate(np.array(theta), MESH, VERTEX, DIRECTION, mechanics, load_steps=load, dtype=np.float64)
+    path = np.where((began <= STEPS)[:, None], moved[np.maximum(STEPS - began, 0)], 0)
     if seed is not None:
         path = path + np.random.default_rng(seed).normal(0, noise, path.shape)
     return ContactCase(
@@ -160,6 +171,27 @@ def test_errors_are_as_large_as_claimed() -> None:
     assert (squares < 1.9).all()
     # The noise is drawn in all three coordinates, the misfit counts the one along the force, and three are fitted.
     assert np.mean(misfits) == pytest.approx(np.sqrt(1 - 3 / len(STEPS)), rel=0.1)
+
+
+@pytest.mark.slow
+def test_errors_are_as_large_as_claimed_where_the_instants_are_unknown() -> None:
+    """θ and both delays from their priors: 16 contacts, as above."""
+    within, step = 0.02, SETTINGS.mechanics.time_step
+    settings = dataclasses.replace(
+        SETTINGS, stiffness=(0.1, 0.5), damping=(0.01, 0.15), force=(0.02, 0.1), onset_within=within
+    )
+    low, high = settings.box
+    generator = np.random.default_rng(6)
+    ratios = []
+    for seed in range(16):
+        logs = generator.uniform(low, high)
+        began, ended = generator.integers(-round(within / step), round(within / step) + 1, 2)
+        case = case_of(tuple(ContactProblem.theta(logs)), 1e-3, seed=seed, delays=(began, ended))
+        estimate = fit_contact(case, settings)
+        ratios.append((np.log(np.abs(estimate.theta)) - logs) / estimate.log_sd)
+    squares = np.square(ratios).mean(axis=0)
+    assert (squares > 0.35).all()
+    assert (squares < 1.9).all()
 
 
 def test_mean_and_covariance_are_those_of_the_posterior_on_a_grid() -> None:

@@ -25,6 +25,8 @@ LEVELS = np.linspace(0.02, 0.98, 49)
 """Nominal coverages at which the empirical ones are drawn."""
 SMALLEST_ERROR = 1e-3
 """Errors below this are drawn there."""
+CROWDED = 400
+"""So many clips and more are drawn smaller and fainter."""
 
 
 def normal_width(level: float) -> float:
@@ -46,11 +48,12 @@ def draw_recovery(scores: Scores) -> Figure:
     The dotted line is the best constant for the clips whose bound lies below the limit.
     """
     figure, panels = _panels(f"{scores.estimator} on {scores.suite}: estimated against true, bars = Cramér–Rao bound")
+    size, line, alpha = (4, 0.8, 0.85) if len(scores.rows) < CROWDED else (2.5, 0.4, 0.6)
     for column, axes in enumerate(panels):
         truth, estimate, bounds = (array[:, column] for array in (scores.truth, scores.estimate, scores.bounds))
         known = scores.identifiable[:, column]
         axes.plot(
-            np.exp(truth[~known]), np.exp(estimate[~known]), "x", ms=4, color=PALE, zorder=1,
+            np.exp(truth[~known]), np.exp(estimate[~known]), "x", ms=size, color=PALE, zorder=1,
             label=f"bound ≥ {LIMIT:g} ({(~known).sum()})",
         )  # fmt: skip
         for regime in REGIMES:
@@ -58,8 +61,8 @@ def draw_recovery(scores: Scores) -> Figure:
             value = np.exp(estimate[used])
             bars = value - np.exp(estimate[used] - bounds[used]), np.exp(estimate[used] + bounds[used]) - value
             axes.errorbar(
-                np.exp(truth[used]), value, yerr=bars, fmt=MARKERS[regime], ms=4, lw=0.8, color=COLORS[regime],
-                alpha=0.85, label=f"{regime} ({used.sum()})",
+                np.exp(truth[used]), value, yerr=bars, fmt=MARKERS[regime], ms=size, lw=line, color=COLORS[regime],
+                alpha=alpha, label=f"{regime} ({used.sum()})",
             )  # fmt: skip
         limits = _limits(np.exp(np.concatenate((truth, estimate))))
         axes.plot(limits, limits, color=GREY, lw=1, ls="--", zorder=0)
@@ -86,7 +89,7 @@ def draw_errors(scores: Scores) -> Figure:
             axes.plot(bounds[used], errors[used], ms=4, alpha=0.55, label=regime, **style)
             judged = used & scores.identifiable[:, column]
             if judged.any():
-                axes.plot(rms(bounds[judged]), rms(errors[judged]), ms=11, mec="black", mew=1.2, **style)
+                axes.plot(rms(bounds[judged]), rms(errors[judged]), ms=11, mec="black", mew=1.2, zorder=5, **style)
         low, high = _limits(np.append(bounds, (0.05, 1.0)))
         axes.plot((low, high), (low, high), color=GREY, lw=1, ls="--", label="error = bound")
         axes.axvline(LIMIT, color=GREY, lw=1, ls=":", label=f"limit of identifiable, {LIMIT:g}")

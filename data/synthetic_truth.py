@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -33,6 +33,7 @@ ROUNDING = 1e-9
 """Of times [s]."""
 
 Regime = Literal["under-damped", "critical", "over-damped"]
+REGIMES: tuple[Regime, ...] = get_args(Regime)
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,6 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 import torch
@@ -37,7 +36,7 @@ from data.contact_features import FEATURES, contact_features, contact_surroundin
 from data.samples import ContactCase
 from data.simulated_contacts import SimulatedContact, draw_contacts
 from data.synthetic_settings import SceneSettings
-from data.synthetic_truth import Regime
+from data.synthetic_truth import REGIMES
 from estimators.contact_fits import (
     BOUNDS,
     EXPLAINED,
@@ -261,7 +260,7 @@ def make_contacts(count: int, seed: int, progress: Progress, workers: int | None
         WorkerLost: a process was killed.
     """
     seeds = np.random.SeedSequence((seed, 0xC0)).generate_state(-(-count // CONTACTS_A_SCENE)).tolist()
-    turns = [dataclasses.replace(SCENES, regime=regime) for regime in get_args(Regime)]
+    turns = [dataclasses.replace(SCENES, regime=regime) for regime in REGIMES]
     tasks = [(turns[number % len(turns)], scene, MECHANICS.time_step) for number, scene in enumerate(seeds)]
     found: list[SimulatedContact] = []
     job = progress.add_task("scenes", total=len(tasks))

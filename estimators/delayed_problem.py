@@ -100,8 +100,7 @@ class DelayedProblem(ContactProblem):
         """
         if not self.released:
             return np.ones(mechanics.steps)
-        seconds = self.load + self.within * (values[4] - values[3]) + longer
-        return np.clip(seconds / mechanics.time_step - np.arange(mechanics.steps), 0, 1)
+        return held_for(self.load + self.within * (values[4] - values[3]) + longer, mechanics)
 
     def _evaluate(self, logs: np.ndarray) -> None:
         if self._at is not None and np.array_equal(logs, self._at):
@@ -125,6 +124,11 @@ class DelayedProblem(ContactProblem):
         self._at = logs.copy()
         self._residual = ((found[..., 0] - self.observed) / self.noise).ravel()
         self._jacobian = jacobian.reshape(-1, len(logs)) / self.noise
+
+
+def held_for(seconds: float, mechanics: Mechanics) -> np.ndarray:
+    """Share of every step that is under a load which lasts so long, shape [T]."""
+    return np.clip(seconds / mechanics.time_step - np.arange(mechanics.steps), 0, 1)
 
 
 def _from_rest(values: np.ndarray, time_step: float) -> CubicSpline:

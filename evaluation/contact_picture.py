@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from data.samples import ContactCase
+from estimators.delayed_problem import held_for
 from estimators.estimate import ContactEstimate
 from evaluation.drawing import INK, MUTED, Axes, Color, fit_text, text, text_width
 from physics.mechanics import Mechanics
@@ -69,7 +70,7 @@ def fitted_path(case: ContactCase, estimate: ContactEstimate, mechanics: Mechani
     used = dataclasses.replace(mechanics, steps=steps, load_steps=0)
     load = np.ones(steps)
     if case.load_steps < mechanics.steps:
-        load = np.clip(case.load_steps + (release - delay) / mechanics.time_step - np.arange(steps), 0, 1)
+        load = held_for(case.load_steps * mechanics.time_step + release - delay, used)
     return simulate(estimate.theta, case.mesh, case.vertex, case.direction, used, load=load)
 
 

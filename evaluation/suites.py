@@ -14,9 +14,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from data.synthetic_settings import Range, SceneSettings
+from data.synthetic_truth import REGIMES
 
-REGIMES = ("under-damped", "critical", "over-damped")
-"""Regime of clip i: REGIMES[i % 3]."""
 SIZE = {"width": 214, "height": 120}
 """Pictures of the network's input size [px]."""
 SPLITS = {"training": 1, "validation": 2, "test": 3}
@@ -43,7 +42,7 @@ class Suite:
     """The same, in every other clip of each regime only."""
 
     def settings(self, index: int) -> SceneSettings:
-        """What clip `index` of the suite is drawn from."""
+        """What clip `index` of the suite is drawn from: its regime is REGIMES[index % 3]."""
         extra = self.every_other_truth if index // len(REGIMES) % 2 else {}
         return SceneSettings(**SIZE, regime=REGIMES[index % len(REGIMES)], **self.errors, **self.truth, **extra)
 

@@ -31,7 +31,11 @@ def test_it_is_small_and_says_what_it_is() -> None:
     for widths in (calibration["whole"], calibration["pressed"]):
         assert min(widths["scale"]) > 0.5
         assert "decisive" not in widths  # verdicts go by the expected bound
-        assert 0.2 < min(widths["power"]) <= max(widths["power"]) < 1.2
+        assert max(widths["power"]) < 1.2
+    whole, pressed = (calibration[name]["power"] for name in ("whole", "pressed"))
+    assert min(*whole, pressed[0], pressed[2]) > 0.5
+    # A known weakness, told in the card: how wide the network is about k_d says little before the release.
+    assert pressed[1] > 0.25
     assert "scene units" in network.model.metadata["units"]["force"]
 
 

@@ -19,6 +19,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 lint: $(INSTALLED)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/ty check
 
 test: lint
 	$(BIN)/pytest
@@ -30,19 +31,17 @@ test-fast: $(INSTALLED)
 # has neither and goes through the photometric depth model and the automatic masks, and the results say what that means.
 demo: $(INSTALLED)
 	$(BIN)/python -m data.synthetic --output $(DEMO)/clips --clips 6 --frames 32 --seed 1
-	$(BIN)/python train.py fit -c configs/smoke.yaml
+	$(BIN)/python train.py fit -c configs/smoke.yaml --ckpt_path last
 	$(BIN)/python train.py test -c configs/smoke.yaml $(BEST)
 	$(BIN)/python train.py export -c configs/smoke.yaml $(BEST) --output $(DEMO)/parameters.onnx
-	$(BIN)/python infer.py $(VIDEO) $(VIDEO).mp4 --model $(DEMO)/parameters.onnx --output $(DEMO)/results
+	$(BIN)/python infer.py $(VIDEO) $(VIDEO).mp4 --model $(DEMO)/parameters.onnx --output $(DEMO)/results --overwrite
 	@echo
 	@echo "report:   $(DEMO)/training/evaluation/report.html"
 	@echo "network:  $(DEMO)/parameters.onnx"
-	@echo "results:  $(DEMO)/results/*/ (parameters.csv, overlay.mp4, summary.png, run.json)"
+	@echo "results:  $(DEMO)/results/*/ (parameters.csv, interactions.csv, overlay.mp4, summary.png, fit.png, run.json)"
 	@ls -1 $(DEMO)/results/*/parameters.csv $(DEMO)/results/*/overlay.mp4 $(DEMO)/results/*/summary.png
 
-# Without Warp or Taichi (no wheel for this machine) the rest is timed all the same.
 bench: $(INSTALLED)
-	-$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[bench]"
 	$(BIN)/python -m benchmarks.rollout
 	$(BIN)/python -m benchmarks.training_step
 
@@ -59,7 +58,7 @@ model: $(INSTALLED) $(MODEL)/posterior.pt
 		--validation $(MODEL)/validation --pressed $(MODEL)/pressed
 
 $(MODEL)/posterior.pt: | $(INSTALLED)
-	$(BIN)/python -m estimators.contact_training --output $(MODEL)
+	$(BIN)/python -m estimators.network.training --output $(MODEL)
 
 clean:
 	rm -rf .venv runs build *.egg-info

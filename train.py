@@ -10,11 +10,15 @@ pictures and the evaluation. Exit status: 0 done, 1 failed, 2 wrong usage, 130 i
 
 from __future__ import annotations
 
+from physics.doors import INTERRUPTED, enter_door, plain, run_door
+
+if __name__ == "__main__":
+    enter_door()  # before the slow imports
+
 import hashlib
 import os
 import sys
 import warnings
-from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, NoReturn
@@ -31,20 +35,17 @@ from lightning.pytorch.loggers import CSVLogger, MLFlowLogger
 from lightning.pytorch.utilities import disable_possible_user_warnings
 from lightning.pytorch.utilities.exceptions import MisconfigurationException
 
-from data.contact_features import FEATURES
-from data.datamodule import ClipDataModule
-from data.frames import InputError
-from evaluation.figures import draw_next_depth
-from evaluation.report import EvaluationError, write_evaluation
+from data.contact.features import FEATURES
+from data.contact.geometry import GeometrySettings
+from data.source.frames import InputError
+from data.training.datamodule import ClipDataModule
+from evaluation.paper.figures import draw_next_depth
+from evaluation.paper.report import EvaluationError, write_evaluation
 from models.checkpoint import CheckpointError, read_checkpoint, require_same_model
 from models.module import PhysicsInformedGAN, TrainingDiverged
-from models.onnx_export import export
-from models.onnx_file import ParityError
-from models.posterior_export import export_posterior
+from models.onnx_export import ParityError, export, export_posterior
 from physics.mechanics import Bounds, Mechanics, UnstableConfiguration
 
-INTERRUPTED = 130
-"""Exit status after Ctrl-C, as shells have it."""
 CHECKPOINTS = {
     "best_checkpoint": {"filename": "best", "monitor": "val/physics"},
     "periodic_checkpoint": {"filename": "epoch_{epoch:03d}", "every_n_epochs": 10, "save_top_k": -1},
@@ -57,7 +58,7 @@ CHECKPOINT_DEFAULTS = {
     "enable_version_counter": False,
     "save_on_train_epoch_end": True,
 }
-TRAIN_CASES = 200
+TRAIN_CONTACTS = 200
 """Training pairs that the constant-θ baseline of the evaluation is fitted on, at most."""
 
 
@@ -88,7 +89,9 @@ class RunRecord(SaveConfigCallback):
     def on_save_checkpoint(self, trainer: Trainer, pl_module: LightningModule, checkpoint: dict[str, Any]) -> None:
         checkpoint["configuration"] = self.parser.dump(self.config)
 
-    def on_validation_end(self, trainer: Trainer, pl_module: PhysicsInformedGAN) -> None:
+    def on_validation_end(  # ty: ignore[incompatible-method-override]  of the one module there is
+        self, trainer: Trainer, pl_module: PhysicsInformedGAN
+    ) -> None:
         """Draw the first validation pair's next depth: real, predicted, and their difference."""
         if trainer.sanity_checking or not trainer.is_global_zero or pl_module.sample is None:
             return
@@ -130,10 +133,10 @@ class RunTrainer(Trainer):
             ckpt_path: checkpoint file, or best or last of the run folder.
             output: file to write.
         """
-        checkpoint = read_checkpoint(Path(ckpt_path))
+        checkpoint = read_checkpoint(Path(ckpt_path))  # ty: ignore[invalid-argument-type]  the command line resolves it
         model.load_state_dict(checkpoint["state_dict"])
         datamodule.load_state_dict(checkpoint[ClipDataModule.__name__])
-        metadata = datamodule.metadata() | {
+        metadata: dict[str, Any] = datamodule.metadata() | {
             "bounds": model.hparams["bounds"],
             "mechanics": model.hparams["mechanics"],
             "config_sha256": hashlib.sha256(checkpoint.get("configuration", "").encode()).hexdigest(),
@@ -157,12 +160,16 @@ class TrainCLI(LightningCLI):
 
     def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
         parser.add_argument("--tracking", type=bool, default=True, help="Log to MLflow beside the run folder.")
-        parser.link_arguments("data.window", "model.window")
-        told = ("data.observation", "data.geometry.smoothing")
+        parser.link_arguments("data.samples.window", "model.window")
+        told = ("data.samples.observation", "data.geometry.smoothing")
         parser.link_arguments(told, "model.contact_features", compute_fn=contact_features)
-        for group, settings in (("mechanics", Mechanics), ("bounds", Bounds)):
+        for source, target, settings in (
+            ("model.mechanics", "data.samples.mechanics", Mechanics),
+            ("model.bounds", "data.bounds", Bounds),
+            ("data.geometry", "data.samples.geometry", GeometrySettings),
+        ):
             for field in fields(settings):
-                parser.link_arguments(f"model.{group}.{field.name}", f"data.{group}.{field.name}")
+                parser.link_arguments(f"{source}.{field.name}", f"{target}.{field.name}")
         for name, settings in CHECKPOINTS.items():
             parser.add_lightning_class_args(ModelCheckpoint, name)
             parser.set_defaults({f"{name}.{key}": value for key, value in (CHECKPOINT_DEFAULTS | settings).items()})
@@ -172,8 +179,9 @@ class TrainCLI(LightningCLI):
         """Resolve and check `--ckpt_path`. Lightning's own version lets the checkpoint override the command line."""
         config, command = self.config[self.config.subcommand], self.config.subcommand
         if config.ckpt_path in ("best", "last"):
-            path = Path(checkpoint_folder(config.trainer.default_root_dir)) / f"{config.ckpt_path}.ckpt"
-            if command == "fit" and not path.is_file():
+            folder = Path(checkpoint_folder(config.trainer.default_root_dir))
+            path = folder / f"{config.ckpt_path}.ckpt"
+            if command == "fit" and not holds_training(folder):
                 print(f"There is no {path} yet; training starts from the beginning.")
                 config.ckpt_path = None
                 return
@@ -182,10 +190,23 @@ class TrainCLI(LightningCLI):
             if command != "fit":
                 raise UsageError(f"{command} needs a trained network; add --ckpt_path FILE, best or last.")
             return
-        require_same_model(Path(config.ckpt_path), config.model.as_dict() | {"window": config.data.window})
+        require_same_model(Path(config.ckpt_path), config.model.as_dict() | {"window": config.data.samples.window})
+
+    def before_fit(self) -> None:
+        """Keep the checkpoints of another training, which this one would replace."""
+        config = self.config[self.subcommand]  # ty: ignore[invalid-argument-type]  a command is required
+        folder = Path(checkpoint_folder(config.trainer.default_root_dir))
+        goes_on = config.ckpt_path is not None and Path(config.ckpt_path).resolve().parent == folder.resolve()
+        if holds_training(folder) and not goes_on:
+            raise UsageError(
+                f"{folder.parent} holds a training already; add --ckpt_path last to go on with it, or give another "
+                "--trainer.default_root_dir."
+            )
 
     def before_instantiate_classes(self) -> None:
-        trainer = self.config[self.subcommand].trainer
+        trainer = self.config[self.subcommand].trainer  # ty: ignore[invalid-argument-type]  a command is required
+        if str(trainer.default_root_dir) == "":
+            raise UsageError("trainer.default_root_dir is empty; name the run folder.")
         if trainer.strategy == "ddp" or (trainer.strategy == "auto" and str(trainer.devices) not in ("1", "auto")):
             # Each of the three backward passes reaches a part of the parameters only.
             trainer.strategy = "ddp_find_unused_parameters_true"
@@ -215,8 +236,8 @@ class TrainCLI(LightningCLI):
         if not self.trainer.is_global_zero:
             return
         folder = Path(self.trainer.default_root_dir) / "evaluation"
-        cases = self.datamodule.cases("train", TRAIN_CASES)
-        files = write_evaluation(self.model.test_records, cases, self.model.mechanics, self.model.bounds, folder)
+        contacts = self.datamodule.interactions("train", TRAIN_CONTACTS)
+        files = write_evaluation(self.model.test_records, contacts, self.model.mechanics, self.model.bounds, folder)
         for name, path in files.items():
             log_artifact(self.trainer, Path(path), "evaluation")
             print(f"{name}: {path}")
@@ -230,6 +251,11 @@ def contact_features(observation: str, smoothing: float) -> int:
 def checkpoint_folder(run_folder: str | os.PathLike[str] | None) -> str:
     """Where a run keeps its checkpoints."""
     return str(Path(run_folder or ".") / "checkpoints")
+
+
+def holds_training(checkpoints: Path) -> bool:
+    """Whether a folder of checkpoints has any."""
+    return any(checkpoints.glob("*.ckpt"))
 
 
 def run_loggers(folder: Path, tracking: bool) -> list[CSVLogger | MLFlowLogger]:
@@ -255,7 +281,7 @@ def log_artifact(trainer: Trainer, path: Path, folder: str | None = None) -> Non
             logger.experiment.log_artifact(logger.run_id, str(path), folder)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: list[str] | None = None) -> int:
     """Run the command line and return the exit status."""
     warnings.filterwarnings("ignore", message=".*LeafSpec.*")  # Lightning about torch's internals
     disable_possible_user_warnings()  # guesses about worker counts
@@ -273,16 +299,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
             args=arguments,
         )
     except (UsageError, CheckpointError, UnstableConfiguration, MisconfigurationException) as error:
-        print(f"train.py: {error}", file=sys.stderr)
+        print(plain(f"train.py: {error}"), file=sys.stderr)
         return 2
     except (InputError, TrainingDiverged, ParityError, EvaluationError) as error:
-        print(f"train.py: {error}", file=sys.stderr)
+        print(plain(f"train.py: {error}"), file=sys.stderr)
         return 1
     except OSError as error:
         if error.strerror is None:  # not the file system's
             raise
         where = error.filename or "The run folder"
-        print(f"train.py: {where}: {error.strerror}; make room or choose another folder.", file=sys.stderr)
+        print(plain(f"train.py: {where}: {error.strerror}; make room or choose another folder."), file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         return INTERRUPTED
@@ -294,4 +320,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_door(main)

@@ -8,7 +8,6 @@ A frame whose annotation holds no tool counts as a false positive where any tool
 from __future__ import annotations
 
 import argparse
-import csv
 import os
 import platform
 import sys
@@ -19,10 +18,12 @@ from pathlib import Path
 
 import numpy as np
 
-from data.automatic_masks import TOOL, AutomaticMasks
-from data.frames import discover, open_source
-from data.layout import ClipLayout, InputError, load_layout
-from data.masks import AnnotationMasks, MaskClasses, MaskError
+from data.masks.automatic import TOOL, AutomaticMasks
+from data.masks.sources import AnnotationMasks, MaskClasses, MaskError
+from data.source.frames import discover, open_source
+from data.source.layout import ClipLayout, InputError, load_layout
+from evaluation.tables import to_csv
+from physics.files import replacing
 
 COLUMNS = ("clip", "frame", "annotated_px", "reported_px", "iou", "precision", "recall", "milliseconds")
 
@@ -47,7 +48,7 @@ class Scores:
         tool = [row for row in self.rows if row["annotated_px"]]
         hit = [row for row in tool if row["reported_px"]]
         empty = [row for row in self.rows if not row["annotated_px"]]
-        false = sum(row["reported_px"] > 0 for row in empty)
+        false = sum(bool(row["reported_px"]) for row in empty)
 
         def mean(rows: list[dict], key: str) -> str:
             return f"{np.mean([row[key] for row in rows]):.2f}" if rows else "-"
@@ -108,12 +109,9 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"error: {error}", file=sys.stderr)
         return 1
     if options.output:
-        temporary = options.output.with_name(options.output.name + ".part")
-        with temporary.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, COLUMNS)
-            writer.writeheader()
-            writer.writerows(row for scores in results for row in scores.rows)
-        temporary.replace(options.output)
+        rows = [row for scores in results for row in scores.rows]
+        with replacing(options.output) as partial:
+            partial.write_text(to_csv(rows, COLUMNS), encoding="utf-8")
         print(f"\nper frame: {options.output}")
     return 0
 

@@ -15,10 +15,13 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from data.simulated_contacts import FINE, SimulatedContact, draw_contacts
-from data.synthetic_settings import SceneSettings
-from data.synthetic_truth import damping_ratio, regime_of
-from physics.identifiability import LIMIT, bounds, contact_information, field_information, ratio_bounds
+from data.synthetic.contacts import FINE, SimulatedContact, draw_contacts
+from data.synthetic.settings import SceneSettings
+from data.synthetic.truth import damping_ratio, regime_of
+from physics.identifiability import LIMIT, bounds, ratio_bounds
+from physics.likelihood import Likelihood
+from physics.load import Press, held
+from physics.observation import Observation
 
 NOISE = 0.001
 REGIMES = ("under-damped", "critical", "over-damped")
@@ -29,7 +32,7 @@ FRAME = round(1 / 25 / FINE.time_step)
 
 def observations(contact: SimulatedContact) -> dict[str, tuple[np.ndarray, bool]]:
     """Steps at which each kind of observation looks, and whether it sees every vertex."""
-    load = round(contact.case.load_steps * 0.005 / FINE.time_step)
+    load = round(contact.interaction.load_seconds / FINE.time_step)
     kinds = {"final": (np.array([FINE.steps - 1]), False), "release": (np.array([load - 1]), False)}
     for frames in (2, 4, 8, 16, 25):
         kinds[f"trajectory, K = {frames}"] = (FRAME * np.arange(1, frames + 1) - 1, False)
@@ -39,11 +42,12 @@ def observations(contact: SimulatedContact) -> dict[str, tuple[np.ndarray, bool]
 
 def limits(contact: SimulatedContact, steps: np.ndarray, whole: bool) -> np.ndarray:
     """Bounds on log k_s, log k_d, log |F|, log k_s/k_d and log F/k_d, shape [5]."""
-    case = contact.case
-    information = (field_information if whole else contact_information)(
-        contact.theta, case.mesh, case.vertex, case.direction.astype(float), FINE, steps, NOISE,
-        load_steps=round(case.load_steps * 0.005 / FINE.time_step),
-    )  # fmt: skip
+    seen = contact.interaction
+    vertices = np.arange(len(seen.mesh.vertices)) if whole else np.array([seen.vertex])
+    times, nothing = (steps + 1) * FINE.time_step, np.zeros((len(vertices), len(steps), 3), np.float32)
+    press = Press.at(seen.vertex, seen.direction.astype(float), held(seen.load_seconds / FINE.time_step, FINE.steps))
+    likelihood = Likelihood(seen.mesh, press, Observation(vertices, times, nothing, np.full(3, NOISE)), FINE)
+    information = likelihood.information(np.log(np.abs(contact.theta)))
     return np.concatenate([bounds(information), ratio_bounds(information)])
 
 

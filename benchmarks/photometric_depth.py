@@ -1,6 +1,6 @@
 """How good photometric depth is: against stored stereo depth and against synthetic truth, and what it costs.
 
-`python -m benchmarks.photometric_depth [--sequence FOLDER --layout configs/layouts/recover_tissue.yaml]` prints the
+`python -m benchmarks.photometric_depth [--sequence FOLDER]` prints the
 tables of docs/depth.md. Nothing is fitted but one scale a clip.
 """
 
@@ -17,16 +17,19 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import spearmanr
 
-from data.depth import DepthSettings, open_depth
-from data.frames import Frame, FrameSource, open_source
-from data.layout import ClipLayout, load_layout
-from data.masks import MaskClasses, open_masks
-from data.synthetic import clip_seed, write_clip
-from data.synthetic_settings import SceneSettings
+from data.depth.normalise import DepthSettings, open_depth
+from data.masks.sources import MaskClasses, open_masks
+from data.source.frames import Frame, FrameSource, open_source
+from data.source.layout import ClipLayout, load_layout
+from data.synthetic.clip import clip_seed, write_clip
+from data.synthetic.settings import SceneSettings
 
 FAR_MULTIPLE = 3.0
 """Stored depth beyond this multiple of a frame's median is a mismatch of the stereo network, as in data.depth."""
 TISSUE, TOOL = 1, 2
+LAYOUT = Path("configs/layouts/recover_tissue.yaml")
+CLIPS, FRAMES = 4, 20
+"""Synthetic clips, and frames of each."""
 
 
 @dataclass(frozen=True)
@@ -105,22 +108,18 @@ class _Still(FrameSource):
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.photometric_depth", description=main.__doc__)
-    parser.add_argument("--sequence", type=Path, help="real clip with stored depth and masks")
-    parser.add_argument("--layout", type=Path, default=Path("configs/layouts/recover_tissue.yaml"), help="its layout")
-    parser.add_argument("--clips", type=int, default=4, help="synthetic clips")
-    parser.add_argument("--frames", type=int, default=20, help="frames of each")
+    parser.add_argument("--sequence", type=Path, help=f"real clip with stored depth and masks as in {LAYOUT}")
     arguments = parser.parse_args()
     print(f"{os.cpu_count()} CPU cores\n")
     print("| clip | frames | rank, tissue | error, tissue | flicker | rank, scene | error, scene |")
     print("| --- | --- | --- | --- | --- | --- | --- |")
     if arguments.sequence is not None:
-        layout = load_layout(arguments.layout)
+        layout = load_layout(LAYOUT)
         source = open_source(arguments.sequence, layout)
         print(row(source.name, source, layout), flush=True)
-    settings = SceneSettings(frames=arguments.frames)
     with tempfile.TemporaryDirectory() as folder:
-        for index in range(arguments.clips):
-            clip = write_clip(Path(folder), index + 1, settings, clip_seed(0, index))
+        for index in range(CLIPS):
+            clip = write_clip(Path(folder), index + 1, SceneSettings(frames=FRAMES), clip_seed(0, index))
             layout = ClipLayout()
             print(row(f"synthetic {index + 1}", open_source(clip, layout), layout), flush=True)
     print("\n| threads | ms a frame of 854x480 |\n| --- | --- |")

@@ -1,27 +1,29 @@
 """The pictures of docs/physics.md: stability, convergence, windows, chaos, spreading.
 
-`python -m benchmarks.physics_plots [FOLDER]`
+`python -m benchmarks.physics_plots` from the checkout; they go to docs/figures.
 """
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from physics.cone import GRID_EIGENVALUE, exact_radii, window_radii
+from physics.load import Press, held
 from physics.mechanics import Mechanics, highest_frequency
 from physics.mesh import Mesh, grid_mesh
-from physics.msd_kernel import simulate, simulate_field, simulate_sensitivities
-from physics.msd_numpy import free_vertices, spring_force
+from physics.msd.cone import GRID_EIGENVALUE, exact_radii, window_radii
+from physics.msd.reference import free_vertices, spring_force
+from physics.msd.simulation import simulate, simulate_field, simulate_sensitivities
 
+FIGURES = Path("docs/figures")
 NORMAL = np.array([0.1, 0.2, -0.97])
+
+
+def press(vertex: int, mechanics: Mechanics = Mechanics()) -> Press:  # noqa: B008 (frozen)
+    """The paper's load on a vertex."""
+    return Press.at(vertex, NORMAL, held(mechanics.load_steps, mechanics.steps))
 
 
 def sheet(size: int, spacing: float = 0.0027) -> tuple[Mesh, int]:
@@ -34,6 +36,10 @@ def sheet(size: int, spacing: float = 0.0027) -> tuple[Mesh, int]:
 
 def stability(path: Path) -> None:
     """Peak displacement over k_s and k_d for each way to integrate."""
+
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Rectangle
+
     mesh, vertex = sheet(10)
     stiffness, damping = np.geomspace(0.1, 60, 40), np.geomspace(0.01, 1.5, 36)
     ways = {
@@ -41,12 +47,13 @@ def stability(path: Path) -> None:
         "Euler, implicit damping": Mechanics(),
         "drift–kick–drift": Mechanics(scheme="dkd"),
     }
-    figure, axes = plt.subplots(1, 3, figsize=(13, 4.2), sharey=True, layout="constrained")
+    figure = Figure(figsize=(13, 4.2), layout="constrained")
+    axes = figure.subplots(1, 3, sharey=True)
     for axis, (name, mechanics) in zip(axes, ways.items(), strict=True):
         with np.errstate(all="ignore"):
             peaks = [
                 [
-                    np.abs(simulate((k, d, -1e-4), mesh, vertex, NORMAL, mechanics, dtype=np.float64)).max()
+                    np.abs(simulate((k, d, -1e-4), mesh, press(vertex, mechanics), mechanics, dtype=np.float64)).max()
                     for k in stiffness
                 ]
                 for d in damping
@@ -60,7 +67,7 @@ def stability(path: Path) -> None:
         if mechanics.damping == "explicit":
             axis.axhline(2 * mechanics.mass / mechanics.time_step, color="w", ls=":")
             axis.text(0.11, 0.3, "k_d = 2m/Δt", color="w", fontsize=9)
-        axis.add_patch(plt.Rectangle((0.1, 0.01), 0.9, 0.99, fill=False, ec="r", lw=1.5))
+        axis.add_patch(Rectangle((0.1, 0.01), 0.9, 0.99, fill=False, ec="r", lw=1.5))
         axis.set(xscale="log", yscale="log", title=name, xlabel="stiffness k_s [normalised]")
     axes[0].set_ylabel("damping k_d [normalised]")
     figure.colorbar(image, ax=axes, label="log₁₀ of peak displacement / |F| [scene units]", extend="both")
@@ -74,7 +81,7 @@ def exact(mesh: Mesh, vertex: int, theta: tuple, mechanics: Mechanics) -> np.nda
     vertices = mesh.vertices.astype(np.float64)
     first, second = mesh.springs.T
     rest = vertices[second] - vertices[first]
-    free = free_vertices(mesh, vertex, mechanics)
+    free = free_vertices(mesh, press(vertex, mechanics), mechanics)
 
     def derivative(_: float, state: np.ndarray, factor: float) -> np.ndarray:
         displacement, velocity = state.reshape(2, count, 3)
@@ -96,8 +103,12 @@ def exact(mesh: Mesh, vertex: int, theta: tuple, mechanics: Mechanics) -> np.nda
 
 def convergence(path: Path) -> None:
     """Error against the time step for both schemes."""
+
+    from matplotlib.figure import Figure
+
     mesh, vertex = sheet(10, 0.01)
-    figure, axis = plt.subplots(figsize=(6.5, 4.5), layout="constrained")
+    figure = Figure(figsize=(6.5, 4.5), layout="constrained")
+    axis = figure.subplots()
     steps = np.array([1, 2, 4, 8, 16, 32])
     for theta, style in (((0.5, 0.09, -0.02), "-"), ((0.6, 0.02, -0.02), "--")):
         reference = exact(mesh, vertex, theta, Mechanics(steps=100, load_steps=40))
@@ -105,7 +116,7 @@ def convergence(path: Path) -> None:
             errors = []
             for finer in steps:
                 mechanics = Mechanics(time_step=0.005 / finer, steps=100 * finer, load_steps=40 * finer, scheme=scheme)
-                seen = simulate(theta, mesh, vertex, NORMAL, mechanics, dtype=np.float64)[finer - 1 :: finer]
+                seen = simulate(theta, mesh, press(vertex, mechanics), mechanics, dtype=np.float64)[finer - 1 :: finer]
                 errors.append(np.abs(seen - reference).max() / np.abs(reference).max())
             order = -np.polyfit(np.log(steps[2:]), np.log(errors[2:]), 1)[0]
             label = f"{scheme}, k_s = {theta[0]}, k_d = {theta[1]}: order {order:.2f}"
@@ -122,11 +133,15 @@ def convergence(path: Path) -> None:
 
 def windows(path: Path) -> None:
     """How far windows reach, and what they cost in accuracy."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(12, 4.5), layout="constrained")
+
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12, 4.5), layout="constrained")
+    left, right = figure.subplots(1, 2)
     step = np.arange(200)
     left.plot(step, exact_radii(200), "k", label="exact cone")
     for index, (k, d) in enumerate(((1.0, 0.005), (0.5, 0.09), (0.05, 0.5))):
-        used, checked = window_radii(k, d, Mechanics(window_error=1e-4), GRID_EIGENVALUE)
+        used, checked = window_radii(k, d, Mechanics(window_error=1e-4), GRID_EIGENVALUE, 200)
         left.plot(step, used, f"C{index}", label=f"k_s = {k}, k_d = {d}: used")
         left.plot(step, checked, f"C{index}--", label="and checked against")
     left.set(xlabel="step [5 ms]", ylabel="radius [springs]", title="computed radius at window_error = 1e-4")
@@ -134,9 +149,9 @@ def windows(path: Path) -> None:
     mesh, vertex = sheet(201)
     asked = 10.0 ** np.arange(-6, -1)
     for index, theta in enumerate(((1.0, 0.005, -0.3), (0.5, 0.09, -0.1), (0.05, 0.5, -0.3), (0.5, 0.09, -10.0))):
-        truth = simulate(theta, mesh, vertex, NORMAL, Mechanics(), dtype=np.float64)
+        truth = simulate(theta, mesh, press(vertex), Mechanics(), dtype=np.float64)
         seen = [
-            simulate(theta, mesh, vertex, NORMAL, Mechanics(window_error=error), dtype=np.float64) for error in asked
+            simulate(theta, mesh, press(vertex), Mechanics(window_error=error), dtype=np.float64) for error in asked
         ]
         errors = [max(np.abs(one - truth).max() / np.abs(truth).max(), 1e-17) for one in seen]
         right.loglog(asked, errors, f"C{index}o-", label="k_s = {}, k_d = {}, F = {}".format(*theta))
@@ -151,13 +166,17 @@ def windows(path: Path) -> None:
 
 def chaos(path: Path) -> None:
     """Growth of the derivatives, and what single precision makes of the motion."""
+
+    from matplotlib.figure import Figure
+
     mesh, vertex = sheet(121)
     time = Mechanics().times
-    figure, (left, right) = plt.subplots(1, 2, figsize=(12, 4.5), layout="constrained")
+    figure = Figure(figsize=(12, 4.5), layout="constrained")
+    left, right = figure.subplots(1, 2)
     for index, theta in enumerate(((0.5, 0.09, -0.1), (0.5, 0.09, -10.0), (1.0, 0.005, -0.3), (5.34, 0.0, -5.0))):
         label = "k_s = {}, k_d = {}, F = {}".format(*theta)
-        double, jacobian = simulate_sensitivities(theta, mesh, vertex, NORMAL, Mechanics(), dtype=np.float64)
-        single = simulate(theta, mesh, vertex, NORMAL, Mechanics())
+        double, jacobian = simulate_sensitivities(theta, mesh, press(vertex), Mechanics(), dtype=np.float64)
+        single = simulate(theta, mesh, press(vertex), Mechanics())
         peak = np.abs(double).max()
         left.semilogy(time, np.abs(jacobian * np.array(theta)).max(axis=(1, 2)) / peak, f"C{index}", label=label)
         right.semilogy(time, np.maximum(np.abs(single - double).max(axis=1) / peak, 1e-9), f"C{index}", label=label)
@@ -172,9 +191,13 @@ def chaos(path: Path) -> None:
 
 def spreading(path: Path) -> None:
     """Where the sheet moves, at release and at the end."""
+
+    from matplotlib.figure import Figure
+
     mesh, vertex = sheet(121)
-    field = np.linalg.norm(simulate_field((0.5, 0.09, -0.1), mesh, vertex, NORMAL, Mechanics()), axis=2)
-    figure, axes = plt.subplots(1, 2, figsize=(10, 4.3), layout="constrained")
+    field = np.linalg.norm(simulate_field((0.5, 0.09, -0.1), mesh, press(vertex), Mechanics()), axis=2)
+    figure = Figure(figsize=(10, 4.3), layout="constrained")
+    axes = figure.subplots(1, 2)
     for axis, step in zip(axes, (49, 199), strict=True):
         size = np.log10(np.maximum(field[step].reshape(121, 121), 1e-12))
         image = axis.imshow(size, vmin=-10, vmax=-1, extent=(-60, 60, 60, -60))
@@ -186,11 +209,9 @@ def spreading(path: Path) -> None:
 
 def main() -> None:
     """Draw everything."""
-    path = Path(sys.argv[1] if len(sys.argv) > 1 else "docs/figures")
-    path.mkdir(parents=True, exist_ok=True)
     for draw in (stability, convergence, windows, chaos, spreading):
-        draw(path)
-        print(f"written: {path / draw.__name__}.png", flush=True)
+        draw(FIGURES)
+        print(f"written: {FIGURES / draw.__name__}.png", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,273 +1,342 @@
-"""How fast the differentiable rollout is, against a plain torch version, NVIDIA Warp and Taichi.
+"""How fast the differentiable rollout is, against a plain torch version.
 
-    python -m benchmarks.rollout [--quick] [--output runs/bench/rollout]
+    python -m benchmarks.rollout
 
-Every contender runs in a process of its own and must give the baseline's trajectory and gradient before it is timed;
-they take turns, so that all ratios come from one run. Only large settings see them one after the other, because they
-wouldn't fit into memory together. Whoever needs too much of it (judged by the first setting's peak), fails, or computes
-something else is left out, and a line says so. Warp and Taichi (`pip install -e ".[bench]"`) hold every step's state
-for their tapes, which counts to their process, not to the memory above base. Warp's CPU backend has one thread.
-
-Writes rollout.csv (medians; ratio = baseline / this), rollout_details.csv (with spreads and first calls) and
-rollout.png. First calls are forward + gradient and forward; they find no compiled code in the first setting only.
+Every contender has a process of its own, must give the baseline's trajectory and gradient, and is timed where it does;
+they take turns, so that all ratios come from one run. Large settings see them one after the other, because torch's
+graphs wouldn't fit into memory together. The table goes to the terminal, its picture to runs/bench/rollout.png.
 """
 
 from __future__ import annotations
 
 import argparse
-import contextlib
-import csv
-import importlib.util
+import ctypes
+import functools
+import gc
+import math
+import multiprocessing
 import os
 import platform
 import tempfile
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
+from typing import NamedTuple
 
+import numpy as np
 import torch
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import track
 from rich.table import Table
 from torch import Tensor
 
-from benchmarks.rollout_cases import GRID, Autograd
-from benchmarks.rollout_contender import Contender, Failure, title
-from benchmarks.rollout_plot import plot
+from physics.load import Press, held
+from physics.mechanics import Mechanics
+from physics.mesh import contact_normal, grid_mesh, nearest_vertex
+from physics.msd import MeshBatch, PressBatch, rollout, rollout_field
 
-COLUMNS = (
-    "backend", "variant", "batch", "vertices", "threads",
-    "forward_ms", "total_ms", "peak_mb", "forward_ratio", "total_ratio",
-)  # fmt: skip
-DETAILS = (*COLUMNS, "forward_min_ms", "forward_max_ms", "total_min_ms", "total_max_ms", "first_call_s", "rounds")
-BASELINE = ("torch", "edges", 1)
-SETTINGS = ((2, 1.0), (1, 1.0), (16, 1.0), (1, 2.0), (1, 4.0), (1, 16.0))
-"""Batch and multiple of 14,800 vertices; the baseline's graph would fill the memory at both large."""
-TOGETHER = 4
-"""Batch times multiple up to which all contenders' processes are held at once."""
-SHARE = 0.6
-"""Share of the available memory that one contender may be expected to need."""
-MEMORY = Path("/proc/meminfo")
-UNPREDICTED = ("warp", "taichi")
-"""Backends whose peak says nothing of a larger setting, because they allocate before it is measured."""
-
-Name = tuple[str, str, int]
-"""A contender's backend, variant and threads."""
+PICTURE = Path("runs/bench/rollout.png")
+GRID = (120, 214)
+"""Height and width of the network's depth grid [px]; the ellipse on it has 14,800 vertices, like the paper's meshes."""
+SPACING = 0.0027
+"""Distance of two pixels on tissue 0.5 scene units away, seen by a 60° camera [scene units]."""
+BASELINE, STENCIL = "torch edges", "torch stencil"
+NUMBA = ("numba exact", "numba window", "numba field")
+SETTINGS = {(2, 1): (1, 2), (1, 1): (1,), (16, 1): (2,), (1, 2): (1,), (1, 4): (1,), (1, 16): (1,)}
+"""Threads of the contenders by batch and multiple of 14,800 vertices; the baseline has one thread."""
+SMALL = 4
+"""Batch times multiple up to which all processes are held at once, and up to which the stencil's graph fits."""
+ROUNDS, PATIENCE = 7, 5.0
+"""Times that a contender is timed, unless its turns took so long before [s]."""
+SAME_TRAJECTORY, SAME_GRADIENT = 1e-3, 1e-2
+"""Largest difference from the baseline's, relative to the latter's peak: single precision over 200 steps."""
 
 
-class EdgeList(Autograd):
+@dataclass(frozen=True)
+class Task:
+    """A batch to roll out, and weights that make one number of its trajectories."""
+
+    theta: Tensor
+    """k_s, k_d and F near the paper's mean, shape [B, 3], float32."""
+    mesh: MeshBatch
+    load: PressBatch
+    weights: Tensor
+    """Derivative of the loss by the trajectories, shape [B, T, 3]."""
+
+    @property
+    def touched(self) -> Tensor:
+        """Contact vertices among the joined ones, shape [B]."""
+        return self.mesh.vertex_offsets[:-1] + self.load.vertices
+
+
+@functools.cache
+def make_task(batch: int, scale: int, grid: tuple[int, int] = GRID) -> Task:
+    """B meshes of `scale` times as many vertices as the grid's, pressed in the middle."""
+    height, width = (round(size * math.sqrt(scale)) for size in grid)
+    row, column = np.mgrid[:height, :width]
+    valid = ((row - height / 2) / height) ** 2 + ((column - width / 2) / width) ** 2 <= 0.4285**2
+    random = np.random.default_rng(0)
+    mechanics = Mechanics()
+    meshes, loads = [], []
+    for _ in range(batch):
+        phase = 6 * random.random()
+        z = 0.5 + 0.02 * np.sin(column / 31 + phase) + 0.01 * np.cos(row / 23)
+        points = np.stack([(column - width / 2) * SPACING, (row - height / 2) * SPACING, z], -1)
+        meshes.append(grid_mesh(points, valid))
+        vertex = nearest_vertex(meshes[-1], points[height // 2, width // 2])
+        factor = held(mechanics.load_steps, mechanics.steps)
+        loads.append(Press.at(vertex, contact_normal(meshes[-1], vertex), factor))
+    return Task(
+        theta=torch.tensor([[0.5, 0.09, -0.1]]) * (1 + 0.1 * torch.linspace(-1, 1, batch)[:, None]),
+        mesh=MeshBatch.from_meshes(meshes),
+        load=PressBatch.of(loads),
+        weights=torch.randn(batch, mechanics.steps, 3, generator=torch.Generator().manual_seed(0)),
+    )
+
+
+def spring_list(task: Task, theta: Tensor) -> Tensor:
     """The baseline: springs as a list, positions gathered, forces scattered, gradients by torch's autograd."""
-
-    def simulate(self, theta: Tensor) -> Tensor:
-        """Trajectories of the contact vertices, shape [B, T, 3]."""
-        mesh, contact, mechanics = self.task.mesh, self.task.contact, self.task.mechanics
-        first, second = mesh.springs.unbind(1)
-        touched = mesh.vertex_offsets[:-1] + contact.vertex
-        stiffness, damping, force = theta[mesh.sample_of_vertex()].unsqueeze(2).unbind(1)
-        free = (~mesh.rim).float().index_fill(0, touched, 1.0)[:, None]
-        push = torch.zeros_like(mesh.vertices).index_copy(0, touched, contact.direction) * force
-        rest_length = (mesh.vertices[second] - mesh.vertices[first]).norm(dim=1, keepdim=True)
-        position, velocity, trajectory = mesh.vertices, torch.zeros_like(mesh.vertices), []
-        for step in range(mechanics.steps):
-            along = position[second] - position[first]
-            length = along.norm(dim=1, keepdim=True)
-            pull = stiffness[first] * (length - rest_length) * along / length
-            total = torch.zeros_like(position).index_add(0, first, pull).index_add(0, second, -pull)
-            if step < mechanics.load_steps:
-                total = total + push
-            kick = mechanics.time_step / mechanics.mass
-            velocity = free * (velocity + kick * total) / (1 + kick * damping)
-            position = position + mechanics.time_step * velocity
-            trajectory.append((position - mesh.vertices)[touched])
-        return torch.stack(trajectory, dim=1)
+    mesh, mechanics = task.mesh, Mechanics()
+    first, second = mesh.springs.unbind(1)
+    stiffness, damping, force = theta[mesh.sample_of_vertex()].unsqueeze(2).unbind(1)
+    free = (~mesh.rim).float().index_fill(0, task.touched, 1.0)[:, None]
+    push = torch.zeros_like(mesh.vertices).index_copy(0, task.touched, task.load.direction) * force
+    rest_length = (mesh.vertices[second] - mesh.vertices[first]).norm(dim=1, keepdim=True)
+    position, velocity, trajectory = mesh.vertices, torch.zeros_like(mesh.vertices), []
+    kick = mechanics.time_step / mechanics.mass
+    for step in range(mechanics.steps):
+        along = position[second] - position[first]
+        length = along.norm(dim=1, keepdim=True)
+        pull = stiffness[first] * (length - rest_length) * along / length
+        total = torch.zeros_like(position).index_add(0, first, pull).index_add(0, second, -pull)
+        if step < mechanics.load_steps:
+            total = total + push
+        velocity = free * (velocity + kick * total) / (1 + kick * damping)
+        position = position + mechanics.time_step * velocity
+        trajectory.append((position - mesh.vertices)[task.touched])
+    return torch.stack(trajectory, dim=1)
 
 
-def contenders() -> list[Name]:
-    """Backend, variant and threads of all that can run here, the baseline first."""
-    ours = [("numba", variant) for variant in ("exact", "window", "field")] if importlib.util.find_spec("numba") else []
-    ours.append(("torch", "stencil"))
-    both = [(*name, threads) for name in (*ours, ("taichi", "tape")) for threads in (1, 2)]
-    chosen = [BASELINE, *both, ("warp", "tape", 1)]
-    return [name for name in chosen if name[0] not in ("warp", "taichi") or importlib.util.find_spec(name[0])]
+def simulate(name: str, task: Task, theta: Tensor) -> Tensor:
+    """Trajectories of the contact vertices as a contender computes them, shape [B, T, 3]."""
+    if name == BASELINE:
+        return spring_list(task, theta)
+    if name == "numba field":
+        field = rollout_field(theta, task.mesh, task.load, backend="numba")
+        return field[:, task.touched].transpose(0, 1)
+    mechanics = Mechanics(window_error=1e-4 if name == "numba window" else 0.0)
+    return rollout(theta, task.mesh, task.load, mechanics, backend=name.split()[0])
 
 
-def unfit(needs: dict[Name, float], size: float, available: float | None) -> dict[Name, str]:
-    """Reasons to leave contenders out of a setting.
+def forward(name: str, task: Task) -> np.ndarray:
+    """Trajectories without a gradient, shape [B, T, 3]."""
+    with torch.no_grad():
+        return simulate(name, task, task.theta).numpy()
 
-    Args:
-        needs: their peaks [MB] for a batch times scale of 1; who isn't in it is let in.
-        size: batch times scale.
-        available: memory to be had [MB], or None where unknown, which lets everybody in.
+
+def total(name: str, task: Task) -> np.ndarray:
+    """Gradient of Σ weights·trajectory by θ, shape [B, 3]."""
+    theta = task.theta.clone().requires_grad_()
+    (task.weights * simulate(name, task, theta)).sum().backward()
+    return theta.grad.numpy()  # ty: ignore[missing-union-attribute]  after backward()
+
+
+class Turn(NamedTuple):
+    """What a contender computed once."""
+
+    forward: float
+    """[ms]"""
+    total: float
+    """Forward and gradient [ms]; not a number for the compiled whole field, which has no gradient."""
+    trajectory: np.ndarray
+    gradient: np.ndarray | None
+
+    def require_same(self, other: Turn, name: str) -> None:
+        """Refuse to time what computes something else.
+
+        Raises:
+            RuntimeError: trajectory or gradient differ from another contender's.
+        """
+        for what, allowed in (("trajectory", SAME_TRAJECTORY), ("gradient", SAME_GRADIENT)):
+            seen, expected = getattr(self, what), getattr(other, what)
+            if seen is None:
+                continue
+            difference = np.abs(seen - expected).max() / np.abs(expected).max()
+            if not difference <= allowed:
+                raise RuntimeError(f"{name}: its {what} differs by {difference:.1e} from that of {BASELINE}.")
+
+
+def take_turn(name: str, threads: int, setting: tuple) -> Turn:
+    """Roll out once with and once without gradient; `setting` are the arguments of `make_task`."""
+    torch.set_num_threads(threads)
+    task = make_task(*setting)
+    gradient, both = None, math.nan
+    if name != "numba field":
+        gradient, both = timed(lambda: total(name, task))
+    trajectory, alone = timed(lambda: forward(name, task))
+    return Turn(alone, both, trajectory, gradient)
+
+
+def timed(work: Callable[[], np.ndarray]) -> tuple[np.ndarray, float]:
+    """A result, and how long it took [ms]."""
+    start = time.perf_counter()
+    result = work()
+    return result, 1e3 * (time.perf_counter() - start)
+
+
+def peak_memory(name: str, threads: int, setting: tuple) -> float:
+    """Most memory that a turn takes above what this process held before [MB]; not a number where Linux' /proc isn't."""
+    if not Path("/proc/self/clear_refs").exists():
+        return math.nan
+    gc.collect()
+    ctypes.CDLL(None).malloc_trim(0)
+    Path("/proc/self/clear_refs").write_text("5")  # forgets the highest mark
+    before = resident("VmRSS")
+    take_turn(name, threads, setting)
+    return resident("VmHWM") - before
+
+
+def resident(key: str) -> float:
+    """A memory figure of this process [MB]."""
+    line = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith(key))
+    return int(line.split()[1]) / 1024
+
+
+def own_process() -> ProcessPoolExecutor:
+    """A process for one contender, which ends before other work does where memory runs out."""
+    return ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), initializer=_end_first)
+
+
+def _end_first() -> None:
+    with suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_text("1000")
+
+
+@dataclass
+class Row:
+    """Medians of one contender."""
+
+    name: str
+    threads: int
+    batch: int
+    vertices: int
+    """Of one mesh."""
+    forward: float
+    total: float
+    """[ms], not a number where there is no gradient."""
+    first_call: float
+    """Both together [s]."""
+    memory: float
+    """Above what was held before [MB]."""
+    forward_ratio: float = 1.0
+    total_ratio: float = 1.0
+    """Times faster than the baseline."""
+
+
+def measure(setting: tuple, threads: tuple[int, ...]) -> list[Row]:
+    """Time the contenders and return their rows, the baseline's first; `setting` are the arguments of `make_task`.
+
+    Raises:
+        RuntimeError: a contender computes something else than the baseline.
+        BrokenProcessPool: one was killed, most likely for lack of memory.
     """
-    if available is None:
-        return {}
-    return {
-        name: f"it needs about {need * size / 1e3:.3g} GB of {available / 1e3:.3g} GB"
-        for name, need in needs.items()
-        if need * size > SHARE * available
-    }
+    small = setting[0] * setting[1] <= SMALL
+    names = (*NUMBA, STENCIL) if small else NUMBA
+    contenders = [(BASELINE, 1), *((name, count) for name in names for count in threads)]
+    firsts: dict[tuple[str, int], Turn] = {}
+    rows: list[Row] = []
+    for group in [contenders] if small else [[each] for each in contenders]:
+        with ExitStack() as stack:
+            ask = {each: functools.partial(_ask, stack.enter_context(own_process()), *each, setting) for each in group}
+            for each in group:
+                firsts[each] = ask[each](take_turn)
+                firsts[each].require_same(firsts[BASELINE, 1], each[0])
+            turns: dict[tuple[str, int], list[Turn]] = {each: [] for each in group}
+            for _ in range(ROUNDS):
+                for each in group:
+                    if sum(turn.forward + np.nan_to_num(turn.total) for turn in turns[each]) < 1e3 * PATIENCE:
+                        turns[each].append(ask[each](take_turn))
+            for each in group:
+                times = np.median([turn[:2] for turn in turns[each]], axis=0).tolist()
+                first_call = np.nansum(firsts[each][:2]) / 1e3
+                vertices = len(make_task(*setting).mesh.vertices) // setting[0]
+                rows.append(Row(*each, setting[0], vertices, *times, first_call, ask[each](peak_memory)))
+    for row in rows:
+        row.forward_ratio, row.total_ratio = rows[0].forward / row.forward, rows[0].total / row.total
+    return rows
 
 
-def needs_of(rows: list[dict[str, object]], size: float) -> dict[Name, float]:
-    """Peaks [MB] for a batch times scale of 1, from the rows of a setting of another size, of whom they are known."""
-    return {
-        (row["backend"], row["variant"], row["threads"]): row["peak_mb"] / size
-        for row in rows
-        if row["peak_mb"] is not None and row["backend"] not in UNPREDICTED
-    }
+def _ask(process: ProcessPoolExecutor, name: str, threads: int, setting: tuple, work: Callable):
+    return process.submit(work, name, threads, setting).result()
 
 
-def available_memory() -> float | None:
-    """Memory that processes can have [MB]; None where unknown."""
-    try:
-        line = next(line for line in MEMORY.read_text().splitlines() if line.startswith("MemAvailable"))
-        return int(line.split()[1]) / 1024
-    except (OSError, StopIteration):
-        return None
-
-
-class Setting:
-    """One batch and mesh size, and who takes part."""
-
-    def __init__(self, task: tuple, cache: Path, advance: Callable[[str], None], say: Callable[[str], None]) -> None:
-        """Keep the arguments.
-
-        Args:
-            task: batch, scale and grid: arguments of `make_task`.
-            cache: folder for the contenders' compiled code.
-            advance: called with what is at work, once a contender.
-            say: called with a line on everybody who is left out.
-        """
-        self.task, self.cache, self.advance, self.say = task, cache, advance, say
-        self.size = task[0] * task[1]
-        self.where = f"batch {task[0]}" + (f", {task[1]:g}× the vertices" if task[1] != 1 else "")
-        self.baseline: Contender | None = None
-
-    def measure(self, rounds: int, patience: float, needs: dict[Name, float]) -> list[dict[str, object]]:
-        """Time who can take part and return their rows, the baseline's first; none where that can't.
-
-        Args:
-            rounds: times that each contender is timed; once at least.
-            patience: a contender that took so long has no further round [s].
-            needs: memory, as for `unfit`.
-        """
-        refused = unfit(needs, self.size, available_memory())
-        for name, reason in refused.items():
-            self.advance(self.where)
-            self._leave_out(name, reason)
-        names = [name for name in contenders() if name not in refused]
-        if BASELINE not in names:
-            self.say(f"{self.where}: left out, because there is nothing to compare with")
-            return []
-        groups = [names] if self.size <= TOGETHER else [[name] for name in names]
-        rows = [row for group in groups for row in self._group(group, rounds, patience)]
-        for row in rows:
-            for key in ("forward", "total"):
-                if row.get(f"{key}_ms"):
-                    row[f"{key}_ratio"] = rows[0][f"{key}_ms"] / row[f"{key}_ms"]
-        return rows
-
-    def _group(self, names: list[Name], rounds: int, patience: float) -> list[dict[str, object]]:
-        """Rows of contenders that run side by side and take turns."""
-        running: list[Contender] = []
-        rows: list[dict[str, object]] = []
-        try:
-            for name in names:
-                self.advance(f"{self.where}: {title(name)}")
-                with self._surviving(name, running):
-                    running.append(Contender(name, self.task, self.cache))
-                    self.baseline = self.baseline or running[-1]  # it comes first, and outlives its process here
-                    running[-1].require_same(self.baseline)
-            for _ in range(rounds):
-                for contender in [each for each in running if each.wants_turn(patience)]:
-                    with self._surviving(contender.name, running):
-                        contender.turn()
-            for contender in running.copy():
-                with self._surviving(contender.name, running):
-                    rows.append(contender.row(self.task[0]))
-        finally:
-            for contender in running:
-                contender.stop()
-        return rows
-
-    @contextlib.contextmanager
-    def _surviving(self, name: Name, running: list[Contender]) -> Iterator[None]:
-        """Go on without a contender that fails, unless all others are compared with it."""
-        try:
-            yield
-        except Failure as failure:
-            if name == BASELINE:
-                raise
-            self._leave_out(name, failure.reason.partition("\n")[0])
-            for contender in [each for each in running if each.name == name]:
-                running.remove(contender)
-                contender.stop()
-
-    def _leave_out(self, name: Name, reason: str) -> None:
-        self.say(f"{title(name)}: left out at {self.where}, {reason}")
-
-
-def show(rows: list[dict[str, object]], machine: str) -> None:
+def show(rows: list[Row], title: str) -> None:
     """Print the table."""
-    table = Table(title=f"200-step rollout; {machine}; median (min–max); × against torch edges on one thread")
-    for column in ("contender", "threads", "batch", "vertices", "forward ms", "×", "forward + gradient ms", "×",
-                   "peak MB", "first call s"):  # fmt: skip
+    table = Table(title=title)
+    for column in ("contender", "threads", "batch", "vertices", "forward [ms]", "×", "forward + gradient [ms]", "×",
+                   "memory above base [MB]", "first call [s]"):  # fmt: skip
         table.add_column(column, justify="left" if column == "contender" else "right")
     for row in rows:
-        cells = [f"{row['backend']} {row['variant']}", *(f"{row[key]:,}" for key in ("threads", "batch", "vertices"))]
-        for key in ("forward", "total"):
-            known = row.get(f"{key}_ms")
-            spread = f" ({row[f'{key}_min_ms']:.1f}–{row[f'{key}_max_ms']:.1f})" if known else ""
-            cells += [f"{known:.1f}{spread}" if known else "-", f"{row[f'{key}_ratio']:.1f}" if known else "-"]
-        peak = "-" if row["peak_mb"] is None else f"{row['peak_mb']:.0f}"
-        table.add_row(*cells, peak, f"{row['first_call_s']:.1f}")
+        figures = (row.forward, row.forward_ratio, row.total, row.total_ratio, row.memory, row.first_call)
+        cells = ["–" if math.isnan(figure) else f"{figure:,.1f}" for figure in figures]
+        table.add_row(row.name, str(row.threads), str(row.batch), f"{row.vertices:,}", *cells)
     Console(width=150).print(table)
 
 
-def write(path: Path, columns: tuple[str, ...], rows: list[dict[str, object]]) -> None:
-    """Write rows as CSV, numbers with five digits; what isn't known stays empty."""
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, columns, extrasaction="ignore")
-        writer.writeheader()
-        for row in rows:
-            rounded = {key: f"{value:.5g}" if isinstance(value, float) else value for key, value in row.items()}
-            writer.writerow(rounded)
+def plot(rows: list[Row], title: str, path: Path) -> None:
+    """Draw speed at batch 2, and cost of one mesh against its vertices."""
+
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12, 5), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    pair = [row for row in rows if row.batch == 2]
+    places, ratios = np.arange(len(pair)), np.array([(row.forward_ratio, row.total_ratio) for row in pair])
+    for column, label in enumerate(("forward", "forward + gradient")):
+        bars = left.barh(places + 0.4 * column - 0.2, np.nan_to_num(ratios[:, column]), 0.38, label=label)
+        texts = ["" if math.isnan(ratio) else f"{ratio:.3g}×" for ratio in ratios[:, column]]
+        left.bar_label(bars, texts, padding=3, fontsize=8)
+    left.set_yticks(places, [f"{row.name}, {row.threads} thr." for row in pair])
+    left.invert_yaxis()
+    left.set(xscale="log", xlabel=f"times faster than {BASELINE} on one thread", title="batch 2")
+    left.set_xlim(0.5, 3 * np.nanmax(ratios))
+    left.legend(loc="lower right")
+    singles = [row for row in rows if row.batch == 1]
+    for name in dict.fromkeys(row.name for row in singles):
+        own = [row for row in singles if row.name == name]
+        times = [row.forward if math.isnan(row.total) else row.total for row in own]
+        right.loglog([row.vertices for row in own], times, "o-", label=name)
+    vertices = sorted({row.vertices for row in singles})
+    right.set_xticks(vertices, [f"{count:,}" for count in vertices])
+    right.minorticks_off()
+    right.set(xlabel="vertices", ylabel="forward + gradient [ms]; field: forward", title="batch 1, one thread")
+    right.grid(alpha=0.3)
+    right.legend(fontsize=8)
+    figure.suptitle(title, fontsize=10)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110)
 
 
-def main(arguments: list[str] | None = None) -> None:
-    """Measure, print the table, write the files."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="a small mesh, one round: whether it works, no figures")
-    parser.add_argument("--output", type=Path, default=Path("runs/bench/rollout"))
-    parser.add_argument("--rounds", type=int, default=7, help="times that each contender is timed")
-    parser.add_argument("--patience", type=float, default=5.0, help="no further round for one that took so long [s]")
-    options = parser.parse_args(arguments)
-    grid, settings, rounds = GRID, SETTINGS, options.rounds
-    if options.quick:
-        grid, settings, rounds = (24, 32), ((2, 1.0), (1, 6.0)), 1
-    options.output.mkdir(parents=True, exist_ok=True)
-    machine = f"{os.cpu_count()} cores {platform.machine()}, load {os.getloadavg()[0]:.1f}, {date.today()}"
-    rows: list[dict[str, object]] = []
-    bar = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with tempfile.TemporaryDirectory() as cache, Progress(*bar) as progress:
-        job = progress.add_task("rollout", total=len(settings) * len(contenders()))
-
-        def advance(text: str) -> None:
-            progress.update(job, advance=1, description=text)
-
-        def say(line: str) -> None:
-            progress.console.print(line, markup=False, highlight=False, soft_wrap=True)
-
-        needs: dict[Name, float] = {}
-        for index, (batch, scale) in enumerate(settings):
-            patience = options.patience * (1 if index else 4)  # the first setting is the one that is judged
-            rows += Setting((batch, scale, grid), Path(cache), advance, say).measure(rounds, patience, needs)
-            needs = needs or needs_of(rows, batch * scale)
-            write(options.output / "rollout.csv", COLUMNS, rows)
-            write(options.output / "rollout_details.csv", DETAILS, rows)
-    show(rows, machine)
-    plot(rows, options.output / "rollout.png", machine)
-    print(f"written: {options.output}/rollout.csv, rollout_details.csv, rollout.png")
+def main() -> None:
+    """Measure, print the table and draw the picture."""
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
+    rows: list[Row] = []
+    with tempfile.TemporaryDirectory() as compiled:
+        os.environ["NUMBA_CACHE_DIR"] = compiled  # empty: the first call of a kind compiles
+        for (batch, scale), threads in track(SETTINGS.items(), "batches and sizes"):
+            try:
+                rows += measure((batch, scale, GRID), threads)
+            except BrokenProcessPool:
+                print(f"batch {batch}, {scale} times the vertices: left out; a process was killed, short of memory.")
+    title = f"200-step rollout; {os.cpu_count()} cores {platform.machine()}, {date.today()}"
+    show(rows, title)
+    plot(rows, title, PICTURE)
+    print(f"written: {PICTURE}")
 
 
 if __name__ == "__main__":

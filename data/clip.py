@@ -11,49 +11,28 @@ import math
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from data.camera import Camera, Undistortion, clip_camera
-from data.clip_cache import CacheEntry, PreparedClip, cache_key
-from data.contact_motion import ContactMotion
-from data.depth import DepthError, DepthSettings, DepthSource, estimate_scale, normalise, open_depth, resize_depth
-from data.frames import Frame, FrameSource, InputError, open_source
-from data.geometry import GeometrySettings, GeometryStatus, frame_geometry
-from data.layout import ClipLayout
-from data.masks import MaskClasses, MaskError, MaskSource, chosen_kind, open_masks
+from data.cache import CacheEntry, PreparedClip, cache_key
+from data.contact.geometry import GeometryStatus, frame_geometry
+from data.contact.motion import ContactMotion
+from data.depth.normalise import (
+    DepthError,
+    DepthSource,
+    estimate_scale,
+    normalise,
+    open_depth,
+    resize_depth,
+)
+from data.masks.sources import MaskError, MaskSource, chosen_kind, open_masks
 from data.prepared import PreparedFrame
-
-PREPROCESSING_VERSION = 2
-"""Raised when the same pixels would give a network another input; exported models carry it."""
-
-
-@dataclass(frozen=True)
-class PrepareSettings:
-    """Everything that decides how a clip's frames are prepared."""
-
-    depth: DepthSettings = field(default_factory=DepthSettings)
-    """Depth source and normalisation."""
-    geometry: GeometrySettings = field(default_factory=GeometrySettings)
-    """Grid, mesh and contact."""
-    masks: str = "auto"
-    """annotation, automatic, auto (annotation where the clip has it), or the path of an ONNX segmentation model."""
-    classes: MaskClasses = field(default_factory=MaskClasses)
-    """Which annotated classes are tool and tissue."""
-    layout: ClipLayout = field(default_factory=ClipLayout)
-    """How the clip's files are named."""
-    bridge_frames: int = 2
-    """Contact that is missing on up to this many frames in a row counts as flicker: the run of contact goes on."""
-    track_seconds: float = 1.0
-    """How long the contact's tissue point is followed from its onset, beyond its release [s]."""
-
-    def __post_init__(self) -> None:
-        if self.bridge_frames < 0:
-            raise ValueError(f"bridge_frames is {self.bridge_frames}; give 0 or more.")
-        if not (math.isfinite(self.track_seconds) and self.track_seconds >= 0):
-            raise ValueError(f"track_seconds is {self.track_seconds}; give a number of seconds of at least 0.")
+from data.settings import PrepareSettings
+from data.source.camera import Camera, Undistortion, clip_camera
+from data.source.frames import Frame, FrameSource, InputError, open_source
 
 
 @dataclass(frozen=True)
@@ -121,6 +100,19 @@ class ClipStream:
         return {
             "depth": self._depth.identity.split(":")[0],
             "masks": Path(chosen_kind(self.settings.masks, self.source.path, self.settings.layout)).name,
+        }
+
+    @property
+    def description(self) -> dict[str, Any]:
+        """What is known of the clip as a whole, JSON-able, once it is read to its end."""
+        return {
+            "name": self.source.name,
+            "fps": self.source.fps,
+            "scale": self.scale,
+            "metric": self.metric,
+            "sources": self.sources,
+            "camera": dataclasses.asdict(self.camera),
+            "warnings": self.source.warnings,
         }
 
     def __iter__(self) -> Iterator[PreparedFrame]:
@@ -194,7 +186,7 @@ class ClipStream:
 
     def _picture_depth(self, frame: Frame) -> tuple[np.ndarray, str]:
         """Depth at the picture's size [unit of the depth source], or zeros and why there is none."""
-        nothing = np.zeros(frame.image.shape[:2], np.float32)
+        nothing = np.zeros(frame.picture.shape[:2], np.float32)
         if self._scale_error:
             return nothing, self._scale_error
         try:
@@ -243,15 +235,6 @@ class _Stopwatch:
         self.totals[self.stage] += time.perf_counter() - self.start
 
 
-def stream(source: FrameSource, settings: PrepareSettings) -> ClipStream:
-    """Open a clip for preparation, frame by frame; memory does not grow with its length.
-
-    Raises:
-        InputError: a model, preset, camera or clip file can't be used.
-    """
-    return ClipStream(source, settings)
-
-
 def prepare(
     path: Path | str,
     settings: PrepareSettings,
@@ -279,13 +262,13 @@ def prepare(
     found = entry.load(path)
     if found is not None:
         return found
-    clip_stream = stream(source, settings)
+    clip_stream = ClipStream(source, settings)
     with entry.writer() as writer:
         for count, prepared in enumerate(clip_stream, start=1):
             writer.add(prepared)
             if progress is not None:
                 progress(count, max(source.length, count))
-        writer.finish(clip_stream)
+        writer.finish(clip_stream.description)
     found = entry.load(path)
     if found is None:
         raise InputError(f"{entry.folder} can't be read back; check the disk or give another cache.")

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from data.frames import Frame
-from data.geometry import FrameGeometry
+from data.contact.geometry import FrameGeometry
+from data.source.frames import Frame
 
 STATUSES = ("ok", "no_tool", "no_tissue", "no_contact", "bad_depth", "unreadable", "no_mask")
 """`ok` means in contact; the others say why a frame gives no contact."""
@@ -59,9 +59,23 @@ class PreparedFrame:
         return self.geometry is not None
 
     @property
+    def contact(self) -> FrameGeometry:
+        """The geometry of a frame that is in contact; ValueError where it isn't."""
+        if self.geometry is None:
+            raise ValueError(f"Frame {self.frame.number} is not in contact: {self.detail}")
+        return self.geometry
+
+    @property
     def visible(self) -> bool:
         """Whether the frame has an image and labels, so that tissue can be followed into it."""
         return self.picture_labels is not None
+
+    @property
+    def view(self) -> tuple[np.ndarray, np.ndarray]:
+        """Image and label map of a frame that is visible; ValueError where it isn't."""
+        if self.picture_labels is None:
+            raise ValueError(f"Frame {self.frame.number} has no labels: {self.detail}")
+        return self.frame.picture, self.picture_labels
 
     @property
     def has_depth(self) -> bool:

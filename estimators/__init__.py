@@ -1,0 +1,23 @@
+"""From prepared frames to estimates of θ: three estimators behind one contract.
+
+contract        Estimator and Session: opened once, a session a clip; open: an estimator by its name
+estimate        what is told of a frame, of a run of contact, and of θ
+network         a posterior for every frame; gan: the parameter network of the generator
+direct          the simulator fitted to every run of contact
+runs            runs of contact, frame by frame, for all of them; arrow: the force as it is drawn
+onset           unknown beginnings of a press; oblique: presses aslant to the line of sight
+model_settings  an exported network's preparation; worker_pool: many tasks in a few processes
+"""
+
+from physics.lazy import exported
+
+__getattr__ = exported(
+    {
+        "estimators.open": ("EstimatorOptions", "open_estimator"),
+        "estimators.contract": ("Chosen", "ClipInfo", "Estimator", "Session"),
+        "estimators.estimate": ("Estimate", "FrameEstimate", "InteractionEstimate", "NoEstimate"),
+        "estimators.network.estimator": ("NetworkEstimator",),
+        "estimators.gan": ("GanEstimator",),
+        "estimators.direct.estimator": ("DirectEstimator", "DirectSettings"),
+    }
+)

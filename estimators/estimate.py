@@ -1,112 +1,65 @@
-"""What an estimator says about one frame: the record that tables and pictures are made of."""
+"""What an estimator says: of a frame, of a whole run of contact, and of θ itself with how well it is known."""
 
 from __future__ import annotations
 
 import dataclasses
+import functools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any
 
 import numpy as np
 
-from estimators.onset import together
-from physics.identifiability import bounds, describe, verdict
+from data.contact.interaction import Interaction
+from physics.identifiability import LIMIT, bounds, combination_bounds, covariance, describe, verdict
 from physics.mechanics import PARAMETERS
 
-Verdict = Literal["", "onset_in_view", "determined", "ratios", "undetermined"]
 NINETY = 1.6448536269514722
 """Standard deviations on either side of the mean that hold 90 % of a normal distribution."""
+COMBINATIONS = {
+    "stiffness": (1.0, 0.0, 0.0),
+    "damping": (0.0, 1.0, 0.0),
+    "force": (0.0, 0.0, 1.0),
+    "damping_over_stiffness": (-1.0, 1.0, 0.0),
+    "force_over_stiffness": (-1.0, 0.0, 1.0),
+    "force_over_damping": (0.0, -1.0, 1.0),
+}
+"""Products of powers, by their exponents: k_s, k_d, |F|, k_d/k_s [s], |F|/k_s [scene units], |F|/k_d."""
+REPORTED = tuple(name for name in COMBINATIONS if name != "force_over_damping")
+"""Those with numbers of their own; F/k_d follows from them, and only whether it is determined is said."""
+SYMBOLS = dict(zip(COMBINATIONS, ("k_s", "k_d", "|F|", "k_d/k_s", "|F|/k_s", "|F|/k_d"), strict=True))
 
 
 class NoEstimate(ValueError):
-    """A contact can't be fitted; the message is a sentence that says why."""
+    """A contact can't be estimated; the message is a sentence that says why."""
 
 
-@dataclass(frozen=True)
-class FrameEstimate:
-    """Parameters of one frame, or the reason why there are none.
-
-    A quantity that does not exist for the frame (or that the model does not give) is None, never 0.
-    """
-
-    frame: int
-    """Number of the frame in its source."""
-    time_s: float
-    """Time stamp of the frame [s]."""
-    status: str
-    """`ok`, or why the frame has no parameters: unreadable, no_mask, no_tool, no_tissue, bad_depth, no_contact."""
-    detail: str = ""
-    """One sentence about the status, or about something missing although the status is ok."""
-    verdict: Verdict = ""
-    """What is determined, by the estimate's own standard deviations: every parameter (`determined`), only k_s/k_d and
-    F/k_d (`ratios`), or not even those (`undetermined`); see physics.identifiability. Models without a posterior only
-    say whether their window shows the onset of contact (`onset_in_view`), without which nothing is determined. Empty
-    unless the status is ok."""
-    stiffness: float | None = None
-    """k_s [scene units (normalised)]."""
-    stiffness_sd: float | None = None
-    """Standard deviation of `stiffness`."""
-    stiffness_low: float | None = None
-    """Lower end of the 90 % interval of k_s."""
-    stiffness_high: float | None = None
-    """Upper end of the 90 % interval of k_s."""
-    stiffness_bound: float | None = None
-    """Cramér–Rao bound on the standard deviation of log k_s at the estimate."""
-    damping: float | None = None
-    """k_d [scene units (normalised)]."""
-    damping_sd: float | None = None
-    """Standard deviation of `damping`."""
-    damping_low: float | None = None
-    """Lower end of the 90 % interval of k_d."""
-    damping_high: float | None = None
-    """Upper end of the 90 % interval of k_d."""
-    damping_bound: float | None = None
-    """Cramér–Rao bound on the standard deviation of log k_d at the estimate."""
-    force: float | None = None
-    """Magnitude |F| [scene units (normalised)], never negative."""
-    force_sd: float | None = None
-    """Standard deviation of `force`."""
-    force_low: float | None = None
-    """Lower end of the 90 % interval of |F|."""
-    force_high: float | None = None
-    """Upper end of the 90 % interval of |F|."""
-    force_bound: float | None = None
-    """Cramér–Rao bound on the standard deviation of log |F| at the estimate."""
-    contact: bool | None = None
-    """Whether tool and tissue touch; None where that could not be decided."""
-    contact_distance: float | None = None
-    """Distance between the nearest tool and tissue points [scene units]."""
-    contact_u: float | None = None
-    """Column of the tissue's contact point [px of the source frame]."""
-    contact_v: float | None = None
-    """Row of the tissue's contact point [px of the source frame]."""
-    simulated_displacement: float | None = None
-    """Length of the simulated displacement of the contact vertex [scene units]."""
-    observed_displacement: float | None = None
-    """Length of the observed displacement of the contact point [scene units]."""
-
-
-@dataclass(frozen=True)
-class ContactEstimate:
-    """Parameters of one whole run of contact, with their uncertainty."""
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """θ and how well it is known."""
 
     theta: np.ndarray
     """k_s, k_d and signed F, shape [3] [scene units (normalised)]."""
-    covariance: np.ndarray
-    """Covariance of (log k_s, log k_d, log |F|), shape [3, 3]."""
-    information: np.ndarray
-    """Fisher information of the same from the observed contact trajectory, at `theta`, shape [3, 3]."""
-    noise: float
+    covariance: np.ndarray | None = None
+    """Covariance of φ = (log k_s, log k_d, log |F|), shape [3, 3]; None from an estimator that gives none."""
+    information: np.ndarray | None = None
+    """Fisher information of φ from the observed motion, at `theta`, shape [3, 3]."""
+    noise: float = math.nan
     """Standard deviation of every observed coordinate [scene units]."""
-    misfit: float
+    misfit: float = math.nan
     """Root mean square of observed minus simulated displacement along the force over `noise`: 1 where the model
     explains the data. Not across it, where a measured normal that is off by a few degrees (8-bit depth) tells more than
     the tissue; so a sideways motion that the model can't explain is not told."""
-    at_bound: np.ndarray
+    largest_misfit: float = math.inf
+    """Beyond it the model does not explain the motion."""
+    at_bound: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(3, bool))
     """Whether a parameter lies at its range's end, shape [3], bool."""
-    decisive: np.ndarray | None = None
-    """Information by which the verdict is given, shape [3, 3]; None = that of `covariance`. Not that at `theta`: where
-    an estimate is badly known, so is the information at it."""
+    expected_information: np.ndarray | None = None
+    """Inverse of the expected Cramér–Rao bound, by which the verdict is given, shape [3, 3]; None = that of
+    `covariance`. Not that at `theta`: where an estimate is badly known, so is the information at it."""
+    told_verdict: str = ""
+    """Verdict of an estimator that knows no uncertainty: `onset_in_view` or `undetermined`."""
     delays: tuple[float, ...] = ()
     """Fitted times from the first frame in contact to the beginning of the press, and from the first one after it to
     its end [s]; none of either that was not fitted."""
@@ -119,32 +72,143 @@ class ContactEstimate:
     @property
     def log_sd(self) -> np.ndarray:
         """Standard deviations of the logarithms, shape [3]: relative errors, while they are small."""
-        return np.sqrt(np.diag(self.covariance))
+        return np.sqrt(np.diag(self.covariance))  # ty: ignore[no-matching-overload]  of an estimate that knows it
 
     @property
     def verdict(self) -> str:
         """`determined`, `ratios` or `undetermined` (see physics.identifiability.verdict)."""
-        return verdict(self.decisive_information)
+        return self.told_verdict or verdict(self.verdict_information)
+
+    @property
+    def determined(self) -> tuple[str, ...]:
+        """Names of the COMBINATIONS that are determined."""
+        if self.told_verdict:
+            return ()
+        limits = combination_bounds(self.verdict_information, list(COMBINATIONS.values()))
+        return tuple(name for name, limit in zip(COMBINATIONS, limits, strict=True) if limit < LIMIT)
 
     @property
     def explanation(self) -> str:
         """The verdict's reason in words (see physics.identifiability.describe)."""
-        return describe(self.decisive_information)
+        return "" if self.told_verdict else describe(self.verdict_information)
 
     @property
-    def decisive_information(self) -> np.ndarray:
+    def verdict_information(self) -> np.ndarray:
         """Information by which the verdict is given, shape [3, 3]."""
-        return np.linalg.inv(self.covariance) if self.decisive is None else self.decisive
+        if self.expected_information is not None:
+            return self.expected_information
+        return np.linalg.inv(self.covariance)  # ty: ignore[no-matching-overload]  as above
 
-    def less_certain(self, added: np.ndarray) -> ContactEstimate:
+    @property
+    def explained(self) -> bool:
+        """Whether the model explains the motion."""
+        return not self.misfit > self.largest_misfit
+
+    def widened(self, added: np.ndarray) -> Estimate:
         """The same with a covariance [3, 3] added to its own, and to that of its verdict."""
         # (D⁻¹ + A)⁻¹ = (1 + DA)⁻¹D, which exists where D is singular, too.
-        decisive = np.linalg.solve(np.eye(3) + self.decisive_information @ added, self.decisive_information)
-        return dataclasses.replace(self, covariance=self.covariance + added, decisive=(decisive + decisive.T) / 2)
+        expected = np.linalg.solve(np.eye(3) + self.verdict_information @ added, self.verdict_information)
+        return dataclasses.replace(
+            self, covariance=self.covariance + added, expected_information=(expected + expected.T) / 2
+        )
+
+    def numbers(self) -> dict[str, Any]:
+        """Every REPORTED combination with its log-normal standard deviation, 90 % interval and bound, and the verdict.
+
+        What the estimator does not give is missing, and so is a ratio to a parameter that is 0.
+        """
+        found: dict[str, Any] = {"verdict": self.verdict, "determined": ";".join(self.determined)}
+        for name in REPORTED:
+            row = np.array(COMBINATIONS[name])
+            with np.errstate(divide="ignore", invalid="ignore"):
+                value = float(np.prod(np.abs(self.theta) ** row))
+            if not math.isfinite(value):
+                continue
+            found[name] = value
+            if self.covariance is not None:
+                # Rounding may leave the variance of a well known ratio of badly known parameters below 0.
+                log_sd = math.sqrt(max(row @ self.covariance @ row, 0.0))
+                found[f"{name}_sd"] = float(value * np.exp(log_sd**2 / 2) * np.sqrt(np.expm1(log_sd**2)))
+                found[f"{name}_low"] = float(value * np.exp(-NINETY * log_sd))
+                found[f"{name}_high"] = float(value * np.exp(NINETY * log_sd))
+        if self.information is not None:
+            limits = bounds(self.information)
+            found |= {f"{name}_bound": float(limit) for name, limit in zip(PARAMETERS, limits, strict=True)}
+        return found
 
 
-def combined(found: Sequence[ContactEstimate]) -> ContactEstimate:
-    """Several estimates of one contact that count alike, as one, with their common mean and covariance.
+@dataclass(frozen=True, eq=False)
+class FrameEstimate:
+    """One frame: its status, its contact, and its parameters or the reason why there are none.
+
+    A quantity that does not exist for the frame (or that the estimator does not give) is None, never 0.
+    """
+
+    frame: int
+    """Number of the frame in its source."""
+    time_s: float
+    """Time stamp of the frame [s]."""
+    status: str
+    """`ok`, or why the frame has no parameters: unreadable, no_mask, no_tool, no_tissue, bad_depth, no_contact."""
+    detail: str = ""
+    """Sentences about the status, or about what can't be trusted although the status is ok."""
+    estimate: Estimate | None = None
+    """Its parameters."""
+    verdict: str = ""
+    """The estimate's; `undetermined` for a frame in contact of which nothing can be said; empty unless the status is
+    ok, and from an estimator of whole runs only."""
+    contact: bool | None = None
+    """Whether tool and tissue touch; None where that could not be decided."""
+    contact_distance: float | None = None
+    """Distance between the nearest tool and tissue points [scene units]."""
+    contact_u: float | None = None
+    """Column of the tissue's contact point [px of the source frame]."""
+    contact_v: float | None = None
+    """Row of the tissue's contact point [px of the source frame]."""
+    simulated_displacement: float | None = None
+    """Length of the simulated displacement of the contact vertex [scene units]."""
+    observed_displacement: float | None = None
+    """Length of the observed displacement of the contact point [scene units]."""
+    arrow: tuple[tuple[float, float], tuple[float, float]] | None = None
+    """Tail and tip (u, v) of the force that acts on the contact point [px of the source frame]; None without force."""
+
+    @functools.cached_property
+    def values(self) -> dict[str, Any]:
+        """Everything by name, the estimate's numbers included; what is not known is missing or None."""
+        return {**vars(self), **({} if self.estimate is None else self.estimate.numbers()), "verdict": self.verdict}
+
+
+@dataclass(frozen=True, eq=False)
+class InteractionEstimate:
+    """One whole run of contact: its parameters, or the reason why there are none."""
+
+    onset: int
+    """Index of the run's first frame in contact in its clip."""
+    onset_frame: int
+    """Number of that frame."""
+    onset_time_s: float
+    """Its time stamp [s]."""
+    load_s: float | None = None
+    """Time from the onset to the release [s]; None where either was not seen."""
+    interaction: Interaction | None = None
+    """What was seen; None where the tissue was not followed from an onset."""
+    estimate: Estimate | None = None
+    """Its parameters."""
+    simulated: tuple[np.ndarray, np.ndarray] | None = None
+    """Times since the onset [s] and the simulated motion along the force then [scene units], shape [T] each."""
+    detail: str = ""
+    """Why there is no estimate, or why it can't be trusted."""
+
+
+def moment_matched(means: np.ndarray, covariances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean [D] and covariance [D, D] of a mixture of distributions that count alike, shapes [n, D] and [n, D, D]."""
+    mean = means.mean(axis=0)
+    apart = means - mean
+    return mean, covariances.mean(axis=0) + apart.T @ apart / len(means)
+
+
+def mixture(found: Sequence[Estimate]) -> Estimate:
+    """Several estimates of one contact that count alike as one, the moment-matched mixture.
 
     What else it says is that of the one which explains the motion best.
     """
@@ -152,37 +216,9 @@ def combined(found: Sequence[ContactEstimate]) -> ContactEstimate:
     if len(found) == 1:
         return best
     means, signs = np.log(np.abs([item.theta for item in found])), np.sign(best.theta)
-    mean, covariance = together(means, np.array([item.covariance for item in found]))
-    apart = covariance - np.mean([item.covariance for item in found], axis=0)
-    decisive = np.mean([np.linalg.pinv(item.decisive_information) for item in found], axis=0) + apart
+    mean, spread = moment_matched(means, np.array([item.covariance for item in found]))
+    apart = spread - np.mean([item.covariance for item in found], axis=0)
+    expected = np.mean([covariance(item.verdict_information) for item in found], axis=0) + apart
     return dataclasses.replace(
-        best,
-        theta=np.exp(mean) * signs,
-        covariance=covariance,
-        decisive=np.linalg.inv(decisive),
+        best, theta=np.exp(mean) * signs, covariance=spread, expected_information=np.linalg.inv(expected)
     )
-
-
-UNCERTAINTY = {
-    column: text.format(symbol)
-    for name, symbol in zip(PARAMETERS, ("k_s", "k_d", "|F|"), strict=True)
-    for column, text in (
-        (f"{name}_low", "lower end of the 90 % interval of {}"),
-        (f"{name}_high", "upper end of the 90 % interval of {}"),
-        (f"{name}_bound", "Cramér–Rao bound on the standard deviation of log {} (0.1: 10 %), were the onset known"),
-    )
-}
-"""Columns of intervals and bounds, in order, each with what it is."""
-
-
-def uncertainty(found: ContactEstimate) -> dict[str, float]:
-    """The uncertainty fields of a `FrameEstimate`: log-normal standard deviations and 90 % intervals, and bounds."""
-    fields: dict[str, float] = {}
-    limits = bounds(found.information)
-    for name, value, log_sd, limit in zip(PARAMETERS, np.abs(found.theta), found.log_sd, limits, strict=True):
-        fields[f"{name}_sd"] = float(value * np.exp(log_sd**2 / 2) * np.sqrt(np.expm1(log_sd**2)))
-        fields[f"{name}_low"], fields[f"{name}_high"] = (
-            float(value * np.exp(sign * NINETY * log_sd)) for sign in (-1, 1)
-        )  # fmt: skip
-        fields[f"{name}_bound"] = float(limit)
-    return fields

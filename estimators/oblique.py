@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from data.samples import ContactCase
-from estimators.estimate import ContactEstimate
+from data.contact.interaction import Interaction
+from estimators.estimate import Estimate
 from physics.identifiability import box_information
 
 LARGEST_ANGLE = 5.0
@@ -28,32 +28,32 @@ OBLIQUE = (
 )
 
 
-def view_angle(case: ContactCase) -> float:
+def view_angle(contact: Interaction) -> float:
     """Angle between a contact's direction, either way, and the camera's ray through it [degrees]."""
-    ray, direction = (np.asarray(v, np.float64) for v in (case.mesh.vertices[case.vertex], case.direction))
-    return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(ray, direction)), abs(ray @ direction))))
+    ray, direction = (np.asarray(v, np.float64) for v in (contact.mesh.vertices[contact.vertex], contact.direction))
+    return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(ray, direction)), np.abs(ray @ direction))))
 
 
-def is_oblique(estimate: ContactEstimate) -> bool:
+def is_oblique(estimate: Estimate) -> bool:
     """Whether the estimate's contact is pressed so far from the line of sight that its dent may hide itself."""
     return estimate.view_angle is not None and estimate.view_angle > LARGEST_ANGLE
 
 
-def effective_misfit(estimate: ContactEstimate) -> float:
+def effective_misfit(estimate: Estimate) -> float:
     """The estimate's misfit, or that of the hidden error to be expected of an oblique contact where it is larger."""
     return max(estimate.misfit, HIDDEN_ERROR / estimate.noise) if is_oblique(estimate) else estimate.misfit
 
 
-def remark(estimate: ContactEstimate) -> str:
+def remark(estimate: Estimate) -> str:
     """A sentence on an oblique contact, empty for any other."""
     return OBLIQUE.format(estimate.view_angle) if is_oblique(estimate) else ""
 
 
-def widened(estimate: ContactEstimate, misfit: float, box: np.ndarray) -> ContactEstimate:
+def widened(estimate: Estimate, misfit: float, box: np.ndarray) -> Estimate:
     """The estimate with the covariance of a noise `misfit` times as large, within the box, added; so for its verdict.
 
     Args:
         misfit: in units of the estimate's noise.
         box: lower and upper φ, shape [2, 3].
     """
-    return estimate.less_certain(np.linalg.inv(estimate.information / misfit**2 + box_information(box)))
+    return estimate.widened(np.linalg.inv(estimate.information / misfit**2 + box_information(box)))  # ty: ignore[unsupported-operator]  a contact that was seen

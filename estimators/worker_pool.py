@@ -6,7 +6,7 @@ import contextlib
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from typing import TypeVar
@@ -27,7 +27,7 @@ class WorkerLost(RuntimeError):
 
 
 def run_tasks(
-    function: Callable[[Task], Result], tasks: Sequence[Task], workers: int, *, ordered: bool = False
+    function: Callable[[Task], Result], tasks: Sequence[Task], workers: int | None, *, ordered: bool = False
 ) -> Iterator[Result]:
     """Results of all tasks, in the order in which they are done.
 
@@ -35,7 +35,7 @@ def run_tasks(
 
     Args:
         function: importable by its name.
-        workers: processes; 0 = in this one, one after the other.
+        workers: processes; 0 = in this one, one after the other; None = one for each of the machine's cores.
         ordered: in the order of the tasks instead.
 
     Raises:
@@ -46,11 +46,11 @@ def run_tasks(
         return
     others = set(multiprocessing.active_children())
     with _one_thread_each():
-        pool = ProcessPoolExecutor(
-            min(workers, len(tasks)), mp_context=multiprocessing.get_context("spawn"), initializer=_start_worker
-        )
+        processes = min(workers or os.cpu_count() or 1, len(tasks))
+        pool = ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn"))
         try:
-            futures = [pool.submit(function, task) for task in tasks]
+            with _interrupts_held():
+                futures = [pool.submit(function, task) for task in tasks]
             for future in futures if ordered else as_completed(futures):
                 yield future.result()
             pool.shutdown()
@@ -62,13 +62,18 @@ def run_tasks(
                 process.terminate()
 
 
-def _start_worker() -> None:
-    # Ctrl-C reaches every process of the terminal; the parent decides what becomes of it.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+@contextlib.contextmanager
+def _interrupts_held() -> Generator[None]:
+    """Let processes that start now never see Ctrl-C, not even while they import: this one decides what comes of it."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextlib.contextmanager
-def _one_thread_each() -> Iterator[None]:
+def _one_thread_each() -> Generator[None]:
     """Let processes that start now use one native thread; libraries read this when they are loaded."""
     before = {name: os.environ.get(name) for name in _LIMITS}
     os.environ.update(dict.fromkeys(_LIMITS, "1"))

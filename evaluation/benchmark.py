@@ -4,56 +4,50 @@
 
 Clips are made in memory and thrown away. Results are appended to DIR/results.jsonl as they come; the same command
 continues an interrupted run, and a later one may add suites, estimators or clips. Writes table.csv, details.csv
-(see `evaluation.recovery_details`) and figures/. A clip that can't be estimated is counted and shown. In table.csv
+(see `evaluation.recovery.details`) and figures/. A clip that can't be estimated is counted and shown. In table.csv
 constant_rmse_log is the error of the best constant for exactly the clips of a row; the estimator constant, whose θ is
 the mean over another split, can't reach it.
 """
 
 from __future__ import annotations
 
+from physics.doors import INTERRUPTED, enter_door, run_door
+
+if __name__ == "__main__":
+    enter_door()  # before the slow imports
+
 import argparse
-import math
-import sys
 from collections.abc import Sequence
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
-from rich.text import Text
+from rich.progress import Progress
 
-from data.samples import PRESS
-from estimators.direct import LEAST_SIGMA
+from data.command_line import path_option, progress_bars, real_number, say, whole_number
+from data.contact.interaction import PRESS
+from estimators.direct.estimator import LEAST_SIGMA
 from estimators.onset import ONSETS, STAMP
+from estimators.open import EstimatorOptions
 from estimators.worker_pool import WorkerLost, run_tasks
-from evaluation.benchmark_output import show, write_results
-from evaluation.constant import draw_truths
-from evaluation.recovery import OK, ClipTask, Recovery, evaluate_clip
-from evaluation.recovery_estimators import NAMES, NEEDS_MODEL, EstimatorSpec, check_model
-from evaluation.recovery_scores import score_all
-from evaluation.recovery_store import RecoveryStore
-from evaluation.result_store import OutputError
-from evaluation.run_record import sha256_of
-from evaluation.suites import FITTED_ON, LARGEST_SEED, SPLITS, SUITES, suite_clip_seed
+from evaluation.recovery.constant import kept_truths
+from evaluation.recovery.estimators import NAMES, NEEDS_MODEL, Candidate, ConstantOptions, describe, opened
+from evaluation.recovery.evaluate import OK, ClipTask, Recovery, evaluate_clip
+from evaluation.recovery.output import show, write_results
+from evaluation.recovery.scores import score_all
+from evaluation.recovery.store import RecoveryStore
+from evaluation.recovery.suites import FITTED_ON, LARGEST_SEED, SPLITS, SUITES, suite_clip_seed
 from models.onnx_session import ModelFileError
+from results.store import OutputError
 
 CONSTANT_CLIPS = 60
 """Truths whose mean the estimator `constant` answers: over all clips its error is then within 1 % of the least."""
-INTERRUPTED = 130
 LEAST_SEEN = 3
 """Fewer frames after the onset are refused by `direct`."""
 
 
 class UsageError(ValueError):
     """Options that can't be used; the message is a sentence."""
-
-
-class RateColumn(ProgressColumn):
-    """Clips a minute, averaged over the last ones."""
-
-    def render(self, task: Task) -> Text:
-        """Text of the column."""
-        return Text(f"{60 * task.speed:.1f} clips/min" if task.speed else "", style="progress.data.speed")
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -68,25 +62,25 @@ def build_parser() -> argparse.ArgumentParser:
         "130 interrupted.",
     )
     add = parser.add_argument
-    several = {"nargs": "+", "action": "extend"}
+    several: dict[str, Any] = {"nargs": "+", "action": "extend"}
     add("--suite", **several, choices=[*SUITES, "all"], metavar="SUITE", help="suites, or all (default clean)")
     add("--estimator", **several, choices=NAMES, metavar="NAME", help=f"{', '.join(NAMES)} (default direct)")
-    add("--model", type=Path, metavar="FILE", help="ONNX file of the estimator network")
-    add("--paper-model", type=Path, metavar="FILE", help="ONNX file of the estimator paper: one estimate a frame")
-    add("--noise", type=float, metavar="SIGMA", help="σ that direct is told [scene units] (default: the clip's own)")
-    add(
-        "--clips", type=int, default=60, metavar="N", help="clips of each suite, a third a regime (default %(default)s)"
-    )
-    add("--seed", type=int, default=0, metavar="N", help="another seed gives other clips (default %(default)s)")
+    add("--model", type=path_option, metavar="FILE", help="ONNX file of the estimator network")
+    add("--gan-model", type=path_option, metavar="FILE", help="ONNX file of the estimator gan: one estimate a frame")
+    noise = real_number(f"a noise above the simulator's own error; give {LEAST_SIGMA:g} or more", LEAST_SIGMA)
+    add("--noise", type=noise, metavar="SIGMA", help="σ that direct is told [scene units] (default: the clip's own)")
+    text = "clips of each suite, a third a regime (default %(default)s)"
+    add("--clips", type=whole_number(1), default=60, metavar="N", help=text)
+    text = "another seed gives other clips (default %(default)s)"
+    add("--seed", type=whole_number(0, LARGEST_SEED), default=0, metavar="N", help=text)
     add("--split", choices=list(SPLITS), default="test", help="stream of seeds (default %(default)s)")
     text = "only the first N frames after the onset are seen, or with 'press' those in contact (default: one second)"
     add("--seen", type=_seen, metavar="N", help=text)
     text = "when direct and network take a press to begin: at a frame's stamp (default, as in most suites) or between"
     add("--onset", choices=ONSETS, default=STAMP, help=text)
-    add("--output", type=Path, required=True, metavar="DIR", help="folder of the results")
-    add("--workers", type=int, default=2, metavar="N", help="processes; 0 = in this one (default %(default)s)")
-    text = "truths of another split whose mean the estimator constant answers (default %(default)s)"
-    add("--constant-clips", type=int, default=CONSTANT_CLIPS, metavar="N", help=text)
+    add("--output", type=path_option, required=True, metavar="DIR", help="folder of the results")
+    text = "processes; 0 = in this one (default %(default)s)"
+    add("--workers", type=whole_number(0), default=2, metavar="N", help=text)
     return parser
 
 
@@ -100,21 +94,13 @@ def check_options(options: argparse.Namespace) -> None:
     """Fill in what was left out, and refuse what can't be used.
 
     Raises:
-        UsageError: an option is out of range or lacks its file.
+        UsageError: options that don't belong together, or one that lacks its file.
     """
     chosen = dict.fromkeys(options.suite or ["clean"])
     options.suite = [name for name in SUITES if "all" in chosen or name in chosen]
     options.estimator = [name for name in NAMES if name in (options.estimator or ["direct"])]
-    for name, lowest in (("clips", 1), ("seed", 0), ("workers", 0), ("constant_clips", 2)):
-        if getattr(options, name) < lowest:
-            value = getattr(options, name)
-            raise UsageError(f"--{name.replace('_', '-')} is {value}; give a whole number of at least {lowest}.")
-    if options.seed > LARGEST_SEED:
-        raise UsageError(f"--seed is {options.seed}; give at most {LARGEST_SEED}.")
-    if options.noise is not None and not LEAST_SIGMA <= options.noise < math.inf:
-        raise UsageError(f"--noise is {options.noise}; give {LEAST_SIGMA:g} scene units or more, or leave it out.")
-    if options.seen is not None and "paper" in options.estimator:
-        raise UsageError("--seen is of no use to paper, which sees single frames; leave one of the two out.")
+    if options.seen is not None and "gan" in options.estimator:
+        raise UsageError("--seen is of no use to gan, which sees single frames; leave one of the two out.")
     for name, option in NEEDS_MODEL.items():
         given = getattr(options, option[2:].replace("-", "_"))
         if name in options.estimator and given is None:
@@ -123,60 +109,51 @@ def check_options(options: argparse.Namespace) -> None:
             raise UsageError(f"{option} {given} is of no use without --estimator {name}; add that or leave it out.")
 
 
-def estimator_specs(options: argparse.Namespace) -> list[EstimatorSpec]:
+def candidates_of(options: argparse.Namespace) -> list[Candidate]:
     """What is compared, every network opened once; `constant` gets its numbers later.
 
     Raises:
         ModelFileError: a network can't be used.
     """
-    specs = []
+    found: list[Candidate] = []
     for name in options.estimator:
+        if name == "constant":
+            found.append(ConstantOptions())
+            continue
         option = NEEDS_MODEL.get(name)
-        path = getattr(options, option[2:].replace("-", "_")) if option else None
-        if path is not None and not path.is_file():
-            raise ModelFileError(f"{path} is not a file; give the file that was exported as {option}.")
-        spec = EstimatorSpec(
+        candidate = EstimatorOptions(
             name,
-            model=str(path or ""),
-            model_sha256=sha256_of(path) if path else "",
+            model=getattr(options, option[2:].replace("-", "_")) if option else None,
+            onset=None if name == "gan" else options.onset,
             noise=options.noise if name == "direct" else None,
-            seen=options.seen,
-            onset=options.onset if name in ("direct", "network") else STAMP,
+            horizon=options.seen,
+            threads=1,
         )
-        specs.append(spec if path is None else check_model(spec))
-    return specs
+        opened(candidate)
+        found.append(candidate)
+    return found
 
 
 class Benchmark:
     """One run: what is left to do of it, and what comes out."""
 
-    def __init__(self, options: argparse.Namespace, specs: Sequence[EstimatorSpec], console: Console) -> None:
-        self.options, self.specs, self.console = options, list(specs), console
+    def __init__(self, options: argparse.Namespace, candidates: Sequence[Candidate], console: Console) -> None:
+        self.options, self.candidates, self.console = options, list(candidates), console
         wanted = {
             "seed": options.seed,
             "split": options.split,
-            "constant_clips": options.constant_clips,
             "seen": options.seen,
             "suites": {name: SUITES[name].describe() for name in options.suite},
-            "estimators": {spec.name: spec.describe() for spec in specs},
+            "estimators": {candidate.name: describe(candidate) for candidate in candidates},
         }
         self.store = RecoveryStore(options.output, wanted)
         if self.store.outdated:
-            text = (
-                "Results of another version of the program are kept; give another --output to measure all of this one."
-            )
-            console.print(text, style="yellow")
+            text = "Results of another version of the program are kept; give another --output to measure this one."
+            say(console, text, "yellow")
 
     def run(self) -> None:
         """Do what is left."""
-        columns = (
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            RateColumn(),
-            TimeRemainingColumn(),
-        )
-        with Progress(*columns, console=self.console) as progress:
+        with progress_bars(self.console, "clips") as progress:
             tasks = self._tasks(self._moments(progress))
             bar = progress.add_task("clips", total=self.options.clips, completed=self.options.clips - len(tasks))
             for rows in run_tasks(evaluate_clip, tasks, self.options.workers):
@@ -198,30 +175,19 @@ class Benchmark:
         """What the estimator `constant` answers: mean and covariance of log θ, shape [4][3]; empty without it."""
         if "constant" not in self.options.estimator:
             return ()
-        logs = self._fitted_on(progress)
-        return tuple(map(tuple, np.vstack((logs.mean(axis=0), np.cov(logs.T))).tolist()))
-
-    def _fitted_on(self, progress: Progress) -> np.ndarray:
-        """True log θ of the split on which the estimator `constant` is fitted, shape [n, 3]."""
         options = self.options
-        split, count = FITTED_ON[options.split], options.constant_clips
-        stored = self.store.constant(split, count)
-        if stored is not None:
-            return stored
-        found = draw_truths(split, options.seed, count, options.workers, progress)
-        self.store.keep_constant(split, count, found)
-        return found
+        place = options.output / "constant.json"
+        logs = kept_truths(place, FITTED_ON[options.split], options.seed, CONSTANT_CLIPS, options.workers, progress)
+        return tuple(map(tuple, np.vstack((logs.mean(axis=0), np.cov(logs.T))).tolist()))
 
     def _tasks(self, moments: tuple[tuple[float, ...], ...]) -> list[ClipTask]:
         """Clips of which something is left to do, and what."""
         options, done = self.options, self.store.done
-        specs = [
-            EstimatorSpec("constant", constant=moments) if spec.name == "constant" else spec for spec in self.specs
-        ]
+        some = [ConstantOptions(moments) if item.name == "constant" else item for item in self.candidates]
         tasks = []
         for index in range(options.clips):
-            left = ((suite, tuple(s for s in specs if (suite, index, s.name) not in done)) for suite in options.suite)
-            wanted = tuple((suite, some) for suite, some in left if some)
+            left = ((suite, tuple(s for s in some if (suite, index, s.name) not in done)) for suite in options.suite)
+            wanted = tuple((suite, missing) for suite, missing in left if missing)
             if wanted:
                 tasks.append(ClipTask(index, suite_clip_seed(options.split, options.seed, index), wanted, options.seen))
         return tasks
@@ -233,18 +199,18 @@ def main(arguments: list[str] | None = None) -> int:
     options = build_parser().parse_args(arguments)
     try:
         check_options(options)
-        benchmark = Benchmark(options, estimator_specs(options), console)
+        benchmark = Benchmark(options, candidates_of(options), console)
     except (UsageError, ModelFileError, OutputError) as error:
-        console.print(str(error), style="red", markup=False, highlight=False, soft_wrap=True)
+        say(console, str(error), "red")
         return 2
     status = 0
     try:
         benchmark.run()
     except KeyboardInterrupt:
-        console.print("Interrupted; finished clips are kept, and the same command continues.", style="yellow")
+        say(console, "Interrupted; finished clips are kept, and the same command continues.", "yellow")
         status = INTERRUPTED
     except (OutputError, WorkerLost) as error:
-        console.print(f"{error} Finished clips are kept.", style="red", markup=False, highlight=False, soft_wrap=True)
+        say(console, f"{error} Finished clips are kept.", "red")
         status = 1
     return finish(benchmark, status)
 
@@ -263,15 +229,15 @@ def finish(benchmark: Benchmark, status: int) -> int:
     try:
         table = write_results(options.output, scores)
     except OutputError as error:
-        console.print(str(error), style="red", markup=False, highlight=False, soft_wrap=True)
+        say(console, str(error), "red")
         return 1
     show(table, scores, console)
-    console.print(f"written: {options.output}/table.csv, details.csv, figures/", markup=False, highlight=False)
+    say(console, f"written: {options.output}/table.csv, details.csv, figures/")
     if not any(row.status == OK for row in rows):
-        console.print("No clip could be estimated.", style="red")
+        say(console, "No clip could be estimated.", "red")
         return status or 1
     return status
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_door(main)

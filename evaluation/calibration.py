@@ -13,6 +13,11 @@ Truth of validation clips serves this and nothing else; no weight of the network
 
 from __future__ import annotations
 
+from physics.doors import enter_door, run_door
+
+if __name__ == "__main__":
+    enter_door()  # before the slow imports
+
 import argparse
 import dataclasses
 import json
@@ -26,20 +31,21 @@ import numpy as np
 import torch
 from scipy.optimize import minimize
 
-from data.clip import PREPROCESSING_VERSION
-from data.contact_features import FEATURES, FRAME_RATE, KNOWN, LOADED, LOG_NOISE, REFERENCE_SPACING, SLOTS
-from data.masks import MaskClasses
-from data.samples import PRESS
-from estimators.contact_fits import BOUNDS, MECHANICS, SCENES
+from data.command_line import path_option
+from data.contact.features import FEATURES, FRAME_RATE, KNOWN, LOADED, LOG_NOISE, REFERENCE_SPACING, SLOTS
+from data.masks.sources import MaskClasses
+from data.settings import PREPROCESSING_VERSION
+from data.training.samples import PRESS
 from estimators.estimate import NINETY
+from estimators.network.fits import BOUNDS, MECHANICS, SCENES
 from estimators.onset import STAMP
-from evaluation.recovery import OK, PREPARE, Recovery
-from evaluation.recovery_store import RECORD, RESULTS, read_results
-from evaluation.run_record import sha256_of
+from evaluation.recovery.evaluate import OK, PREPARE, Recovery
+from evaluation.recovery.store import RECORD, RESULTS, read_results
 from models.calibration import Calibration, Widths
 from models.checkpoint import load_posterior
+from models.onnx_export import export_posterior
 from models.posterior import ContactPosterior
-from models.posterior_export import export_posterior
+from results.record import sha256_of
 
 LEVEL = 0.9
 """Share of truths that the calibrated intervals hold."""
@@ -71,8 +77,8 @@ class Scored:
     @classmethod
     def of(cls, rows: Sequence[Recovery]) -> Scored:
         """Of results, all suites together."""
-        errors = np.array([np.log(np.abs(row.estimate)) - np.log(np.abs(row.theta)) for row in rows])
-        deviations = np.array([np.sqrt(np.diag(row.covariance)) for row in rows])
+        errors = np.array([np.log(np.abs(row.estimate)) - np.log(np.abs(row.theta)) for row in rows])  # ty: ignore[no-matching-overload]  every OK row has both
+        deviations = np.array([np.sqrt(np.diag(row.covariance)) for row in rows])  # ty: ignore[no-matching-overload]  as above
         noise = np.array([row.noise / REFERENCE_SPACING for row in rows])
         return cls(errors.reshape(-1, 3), deviations.reshape(-1, 3), noise)
 
@@ -92,7 +98,7 @@ def fit_widths_of(rows: Sequence[Recovery]) -> Widths:
         powers.append(power)
         exponents.append(exponent)
         scales.append(conformal_scale(error, np.exp(known @ (power, exponent))))
-    return Widths(*(tuple(map(float, values)) for values in (scales, powers, exponents)))
+    return Widths(*(tuple(map(float, values)) for values in (scales, powers, exponents)))  # ty: ignore[invalid-argument-type]  three each
 
 
 def fit_exponents(errors: np.ndarray, known: np.ndarray) -> np.ndarray:
@@ -169,7 +175,7 @@ def metadata(weights: Path) -> dict[str, object]:
         "masks": "auto",
         "classes": dataclasses.asdict(MaskClasses()),
         "training": {
-            "motions": "simulated contacts (estimators.contact_training)",
+            "motions": "simulated contacts (estimators.network.training)",
             "weights_sha256": sha256_of(weights),
         },
     }
@@ -178,11 +184,13 @@ def metadata(weights: Path) -> dict[str, object]:
 def main(arguments: list[str] | None = None) -> int:
     """Calibrate and export; returns the exit status."""
     parser = argparse.ArgumentParser(prog="python -m evaluation.calibration", description=__doc__.split("\n")[0])
-    parser.add_argument("--weights", type=Path, required=True, help="posterior.pt of estimators.contact_training")
-    parser.add_argument("--output", type=Path, required=True, help="ONNX file to write")
+    parser.add_argument(
+        "--weights", type=path_option, required=True, help="posterior.pt of estimators.network.training"
+    )
+    parser.add_argument("--output", type=path_option, required=True, help="ONNX file to write")
     text = "results of evaluation.benchmark --split validation"
-    parser.add_argument("--validation", type=Path, metavar="DIR", help=text)
-    parser.add_argument("--pressed", type=Path, metavar="DIR", help=f"{text} --seen {PRESS}")
+    parser.add_argument("--validation", type=path_option, metavar="DIR", help=text)
+    parser.add_argument("--pressed", type=path_option, metavar="DIR", help=f"{text} --seen {PRESS}")
     options = parser.parse_args(arguments)
     if (options.validation is None) != (options.pressed is None):
         parser.error("give --validation and --pressed, or neither.")
@@ -210,4 +218,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_door(main)

@@ -1,0 +1,25 @@
+"""The networks, their training step, and their exported form.
+
+generator       encoder, parameter head and decoder; discriminator: the PatchGAN
+posterior       θ of a contact with its covariance; contact_head: the same beside the picture; contact_layers
+expected_bound  how well θ can be known; calibration: standard deviations that hold
+module          the training step; losses: its five terms; evidence: the physics term of a posterior
+augmentation    disturbed windows; records: what a test writes down; checkpoint: reading checkpoints
+onnx_export     a trained network as one ONNX file; onnx_session: running it, without torch
+weights/        the network that comes along, and its card
+"""
+
+from physics.lazy import exported
+
+__getattr__ = exported(
+    {
+        "models.generator": ("Generator",),
+        "models.discriminator": ("PatchDiscriminator",),
+        "models.posterior": ("ContactPosterior",),
+        "models.module": ("PhysicsInformedGAN",),
+        "models.losses": ("LossWeights",),
+        "models.calibration": ("Calibration",),
+        "models.onnx_export": ("export", "export_posterior"),
+        "models.onnx_session": ("ModelFileError", "ParameterModel", "PosteriorModel", "open_model"),
+    }
+)

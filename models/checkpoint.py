@@ -20,7 +20,7 @@ FIXED = (
 )
 """Model settings that a trained network can't change any more: its shape, and what its θ means."""
 
-WRITER = "python -m estimators.contact_training"
+WRITER = "python -m estimators.network.training"
 """What writes pretrained posteriors."""
 EXPECTED_BOUND = ".expected_bound."
 """In the names of weights by which verdicts are given."""

@@ -7,7 +7,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from models.posterior import ContactPosterior
-from physics.mechanics import Bounds
+from physics.mechanics import SIGNS, Bounds
 
 
 class ContactHead(nn.Module):
@@ -29,8 +29,8 @@ class ContactHead(nn.Module):
         super().__init__()
         if contact_features < 1:
             raise ValueError(
-                "head posterior is told of the contact's motion and its noise; set data.observation to trajectory and "
-                "data.geometry.smoothing above 0, or choose head parameters."
+                "head posterior is told of the contact's motion and its noise; set data.samples.observation to "
+                "trajectory and data.geometry.smoothing above 0, or choose head parameters."
             )
         self.convolution = nn.Conv2d(channels, channels, 3, stride=2, padding=1)
         self.posterior = ContactPosterior(contact_features, torch.from_numpy(bounds.log_box), picture=channels)
@@ -38,7 +38,7 @@ class ContactHead(nn.Module):
         self.register_buffer("upper", torch.tensor(bounds.upper), persistent=False)
         with torch.no_grad():
             place = self.scaled(torch.tensor([bounds.initial]))[0]
-            self.posterior.exit[-1].bias[:3] = torch.logit(place)
+            self.posterior.exit.get_parameter("1.bias")[:3] = torch.logit(place)
 
     def scaled(self, theta: Tensor) -> Tensor:
         """θ [B, 3] in physical units → its place in the box of logarithms, [0, 1] inside.
@@ -50,7 +50,7 @@ class ContactHead(nn.Module):
 
     def theta(self, mean: Tensor) -> Tensor:
         """φ [B, 3] → θ [B, 3] in physical units, F signed, never outside the box."""
-        theta = torch.exp(mean) * mean.new_tensor([1.0, 1.0, -1.0])
+        theta = torch.exp(mean) * mean.new_tensor(SIGNS)
         return torch.clamp(theta, self.lower, self.upper)  # rounding may carry it past a bound
 
     def forward(self, features: Tensor, contact: Tensor) -> tuple[Tensor, Tensor]:

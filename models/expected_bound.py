@@ -37,11 +37,11 @@ class ExpectedBound(nn.Module):
             nn.Linear(features, width),
             *(ResidualLayer(width) for _ in range(blocks)),
             nn.LayerNorm(width),
-            nn.Linear(width, FACTOR_NUMBERS),
+            last := nn.Linear(width, FACTOR_NUMBERS),
         )
         with torch.no_grad():
-            self.layers[-1].weight.mul_(0.1)
-            self.layers[-1].bias[:3] = math.log(LIMIT)
+            last.weight.mul_(0.1)
+            last.bias[:3] = math.log(LIMIT)
 
     def forward(self, contact: Tensor) -> Tensor:
         """Standardised features [B, features] → L [B, 3, 3]."""

@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from models.contact_head import ContactHead
+from models.posterior import ContactPosterior
 from physics.mechanics import Bounds
 
 SMALLEST_SIDE = 16
@@ -70,16 +71,15 @@ class ParameterHead(nn.Module):
             nn.ReLU(),
             nn.Linear(channels, channels // 2),
             nn.ReLU(),
-            nn.Linear(channels // 2, 3),
+            last := nn.Linear(channels // 2, 3),
         )
         self.register_buffer("lower", torch.tensor(bounds.lower), persistent=False)
         self.register_buffer("upper", torch.tensor(bounds.upper), persistent=False)
-        self._start_at(torch.tensor(bounds.initial))
+        self._start_at(last, torch.tensor(bounds.initial))
 
-    def _start_at(self, initial: Tensor) -> None:
+    def _start_at(self, last: nn.Linear, initial: Tensor) -> None:
         """Make the untrained head give θ₀, nearly: the small weights leave it a slope in its input."""
         fraction = (initial - self.lower) / (self.upper - self.lower)
-        last = self.layers[-1]
         with torch.no_grad():
             last.weight.mul_(0.1)
             last.bias[:2] = torch.logit(fraction[:2])
@@ -120,7 +120,7 @@ class Decoder(nn.Module):
         if kind == "residual":
             with torch.no_grad():
                 self.output.weight.mul_(0.1)  # start near the current frame, with a slope in θ
-                self.output.bias.zero_()
+                self.output.get_parameter("bias").zero_()
 
     def forward(self, features: Tensor, scaled_theta: Tensor, current: Tensor) -> Tensor:
         """Features [B, 4·width, h, w], θ in [0, 1] [B, 3], current depth [B, 1, H, W] → the next, in (0, 1)."""
@@ -186,6 +186,13 @@ class Generator(nn.Module):
             self.head = ParameterHead(4 * width, bounds)
         self.decoder = Decoder(width, residual_blocks, decoder)
 
+    @property
+    def posterior(self) -> ContactPosterior:
+        """The posterior within head posterior; ValueError with head parameters, which has none."""
+        if not isinstance(self.head, ContactHead):
+            raise ValueError("head parameters has no posterior; choose head posterior.")
+        return self.head.posterior
+
     def encode(self, depth: Tensor) -> Tensor:
         """Window of depth maps [B, K, H, W] → features [B, 4·width, H//4, W//4] (256×30×53 for 120×214).
 
@@ -212,7 +219,7 @@ class Generator(nn.Module):
             return Answer(self.head(features))
         if contact is None:
             raise ValueError(
-                "the batch lacks the contacts' vectors; head posterior needs data.observation trajectory and "
+                "the batch lacks the contacts' vectors; head posterior needs data.samples.observation trajectory and "
                 "data.geometry.smoothing above 0."
             )
         mean, factor = self.head(features, contact)

@@ -15,8 +15,9 @@ import torch
 from torch import Tensor
 
 from physics.mechanics import Bounds, Mechanics
-from physics.msd import ContactBatch, MeshBatch, rollout
-from physics.observation import ObservationBatch, displacement_error
+from physics.msd import rollout
+from physics.msd.batch import LoadBatch, MeshBatch, ObservationBatch
+from physics.msd.likelihoods import displacement_error
 
 
 @dataclass(frozen=True)
@@ -95,21 +96,21 @@ def identity_loss(unchanged: Tensor, real: Tensor) -> Tensor:
 
 
 def physics_loss(
-    theta: Tensor, mesh: MeshBatch, contact: ContactBatch, observation: ObservationBatch, mechanics: Mechanics
+    theta: Tensor, mesh: MeshBatch, load: LoadBatch, observation: ObservationBatch, mechanics: Mechanics
 ) -> Tensor:
     """E[‖Φ_MSD(θ) − d_obs‖²], gradient through all steps of the rollout (Bini 2026, equations 14 and 15).
 
     Args:
         theta: [k_s, k_d, F], physical units, shape [B, 3].
         mesh: the frames' tissue meshes.
-        contact: where and along which direction the force acts.
+        load: where, along which direction and how long the force acts.
         observation: contact displacements that were seen, and the steps at which [scene units].
         mechanics: the rollout's constants.
 
     Returns:
         Mean squared displacement error [scene units²], a scalar.
     """
-    return displacement_error(rollout(theta, mesh, contact, mechanics), observation).mean()
+    return displacement_error(rollout(theta, mesh, load, mechanics), observation).mean()
 
 
 def regularisation_loss(theta: Tensor, bounds: Bounds) -> Tensor:

@@ -6,7 +6,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
 import torch
 from lightning.pytorch import LightningModule
 from lightning.pytorch.core.optimizer import LightningOptimizer
@@ -15,7 +14,7 @@ from torch import Tensor
 from models.augmentation import AugmentationSettings, WindowAugmentation
 from models.checkpoint import load_posterior
 from models.discriminator import PatchDiscriminator
-from models.evidence import linearise_batch, negative_evidence
+from models.evidence import negative_evidence, parabolas
 from models.expected_bound import bound_loss
 from models.generator import Answer, Generator
 from models.losses import (
@@ -31,6 +30,7 @@ from models.losses import (
 )
 from models.records import pair_records
 from physics.mechanics import PARAMETERS, Bounds, Mechanics
+from physics.msd.likelihoods import linearise_batch
 
 
 class TrainingDiverged(ValueError):
@@ -56,7 +56,7 @@ class PhysicsInformedGAN(LightningModule):
         head: parameters (paper): θ from the window, trained by the squared displacement error; posterior: θ with its
             covariance from the contact's motion and the window, trained by the evidence bound.
         contact_features: length of the contact's vector, for head posterior; train.py takes it from the data.
-        pretrained: weights of head posterior that `estimators.contact_training` wrote, taken over before training.
+        pretrained: weights of head posterior that `estimators.network.training` wrote, taken over before training.
         pretrained_rate: share of `learning_rate` at which pretrained heads are trained on; 0 keeps them as they are.
         bounds: admissible box of θ.
         mechanics: constants of the rollout.
@@ -132,7 +132,7 @@ class PhysicsInformedGAN(LightningModule):
         """
         if self.pretrained is not None and self.trainer.ckpt_path is None:
             for generator in (self.generator_ab, self.generator_ba):
-                load_posterior(generator.head.posterior, Path(self.pretrained))
+                load_posterior(generator.posterior, Path(self.pretrained))
 
     def configure_optimizers(self) -> list[torch.optim.Optimizer]:
         """One Adam for both generators, one for each discriminator (Bini 2026, section 3.5).
@@ -151,8 +151,8 @@ class PhysicsInformedGAN(LightningModule):
         groups = (generators, self.discriminator_a.parameters(), self.discriminator_b.parameters())
         return [torch.optim.Adam(group, lr=self.learning_rate, betas=self.betas) for group in groups]
 
-    def generator_losses(self, batch: dict[str, Any]) -> tuple[LossTerms, Tensor | None, Tensor | None, Tensor]:
-        """The five terms, both fakes [B, 1, H, W] (none where no term needs them) and θ_AB [B, 3] of a batch."""
+    def generator_losses(self, batch: dict[str, Any]) -> tuple[LossTerms, tuple[Tensor, Tensor] | None, Tensor]:
+        """The five terms, both fakes [B, 1, H, W] (none without term gan) and θ_AB [B, 3] of a batch."""
         weights = self.weights
         real_a, real_b = batch["window_a"][:, -1:], batch["window_b"][:, -1:]
         window_a, window_b = self._augmented(batch["window_a"], 0), self._augmented(batch["window_b"], 1)
@@ -160,19 +160,21 @@ class PhysicsInformedGAN(LightningModule):
         ab = self.generator_ab.answer(features_a, batch.get("contact_features_a"))
         ba = self.generator_ba.answer(features_b, batch.get("contact_features_b"))
         gan = cycle = identity = physics = regularisation = real_a.new_zeros(())
-        fake_a = fake_b = None
+        fakes = None
         if weights.gan or weights.cycle:
             fake_b = self.generator_ab.decode(features_a, ab.theta, real_a)
             fake_a = self.generator_ba.decode(features_b, ba.theta, real_b)
-        if weights.gan:
-            gan = generator_adversarial_loss(self.discriminator_b(fake_b))
-            gan = gan + generator_adversarial_loss(self.discriminator_a(fake_a))
-        if weights.cycle:
-            # The fake takes the current frame's place among the *real* earlier frames of the other direction's window.
-            # The own window with the fake appended would show the cycle's target to the network that must find it.
-            cycled_a = self.generator_ba.generate(with_current(window_b, fake_b), ba.theta)
-            cycled_b = self.generator_ab.generate(with_current(window_a, fake_a), ab.theta)
-            cycle = cycle_loss(cycled_a, real_a, cycled_b, real_b)
+            if weights.gan:
+                fakes = fake_a, fake_b
+                gan = generator_adversarial_loss(self.discriminator_b(fake_b))
+                gan = gan + generator_adversarial_loss(self.discriminator_a(fake_a))
+            if weights.cycle:
+                # The fake takes the current frame's place among the *real* earlier frames of the other direction's
+                # window. The own window with the fake appended would show the cycle's target to the network that must
+                # find it.
+                cycled_a = self.generator_ba.generate(with_current(window_b, fake_b), ba.theta)
+                cycled_b = self.generator_ab.generate(with_current(window_a, fake_a), ab.theta)
+                cycle = cycle_loss(cycled_a, real_a, cycled_b, real_b)
         if weights.identity:
             unchanged_a = self.generator_ab.decode(features_a, null_parameters(ab.theta), real_a)
             unchanged_b = self.generator_ba.decode(features_b, null_parameters(ba.theta), real_b)
@@ -181,24 +183,24 @@ class PhysicsInformedGAN(LightningModule):
             physics = self._physics(ab, ba, batch)
         if weights.regularisation:
             regularisation = regularisation_loss(ab.theta, self.bounds) + regularisation_loss(ba.theta, self.bounds)
-        return LossTerms(gan, cycle, identity, physics, regularisation), fake_a, fake_b, ab.theta
+        return LossTerms(gan, cycle, identity, physics, regularisation), fakes, ab.theta
 
     def training_step(self, batch: dict[str, Any], batch_index: int) -> None:
         """One step of the generators, then one of each discriminator (Bini 2026, section 3.4.3)."""
-        optimizer_g, optimizer_a, optimizer_b = self.optimizers()
+        optimizer_g, optimizer_a, optimizer_b = self.optimizers()  # ty: ignore[not-iterable]  there are three
         real_a, real_b = batch["window_a"][:, -1:], batch["window_b"][:, -1:]
 
         self.toggle_optimizer(optimizer_g)  # freezes both discriminators
-        terms, fake_a, fake_b, theta = self.generator_losses(batch)
+        terms, fakes, theta = self.generator_losses(batch)
         self._step(optimizer_g, terms.total(self.weights), batch)
         self.untoggle_optimizer(optimizer_g)
 
         losses = terms.items()
         pairs = len(real_a)
         self.log_dict(losses, prog_bar=True, logger=False, batch_size=pairs)
-        if self.weights.gan:
-            losses["discriminator_a"] = self._judge(optimizer_a, self.discriminator_a, real_a, fake_a, batch)
-            losses["discriminator_b"] = self._judge(optimizer_b, self.discriminator_b, real_b, fake_b, batch)
+        if fakes is not None:
+            losses["discriminator_a"] = self._judge(optimizer_a, self.discriminator_a, real_a, fakes[0], batch)
+            losses["discriminator_b"] = self._judge(optimizer_b, self.discriminator_b, real_b, fakes[1], batch)
         self._theta["train"].append(theta.detach())
         averages = {f"train/{name}": value for name, value in losses.items()}
         self.log_dict(averages, on_step=False, on_epoch=True, batch_size=pairs, sync_dist=True)
@@ -258,17 +260,17 @@ class PhysicsInformedGAN(LightningModule):
         nothing better is known then, and how often such verdicts are right was not measured.
         """
         mesh = batch[f"mesh_{side}"]
-        if answer.mean is None:
-            contact, observation = batch[f"contact_{side}"], batch[f"observation_{side}"]
-            return physics_loss(answer.theta, mesh, contact, observation, self.mechanics)
-        seen = batch[f"seen_contact_{side}"], batch[f"seen_observation_{side}"]
+        if answer.mean is None or answer.factor is None:
+            load, observation = batch[f"load_{side}"], batch[f"observation_{side}"]
+            return physics_loss(answer.theta, mesh, load, observation, self.mechanics)
+        seen = batch[f"seen_load_{side}"], batch[f"seen_observation_{side}"]
         found = linearise_batch(answer.mean, batch[f"noise_{side}"], mesh, *seen, self.mechanics)
-        posterior = generator.head.posterior
+        posterior = generator.posterior
         evidence = negative_evidence(answer.mean, answer.factor, found, posterior.lower, posterior.upper)
         if self.pretrained is not None:  # it has learnt the bound where θ was known better
             return evidence
         expected = posterior.expected_bound_factor(batch[f"contact_features_{side}"])
-        error = bound_loss(expected, np.stack([item.information for item in found]))
+        error = bound_loss(expected, parabolas(found)[2])
         return evidence + (error - error.detach())  # learnt beside it, and no part of its value
 
     def _judge(

@@ -1,28 +1,125 @@
-"""Trained generator → one ONNX file: encoder and parameter head, with everything inference needs in its metadata."""
+"""Trained network → one ONNX file that appears only when it agrees with torch, with what inference must know beside it.
+
+A generator gives its encoder and parameter head. A contact posterior gives itself, its covariance calibrated, and that
+of its expected bound; one that is a generator's head takes the depth window beside the contact's vector.
+"""
 
 from __future__ import annotations
 
+import json
+import logging
+import platform
+import warnings
+from collections.abc import Sequence
+from dataclasses import astuple
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import onnx
+import onnxruntime
 import torch
 from torch import Tensor, nn
 
+from models.calibration import Calibration, Widths
 from models.generator import Generator
-from models.onnx_file import PARITY_BATCHES, write_onnx
-from models.onnx_session import INPUT, OUTPUT, ParameterModel
+from models.onnx_session import (
+    CONTACT,
+    EXPECTED_BOUND,
+    FORMAT_VERSION,
+    INPUT,
+    METADATA_KEY,
+    POSTERIOR,
+    ExportedModel,
+    ParameterModel,
+    PosteriorModel,
+)
+from models.posterior import ContactPosterior
+from physics.files import replacing
+
+OPSET = 18
+PARITY_BATCHES = (1, 2, 7)
+PARITY_TOLERANCE = 1e-5
+UNITS = {
+    "stiffness": "scene units (normalised), not N/m",
+    "damping": "scene units (normalised), not N·s/m",
+    "force": "scene units (normalised), not N; negative presses into the tissue",
+    "displacement": "scene units: depth divided by the clip's one fixed scale",
+    "time": "s",
+}
 
 
-class _Estimator(nn.Module):
+class ParityError(RuntimeError):
+    """The exported file computes something else than the network it was made from."""
+
+
+class _Parameters(nn.Module):
     """The part of a generator that runs at inference."""
+
+    kind = ParameterModel
 
     def __init__(self, generator: Generator) -> None:
         super().__init__()
         self.generator = generator
 
-    def forward(self, depth: Tensor) -> Tensor:
-        return self.generator.estimate(depth)
+    def examples(self, batch: int, window: tuple[int, int, int]) -> dict[str, Tensor]:
+        """Random inputs by their names in the file; `window` is the shape of one depth window."""
+        return {INPUT: torch.rand(batch, *window, generator=torch.Generator().manual_seed(batch))}
+
+    def forward(self, depth: Tensor) -> tuple[Tensor]:
+        return (self.generator.estimate(depth),)
+
+
+class _Calibrated(nn.Module):
+    """Mean, calibrated covariance, and that of the expected bound, by which verdicts are given."""
+
+    kind = PosteriorModel
+
+    def __init__(self, network: ContactPosterior | Generator, calibration: Calibration) -> None:
+        super().__init__()
+        self.network, self.calibration = network, calibration
+
+    @property
+    def posterior(self) -> ContactPosterior:
+        """The network, or its head."""
+        return self.network.posterior if isinstance(self.network, Generator) else self.network
+
+    def examples(self, batch: int, window: tuple[int, int, int]) -> dict[str, Tensor]:
+        """Random inputs by their names in the file: contacts are spread like the training's."""
+        random, centre = torch.Generator().manual_seed(batch), self.posterior.centre
+        contact = centre + self.posterior.scale * torch.randn(batch, len(centre), generator=random)
+        depth = {INPUT: torch.rand(batch, *window, generator=random)} if isinstance(self.network, Generator) else {}
+        return {CONTACT: contact} | depth
+
+    def forward(self, contact: Tensor, depth: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
+        if isinstance(self.network, Generator) and depth is not None:
+            mean, factor = self.network.head(self.network.encode(depth), contact)
+        else:
+            mean, factor = self.network(contact)
+        told, log_sd = self.calibration, 0.5 * torch.log(factor.square().sum(dim=2))
+        log_noise = _sum_of(contact, told.noise_features)
+        widened = _widened(told.whole, log_sd, log_noise)
+        if told.known_features:
+            released = _sum_of(contact, told.known_features) - _sum_of(contact, told.loaded_features) > 0.5
+            widened = torch.where(released, widened, _widened(told.pressed, log_sd, log_noise))
+        bound = self.posterior.expected_bound_factor(contact)
+        return mean, _covariance(factor * widened[:, :, None]), _covariance(bound)
+
+
+def _sum_of(contact: Tensor, features: Sequence[int]) -> Tensor:
+    """Sum of some of a contact's features, 0 of none, shape [B, 1]."""
+    return contact[:, list(features)].sum(dim=1, keepdim=True)
+
+
+def _widened(widths: Widths, log_sd: Tensor, log_noise: Tensor) -> Tensor:
+    """Factors [B, 3] of standard deviations [B, 3], from these and σ [B, 1], both in logarithms."""
+    scale, power, noise = (torch.tensor(values) for values in astuple(widths))
+    return scale * torch.exp((power - 1) * log_sd + noise * log_noise)
+
+
+def _covariance(factor: Tensor) -> Tensor:
+    """L·Lᵀ of factors L, shape [B, 3, 3]."""
+    return factor @ factor.transpose(1, 2)
 
 
 def export(generator: Generator, output: Path, size: tuple[int, int], metadata: dict[str, Any]) -> float:
@@ -40,21 +137,97 @@ def export(generator: Generator, output: Path, size: tuple[int, int], metadata: 
     Raises:
         ParityError: the difference is over 1e-5.
     """
-    estimator = _Estimator(generator).cpu().eval()
-    example = {INPUT: torch.rand(2, generator.channels, *size)}
     document = {"input": {"window": generator.channels, "height": size[0], "width": size[1]}} | metadata
-    return write_onnx(
-        estimator, example, [OUTPUT], document, output, lambda path: parity(estimator, ParameterModel(path))
-    )
+    return _write(_Parameters(generator), document, output)
 
 
-def parity(estimator: _Estimator, model: ParameterModel) -> float:
-    """Largest difference of θ between torch and the file over batches of 1, 2 and 7."""
-    random = torch.Generator().manual_seed(0)
+def export_posterior(
+    network: ContactPosterior | Generator,
+    output: Path,
+    metadata: dict[str, Any],
+    calibration: Calibration | None = None,
+) -> float:
+    """Write a contact posterior with a dynamic batch, and compare the file with torch.
+
+    Args:
+        network: trained posterior, or a generator whose head is one.
+        output: file to write; it appears only when it is complete and agrees with torch.
+        metadata: JSON-able entries beside those written here; must hold `input` (window, height, width).
+        calibration: of the standard deviations; None leaves them as they are.
+
+    Returns:
+        Largest difference of the outputs over batches of 1, 2 and 7; of the expected bound's covariance, which is large
+        where nothing is known, relative to numbers above 1.
+
+    Raises:
+        ParityError: the difference is over 1e-5.
+    """
+    calibration = Calibration() if calibration is None else calibration
+    document = {"head": POSTERIOR, "calibration": calibration.document()} | metadata
+    return _write(_Calibrated(network, calibration), document, output)
+
+
+def _write(network: _Parameters | _Calibrated, metadata: dict[str, Any], output: Path) -> float:
+    """Write a file, with format version, units and program versions beside the metadata; its difference from torch."""
+    network = network.cpu().eval()
+    window = tuple(metadata["input"][name] for name in ("window", "height", "width"))
+    document = {
+        "format_version": FORMAT_VERSION,
+        "units": UNITS,
+        "versions": {
+            "python": platform.python_version(),
+            "torch": torch.__version__,
+            "onnx": onnx.__version__,
+            "onnxruntime": onnxruntime.__version__,
+        },
+    } | metadata
+    model = _to_onnx(network, network.examples(2, window))
+    onnx.helper.set_model_props(model, {METADATA_KEY: json.dumps(document, ensure_ascii=False, sort_keys=True)})
+    output.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(output) as partial:
+        onnx.save(model, partial, format="protobuf")
+        difference = parity(network, network.kind(partial), window)
+        if difference > PARITY_TOLERANCE:
+            raise ParityError(
+                f"the exported network differs from torch by {difference:.2g} in its outputs, more than "
+                f"{PARITY_TOLERANCE:g}; nothing was written to {output}."
+            )
+    return difference
+
+
+def parity(network: _Parameters | _Calibrated, model: ExportedModel, window: tuple[int, int, int]) -> float:
+    """Largest difference between torch and the file over batches of 1, 2 and 7."""
     largest = 0.0
     for batch in PARITY_BATCHES:
-        depth = torch.rand(batch, model.window, *model.input_size, generator=random)
+        inputs = network.examples(batch, window)
         with torch.inference_mode():
-            expected = estimator(depth).numpy()
-        largest = max(largest, float(np.max(np.abs(model(depth.numpy()) - expected))))
+            expected = [values.numpy() for values in network(*inputs.values())]
+        found = model.run({name: values.numpy() for name, values in inputs.items()})
+        for name, wanted, given in zip(model.outputs, expected, found, strict=True):
+            size = np.maximum(np.abs(wanted), 1) if name == EXPECTED_BOUND else 1
+            largest = max(largest, float(np.max(np.abs(given - wanted) / size)))
     return largest
+
+
+def _to_onnx(network: _Parameters | _Calibrated, inputs: dict[str, Tensor]) -> onnx.ModelProto:
+    # The exporter tells of a missing torchvision, which nothing here uses, and of its dependencies' deprecations.
+    logging.getLogger("torch.onnx._internal.exporter._registration").setLevel(logging.ERROR)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        program = torch.onnx.export(
+            network,
+            tuple(inputs.values()),
+            dynamo=True,
+            dynamic_shapes=tuple({0: torch.export.Dim("batch")} for _ in inputs),
+            input_names=list(inputs),
+            output_names=list(network.kind.outputs),
+            opset_version=OPSET,
+            external_data=False,
+            verbose=False,
+        )
+    model = program.model_proto  # ty: ignore[missing-union-attribute]  none only without dynamo
+    # The exporter's notes hold stack traces with the paths of the machine that exported.
+    graph = model.graph
+    for item in (graph, *graph.node, *graph.input, *graph.output, *graph.value_info, *graph.initializer):
+        del item.metadata_props[:]
+    return model

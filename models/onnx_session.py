@@ -1,21 +1,55 @@
-"""Exported parameter networks at inference: ONNX in, numpy out. No torch."""
+"""Exported networks at inference: ONNX in, numpy out. No torch.
+
+There are two kinds: `ParameterModel` (depth windows → θ) and `PosteriorModel` (a contact's vector → mean and covariance
+of log θ).
+"""
 
 from __future__ import annotations
 
 import json
+import reprlib
+import types
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, Union, get_args, get_origin
 
 import numpy as np
 import onnxruntime
-from onnxruntime.capi import onnxruntime_pybind11_state as runtime_errors
+from onnxruntime.capi import onnxruntime_pybind11_state as runtime_errors  # ty: ignore[missing-module-member]  compiled
+
+from models.calibration import Calibration
 
 METADATA_KEY = "palpate"
 """Key of the custom metadata entry that holds everything inference needs, as one JSON document."""
 FORMAT_VERSION = 1
 """Version of that document's layout; raised when a reader of the old layout would misread the new one."""
+POSTERIOR = "posterior"
+"""Value of the document's `head` for a `PosteriorModel`."""
 INPUT, OUTPUT = "depth", "theta"
+CONTACT, LOG_MEAN, LOG_COVARIANCE = "contact", "log_mean", "log_covariance"
+EXPECTED_BOUND = "decisive_covariance"
+"""Covariance by which verdicts are given, of `models.expected_bound.ExpectedBound`, under the name it has in files."""
 
+LARGEST = 1e9
+"""No number of the document is farther from 0."""
+DEEPEST = 8
+"""Levels of values within a field of the document; ours have four."""
+_SIZES = range(1, 4097)
+"""Of the depth window: frames, and pixels along a side."""
+_FIELDS: dict[str, Any] = {
+    "input": dict.fromkeys(("window", "height", "width"), _SIZES),
+    **dict.fromkeys(("bounds", "mechanics", "geometry", "classes"), dict),
+    "depth": {"source": str},
+    **dict.fromkeys(("head", "observation", "masks"), str),
+    **dict.fromkeys(("preprocessing_version", "bridge_frames"), int),
+    "track_seconds": float,
+    "units": dict[str, str],
+    "trained_on": dict[Literal["depth", "masks"], tuple[str, ...]] | None,
+    "training": {"weights_sha256": str},
+    "contact": {"press_seconds": tuple[float, float]},
+    "calibration": {"whole": dict},
+}
+"""What the document's fields are, as `fits` takes it; files may lack all but the input's."""
 _UNREADABLE = (
     runtime_errors.Fail,
     runtime_errors.InvalidArgument,
@@ -30,29 +64,66 @@ class ModelFileError(ValueError):
     """A model file that can't be used, in one sentence with the remedy."""
 
 
-class ParameterModel:
-    """Encoder and parameter head of a trained generator: windows of depth maps → θ.
+class ExportedModel:
+    """A network in a file that `train.py export` or `evaluation.calibration` wrote.
 
     Args:
-        path: file written by `train.py export`.
+        path: the file.
         threads: CPU threads for one call; None leaves the choice to ONNX Runtime.
 
     Raises:
-        ModelFileError: no such file, not an ONNX file, not a parameter network of ours, with other inputs, or newer
-            than this program.
+        ModelFileError: no such file, not an ONNX file, not a network of ours or of another kind, with metadata that
+            can't be used, or newer than this program.
     """
+
+    outputs: tuple[str, ...] = ()
+    """Names of what this kind gives."""
 
     def __init__(self, path: str | Path, threads: int | None = None) -> None:
         self.path = Path(path)
-        self._session = open_session(self.path, threads)
-        self.metadata: dict[str, Any] = read_metadata(self.path, self._session)
-        """Everything the export wrote: bounds, units, mechanics, preprocessing settings and versions."""
+        self._session = _open_session(self.path, threads)
+        self.metadata: dict[str, Any] = _read_metadata(self.path, self._session)
+        """Everything the export wrote: bounds, units, mechanics, preprocessing settings, calibration and versions."""
         size = self.metadata["input"]
         self.window: int = size["window"]
-        """Frames in the input window, K; the last is the current one."""
+        """Frames in the depth window, K; the last is the current one."""
         self.input_size: tuple[int, int] = (size["height"], size["width"])
         """Height and width of the depth maps [pixels]."""
-        _check_signature(self.path, self._session, (self.window, *self.input_size))
+        self.inputs = {value.name: tuple(value.shape[1:]) for value in self._session.get_inputs()}
+        """Shape of every input without the batch, by its name."""
+
+    def run(self, values: Mapping[str, np.ndarray | None]) -> list[np.ndarray]:
+        """Outputs of this kind, float32, of a batch of inputs by their names.
+
+        Raises:
+            ValueError: an input is missing or has another shape.
+        """
+        for name, shape in self.inputs.items():
+            given = np.asarray(values[name]).shape
+            if given[1:] != shape or not given:
+                expected = ", ".join(map(str, shape))
+                raise ValueError(f"{self.path}: {name} has shape {list(given)}; expected [B, {expected}].")
+        feed = {name: np.ascontiguousarray(values[name], np.float32) for name in self.inputs}
+        return [np.asarray(value) for value in self._session.run(self.outputs, feed)]
+
+    def _require(self, inputs: dict[str, tuple[int, ...]]) -> None:
+        """Compare the graph's inputs and outputs with what the kind and the metadata promise."""
+        outputs = [value.name for value in self._session.get_outputs()]
+        if self.inputs != inputs or not set(self.outputs) <= set(outputs):
+            raise ModelFileError(
+                f"{self.path} takes {_described(self.inputs)} and gives {', '.join(outputs)}, not "
+                f"{_described(inputs)} and {', '.join(self.outputs)}; export it again with train.py export."
+            )
+
+
+class ParameterModel(ExportedModel):
+    """Encoder and parameter head of a trained generator: windows of depth maps → θ."""
+
+    outputs = (OUTPUT,)
+
+    def __init__(self, path: str | Path, threads: int | None = None) -> None:
+        super().__init__(path, threads)
+        self._require({INPUT: (self.window, *self.input_size)})
 
     def __call__(self, windows: np.ndarray) -> np.ndarray:
         """θ of windows of depth maps.
@@ -66,13 +137,84 @@ class ParameterModel:
         Raises:
             ValueError: another shape.
         """
-        expected = (self.window, *self.input_size)
-        if windows.ndim != 4 or windows.shape[1:] != expected:
-            raise ValueError(f"windows has shape {list(windows.shape)}; expected [B, {', '.join(map(str, expected))}].")
-        return self._session.run([OUTPUT], {INPUT: np.ascontiguousarray(windows, dtype=np.float32)})[0]
+        return self.run({INPUT: windows})[0]
 
 
-def open_session(path: Path, threads: int | None) -> onnxruntime.InferenceSession:
+class PosteriorModel(ExportedModel):
+    """Contact features (and the depth window, where the file takes one) → mean and covariance of log θ."""
+
+    outputs = (LOG_MEAN, LOG_COVARIANCE, EXPECTED_BOUND)
+
+    def __init__(self, path: str | Path, threads: int | None = None) -> None:
+        super().__init__(path, threads)
+        self.features: int = next(iter(self.inputs.get(CONTACT, ())), 0)
+        """Length of the contact's vector."""
+        self.takes_depth = INPUT in self.inputs
+        """Whether it looks at the depth window as well."""
+        depth = {INPUT: (self.window, *self.input_size)} if self.takes_depth else {}
+        self._require({CONTACT: (self.features,)} | depth)
+        plain = Calibration().document()["whole"]
+        told = self.metadata.get("calibration", {}).get("whole", plain)
+        if "decisive" in told:
+            raise ModelFileError(
+                f"{self.path} gives its verdicts by standard deviations, as an earlier version did; export it again."
+            )
+        self.calibrated = any(told.get(name, value) != value for name, value in plain.items())
+        """Whether its standard deviations are more than the network's own."""
+
+    def __call__(
+        self, contact: np.ndarray, depth: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Posterior of contacts.
+
+        Args:
+            contact: vectors of `data.contact.features`, shape [B, features].
+            depth: depth windows, shape [B, K, H, W], where the model takes them.
+
+        Returns:
+            Of (log k_s, log k_d, log |F|): mean [B, 3], calibrated covariance [B, 3, 3], and the covariance [B, 3, 3]
+            of the expected Cramér–Rao bound, by which the verdict is given; float64.
+
+        Raises:
+            ValueError: another shape.
+        """
+        mean, covariance, bound = self.run({CONTACT: contact, INPUT: depth})
+        return mean.astype(np.float64), covariance.astype(np.float64), bound.astype(np.float64)
+
+
+def open_model(path: str | Path, threads: int | None = None) -> ParameterModel | PosteriorModel:
+    """Open a file as the kind it is; arguments and errors as of `ExportedModel`."""
+    posterior = ExportedModel(path, threads).metadata.get("head") == POSTERIOR
+    return PosteriorModel(path, threads) if posterior else ParameterModel(path, threads)
+
+
+def fits(value: Any, kind: Any) -> bool:
+    """Whether a value read from JSON is of a kind.
+
+    Args:
+        kind: an annotation (float takes whole numbers and tuple lists), a range of whole numbers, or a dictionary of
+            the kinds of a mapping's fields, those that it has.
+    """
+    if isinstance(kind, range):
+        return type(value) is int and value in kind
+    if isinstance(kind, dict):
+        return isinstance(value, dict) and all(fits(value[name], kind[name]) for name in kind if name in value)
+    origin, inner = get_origin(kind), get_args(kind)
+    if origin in (Union, types.UnionType):
+        return any(fits(value, each) for each in inner)
+    if origin is Literal:
+        return value in inner
+    if origin is tuple:
+        if not isinstance(value, (list, tuple)):
+            return False
+        kinds = inner[:1] * len(value) if inner[-1] is Ellipsis else inner
+        return len(value) == len(kinds) and all(map(fits, value, kinds))
+    if origin is dict:
+        return type(value) is dict and all(fits(name, inner[0]) and fits(value[name], inner[1]) for name in value)
+    return kind is Any or type(value) is kind or (kind is float and type(value) is int)
+
+
+def _open_session(path: Path, threads: int | None) -> onnxruntime.InferenceSession:
     """Open an ONNX file.
 
     Raises:
@@ -94,38 +236,40 @@ def open_session(path: Path, threads: int | None) -> onnxruntime.InferenceSessio
         raise ModelFileError(f"{path} can't be read ({error.strerror}); check the file and its permissions.") from error
 
 
-def read_metadata(path: Path, session: onnxruntime.InferenceSession) -> dict[str, Any]:
+def _read_metadata(path: Path, session: onnxruntime.InferenceSession) -> dict[str, Any]:
     """The document that our export wrote into a file.
 
     Raises:
-        ModelFileError: the file is not ours, or newer than this program.
+        ModelFileError: the file is not ours, newer than this program, or has a field that can't be used.
     """
-    foreign = f"{path} is an ONNX file without palpate's metadata; give a file that train.py export wrote."
-    text = session.get_modelmeta().custom_metadata_map.get(METADATA_KEY)
-    if text is None:
-        raise ModelFileError(foreign)
     try:
-        metadata = json.loads(text)
-        version = int(metadata["format_version"])
-        complete = all(int(metadata["input"][key]) > 0 for key in ("window", "height", "width"))
-    except (ValueError, KeyError, TypeError) as error:
-        raise ModelFileError(foreign) from error
+        metadata = json.loads(session.get_modelmeta().custom_metadata_map[METADATA_KEY])
+        version = metadata["format_version"]
+        ours = fits(version, int) and set(_FIELDS["input"]) <= set(metadata["input"])
+    except (KeyError, TypeError, ValueError, RecursionError):
+        ours = False
+    if not ours:
+        foreign = "is an ONNX file without palpate's metadata; give a file that train.py export wrote"
+        raise ModelFileError(f"{path} {foreign}.")
     if version > FORMAT_VERSION:
-        raise ModelFileError(
-            f"{path} has format {version} and this program reads up to {FORMAT_VERSION}; update the program."
-        )
-    if not complete:
-        raise ModelFileError(foreign)
+        told = f"has format {reprlib.repr(version)} and this program reads up to {FORMAT_VERSION}"
+        raise ModelFileError(f"{path} {told}; update the program.")
+    for name, value in metadata.items():
+        if not (_sound([name, value], DEEPEST) and fits(value, _FIELDS.get(name, Any))):
+            told = f"has unusable metadata, {reprlib.repr(name)}: {reprlib.repr(value)}"
+            raise ModelFileError(f"{path} {told}; export it again with train.py export.")
     return metadata
 
 
-def _check_signature(path: Path, session: onnxruntime.InferenceSession, expected: tuple[int, int, int]) -> None:
-    """Compare the graph's inputs and outputs with what the metadata promises."""
-    inputs = {value.name: list(value.shape) for value in session.get_inputs()}
-    outputs = [value.name for value in session.get_outputs()]
-    if list(inputs) != [INPUT] or inputs[INPUT][1:] != list(expected) or OUTPUT not in outputs:
-        described = ", ".join(f"{name} {shape}" for name, shape in inputs.items())
-        raise ModelFileError(
-            f"{path} takes {described} and gives {', '.join(outputs)}, not {INPUT} [batch, "
-            f"{', '.join(map(str, expected))}] and {OUTPUT}; export it again with train.py export."
-        )
+def _sound(value: Any, levels: int) -> bool:
+    """Whether a value read from JSON has at most so many levels, no huge number and no control characters."""
+    if isinstance(value, (dict, list)):
+        inner = (*value, *value.values()) if isinstance(value, dict) else value
+        return levels > 0 and all(_sound(each, levels - 1) for each in inner)
+    if isinstance(value, str):
+        return value.isprintable()
+    return value is None or abs(value) <= LARGEST
+
+
+def _described(inputs: Mapping[str, tuple[int, ...]]) -> str:
+    return ", ".join(f"{name} [{', '.join(map(str, ('batch', *shape)))}]" for name, shape in inputs.items())

@@ -1,6 +1,6 @@
 """Amortised posterior of one contact: mean and covariance of (log k_s, log k_d, log |F|) from what was seen of it.
 
-A residual network on the contact's features (`data.contact_features`); a picture's features may be added through a
+A residual network on the contact's features (`data.contact.features`); a picture's features may be added through a
 projection that starts at zero, so that it changes nothing until it helps.
 """
 
@@ -35,7 +35,7 @@ class ContactPosterior(nn.Module):
         super().__init__()
         self.entry = nn.Linear(features, width)
         self.blocks = nn.Sequential(*(ResidualLayer(width) for _ in range(blocks)))
-        self.exit = nn.Sequential(nn.LayerNorm(width), nn.Linear(width, 3 + FACTOR_NUMBERS))
+        self.exit = nn.Sequential(nn.LayerNorm(width), last := nn.Linear(width, 3 + FACTOR_NUMBERS))
         self.picture = nn.Linear(picture, width) if picture else None
         self.expected_bound = ExpectedBound(features)
         box = torch.as_tensor(box, dtype=torch.float32)
@@ -44,8 +44,8 @@ class ContactPosterior(nn.Module):
         self.register_buffer("centre", torch.zeros(features))
         self.register_buffer("scale", torch.ones(features))
         with torch.no_grad():
-            self.exit[-1].weight.mul_(0.1)
-            self.exit[-1].bias[3:6] = math.log(0.5)
+            last.weight.mul_(0.1)
+            last.bias[3:6] = math.log(0.5)
             if self.picture is not None:
                 nn.init.zeros_(self.picture.weight)
                 nn.init.zeros_(self.picture.bias)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -11,9 +12,9 @@ from torch import Tensor
 from models.generator import Generator
 from models.losses import masked_l1
 from physics.mechanics import REFERENCE_DAMPING, REFERENCE_STIFFNESS, Mechanics
-from physics.mesh import Mesh
-from physics.msd import MeshBatch, rollout
-from physics.observation import displacement_error
+from physics.msd import rollout
+from physics.msd.likelihoods import displacement_error
+from physics.observation import Observation
 
 
 def with_reference_tissue(theta: Tensor) -> Tensor:
@@ -25,20 +26,6 @@ def with_reference_tissue(theta: Tensor) -> Tensor:
 def farthest_corner(theta: Tensor, lower: Tensor, upper: Tensor) -> Tensor:
     """The corner of the box farthest from θ [B, 3], parameter by parameter: the strongest change of condition."""
     return torch.where(theta - lower > upper - theta, lower, upper)
-
-
-def mesh_of(batch: MeshBatch, index: int) -> Mesh:
-    """One mesh of a batch with what a simulation needs: the triangles, which only its making needed, are left out."""
-    first, last = batch.vertex_offsets[index : index + 2].tolist()
-    springs = batch.springs[slice(*batch.spring_offsets[index : index + 2].tolist())] - first
-    return Mesh(
-        vertices=_numpy(batch.vertices[first:last]),
-        triangles=np.empty((0, 3), dtype=np.int32),
-        springs=_numpy(springs).astype(np.int32),
-        rim=_numpy(batch.rim[first:last]),
-        pixels=_numpy(batch.pixels[first:last]).astype(np.int32),
-        grid_shape=batch.grid_shape,
-    )
 
 
 @torch.no_grad()
@@ -53,25 +40,26 @@ def pair_records(batch: dict[str, Any], generator: Generator, mechanics: Mechani
     Returns:
         Dictionaries with: `clip` (name), `frame` (index of t), `theta` [3] (physical units), `trajectory` and
         `reference_trajectory` [T, 3] (contact vertex under θ, and under the literature's k_s, k_d with the same F
-        [scene units]), `observation` (`steps` [M], `displacement` [M, 3], `weight` [M]), `load_steps`,
-        `error_predicted`, `error_reference` (squared displacement errors [scene units²]), `case` (`mesh`,
-        `vertex`, `direction` [3]: what a simulation needs besides), `next_depth_error`,
+        [scene units]), `mesh`, `load` and `observation` (what a simulation needs, and what was seen),
+        `error_predicted`, `error_reference` (squared displacement errors [scene units²]), `next_depth_error`,
         `copy_error` (mean |Δz| of G_AB's picture, and of D_t itself, against D_t+1, over pixels valid in both), and
         `theta_sensitivity` (mean |Δz| of the picture when θ moves to the box's farthest corner).
     """
     window, now, later = batch["window_a"], batch["window_a"][:, -1:], batch["window_b"][:, -1:]
-    mesh, contact, observation = batch["mesh_a"], batch["contact_a"], batch["observation_a"]
+    mesh, load, observation = batch["mesh_a"], batch["load_a"], batch["observation_a"]
     features = generator.encode(window)
     theta = generator.answer(features, batch.get("contact_features_a")).theta
     predicted = generator.decode(features, theta, now)
     moved = generator.decode(features, farthest_corner(theta, generator.head.lower, generator.head.upper), now)
-    trajectory = rollout(theta, mesh, contact, mechanics)
-    reference = rollout(with_reference_tissue(theta), mesh, contact, mechanics)
+    trajectory = rollout(theta, mesh, load, mechanics)
+    reference = rollout(with_reference_tissue(theta), mesh, load, mechanics)
     error, reference_error = (displacement_error(simulated, observation) for simulated in (trajectory, reference))
     records = []
-    for index, clip in enumerate(batch["clip"]):
+    for index, (clip, sheet, press) in enumerate(zip(batch["clip"], mesh.split(), load.split(), strict=True)):
         target = later[index] * (now[index] > 0)
         kept = observation.weight[index] > 0
+        times = (_numpy(observation.steps[index][kept]) + 1) * mechanics.time_step
+        seen = _numpy(observation.displacement[index][kept])
         records.append(
             {
                 "clip": clip,
@@ -79,17 +67,9 @@ def pair_records(batch: dict[str, Any], generator: Generator, mechanics: Mechani
                 "theta": _numpy(theta[index]),
                 "trajectory": _numpy(trajectory[index]),
                 "reference_trajectory": _numpy(reference[index]),
-                "observation": {
-                    "steps": _numpy(observation.steps[index][kept]),
-                    "displacement": _numpy(observation.displacement[index][kept]),
-                    "weight": _numpy(observation.weight[index][kept]),
-                },
-                "load_steps": int(contact.load_steps[index]),
-                "case": {
-                    "mesh": mesh_of(mesh, index),
-                    "vertex": int(contact.vertex[index]),
-                    "direction": _numpy(contact.direction[index]),
-                },
+                "mesh": sheet,
+                "load": press,
+                "observation": Observation.of_point(press.vertex, times, seen, math.nan),
                 "error_predicted": float(error[index]),
                 "error_reference": float(reference_error[index]),
                 "next_depth_error": float(masked_l1(predicted[index], target)),

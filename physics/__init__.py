@@ -1,0 +1,24 @@
+"""Simulators and their derivatives in arrays; knows nothing of images, networks or files.
+
+mechanics        constants of the simulator, θ and its admissible box
+mesh             the tissue surface: vertices, springs, held rim, contact vertex and normal
+load             how a tool acts on a mesh: Press or Grip
+observation      what was seen of followed points
+likelihood       how well a θ explains an observation, and its derivatives
+identifiability  what a motion can tell about θ: information, bounds, verdict
+msd              mass–spring–damper sheets, with a numpy door and a torch door
+jit              compiled loops; lazy: package faces; provenance: digest of the code
+files            whole files or none; doors: how programs end
+"""
+
+from physics.lazy import exported
+
+__getattr__ = exported(
+    {
+        "physics.mesh": ("Mesh", "contact_normal", "grid_mesh", "nearest_vertex"),
+        "physics.load": ("Grip", "Press", "held", "ramped"),
+        "physics.observation": ("Observation",),
+        "physics.likelihood": ("Likelihood",),
+        "physics.mechanics": ("Bounds", "Mechanics"),
+    }
+)

@@ -7,15 +7,11 @@ estimate of φ has a covariance below I⁻¹ (Cramér–Rao bound). A bound of 0
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-
-from physics.mechanics import Mechanics
-from physics.mesh import Mesh
-from physics.msd_kernel import simulate_field, simulate_sensitivities
+from numpy.typing import ArrayLike
 
 LIMIT = 0.5
 """A parameter whose bound lies below is identifiable: its one-sigma interval spans less than a factor e."""
@@ -24,8 +20,6 @@ RATIOS = np.array([[1.0, -1.0, 0.0], [0.0, -1.0, 1.0]])
 NAMES = ("k_s", "k_d", "F")
 NOTHING = 1e-9
 """Information below this is rounding: a bound of 30,000."""
-LOG_STEP = 1e-3
-"""Step of the differences in log θ that give the whole field's sensitivities."""
 
 Verdict = Literal["determined", "ratios", "undetermined"]
 
@@ -68,61 +62,6 @@ def fisher_information(jacobian: np.ndarray, noise: float) -> np.ndarray:
     return rows.T @ rows / noise**2
 
 
-def contact_information(
-    theta: np.ndarray,
-    mesh: Mesh,
-    vertex: int,
-    direction: np.ndarray,
-    mechanics: Mechanics,
-    steps: np.ndarray,
-    noise: float,
-    *,
-    load_steps: int | None = None,
-) -> np.ndarray:
-    """Fisher information of the contact vertex's trajectory, shape [3, 3].
-
-    Args:
-        theta, mesh, vertex, direction, mechanics, load_steps: as in `physics.msd_kernel.simulate`.
-        steps: indices into the trajectory of the observations, shape [M].
-        noise: σ of every observed coordinate [scene units].
-    """
-    used = dataclasses.replace(mechanics, steps=int(np.max(steps)) + 1, load_steps=0)
-    load = min(mechanics.load_steps if load_steps is None else load_steps, used.steps)
-    _, jacobian = simulate_sensitivities(theta, mesh, vertex, direction, used, load_steps=load, dtype=np.float64)
-    return fisher_information(log_jacobian(jacobian[steps], theta), noise)
-
-
-def field_information(
-    theta: np.ndarray,
-    mesh: Mesh,
-    vertex: int,
-    direction: np.ndarray,
-    mechanics: Mechanics,
-    steps: np.ndarray,
-    noise: float,
-    *,
-    load_steps: int | None = None,
-    visible: np.ndarray | None = None,
-) -> np.ndarray:
-    """Fisher information of the whole visible field, shape [3, 3]: what tracking every vertex would add.
-
-    Arguments as in `contact_information`; `visible` are the observed vertices, shape [N] bool, None = all.
-    """
-    used = dataclasses.replace(mechanics, steps=int(np.max(steps)) + 1, load_steps=0)
-    load = min(mechanics.load_steps if load_steps is None else load_steps, used.steps)
-    seen = slice(None) if visible is None else visible
-
-    def observed(logs: np.ndarray) -> np.ndarray:
-        values = np.sign(theta) * np.exp(logs)
-        field = simulate_field(values, mesh, vertex, direction, used, load_steps=load, dtype=np.float64)
-        return field[steps][:, seen]
-
-    start = np.log(np.abs(theta))
-    offsets = LOG_STEP * np.eye(3)
-    columns = [(observed(start + offset) - observed(start - offset)) / (2 * LOG_STEP) for offset in offsets]
-    return fisher_information(np.stack(columns, axis=-1), noise)
-
-
 def covariance(information: np.ndarray) -> np.ndarray:
     """I⁻¹, shape [..., 3, 3]; along directions about which nothing is known the variance is 1/NOTHING, not infinite."""
     variances, vectors = _variances(information)
@@ -149,11 +88,21 @@ def bounds(information: np.ndarray) -> np.ndarray:
     return np.sqrt(np.diagonal(covariance(information), axis1=-2, axis2=-1))
 
 
-def ratio_bounds(information: np.ndarray) -> np.ndarray:
-    """Cramér–Rao bounds on log(k_s/k_d) and log(F/k_d), shape [..., 2]."""
+def combination_bounds(information: np.ndarray, powers: ArrayLike) -> np.ndarray:
+    """Cramér–Rao bounds on the logarithms of products of powers of k_s, k_d and |F|, shape [..., C].
+
+    Args:
+        information: shape [..., 3, 3].
+        powers: exponents of each product, shape [C, 3].
+    """
     # By directions, not by differences of large covariances: the common scale's may be a billion times the ratios'.
     variances, vectors = _variances(information)
-    return np.sqrt(((RATIOS @ vectors) ** 2 @ variances[..., None])[..., 0])
+    return np.sqrt(((np.asarray(powers) @ vectors) ** 2 @ variances[..., None])[..., 0])
+
+
+def ratio_bounds(information: np.ndarray) -> np.ndarray:
+    """Cramér–Rao bounds on log(k_s/k_d) and log(F/k_d), shape [..., 2]."""
+    return combination_bounds(information, RATIOS)
 
 
 def verdict(information: np.ndarray, limit: float = LIMIT) -> Verdict:

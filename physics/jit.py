@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import hashlib
 import os
 import tempfile
 import threading
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+
+from physics.provenance import code_digest
 
 try:
     import fcntl
@@ -21,17 +23,15 @@ except ImportError:  # Windows; numba's own care has to do there
 try:
     import numba
 
-    COMPILED = not numba.config.DISABLE_JIT
+    SETTINGS: Any = numba.config  # its attributes are set at run time
+    COMPILED = not SETTINGS.DISABLE_JIT
 except ImportError:
     COMPILED = False
 """Whether the loops are compiled."""
 
-SOURCES = Path(__file__).parent
-"""Where the simulator's sources lie."""
-
 # Contraction and reciprocals vectorise and lose nothing; reassociation would undo the displacement form, and
 # assuming that no NaN occurs would hide one.
-OPTIONS = {"fastmath": {"contract", "arcp", "nsz"}, "error_model": "numpy", "nogil": True}
+OPTIONS: dict[str, Any] = {"fastmath": {"contract", "arcp", "nsz"}, "error_model": "numpy", "nogil": True}
 
 _SETTING = threading.Lock()
 
@@ -67,13 +67,13 @@ class Kernel:
         if self.folder is None:
             return numba.njit(self.function, **OPTIONS)
         with _SETTING:
-            before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(self.folder)
+            before, SETTINGS.CACHE_DIR = SETTINGS.CACHE_DIR, str(self.folder)
             try:
                 return numba.njit(self.function, cache=True, **OPTIONS)
             except RuntimeError:  # "cannot cache function: no locator available"
                 return numba.njit(self.function, **OPTIONS)
             finally:
-                numba.config.CACHE_DIR = before
+                SETTINGS.CACHE_DIR = before
 
 
 def _kind(argument) -> tuple:
@@ -92,13 +92,10 @@ def code_folder() -> Path | None:
     numba looks at a function's own file only, but constants and inlined parts come from others: a digest of all the
     simulator's sources names the folder, so that no code outlives them.
     """
-    digest = hashlib.sha256()
-    for source in sorted(SOURCES.glob("*.py")):
-        digest.update(source.name.encode() + b"\0" + source.read_bytes())
-    name = f"numba-{digest.hexdigest()[:16]}"
+    name = f"numba-{code_digest('kernels')}"
     own = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "palpate"
-    chosen = [Path(numba.config.CACHE_DIR)] if numba.config.CACHE_DIR else []
-    for place in (*chosen, SOURCES / "__pycache__", own):
+    chosen = [Path(SETTINGS.CACHE_DIR)] if SETTINGS.CACHE_DIR else []
+    for place in (*chosen, Path(__file__).parent / "__pycache__", own):
         with contextlib.suppress(OSError):
             folder = place / name
             folder.mkdir(parents=True, exist_ok=True)
@@ -108,7 +105,7 @@ def code_folder() -> Path | None:
 
 
 @contextlib.contextmanager
-def _alone(folder: Path | None) -> Iterator[None]:
+def _alone(folder: Path | None) -> Generator[None]:
     """Let one process at a time compile into a folder: others wait, and then find its code.
 
     numba writes its index and its code one after the other, so two writers could leave one's code under the other's
@@ -122,7 +119,7 @@ def _alone(folder: Path | None) -> Iterator[None]:
     try:
         yield
     finally:
-        if lock is not None:
+        if lock is not None and fcntl is not None:
             with contextlib.suppress(OSError):
                 fcntl.flock(lock, fcntl.LOCK_UN)  # a fork would hold on to it after a mere close
             lock.close()

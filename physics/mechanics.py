@@ -16,12 +16,16 @@ from scipy.sparse.linalg import eigsh
 
 PARAMETERS = ("stiffness", "damping", "force")
 """Order of θ = [k_s, k_d, F] everywhere."""
+SIGNS = (1.0, 1.0, -1.0)
+"""Of θ where φ = (log k_s, log k_d, log |F|) is known: F presses."""
 
 REFERENCE_STIFFNESS = 5.34
 REFERENCE_DAMPING = 0.127
 """Literature values that Bini 2026 (section 4.1) compares with: a baseline, never an initial value."""
 
 
+MOST_STEPS = 20_000
+"""A longer rollout is a mistake: 100 s of motion by default."""
 CHOICES = {"scheme": ("euler", "dkd"), "damping": ("implicit", "explicit"), "boundary": ("fixed", "free")}
 
 
@@ -57,8 +61,8 @@ class Mechanics:
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0):
                 raise ValueError(f"mechanics.{name} is {value}; give a positive number.")
-        if self.steps < 1:
-            raise ValueError(f"mechanics.steps is {self.steps}; give at least 1.")
+        if not 1 <= self.steps <= MOST_STEPS:
+            raise ValueError(f"mechanics.steps is {self.steps}; give 1 to {MOST_STEPS}.")
         if not 0 <= self.load_steps <= self.steps:
             raise ValueError(f"mechanics.load_steps is {self.load_steps}; give 0 to {self.steps} (mechanics.steps).")
         for name, choices in CHOICES.items():
@@ -86,9 +90,19 @@ class Mechanics:
         )
 
     @property
+    def seconds(self) -> float:
+        """How long an observation may last: the horizon and half a step, to which time stamps are rounded [s]."""
+        return (self.steps + 0.5) * self.time_step
+
+    @property
     def times(self) -> np.ndarray:
         """Time after each step, shape [T] [s]."""
         return self.time_step * np.arange(1, self.steps + 1)
+
+
+def theta_of(logs: np.ndarray) -> np.ndarray:
+    """θ of φ = (log k_s, log k_d, log |F|), shape [..., 3], float64; F presses."""
+    return np.exp(np.asarray(logs, np.float64)) * SIGNS
 
 
 @dataclass(frozen=True)
@@ -143,6 +157,10 @@ class Bounds:
                 "give a negative upper bound such as -0.01, or choose head parameters."
             )
         return np.log([self.stiffness, self.damping, (-self.force[1], -self.force[0])]).T
+
+
+RECOMMENDED = Bounds((0.05, 1.0), (0.005, 0.5), (-0.3, -0.01), (0.4, 0.08, -0.1))
+"""The box in which displacements are those really seen; `configs/recommended.yaml` says so too."""
 
 
 def highest_frequency(springs: np.ndarray, vertex_count: int, stiffness: float, mechanics: Mechanics) -> float:

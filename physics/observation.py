@@ -1,55 +1,77 @@
-"""How far a simulated trajectory is from what was seen.
-
-Source: Bini 2026, equation 14 (the squared 2-norm of a displacement's difference), extended to several time stamps.
-"""
+"""What was seen of moving tissue: followed points, when, how far from rest, and with what noise."""
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
-import torch
-from torch import Tensor
+import numpy as np
 
 
-@dataclass
-class ObservationBatch:
-    """Observed displacements of the contact point, up to M a sample."""
-
-    steps: Tensor
-    """Index into the trajectory that each observation belongs to, shape [B, M], int64."""
-    displacement: Tensor
-    """Observed displacement from rest, shape [B, M, 3], float32 [scene units]."""
-    weight: Tensor
-    """Weight of each observation, 0 for padding, shape [B, M], float32."""
-
-
-def displacement_error(trajectory: Tensor, observation: ObservationBatch) -> Tensor:
-    """Weighted mean of squared distances, Σ_m w_m ‖u(t_m) − d_m‖² / Σ_m w_m (Bini 2026, equation 14, with M = 1).
-
-    Args:
-        trajectory: displacement of the contact vertex, shape [B, T, 3] [scene units].
-        observation: what was seen; padding may hold anything, also NaN.
-
-    Returns:
-        Shape [B] [scene units²]; 0 for a sample without any observation.
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """Displacements of M followed points of a mesh at N instants.
 
     Raises:
-        ValueError: shapes that don't belong together.
+        ValueError: shapes that don't belong together, times that are not finite.
     """
-    batch, count = observation.steps.shape
-    for name, value, shape in (
-        ("trajectory", trajectory, (batch, trajectory.shape[1], 3)),
-        ("displacement", observation.displacement, (batch, count, 3)),
-        ("weight", observation.weight, (batch, count)),
-    ):
-        if tuple(value.shape) != shape:
-            raise ValueError(
-                f"{name} has shape {tuple(value.shape)}; give {shape} for steps of shape {(batch, count)}."
-            )
-    seen = observation.weight > 0
-    steps = observation.steps.clamp(0, trajectory.shape[1] - 1)
-    simulated = torch.gather(trajectory, 1, steps[..., None].expand(-1, -1, 3))
-    difference = torch.where(seen[..., None], simulated - observation.displacement, 0.0)
-    weight = torch.where(seen, observation.weight, 0.0)
-    total = weight.sum(dim=1)
-    return (weight * difference.square().sum(dim=-1)).sum(dim=1) / torch.where(total > 0, total, 1.0)
+
+    vertices: np.ndarray
+    """Mesh vertex that each point is, shape [M], int64."""
+    times: np.ndarray
+    """Since the load began, ascending, shape [N] [s]."""
+    displacement: np.ndarray
+    """From rest, shape [M, N, 3], float32 [scene units]; not a number where a point was not seen."""
+    noise: np.ndarray
+    """Standard deviation by axis of the camera, of shape [3] or any that broadcasts to [M, N, 3] [scene units]: across
+    the line of sight it may be far smaller than along it. Not a number where it isn't known."""
+
+    def __post_init__(self) -> None:
+        expected = (len(self.vertices), len(self.times), 3)
+        if np.shape(self.displacement) != expected:
+            raise ValueError(f"displacement has shape {np.shape(self.displacement)}; give {expected}.")
+        if not np.isfinite(self.times).all():
+            raise ValueError("times holds a number that is not finite; leave out instants without a time.")
+        try:
+            np.broadcast_to(self.noise, expected)
+        except ValueError:
+            shape = np.shape(self.noise)
+            raise ValueError(f"noise has shape {shape}; give [3] or one that broadcasts to {expected}.") from None
+
+    @classmethod
+    def of_point(cls, vertex: int, times: np.ndarray, displacement: np.ndarray, noise: float) -> Observation:
+        """One point, displacements of shape [N, 3], with the same noise along every axis."""
+        return cls(
+            np.array([vertex], np.int64),
+            np.asarray(times, np.float64),
+            np.asarray(displacement, np.float32).reshape(1, -1, 3),
+            np.full(3, noise, np.float64),
+        )
+
+    def __len__(self) -> int:
+        """N."""
+        return len(self.times)
+
+    @property
+    def depth_noise(self) -> float:
+        """Standard deviation along the camera's axis, root mean square over points and instants [scene units]."""
+        by_axis = np.broadcast_to(self.noise, np.broadcast_shapes(np.shape(self.noise), (3,))).astype(np.float64)
+        return float(np.sqrt(np.square(by_axis[..., 2]).mean()))
+
+    def steps(self, time_step: float) -> np.ndarray:
+        """Index into a trajectory with this time step [s] that each instant is nearest to, shape [N], int64."""
+        return np.rint(self.times / time_step).astype(np.int64) - 1
+
+    def chosen(self, instants: np.ndarray) -> Observation:
+        """The same at some of its instants: a mask [N] or indices."""
+        noise = self.noise
+        if np.ndim(noise) >= 2 and np.shape(noise)[-2] == len(self.times):
+            noise = noise[..., instants, :]
+        return dataclasses.replace(
+            self, times=self.times[instants], displacement=self.displacement[:, instants], noise=noise
+        )
+
+    def moved(self, displacement: np.ndarray, noise: float) -> Observation:
+        """The same instants with other displacements, of shape [M, N, 3] or [N, 3], and another noise on every axis."""
+        displacement = np.asarray(displacement, np.float32).reshape(self.displacement.shape)
+        return dataclasses.replace(self, displacement=displacement, noise=np.full(3, noise, np.float64))

@@ -12,11 +12,11 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-from data.clip import PREPROCESSING_VERSION
-from data.depth import DepthSettings
-from data.geometry import GeometrySettings
-from data.masks import MaskClasses
-from models.onnx_session import FORMAT_VERSION, METADATA_KEY
+from data.contact.geometry import GeometrySettings
+from data.depth.normalise import DepthSettings
+from data.masks.sources import MaskClasses
+from data.settings import PREPROCESSING_VERSION
+from models.onnx_session import EXPECTED_BOUND, FORMAT_VERSION, METADATA_KEY, POSTERIOR
 from physics.mechanics import Bounds, Mechanics
 
 THETA = (0.5, 0.09, -0.4)
@@ -62,7 +62,7 @@ def write_model(
     """Write a network that gives θ = theta + slope · (mean depth of the window)."""
     document = metadata() if document is None else document
     size = document["input"]
-    shape = ["batch", size["window"], size["height"], size["width"]]
+    shape = (size["window"], size["height"], size["width"])
     constants = {
         "slope": np.array([slope], np.float32),
         "offset": np.array([theta], np.float32),
@@ -75,13 +75,53 @@ def write_model(
         helper.make_node("MatMul", ["column", "slope"], ["scaled"]),
         helper.make_node("Add", ["scaled", "offset"], ["theta"]),
     ]
-    graph = helper.make_graph(
-        nodes,
-        "parameters",
-        [helper.make_tensor_value_info(name, TensorProto.FLOAT, shape) for name in inputs],
-        [helper.make_tensor_value_info("theta", TensorProto.FLOAT, ["batch", 3])],
-        [numpy_helper.from_array(value, name) for name, value in constants.items()],
+    return _write(path, nodes, dict.fromkeys(inputs, shape), {"theta": (3,)}, constants, document)
+
+
+def write_posterior(path: Path, document: dict[str, Any], features: int) -> Path:
+    """Write a posterior whose mean depends on the depth window's mean and a little on the contact's vector."""
+    size = document["input"]
+    constants = {
+        "of_depth": np.array([[-0.2, 0.1, 0.3]], np.float32),
+        "of_contact": np.random.default_rng(0).normal(0, 0.02, (features, 3)).astype(np.float32),
+        "offset": np.log([[0.4, 0.08, 0.1]]).astype(np.float32),
+        "nothing": np.zeros((1, 9), np.float32),
+        "spread": np.array([[0.2, 0.1, 0.1, 0.1, 0.3, 0.1, 0.1, 0.1, 0.4]], np.float32),
+        "axes": np.array([1, 2, 3]),
+        "flat": np.array([-1, 1]),
+        "square": np.array([-1, 3, 3]),
+    }
+    nodes = [
+        helper.make_node("ReduceMean", ["depth", "axes"], ["mean"]),
+        helper.make_node("Reshape", ["mean", "flat"], ["column"]),
+        helper.make_node("MatMul", ["column", "of_depth"], ["looked"]),
+        helper.make_node("MatMul", ["contact", "of_contact"], ["felt"]),
+        helper.make_node("Sum", ["looked", "felt", "offset"], ["log_mean"]),
+        helper.make_node("MatMul", ["column", "nothing"], ["empty"]),
+        helper.make_node("Add", ["empty", "spread"], ["row"]),
+        helper.make_node("Reshape", ["row", "square"], ["log_covariance"]),
+        helper.make_node("Identity", ["log_covariance"], [EXPECTED_BOUND]),
+    ]
+    inputs = {"contact": (features,), "depth": (size["window"], size["height"], size["width"])}
+    outputs = {"log_mean": (3,), "log_covariance": (3, 3), EXPECTED_BOUND: (3, 3)}
+    return _write(path, nodes, inputs, outputs, constants, document | {"head": POSTERIOR})
+
+
+def _write(
+    path: Path,
+    nodes: list[onnx.NodeProto],
+    inputs: dict[str, tuple[int, ...]],
+    outputs: dict[str, tuple[int, ...]],
+    constants: dict[str, np.ndarray],
+    document: dict[str, Any],
+) -> Path:
+    """Write a graph; shapes of inputs and outputs are those without the batch."""
+    ends = (
+        [helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch", *shape]) for name, shape in end.items()]
+        for end in (inputs, outputs)
     )
+    values = [numpy_helper.from_array(value, name) for name, value in constants.items()]
+    graph = helper.make_graph(nodes, "network", *ends, values)
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=10)
     if document:
         helper.set_model_props(model, {METADATA_KEY: json.dumps(document)})

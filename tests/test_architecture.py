@@ -1,70 +1,120 @@
-"""The layout's floors and fences, read from the source, and the promise that inference never loads torch."""
+"""The layout's floors, fences and faces, read from the source, and the promise that inference never loads torch."""
 
 from __future__ import annotations
 
 import ast
+import graphlib
+import importlib
+import re
 import subprocess
 import sys
+from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
 
-from tests.inference_inputs import write_clip, write_model
+from data.synthetic.clip import write_clip as write_synthetic
+from data.synthetic.settings import SceneSettings
+from tests.inference_inputs import write_model
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = ("physics", "data", "models", "estimators", "evaluation", "benchmarks")
 FLOORS = {
-    "physics": {"physics"},
-    "data": {"data", "physics"},
-    "models": {"models", "physics"},
-    "estimators": {"estimators", "models", "data", "physics"},
-    "evaluation": {"evaluation", "estimators", "models", "data", "physics"},
+    "physics": set(),
+    "data": {"physics"},
+    "models": {"physics"},
+    "estimators": {"models", "data", "physics"},
+    "results": {"estimators", "models", "data", "physics"},
+    "evaluation": {"results", "estimators", "models", "data", "physics"},
+    "benchmarks": {"train", "evaluation", "results", "estimators", "models", "data", "physics"},
 }
-"""Packages of the project that each package may import: downwards only, and models and data not each other."""
+"""What of the project each package may import: downwards only, and models and data not each other. Benchmarks are
+doors of their own, and time the door of the training as well."""
 FENCES = {
-    "lightning": ("train.py", "models/module.py", "data/datamodule.py"),
+    "lightning": ("train.py", "models/module.py", "data/training/datamodule.py"),
+    "lightning.pytorch.loggers": ("train.py",),
     "mlflow": ("train.py",),
-    "cv2": ("data/", "evaluation/"),
+    "cv2": ("data/", "results/", "evaluation/"),
+    "matplotlib": ("results/plots.py", "evaluation/", "benchmarks/"),
+    "scipy.stats": ("estimators/direct/", "evaluation/", "benchmarks/"),
 }
-"""Where a library may be imported."""
-NOT_AT_INFERENCE = (
+"""Where a library may be imported, by whatever door."""
+LIGHT_DOORS = {
+    "infer": "estimators.direct.sampling",
+    "data.synthetic.__main__": "data.synthetic.truth",
+    "data.cholecseg8k": "data.contact.tracking",
+}
+"""Programs that run where no network is trained, and something that each of them reaches."""
+HEAVY = (
     "torch",
     "lightning",
     "pytorch_lightning",
     "kornia",
     "mlflow",
-    "matplotlib",
-    "scipy.stats",
     "jsonargparse",
     "torchmetrics",
     "onnx",
 )
 """Libraries that are not installed, or too heavy, where only inference runs."""
+MOST_NAMES = 15
+"""Names that a package's face exports, at most."""
 
 
-def sources() -> list[Path]:
-    """All modules of the project, tests left out."""
-    return sorted(ROOT.glob("*.py")) + [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
+@cache
+def modules() -> dict[str, Path]:
+    """Files of the project by their dotted names, tests left out."""
+    files = [*ROOT.glob("*.py"), *(path for package in FLOORS for path in (ROOT / package).rglob("*.py"))]
+    names = {path.relative_to(ROOT).with_suffix("").as_posix().replace("/", "."): path for path in files}
+    return {name.removesuffix(".__init__"): names[name] for name in sorted(names)}
 
 
 def name_of(path: Path) -> str:
     return path.relative_to(ROOT).as_posix()
 
 
-def imported(path: Path) -> set[str]:
-    """Dotted names that a module imports anywhere, also inside functions; blocks for type checkers don't count."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    for node in ast.walk(tree):
-        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test):
-            node.body = []
+@cache
+def tree_of(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def imports(node: ast.AST, *, within_functions: bool = True) -> Iterator[ast.Import | ast.ImportFrom]:
+    """Imports in a piece of source; blocks for type checkers don't count."""
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.If) and "TYPE_CHECKING" in ast.dump(child.test):
+            continue
+        if isinstance(child, ast.Import | ast.ImportFrom):
+            yield child
+        elif within_functions or not isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef):
+            yield from imports(child, within_functions=within_functions)
+
+
+def imported(path: Path, *, within_functions: bool = True) -> set[str]:
+    """Dotted names that a file imports, as modules and as names in modules."""
     found: set[str] = set()
-    for node in ast.walk(tree):
+    for node in imports(tree_of(path), within_functions=within_functions):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{name_of(path)} has a relative import; write the whole name"
-            found |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
+        else:
+            found |= {node.module or ""} | {f"{node.module}.{alias.name}" for alias in node.names}
     return found
+
+
+@cache
+def faces() -> dict[str, dict[str, str]]:
+    """What every package exports: the module that defines a name, by the name."""
+    found = {}
+    for package, path in modules().items():
+        if path.name == "__init__.py":
+            calls = [node for node in ast.walk(tree_of(path)) if isinstance(node, ast.Call)]
+            homes = ast.literal_eval(calls[0].args[0]) if calls else {}
+            found[package] = {name: home for home, names in homes.items() for name in names}
+    return found
+
+
+def reached_at_once(module: str) -> set[str]:
+    """Files of the project that a file imports, through the faces to the homes of the names that it takes from them."""
+    homes = {f"{package}.{name}": home for package, names in faces().items() for name, home in names.items()}
+    return {homes.get(name, name) for name in imported(modules()[module])} & set(modules())
 
 
 def is_inside(module: str, package: str) -> bool:
@@ -72,77 +122,137 @@ def is_inside(module: str, package: str) -> bool:
 
 
 def test_the_layout_is_found() -> None:
-    names = {name_of(path) for path in sources()}
-    assert {"infer.py", "train.py", "physics/msd.py", "data/clip.py", "models/module.py"} <= names
+    assert {"infer", "train", "physics.msd", "physics.msd.rollouts", "data.clip", "models.module"} <= set(modules())
+    assert "data.training.samples" in reached_at_once("estimators.network.training") | set(modules())
+    assert not [name for name in modules() if name.rpartition(".")[2] in ("utils", "helpers", "common", "misc")]
+
+
+def test_imports_name_files_in_full() -> None:
+    """So that they can be followed: no relative ones, and no package whose names are looked up later."""
+    vague = [
+        f"{name_of(path)}, line {node.lineno}"
+        for path in modules().values()
+        for node in imports(tree_of(path))
+        if (isinstance(node, ast.ImportFrom) and node.level)
+        or (isinstance(node, ast.Import) and {alias.name for alias in node.names} & set(faces()))
+    ]
+    assert vague == []
 
 
 @pytest.mark.parametrize("package", FLOORS)
 def test_imports_go_downwards(package: str) -> None:
+    forbidden = {*FLOORS, "train", "infer", "tests"} - FLOORS[package] - {package}
     upward = [
-        f"{name_of(path)} imports {module}"
-        for path in sources()
-        if name_of(path).startswith(f"{package}/")
-        for module in sorted(imported(path))
-        if module.split(".")[0] in {*PACKAGES, "train", "infer"} - FLOORS[package]
+        f"{module} imports {name}"
+        for module, path in modules().items()
+        if is_inside(module, package)
+        for name in sorted(imported(path))
+        if name.split(".")[0] in forbidden
     ]
     assert upward == []
+
+
+def test_no_two_files_need_each_other() -> None:
+    """In whatever function, and by however many others."""
+    graphlib.TopologicalSorter({module: reached_at_once(module) for module in modules()}).prepare()
 
 
 @pytest.mark.parametrize("library", FENCES)
 def test_libraries_stay_behind_their_fence(library: str) -> None:
     outside = [
         name_of(path)
-        for path in sources()
+        for path in modules().values()
         if not name_of(path).startswith(FENCES[library])
         and any(is_inside(module, library) for module in imported(path))
     ]
     assert outside == []
 
 
-def test_package_files_are_empty_and_nothing_is_called_utils() -> None:
-    assert [name_of(path) for path in sources() if path.name == "__init__.py" and path.read_text().strip()] == []
-    assert [name_of(path) for path in sources() if path.stem in ("utils", "helpers", "common", "misc")] == []
+@pytest.mark.parametrize(
+    ("library", "user"), [("matplotlib", "results.plots"), ("scipy.stats", "estimators.direct.sampling")]
+)
+def test_what_loads_slowly_is_loaded_only_where_it_is_used(library: str, user: str) -> None:
+    assert any(is_inside(name, library) for name in imported(modules()[user]))
+    at_once = [
+        name_of(path)
+        for module, path in modules().items()
+        if module.split(".")[0] not in ("evaluation", "benchmarks")
+        and any(is_inside(name, library) for name in imported(path, within_functions=False))
+    ]
+    assert at_once == []
 
 
-def test_nothing_that_infer_can_reach_imports_training_libraries() -> None:
-    """Follows every import from infer.py, also those inside functions, which a single run may not execute."""
-    modules = {name_of(path).removesuffix(".py").replace("/", "."): path for path in sources()}
-    reached, waiting = set(), ["infer"]
+@pytest.mark.parametrize("door", LIGHT_DOORS)
+def test_nothing_that_a_light_door_can_reach_imports_training_libraries(door: str) -> None:
+    """Follows every import, also those inside functions, which a single run may not execute."""
+    reached, waiting = set(), {door}
     while waiting:
         module = waiting.pop()
-        if module in reached or module not in modules:
-            continue
         reached.add(module)
-        waiting += imported(modules[module])
-    assert {"estimators.amortized", "physics.msd_kernel", "data.automatic_masks"} <= reached
+        waiting |= reached_at_once(module) - reached
+    assert LIGHT_DOORS[door] in reached
     heavy = [
         f"{module} imports {name}"
         for module in sorted(reached)
-        for name in sorted(imported(modules[module]))
-        if any(is_inside(name, library) for library in NOT_AT_INFERENCE)
+        for name in sorted(imported(modules()[module]))
+        if any(is_inside(name, library) for library in HEAVY)
     ]
     assert heavy == []
 
 
 def test_inference_runs_where_torch_cannot_be_imported(tmp_path: Path) -> None:
-    """A whole run, with every training library made impossible to import, in a process of its own."""
-    write_clip(tmp_path / "clip", 4, 2)
+    """Whole runs, fit included, with every training library made impossible to import, in a process of its own."""
+    scene = SceneSettings(width=214, height=120, frames=16, onset_fraction=(0.2, 0.2), depth_noise=0.0005)
+    clip = write_synthetic(tmp_path / "clips", 1, scene, 3)
     write_model(tmp_path / "parameters.onnx")
     program = f"""
 import sys
-banned = {NOT_AT_INFERENCE!r}
+banned = {HEAVY!r}
 class Ban:
     def find_spec(self, name, path=None, target=None):
         if any(name == entry or name.startswith(entry + ".") for entry in banned):
             raise ImportError(name + " is banned here")
 sys.meta_path.insert(0, Ban())
 import infer
-status = infer.main([{str(tmp_path / "clip")!r}, "--output", {str(tmp_path / "out")!r},
-                     "--model", {str(tmp_path / "parameters.onnx")!r}, "--masks", "automatic"])
+for name, model in (("network", []), ("gan", ["--model", {str(tmp_path / "parameters.onnx")!r}]), ("direct", [])):
+    output = {str(tmp_path)!r} + "/" + name
+    assert infer.main([{str(clip)!r}, "--output", output, "--estimator", name, *model]) == 0, name
+assert infer.main([{str(clip)!r}, "--output", output + "-raw", "--masks", "automatic", "--depth", "photometric"]) == 0
 loaded = [name for name in sys.modules if any(name == entry or name.startswith(entry + ".") for entry in banned)]
 assert not loaded, loaded
-sys.exit(status)
 """
-    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, timeout=120)
+    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, timeout=240)
     assert done.returncode == 0, done.stderr
-    assert (tmp_path / "out" / "clip" / "parameters.csv").is_file()
+    for name in ("network", "gan", "direct", "direct-raw"):
+        assert (tmp_path / name / clip.name / "interactions.csv").is_file()
+
+
+@pytest.mark.parametrize("package", faces())
+def test_a_face_maps_every_room_of_its_package(package: str) -> None:
+    path = modules()[package]
+    rooms = {name.removeprefix(f"{package}.") for name in modules() if name.startswith(f"{package}.")}
+    words = set(re.findall(r"\w+", ast.get_docstring(tree_of(path)) or ""))
+    assert {room for room in rooms if "." not in room and room != "__main__"} - words == set()
+
+
+@pytest.mark.parametrize("package", faces())
+def test_a_face_exports_few_names_that_exist(package: str) -> None:
+    names = faces()[package]
+    assert len(names) <= MOST_NAMES
+    assert not [name for name in names if f"{package}.{name}" in modules()]
+    face = importlib.import_module(package)
+    for name, home in names.items():
+        assert is_inside(home, package)
+        assert getattr(face, name) is vars(importlib.import_module(home))[name]
+
+
+def test_faces_load_nothing() -> None:
+    program = f"""
+import importlib, sys
+packages = {sorted(faces())!r}
+for package in packages:
+    importlib.import_module(package)
+print(*sorted({{name for name in sys.modules if name.split(".")[0] not in sys.stdlib_module_names}} - set(packages)))
+"""
+    done = subprocess.run([sys.executable, "-S", "-c", program], cwd=ROOT, capture_output=True, text=True, timeout=60)
+    assert done.stdout.split() == ["__main__", "physics.lazy"] or done.stdout.split() == ["physics.lazy"], done.stderr

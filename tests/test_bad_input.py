@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 
 import infer
-from data.geometry import GeometrySettings
-from evaluation import result_store
+from data.contact.geometry import GeometrySettings
+from results import store as result_store
 from tests.inference_inputs import GRID, SIZE, encode, metadata, write_clip, write_model, write_video
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -317,6 +317,20 @@ def test_name_that_is_not_utf8(clips: Path, model: Path, capsys: pytest.CaptureF
     assert sorted(path.name for path in (clips.parent / "out").iterdir()) == ["clip_", "good"]
 
 
+def test_names_do_nothing_to_the_terminal(clips: Path, model: Path, capsys: pytest.CaptureFixture) -> None:
+    evil = "\x1b]0;title\x07\x1b[31m\x9b2J\u202e[red]"
+    write_clip(clips / f"good{evil}", FRAMES, 2)
+    (clips / f"good{evil}" / "frame_13_endo.png").write_bytes(b"")  # warned of
+    (clips / f"bad{evil}.mp4").write_bytes(b"no video")
+    for status in (1, 1):  # done, then up to date
+        assert call(clips) == status
+        told = capsys.readouterr()
+        assert not {letter for letter in told.out + told.err if not letter.isprintable()} - {"\n"}
+        for name in ("good", "bad"):
+            assert name + r"\x1b]0;title\x07\x1b[31m\x9b2J\u202e[red]" in told.err
+        assert r"good\x1b]0;title\x07" in told.out
+
+
 def test_missing_annotation_of_a_whole_clip(clips: Path, model: Path, capsys: pytest.CaptureFixture) -> None:
     write_video(clips / "film.mp4", FRAMES)
     assert call(clips, "--masks", "annotation") == 1
@@ -434,6 +448,22 @@ def test_depth_preset_without_its_file_says_which_option(
     assert "'wishful' is no depth preset; choose one of" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("depth", [(), ("--depth", "stored"), ("--depth", "photometric")])
+def test_depth_preset_that_nothing_reads_is_refused(
+    depth: tuple[str, ...], clips: Path, model: Path, capsys: pytest.CaptureFixture
+) -> None:
+    source = depth[1] if depth else "auto"
+    told = (
+        f"infer.py: --depth-preset is 'banana' and says how to read an .onnx file, while --depth is {source}; give "
+        "that file as --depth, or leave --depth-preset out.\n"
+    )
+    assert call(clips, *depth, "--depth-preset", "banana") == 2
+    assert capsys.readouterr().err == told
+    output = ["--output", str(clips.parent / "out"), "--estimator", "direct"]
+    assert infer.main([str(clips), *output, *depth, "--depth-preset", "banana"]) == 2
+    assert capsys.readouterr().err == told
+
+
 def test_input_that_is_not_there_or_holds_nothing(clips: Path, model: Path, capsys: pytest.CaptureFixture) -> None:
     (clips / "nothing").mkdir()
     assert call(clips.parent / "nowhere.mp4", "--output", str(clips.parent / "out")) == 2
@@ -491,7 +521,7 @@ def test_full_output_folder(
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr("evaluation.results.write_summary", full)
+        patch.setattr("results.writer.write_figure", full)
         assert call(clips) == 1
     told = capsys.readouterr().err
     assert "the output folder is full; free some space or choose another --output." in told

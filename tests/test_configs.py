@@ -54,7 +54,7 @@ def test_paper_configuration_is_the_paper_s(load):
         mass=0.001, time_step=0.005, steps=200, load_steps=50, damping="implicit", boundary="fixed"
     )
     assert cli.trainer.max_epochs == 100
-    assert (data.batch_size, data.fractions, data.preparation.depth.bits) == (2, (0.7, 0.2, 0.1), 8)
+    assert (data.loading.batch_size, data.loading.fractions, data.preparation.depth.bits) == (2, (0.7, 0.2, 0.1), 8)
     assert (data.samples.window, data.samples.observation) == (1, "final")
     geometry = data.preparation.geometry
     assert (geometry.height, geometry.width, geometry.max_edge, geometry.keep) == (120, 214, 0.05, 1.0)

@@ -1,4 +1,4 @@
-"""The door infer.py: what it writes, when it works again, and how it ends."""
+"""The door infer.py: what it writes with every estimator, when it works again, and how it ends."""
 
 from __future__ import annotations
 
@@ -8,13 +8,30 @@ import shutil
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 
 import infer
-from evaluation.results import ClipResults
+from data.contact.motion import FRAYED
+from data.synthetic.clip import write_clip as write_synthetic
+from data.synthetic.settings import SceneSettings
+from estimators.estimate import NINETY
+from results.columns import FRAMES, INTERACTIONS
+from results.writer import ClipResults
 from tests.inference_inputs import metadata, write_clip, write_model, write_video
 
-FILES = ["overlay.mp4", "parameters.csv", "run.json", "summary.png"]
+FILES = ["fit.png", "interactions.csv", "overlay.mp4", "parameters.csv", "run.json", "summary.png"]
+SCENE = SceneSettings(
+    width=214,
+    height=120,
+    frames=22,
+    onset_fraction=(0.15, 0.2),
+    press_seconds=(0.3, 0.3),
+    stiffness=(0.4, 0.4),
+    damping=(0.03, 0.03),
+    force=(-0.05, -0.05),
+    depth_noise=0.0005,
+)
 
 
 @pytest.fixture(scope="module")
@@ -32,9 +49,21 @@ def call(inputs: Path, output: Path, *options: str, clips: str = "clips") -> int
     return infer.main(arguments)
 
 
-def rows(folder: Path) -> list[dict[str, str]]:
-    with (folder / "parameters.csv").open(encoding="utf-8", newline="") as stream:
+def rows(folder: Path, table: str = "parameters.csv") -> list[dict[str, str]]:
+    with (folder / table).open(encoding="utf-8", newline="") as stream:
         return list(csv.DictReader(stream))
+
+
+def runs(folder: Path) -> list[dict[str, str]]:
+    return rows(folder, "interactions.csv")
+
+
+def record(folder: Path) -> dict:
+    return json.loads((folder / "run.json").read_text(encoding="utf-8"))
+
+
+def flat(text: str) -> str:
+    return " ".join(text.split())
 
 
 def test_closing_table_is_readable_on_a_narrow_terminal(
@@ -43,7 +72,9 @@ def test_closing_table_is_readable_on_a_narrow_terminal(
     monkeypatch.setenv("COLUMNS", "80")
     assert call(inputs, tmp_path, "--no-overlay", clips="clips/folder") == 0
     told = capsys.readouterr().out
-    assert all(text in told for text in ("folder", "done", "1 no_tool", "3 no_contact", "4 ok"))
+    assert all(
+        text in told for text in ("folder", "done", "1 frames no_tool", "3 frames no_contact", "4 frames undetermined")
+    )
     assert "…" not in told
 
 
@@ -53,9 +84,8 @@ def test_folder_and_video_give_complete_results(inputs: Path, tmp_path: Path, ca
     for name in ("film", "folder"):
         assert sorted(path.name for path in (tmp_path / name).iterdir()) == FILES
         table = rows(tmp_path / name)
-        record = json.loads((tmp_path / name / "run.json").read_text(encoding="utf-8"))
         assert len(table) == 8
-        assert record["input"]["frames"] == 8
+        assert record(tmp_path / name)["input"]["frames"] == 8
         video = cv2.VideoCapture(str(tmp_path / name / "overlay.mp4"))
         assert video.get(cv2.CAP_PROP_FRAME_COUNT) == 8
         assert video.get(cv2.CAP_PROP_FPS) == pytest.approx(25.0)
@@ -66,6 +96,8 @@ def test_folder_and_video_give_complete_results(inputs: Path, tmp_path: Path, ca
     assert all((row["stiffness"] != "") == (row["status"] == "ok") for row in found)
     assert {row["force"] for row in found[4:]} == {"0.4"}
     assert {row["stiffness_sd"] + row["damping_sd"] + row["force_sd"] for row in found} == {""}
+    (run,) = runs(tmp_path / "folder")
+    assert (run["onset_frame"], run["status"], run["verdict"], run["force"]) == ("14", "ok", "undetermined", "0.4")
     printed = capsys.readouterr().out
     assert "folder" in printed
     assert "no_contact" in printed
@@ -80,25 +112,106 @@ def test_finished_clips_are_not_computed_again(inputs: Path, tmp_path: Path, cap
     # Without the overlay nothing is missing either; other settings and --overwrite ask for new results.
     assert call(inputs, tmp_path, "--no-overlay", clips="clips/folder") == 0
     assert (tmp_path / "folder" / "run.json").stat().st_mtime_ns == before
-    assert call(inputs, tmp_path, "--depth", "photometric", clips="clips/folder") == 0
-    changed = (tmp_path / "folder" / "run.json").stat().st_mtime_ns
-    assert changed != before
     assert call(inputs, tmp_path, "--depth", "photometric", "--overwrite", clips="clips/folder") == 0
-    assert (tmp_path / "folder" / "run.json").stat().st_mtime_ns != changed
+    assert (tmp_path / "folder" / "run.json").stat().st_mtime_ns != before
 
 
-def test_changed_clip_is_computed_again(inputs: Path, tmp_path: Path) -> None:
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_other_settings_replace_only_our_results_and_only_when_asked(
+    inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    assert call(inputs, tmp_path, clips="clips/folder") == 0
+    (tmp_path / "folder" / "notes.txt").write_text("mine")
+    (tmp_path / "folder" / "figures").mkdir()
+    (tmp_path / "folder" / "figures" / "summary.png").write_bytes(b"mine too")
+    before = contents(tmp_path / "folder")
+    capsys.readouterr()
+    # The other clip of the batch is done all the same.
+    assert call(inputs, tmp_path, "--depth", "photometric") == 1
+    told = capsys.readouterr()
+    assert f"{tmp_path / 'folder'}: holds results of other settings" in told.err
+    assert "--overwrite replaces them" in told.err
+    assert contents(tmp_path / "folder") == before
+    assert len(rows(tmp_path / "film")) == 8
+    assert call(inputs, tmp_path, "--depth", "photometric", "--no-overlay", "--overwrite", clips="clips/folder") == 0
+    after = contents(tmp_path / "folder")
+    assert before.keys() - after.keys() == {"overlay.mp4"}
+    assert after["run.json"] != before["run.json"]
+    theirs = ("notes.txt", "figures/summary.png")
+    assert [after[name] for name in theirs] == [before[name] for name in theirs] == [b"mine", b"mine too"]
+
+
+def test_an_edited_result_is_the_user_s(inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    assert call(inputs, tmp_path, "--no-overlay", clips="clips/folder") == 0
+    (tmp_path / "folder" / "parameters.csv").write_text("edited")
+    assert call(inputs, tmp_path, "--no-overlay", "--overwrite", clips="clips/folder") == 1
+    assert f"{tmp_path / 'folder' / 'parameters.csv'}: is not as this program wrote it" in capsys.readouterr().err
+    assert (tmp_path / "folder" / "parameters.csv").read_text() == "edited"
+    # An emptied one holds nothing of anybody's, and is no result either.
+    (tmp_path / "folder" / "parameters.csv").write_text("")
+    assert call(inputs, tmp_path, "--no-overlay", clips="clips/folder") == 0
+    assert len(rows(tmp_path / "folder")) == 8
+
+
+def test_a_record_of_odd_types_gets_no_unexpected_error(
+    inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    for number, record in enumerate(({"program": "infer.py", "input": ["clip"]}, {"program": 3, "input": {}}, [1])):
+        (tmp_path / str(number) / "folder").mkdir(parents=True)
+        (tmp_path / str(number) / "folder" / "run.json").write_text(json.dumps(record))
+        assert call(inputs, tmp_path / str(number), "--no-overlay", clips="clips/folder") == 0
+        assert "unexpected" not in capsys.readouterr().err
+        assert contents(tmp_path / str(number) / "folder") == {"run.json": json.dumps(record).encode()}
+
+
+@pytest.mark.parametrize("option", ["--output", "--layout", "--camera", "--model"])
+def test_an_empty_path_is_refused(
+    inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture, option: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as ended:
+        call(inputs, tmp_path / "out", option, "", clips="clips/folder")
+    assert ended.value.code == 2
+    assert f"argument {option}: is empty; name a file or folder" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_changed_clip_is_not_up_to_date(inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     shutil.copytree(inputs / "clips" / "folder", tmp_path / "clip")
     arguments = [str(tmp_path / "clip"), "--output", str(tmp_path / "out"), "--model", str(inputs / "parameters.onnx")]
     assert infer.main(arguments) == 0
     (tmp_path / "clip" / "frame_17_endo.png").unlink()
-    assert infer.main(arguments) == 0
+    assert infer.main(arguments) == 1
+    assert "of frames that have changed since" in capsys.readouterr().err
+    assert infer.main([*arguments, "--overwrite"]) == 0
     assert len(rows(tmp_path / "out" / "clip")) == 7
+
+
+@pytest.mark.parametrize("output", ["clip", "."])
+def test_changed_frames_are_seen_with_the_output_in_or_above_the_input(
+    inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture, output: str
+) -> None:
+    shutil.copytree(inputs / "clips" / "folder", tmp_path / "clip")
+    model = str(inputs / "parameters.onnx")
+    arguments = [str(tmp_path / "clip"), "--output", str(tmp_path / output), "--model", model, "--no-overlay"]
+    assert infer.main(arguments) == 0
+    assert infer.main(arguments) == 0
+    assert "up to date" in capsys.readouterr().err
+    frame = tmp_path / "clip" / "frame_17_endo.png"
+    frame.write_bytes((tmp_path / "clip" / "frame_10_endo.png").read_bytes())
+    assert infer.main(arguments) == 1
+    assert "of frames that have changed since" in capsys.readouterr().err
+    assert infer.main([*arguments, "--overwrite"]) == 0
+    assert infer.main(arguments) == 0
+    assert "up to date" in capsys.readouterr().err
 
 
 def test_no_overlay_leaves_the_video_out(inputs: Path, tmp_path: Path) -> None:
     assert call(inputs, tmp_path, "--no-overlay", "--threads", "1", clips="clips/folder") == 0
-    assert sorted(path.name for path in (tmp_path / "folder").iterdir()) == FILES[1:]
+    assert sorted(path.name for path in (tmp_path / "folder").iterdir()) == [*FILES[:2], *FILES[3:]]
 
 
 def test_output_among_the_inputs_is_no_input(inputs: Path, tmp_path: Path) -> None:
@@ -123,10 +236,10 @@ def test_interruption_keeps_finished_clips_and_continues(
 ) -> None:
     write = ClipResults.write
 
-    def interrupt(self: ClipResults, result: object) -> None:
+    def interrupt(self: ClipResults, *told: object) -> None:
         if self.folder.name == "folder" and len(self.estimates) == 3:
             raise KeyboardInterrupt
-        write(self, result)
+        write(self, *told)
 
     with monkeypatch.context() as patch:
         patch.setattr(ClipResults, "write", interrupt)
@@ -155,7 +268,7 @@ def test_unexpected_error_is_one_sentence_unless_debugging(
     def fail(*_: object) -> None:
         raise RuntimeError("two\nlines")
 
-    monkeypatch.setattr(infer, "open_source", fail)
+    monkeypatch.setattr("results.run.open_source", fail)
     assert call(inputs, tmp_path, clips="clips/film.mp4") == 1
     told = capsys.readouterr().err.strip()
     assert told.startswith("failed: ")
@@ -177,16 +290,15 @@ def test_files_of_another_layout_and_a_camera_are_read(inputs: Path, tmp_path: P
     found = rows(tmp_path / "out" / "clip")
     assert float(found[1]["time_s"]) == pytest.approx(0.02)
     assert [row["status"] for row in found[4:]] == ["ok"] * 4
-    record = json.loads((tmp_path / "out" / "clip" / "run.json").read_text(encoding="utf-8"))
-    assert record["camera"]["fx"] == 150.0
+    assert record(tmp_path / "out" / "clip")["camera"]["fx"] == 150.0
 
 
 def test_an_onset_is_refused_by_networks_that_know_none(
     inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
-    assert call(inputs, tmp_path / "out", "--onset", "stamp") == 2
-    told = " ".join(capsys.readouterr().err.split())
-    assert "parameters.onnx knows nothing of when a press begins; leave --onset stamp out." in told
+    assert call(inputs, tmp_path / "out", "--onset", "between") == 2
+    told = flat(capsys.readouterr().err)
+    assert "parameters.onnx knows nothing of when a press begins; leave --onset between out." in told
 
 
 @pytest.mark.parametrize("option", ["--version", "--help"])
@@ -195,6 +307,262 @@ def test_help_and_version(option: str, capsys: pytest.CaptureFixture) -> None:
         infer.main([option])
     assert ended.value.code == 0
     assert capsys.readouterr().out
+
+
+# --- the direct estimator, on a clip of known truth, and on drawn ones ---
+
+
+@pytest.fixture(scope="module")
+def synthetic(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with one synthetic clip of known truth as a folder of frames."""
+    folder = write_synthetic(tmp_path_factory.mktemp("clips"), 1, SCENE, 3)
+    folder.with_suffix(".mp4").unlink()
+    return folder.parent
+
+
+@pytest.fixture(scope="module")
+def done(synthetic: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Direct results of that clip."""
+    output = tmp_path_factory.mktemp("results")
+    assert direct(synthetic, output) == 0
+    return output / "video01_00000"
+
+
+def direct(clips: Path, output: Path, *options: str) -> int:
+    """Synthetic presses begin at a frame's time stamp."""
+    arguments = [str(clips), "--output", str(output), "--estimator", "direct", "--onset", "stamp", *options]
+    return infer.main(arguments)
+
+
+def test_a_contact_with_known_truth_is_recovered_within_its_uncertainty(done: Path, synthetic: Path) -> None:
+    (row,) = runs(done)
+    truth = json.loads((synthetic / "video01_00000" / "truth.json").read_text(encoding="utf-8"))
+    assert list(row) == list(INTERACTIONS)
+    assert (row["status"], row["verdict"], row["detail"], row["at_bound"]) == ("ok", "determined", "", "")
+    assert float(row["onset_time_s"]) == pytest.approx(truth["onset_s"])
+    assert int(row["onset_frame"]) == round(truth["onset_s"] * 25)
+    assert float(row["load_s"]) == pytest.approx(truth["release_s"] - truth["onset_s"])
+    for name, value in truth["theta"].items():
+        found, sd, bound = (float(row[f"{name}{suffix}"]) for suffix in ("", "_sd", "_bound"))
+        assert found > 0
+        assert abs(found - abs(value)) < 4 * sd
+        assert abs(np.log(found / abs(value))) < 0.25
+        assert sd == pytest.approx(bound * found, rel=0.2)  # the bound is the largest within one sd
+        low, high = (float(row[f"{name}_{end}"]) for end in ("low", "high"))
+        assert low < found < high
+        assert np.log(high / low) / 2 == pytest.approx(NINETY * sd / found, rel=0.05)
+    # The noise is what was put in, and the relief that a plane around every pixel leaves.
+    assert 0.9 * SCENE.depth_noise < float(row["noise"]) < 1.3 * SCENE.depth_noise
+    assert 0.3 < float(row["misfit"]) < 1.5
+    assert "determined" in row["explanation"]
+
+
+def test_every_frame_has_a_row_without_parameters_of_its_own(done: Path) -> None:
+    found, (run,) = rows(done), runs(done)
+    assert len(found) == 22
+    assert {row["stiffness"] + row["damping"] + row["force"] for row in found} == {""}
+    touching = [row for row in found if row["status"] == "ok"]
+    assert touching[0]["frame"] == run["onset_frame"]
+    assert all("interactions.csv" in row["detail"] for row in touching)
+
+
+@pytest.mark.parametrize("estimator", ["network", "gan", "direct"])
+def test_every_estimator_writes_the_same_files(
+    estimator: str, inputs: Path, synthetic: Path, done: Path, tmp_path: Path
+) -> None:
+    folder = done
+    if estimator != "direct":
+        model = ["--model", str(write_model(tmp_path / "gan.onnx"))] if estimator == "gan" else []
+        arguments = [str(synthetic), "--output", str(tmp_path / "out"), "--estimator", estimator]
+        assert infer.main([*arguments, *model]) == 0
+        folder = tmp_path / "out" / "video01_00000"
+    assert sorted(path.name for path in folder.iterdir()) == FILES
+    assert list(rows(folder)[0]) == list(FRAMES)
+    assert [(row["onset_frame"], row["status"]) for row in runs(folder)] == [(runs(done)[0]["onset_frame"], "ok")]
+    found = record(folder)
+    assert found["estimator"]["name"] == estimator
+    assert sum(found["contacts"].values()) == 1
+    assert sum(found["statuses"].values()) == found["input"]["frames"] == 22
+
+
+def test_real_presses_begin_between_frames(done: Path, synthetic: Path, tmp_path: Path) -> None:
+    """Unless told otherwise; an estimate is less certain then."""
+    assert infer.main([str(synthetic), "--output", str(tmp_path), "--estimator", "direct", "--no-overlay"]) == 0
+    ((exact,), (between,)) = runs(done), runs(tmp_path / "video01_00000")
+    for name in ("stiffness", "damping", "force"):
+        widths = [np.log(float(row[f"{name}_high"]) / float(row[f"{name}_low"])) for row in (exact, between)]
+        assert widths[1] > 1.1 * widths[0]
+    assert exact["delay_s"] == ""
+    assert abs(float(between["delay_s"])) < 0.01  # it began at the stamp, and the fit finds that
+    assert between["verdict"] == "determined"
+    told = [record(folder)["estimator"]["onset"] for folder in (done, tmp_path / "video01_00000")]
+    assert told == ["stamp", "between"]
+
+
+def test_record_says_what_was_done(done: Path) -> None:
+    found = record(done)
+    assert found["program"] == "infer.py"
+    assert found["estimator"]["bounds"]["stiffness"] == [0.05, 1.0]
+    assert found["model"] is None
+    assert found["settings"]["geometry"]["smoothing"] == 4.0
+    assert found["settings"]["geometry"]["rigid_motion"] == "subtract"
+    assert found["contacts"] == {"determined": 1}
+    assert found["units"]["stiffness"] == "scene units (normalised), not N/m"
+    assert found["notice"] == "Research software, not a medical device."
+    assert found["columns"] == {"parameters.csv": FRAMES, "interactions.csv": INTERACTIONS}
+    assert {"decode", "geometry", "tracking", "fit", "overlay", "total"} <= set(found["timings_s"])
+    assert found["warnings"] == []
+
+
+def test_the_picture_shows_observation_and_fit(done: Path) -> None:
+    picture = cv2.imread(str(done / "fit.png"))[..., ::-1]
+    assert picture.shape[1] == 1500
+    for color in ((75, 85, 99), (124, 58, 237), (234, 88, 12)):
+        assert (picture == color).all(axis=2).sum() > 100
+
+
+def test_a_finished_fit_is_not_computed_again(done: Path, synthetic: Path, capsys: pytest.CaptureFixture) -> None:
+    before = (done / "run.json").stat().st_mtime_ns
+    assert direct(synthetic, done.parent) == 0
+    told = capsys.readouterr()
+    assert "up to date" in told.err
+    assert "1 contacts determined" in told.out
+    assert (done / "run.json").stat().st_mtime_ns == before
+
+
+def test_results_of_another_estimator_are_left_alone(
+    inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    assert call(inputs, tmp_path, "--no-overlay", clips="clips/folder") == 0
+    before = contents(tmp_path / "folder")
+    assert direct(inputs / "clips" / "folder", tmp_path, "--no-overlay") == 1
+    assert "holds results of other settings, of another model" in capsys.readouterr().err
+    assert contents(tmp_path / "folder") == before
+
+
+def test_without_a_noise_level_the_options_that_give_one_are_named(synthetic: Path, tmp_path: Path) -> None:
+    assert direct(synthetic, tmp_path, "--no-overlay", "--smoothing", "0") == 0
+    (row,) = runs(tmp_path / "video01_00000")
+    assert row["status"] == "no_estimate"
+    assert row["detail"] == "The depth's noise isn't known; set --smoothing above 0, or give --noise."
+    assert {row[name] for name in INTERACTIONS if name.startswith(("stiff", "damp", "force", "verd", "misf"))} == {""}
+    assert int(row["frames"]) > 10
+    # A noise of one's own makes another result of it, which takes the first one's place only when asked.
+    noise = ("--no-overlay", "--smoothing", "4", "--noise", "0.002")
+    assert direct(synthetic, tmp_path, *noise) == 1
+    assert [row["status"] for row in runs(tmp_path / "video01_00000")] == ["no_estimate"]
+    assert direct(synthetic, tmp_path, *noise, "--overwrite") == 0
+    (row,) = runs(tmp_path / "video01_00000")
+    assert (row["status"], row["noise"]) == ("ok", "0.002")
+
+
+def test_a_clip_without_contact_gets_an_empty_table_of_contacts(tmp_path: Path) -> None:
+    write_clip(tmp_path / "clip", 4, 9)
+    assert direct(tmp_path / "clip", tmp_path / "out", "--no-overlay") == 0
+    assert runs(tmp_path / "out" / "clip") == []
+    assert [row["status"] for row in rows(tmp_path / "out" / "clip")] == ["no_tool"] * 4
+    assert record(tmp_path / "out" / "clip")["contacts"] == {}
+    assert cv2.imread(str(tmp_path / "out" / "clip" / "fit.png")).shape[1] == 1500
+
+
+def test_contact_from_the_first_frame_on_has_no_estimate(tmp_path: Path) -> None:
+    write_clip(tmp_path / "clip", 4, 0)
+    assert direct(tmp_path / "clip", tmp_path / "out", "--no-overlay") == 0
+    (row,) = runs(tmp_path / "out" / "clip")
+    assert (row["onset_frame"], row["frames"], row["load_s"], row["stiffness"]) == ("10", "0", "", "")
+    assert row["status"] == "no_estimate"
+    assert row["detail"].startswith("The onset of the contact was not seen")
+    assert record(tmp_path / "out" / "clip")["contacts"] == {"no_estimate": 1}
+
+
+@pytest.mark.parametrize(
+    ("seen", "reason"),
+    [
+        (0, "The tissue at the contact could not be followed after its onset."),
+        (2, "The contact was followed over 2 frames after its onset; 3 are needed."),
+    ],
+)
+def test_what_is_wrong_with_a_contact_is_told_beside_the_reason_for_no_estimate(
+    seen: int, reason: str, synthetic: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The clip ends `seen` frames after the onset, and its outlines disagree with its depth."""
+    folder = shutil.copytree(synthetic / "video01_00000", tmp_path / "clip")
+    onset = json.loads((folder / "truth.json").read_text(encoding="utf-8"))["onset_frame"]
+    for path in folder.glob("frame_*"):
+        if int(path.name.split("_")[1]) > onset + seen:
+            path.unlink()
+    layout = json.loads((folder / "clip.json").read_text(encoding="utf-8"))
+    layout["times"] = layout["times"][: onset + seen + 1]
+    (folder / "clip.json").write_text(json.dumps(layout), encoding="utf-8")
+    monkeypatch.setattr("data.contact.motion.frayed_share", lambda *_: 0.25)
+    assert direct(folder, tmp_path / "out", "--no-overlay") == 0
+    (row,) = runs(tmp_path / "out" / "clip")
+    assert (row["onset_frame"], row["frames"], row["status"]) == (str(onset), str(seen), "no_estimate")
+    assert row["detail"] == f"{FRAYED.format(share=0.25)} {reason}"
+
+
+def test_wrong_usage(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    (tmp_path / "empty").mkdir()
+    for options, told in (
+        (["--depth", "nonsense"], "infer.py: 'nonsense' is no depth preset"),
+        (["--model", "parameters.onnx"], "--estimator direct needs no network; leave --model parameters.onnx out."),
+    ):
+        assert direct(tmp_path / "empty", tmp_path / "out", *options) == 2
+        assert told in flat(capsys.readouterr().err)
+    for options, told in (
+        (["--estimator", "gan"], "--estimator gan needs a trained generator; give the file of train.py export"),
+        (["--smoothing", "2"], "--smoothing is for --estimator direct"),
+        (["--noise", "0.01"], "--noise is for --estimator direct; leave it out."),
+    ):
+        assert infer.main([str(tmp_path / "empty"), "--output", str(tmp_path / "out"), *options]) == 2
+        assert told in flat(capsys.readouterr().err)
+    assert not (tmp_path / "out").exists()
+    for options in (["--noise", "0"], ["--noise", "much"], ["--smoothing", "-1"], ["--smoothing", "inf"]):
+        with pytest.raises(SystemExit) as ended:
+            direct(tmp_path, tmp_path / "out", *options)
+        assert ended.value.code == 2
+        assert f"'{options[1]}' is not a" in capsys.readouterr().err
+    with pytest.raises(SystemExit) as ended:
+        infer.main([])
+    assert ended.value.code == 2
+
+
+@pytest.mark.parametrize("noise", ["0", "1e-300", "1e-12", "2.9e-5", "-0.001", "nan", "inf"])
+def test_a_noise_below_the_simulators_own_error_is_wrong_usage(
+    noise: str, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    """Smaller ones ended in numpy's complaint about infinite numbers, or in certainty of 1e-7."""
+    with pytest.raises(SystemExit) as ended:
+        direct(tmp_path, tmp_path / "out", f"--noise={noise}")
+    assert ended.value.code == 2
+    told = flat(capsys.readouterr().err)
+    assert f"'{noise}' is not a noise above the simulator's own error; give 3e-05 or more" in told
+    assert "Traceback" not in told
+
+
+def test_an_interruption_while_pictures_are_drawn_leaves_nothing_half_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    write_clip(tmp_path / "clip", 4, 9)
+    monkeypatch.setattr("results.writer.write_figure", interrupt)
+    assert direct(tmp_path / "clip", tmp_path / "out") == 130
+    assert list((tmp_path / "out").iterdir()) == []
+    assert "0 of 1 clips are complete" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_real_clip_directly(real_data: Path, tmp_path: Path) -> None:
+    """Judged: the grasper holds the gallbladder from frame 149 on, and pulls aslant; ten noisy frames tell nothing."""
+    arguments = [str(real_data / "cholecseg8k"), "--output", str(tmp_path), "--estimator", "direct", "--onset", "stamp"]
+    assert infer.main(arguments) == 0
+    (row,) = runs(tmp_path / "video01_00080")
+    assert 149 <= int(row["onset_frame"]) <= 151
+    assert row["verdict"] == "undetermined"
+    assert "to the line of sight, so its dent may hide its own bottom; intervals are widened" in row["detail"]
+    assert "lies at the end of the stiffness's admissible range" in row["detail"]
 
 
 @pytest.mark.slow

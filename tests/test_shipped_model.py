@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data.synthetic import write_clip
-from data.synthetic_settings import SceneSettings
-from estimators.contact_network import ContactNetwork
+from data.synthetic.clip import write_clip
+from data.synthetic.settings import SceneSettings
 from estimators.estimate import NINETY
-from estimators.exported import open_exported
-from infer import SHIPPED, main
+from estimators.network.estimator import NetworkEstimator
+from estimators.open import SHIPPED, EstimatorOptions, open_estimator
+from infer import main
 
 LARGEST = 6e6
 """Size limit of what ships [bytes]."""
@@ -23,8 +23,9 @@ LARGEST = 6e6
 def test_it_is_small_and_says_what_it_is() -> None:
     assert SHIPPED.stat().st_size < LARGEST
     assert SHIPPED.with_suffix(".md").is_file()
-    network = open_exported(SHIPPED)
-    assert isinstance(network, ContactNetwork)
+    network = open_estimator(EstimatorOptions())
+    assert isinstance(network, NetworkEstimator)
+    assert network.model.path == SHIPPED
     assert network.model.metadata["observation"] == "trajectory"
     calibration = network.model.metadata["calibration"]
     assert network.model.calibrated
@@ -73,7 +74,7 @@ def test_rows_carry_uncertainty_and_verdict(results) -> None:
 def test_a_press_at_a_known_instant_is_known_better(results, tmp_path) -> None:
     """Real presses begin between frames, which is what intervals allow for unless told otherwise."""
     rows, record, clip = results
-    assert record["estimator"] == {"onset": "between"}
+    assert record["estimator"] == {"name": "network", "onset": "between", "horizon": None}
     assert main([str(clip), "--output", str(tmp_path), "--no-overlay", "--onset", "stamp"]) == 0
     with (tmp_path / clip.name / "parameters.csv").open() as file:
         exact = [row for row in csv.DictReader(file) if row["stiffness"]]
@@ -85,7 +86,7 @@ def test_a_press_at_a_known_instant_is_known_better(results, tmp_path) -> None:
             for found in (exact, between)
         ]
         assert widths[0] < 0.9 * widths[1]
-    assert json.loads((tmp_path / clip.name / "run.json").read_text())["estimator"] == {"onset": "stamp"}
+    assert json.loads((tmp_path / clip.name / "run.json").read_text())["estimator"]["onset"] == "stamp"
 
 
 def test_the_last_frame_in_contact_is_near_the_truth(results) -> None:

@@ -15,8 +15,8 @@ import torch
 import yaml
 
 import train
-from data import synthetic
-from data.contact_features import FEATURES
+from data.contact.features import FEATURES
+from data.synthetic import __main__ as synthetic
 from models.onnx_session import ParameterModel
 from models.posterior import ContactPosterior
 from physics.mechanics import Bounds
@@ -60,11 +60,9 @@ def config(clips: Path) -> Path:
         "data": {
             "root": str(clips),
             "cache": str(clips.parent / "cache"),
-            "window": 6,
-            "observation": "trajectory",
-            "fractions": [0.5, 0.25, 0.25],
+            "samples": {"window": 6, "observation": "trajectory"},
+            "loading": {"fractions": [0.5, 0.25, 0.25]},
             "geometry": {"height": 40, "width": 56},
-            "progress": False,
         },
     }
     path = clips.parent / "tiny.yaml"
@@ -89,7 +87,7 @@ def told(config: Path) -> Path:
             "weights": {"physics": 1.0},
             "bounds": {"stiffness": [0.05, 1.0], "damping": [0.005, 0.5], "force": [-0.3, -0.01]},
         },
-        "data": {"onset_within": 26, "geometry": {"height": 40, "width": 56, "smoothing": 3.0}},
+        "data": {"samples": {"onset_within": 26}, "geometry": {"height": 40, "width": 56, "smoothing": 3.0}},
     }
     path = config.parent / "told.yaml"
     path.write_text(yaml.safe_dump(change))
@@ -117,7 +115,7 @@ def test_fit_leaves_checkpoints_logs_configuration_and_pictures(trained: Path):
     assert yaml.safe_load(checkpoint["configuration"])["model"]["width"] == 4
     assert (trained / "checkpoints" / "best.ckpt").is_file()
     log = trained / "logs" / "version_0"
-    assert yaml.safe_load((log / "config.yaml").read_text())["data"]["window"] == 6
+    assert yaml.safe_load((log / "config.yaml").read_text())["data"]["samples"]["window"] == 6
     header = (log / "metrics.csv").read_text().splitlines()[0].split(",")
     terms = {f"train/{term}" for term in TERMS}
     assert terms | {"val/physics", "val/force_mean", "train/stiffness_sd"} <= set(header)
@@ -168,11 +166,40 @@ def test_head_posterior_starts_pretrained_and_resumes_without_the_file(
         for name, value in pretrained.state_dict().items():
             torch.testing.assert_close(weights[f"{generator}.head.posterior.{name}"], value, atol=1e-6, rtol=1e-6)
     missing = [*arguments, str(tmp_path / "nothing.pt"), "--trainer.max_epochs", "2"]
-    assert "nothing.pt does not exist; give a file that python -m estimators" in refused(capsys, *missing)
+    said = refused(capsys, *missing, "--trainer.default_root_dir", tmp_path / "run")
+    assert "nothing.pt does not exist; give a file that python -m estimators" in said
     assert train.main([*missing, "--ckpt_path", "last"]) == 0
     assert last(config.parent / "posterior")["epoch"] == 1
     assert train.main(["test", "-c", str(config), "-c", str(told), "--ckpt_path", "last"]) == 0
     assert (config.parent / "posterior" / "evaluation" / "table2.md").stat().st_size > 0
+
+
+def test_a_second_training_in_one_run_folder_is_refused_and_goes_on_when_asked(config: Path, trained: Path, capsys):
+    folder = trained / "checkpoints"
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    said = refused(capsys, "fit", "-c", config)
+    assert f"{trained} holds a training already; add --ckpt_path last to go on with it, or give another" in said
+    # Going on from a checkpoint of another folder would replace these all the same.
+    other = trained.parent / "other.ckpt"
+    other.write_bytes(before["last.ckpt"])
+    assert "holds a training already" in refused(capsys, "fit", "-c", config, "--ckpt_path", other)
+    assert train.main(["fit", "-c", str(config), "--ckpt_path", "last"]) == 0  # finished: nothing is left to do
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
+def test_a_last_checkpoint_that_is_gone_starts_no_new_training_over_the_best(
+    config: Path, trained: Path, tmp_path: Path, capsys
+):
+    (tmp_path / "run" / "checkpoints").mkdir(parents=True)
+    best = tmp_path / "run" / "checkpoints" / "best.ckpt"
+    best.write_bytes((trained / "checkpoints" / "best.ckpt").read_bytes())
+    arguments = ("fit", "-c", config, "--trainer.default_root_dir", tmp_path / "run", "--ckpt_path", "last")
+    assert "last.ckpt does not exist" in refused(capsys, *arguments)
+
+
+def test_an_empty_run_folder_is_refused(config: Path, tmp_path: Path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert "default_root_dir is empty" in refused(capsys, "fit", "-c", config, "--trainer.default_root_dir", "")
 
 
 def test_a_checkpoint_of_another_head_is_refused(trained: Path, config: Path, capsys):
@@ -187,13 +214,17 @@ def test_a_checkpoint_of_another_head_is_refused(trained: Path, config: Path, ca
         ({"model": {"head": "posterior"}, "data": {"geometry": {"smoothing": 3}}}, "bounds.stiffness starts at 0.0"),
         ({"model": {"pretrained": "some.pt"}}, "head parameters; it holds weights of head posterior"),
         ({"model": {"weights": dict.fromkeys(TERMS, 0)}}, "weights are all 0"),
-        ({"data": {"onset_within": 0}}, "onset_within is 0"),
+        ({"data": {"samples": {"onset_within": 0}}}, "onset_within is 0"),
         ({"model": {"widht": 5}}, "model.widht"),
+        ({"data": {"window": 5}}, "data.window"),
+        ({"data": {"samples": {"widnow": 5}}}, "data.samples.widnow"),
+        ({"data": {"track_seconds": 5}}, "track_seconds"),
+        ({"data": {"loading": {"batch_size": 0}}}, "batch_size is 0"),
         ({"model": {"bounds": {"force": [0.0, -1.0]}}}, "bounds.force is [0.0, -1.0]; give a lower bound below"),
         ({"model": {"bounds": {"initial": [0.5, 0.1, 0.5]}}}, "choose it strictly inside"),
         ({"model": {"mechanics": {"steps": 0}}}, "mechanics.steps is 0"),
-        ({"data": {"window": 0}}, "give at least 1"),
-        ({"data": {"observation": "everything"}}, "data.observation"),
+        ({"data": {"samples": {"window": 0}}}, "give at least 1 frame"),
+        ({"data": {"samples": {"observation": "everything"}}}, "data.samples.observation"),
         ({"trainer": {"max_epochs": -7}}, "max_epochs"),
     ],
 )
@@ -236,7 +267,8 @@ def test_a_checkpoint_of_another_architecture_is_refused_not_followed(trained: P
 
 
 def test_a_data_set_that_is_not_there_gets_a_sentence(config: Path, tmp_path: Path, capsys):
-    assert train.main(["fit", "-c", str(config), "--data.root", str(tmp_path / "nothing")]) == 1
+    folders = ["--data.root", str(tmp_path / "nothing"), "--trainer.default_root_dir", str(tmp_path / "run")]
+    assert train.main(["fit", "-c", str(config), *folders]) == 1
     assert str(tmp_path / "nothing") in capsys.readouterr().err
 
 
@@ -318,7 +350,7 @@ def test_mlflow_holds_parameters_losses_theta_pictures_and_the_configuration(con
     terms = {f"train/{term}" for term in TERMS}
     assert terms | {"val/physics", "val/stiffness_mean", "val/stiffness_sd"} <= metrics
     assert parameters["width"] == "4"
-    assert parameters["data/observation"] == "trajectory"
+    assert parameters["data/samples/observation"] == "trajectory"
     assert parameters["trainer/max_epochs"].isdigit()
     artifacts = {path.name for path in (tmp_path / "mlflow").rglob("*") if path.is_file()}
     assert {"config.yaml", "next_depth_epoch_000.png"} <= artifacts

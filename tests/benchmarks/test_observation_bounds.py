@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.observation_bounds import FINE, FRAME, limits, observations
-from data.simulated_contacts import draw_contacts
-from data.synthetic_settings import SceneSettings
+from data.synthetic.contacts import draw_contacts
+from data.synthetic.settings import SceneSettings
 
 
 def test_more_observations_never_tell_less() -> None:

@@ -8,9 +8,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from data.class_table import CLASSES
-from data.clip import PrepareSettings
-from data.geometry import GeometrySettings
+from data.cache import CacheEntry, PreparedClip
+from data.clip import ClipStream
+from data.contact.geometry import GeometrySettings
+from data.masks.class_table import CLASSES
+from data.settings import PrepareSettings
 
 WIDTH, HEIGHT = 128, 96
 FOCAL = 100.0
@@ -76,3 +78,13 @@ def remove_frame(folder: Path, number: int) -> None:
     """Take a frame out of a clip, which leaves a gap in its numbers."""
     for path in folder.glob(f"frame_{number}_endo*"):
         path.unlink()
+
+
+def stored(clip: ClipStream, cache: Path) -> PreparedClip:
+    """A stream's frames, written to a cache and read back."""
+    entry = CacheEntry(cache, clip.source.name, "0")
+    with entry.writer() as writer:
+        for frame in clip:
+            writer.add(frame)
+        writer.finish(clip.description)
+    return entry.load(clip.source.path)

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import pickle
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,19 +9,19 @@ import cv2
 import numpy as np
 import pytest
 
-from data.clip import PrepareSettings, prepare, stream
-from data.clip_cache import CacheEntry, cache_key
-from data.depth import DepthSettings
-from data.frames import open_source
-from data.geometry import GeometrySettings
-from data.layout import ClipLayout, InputError, load_layout
-from data.tissue_points import grid_to_picture, lift, picture_to_grid, rigid_motion
+from data.clip import ClipStream, prepare
+from data.contact.geometry import GeometrySettings
+from data.contact.tissue_points import grid_to_picture, lift, picture_to_grid, rigid_motion
+from data.depth.normalise import DepthSettings
+from data.settings import PrepareSettings
+from data.source.frames import open_source
+from data.source.layout import ClipLayout, load_layout
 from data.windows import FrameWindow, future_indices, window_indices
 from tests.data.clips import DEPTH_STEP, FOCAL, GRID, SETTINGS, SLOPE, remove_frame, write_clip
 
 
 def run(folder: Path, settings: PrepareSettings = SETTINGS) -> list:
-    return list(stream(open_source(folder, settings.layout), settings))
+    return list(ClipStream(open_source(folder, settings.layout), settings))
 
 
 def statuses(frames: list) -> str:
@@ -158,149 +154,13 @@ def test_distortion_is_removed_from_picture_labels_and_depth(tmp_path):
     folder = write_clip(tmp_path / "clip", frames=5)
     text = (folder / "clip.json").read_text()
     (folder / "clip.json").write_text(text.replace('"fx"', '"distortion": [2.0, 0, 0, 0, 0], "fx"'))
-    clip = stream(open_source(folder, ClipLayout()), SETTINGS)
+    clip = ClipStream(open_source(folder, ClipLayout()), SETTINGS)
     frames = list(clip)
     assert clip.camera.distortion == ()
     assert frames[3].status == "ok"
     # Column 87.5 is 0.24 from the axis, which is the distorted place of x with x·(1 + 2x²) = 0.24: x = 0.218.
     row = frames[3].picture_labels[48]
     assert np.flatnonzero(row == 1).max() == pytest.approx(63.5 + 21.8, abs=1)
-
-
-def test_prepared_clip_equals_the_stream(tmp_path):
-    folder = write_clip(tmp_path / "clip", shift=0.5)
-    frames, clip = run(folder), prepare(folder, SETTINGS, tmp_path / "cache")
-    assert clip.status == [frame.status for frame in frames]
-    assert clip.counts["ok"] == 5
-    assert len(clip) == 12
-    assert np.array_equal(clip.usable, [True] * 12)
-    for index, frame in enumerate(frames):
-        assert np.array_equal(clip.depth(index), frame.depth)
-        assert np.array_equal(clip.labels[index], frame.labels)
-        assert clip.numbers[index] == frame.frame.number
-        if frame.displacement is not None:
-            assert clip.displacement[index] == pytest.approx(frame.displacement, abs=1e-6)
-        if frame.geometry is not None:
-            mesh, expected = clip.mesh(index), frame.geometry.mesh
-            for name in ("vertices", "triangles", "springs", "rim", "pixels"):
-                assert np.array_equal(getattr(mesh, name), getattr(expected, name))
-            assert clip.vertex[index] == frame.geometry.vertex
-    with pytest.raises(IndexError, match="no_tool"):
-        clip.mesh(0)
-    assert np.array_equal(pickle.loads(pickle.dumps(clip)).depth(3), clip.depth(3))
-
-
-def entries(cache: Path) -> set[str]:
-    return {path.name for path in cache.iterdir()}
-
-
-def test_cache_is_reused_and_invalidated_by_files_settings_and_code(tmp_path, monkeypatch):
-    folder, cache = write_clip(tmp_path / "clip", frames=5), tmp_path / "cache"
-    clip = prepare(folder, SETTINGS, cache)
-    before = (clip.folder / "depth.npy").stat().st_mtime_ns
-    assert prepare(folder, SETTINGS, cache).folder == clip.folder
-    assert (clip.folder / "depth.npy").stat().st_mtime_ns == before
-    known = cache_key(folder, SETTINGS)
-    # What samples make of the geometry, and where a model runs, leaves the clip as it is.
-    same = replace(SETTINGS, geometry=replace(GRID, force_direction="displacement"), depth=DepthSettings(threads=3))
-    assert cache_key(folder, same) == known
-    for changed in (
-        replace(SETTINGS, geometry=replace(GRID, max_edge=0.04)),
-        replace(SETTINGS, depth=DepthSettings(bits=8)),
-        replace(SETTINGS, depth=DepthSettings(source="photometric")),
-        replace(SETTINGS, masks="automatic"),
-        replace(SETTINGS, track_seconds=0.5),
-    ):
-        assert cache_key(folder, changed) != known
-    os.utime(folder / "frame_2_endo.png", ns=(1, 1))
-    assert cache_key(folder, SETTINGS) != known
-    monkeypatch.setattr("data.clip_cache.code_version", lambda: "another")
-    touched = cache_key(folder, SETTINGS)
-    monkeypatch.undo()
-    assert cache_key(folder, SETTINGS) != touched
-    prepare(folder, SETTINGS, cache)
-    assert len(entries(cache)) == 2
-
-
-def test_interrupted_preparation_leaves_nothing_and_can_go_on(tmp_path):
-    folder, cache = write_clip(tmp_path / "clip", frames=6), tmp_path / "cache"
-
-    def interrupt(count: int, _: int) -> None:
-        if count == 3:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        prepare(folder, SETTINGS, cache, interrupt)
-    assert entries(cache) == set()
-    assert len(prepare(folder, SETTINGS, cache)) == 6
-
-
-def test_leftovers_of_a_killed_process_are_removed_after_a_day(tmp_path):
-    folder, cache = write_clip(tmp_path / "clip", frames=3), tmp_path / "cache"
-    for name, age in ((".tmp-old", 90_000), (".tmp-young", 60)):
-        (cache / name).mkdir(parents=True)
-        (cache / name / "depth.npy").write_bytes(b"half")
-        stamp = time.time() - age
-        for path in (cache / name / "depth.npy", cache / name):
-            os.utime(path, (stamp, stamp))
-    clip = prepare(folder, SETTINGS, cache)
-    assert entries(cache) == {".tmp-young", clip.folder.name}
-
-
-def test_a_damaged_entry_is_prepared_again(tmp_path):
-    folder, cache = write_clip(tmp_path / "clip", frames=5), tmp_path / "cache"
-    clip = prepare(folder, SETTINGS, cache)
-    (clip.folder / "clip.json").write_text("{")
-    assert prepare(folder, SETTINGS, cache).counts["ok"] == 2
-
-
-def test_an_unwritable_cache_and_a_missing_clip_are_sentences(tmp_path):
-    folder = write_clip(tmp_path / "clip", frames=3)
-    (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="change the cache"):
-        prepare(folder, SETTINGS, tmp_path / "file" / "cache")
-    with pytest.raises(InputError, match="nowhere"):
-        prepare(tmp_path / "nowhere", SETTINGS, tmp_path / "cache")
-    with pytest.raises(InputError, match="masks 'guess' is unknown"):
-        prepare(folder, replace(SETTINGS, masks="guess"), tmp_path / "cache")
-
-
-def _prepare_at(barrier, folder: Path, cache: Path, results) -> None:
-    barrier.wait()
-    clip = prepare(folder, SETTINGS, cache)
-    results.put((clip.folder.name, clip.counts["ok"]))
-
-
-def test_two_processes_prepare_the_same_clip_at_once(tmp_path):
-    folder, cache = write_clip(tmp_path / "clip"), tmp_path / "cache"
-    context = multiprocessing.get_context("fork")
-    barrier, results = context.Barrier(2), context.Queue()
-    processes = [context.Process(target=_prepare_at, args=(barrier, folder, cache, results)) for _ in range(2)]
-    for process in processes:
-        process.start()
-    found = [results.get(timeout=60) for _ in processes]
-    for process in processes:
-        process.join()
-    assert found[0] == found[1]
-    assert found[0][1] == 5
-    assert entries(cache) == {found[0][0]}
-
-
-def test_the_loser_of_a_race_discards_its_own(tmp_path):
-    folder, cache = write_clip(tmp_path / "clip", frames=3), tmp_path / "cache"
-    entry = CacheEntry(cache, "clip", cache_key(folder, SETTINGS))
-    clip = stream(open_source(folder, ClipLayout()), SETTINGS)
-    with entry.writer() as writer:
-        for frame in clip:
-            writer.add(frame)
-        writer.finish(clip)
-        winner = prepare(folder, SETTINGS, cache)
-    assert entries(cache) == {winner.folder.name}
-
-
-def test_names_of_any_length_and_alphabet(tmp_path):
-    folder = write_clip(tmp_path / ("ö" * 100), frames=3)
-    assert len(prepare(folder, SETTINGS, tmp_path / "cache")) == 3
 
 
 def test_windows_repeat_the_first_frame_hold_bad_ones_and_stop_at_gaps():
@@ -333,7 +193,7 @@ def test_grid_and_picture_coordinates_are_inverse():
 
 
 def test_lift_reads_tissue_only():
-    from tests.data.test_geometry import CAMERA, scene
+    from tests.data.contact.test_geometry import CAMERA, scene
 
     depth, labels = scene(tool_depth=0.9)
     depth[:, :40] += np.arange(40) * 0.001

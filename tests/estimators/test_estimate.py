@@ -1,4 +1,4 @@
-"""The record of a frame."""
+"""What an estimate says: values, intervals and verdict of parameters and ratios, and the record of a frame."""
 
 from __future__ import annotations
 
@@ -8,19 +8,37 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from estimators.estimate import NINETY, ContactEstimate, FrameEstimate, uncertainty
+from estimators.estimate import (
+    COMBINATIONS,
+    NINETY,
+    REPORTED,
+    SYMBOLS,
+    Estimate,
+    FrameEstimate,
+    mixture,
+    moment_matched,
+)
+from physics.identifiability import LIMIT
+from physics.mechanics import PARAMETERS
+
+THETA = np.array([0.5, 0.06, -0.1])
+CORRELATED = np.array([[0.10, 0.08, 0.05], [0.08, 0.12, 0.06], [0.05, 0.06, 0.20]])
+MEANS = np.array([[0.0, 1.0], [2.0, -1.0], [1.0, 0.5]])
+FACTORS = np.array([[[1.0, 0.0], [0.5, 0.3]], [[0.2, 0.0], [0.0, 2.0]], [[1.0, 0.0], [-0.4, 0.1]]])
 
 
 def test_everything_unknown_is_none() -> None:
     estimate = FrameEstimate(3, 0.12, "no_tool")
-    values = dataclasses.asdict(estimate)
-    assert {name for name, value in values.items() if value is not None} == {
-        "frame",
-        "time_s",
-        "status",
-        "detail",
-        "verdict",
-    }
+    known = {"frame", "time_s", "status", "detail", "verdict"}
+    assert {name for name, value in dataclasses.asdict(estimate).items() if value is not None} == known
+    assert {name for name, value in estimate.values.items() if value is not None} == known
+
+
+def test_a_frames_values_are_its_estimates() -> None:
+    found = Estimate(THETA, 0.01 * np.eye(3))
+    values = FrameEstimate(3, 0.12, "ok", estimate=found, verdict=found.verdict, contact_u=7.0).values
+    assert values["contact_u"] == 7
+    assert {name: values[name] for name in found.numbers()} == found.numbers()
 
 
 def test_ninety_is_the_normal_distributions() -> None:
@@ -28,15 +46,14 @@ def test_ninety_is_the_normal_distributions() -> None:
 
 
 def test_uncertainty_is_the_log_normal_distributions() -> None:
-    found = ContactEstimate(
-        theta=np.array([0.5, 0.06, -0.1]),
+    found = Estimate(
+        theta=THETA,
         covariance=np.diag([0.04, 0.25, 1.0]),
         information=np.diag([100.0, 25.0, 4.0]),
         noise=0.001,
         misfit=1.0,
-        at_bound=np.zeros(3, bool),
     )
-    fields = uncertainty(found)
+    fields = found.numbers()
     # sd = median·exp(s²/2)·sqrt(exp(s²) - 1); for s = 1: 0.1·1.6487·1.3108.
     assert fields["force_sd"] == pytest.approx(0.1 * 1.6487212707 * 1.3108324957)
     assert fields["stiffness_sd"] == pytest.approx(0.5 * 1.0202013400 * np.sqrt(np.expm1(0.04)))
@@ -44,3 +61,115 @@ def test_uncertainty_is_the_log_normal_distributions() -> None:
         (0.06 * 0.4393641, 0.06 * 2.2760167), rel=1e-6
     )
     assert [fields[f"{name}_bound"] for name in ("stiffness", "damping", "force")] == pytest.approx([0.1, 0.2, 0.5])
+
+
+def test_numbers_are_those_of_drawn_parameters() -> None:
+    """Values, standard deviations and intervals of parameters and ratios, against 400,000 draws of θ."""
+    numbers = Estimate(THETA, CORRELATED, np.linalg.inv(CORRELATED)).numbers()
+    logs = np.random.default_rng(0).multivariate_normal(np.log(np.abs(THETA)), CORRELATED, 400_000)
+    stiffness, damping, force = np.exp(logs).T
+    drawn = {
+        "stiffness": stiffness,
+        "damping": damping,
+        "force": force,
+        "damping_over_stiffness": damping / stiffness,
+        "force_over_stiffness": force / stiffness,
+    }
+    assert drawn.keys() == set(REPORTED)
+    for name, values in drawn.items():
+        low, median, high = np.quantile(values, (0.05, 0.5, 0.95))
+        expected = {"": median, "_sd": values.std(), "_low": low, "_high": high}
+        assert {part: numbers[name + part] for part in expected} == pytest.approx(expected, rel=0.01)
+    assert numbers["damping_over_stiffness"] == pytest.approx(0.12)  # 0.06/0.5, in s
+    assert numbers["force_over_stiffness"] == pytest.approx(0.2)  # 0.1/0.5, in scene units
+    assert [numbers[f"{name}_bound"] for name in PARAMETERS] == pytest.approx(np.sqrt(np.diag(CORRELATED)))
+    assert (SYMBOLS["damping_over_stiffness"], SYMBOLS["force_over_stiffness"]) == ("k_d/k_s", "|F|/k_s")
+
+
+def test_what_an_estimator_does_not_give_is_missing() -> None:
+    numbers = Estimate(np.array([0.5, 0.06, 0.0], np.float32), told_verdict="onset_in_view").numbers()
+    assert numbers.keys() == {"verdict", "determined", *REPORTED}
+    assert (numbers["verdict"], numbers["determined"]) == ("onset_in_view", "")
+    assert (numbers["force"], numbers["force_over_stiffness"]) == (0, 0)
+    rigid = Estimate(np.array([0.0, 0.06, -0.1]), CORRELATED).numbers()
+    assert not any("over_stiffness" in name for name in rigid)  # there is no ratio to nothing
+    assert rigid["stiffness"] == rigid["stiffness_sd"] == 0
+
+
+@pytest.mark.parametrize(
+    ("covariance", "verdict", "determined"),
+    [
+        (0.01 * np.eye(3), "determined", tuple(COMBINATIONS)),
+        (np.eye(3), "undetermined", ()),
+        # Each to ±0.4, but no ratio: 0.4·√2 is over the limit of 0.5.
+        (0.16 * np.eye(3), "determined", PARAMETERS),
+        # The common scale is unknown, the ratios are known.
+        (np.ones((3, 3)) + 0.01 * np.eye(3), "ratios", tuple(COMBINATIONS)[3:]),
+        (np.diag([0.01, 4.0, 0.01]), "undetermined", ("stiffness", "force", "force_over_stiffness")),
+    ],
+)
+def test_what_is_determined_goes_by_standard_deviations(
+    covariance: np.ndarray, verdict: str, determined: tuple[str, ...]
+) -> None:
+    drawn = np.random.default_rng(1).multivariate_normal(np.zeros(3), covariance, 20_000)
+    sampled = {name for name, row in COMBINATIONS.items() if (drawn @ row).std() < LIMIT}
+    assert sampled == set(determined)
+    own = Estimate(THETA, covariance)
+    expected = Estimate(THETA, 1e-6 * np.eye(3), expected_information=np.linalg.inv(covariance))
+    for found in (own, expected):
+        assert (found.verdict, found.determined) == (verdict, determined)
+        assert found.numbers()["determined"] == ";".join(determined)
+        assert ("nothing is determined" in found.explanation) == (not determined)
+
+
+def test_what_nothing_is_known_of_is_not_determined() -> None:
+    """Directions without any information: of all parameters, and of their common scale."""
+    blind = Estimate(THETA, CORRELATED, expected_information=np.zeros((3, 3)))
+    assert (blind.verdict, blind.determined) == ("undetermined", ())
+    ratios = np.array([[-1.0, 1.0, 0.0], [-1.0, 0.0, 1.0]])
+    scaleless = Estimate(THETA, CORRELATED, expected_information=1e4 * ratios.T @ ratios)
+    assert (scaleless.verdict, scaleless.determined) == ("ratios", tuple(COMBINATIONS)[3:])
+
+
+def test_a_ratio_known_to_the_last_digit_has_no_width() -> None:
+    """In single precision the variance of a difference of badly known logarithms may come out below 0."""
+    covariance = 100 * np.ones((3, 3))
+    covariance[0, 0] -= 1e-3
+    numbers = Estimate(THETA, covariance, expected_information=np.eye(3)).numbers()
+    assert numbers["damping_over_stiffness_sd"] == 0
+    assert numbers["damping_over_stiffness_low"] == numbers["damping_over_stiffness_high"] == pytest.approx(0.12)
+
+
+def test_a_mixture_has_the_mean_and_covariance_of_its_draws() -> None:
+    """Of which every distribution gives as many."""
+    generator = np.random.default_rng(0)
+    draws = np.concatenate(
+        [mean + generator.normal(size=(200_000, 2)) @ f.T for mean, f in zip(MEANS, FACTORS, strict=True)]
+    )
+    mean, covariance = moment_matched(MEANS, FACTORS @ FACTORS.transpose(0, 2, 1))
+    np.testing.assert_allclose(mean, draws.mean(axis=0), atol=0.01)
+    np.testing.assert_allclose(covariance, np.cov(draws.T), atol=0.02)
+
+
+def test_estimates_of_one_contact_are_one() -> None:
+    """Mean and spread of their logarithms, for the verdict as well; the rest is that of the best explanation."""
+    first = Estimate(np.array([0.2, 0.05, -0.1]), CORRELATED, noise=0.001, misfit=1.2)
+    best = Estimate(
+        np.array([0.4, 0.05, -0.2]), 2 * CORRELATED, misfit=0.9, noise=0.002, expected_information=4 * np.eye(3)
+    )
+    assert mixture([first]) is first
+    found = mixture([first, best])
+    np.testing.assert_allclose(found.theta, [0.2 * np.sqrt(2), 0.05, -0.1 * np.sqrt(2)])
+    apart = np.log(2) ** 2 / 4 * np.outer([1, 0, 1], [1, 0, 1])
+    np.testing.assert_allclose(found.covariance, 1.5 * CORRELATED + apart)
+    expected = (CORRELATED + np.eye(3) / 4) / 2 + apart
+    np.testing.assert_allclose(np.linalg.inv(found.expected_information), expected)
+    assert (found.misfit, found.noise) == (0.9, 0.002)
+    blind = dataclasses.replace(first, expected_information=np.zeros((3, 3)))
+    assert mixture([blind, blind]).verdict == "undetermined"
+
+
+def test_widening_adds_covariances() -> None:
+    found = Estimate(THETA, CORRELATED).widened(0.3 * np.eye(3))
+    np.testing.assert_allclose(found.covariance, CORRELATED + 0.3 * np.eye(3))
+    np.testing.assert_allclose(np.linalg.inv(found.expected_information), CORRELATED + 0.3 * np.eye(3))

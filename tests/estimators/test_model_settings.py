@@ -7,10 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from data.depth import DepthSettings
-from data.frames import InputError
-from data.geometry import GeometrySettings
-from estimators.amortized import AmortizedEstimator
+from data.contact.geometry import GeometrySettings
+from data.depth.normalise import DepthSettings
+from data.source.frames import InputError
+from estimators.contract import Chosen
+from estimators.gan import GanEstimator
 from estimators.model_settings import check_sources, preparation_settings
 from models.onnx_session import ModelFileError, ParameterModel
 from tests.inference_inputs import GRID, metadata, write_model
@@ -21,10 +22,10 @@ def test_settings_come_from_the_model_unless_chosen(tmp_path: Path) -> None:
     depth = DepthSettings(near=0.05, bits=8)
     document = metadata(geometry=dataclasses.asdict(geometry), depth=dataclasses.asdict(depth))
     model = ParameterModel(write_model(tmp_path / "model.onnx", document))
-    assert preparation_settings(model).geometry == geometry
-    assert preparation_settings(model).depth == depth
-    assert preparation_settings(model).masks == "auto"
-    chosen = preparation_settings(model, masks="automatic", depth={"source": "stored"})
+    assert preparation_settings(model, Chosen()).geometry == geometry
+    assert preparation_settings(model, Chosen()).depth == depth
+    assert preparation_settings(model, Chosen()).masks == "auto"
+    chosen = preparation_settings(model, Chosen(masks="automatic", depth={"source": "stored"}))
     assert chosen.depth == dataclasses.replace(depth, source="stored")
     assert chosen.masks == "automatic"
 
@@ -37,38 +38,57 @@ def test_masks_are_the_models_where_a_clip_without_annotation_has_them(
 ) -> None:
     document = metadata(masks=trained, bridge_frames=5, track_seconds=2.0)
     model = ParameterModel(write_model(tmp_path / "model.onnx", document))
-    settings = preparation_settings(model)
+    settings = preparation_settings(model, Chosen())
     assert (settings.masks, settings.bridge_frames, settings.track_seconds) == (expected, 5, 2.0)
-    assert preparation_settings(model, masks="annotation").masks == "annotation"
+    assert preparation_settings(model, Chosen(masks="annotation")).masks == "annotation"
 
 
 def test_model_files_of_the_training_are_asked_for(tmp_path: Path) -> None:
     depth = {"source": "net.onnx", "preset": "midas-small"}
     model = ParameterModel(write_model(tmp_path / "model.onnx", metadata(depth=depth, masks="seg.onnx")))
     with pytest.raises(ModelFileError, match=r"trained with depth from net\.onnx; give that file's path as --depth"):
-        preparation_settings(model)
+        preparation_settings(model, Chosen())
     with pytest.raises(ModelFileError, match=r"trained with masks from seg\.onnx; give that file's path as --masks"):
-        preparation_settings(model, depth={"source": "elsewhere/net.onnx"})
-    same = preparation_settings(model, masks="auto", depth={"source": "elsewhere/net.onnx"})
-    other = preparation_settings(model, masks="auto", depth={"source": "elsewhere/other.onnx"})
+        preparation_settings(model, Chosen(depth={"source": "elsewhere/net.onnx"}))
+    same = preparation_settings(model, Chosen(masks="auto", depth={"source": "elsewhere/net.onnx"}))
+    other = preparation_settings(model, Chosen(masks="auto", depth={"source": "elsewhere/other.onnx"}))
     assert (same.depth.preset, other.depth.preset) == ("midas-small", None)
+
+
+GRID_SETTINGS = {"height": GRID[0], "width": GRID[1]}
 
 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"geometry": {"height": 48, "width": 80, "wobble": 1}}, "unknown setting 'geometry.wobble'"),
+        ({"geometry": GRID_SETTINGS | {"wobble": 1}}, "unknown setting 'geometry.wobble'"),
         ({"depth": {"near": -1.0}}, "unusable settings in 'depth'"),
         ({"mechanics": {"mass": 0}}, "unusable settings in 'mechanics'"),
         ({"observation": "guess"}, "unknown observation 'guess'"),
+        ({"geometry": GRID_SETTINGS | {"keep": "all"}}, r"unusable settings in 'geometry' \(keep is 'all'\)"),
+        ({"geometry": GRID_SETTINGS | {"depth_radius": 1.5}}, r"in 'geometry' \(depth_radius is 1\.5\)"),
+        ({"geometry": GRID_SETTINGS | {"smoothing": 1e8}}, r"in 'geometry' \(geometry\.smoothing is 100000000"),
+        ({"geometry": GRID_SETTINGS | {"keep": 1e-9}}, r"in 'geometry' \(geometry\.keep is 1e-09"),
+        ({"depth": {"scale": [1.0]}}, r"in 'depth' \(scale is \[1\.0\]\)"),
+        ({"depth": {"model": {"a": {}}}}, r"in 'depth' \(model is {'a': {}}\)"),
+        ({"classes": {"tool": "grasper"}}, r"in 'classes' \(tool is 'grasper'\)"),
+        ({"classes": {"tissue": [["liver"]]}}, r"in 'classes' \(tissue is \[\['liver'\]\]\)"),
+        ({"bridge_frames": -1}, r"in 'preparation' \(bridge_frames is -1"),
+        ({"track_seconds": -1}, r"in 'preparation' \(track_seconds is -1"),
+        ({"mechanics": {"steps": 200.5}}, r"in 'mechanics' \(steps is 200\.5\)"),
+        ({"mechanics": {"steps": 10**8}}, r"in 'mechanics' \(mechanics\.steps is 100000000; give 1 to 20000"),
+        ({"mechanics": {"scheme": []}}, r"in 'mechanics' \(scheme is \[\]\)"),
+        ({"bounds": {"stiffness": 1.0}}, r"in 'bounds' \(stiffness is 1\.0\)"),
+        ({"bounds": {"initial": [0.5, 0.5]}}, r"in 'bounds' \(initial is \[0\.5, 0\.5\]\)"),
+        ({"bounds": {"force": [-1.0, "0"]}}, r"in 'bounds' \(force is \[-1\.0, '0'\]\)"),
     ],
 )
 def test_metadata_that_cannot_be_used_is_named(tmp_path: Path, changes: dict, words: str) -> None:
     model = ParameterModel(write_model(tmp_path / "model.onnx", metadata(**changes)))
 
     def use() -> None:
-        preparation_settings(model)
-        AmortizedEstimator(model)
+        preparation_settings(model, Chosen())
+        GanEstimator(model)
 
     with pytest.raises(ModelFileError, match=words) as caught:
         use()
@@ -78,13 +98,13 @@ def test_metadata_that_cannot_be_used_is_named(tmp_path: Path, changes: dict, wo
 def test_geometry_that_contradicts_the_input_is_refused(tmp_path: Path) -> None:
     document = metadata() | {"geometry": dataclasses.asdict(GeometrySettings(height=50, width=80))}
     with pytest.raises(ModelFileError, match=r"takes \(48, 80\) but its geometry gives \(50, 80\)"):
-        preparation_settings(ParameterModel(write_model(tmp_path / "model.onnx", document)))
+        preparation_settings(ParameterModel(write_model(tmp_path / "model.onnx", document)), Chosen())
 
 
 def test_sources_are_checked_before_any_work(tmp_path: Path) -> None:
     model = ParameterModel(write_model(tmp_path / "model.onnx"))
-    check_sources(preparation_settings(model))
+    check_sources(preparation_settings(model, Chosen()))
     with pytest.raises(InputError, match="masks 'wishful' is unknown"):
-        check_sources(preparation_settings(model, masks="wishful"))
+        check_sources(preparation_settings(model, Chosen(masks="wishful")))
     with pytest.raises(InputError, match=r"nowhere\.onnx"):
-        check_sources(preparation_settings(model, depth={"source": "nowhere.onnx"}))
+        check_sources(preparation_settings(model, Chosen(depth={"source": "nowhere.onnx"})))

@@ -8,24 +8,25 @@ import math
 import numpy as np
 import pytest
 
-from data.samples import ContactCase
-from estimators.estimate import ContactEstimate
+from data.contact.interaction import Interaction
+from estimators.estimate import Estimate
 from estimators.oblique import HIDDEN_ERROR, LARGEST_ANGLE, effective_misfit, is_oblique, remark, view_angle, widened
+from physics.load import Press
+from physics.observation import Observation
 from tests.physics.sheets import sheet
 
 MESH = sheet(5, 5)
 BOX = np.log([[0.05, 0.005, 0.01], [1.0, 0.5, 0.3]])
-ESTIMATE = ContactEstimate(
+ESTIMATE = Estimate(
     theta=np.array([0.3, 0.03, -0.05]),
     covariance=0.01 * np.eye(3),
     information=100 * np.eye(3),
     noise=0.001,
     misfit=1.0,
-    at_bound=np.zeros(3, bool),
 )
 
 
-def seen_at(angle: float) -> ContactEstimate:
+def seen_at(angle: float) -> Estimate:
     return dataclasses.replace(ESTIMATE, view_angle=angle)
 
 
@@ -38,16 +39,14 @@ def test_the_angle_is_that_between_ray_and_direction_either_way(angle: float, si
     turn = math.radians(angle)
     vertices = MESH.vertices.astype(np.float64)
     mesh = dataclasses.replace(MESH, vertices=vertices - vertices[12] + 0.5 * ray)
-    case = ContactCase(
-        mesh=mesh,
-        vertex=12,
-        direction=sign * (math.cos(turn) * ray + math.sin(turn) * across),
-        load_steps=1,
-        steps=np.array([7]),
-        displacement=np.zeros((1, 3), np.float32),
-        weight=np.ones(1, np.float32),
+    direction = sign * (math.cos(turn) * ray + math.sin(turn) * across)
+    contact = Interaction(
+        mesh,
+        Press.at(12, direction, np.ones(8)),
+        Observation.of_point(12, np.array([0.04]), np.zeros((1, 3)), 0.001),
+        0.005,
     )
-    assert view_angle(case) == pytest.approx(angle, abs=1e-9)
+    assert view_angle(contact) == pytest.approx(angle, abs=1e-9)
 
 
 def test_only_oblique_contacts_are_expected_to_hide_an_error() -> None:
@@ -71,13 +70,13 @@ def test_widening_adds_the_covariance_of_the_larger_noise_within_the_box() -> No
     added = 1 / (1 + 12 / (BOX[1] - BOX[0]) ** 2)
     found = widened(ESTIMATE, 10.0, BOX)
     np.testing.assert_allclose(found.covariance, np.diag(0.01 + added))
-    np.testing.assert_allclose(np.linalg.inv(found.decisive), np.diag(0.01 + added))
+    np.testing.assert_allclose(np.linalg.inv(found.expected_information), np.diag(0.01 + added))
     assert (ESTIMATE.verdict, found.verdict) == ("determined", "undetermined")
-    cautious = dataclasses.replace(ESTIMATE, decisive=4 * np.eye(3))
-    np.testing.assert_allclose(np.linalg.inv(widened(cautious, 10.0, BOX).decisive), np.diag(0.25 + added))
+    unsure = dataclasses.replace(ESTIMATE, expected_information=4 * np.eye(3))
+    np.testing.assert_allclose(np.linalg.inv(widened(unsure, 10.0, BOX).expected_information), np.diag(0.25 + added))
     # However large the misfit, never wider than the prior besides; and where nothing was known, still finite.
     prior = np.diag((BOX[1] - BOX[0]) ** 2 / 12)
     np.testing.assert_allclose(widened(ESTIMATE, 1e9, BOX).covariance, ESTIMATE.covariance + prior)
-    blind = dataclasses.replace(ESTIMATE, decisive=np.zeros((3, 3)))
-    assert np.isfinite(widened(blind, 10.0, BOX).decisive).all()
+    blind = dataclasses.replace(ESTIMATE, expected_information=np.zeros((3, 3)))
+    assert np.isfinite(widened(blind, 10.0, BOX).expected_information).all()
     assert widened(blind, 10.0, BOX).verdict == "undetermined"

@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import signal
 import time
 
 import cv2
@@ -21,6 +22,10 @@ def late_first(value: int) -> int:
 
 def limits(_: int) -> tuple[str, int]:
     return os.environ.get("OMP_NUM_THREADS", ""), cv2.getNumThreads()
+
+
+def sees_interrupts(_: int) -> bool:
+    return signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
 
 
 def die(_: int) -> None:
@@ -56,6 +61,11 @@ def test_leaving_early_ends_the_workers():
     while multiprocessing.active_children() and time.monotonic() < deadline:
         time.sleep(0.01)
     assert multiprocessing.active_children() == []
+
+
+def test_workers_never_see_an_interrupt_and_the_parent_does():
+    assert list(run_tasks(sees_interrupts, range(2), 2)) == [False, False]
+    assert sees_interrupts(0)
 
 
 def test_a_killed_worker_is_told():

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from evaluation.recovery import Recovery
-from evaluation.suites import REGIMES, suite_clip_seed
+from evaluation.recovery.evaluate import Recovery
+from evaluation.recovery.suites import REGIMES, suite_clip_seed
 
 TRUTH = np.array([0.5, 0.05, -0.1])
 

@@ -5,9 +5,10 @@ import csv
 import numpy as np
 import pytest
 
-from evaluation import benchmark, constant
+from evaluation import benchmark
 from evaluation.benchmark import INTERRUPTED, main
-from evaluation.recovery_scores import COLUMNS
+from evaluation.recovery import constant
+from evaluation.recovery.scores import COLUMNS
 from tests.evaluation.recovery_cases import off_by, recovery
 
 
@@ -20,9 +21,9 @@ def evaluated(monkeypatch):
         seen.append(task.index)
         errors = np.random.default_rng(task.index).normal(0, 0.1, 3)
         return [
-            recovery(task.index, suite=suite, estimator=spec.name, estimate=off_by(errors))
-            for suite, specs in task.wanted
-            for spec in specs
+            recovery(task.index, suite=suite, estimator=candidate.name, estimate=off_by(errors))
+            for suite, candidates in task.wanted
+            for candidate in candidates
         ]
 
     monkeypatch.setattr(benchmark, "evaluate_clip", evaluate)
@@ -110,12 +111,9 @@ def test_failed_clips_are_shown_and_no_error(tmp_path, monkeypatch, evaluated, c
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (("--seed", "-1"), "--seed is -1"),
         (("--estimator", "network"), "give its file as --model FILE"),
-        (("--paper-model", "x.onnx"), "of no use without --estimator paper"),
-        (("--estimator", "paper", "--paper-model", "missing.onnx"), "missing.onnx is not a file"),
-        (("--noise", "0"), "--noise is 0"),
-        (("--constant-clips", "1"), "--constant-clips is 1"),
+        (("--gan-model", "x.onnx"), "of no use without --estimator gan"),
+        (("--estimator", "gan", "--gan-model", "missing.onnx"), "missing.onnx is not a file"),
     ],
 )
 def test_wrong_usage_is_one_sentence(tmp_path, arguments, sentence, capsys):
@@ -137,10 +135,22 @@ def test_another_seeds_folder_is_refused(tmp_path, evaluated, capsys):
     assert "holds results of another seed" in capsys.readouterr().err
 
 
-def test_unknown_suite_is_wrong_usage(tmp_path):
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (("--suite", "dirty"), "invalid choice: 'dirty'"),
+        (("--seed", "-1"), "--seed: -1 is less than 0"),
+        (("--seed", str(2**32)), "is more than 4294967295"),
+        (("--clips", "0"), "--clips: 0 is less than 1"),
+        (("--noise", "0"), "'0' is not a noise above the simulator's own error; give 3e-05 or more"),
+        (("--seen", "2"), "give at least 3 frames, or press"),
+    ],
+)
+def test_an_option_that_takes_something_else_is_wrong_usage(tmp_path, arguments, sentence, capsys):
     with pytest.raises(SystemExit) as stop:
-        run(tmp_path, "--suite", "dirty")
+        run(tmp_path, *arguments)
     assert stop.value.code == 2
+    assert sentence in capsys.readouterr().err
 
 
 def test_all_suites_once_and_in_order(tmp_path):
@@ -151,8 +161,9 @@ def test_all_suites_once_and_in_order(tmp_path):
 
 
 @pytest.mark.slow
-def test_two_real_clips_in_two_processes(tmp_path):
-    arguments = ["--output", str(tmp_path), "--clips", "2", "--constant-clips", "3", "--workers", "2"]
+def test_two_real_clips_in_two_processes(tmp_path, monkeypatch):
+    monkeypatch.setattr(benchmark, "CONSTANT_CLIPS", 3)
+    arguments = ["--output", str(tmp_path), "--clips", "2", "--workers", "2"]
     assert main([*arguments, "--estimator", "direct", "constant"]) == 0
     rows = [row for row in read(tmp_path / "table.csv") if row["regime"] == "all" and row["estimator"] == "direct"]
     force = next(row for row in rows if row["parameter"] == "force/damping")

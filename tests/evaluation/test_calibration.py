@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from data.contact_features import REFERENCE_SPACING
+from data.contact.features import REFERENCE_SPACING
 from estimators.estimate import NINETY
 from evaluation.calibration import (
     Scored,

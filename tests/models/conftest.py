@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import torch
 
+from physics.load import Press, held
 from physics.mechanics import Mechanics
 from physics.mesh import contact_normal, grid_mesh
-from physics.msd import ContactBatch, MeshBatch
-from physics.observation import ObservationBatch
+from physics.msd.batch import MeshBatch, ObservationBatch, PressBatch
 
 HEIGHT, WIDTH = 40, 48
 MECHANICS = Mechanics(steps=24, load_steps=8)
@@ -50,8 +50,9 @@ def make_batch() -> Callable[..., dict[str, Any]]:
             vertices = [len(mesh.vertices) // 2 for mesh in meshes]
             normals = [contact_normal(mesh, vertex) for mesh, vertex in zip(meshes, vertices, strict=True)]
             batch[f"mesh_{side}"] = MeshBatch.from_meshes(meshes)
-            batch[f"contact_{side}"] = ContactBatch(
-                torch.tensor(vertices), torch.from_numpy(np.stack(normals)).float(), torch.full((2,), 8)
+            factor = held(MECHANICS.load_steps, MECHANICS.steps)
+            batch[f"load_{side}"] = PressBatch.of(
+                [Press.at(vertex, normal, factor) for vertex, normal in zip(vertices, normals, strict=True)]
             )
             batch[f"observation_{side}"] = ObservationBatch(
                 torch.full((2, 1), 7), sign * torch.tensor([[[0.0, 0.0, 0.02]]]).expand(2, 1, 3), torch.ones(2, 1)
@@ -69,9 +70,9 @@ def make_told_batch(make_batch) -> Callable[..., dict[str, Any]]:
         batch = make_batch(window)
         vectors = torch.from_numpy(np.random.default_rng(4).normal(size=(2, CONTACT_FEATURES))).float()
         for side in ("a", "b"):
-            batch[f"mesh_{side}"], batch[f"contact_{side}"] = batch["mesh_a"], batch["contact_a"]
+            batch[f"mesh_{side}"], batch[f"load_{side}"] = batch["mesh_a"], batch["load_a"]
             batch[f"observation_{side}"] = batch["observation_a"]
-            batch[f"seen_contact_{side}"] = batch["contact_a"]
+            batch[f"seen_load_{side}"] = batch["load_a"]
             batch[f"seen_observation_{side}"] = ObservationBatch(
                 torch.tensor([[3, 7], [3, 0]]),
                 torch.tensor([[0.0, 0.0, 0.01], [0.0, 0.0, 0.02]]).expand(2, 2, 3),

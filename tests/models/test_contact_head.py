@@ -29,7 +29,7 @@ def test_a_box_without_logarithms_is_refused(bounds: Bounds, message: str):
 
 
 def test_without_the_contact_s_vector_a_sentence_says_what_to_set():
-    with pytest.raises(ValueError, match=r"data\.observation to trajectory and data\.geometry\.smoothing above 0"):
+    with pytest.raises(ValueError, match=r"data\.samples\.observation to trajectory and data\.geometry\.smoothing"):
         Generator(**SMALL | {"contact_features": 0})
     generator = Generator(**SMALL)
     with pytest.raises(ValueError, match="lacks the contacts' vectors"):

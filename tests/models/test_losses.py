@@ -62,9 +62,9 @@ def test_identity_and_its_null_parameters():
 def test_physics_is_the_squared_distance_at_the_observed_step(make_batch):
     batch = make_batch()
     theta = torch.tensor([[0.5, 0.05, -0.02], [0.3, 0.1, -0.05]])
-    trajectory = rollout(theta, batch["mesh_a"], batch["contact_a"], MECHANICS)
+    trajectory = rollout(theta, batch["mesh_a"], batch["load_a"], MECHANICS)
     expected = sum(float(((trajectory[i, 7] - torch.tensor([0, 0, 0.02])) ** 2).sum()) for i in range(2)) / 2
-    value = physics_loss(theta, batch["mesh_a"], batch["contact_a"], batch["observation_a"], MECHANICS)
+    value = physics_loss(theta, batch["mesh_a"], batch["load_a"], batch["observation_a"], MECHANICS)
     assert value.item() == pytest.approx(expected, rel=1e-5)
     assert expected > 0
 

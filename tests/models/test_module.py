@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import warnings
 
-import numpy as np
 import pytest
 import torch
 from lightning.pytorch import Trainer
 from torch.utils.data import DataLoader
 
 from models.augmentation import AugmentationSettings
-from models.evidence import linearise_batch
+from models.evidence import parabolas
 from models.expected_bound import bound_loss
 from models.losses import LossWeights
 from models.module import PhysicsInformedGAN, TrainingDiverged, with_current
 from models.posterior import ContactPosterior
 from physics.mechanics import Bounds, Mechanics
+from physics.msd.likelihoods import linearise_batch
 
 MECHANICS = Mechanics(steps=24, load_steps=8)
 BOUNDS = Bounds(force=(-0.3, 0.0), initial=(0.5, 0.1, -0.05))
@@ -273,10 +273,10 @@ def test_the_expected_bound_is_learnt_beside_the_evidence(make_told_batch, tmp_p
     def error(module: PhysicsInformedGAN) -> float:
         generator = module.generator_ab
         mean = generator.answer(generator.encode(batch["window_a"]), batch["contact_features_a"]).mean
-        seen = (batch[f"{name}_a"] for name in ("noise", "mesh", "seen_contact", "seen_observation"))
+        seen = (batch[f"{name}_a"] for name in ("noise", "mesh", "seen_load", "seen_observation"))
         found = linearise_batch(mean, *seen, module.mechanics)
         factor = generator.head.posterior.expected_bound_factor(batch["contact_features_a"])
-        return float(bound_loss(factor, np.stack([item.information for item in found])))
+        return float(bound_loss(factor, parabolas(found)[2]))
 
     module = build(learning_rate=2e-3, **POSTERIOR)
     before = error(module)

@@ -11,13 +11,15 @@ import numpy as np
 import pytest
 import torch
 
+from models.calibration import Calibration, Widths
 from models.generator import Generator
-from models.onnx_export import export
-from models.onnx_file import ParityError
-from models.onnx_session import ParameterModel
+from models.onnx_export import ParityError, export, export_posterior
+from models.onnx_session import ModelFileError, ParameterModel, PosteriorModel
+from models.posterior import ContactPosterior
 from physics.mechanics import Bounds
 
 SIZE = (24, 40)
+METADATA = {"input": {"window": 1, "height": 24, "width": 32}}
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +76,7 @@ print(json.dumps([model(depth[:batch]).tolist() for batch in (1, 2, 7)]))
 
 
 def test_a_file_that_differs_from_torch_is_never_left(tmp_path, monkeypatch):
-    monkeypatch.setattr("models.onnx_export.parity", lambda estimator, model: 0.01)
+    monkeypatch.setattr("models.onnx_export.parity", lambda network, model, window: 0.01)
     with pytest.raises(ParityError, match=r"differs from torch by 0\.01"):
         export(Generator(width=4, residual_blocks=0), tmp_path / "parameters.onnx", SIZE, {})
     assert list(tmp_path.iterdir()) == []
@@ -85,3 +87,101 @@ def test_a_file_tells_no_paths_of_the_machine_that_wrote_it(tmp_path):
     written = (tmp_path / "parameters.onnx").read_bytes()
     assert b"site-packages" not in written
     assert b"generator.py" not in written
+
+
+@pytest.fixture
+def posterior() -> ContactPosterior:
+    torch.manual_seed(0)
+    return ContactPosterior(10, torch.tensor([[-3.0, -5.0, -4.0], [0.0, -0.7, -1.2]]), width=16, blocks=2)
+
+
+def test_exported_file_agrees_and_is_calibrated(posterior: ContactPosterior, tmp_path) -> None:
+    posterior.standardise(torch.randn(50, 10) * 3 + 1)
+    whole = Widths((1.0, 2.0, 0.5), (1.0, 0.8, 0.5), (0.0, 0.2, 0.1))
+    pressed = Widths((1.5, 2.0, 1.5), (0.9, 0.8, 0.7), (0.1, 0.1, 0.0))
+    calibration = Calibration(whole, pressed, noise_features=(8, 9), known_features=(4, 5), loaded_features=(6, 7))
+    assert export_posterior(posterior, tmp_path / "contact.onnx", METADATA, calibration) < 1e-5
+    model = PosteriorModel(tmp_path / "contact.onnx")
+    contact = np.random.default_rng(0).normal(size=(5, 10)).astype(np.float32)
+    # Two instants seen, none or one of them after the release; or one alone, under load.
+    contact[:, 4:8] = [(1, 1, 1, 1), (1, 1, 1, 0), (1, 1, 1, 1), (1, 0, 1, 0), (1, 1, 1, 0)]
+    still = np.array([1, 0, 1, 1, 0], bool)[:, None]
+    mean, covariance, expected_bound = model(contact)
+    with torch.no_grad():
+        expected, factor = posterior(torch.from_numpy(contact))
+        bound = posterior.expected_bound_factor(torch.from_numpy(contact))
+    np.testing.assert_allclose(mean, expected.numpy(), atol=1e-5)
+    plain = (factor @ factor.transpose(1, 2)).numpy()
+    sd = np.sqrt(np.diagonal(plain, axis1=1, axis2=2))
+    noise = np.exp(contact[:, 8] + contact[:, 9])[:, None]
+    whole_sd, pressed_sd = (
+        np.array(each.scale) * sd ** np.array(each.power) * noise ** np.array(each.noise) for each in (whole, pressed)
+    )
+    wanted = np.where(still, pressed_sd, whole_sd)
+    np.testing.assert_allclose(np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)), wanted, rtol=1e-4)
+    np.testing.assert_allclose(_correlations(covariance), _correlations(plain), atol=1e-4)
+    np.testing.assert_allclose(expected_bound, (bound @ bound.transpose(1, 2)).numpy(), rtol=1e-4, atol=1e-6)
+    assert model.metadata["calibration"] == calibration.document()
+    assert model.calibrated
+    assert (model.features, model.takes_depth, model.calibrated) == (10, False, True)
+    with pytest.raises(ValueError, match=r"expected \[B, 10\]"):
+        model(contact[:, :9])
+
+
+def _correlations(covariances: np.ndarray) -> np.ndarray:
+    sd = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
+    return covariances / (sd[:, :, None] * sd[:, None])
+
+
+def test_without_calibration_the_covariance_is_the_networks_own(posterior: ContactPosterior, tmp_path) -> None:
+    export_posterior(posterior, tmp_path / "contact.onnx", METADATA)
+    model = PosteriorModel(tmp_path / "contact.onnx")
+    assert not model.calibrated
+    _, covariance, _ = model(np.ones((2, 10), np.float32))
+    with torch.no_grad():
+        factor = posterior(torch.ones(2, 10))[1]
+    np.testing.assert_allclose(covariance, (factor @ factor.transpose(1, 2)).numpy(), rtol=1e-4, atol=1e-6)
+
+
+def test_a_generators_posterior_takes_the_depth_window_too(tmp_path) -> None:
+    torch.manual_seed(0)
+    bounds = Bounds((0.05, 1.0), (0.005, 0.5), (-0.3, -0.01), (0.4, 0.08, -0.1))
+    generator = Generator(2, 4, 1, bounds, head="posterior", contact_features=10)
+    generator.head.posterior.picture.weight.data.normal_()
+    document = {"input": {"window": 2, "height": 24, "width": 32}}
+    assert export_posterior(generator, tmp_path / "both.onnx", document) < 1e-5
+    model = PosteriorModel(tmp_path / "both.onnx")
+    assert model.takes_depth
+    random = np.random.default_rng(0)
+    contact, depth = random.normal(size=(3, 10)), random.uniform(size=(3, 2, 24, 32))
+    mean, *_ = model(contact, depth)
+    assert not np.allclose(mean, model(contact, depth[::-1])[0])  # the picture counts
+    with torch.no_grad():
+        theta = generator.eval().estimate(torch.tensor(depth).float(), torch.tensor(contact).float())
+    np.testing.assert_allclose(np.exp(mean) * (1, 1, -1), theta.numpy(), rtol=1e-4)
+    with pytest.raises(ValueError, match=r"depth has shape \[\]; expected \[B, 2, 24, 32\]"):
+        model(contact)
+
+
+def test_files_that_give_verdicts_otherwise_are_refused(posterior: ContactPosterior, tmp_path) -> None:
+    """Earlier versions wrote factors of standard deviations instead of expected bounds."""
+    document = METADATA | {"calibration": {"whole": {"decisive": [1.0, 1.0, 1.0]}}}
+    with pytest.raises(ModelFileError, match="as an earlier version did; export it again"):
+        export_posterior(posterior, tmp_path / "old.onnx", document)
+
+
+def test_large_bounds_are_compared_relative_to_their_size(posterior: ContactPosterior, tmp_path, monkeypatch) -> None:
+    """Variances of 7 can't agree to 1e-5 in float32; a difference of as many parts of 1 can."""
+    with torch.no_grad():
+        posterior.expected_bound.layers[-1].bias[:] = torch.tensor([1.0, 1.0, 1.0, 30.0, 30.0, 30.0])
+    exported = export_posterior(posterior, tmp_path / "large.onnx", METADATA)
+    model = PosteriorModel(tmp_path / "large.onnx")
+    contact = np.ones((1, 10), np.float32)
+    assert model(contact)[2].max() > 1000
+    assert exported < 1e-5
+    plain = PosteriorModel.run
+    monkeypatch.setattr(
+        PosteriorModel, "run", lambda *told: [*plain(*told)[:2], plain(*told)[2] * 1.001]
+    )  # a thousandth off
+    with pytest.raises(ParityError):
+        export_posterior(posterior, tmp_path / "off.onnx", METADATA)

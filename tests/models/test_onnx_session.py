@@ -4,13 +4,22 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import onnx
 import pytest
 from onnx import TensorProto, helper
 
-from models.onnx_session import FORMAT_VERSION, METADATA_KEY, ModelFileError, ParameterModel
+from models.onnx_session import (
+    FORMAT_VERSION,
+    METADATA_KEY,
+    ModelFileError,
+    ParameterModel,
+    PosteriorModel,
+    fits,
+    open_model,
+)
 
 METADATA = {"format_version": FORMAT_VERSION, "input": {"window": 2, "height": 4, "width": 6}}
 
@@ -75,7 +84,14 @@ def test_truncated_file(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "metadata", [None, "not json", "[1]", {"format_version": 1}, {"format_version": 1, "input": {}}]
+    "metadata",
+    [
+        *(None, "not json", "[1]", {"format_version": 1}, {"format_version": 1, "input": {}}),
+        *(METADATA | {"format_version": version} for version in ("1", None, [1], True, float("nan"))),
+        *(METADATA | {"input": size} for size in (3, "window", [[1]])),
+        "[" * 100_000,
+        '{"format_version": ' + "1" * 5000 + "}",
+    ],
 )
 def test_not_ours(tmp_path, metadata: object):
     with pytest.raises(ModelFileError, match="without palpate's metadata; give"):
@@ -91,3 +107,81 @@ def test_newer_format(tmp_path):
 def test_other_inputs(tmp_path, name: str, shape: tuple):
     with pytest.raises(ModelFileError, match=r"m\.onnx takes .* not depth \[batch, 2, 4, 6\]"):
         ParameterModel(write_model(tmp_path / "m.onnx", name=name, shape=shape))
+
+
+def nested(levels: int) -> object:
+    """Lists in lists."""
+    return [nested(levels - 1)] if levels else 1
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *(("input", METADATA["input"] | {"width": width}) for width in (0, -6, 6.0, True, "6", None, 10**400, 5000)),
+        *((name, value) for name in ("bounds", "mechanics", "geometry", "depth", "classes") for value in (None, [], 1)),
+        *(("depth", {"source": source}) for source in (None, 3, ["net.onnx"])),
+        *((name, value) for name in ("head", "observation", "masks") for value in (None, 7, ["auto"], {})),
+        *(("preprocessing_version", value) for value in ("2", 1.5, None, 10**30)),
+        *(("bridge_frames", value) for value in ("2", 2.5, True)),
+        *(("track_seconds", value) for value in ("1", None, float("nan"), float("inf"), 1e300)),
+        *(("units", value) for value in (["s"], {"time": 1}, {"time": "\x1b[2J"}, {"\n": "s"}, {"time": "\ud800"})),
+        *(("trained_on", value) for value in ({"noise": ["a"]}, {"depth": "stored"}, {"masks": [1]}, ["depth"])),
+        *(("training", value) for value in (["x"], {"weights_sha256": 1})),
+        *(("contact", {"press_seconds": value}) for value in (1.0, [1.0], [0.1, "0.2"], [0.1, float("nan")])),
+        *(("calibration", value) for value in (None, [1], {"whole": None}, {"whole": [1.0]})),
+        ("anything", nested(9)),
+        ("anything", nested(900)),
+        ("anything", float("-inf")),
+        ("a" * 1000, 10**10),
+    ],
+)
+def test_metadata_of_odd_types_is_named_in_one_sentence(tmp_path, name: str, value: object):
+    path = write_model(tmp_path / "m.onnx", METADATA | {name: value})
+    with pytest.raises(ModelFileError, match=r"m\.onnx has unusable metadata, .*; export it again") as caught:
+        open_model(path)
+    told = str(caught.value)
+    assert told.isprintable()
+    assert name[:10] in told or name == "anything"
+    assert len(told) < len(str(path)) + 300
+
+
+def test_infinite_by_its_exponent(tmp_path):
+    document = json.dumps(METADATA)[:-1] + ', "track_seconds": 1e999}'
+    with pytest.raises(ModelFileError, match="unusable metadata, 'track_seconds': inf"):
+        ParameterModel(write_model(tmp_path / "m.onnx", document))
+
+
+def test_a_file_is_opened_as_the_kind_it_is(tmp_path):
+    assert isinstance(open_model(write_model(tmp_path / "m.onnx"), threads=1), ParameterModel)
+    path = write_model(tmp_path / "m.onnx", METADATA | {"head": "posterior"})
+    expected = r"takes depth \[batch, 2, 4, 6\] and gives theta, not contact .* and log_mean, log_covariance, decisive_"
+    with pytest.raises(ModelFileError, match=expected):
+        open_model(path)
+    with pytest.raises(ModelFileError, match=expected):
+        PosteriorModel(path)
+
+
+@pytest.mark.parametrize(
+    ("kind", "good", "bad"),
+    [
+        (float, [1, 1.5], [True, "1", None, [1.0]]),
+        (int, [3], [3.0, True, "3"]),
+        (str | None, ["a", None], [1, ["a"]]),
+        (Literal["a", "b"], ["a", "b"], ["c", ["a"], {}]),
+        (tuple[float, float], [[1, 2.0], (1, 2)], [[1.0], [1, 2, 3], [1, "2"], "ab", 2]),
+        (tuple[str, ...], [[], ["a"], ("a", "b")], ["ab", [1], None]),
+        (range(1, 3), [1, 2], [0, 3, 1.0, True, "1"]),
+        (dict[str, int], [{}, {"a": 1}], [{"a": "1"}, {1: 1}, []]),
+        ({"a": int, "b": str}, [{}, {"a": 1, "other": None}], [{"a": "1"}, {"a": 1, "b": 1}, [], None]),
+    ],
+)
+def test_kinds_of_values(kind: object, good: list, bad: list):
+    assert [fits(value, kind) for value in good] == [True] * len(good)
+    assert [fits(value, kind) for value in bad] == [False] * len(bad)
+
+
+def test_metadata_that_is_not_text(tmp_path):
+    path = write_model(tmp_path / "m.onnx", METADATA | {"masks": "auto"})
+    path.write_bytes(path.read_bytes().replace(b'"auto"', b'"\xff\xfe\xff\xfe"'))
+    with pytest.raises(ModelFileError, match="without palpate's metadata"):
+        ParameterModel(path)

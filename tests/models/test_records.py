@@ -9,7 +9,8 @@ import torch
 from models.generator import Generator
 from models.records import farthest_corner, pair_records, with_reference_tissue
 from physics.mechanics import Bounds, Mechanics
-from physics.msd import ContactBatch, MeshBatch, rollout
+from physics.msd import rollout
+from physics.msd.batch import MeshBatch, PressBatch
 
 MECHANICS = Mechanics(steps=24, load_steps=8)
 BOUNDS = Bounds(force=(-0.3, 0.0), initial=(0.5, 0.1, -0.05))
@@ -35,33 +36,28 @@ def test_records_hold_what_their_names_say(make_batch):
     assert (first["clip"], first["frame"], second["clip"], second["frame"]) == ("one", 3, "two", 7)
     assert first["theta"].shape == (3,)
     assert first["trajectory"].shape == first["reference_trajectory"].shape == (24, 3)
-    assert first["load_steps"] == 8
+    assert first["load"].factor.tolist() == [1] * 8 + [0] * 16
     seen = first["observation"]
-    np.testing.assert_allclose(seen["displacement"], [[0, 0, 0.02]])
+    np.testing.assert_allclose(seen.displacement, [[[0, 0, 0.02]]])
     for name, trajectory in (("error_predicted", "trajectory"), ("error_reference", "reference_trajectory")):
-        distance = first[trajectory][seen["steps"]] - seen["displacement"]
+        distance = first[trajectory][seen.steps(MECHANICS.time_step)] - seen.displacement[0]
         assert first[name] == pytest.approx(float((distance**2).sum()), rel=1e-4)
     now, later = batch["window_a"][0, -1], batch["window_b"][0, -1]
     valid = (now > 0) & (later > 0)
     assert first["copy_error"] == pytest.approx((now - later).abs()[valid].mean().item(), rel=1e-4)
     predicted = generator.generate(batch["window_a"], torch.from_numpy(np.stack([first["theta"], second["theta"]])))
     assert first["next_depth_error"] == pytest.approx((predicted[0, 0] - later).abs()[valid].mean().item(), rel=1e-3)
+    theta = torch.from_numpy(np.stack([first["theta"], second["theta"]]))
+    corner = farthest_corner(theta, generator.head.lower, generator.head.upper)
+    moved = (generator.generate(batch["window_a"], corner) - predicted)[0, 0].abs()
+    assert first["theta_sensitivity"] == pytest.approx(moved[predicted[0, 0] > 0].mean().item(), rel=1e-3)
     assert first["theta_sensitivity"] > 0
 
 
-def test_a_record_s_case_simulates_to_its_trajectory(make_batch):
+def test_a_record_simulates_to_its_trajectory(make_batch):
     _, record = pair_records(make_batch(), Generator(width=4, residual_blocks=1, bounds=BOUNDS), MECHANICS)
-    case = record["case"]
-    trajectory = rollout(
-        torch.from_numpy(record["theta"])[None],
-        MeshBatch.from_meshes([case["mesh"]]),
-        ContactBatch(
-            torch.tensor([case["vertex"]]),
-            torch.from_numpy(case["direction"])[None],
-            torch.tensor([record["load_steps"]]),
-        ),
-        MECHANICS,
-    )
+    place = MeshBatch.from_meshes([record["mesh"]]), PressBatch.of([record["load"]])
+    trajectory = rollout(torch.from_numpy(record["theta"])[None], *place, MECHANICS)
     np.testing.assert_allclose(trajectory[0].numpy(), record["trajectory"], atol=1e-6)
 
 
@@ -72,5 +68,5 @@ def test_padding_is_left_out_of_the_record(make_batch):
     observation.displacement = torch.full((2, 2, 3), 0.01)
     observation.weight = torch.tensor([[1.0, 0.0], [1.0, 1.0]])
     first, second = pair_records(batch, Generator(width=4, residual_blocks=1, bounds=BOUNDS), MECHANICS)
-    assert first["observation"]["steps"].tolist() == [7]
-    assert second["observation"]["steps"].tolist() == [3, 7]
+    assert first["observation"].steps(MECHANICS.time_step).tolist() == [7]
+    assert second["observation"].steps(MECHANICS.time_step).tolist() == [3, 7]

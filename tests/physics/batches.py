@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import numpy as np
-import torch
+from physics.load import Load, Press
+from physics.mesh import Mesh
+from physics.msd.batch import GripBatch, LoadBatch, MeshBatch, PressBatch
+from tests.physics.sheets import pressed
 
-from physics.mesh import contact_normal
-from physics.msd import ContactBatch, MeshBatch
+
+def joined(meshes: list[Mesh], loads: list[Load]) -> tuple[MeshBatch, LoadBatch]:
+    """Meshes with a load each."""
+    kind = PressBatch if isinstance(loads[0], Press) else GripBatch
+    return MeshBatch.from_meshes(meshes), kind.of(loads)
 
 
-def batch_of(meshes, vertices, load_steps=None, load=None) -> tuple[MeshBatch, ContactBatch]:
+def batch_of(meshes, vertices, load_steps=None, steps: int = 200) -> tuple[MeshBatch, PressBatch]:
     """Join meshes, each pressed along the normal of its contact vertex."""
-    directions = np.stack([contact_normal(mesh, vertex) for mesh, vertex in zip(meshes, vertices, strict=True)])
-    contact = ContactBatch(
-        vertex=torch.tensor(vertices),
-        direction=torch.tensor(directions, dtype=torch.float32),
-        load_steps=torch.tensor(load_steps or [50] * len(meshes)),
-        load=load,
-    )
-    return MeshBatch.from_meshes(meshes), contact
+    durations = load_steps or [50] * len(meshes)
+    loads = [pressed(*sample, steps) for sample in zip(meshes, vertices, durations, strict=True)]
+    return joined(meshes, loads)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from physics.mesh import Mesh, grid_mesh
+from physics.load import Grip, Press, held
+from physics.mesh import Mesh, contact_normal, grid_mesh
 
 
 def surface(height: int, width: int, depth: float = 0.5) -> np.ndarray:
@@ -35,6 +36,26 @@ def hand_mesh(vertices, springs, rim=None, triangles=()) -> Mesh:
         pixels=np.stack([np.zeros(count), np.arange(count)], axis=1).astype(np.int32),
         grid_shape=(1, count),
     )
+
+
+def pressed(mesh: Mesh, vertex: int, load_steps: float, steps: int, direction: np.ndarray | None = None) -> Press:
+    """A press on one vertex, along its normal unless a direction is given, that lasts so many of all steps."""
+    return Press.at(vertex, contact_normal(mesh, vertex) if direction is None else direction, held(load_steps, steps))
+
+
+def smooth_path(times: np.ndarray, duration: float) -> np.ndarray:
+    """Share of a way that is gone at each time, from rest to rest: 3s² − 2s³ of the duration's share s."""
+    share = np.clip(np.asarray(times) / duration, 0.0, 1.0)
+    return share * share * (3 - 2 * share)
+
+
+def gripped(mesh: Mesh, vertices, duration: float, steps: int, time_step: float = 0.005, size: float = 0.004) -> Grip:
+    """A grip that pulls, turns and lifts its vertices on a smooth path, of about a given size."""
+    vertices = np.asarray(vertices, np.int64)
+    rest = mesh.vertices[vertices].astype(np.float64)
+    turned = np.stack([-(rest - rest.mean(axis=0))[:, 1], (rest - rest.mean(axis=0))[:, 0], 0 * rest[:, 0]], axis=1)
+    goal = size * np.array([0.5, -0.3, 0.8]) + 0.2 * turned
+    return Grip(vertices, smooth_path(time_step * np.arange(1, steps + 1), duration)[:, None, None] * goal)
 
 
 def position_form_force(displacement: np.ndarray, mesh: Mesh, stiffness: float, anchor: float = 0.0) -> np.ndarray:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 
 import numpy as np
@@ -15,10 +14,8 @@ from physics.identifiability import (
     RATIOS,
     bounds,
     box_information,
-    contact_information,
     covariance,
     describe,
-    field_information,
     fisher_information,
     in_words,
     log_jacobian,
@@ -27,17 +24,13 @@ from physics.identifiability import (
     verdict,
 )
 from physics.mechanics import Mechanics
-from physics.mesh import contact_normal
-from physics.msd_kernel import simulate, simulate_sensitivities
-from tests.physics.sheets import sheet
+from physics.msd.simulation import simulate, simulate_sensitivities
+from tests.physics.sheets import pressed, sheet
 
-MECHANICS = Mechanics(time_step=0.0025, steps=120, scheme="dkd")
+MECHANICS = Mechanics(time_step=0.0025, scheme="dkd")
 THETA = np.array([0.5, 0.06, -0.1])
-STEPS = np.array([15, 31, 47, 63, 79, 95])
-LOAD = 60
 MESH = sheet(9, 9)
-VERTEX = 40
-DIRECTION = contact_normal(MESH, VERTEX)
+PRESS = pressed(MESH, 40, 60, 120)
 
 matrices = st.lists(st.floats(-10, 10), min_size=12, max_size=12).map(lambda values: np.reshape(values, (4, 3)))
 
@@ -85,40 +78,18 @@ def test_a_box_counts_as_the_normal_distribution_of_its_variance() -> None:
 
 def test_log_jacobian_is_the_derivative_by_the_logarithms() -> None:
     """Central differences of float64 rollouts; their error is (1e-4)²/6 times the third derivative."""
-    path, slopes = simulate_sensitivities(THETA, MESH, VERTEX, DIRECTION, MECHANICS, load_steps=LOAD, dtype=np.float64)
+    path, slopes = simulate_sensitivities(THETA, MESH, PRESS, MECHANICS, dtype=np.float64)
     exact = log_jacobian(slopes, THETA)
 
     def at(logs: np.ndarray) -> np.ndarray:
         theta = np.sign(THETA) * np.exp(logs)
-        return simulate(theta, MESH, VERTEX, DIRECTION, MECHANICS, load_steps=LOAD, dtype=np.float64)
+        return simulate(theta, MESH, PRESS, MECHANICS, dtype=np.float64)
 
     start = np.log(np.abs(THETA))
     differences = [(at(start + step) - at(start - step)) / 2e-4 for step in 1e-4 * np.eye(3)]
     np.testing.assert_allclose(exact, np.stack(differences, -1), atol=1e-7 * np.abs(path).max() * 10)
     # The force scales a nearly linear response: its column is the displacement itself.
     assert np.abs(exact[..., 2] - path).max() < 0.5 * np.abs(path).max()
-
-
-def test_contact_information_is_that_of_its_jacobian() -> None:
-    _, slopes = simulate_sensitivities(THETA, MESH, VERTEX, DIRECTION, MECHANICS, load_steps=LOAD, dtype=np.float64)
-    expected = fisher_information(log_jacobian(slopes[STEPS], THETA), 1e-3)
-    found = contact_information(THETA, MESH, VERTEX, DIRECTION, MECHANICS, STEPS, 1e-3, load_steps=LOAD)
-    np.testing.assert_allclose(found, expected, rtol=1e-9)
-    # The load of the mechanics counts where none is given.
-    loaded = dataclasses.replace(MECHANICS, load_steps=LOAD)
-    given = contact_information(THETA, MESH, VERTEX, DIRECTION, loaded, STEPS, 1e-3)
-    np.testing.assert_allclose(given, expected, rtol=1e-9)
-
-
-def test_the_field_tells_at_least_what_the_contact_tells() -> None:
-    arguments = THETA, MESH, VERTEX, DIRECTION, MECHANICS, STEPS, 1e-3
-    contact = contact_information(*arguments, load_steps=LOAD)
-    field = field_information(*arguments, load_steps=LOAD)
-    assert np.linalg.eigvalsh(field - contact).min() > 0
-    assert (bounds(field) < bounds(contact)).all()
-    only = np.arange(len(MESH.vertices)) == VERTEX
-    seen = field_information(*arguments, load_steps=LOAD, visible=only)
-    np.testing.assert_allclose(seen, contact, rtol=1e-4)
 
 
 def test_what_is_unknown_has_no_finite_bound() -> None:

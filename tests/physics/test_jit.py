@@ -12,15 +12,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sheets import sheet
 
 from physics import jit
 from physics.jit import Kernel, say_slow
 from physics.mechanics import Mechanics
-from physics.msd_kernel import simulate, simulate_field, simulate_sensitivities
+from physics.msd.simulation import simulate, simulate_field, simulate_reaction, simulate_sensitivities
+from tests.physics.sheets import gripped, pressed, sheet
 
 ROOT = Path(__file__).resolve().parents[2]
-ARGUMENTS = ((0.7, 0.05, -0.1), sheet(6, 6), 14, np.array([0.0, 0.0, -1.0]), Mechanics(steps=40, load_steps=10))
+THETA, MESH = (0.7, 0.05, -0.1), sheet(6, 6)
+ARGUMENTS = (THETA, MESH, pressed(MESH, 14, 10, 40, np.array([0.0, 0.0, -1.0])), Mechanics())
+GRIPPED = (THETA, MESH, gripped(MESH, [14, 15], 0.1, 40), Mechanics(scheme="dkd"))
 
 
 def run(code: str, **environment: str) -> subprocess.CompletedProcess:
@@ -42,15 +44,15 @@ def test_without_numba_everything_works_and_says_once_that_it_is_slower():
         warnings.simplefilter("always")
         import numpy as np, torch
         from test_jit import ARGUMENTS
-        from batches import batch_of
-        from physics.msd import rollout
-        from physics.msd_kernel import simulate, simulate_field, simulate_sensitivities
+        from tests.physics.batches import batch_of
+        from physics.msd.rollouts import rollout
+        from physics.msd.simulation import simulate, simulate_field, simulate_sensitivities
         trajectory = simulate(*ARGUMENTS, dtype=np.float64)
         simulate_field(*ARGUMENTS)
         simulate_sensitivities(*ARGUMENTS)
-        mesh, contact = batch_of([ARGUMENTS[1]], [14])
+        mesh, load = batch_of([ARGUMENTS[1]], [14])
         theta = torch.tensor([ARGUMENTS[0]], requires_grad=True)
-        rollout(theta, mesh, contact).sum().backward()
+        rollout(theta, mesh, load).sum().backward()
         assert torch.isfinite(theta.grad).all()
         print(repr(trajectory[-1].tolist()))
     """)
@@ -60,14 +62,23 @@ def test_without_numba_everything_works_and_says_once_that_it_is_slower():
 
 
 def test_plain_and_compiled_doors_agree(monkeypatch):
-    compiled = simulate(*ARGUMENTS), simulate_field(*ARGUMENTS), *simulate_sensitivities(*ARGUMENTS)
+    watch = np.array([15, 22])
+
+    def doors():
+        yield simulate_field(*ARGUMENTS)
+        yield from simulate_sensitivities(*ARGUMENTS)
+        yield simulate(*ARGUMENTS, watch=watch)
+        yield from simulate_sensitivities(*GRIPPED, watch=watch)
+        yield from simulate_reaction(*GRIPPED)
+
+    compiled = [simulate(*ARGUMENTS), *doors()]
     monkeypatch.setattr(jit, "COMPILED", False)
     say_slow.cache_clear()
     with pytest.warns(RuntimeWarning, match="numba isn't installed"):
         plain = [simulate(*ARGUMENTS)]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        plain += [simulate_field(*ARGUMENTS), *simulate_sensitivities(*ARGUMENTS)]
+        plain += doors()
     for seen, expected in zip(compiled, plain, strict=True):
         np.testing.assert_allclose(seen, expected, atol=1e-5 * np.abs(expected).max())
 
@@ -111,7 +122,8 @@ def copied(tmp_path) -> Path:
 SHOW = """
     import numpy as np
     from test_jit import ARGUMENTS
-    from physics import jit, msd_kernel
+    from physics import jit
+    from physics.msd import simulation as msd_kernel
     assert jit.__file__.startswith(FOLDER)
     print(jit.code_folder())
     print(msd_kernel.simulate(*ARGUMENTS, dtype=np.TYPE)[-1].tolist())
@@ -120,7 +132,7 @@ SHOW = """
 
 def start(checkout: Path, dtype: str = "float32", **environment: str) -> subprocess.Popen:
     """A process that computes ARGUMENTS with a checkout's simulator and prints its folder and the end point."""
-    paths = os.pathsep.join(map(str, (checkout, ROOT / "tests" / "physics")))
+    paths = os.pathsep.join(map(str, (checkout, ROOT / "tests" / "physics", ROOT)))
     return subprocess.Popen(
         [sys.executable, "-c", textwrap.dedent(SHOW).replace("FOLDER", repr(str(checkout))).replace("TYPE", dtype)],
         cwd=checkout,
@@ -142,7 +154,7 @@ def shown(process: subprocess.Popen) -> tuple[str, np.ndarray]:
 @pytest.mark.skipif(not jit.COMPILED, reason="numba isn't installed")
 def test_code_does_not_outlive_a_constant_of_another_file(copied):
     folder, before = shown(start(copied))
-    layout = copied / "physics" / "grid_layout.py"
+    layout = copied / "physics" / "msd" / "grid_layout.py"
     text = layout.read_text()
     moved = text.replace(
         "LENGTH, LINK, MOBILE, REST_PLANES = 0, 3, 6, 9, 10", "MOBILE, LENGTH, LINK, REST_PLANES = 0, 3, 4, 7, 11"

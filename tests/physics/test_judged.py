@@ -11,13 +11,12 @@ from pathlib import Path
 
 import pytest
 import torch
-from batches import batch_of
-from sheets import sheet
 
-from benchmarks.rollout_cases import GRID, Field, Ours, make_task
-from benchmarks.rollout_contender import Contender
+from benchmarks.rollout import Task, forward, make_task, own_process, peak_memory, take_turn, total
 from physics import jit
-from physics.msd import rollout
+from physics.msd.rollouts import rollout
+from tests.physics.batches import batch_of
+from tests.physics.sheets import sheet
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(not jit.COMPILED, reason="numba isn't installed")]
 
@@ -25,34 +24,32 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="memory is read from Linux' /proc")
-@pytest.mark.parametrize("variant", ["exact", "window"])
-def test_forward_and_gradient_of_two_meshes_take_under_40_mb(variant, tmp_path):
-    contender = Contender(("numba", variant, 2), (2, 1.0, GRID), tmp_path)
-    try:
-        assert contender.vertices > 2 * 14_000
-        assert contender.ask("memory and times")[0] < 40
-    finally:
-        contender.stop()
+@pytest.mark.parametrize("name", ["numba exact", "numba window"])
+def test_forward_and_gradient_of_two_meshes_take_under_40_mb(name):
+    assert len(make_task(2, 1).mesh.vertices) > 2 * 14_000
+    with own_process() as process:
+        process.submit(take_turn, name, 2, (2, 1)).result()
+        assert process.submit(peak_memory, name, 2, (2, 1)).result() < 40
 
 
-def fastest(work, count: int = 4) -> float:
+def fastest(work, name: str, task: Task, count: int) -> float:
     durations = []
     for _ in range(count):
         start = time.perf_counter()
-        work()
+        work(name, task)
         durations.append(time.perf_counter() - start)
     return min(durations)
 
 
 def test_cost_is_linear_in_vertices_for_the_field_and_nearly_flat_for_a_windowed_contact():
     times = {}
-    for scale in (1.0, 16.0):
+    for scale in (1, 16):
         task = make_task(1, scale)
-        times[scale] = fastest(Field(task).forward, 3), fastest(Ours(task, "window").total)
+        times[scale] = fastest(forward, "numba field", task, 3), fastest(total, "numba window", task, 4)
     # Linear, with room for what no longer fits the cache, and for an output of 16 times the size.
-    assert times[16.0][0] < 2.5 * 16 * times[1.0][0]
+    assert times[16][0] < 2.5 * 16 * times[1][0]
     # All that grows is reading the mesh.
-    assert times[16.0][1] < 4 * times[1.0][1]
+    assert times[16][1] < 4 * times[1][1]
 
 
 def test_distributed_training_has_the_gradient_of_one_process(tmp_path):
@@ -61,9 +58,9 @@ def test_distributed_training_has_the_gradient_of_one_process(tmp_path):
         import torch
         import torch.distributed as distributed
         from torch.nn.parallel import DistributedDataParallel
-        from batches import batch_of
-        from sheets import sheet
-        from physics.msd import rollout
+        from tests.physics.batches import batch_of
+        from tests.physics.sheets import sheet
+        from physics.msd.rollouts import rollout
 
         rank = int(sys.argv[1])
         store = "file://" + sys.argv[2]
@@ -72,10 +69,10 @@ def test_distributed_training_has_the_gradient_of_one_process(tmp_path):
         head = torch.nn.Linear(1, 3, bias=False)
         with torch.no_grad():
             head.weight.copy_(torch.tensor([[0.7], [0.05], [-0.1]]))
-        mesh, contact = batch_of([sheet(9, 8)] * 2, [[30, 31], [20, 37]][rank])
+        mesh, load = batch_of([sheet(9, 8)] * 2, [[30, 31], [20, 37]][rank])
         everywhere = DistributedDataParallel(head)
         theta = everywhere(torch.ones(2, 1))
-        (1e3 * rollout(theta, mesh, contact).square().mean()).backward()
+        (1e3 * rollout(theta, mesh, load).square().mean()).backward()
         print(head.weight.grad.ravel().tolist())
         distributed.destroy_process_group()
     """)
@@ -95,15 +92,15 @@ def test_distributed_training_has_the_gradient_of_one_process(tmp_path):
         gradients.append(torch.tensor(eval(output.splitlines()[-1])))
 
     theta = torch.tensor([[0.7, 0.05, -0.1]], requires_grad=True)
-    mesh, contact = batch_of([sheet(9, 8)] * 4, [30, 31, 20, 37])
-    (1e3 * rollout(theta.expand(4, 3), mesh, contact).square().mean()).backward()
+    mesh, load = batch_of([sheet(9, 8)] * 4, [30, 31, 20, 37])
+    (1e3 * rollout(theta.expand(4, 3), mesh, load).square().mean()).backward()
     for gradient in gradients:
         torch.testing.assert_close(gradient, theta.grad[0], rtol=1e-4, atol=1e-7)
 
 
 def test_no_index_leaves_its_array(tmp_path):
     # numba's own check, which raises where an index lies outside, over all meshes and random masks.
-    chosen = ["tests/physics/test_msd_compiled.py", "-k", "any_mask or (compiled_equals_plain and default)"]
+    chosen = ["tests/physics/msd/test_compiled.py", "-k", "any_mask or (compiled_equals_plain and default)"]
     result = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *chosen],
         cwd=ROOT,

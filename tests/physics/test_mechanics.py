@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from sheets import sheet
 
 from physics.mechanics import Bounds, Mechanics, UnstableConfiguration, highest_frequency, require_stable
+from tests.physics.sheets import sheet
 
 
 def test_defaults_are_the_papers():
@@ -24,6 +24,7 @@ def test_defaults_are_the_papers():
         ({"mass": 0.0}, "mechanics.mass is 0.0"),
         ({"time_step": float("nan")}, "mechanics.time_step"),
         ({"steps": 0}, "mechanics.steps is 0"),
+        ({"steps": 20_001}, "give 1 to 20000"),
         ({"load_steps": 201}, "give 0 to 200"),
         ({"anchor": -1.0}, "mechanics.anchor is -1.0"),
         ({"window_error": 1.0}, "mechanics.window_error is 1.0"),

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
-from sheets import hand_mesh, surface
 
 from physics.mesh import contact_normal, grid_mesh, nearest_vertex
+from tests.physics.sheets import hand_mesh, surface
 
 
 def plane(height: int, width: int, spacing: float = 0.01) -> np.ndarray:

@@ -1,46 +1,65 @@
-"""The displacement error against computations by hand."""
+"""What was seen: shapes, instants, noise by axis."""
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
-import torch
 
-from physics.observation import ObservationBatch, displacement_error
+from physics.observation import Observation
 
-
-def observation(steps, displacement, weight) -> ObservationBatch:
-    return ObservationBatch(torch.tensor(steps), torch.tensor(displacement), torch.tensor(weight))
+TIMES = np.array([0.1, 0.2, 0.4])
 
 
-def test_final_observation_is_the_squared_norm_of_the_difference():
-    trajectory = torch.zeros(1, 5, 3)
-    trajectory[0, 4] = torch.tensor([1.0, 2.0, 3.0])
-    seen = observation([[4]], [[[0.0, 0.0, 1.0]]], [[1.0]])
-    torch.testing.assert_close(displacement_error(trajectory, seen), torch.tensor([1.0 + 4.0 + 4.0]))
+def observation(noise=(1e-3, 1e-3, 1e-2), displacement=None, times=TIMES) -> Observation:
+    moved = np.arange(18, dtype=np.float32).reshape(2, 3, 3) if displacement is None else displacement
+    return Observation(np.array([4, 7]), times, moved, np.asarray(noise))
 
 
-def test_weights_average_and_padding_counts_nothing():
-    trajectory = torch.arange(12.0).reshape(1, 4, 3).requires_grad_()
-    nan = float("nan")
-    seen = observation([[0, 2, 3]], [[[0.0, 1.0, 0.0], [6.0, 7.0, 6.0], [nan, nan, nan]]], [[1.0, 3.0, 0.0]])
-    error = displacement_error(trajectory, seen)
-    torch.testing.assert_close(error, torch.tensor([(1 * 4.0 + 3 * 4.0) / 4]))  # both differ by 2 along z
-    error.sum().backward()
-    expected = torch.zeros(1, 4, 3)
-    expected[0, 0, 2], expected[0, 2, 2] = 2 * 2 / 4, 3 * 2 * 2 / 4
-    torch.testing.assert_close(trajectory.grad, expected)
+def test_one_point_is_the_simplest():
+    seen = Observation.of_point(5, [0.1, 0.2], np.ones((2, 3)), 2e-3)
+    assert (len(seen), seen.vertices.tolist(), seen.displacement.shape) == (2, [5], (1, 2, 3))
+    assert seen.displacement.dtype == np.float32
+    np.testing.assert_array_equal(seen.noise, [2e-3] * 3)
 
 
-def test_a_sample_without_observation_has_no_error():
-    trajectory = torch.ones(2, 3, 3, requires_grad=True)
-    seen = observation([[0], [0]], [[[0.0, 0.0, 0.0]]] * 2, [[0.0], [1.0]])
-    error = displacement_error(trajectory, seen)
-    torch.testing.assert_close(error, torch.tensor([0.0, 3.0]))
-    error.sum().backward()
-    assert trajectory.grad[0].abs().sum() == 0
+def test_instants_belong_to_the_nearest_step():
+    np.testing.assert_array_equal(observation().steps(0.005), [19, 39, 79])
+    np.testing.assert_array_equal(observation(times=np.array([0.0024, 0.0026, 0.0075])).steps(0.005), [-1, 0, 1])
 
 
-def test_shapes_are_named():
-    seen = observation([[0]], [[[0.0, 0.0]]], [[1.0]])
-    with pytest.raises(ValueError, match=r"displacement has shape \(1, 1, 2\); give \(1, 1, 3\)"):
-        displacement_error(torch.zeros(1, 2, 3), seen)
+@pytest.mark.parametrize("shape", [(), (3,), (3, 1), (3, 3), (2, 1, 1), (2, 3, 3)])
+def test_chosen_instants_keep_their_noise(shape):
+    noise = 1e-3 * (1 + np.arange(np.prod(shape, dtype=int)).reshape(shape))
+    seen = observation(noise)
+    for instants in (np.array([True, False, True]), np.array([0, 2])):
+        chosen = seen.chosen(instants)
+        np.testing.assert_array_equal(chosen.times, [0.1, 0.4])
+        np.testing.assert_array_equal(chosen.displacement, seen.displacement[:, [0, 2]])
+        whole = np.broadcast_to(noise, (2, 3, 3))
+        np.testing.assert_array_equal(np.broadcast_to(chosen.noise, (2, 2, 3)), whole[:, [0, 2]])
+    assert seen.depth_noise == pytest.approx(np.sqrt(np.square(np.broadcast_to(noise, (2, 3, 3))[..., 2]).mean()))
+
+
+def test_moved_points_have_another_noise():
+    seen = observation().moved(np.zeros((2, 3, 3)), 5e-3)
+    assert not seen.displacement.any()
+    np.testing.assert_array_equal(seen.noise, [5e-3] * 3)
+    np.testing.assert_array_equal(seen.times, TIMES)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        (
+            lambda: observation(displacement=np.zeros((2, 2, 3))),
+            r"displacement has shape \(2, 2, 3\); give \(2, 3, 3\)",
+        ),
+        (lambda: observation(displacement=np.zeros((3, 3))), "displacement has shape"),
+        (lambda: observation(noise=np.ones(4)), r"noise has shape \(4,\); give \[3\]"),
+        (lambda: observation(noise=np.ones((5, 2, 3, 3))), r"noise has shape \(5, 2, 3, 3\)"),
+        (lambda: observation(times=np.array([0.1, np.nan, 0.3])), "times holds a number that is not finite"),
+    ],
+)
+def test_impossible_observations_are_refused(wrong, said):
+    with pytest.raises(ValueError, match=said):
+        wrong()

@@ -1,0 +1,22 @@
+"""Where tool and tissue touch, how the tissue moves there, and the Interaction that comes of it.
+
+geometry       depth and labels to clouds, contact pair, mesh and normal; outlines: their doubtful rims
+surface        smooth tissue behind noisy depth, and the noise; rest_depth: its shape before it was touched
+motion         the contact's motion from frame to frame and since its onset
+tracking       tissue points followed by optical flow; template: found again by their look
+tissue_points  places in a picture as points in space; refinement: where a young contact presses
+interaction    the frames of a run of contact as mesh, load and observation
+features       an interaction as the vector that networks read
+"""
+
+from physics.lazy import exported
+
+__getattr__ = exported(
+    {
+        "data.contact.geometry": ("Contact", "FrameGeometry", "GeometrySettings", "find_contact", "frame_geometry"),
+        "data.contact.motion": ("ContactMotion",),
+        "data.contact.tracking": ("TissueTracker",),
+        "data.contact.interaction": ("ContactFrame", "Interaction", "InteractionBuilder"),
+        "data.contact.features": ("contact_features",),
+    }
+)

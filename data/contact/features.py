@@ -1,0 +1,133 @@
+"""What a network is told about one contact: its motion since the onset and the mesh around it, as one vector.
+
+Built the same way for training and for inference. Lengths are in units of the mesh's spacing at the contact, in which
+the sheet's equations know no other scale than F; the noise and the spacing itself come beside.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from data.contact.interaction import Interaction
+from physics.mesh import Mesh
+
+FRAME_RATE = 25.0
+"""Motion is resampled to this rate [1/s]."""
+SLOTS = 25
+"""Instants after the onset that are told: one second."""
+NEIGHBOURS = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
+"""(row, column) offsets of the pixels around the contact."""
+FARTHEST_RIM = 32
+"""Waves from a rim farther away don't return within a second [grid pixels]."""
+FEATURES = 4 * SLOTS + 4 * len(NEIGHBOURS) + len(NEIGHBOURS) + 4
+"""Length of the vector."""
+REFERENCE_SPACING = 0.0027
+"""A usual spacing of the mesh at the contact [scene units]."""
+KNOWN, LOADED = (tuple(range(first * SLOTS, (first + 1) * SLOTS)) for first in (2, 3))
+"""Places in the vector that are 1 for instants that were seen, and for those seen under load."""
+LOG_NOISE = FEATURES - 4, FEATURES - 3
+"""Places in the vector whose sum is the logarithm of the noise over REFERENCE_SPACING."""
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """The mesh around a contact; the same for every instant of it."""
+
+    spacing: float
+    """Mean length of the contact's springs [scene units]."""
+    vector: np.ndarray
+    """Neighbours in the contact's own frame over the spacing, whether there are any, distances to the rim."""
+
+
+def contact_features(contact: Interaction, surroundings: Surroundings | None = None) -> np.ndarray:
+    """The vector of a contact, shape [FEATURES], float32.
+
+    Every instant up to the last observation counts as known, as in training at 25 frames a second. Instants between
+    observations farther apart (lower frame rates, frames without depth) are interpolated and look like observations:
+    such a contact seems better observed than it is.
+
+    Args:
+        contact: with its noise.
+        surroundings: of the contact where they are known already.
+
+    Raises:
+        ValueError: the noise is not known.
+    """
+    if not (math.isfinite(contact.noise) and contact.noise > 0):
+        raise ValueError(f"the contact's noise is {contact.noise}; prepare the clip with geometry.smoothing above 0.")
+    around = contact_surroundings(contact) if surroundings is None else surroundings
+    times = contact.observation.times
+    slots = slot_times()
+    known, along = np.zeros(SLOTS), np.zeros(SLOTS)
+    if len(times):
+        known = (slots <= times[-1] + 1e-9).astype(np.float64)
+        pressed = -(contact.moved @ contact.direction) / around.spacing
+        along = np.interp(slots, np.concatenate(([0], times)), np.concatenate(([0], pressed)))
+    loaded = (slots <= contact.load_seconds + 1e-9) * known
+    scales = np.array([around.spacing]), np.array([contact.noise])
+    return join_features(along[None], known[None], loaded[None], around.vector[None], *scales)[0]
+
+
+def slot_times() -> np.ndarray:
+    """Times since the onset that are told, shape [SLOTS] [s]."""
+    return np.arange(1, SLOTS + 1) / FRAME_RATE
+
+
+def join_features(
+    along: np.ndarray, known: np.ndarray, loaded: np.ndarray, around: np.ndarray, spacing: np.ndarray, noise: np.ndarray
+) -> np.ndarray:
+    """Vectors of many contacts, shape [B, FEATURES], float32.
+
+    Args:
+        along: motion against the force's direction over the spacing, shape [B, SLOTS].
+        known, loaded: whether an instant was seen, and was under load, shapes [B, SLOTS].
+        around: `Surroundings.vector`, shape [B, 40].
+        spacing: of the meshes, shape [B] [scene units].
+        noise: of every observed coordinate, shape [B] [scene units].
+    """
+    relative = (noise / spacing)[:, None]
+    along = along * known
+    logs = np.log(relative)
+    scales = np.concatenate(
+        [np.log(spacing / REFERENCE_SPACING)[:, None], logs, logs**2 / 4, known.mean(1)[:, None]], axis=1
+    )
+    scaled = np.arcsinh(along / (2 * relative)) / 5
+    return np.concatenate([along / 8, scaled, known, loaded, around, scales], axis=1).astype(np.float32)
+
+
+def contact_spacing(mesh: Mesh, vertex: int) -> float:
+    """Mean length of the springs at a vertex [scene units]."""
+    ends = mesh.springs[(mesh.springs == vertex).any(axis=1)]
+    return float(np.linalg.norm(mesh.vertices[ends[:, 1]] - mesh.vertices[ends[:, 0]], axis=1).mean())
+
+
+def contact_surroundings(contact: Interaction) -> Surroundings:
+    """Where the neighbours of a contact are and how far the rim is."""
+    mesh, vertex = contact.mesh, contact.vertex
+    spacing = contact_spacing(mesh, vertex)
+    normal = np.asarray(contact.direction, np.float64)
+    across = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
+    across /= np.linalg.norm(across)
+    frame = np.stack([across, np.cross(normal, across), normal])
+    number = np.full((mesh.grid_shape[0] + 2, mesh.grid_shape[1] + 2), -1)
+    number[tuple(mesh.pixels.T + 1)] = np.arange(len(mesh.vertices))
+    centre = mesh.pixels[vertex] + 1
+    shape, present, rims = np.zeros((len(NEIGHBOURS), 3)), np.zeros(len(NEIGHBOURS)), np.zeros(len(NEIGHBOURS))
+    for index, offset in enumerate(NEIGHBOURS):
+        neighbour = number[tuple(centre + offset)]
+        if neighbour >= 0:
+            present[index] = 1
+            shape[index] = frame @ (mesh.vertices[neighbour] - mesh.vertices[vertex]) / spacing
+        rims[index] = _steps_to_rim(number, mesh.rim, centre, np.array(offset)) / FARTHEST_RIM
+    return Surroundings(spacing, np.concatenate([shape.ravel(), present, rims]))
+
+
+def _steps_to_rim(number: np.ndarray, rim: np.ndarray, centre: np.ndarray, offset: np.ndarray) -> int:
+    for step in range(1, FARTHEST_RIM):
+        vertex = number[tuple(centre + step * offset)]
+        if vertex < 0 or rim[vertex]:
+            return step
+    return FARTHEST_RIM

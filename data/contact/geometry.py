@@ -1,0 +1,304 @@
+"""From a depth map and a label map to a contact: clouds, contact pair, mesh, normal (Bini 2026, section 3.2.2).
+
+Camera frame: x right, y down, z forward. Lengths are scene units: depth divided by the clip's one fixed scale, so
+that z is in (0, 1] and 0 means "no depth". Label maps hold 0 = other, 1 = tissue, 2 = tool, 255 = outside the picture.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.ndimage import distance_transform_edt
+from scipy.spatial import KDTree
+
+from data.contact.outlines import tool_depth
+from data.contact.surface import smooth_surface
+from data.labels import TISSUE, TOOL
+from data.source.camera import Camera, back_project
+from physics.mesh import Mesh, contact_normal, grid_mesh, nearest_vertex
+
+COARSE_POINTS = 1000
+"""Number of tool points in each pass of the two-pass search (Bini 2026, section 3.2.2)."""
+LEAST_NOISE = 3e-4
+"""Noise is never taken for smaller [scene units]: fitting planes to curved tissue errs by about 2e-4."""
+DEPTH_HOLE_REACH = 5.0
+"""How many times `contact_pixels` the nearest valid tissue depth may lie from a touching outline."""
+
+
+class GeometryStatus(Exception):
+    """A frame has no usable contact; `status` is one of the per-frame statuses, `detail` a sentence."""
+
+    def __init__(self, status: str, detail: str, distance: float = math.nan) -> None:
+        super().__init__(detail)
+        self.status, self.detail, self.distance = status, detail, distance
+
+
+@dataclass(frozen=True)
+class Contact:
+    """The closest pair of a tool and a tissue point (Bini 2026, equation 4)."""
+
+    tool_point: np.ndarray
+    """g*, shape [3] [scene units]."""
+    tissue_point: np.ndarray
+    """b*, shape [3] [scene units]."""
+    distance: float
+    """d* = ‖g* - b*‖ [scene units]."""
+    tool_index: int
+    """Row of g* in the tool cloud."""
+    tissue_index: int
+    """Row of b* in the tissue cloud."""
+
+
+def find_contact(tool_points: np.ndarray, tissue_points: np.ndarray, *, two_pass: bool = False) -> Contact:
+    """Closest pair (g*, b*) = argmin ‖g - b‖ of two clouds, by a KD-tree on the tissue (Bini 2026, equation 4).
+
+    Args:
+        tool_points: G, shape [N, 3] [scene units].
+        tissue_points: B, shape [M, 3] [scene units].
+        two_pass: the paper's search for N > 1000: 1000 evenly spaced tool points, then the 1000 tool points nearest to
+            the winner. It can miss the closest pair when that is far from every point of the first pass.
+
+    Raises:
+        ValueError: a cloud is empty, not [N, 3], or not finite.
+    """
+    tool, tissue = _cloud(tool_points, "tool"), _cloud(tissue_points, "tissue")
+    tree = KDTree(tissue)
+    candidates = np.arange(len(tool))
+    if two_pass and len(tool) > COARSE_POINTS:
+        coarse = np.linspace(0, len(tool) - 1, COARSE_POINTS).round().astype(int)
+        winner = coarse[np.argmin(tree.query(tool[coarse])[0])]
+        candidates = KDTree(tool).query(tool[winner], k=COARSE_POINTS)[1]
+    distances, nearest = tree.query(tool[candidates])
+    best = int(np.argmin(distances))
+    first, second = int(candidates[best]), int(nearest[best])
+    return Contact(tool[first], tissue[second], float(distances[best]), first, second)
+
+
+def _cloud(points: np.ndarray, name: str) -> np.ndarray:
+    points = np.asarray(points, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0:
+        raise ValueError(f"The {name} cloud has shape {points.shape}; expected [N, 3] with at least one point.")
+    if not np.isfinite(points).all():
+        raise ValueError(f"The {name} cloud has points that are not finite.")
+    return points
+
+
+@dataclass(frozen=True)
+class GeometrySettings:
+    """How a depth map becomes a mesh and a contact."""
+
+    height: int = 120
+    """Rows of the grid on which everything is computed, the network's input (Bini 2026, section 3.4)."""
+    width: int = 214
+    """Columns of that grid."""
+    max_edge: float = 0.05
+    """Longest edge of a mesh triangle [scene units] (Bini 2026, section 3.2.2)."""
+    smoothing: float = 0.0
+    """Standard deviation of the weights with which the tissue's depth is smoothed before it becomes a mesh and a
+    contact [grid pixels]; 0 leaves it as it is (paper). Noisy or rounded depth asks for 3 to 6."""
+    keep: float = 1.0
+    """Share of the mesh's vertices that decimation keeps; the paper names 0.3 and used 1."""
+    contact_pixels: float = 2.0
+    """Masks at most this far apart touch [grid pixels]; neighbours are 1 apart, 0 switches the criterion off."""
+    contact_distance: float = 0.02
+    """Clouds at most this far apart touch [scene units]; 0 switches the criterion off."""
+    two_pass: bool = False
+    """Search the contact pair in the paper's two passes instead of exactly."""
+    force_direction: Literal["normal", "displacement"] = "normal"
+    """Axis of the force: the surface normal (paper), or the observed motion of the contact (see `force_direction`)."""
+    displacement: Literal["tracked", "redetected"] = "tracked"
+    """Observed displacement: of the same tissue point, or between the two frames' contact points (paper)."""
+    depth_radius: int = 0
+    """Half side of the window that gives a followed point its depth [grid pixels]; 0 = the nearest pixel. A point load
+    makes a dent hardly wider than a pixel, and noisy depth asks for 2 or 3: noise against bias."""
+    rigid_motion: Literal["keep", "subtract"] = "keep"
+    """Whether the common motion of the tissue far from the contact (the camera's) is taken off the displacement."""
+    min_displacement: float = 1e-4
+    """Shorter observed motions [scene units] have no direction; the force then acts along the normal."""
+    min_tool_pixels: int = 8
+    """Fewer tool pixels on the grid than this are `no_tool`."""
+    min_tissue_pixels: int = 50
+    """Fewer tissue pixels on the grid than this are `no_tissue`."""
+
+    def __post_init__(self) -> None:
+        least = {"height": 8, "width": 8, "min_tool_pixels": 1, "min_tissue_pixels": 1, "depth_radius": 0}
+        for name, low in least.items():
+            if getattr(self, name) < low:
+                raise ValueError(f"geometry.{name} is {getattr(self, name)}; give at least {low}.")
+        for name in ("smoothing", "contact_pixels", "contact_distance", "min_displacement"):
+            if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
+                raise ValueError(f"geometry.{name} is {getattr(self, name)}; give a number of at least 0.")
+        if self.smoothing > self.width:
+            raise ValueError(f"geometry.smoothing is {self.smoothing}; give at most the grid's width, {self.width}.")
+        if not self.max_edge > 0:
+            raise ValueError(f"geometry.max_edge is {self.max_edge}; give a positive length.")
+        if not 0.01 <= self.keep <= 1:
+            raise ValueError(f"geometry.keep is {self.keep}; give a share from 0.01 to 1.")
+        if self.contact_pixels == 0 and self.contact_distance == 0:
+            raise ValueError("geometry.contact_pixels and geometry.contact_distance are both 0; set one of them.")
+
+
+@dataclass(frozen=True)
+class FrameGeometry:
+    """What one frame in contact gives the simulator (Bini 2026, section 3.2.2)."""
+
+    mesh: Mesh
+    """Tissue surface."""
+    vertex: int
+    """idx*: the mesh vertex nearest to the contact point."""
+    normal: np.ndarray
+    """n*, shape [3], unit length, towards the camera (equations 5-8)."""
+    tool_point: np.ndarray
+    """g*, shape [3] [scene units]; not a number where the tool has no depth."""
+    tissue_point: np.ndarray
+    """b*, shape [3] [scene units]."""
+    distance: float
+    """d* [scene units]; not a number where the tool has no depth."""
+    pixel: tuple[int, int]
+    """Grid pixel (u, v) of b*."""
+    tool_pixel: tuple[int, int]
+    """Grid pixel (u, v) of g*."""
+    touching: bool
+    """Whether the masks touch; otherwise the clouds are within the contact distance."""
+    noise: float = math.nan
+    """Standard deviation of the tissue's depth about its smoothed surface [scene units]; not a number without
+    `GeometrySettings.smoothing`."""
+
+
+def frame_geometry(
+    depth: np.ndarray,
+    labels: np.ndarray,
+    camera: Camera,
+    settings: GeometrySettings,
+    rest: tuple[np.ndarray, np.ndarray] | None = None,
+) -> FrameGeometry:
+    """Contact and mesh of one frame.
+
+    A frame is in contact when the masks touch or the clouds are close. Monocular depth of a shiny tool is often wrong
+    and its outline seldom, so where the masks touch only pixels along the touching outline can form the contact pair:
+    the contact then lies where the tool is seen to touch, whatever the depth of the rest of the tool.
+
+    Args:
+        depth: z, shape [h, w] [scene units], 0 = invalid.
+        labels: label map, shape [h, w].
+        camera: intrinsics of the grid.
+        rest: the tissue's depth at rest and where it is known, hidden by the tool or not, shapes [h, w]; None = as it
+            is seen. The mesh covers all of it, the contact lies on what is seen.
+
+    Raises:
+        GeometryStatus: `no_tool`, `no_tissue`, `bad_depth` or `no_contact`, in this order.
+    """
+    tool, tissue = labels == TOOL, labels == TISSUE
+    _require_pixels(tool, tissue, depth, settings)
+    resting, surface = (depth, tissue & (depth > 0)) if rest is None else rest
+    noise = math.nan
+    if settings.smoothing > 0:
+        resting, noise = smooth_surface(resting, surface, settings.smoothing)
+        noise = max(noise, LEAST_NOISE)
+    sheet = back_project(resting, camera)
+    points = np.where(tissue[..., None], sheet, back_project(depth, camera))
+    touching = _touching(tool, tissue, settings.contact_pixels)
+    if not touching:
+        points = np.where(tool[..., None], back_project(tool_depth(depth, tool), camera), points)
+    pair = _outline_pair(points, tool, tissue, settings) if touching else _cloud_pair(points, tool, tissue, settings)
+    (tool_row, tool_column), (row, column) = pair
+    mesh = grid_mesh(sheet, surface, occluder=tool & ~surface, max_edge=settings.max_edge, keep=settings.keep)
+    if len(mesh.vertices) == 0:
+        raise GeometryStatus("bad_depth", "The tissue's depth is so rough that no mesh triangle is short enough.")
+    tissue_point = points[row, column]
+    tool_point = points[tool_row, tool_column] if depth[tool_row, tool_column] > 0 else np.full(3, np.nan, np.float32)
+    vertex = nearest_vertex(mesh, tissue_point)
+    distance = float(np.linalg.norm(tool_point - tissue_point))
+    normal = contact_normal(mesh, vertex)
+    pixel, tool_pixel = (int(column), int(row)), (int(tool_column), int(tool_row))
+    return FrameGeometry(mesh, vertex, normal, tool_point, tissue_point, distance, pixel, tool_pixel, touching, noise)
+
+
+def move_contact(geometry: FrameGeometry, pixel: tuple[int, int]) -> FrameGeometry:
+    """The same frame with the mesh's vertex at the grid pixel (u, v) as its contact."""
+    vertex = int(np.flatnonzero((geometry.mesh.pixels == pixel[::-1]).all(axis=1))[0])
+    point = geometry.mesh.vertices[vertex]
+    return dataclasses.replace(
+        geometry,
+        vertex=vertex,
+        normal=contact_normal(geometry.mesh, vertex),
+        tissue_point=point,
+        distance=float(np.linalg.norm(geometry.tool_point - point)),
+        pixel=pixel,
+    )
+
+
+def force_direction(normal: np.ndarray, displacement: np.ndarray | None, settings: GeometrySettings) -> np.ndarray:
+    """Unit vector d of the force F·d.
+
+    `normal`: d = n, so that F < 0 presses into the tissue (Bini 2026, section 3.3). `displacement`: d is the axis of
+    the observed motion, oriented so that d·n ≥ 0; F < 0 still presses and F > 0 pulls, so traction is representable
+    once `bounds.force` allows F > 0. Motions shorter than `min_displacement` have no axis and fall back to the normal.
+
+    Args:
+        normal: n, shape [3], towards the camera.
+        displacement: observed motion of the contact, shape [3] [scene units], or None.
+
+    Returns:
+        Shape [3], float32.
+    """
+    if settings.force_direction == "normal" or displacement is None:
+        return np.asarray(normal, np.float32)
+    length = float(np.linalg.norm(displacement))
+    if not length > settings.min_displacement:
+        return np.asarray(normal, np.float32)
+    axis = np.asarray(displacement, np.float64) / length
+    return (axis if axis @ normal >= 0 else -axis).astype(np.float32)
+
+
+def _require_pixels(tool: np.ndarray, tissue: np.ndarray, depth: np.ndarray, settings: GeometrySettings) -> None:
+    if tool.sum() < settings.min_tool_pixels:
+        raise GeometryStatus("no_tool", f"{tool.sum()} tool pixels, fewer than {settings.min_tool_pixels}.")
+    if tissue.sum() < settings.min_tissue_pixels:
+        raise GeometryStatus("no_tissue", f"{tissue.sum()} tissue pixels, fewer than {settings.min_tissue_pixels}.")
+    valid = int((tissue & (depth > 0)).sum())
+    if valid < settings.min_tissue_pixels:
+        raise GeometryStatus("bad_depth", f"{valid} tissue pixels have depth, fewer than {settings.min_tissue_pixels}.")
+
+
+def _touching(tool: np.ndarray, tissue: np.ndarray, contact_pixels: float) -> bool:
+    return contact_pixels > 0 and bool((distance_transform_edt(~tissue)[tool] <= contact_pixels).any())
+
+
+def _outline_pair(
+    points: np.ndarray, tool: np.ndarray, tissue: np.ndarray, settings: GeometrySettings
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels (row, column) of g* and b* among those along the outline where the masks touch."""
+    reach = settings.contact_pixels
+    to_tool, nearest_tool = distance_transform_edt(~tool, return_indices=True)
+    with_depth = tissue & (points[..., 2] > 0)
+    closest = float(to_tool[with_depth].min())
+    if closest > DEPTH_HOLE_REACH * reach:
+        raise GeometryStatus("bad_depth", f"No tissue within {closest:.0f} pixels of the tool has a depth.")
+    # Stereo depth has holes along outlines: then the nearest pixels with a depth stand in for the touching ones.
+    near_tissue = np.argwhere(with_depth & (to_tool <= max(reach, closest)))
+    near_tool = np.argwhere(tool & (points[..., 2] > 0) & (distance_transform_edt(~tissue) <= reach))
+    if len(near_tool) == 0:
+        pixel = near_tissue[np.argmin(to_tool[tuple(near_tissue.T)])]
+        return nearest_tool[:, pixel[0], pixel[1]], pixel
+    contact = find_contact(points[tuple(near_tool.T)], points[tuple(near_tissue.T)], two_pass=settings.two_pass)
+    return near_tool[contact.tool_index], near_tissue[contact.tissue_index]
+
+
+def _cloud_pair(
+    points: np.ndarray, tool: np.ndarray, tissue: np.ndarray, settings: GeometrySettings
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels (row, column) of g* and b* among all; they must be within the contact distance."""
+    valid = points[..., 2] > 0
+    tool_pixels, tissue_pixels = np.argwhere(tool & valid), np.argwhere(tissue & valid)
+    if len(tool_pixels) == 0:
+        raise GeometryStatus("bad_depth", "The tool has no depth and its mask doesn't touch the tissue's.")
+    contact = find_contact(points[tuple(tool_pixels.T)], points[tuple(tissue_pixels.T)], two_pass=settings.two_pass)
+    if contact.distance > settings.contact_distance:
+        detail = f"The tool is {contact.distance:.3g} from the tissue, more than {settings.contact_distance:g}."
+        raise GeometryStatus("no_contact", detail, contact.distance)
+    return tool_pixels[contact.tool_index], tissue_pixels[contact.tissue_index]

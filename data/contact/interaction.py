@@ -1,0 +1,177 @@
+"""A run of contact as the simulator replays it: tissue at rest, what acts on it, what was seen of it.
+
+Frames are gathered one by one (`InteractionBuilder`), live or from a prepared clip, and the same code makes an
+`Interaction` of them at any moment (Bini 2026, sections 3.2.2 and 3.3).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from data.contact.geometry import GeometrySettings, force_direction
+from physics.load import Press, held
+from physics.mechanics import Mechanics
+from physics.mesh import Mesh
+from physics.observation import Observation
+
+PRESS = "press"
+Horizon = int | Literal["press"] | None
+"""How much of a contact's motion counts: so many frames after its onset, those under the tool, or all."""
+
+
+@dataclass(frozen=True, eq=False)
+class Interaction:
+    """What the simulator needs to replay a run of contact, and what was seen of it."""
+
+    mesh: Mesh
+    """Tissue at rest."""
+    load: Press
+    """What acts on it; ``held`` to its last step where the release was not seen."""
+    observation: Observation
+    """The followed points."""
+    time_step: float
+    """Of the load [s]."""
+
+    @property
+    def vertex(self) -> int:
+        """The contact vertex."""
+        return self.load.vertex
+
+    @property
+    def direction(self) -> np.ndarray:
+        """Unit vector of the force, shape [3]."""
+        return self.load.direction
+
+    @property
+    def load_seconds(self) -> float:
+        """Time under load, as far as the load's steps reach [s]."""
+        return float(self.load.factor.sum()) * self.time_step
+
+    @property
+    def released(self) -> bool:
+        """Whether the load ends within its steps."""
+        return bool(self.load.factor[-1] < 1)
+
+    @property
+    def steps(self) -> int:
+        """Steps until the last observation."""
+        return int(self.observation.steps(self.time_step)[-1]) + 1
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of the contact's observed displacement along the camera's axis [scene units]."""
+        return self.observation.depth_noise
+
+    @property
+    def moved(self) -> np.ndarray:
+        """Observed displacement of the contact vertex, shape [N, 3] [scene units]."""
+        return self.observation.displacement[0]
+
+    @property
+    def along(self) -> np.ndarray:
+        """The same along the force's direction, shape [N], float64 [scene units]."""
+        return self.moved.astype(np.float64) @ np.asarray(self.direction, np.float64)
+
+    def observed(self, instants: np.ndarray) -> Interaction:
+        """The same as seen at some of its instants only: a mask or indices."""
+        return dataclasses.replace(self, observation=self.observation.chosen(instants))
+
+
+@dataclass(frozen=True)
+class ContactFrame:
+    """What one frame of a run of contact tells about it."""
+
+    time_s: float
+    """Time stamp [s]."""
+    contact: bool
+    """Whether the tool touches the tissue."""
+    seen_out: bool
+    """Whether the frame was seen out of contact; without depth or mask nobody knows."""
+    consecutive: bool
+    """Whether the next frame bears the next number."""
+    position: np.ndarray
+    """Where the followed tissue is, shape [3] [scene units]; not a number where it is lost."""
+
+
+class InteractionBuilder:
+    """Gathers the frames of one run of contact whose onset was seen; memory does not grow with its length.
+
+    Args:
+        mesh, vertex, normal: tissue at rest, the contact vertex and its normal [3].
+        noise: standard deviation of the depth [scene units]; not a number where it isn't known.
+        onset: the first frame in contact.
+        settings: the force's direction is taken from here.
+        seconds: how long the motion counts [s].
+    """
+
+    def __init__(
+        self,
+        mesh: Mesh,
+        vertex: int,
+        normal: np.ndarray,
+        noise: float,
+        onset: ContactFrame,
+        settings: GeometrySettings,
+        seconds: float,
+    ) -> None:
+        self.mesh, self.vertex, self.normal, self.settings = mesh, vertex, normal, settings
+        # Rounded as prepared clips store it, and positions below: live and stored frames give the same interaction.
+        self.noise = float(np.float32(noise))
+        self.start, self.seconds = onset.time_s, seconds
+        # Where the noise is known, so is the rest surface: the mean of many frames, without the onset's own error.
+        rest = mesh.vertices[vertex] if math.isfinite(noise) else onset.position
+        self.rest = np.asarray(rest, np.float32)
+        """Where the contact vertex is at rest, shape [3], float32 [scene units]."""
+        self.pressed = 0
+        """The last frame in contact, counted from the onset; contact may flicker before it."""
+        self.load_seconds: float | None = None
+        """Time from the onset to the first frame seen out of contact [s]; None where that was not seen.
+
+        A frame without depth or mask says nothing about contact: after it the load isn't known any more.
+        """
+        self._count, self._followed_on = 1, onset.consecutive
+        self._seen: list[tuple[int, float, np.ndarray]] = []
+
+    def add(self, frame: ContactFrame) -> None:
+        """The next frame."""
+        index, since = self._count, frame.time_s - self.start
+        self._count += 1
+        if frame.contact:
+            self.pressed, self._followed_on, self.load_seconds = index, frame.consecutive, None
+        elif index == self.pressed + 1 and self._followed_on and frame.seen_out:
+            self.load_seconds = since
+        position = np.asarray(frame.position, np.float32)
+        if since < self.seconds and np.isfinite(position).all():
+            self._seen.append((index, since, position))
+
+    def build(self, mechanics: Mechanics, horizon: Horizon = None, until: float | None = None) -> Interaction:
+        """The run as far as it was seen; maybe without any observation.
+
+        Args:
+            mechanics: its time step is the load's, its steps the longest observation.
+            horizon: how much of the motion counts.
+            until: as it was known so long after the onset [s]: later frames count for nothing but the two things that
+                are decided some frames late, where the contact is and whether contact only flickers.
+        """
+        step, steps = mechanics.time_step, mechanics.steps
+        last = self.pressed if self.load_seconds is None or horizon == PRESS else math.inf
+        last = min(last, horizon) if isinstance(horizon, int) else last
+        seen = [
+            (since, position)
+            for index, since, position in self._seen
+            if index <= last and step / 2 <= since < mechanics.seconds and (until is None or since <= until)
+        ]
+        moved = np.array([position - self.rest for _, position in seen], np.float32).reshape(-1, 3)
+        farthest = max(moved, key=np.linalg.norm, default=np.zeros(3, np.float32))
+        loaded = steps if self.load_seconds is None else int(np.clip(round(self.load_seconds / step), 1, steps))
+        if until is not None:
+            loaded = min(loaded, round(until / step))
+        direction = force_direction(self.normal, farthest, self.settings)
+        press = Press.at(self.vertex, direction, held(loaded, steps))
+        times = np.array([since for since, _ in seen])
+        return Interaction(self.mesh, press, Observation.of_point(self.vertex, times, moved, self.noise), step)

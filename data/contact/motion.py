@@ -1,0 +1,265 @@
+"""How the tissue at the contact moves: between two frames, and from the onset of contact through its release.
+
+A contact point that is detected anew in every frame slides over the tissue with the tool. Following the same tissue
+point instead (dense optical flow, then its depth) observes deformation.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import math
+from collections import deque
+
+import numpy as np
+
+from data.contact.geometry import LEAST_NOISE, TISSUE, GeometrySettings, GeometryStatus, frame_geometry
+from data.contact.outlines import frayed_share, inside, uncover
+from data.contact.refinement import REFINE_FRAMES, ContactRun, picture_pixel, settle_run
+from data.contact.rest_depth import RestDepth
+from data.contact.surface import smooth_surface
+from data.contact.template import TissueTemplate
+from data.contact.tissue_points import (
+    REFERENCE_MINIMUM,
+    grid_to_picture,
+    lift,
+    picture_to_grid,
+    reference_pixels,
+    rigid_motion,
+)
+from data.contact.tracking import TissueTracker
+from data.prepared import SEEN_OUT, PreparedFrame
+from data.source.camera import Camera
+
+LOST = "The tissue that was touched first is not followed here or has no depth; nothing of its motion is observed."
+FRAYED = (
+    "The masks' outlines disagree with the depth: {share:.0%} of the tissue beside the tool lies in front of it at "
+    "rest; where and when contact began is less certain."
+)
+FRAYED_SHARE = 0.05
+"""More of the tissue beside the tool in front of the tissue at rest is worth a sentence."""
+DENTED = "Contact begins while tissue is or may be dented from an earlier one, so its shape at rest isn't known."
+REST_SECONDS = 1.0
+"""Tissue that isn't followed counts as being at rest again so long after it was touched last [s]."""
+REST_FRAMES = 3
+"""Last frames before a contact in which tissue that is followed must have returned."""
+REST_SIGMA = 4.0
+"""It hasn't where their mean lies farther from rest than this many of its standard deviations."""
+
+
+class ContactMotion:
+    """Links each frame of a clip with the next: observed displacement, run of contact and its tracked point."""
+
+    def __init__(
+        self,
+        camera: Camera,
+        size: tuple[int, int],
+        settings: GeometrySettings,
+        *,
+        bridge_frames: int,
+        track_seconds: float,
+    ) -> None:
+        """
+        Args:
+            camera: intrinsics of the grid.
+            size: (width, height) of the full picture [px].
+            bridge_frames: contact that is missing on up to this many frames is still the same run.
+            track_seconds: how long a released contact is followed, from its onset [s].
+        """
+        self.camera, self.size, self.settings = camera, size, settings
+        self.bridge_frames, self.track_seconds = bridge_frames, track_seconds
+        self._tracker = TissueTracker()
+        self._rest = RestDepth()
+        self._smooth = -1, np.empty(0)
+        self._run: ContactRun | None = None
+        self._last_contact: int | None = None
+        self._last_time = -math.inf
+        self._left: deque[float] = deque(maxlen=REST_FRAMES)
+        self._refused = False
+        """Whether the contact under way began on tissue that was not at rest."""
+
+    def link(self, before: PreparedFrame, after: PreparedFrame) -> None:
+        """Fill in the motion of `before`, and the run, tracked point and backward motion of `after`."""
+        before.consecutive = after.frame.number - before.frame.number == 1
+        if not (before.consecutive and before.visible and after.visible):
+            # Contact that is already there when the view returns has no known onset.
+            self.settle()
+            self._rest = RestDepth()
+            self._run, self._last_contact = None, after.frame.index if after.in_contact else None
+            self._refused = False
+            if before.in_contact:
+                self._last_time = before.frame.time_s
+            return
+        if before.in_contact:
+            self._last_contact, self._last_time = before.frame.index, before.frame.time_s
+        self._rest.push(before)
+        if self._run is not None or before.in_contact or after.in_contact:
+            self._observe(before, after)
+        self._update_run(before, after)
+        if self._run is None and self._refused and after.in_contact:
+            after.detail = after.detail or DENTED
+        run = self._run
+        if run is not None:
+            after.track_start = run.start
+            if run.pixel is not None:
+                after.track_position = self._lift(run.pixel[None], after)[0] - run.drift
+            self._grow_older(run, after)
+            self._note_return(run, after)
+            if after.in_contact and not after.detail and not np.isfinite(after.track_position).all():
+                after.detail = LOST
+
+    @property
+    def settled(self) -> bool:
+        """Whether nothing more will change about the frames linked so far."""
+        return self._run is None or self._run.young is None
+
+    def settle(self) -> None:
+        """Decide where a young run's contact presses; nothing about the frames linked so far changes after that."""
+        if self._run is not None:
+            settle_run(self._run, self.size, self._lift)
+
+    def _grow_older(self, run: ContactRun, latest: PreparedFrame) -> None:
+        if run.young is None or latest is run.onset:
+            return
+        if run.pixel is not None and latest.in_contact:
+            run.young.append((latest, run.pixel, run.drift))
+        if len(run.young) == REFINE_FRAMES or run.pixel is None or not latest.in_contact:
+            self.settle()
+            if run.pixel is not None:
+                latest.track_position = self._lift(run.pixel[None], latest)[0] - run.drift
+
+    def _observe(self, before: PreparedFrame, after: PreparedFrame) -> None:
+        before.rigid = self._rigid(before, after)
+        shift = np.zeros(3)
+        if self.settings.rigid_motion == "subtract":
+            shift = before.rigid if before.rigid is not None else np.full(3, np.nan)
+        if self.settings.displacement == "tracked":
+            before.displacement = _finite(self._follow_contact(before, after) - shift)
+            after.backward = _finite(self._follow_contact(after, before) + shift)
+        elif before.in_contact and after.in_contact:
+            moved = after.contact.tissue_point.astype(np.float64) - before.contact.tissue_point
+            before.displacement, after.backward = _finite(moved - shift), _finite(shift - moved)
+        if self._run is not None and self._run.pixel is not None:
+            moved = self._follow(before, after, self._run.pixel, self._run.template)
+            self._run.drift = self._run.drift + shift
+            self._run.pixel = moved if np.isfinite(self._run.drift).all() else None
+
+    def _update_run(self, before: PreparedFrame, after: PreparedFrame) -> None:
+        """Begin a run at a contact after frames that were seen without one; end it some time after its release."""
+        index = after.frame.index
+        missing = math.inf if self._last_contact is None else index - self._last_contact - 1
+        if not after.in_contact:
+            expired = self._run is not None and after.frame.time_s - self._run.start_time > self.track_seconds
+            if expired and missing >= self.bridge_frames:
+                self._run = None
+        elif missing > self.bridge_frames:
+            self.settle()
+            self._refused = self._dented(after)
+            self._run = self._begin(after) if before.status in SEEN_OUT and not self._refused else None
+            self._left.clear()
+
+    def _note_return(self, run: ContactRun, latest: PreparedFrame) -> None:
+        """Remember how far the followed tissue is from rest while nothing touches it."""
+        if latest.in_contact:
+            self._left.clear()
+        elif run.young is None:
+            rest = run.onset.contact
+            self._left.append(float((latest.track_position - rest.mesh.vertices[rest.vertex]) @ rest.normal))
+
+    def _dented(self, onset: PreparedFrame) -> bool:
+        """Whether the tissue may still be dented from an earlier contact; without a noise level nobody can tell."""
+        if self.settings.smoothing == 0:
+            return False
+        followed = self._run is not None and self.settings.rigid_motion == "subtract" and len(self._left) == REST_FRAMES
+        if followed and np.isfinite(self._left).all():
+            # Not over the root of REST_FRAMES: rounding errors and the camera's drift are the same in all of them.
+            return abs(float(np.mean(self._left))) > REST_SIGMA * self._run.onset.contact.noise
+        return onset.frame.time_s - self._last_time < REST_SECONDS
+
+    def _begin(self, onset: PreparedFrame) -> ContactRun:
+        if self.settings.smoothing > 0:
+            # The frames before show the same tissue at rest, and the contact without the tool in front of it.
+            with contextlib.suppress(GeometryStatus):
+                noise = self._noise(onset)
+                rest = self._rest.at(onset)
+                resting = frame_geometry(onset.depth, onset.labels, self.camera, self.settings, rest)
+                onset.geometry = dataclasses.replace(resting, noise=noise)
+                share = frayed_share(onset.depth, onset.labels, np.where(rest[1], rest[0], 0), noise)
+                if share > FRAYED_SHARE:
+                    onset.detail = FRAYED.format(share=share)
+        pixel = picture_pixel(onset, self.size)
+        template = TissueTemplate(*onset.view, pixel)
+        young = [] if math.isfinite(onset.contact.noise) else None
+        return ContactRun(onset.frame.index, onset.frame.time_s, pixel, template, np.zeros(3), onset, young)
+
+    def _noise(self, onset: PreparedFrame) -> float:
+        """Standard deviation of the depth [scene units], measured away from the outlines, where masks may be wrong."""
+        tissue = inside((onset.labels == TISSUE) & (onset.depth > 0))
+        if tissue.sum() < self.settings.min_tissue_pixels:
+            return onset.contact.noise
+        return max(smooth_surface(onset.depth, tissue, self.settings.smoothing)[1], LEAST_NOISE)
+
+    def _follow_contact(self, source: PreparedFrame, target: PreparedFrame) -> np.ndarray:
+        """Motion of the source's contact point to the target, shape [3]; not a number where it can't be followed."""
+        if not source.in_contact:
+            return np.full(3, np.nan)
+        pixel = picture_pixel(source, self.size)
+        template = TissueTemplate(*source.view, pixel)
+        moved = self._follow(source, target, pixel, template)
+        if moved is None:
+            return np.full(3, np.nan)
+        return (self._lift(moved[None], target) - self._lift(pixel[None], source))[0]
+
+    def _follow(
+        self, source: PreparedFrame, target: PreparedFrame, pixel: np.ndarray, template: TissueTemplate
+    ) -> np.ndarray | None:
+        """Place of a followed point in the next picture: by flow, corrected by its template."""
+        moved, followed = self._step(source, target, pixel[None])
+        if not followed[0]:
+            return None
+        found = template.locate(*target.view, moved[0])
+        return moved[0] if found is None else found
+
+    def _rigid(self, before: PreparedFrame, after: PreparedFrame) -> np.ndarray | None:
+        """Motion that the contact would have if it moved with the tissue far from it, shape [3]."""
+        if before.in_contact or after.in_contact:
+            pixel = picture_pixel(before if before.in_contact else after, self.size)
+        elif self._run is not None and self._run.pixel is not None:
+            pixel = self._run.pixel
+        else:
+            return None
+        grid = picture_to_grid(pixel, before.depth.shape, self.size)
+        pixels = grid_to_picture(reference_pixels(before.depth, before.labels, grid), before.depth.shape, self.size)
+        if len(pixels) < REFERENCE_MINIMUM:
+            return None
+        moved, _ = self._step(before, after, pixels)
+        place = self._lift(pixel[None], before)[0]
+        motion = rigid_motion(self._lift_smooth(pixels, before), self._lift_smooth(moved, after), place)
+        return None if motion is None else _finite(motion)
+
+    def _step(self, source: PreparedFrame, target: PreparedFrame, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        (first, first_labels), (second, second_labels) = source.view, target.view
+        return self._tracker.step(first, second, first_labels, second_labels, pixels)
+
+    def _lift(self, pixels: np.ndarray, prepared: PreparedFrame) -> np.ndarray:
+        """Points [P, 3] of full-picture pixels [P, 2]."""
+        grid = picture_to_grid(pixels, prepared.depth.shape, self.size)
+        noise = math.nan if self._run is None else self._run.onset.contact.noise
+        labels = uncover(prepared.depth, prepared.labels, noise)
+        return lift(grid, prepared.depth, labels, self.camera, self.settings.depth_radius)
+
+    def _lift_smooth(self, pixels: np.ndarray, prepared: PreparedFrame) -> np.ndarray:
+        """Points [P, 3] on the smoothed surface: drift adds up from frame to frame, and with it the depth's noise."""
+        if self.settings.smoothing == 0:
+            return self._lift(pixels, prepared)
+        index, depth = self._smooth
+        if index != prepared.frame.index:
+            tissue = (prepared.labels == TISSUE) & (prepared.depth > 0)
+            depth = smooth_surface(prepared.depth, tissue, self.settings.smoothing)[0]
+            self._smooth = prepared.frame.index, depth
+        grid = picture_to_grid(pixels, prepared.depth.shape, self.size)
+        return lift(grid, depth, prepared.labels, self.camera)
+
+
+def _finite(vector: np.ndarray) -> np.ndarray | None:
+    return vector if np.isfinite(vector).all() else None

@@ -1,0 +1,94 @@
+"""What a mask's outline can't tell, told by the depth beside it: outlines are off by a pixel or two.
+
+A tool lies between the camera and the tissue. So depth says on which side of a frayed outline a pixel is: what it shows
+in front of the tissue is tool, and what lies behind the tissue around it is no tool.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from data.labels import TISSUE, TOOL
+
+FRAY = 2
+"""Outlines are uncertain by this much [grid pixels]."""
+BESIDE = 4
+"""The tool's outline takes its depth from the tool within this many rows and columns [grid pixels]."""
+MOST_BEHIND = 0.25
+"""A larger share of the tool's outline isn't the bottom of a dent."""
+CLEARLY = 3.0
+"""A depth lies clearly behind others from this many standard deviations of its noise."""
+
+
+def near(mask: np.ndarray, reach: int = FRAY) -> np.ndarray:
+    """Pixels within `reach` rows and columns of a mask, itself included, bool [h, w]."""
+    return cv2.dilate(mask.astype(np.uint8), np.ones((2 * reach + 1,) * 2, np.uint8)) > 0
+
+
+def inside(mask: np.ndarray) -> np.ndarray:
+    """Pixels of a mask that its outline doesn't make uncertain, bool [h, w]; what touches the border counts as in."""
+    return mask & ~near(~mask)
+
+
+def uncover(depth: np.ndarray, labels: np.ndarray, noise: float) -> np.ndarray:
+    """Labels in which tool pixels at the tissue's outline that lie clearly behind all tissue around them are tissue.
+
+    Such is the bottom of a dent that a frayed outline of the pressing tool covers. Where much of the tool's outline
+    lies behind, the tool's depth itself is wrong, as a photometric depth of black plastic is, and says nothing.
+
+    Args:
+        depth: z, shape [h, w] [scene units], 0 = invalid.
+        labels: label map, shape [h, w].
+        noise: standard deviation of the depth [scene units]; not a number leaves the labels as they are.
+    """
+    if not noise > 0:
+        return labels
+    tissue = np.where(labels == TISSUE, depth, 0).astype(np.float32)
+    around = cv2.dilate(tissue, np.ones((2 * FRAY + 1,) * 2, np.uint8))
+    outline = (labels == TOOL) & (around > 0) & (depth > 0)
+    behind = outline & (depth > around + CLEARLY * noise)
+    if behind.sum() > MOST_BEHIND * outline.sum():
+        return labels
+    return np.where(behind, np.uint8(TISSUE), labels)
+
+
+def tool_depth(depth: np.ndarray, tool: np.ndarray) -> np.ndarray:
+    """Depth in which the tool's outline lies as near as the tool beside it, shape [h, w] [scene units].
+
+    A pixel of a frayed outline shows what is behind the tool, and makes a hovering tool seem to touch it.
+
+    Args:
+        depth: z, shape [h, w] [scene units], 0 = invalid.
+        tool: pixels of the tool, shape [h, w], bool.
+    """
+    valid = tool & (depth > 0)
+    rows, columns = np.nonzero(valid & near(~tool, BESIDE))
+    if len(rows) == 0:
+        return depth
+    padded = np.pad(np.where(valid, depth, np.inf), BESIDE, constant_values=np.inf)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (2 * BESIDE + 1,) * 2)
+    values = np.sort(windows[rows, columns].reshape(len(rows), -1), axis=1)
+    # The nearest quarter: more than half of a corner's surroundings can be background.
+    quarter = np.isfinite(values).sum(axis=1) // 4
+    cleaned = depth.copy()
+    cleaned[rows, columns] = np.minimum(depth[rows, columns], values[np.arange(len(rows)), quarter])
+    return cleaned
+
+
+def frayed_share(depth: np.ndarray, labels: np.ndarray, rest: np.ndarray, noise: float) -> float:
+    """Share of the tissue's pixels at the tool's outline that lie clearly in front of the tissue at rest.
+
+    Args:
+        depth: z, shape [h, w] [scene units], 0 = invalid.
+        labels: label map, shape [h, w].
+        rest: z of the tissue at rest, shape [h, w] [scene units]; 0 where it isn't known.
+        noise: standard deviation of the depth [scene units].
+
+    Returns:
+        0 to 1; 0 where no tissue is near the tool.
+    """
+    beside = (labels == TISSUE) & (depth > 0) & (rest > 0) & near(labels == TOOL)
+    if not beside.any():
+        return 0.0
+    return float((depth < rest - 2 * CLEARLY * noise)[beside].mean())

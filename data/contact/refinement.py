@@ -1,0 +1,158 @@
+"""Where a young contact presses: the tissue near the detected place that has yielded most in the first frames."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from data.contact.geometry import TISSUE, TOOL, move_contact
+from data.contact.outlines import near, uncover
+from data.contact.template import TissueTemplate
+from data.contact.tissue_points import grid_to_picture, picture_to_grid
+from data.prepared import PreparedFrame
+
+REFINE_REACH = 3
+"""The tissue that yields most is looked for this far from where the contact was detected, and from the outline where
+the masks touch [grid pixels]."""
+REFINE_SIGMA = 3.5
+"""Its mean change must exceed this many standard deviations."""
+IN_FRONT = 5.0
+"""Depth so many standard deviations nearer than the tissue at rest is the tool's."""
+ALIKE = 2.0
+"""Mean changes whose difference is below this many of its standard deviations count as the same."""
+REFINE_FRAMES = 5
+"""Frames after the onset that decide where the contact is."""
+
+
+@dataclass
+class ContactRun:
+    """A run of contact whose onset was seen, and the tissue point that is followed from it."""
+
+    start: int
+    """Index of the first frame in contact."""
+    start_time: float
+    """Its time [s]."""
+    pixel: np.ndarray | None
+    """The followed point in the latest frame, (u, v) [full-picture px]; None once it is lost."""
+    template: TissueTemplate
+    """The tissue around it at the onset."""
+    drift: np.ndarray
+    """Rigid motion subtracted so far, shape [3] [scene units]."""
+    onset: PreparedFrame
+    """The first frame in contact."""
+    young: list[tuple[PreparedFrame, np.ndarray, np.ndarray]] | None
+    """Frames after it with the point's pixel and the drift in each; None once the contact's place is settled."""
+
+
+def pressed_pixel(
+    onset: PreparedFrame, later: Sequence[tuple[PreparedFrame, np.ndarray, float]], sigmas: float
+) -> tuple[int, int] | None:
+    """Grid pixel (u, v) whose depth changes most from its rest shape, on average over later frames.
+
+    Tissue that is pressed away from the camera is looked for all along the outline where the masks touch, since frayed
+    outlines put the closest pair of points anywhere on it. Tissue that comes nearer counts only close to where the
+    contact was detected and where none is pressed: a tool pixel that is taken for tissue looks the same.
+
+    Args:
+        onset: first frame in contact, its mesh at rest.
+        later: following frames, where each has the contact's tissue, (u, v) [grid pixels], and by how much its depth is
+            larger because of the camera [scene units].
+        sigmas: the mean change must exceed this many of its standard deviations, and one more away from the detected
+            place, where many more pixels are looked at.
+    """
+    mesh, (u, v), noise = onset.contact.mesh, onset.contact.pixel, onset.contact.noise
+    beside = near(onset.labels == TISSUE, REFINE_REACH) & near(onset.labels == TOOL, REFINE_REACH)
+    close = (np.abs(mesh.pixels - (v, u)) <= REFINE_REACH).all(axis=1)
+    chosen = np.flatnonzero((close | (beside[tuple(mesh.pixels.T)] & onset.contact.touching)) & ~mesh.rim)
+    if len(chosen) == 0 or not later:
+        return None
+    changes, bare = (np.stack(parts) for parts in zip(*(_changes(onset, chosen, *item) for item in later), strict=True))
+    share = (bare.sum(axis=0) + (onset.labels[tuple(mesh.pixels[chosen].T)] == TISSUE)) / (len(later) + 1)
+    needed = (sigmas + ~close[chosen]) * noise
+    # What lies clearly in front of the tissue at rest is the tool.
+    pressed = _largest(np.where(changes > -IN_FRONT * noise, changes, np.nan), needed, share, noise)
+    pulled = np.where(close[chosen], -changes, np.nan)
+    found = pressed if pressed is not None else _largest(pulled, needed, share, noise)
+    if found is None:
+        return None
+    row, column = mesh.pixels[chosen[found]]
+    return int(column), int(row)
+
+
+def _changes(
+    onset: PreparedFrame, chosen: np.ndarray, prepared: PreparedFrame, place: np.ndarray, away: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """By how much the chosen vertices are deeper than at rest, and whether the mask shows them as tissue, shapes [P].
+
+    The change [scene units] is not a number where the tissue is hidden.
+    """
+    mesh, (u, v) = onset.contact.mesh, onset.contact.pixel
+    rows, columns = (mesh.pixels[chosen] + np.rint(place[::-1] - (v, u)).astype(int)).T
+    height, width = prepared.depth.shape
+    inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
+    rows, columns = rows.clip(0, height - 1), columns.clip(0, width - 1)
+    labels = uncover(prepared.depth, prepared.labels, onset.contact.noise)
+    seen = inside & (labels[rows, columns] == TISSUE) & (prepared.depth[rows, columns] > 0)
+    changes = np.where(seen, prepared.depth[rows, columns] - away - mesh.vertices[chosen, 2], np.nan)
+    return changes, inside & (prepared.labels[rows, columns] == TISSUE)
+
+
+def _largest(changes: np.ndarray, needed: np.ndarray, share: np.ndarray, noise: float) -> int | None:
+    """The vertex of the largest mean change, or None where that isn't clear.
+
+    Of vertices that change as much but for the noise it is the one that the masks show as tissue most often: the tip of
+    the tool that presses goes as deep.
+
+    Args:
+        changes: shape [frames, P] [scene units]; not a number where a vertex wasn't seen.
+        needed: what a single change must exceed, shape [P]; the mean of n less by √n.
+        share: of the frames in which the mask shows the vertex as tissue, shape [P].
+        noise: standard deviation of a change.
+    """
+    count = np.isfinite(changes).sum(axis=0)
+    root = np.sqrt(np.maximum(count, 1))
+    mean = np.nansum(changes, axis=0) / np.maximum(count, 1)
+    clear = (2 * count >= len(changes)) & (mean > needed / root)
+    if not clear.any():
+        return None
+    # Dents grow: only frames that show both vertices compare them.
+    behind = changes[:, np.argmax(np.where(clear, mean, -np.inf))][:, None] - changes
+    common = np.isfinite(behind).sum(axis=0)
+    alike = clear & (np.nansum(behind, axis=0) <= ALIKE * noise * np.sqrt(2 * common)) & (common > 0)
+    alike &= share == share[alike].max()
+    return int(np.argmax(np.where(alike, mean, -np.inf)))
+
+
+def settle_run(run: ContactRun, size: tuple[int, int], lift: Callable[[np.ndarray, PreparedFrame], np.ndarray]) -> None:
+    """Move a young run's contact to the nearby tissue that has yielded most, and follow that; a settled one stays.
+
+    Depth noise shifts the closest pair of points by a pixel or two, and a point load makes a dent hardly wider.
+
+    Args:
+        run: its young frames are forgotten.
+        size: (width, height) of the full picture [px].
+        lift: points [P, 3] of full-picture pixels [P, 2] in a frame.
+    """
+    young, run.young = run.young, None
+    if young is None:
+        return
+    shape, contact = run.onset.depth.shape, picture_pixel(run.onset, size)
+    places = [(prepared, picture_to_grid(pixel, shape, size), float(drift[2])) for prepared, pixel, drift in young]
+    yielded = pressed_pixel(run.onset, places, REFINE_SIGMA)
+    if yielded is None or yielded == run.onset.contact.pixel:
+        return
+    run.onset.geometry = move_contact(run.onset.contact, yielded)
+    moved = picture_pixel(run.onset, size)
+    run.onset.track_position = lift(moved[None], run.onset)[0]
+    for prepared, pixel, drift in young:
+        prepared.track_position = lift((pixel + moved - contact)[None], prepared)[0] - drift
+    if run.pixel is not None:
+        run.pixel = run.pixel + moved - contact
+    run.template = TissueTemplate(*run.onset.view, moved)
+
+
+def picture_pixel(prepared: PreparedFrame, size: tuple[int, int]) -> np.ndarray:
+    """The contact's place in the full picture of `size` (width, height), (u, v) [px]."""
+    return grid_to_picture(np.array(prepared.contact.pixel), prepared.depth.shape, size)

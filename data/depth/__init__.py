@@ -1,0 +1,19 @@
+"""How far everything is from the camera: a depth map a frame, in scene units.
+
+sources      maps of stored files or of a network, and what is frozen for a clip
+normalise    the one normalisation to the clip's fixed scale, and the grid
+model        any depth network as an ONNX file: input, session, meaning of its output
+preset       the facts about a network, as YAML files in presets/
+photometric  builds the network that needs no training: brightness under a light at the camera
+"""
+
+from physics.lazy import exported
+
+__getattr__ = exported(
+    {
+        "data.depth.normalise": ("DepthSettings", "estimate_scale", "open_depth"),
+        "data.depth.sources": ("DepthMap", "DepthSource", "ModelDepth", "StoredDepth"),
+        "data.depth.model": ("DepthModel",),
+        "data.depth.preset": ("DepthError", "DepthPreset", "load_preset", "preset_names"),
+    }
+)

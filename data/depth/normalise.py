@@ -1,0 +1,257 @@
+"""Depth of a clip's frames: from stored files or an ONNX model, and the one normalisation.
+
+Bini 2026, section 3.2.1, with its per-frame choices replaced by ones that are fixed for a whole clip: one scale without
+an offset, one focal length and one range of relative depth. What is frozen and how: docs/depth.md.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from data.depth.model import DepthModel, RawDepth
+from data.depth.preset import DepthError, resolve_model
+from data.depth.sources import DepthMap, DepthSource, ModelDepth, StoredDepth
+from data.labels import TISSUE, TOOL
+from data.source.camera import clip_camera
+from data.source.frames import FrameSource
+from data.source.layout import ClipLayout, matches
+
+__all__ = [
+    "DepthError",
+    "DepthMap",
+    "DepthSettings",
+    "DepthSource",
+    "estimate_scale",
+    "normalise",
+    "open_depth",
+    "resize_depth",
+]
+
+FAR_QUANTILE = 0.999
+"""A frame's largest depth is this quantile of its valid depth: single wild pixels don't count."""
+FAR_MULTIPLE = 3.0
+"""Depth beyond this multiple of the frame's median is background or a mismatch and does not stretch the scale."""
+CLIP_QUANTILE = 0.9
+"""A clip's largest depth is this quantile of its sampled frames' largest depths: a few bad frames don't count."""
+OUTSIDE = 255
+
+
+@dataclass(frozen=True)
+class DepthSettings:
+    """Where depth comes from and what of it is fixed for a clip."""
+
+    source: str = "auto"
+    """auto (stored where the clip has it, else photometric), stored, a preset's name, or the path of an .onnx file."""
+    model: str | None = None
+    """ONNX file for a preset that ships none."""
+    preset: str | None = None
+    """Preset (name or .yaml file) that says how to read an .onnx path; by default the .yaml file beside it. With any
+    other source it is refused."""
+    near: float = 0.03
+    """Nearest depth of a relative inverse model [any unit; after normalisation only near/far matters]."""
+    far: float = 0.15
+    """Farthest depth of a relative inverse model [the unit of near]."""
+    field_of_view_deg: float = 60.0
+    """Horizontal field of view where neither a camera file nor the model gives a focal length [degrees]."""
+    scale: float | None = None
+    """Depth that becomes z = 1, in the source's unit; none = estimated once a clip."""
+    scale_seconds: float = 10.0
+    """Duration from the first usable frame within which a clip's scale is estimated and then frozen [s]."""
+    scale_samples: int = 24
+    """Frames used for it, evenly spaced."""
+    bits: Literal[8, 16] = 16
+    """Quantisation of normalised depth (the paper stores 8 bits, 0.4 % of the range)."""
+    threads: int = 0
+    """Threads of the depth model; 0 leaves it to onnxruntime."""
+    device: Literal["cpu", "cuda"] = "cpu"
+    """Where the depth model runs; cuda needs onnxruntime-gpu."""
+
+    def __post_init__(self) -> None:
+        if self.preset is not None and not self.source.lower().endswith(".onnx"):
+            raise ValueError(
+                f"depth.preset is '{self.preset}' and says how to read an .onnx file, while depth.source is "
+                f"{self.source}; give that file as depth.source, or leave depth.preset out."
+            )
+        if not 0 < self.near < self.far < math.inf:
+            raise ValueError(f"depth.near is {self.near} and depth.far {self.far}; give 0 < near < far.")
+        if not 0 < self.field_of_view_deg < 180:
+            raise ValueError(f"depth.field_of_view_deg is {self.field_of_view_deg}; give degrees between 0 and 180.")
+        if self.scale is not None and not 0 < self.scale < math.inf:
+            raise ValueError(f"depth.scale is {self.scale}; give a positive number or leave it out.")
+        if not 0 < self.scale_seconds < math.inf:
+            raise ValueError(f"depth.scale_seconds is {self.scale_seconds}; give a positive number of seconds.")
+        if self.scale_samples < 1:
+            raise ValueError(f"depth.scale_samples is {self.scale_samples}; give at least 1.")
+        if self.bits not in (8, 16):
+            raise ValueError(f"depth.bits is {self.bits}; choose 8 or 16.")
+        if self.threads < 0:
+            raise ValueError(f"depth.threads is {self.threads}; give 0 or more.")
+        if self.device not in ("cpu", "cuda"):
+            raise ValueError(f"depth.device is '{self.device}'; choose cpu or cuda.")
+
+
+def open_depth(settings: DepthSettings, layout: ClipLayout, source: FrameSource) -> DepthSource:
+    """The depth source of one clip; open it anew for every clip, because it holds what is frozen for the clip.
+
+    Raises:
+        DepthError: no stored depth, or a model or preset that can't be used.
+    """
+    kind = settings.source
+    folder = source.path.is_dir()
+    if kind == "auto":
+        kind = "stored" if folder and layout.depth is not None and matches(source.path, layout.depth) else "photometric"
+    if kind == "stored":
+        return StoredDepth(layout, source.path)
+    path, preset = resolve_model(kind, settings.model, settings.preset)
+    camera = clip_camera(source.path, layout)
+    return ModelDepth(
+        DepthModel(path, preset, threads=settings.threads, device=settings.device),
+        near=settings.near,
+        far=settings.far,
+        default_focal=0.5 / math.tan(math.radians(settings.field_of_view_deg) / 2),
+        known_focal=None if camera is None else camera.fx / camera.width,
+    )
+
+
+def estimate_scale(source: FrameSource, depth: DepthSource, settings: DepthSettings) -> tuple[float, float | None]:
+    """Freeze what is fixed for the clip and return its scale and its focal length.
+
+    Reads evenly spaced frames from the first usable one on, for at most `scale_seconds` (a live camera is watched
+    that long). A frame's largest depth is min(99.9 % quantile, 3 × median) of its valid depth, the clip's scale D_max
+    the 90 % quantile (lower sample) of those; `settings.scale`, else the `depth_scale` of the clip's own file for
+    stored depth, replaces it.
+
+    Returns:
+        D_max [unit of the source] and the model's median focal length for the source's width [px], or None.
+
+    Raises:
+        DepthError: no frame has usable depth.
+    """
+    known = settings.scale if settings.scale is not None else depth.known_scale
+    if known is not None and not depth.depends_on_clip:
+        return known, None
+    problems: list[str] = []
+    samples = list(_samples(source, depth, settings, problems))
+    if samples:
+        depth.freeze(samples)
+    maps = [depth.convert(sample) for sample in samples]
+    extents = [_largest_depth(map_.depth) for map_ in maps if map_.depth.any()]
+    if not extents:
+        reason = problems[0] if problems else "choose another source with depth.source."
+        raise DepthError(f"{source.path} has no frame with usable depth; {reason}")
+    focal = maps[0].focal_px
+    width = samples[0].values.shape[1]
+    focal_px = None if focal is None else focal / width * source.size[0]
+    if known is not None:
+        return known, focal_px
+    return float(np.quantile(extents, CLIP_QUANTILE, method="lower")), focal_px
+
+
+def _samples(
+    source: FrameSource, depth: DepthSource, settings: DepthSettings, problems: list[str]
+) -> Iterator[RawDepth]:
+    """Thumbnails of the network's output for the frames that decide the scale.
+
+    Unusable frames give way to the next; why they are is added to `problems`.
+    """
+    start = due = interval = 0.0
+    taken = 0
+    for frame in source:
+        elapsed = frame.time_s - start
+        if taken and elapsed >= settings.scale_seconds:
+            return
+        # Half a millisecond absorbs the rounding of time stamps.
+        if frame.image is None or (taken and elapsed < due - 5e-4):
+            continue
+        try:
+            sample = depth.observe(frame)
+        except DepthError as error:
+            problems.append(str(error))
+            continue
+        if not taken:
+            start = frame.time_s
+            rest = source.length / source.fps - start if source.length else math.inf
+            interval = max(0.0, min(settings.scale_seconds, rest)) / settings.scale_samples
+        taken += 1
+        due += interval
+        yield sample.thumbnail()
+        if taken == settings.scale_samples:
+            return
+
+
+def _largest_depth(depth: np.ndarray) -> float:
+    """A frame's largest depth that is not an outlier [unit of the source]."""
+    valid = depth[depth > 0]
+    return float(min(np.quantile(valid, FAR_QUANTILE), FAR_MULTIPLE * np.median(valid)))
+
+
+def normalise(depth: np.ndarray, scale: float, bits: int = 16) -> np.ndarray:
+    """Normalised depth z = min(D/D_max, 1), on the levels of an unsigned integer of `bits` bits.
+
+    There is no offset: it would put near geometry into the camera's centre.
+
+    Args:
+        depth: D, any shape [unit of the source], 0 (or anything not positive and finite) = invalid.
+        scale: D_max of the clip [the same unit].
+        bits: 8 or 16.
+
+    Returns:
+        z float32 of the same shape in [0, 1]; 0 = invalid, and a valid pixel never becomes 0.
+    """
+    if not 0 < scale < math.inf:
+        raise ValueError(f"The depth scale is {scale}; give a positive number.")
+    levels = 2**bits - 1
+    valid = np.isfinite(depth) & (depth > 0)
+    z = np.where(valid, depth, 0).astype(np.float64) / scale
+    steps = np.clip(np.rint(z * levels), 1, levels)
+    return np.where(valid, steps / levels, 0).astype(np.float32)
+
+
+def resize_depth(
+    depth: np.ndarray, labels: np.ndarray, size: tuple[int, int] = (120, 214)
+) -> tuple[np.ndarray, np.ndarray]:
+    """Depth and labels on the grid, never blended across a label edge or with invalid pixels.
+
+    A grid pixel takes the label with the largest area in it (tool before tissue before the rest when equal), and the
+    mean depth of that label's valid pixels (normalised convolution; area average when shrinking, bilinear when
+    enlarging). It is invalid where less than half of that label's area has valid depth, and outside the picture.
+
+    Args:
+        depth: shape [H, W] float32, 0 = invalid.
+        labels: shape [H, W] uint8 (0 other, 1 tissue, 2 tool, 255 outside).
+        size: (height, width) of the grid.
+
+    Returns:
+        depth [h, w] float32 and labels [h, w] uint8.
+    """
+    if depth.ndim != 2 or depth.shape != labels.shape:
+        raise ValueError(f"Depth {depth.shape} and labels {labels.shape} must be two maps of one size.")
+    height, width = size
+    shrinking = height <= depth.shape[0] and width <= depth.shape[1]
+    interpolation = cv2.INTER_AREA if shrinking else cv2.INTER_LINEAR
+
+    def resized(map_: np.ndarray) -> np.ndarray:
+        return cv2.resize(map_, (width, height), interpolation=interpolation)
+
+    present = np.flatnonzero(np.bincount(labels.ravel(), minlength=256))
+    order = [value for value in (TOOL, TISSUE) if value in present]
+    order += [int(value) for value in present if value not in order]
+    members = [(labels == value).astype(np.float32) for value in order]
+    shares = np.stack([resized(member) for member in members])
+    winner = shares.argmax(axis=0)
+    valid = depth > 0
+    result = np.zeros((height, width), np.float32)
+    for index, (value, member) in enumerate(zip(order, members, strict=True)):
+        if value == OUTSIDE:
+            continue
+        usable = member * valid
+        weight = resized(usable)
+        chosen = (winner == index) & (weight > 0) & (weight >= 0.5 * shares[index])
+        result[chosen] = resized(np.where(usable > 0, depth, 0).astype(np.float32))[chosen] / weight[chosen]
+    return result, np.asarray(order, np.uint8)[winner]

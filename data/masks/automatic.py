@@ -1,0 +1,257 @@
+"""Tool and tissue masks of raw video without a learned model: an instrument by its shape, the lit rest as tissue.
+
+An instrument is a band of straight parallel edges that enters from the picture's border, is paler than tissue of the
+same brightness, and, while it moves, moves against the tissue. The mode abstains (no tool pixel) when unsure.
+docs/masks.md reports what it reaches on real clips.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from data.labels import TISSUE, TOOL
+from data.masks.instrument_bands import WORKING_SIZE, Band, find_bands
+from data.source.frames import Frame
+
+VERSION = 1
+"""Part of the masks' identity: raise it when the result changes."""
+SATURATED = 245
+"""Pixels whose brightest channel is at least this say nothing about colour [8-bit value]."""
+MARGIN = 60.0
+"""How far around a band its instrument is sought by colour [working px]."""
+SAME_COLOR = 0.1
+"""Redness above a band's at which a pixel around it is no longer its instrument."""
+DARKEST = 18
+"""Pixels whose brightest channel is below this are unlit or clipped [8-bit value]."""
+
+
+@dataclass(frozen=True)
+class AutomaticSettings:
+    """Thresholds of the automatic mode; pallor as in `pallor`, lengths in working pixels."""
+
+    min_length: float = 40.0
+    """Shortest band [px]."""
+    max_gap: float = 1.2
+    """Longest distance between a band and the border, as a multiple of the band's length."""
+    colorless: float = 0.12
+    """A band this pale is an instrument by its colour, if hardly red, with edges enough for `colorless_support`."""
+    max_redness: float = 0.08
+    """Largest median redness of that band."""
+    colorless_support: float = 0.65
+    """Least summed length of that band's edges, as a multiple of its length."""
+    saturated_share: float = 0.2
+    """A pale band with a larger share of saturated pixels is a highlight on tissue."""
+    grooved: float = 0.02
+    """A band with the many sharp edges of jaws and joints needs only this pallor."""
+    grooved_contrast: float = 65.0
+    """Least mean brightness gradient across that band (3x3 Sobel of 8-bit values)."""
+    grooved_edges: int = 6
+    """Least number of that band's edges."""
+    grooved_support: float = 1.8
+    """Least summed length of that band's edges, as a multiple of its length."""
+    moving: float = 0.03
+    """A band of several edges that moves against the tissue needs only this pallor."""
+    moving_edges: int = 4
+    """Least number of that band's edges."""
+    min_motion: float = 3.0
+    """Median motion against the tissue that counts [px a frame]."""
+    max_instruments: int = 3
+    """Instruments in one picture."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """Colour maps of a working picture, each float32 [h, w]."""
+
+    pale: np.ndarray
+    """See `pallor`."""
+    red: np.ndarray
+    """See `redness`."""
+    bright: np.ndarray
+    """Brightest channel [8-bit value]."""
+
+    def is_colorless(self, band: Band, settings: AutomaticSettings) -> bool:
+        """Whether a band is paler than tissue and hardly red at all."""
+        pale, red = (float(np.median(band_values(band, values))) for values in (self.pale, self.red))
+        return pale >= settings.colorless and red <= settings.max_redness
+
+
+class AutomaticMasks:
+    """Mask source (see masks.MaskSource) for raw video; frames must come in order."""
+
+    def __init__(self, settings: AutomaticSettings | None = None) -> None:
+        self.settings = settings or AutomaticSettings()
+        self.identity = f"automatic:{VERSION}:{self.settings}"
+        self._flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST)
+        self._last_gray: np.ndarray | None = None
+
+    def reset(self) -> None:
+        """Forget the clip seen so far."""
+        self._last_gray = None
+
+    def __call__(self, frame: Frame) -> np.ndarray:
+        """Label map uint8 [H, W] of a frame."""
+        image = frame.picture
+        scale = WORKING_SIZE / max(image.shape[:2])
+        size = max(round(image.shape[1] * scale), 16), max(round(image.shape[0] * scale), 16)
+        working = cv2.resize(image, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
+        tool = self._find_tool(working)
+        labels = lit_picture(image).astype(np.uint8) * np.uint8(TISSUE)
+        if tool.any():
+            full = cv2.resize(tool.astype(np.float32), image.shape[1::-1], interpolation=cv2.INTER_LINEAR)
+            labels[full > 0.5] = TOOL
+        return labels
+
+    def _find_tool(self, working: np.ndarray) -> np.ndarray:
+        """Tool pixels of the working picture, bool [h, w]."""
+        lit = lit_picture(working)
+        field = picture_field(lit)
+        gray = cv2.cvtColor(working, cv2.COLOR_RGB2GRAY)
+        smooth = cv2.GaussianBlur(working, (0, 0), 1.0).astype(np.float32)
+        bright, red = brightest_channel(smooth), redness(smooth)
+        look = Look(pallor(red, bright, lit), red, bright)
+        motion = self._motion_against_tissue(gray, field)
+        self._last_gray = gray
+        slopes = cv2.Sobel(gray, cv2.CV_32F, 1, 0), cv2.Sobel(gray, cv2.CV_32F, 0, 1)
+        tool, near = np.zeros(lit.shape, bool), np.zeros(lit.shape, bool)
+        instruments = 0
+        for band in find_bands(gray, field):
+            if instruments == self.settings.max_instruments:
+                break
+            # The strongest band stands for its instrument: what lies beside it is its shadow or the tissue it holds.
+            if band_values(band, near).mean() < 0.1 and self._is_instrument(band, look, slopes, motion):
+                tool |= outline_tool(band, look, field, self.settings)
+                near = cv2.dilate(tool.astype(np.uint8), np.ones((41, 41), np.uint8)).astype(bool)
+                instruments += 1
+        return tool
+
+    def _is_instrument(self, band: Band, look: Look, slopes: tuple[np.ndarray, np.ndarray], motion: np.ndarray) -> bool:
+        """Whether a band's colour, edges or motion are an instrument's."""
+        settings = self.settings
+        if band.length < settings.min_length or band.gap > settings.max_gap * band.length:
+            return False
+        density = band.support / band.length
+        if look.is_colorless(band, settings) and density >= settings.colorless_support:
+            return bool((band_values(band, look.bright) >= SATURATED).mean() < settings.saturated_share)
+        paleness = float(np.median(band_values(band, look.pale)))
+        many = band.edges >= settings.grooved_edges and density >= settings.grooved_support
+        if many and paleness >= settings.grooved:
+            across = sum(band_values(band, slope) * part for slope, part in zip(slopes, band.normal, strict=True))
+            if np.abs(across).mean() >= settings.grooved_contrast:
+                return True
+        if paleness >= settings.moving and band.edges >= settings.moving_edges:
+            return bool(np.median(band_values(band, motion)) >= settings.min_motion)
+        return False
+
+    def _motion_against_tissue(self, gray: np.ndarray, field: np.ndarray) -> np.ndarray:
+        """Speed against the affine motion of most of the picture [px a frame], float32 [h, w]; 0 at first."""
+        if self._last_gray is None or self._last_gray.shape != gray.shape:
+            return np.zeros(gray.shape, np.float32)
+        size = (gray.shape[1] // 2, gray.shape[0] // 2)
+        first, second = (cv2.resize(g, size, interpolation=cv2.INTER_AREA) for g in (gray, self._last_gray))
+        flow = self._flow.calc(first, second, None)  # ty: ignore[no-matching-overload]  no first guess
+        rows, columns = (grid.ravel() for grid in np.mgrid[4 : size[1] : 8, 4 : size[0] : 8])
+        seen = field[rows * 2, columns * 2]
+        if seen.sum() < 3:  # three points make an affine motion; a black picture has none
+            return np.zeros(gray.shape, np.float32)
+        source = np.stack([columns, rows], axis=1)[seen].astype(np.float32)
+        target = source + flow[rows[seen], columns[seen]]
+        matrix, _ = cv2.estimateAffine2D(source, target, method=cv2.RANSAC, ransacReprojThreshold=1.0, maxIters=200)
+        if matrix is None:
+            return np.zeros(gray.shape, np.float32)
+        v, u = np.mgrid[: size[1], : size[0]].astype(np.float32)
+        expected = np.stack([u, v, np.ones_like(u)], axis=-1) @ matrix.T.astype(np.float32) - np.stack([u, v], axis=-1)
+        speed = 2 * np.linalg.norm(flow - expected, axis=2)
+        return cv2.resize(speed.astype(np.float32), gray.shape[::-1], interpolation=cv2.INTER_LINEAR)
+
+
+def lit_picture(image: np.ndarray) -> np.ndarray:
+    """Lit pixels of the endoscope's picture, bool [H, W], from RGB uint8 [H, W, 3].
+
+    The largest connected region that is not black: the dark surround and what is clipped to black are left out.
+    """
+    bright = (brightest_channel(cv2.blur(image, (5, 5))) > DARKEST).astype(np.uint8)
+    _, regions, areas, _ = cv2.connectedComponentsWithStats(bright)
+    if len(areas) < 2:
+        return np.zeros(bright.shape, bool)
+    return regions == 1 + int(np.argmax(areas[1:, cv2.CC_STAT_AREA]))
+
+
+def brightest_channel(image: np.ndarray) -> np.ndarray:
+    """Largest of the three channels, [H, W]; many times faster than numpy's maximum over a short last axis."""
+    first, second, third = cv2.split(image)
+    return cv2.max(cv2.max(first, second), third)
+
+
+def picture_field(lit: np.ndarray) -> np.ndarray:
+    """Convex hull of the lit pixels, bool [H, W]: the endoscope's whole picture, shadows included."""
+    field = np.zeros(lit.shape, np.uint8)
+    outlines, _ = cv2.findContours(lit.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    if outlines:
+        cv2.fillConvexPoly(field, cv2.convexHull(np.concatenate(outlines)), 1)
+    return field.astype(bool)
+
+
+def redness(image: np.ndarray) -> np.ndarray:
+    """(R − (G+B)/2)/max of every pixel, float32 [H, W]: about 0.5 for liver, 0.25 for pale organs, 0 for metal."""
+    return (image[..., 0] - (image[..., 1] + image[..., 2]) / 2) / (brightest_channel(image) + 8)
+
+
+def pallor(red: np.ndarray, bright: np.ndarray, lit: np.ndarray) -> np.ndarray:
+    """How much less red a pixel is than four fifths of the lit picture at its brightness, float32 [H, W].
+
+    Tissue is redder the darker it is; metal and plastic are not, so that comparing equal brightness tells a dark
+    instrument from pale tissue. What is equally bright may all be instrument, so less than 0.45 of the whole picture's
+    median redness is not expected anywhere.
+
+    Args:
+        red: redness, [H, W].
+        bright: brightest channel [8-bit value], [H, W].
+        lit: lit pixels, bool [H, W].
+    """
+    result = np.zeros(red.shape, np.float32)
+    if not lit.any():
+        return result
+    least = 0.45 * float(np.median(red[lit]))
+    bins = (bright / 16).astype(np.uint8)
+    for value in np.unique(bins[lit]):
+        here = lit & (bins == value)
+        result[here] = max(float(np.quantile(red[here], 0.2)), least) - red[here]
+    return result
+
+
+def band_values(band: Band, values: np.ndarray, low: float = 0.0, high: float | None = None) -> np.ndarray:
+    """Samples of a map [h, w] on a grid inside a band, between two distances along it [px] (default: its length)."""
+    high = band.length if high is None else high
+    along = np.linspace(low, high, max(int((high - low) / 3), 4))
+    across = np.linspace(-0.45, 0.45, 9) * band.width
+    columns, rows = np.rint(band.points(along, across)).astype(int).reshape(-1, 2).T
+    inside = (columns >= 0) & (columns < values.shape[1]) & (rows >= 0) & (rows < values.shape[0])
+    return values[rows[inside], columns[inside]] if inside.any() else np.zeros(1, np.float32)
+
+
+def outline_tool(band: Band, look: Look, field: np.ndarray, settings: AutomaticSettings) -> np.ndarray:
+    """Pixels of the instrument of a band, bool [h, w].
+
+    The band itself to the border; where it is an instrument by its colour, rather all connected pixels around that
+    share the colour: jaws and a second edge may lie outside the band.
+    """
+    core = np.zeros(field.shape, np.uint8)
+    cv2.fillConvexPoly(core, band.outline(-band.gap - 2, band.length), 1)
+    if not look.is_colorless(band, settings):
+        return (core > 0) & field
+    around = np.zeros(field.shape, np.uint8)
+    cv2.fillConvexPoly(around, band.outline(-band.gap - 2, band.length + MARGIN, MARGIN), 1)
+    paleness, red = (float(np.median(band_values(band, values))) for values in (look.pale, look.red))
+    # Highlights on the instrument are inside the band, those on tissue beside it.
+    same = (look.pale > 0.5 * paleness) & (look.red < red + SAME_COLOR) & (look.bright < SATURATED)
+    same |= (core > 0) & (look.pale > 0.3 * paleness)
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
+    closed = cv2.morphologyEx((same & (around > 0) & field).astype(np.uint8), cv2.MORPH_CLOSE, kernel)
+    opened = cv2.morphologyEx(closed, cv2.MORPH_OPEN, kernel)
+    _, regions = cv2.connectedComponents(opened)
+    overlap = np.bincount(regions[(core > 0) & (opened > 0)], minlength=1)
+    return (regions == int(np.argmax(overlap))) & (opened > 0) & field if overlap.any() else np.zeros(field.shape, bool)

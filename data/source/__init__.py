@@ -1,0 +1,25 @@
+"""Frames with time stamps, where they come from, and the camera that took them.
+
+frames  video files, folders of images and live cameras as FrameSource; the search for clips
+layout  how a folder's frames, masks, depth and camera file are named
+camera  intrinsics, back-projection, removal of lens distortion
+images  image files by their bytes, and paths as text
+"""
+
+from physics.lazy import exported
+
+__getattr__ = exported(
+    {
+        "data.source.frames": (
+            "Frame",
+            "FrameFolder",
+            "FrameSource",
+            "LiveCamera",
+            "VideoFile",
+            "discover",
+            "open_source",
+        ),
+        "data.source.layout": ("ClipLayout", "InputError", "load_layout"),
+        "data.source.camera": ("Camera", "back_project", "load_camera"),
+    }
+)

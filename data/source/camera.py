@@ -1,0 +1,153 @@
+"""The camera: intrinsics, camera files, back-projection (Bini 2026, equation 3) and the removal of lens distortion."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from data.source.layout import ClipLayout, InputError, camera_file, read_clip_file, read_mapping
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Pinhole camera with OpenCV distortion; pixel centres lie at integer coordinates."""
+
+    fx: float
+    """Focal length along u [px]."""
+    fy: float
+    """Focal length along v [px]."""
+    cx: float
+    """Principal point, column [px]."""
+    cy: float
+    """Principal point, row [px]."""
+    width: int
+    """Picture width [px]."""
+    height: int
+    """Picture height [px]."""
+    distortion: tuple[float, ...] = ()
+    """OpenCV coefficients k1, k2, p1, p2, k3 (none: no distortion); they don't depend on the resolution."""
+
+    def __post_init__(self) -> None:
+        numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
+        if not all(math.isfinite(value) for value in numbers):
+            raise ValueError("The camera has a number that is not finite; check its intrinsics and distortion.")
+        if self.fx <= 0 or self.fy <= 0:
+            raise ValueError(f"The camera's focal length is ({self.fx}, {self.fy}); give positive numbers of pixels.")
+        if self.width < 1 or self.height < 1:
+            raise ValueError(f"The camera's picture is {self.width}x{self.height}; give its size in pixels.")
+        if len(self.distortion) not in (0, 4, 5, 8):
+            raise ValueError(f"The camera has {len(self.distortion)} distortion coefficients; give 0, 4, 5 or 8.")
+
+    @classmethod
+    def from_field_of_view(cls, degrees: float, width: int, height: int) -> Camera:
+        """Camera with square pixels and a centred axis from its horizontal field of view [degrees]."""
+        if not 0 < degrees < 180:
+            raise ValueError(f"The field of view is {degrees} degrees; give a number between 0 and 180.")
+        return cls.from_focal(width / 2 / math.tan(math.radians(degrees) / 2), width, height)
+
+    @classmethod
+    def from_focal(cls, focal: float, width: int, height: int) -> Camera:
+        """Camera with square pixels and a centred axis from its focal length [px]."""
+        return cls(focal, focal, (width - 1) / 2, (height - 1) / 2, width, height)
+
+    def scaled(self, width: int, height: int) -> Camera:
+        """The same camera for the picture resized to width x height."""
+        across, down = width / self.width, height / self.height
+        return Camera(
+            self.fx * across,
+            self.fy * down,
+            (self.cx + 0.5) * across - 0.5,
+            (self.cy + 0.5) * down - 0.5,
+            width,
+            height,
+            self.distortion,
+        )
+
+
+def camera_from_dict(entries: dict, name: str) -> Camera:
+    """Camera from the keys fx, fy, cx, cy, width, height and optionally distortion.
+
+    Raises:
+        InputError: a key is missing or not a number; `name` tells the user where.
+    """
+    try:
+        numbers = {key: float(entries[key]) for key in ("fx", "fy", "cx", "cy")}
+        distortion = tuple(float(value) for value in entries.get("distortion") or ())
+        return Camera(**numbers, width=int(entries["width"]), height=int(entries["height"]), distortion=distortion)
+    except KeyError as error:
+        raise InputError(f"{name}: the camera lacks {error.args[0]}; give fx, fy, cx, cy, width, height.") from error
+    except (TypeError, ValueError, AttributeError) as error:
+        raise InputError(f"{name}: the camera is unusable ({error}); give numbers in pixels.") from error
+
+
+def load_camera(path: str | Path) -> Camera:
+    """Camera from a YAML or JSON file, at its top level or under `camera`.
+
+    Raises:
+        InputError: the file is missing, not YAML or JSON, or not a camera.
+    """
+    entries = read_mapping(Path(path), "a camera file")
+    if isinstance(entries.get("camera"), dict):
+        entries = entries["camera"]
+    return camera_from_dict(entries, str(path))
+
+
+def clip_camera(clip: Path, layout: ClipLayout) -> Camera | None:
+    """The camera that a clip folder's `clip.json` or its layout gives, or None where neither does.
+
+    Raises:
+        InputError: a camera is named and can't be used.
+    """
+    entries = read_clip_file(clip).get("camera") if clip.is_dir() else None
+    if entries is not None:
+        return camera_from_dict(entries, f"{clip} (clip.json)")
+    path = camera_file(layout, clip)
+    return None if path is None else load_camera(path)
+
+
+def back_project(depth: np.ndarray, camera: Camera) -> np.ndarray:
+    """Points of a depth map: x=(u-c_x)z/f_x, y=(v-c_y)z/f_y (Bini 2026, equation 3).
+
+    Args:
+        depth: z, shape [H, W] [scene units], 0 = invalid. The map must be free of distortion.
+        camera: intrinsics for exactly this size.
+
+    Returns:
+        Points [H, W, 3] float32 [scene units]; invalid pixels give the origin.
+
+    Raises:
+        ValueError: the depth map's size is not the camera's.
+    """
+    if depth.shape != (camera.height, camera.width):
+        raise ValueError(f"The depth map is {depth.shape}, the camera expects ({camera.height}, {camera.width}).")
+    columns = (np.arange(camera.width) - camera.cx) / camera.fx
+    rows = (np.arange(camera.height) - camera.cy) / camera.fy
+    return np.stack((depth * columns, depth * rows[:, None], depth), axis=-1).astype(np.float32)
+
+
+class Undistortion:
+    """Removes a camera's lens distortion from pictures, label maps and depth maps of one size.
+
+    The intrinsics stay as they are, so the undistorted picture is a pinhole picture of `camera` without distortion.
+    """
+
+    def __init__(self, camera: Camera) -> None:
+        matrix = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
+        size = (camera.width, camera.height)
+        self._maps = cv2.initUndistortRectifyMap(matrix, np.array(camera.distortion), None, matrix, size, cv2.CV_32FC1)
+
+    def image(self, image: np.ndarray) -> np.ndarray:
+        """RGB picture [H, W, 3], interpolated; black outside the camera's picture."""
+        return cv2.remap(image, *self._maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+
+    def labels(self, labels: np.ndarray) -> np.ndarray:
+        """Label map [H, W], nearest pixel; 255 outside the camera's picture."""
+        return cv2.remap(labels, *self._maps, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=255)
+
+    def depth(self, depth: np.ndarray) -> np.ndarray:
+        """Depth map [H, W], nearest pixel, so that it never blends across an edge; 0 outside the camera's picture."""
+        return cv2.remap(depth, *self._maps, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=0)

@@ -1,0 +1,330 @@
+"""Frames with time stamps from a video file, a folder of images or a camera, and the search for clips.
+
+No frame is lost silently: one that can't be read comes as a `Frame` without an image and with the reason.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from data.source.images import printable, read_image
+from data.source.layout import IMAGE_SUFFIXES, ClipLayout, InputError, frame_files, list_folder, read_clip_file
+
+__all__ = [
+    "Frame",
+    "FrameFolder",
+    "FrameSource",
+    "InputError",
+    "LiveCamera",
+    "VideoFile",
+    "discover",
+    "open_source",
+    "printable",
+    "read_image",
+]
+
+VIDEO_SUFFIXES = frozenset({".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".ts", ".wmv"})
+EXACT_COUNT_SUFFIXES = frozenset({".mp4", ".m4v", ".mov", ".avi"})
+"""Containers whose header holds the true number of frames; elsewhere it is estimated from the duration."""
+CAMERA_PREFIX = "camera:"
+RESULT_FILE = "run.json"
+"""Marks a folder of our own results, whose overlay video is no input."""
+FASTEST = 1000.0
+"""A stored frame rate above this is a container's default, not a camera's [1/s]."""
+LARGEST_NUMBER = 2**53
+"""Frame numbers below this are exact as floating-point numbers too."""
+LEAST_SIDE, MOST_ASPECT = 32, 4
+"""Smallest picture [px] and longest side over shortest; on smaller or longer ones OpenCV's optical flow crashes."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One frame of a clip; `error` is non-empty exactly when `image` is None."""
+
+    index: int
+    """Position in the clip, from 0."""
+    number: int
+    """The frame's own number; a jump means missing frames."""
+    time_s: float
+    """Time since the clip's first frame [s]."""
+    image: np.ndarray | None
+    """RGB, uint8, shape [height, width, 3]."""
+    path: Path | None = None
+    """The image's file, None for a video."""
+    error: str = ""
+    """Why there is no image, a sentence."""
+
+    @property
+    def picture(self) -> np.ndarray:
+        """The image of a frame that has one; ValueError where it has none."""
+        if self.image is None:
+            raise ValueError(self.error)
+        return self.image
+
+
+class FrameSource(ABC):
+    """A clip that can be iterated over more than once."""
+
+    name: str
+    path: Path
+    size: tuple[int, int]
+    """(width, height) of the first readable frame [px]; frames of another size come as errors."""
+    fps: float
+    length: int
+    """Number of frames to expect; 0 where unknown (camera)."""
+    warnings: list[str]
+    """What was wrong with the clip as a whole, filled while iterating."""
+
+    @abstractmethod
+    def __iter__(self) -> Iterator[Frame]:
+        """Frames in order, from the beginning."""
+
+    def size_error(self, image: np.ndarray, named: str) -> str:
+        """Complaint about an image, called `named`, whose size is not the clip's, else an empty string."""
+        height, width = image.shape[:2]
+        if (width, height) == self.size:
+            return ""
+        return f"{named} is {width}x{height} while the clip is {self.size[0]}x{self.size[1]}; export all at one size."
+
+
+class FrameFolder(FrameSource):
+    """Images of one folder: those that match the layout, else all images in natural order."""
+
+    def __init__(self, path: Path, layout: ClipLayout) -> None:
+        self.path = path
+        self.name = path.resolve().name
+        self.warnings = []
+        self.files = frame_files(path, layout)
+        if not self.files:
+            raise InputError(f"{path} holds no frame images ({layout.image}); give a folder of frames or a video file.")
+        _check_numbers(self.files)
+        description = read_clip_file(path)
+        self.fps = float(description.get("fps", layout.fps))
+        self.length = len(self.files)
+        self._times = description.get("times")
+        if self._times is not None and len(self._times) != self.length:
+            raise InputError(
+                f"{path} has {self.length} frames while its clip.json gives {len(self._times)} times; make them agree."
+            )
+        self.size = self._first_size()
+
+    def _first_size(self) -> tuple[int, int]:
+        """(width, height) of the first image that can be read."""
+        for _, file in self.files:
+            try:
+                image = read_image(file)
+            except InputError:
+                continue  # Reported with its own row when iterating.
+            return _picture_size(self.path, image)
+        raise InputError(f"{self.path} holds {self.length} images and none can be decoded; check or replace the files.")
+
+    def __iter__(self) -> Iterator[Frame]:
+        self.warnings = []
+        first, failed = self.files[0][0], 0
+        for index, (number, file) in enumerate(self.files):
+            stamp = self._times[index] if self._times is not None else (number - first) / self.fps
+            image, error = None, ""
+            try:
+                image = read_image(file)
+                error = self.size_error(image, printable(file))
+            except InputError as problem:
+                error = str(problem)
+            if error:
+                failed += 1
+                yield Frame(index, number, stamp, None, file, error)
+            else:
+                yield Frame(index, number, stamp, image, file)
+        missing = self.files[-1][0] - first + 1 - self.length
+        if missing:
+            self.warnings.append(f"{missing} frame numbers are missing between {first} and {self.files[-1][0]}")
+        if failed:
+            self.warnings.append(f"unreadable: {failed} of {self.length} frames")
+
+
+class VideoFile(FrameSource):
+    """A video file with its own time stamps, upright; frames that the file announces but lacks come as errors."""
+
+    def __init__(self, path: Path, fallback_fps: float = 25.0) -> None:
+        self.path, self.name, self.warnings = path, path.stem, []
+        if path.stat().st_size == 0:
+            raise InputError(f"{path} is an empty file (0 bytes); copy it again.")
+        capture = self._open()
+        try:
+            done, image = capture.read()
+            fps, count = capture.get(cv2.CAP_PROP_FPS), capture.get(cv2.CAP_PROP_FRAME_COUNT)
+        finally:
+            capture.release()
+        if not done:
+            raise InputError(f"{path} holds no frame that can be decoded; copy it again or convert it to MP4.")
+        self.size = _picture_size(path, image)
+        self.fps = float(fps) if 0 < fps <= FASTEST else fallback_fps
+        self.length = max(int(count), 1) if math.isfinite(count) else 1
+        exact = path.suffix.lower() in EXACT_COUNT_SUFFIXES
+        self._tolerance = 0 if exact else max(2, round(0.1 * self.fps))
+
+    def _open(self) -> cv2.VideoCapture:
+        try:
+            str(self.path).encode("utf-8")
+        except UnicodeEncodeError as error:
+            raise InputError(f"{printable(self.path)} has a name that is not valid UTF-8; rename the file.") from error
+        capture = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG)
+        if not capture.isOpened():
+            capture.release()
+            raise InputError(f"{self.path} can't be opened as a video (truncated, or none); copy or convert it again.")
+        capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 1)
+        return capture
+
+    def __iter__(self) -> Iterator[Frame]:
+        self.warnings = []
+        capture = self._open()
+        decoded, number, stamp, start = 0, -1, 0.0, None
+        try:
+            while True:
+                done, image = capture.read()
+                if not done:
+                    break
+                position = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
+                if start is None:
+                    start, number = position, 0
+                else:
+                    # Some containers stamp nothing: time must rise all the same.
+                    gap = position - start - stamp if position - start > stamp else 1 / self.fps
+                    stamp += gap
+                    # A jump in the time stamps is a jump in the numbers: the frames around it are no neighbours.
+                    number += max(1, round(gap * self.fps))
+                error = self.size_error(image, f"Frame {number} of {self.path}")
+                rgb = None if error else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+                yield Frame(decoded, number, stamp, rgb, None, error)
+                decoded += 1
+        finally:
+            capture.release()
+        if self.length - decoded <= self._tolerance:
+            return
+        self.warnings.append(f"truncated: {decoded} of {self.length} frames decoded")
+        for step, index in enumerate(range(decoded, self.length), start=1):
+            error = f"{self.path} ends before frame {number + step} or is damaged; copy it again."
+            yield Frame(index, number + step, stamp + step / self.fps, None, None, error)
+
+
+class LiveCamera(FrameSource):
+    """A camera of this machine, named `camera:0`; it can't be rewound, and ends when it stops delivering."""
+
+    def __init__(self, name: str, fps: float = 25.0) -> None:
+        digits = name.removeprefix(CAMERA_PREFIX)
+        if not digits.isdecimal():
+            raise InputError(f"'{name}' is not a camera; write camera:0 for the first one.")
+        self.path, self.name, self.length, self.warnings = Path(name), f"camera-{digits}", 0, []
+        self._capture = cv2.VideoCapture(int(digits))
+        done, image = self._capture.read()
+        if not done:
+            self._capture.release()
+            raise InputError(f"{name} delivers no picture; check that the camera is connected and not in use.")
+        self.size = image.shape[1], image.shape[0]
+        rate = self._capture.get(cv2.CAP_PROP_FPS)
+        self.fps = float(rate) if 0 < rate <= FASTEST else fps
+
+    def __iter__(self) -> Iterator[Frame]:
+        start, index = time.monotonic(), 0
+        while True:
+            done, image = self._capture.read()
+            if not done:
+                self.warnings.append(f"{self.path} stopped delivering after {index} frames")
+                return
+            yield Frame(index, index, time.monotonic() - start, cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
+            index += 1
+
+
+def _picture_size(path: Path, image: np.ndarray) -> tuple[int, int]:
+    """(width, height) of a clip's pictures.
+
+    Raises:
+        InputError: they are too small or too long to see anything in them.
+    """
+    height, width = image.shape[:2]
+    if min(width, height) < LEAST_SIDE or max(width, height) > MOST_ASPECT * min(width, height):
+        raise InputError(
+            f"{printable(path)} has pictures of {width}x{height}; give at least {LEAST_SIDE}x{LEAST_SIDE} and at most "
+            f"{MOST_ASPECT}:1."
+        )
+    return width, height
+
+
+def _check_numbers(files: Sequence[tuple[int, Path]]) -> None:
+    """Raise an InputError where sorted frame numbers repeat or are too large to count with."""
+    for (number, file), (following, other) in pairwise(files):
+        if number == following:
+            raise InputError(f"{printable(file)} and {printable(other)} are both frame {number}; remove one of them.")
+    if files[-1][0] > LARGEST_NUMBER:
+        raise InputError(f"{printable(files[-1][1])} has a frame number above {LARGEST_NUMBER}; rename the file.")
+
+
+def open_source(path: Path | str, layout: ClipLayout) -> FrameSource:
+    """Open a clip: `camera:0`, a folder of frames, or a video file.
+
+    Raises:
+        InputError: the path does not exist or holds no frame.
+    """
+    path = Path(path)
+    if str(path).startswith(CAMERA_PREFIX):
+        return LiveCamera(str(path), layout.fps)
+    try:
+        if path.is_dir():
+            return FrameFolder(path, layout)
+        path.stat()
+        return VideoFile(path, layout.fps)
+    except OSError as error:
+        raise InputError(f"{printable(path)} can't be opened ({error.strerror}); check the path.") from error
+
+
+def discover(inputs: list[Path], layout: ClipLayout) -> list[Path]:
+    """Clips under the given paths, in natural order a path: video files, frame folders, folders of those.
+
+    Raises:
+        InputError: a path does not exist, can't be listed, or holds no clip.
+    """
+    clips: dict[Path, None] = {}
+    for given in map(Path, inputs):
+        if str(given).startswith(CAMERA_PREFIX):
+            clips[given] = None
+            continue
+        try:
+            given.stat()
+            found = _search(given, layout, set()) if given.is_dir() else [given]
+        except OSError as error:
+            raise InputError(f"{printable(given)} can't be opened ({error.strerror}); check the path.") from error
+        if not given.is_dir() and given.suffix.lower() in IMAGE_SUFFIXES:
+            raise InputError(f"{printable(given)} is a single image; give the folder of the clip's frames.")
+        if not found:
+            raise InputError(f"{printable(given)} holds neither a video nor a folder of frames; give one that does.")
+        clips.update(dict.fromkeys(found))
+    if not clips:
+        raise InputError("no input was given; name a video file or a folder of frames.")
+    return list(clips)
+
+
+def _search(folder: Path, layout: ClipLayout, seen: set[Path]) -> list[Path]:
+    """Clips in a folder and below; `seen` keeps links from leading in circles."""
+    real = folder.resolve()
+    if real in seen or (folder / RESULT_FILE).is_file():
+        return []
+    seen.add(real)
+    if frame_files(folder, layout):
+        return [folder]
+    found: list[Path] = []
+    for entry in list_folder(folder):
+        if entry.name.startswith("."):
+            continue
+        if entry.is_dir():
+            found += _search(entry, layout, seen)
+        elif entry.suffix.lower() in VIDEO_SUFFIXES:
+            found.append(entry)
+    return found

@@ -1,0 +1,60 @@
+"""Image files by their bytes, and paths as text."""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+
+# Decoder messages about broken files would bury our own sentence.
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+import cv2
+import numpy as np
+
+from data.source.layout import InputError
+from physics.doors import plain
+
+# The environment's level is read when OpenCV is first imported, which may have been elsewhere.
+cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
+
+
+def read_image(path: Path, flags: int = cv2.IMREAD_COLOR_RGB, most: float = math.inf) -> np.ndarray:
+    """Read an image file by its bytes, so that any file name works: RGB uint8 [H, W, 3] by default.
+
+    Args:
+        flags: OpenCV's.
+        most: pixels; a PNG that declares more is not unpacked.
+
+    Raises:
+        InputError: missing, empty, truncated, undecodable or too large file.
+    """
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{printable(path)} can't be read ({error.strerror}); check the file.") from error
+    if not content:
+        raise InputError(f"{printable(path)} is an empty file (0 bytes); copy it again.")
+    width, height = (int.from_bytes(content[place : place + 4], "big") for place in (16, 20))
+    if content[12:16] == b"IHDR" and width * height > most:
+        raise InputError(f"{printable(path)} is {width}x{height}, far larger than its picture; store it at that size.")
+    image = None
+    if not _truncated(content):  # whose decoder would also print a message of its own
+        try:
+            image = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
+        except cv2.error:
+            image = None
+    if image is None:
+        raise InputError(f"{printable(path)} can't be decoded as an image (truncated or damaged); copy it again.")
+    return image
+
+
+def _truncated(content: bytes) -> bool:
+    """Whether a PNG or JPEG lacks its end marker: decoders may fill up the rest of the picture with grey."""
+    if content.startswith(b"\x89PNG"):
+        return b"IEND" not in content[-4096:]
+    return content.startswith(b"\xff\xd8") and b"\xff\xd9" not in content[-4096:]
+
+
+def printable(path: Path) -> str:
+    """The path as text that any terminal and file can hold."""
+    return plain(os.fsencode(path).decode("utf-8", "replace"))

@@ -1,0 +1,22 @@
+"""Clips with known truth, drawn and observed with errors as real ones have.
+
+settings  every knob of a scene; clip: a clip from seed to frames, in memory or as files
+scene     the tissue sheet, the organ's outline, the tool's way; truth: θ, the force and the true motion
+surface   the deformed sheet as the camera sees it; tool: the grasper; render: the pictures
+errors    noise, rounding and wrong outlines; files: how a clip is stored
+source    a clip in memory as a FrameSource; contacts: motions without pictures, many and cheap
+
+`python -m data.synthetic` is the door.
+"""
+
+from physics.lazy import exported
+
+__getattr__ = exported(
+    {
+        "data.synthetic.settings": ("SceneSettings",),
+        "data.synthetic.clip": ("SyntheticClip", "clip_seed", "make_clip", "write_clip"),
+        "data.synthetic.scene": ("Scene", "SceneError", "draw_scene"),
+        "data.synthetic.source": ("SyntheticSource", "open_synthetic"),
+        "data.synthetic.contacts": ("SimulatedContact", "draw_contacts"),
+    }
+)

@@ -1,0 +1,215 @@
+"""Synthetic clips with known truth: drawn, observed with their errors, and written in CholecSeg8k's folder layout."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import os
+import secrets
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from data.source.camera import Camera
+from data.synthetic.errors import observe_depth, observe_labels, reported_camera, stored_to_depth
+from data.synthetic.files import open_video, write_frame, write_truth
+from data.synthetic.render import Renderer
+from data.synthetic.scene import Scene, draw_scene
+from data.synthetic.settings import SceneSettings
+from data.synthetic.truth import Motion, draw_motion
+
+MARKER = "synthetic.json"
+"""File of a clip's videoNN that tells which files this program wrote there, each with its hash."""
+
+
+@dataclass(frozen=True)
+class SyntheticFrame:
+    """One frame as a user's files would show it."""
+
+    image: np.ndarray
+    """RGB, shape [H, W, 3], uint8."""
+    labels: np.ndarray
+    """Grey class codes of `data.masks.class_table`, shape [H, W], uint8."""
+    stored_depth: np.ndarray
+    """z times its type's largest value, shape [H, W], uint8 or uint16, 0 = invalid."""
+
+
+@dataclass(frozen=True)
+class SyntheticClip:
+    """A clip in memory."""
+
+    scene: Scene
+    """True geometry: sheet, mesh, contact vertex, direction, true cameras."""
+    motion: Motion
+    """Truth: θ, force in time, trajectories."""
+    camera: Camera
+    """Camera that the clip claims, with its focal-length error."""
+    seed: int
+    images: np.ndarray
+    """RGB, shape [F, H, W, 3], uint8."""
+    labels: np.ndarray
+    """Grey class codes of `data.masks.class_table`, shape [F, H, W], uint8."""
+    depth: np.ndarray
+    """Observed z, shape [F, H, W], float32 [scene units], 0 = invalid."""
+
+
+def draw_truth(settings: SceneSettings, seed: int) -> tuple[Scene, Motion]:
+    """Scene and true motion of a clip, without its pictures.
+
+    Geometry, motion, looks and errors of observation have a random stream each, so that changing the errors leaves the
+    truth as it is.
+
+    Raises:
+        SceneError: the settings leave nothing to draw.
+    """
+    scene = draw_scene(settings, np.random.default_rng([seed, 0]))
+    return scene, draw_motion(scene, np.random.default_rng([seed, 1]))
+
+
+def observe(scene: Scene, motion: Motion, seed: int) -> Iterator[SyntheticFrame]:
+    """Frames of a clip in order, with their errors of observation."""
+    settings = scene.settings
+    renderer = Renderer(scene, motion, np.random.default_rng([seed, 2]))
+    depth_errors, mask_errors = np.random.default_rng([seed, 3]), np.random.default_rng([seed, 4])
+    for index in range(settings.frames):
+        frame = renderer.frame(index)
+        labels = observe_labels(frame.labels, settings, mask_errors)
+        yield SyntheticFrame(frame.image, labels, observe_depth(frame.depth, settings, depth_errors))
+
+
+def make_clip(settings: SceneSettings, seed: int) -> SyntheticClip:
+    """Make a clip in memory; the same settings and seed give the same arrays.
+
+    Raises:
+        SceneError: the settings leave nothing to draw.
+    """
+    return synthetic_clip(*draw_truth(settings, seed), seed)
+
+
+def synthetic_clip(scene: Scene, motion: Motion, seed: int) -> SyntheticClip:
+    """A clip in memory of a truth that was drawn already, observed as the scene's settings say."""
+    frames = list(observe(scene, motion, seed))
+    return SyntheticClip(
+        scene,
+        motion,
+        reported_camera(scene.camera, scene.settings),
+        seed,
+        np.stack([frame.image for frame in frames]),
+        np.stack([frame.labels for frame in frames]),
+        np.stack([stored_to_depth(frame.stored_depth) for frame in frames]),
+    )
+
+
+def clip_seed(seed: int, index: int) -> int:
+    """Seed of one clip of a set, so that clips of one seed share nothing and clip i doesn't depend on their number."""
+    return int(np.random.SeedSequence((seed, index)).generate_state(1)[0])
+
+
+def write_clip(
+    output: Path,
+    number: int,
+    settings: SceneSettings,
+    seed: int,
+    *,
+    overwrite: bool = False,
+    advance: Callable[[int], None] = lambda frames: None,
+) -> Path:
+    """Write a clip as output/videoNN and return its frame folder.
+
+    The folder appears when it is complete. A clip that is there already with the same settings and seed is kept.
+
+    Args:
+        advance: called with the number of frames done since the last call.
+
+    Raises:
+        FileExistsError: the folder is there and holds a file that this program did not write, or it was made otherwise
+            and `overwrite` is off.
+        OSError: the folder can't be written.
+        SceneError: the settings leave nothing to draw.
+    """
+    name = f"video{number:02d}"
+    target, folder_name = output / name, f"{name}_00000"
+    if not overwrite and _same_clip(target / folder_name / "truth.json", settings, seed):
+        advance(settings.frames)
+        return target / folder_name
+    _require_own(target)
+    if target.exists() and not overwrite:
+        raise FileExistsError(
+            f"{target} exists and was made with other settings; give another --output or --overwrite."
+        )
+    scene, motion = draw_truth(settings, seed)
+    output.mkdir(parents=True, exist_ok=True)
+    # The leading dot keeps readers away; the name is nobody else's, so that it can be removed.
+    partial = output / f".{name}.{secrets.token_hex(8)}.partial"
+    partial.mkdir()
+    try:
+        (partial / folder_name).mkdir()
+        with open_video(partial / f"{folder_name}.mp4", settings) as add_to_video:
+            for index, frame in enumerate(observe(scene, motion, seed)):
+                write_frame(partial / folder_name, index, frame.image, frame.labels, frame.stored_depth)
+                add_to_video(frame.image)
+                advance(1)
+        write_truth(partial / folder_name, scene, motion, seed)
+        hashes = {name: _sha256(partial / name) for name in _files(partial)}
+        (partial / MARKER).write_text(json.dumps({"files": hashes}, indent=1) + "\n", encoding="utf-8")
+        _require_own(target)
+        _swap(partial, target)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+    return target / folder_name
+
+
+def _swap(partial: Path, target: Path) -> None:
+    """Put a finished folder in its place; an earlier one of ours leaves only once the new one is there."""
+    earlier = partial.with_suffix(".earlier")
+    try:
+        if target.exists():
+            os.replace(target, earlier)
+        os.replace(partial, target)
+    finally:
+        if not target.exists() and earlier.exists():
+            os.replace(earlier, target)
+    shutil.rmtree(earlier, ignore_errors=True)
+
+
+def _require_own(target: Path) -> None:
+    """Raise a FileExistsError where a clip's videoNN holds anything that is not as this program wrote it."""
+    if not os.path.lexists(target):
+        return
+    try:
+        written = json.loads((target / MARKER).read_text(encoding="utf-8"))["files"]
+    except (OSError, ValueError, KeyError, TypeError):
+        written = None
+    if target.is_symlink() or not isinstance(written, dict):
+        raise FileExistsError(f"{target} has no {MARKER} of this program; move it away or give another --output.")
+    for name in _files(target):
+        path = target / name
+        if name != MARKER and (path.is_symlink() or not path.is_file() or written.get(name) != _sha256(path)):
+            raise FileExistsError(f"{path} is not as data.synthetic wrote it; move it away or give another --output.")
+
+
+def _files(folder: Path) -> list[str]:
+    """Relative names of all that is in a folder and below, but folders with something in them."""
+    found = sorted(folder.rglob("*"))
+    return [
+        path.relative_to(folder).as_posix()
+        for path in found
+        if path.is_symlink() or not path.is_dir() or not any(path.iterdir())
+    ]
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _same_clip(truth: Path, settings: SceneSettings, seed: int) -> bool:
+    try:
+        recorded = json.loads(truth.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    wanted = json.loads(json.dumps(dataclasses.asdict(settings)))
+    return isinstance(recorded, dict) and recorded.get("seed") == seed and recorded.get("settings") == wanted

@@ -1,0 +1,163 @@
+"""Files of a synthetic clip: frames in CholecSeg8k's layout, its description, its truth, and its video."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+from collections.abc import Callable, Generator
+from fractions import Fraction
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from data.masks.class_table import CLASSES
+from data.source.camera import Camera
+from data.synthetic.errors import reported_camera
+from data.synthetic.scene import Scene
+from data.synthetic.settings import SceneSettings
+from data.synthetic.truth import ABSOLUTE_TOLERANCE, RELATIVE_TOLERANCE, Motion
+from physics.mechanics import PARAMETERS
+
+UNITS = {
+    "length": "scene units (stored depth divided by its type's largest value)",
+    "time": "s",
+    "stiffness": "normalised, per scene unit; not N/m",
+    "damping": "normalised",
+    "force": "normalised, signed; negative presses into the tissue",
+}
+ARRAYS = {
+    "trajectory": "displacement of the contact vertex at the frames' times [F, 3]",
+    "response": "the same every 5 ms from the force's start (onset_s + force_delay_s), the first 5 ms after it [R, 3]",
+    "force": "signed force just after each frame's time [F]",
+    "times": "time stamps [F]",
+    "mesh_*": "organ at rest: vertices [N, 3], springs [S, 2], rim [N], pixels (row, column) [N, 2]",
+    "moving, field": "vertices that move [M] and their displacement at the frames' times [F, M, 3], float16",
+}
+INTEGRATOR = f"DOP853 (scipy), relative tolerance {RELATIVE_TOLERANCE:g}, absolute {ABSOLUTE_TOLERANCE:g}"
+FASTEST_COMPRESSION = [cv2.IMWRITE_PNG_COMPRESSION, 1]
+
+
+def write_frame(folder: Path, number: int, image: np.ndarray, labels: np.ndarray, stored_depth: np.ndarray) -> None:
+    """Write one frame's four PNG files.
+
+    Raises:
+        OSError: a file can't be written.
+    """
+    stem = folder / f"frame_{number}_endo"
+    _write_png(stem, "", image[..., ::-1])
+    _write_png(stem, "_color_mask", _color_table()[labels][..., ::-1])
+    # The real watershed masks have three equal channels.
+    _write_png(stem, "_watershed_mask", np.repeat(labels[..., None], 3, axis=2))
+    _write_png(stem, "_depth", stored_depth)
+
+
+def write_truth(folder: Path, scene: Scene, motion: Motion, seed: int) -> None:
+    """Write clip.json (what a user may know) and truth.json and truth.npz (what no training may read)."""
+    settings, mesh = scene.settings, scene.mesh
+    clip = {
+        "fps": settings.fps,
+        "camera": _camera_entries(reported_camera(scene.camera, settings)),
+        "depth_scale": 1.0,
+        "times": motion.times.tolist(),
+    }
+    np.savez(
+        folder / "truth.npz",
+        trajectory=motion.contact,
+        response=motion.response,
+        force=motion.force,
+        times=motion.times,
+        mesh_vertices=mesh.vertices,
+        mesh_springs=mesh.springs,
+        mesh_rim=mesh.rim,
+        mesh_pixels=mesh.pixels,
+        moving=motion.moving.astype(np.int32),
+        field=motion.field.astype(np.float16),
+    )
+    for name, content in (("truth.json", _truth_entries(scene, motion, seed)), ("clip.json", clip)):
+        (folder / name).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def _truth_entries(scene: Scene, motion: Motion, seed: int) -> dict:
+    return {
+        "seed": seed,
+        "theta": dict(zip(PARAMETERS, motion.theta.tolist(), strict=True)),
+        "zeta": motion.zeta,
+        "regime": motion.regime,
+        "onset_frame": motion.onset_frame,
+        "release_frame": motion.release_frame,
+        "onset_s": float(motion.times[motion.onset_frame]),
+        "release_s": float(motion.times[motion.release_frame]),
+        "force_delay_s": motion.delay,
+        "release_delay_s": motion.release_delay,
+        "force_profile": scene.settings.profile,
+        "peak_displacement": motion.peak,
+        "contact_vertex": scene.vertex,
+        "contact_pixel": dict(zip(("row", "column"), scene.mesh.pixels[scene.vertex].tolist(), strict=True)),
+        "direction": scene.direction.tolist(),
+        "camera": _camera_entries(scene.camera),
+        "integrator": INTEGRATOR,
+        "units": UNITS,
+        "arrays": ARRAYS,
+        "settings": dataclasses.asdict(scene.settings),
+    }
+
+
+@contextlib.contextmanager
+def open_video(path: Path, settings: SceneSettings) -> Generator[Callable[[np.ndarray], object]]:
+    """Open an .mp4 of even size; yields a function that takes RGB frames [H, W, 3].
+
+    H.264 by PyAV where it is installed (browsers play it), else MPEG-4 by OpenCV.
+
+    Raises:
+        OSError: the file can't be written.
+    """
+    size = settings.width // 2 * 2, settings.height // 2 * 2
+    try:
+        import av  # optional: the `video` extra
+    except ImportError:
+        with _opencv_video(path, size, settings.fps) as add:
+            yield add
+        return
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=Fraction(settings.fps).limit_denominator(1001))
+        stream.width, stream.height, stream.pix_fmt = *size, "yuv420p"
+        stream.options = {"crf": "18", "preset": "veryfast"}
+
+        def add(image: np.ndarray) -> None:
+            picture = np.ascontiguousarray(image[: size[1], : size[0]])
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+
+        yield add
+        container.mux(stream.encode())
+
+
+@contextlib.contextmanager
+def _opencv_video(path: Path, size: tuple[int, int], fps: float) -> Generator[Callable[[np.ndarray], object]]:
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), fps, size)
+    if not writer.isOpened():
+        raise OSError(f"{path} can't be written as a video; check the folder's rights and free space.")
+    try:
+        yield lambda image: writer.write(np.ascontiguousarray(image[: size[1], : size[0], ::-1]))
+    finally:
+        writer.release()
+
+
+def _write_png(stem: Path, suffix: str, pixels: np.ndarray) -> None:
+    # imencode and write_bytes: OpenCV's own writer can't say why it failed.
+    done, encoded = cv2.imencode(".png", pixels, FASTEST_COMPRESSION)
+    if not done:
+        raise OSError(f"{stem}{suffix}.png can't be encoded as a PNG.")
+    stem.with_name(f"{stem.name}{suffix}.png").write_bytes(encoded.tobytes())
+
+
+def _color_table() -> np.ndarray:
+    table = np.zeros((256, 3), np.uint8)
+    for entry in CLASSES.values():
+        table[entry.grey] = entry.color
+    return table
+
+
+def _camera_entries(camera: Camera) -> dict:
+    return {**dataclasses.asdict(camera), "distortion": list(camera.distortion)}

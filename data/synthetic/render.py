@@ -1,0 +1,243 @@
+"""Pictures of a synthetic scene: tissue and tool lit by a light at the camera.
+
+Radiance = albedo · cos(angle of incidence) / distance², plus highlights, then the sRGB curve: the model that
+`data.depth.photometric` inverts. Albedo and fine relief are fixed to the tissue and move with it: optical flow sees it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from data.masks.class_table import CLASSES
+from data.synthetic.scene import Scene
+from data.synthetic.surface import View, deformed_view, rest_view
+from data.synthetic.tool import draw_tool
+from data.synthetic.truth import Motion
+
+GREY = {name: entry.grey for name, entry in CLASSES.items()}
+ALBEDO = {"gallbladder": (0.80, 0.49, 0.34), "liver": (0.36, 0.12, 0.10), "abdominal wall": (0.62, 0.30, 0.24)}
+"""Linear RGB of the tissues."""
+FAT_ALBEDO = (0.78, 0.62, 0.25)
+EXPOSURE_DISTANCE = 0.5
+"""Distance at which a white surface facing the light is at full scale [scene units]."""
+HIGHLIGHT_EXPONENT = 1500
+"""Phong exponent of the wet surface: the light is mirrored within about 2 degrees."""
+FAT_LIFT = 0.04
+"""How far the occluding piece of fat lies before the tissue [scene units]."""
+
+
+@dataclass(frozen=True)
+class RenderedFrame:
+    """One frame without errors of observation, apart from the picture's noise."""
+
+    image: np.ndarray
+    """RGB, shape [H, W, 3], uint8."""
+    labels: np.ndarray
+    """Grey class codes of `data.masks.class_table`, shape [H, W], uint8."""
+    depth: np.ndarray
+    """z, shape [H, W], float32 [scene units]; 0 outside the endoscope's circle."""
+
+
+class Renderer:
+    """Draws the frames of one scene."""
+
+    def __init__(self, scene: Scene, motion: Motion, generator: np.random.Generator) -> None:
+        self.scene, self.motion = scene, motion
+        self.noise = generator.spawn(1)[0]
+        self.rest = rest_view(scene)
+        self.rest_labels = _rest_labels(scene, generator)
+        self.albedo = _albedo(scene, self.rest_labels, generator)
+        self.bumps = _bumps(scene, generator)
+        self.fat_course = generator.uniform(size=(2, 2))
+        camera = scene.camera
+        self.rays = np.stack(
+            np.broadcast_arrays(
+                (np.arange(camera.width) - camera.cx) / camera.fx,
+                ((np.arange(camera.height) - camera.cy) / camera.fy)[:, None],
+                1.0,
+            ),
+            axis=-1,
+        ).astype(np.float32)
+        whole = (slice(0, camera.height), slice(0, camera.width))
+        self.rest_light = self._tissue_light(self.rest, whole)
+        self.outside = _outside_circle(scene) if scene.settings.circle else None
+
+    def frame(self, index: int) -> RenderedFrame:
+        """Draw a frame. Frames are drawn in order: the noise goes on from the last one."""
+        view = deformed_view(self.scene, self.motion, index, self.rest)
+        labels, light, depth = self.rest_labels.copy(), self.rest_light.copy(), view.depth.copy()
+        if view.region[0].stop > 0:
+            light[view.region] = self._tissue_light(view, view.region)
+            maps = view.rest_u[view.region], view.rest_v[view.region]
+            labels[view.region] = cv2.remap(self.rest_labels, *maps, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
+        if self.scene.settings.occlusion > 0:
+            self._add_fat(index, labels, light, depth)
+        tool = draw_tool(self.scene, self.motion, index, view).seen(labels != GREY["fat"], depth)
+        labels[tool.rows, tool.columns] = GREY["grasper"]
+        depth[tool.rows, tool.columns] = tool.depth
+        light[tool.rows, tool.columns] = tool.light * np.square(EXPOSURE_DISTANCE / tool.depth)[:, None]
+        if self.outside is not None:
+            labels[self.outside], depth[self.outside], light[self.outside] = GREY["background"], 0, 0
+        return RenderedFrame(self._expose(light), labels, depth)
+
+    def _tissue_light(self, view: View, region: tuple[slice, slice]) -> np.ndarray:
+        """Linear light of the tissue over a region, shape [h, w, 3]."""
+        # Smoothing and gradients need neighbours: the border of what is computed is not used.
+        margin = math.ceil(4 * self.scene.settings.cell[0])
+        starts = [max(part.start - margin, 0) for part in region]
+        inner = tuple(slice(p.start - start, p.stop - start) for p, start in zip(region, starts, strict=True))
+        outer = tuple(slice(start, part.stop + margin) for part, start in zip(region, starts, strict=True))
+        maps = view.rest_u[outer], view.rest_v[outer]
+        albedo = cv2.remap(self.albedo, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        bumps = cv2.remap(self.bumps, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        rays = self.rays[outer]
+        points = rays * _smooth(view.depth[outer], 0.6 * self.scene.settings.cell[0])[..., None]
+        normals = _normals(points)
+        distance_square = np.einsum("ijk,ijk->ij", points, points)
+        towards = -points / np.sqrt(distance_square)[..., None]
+        facing = np.clip(np.einsum("ijk,ijk->ij", normals, towards), 0.02, 1)
+        rough = normals.copy()
+        rough[..., :2] += bumps
+        rough /= np.linalg.norm(rough, axis=-1, keepdims=True)
+        glance = np.clip(np.einsum("ijk,ijk->ij", rough, towards), 0, 1)
+        falloff = EXPOSURE_DISTANCE**2 / distance_square
+        highlight = self.scene.settings.highlights * np.power(glance, HIGHLIGHT_EXPONENT)
+        return ((albedo * facing[..., None] + highlight[..., None]) * falloff[..., None])[inner]
+
+    def _add_fat(self, index: int, labels: np.ndarray, light: np.ndarray, depth: np.ndarray) -> None:
+        """Draw a drifting ellipse of fat that hides the wanted share of the tissue."""
+        settings, outline = self.scene.settings, self.scene.outline
+        course = index / max(settings.frames - 1, 1)
+        drift = (self.fat_course[0] * (1 - course) + self.fat_course[1] * course) * 2 - 1
+        center = (outline.center + 0.5 * drift * outline.axes + 0.5) * settings.cell - 0.5
+        # An ellipse of the organ's shape: its half-axes go with the root of its share of the area.
+        axes = outline.axes * settings.cell * math.sqrt(settings.occlusion)
+        columns = (np.arange(settings.width) - center[0]) / axes[0]
+        rows = (np.arange(settings.height) - center[1]) / axes[1]
+        radius = np.square(columns) + np.square(rows)[:, None]
+        fat = radius < 1
+        labels[fat] = GREY["fat"]
+        thickness = FAT_LIFT * np.sqrt(1 - radius[fat])
+        depth[fat] -= 0.25 * FAT_LIFT + thickness
+        shade = np.sqrt(1 - 0.7 * radius[fat]) * np.square(EXPOSURE_DISTANCE / depth[fat])
+        speckle = self.albedo[..., 0][fat] / self.albedo[..., 0][fat].mean()
+        light[fat] = np.array(FAT_ALBEDO) * (shade * (0.5 + 0.5 * speckle))[:, None]
+
+    def _expose(self, light: np.ndarray) -> np.ndarray:
+        """Linear light to a noisy 8-bit sRGB picture."""
+        blurred = cv2.GaussianBlur(light.astype(np.float32), (0, 0), 0.15 * self.scene.settings.cell[0] + 0.05)
+        picture = encode_srgb(np.clip(blurred, 0, 1))
+        if self.scene.settings.image_noise > 0:
+            noise = self.noise.standard_normal(picture.shape, dtype=np.float32)
+            picture = picture + self.scene.settings.image_noise * noise
+        picture = np.clip(picture * 255 + 0.5, 0, 255).astype(np.uint8)
+        if self.outside is not None:
+            picture[self.outside] = 0
+        return picture
+
+
+def encode_srgb(linear: np.ndarray) -> np.ndarray:
+    """Linear light in [0, 1] to sRGB values in [0, 1] (IEC 61966-2-1)."""
+    table_size = 4096
+    steps = np.linspace(0, 1, table_size, dtype=np.float32) ** 2
+    encoded = np.where(steps <= 0.0031308, 12.92 * steps, 1.055 * np.power(steps, 1 / 2.4) - 0.055)
+    # The table is even in the root of the light, where the curve is nearly straight.
+    position = np.sqrt(linear) * (table_size - 1)
+    return encoded.astype(np.float32)[np.rint(position).astype(np.int32)]
+
+
+def _smooth(depth: np.ndarray, sigma: float) -> np.ndarray:
+    """Depth for shading: the ramps between the vertices' plates rounded off."""
+    return depth if sigma < 1 else cv2.GaussianBlur(depth, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
+
+
+def _normals(points: np.ndarray) -> np.ndarray:
+    """Unit normals towards the camera of a grid of points, shape [h, w, 3]."""
+    down, across = np.gradient(points, axis=(0, 1))
+    normals = np.cross(down, across)
+    normals *= np.where(np.einsum("ijk,ijk->ij", normals, points) > 0, -1, 1)[..., None]
+    return normals / np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-20)
+
+
+def _rest_labels(scene: Scene, generator: np.random.Generator) -> np.ndarray:
+    """Class codes of the sheet at rest: the organ, liver around it, abdominal wall in one corner."""
+    settings = scene.settings
+    columns, rows = np.meshgrid(
+        (np.arange(settings.width) + 0.5) / settings.cell[0] - 0.5,
+        (np.arange(settings.height) + 0.5) / settings.cell[1] - 0.5,
+    )
+    labels = np.full(columns.shape, GREY["liver"], np.uint8)
+    angle = generator.uniform(0, 2 * np.pi)
+    x, y = columns / settings.grid_width - 0.5, rows / settings.grid_height - 0.5
+    wave = 0.03 * np.sin(9 * x + angle) + 0.02 * np.cos(7 * y)
+    labels[x * math.cos(angle) + y * math.sin(angle) + wave > 0.36] = GREY["abdominal wall"]
+    labels[scene.outline.level(columns, rows) > 0] = GREY["gallbladder"]
+    return labels
+
+
+def _albedo(scene: Scene, labels: np.ndarray, generator: np.random.Generator) -> np.ndarray:
+    """Linear RGB reflectance of the sheet at rest, shape [H, W, 3], float32: mottled tissue with vessels."""
+    shape = labels.shape
+    albedo = np.empty((*shape, 3), np.float32)
+    for name, color in ALBEDO.items():
+        albedo[labels == GREY[name]] = color
+    cell = scene.settings.cell[0]
+    # A soft, dark border between the organs, without moving the labels.
+    albedo = cv2.GaussianBlur(albedo, (0, 0), 0.5 * cell + 0.3)
+    border = cv2.morphologyEx(labels, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) > 0
+    crease = cv2.GaussianBlur(border.astype(np.float32), (0, 0), 1.5 * cell)
+    albedo *= 1 - 0.5 * (crease / crease.max())[..., None]
+    mottle = sum(
+        weight * _noise(shape, size * cell, generator)
+        for size, weight in ((1.0, 0.08), (2.5, 0.11), (8.0, 0.08), (30.0, 0.08))
+    )
+    hue = _noise(shape, 25 * cell, generator)
+    albedo *= np.exp(mottle)[..., None] * np.exp(hue[..., None] * np.array([0.02, -0.06, -0.08], np.float32))
+    vessels = _vessels(shape, cell, generator)
+    return albedo * (1 - vessels[..., None] * np.array([0.25, 0.6, 0.55], np.float32))
+
+
+def _noise(shape: tuple[int, int], size: float, generator: np.random.Generator) -> np.ndarray:
+    """Smooth noise of about unit variance with spots of a size [px]."""
+    coarse = (max(round(shape[0] / size), 2), max(round(shape[1] / size), 2))
+    values = generator.standard_normal(coarse).astype(np.float32)
+    return cv2.resize(values, shape[::-1], interpolation=cv2.INTER_CUBIC)
+
+
+def _vessels(shape: tuple[int, int], cell: float, generator: np.random.Generator) -> np.ndarray:
+    """Branching dark lines, shape [H, W] in [0, 1]."""
+    canvas = np.zeros(shape, np.uint8)
+    for _ in range(14):
+        position = generator.uniform(0, 1, 2) * [shape[1], shape[0]]
+        heading = generator.uniform(0, 2 * np.pi)
+        width = generator.uniform(0.3, 0.9) * cell
+        turns = generator.normal(0, 0.25, 60)
+        steps = np.array((np.cos(heading + np.cumsum(turns)), np.sin(heading + np.cumsum(turns)))).cumsum(axis=1).T
+        course = np.round((position + steps * 1.6 * cell) * 8).astype(np.int32)
+        strength = int(generator.integers(90, 220))
+        for start in range(0, 60, 20):
+            thickness = max(1, round(width * (1 - start / 80)))
+            cv2.polylines(canvas, [course[start : start + 21]], False, strength, thickness, cv2.LINE_AA, shift=3)
+    return cv2.GaussianBlur(canvas, (0, 0), 0.2 * cell + 0.2).astype(np.float32) / 255
+
+
+def _bumps(scene: Scene, generator: np.random.Generator) -> np.ndarray:
+    """Fine relief that breaks up highlights: offsets of the normal's x and y, shape [H, W, 2], float32."""
+    shape, cell = (scene.settings.height, scene.settings.width), scene.settings.cell[0]
+    layers = [
+        sum(w * _noise(shape, s * cell, generator) for s, w in ((2.0, 0.05), (6.0, 0.08), (18.0, 0.08)))
+        for _ in range(2)
+    ]
+    return np.stack(layers, axis=-1).astype(np.float32)
+
+
+def _outside_circle(scene: Scene) -> np.ndarray:
+    """Pixels outside the endoscope's round picture, shape [H, W], bool."""
+    settings = scene.settings
+    columns = np.arange(settings.width) - scene.camera.cx
+    rows = np.arange(settings.height) - scene.camera.cy
+    return np.hypot(columns, rows[:, None]) > 0.47 * settings.width

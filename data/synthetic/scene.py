@@ -1,0 +1,195 @@
+"""Geometry of a synthetic scene: the tissue sheet, the outline of the organ, where and whence the tool comes.
+
+The sheet is a smooth height field over the camera's rays, its normal at the contact within a few degrees of the line of
+sight, so that the depth map shows a press. The true mesh is the grid mesh of the undeformed organ on the network's
+grid, the very topology that is later fitted (docs/identifiability.md).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from data.source.camera import Camera, back_project
+from data.synthetic.settings import SceneSettings
+from physics.mesh import Mesh, contact_normal, grid_mesh
+
+NEAREST, FARTHEST = 0.33, 0.95
+"""Depths between which the whole sheet must lie [scene units]; beyond 1 the stored depth would saturate."""
+CLEARANCE = 7.0
+"""Distance of the tool from the organ in the frames next to contact, in the picture plane [grid px]."""
+
+
+class SceneError(ValueError):
+    """The settings leave no scene to draw; the message is a sentence that says what to change."""
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """Undeformed tissue surface z(x, y) over the rays (x, y, 1)."""
+
+    contact_ray: np.ndarray
+    """(x, y) of the ray through the contact, shape [2]."""
+    distance: float
+    """Depth of the contact [scene units]."""
+    normal: np.ndarray
+    """Unit normal at the contact, towards the camera, shape [3]."""
+    curvature: np.ndarray
+    """Symmetric matrix of second derivatives of the relative depth, shape [2, 2]."""
+    waves: np.ndarray
+    """Amplitude, wave vector (2) and phase of each wave, shape [W, 4]."""
+
+    def depth(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Depth z [scene units] along the rays (x, y, 1), any shape.
+
+        A plane through the contact times (1 + h), where h and its gradient vanish at the contact, so that the plane's
+        normal is the sheet's there.
+        """
+        ray = np.array([*self.contact_ray, 1.0])
+        plane = self.distance * (self.normal @ ray) / (self.normal[0] * x + self.normal[1] * y + self.normal[2])
+        dx, dy = x - self.contact_ray[0], y - self.contact_ray[1]
+        (across, mixed), (_, down) = self.curvature
+        height = 0.5 * (across * dx * dx + 2 * mixed * dx * dy + down * dy * dy)
+        for amplitude, wave_x, wave_y, phase in self.waves:
+            angle = wave_x * dx + wave_y * dy
+            height = height + amplitude * (np.cos(angle + phase) - math.cos(phase) + math.sin(phase) * angle)
+        return plane * (1 + height)
+
+
+@dataclass(frozen=True)
+class Outline:
+    """Outline of the organ in the grid: an ellipse with a wobble."""
+
+    center: np.ndarray
+    """(column, row) [grid px], shape [2]."""
+    axes: np.ndarray
+    """Half-axes along columns and rows [grid px], shape [2]."""
+    wobble: np.ndarray
+    """Relative amplitude and phase of harmonics 2, 3, … of the radius, shape [K, 2]."""
+
+    def level(self, column: np.ndarray, row: np.ndarray) -> np.ndarray:
+        """Signed distance to the outline along the ray from the centre [grid px], positive inside."""
+        dx, dy = column - self.center[0], row - self.center[1]
+        return self.radius(np.arctan2(dy, dx)) - np.hypot(dx, dy)
+
+    def radius(self, angle: np.ndarray) -> np.ndarray:
+        """Distance of the outline from the centre in a direction [grid px]."""
+        ellipse = 1 / np.hypot(np.cos(angle) / self.axes[0], np.sin(angle) / self.axes[1])
+        return ellipse * (1 + sum(a * np.cos((k + 2) * angle + phase) for k, (a, phase) in enumerate(self.wobble)))
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A still scene before contact."""
+
+    settings: SceneSettings
+    sheet: Sheet
+    outline: Outline
+    camera: Camera
+    """True camera of the full picture."""
+    grid_camera: Camera
+    """True camera of the grid."""
+    mesh: Mesh
+    """Undeformed organ on the grid, nothing hidden."""
+    vertex: int
+    """Contact vertex of the mesh."""
+    direction: np.ndarray
+    """Contact normal, shape [3], float64, towards the camera."""
+    entry: np.ndarray
+    """Unit vector in the picture from the contact to where the tool enters, shape [2]."""
+    exit_offset: float
+    """How far the tip must draw back along `entry` to be clear of the organ [grid px]."""
+
+    @property
+    def spacing(self) -> float:
+        """Size of a grid cell at the contact's depth [scene units]."""
+        return self.sheet.distance / self.grid_camera.fx
+
+
+def draw_scene(settings: SceneSettings, generator: np.random.Generator) -> Scene:
+    """Draw a scene.
+
+    Raises:
+        SceneError: no draw keeps the sheet within depths 0.33 to 0.95 and the contact on the organ.
+    """
+    camera = Camera.from_field_of_view(settings.field_of_view_deg, settings.width, settings.height)
+    grid_camera = camera.scaled(settings.grid_width, settings.grid_height)
+    columns, rows = np.meshgrid(np.arange(settings.grid_width), np.arange(settings.grid_height))
+    rays = (columns - grid_camera.cx) / grid_camera.fx, (rows - grid_camera.cy) / grid_camera.fy
+    for _ in range(200):
+        entry = _draw_entry(generator)
+        outline = _draw_outline(settings, entry, generator)
+        column, row = _draw_contact(outline, entry, generator)
+        contact_ray = np.array([(column - grid_camera.cx) / grid_camera.fx, (row - grid_camera.cy) / grid_camera.fy])
+        sheet = _draw_sheet(settings, contact_ray, generator)
+        depth = sheet.depth(*rays)
+        if not (depth.min() > NEAREST and depth.max() < FARTHEST):
+            continue
+        mesh = grid_mesh(back_project(depth, grid_camera), outline.level(columns, rows) > 0)
+        vertices = np.flatnonzero((mesh.pixels == (row, column)).all(axis=1))
+        exit_offset = _exit_offset(outline, (column, row), entry)
+        if len(vertices) == 1 and not mesh.rim[vertices[0]] and exit_offset < 0.3 * settings.grid_width:
+            vertex = int(vertices[0])
+            normal = contact_normal(mesh, vertex)
+            return Scene(settings, sheet, outline, camera, grid_camera, mesh, vertex, normal, entry, exit_offset)
+    raise SceneError(
+        f"scene.distance {settings.distance} with scene.curvature {settings.curvature} and scene.max_tilt_deg "
+        f"{settings.max_tilt_deg} leaves the depths {NEAREST} to {FARTHEST}; choose smaller ones."
+    )
+
+
+def _draw_entry(generator: np.random.Generator) -> np.ndarray:
+    """Direction within 20° of a grid axis: only then one tissue pixel lies in front of the tool's tip."""
+    base = generator.choice([0.0, 180.0, -90.0, 90.0], p=[0.35, 0.35, 0.15, 0.15])
+    angle = math.radians(base + generator.uniform(-20, 20))
+    return np.array([math.cos(angle), math.sin(angle)])
+
+
+def _draw_outline(settings: SceneSettings, entry: np.ndarray, generator: np.random.Generator) -> Outline:
+    size = np.array([settings.grid_width, settings.grid_height])
+    axes = size * generator.uniform([0.30, 0.36], [0.36, 0.42])
+    # Shifted away from the tool's entry, so that the tool has room to be seen clear of the organ.
+    center = (size - 1) / 2 - entry * size * 0.07 + generator.uniform(-1, 1, 2) * size * 0.02
+    wobble = np.stack((generator.uniform(0, [0.05, 0.04, 0.03]), generator.uniform(0, 2 * np.pi, 3)), axis=1)
+    return Outline(center, axes, wobble)
+
+
+def _draw_contact(outline: Outline, entry: np.ndarray, generator: np.random.Generator) -> tuple[int, int]:
+    """Grid pixel (column, row) of the contact, a little inside the outline on the tool's side."""
+    angle = math.atan2(entry[1], entry[0]) + math.radians(generator.uniform(-25, 25))
+    reach = float(outline.radius(np.array(angle))) - generator.uniform(12, 20)
+    column, row = outline.center + reach * np.array([math.cos(angle), math.sin(angle)])
+    return round(float(column)), round(float(row))
+
+
+def _draw_sheet(settings: SceneSettings, contact_ray: np.ndarray, generator: np.random.Generator) -> Sheet:
+    distance = generator.uniform(*settings.distance)
+    bends = generator.uniform(*settings.curvature, size=2)
+    turn = generator.uniform(0, np.pi)
+    axes = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
+    angles = generator.uniform(0, 2 * np.pi, size=(5, 2))
+    lengths = generator.uniform(4, 11, size=5)
+    amplitudes = settings.relief * generator.uniform(0.3, 1, size=5) * 4 / lengths
+    waves = np.stack((amplitudes, lengths * np.cos(angles[:, 0]), lengths * np.sin(angles[:, 0]), angles[:, 1]), axis=1)
+    tilt = math.radians(settings.max_tilt_deg) * math.sqrt(generator.uniform())
+    normal = _tilted(np.array([*contact_ray, 1.0]), tilt, generator.uniform(0, 2 * np.pi))
+    return Sheet(contact_ray, distance, normal, axes @ np.diag(bends) @ axes.T, waves)
+
+
+def _tilted(ray: np.ndarray, tilt: float, azimuth: float) -> np.ndarray:
+    """Unit vector towards the camera at an angle `tilt` from the ray [rad]."""
+    axis = -ray / np.linalg.norm(ray)
+    first = np.cross(axis, [0.0, 1.0, 0.0])
+    first /= np.linalg.norm(first)
+    side = math.cos(azimuth) * first + math.sin(azimuth) * np.cross(axis, first)
+    return math.cos(tilt) * axis + math.sin(tilt) * side
+
+
+def _exit_offset(outline: Outline, contact: tuple[int, int], entry: np.ndarray) -> float:
+    """Smallest draw-back along the entry beyond which the tip stays clear of the organ [grid px]."""
+    offsets = np.arange(0.0, 200.0, 0.5)
+    positions = np.asarray(contact) + offsets[:, None] * entry
+    inside = np.flatnonzero(outline.level(*positions.T) > -CLEARANCE)
+    return float(offsets[inside[-1]] + 0.5)

@@ -1,0 +1,74 @@
+"""A synthetic clip in memory as a clip to prepare: benchmarks of a thousand clips write no files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from data.clip import ClipInputs, ClipStream
+from data.depth.model import RawDepth
+from data.depth.sources import DepthMap, DepthSource
+from data.masks.class_table import CLASSES
+from data.masks.sources import OTHER, TISSUE, TOOL
+from data.settings import PrepareSettings
+from data.source.frames import Frame, FrameSource
+from data.synthetic.clip import SyntheticClip
+
+_LABELS = np.full(256, OTHER, np.uint8)
+_LABELS[CLASSES["grasper"].grey], _LABELS[CLASSES["gallbladder"].grey] = TOOL, TISSUE
+
+
+class SyntheticSource(FrameSource):
+    """Pictures of a synthetic clip."""
+
+    def __init__(self, clip: SyntheticClip) -> None:
+        self._images = clip.images
+        self.name = f"synthetic-{clip.seed}"
+        self.path = Path(self.name)
+        self.size = clip.images.shape[2], clip.images.shape[1]
+        self.fps = clip.scene.settings.fps
+        self.length = len(clip.images)
+        self.warnings = []
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Frames in order, from the beginning."""
+        return (Frame(index, index, index / self.fps, image) for index, image in enumerate(self._images))
+
+
+class _Depth(DepthSource):
+    identity, metric, known_scale = "synthetic", False, 1.0
+
+    def __init__(self, clip: SyntheticClip) -> None:
+        self._depth = clip.depth
+
+    def observe(self, frame: Frame) -> RawDepth:
+        """Observed z of a frame."""
+        return RawDepth(self._depth[frame.index])
+
+    def freeze(self, samples: Sequence[RawDepth]) -> None:
+        """Nothing of it depends on the clip's frames."""
+
+    def convert(self, raw: RawDepth) -> DepthMap:
+        """It is depth already."""
+        return DepthMap(raw.values)
+
+
+class _Masks:
+    identity = "synthetic"
+
+    def __init__(self, clip: SyntheticClip) -> None:
+        self._labels = clip.labels
+
+    def __call__(self, frame: Frame) -> np.ndarray:
+        """Label map of a frame."""
+        return _LABELS[self._labels[frame.index]]
+
+    def reset(self) -> None:
+        """There is nothing to forget."""
+
+
+def open_synthetic(clip: SyntheticClip, settings: PrepareSettings) -> ClipStream:
+    """A synthetic clip as a stream of prepared frames, with its own depth, labels and camera."""
+    return ClipStream(SyntheticSource(clip), settings, ClipInputs(_Masks(clip), _Depth(clip), clip.camera))

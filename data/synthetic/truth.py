@@ -1,0 +1,355 @@
+"""True motion of a synthetic scene: θ, the force in time, and the sheet's motion by an adaptive integrator.
+
+Same model as Bini 2026, section 3.3 (m ẍ + k_d ẋ + springs = F·n), another integrator: DOP853, an eighth-order
+Runge-Kutta method with step control, so that recovering θ with the fitted scheme proves something (see
+docs/identifiability.md, "Recovery of known parameters").
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.ndimage import gaussian_filter
+from scipy.sparse import csr_array
+
+from data.synthetic.scene import Scene, SceneError
+from data.synthetic.settings import SceneSettings
+
+SAMPLE_STEP = 0.005
+"""Time between samples of the stored response [s], Bini 2026's Δt."""
+RELATIVE_TOLERANCE, ABSOLUTE_TOLERANCE = 1e-6, 1e-9
+"""Local error of the integrator; positions come out within about 1e-6 scene units."""
+STIFFENING_LENGTH = 0.01
+"""Elongation at which nonlinear springs have grown (1 + β) times as stiff [scene units]."""
+WINDOW_LEAK = 1e-6
+"""Largest displacement allowed where the window cuts the mesh [scene units]."""
+VARIATION_LENGTH = 6.0
+"""Correlation length of the spring-to-spring variation [grid px]."""
+ROUNDING = 1e-9
+"""Of times [s]."""
+
+Regime = Literal["under-damped", "critical", "over-damped"]
+REGIMES: tuple[Regime, ...] = get_args(Regime)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What truly happened in a clip."""
+
+    theta: np.ndarray
+    """[k_s, k_d, F], float64, F signed."""
+    zeta: float
+    """Damping ratio k_d/(2√(k_s m))."""
+    regime: Regime
+    """By ζ: under 0.7, 0.7 to 1.4, over 1.4."""
+    onset_frame: int
+    """First frame in contact; the force starts `delay` after its time stamp, until when the tissue is at rest."""
+    release_frame: int
+    """First frame after contact; the force ends `release_delay` after its time stamp."""
+    delay: float
+    """Time from the first frame in contact to the start of the force [s], at most a frame interval."""
+    release_delay: float
+    """Time from the first frame after contact to the end of the force [s], at most a frame interval."""
+    times: np.ndarray
+    """Time stamps of the frames [s], shape [F]."""
+    contact: np.ndarray
+    """Displacement of the contact vertex at the frames' times, shape [F, 3] [scene units]."""
+    response: np.ndarray
+    """Displacement of the contact vertex every 5 ms from the start of the force on, the first 5 ms after it, shape
+    [R, 3]."""
+    force: np.ndarray
+    """Signed force at the frames' times, just after them, shape [F]."""
+    moving: np.ndarray
+    """Mesh vertices that the simulation covers, shape [M], int64."""
+    field: np.ndarray
+    """Displacement of those vertices at the frames' times, shape [F, M, 3], float32."""
+
+    @property
+    def load_seconds(self) -> float:
+        """Time under load [s]."""
+        stamped = self.times[self.release_frame] - self.times[self.onset_frame]
+        return float(stamped + self.release_delay - self.delay)
+
+    @property
+    def peak(self) -> float:
+        """Largest displacement of the contact vertex, at 5 ms resolution [scene units]."""
+        return float(np.linalg.norm(self.response, axis=1).max())
+
+
+@dataclass(frozen=True)
+class Window:
+    """The part of the mesh that moves."""
+
+    vertices: np.ndarray
+    """Mesh vertices, shape [M]."""
+    difference: csr_array
+    """Spring end minus spring start of vertex values, shape [S, M]."""
+    edges: np.ndarray
+    """Spring vectors at rest, shape [S, 3]."""
+    lengths: np.ndarray
+    """Spring rest lengths, shape [S]."""
+    stiffness: np.ndarray
+    """Stiffness of every spring relative to k_s, shape [S]."""
+    held: np.ndarray
+    """Vertices that don't move, shape [M], bool."""
+    cut: np.ndarray
+    """Vertices on the window's own border, shape [M], bool."""
+    contact: int
+    """Row of the contact vertex."""
+
+
+def regime_of(zeta: float) -> Regime:
+    """Regime of a damping ratio, as the tables of docs/identifiability.md tell them apart."""
+    return "under-damped" if zeta < 0.7 else "critical" if zeta <= 1.4 else "over-damped"
+
+
+def damping_ratio(stiffness: float, damping: float, mass: float) -> float:
+    """ζ = k_d/(2√(k_s m))."""
+    return damping / (2 * math.sqrt(stiffness * mass))
+
+
+def draw_theta(settings: SceneSettings, generator: np.random.Generator) -> np.ndarray:
+    """θ log-uniform in the box, restricted to the wanted regime.
+
+    Raises:
+        SceneError: the box holds (almost) no θ of that regime.
+    """
+    for _ in range(10_000):
+        stiffness, damping = (math.exp(generator.uniform(*np.log(r))) for r in (settings.stiffness, settings.damping))
+        force = -math.exp(generator.uniform(math.log(-settings.force[1]), math.log(-settings.force[0])))
+        if settings.regime in ("any", regime_of(damping_ratio(stiffness, damping, settings.mass))):
+            return np.array([stiffness, damping, force])
+    raise SceneError(
+        f"scene.stiffness {settings.stiffness} and scene.damping {settings.damping} hold no {settings.regime} tissue; "
+        "widen them or choose another scene.regime."
+    )
+
+
+def draw_motion(scene: Scene, generator: np.random.Generator) -> Motion:
+    """Draw θ and the time course, and integrate; draws whose peak is outside the wanted range are drawn again.
+
+    Raises:
+        SceneError: no draw of 60 reaches the wanted displacement.
+    """
+    settings = scene.settings
+    low, high = settings.peak_displacement
+    onset, release = _draw_contact_frames(settings, generator)
+    variation = _stiffness_field(settings, generator)
+    # Streams of their own: θ and the frames of contact don't depend on the delays.
+    ranges = settings.onset_delay, settings.release_delay
+    delays = [
+        float(stream.uniform(*share)) / settings.fps for stream, share in zip(generator.spawn(2), ranges, strict=True)
+    ]
+    peaks = []
+    for _ in range(60):
+        theta = draw_theta(settings, generator)
+        peak = _peak_under_load(scene, theta, (release - onset) / settings.fps, variation)
+        peaks.append(peak)
+        if low <= peak <= high:
+            return simulate_motion(scene, theta, onset, release, variation, *delays)
+    raise SceneError(
+        f"scene.force {settings.force} moves the contact by {min(peaks):.2g} to {max(peaks):.2g}, outside "
+        f"scene.peak_displacement [{low:g}, {high:g}]; change one of them."
+    )
+
+
+def simulate_motion(
+    scene: Scene,
+    theta: np.ndarray,
+    onset: int,
+    release: int,
+    variation: np.ndarray | None = None,
+    delay: float = 0.0,
+    release_delay: float = 0.0,
+) -> Motion:
+    """Integrate the sheet from rest through press and release.
+
+    Args:
+        theta: [k_s, k_d, F].
+        onset: first frame in contact.
+        release: first frame after contact.
+        variation: relative stiffness over the grid, shape [h, w]; None is 1 everywhere.
+        delay, release_delay: from those frames' time stamps to the start and the end of the force [s], at most a frame
+            interval each.
+
+    Raises:
+        SceneError: the force ends before it starts.
+    """
+    settings = scene.settings
+    times = np.arange(settings.frames) / settings.fps
+    load = (release - onset) / settings.fps + release_delay - delay
+    if load <= 0:
+        raise SceneError("The force ends before it starts; give a longer scene.press_seconds.")
+    after = times[onset:] - times[onset] - delay  # since the start of the force
+    fine = SAMPLE_STEP * np.arange(1, math.floor(after[-1] / SAMPLE_STEP + 1e-9) + 1)
+    window, frames, response = _integrate(scene, theta, load, after, fine, variation)
+    field = np.zeros((settings.frames, len(window.vertices), 3), np.float32)
+    field[onset:] = frames
+    contact = np.zeros((settings.frames, 3))
+    contact[onset:] = frames[:, window.contact]
+    force = np.zeros(settings.frames)
+    pressed = (after > -ROUNDING) & (after < load - ROUNDING)
+    force[onset:][pressed] = theta[2] * _profile(settings, after[pressed], load)
+    zeta = damping_ratio(theta[0], theta[1], settings.mass)
+    return Motion(
+        theta=theta,
+        zeta=zeta,
+        regime=regime_of(zeta),
+        onset_frame=onset,
+        release_frame=release,
+        delay=delay,
+        release_delay=release_delay,
+        times=times,
+        contact=contact,
+        response=response,
+        force=force,
+        moving=window.vertices,
+        field=field,
+    )
+
+
+def _draw_contact_frames(settings: SceneSettings, generator: np.random.Generator) -> tuple[int, int]:
+    onset = max(1, round(generator.uniform(*settings.onset_fraction) * settings.frames))
+    load = max(1, round(generator.uniform(*settings.press_seconds) * settings.fps))
+    if onset + load > settings.frames - 2:
+        raise SceneError(
+            f"{settings.frames} frames at {settings.fps:g} a second end before the tool is released; give scene.frames "
+            f"at least {onset + load + 2} or a shorter scene.press_seconds."
+        )
+    return onset, onset + load
+
+
+def _stiffness_field(settings: SceneSettings, generator: np.random.Generator) -> np.ndarray | None:
+    """Relative stiffness over the grid, log-normal and smooth, or None where it does not vary."""
+    white = generator.standard_normal((settings.grid_height, settings.grid_width))
+    if settings.stiffness_variation == 0:
+        return None
+    smooth = gaussian_filter(white, VARIATION_LENGTH, mode="wrap")
+    return np.exp(settings.stiffness_variation * smooth / smooth.std())
+
+
+def _profile(settings: SceneSettings, time: np.ndarray, load: float) -> np.ndarray:
+    """Force at a time since its start as a share of F, for times within the load."""
+    return np.ones_like(time) if settings.profile == "step" else time / load
+
+
+def _peak_under_load(scene: Scene, theta: np.ndarray, load: float, variation: np.ndarray | None) -> float:
+    """Largest contact displacement until release [scene units]; after it the tissue only swings back."""
+    times = np.linspace(0, load, 33)[1:]
+    _, _, response = _integrate(scene, theta, load, times[-1:], times, variation)
+    return float(np.linalg.norm(response, axis=1).max())
+
+
+def _reach(scene: Scene, theta: np.ndarray, duration: float) -> int:
+    """Radius that the motion reaches [grid px]: a wave's front, or diffusion's where damping rules."""
+    stiffness, damping, _ = theta
+    wave = 1.42 * math.sqrt(stiffness / scene.settings.mass) * duration
+    diffusion = 3 * math.sqrt(stiffness / damping * duration)
+    return math.ceil(min(wave, diffusion)) + 8
+
+
+def cut_window(scene: Scene, radius: int, variation: np.ndarray | None) -> Window:
+    """Vertices within `radius` grid px of the contact and the springs among them; the cut border is held."""
+    mesh = scene.mesh
+    apart = np.abs(mesh.pixels - mesh.pixels[scene.vertex]).max(axis=1)
+    vertices = np.flatnonzero(apart <= radius)
+    number = np.full(len(mesh.vertices), -1)
+    number[vertices] = np.arange(len(vertices))
+    springs = number[mesh.springs]
+    springs = springs[(springs >= 0).all(axis=1)]
+    count = np.arange(len(springs))
+    signs = np.concatenate((-np.ones(len(springs)), np.ones(len(springs))))
+    ends = (np.concatenate((count, count)), np.concatenate((springs[:, 0], springs[:, 1])))
+    difference = csr_array((signs, ends), shape=(len(springs), len(vertices)))
+    edges = difference @ mesh.vertices[vertices].astype(np.float64)
+    relative = np.ones(len(springs))
+    if variation is not None:
+        relative = variation[tuple(mesh.pixels[vertices].T)][springs].mean(axis=1)
+    contact = int(number[scene.vertex])
+    cut = apart[vertices] == radius
+    held = cut | mesh.rim[vertices]
+    held[contact] = False
+    return Window(vertices, difference, edges, np.linalg.norm(edges, axis=1), relative, held, cut, contact)
+
+
+def _integrate(
+    scene: Scene, theta: np.ndarray, load: float, coarse: np.ndarray, fine: np.ndarray, variation: np.ndarray | None
+) -> tuple[Window, np.ndarray, np.ndarray]:
+    """Window, all its displacements at the coarse times [C, M, 3], and the contact's at the fine times [R, 3].
+
+    Times count from the start of the force, before which all is at rest. The window grows until nothing moves where it
+    cuts the mesh.
+    """
+    radius = _reach(scene, theta, max(coarse[-1], fine[-1]))
+    largest = max(scene.mesh.grid_shape)
+    while True:
+        window = cut_window(scene, radius, variation)
+        displaced, response = _solve(scene, window, theta, load, coarse, fine)
+        leak = np.abs(_next_to_cut(window, displaced)).max(initial=0)
+        if leak <= WINDOW_LEAK or radius >= largest:
+            return window, displaced, response
+        radius = math.ceil(1.5 * radius)
+
+
+def _next_to_cut(window: Window, displaced: np.ndarray) -> np.ndarray:
+    """Displacements of the vertices that a spring joins to the window's own border."""
+    touching = abs(window.difference) @ window.cut.astype(np.float64)
+    neighbours = (abs(window.difference).T @ touching) > 0
+    return displaced[:, neighbours]
+
+
+def _solve(
+    scene: Scene, window: Window, theta: np.ndarray, load: float, coarse: np.ndarray, fine: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Integrate press and release one after the other: the force jumps between them."""
+    settings = scene.settings
+    count = len(window.vertices)
+    state = np.zeros(6 * count)
+    displaced, response = np.zeros((len(coarse), count, 3)), np.zeros((len(fine), 3))
+    end = max(coarse[-1], fine[-1])
+    for start, stop, pressed in ((0.0, min(load, end), True), (load, end, False)):
+        if stop <= start:
+            continue
+        times = np.unique(np.concatenate((coarse, fine, [stop])))
+        times = times[(times > start) & (times <= stop)]
+        rate = _rate(settings, window, theta, scene.direction if pressed else np.zeros(3), load)
+        solution = solve_ivp(
+            rate, (start, stop), state, "DOP853", times, rtol=RELATIVE_TOLERANCE, atol=ABSOLUTE_TOLERANCE
+        )
+        if not solution.success:
+            raise SceneError(f"The motion at θ = {theta} can't be integrated ({solution.message}); narrow the θ box.")
+        states = solution.y.T.reshape(len(times), 2, count, 3)[:, 0]
+        for wanted, result, part in ((coarse, displaced, slice(None)), (fine, response, window.contact)):
+            chosen = np.flatnonzero((wanted > start) & (wanted <= stop))
+            result[chosen] = states[np.searchsorted(times, wanted[chosen]), part]
+        state = solution.y[:, -1]
+    return displaced, response
+
+
+def _rate(settings: SceneSettings, window: Window, theta: np.ndarray, direction: np.ndarray, load: float):
+    """Right-hand side of the equations of motion for the state (displacement, velocity), flattened."""
+    stiffness, damping, force = theta
+    transposed = window.difference.T.tocsr()
+    scale = stiffness * window.stiffness
+    square = np.square(window.lengths)
+    moving = (~window.held)[:, None].astype(np.float64)
+
+    def rate(time: float, state: np.ndarray) -> np.ndarray:
+        displacement, velocity = state.reshape(2, -1, 3)
+        stretch = window.difference @ displacement
+        # l² − L² in displacement form loses no digits to the rest geometry.
+        grown = np.einsum("ij,ij->i", 2 * window.edges + stretch, stretch)
+        length = np.sqrt(np.maximum(square + grown, 1e-30))
+        elongation = grown / (length + window.lengths)
+        tension = scale * elongation
+        if settings.nonlinearity:
+            tension *= 1 + settings.nonlinearity * np.square(elongation / STIFFENING_LENGTH)
+        forces = -(transposed @ ((tension / length)[:, None] * (window.edges + stretch))) - damping * velocity
+        forces[window.contact] += force * _profile(settings, np.asarray(time), load) * direction
+        return np.stack((velocity * moving, forces * moving / settings.mass)).ravel()
+
+    return rate

@@ -1,0 +1,20 @@
+"""Prepared clips as training material.
+
+samples      pairs of frames with their windows, contacts and interactions
+splits       training, validation and test, by video
+batches      samples as torch batches; datamodule: the loaders that Lightning asks for
+preparation  all clips of a data set, one after the other
+cholecseg8k  checks a data set and prepares it; `python -m data.cholecseg8k` is the door
+"""
+
+from physics.lazy import exported
+
+__getattr__ = exported(
+    {
+        "data.training.samples": ("Sample", "SampleSettings", "make_interaction", "make_sample"),
+        "data.training.splits": ("split_by_video", "split_samples"),
+        "data.training.batches": ("SampleDataset", "collate"),
+        "data.training.datamodule": ("ClipDataModule", "LoadingSettings"),
+        "data.training.preparation": ("prepare_all",),
+    }
+)

@@ -1,0 +1,253 @@
+"""Batches for training and interactions for evaluation, from a data set of clips."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import warnings
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from lightning.pytorch import LightningDataModule
+from lightning.pytorch.utilities import rank_zero_info, rank_zero_only
+from torch.utils.data import DataLoader
+from torch.utils.data.distributed import DistributedSampler
+
+from data.cache import PreparedClip
+from data.contact.interaction import Interaction
+from data.prepared import STATUSES
+from data.settings import PREPROCESSING_VERSION, PrepareSettings
+from data.source.layout import ClipLayout, InputError, load_layout
+from data.training.batches import SampleDataset, collate
+from data.training.cholecseg8k import list_clips
+from data.training.preparation import prepare_all
+from data.training.samples import SampleSettings, list_frames, make_interaction, onset_of
+from data.training.splits import FRACTIONS, SPLITS, Place, split_samples
+from physics.mechanics import Bounds, require_stable
+
+
+@dataclass(frozen=True)
+class LoadingSettings:
+    """How samples are divided, and how they become batches."""
+
+    batch_size: int = 2
+    """Samples a batch and process."""
+    num_workers: int = 0
+    """Processes that load samples; 0 loads in the training process."""
+    fractions: tuple[float, float, float] = FRACTIONS
+    """Share of videos for train, val and test."""
+    seed: int = 0
+    """Draws the split and the order of the samples."""
+
+    def __post_init__(self) -> None:
+        if self.batch_size < 1 or self.num_workers < 0:
+            raise ValueError(
+                f"batch_size is {self.batch_size} and num_workers {self.num_workers}; give at least 1 and 0."
+            )
+        if len(self.fractions) != len(SPLITS) or min(self.fractions) < 0 or not self.fractions[0] > 0:
+            raise ValueError(f"fractions are {list(self.fractions)}; give the shares of train, val and test.")
+
+
+class ClipDataModule(LightningDataModule):
+    """Pairs of consecutive frames in contact, split by video (Bini 2026, section 3.1).
+
+    Args:
+        root: folder of the data set.
+        layout: YAML file that says how the clips' files are named; none = CholecSeg8k's names.
+        cache: folder of prepared clips; shared between runs and processes.
+        samples: which frames become samples; train.py takes the geometry from beside it, mechanics from the model.
+        loading: splits and batches.
+        bounds: admissible box, checked for stability on the training meshes; train.py takes it from the model.
+        preparation: the other fields of PrepareSettings: depth, geometry, masks, classes, bridge_frames.
+    """
+
+    def __init__(
+        self,
+        root: str,
+        layout: str | None = None,
+        cache: str = "runs/cache",
+        samples: SampleSettings = SampleSettings(),  # noqa: B008 (frozen)
+        loading: LoadingSettings = LoadingSettings(),
+        bounds: Bounds = Bounds(),  # noqa: B008
+        **preparation: Any,
+    ) -> None:
+        super().__init__()
+        self.root, self.cache = Path(root), Path(cache)
+        self.samples, self.loading, self.bounds = samples, loading, bounds
+        self.mechanics = samples.mechanics
+        # jsonargparse reads this call: what it is given here is no option, and every other field is one.
+        self.preparation = PrepareSettings(
+            layout=ClipLayout() if layout is None else load_layout(layout),
+            track_seconds=self.mechanics.steps * self.mechanics.time_step,
+            **preparation,
+        )
+        if samples.geometry != self.preparation.geometry:
+            raise ValueError("samples.geometry differs from geometry; give both the same.")
+        self.clips: list[PreparedClip] = []
+        self.places: dict[str, list[Place]] = {}
+        """Samples of each split."""
+        self.left_out: Counter[str] = Counter()
+        """Frames that give no sample, by reason."""
+        self.trained_on: dict[str, list[str]] | None = None
+        """Where depth and masks of a checkpoint's training clips came from."""
+
+    def prepare_data(self) -> None:
+        """Prepare all clips into the cache; Lightning calls this in one process a node."""
+        self._load(show=True)
+
+    def setup(self, stage: str) -> None:
+        """Read the prepared clips, list the samples and split them.
+
+        Raises:
+            InputError: no clip can be prepared, or none gives a sample.
+            UnstableConfiguration: the admissible box can't be integrated on a training mesh.
+        """
+        if self.places:
+            return
+        clips = self._load(show=False)
+        found: list[Place] = []
+        for index, clip in enumerate(clips):
+            frames, reasons = list_frames(clip, self.samples)
+            found += [(index, frame) for frame in frames]
+            self.left_out += reasons
+        if not found:
+            raise InputError(self._nothing_found())
+        places, warning = split_samples(self.clips, found, self.samples, self.loading.fractions, self.loading.seed)
+        if warning:
+            _warn(f"{self.root} {warning}")
+        self._require_stable(places["train"])
+        self.places = places
+        rank_zero_info(self.summary())
+
+    def summary(self) -> str:
+        """What the splits hold and what was left out, in two sentences."""
+        sizes = ", ".join(f"{len(self.places[split])} {split}" for split in SPLITS)
+        reasons = ", ".join(f"{count} {reason}" for reason, count in self.left_out.most_common()) or "none"
+        return f"{self.root}: samples {sizes}, from {len(self.clips)} clips. Frames left out: {reasons}."
+
+    def train_dataloader(self) -> DataLoader:
+        """Shuffled batches, in an order that depends on seed and epoch only, so that a resumed run sees the same."""
+        return self._loader("train", shuffle=True)
+
+    def val_dataloader(self) -> DataLoader:
+        """Batches in order."""
+        return self._loader("val", shuffle=False)
+
+    def test_dataloader(self) -> DataLoader:
+        """Batches in order."""
+        return self._loader("test", shuffle=False)
+
+    def interactions(self, split: str, limit: int | None = None) -> list[Interaction]:
+        """Contacts of a split for the simulator, evenly spaced where there are more than `limit`."""
+        places = self.places[split]
+        if limit is not None and len(places) > limit:
+            places = [places[index] for index in np.linspace(0, len(places) - 1, limit).round().astype(int)]
+        return [make_interaction(self.clips[clip], frame, self.samples) for clip, frame in places]
+
+    def state_dict(self) -> dict[str, Any]:
+        """What a checkpoint keeps of the data: where depth and masks of the clips came from."""
+        return {
+            "trained_on": {name: sorted({clip.sources[name] for clip in self.clips}) for name in ("depth", "masks")},
+        }
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Take over a checkpoint's record, for `metadata`."""
+        self.trained_on = state_dict["trained_on"]
+
+    def metadata(self) -> dict[str, Any]:
+        """What inference must repeat, JSON-able; no file path of this machine."""
+        depth = dataclasses.asdict(self.preparation.depth)
+        for name in ("model", "threads", "device"):
+            depth.pop(name)
+        for name in ("source", "preset"):
+            depth[name] = depth[name] and Path(depth[name]).name
+        masks = self.preparation.masks
+        return {
+            "preprocessing_version": PREPROCESSING_VERSION,
+            "geometry": dataclasses.asdict(self.preparation.geometry),
+            "depth": depth,
+            "masks": Path(masks).name,
+            "trained_on": self.trained_on,
+            "classes": _plain(dataclasses.asdict(self.preparation.classes)),
+            "observation": self.samples.observation,
+            "horizon_frames": self.samples.horizon_frames,
+            "onset_within": self.samples.onset_within,
+            "bridge_frames": self.preparation.bridge_frames,
+            "track_seconds": self.preparation.track_seconds,
+        }
+
+    def _load(self, *, show: bool) -> list[PreparedClip]:
+        """All prepared clips, from the cache where they are there."""
+        if not self.clips:
+            paths = list_clips(self.root, self.preparation.layout)
+            clips, failures = prepare_all(paths, self.preparation, self.cache, show=show)
+            if not clips:
+                raise InputError(next(iter(failures.values())))
+            for path, reason in failures.items():
+                _warn(f"{path.name} is left out: {reason}")
+            self.clips = clips
+        return self.clips
+
+    def _require_stable(self, places: Sequence[Place]) -> None:
+        """Check the box on the training meshes.
+
+        The largest eigenvalue of a graph's Laplacian is at most the largest sum of two neighbours' degrees (Anderson
+        and Morley 1985), so only meshes where that bound does not settle it need the eigenvalue itself.
+        """
+        meshes: dict[Place, float] = {}
+        for clip, frame in places:
+            start = onset_of(self.clips[clip], frame) if self.samples.observation == "trajectory" else frame
+            if (clip, start) not in meshes:
+                meshes[clip, start] = _degree_bound(self.clips[clip].mesh(start).springs)
+        stiffness, mechanics = self.bounds.stiffness[1], self.mechanics
+        worst = max(meshes, key=meshes.__getitem__)
+        for (clip, frame), bound in meshes.items():
+            frequency = math.sqrt((bound + mechanics.anchor) * stiffness / mechanics.mass)
+            if (clip, frame) == worst or mechanics.time_step * frequency >= 2:
+                mesh = self.clips[clip].mesh(frame)
+                require_stable(mesh.springs, len(mesh.vertices), self.bounds, mechanics)
+
+    def _nothing_found(self) -> str:
+        counts = Counter(status for clip in self.clips for status in clip.status)
+        seen = ", ".join(f"{counts[status]} {status}" for status in STATUSES if counts[status])
+        if not counts["ok"]:
+            return (
+                f"{self.root} has no frame in contact ({seen}); check masks and classes, or raise "
+                "geometry.contact_pixels or geometry.contact_distance."
+            )
+        reasons = ", ".join(f"{count} {reason}" for reason, count in self.left_out.most_common())
+        trajectory = self.samples.observation == "trajectory"
+        remedy = "choose data.samples.observation final" if trajectory else "record longer contact"
+        return f"{self.root} has {counts['ok']} frames in contact and no sample of them ({reasons}); {remedy}."
+
+    def _loader(self, split: str, *, shuffle: bool) -> DataLoader:
+        dataset = SampleDataset(self.clips, self.places[split], self.samples)
+        world, rank = (1, 0) if self.trainer is None else (self.trainer.world_size, self.trainer.global_rank)
+        # A DistributedSampler of our own keeps Lightning from putting one in whose order ignores our seed.
+        sampler = DistributedSampler(dataset, world, rank, shuffle=shuffle, seed=self.loading.seed)
+        return DataLoader(
+            dataset,
+            batch_size=self.loading.batch_size,
+            sampler=sampler,
+            num_workers=self.loading.num_workers,
+            collate_fn=collate,
+            persistent_workers=self.loading.num_workers > 0,
+        )
+
+
+@rank_zero_only
+def _warn(message: str) -> None:
+    warnings.warn(message, stacklevel=3)
+
+
+def _degree_bound(springs: np.ndarray) -> float:
+    degree = np.bincount(springs.ravel())
+    return float(degree[springs].sum(axis=1).max())
+
+
+def _plain(fields: dict[str, Any]) -> dict[str, Any]:
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in fields.items()}

@@ -1,0 +1,66 @@
+"""Prepares the clips of a data set one after the other, with a progress bar; one bad clip does not end it."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+
+from data.cache import PreparedClip
+from data.clip import prepare
+from data.command_line import progress_bars
+from data.settings import PrepareSettings
+from data.source.frames import open_source
+from data.source.layout import InputError
+from physics.doors import plain
+
+
+def prepare_all(
+    paths: Sequence[Path], settings: PrepareSettings, cache_dir: Path, *, show: bool = True
+) -> tuple[list[PreparedClip], dict[Path, str]]:
+    """Prepare clips, or read them from the cache.
+
+    Args:
+        paths: frame folders or video files.
+        settings: how to prepare them.
+        cache_dir: folder of the cache.
+        show: whether to draw a progress bar on standard error.
+
+    Returns:
+        The prepared clips, and why others could not be prepared.
+    """
+    clips, failures = [], {}
+    with progress_bars(Console(stderr=True), "frames", disable=not show) as bar:
+        task = bar.add_task("preparing", total=sum(_length(path, settings) for path in paths))
+        done = 0
+        for number, path in enumerate(paths, start=1):
+            bar.update(task, description=f"preparing {plain(path.name)} ({number}/{len(paths)})")
+            try:
+                clip = prepare(
+                    path, settings, cache_dir, lambda count, _, start=done: bar.update(task, completed=start + count)
+                )
+            except Exception as error:
+                failures[path] = _reason(error)
+                continue
+            clips.append(clip)
+            done += len(clip)
+            bar.update(task, completed=done)
+    return clips, failures
+
+
+def _reason(error: Exception) -> str:
+    """One sentence about why a clip failed, for a user."""
+    told = " ".join(str(error).split())
+    if isinstance(error, InputError):
+        return told
+    logging.getLogger(__name__).debug("a clip failed", exc_info=error)
+    return f"unexpected {type(error).__name__} ({told}); report it with the clip's files."
+
+
+def _length(path: Path, settings: PrepareSettings) -> int:
+    try:
+        return open_source(path, settings.layout).length
+    except InputError:
+        return 0  # Reported when the clip's turn comes.

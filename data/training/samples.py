@@ -1,0 +1,207 @@
+"""From prepared clips to training samples: pairs of consecutive frames with their windows, contacts and observations.
+
+No sample crosses a clip or a gap in the frame numbers (Bini 2026, section 3.1). What is left out is counted by reason.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from data.cache import PreparedClip
+from data.contact.geometry import GeometrySettings, force_direction
+from data.contact.interaction import PRESS, ContactFrame, Horizon, Interaction, InteractionBuilder
+from data.prepared import SEEN_OUT
+from data.windows import future_indices, window_indices
+from physics.load import Press, held
+from physics.mechanics import Mechanics
+from physics.observation import Observation
+
+OBSERVATIONS = ("final", "release", "trajectory")
+
+
+@dataclass(frozen=True)
+class SampleSettings:
+    """Which frames become samples, and what of their motion the simulation is compared with."""
+
+    window: int = 1
+    """Frames in the network's input, K; 1 is the paper's."""
+    observation: Literal["final", "release", "trajectory"] = "final"
+    """final (paper): the motion of one frame against the end of the rollout. release: against the rollout at the end of
+    its load. trajectory: the contact's whole motion since its onset, at the frames' own time stamps."""
+    horizon_frames: Horizon = None
+    """Frames after the onset that a trajectory covers; "press" = those in contact, none = as many as the rollout
+    lasts."""
+    min_deformation: float = 0.0
+    """Samples whose observed motion, less the rigid motion, is shorter are left out [scene units]; 0 keeps all."""
+    onset_within: int | None = None
+    """A trajectory's frame is a sample where its onset is less than this many frames back; none = the window, farther
+    back than which no network can see. One that is told the contact's motion beside the window can have more."""
+    geometry: GeometrySettings = field(default_factory=GeometrySettings)
+    """The force's direction is taken from here."""
+    mechanics: Mechanics = field(default_factory=Mechanics)
+    """The rollout's time base."""
+
+    def __post_init__(self) -> None:
+        if self.window < 1:
+            raise ValueError(f"window is {self.window}; give at least 1 frame.")
+        if self.observation not in OBSERVATIONS:
+            raise ValueError(f"observation is '{self.observation}'; choose {', '.join(OBSERVATIONS)}.")
+        if self.horizon_frames not in (None, PRESS) and not (
+            isinstance(self.horizon_frames, int) and self.horizon_frames >= 1
+        ):
+            raise ValueError(f"horizon_frames is {self.horizon_frames}; give at least 1, press, or leave it out.")
+        if self.onset_within is not None and self.onset_within < 1:
+            raise ValueError(f"onset_within is {self.onset_within}; give at least 1, or leave it out.")
+        if not (math.isfinite(self.min_deformation) and self.min_deformation >= 0):
+            raise ValueError(f"min_deformation is {self.min_deformation}; give a length of at least 0.")
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A pair of consecutive frames t, t + 1 for both generators."""
+
+    window_a: np.ndarray
+    """Depth of the frames up to t, oldest first, shape [K, h, w], float32."""
+    window_b: np.ndarray
+    """Depth of the frames from t + 1 on, the farthest first and t + 1 last, shape [K, h, w], float32."""
+    interaction_a: Interaction
+    """Contact forward in time."""
+    interaction_b: Interaction
+    """Contact backward in time; for trajectories that forward, since a damped system does not run backward."""
+    clip: str
+    """Name of the clip."""
+    frame: int
+    """Index of t."""
+    seen: Interaction | None = None
+    """`interaction_a` as it was known at frame t; none but for trajectories of a clip whose noise is known."""
+
+
+def consecutive_pairs(clip: PreparedClip) -> list[int]:
+    """Frames t of which t and t + 1 are in contact and bear consecutive numbers."""
+    return np.flatnonzero(clip.contact[:-1] & clip.contact[1:] & clip.consecutive[:-1]).tolist()
+
+
+def list_frames(clip: PreparedClip, settings: SampleSettings) -> tuple[list[int], Counter[str]]:
+    """Frames t of a clip that give a sample, and how many others there are by reason."""
+    judge = _judge_run if settings.observation == "trajectory" else _judge_pair
+    kept, left_out = [], Counter()
+    for frame in range(len(clip)):
+        reason = judge(clip, frame, settings)
+        if reason:
+            left_out[reason] += 1
+        else:
+            kept.append(frame)
+    return kept, left_out
+
+
+def onset_of(clip: PreparedClip, frame: int) -> int:
+    """Index of the frame in which the run of contact that `frame` belongs to began, -1 where that was not seen."""
+    return int(clip.track_start[frame])
+
+
+def make_sample(clip: PreparedClip, frame: int, settings: SampleSettings) -> Sample:
+    """The sample of a frame that `list_frames` gave."""
+    earlier = window_indices(frame, settings.window, clip.consecutive, clip.usable)
+    later = future_indices(frame + 1, settings.window, clip.consecutive, clip.usable)
+    if earlier is None or later is None:
+        raise ValueError(f"{clip.path} has no depth around frame {frame}; take a frame that list_frames gave.")
+    forward, backward, seen = make_interaction(clip, frame, settings), None, None
+    if settings.observation != "trajectory":
+        backward = _pair(clip, frame + 1, clip.backward, settings)
+    elif forward.noise > 0:
+        onset = onset_of(clip, frame)
+        seconds = float(clip.times[frame] - clip.times[onset])
+        seen = builder_of(clip, onset, settings).build(settings.mechanics, settings.horizon_frames, seconds)
+    window_a, window_b = (np.stack([clip.depth(index) for index in indices]) for indices in (earlier, later))
+    return Sample(window_a, window_b, forward, backward or forward, clip.name, frame, seen)
+
+
+def make_interaction(clip: PreparedClip, frame: int, settings: SampleSettings) -> Interaction:
+    """The contact of a sample, forward in time."""
+    if settings.observation == "trajectory":
+        run = builder_of(clip, onset_of(clip, frame), settings)
+        return run.build(settings.mechanics, settings.horizon_frames)
+    return _pair(clip, frame, clip.displacement, settings)
+
+
+def builder_of(clip: PreparedClip, onset: int, settings: SampleSettings) -> InteractionBuilder:
+    """The run of contact that began at an onset, all its frames gathered."""
+
+    def frame_of(index: int) -> ContactFrame:
+        return ContactFrame(
+            float(clip.times[index]),
+            bool(clip.contact[index]),
+            clip.status[index] in SEEN_OUT,
+            bool(clip.consecutive[index]),
+            clip.track_position[index],
+        )
+
+    run = InteractionBuilder(
+        clip.mesh(onset),
+        int(clip.vertex[onset]),
+        clip.normal[onset],
+        float(clip.noise[onset]),
+        frame_of(onset),
+        settings.geometry,
+        settings.mechanics.seconds,
+    )
+    for index in range(onset + 1, len(clip)):
+        if clip.track_start[index] != onset:
+            break
+        run.add(frame_of(index))
+    return run
+
+
+def _judge_pair(clip: PreparedClip, frame: int, settings: SampleSettings) -> str:
+    """Why a frame gives no pair, or an empty string."""
+    if not clip.contact[frame]:
+        return clip.status[frame]
+    if not clip.consecutive[frame]:
+        return "no next frame"
+    if not clip.contact[frame + 1]:
+        return "next frame not in contact"
+    if not (np.isfinite(clip.displacement[frame]).all() and np.isfinite(clip.backward[frame + 1]).all()):
+        return "contact not followed"
+    motion = clip.displacement[frame]
+    if settings.geometry.rigid_motion == "keep":
+        motion = motion - np.nan_to_num(clip.rigid[frame])
+    return "rigid motion" if np.linalg.norm(motion) < settings.min_deformation else ""
+
+
+def _judge_run(clip: PreparedClip, frame: int, settings: SampleSettings) -> str:
+    """Why a frame gives no trajectory, or an empty string."""
+    onset = onset_of(clip, frame)
+    if onset < 0:
+        return "onset not seen" if clip.contact[frame] else clip.status[frame]
+    if frame - onset >= (settings.onset_within or settings.window):
+        return "onset outside the window" if settings.onset_within is None else "onset too far back"
+    if not clip.consecutive[frame]:
+        return "no next frame"
+    if not clip.usable[frame : frame + 2].all():
+        return "bad_depth"
+    if settings.geometry.smoothing > 0 and not clip.noise[onset] > 0:
+        return "noise not known"
+    times = builder_of(clip, onset, settings).build(settings.mechanics, settings.horizon_frames).observation.times
+    if len(times) == 0:
+        return "contact not followed"
+    observed = np.searchsorted(clip.times, clip.times[onset] + times - 1e-9)
+    deformation = clip.track_position[observed] - clip.track_position[onset]
+    if settings.geometry.rigid_motion == "keep":
+        drift = np.cumsum(np.nan_to_num(clip.rigid[onset : observed[-1]]), axis=0)
+        deformation = deformation - drift[observed - onset - 1]
+    return "rigid motion" if np.linalg.norm(deformation, axis=1).max() < settings.min_deformation else ""
+
+
+def _pair(clip: PreparedClip, frame: int, motion: np.ndarray, settings: SampleSettings) -> Interaction:
+    """One frame's contact and its motion to a neighbouring frame (`motion`, shape [F, 3])."""
+    mechanics, vertex = settings.mechanics, int(clip.vertex[frame])
+    steps = mechanics.steps if settings.observation == "final" else max(mechanics.load_steps, 1)
+    direction = force_direction(clip.normal[frame], motion[frame], settings.geometry)
+    press = Press.at(vertex, direction, held(mechanics.load_steps, mechanics.steps))
+    moved = Observation.of_point(vertex, np.array([steps * mechanics.time_step]), motion[frame : frame + 1], math.nan)
+    return Interaction(clip.mesh(frame), press, moved, mechanics.time_step)

@@ -1,0 +1,117 @@
+"""Training, validation and test: by video, so that no patient is in two of them (Bini 2026, section 3.1)."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from data.cache import PreparedClip
+from data.training.samples import SampleSettings, onset_of
+
+SPLITS = ("train", "val", "test")
+FRACTIONS = (0.7, 0.2, 0.1)
+"""Share of videos in each split (Bini 2026, section 3.1)."""
+LEAST_VIDEOS = 3
+"""A data set of fewer videos is split in time instead."""
+
+Item = TypeVar("Item")
+Place = tuple[int, int]
+"""A sample: index of its clip, index of its frame."""
+
+
+def video_of(clip: Path) -> str:
+    """The video that a clip was cut from: videoNN of videoNN/videoNN_SSSSS, else the clip itself."""
+    parent = clip.resolve().parent.name
+    return parent if clip.name.startswith(f"{parent}_") else clip.stem
+
+
+def part_sizes(total: int, fractions: Sequence[float]) -> list[int]:
+    """How many of `total` things go to each split: the largest remainders, and none left empty while there are enough.
+
+    Args:
+        total: number of things.
+        fractions: share of each split; a share of 0 stays empty.
+
+    Raises:
+        ValueError: negative shares, or shares that do not add up to something.
+    """
+    if min(fractions) < 0 or not sum(fractions) > 0:
+        raise ValueError(f"fractions are {list(fractions)}; give shares of at least 0, not all 0.")
+    exact = [total * fraction / sum(fractions) for fraction in fractions]
+    sizes = [int(value + 1e-9) for value in exact]
+    by_remainder = sorted(range(len(sizes)), key=lambda index: sizes[index] - exact[index])
+    for index in by_remainder[: total - sum(sizes)]:
+        sizes[index] += 1
+    for index in range(len(sizes)):
+        largest = int(np.argmax(sizes))
+        if fractions[index] > 0 and sizes[index] == 0 and sizes[largest] > 1:
+            sizes[index], sizes[largest] = 1, sizes[largest] - 1
+    return sizes
+
+
+def split_by_video(videos: Iterable[str], fractions: Sequence[float], seed: int) -> dict[str, list[str]]:
+    """Videos of each split, drawn by `seed`; the same set of videos always gives the same split."""
+    names = sorted(set(videos))
+    random.Random(seed).shuffle(names)
+    return dict(zip(SPLITS, _cut(names, fractions), strict=True))
+
+
+def split_in_time(items: Sequence[Item], fractions: Sequence[float]) -> dict[str, list[Item]]:
+    """Items of each split: the earliest to train, the latest to test."""
+    return dict(zip(SPLITS, _cut(list(items), fractions), strict=True))
+
+
+def _cut(items: list[Item], fractions: Sequence[float]) -> list[list[Item]]:
+    first, second, _ = part_sizes(len(items), fractions)
+    return [items[:first], items[first : first + second], items[first + second :]]
+
+
+def split_samples(
+    clips: Sequence[PreparedClip],
+    found: Sequence[Place],
+    settings: SampleSettings,
+    fractions: Sequence[float],
+    seed: int,
+) -> tuple[dict[str, list[Place]], str]:
+    """Samples of each split: by video, or in time where there are fewer than three videos with samples.
+
+    Returns:
+        The samples of each split, and what to warn of (it follows the data set's name), or an empty string.
+    """
+    videos = [video_of(clips[clip].path) for clip, _ in found]
+    count = len(set(videos))
+    if count >= LEAST_VIDEOS:
+        chosen = split_by_video(videos, fractions, seed)
+        split_of = {video: split for split, names in chosen.items() for video in names}
+        places: dict[str, list[Place]] = {split: [] for split in SPLITS}
+        for place, video in zip(found, videos, strict=True):
+            places[split_of[video]].append(place)
+        return places, ""
+    parts = split_in_time(_units(clips, found, settings), fractions)
+    places = {split: [place for unit in part for place in unit] for split, part in parts.items()}
+    named = "1 video" if count == 1 else f"{count} videos"
+    warning = (
+        f"has samples of {named}, fewer than {LEAST_VIDEOS}: it is split in time, so the splits show the same "
+        "patient and neighbouring frames, and their errors look too good."
+    )
+    if not places["val"]:
+        warning += " It has too few samples to validate; record more contact."
+    return places, warning
+
+
+def _units(clips: Sequence[PreparedClip], found: Sequence[Place], settings: SampleSettings) -> list[list[Place]]:
+    """What a split in time does not divide: single samples, or whole runs of contact where there are runs enough.
+
+    A trajectory's samples share their observation.
+    """
+    if settings.observation == "trajectory":
+        runs: dict[Place, list[Place]] = {}
+        for clip, frame in found:
+            runs.setdefault((clip, onset_of(clips[clip], frame)), []).append((clip, frame))
+        if len(runs) >= len(SPLITS):
+            return list(runs.values())
+    return [[place] for place in found]

@@ -1,0 +1,88 @@
+"""What every estimator is: opened once, it starts a session a clip, which holds all that belongs to the clip."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from data.clip import ClipStream
+from data.contact.geometry import GeometrySettings
+from data.prepared import PreparedFrame
+from data.settings import PrepareSettings
+from data.source.camera import Camera
+from data.source.layout import ClipLayout
+from estimators.estimate import FrameEstimate, InteractionEstimate
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """What a user chooses of a clip's preparation; the estimator decides the rest."""
+
+    layout: ClipLayout = field(default_factory=ClipLayout)
+    """How the clips' files are named."""
+    masks: str | None = None
+    """Source of the masks; None = the estimator's."""
+    depth: Mapping[str, Any] = field(default_factory=dict)
+    """Fields of `DepthSettings`."""
+    smoothing: float | None = None
+    """Width over which the resting shape is smoothed [grid px]; None = the estimator's."""
+
+
+@dataclass(frozen=True)
+class ClipInfo:
+    """What a session must know of its clip before the first frame."""
+
+    fps: float
+    """Frames a second."""
+    size: tuple[int, int]
+    """Width and height of the pictures [px]."""
+    camera: Camera
+    """Intrinsics of the full picture, free of distortion."""
+    geometry: GeometrySettings
+    """How contacts are found."""
+    bridge_frames: int
+    """Contact that is missing on up to this many frames is still the same run."""
+
+    @classmethod
+    def of(cls, clip: ClipStream) -> ClipInfo:
+        """Of an opened clip."""
+        settings = clip.settings
+        return cls(clip.source.fps, clip.source.size, clip.picture_camera, settings.geometry, settings.bridge_frames)
+
+
+Said = FrameEstimate | InteractionEstimate
+
+
+class Session(Protocol):
+    """One clip's estimates; two sessions of one estimator may be open at once."""
+
+    @property
+    def seconds(self) -> Mapping[str, float]:
+        """Time spent so far by stage [s]."""
+
+    def push(self, frame: PreparedFrame) -> Iterable[Said]:
+        """The next frame; gives one `FrameEstimate` for each frame, in order and maybe late, and what has ended.
+
+        The frame counts once all that is given has been taken.
+        """
+
+    def finish(self) -> Iterable[Said]:
+        """What is left at the clip's end."""
+
+
+class Estimator(Protocol):
+    """Something that estimates; it holds nothing of any clip."""
+
+    name: str
+    """`network`, `gan`, `direct`, …"""
+
+    @property
+    def described(self) -> dict[str, Any]:
+        """Its settings, JSON-able: with its model's file all that its numbers depend on."""
+
+    def preparation(self, chosen: Chosen) -> PrepareSettings:
+        """How frames must be prepared for it."""
+
+    def start(self, clip: ClipInfo) -> Session:
+        """Open a session."""

@@ -1,0 +1,110 @@
+"""One observed contact as a least-squares problem: its likelihood, and where to start."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from data.contact.interaction import Interaction
+from physics.likelihood import Likelihood
+from physics.load import Press
+from physics.mechanics import Mechanics
+from physics.msd.simulation import simulate
+
+CANDIDATES = 128
+"""Points of a Sobol sequence over the box among which the starts are chosen: an under-damped response has many local
+optima, one for every number of swings."""
+STARTS = 6
+"""Fits, begun at the candidates that explain the data best."""
+APART = 0.1
+"""Starts are farther apart than this share of the box, in stiffness or damping: neighbours end in the same optimum."""
+COARSE_STEP = 0.005
+"""Time step of simulations without derivatives [s]: off by up to 0.1 σ for the stiffest tissue."""
+
+
+class ContactProblem(Likelihood):
+    """A contact's likelihood, with coarse simulations to choose starts by.
+
+    Args:
+        contact: one followed point, seen at every instant.
+        mechanics: of the fits.
+        noise: σ of every observed coordinate [scene units].
+    """
+
+    load: Press
+
+    def __init__(self, contact: Interaction, mechanics: Mechanics, noise: float) -> None:
+        observation = dataclasses.replace(contact.observation, noise=np.full(3, noise))
+        super().__init__(contact.mesh, contact.load, observation, mechanics)
+        self.contact, self.sigma = contact, noise
+        self.moved = observation.displacement[0].astype(np.float64)
+        """Observed displacement, shape [N, 3]."""
+        self.direction = np.asarray(contact.direction, np.float64)
+
+    def delays(self, logs: np.ndarray) -> tuple[float, ...]:
+        """Time from the stamps of the first frame in contact, and of the first one after it, to the true instants [s].
+
+        None of either where it is no parameter.
+        """
+        return ()
+
+    def candidates(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        """φ evenly spread over the box, shape [CANDIDATES, 3] (or with further parameters)."""
+        from scipy.stats.qmc import Sobol  # takes seconds to load
+
+        return low + Sobol(len(low), rng=0).random(CANDIDATES) * (high - low)
+
+    def starts(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        """φ of the candidates with the smallest misfit, shape [at most STARTS, 3]."""
+        candidates = self.candidates(low, high)
+        return self.best_starts(candidates, self.coarse_paths(candidates), low, high)
+
+    def best_starts(self, candidates: np.ndarray, paths: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        """Starts among candidates [C, 3] whose motions [C, N, 3] are known.
+
+        Displacement is about proportional to the force, so each candidate is tried with the force that suits it best.
+        """
+        fitting = np.einsum("cmd,md->c", paths, self.moved) / np.maximum(np.square(paths).sum(axis=(1, 2)), 1e-30)
+        logs = candidates.copy()
+        logs[:, 2] = np.clip(logs[:, 2] + np.log(np.maximum(fitting, 1e-9)), low[2], high[2])
+        factors = np.exp(logs[:, 2] - candidates[:, 2])
+        misfits = np.square(factors[:, None, None] * paths - self.moved).sum(axis=(1, 2))
+        chosen: list[int] = []
+        for index in np.argsort(misfits):
+            distances = np.abs(logs[chosen] - logs[index])[:, :2] / (high - low)[:2]
+            if (distances.max(axis=1, initial=0) > APART).all() or not chosen:
+                chosen.append(int(index))
+            if len(chosen) == STARTS:
+                break
+        return logs[chosen]
+
+    def coarse_mechanics(self, whole: bool) -> tuple[Mechanics, int]:
+        """The simulator with a coarse time step, and how many of its own steps that is.
+
+        Args:
+            whole: whether the observations must lie on its steps.
+        """
+        coarse = max(1, round(COARSE_STEP / self.mechanics.time_step))
+        if whole and ((self.steps + 1) % coarse).any():
+            coarse = 1
+        time_step = coarse * self.mechanics.time_step
+        return dataclasses.replace(self.mechanics, time_step=time_step, window_error=1e-3), coarse
+
+    def coarse_paths(self, logs: np.ndarray) -> np.ndarray:
+        """Motion at the observations for every φ [n, 3], with a coarse time step, shape [n, N, 3]."""
+        mechanics, coarse = self.coarse_mechanics(whole=True)
+        load, seen = _coarse(self.load, coarse), (self.steps + 1) // coarse - 1
+        paths = [simulate(self.theta(item), self.mesh, load, mechanics)[seen] for item in logs]
+        return np.array(paths, np.float64).reshape(-1, len(seen), 3)
+
+    def path(self, logs: np.ndarray) -> np.ndarray:
+        """Motion at the observations for one φ, with the problem's own time step, shape [N, 3]."""
+        return self.simulated(logs).reshape(-1, 3)
+
+
+def _coarse(load: Press, coarse: int) -> Press:
+    """A load that is held and then released, in steps so many times as long."""
+    steps = -(-load.steps // coarse)
+    loaded = min(round(float(load.factor.sum()) / coarse), steps)
+    return dataclasses.replace(load, factor=(np.arange(steps) < loaded).astype(np.float64))

@@ -1,0 +1,174 @@
+"""Mean and covariance of a posterior in a box, by importance sampling around its known modes.
+
+A normal distribution at the optimum (Laplace) is wrong where the posterior is a curved ridge, has several modes, or is
+cut off by the box. Here points are drawn from a mixture of Student distributions, weighed by posterior over mixture
+(deterministic-mixture weights, Owen & Zhou 2000, of all rounds together), and the mixture is moved to where the
+weights are (population Monte Carlo, Cappé et al. 2008). Points come from a Sobol sequence, so nothing is random.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import gammaincinv, gammaln, logsumexp, ndtri
+
+FREEDOM = 5.0
+"""Degrees of freedom of the mixture's Student distributions: tails heavier than the posterior's."""
+ROUND = 128
+"""Points of a round; a power of two, as Sobol points want."""
+ENOUGH = 150.0
+"""Effective draws after which no further round is made: a mean is then within a twelfth of a standard deviation."""
+ROUNDS = (2, 8)
+"""Fewest and most rounds: the first one's mixture is a guess."""
+WIDER = 1.2
+"""Moved components are this much wider than the draws that they follow, in standard deviations."""
+GUIDES = 40.0
+"""Effective draws that a mixture is moved by: where fewer count, a flattened posterior is followed. Bounded errors cut
+jagged pieces out of a posterior, and a mixture that jumps to the first piece found misses the others."""
+KEPT = 0.1
+"""Share of a component's former covariance in the moved one, so that few draws don't make it flat."""
+
+LogLikelihoods = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""From points in the box, shape [n, D], to log-likelihoods under H hypotheses, each up to a constant, by which points
+are weighed, and to those by which hypotheses are, all up to the same constant, shapes [n, H]."""
+
+
+@dataclass(frozen=True)
+class Mixture:
+    """Student distributions of FREEDOM degrees in D dimensions; K components."""
+
+    shares: np.ndarray
+    """Shape [K], sum 1."""
+    means: np.ndarray
+    """Shape [K, D]."""
+    scales: np.ndarray
+    """Scale matrices (the covariance is FREEDOM/(FREEDOM - 2) times as large), shape [K, D, D]."""
+
+    def draw(self, points: np.ndarray) -> np.ndarray:
+        """Points of the unit cube, shape [n, D + 2], as points of the mixture, shape [n, D]."""
+        component = np.searchsorted(np.cumsum(self.shares)[:-1], points[:, 0], side="right")
+        radial = FREEDOM / (2 * gammaincinv(FREEDOM / 2, points[:, 1]))  # freedom over a chi-square variable
+        normal = ndtri(points[:, 2:]) * np.sqrt(radial)[:, None]
+        return self.means[component] + np.einsum("nij,nj->ni", np.linalg.cholesky(self.scales)[component], normal)
+
+    def log_densities(self, points: np.ndarray) -> np.ndarray:
+        """Log of share times density of every component at points [n, D], shape [n, K]."""
+        size = points.shape[1]
+        factors = np.linalg.cholesky(self.scales)
+        apart = np.stack(
+            [np.linalg.solve(factor, (points - mean).T) for mean, factor in zip(self.means, factors, strict=True)], 1
+        )
+        squares = np.square(apart).sum(axis=0).T
+        log_volume = np.log(np.diagonal(factors, axis1=1, axis2=2)).sum(axis=1)
+        constant = gammaln((FREEDOM + size) / 2) - gammaln(FREEDOM / 2) - size / 2 * math.log(FREEDOM * math.pi)
+        with np.errstate(divide="ignore"):
+            shares = np.log(self.shares)
+        return shares + constant - log_volume - (FREEDOM + size) / 2 * np.log1p(squares / FREEDOM)
+
+    def moved(self, points: np.ndarray, weights: np.ndarray) -> Mixture:
+        """The mixture after one step towards a weighted sample [n, D], [n]; the weights sum to 1."""
+        parts = self.log_densities(points)
+        parts = weights[:, None] * np.exp(parts - logsumexp(parts, axis=1, keepdims=True))
+        shares = parts.sum(axis=0)
+        used = shares > 1e-3
+        parts, shares = parts[:, used] / shares[used], shares[used] / shares[used].sum()
+        means = parts.T @ points
+        apart = points[:, None] - means
+        spreads = np.einsum("nk,nki,nkj->kij", parts, apart, apart)
+        shape = WIDER**2 * (FREEDOM - 2) / FREEDOM
+        return Mixture(shares, means, (1 - KEPT) * shape * spreads + KEPT * self.scales[used])
+
+
+@dataclass(frozen=True)
+class Draws:
+    """A weighted sample of a posterior; N points."""
+
+    points: np.ndarray
+    """Shape [N, D]."""
+    weights: np.ndarray
+    """Shape [N], sum 1."""
+    likeliest: np.ndarray
+    """The one with the largest likelihood, shape [D]."""
+
+    @property
+    def effective(self) -> float:
+        """Number of equally weighted draws that would be as good (Kish)."""
+        return 1 / float(np.square(self.weights).sum())
+
+    @property
+    def mean(self) -> np.ndarray:
+        """Shape [D]."""
+        return self.weights @ self.points
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Shape [D, D]."""
+        apart = self.points - self.mean
+        return np.einsum("n,ni,nj->ij", self.weights, apart, apart)
+
+    def thinned(self, count: int) -> np.ndarray:
+        """`count` equally weighted points [count, D], evenly spread along the sample's widest direction."""
+        order = np.argsort(self.points @ np.linalg.eigh(self.covariance)[1][:, -1])
+        places = (np.arange(count) + 0.5) / count
+        chosen = np.searchsorted(np.cumsum(self.weights[order]), places)
+        return self.points[order[np.minimum(chosen, len(order) - 1)]]
+
+
+def sample_posterior(
+    log_likelihoods: LogLikelihoods,
+    box: np.ndarray,
+    start: Mixture,
+    known: tuple[np.ndarray, tuple[np.ndarray, np.ndarray]],
+) -> Draws:
+    """Weighted draws from a likelihood times a uniform prior; the caller judges whether enough of them count.
+
+    Args:
+        log_likelihoods: called with points inside the box only.
+        box: lower and upper ends, shape [2, D].
+        start: where the first points are drawn: around the modes.
+        known: evenly spread points of the box [U, D] whose log-likelihoods ([U, H], [U, H]) are known already: modes
+            that `start` has missed.
+    """
+    from scipy.stats.qmc import Sobol  # takes seconds to load
+
+    low, high = box
+    sequence = Sobol(box.shape[1] + 2, rng=1)
+    points, (values, evidences) = known
+    uniform = math.log(len(points)) - float(np.log(high - low).sum())
+    mixtures = [start]
+    while True:
+        found = mixtures[-1].draw(np.clip(sequence.random(ROUND), 1e-9, 1 - 1e-9))
+        found = found[((found >= low) & (found <= high)).all(axis=1)]
+        points, more = np.concatenate((points, found)), log_likelihoods(found)
+        values, evidences = (np.concatenate(pair) for pair in zip((values, evidences), more, strict=True))
+        draws = _weigh(points, values, evidences, uniform, mixtures)
+        rounds = len(mixtures)
+        if rounds >= ROUNDS[1] or (rounds >= ROUNDS[0] and draws.effective >= ENOUGH):
+            return draws
+        mixtures.append(mixtures[-1].moved(draws.points, _flattened(draws.weights)))
+
+
+def _flattened(weights: np.ndarray) -> np.ndarray:
+    """Weights [N] to the largest power up to 1 that makes GUIDES of them count, or to the smallest one tried."""
+    for power in 0.75 ** np.arange(12):
+        flat = weights**power / (weights**power).sum()
+        if 1 / np.square(flat).sum() >= GUIDES:
+            break
+    return flat
+
+
+def _weigh(
+    points: np.ndarray, values: np.ndarray, evidences: np.ndarray, uniform: float, mixtures: Sequence[Mixture]
+) -> Draws:
+    """Points weighed by likelihood over the density of all draws, `uniform` being the log of the known ones'."""
+    drawn = [np.full(len(points), uniform)]
+    drawn += [math.log(ROUND) + logsumexp(mixture.log_densities(points), axis=1) for mixture in mixtures]
+    density = logsumexp(drawn, axis=0)
+    shares = [logsumexp(logs - density[:, None], axis=0) for logs in (evidences, values)]
+    likelihoods = logsumexp(values + shares[0] - shares[1], axis=1)
+    logs = likelihoods - density
+    weights = np.exp(logs - logs.max())
+    return Draws(points, weights / weights.sum(), points[np.argmax(likelihoods)])

@@ -1,0 +1,200 @@
+"""The parameter network of a trained generator: θ of every frame in contact, and the motion that the simulator expects.
+
+Source: Bini 2026, section 3.4.4: per frame depth, mesh and contact; one forward pass; one forward simulation. The
+generator and the discriminators stay at home.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import defaultdict, deque
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from data.contact.geometry import force_direction
+from data.prepared import SEEN_OUT, PreparedFrame
+from data.settings import PrepareSettings
+from data.windows import FrameWindow
+from estimators.arrow import force_arrow
+from estimators.contract import Chosen, ClipInfo, Said
+from estimators.estimate import Estimate
+from estimators.model_settings import preparation_settings, section
+from estimators.runs import Run, RunTracker, frame_estimate
+from models.onnx_session import ModelFileError, ParameterModel
+from physics.load import Press, held
+from physics.mechanics import SIGNS, Bounds, Mechanics
+from physics.msd.simulation import simulate
+
+OBSERVATIONS = ("final", "release", "trajectory")
+SMALLEST = 1e-12
+"""Parameters nearer to 0 count as this before their logarithm is taken."""
+
+
+class GanEstimator:
+    """Runs a trained parameter network over prepared clips.
+
+    Args:
+        model: the exported network.
+
+    Raises:
+        ModelFileError: its metadata can't be used.
+    """
+
+    name = "gan"
+
+    def __init__(self, model: ParameterModel) -> None:
+        self.model = model
+        self.mechanics: Mechanics = section(model, "mechanics", Mechanics)
+        self.bounds: Bounds = section(model, "bounds", Bounds)
+        self.observation: str = model.metadata.get("observation", "final")
+        if self.observation not in OBSERVATIONS:
+            raise ModelFileError(
+                f"{model.path} was trained with the unknown observation '{self.observation}'; export it again."
+            )
+
+    @property
+    def described(self) -> dict[str, Any]:
+        """All is in the model's file."""
+        return {"name": self.name}
+
+    def preparation(self, chosen: Chosen) -> PrepareSettings:
+        """As the model was trained, with what the user chooses otherwise."""
+        return preparation_settings(self.model, chosen)
+
+    def start(self, clip: ClipInfo) -> GanSession:
+        """Open a session."""
+        return GanSession(self, clip)
+
+
+class GanSession:
+    """One clip; frames come one late, because the motion to the next frame is shown."""
+
+    def __init__(self, estimator: GanEstimator, clip: ClipInfo) -> None:
+        self.estimator, self.clip = estimator, clip
+        self.seconds: dict[str, float] = defaultdict(float)
+        """Time spent in `network` and `simulation` [s]."""
+        self._window = FrameWindow(estimator.model.window)
+        self._statuses = deque[str](maxlen=estimator.model.window)
+        self._runs = RunTracker(clip, estimator.mechanics.seconds)
+        self._onset: PreparedFrame | None = None
+        self._held: tuple[PreparedFrame, np.ndarray | None] | None = None
+        self._log_sum, self._count = np.zeros(3), 0
+        """Sum of log |θ| over the frames in contact of the run under way, and how many they are."""
+
+    def push(self, frame: PreparedFrame) -> Iterator[Said]:
+        """The next frame.
+
+        Raises:
+            ModelFileError: the network gives a number that is not finite.
+        """
+        if self._held is not None:
+            yield from self._pass(*self._held, frame)
+        self._held = frame, self._window.push(frame)
+
+    def finish(self) -> Iterator[Said]:
+        """The last frame, and the run that the clip's end has cut off."""
+        if self._held is not None:
+            yield from self._pass(*self._held, None)
+            self._held = None
+        yield from self._ended(self._runs.finish())
+
+    def _pass(
+        self, current: PreparedFrame, depth: np.ndarray | None, following: PreparedFrame | None
+    ) -> Iterator[Said]:
+        yield from self._ended(self._runs.push(current))
+        self._statuses.append(current.status)
+        if current.track_start == current.frame.index:
+            self._onset = current
+        onset = self._onset if self._onset and current.track_start == self._onset.frame.index else None
+        contact, run = current.geometry, self._runs.current
+        if contact is not None and run is not None and depth is not None:
+            theta = self._theta(depth, current)
+            if run.builder is not None and current.track_start == run.index:
+                self._log_sum += np.log(np.maximum(np.abs(theta.astype(np.float64)), SMALLEST))
+                self._count += 1
+            lengths = self._displacements(theta, current, following, onset)
+            direction = force_direction(contact.normal, current.displacement, self.clip.geometry)
+            yield frame_estimate(
+                current,
+                self.clip,
+                Estimate(theta, told_verdict=_verdict(self._statuses)),
+                lengths=lengths,
+                arrow=force_arrow(theta, contact, self.clip, self.estimator.bounds, direction),
+            )
+        else:
+            yield frame_estimate(current, self.clip)
+        if not current.consecutive:
+            self._statuses.clear()
+
+    def _ended(self, run: Run | None) -> Iterator[Said]:
+        """The mean of log |θ| over a run's frames in contact."""
+        if run is None:
+            return
+        if run.builder is None:
+            yield run.estimate(detail=run.unseen)
+            return
+        theta = np.exp(self._log_sum / self._count) * SIGNS
+        self._log_sum, self._count = np.zeros(3), 0
+        seen = run.builder.build(self.estimator.mechanics.matched(1 / self.clip.fps))
+        yield run.estimate(interaction=seen, estimate=Estimate(theta, told_verdict="undetermined"), detail=run.detail)
+
+    def _theta(self, window: np.ndarray, prepared: PreparedFrame) -> np.ndarray:
+        """θ = [k_s, k_d, F] of a depth window, shape [3]."""
+        start = time.perf_counter()
+        theta = self.estimator.model(window[None])[0]
+        self.seconds["network"] += time.perf_counter() - start
+        if not np.isfinite(theta).all():
+            raise ModelFileError(
+                f"{self.estimator.model.path} gives a number that is not finite for frame {prepared.frame.number}; "
+                "its training did not succeed, export another checkpoint."
+            )
+        return theta
+
+    def _displacements(
+        self, theta: np.ndarray, current: PreparedFrame, following: PreparedFrame | None, onset: PreparedFrame | None
+    ) -> tuple[float | None, float | None]:
+        """Lengths of the simulated and of the observed displacement at the instant that the model was trained on.
+
+        `final`: the contact after T steps, and its motion to the next frame. `release`: the same after the load's last
+        step. `trajectory`: the contact of the frame of onset, under load since then, at the time of the next frame, and
+        where its tissue point is then; None where the onset was not seen or lies further back than the horizon.
+        """
+        mechanics, observation = self.estimator.mechanics, self.estimator.observation
+        steps, load_steps = mechanics.steps, mechanics.load_steps
+        start, observed = current, current.displacement
+        if observation == "release":
+            steps = max(load_steps, 1)
+        if observation == "trajectory":
+            if onset is None:
+                return None, None
+            moment = current.frame.time_s + 1 / self.clip.fps if following is None else following.frame.time_s
+            steps = round((moment - onset.frame.time_s) / mechanics.time_step)
+            if not 1 <= steps <= mechanics.steps:
+                return None, None
+            start, load_steps = onset, steps
+            observed = None
+            if following is not None and following.track_start == onset.frame.index:
+                observed = following.track_position - onset.track_position
+        started = time.perf_counter()
+        contact = start.contact
+        direction = force_direction(contact.normal, observed, self.clip.geometry)
+        press = Press.at(contact.vertex, direction, held(load_steps, steps))
+        path = simulate(theta, contact.mesh, press, mechanics)
+        self.seconds["simulation"] += time.perf_counter() - started
+        return length(path[-1]), None if observed is None else length(observed)
+
+
+def _verdict(statuses: deque[str]) -> str:
+    """Whether a window of consecutive frames shows contact begin, without which θ is undetermined."""
+    begins = any(before in SEEN_OUT and after == "ok" for before, after in pairwise(statuses))
+    return "onset_in_view" if begins else "undetermined"
+
+
+def length(vector: np.ndarray) -> float | None:
+    """Euclidean length; None where the vector has a number that is not finite."""
+    found = float(np.linalg.norm(vector))
+    return found if math.isfinite(found) else None

@@ -1,0 +1,15 @@
+"""The contact posterior: θ, its uncertainty and a verdict from what was seen of a contact so far.
+
+estimator  the exported network at work, a session a clip
+training   trains it without labels; `python -m estimators.network.training` is the door
+fits       observed motions with what explains them, for the fine stage of the training
+"""
+
+from physics.lazy import exported
+
+__getattr__ = exported(
+    {
+        "estimators.network.estimator": ("NetworkEstimator", "NetworkSession"),
+        "estimators.network.training": ("TrainingError",),
+    }
+)

@@ -1,0 +1,243 @@
+"""The contact posterior at work: θ, its uncertainty and a verdict for every frame, from what was seen so far."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import defaultdict
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from data.contact.features import contact_features
+from data.contact.interaction import Horizon, Interaction, InteractionBuilder
+from data.prepared import PreparedFrame
+from data.settings import PrepareSettings
+from data.windows import FrameWindow
+from estimators.arrow import force_arrow
+from estimators.contract import Chosen, ClipInfo, Said
+from estimators.estimate import Estimate, FrameEstimate, NoEstimate, mixture
+from estimators.model_settings import preparation_settings, section
+from estimators.oblique import effective_misfit, is_oblique, remark, view_angle, widened
+from estimators.onset import onset_error, onset_perturbations
+from estimators.runs import Run, RunTracker, frame_estimate
+from models.onnx_session import ModelFileError, PosteriorModel
+from physics.likelihood import Likelihood
+from physics.load import Press, held
+from physics.mechanics import Bounds, Mechanics, theta_of
+from physics.msd.simulation import simulate
+
+LEAST_OBSERVATIONS = 2
+"""Frames after the onset in which the tissue was followed; the network never saw fewer."""
+TOO_EARLY = "The contact's tissue was not followed over two frames after its onset yet."
+NO_NOISE = "The depth's noise isn't known; prepare with geometry.smoothing above 0."
+LARGEST_MISFIT = 2.0
+"""A motion farther from the simulated one than this many σ is unlike what the network was trained on, and its own
+covariance means nothing: that of a noise as large as the misfit, within the box, is added. Of 300 validation
+clips (`clean`, `8bit` and `noisy`; `warned` in details.csv of `make model`) none is so far off."""
+UNEXPLAINED = "The model does not explain the motion, which lies {:.2g} times the noise from it; intervals are widened."
+ROUNDING = 1e-6
+"""Of times [s]."""
+EDGE = 0.02
+"""A mean within this share of the box's end (in logarithms) lies at it."""
+
+
+class NetworkEstimator:
+    """Runs an exported contact posterior over prepared clips.
+
+    Args:
+        model: the exported network.
+        onset: when a press begins, one of `estimators.onset.ONSETS`.
+        horizon: how much of a whole contact is looked at.
+
+    Raises:
+        ModelFileError: its metadata can't be used.
+    """
+
+    name = "network"
+
+    def __init__(self, model: PosteriorModel, onset: str, horizon: Horizon = None) -> None:
+        self.model, self.onset, self.horizon = model, onset, horizon
+        self.mechanics: Mechanics = section(model, "mechanics", Mechanics)
+        self.bounds: Bounds = section(model, "bounds", Bounds)
+        self.press_seconds: tuple[float, float] = tuple(
+            model.metadata.get("contact", {}).get("press_seconds", (0.0, math.inf))
+        )
+        """Shortest and longest press that the network was trained on [s]."""
+
+    @property
+    def described(self) -> dict[str, Any]:
+        """What is not in the model's file."""
+        return {"name": self.name, "onset": self.onset, "horizon": self.horizon}
+
+    def preparation(self, chosen: Chosen) -> PrepareSettings:
+        """As the model was trained, with what the user chooses otherwise."""
+        return preparation_settings(self.model, chosen)
+
+    def start(self, clip: ClipInfo) -> NetworkSession:
+        """Open a session."""
+        return NetworkSession(self, clip)
+
+    def told(self, contact: Interaction) -> Interaction:
+        """A contact as far as it resembles what the network was trained on.
+
+        It knows presses of certain lengths, or their beginning. Of a longer press it is told the beginning, of a
+        shorter one what was seen before the release.
+
+        Raises:
+            NoEstimate: the noise isn't known, or too little is left.
+        """
+        if not (math.isfinite(contact.noise) and contact.noise > 0):
+            raise NoEstimate(NO_NOISE)
+        load, (shortest, longest) = contact.load_seconds, self.press_seconds
+        if not shortest - ROUNDING <= load <= longest + ROUNDING:
+            contact = contact.observed(contact.observation.times <= min(load, longest) + ROUNDING)
+        if len(contact.observation) < LEAST_OBSERVATIONS:
+            raise NoEstimate(TOO_EARLY)
+        return contact
+
+    def judged(
+        self, contact: Interaction, mechanics: Mechanics, mean: np.ndarray, covariance: np.ndarray, expected: np.ndarray
+    ) -> Estimate:
+        """What the network says of a contact, mean [3] and covariances [3, 3], with how well it explains the motion."""
+        likelihood = Likelihood(contact.mesh, contact.load, contact.observation, mechanics, np.float32)
+        found, box = likelihood.linearise(mean), self.bounds.log_box
+        along = found.residual.reshape(-1, 3) @ contact.direction
+        return Estimate(
+            theta=theta_of(mean),
+            covariance=covariance,
+            information=found.information,
+            noise=contact.noise,
+            misfit=float(np.sqrt(np.square(along).mean())),
+            largest_misfit=LARGEST_MISFIT,
+            at_bound=np.minimum(mean - box[0], box[1] - mean) < EDGE * (box[1] - box[0]),
+            expected_information=np.linalg.inv(expected),
+            view_angle=view_angle(contact),
+        )
+
+
+class NetworkSession:
+    """One clip: an estimate for every frame in contact, and one for every whole run of contact."""
+
+    def __init__(self, estimator: NetworkEstimator, clip: ClipInfo) -> None:
+        self.estimator, self.clip = estimator, clip
+        self.mechanics = estimator.mechanics.matched(1 / clip.fps)
+        """The trained simulator, its steps matched to the clip's frame rate."""
+        self.seconds: dict[str, float] = defaultdict(float)
+        """Time spent in `network` and `simulation` [s]."""
+        self._onset_error = onset_error(estimator.onset, clip.fps)
+        self._window = FrameWindow(estimator.model.window)
+        self._runs = RunTracker(clip, self.mechanics.seconds)
+        self._depths: list[tuple[float, np.ndarray]] = []
+        """Depth windows of the run under way by the time since its onset [s], where the model looks at them."""
+
+    def push(self, frame: PreparedFrame) -> Iterator[Said]:
+        """The next frame.
+
+        Raises:
+            ModelFileError: the network gives a number that is not finite.
+        """
+        depth = self._window.push(frame)
+        yield from self._ended(self._runs.push(frame))
+        run = self._runs.current
+        if run is not None and self.estimator.model.takes_depth and depth is not None:
+            since = frame.frame.time_s - run.time_s
+            if since < self.mechanics.seconds:
+                self._depths.append((since, depth))
+        yield self._frame(frame, run, depth)
+
+    def finish(self) -> Iterator[Said]:
+        """The run that the clip's end has cut off."""
+        yield from self._ended(self._runs.finish())
+
+    def estimate(self, contact: Interaction, depth: np.ndarray | None) -> Estimate:
+        """Posterior of a contact from what was seen of it.
+
+        Args:
+            contact: as `NetworkEstimator.told` leaves it.
+            depth: window [K, h, w], where the model looks at it.
+
+        Raises:
+            ModelFileError: the network gives a number that is not finite.
+        """
+        estimator, start = self.estimator, time.perf_counter()
+        contacts = onset_perturbations(contact, self._onset_error, LEAST_OBSERVATIONS)
+        features = [contact_features(each) for each in contacts]
+        window = (
+            np.repeat(depth[None], len(contacts), axis=0) if depth is not None and estimator.model.takes_depth else None
+        )
+        found = estimator.model(np.stack(features), window)
+        self.seconds["network"] += time.perf_counter() - start
+        if not all(np.isfinite(values).all() for values in found):
+            path = estimator.model.path
+            raise ModelFileError(f"{path} gives a number that is not finite; export another checkpoint.")
+        start = time.perf_counter()
+        judged = [estimator.judged(each, self.mechanics, *told) for each, *told in zip(contacts, *found, strict=True)]
+        self.seconds["simulation"] += time.perf_counter() - start
+        whole = mixture(judged)
+        error = effective_misfit(whole)
+        unsure = is_oblique(whole) or error > LARGEST_MISFIT
+        return widened(whole, error, estimator.bounds.log_box) if unsure else whole
+
+    def _frame(self, frame: PreparedFrame, run: Run | None, depth: np.ndarray | None) -> FrameEstimate:
+        if frame.geometry is None or run is None:
+            return frame_estimate(frame, self.clip)
+        if run.builder is None:
+            return frame_estimate(frame, self.clip, verdict="undetermined")
+        contact = run.builder.build(self.mechanics, until=frame.frame.time_s - run.time_s)
+        try:
+            found = self.estimate(self.estimator.told(contact), depth)
+        except NoEstimate as reason:
+            return frame_estimate(frame, self.clip, verdict="undetermined", sentences=(str(reason),), whole=True)
+        arrow = force_arrow(found.theta, frame.geometry, self.clip, self.estimator.bounds, contact.direction)
+        lengths = self._lengths(found, contact, frame, run.builder)
+        return frame_estimate(frame, self.clip, found, lengths=lengths, sentences=_doubts(found), arrow=arrow)
+
+    def _ended(self, run: Run | None) -> Iterator[Said]:
+        """The estimate of a whole run."""
+        if run is None:
+            return
+        depths, self._depths = self._depths, []
+        if run.builder is None:
+            yield run.estimate(detail=run.unseen)
+            return
+        contact = run.builder.build(self.mechanics, self.estimator.horizon)
+        if len(contact.observation) == 0:
+            yield run.estimate(detail=run.unseen)
+            return
+        try:
+            told = self.estimator.told(contact)
+            last = told.observation.times[-1] + ROUNDING
+            depth = next((window for since, window in reversed(depths) if since <= last), None)
+            found = self.estimate(told, depth)
+        except NoEstimate as reason:
+            yield run.estimate(interaction=contact, detail=f"{run.detail} {reason}".strip())
+            return
+        path = simulate(found.theta, contact.mesh, contact.load.until(contact.steps), self.mechanics)
+        times = self.mechanics.time_step * np.arange(1, len(path) + 1)
+        detail = " ".join(filter(None, (run.detail, *_doubts(found))))
+        along = path @ np.asarray(contact.direction, np.float64)
+        yield run.estimate(interaction=contact, estimate=found, simulated=(times, along), detail=detail)
+
+    def _lengths(
+        self, found: Estimate, contact: Interaction, frame: PreparedFrame, seen: InteractionBuilder
+    ) -> tuple[float | None, float | None]:
+        """Lengths of the simulated and of the observed displacement of the contact's tissue in this frame."""
+        steps = round((frame.frame.time_s - seen.start) / self.mechanics.time_step)
+        moved = frame.track_position - seen.rest
+        observed = float(np.linalg.norm(moved)) if np.isfinite(moved).all() else None
+        if steps == 0:
+            return 0.0, observed
+        if steps > self.mechanics.steps:
+            return None, observed
+        start = time.perf_counter()
+        press = Press.at(contact.vertex, contact.direction, held(steps, steps))
+        path = simulate(found.theta, contact.mesh, press, self.mechanics)
+        self.seconds["simulation"] += time.perf_counter() - start
+        return float(np.linalg.norm(path[-1])), observed
+
+
+def _doubts(found: Estimate) -> tuple[str, ...]:
+    """Sentences on what can't be trusted."""
+    return (UNEXPLAINED.format(found.misfit) if not found.explained else "", remark(found))

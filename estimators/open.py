@@ -1,0 +1,63 @@
+"""Opens an estimator by its name and its model's file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from data.contact.interaction import Horizon
+from estimators.contract import Estimator
+from estimators.direct.estimator import DirectEstimator, DirectSettings
+from estimators.gan import GanEstimator
+from estimators.network.estimator import NetworkEstimator
+from estimators.onset import BETWEEN, STAMP
+from models.onnx_session import ModelFileError, PosteriorModel, open_model
+
+NAMES = ("network", "gan", "direct")
+SHIPPED = Path(__file__).resolve().parents[1] / "models" / "weights" / "contact.onnx"
+"""The model that comes with the program, of the estimator network; its card lies beside it."""
+
+
+@dataclass(frozen=True)
+class EstimatorOptions:
+    """Everything that opens an estimator, also in another process."""
+
+    name: Literal["network", "gan", "direct"] | None = None
+    """None = what the model's file is for, and without one `network`."""
+    model: Path | None = None
+    """ONNX file that `train.py export` or `evaluation.calibration` wrote; None = the one that comes along."""
+    onset: str | None = None
+    """When a press begins, one of `estimators.onset.ONSETS`; None = between frames, as in real videos."""
+    noise: float | None = None
+    """σ that `direct` is told [scene units]; None = the clip's own estimate."""
+    horizon: Horizon = None
+    """How much of a whole contact `network` and `direct` look at."""
+    threads: int | None = None
+    """CPU threads of a model; None leaves the choice to ONNX Runtime."""
+
+
+def open_estimator(options: EstimatorOptions) -> Estimator:
+    """Open an estimator.
+
+    Raises:
+        ModelFileError: the model's file can't be used, or not with these options.
+        ValueError: options that don't belong together.
+    """
+    if options.name == "direct":
+        if options.model is not None:
+            raise ValueError(f"--estimator direct needs no network; leave --model {options.model} out.")
+        return DirectEstimator(DirectSettings(noise=options.noise), options.onset or BETWEEN, options.horizon)
+    if options.noise is not None:
+        raise ValueError("--noise is for --estimator direct; leave it out.")
+    if options.name == "gan" and options.model is None:
+        raise ValueError("--estimator gan needs a trained generator; give the file of train.py export as --model.")
+    model = open_model(options.model or SHIPPED, options.threads)
+    kind = "network" if isinstance(model, PosteriorModel) else "gan"
+    if options.name not in (None, kind):
+        raise ModelFileError(f"{model.path} is of the estimator {kind}; give --estimator {kind}, or leave it out.")
+    if isinstance(model, PosteriorModel):
+        return NetworkEstimator(model, options.onset or BETWEEN, options.horizon)
+    if options.onset not in (None, STAMP):
+        raise ModelFileError(f"{model.path} knows nothing of when a press begins; leave --onset {options.onset} out.")
+    return GanEstimator(model)

@@ -1,0 +1,144 @@
+"""Runs of contact, gathered frame by frame: the part of a session that all estimators share."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from data.contact.geometry import GeometrySettings
+from data.contact.interaction import ContactFrame, InteractionBuilder
+from data.contact.tissue_points import grid_to_picture
+from data.prepared import SEEN_OUT, PreparedFrame
+from estimators.contract import ClipInfo
+from estimators.estimate import Estimate, FrameEstimate, InteractionEstimate
+
+NO_ONSET = (
+    "The onset of the contact was not seen, and without it the rest shape and the beginning of the load are unknown."
+)
+NOT_SHOWN = "No displacement: the onset of contact was not seen, or lies beyond the model's horizon."
+NOT_FOLLOWED = "The tissue at the contact could not be followed after its onset."
+
+
+class Run:
+    """One run of contact; its frames are dropped as they pass, what they tell of it is kept."""
+
+    def __init__(self, first: PreparedFrame, settings: GeometrySettings, seconds: float) -> None:
+        frame = first.frame
+        self.index, self.number, self.time_s, self.detail = frame.index, frame.number, frame.time_s, first.detail
+        """Of its first frame: index in the clip, number, time stamp [s], and what is wrong with the contact."""
+        self.last = frame.index
+        """Index of the last frame in contact."""
+        self.builder: InteractionBuilder | None = None
+        """What is seen of it; None where its onset was not."""
+        contact = first.geometry
+        if contact is not None and first.track_start == frame.index:
+            self.builder = InteractionBuilder(
+                contact.mesh, contact.vertex, contact.normal, contact.noise, contact_frame(first), settings, seconds
+            )
+
+    def add(self, current: PreparedFrame) -> None:
+        """A frame of the run, in contact or followed after it."""
+        if current.in_contact:
+            self.last = current.frame.index
+        if self.builder is not None:
+            self.builder.add(contact_frame(current))
+
+    def estimate(self, **told) -> InteractionEstimate:
+        """The run's record, with what an estimator tells of it."""
+        load = None if self.builder is None else self.builder.load_seconds
+        return InteractionEstimate(self.index, self.number, self.time_s, load, **told)
+
+    @property
+    def unseen(self) -> str:
+        """Why nothing can be estimated of a run that has no observation."""
+        if self.builder is None:
+            return self.detail or NO_ONSET
+        return f"{self.detail} {NOT_FOLLOWED}".strip()
+
+
+class RunTracker:
+    """Follows a clip's runs of contact.
+
+    Args:
+        clip: the clip.
+        seconds: how long a run's motion counts [s].
+    """
+
+    def __init__(self, clip: ClipInfo, seconds: float) -> None:
+        self._clip, self._seconds = clip, seconds
+        self.current: Run | None = None
+        """The run under way, after its release as well, as long as its tissue is followed."""
+
+    def push(self, frame: PreparedFrame) -> Run | None:
+        """The next frame; gives a run that has ended before it."""
+        run = self.current
+        if run is not None:
+            if self._belongs(frame, run):
+                run.add(frame)
+                return None
+            missing = frame.frame.index - run.last
+            if run.builder is None and not frame.in_contact and missing <= self._clip.bridge_frames:
+                return None  # it may be flicker
+        self.current = Run(frame, self._clip.geometry, self._seconds) if frame.in_contact else None
+        return run
+
+    def _belongs(self, frame: PreparedFrame, run: Run) -> bool:
+        if run.builder is not None:
+            return frame.track_start == run.index
+        missing = frame.frame.index - run.last - 1
+        return frame.in_contact and frame.track_start < 0 and missing <= self._clip.bridge_frames
+
+    def finish(self) -> Run | None:
+        """The run that the clip's end has cut off."""
+        run, self.current = self.current, None
+        return run
+
+
+def contact_frame(frame: PreparedFrame) -> ContactFrame:
+    """What a prepared frame tells about its run of contact."""
+    out = frame.status in SEEN_OUT
+    return ContactFrame(frame.frame.time_s, frame.in_contact, out, frame.consecutive, frame.track_position)
+
+
+def frame_estimate(
+    prepared: PreparedFrame,
+    clip: ClipInfo,
+    estimate: Estimate | None = None,
+    *,
+    verdict: str = "",
+    lengths: tuple[float | None, float | None] = (None, None),
+    sentences: tuple[str, ...] = (),
+    whole: bool = False,
+    arrow: tuple[tuple[float, float], tuple[float, float]] | None = None,
+) -> FrameEstimate:
+    """The record of a frame; without an estimate it holds the status and what is known of the contact.
+
+    Args:
+        verdict: of a frame without an estimate.
+        lengths: of the simulated and the observed displacement [scene units].
+        sentences: about what can't be trusted, behind the frame's own.
+        whole: whether the sentences say already why no displacement is shown.
+        arrow: the force as it is drawn.
+    """
+    frame, contact = prepared.frame, prepared.geometry
+    missing = NOT_SHOWN if contact is not None and lengths[0] is None and not whole else ""
+    u, v = None, None
+    if contact is not None:
+        place = grid_to_picture(np.array(contact.pixel), prepared.depth.shape, clip.size)
+        u, v = float(place[0]), float(place[1])
+    return FrameEstimate(
+        frame.number,
+        frame.time_s,
+        prepared.status,
+        detail=" ".join(filter(None, (prepared.detail or missing, *sentences))),
+        estimate=estimate,
+        verdict=verdict if estimate is None else estimate.verdict,
+        contact=True if contact is not None else False if prepared.status in SEEN_OUT else None,
+        contact_distance=float(prepared.distance) if math.isfinite(prepared.distance) else None,
+        contact_u=u,
+        contact_v=v,
+        simulated_displacement=lengths[0],
+        observed_displacement=lengths[1],
+        arrow=arrow,
+    )

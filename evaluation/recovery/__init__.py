@@ -1,0 +1,18 @@
+"""How well θ is recovered on synthetic clips whose truth is known.
+
+suites      the kinds of clips, and their seeds
+estimators  how each rival is opened; constant: the rival that always says the same
+evaluate    one clip by one estimator; store: finished clips, so that a run goes on where it stopped
+scores      errors, coverage and verdicts of many; details: a row a clip
+output      the tables; figures: the pictures
+"""
+
+from physics.lazy import exported
+
+__getattr__ = exported(
+    {
+        "evaluation.recovery.suites": ("SUITES", "Suite"),
+        "evaluation.recovery.evaluate": ("Recovery", "evaluate_clip"),
+        "evaluation.recovery.scores": ("Scores", "score_all"),
+    }
+)

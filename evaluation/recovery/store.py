@@ -1,0 +1,134 @@
+"""Results of the benchmark on disk: a line each, appended as clips are done, so that an interrupted run continues."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from evaluation.recovery.evaluate import Recovery
+from physics.files import replacing
+from physics.provenance import code_digest
+from results.store import OutputError, writing
+
+RESULTS, RECORD = "results.jsonl", "run.json"
+FORMAT_VERSION = 2
+
+
+class RecoveryStore:
+    """Results of one folder.
+
+    Args:
+        output: the folder; made when it is not there.
+        wanted: what the results depend on: `seed`, `split`, and more that must agree, with `suites` and `estimators`
+            as tables by name to which a later run may add.
+
+    Raises:
+        OutputError: the folder can't be used, or holds results that depend on something else.
+    """
+
+    def __init__(self, output: Path, wanted: Mapping[str, Any]) -> None:
+        self.output = output
+        if output.exists() and not output.is_dir():
+            raise OutputError(f"{output}: is a file; give a folder as --output.")
+        with writing(output):
+            output.mkdir(parents=True, exist_ok=True)
+            self._results = output / RESULTS
+            if self._results.exists():
+                _cut_unfinished(self._results)
+        self.rows = read_results(self._results) if self._results.exists() else []
+        """Results in the order in which they came."""
+        code = code_digest()
+        recorded = self._recorded()
+        merged = _merge(output, recorded, {"format": FORMAT_VERSION, **wanted})
+        self.outdated = bool(self.rows) and recorded.get("code", code) != code
+        """Whether earlier results come from another version of the program."""
+        replace_text(output / RECORD, json.dumps({**merged, "code": recorded.get("code", code)}, indent=2) + "\n")
+
+    @property
+    def done(self) -> set[tuple[str, int, str]]:
+        """Suite, clip and estimator of every result."""
+        return {row.key for row in self.rows}
+
+    def append(self, rows: Iterable[Recovery]) -> None:
+        """Keep results; they are on disk when this returns."""
+        rows = list(rows)
+        text = "".join(json.dumps(row.to_json(), allow_nan=False) + "\n" for row in rows)
+        with writing(self.output), self._results.open("a", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        self.rows += rows
+
+    def _recorded(self) -> dict[str, Any]:
+        path = self.output / RECORD
+        if not path.exists():
+            if self.rows:
+                raise OutputError(f"{self.output}: holds results without {RECORD}; choose another --output.")
+            return {}
+        try:
+            record = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise OutputError(f"{path}: is not readable; remove the folder or choose another --output.") from error
+        if not isinstance(record, dict) or "seed" not in record:
+            raise OutputError(f"{path}: belongs to something else; choose another --output.")
+        return record
+
+
+def _merge(output: Path, recorded: Mapping[str, Any], wanted: Mapping[str, Any]) -> dict[str, Any]:
+    """What a folder's results depend on, with what this run adds."""
+    wanted = json.loads(json.dumps(wanted))
+    merged = dict(wanted)
+    for name, value in wanted.items():
+        if name not in recorded:
+            continue
+        before = recorded[name]
+        differ = name if before != value else ""
+        if isinstance(value, dict):
+            differ = " ".join(f"{name[:-1]} {key}" for key in value if key in before and before[key] != value[key])
+            merged[name] = {**before, **value}
+        if differ:
+            raise OutputError(
+                f"{output}: holds results of another {differ}; run with the same arguments or choose another --output."
+            )
+    return merged
+
+
+def read_results(path: Path) -> list[Recovery]:
+    """Results of a file, each once, in the order in which they came.
+
+    Raises:
+        OutputError: a line is not a result.
+        OSError: the file can't be read.
+    """
+    found: dict[tuple[str, int, str], Recovery] = {}
+    for number, line in enumerate(path.read_bytes().splitlines(), 1):
+        try:
+            row = Recovery.from_json(json.loads(line))
+        except (ValueError, TypeError, KeyError, AttributeError) as error:
+            raise OutputError(
+                f"{path}: line {number} is not a result; remove that line or choose another --output."
+            ) from error
+        found.setdefault(row.key, row)
+    return list(found.values())
+
+
+def _cut_unfinished(path: Path) -> None:
+    """Remove a last line that a killed run left without its end."""
+    data = path.read_bytes()
+    complete = data.rfind(b"\n") + 1
+    if complete < len(data):
+        with path.open("r+b") as file:
+            file.truncate(complete)
+
+
+def replace_text(path: Path, text: str) -> None:
+    """Write a text file, whole or not at all.
+
+    Raises:
+        OutputError: it can't be written.
+    """
+    with writing(path.parent), replacing(path) as partial:
+        partial.write_text(text, encoding="utf-8")

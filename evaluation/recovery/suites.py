@@ -1,0 +1,126 @@
+"""Named suites of synthetic clips, each with one error of observation, and the seeds that keep the splits apart.
+
+Clip i of a split has the same truth in every suite, because errors of observation have random streams of their own
+(`data.synthetic.clip.draw_truth`); `mismatch` moves otherwise on the same geometry, `late-onset` moves the same, but
+later, and `oblique` has other geometry. Regimes take turns: clip 0 is under-damped, 1 critical, 2 over-damped, 3
+under-damped again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from data.synthetic.settings import SceneSettings
+from data.synthetic.truth import REGIMES
+
+SIZE: dict[str, Any] = {"width": 214, "height": 120}
+"""Pictures of the network's input size [px]."""
+SPLITS = {"training": 1, "validation": 2, "test": 3}
+"""First number of each split's random stream."""
+FITTED_ON = {"test": "validation", "validation": "training", "training": "validation"}
+"""Split on which the constant is fitted that a split's clips are compared with."""
+LARGEST_SEED = 2**32 - 1
+_STREAM = 0x70A17A7E
+"""Tells these streams from any other use of the same seed, such as `data.synthetic.clip.clip_seed`."""
+
+
+@dataclass(frozen=True)
+class Suite:
+    """One way to observe, or to spoil, the clips of a split."""
+
+    name: str
+    reason: str
+    """What it stands for, and why the error is as large as it is."""
+    errors: Mapping[str, Any]
+    """Fields of SceneSettings that leave the truth as it is."""
+    truth: Mapping[str, Any] = field(default_factory=dict)
+    """Fields of SceneSettings that change how, or when, the tissue answers, or how it lies."""
+    every_other_truth: Mapping[str, Any] = field(default_factory=dict)
+    """The same, in every other clip of each regime only."""
+
+    def settings(self, index: int) -> SceneSettings:
+        """What clip `index` of the suite is drawn from: its regime is REGIMES[index % 3]."""
+        extra = self.every_other_truth if index // len(REGIMES) % 2 else {}
+        return SceneSettings(**SIZE, regime=REGIMES[index % len(REGIMES)], **self.errors, **self.truth, **extra)
+
+    def describe(self) -> dict[str, dict[str, Any]]:
+        """What decides the suite's clips, for the run's record."""
+        return {name: dict(getattr(self, name)) for name in ("errors", "truth", "every_other_truth")}
+
+
+CLEAN_NOISE = 0.001
+"""Depth noise of all suites but `8bit` and `noisy` [scene units]: 0.2 % of the tissue's distance, what a calibrated
+stereo endoscope reaches."""
+_ALL = (
+    Suite("clean", "depth noise alone, of a good sensor", {"depth_noise": CLEAN_NOISE}),
+    Suite(
+        "8bit",
+        "depth stored in 8 bits as in CholecSeg8k preparations of the paper: steps of 1/255, no other noise",
+        {"depth_bits": 8},
+    ),
+    Suite(
+        "noisy",
+        "depth noise of 0.8 % of the distance, about one 8-bit step: a depth network from frame to frame",
+        {"depth_noise": 0.004},
+    ),
+    Suite(
+        "flicker",
+        "the scale changes by 0.5 % from frame to frame, as depth networks' does although the clip has one scale; "
+        "that is 2.5 times the noise, but common to all of a frame",
+        {"depth_noise": CLEAN_NOISE, "scale_flicker": 0.005},
+    ),
+    Suite(
+        "mask-error",
+        "outlines off by 1 grid px, which is 4 px of an 854x480 picture: the edge of a good segmentation network",
+        {"depth_noise": CLEAN_NOISE, "mask_error": 1.0},
+    ),
+    Suite(
+        "focal-error",
+        "focal length 10 % too long: a field of view that was guessed, 55 instead of 60 degrees",
+        {"depth_noise": CLEAN_NOISE, "focal_error": 1.1},
+    ),
+    Suite(
+        "occlusion",
+        "a fifth of the tissue behind drifting fat",
+        {"depth_noise": CLEAN_NOISE, "occlusion": 0.2},
+    ),
+    Suite(
+        "mismatch",
+        "tissue that isn't the fitted model: stiffness varies by 30 % over some pixels, and in every other clip the "
+        "springs are half as stiff again at an elongation of 0.01",
+        {"depth_noise": CLEAN_NOISE},
+        truth={"stiffness_variation": 0.3},
+        every_other_truth={"nonlinearity": 0.5},
+    ),
+    Suite(
+        "oblique",
+        "pressed at up to 30 degrees to the line of sight, not 0.2: a dent one grid cell wide hides its own bottom",
+        {"depth_noise": CLEAN_NOISE},
+        truth={"max_tilt_deg": 30.0},
+    ),
+    Suite(
+        "late-onset",
+        "the force starts and ends up to one frame after the time stamps that say so, each for itself: cameras don't "
+        "wait for the tool",
+        {"depth_noise": CLEAN_NOISE},
+        truth={"onset_delay": (0.0, 1.0), "release_delay": (0.0, 1.0)},
+    ),
+)
+SUITES = {suite.name: suite for suite in _ALL}
+"""Suites by name, in the order of tables."""
+
+
+def suite_clip_seed(split: str, seed: int, index: int) -> int:
+    """Seed of a clip, 64 bits: a stream for each split, so that no two splits share geometry or θ at any seed.
+
+    Args:
+        split: training, validation or test.
+        seed: of the benchmark, 0 to 2³² - 1.
+        index: number of the clip in its split.
+    """
+    stream = np.random.SeedSequence((_STREAM, SPLITS[split], seed, index))
+    return int(stream.generate_state(1, np.uint64)[0])

@@ -1,0 +1,89 @@
+"""How a program begins and ends: quietly at Ctrl-C, and whatever its terminal can take.
+
+A program calls `enter_door` before its slow imports, and `run_door` at its end, both only where it is the program.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import signal
+import sys
+from collections.abc import Callable
+from typing import Any, NoReturn
+
+INTERRUPTED = 130
+"""Exit status after Ctrl-C, as shells have it."""
+
+
+class _Output(io.FileIO):
+    """Standard output or error: what can't be written is dropped, and the first reason for it kept."""
+
+    failure: OSError | None = None
+
+    def write(self, data: Any, /) -> int:
+        try:
+            return super().write(data)
+        except OSError as error:
+            self.failure = self.failure or error
+            return len(data)
+
+
+def enter_door() -> None:
+    """From here on Ctrl-C ends the program at once, and output never does; letters a terminal lacks are escaped."""
+    _quit_at_interrupt()
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is not None:  # closed by the shell
+            buffer = io.BufferedWriter(_Output(stream.fileno(), "w", closefd=False))
+            buffered_by_line = stream.line_buffering or stream.write_through
+            wrapper = io.TextIOWrapper(buffer, stream.encoding, "backslashreplace", line_buffering=buffered_by_line)
+            setattr(sys, name, wrapper)
+
+
+def run_door(main: Callable[[], int | None], interrupted: str = "Interrupted.") -> NoReturn:
+    """Run a program and leave with its exit status, 130 after Ctrl-C, and at least 1 where its output was lost.
+
+    A reader that has gone, as `head` does, has lost nothing that it wanted.
+
+    Args:
+        main: the program; it may handle Ctrl-C itself.
+        interrupted: what is said where it does not.
+    """
+    if signal.getsignal(signal.SIGINT) is _quit:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        status = main() or 0
+    except SystemExit as stop:
+        status = stop.code
+    except KeyboardInterrupt:
+        print(interrupted, file=sys.stderr)
+        status = INTERRUPTED
+    _quit_at_interrupt()
+    for stream in (sys.stdout, sys.stderr):
+        if stream is None:
+            continue
+        stream.flush()
+        failure = getattr(getattr(stream.buffer, "raw", None), "failure", None)
+        if failure is not None and not isinstance(failure, BrokenPipeError):
+            print(f"Some output could not be written ({failure.strerror}).", file=sys.stderr)
+            status = status or 1
+    sys.exit(status)
+
+
+def plain(text: str) -> str:
+    """Text on one line that does nothing to a terminal: control characters, as in file names, are shown as escapes."""
+    shown = text.encode("utf-8", "replace").decode()
+    return "".join(
+        letter if letter.isprintable() else " " if letter.isspace() else letter.encode("unicode_escape").decode()
+        for letter in shown
+    )
+
+
+def _quit_at_interrupt() -> None:
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else whoever started us wants it ignored
+        signal.signal(signal.SIGINT, _quit)
+
+
+def _quit(*_: object) -> NoReturn:
+    os._exit(INTERRUPTED)

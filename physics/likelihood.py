@@ -1,0 +1,128 @@
+"""How likely an observed motion is under the simulator, and what it tells: residual, Jacobian, information.
+
+φ = (log k_s, log k_d, log |F|), with F pressing; under a grip, where no force is a parameter, φ = (log k_s, log k_d).
+The noise is normal, so -log p(d|φ) = ½ Σ r² with the residual r = (Φ(φ) - d)/σ (Bini 2026, equation 14, with σ).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from physics.identifiability import fisher_information, log_jacobian
+from physics.load import Load, Press
+from physics.mechanics import Mechanics, theta_of
+from physics.mesh import Mesh
+from physics.msd.simulation import is_chaotic, simulate_sensitivities
+from physics.observation import Observation
+
+
+class Linearised(NamedTuple):
+    """A likelihood around one φ of D parameters; K seen coordinates."""
+
+    residual: np.ndarray
+    """(Φ - d)/σ, shape [K]."""
+    jacobian: np.ndarray
+    """Its derivatives by φ, shape [K, D]."""
+
+    @property
+    def misfit(self) -> float:
+        """½ Σ r², the negative log likelihood up to a constant."""
+        return 0.5 * float(self.residual @ self.residual)
+
+    @property
+    def gradient(self) -> np.ndarray:
+        """Of the misfit by φ, shape [D]."""
+        return self.jacobian.T @ self.residual
+
+    @property
+    def information(self) -> np.ndarray:
+        """Fisher information of φ, shape [D, D]."""
+        return fisher_information(self.jacobian, 1.0)
+
+
+class Likelihood:
+    """The simulator against what was seen.
+
+    Args:
+        mesh: tissue at rest.
+        load: what acts on it, over the instants of the observation at least.
+        observation: what was seen; instants are compared at the nearest step.
+        mechanics: constants of the simulator.
+        dtype: float32 or float64, the precision of the simulation.
+
+    Raises:
+        ValueError: no instants, or some outside the load's steps; noise that is no positive number where a point was
+            seen.
+    """
+
+    def __init__(
+        self, mesh: Mesh, load: Load, observation: Observation, mechanics: Mechanics, dtype: type = np.float64
+    ) -> None:
+        self.mesh, self.observation, self.mechanics, self.dtype = mesh, observation, mechanics, dtype
+        self.steps = observation.steps(mechanics.time_step)
+        """Index into the trajectory of every instant, shape [N]."""
+        if len(self.steps) == 0 or self.steps.min() < 0 or self.steps.max() >= load.steps:
+            raise ValueError(f"the observation has instants outside the load's {load.steps} steps, or none at all.")
+        self.load = load.until(int(self.steps.max()) + 1)
+        observed = observation.displacement.astype(np.float64)
+        self.seen = np.isfinite(observed)
+        """Coordinates that were seen, shape [M, N, 3], bool."""
+        self.observed = observed[self.seen]
+        """Their displacements, shape [K] [scene units]."""
+        self.noise = np.broadcast_to(np.asarray(observation.noise, np.float64), observed.shape)[self.seen]
+        """Their standard deviations, shape [K] [scene units]."""
+        if not (self.noise > 0).all():
+            raise ValueError("noise of a seen point isn't a positive number; give a standard deviation above 0.")
+        self._known: tuple[np.ndarray, Linearised] | None = None
+
+    @property
+    def parameters(self) -> int:
+        """D."""
+        return 3 if isinstance(self.load, Press) else 2
+
+    def theta(self, logs: np.ndarray) -> np.ndarray:
+        """θ = [k_s, k_d, F] at φ, shape [3]."""
+        return theta_of(np.append(logs[: self.parameters], [0.0] * (3 - self.parameters)))
+
+    def linearise(self, logs: np.ndarray) -> Linearised:
+        """Residual and its exact derivatives at φ [D]; the last ones are remembered.
+
+        Without derivatives where the motion is so chaotic that rounding decides them.
+        """
+        known = self._known  # once: another thread may put its own there
+        if known is None or not np.array_equal(logs, known[0]):
+            known = self._known = np.array(logs), self._linearise(np.asarray(logs, np.float64))
+        return known[1]
+
+    def residual(self, logs: np.ndarray) -> np.ndarray:
+        """(Φ - d)/σ of every seen coordinate, shape [K]."""
+        return self.linearise(logs).residual
+
+    def jacobian(self, logs: np.ndarray) -> np.ndarray:
+        """Its derivatives by φ, shape [K, D]."""
+        return self.linearise(logs).jacobian
+
+    def information(self, logs: np.ndarray) -> np.ndarray:
+        """Fisher information at φ, shape [D, D]."""
+        return self.linearise(logs).information
+
+    def simulated(self, logs: np.ndarray) -> np.ndarray:
+        """Φ of every seen coordinate, shape [K] [scene units]."""
+        return self.residual(logs) * self.noise + self.observed
+
+    def _linearise(self, logs: np.ndarray) -> Linearised:
+        theta = self.theta(logs)
+        path, slopes = simulate_sensitivities(
+            theta, self.mesh, self.load, self.mechanics, watch=self.observation.vertices, dtype=self.dtype
+        )
+        slopes = log_jacobian(slopes.astype(np.float64), theta)[..., : self.parameters]
+        if is_chaotic(path, slopes):
+            slopes = np.zeros_like(slopes)
+        return self._compared(path, slopes)
+
+    def _compared(self, path: np.ndarray, slopes: np.ndarray) -> Linearised:
+        """Residual and Jacobian of a trajectory [T, M, 3] with its derivatives by φ [T, M, 3, D]."""
+        simulated, slopes = (np.moveaxis(values[self.steps], 1, 0)[self.seen] for values in (path, slopes))
+        return Linearised((simulated - self.observed) / self.noise, slopes / self.noise[:, None])

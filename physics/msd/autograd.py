@@ -1,0 +1,198 @@
+"""Torch's view of the compiled rollout: autograd functions over `physics.msd.compiled` and the adjoint.
+
+The derivatives by θ are carried along with the motion (forward mode), so backward is one product and keeps only the
+Jacobian, 7 kB a sample. Per-vertex parameters go back through the stored velocities (adjoint).
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import warnings
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from physics.mechanics import Mechanics
+from physics.msd.compiled import (
+    Case,
+    acting,
+    graph_reach,
+    placed,
+    put_gripped,
+    require_inside,
+    watched_rollout,
+)
+from physics.msd.cone import exact_radii
+from physics.msd.edge_kernel import edge_adjoint, edge_forward
+from physics.msd.reference import NORM_GUARD, free_vertices, integrator
+from physics.msd.simulation import is_chaotic
+from physics.msd.spring_graph import spring_graph
+
+
+class UnreliableGradient(RuntimeWarning):
+    """The motion is chaotic, so its derivatives by θ carry no information."""
+
+
+def map_samples(function: Callable, samples: list) -> list:
+    """Call a function for every sample, on as many threads as torch uses; each sample is computed by one thread."""
+    threads = min(torch.get_num_threads(), len(samples))
+    if threads == 1:
+        return [function(sample) for sample in samples]
+    return list(_pool(os.getpid(), threads).map(function, samples))
+
+
+@functools.lru_cache(maxsize=8)
+def _pool(_process: int, threads: int) -> ThreadPoolExecutor:
+    """Threads of this process: a forked child must not use its parent's."""
+    return ThreadPoolExecutor(threads, thread_name_prefix="rollout")
+
+
+def cases(theta: Tensor, mesh, load, watched: Tensor, mechanics: Mechanics) -> list[Case]:
+    """Batch as plain arrays, one case a sample; arguments as in `physics.msd.torch_backend.watched_trajectory`."""
+    values, watch, samples = theta.detach().numpy(), watched.numpy(), []
+    for index, (single, acts) in enumerate(zip(mesh.split(), load.split(), strict=True)):
+        require_inside(single, acts, watch[index])
+        samples.append(Case(values[index], single, acts, mechanics, watch[index]))
+    return samples
+
+
+class CompiledRollout(torch.autograd.Function):
+    """Trajectories [B, T, M, 3] from θ [B, 3]."""
+
+    @staticmethod
+    def forward(ctx, theta: Tensor, mesh, load, watched: Tensor, mechanics: Mechanics, sensitive: bool) -> Tensor:
+        """Compute the trajectories, and the Jacobian if a gradient may be asked for."""
+        samples = cases(theta, mesh, load, watched, mechanics)
+        results = map_samples(functools.partial(watched_rollout, sensitive=sensitive), samples)
+        if sensitive:
+            slopes = [_reliable(case, *result[:2]) for case, result in zip(samples, results, strict=True)]
+            ctx.save_for_backward(torch.from_numpy(np.stack(slopes)))
+        return torch.from_numpy(np.stack([result.path for result in results]))
+
+    @staticmethod
+    def backward(ctx, gradient: Tensor):  # ty: ignore[incompatible-method-override]  as torch documents it
+        """Chain with the Jacobian [B, T, M, 3, 3]."""
+        (slopes,) = ctx.saved_tensors
+        by_theta = torch.einsum("btmc,btmcp->bp", gradient, slopes)
+        return FirstOrder.apply(by_theta), None, None, None, None, None
+
+
+class FirstOrder(torch.autograd.Function):
+    """Identity that refuses to be differentiated."""
+
+    @staticmethod
+    def forward(ctx, value: Tensor) -> Tensor:
+        """Pass the gradient on."""
+        return value.clone()
+
+    @staticmethod
+    def backward(ctx, gradient: Tensor):  # ty: ignore[incompatible-method-override]  as torch documents it
+        """Refuse."""
+        raise RuntimeError(
+            "the compiled rollout has first derivatives only; pass backend='torch' to differentiate it twice."
+        )
+
+
+def _reliable(case: Case, path: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    """The Jacobian [T, M, 3, 3], or zeros and a warning where the motion is so chaotic that rounding decides it."""
+    if is_chaotic(path, slopes * case.theta):
+        stiffness, damping, force = (float(value) for value in case.theta)
+        warnings.warn(
+            f"the motion at k_s = {stiffness:.4g}, k_d = {damping:.4g}, F = {force:.4g} is chaotic, so its gradient "
+            "by θ means nothing and 0 is returned for it; more damping, less force or a shorter horizon avoids it.",
+            UnreliableGradient,
+            stacklevel=2,
+        )
+        return np.zeros_like(slopes)
+    return slopes
+
+
+class CompiledFields(torch.autograd.Function):
+    """Trajectories [B, T, M, 3] from k_s and k_d at every vertex [ΣN] and F [B]."""
+
+    @staticmethod
+    def forward(
+        ctx, stiffness: Tensor, damping: Tensor, force: Tensor, mesh, load, watched: Tensor, mechanics: Mechanics
+    ) -> Tensor:
+        """Compute the trajectories and keep the velocities within the cone."""
+        parameters = torch.stack([force, force, force], dim=1)
+        starts = mesh.vertex_offsets.tolist()
+        samples = [
+            (case, stiffness.detach()[start:end].numpy(), damping.detach()[start:end].numpy())
+            for case, start, end in zip(
+                cases(parameters, mesh, load, watched, mechanics), starts[:-1], starts[1:], strict=True
+            )
+        ]
+        ctx.runs = map_samples(lambda sample: FieldRun(*sample), samples)
+        return torch.from_numpy(np.stack([run.trajectory for run in ctx.runs]))
+
+    @staticmethod
+    def backward(ctx, gradient: Tensor):  # ty: ignore[incompatible-method-override]  as torch documents it
+        """Go back through the stored velocities."""
+        weights = gradient.detach().numpy()
+        slopes = map_samples(lambda pair: pair[0].slopes(pair[1]), list(zip(ctx.runs, weights, strict=True)))
+        stiffness, damping, force = zip(*slopes, strict=True)
+        joined = (np.concatenate(stiffness), np.concatenate(damping), np.array(force, dtype=weights.dtype))
+        return *(FirstOrder.apply(torch.from_numpy(values)) for values in joined), None, None, None, None
+
+
+class FieldRun:
+    """One sample's rollout with parameters of its own at every vertex, and the way back."""
+
+    def __init__(self, case: Case, stiffness: np.ndarray, damping: np.ndarray) -> None:
+        """Roll out.
+
+        Args:
+            case: the sample; only F is taken from its θ.
+            stiffness: k_s at the vertices, shape [N]; a spring has its ends' mean.
+            damping: k_d at the vertices, shape [N].
+        """
+        dtype, mechanics, steps = case.theta.dtype, case.mechanics, case.load.steps
+        self.case, self.count = case, len(stiffness)
+        self.graph = graph = spring_graph(case.mesh, case.load.vertices, case.watch, steps + 1, dtype)
+        radii = exact_radii(steps, graph_reach(case, graph))
+        self.step = integrator(damping[graph.order], mechanics)
+        self.free = free_vertices(case.mesh, case.load, mechanics)[graph.order]
+        local = stiffness[graph.order].astype(dtype)
+        load = placed(acting(case.load, mechanics, dtype), graph)
+        self.push = load.push
+        self.forward = (
+            graph.springs,
+            graph.rest,
+            graph.length,
+            local[graph.springs].mean(axis=1),
+            (mechanics.anchor * local).astype(dtype),
+            (self.step.keep * self.free).astype(dtype),
+            (self.step.kick * self.free).astype(dtype),
+            *graph.prefixes(radii),
+            *load._replace(push=case.theta[2] * load.push),
+            graph.position[case.watch],
+            tuple(dtype.type(value) for value in (mechanics.time_step, self.step.lag, 0.0, NORM_GUARD)),
+        )
+        self.trajectory = np.empty((steps, len(case.watch), 3), dtype)
+        self.speeds = np.zeros((steps, len(graph.order), 3), dtype)
+        edge_forward(*self.forward, self.trajectory, self.speeds, np.empty((0, len(graph.order), 3), dtype))
+        self.held = put_gripped(case, self.trajectory)
+
+    def slopes(self, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+        """Derivatives of Σ weights·trajectory, weights [T, M, 3]: by k_s [N], by k_d [N] and by F."""
+        graph, dtype, mechanics = self.graph, self.trajectory.dtype, self.case.mechanics
+        spring_slope = np.zeros(len(graph.springs), dtype)
+        anchor_slope, keep_slope, kick_slope = np.zeros((3, len(graph.order)), dtype)
+        final = (mechanics.time_step * self.speeds.sum(axis=0, dtype=np.float64)).astype(dtype)
+        weights = np.array(weights, dtype)
+        weights[:, self.held] = 0
+        by_push = edge_adjoint(
+            *self.forward, final, self.speeds, weights, spring_slope, anchor_slope, keep_slope, kick_slope
+        )
+        stiffness, damping = np.zeros((2, self.count), dtype)
+        local = mechanics.anchor * anchor_slope
+        np.add.at(local, graph.springs, spring_slope[:, None] / 2)
+        stiffness[graph.order] = local
+        chained = keep_slope * self.step.keep_slope + kick_slope * self.step.kick_slope
+        damping[graph.order] = chained * self.free
+        return stiffness, damping, float((by_push * self.push).sum())

@@ -1,0 +1,297 @@
+"""The compiled rollout of one sample: picks the layout, the cone or window, and hands plain arrays to the kernels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from physics.load import Grip, Load, Press
+from physics.mechanics import Mechanics
+from physics.mesh import Mesh
+from physics.msd.cone import GRID_EIGENVALUE, Reach, exact_radii, growing_radii, window_radii
+from physics.msd.edge_kernel import edge_forward, edge_sensitivity
+from physics.msd.grid_kernel import FORWARD_PLANES, SENSITIVITY_PLANES, specialised
+from physics.msd.grid_layout import GridLayout, grid_layout, places, runs
+from physics.msd.reference import NORM_GUARD, free_vertices, grip_positions, integrator, press_shares
+from physics.msd.spring_graph import SpringGraph, spring_graph
+
+
+class Case(NamedTuple):
+    """One sample of a batch, as plain arrays."""
+
+    theta: np.ndarray
+    """k_s, k_d and signed F, shape [3], float32 or float64: the precision of the computation."""
+    mesh: Mesh
+    """The mesh at rest."""
+    load: Load
+    """What acts on it."""
+    mechanics: Mechanics
+    """Constants."""
+    watch: np.ndarray
+    """Vertices whose displacement is wanted, shape [M], int64."""
+
+
+class Watched(NamedTuple):
+    """What one rollout tells."""
+
+    path: np.ndarray
+    """Displacement of the watched vertices, shape [T, M, 3] [scene units]."""
+    slopes: np.ndarray
+    """Its derivatives by θ, shape [T, M, 3, 3], or [0, M, 3, 3]."""
+    elastic: np.ndarray
+    """Force of the springs on the gripped vertices, shape [T, G, 3], or [0, G, 3] without derivatives."""
+    elastic_slopes: np.ndarray
+    """Its derivatives by θ, shape [T, G, 3, 3], or [0, G, 3, 3]."""
+
+
+def require_inside(mesh: Mesh, load: Load, watch: np.ndarray) -> None:
+    """Refuse indices that compiled code would follow out of the arrays.
+
+    Raises:
+        ValueError: a loaded or watched vertex, or a spring's end, isn't a vertex of the mesh.
+    """
+    count = len(mesh.vertices)
+    for name, vertices in (("load", load.vertices), ("watch", watch)):
+        if len(vertices) and not (vertices.min() >= 0 and vertices.max() < count):
+            outside = vertices[(vertices < 0) | (vertices >= count)][0]
+            raise ValueError(f"{name} names vertex {outside}; the mesh has {count} vertices.")
+    if len(mesh.springs) and not (mesh.springs.min() >= 0 and mesh.springs.max() < count):
+        raise ValueError(f"springs join vertices up to {mesh.springs.max()}; the mesh has {count} vertices.")
+
+
+def watched_rollout(case: Case, sensitive: bool) -> Watched:
+    """Motion of the watched vertices, with derivatives by θ where they are wanted.
+
+    With ``window_error`` set, a window of the exact cone is computed and compared with a smaller one's trajectory;
+    where the two differ by more than the error allowed, the exact cone is computed instead.
+    """
+    steps, (stiffness, damping, _) = case.load.steps, (float(value) for value in case.theta)
+
+    def exact(reach: Reach, _graph: SpringGraph | None) -> tuple[np.ndarray, ...]:
+        return (exact_radii(steps, reach),)
+
+    def windows(reach: Reach, graph: SpringGraph | None) -> tuple[np.ndarray, ...]:
+        eigenvalue = GRID_EIGENVALUE if graph is None else _eigenvalue(case.mesh)
+        return (
+            *window_radii(stiffness, damping, case.mechanics, eigenvalue, steps, reach),
+            exact_radii(steps, reach),
+        )
+
+    if case.mechanics.window_error > 0:
+        layout, (used, checked, whole) = _layout(case, windows)
+        if (used < whole).any():
+            found = _within(case, layout, used, sensitive)
+            difference = np.abs(found.path - _within(case, layout, checked, False).path).max()
+            # Two windows that both end before a watched vertex agree on 0, which tells nothing.
+            if difference < case.mechanics.window_error * np.abs(found.path).max():
+                return found
+    layout, (whole,) = _layout(case, exact)
+    return _within(case, layout, whole, sensitive)
+
+
+def field_rollout(case: Case, field: np.ndarray, begin: int = 0) -> None:
+    """Write the displacement of every vertex [scene units] into its place in a batch's field.
+
+    Args:
+        case: the sample.
+        field: out, shape [T, ΣN, 3], contiguous, of θ's precision.
+        begin: first vertex of the sample in it.
+    """
+    steps, dtype = case.load.steps, case.theta.dtype
+    own = field[:, begin : begin + len(case.mesh.vertices)]
+    layout = grid_layout(case.mesh, case.load.vertex, _movable(case), max(case.mesh.grid_shape), dtype)
+    if layout is not None:
+        where = runs(layout, case.mesh, FORWARD_PLANES)
+        reach = _grid_reach(case)
+        _run_grid(case, layout, growing_radii(steps, reach), where, _room(case, False), field, begin)
+    else:
+        graph = spring_graph(case.mesh, case.load.vertices, case.watch, steps + 1, dtype)
+        sorted_field = np.empty((steps, len(graph.order), 3), dtype)
+        radii = growing_radii(steps, Reach(gripped=isinstance(case.load, Grip)))
+        _run_edges(case, graph, radii, _room(case, False), sorted_field)
+        own[:] = 0
+        own[:, graph.order] = sorted_field
+    if isinstance(case.load, Grip):
+        own[:, case.load.vertices] = case.load.displacement
+
+
+def numbers(case: Case) -> tuple:
+    """k_s, keep, kick, the latter two's slopes by k_d, Δt, anchor, lag, tiny and guard, in the case's precision."""
+    mechanics, dtype = case.mechanics, case.theta.dtype
+    step = integrator(case.theta[1], mechanics)
+    # Twelve digits below one step's impulse nothing is left of single precision. In double, only denormals go.
+    if isinstance(case.load, Press):
+        impulse = float(step.kick * np.abs(case.theta[2]) * np.abs(case.load.factor).max(initial=0.0))
+    else:
+        impulse = float(np.abs(case.load.displacement).max() / mechanics.time_step)
+    tiny = max(1e-12 * impulse, 1e-30) if dtype == np.float32 else 1e-200
+    values = (case.theta[0], step.keep, step.kick, step.keep_slope, step.kick_slope, mechanics.time_step)
+    return tuple(dtype.type(value) for value in (*values, mechanics.anchor, step.lag, tiny, NORM_GUARD))
+
+
+class Acting(NamedTuple):
+    """A load as the kernels take it; vertices of the mesh, whose places in a layout the caller puts in."""
+
+    load: np.ndarray
+    """Factor of F in each step, shape [T]."""
+    loaded: np.ndarray
+    """Pressed vertices, shape [P]."""
+    push: np.ndarray
+    """weight·direction of each, shape [P, 3]."""
+    gripped: np.ndarray
+    """Gripped vertices, shape [G]."""
+    positions: np.ndarray
+    """Where they are in each step, shape [T, G, 3]."""
+
+
+def acting(load: Load, mechanics: Mechanics, dtype: np.dtype) -> Acting:
+    """What a load does, in one precision."""
+    nobody = np.empty(0, np.int64)
+    if isinstance(load, Press):
+        push = press_shares(load, dtype)
+        positions = np.empty((load.steps, 0, 3), dtype)
+        return Acting(load.factor.astype(dtype), load.vertices.astype(np.int64), push, nobody, positions)
+    positions = np.ascontiguousarray(grip_positions(load, mechanics), dtype)
+    return Acting(
+        np.zeros(load.steps, dtype), nobody, np.empty((0, 3), dtype), load.vertices.astype(np.int64), positions
+    )
+
+
+def placed(load: Acting, graph: SpringGraph) -> Acting:
+    """The same with its vertices' positions in a graph."""
+    return load._replace(loaded=graph.position[load.loaded], gripped=graph.position[load.gripped])
+
+
+def _movable(case: Case) -> np.ndarray:
+    """Vertices that a grid's kernel moves, shape [N], bool: gripped ones too, which it puts back where they belong."""
+    free = free_vertices(case.mesh, case.load, case.mechanics)
+    free[case.load.vertices] = True
+    return free
+
+
+def _grid_reach(case: Case) -> Reach:
+    """How far loaded and watched vertices lie from the load's first one on the grid (see `grid_kernel`)."""
+
+    def farthest(vertices: np.ndarray) -> int:
+        rows, columns = (case.mesh.pixels[vertices].astype(np.int64) - case.mesh.pixels[case.load.vertex]).T
+        return int(np.abs([rows, columns, rows - columns]).max())
+
+    return Reach(farthest(case.load.vertices), farthest(case.watch), isinstance(case.load, Grip))
+
+
+def graph_reach(case: Case, graph: SpringGraph) -> Reach:
+    """The same where distances count from all loaded vertices; what springs don't reach never moves."""
+    levels = np.searchsorted(graph.vertex_count, graph.position[case.watch], side="right")
+    connected = levels[levels < len(graph.vertex_count)]
+    return Reach(0, int(connected.max(initial=0)), isinstance(case.load, Grip))
+
+
+def _layout(case: Case, radii_of: Callable) -> tuple[GridLayout | SpringGraph, tuple[np.ndarray, ...]]:
+    """What lies within reach, as a grid where the mesh is one, and how far each step is computed.
+
+    Args:
+        case: the sample.
+        radii_of: radii [T], the widest first, for a reach and, if distances are those of a graph, the graph.
+    """
+    dtype, reach = case.theta.dtype, _grid_reach(case)
+    radii = radii_of(reach, None)
+    far = max(int(radii[0].max()) + 1, reach.loaded, reach.watched)
+    layout = grid_layout(case.mesh, case.load.vertex, _movable(case), far, dtype)
+    if layout is not None:
+        return layout, radii
+    # Springs from every watched vertex to the load: no more than there are steps matter.
+    graph = spring_graph(case.mesh, case.load.vertices, case.watch, case.load.steps + 1, dtype)
+    return graph, radii_of(graph_reach(case, graph), graph)
+
+
+def _eigenvalue(mesh: Mesh) -> float:
+    """Bound on the eigenvalues of the springs' graph Laplacian: the degrees of two neighbours together."""
+    degree = np.bincount(mesh.springs.ravel(), minlength=len(mesh.vertices))
+    return float(degree[mesh.springs].sum(axis=1).max(initial=1))
+
+
+def _room(case: Case, sensitive: bool) -> Watched:
+    """Arrays for the kernels to fill."""
+    steps, watched = case.load.steps, len(case.watch)
+    carried = steps if sensitive else 0
+    gripped = len(case.load.vertices) if isinstance(case.load, Grip) else 0
+    shapes = (steps, watched, 3), (carried, watched, 3, 3), (carried, gripped, 3), (carried, gripped, 3, 3)
+    return Watched(*(np.zeros(shape, case.theta.dtype) for shape in shapes))
+
+
+def _within(case: Case, layout: GridLayout | SpringGraph, radii: np.ndarray, sensitive: bool) -> Watched:
+    """Motion of the watched vertices, computing each step within a radius, shape [T]."""
+    out = _room(case, sensitive)
+    nothing = np.empty((0, 0, 3), case.theta.dtype)
+    if isinstance(layout, GridLayout):
+        _run_grid(case, layout, radii, np.empty((0, 3), np.int64), out, nothing)
+    else:
+        _run_edges(case, layout, radii, out, nothing)
+    out.slopes[:, put_gripped(case, out.path)] = 0
+    return out
+
+
+def put_gripped(case: Case, path: np.ndarray) -> np.ndarray:
+    """Put gripped vertices into a path [T, M, 3] where they are held; indices of those among the M."""
+    if isinstance(case.load, Press):
+        return np.empty(0, np.int64)
+    watched, gripped = np.nonzero(case.watch[:, None] == case.load.vertices)
+    path[:, watched] = case.load.displacement[:, gripped]
+    return watched
+
+
+def _run_grid(case: Case, layout: GridLayout, radii, where, out: Watched, field, begin: int = 0) -> None:
+    """Call the grid kernel, which fills `out` and the field from `begin` on."""
+    dtype, sensitive = case.theta.dtype, len(out.slopes) > 0
+    planes = SENSITIVITY_PLANES if sensitive else FORWARD_PLANES
+    load = acting(case.load, case.mechanics, dtype)
+    inside = (places(layout, case.mesh, vertices, planes) for vertices in (load.loaded, load.gripped, case.watch))
+    loaded, gripped, watched = inside
+    specialised(layout.pitch, sensitive)(
+        layout.rest,
+        layout.first,
+        layout.last,
+        layout.centre,
+        radii,
+        *load._replace(loaded=loaded, gripped=gripped),
+        watched,
+        case.theta[2],
+        numbers(case),
+        where,
+        *out,
+        field,
+        begin,
+    )
+
+
+def _run_edges(case: Case, graph: SpringGraph, radii: np.ndarray, out: Watched, field: np.ndarray) -> None:
+    """Call the edge kernel with or without derivatives; it fills `out`, or the path in it and the field."""
+    dtype, count = case.theta.dtype, len(graph.order)
+    free = free_vertices(case.mesh, case.load, case.mechanics)[graph.order].astype(dtype)
+    load = placed(acting(case.load, case.mechanics, dtype), graph)
+    shape, within, watched = (
+        (graph.springs, graph.rest, graph.length),
+        graph.prefixes(radii),
+        graph.position[case.watch],
+    )
+    force, values = case.theta[2], numbers(case)
+    if len(out.slopes):
+        edge_sensitivity(*shape, free, *within, *load, watched, force, values, *out)
+        return
+    stiffness, keep, kick, _, _, time_step, anchor, lag, tiny, guard = values
+    edge_forward(
+        *shape,
+        np.full(len(graph.springs), stiffness, dtype),
+        np.full(count, anchor * stiffness, dtype),
+        keep * free,
+        kick * free,
+        *within,
+        *load._replace(push=force * load.push),
+        watched,
+        (time_step, lag, tiny, guard),
+        out.path,
+        np.empty((0, count, 3), dtype),
+        field,
+    )

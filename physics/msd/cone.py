@@ -1,0 +1,124 @@
+"""Which vertices can matter when only a few vertices are loaded and watched.
+
+Distances are counted in springs from the centre of the load.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy.fft import dct
+
+from physics.mechanics import Mechanics
+from physics.msd.reference import integrator
+
+GRID_EIGENVALUE = 9.0
+"""Upper bound on the eigenvalues of the graph Laplacian of springs right, down and along one diagonal."""
+
+LEVELS_PER_OCTAVE = 8
+"""θ is rounded this finely, to the side of wider windows, so that a window's shape can be reused."""
+
+INSIDE = 1e-3
+"""How much less the window used may neglect than the smaller one it is checked with."""
+
+
+class Reach(NamedTuple):
+    """How far what acts and what is watched lie from the centre of a window [springs]."""
+
+    loaded: int = 0
+    """Farthest loaded vertex."""
+    watched: int = 0
+    """Farthest watched vertex."""
+    gripped: bool = False
+    """Whether the load is a grip, which moves tissue at the beginning of a step already."""
+
+    def narrowed(self, from_load: np.ndarray, to_watched: np.ndarray) -> np.ndarray:
+        """Radii within which each step must be computed, shape [T].
+
+        Args:
+            from_load: how far each step's influence has come from what acts, shape [T].
+            to_watched: from how far each step can still matter for what is watched, shape [T].
+        """
+        radii = np.minimum(from_load + self.loaded + self.gripped, to_watched + self.watched)
+        return np.maximum(radii, self.loaded) if self.gripped else radii
+
+
+def exact_radii(steps: int, reach: Reach = Reach()) -> np.ndarray:  # noqa: B008 (immutable)
+    """Radius within which each step must be computed, shape [T], int64; exact for the watched vertices' trajectories.
+
+    A step carries influence one spring further. From rest, step t can only move vertices within t of the load, and
+    only those within T−1−t of a watched one can still reach it before the end.
+    """
+    step = np.arange(steps)
+    return reach.narrowed(step, steps - 1 - step)
+
+
+def growing_radii(steps: int, reach: Reach = Reach()) -> np.ndarray:  # noqa: B008
+    """Radius within which each step can move vertices, shape [T], int64; exact for the whole field."""
+    return np.arange(steps) + reach.loaded + reach.gripped
+
+
+def window_radii(
+    stiffness: float,
+    damping: float,
+    mechanics: Mechanics,
+    eigenvalue: float,
+    steps: int,
+    reach: Reach = Reach(),  # noqa: B008
+) -> tuple[np.ndarray, np.ndarray]:
+    """Radii of two windows inside the exact cone, shapes [T], int64: the one to use and a smaller one to check it with.
+
+    A response after τ steps is a polynomial in the elastic operator K. Written in Chebyshev polynomials on K's spectrum
+    [0, k_s·λ], whatever lies n springs away only gets the terms of degree n and more, so the sum of their coefficients
+    bounds what a window of radius n neglects. That holds for small deformation; the comparison of both windows'
+    trajectories is what shows that it holds for the case at hand.
+
+    Args:
+        stiffness: k_s.
+        damping: k_d.
+        mechanics: constants; ``window_error`` is what the smaller window may neglect, ``INSIDE`` of it the larger.
+        eigenvalue: upper bound λ on the eigenvalues of the springs' graph Laplacian.
+        steps: T.
+        reach: of what acts and what is watched.
+    """
+    exact = exact_radii(steps, reach)
+    if not (math.isfinite(stiffness) and math.isfinite(damping) and stiffness > 0):
+        return exact, exact
+    wider = 2 ** (math.ceil(LEVELS_PER_OCTAVE * math.log2(stiffness)) / LEVELS_PER_OCTAVE)
+    slower = 2 ** (math.floor(LEVELS_PER_OCTAVE * math.log2(damping)) / LEVELS_PER_OCTAVE) if damping > 1e-6 else 0.0
+    # Only the smaller of both radii counts, so that responses are needed over half of the time, or over all of it.
+    horizon = int(exact.max()) + 1 if reach == Reach() else steps
+    step = np.arange(steps)
+    elapsed, left = np.minimum(step, horizon), np.minimum(steps - step, horizon)
+    used, checked = (
+        np.minimum(reach.narrowed(far[elapsed], far[left]), exact)
+        for far in _decay(wider, slower, mechanics, eigenvalue, horizon)
+    )
+    return used, checked
+
+
+@functools.lru_cache(maxsize=4096)
+def _decay(
+    stiffness: float, damping: float, mechanics: Mechanics, eigenvalue: float, horizon: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """How far a response reaches after 0, 1, … steps, shapes [horizon + 1]: of it all but what each window neglects."""
+    # The response after τ steps has degree τ: as many nodes give its coefficients exactly.
+    nodes = np.cos(np.pi * (np.arange(horizon + 1) + 0.5) / (horizon + 1))
+    step = integrator(damping, mechanics)
+    pull = mechanics.time_step * step.kick * stiffness * (eigenvalue + mechanics.anchor) * (1 - nodes) / 2
+    now, before = np.full_like(nodes, mechanics.time_step), np.zeros_like(nodes)
+    responses = [before, now]
+    with np.errstate(all="ignore"):
+        for _ in range(horizon - 1):
+            now, before = (1 + step.keep - pull) * now - step.keep * before, now
+            responses.append(now)
+        coefficients = np.abs(dct(np.array(responses), axis=1)) / len(nodes)
+    neglected = np.cumsum(coefficients[:, ::-1], axis=1)[:, ::-1]
+    if not np.isfinite(neglected).all():
+        return np.arange(horizon + 1), np.arange(horizon + 1)
+    allowed = mechanics.window_error * neglected[:, 0].max()
+    used, checked = ((neglected > allowed * share).sum(axis=1) for share in (INSIDE, 1.0))
+    return used, checked

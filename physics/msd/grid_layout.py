@@ -1,0 +1,146 @@
+"""Springs of a grid mesh as a stencil on the pixel grid, laid out so that loops over columns become vector code.
+
+A row of the grid is a block of planes, each `pitch` numbers long, one number a column. The pitch is a constant of the
+compiled code: every plane then lies at a known distance from the others, which is what lets the compiler vectorise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from physics.jit import kernel
+from physics.mesh import Mesh
+from physics.msd.reference import NORM_GUARD
+
+PITCHES = (80, 144, 272, 528, 1040)
+"""Row lengths for which code is compiled on demand; no powers of two, whose planes would share cache sets."""
+
+REST, LENGTH, LINK, MOBILE, REST_PLANES = 0, 3, 6, 9, 10
+"""Planes of the rest shape: positions x, y, z; lengths and presence of the springs right, down, diagonal; may move."""
+
+
+@dataclass(frozen=True)
+class GridLayout:
+    """A window of the grid around the load, padded by one pixel on every side."""
+
+    pitch: int
+    """Numbers a plane and row."""
+    rows: int
+    """Rows of the window, without padding."""
+    rest: np.ndarray
+    """Rest shape, shape [(rows + 2)·REST_PLANES·pitch]."""
+    first: np.ndarray
+    """First column with a vertex in each padded row, shape [rows + 3], int64; behind ``last`` where there is none."""
+    last: np.ndarray
+    """Last column with a vertex in each padded row, shape [rows + 3], int64."""
+    centre: tuple[int, int]
+    """Padded row and column of the load's first vertex."""
+    corner: tuple[int, int]
+    """Grid row and column of the padded window's first pixel."""
+
+
+def grid_layout(mesh: Mesh, vertex: int, mobile: np.ndarray, reach: int, dtype: np.dtype) -> GridLayout | None:
+    """Lay out what lies within ``reach`` pixels of a vertex.
+
+    Args:
+        mesh: the mesh.
+        vertex: the window's centre.
+        mobile: vertices that may move, shape [N], bool.
+        reach: rows and columns around it that matter.
+        dtype: float32 or float64.
+
+    Returns:
+        None where the mesh isn't a grid mesh (springs other than right, down and down-right, two vertices on one pixel)
+        or the window is wider than the compiled code allows.
+    """
+    pixels = np.ascontiguousarray(mesh.pixels, dtype=np.int32)
+    centre = pixels[vertex].astype(np.int64)
+    low = np.maximum([pixels[:, axis].min() for axis in (0, 1)], centre - reach)
+    high = np.minimum([pixels[:, axis].max() for axis in (0, 1)], centre + reach)
+    rows, columns = (high - low + 1).tolist()
+    pitch = next((size for size in PITCHES if size >= columns + 3), None)
+    if pitch is None:
+        return None
+    rest = np.zeros((rows + 2) * REST_PLANES * pitch, dtype=dtype)
+    first = np.full(rows + 3, columns + 2)
+    last = np.full(rows + 3, -1)
+    regular = _fill(
+        np.ascontiguousarray(mesh.vertices, dtype=dtype),
+        np.ascontiguousarray(mesh.springs, dtype=np.int32),
+        pixels - (low - 1).astype(np.int32),
+        np.ascontiguousarray(mobile, dtype=bool),
+        rows,
+        columns,
+        pitch,
+        rest.dtype.type(NORM_GUARD),
+        rest,
+        np.zeros((rows + 2) * pitch, dtype=bool),
+        first,
+        last,
+    )
+    if not regular:
+        return None
+    row, column = (centre - low + 1).tolist()
+    return GridLayout(pitch, rows, rest, first, last, (row, column), (int(low[0]) - 1, int(low[1]) - 1))
+
+
+def places(layout: GridLayout, mesh: Mesh, vertices: np.ndarray, planes: int) -> np.ndarray:
+    """Where vertices [M] of the window lie in the first plane of a state of ``planes`` planes, shape [M], int64."""
+    row, column = mesh.pixels[vertices].astype(np.int64).T
+    return (row - layout.corner[0]) * planes * layout.pitch + column - layout.corner[1]
+
+
+def runs(layout: GridLayout, mesh: Mesh, planes: int) -> np.ndarray:
+    """Where the vertices lie in a state of ``planes`` planes, as stretches that are contiguous in mesh and state.
+
+    The window must hold the whole mesh.
+
+    Returns:
+        First vertex, its place in the state's first plane and the number of vertices of each run, shape [R, 3], int64.
+        Vertices numbered row by row make one run a row, and one more for every hole.
+    """
+    found = places(layout, mesh, np.arange(len(mesh.vertices)), planes)
+    starts = np.concatenate([[0], np.flatnonzero(np.diff(found) != 1) + 1])
+    return np.stack([starts, found[starts], np.diff(starts, append=len(found))], axis=1)
+
+
+@kernel
+def _fill(vertices, springs, pixels, mobile, rows, columns, pitch, guard, rest, taken, first, last):
+    """Write vertices [N, 3] and springs [S, 2] into the planes; False where they don't form a grid mesh."""
+    block = REST_PLANES * pitch
+    for vertex in range(vertices.shape[0]):
+        row, column = pixels[vertex, 0], pixels[vertex, 1]
+        if 1 <= row <= rows and 1 <= column <= columns:
+            if taken[row * pitch + column]:
+                return False
+            taken[row * pitch + column] = True
+            place = row * block + column
+            for axis in range(3):
+                rest[place + (REST + axis) * pitch] = vertices[vertex, axis]
+            rest[place + MOBILE * pitch] = mobile[vertex]
+            first[row] = min(first[row], column)
+            last[row] = max(last[row], column)
+    for spring in range(springs.shape[0]):
+        start, end = springs[spring, 0], springs[spring, 1]
+        if pixels[end, 0] < pixels[start, 0] or (
+            pixels[end, 0] == pixels[start, 0] and pixels[end, 1] < pixels[start, 1]
+        ):
+            start, end = end, start
+        row, column = pixels[start, 0], pixels[start, 1]
+        down, right = pixels[end, 0] - row, pixels[end, 1] - column
+        if not (0 <= down <= 1 and 0 <= right <= 1 and down + right > 0):
+            return False
+        if row < 1 or row + down > rows or column < 1 or column + right > columns:
+            continue
+        kind = 2 * down + right - 1
+        near = row * block + column
+        far = near + down * block + right
+        squared = guard
+        for axis in range(3):
+            side = rest[far + axis * pitch] - rest[near + axis * pitch]
+            squared += side * side
+        rest[near + (LENGTH + kind) * pitch] = np.sqrt(squared)
+        rest[near + (LINK + kind) * pitch] += 1
+    return True

@@ -1,0 +1,228 @@
+"""The mass-spring-damper rollout in plain numpy: short enough to be read beside the equation, and needs no compiler.
+
+Source: Bini 2026, equation 9 and table 1: m ẍ + k_d ẋ + k_s x = F_ext per vertex, springs along the mesh's edges.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from physics.load import Grip, Load, Press
+from physics.mechanics import Mechanics
+from physics.mesh import Mesh
+
+NORM_GUARD = 1e-18
+"""Added under every square root [scene units²], so that a spring of zero length has a direction: none."""
+
+
+class Integrator(NamedTuple):
+    """Coefficients of one step: v⁺ = keep·v + kick·f, u⁺ = u + Δt·v⁺, and the output is u⁺ − lag·v⁺."""
+
+    keep: np.ndarray
+    """Share of the velocity that damping leaves [1]."""
+    kick: np.ndarray
+    """Velocity that a force gives [s/kg]."""
+    keep_slope: np.ndarray
+    """Derivative of ``keep`` by k_d."""
+    kick_slope: np.ndarray
+    """Derivative of ``kick`` by k_d."""
+    lag: float
+    """How far the output lies behind the state [s]."""
+
+
+def integrator(damping: float | np.ndarray, mechanics: Mechanics) -> Integrator:
+    """Coefficients of one step for k_d of any shape, float64.
+
+    Drift–kick–drift runs in the same form on the half-step positions w = u + ½Δt·v, with v' = (f − k_d·v)/m solved
+    exactly over the step; its output goes half a drift back.
+    """
+    damping = np.asarray(damping, dtype=np.float64)
+    step = mechanics.time_step / mechanics.mass
+    ratio = step * damping
+    if mechanics.scheme == "dkd":
+        keep = np.exp(-ratio)
+        # φ(c) = (1 − e⁻ᶜ)/c and φ'(c) by their series where the quotients would cancel.
+        small = ratio < 0.05
+        safe = np.where(small, 1.0, ratio)
+        power = np.polynomial.polynomial.polyval
+        share = np.where(small, power(ratio, SHARE), -np.expm1(-safe) / safe)
+        slope = np.where(small, power(ratio, SHARE[1:] * np.arange(1, 10)), ((safe + 1) * np.exp(-safe) - 1) / safe**2)
+        return Integrator(keep, step * share, -step * keep, step**2 * slope, mechanics.time_step / 2)
+    if mechanics.damping == "explicit":
+        ones = np.ones_like(ratio)
+        return Integrator(1 - ratio, step * ones, -step * ones, 0 * ones, 0.0)
+    keep = 1 / (1 + ratio)
+    return Integrator(keep, step * keep, -step * keep**2, -(step**2) * keep**2, 0.0)
+
+
+SHARE = np.array([(-1) ** n / math.factorial(n + 1) for n in range(10)])
+"""Coefficients of φ(c) = Σ (−c)ⁿ/(n+1)!."""
+
+
+def spring_force(displacement: np.ndarray, rest: np.ndarray, springs: np.ndarray) -> np.ndarray:
+    """Pull of every spring on its first vertex for unit stiffness: the elongation along the spring's direction.
+
+    Displacement form: e = |d| − |d₀| = (2 d₀·δu + δu²) / (|d| + |d₀|), which keeps the digits that |d| − |d₀| loses.
+
+    Args:
+        displacement: u = x − x₀, shape [N, 3] [scene units].
+        rest: rest vectors d₀ from first to second vertex, shape [S, 3] [scene units].
+        springs: vertex indices, shape [S, 2].
+
+    Returns:
+        Force on the first vertex, the second one's is opposite, shape [S, 3].
+    """
+    stretch = displacement[springs[:, 1]] - displacement[springs[:, 0]]
+    current = rest + stretch
+    length = np.sqrt((current * current).sum(axis=1) + NORM_GUARD)
+    rest_length = np.sqrt((rest * rest).sum(axis=1) + NORM_GUARD)
+    elongation = ((2 * rest + stretch) * stretch).sum(axis=1) / (length + rest_length)
+    return (elongation / length)[:, None] * current
+
+
+def free_vertices(mesh: Mesh, load: Load, mechanics: Mechanics) -> np.ndarray:
+    """Vertices that move by themselves, shape [N], bool: all but gripped ones and a fixed rim; pressed ones always."""
+    free = ~mesh.rim if mechanics.boundary == "fixed" else np.ones(len(mesh.vertices), dtype=bool)
+    free[load.vertices] = isinstance(load, Press)
+    return free
+
+
+def press_shares(press: Press, dtype: np.dtype) -> np.ndarray:
+    """weight·direction of every pressed vertex, shape [P, 3]."""
+    return np.outer(press.weights.astype(dtype), press.direction.astype(dtype))
+
+
+def grip_positions(grip: Grip, mechanics: Mechanics) -> np.ndarray:
+    """Where gripped vertices are while each step's forces act, shape [T, G, 3]: at its beginning, or in its middle."""
+    after = grip.displacement.astype(np.float64)
+    before = np.concatenate([np.zeros_like(after[:1]), after[:-1]])
+    return (before + after) / 2 if mechanics.scheme == "dkd" else before
+
+
+def grip_velocities(grip: Grip, mechanics: Mechanics) -> np.ndarray:
+    """Velocities of gripped vertices before and after each step, shape [T + 1, G, 3] [scene units/s]."""
+    path = grip.displacement.astype(np.float64)
+    start = np.zeros_like(path[:1])
+    if mechanics.scheme == "dkd":
+        # Mirrored in time before its start: it begins at rest. Of second order, but of first at the last step's end.
+        mirrored = np.concatenate([path[:1], start, path])
+        return np.gradient(mirrored, mechanics.time_step, axis=0, edge_order=2)[1:]
+    return np.concatenate([start, np.diff(path, axis=0, prepend=start) / mechanics.time_step])
+
+
+def reaction(elastic: np.ndarray, grip: Grip, damping: np.ndarray, mechanics: Mechanics) -> np.ndarray:
+    """Force that the grip must exert in each step, shape [T, G, 3]: what is left of inertia and damping.
+
+    Args:
+        elastic: force of the springs on the gripped vertices, shape [T, G, 3].
+        grip: their path.
+        damping: k_d.
+        mechanics: constants.
+    """
+    step, velocity = integrator(damping, mechanics), grip_velocities(grip, mechanics)
+    return (velocity[1:] - step.keep * velocity[:-1]) / step.kick - elastic
+
+
+def reaction_by_damping(grip: Grip, damping: np.ndarray, mechanics: Mechanics) -> np.ndarray:
+    """Derivative by k_d of `reaction` at a given elastic force, shape [T, G, 3]."""
+    step, velocity = integrator(damping, mechanics), grip_velocities(grip, mechanics)
+    inertia = velocity[1:] - step.keep * velocity[:-1]
+    return -(step.keep_slope * velocity[:-1] + inertia * step.kick_slope / step.kick) / step.kick
+
+
+class Step(NamedTuple):
+    """The mesh after one step, and the derivatives by θ of everything."""
+
+    displacement: np.ndarray
+    """Shape [N, 3] [scene units]."""
+    moved: np.ndarray
+    """Its derivatives by θ, shape [3, N, 3]."""
+    elastic: np.ndarray
+    """Force of springs and anchors during the step, shape [N, 3]."""
+    elastic_moved: np.ndarray
+    """Its derivatives by θ, shape [3, N, 3]."""
+
+
+def steps(
+    theta: np.ndarray, mesh: Mesh, load: Load, mechanics: Mechanics, *, sensitive: bool = False
+) -> Iterator[Step]:
+    """Roll out in θ's precision; without `sensitive` all derivatives stay 0.
+
+    Forward mode: with g(u) the spring force for unit stiffness and p the load, the derivatives follow
+    v̇⁺ = a·v̇ + b·k_s·ġ + ȧ·v + ḃ·(k_s·g + F·p) + b·(k̇_s·g + Ḟ·p), u̇⁺ = u̇ + Δt·v̇⁺.
+
+    Args:
+        theta: k_s, k_d and signed F, shape [3], floating point; F means nothing under a grip.
+        mesh: the mesh at rest.
+        load: what acts on it; one step for each of its own.
+        mechanics: constants.
+        sensitive: whether the derivatives by θ are carried along.
+    """
+    dtype = theta.dtype
+    stiffness, damping, force = theta
+    keep, kick, keep_slope, kick_slope, lag = (dtype.type(value) for value in integrator(damping, mechanics))
+    time_step, anchor = dtype.type(mechanics.time_step), dtype.type(mechanics.anchor)
+    vertices = mesh.vertices.astype(dtype)
+    rest = vertices[mesh.springs[:, 1]] - vertices[mesh.springs[:, 0]]
+    gather = _incidence(mesh, dtype)
+    mobile = free_vertices(mesh, load, mechanics).astype(dtype)[:, None]
+    push = np.zeros_like(vertices)
+    factors, positions = np.zeros(load.steps, dtype), None
+    if isinstance(load, Press):
+        np.add.at(push, load.vertices, press_shares(load, dtype))
+        factors = load.factor.astype(dtype)
+    else:
+        positions = grip_positions(load, mechanics).astype(dtype)
+    displacement, velocity = np.zeros_like(vertices), np.zeros_like(vertices)
+    moved, speed = np.zeros((3, *vertices.shape), dtype), np.zeros((3, *vertices.shape), dtype)
+    elastic_moved = np.zeros_like(moved)
+    for index, factor in enumerate(factors):
+        if positions is not None:
+            displacement[load.vertices] = positions[index]
+        unit = gather @ spring_force(displacement, rest, mesh.springs) - anchor * displacement
+        total = stiffness * unit + factor * force * push
+        if sensitive:
+            turns = spring_tangents(displacement, moved, rest, mesh.springs)[1]
+            elastic_moved = stiffness * (np.stack([gather @ turn for turn in turns]) - anchor * moved)
+            elastic_moved[0] += unit
+            own = np.stack([np.zeros_like(unit), keep_slope * velocity + kick_slope * total, kick * factor * push])
+            speed = mobile * (keep * speed + kick * elastic_moved + own)
+            moved = moved + time_step * speed
+        velocity = mobile * (keep * velocity + kick * total)
+        displacement = displacement + time_step * velocity
+        shown = displacement - lag * velocity
+        if isinstance(load, Grip):
+            shown[load.vertices] = load.displacement[index]
+        yield Step(shown, moved - lag * speed, stiffness * unit, elastic_moved)
+
+
+def spring_tangents(
+    displacement: np.ndarray, moved: np.ndarray, rest: np.ndarray, springs: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Force of every spring for unit stiffness, shape [S, 3], and its change along `moved` [P, N, 3], shape [P, S, 3].
+
+    ġ = α·δu̇ + β·(d·δu̇)·d with α = (ℓ − ℓ₀)/ℓ and β = ℓ₀/ℓ³; other arguments as in `spring_force`.
+    """
+    pull = spring_force(displacement, rest, springs)
+    current = rest + displacement[springs[:, 1]] - displacement[springs[:, 0]]
+    squared = (current * current).sum(axis=1) + NORM_GUARD
+    length, rest_length = np.sqrt(squared), np.sqrt((rest * rest).sum(axis=1) + NORM_GUARD)
+    alpha = (pull * current).sum(axis=1) / squared
+    beta = rest_length / (squared * length)
+    stretch = moved[:, springs[:, 1]] - moved[:, springs[:, 0]]
+    along = (stretch * current).sum(axis=2)
+    return pull, alpha[:, None] * stretch + (beta * along)[..., None] * current
+
+
+def _incidence(mesh: Mesh, dtype: np.dtype) -> csr_array:
+    """Matrix [N, S] that sums spring forces at the vertices: +1 at a spring's first vertex, −1 at its second."""
+    count = len(mesh.springs)
+    columns = np.arange(count)
+    values = np.concatenate([np.ones(count, dtype), -np.ones(count, dtype)])
+    places = (mesh.springs.T.ravel(), np.concatenate([columns, columns]))
+    return csr_array((values, places), shape=(len(mesh.vertices), count))

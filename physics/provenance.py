@@ -1,0 +1,41 @@
+"""What code a result was made with: one digest of the project's sources, from a checkout and installed alike."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+from pathlib import Path
+from typing import Literal
+
+ROOT = Path(__file__).resolve().parents[1]
+"""Folder that holds the project's packages: the checkout, or where they are installed."""
+PACKAGES = ("data", "estimators", "evaluation", "models", "physics", "results")
+NOT_PREPARATION = ("data/synthetic/", "data/training/")
+"""What a prepared clip does not depend on."""
+KINDS = ("*.py", "*.yaml", "*.onnx")
+Part = Literal["all", "preparation", "kernels"]
+
+
+@functools.cache
+def code_digest(part: Part = "all") -> str:
+    """Digest of every module, preset and built-in model that can change a result, sub-packages included, or of a part.
+
+    Args:
+        part: preparation: what decides what a prepared clip holds. kernels: what is compiled.
+    """
+    digest = hashlib.sha256()
+    for package in PACKAGES:
+        for path in sorted(path for kind in KINDS for path in (ROOT / package).rglob(kind)):
+            name = path.relative_to(ROOT).as_posix()
+            if _belongs(name, part):
+                digest.update(name.encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _belongs(name: str, part: Part) -> bool:
+    """Whether a source, by its path below ROOT, counts for a part."""
+    if part == "kernels":
+        return name.startswith("physics/")
+    if part == "preparation":
+        return name == "physics/mesh.py" or (name.startswith("data/") and not name.startswith(NOT_PREPARATION))
+    return not name.startswith("models/weights/")  # an estimator's network is known by the hash of its own file

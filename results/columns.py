@@ -1,0 +1,110 @@
+"""The tables of a clip: their columns, each with what it is, and their rows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from estimators.estimate import REPORTED, SYMBOLS, FrameEstimate, InteractionEstimate
+from physics.mechanics import PARAMETERS
+
+ESTIMATED = {
+    column: text.format(SYMBOLS[name])
+    for name in REPORTED
+    for column, text in (
+        (name, "{}"),
+        (f"{name}_sd", "standard deviation of {}; empty: the estimator gives none"),
+        (f"{name}_low", "lower end of the 90 % interval of {}"),
+        (f"{name}_high", "upper end of the 90 % interval of {}"),
+    )
+} | {
+    f"{name}_bound": f"Cramér–Rao bound on the sd of log {SYMBOLS[name]} (0.1: 10 %), were the onset known"
+    for name in PARAMETERS
+}
+"""Columns of an estimate; k_d/k_s is in s and |F|/k_s in scene units."""
+VERDICT = {
+    "verdict": "determined, ratios (only k_s/k_d and F/k_d), undetermined; onset_in_view: the model doesn't tell",
+    "determined": "which parameters and ratios are determined, joined by ;",
+}
+FRAMES: dict[str, str] = {
+    "frame": "number of the frame in its source",
+    "time_s": "s",
+    **ESTIMATED,
+    "contact": "1 or 0; empty: undecided",
+    "contact_distance": "scene units",
+    "contact_u": "px of the source frame, column",
+    "contact_v": "px of the source frame, row",
+    "simulated_displacement": "scene units",
+    "observed_displacement": "scene units",
+    "status": "ok, or why the frame has no parameters",
+    **VERDICT,
+    "detail": "sentences about the status, or about what can't be trusted",
+}
+"""Columns of `parameters.csv`, in order."""
+INTERACTIONS: dict[str, str] = {
+    "onset_frame": "number of the run's first frame in contact",
+    "onset_time_s": "s",
+    "frames": "frames after the onset in which its tissue was followed",
+    "load_s": "s from the onset to the release; empty: the onset or the release was not seen",
+    "delay_s": "s from the onset frame to the beginning of the press, as fitted; empty: taken to be 0, or no estimate",
+    "release_delay_s": "s from the first frame after contact to the end of the press; empty: the same, or not seen",
+    **ESTIMATED,
+    **VERDICT,
+    "explanation": "which products of k_s, k_d and F are determined, with their relative errors",
+    "noise": "standard deviation of every observed coordinate, scene units",
+    "misfit": "root mean square of observed minus simulated displacement along the force over the noise; 1: it fits",
+    "at_bound": "parameters that lie at the end of their admissible range",
+    "status": "ok or no_estimate",
+    "detail": "sentence about the status, or about an estimate that can't be trusted",
+}
+"""Columns of `interactions.csv`, in order."""
+
+
+def frame_row(frame: FrameEstimate) -> list[str]:
+    """The cells of one frame."""
+    return _cells(FRAMES, frame.values)
+
+
+def interaction_row(run: InteractionEstimate) -> list[str]:
+    """The cells of one run of contact."""
+    return _cells(INTERACTIONS, interaction_values(run))
+
+
+def interaction_values(run: InteractionEstimate) -> dict[str, Any]:
+    """What is known of a run of contact, by column."""
+    found: dict[str, Any] = {
+        "onset_frame": run.onset_frame,
+        "onset_time_s": run.onset_time_s,
+        "frames": 0 if run.interaction is None else len(run.interaction.observation),
+        "load_s": run.load_s,
+        "status": "no_estimate" if run.estimate is None else "ok",
+        "detail": run.detail,
+    }
+    estimate = run.estimate
+    if estimate is None:
+        return found
+    stuck = [name for name, at_end in zip(PARAMETERS, estimate.at_bound, strict=True) if at_end]
+    return {
+        **found,
+        **estimate.numbers(),
+        **dict(zip(("delay_s", "release_delay_s"), estimate.delays, strict=False)),
+        "explanation": estimate.explanation,
+        "noise": estimate.noise,
+        "misfit": estimate.misfit,
+        "at_bound": " ".join(stuck),
+    }
+
+
+def _cells(columns: Mapping[str, str], values: Mapping[str, Any]) -> list[str]:
+    return [cell(values.get(name), decimals=6 if name.endswith("time_s") else None) for name in columns]
+
+
+def cell(value: float | int | bool | str | None, *, decimals: int | None = None) -> str:
+    """A value as text: seven significant digits (float32's), or a fixed number of decimals, and text on one line."""
+    if value is None or value != value:
+        return ""
+    if isinstance(value, bool):
+        return str(int(value))
+    if isinstance(value, float):
+        return f"{value:.7g}" if decimals is None else f"{value:.{decimals}f}"
+    return " ".join(str(value).split())

@@ -1,0 +1,239 @@
+"""The static pictures of a clip: `summary.png` over its frames and `fit.png` of its contacts, verdicts first.
+
+matplotlib is imported where something is drawn, so that a program starts, and may end, without it.
+"""
+
+from __future__ import annotations
+
+import textwrap
+import warnings
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from estimators.estimate import FrameEstimate
+from results.verdicts import COLORS, FAR, digits, in_words, is_far, state
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+WIDTH = 15.0
+"""Width of the pictures [inches of 100 px]."""
+INK, MUTED, GRID = "#1f2937", "#6b7280", "#e5e7eb"
+OBSERVED, SIMULATED, RELEASE, FAR_COLOR = "#4b5563", "#7c3aed", "#ea580c", "#dc2626"
+PANELS = {
+    "stiffness": ("Stiffness $k_s$", "#2563eb"),
+    "damping": ("Damping $k_d$", "#0d9488"),
+    "force": ("Force $|F|$", "#ea580c"),
+}
+"""Title and colour of the panels with intervals, by attribute of a FrameEstimate."""
+NOTICE = "palpate: research software, not a medical device."
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Displacement of a contact along its force [scene units], observed and simulated with the fitted parameters."""
+
+    times: np.ndarray
+    """Of the observations since the first frame in contact, shape [M] [s]."""
+    observed: np.ndarray
+    """Shape [M]."""
+    noise: float
+    """Standard deviation of an observation."""
+    simulated_times: np.ndarray
+    """Shape [T] [s]."""
+    simulated: np.ndarray
+    """Shape [T]."""
+    release: float | None
+    """When the force ends [s]; None where that was not seen."""
+
+
+@dataclass(frozen=True)
+class ContactPanel:
+    """One contact of a clip, in words, and its motion where it has an estimate."""
+
+    state: str
+    """Key of COLORS: what the fit determines, or that there is none."""
+    heading: str
+    sentence: str
+    motion: Motion | None
+
+
+def draw_summary(
+    estimates: Sequence[FrameEstimate], *, title: str, subtitle: str = "", units: Mapping[str, str] | None = None
+) -> Figure:
+    """Draw a clip's verdicts, parameters and displacements over time, or verdicts alone where frames have no estimate.
+
+    Args:
+        estimates: one a frame, in order.
+        title: name of the clip.
+        subtitle: what made the numbers.
+        units: unit of "stiffness", "damping", "force" and "displacement".
+    """
+    estimated = any(estimate.estimate is not None for estimate in estimates)
+    heights = [1.1, 2.8, 2.8, 2.8, 3.0] if estimated else [2.2]
+    figure, (strip, *panels) = _figure(heights, title, subtitle, sharex=True)
+    times, units = _column(estimates, "time_s"), units or {}
+    interval = max(float(np.median(np.diff(times))), 1e-3) if len(times) > 1 else 0.04
+    edges = np.append(times, times[-1] + interval) if len(times) else np.array([0.0, 1.0])
+    _draw_states(strip, edges, estimates, below=0.5 if estimated else 4.5)
+    _head(strip, *_told(estimates))
+    if estimated:
+        for axes, (name, (label, color)) in zip(panels, PANELS.items(), strict=False):
+            _draw_parameter(axes, times, estimates, name, color)
+            _finish(axes, label, units.get(name, ""))
+        _draw_displacements(panels[-1], times, estimates)
+        _finish(panels[-1], "Displacement of the contact", units.get("displacement", ""))
+    figure.axes[-1].set(xlim=(edges[0], edges[-1]), xlabel="time [s]")
+    return figure
+
+
+def draw_fits(panels: Sequence[ContactPanel], *, title: str, subtitle: str = "") -> Figure:
+    """Draw contacts one below the other: their words, and observed and simulated motion where there is an estimate."""
+    heights = [0.9 + 0.2 * len(_lines(panel.sentence)) + (2.8 if panel.motion else 0.0) for panel in panels]
+    figure, rows = _figure(heights, title, subtitle)
+    for axes, panel in zip(rows, panels, strict=True):
+        _head(axes, panel.heading, panel.sentence, panel.state)
+        if panel.motion is None:
+            axes.set_axis_off()
+        else:
+            _draw_motion(axes, panel.motion)
+    return figure
+
+
+def write_figure(path: Path, figure: Figure) -> None:
+    """Store a figure as PNG.
+
+    Raises:
+        OSError: it can't be written.
+    """
+    with warnings.catch_warnings():
+        # A letter of a clip's name that the font lacks is drawn as a box, which is all there is to say about it.
+        warnings.filterwarnings("ignore", "Glyph .* missing from font", UserWarning)
+        figure.savefig(path)
+
+
+def _figure(
+    heights: Sequence[float], title: str, subtitle: str, *, sharex: bool = False
+) -> tuple[Figure, Sequence[Axes]]:
+    """A figure with one panel of each height [inches] below the other, a title above and a footer below them."""
+    from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    figure = Figure(
+        figsize=(WIDTH, sum(heights) + 1.4), dpi=100, layout=ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.12)
+    )
+    figure.suptitle("\n".join(_lines(title, 52)), x=0.01, ha="left", fontsize=18, fontweight="bold", color=INK)
+    footer = "\n".join([*_lines(subtitle), NOTICE])
+    figure.supxlabel(footer, x=0.01, ha="left", fontsize=10, color=MUTED, linespacing=1.4)
+    panels = figure.subplots(len(heights), height_ratios=heights, sharex=sharex, squeeze=False)
+    return figure, list(panels[:, 0])
+
+
+def _lines(text: str, width: int = 140) -> list[str]:
+    """A text in lines of at most `width` characters, as matplotlib shows it letter by letter."""
+    # Stand-ins for bytes of file names that are not UTF-8 can't be drawn, and a pair of $ would begin a formula.
+    return [line.replace("$", r"\$") for line in textwrap.wrap(text.encode("utf-8", "replace").decode(), width)]
+
+
+def _color(name: str) -> tuple[float, ...]:
+    return tuple(channel / 255 for channel in COLORS[name])
+
+
+def _head(axes: Axes, heading: str, sentence: str, state: str) -> None:
+    """Write a heading in the colour of a state, or in ink for none, above a panel, and sentences below the heading."""
+    lines = _lines(sentence)
+    axes.set_title("\n".join(lines), loc="left", fontsize=10.5, color=INK, linespacing=1.3)
+    axes.annotate(
+        "\n".join(_lines(heading, 110)), (0, 1), (0, 9 + 14.7 * len(lines)), "axes fraction", "offset points",
+        fontsize=13, fontweight="bold", va="bottom", color=_color(state) if state else INK, annotation_clip=False,
+    )  # fmt: skip
+
+
+def _finish(axes: Axes, label: str, unit: str) -> None:
+    """Title with unit, a grid, and a legend above on the right."""
+    axes.set_title(label + "".join(f"   [{line}]" for line in _lines(unit)), loc="left", fontsize=12, color=INK)
+    axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=3, frameon=False, fontsize=10, borderaxespad=0.2)
+    axes.grid(color=GRID, lw=0.8)
+
+
+def _draw_states(axes: Axes, edges: np.ndarray, estimates: Sequence[FrameEstimate], below: float) -> None:
+    """What is said first about every frame, as a strip of colours with their counts, `below` [lines] under it."""
+    states = np.array([state(estimate) for estimate in estimates])
+    narrowest = (edges[-1] - edges[0]) / (100 * WIDTH)
+    begin, width = np.minimum(edges[:-1], edges[-1] - narrowest), np.maximum(np.diff(edges), narrowest)
+    for name in (name for name in COLORS if name in states):
+        hit = states == name
+        axes.broken_barh(
+            list(zip(begin[hit], width[hit], strict=True)), (0, 1), color=_color(name), lw=0, antialiased=False,
+            zorder=1 + 1 / hit.sum(), label=f"{in_words(name)}: {hit.sum()}",
+        )  # fmt: skip
+    axes.set(ylim=(0, 1), yticks=[])
+    place: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (0, 0), "borderaxespad": below}
+    axes.legend(handles=axes.collections, ncols=6, frameon=False, fontsize=10, **place)
+
+
+def _told(estimates: Sequence[FrameEstimate]) -> tuple[str, str, str]:
+    """Heading of a clip, sentences about it, and the verdict of all its frames in contact where they have one."""
+    touching = [estimate for estimate in estimates if estimate.status == "ok"]
+    counts = Counter(map(state, touching))
+    found = ", ".join(f"{in_words(name)} on {counts[name]}" for name in COLORS if counts[name] and name != "ok")
+    among = f"{len(touching)} frames in contact" if touching else "no frame is in contact"
+    heading = f"{found} of {among}" if found else among
+    far, remarks = sum(map(is_far, touching)), [row for row in touching or estimates if row.detail]
+    told = [f"The simulated displacement is {FAR} on {far} of these frames (×)."] if far else []
+    if remarks:
+        told.append(f"Frames with a remark: {len(remarks)}; the last, frame {remarks[-1].frame}: {remarks[-1].detail}")
+    return heading, " ".join(told), next(iter(counts)) if len(counts) == 1 else ""
+
+
+def _draw_parameter(axes: Axes, times: np.ndarray, estimates: Sequence[FrameEstimate], name: str, color: str) -> None:
+    """A parameter's values, as rings where they are not determined, and its intervals."""
+    value, low, high = (_column(estimates, f"{name}{end}") for end in ("", "_low", "_high"))
+    sure = [estimate.verdict == "determined" for estimate in estimates]
+    axes.plot(times, value, "o-", ms=4, lw=1, color=(color, 0.5), mfc="white", label="not determined")
+    axes.plot(times, np.where(sure, value, np.nan), "o", ms=4, color=color, label="determined")
+    top = _top(value, np.minimum(high, 5 * value))  # a hundredfold interval would flatten the rest
+    if np.isfinite(high).any():
+        beyond = f", up to {digits(np.nanmax(high), 2)}" if np.nanmax(high) > top else ""
+        axes.fill_between(times, low, high, color=color, alpha=0.2, lw=0, label=f"90 % interval{beyond}")
+    axes.set_ylim(0, top)
+
+
+def _draw_displacements(axes: Axes, times: np.ndarray, estimates: Sequence[FrameEstimate]) -> None:
+    """Observed and simulated displacement, crosses where they are far from each other."""
+    observed, simulated = (_column(estimates, f"{name}_displacement") for name in ("observed", "simulated"))
+    far = np.where([is_far(estimate) for estimate in estimates], simulated, np.nan)
+    axes.plot(times, observed, "o-", ms=4, lw=1, color=OBSERVED, label="observed")
+    axes.plot(times, simulated, "o-", ms=4, lw=1, color=SIMULATED, label="simulated")
+    axes.plot(times, far, "x", ms=9, mew=2, color=FAR_COLOR, label="far from the observed one")
+    axes.set_ylim(0, _top(observed, simulated))
+
+
+def _draw_motion(axes: Axes, motion: Motion) -> None:
+    """Observed displacements with their noise, the simulated ones, and the release."""
+    low, high = motion.observed - motion.noise, motion.observed + motion.noise
+    axes.fill_between(motion.times, low, high, color=OBSERVED, alpha=0.2, lw=0)
+    axes.plot(motion.times, motion.observed, "o", ms=5, color=OBSERVED, label="observed ± σ")
+    axes.plot(motion.simulated_times, motion.simulated, "-", lw=2, color=SIMULATED, label="simulated with the fit")
+    if motion.release is not None and motion.release < motion.times[-1]:
+        axes.axvline(motion.release, color=RELEASE, lw=1.5, ls="--", label=f"release, {motion.release:.3f} s")
+    axes.set(xlim=(0, 1.01 * motion.times[-1]), xlabel="time since the first frame in contact [s]")
+    axes.set_ylabel("displacement along the force\n[scene units (normalised)]")
+    axes.legend(framealpha=0.85, fontsize=10)
+    axes.grid(color=GRID, lw=0.8)
+
+
+def _column(estimates: Sequence[FrameEstimate], attribute: str) -> np.ndarray:
+    """One of the values of all frames, shape [n], NaN where there is none."""
+    return np.array([estimate.values.get(attribute) for estimate in estimates], dtype=float)
+
+
+def _top(*values: np.ndarray) -> float:
+    """Upper end of an axis that begins at 0 and has room above the values; 1 without any."""
+    return 1.12 * float(np.fmax.reduce(np.concatenate(values), initial=0.0)) or 1.0

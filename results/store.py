@@ -1,0 +1,270 @@
+"""The output folder of a run: which folder belongs to which clip, which clips are done, and what can go wrong there."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+import os
+import re
+import tempfile
+import unicodedata
+from collections.abc import Generator, Iterable, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+TABLE, OVERLAY, SUMMARY, RECORD = "parameters.csv", "overlay.mp4", "summary.png", "run.json"
+INTERACTIONS, FIT = "interactions.csv", "fit.png"
+"""Files of a clip's folder. The record is written last: a folder that has it is complete."""
+WRITTEN = (TABLE, INTERACTIONS, OVERLAY, SUMMARY, FIT, RECORD)
+"""All that is ever written into a clip's folder, in the order in which it gets there; any other file is a user's."""
+MARKER = ".unfinished-results"
+"""Tells a hidden folder of ours from a user's."""
+RECORD_KINDS = {"program": str, "fingerprint": str, "input": dict, "files": dict, "statuses": dict, "contacts": dict}
+"""Types of the record's fields that are read again."""
+NOT_OURS = "something that is not ours"
+_NAME_BYTES = 120
+
+
+class OutputError(ValueError):
+    """The results can't be written; the message says where, why and what to do."""
+
+
+@contextmanager
+def writing(folder: Path) -> Generator[None]:
+    """Turn a file-system error met while writing into one sentence.
+
+    Raises:
+        OutputError: the folder is full, read-only, or otherwise not writable.
+    """
+    try:
+        yield
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            problem = "the output folder is full; free some space"
+        elif error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
+            problem = "the output folder can't be written; change its permissions"
+        else:
+            reason = error.strerror or str(error) or type(error).__name__
+            problem = f"writing failed ({reason}); check the output folder"
+        raise OutputError(f"{folder}: {problem} or choose another --output.") from error
+
+
+def safe_name(name: str) -> str:
+    """A clip's name as a folder name that every file system takes.
+
+    Letters of any script stay; what file systems forbid becomes `_`; a name over 120 bytes of UTF-8 is cut and ends
+    with a hash of the whole.
+    """
+    normal = unicodedata.normalize("NFC", name)
+    clean = re.sub(r'[\x00-\x1f\x7f<>:"/\\|?*\ud800-\udfff]', "_", normal).strip(" .") or "clip"
+    if len(clean.encode()) <= _NAME_BYTES:
+        return clean
+    mark = hashlib.sha256(normal.encode("utf-8", "surrogatepass")).hexdigest()[:8]
+    return clean.encode()[: _NAME_BYTES - 9].decode("utf-8", "ignore").rstrip(" .") + "-" + mark
+
+
+class ResultStore:
+    """The output folder of a run: which folder belongs to which clip, and which clips are done.
+
+    Args:
+        output: the folder; made when it is not there.
+        program: whose results they are; another program's are never replaced.
+
+    Raises:
+        OutputError: it can't be made or written.
+    """
+
+    def __init__(self, output: Path, program: str) -> None:
+        self.output, self.program = output, program
+        self._taken: dict[str, str] = {}
+        if output.exists() and not output.is_dir():
+            raise OutputError(f"{output}: is a file; give a folder as --output.")
+        with writing(output):
+            output.mkdir(parents=True, exist_ok=True)
+            tempfile.TemporaryFile(dir=output).close()
+
+    def folder(self, name: str, origin: Path) -> Path:
+        """Folder of the clip `name` that comes from `origin`, with what a killed run left beside it settled.
+
+        Its name, or its name with a mark when another clip's results, or anything that is not ours, are there.
+
+        Raises:
+            OutputError: both are taken, or a killed run's results can't be moved to their place.
+        """
+        source = str(origin.resolve())
+        plain = safe_name(name)
+        mark = hashlib.sha256(source.encode("utf-8", "surrogatepass")).hexdigest()[:8]
+        names = (plain, f"{plain}-{mark}")
+        with writing(self.output):
+            for name in names:
+                settle(self.output / name)
+        owners = {name: self._owner(name) for name in names}
+        for wanted in (source, ""):
+            for name, owner in owners.items():
+                if owner == wanted:
+                    self._taken[name.casefold()] = source
+                    return self.output / name
+        raise OutputError(f"{self.output / name}: holds something else; move it away or choose another --output.")
+
+    def is_complete(self, folder: Path, fingerprint: str, files: Iterable[str]) -> bool:
+        """Whether the folder holds these files as results of exactly this input, these models and these settings."""
+        record = read_record(folder)
+        return record.get("fingerprint") == fingerprint and all(_is_as_recorded(folder, name, record) for name in files)
+
+    def require_replaceable(self, folder: Path, fingerprint: str, files: Iterable[str], *, overwrite: bool) -> None:
+        """Refuse to work for a folder whose files may not be replaced.
+
+        Args:
+            folder: of a clip, as `folder` gave it.
+            fingerprint: of the results to come; those of the same one are always replaced.
+            files: names of the results to come.
+            overwrite: whether the user asked to replace others.
+
+        Raises:
+            OutputError: results made otherwise are there, or one of them was changed since.
+        """
+        record = read_record(folder)
+        if record and record.get("fingerprint") != fingerprint and not overwrite:
+            raise OutputError(
+                f"{folder}: holds results of other settings, of another model or version, or of frames that have "
+                "changed since; --overwrite replaces them, or choose another --output."
+            )
+        _require_untouched(folder, files)
+
+    def _owner(self, name: str) -> str:
+        """Source whose results the folder `name` holds; empty when it is free."""
+        taken = self._taken.get(name.casefold())
+        folder = self.output / name
+        if taken is not None:
+            return taken
+        if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
+            return ""
+        record = read_record(folder)
+        ours = record.get("program") == self.program
+        return str(record.get("input", {}).get("path", NOT_OURS)) if ours else NOT_OURS
+
+
+def read_record(folder: Path) -> dict[str, Any]:
+    """The run record of a clip's folder; empty where there is none, it is damaged or not one of this program's."""
+    try:
+        record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    if not isinstance(record, dict):
+        return {}
+    return record if all(isinstance(record.get(name, kind()), kind) for name, kind in RECORD_KINDS.items()) else {}
+
+
+def write_record(folder: Path, record: Mapping[str, Any]) -> None:
+    """Store a run record, and the hashes of the files that lie beside it, as JSON; only numbers that JSON knows."""
+    files = {name: file_sha256(folder / name) for name in WRITTEN if name != RECORD and (folder / name).is_file()}
+    document = json.dumps({**record, "files": files}, indent=2, ensure_ascii=False, allow_nan=False)
+    # File names that are not UTF-8 become \udcXX, which is JSON's own way to write them.
+    (folder / RECORD).write_bytes((document + "\n").encode("utf-8", "backslashreplace"))
+
+
+def file_sha256(path: Path) -> str:
+    """SHA-256 of a file's content."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def own_files(folder: Path) -> list[str]:
+    """Names of the files that the folder's record says this program wrote, its own last; none without a record."""
+    files = read_record(folder).get("files")
+    return [name for name in WRITTEN if name in (*files, RECORD)] if files else []
+
+
+def partial_folder(folder: Path) -> Path:
+    """Make the hidden folder beside the final one in which this process gathers the results."""
+    partial = folder.with_name(f".{folder.name}.partial-{os.getpid()}")
+    partial.mkdir()
+    (partial / MARKER).touch()
+    return partial
+
+
+def publish(partial: Path, folder: Path) -> None:
+    """Move finished results to their place: a new folder whole, else file by file; a user's files there stay.
+
+    Earlier results that have no successor are removed. The record goes last, and what is cut off in between
+    is finished by `settle`.
+
+    Raises:
+        OutputError: a file there has one of our names but is not as this program wrote it.
+    """
+    if not read_record(folder):
+        if set(os.listdir(partial)) <= {*WRITTEN, MARKER}:
+            os.replace(partial, folder)
+            (folder / MARKER).unlink()
+            return
+        folder.mkdir(exist_ok=True)  # a user's file in the hidden folder stays there
+    new = [name for name in own_files(partial) if (partial / name).exists()]
+    _require_untouched(folder, new)
+    record = read_record(folder)
+    for name in own_files(folder):
+        if name not in (*read_record(partial)["files"], RECORD) and _is_as_recorded(folder, name, record):
+            (folder / name).unlink()
+    for name in new:
+        os.replace(partial / name, folder / name)
+    _discard(partial)
+
+
+def settle(folder: Path) -> None:
+    """Clear what this process or a killed one left beside this folder; what it had finished is moved to its place.
+
+    Raises:
+        OutputError: see `publish`.
+    """
+    for partial in folder.parent.glob(f".{_escape(folder.name)}.partial-*"):
+        if not (partial / MARKER).is_file() or _is_running(partial.name.rpartition("-")[2]):
+            continue
+        if own_files(partial) and (not folder.exists() or _made_of(partial) == _made_of(folder)):
+            publish(partial, folder)
+        else:
+            _discard(partial)
+
+
+def _made_of(folder: Path) -> tuple[Any, Any]:
+    """Program and input of the results in a folder."""
+    record = read_record(folder)
+    return record.get("program"), record.get("input", {}).get("path")
+
+
+def _discard(partial: Path) -> None:
+    """Remove a hidden folder's files that are ours, those being written included, and the folder if it is empty."""
+    for name in (*WRITTEN, *(f".{name}.partial" for name in WRITTEN), MARKER):
+        (partial / name).unlink(missing_ok=True)
+    with suppress(OSError):  # a user's file is in it
+        partial.rmdir()
+
+
+def _is_as_recorded(folder: Path, name: str, record: Mapping[str, Any]) -> bool:
+    path = folder / name
+    return path.is_file() and (name == RECORD or file_sha256(path) == record.get("files", {}).get(name))
+
+
+def _require_untouched(folder: Path, names: Iterable[str]) -> None:
+    """Raise an OutputError where a file of these names is neither missing, empty, nor as the folder's record has it."""
+    record = read_record(folder)
+    for name in names:
+        path = folder / name
+        lost = not os.path.lexists(path) or (path.is_file() and path.stat().st_size == 0)
+        if not lost and not _is_as_recorded(folder, name, record):
+            raise OutputError(f"{path}: is not as this program wrote it; move it away or choose another --output.")
+
+
+def _escape(name: str) -> str:
+    return re.sub(r"([*?\[])", r"[\1]", name)
+
+
+def _is_running(process: str) -> bool:
+    """Whether another process with this id lives."""
+    try:
+        os.kill(int(process), 0)
+    except (ProcessLookupError, ValueError, OverflowError):
+        return False
+    except OSError:
+        return True
+    return int(process) != os.getpid()

@@ -1,0 +1,238 @@
+"""Camera, clouds, contact pair, mesh and direction of the force."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from data.contact.geometry import (
+    GeometrySettings,
+    GeometryStatus,
+    find_contact,
+    force_direction,
+    frame_geometry,
+)
+from data.source.camera import Camera, Undistortion, back_project, camera_from_dict, load_camera
+from data.source.layout import InputError
+
+CAMERA = Camera(100.0, 110.0, 31.5, 23.5, 64, 48)
+SETTINGS = GeometrySettings(height=48, width=64)
+
+
+def scene(gap_columns: int = 0, tool_depth: float = 0.5) -> tuple[np.ndarray, np.ndarray]:
+    """Flat tissue at z = 0.5 on the left of column 40, a tool from column 40 + gap on in rows 20 to 28."""
+    depth = np.full((48, 64), 0.5, np.float32)
+    labels = np.zeros((48, 64), np.uint8)
+    labels[:, :40] = 1
+    labels[20:29, 40 + gap_columns :] = 2
+    depth[labels == 2] = tool_depth
+    return depth, labels
+
+
+def brute_force(tool: np.ndarray, tissue: np.ndarray) -> float:
+    return float(np.linalg.norm(tool[:, None] - tissue[None], axis=-1).min())
+
+
+clouds = st.integers(1, 40).flatmap(
+    lambda count: arrays(np.float32, (count, 3), elements=st.floats(-2, 2, width=32, allow_subnormal=False))
+)
+
+
+@given(tool=clouds, tissue=clouds)
+@settings(deadline=None)
+def test_find_contact_equals_brute_force(tool, tissue):
+    contact = find_contact(tool, tissue)
+    assert contact.distance == pytest.approx(brute_force(tool.astype(float), tissue.astype(float)), abs=1e-12)
+    assert np.array_equal(contact.tool_point, tool[contact.tool_index])
+    assert np.array_equal(contact.tissue_point, tissue[contact.tissue_index])
+    assert np.linalg.norm(contact.tool_point - contact.tissue_point) == pytest.approx(contact.distance)
+
+
+@given(seed=st.integers(0, 10_000))
+@settings(deadline=None, max_examples=20)
+def test_two_passes_never_beat_the_exact_search_and_find_it_on_a_line(seed):
+    random = np.random.default_rng(seed)
+    tool, tissue = random.normal(size=(1500, 3)), random.normal((4, 0, 0), 1, size=(200, 3))
+    assert find_contact(tool, tissue, two_pass=True).distance >= find_contact(tool, tissue).distance
+    line = np.stack((np.linspace(0, 1, 3000), np.zeros(3000), np.zeros(3000)), 1)
+    point = np.array([[random.uniform(0, 1), 0.3, 0.0]])
+    assert find_contact(line, point, two_pass=True).distance == find_contact(line, point).distance
+
+
+@pytest.mark.parametrize("cloud", [np.zeros((0, 3)), np.zeros((3, 2)), np.full((1, 3), np.nan)])
+def test_find_contact_refuses_unusable_clouds(cloud):
+    with pytest.raises(ValueError, match="cloud"):
+        find_contact(cloud, np.zeros((1, 3)))
+
+
+@given(u=st.integers(0, 63), v=st.integers(0, 47), z=st.floats(0.01, 1), f=st.floats(20, 500), shift=st.floats(-5, 5))
+def test_back_projection_inverts_projection(u, v, z, f, shift):
+    camera = Camera(f, 1.1 * f, 31.5 + shift, 23.5, 64, 48)
+    depth = np.zeros((48, 64), np.float32)
+    depth[v, u] = z
+    x, y, height = back_project(depth, camera)[v, u].astype(float)
+    assert (camera.fx * x / height + camera.cx, camera.fy * y / height + camera.cy) == pytest.approx((u, v), abs=1e-3)
+    assert height == pytest.approx(z, rel=1e-6)
+
+
+def test_back_projection_of_invalid_depth_is_the_origin_and_sizes_must_agree():
+    assert not back_project(np.zeros((48, 64), np.float32), CAMERA).any()
+    with pytest.raises(ValueError, match="depth map"):
+        back_project(np.zeros((4, 4), np.float32), CAMERA)
+
+
+def test_scaled_camera_sees_the_same_ray():
+    half = CAMERA.scaled(32, 24)
+    # The corner between full pixels 10 and 11 is the centre of half pixel 5.
+    assert (5 - half.cx) / half.fx == pytest.approx((10.5 - CAMERA.cx) / CAMERA.fx)
+    assert Camera.from_field_of_view(90, 200, 100).fx == pytest.approx(100)
+
+
+def test_camera_files_and_their_errors(tmp_path):
+    entries = {"fx": 100, "fy": 110, "cx": 31.5, "cy": 23.5, "width": 64, "height": 48}
+    path = tmp_path / "camera.json"
+    path.write_text(json.dumps({"camera": {**entries, "distortion": [0.1, 0, 0, 0, 0]}}))
+    assert load_camera(path) == Camera(100, 110, 31.5, 23.5, 64, 48, (0.1, 0.0, 0.0, 0.0, 0.0))
+    with pytest.raises(InputError, match="lacks fy"):
+        camera_from_dict({"fx": 1}, "clip.json")
+    with pytest.raises(InputError, match="focal length"):
+        camera_from_dict({**entries, "fx": -1}, "clip.json")
+    with pytest.raises(InputError, match=r"nowhere\.yaml"):
+        load_camera(tmp_path / "nowhere.yaml")
+
+
+def test_undistortion_moves_a_point_to_its_pinhole_place():
+    camera = Camera(100, 100, 49.5, 49.5, 100, 100, (0.2, 0.0, 0.0, 0.0, 0.0))
+    x = y = 0.3  # normalised; distorted radius factor 1 + k1 r²
+    factor = 1 + 0.2 * (x * x + y * y)
+    labels = np.zeros((100, 100), np.uint8)
+    column = round(100 * x * factor + 49.5)
+    labels[column - 1 : column + 2, column - 1 : column + 2] = 2
+    straight = Undistortion(camera).labels(labels)
+    rows, columns = np.nonzero(straight == 2)
+    assert (columns.mean(), rows.mean()) == pytest.approx((79.5, 79.5), abs=0.8)
+    depth = Undistortion(camera).depth(np.full((100, 100), 0.25, np.float32))
+    assert set(np.unique(depth)) <= {0.0, 0.25}
+
+
+def test_touching_masks_are_in_contact_whatever_the_tools_depth():
+    for tool_depth in (0.5, 0.9, 0.05):
+        depth, labels = scene(tool_depth=tool_depth)
+        geometry = frame_geometry(depth, labels, CAMERA, SETTINGS)
+        u, v = geometry.pixel
+        assert geometry.touching
+        assert 38 <= u <= 39
+        assert 18 <= v <= 30
+        assert geometry.mesh.vertices[geometry.vertex] == pytest.approx(geometry.tissue_point)
+        assert geometry.normal == pytest.approx([0, 0, -1], abs=1e-6)
+        assert geometry.distance == pytest.approx(np.linalg.norm(geometry.tool_point - geometry.tissue_point))
+
+
+def test_a_tool_without_depth_still_touches():
+    depth, labels = scene(tool_depth=0.0)
+    geometry = frame_geometry(depth, labels, CAMERA, SETTINGS)
+    assert geometry.pixel[0] == 39
+    assert np.isnan(geometry.distance)
+    assert geometry.tool_pixel[0] == 40
+
+
+def test_depth_holes_along_the_outline_fall_back_to_the_nearest_depth():
+    depth, labels = scene()
+    depth[:, 35:40] = 0
+    assert frame_geometry(depth, labels, CAMERA, SETTINGS).pixel[0] == 34
+    depth[:, 20:40] = 0
+    with pytest.raises(GeometryStatus) as caught:
+        frame_geometry(depth, labels, CAMERA, SETTINGS)
+    assert caught.value.status == "bad_depth"
+
+
+def test_clouds_within_the_distance_are_in_contact():
+    depth, labels = scene(gap_columns=4)
+    # Four columns are 5 pixels between centres, 5/100·0.5 = 0.025 scene units.
+    near = frame_geometry(depth, labels, CAMERA, GeometrySettings(height=48, width=64, contact_distance=0.026))
+    assert not near.touching
+    assert near.distance == pytest.approx(0.025, rel=1e-4)
+    with pytest.raises(GeometryStatus) as caught:
+        frame_geometry(depth, labels, CAMERA, SETTINGS)
+    assert caught.value.status == "no_contact"
+    assert caught.value.distance == pytest.approx(0.025, rel=1e-4)
+
+
+def test_background_within_a_frayed_outline_makes_no_contact():
+    depth, labels = scene(gap_columns=4, tool_depth=0.4)
+    labels[18:20, 44:], labels[20:29, 42:44] = 2, 2  # two pixels of background, as deep as the tissue
+    near = GeometrySettings(height=48, width=64, contact_distance=0.03)
+    with pytest.raises(GeometryStatus) as caught:
+        frame_geometry(depth, labels, CAMERA, near)
+    assert caught.value.status == "no_contact"
+    assert caught.value.distance > 0.1
+    labels[20:29, 41] = 2  # where the masks touch, depth doesn't count
+    assert frame_geometry(depth, labels, CAMERA, near).touching
+
+
+def test_a_hovering_tool_needs_the_distance_when_the_masks_do_not_count():
+    depth, labels = scene(tool_depth=0.3)
+    with pytest.raises(GeometryStatus, match="more than"):
+        frame_geometry(depth, labels, CAMERA, GeometrySettings(height=48, width=64, contact_pixels=0))
+
+
+@pytest.mark.parametrize(
+    ("change", "status"),
+    [
+        (lambda depth, labels: labels.__setitem__(labels == 2, 0), "no_tool"),
+        (lambda depth, labels: labels.__setitem__(labels == 1, 0), "no_tissue"),
+        (lambda depth, labels: labels[:, 3:40].fill(0) or labels[1:, :3].fill(0), "no_tissue"),  # three pixels
+        (lambda depth, labels: depth.fill(0), "bad_depth"),
+        (lambda depth, labels: depth.__setitem__((slice(None), slice(0, 40, 2)), 0.99), "bad_depth"),  # no triangle
+    ],
+)
+def test_statuses(change, status):
+    depth, labels = scene()
+    change(depth, labels)
+    with pytest.raises(GeometryStatus) as caught:
+        frame_geometry(depth, labels, CAMERA, SETTINGS)
+    assert caught.value.status == status
+    assert caught.value.detail
+
+
+def test_force_direction_follows_the_motion_and_keeps_its_sign_convention():
+    normal = np.array([0.0, 0.0, -1.0])
+    along = GeometrySettings(force_direction="displacement")
+    pressed, pulled = np.array([0.01, 0, 0.02]), np.array([0.01, 0, -0.02])
+    for motion in (pressed, pulled):
+        direction = force_direction(normal, motion, along)
+        assert np.linalg.norm(direction) == pytest.approx(1)
+        assert direction @ normal > 0  # F < 0 presses, F > 0 pulls
+        assert abs(direction @ motion) == pytest.approx(np.linalg.norm(motion))
+    # F·direction points along the motion with F < 0 for pressing and F > 0 for pulling.
+    assert -force_direction(normal, pressed, along) @ pressed > 0
+    assert force_direction(normal, pulled, along) @ pulled > 0
+
+
+def test_force_direction_falls_back_to_the_normal():
+    normal = np.array([0.0, 0.6, -0.8])
+    along = GeometrySettings(force_direction="displacement")
+    for motion in (None, np.zeros(3), np.full(3, 1e-6), np.full(3, np.nan)):
+        assert force_direction(normal, motion, along) == pytest.approx(normal)
+    assert force_direction(normal, np.array([1.0, 0, 0]), GeometrySettings()) == pytest.approx(normal)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"height": 0},
+        {"max_edge": 0},
+        {"keep": 1.5},
+        {"contact_pixels": -1},
+        {"contact_pixels": 0, "contact_distance": 0},
+        {"depth_radius": -1},
+    ],
+)
+def test_impossible_settings_are_refused(wrong):
+    with pytest.raises(ValueError, match="geometry"):
+        GeometrySettings(**wrong)

@@ -1,0 +1,348 @@
+"""The one normalisation, the resize that never blends, and the scale that is frozen for a clip."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from data.depth.model import RawDepth
+from data.depth.normalise import DepthSettings, estimate_scale, normalise, open_depth, resize_depth
+from data.depth.sources import DepthError, DepthMap, DepthSource, StoredDepth, check_map, positive
+from data.source.frames import Frame, FrameSource, open_source
+from data.source.layout import ClipLayout
+
+
+class Frames(FrameSource):
+    """A clip of blank pictures; the depth of frame i is what the test's `Planes` says."""
+
+    def __init__(self, count: int, fps: float = 10.0, live: bool = False) -> None:
+        self.name, self.path, self.size, self.fps, self.warnings = "clip", Path("clip"), (40, 30), fps, []
+        self.length = 0 if live else count
+        self.count, self.read = count, 0
+
+    def __iter__(self):
+        self.read = 0
+        for index in range(self.count):
+            self.read += 1
+            yield Frame(index, index, index / self.fps, np.zeros((30, 40, 3), np.uint8))
+
+
+class Planes(DepthSource):
+    """Depth maps given as a function of the frame's index."""
+
+    identity, metric = "planes", False
+
+    def __init__(self, maps) -> None:
+        self.maps, self.seen = maps, []
+
+    def observe(self, frame):
+        self.seen.append(frame.index)
+        values = np.asarray(self.maps(frame.index), np.float32)
+        check_map(values, f"frame {frame.index}", signed=False)
+        return RawDepth(values)
+
+    def freeze(self, samples):
+        """Nothing to fix."""
+
+    def convert(self, raw):
+        return DepthMap(positive(raw.values))
+
+
+def tilted(far: float) -> np.ndarray:
+    """Depth that grows evenly from half of `far` to `far`."""
+    return np.broadcast_to(np.linspace(far / 2, far, 40), (30, 40))
+
+
+# Normalisation
+
+
+def test_normalise_is_division_by_the_scale_without_an_offset():
+    depth = np.array([[0.0, 1.0, 2.0, 4.0, 8.0, 9.0]], np.float32)
+    expected = np.array([[0, 0.125, 0.25, 0.5, 1, 1]])
+    assert normalise(depth, 8.0) == pytest.approx(expected, abs=0.5 / 65535)
+    # Where the scale's fractions lie on the levels the result is exact.
+    assert normalise(np.array([51.0, 255.0], np.float32), 255.0, bits=8).tolist() == [np.float32(0.2), 1.0]
+
+
+def test_normalise_marks_everything_unusable_as_invalid():
+    depth = np.array([np.nan, np.inf, -np.inf, -1.0, 0.0, 1e-9], np.float32)
+    assert normalise(depth, 2.0).tolist() == [0, 0, 0, 0, 0, np.float32(1 / 65535)]
+
+
+@given(
+    depth=hnp.arrays(np.float32, (5, 7), elements=st.floats(0, 100, width=32, allow_subnormal=False)),
+    scale=st.floats(0.01, 100),
+    bits=st.sampled_from([8, 16]),
+)
+def test_normalise_stays_on_the_levels_and_within_half_a_step(depth, scale, bits):
+    z = normalise(depth, scale, bits)
+    levels = 2**bits - 1
+    assert z.dtype == np.float32
+    assert np.array_equal(z > 0, depth > 0)
+    assert np.allclose(z * levels, np.rint(z * levels), atol=1e-2)
+    exact = np.minimum(depth.astype(np.float64) / scale, 1)
+    step = np.where(exact * levels < 0.5, 1, 0.5) / levels  # A valid pixel is never rounded to invalid.
+    assert (np.abs(z - exact) <= step + 1e-6)[depth > 0].all()
+
+
+def test_normalised_depth_survives_a_png(tmp_path):
+    z = normalise(np.random.default_rng(0).uniform(0, 1, (20, 30)), 1.0)
+    cv2.imwrite(str(tmp_path / "z.png"), np.rint(z * 65535).astype(np.uint16))
+    assert np.array_equal(normalise(cv2.imread(str(tmp_path / "z.png"), cv2.IMREAD_UNCHANGED), 65535.0), z)
+
+
+@pytest.mark.parametrize("scale", [0.0, -1.0, np.nan, np.inf])
+def test_normalise_refuses_an_impossible_scale(scale):
+    with pytest.raises(ValueError, match="depth scale"):
+        normalise(np.ones((2, 2)), scale)
+
+
+# Resize
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    labels=hnp.arrays(np.uint8, st.tuples(st.integers(8, 40), st.integers(8, 40)), elements=st.sampled_from([0, 1, 2])),
+    size=st.tuples(st.integers(3, 45), st.integers(3, 45)),
+    levels=st.tuples(*[st.floats(0.125, 1, width=32)] * 3),
+)
+def test_resize_never_blends_across_labels(labels, size, levels):
+    """With one depth a label, every output pixel has exactly the depth of its own label."""
+    table = np.array(levels, np.float32)
+    depth, grid = resize_depth(table[labels], labels, size)
+    assert depth.shape == grid.shape == size
+    assert np.allclose(depth, table[grid], rtol=1e-5, atol=0)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    valid=hnp.arrays(bool, (24, 32)),
+    size=st.tuples(st.integers(3, 40), st.integers(3, 40)),
+)
+def test_resize_never_blends_with_invalid_pixels(valid, size):
+    depth, _ = resize_depth(np.where(valid, np.float32(0.7), 0), np.ones((24, 32), np.uint8), size)
+    assert np.all((depth == 0) | np.isclose(depth, 0.7, rtol=1e-5))
+
+
+def test_resize_of_a_step_at_an_unaligned_label_edge():
+    labels = np.ones((480, 854), np.uint8)
+    labels[:, 401:] = 2
+    depth, grid = resize_depth(np.where(labels == 2, np.float32(0.25), np.float32(0.75)), labels)
+    assert depth.shape == (120, 214)
+    assert np.allclose(depth[grid == 1], 0.75, rtol=1e-6)
+    assert np.allclose(depth[grid == 2], 0.25, rtol=1e-6)
+    assert abs(int((grid[0] == 1).sum()) - 401 * 214 / 854) <= 0.5
+
+
+def test_resize_of_a_ramp_is_the_ramp_at_the_cells_centres():
+    ramp = np.broadcast_to(np.linspace(0.2, 0.8, 856, dtype=np.float32), (480, 856))
+    depth, _ = resize_depth(ramp, np.ones((480, 856), np.uint8))
+    assert depth[60] == pytest.approx(ramp[0].reshape(214, 4).mean(axis=1), rel=1e-5)
+
+
+def test_resize_keeps_a_cell_only_with_half_of_its_label_valid():
+    depth = np.full((4, 8), 0.5, np.float32)
+    depth[:3, :4] = 0  # a quarter valid
+    depth[:2, 4:] = 0  # a half valid
+    result, labels = resize_depth(depth, np.ones((4, 8), np.uint8), (1, 2))
+    assert result.tolist() == [[0, 0.5]]
+    assert labels.tolist() == [[1, 1]]
+
+
+def test_resize_prefers_the_tool_when_equal_and_drops_the_outside():
+    labels = np.array([[1, 2, 255, 255], [1, 2, 255, 255]], np.uint8)
+    depth, grid = resize_depth(np.full((2, 4), 0.5, np.float32), labels, (1, 2))
+    assert grid.tolist() == [[2, 255]]
+    assert depth.tolist() == [[0.5, 0]]
+
+
+def test_resize_refuses_maps_of_two_sizes():
+    with pytest.raises(ValueError, match=r"\(3, 4\) and labels \(4, 3\)"):
+        resize_depth(np.ones((3, 4), np.float32), np.ones((4, 3), np.uint8))
+
+
+# Scale
+
+
+def test_scale_is_the_far_end_of_a_clip_and_ignores_wild_pixels():
+    depth = tilted(2.0).copy()
+    depth[0, 0] = 1e6
+    scale, focal = estimate_scale(Frames(50), Planes(lambda index: depth), DepthSettings())
+    assert scale == pytest.approx(2.0, rel=0.03)
+    assert focal is None
+
+
+def test_mismatches_beyond_three_medians_do_not_stretch_the_scale():
+    depth = tilted(2.0).copy()
+    depth[:2] = 500.0  # A stereo mismatch over 7 % of the picture.
+    scale, _ = estimate_scale(Frames(5), Planes(lambda index: depth), DepthSettings())
+    assert scale == pytest.approx(3 * np.median(depth), rel=1e-6)
+
+
+def test_two_bad_frames_of_24_do_not_set_the_scale():
+    maps = Planes(lambda index: tilted(50.0 if index in (4, 8) else 2.0))
+    assert estimate_scale(Frames(24), maps, DepthSettings())[0] == pytest.approx(2.0, rel=0.03)
+
+
+def test_scale_reads_the_first_seconds_only_and_evenly():
+    source, planes = Frames(500), Planes(lambda index: tilted(2.0 if index < 100 else 9.0))
+    scale, _ = estimate_scale(source, planes, DepthSettings(scale_seconds=10, scale_samples=20))
+    assert scale == pytest.approx(2.0, rel=0.03)
+    assert planes.seen == list(range(0, 100, 5))
+    assert source.read <= 101
+
+
+def test_scale_of_a_short_clip_uses_all_of_it():
+    planes = Planes(lambda index: tilted(2.0))
+    estimate_scale(Frames(6), planes, DepthSettings())
+    assert planes.seen == list(range(6))
+
+
+def test_a_live_camera_is_watched_for_the_configured_time():
+    source, planes = Frames(10_000, live=True), Planes(lambda index: tilted(2.0))
+    estimate_scale(source, planes, DepthSettings(scale_seconds=2, scale_samples=4))
+    assert planes.seen == [0, 5, 10, 15]
+    assert source.read <= 21
+
+
+def test_unusable_frames_give_way_to_the_next():
+    planes = Planes(lambda index: np.zeros((30, 40)) if index < 30 or index % 2 else tilted(2.0))
+    scale, _ = estimate_scale(Frames(60), planes, DepthSettings(scale_seconds=1.0, scale_samples=2))
+    assert scale == pytest.approx(2.0, rel=0.03)
+    assert planes.seen == [*range(31), 35, 36]
+
+
+def test_a_clip_without_usable_depth_gets_a_sentence():
+    with pytest.raises(DepthError, match=r"clip has no frame with usable depth; frame 0 is zero everywhere; .*choose"):
+        estimate_scale(Frames(5), Planes(lambda index: np.zeros((30, 40))), DepthSettings())
+    with pytest.raises(DepthError, match=r"clip has no frame with usable depth; choose another .*depth\.source"):
+        estimate_scale(Frames(0), Planes(lambda index: tilted(2.0)), DepthSettings())
+
+
+def test_a_given_scale_is_taken_as_it_is_and_nothing_is_read():
+    planes = Planes(lambda index: tilted(2.0))
+    assert estimate_scale(Frames(5), planes, DepthSettings(scale=7.5)) == (7.5, None)
+    assert planes.seen == []
+
+
+def test_flicker_shows_because_nothing_is_normalised_by_the_frame():
+    flicker = [1.0, 0.95, 1.0, 1.05]
+    source, planes = Frames(4), Planes(lambda index: tilted(2.0) * flicker[index])
+    scale, _ = estimate_scale(source, planes, DepthSettings())
+    means = [normalise(planes(frame).depth, 1.2 * scale)[:, :20].mean() for frame in source]
+    assert np.array(means) / means[0] == pytest.approx(flicker, rel=1e-3)
+
+
+# Choice of the source
+
+
+def write_clip(folder: Path, depth: bool = True) -> Path:
+    folder.mkdir()
+    picture = np.full((48, 86, 3), 120, np.uint8)
+    picture[:, :30] = 60
+    for number in range(3):
+        cv2.imwrite(str(folder / f"frame_{number}_endo.png"), picture)
+        if depth:
+            stored = np.broadcast_to(np.linspace(20000, 60000, 86).astype(np.uint16), (48, 86))
+            cv2.imwrite(str(folder / f"frame_{number}_endo_depth.png"), stored)
+    return folder
+
+
+def test_auto_prefers_stored_depth_and_falls_back_to_photometric(tmp_path):
+    layout = ClipLayout()
+    stored = open_source(write_clip(tmp_path / "a"), layout)
+    assert isinstance(open_depth(DepthSettings(), layout, stored), StoredDepth)
+    bare = open_source(write_clip(tmp_path / "b", depth=False), layout)
+    assert open_depth(DepthSettings(), layout, bare).identity.startswith("photometric:")
+    with pytest.raises(DepthError, match=r"b has no stored depth \(frame_\{number\}_endo_depth.png\)"):
+        open_depth(DepthSettings(source="stored"), layout, bare)
+    assert open_depth(DepthSettings(source="photometric"), layout, stored).identity.startswith("photometric:")
+
+
+def test_stored_depth_of_a_video_gets_a_sentence(tmp_path):
+    source = Frames(2)
+    source.path = tmp_path / "clip.mp4"
+    with pytest.raises(DepthError, match=r"clip.mp4 is no folder"):
+        open_depth(DepthSettings(source="stored"), ClipLayout(), source)
+
+
+def test_declared_depth_scale_is_honoured_for_stored_depth_only(tmp_path):
+    clip = write_clip(tmp_path / "a")
+    (clip / "clip.json").write_text('{"depth_scale": 1.0}')
+    layout = ClipLayout()
+    source = open_source(clip, layout)
+    depth = open_depth(DepthSettings(), layout, source)
+    scale, _ = estimate_scale(source, depth, DepthSettings())
+    assert scale == 1.0
+    z = normalise(depth(next(iter(source))).depth, scale)
+    assert z[0, [0, -1]] == pytest.approx([20000 / 65535, 60000 / 65535], abs=1e-6)
+    settings_ = DepthSettings(source="photometric")
+    assert estimate_scale(source, open_depth(settings_, layout, source), settings_)[0] != 1.0
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"near": 0.2, "far": 0.1}, "0 < near < far"),
+        ({"near": 0.0}, "0 < near < far"),
+        ({"field_of_view_deg": 180}, "field_of_view_deg"),
+        ({"scale": 0}, "depth.scale is 0"),
+        ({"scale_seconds": 0}, "scale_seconds"),
+        ({"scale_samples": 0}, "scale_samples"),
+        ({"bits": 12}, "choose 8 or 16"),
+        ({"threads": -1}, "threads"),
+        ({"device": "tpu"}, "choose cpu or cuda"),
+    ],
+)
+def test_impossible_settings_get_a_sentence(changes, expected):
+    with pytest.raises(ValueError, match="depth\\.") as caught:
+        replace(DepthSettings(), **changes)
+    assert expected in str(caught.value)
+
+
+# Real data
+
+
+def test_real_sequence_with_stored_disparity(real_data):
+    layout = ClipLayout(
+        image="img_left/{number}.jpg",
+        color_mask=None,
+        label_mask="tool_mask/{number}.png",
+        tool_values=(0,),
+        tissue_values=(1,),
+        depth="disp/{number}.npz",
+        depth_key="disparity",
+        depth_kind="disparity",
+        depth_factor=732.25 * 4.552,
+    )
+    source = open_source(real_data / "recover_tissue", layout)
+    depth = open_depth(DepthSettings(), layout, source)
+    scale, _ = estimate_scale(source, depth, DepthSettings())
+    first = depth(next(iter(source))).depth
+    assert first.shape == (540, 740)
+    # The tissue lies at about 75 to 120 mm; 3 % of the pixels are mismatches of metres, which must not set the scale.
+    assert 150 < scale < 350
+    assert 0.2 < np.median(normalise(first, scale)) < 0.6
+
+
+def test_real_clip_by_the_shipped_model(real_data):
+    layout = ClipLayout()
+    source = open_source(real_data / "cholecseg8k" / "video01" / "video01_00080", layout)
+    settings_ = DepthSettings(scale_samples=4)
+    depth = open_depth(settings_, layout, source)
+    scale, _ = estimate_scale(source, depth, settings_)
+    started = time.perf_counter()
+    z = normalise(depth(next(iter(source))).depth, scale)
+    assert time.perf_counter() - started < 2
+    assert z.shape == (480, 854)
+    # 15 % of the picture is black outside the endoscope's circle.
+    assert 0.5 < (z > 0).mean() < 0.97
+    assert 0.1 < np.median(z[z > 0]) < 0.9

@@ -1,0 +1,169 @@
+"""The photometric depth model: closed forms under a light at the camera, robustness, and the shipped file."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+
+import numpy as np
+import onnxruntime
+import pytest
+
+from data.depth.photometric import DARKEST, SHIPPED, build_photometric, write_photometric
+
+HEIGHT, WIDTH = 240, 428
+HALF = math.tan(math.radians(30))
+COLUMNS, ROWS = np.meshgrid(
+    (np.arange(WIDTH) - (WIDTH - 1) / 2) * 2 * HALF / WIDTH, (np.arange(HEIGHT) - (HEIGHT - 1) / 2) * 2 * HALF / WIDTH
+)
+"""Slopes x/z and y/z of every pixel's ray at a field of view of 60 degrees."""
+INNER = (slice(20, -20), slice(20, -20))
+
+
+def encode(linear) -> np.ndarray:
+    """sRGB in [0, 1] of a linear brightness, grey, shape [1, 3, H, W]."""
+    linear = np.clip(linear, 0, 1)
+    coded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return np.broadcast_to(coded, (1, 3, *linear.shape)).astype(np.float32)
+
+
+def plane(tilt_deg: float, distance: float = 2.0) -> tuple[np.ndarray, np.ndarray]:
+    """Depth z of a plane turned about the vertical axis and its brightness cosθ/R² under a light at the camera."""
+    normal = np.array([math.sin(math.radians(tilt_deg)), 0, math.cos(math.radians(tilt_deg))])
+    z = distance * normal[2] / (normal[0] * COLUMNS + normal[2])
+    length = np.sqrt(COLUMNS**2 + ROWS**2 + 1)
+    cosine = (normal[0] * COLUMNS + normal[2]) / length
+    return z, cosine / (z * length) ** 2
+
+
+@pytest.fixture(scope="module")
+def run():
+    return session_of(build_photometric().SerializeToString())
+
+
+def session_of(model):
+    """A function that runs the model (file or bytes) on an image."""
+    session = onnxruntime.InferenceSession(model, providers=["CPUExecutionProvider"])
+    return lambda image: session.run(None, {"image": image})[0][0]
+
+
+def relative_error(depth, truth) -> np.ndarray:
+    """Error after the one free scale is taken out."""
+    ratio = depth[INNER] / truth[INNER]
+    return np.abs(ratio / np.median(ratio) - 1)
+
+
+@pytest.mark.parametrize("distance", [1.1, 2.0, 4.0])
+def test_a_plane_parallel_to_the_image_is_recovered_with_its_distance(run, distance):
+    z, brightness = plane(0.0, distance)
+    depth = run(encode(brightness))
+    # Albedo 1 in these units, so even the scale is right.
+    assert depth[INNER] == pytest.approx(z[INNER], rel=0.01)
+
+
+@pytest.mark.parametrize(("tilt", "allowed"), [(5.0, 0.04), (-10.0, 0.06), (20.0, 0.11)])
+def test_a_tilted_plane_within_the_neglected_cosine(run, tilt, allowed):
+    """z is off by sqrt(cosθ/cosα), the only approximation: bounded here by its largest value over the picture."""
+    z, brightness = plane(tilt)
+    error = relative_error(run(encode(brightness)), z)
+    normal = np.array([math.sin(math.radians(tilt)), math.cos(math.radians(tilt))])
+    neglected = np.sqrt((normal[0] * COLUMNS + normal[1])[INNER])
+    assert error.max() == pytest.approx(np.abs(np.median(neglected) / neglected - 1).max(), abs=0.02)
+    assert np.median(error) < allowed
+    assert np.corrcoef(run(encode(brightness))[INNER].ravel(), z[INNER].ravel())[0, 1] > 0.98
+
+
+def test_depth_changes_with_brightness_and_nothing_else(run):
+    """Flicker is neither hidden nor amplified: 10 % more light is 1/sqrt(1.1) of the depth, in every pixel."""
+    _, brightness = plane(8.0)
+    first, second = run(encode(brightness)), run(encode(1.1 * brightness))
+    assert second / first == pytest.approx(np.full_like(first, 1.1**-0.5), rel=1e-3)
+
+
+def test_one_part_of_the_picture_does_not_change_another(run):
+    """No normalisation by the frame: a bright tool on the left leaves the right as it was."""
+    _, brightness = plane(0.0)
+    with_tool = brightness.copy()
+    with_tool[:, :80] = 0.9
+    first, second = run(encode(brightness)), run(encode(with_tool))
+    assert np.array_equal(first[:, 150:], second[:, 150:])
+    assert second[:, :40].max() < 0.6 * first[:, :40].min()
+
+
+def test_highlights_and_vessels_are_suppressed(run):
+    z, brightness = plane(0.0)
+    rng = np.random.default_rng(1)
+    spotted = brightness.copy()
+    for row, column in zip(rng.integers(30, 210, 25), rng.integers(30, 398, 25), strict=True):
+        spotted[row - 2 : row + 3, column - 2 : column + 3] = 1.0
+    spotted[:, 100:104] *= 0.5
+    clean = relative_error(run(encode(brightness)), z)
+    disturbed = relative_error(run(encode(spotted)), z)
+    assert clean.max() < 0.01
+    assert disturbed.max() < 0.05
+
+
+def test_noise_is_averaged_away(run):
+    z, brightness = plane(0.0)
+    noisy = brightness * np.random.default_rng(2).normal(1, 0.05, brightness.shape)
+    assert relative_error(run(encode(noisy)), z).mean() < 0.01
+
+
+def test_dark_pixels_are_invalid_and_do_not_spread(run):
+    _, brightness = plane(0.0)
+    vignetted = brightness.copy()
+    vignetted[:, :60] = DARKEST / 2
+    clean, depth = run(encode(brightness)), run(encode(vignetted))
+    assert (depth[:, :55] == 0).all()
+    assert (depth[:, 65:] > 0).all()
+    # Right beside the dark part the mean runs over lit pixels only.
+    assert depth[:, 65:] == pytest.approx(clean[:, 65:], rel=0.03)
+    assert (run(np.zeros((1, 3, 60, 80), np.float32)) == 0).all()
+
+
+@pytest.mark.parametrize("size", [(64, 100), (480, 854), (37, 51)])
+def test_any_picture_size(run, size):
+    depth = run(np.full((1, 3, *size), 0.5, np.float32))
+    assert depth.shape == size
+    assert np.isfinite(depth).all()
+    # Brighter is nearer, and the picture's corner looks less far along z than its centre.
+    assert depth[0, 0] < depth[size[0] // 2, size[1] // 2]
+
+
+def test_field_of_view_is_that_of_the_picture():
+    depth = session_of(build_photometric(90.0).SerializeToString())(np.full((1, 3, 101, 101), 0.5, np.float32))
+    # At the middle of the right edge of 101 px the slope is 100/101; the centre's is 0.
+    assert depth[50, 100] / depth[50, 50] == pytest.approx((1 + (100 / 101) ** 2) ** -0.75, rel=1e-4)
+
+
+@pytest.mark.parametrize("degrees", [0, -5, 180, 400])
+def test_impossible_field_of_view_is_refused(degrees):
+    with pytest.raises(ValueError, match="field of view"):
+        build_photometric(degrees)
+
+
+def test_the_shipped_file_is_what_the_function_builds():
+    picture = np.random.default_rng(3).uniform(0, 1, (1, 3, 120, 214)).astype(np.float32)
+    shipped, built = session_of(str(SHIPPED)), session_of(build_photometric().SerializeToString())
+    assert np.array_equal(shipped(picture), built(picture))
+    assert SHIPPED.stat().st_size < 20_000
+
+
+def test_the_door_writes_a_model_for_another_endoscope(tmp_path):
+    path = tmp_path / "wide" / "mine.onnx"
+    command = [sys.executable, "-m", "data.depth.photometric", "--output", str(path), "--field-of-view-deg"]
+    done = subprocess.run([*command, "90"], capture_output=True, text=True, check=True, cwd=SHIPPED.parents[1])
+    assert str(path) in done.stdout
+    assert [file.name for file in path.parent.iterdir()] == ["mine.onnx"]
+    wrong = subprocess.run([*command, "200"], capture_output=True, text=True, check=False, cwd=SHIPPED.parents[1])
+    assert wrong.returncode == 2
+    assert "The field of view is 200" in wrong.stderr
+    assert "Traceback" not in wrong.stderr
+
+
+def test_writing_replaces_the_file_at_once(tmp_path):
+    path = tmp_path / "x.onnx"
+    path.write_bytes(b"old")
+    write_photometric(path)
+    assert path.read_bytes() == build_photometric().SerializeToString()

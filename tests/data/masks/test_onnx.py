@@ -1,0 +1,181 @@
+"""Segmentation models plug in by settings; what can't be used gets a sentence."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+from onnx import TensorProto, helper, numpy_helper
+
+from data.masks.onnx import OnnxMasks
+from data.masks.sources import MaskClasses, open_masks
+from data.source.frames import Frame
+from data.source.layout import ClipLayout, InputError
+
+WEIGHTS = np.array([[0, 0, 0], [8, -8, 0], [-8, 8, 0]], np.float32)
+"""Class logits from (R, G, B): 0 other, 1 rises with red over green, 2 with green over red."""
+
+
+def save_model(
+    path: Path,
+    *,
+    weights: np.ndarray = WEIGHTS,
+    size: tuple = ("h", "w"),
+    nhwc: bool = False,
+    labels: bool = False,
+    metadata: dict | None = None,
+) -> Path:
+    """A 1x1 convolution as a segmentation model."""
+    channels = len(weights)
+    kernel = numpy_helper.from_array(weights.reshape(channels, 3, 1, 1), "kernel")
+    shape = [1, *size, 3] if nhwc else [1, 3, *size]
+    nodes, last = [], "picture"
+    if nhwc:
+        nodes.append(helper.make_node("Transpose", [last], ["first"], perm=[0, 3, 1, 2]))
+        last = "first"
+    nodes.append(helper.make_node("Conv", [last, "kernel"], ["logits"]))
+    last, kind, out_shape = "logits", TensorProto.FLOAT, [1, channels, "p", "q"]
+    if labels:
+        nodes.append(helper.make_node("ArgMax", [last], ["labels"], axis=1, keepdims=0))
+        last, kind, out_shape = "labels", TensorProto.INT64, [1, "p", "q"]
+    elif nhwc:
+        nodes.append(helper.make_node("Transpose", [last], ["final"], perm=[0, 2, 3, 1]))
+        last, out_shape = "final", [1, "p", "q", channels]
+    graph = helper.make_graph(
+        nodes,
+        "segmentation",
+        [helper.make_tensor_value_info("picture", TensorProto.FLOAT, shape)],
+        [helper.make_tensor_value_info(last, kind, out_shape)],
+        [kernel],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=9)
+    if metadata is not None:
+        helper.set_model_props(model, {"masks": json.dumps(metadata)})
+    onnx.save(model, path)
+    return path
+
+
+PLAIN = {"mean": [0, 0, 0], "std": [1, 1, 1]}
+
+
+def scene() -> tuple[Frame, np.ndarray]:
+    """Red tissue left, green tool right, grey above; and its label map."""
+    image = np.full((96, 128, 3), 90, np.uint8)
+    labels = np.zeros((96, 128), np.uint8)
+    image[32:, :64], labels[32:, :64] = (220, 20, 20), 1
+    image[32:, 64:], labels[32:, 64:] = (20, 220, 20), 2
+    return Frame(0, 0, 0.0, image), labels
+
+
+@pytest.mark.parametrize(
+    ("model", "settings"),
+    [
+        ({}, {}),
+        ({"size": (96, 128)}, {}),
+        ({"nhwc": True}, {"axes": "nhwc"}),
+        ({"labels": True}, {"output": "labels"}),
+        ({"weights": WEIGHTS[:, ::-1].copy()}, {"channels": "bgr"}),
+    ],
+)
+def test_models_of_every_form_find_tool_and_tissue(tmp_path, model, settings):
+    path = save_model(tmp_path / "m.onnx", metadata={"tool": [2], "tissue": [1], **PLAIN, **settings}, **model)
+    frame, expected = scene()
+    found = open_masks(str(path), ClipLayout(), MaskClasses())(frame)
+    if settings.get("output") == "labels":
+        # A tie of the logits goes to the first class, as in the scene.
+        assert np.array_equal(found, expected)
+    assert (found == expected)[34:, :].mean() > 0.99
+    assert set(np.unique(found)) == {0, 1, 2}
+
+
+def test_input_of_another_size_is_resized_and_back(tmp_path):
+    path = save_model(tmp_path / "m.onnx", size=(48, 64), metadata={"tool": [2], "tissue": [1], **PLAIN})
+    frame, expected = scene()
+    found = OnnxMasks(path)(frame)
+    assert found.shape == expected.shape
+    assert (found == expected).mean() > 0.97
+
+
+def test_settings_beside_the_model_win_and_sigmoid_of_one_channel(tmp_path):
+    path = save_model(tmp_path / "m.onnx", weights=WEIGHTS[2:], metadata={"tool": [5]})
+    (tmp_path / "m.yaml").write_text("tool: [0]\noutput: sigmoid_logits\nthreshold: 0.9\nmean: [0,0,0]\nstd: [1,1,1]\n")
+    frame, expected = scene()
+    found = OnnxMasks(path)(frame)
+    assert np.array_equal(found == 2, expected == 2)
+    # No tissue channel: the lit rest is tissue.
+    assert np.array_equal(found == 1, expected != 2)
+
+
+def test_identity_follows_the_file_and_the_settings(tmp_path):
+    first = OnnxMasks(save_model(tmp_path / "a.onnx", metadata={"tool": [2]}))
+    second = OnnxMasks(save_model(tmp_path / "b.onnx", metadata={"tool": [1]}))
+    assert first.identity != second.identity
+    assert first.identity == OnnxMasks(tmp_path / "a.onnx").identity
+    first.reset()
+
+
+@pytest.mark.parametrize(
+    ("metadata", "message"),
+    [
+        (None, r"has no settings; write m\.yaml beside it"),
+        ({}, "does not say which output channels are tool"),
+        ({"tool": [1], "tissu": [2]}, "unknown key 'tissu'; known are tool"),
+        ({"tool": []}, "at least one output channel"),
+        ({"tool": 1}, "can't be used"),
+        ({"tool": [1], "tissue": [1]}, "share a channel"),
+        ({"tool": [1], "output": "scores"}, "choose logits"),
+        ({"tool": [1], "std": [1, 1, 0]}, "std above 0"),
+        ({"tool": [1], "threshold": 1.5}, "between 0 and 1"),
+        ({"tool": [1], "height": 0}, "must be positive"),
+        ({"tool": [1], "axes": "nhwc"}, "takes w channels|not one picture|3 channels|takes"),
+    ],
+)
+def test_wrong_settings_get_a_sentence(tmp_path, metadata, message):
+    path = save_model(tmp_path / "m.onnx", size=(96, 128), metadata=metadata)
+    with pytest.raises(InputError, match=message) as caught:
+        OnnxMasks(path)
+    assert "m.onnx" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("model", "settings", "message"),
+    [
+        ({}, {"tool": [7]}, "without a channel 7"),
+        ({"weights": WEIGHTS[2:]}, {"tool": [0]}, "sigmoid_logits"),
+        ({}, {"tool": [1], "output": "labels"}, "not one label a pixel"),
+        ({"size": (96, 128)}, {"tool": [1], "height": 50}, "check height and width"),
+        ({"weights": WEIGHTS * np.float32(np.nan)}, {"tool": [1]}, "not finite"),
+    ],
+)
+def test_wrong_outputs_get_a_sentence(tmp_path, model, settings, message):
+    masks = OnnxMasks(save_model(tmp_path / "m.onnx", metadata=settings, **model))
+    with pytest.raises(InputError, match=message) as caught:
+        masks(scene()[0])
+    assert "\n" not in str(caught.value)
+
+
+def test_files_that_are_no_models(tmp_path):
+    with pytest.raises(InputError, match="does not exist"):
+        OnnxMasks(tmp_path / "absent.onnx")
+    (tmp_path / "text.onnx").write_text("hello")
+    with pytest.raises(InputError, match="is not an ONNX model"):
+        OnnxMasks(tmp_path / "text.onnx")
+
+
+def test_model_with_other_inputs(tmp_path):
+    value = helper.make_tensor_value_info
+    graph = helper.make_graph(
+        [helper.make_node("Add", ["a", "b"], ["c"])],
+        "sum",
+        [value("a", TensorProto.FLOAT, [1, 3]), value("b", TensorProto.FLOAT, [1, 3])],
+        [value("c", TensorProto.FLOAT, [1, 3])],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=9)
+    helper.set_model_props(model, {"masks": '{"tool": [0]}'})
+    onnx.save(model, tmp_path / "sum.onnx")
+    with pytest.raises(InputError, match="not one picture"):
+        OnnxMasks(tmp_path / "sum.onnx")

@@ -1,0 +1,198 @@
+"""Annotation masks: classes by colour, stray formats, and one sentence for what can't be used."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from data.masks.automatic import AutomaticMasks
+from data.masks.class_table import CLASSES
+from data.masks.sources import (
+    AnnotationMasks,
+    MaskClasses,
+    MaskError,
+    color_distance,
+    open_masks,
+    read_class_mask,
+    read_label_mask,
+)
+from data.source.frames import Frame, open_source
+from data.source.layout import ClipLayout, InputError, load_layout
+
+LAYOUT, CLASSES_USED = ClipLayout(), MaskClasses()
+SIZE = (20, 30)
+CHECKOUT = Path(__file__).resolve().parents[3]
+
+
+def color_mask() -> np.ndarray:
+    """Liver with a gallbladder, a grasper and an L-hook, RGB."""
+    mask = np.full((*SIZE, 3), CLASSES["liver"].color, np.uint8)
+    mask[5:15, 5:12] = CLASSES["gallbladder"].color
+    mask[5:15, 12:18] = CLASSES["grasper"].color
+    mask[5:15, 20:25] = CLASSES["l-hook electrocautery"].color
+    mask[0] = 255
+    return mask
+
+
+def expected_labels() -> np.ndarray:
+    labels = np.zeros(SIZE, np.uint8)
+    labels[5:15, 5:12], labels[5:15, 12:18] = 1, 2
+    return labels
+
+
+def write(path: Path, image: np.ndarray) -> Path:
+    stored = image if image.ndim == 2 else image[..., [2, 1, 0, *range(3, image.shape[2])]]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(cv2.imencode(".png", np.ascontiguousarray(stored))[1].tobytes())
+    return path
+
+
+def frame_in(folder: Path, number: int = 80) -> Frame:
+    return Frame(0, number, 0.0, np.full((*SIZE, 3), 100, np.uint8), folder / f"frame_{number}_endo.png")
+
+
+def test_class_colours_differ_by_more_than_twice_the_largest_tolerance():
+    colors = [np.array(entry.color, int) for entry in CLASSES.values()]
+    distances = [np.abs(a - b).sum() for i, a in enumerate(colors) for b in colors[:i]]
+    assert min(distances) == 85 > 2 * 42
+    assert len({entry.grey for entry in CLASSES.values()}) == len(CLASSES)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.tuples(*[st.integers(-4, 4)] * 3))
+def test_a_pixel_belongs_to_a_class_within_an_l1_distance_of_5(tmp_path_factory, offset):
+    mask = color_mask()
+    near = np.clip(np.array(CLASSES["gallbladder"].color) + offset, 0, 255)
+    mask[10, 8] = near
+    path = write(tmp_path_factory.mktemp("m") / "m.png", mask)
+    distance = np.abs(near - np.array(CLASSES["gallbladder"].color)).sum()
+    assert (read_class_mask(path, SIZE, CLASSES_USED)[10, 8] == 1) == (distance <= 5)
+
+
+def test_color_distance_is_the_l1_norm():
+    image = np.random.default_rng(0).integers(0, 256, (7, 9, 3), dtype=np.uint8)
+    assert np.array_equal(color_distance(image, (10, 250, 128)), np.abs(image.astype(int) - (10, 250, 128)).sum(axis=2))
+
+
+def test_colour_rgba_grey_and_grey_as_rgb_masks_agree(tmp_path):
+    mask = color_mask()
+    grey = np.full(SIZE, CLASSES["liver"].grey, np.uint8)
+    grey[5:15, 5:12], grey[5:15, 12:18] = CLASSES["gallbladder"].grey, CLASSES["grasper"].grey
+    grey[5:15, 20:25], grey[0], grey[19] = CLASSES["l-hook electrocautery"].grey, 0, 35
+    alpha = np.random.default_rng(0).integers(0, 256, (*SIZE, 1), dtype=np.uint8)
+    for image in (mask, np.dstack([mask, alpha]), grey, np.dstack([grey] * 3)):
+        path = write(tmp_path / "m.png", image)
+        assert np.array_equal(read_class_mask(path, SIZE, CLASSES_USED), expected_labels())
+
+
+def test_other_classes_by_configuration(tmp_path):
+    path = write(tmp_path / "m.png", color_mask())
+    labels = read_class_mask(path, SIZE, MaskClasses(("l-hook electrocautery",), ("liver", "gallbladder")))
+    assert (labels[5:15, 20:25] == 2).all()
+    assert labels[1, 1] == labels[8, 8] == 1
+    assert (labels[5:15, 12:18] == 0).all()
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"tool": ("graspr",)}, "'graspr', which is no class; choose from background"),
+        ({"tissue": ()}, "names no class"),
+        ({"tool": ("liver",), "tissue": ("liver",)}, "both name 'liver'"),
+        ({"tolerance": -1}, "give 0 to 42"),
+    ],
+)
+def test_impossible_classes_are_refused(values, message):
+    with pytest.raises(ValueError, match=message):
+        MaskClasses(**values)
+
+
+def test_brush_strokes_are_never_read_and_watershed_stands_in(tmp_path):
+    write(tmp_path / "frame_80_endo_mask.png", color_mask())
+    masks = open_masks("annotation", LAYOUT, CLASSES_USED)
+    with pytest.raises(InputError, match="holds no annotation masks") as caught:
+        masks(frame_in(tmp_path))
+    assert not isinstance(caught.value, MaskError)
+    grey = np.full(SIZE, CLASSES["gallbladder"].grey, np.uint8)
+    write(tmp_path / "frame_80_endo_watershed_mask.png", grey)
+    assert (masks(frame_in(tmp_path)) == 1).all()
+    write(tmp_path / "frame_80_endo_color_mask.png", color_mask())
+    assert np.array_equal(masks(frame_in(tmp_path)), expected_labels())
+
+
+def test_one_frames_bad_mask_is_that_frames_error(tmp_path):
+    write(tmp_path / "frame_80_endo_color_mask.png", color_mask())
+    masks = open_masks("auto", LAYOUT, CLASSES_USED)
+    assert np.array_equal(masks(frame_in(tmp_path)), expected_labels())
+    with pytest.raises(MaskError, match=r"frame_81_endo_color_mask\.png does not exist; add the mask of frame 81"):
+        masks(frame_in(tmp_path, 81))
+    path = tmp_path / "frame_82_endo_color_mask.png"
+    path.write_bytes(b"")
+    with pytest.raises(MaskError, match=r"empty file \(0 bytes\)"):
+        masks(frame_in(tmp_path, 82))
+    write(path, color_mask()[:-2])
+    with pytest.raises(MaskError, match="is 30x18 while its frame is 30x20"):
+        masks(frame_in(tmp_path, 82))
+    path.write_bytes(cv2.imencode(".png", np.zeros(SIZE, np.uint16))[1].tobytes())
+    with pytest.raises(MaskError, match="not an 8-bit mask"):
+        masks(frame_in(tmp_path, 82))
+
+
+def test_video_has_no_annotation():
+    frame = Frame(0, 0, 0.0, np.zeros((*SIZE, 3), np.uint8))
+    with pytest.raises(InputError, match="use --masks automatic"):
+        open_masks("annotation", LAYOUT, CLASSES_USED)(frame)
+    assert (open_masks("auto", LAYOUT, CLASSES_USED)(frame) == 0).all()
+
+
+def test_auto_chooses_once_a_clip_until_reset(tmp_path):
+    plain, annotated = tmp_path / "plain", tmp_path / "annotated"
+    plain.mkdir()
+    write(annotated / "frame_80_endo_color_mask.png", color_mask())
+    masks = open_masks("auto", LAYOUT, CLASSES_USED)
+    assert not (masks(frame_in(plain)) == 2).any()
+    masks.reset()
+    assert (masks(frame_in(annotated)) == 2).any()
+
+
+def test_kinds_and_identities():
+    assert isinstance(open_masks("automatic", LAYOUT, CLASSES_USED), AutomaticMasks)
+    with pytest.raises(InputError, match="choose annotation, automatic, auto"):
+        open_masks("watershed", LAYOUT, CLASSES_USED)
+    other = MaskClasses(tool=("l-hook electrocautery",))
+    assert AnnotationMasks(LAYOUT, CLASSES_USED).identity != AnnotationMasks(LAYOUT, other).identity
+    assert open_masks("auto", LAYOUT, CLASSES_USED).identity != open_masks("auto", LAYOUT, other).identity
+
+
+def test_label_mask_of_inverse_polarity_and_opening(tmp_path):
+    layout = ClipLayout(label_mask="m/{number}.png", tool_values=(0,), tissue_values=(1,), mask_opening_px=7)
+    mask = np.ones((60, 60), np.uint8)
+    mask[20:40, 0:30] = 0
+    mask[50:53, 50:53] = 0
+    labels = read_label_mask(write(tmp_path / "m.png", mask), (60, 60), layout)
+    assert (labels[22:38, 0:28] == 2).all()
+    assert (labels[50:53, 50:53] == 0).all()
+    assert (labels[mask == 1] == 1).all()
+    with pytest.raises(MaskError, match="not a label mask"):
+        read_label_mask(write(tmp_path / "m.png", color_mask()), SIZE, layout)
+
+
+def test_real_clip_annotation(real_data):
+    source = open_source(real_data / "cholecseg8k" / "video01" / "video01_00080", LAYOUT)
+    masks = open_masks("auto", LAYOUT, CLASSES_USED)
+    tool = {frame.number: int((masks(frame) == 2).sum()) for frame in source if frame.number in (80, 148, 149, 159)}
+    assert tool == {80: 0, 148: 0, 149: 283, 159: 7059}
+
+
+def test_real_recover_masks(real_data):
+    layout = load_layout(CHECKOUT / "configs" / "layouts" / "recover_tissue.yaml")
+    frame = next(iter(open_source(real_data / "recover_tissue", layout)))
+    labels = open_masks("annotation", layout, CLASSES_USED)(frame)
+    counts = np.bincount(labels.ravel(), minlength=3)
+    assert counts[1] == 303301
+    assert 0.99 * 96299 < counts[2] <= 96299

@@ -1,0 +1,261 @@
+"""Frames of folders and videos: order, numbers, time stamps, and a sentence for every kind of bad input."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from data.source.frames import FrameFolder, LiveCamera, VideoFile, discover, open_source, read_image
+from data.source.layout import ClipLayout, InputError, load_layout
+
+LAYOUT = ClipLayout()
+CHECKOUT = Path(__file__).resolve().parents[3]
+
+
+def picture(seed: int = 0, size: tuple[int, int] = (48, 64)) -> np.ndarray:
+    """Smooth random RGB picture, so that codecs keep it."""
+    noise = np.random.default_rng(seed).integers(0, 256, (*size, 3)).astype(np.uint8)
+    return cv2.GaussianBlur(noise, (0, 0), 4)
+
+
+def write_png(path: Path, image: np.ndarray) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(cv2.imencode(".png", image[..., ::-1] if image.ndim == 3 else image)[1].tobytes())
+
+
+def make_folder(folder: Path, numbers=(80, 81, 82)) -> Path:
+    for number in numbers:
+        write_png(folder / f"frame_{number}_endo.png", picture(number))
+    return folder
+
+
+def make_video(path: Path, frames: int = 20, codec: str = "MJPG") -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*codec), 25, (64, 48))
+    for index in range(frames):
+        writer.write(picture(index)[..., ::-1])
+    writer.release()
+    return path
+
+
+def faststart(path: Path) -> bytes:
+    """The MP4's content with its index before the media, as streamed files have it: still readable when cut short."""
+    content = path.read_bytes()
+    boxes, offset = [], 0
+    while offset < len(content):
+        size = int.from_bytes(content[offset : offset + 4], "big")
+        boxes.append((content[offset + 4 : offset + 8], content[offset : offset + size]))
+        offset += size
+    index = next(body for kind, body in boxes if kind == b"moov")
+    position = index.find(b"stco")
+    count = int.from_bytes(index[position + 8 : position + 12], "big")
+    moved = bytearray(index)
+    for entry in range(count):
+        where = position + 12 + 4 * entry
+        moved[where : where + 4] = (int.from_bytes(index[where : where + 4], "big") + len(index)).to_bytes(4, "big")
+    head = [body for kind, body in boxes if kind == b"ftyp"]
+    rest = [body for kind, body in boxes if kind not in (b"ftyp", b"moov")]
+    return b"".join([*head, bytes(moved), *rest])
+
+
+def test_folder_frames_are_rgb_in_order_with_gaps_in_numbers_and_time(tmp_path):
+    source = open_source(make_folder(tmp_path / "clip", (99, 100, 103)), LAYOUT)
+    frames = list(source)
+    assert [frame.number for frame in frames] == [99, 100, 103]
+    assert [frame.index for frame in frames] == [0, 1, 2]
+    assert [frame.time_s for frame in frames] == pytest.approx([0, 0.04, 0.16])
+    assert np.array_equal(frames[1].image, picture(100))
+    assert (source.size, source.fps, source.length, source.name) == ((64, 48), 25.0, 3, "clip")
+    assert source.warnings == ["2 frame numbers are missing between 99 and 103"]
+    assert len(list(source)) == 3
+
+
+def test_clip_file_gives_times(tmp_path):
+    folder = make_folder(tmp_path / "clip")
+    (folder / "clip.json").write_text(json.dumps({"fps": 30, "times": [0.0, 0.05, 0.2]}))
+    source = open_source(folder, LAYOUT)
+    assert source.fps == 30
+    assert [frame.time_s for frame in source] == [0.0, 0.05, 0.2]
+    (folder / "clip.json").write_text(json.dumps({"times": [0.0]}))
+    with pytest.raises(InputError, match=r"3 frames while its clip\.json gives 1 times"):
+        open_source(folder, LAYOUT)
+
+
+def test_bad_frames_of_a_folder_keep_their_rows(tmp_path):
+    folder = make_folder(tmp_path / "clip", range(6))
+    (folder / "frame_0_endo.png").write_bytes(b"")
+    whole = (folder / "frame_2_endo.png").read_bytes()
+    (folder / "frame_2_endo.png").write_bytes(whole[: len(whole) // 2])
+    (folder / "frame_3_endo.png").write_bytes(b"not a picture")
+    write_png(folder / "frame_4_endo.png", picture(4, (24, 32)))
+    source = open_source(folder, LAYOUT)
+    frames = list(source)
+    assert [frame.image is None for frame in frames] == [True, False, True, True, True, False]
+    assert "frame_0_endo.png is an empty file (0 bytes)" in frames[0].error
+    assert "can't be decoded" in frames[2].error
+    assert "can't be decoded" in frames[3].error
+    path = folder / "frame_4_endo.png"
+    assert frames[4].error == f"{path} is 32x24 while the clip is 64x48; export all at one size."
+    assert frames[5].error == ""
+    assert source.warnings == ["unreadable: 4 of 6 frames"]
+
+
+def test_two_images_of_one_number_are_named(tmp_path):
+    folder = make_folder(tmp_path / "clip", range(3))
+    write_png(folder / "frame_01_endo.png", picture())
+    with pytest.raises(InputError, match=r"frame_01_endo\.png and .*frame_1_endo\.png are both frame 1; remove one"):
+        open_source(folder, LAYOUT)
+
+
+def test_a_number_too_large_to_count_with_is_named(tmp_path):
+    folder = make_folder(tmp_path / "clip", range(3))
+    write_png(folder / f"frame_{10**30}_endo.png", picture())
+    with pytest.raises(InputError, match=r"0_endo\.png has a frame number above 9007199254740992; rename the file"):
+        open_source(folder, LAYOUT)
+
+
+@pytest.mark.parametrize(
+    ("size", "allowed"), [((31, 64), False), ((32, 129), False), ((128, 32), True), ((1, 1), False)]
+)
+def test_pictures_too_small_or_too_long_for_optical_flow_are_refused(tmp_path, size, allowed):
+    write_png(tmp_path / "clip" / "frame_0_endo.png", picture(0, size))
+    if allowed:
+        assert open_source(tmp_path / "clip", LAYOUT).size == size[::-1]
+    else:
+        with pytest.raises(InputError, match=rf"clip has pictures of {size[1]}x{size[0]}; give at least 32x32 and"):
+            open_source(tmp_path / "clip", LAYOUT)
+
+
+def test_folder_without_any_readable_image(tmp_path):
+    folder = tmp_path / "clip"
+    folder.mkdir()
+    with pytest.raises(InputError, match="holds no frame images"):
+        FrameFolder(folder, LAYOUT)
+    (folder / "frame_1_endo.png").write_bytes(b"")
+    with pytest.raises(InputError, match="none can be decoded"):
+        FrameFolder(folder, LAYOUT)
+
+
+@pytest.mark.parametrize("image", [picture()[..., 0], np.dstack([picture(), np.full((48, 64), 9, np.uint8)])])
+def test_grey_and_rgba_frames_become_rgb(tmp_path, image):
+    stored = image if image.ndim == 2 else image[..., [2, 1, 0, 3]]
+    (tmp_path / "frame_1_endo.png").write_bytes(cv2.imencode(".png", stored)[1].tobytes())
+    frame = next(iter(open_source(tmp_path, LAYOUT)))
+    assert frame.image.shape == (48, 64, 3)
+    assert np.array_equal(frame.image[..., 0], image if image.ndim == 2 else image[..., 0])
+
+
+def test_non_ascii_and_long_names(tmp_path):
+    folder = make_folder(tmp_path / "Größe 測試 🫀" / ("n" * 200))
+    assert [frame.number for frame in open_source(folder, LAYOUT)] == [80, 81, 82]
+    video = make_video(tmp_path / "äöü 測試.avi", 4)
+    assert len(list(open_source(video, LAYOUT))) == 4
+    for path in (Path("x" * 5000), Path("x" * 300 + ".mp4")):
+        with pytest.raises(InputError, match="name too long"):
+            open_source(path, LAYOUT)
+        with pytest.raises(InputError, match="name too long"):
+            discover([path], LAYOUT)
+
+
+def test_video_frames_have_the_files_time_stamps(tmp_path):
+    source = VideoFile(make_video(tmp_path / "v.avi", 10))
+    frames = list(source)
+    assert [frame.time_s for frame in frames] == pytest.approx(np.arange(10) / 25, abs=1e-3)
+    assert [frame.number for frame in frames] == list(range(10))
+    assert (source.size, source.fps, source.length, source.warnings) == ((64, 48), 25.0, 10, [])
+    assert np.abs(frames[3].image.astype(int) - picture(3)).mean() < 6
+    assert len(list(source)) == 10
+
+
+def test_truncated_video_loses_no_row(tmp_path):
+    content = faststart(make_video(tmp_path / "whole.mp4", 40, "mp4v"))
+    path = tmp_path / "cut.mp4"
+    path.write_bytes(content[: int(0.6 * len(content))])
+    source = VideoFile(path)
+    frames = list(source)
+    decoded = sum(frame.image is not None for frame in frames)
+    assert 5 < decoded < 38
+    assert len(frames) == 40
+    assert [frame.index for frame in frames] == list(range(40))
+    told = [frame.error for frame in frames[decoded:]]
+    assert told == [f"{path} ends before frame {n} or is damaged; copy it again." for n in range(decoded, 40)]
+    assert frames[-1].time_s == pytest.approx(39 / 25, abs=1e-3)
+    assert source.warnings == [f"truncated: {decoded} of 40 frames decoded"]
+
+
+@pytest.mark.parametrize("content", [b"", b"no video at all", None])
+def test_unreadable_videos_get_a_sentence(tmp_path, content):
+    path = tmp_path / "v.mp4"
+    if content is None:
+        whole = make_video(tmp_path / "whole.mp4", 10, "mp4v").read_bytes()
+        content = whole[: len(whole) // 2]
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"v\.mp4 (is an empty file|can't be opened)") as caught:
+        open_source(path, LAYOUT)
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_path_and_camera(tmp_path):
+    with pytest.raises(InputError, match="No such file"):
+        open_source(tmp_path / "absent.mp4", LAYOUT)
+    with pytest.raises(InputError, match="write camera:0"):
+        LiveCamera("camera:front")
+    with pytest.raises(InputError, match="delivers no picture"):
+        open_source(Path("camera:97"), LAYOUT)
+
+
+def test_discover_finds_clips_at_any_depth_in_natural_order(tmp_path):
+    for name in ("video10/video10_00000", "video9/video9_00080", "video9/video9_00000"):
+        make_folder(tmp_path / name, (1, 2))
+    make_video(tmp_path / "raw" / "a.avi", 2)
+    results = tmp_path / "results"
+    results.mkdir()
+    (results / "run.json").write_text("{}")
+    make_video(results / "overlay.mp4", 2)
+    (tmp_path / "circle").symlink_to(tmp_path)
+    found = [path.relative_to(tmp_path).as_posix() for path in discover([tmp_path], LAYOUT)]
+    assert found == ["raw/a.avi", "video9/video9_00000", "video9/video9_00080", "video10/video10_00000"]
+
+
+def test_discover_follows_a_layout_with_subfolders(tmp_path):
+    layout = ClipLayout(image="img_left/{number}.jpg")
+    (tmp_path / "seq" / "img_left").mkdir(parents=True)
+    (tmp_path / "seq" / "img_left" / "0005.jpg").write_bytes(cv2.imencode(".jpg", picture())[1].tobytes())
+    assert discover([tmp_path], layout) == [tmp_path / "seq"]
+    assert [frame.number for frame in open_source(tmp_path / "seq", layout)] == [5]
+
+
+def test_discover_names_what_is_wrong(tmp_path):
+    with pytest.raises(InputError, match="No such file"):
+        discover([tmp_path / "absent"], LAYOUT)
+    with pytest.raises(InputError, match="holds neither a video nor"):
+        discover([tmp_path], LAYOUT)
+    write_png(tmp_path / "one.png", picture())
+    with pytest.raises(InputError, match="is a single image"):
+        discover([tmp_path / "one.png"], LAYOUT)
+    with pytest.raises(InputError, match="no input was given"):
+        discover([], LAYOUT)
+    assert discover([Path("camera:0")], LAYOUT) == [Path("camera:0")]
+
+
+def test_truncated_jpeg_is_refused(tmp_path):
+    content = cv2.imencode(".jpg", picture(1, (480, 640)))[1].tobytes()
+    path = tmp_path / "a.jpg"
+    path.write_bytes(content[: int(0.9 * len(content))])
+    with pytest.raises(InputError, match="truncated or damaged"):
+        read_image(path)
+
+
+def test_real_clips(real_data):
+    clips = discover([real_data / "cholecseg8k"], LAYOUT)
+    source = open_source(clips[0], LAYOUT)
+    assert (source.name, source.size, source.length) == ("video01_00080", (854, 480), 80)
+    recover = load_layout(CHECKOUT / "configs" / "layouts" / "recover_tissue.yaml")
+    assert discover([real_data / "recover_tissue"], recover) == [real_data / "recover_tissue"]
+    frames = list(open_source(real_data / "recover_tissue", recover))
+    assert [frame.number for frame in frames] == list(range(5, 21))
+    assert frames[0].image.shape == (540, 740, 3)

@@ -1,0 +1,149 @@
+"""Layouts name files rightly and refuse what they can't mean."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from data.source.layout import (
+    ClipLayout,
+    InputError,
+    camera_file,
+    clip_folder,
+    companion,
+    frame_files,
+    is_file,
+    load_layout,
+    natural_key,
+    read_clip_file,
+)
+
+LAYOUTS = Path(__file__).resolve().parents[3] / "configs" / "layouts"
+
+
+def test_shipped_cholecseg8k_layout_is_the_default():
+    assert load_layout(LAYOUTS / "cholecseg8k.yaml") == ClipLayout()
+
+
+def test_shipped_recover_layout_means_what_the_sequence_stores():
+    layout = load_layout(LAYOUTS / "recover_tissue.yaml")
+    assert (layout.tool_values, layout.tissue_values) == ((0,), (1,))
+    assert (layout.depth_kind, layout.depth_key) == ("disparity", "disparity")
+    assert layout.depth_factor == pytest.approx(732.25 * 4.552)
+    assert camera_file(layout, Path("anywhere")) == (LAYOUTS / "recover_tissue_camera.yaml").resolve()
+
+
+@given(st.text("0123456789", min_size=1, max_size=12))
+def test_companion_keeps_the_zero_padding(digits):
+    layout = ClipLayout()
+    frame = Path("clip") / f"frame_{digits}_endo.png"
+    assert companion(layout, frame, layout.color_mask) == Path("clip") / f"frame_{digits}_endo_color_mask.png"
+
+
+def test_companion_and_clip_folder_with_subfolders():
+    layout = ClipLayout(image="img_left/{number}.jpg", depth="disp/{number}.npz")
+    frame = Path("/a/clip/img_left/0012.jpg")
+    assert clip_folder(layout, frame) == Path("/a/clip")
+    assert companion(layout, frame, layout.depth) == Path("/a/clip/disp/0012.npz")
+
+
+def test_companion_of_a_plain_image_lies_beside_it():
+    layout = ClipLayout()
+    assert companion(layout, Path("clip/shot 7.png"), layout.depth) == Path("clip/frame_7_endo_depth.png")
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"image": "frame.png"}, "write {number} once"),
+        ({"fps": 0.0}, "positive number of frames"),
+        ({"depth_factor": float("nan")}, "positive number"),
+        ({"depth_kind": "inverse"}, "choose depth or disparity"),
+        ({"label_mask": "m/{number}.png"}, "needs layout.tool_values"),
+        ({"mask_opening_px": -1}, "give 0 or more"),
+    ],
+)
+def test_impossible_values_are_refused(values, message):
+    with pytest.raises(ValueError, match=message):
+        ClipLayout(**values)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("imagge: x", "unknown key 'imagge'; known are image"),
+        ("fps: [", "is not a clip layout"),
+        ("- a\n- b", "write a mapping"),
+        ("fps: fast", "gives fps 'fast'; give a number"),
+        ("fps: true", "gives fps True; give a number"),
+        ("fps: -1", "is not a clip layout: layout.fps is -1; give a positive number"),
+        ("image: 3", "gives image 3; give text"),
+        ("depth: 5", "gives depth 5; give text"),
+        ("mask_opening_px: x", "gives mask_opening_px 'x'; give a whole number"),
+        ("tool_values: 3", "gives tool_values 3; give a list of whole numbers"),
+        ("tool_values: [a]", r"gives tool_values \['a'\]; give a list of whole numbers"),
+    ],
+)
+def test_bad_layout_files_get_one_sentence(tmp_path, text, message):
+    path = tmp_path / "layout.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=message) as caught:
+        load_layout(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_layout_file():
+    with pytest.raises(InputError, match=r"nowhere\.yaml can't be read"):
+        load_layout("nowhere.yaml")
+
+
+def test_camera_beside_the_clip_must_exist(tmp_path):
+    layout = ClipLayout(camera="camera.json")
+    with pytest.raises(InputError, match="does not exist"):
+        camera_file(layout, tmp_path)
+    (tmp_path / "camera.json").write_text("{}")
+    assert camera_file(layout, tmp_path) == tmp_path / "camera.json"
+    assert camera_file(ClipLayout(), tmp_path) is None
+
+
+@pytest.mark.parametrize("content", [{"fps": -1}, {"times": [0, 0]}, {"times": ["a"]}, {"times": 3}])
+def test_bad_clip_files_are_refused(tmp_path, content):
+    (tmp_path / "clip.json").write_text(json.dumps(content))
+    with pytest.raises(InputError, match=r"clip\.json gives"):
+        read_clip_file(tmp_path)
+
+
+def test_clip_file_is_optional(tmp_path):
+    assert read_clip_file(tmp_path) == {}
+    (tmp_path / "clip.json").write_text('{"fps": 30, "times": [0.0, 0.1]}')
+    assert read_clip_file(tmp_path) == {"fps": 30, "times": [0.0, 0.1]}
+
+
+def test_natural_order():
+    names = [Path(name) for name in ("f10.png", "f9.png", "f1.png", "a2.png")]
+    assert [path.name for path in sorted(names, key=natural_key)] == ["a2.png", "f1.png", "f9.png", "f10.png"]
+
+
+def test_plain_images_without_masks_and_their_numbers(tmp_path):
+    for name in ("im8.png", "im9.png", "im10.png", "im9_mask.png", "frame_9_endo_depth.png", ".im3.png", "notes.txt"):
+        (tmp_path / name).write_bytes(b"x")
+    assert [(number, path.name) for number, path in frame_files(tmp_path, ClipLayout())] == [
+        (8, "im8.png"),
+        (9, "im9.png"),
+        (10, "im10.png"),
+    ]
+
+
+def test_time_stamps_in_names_are_not_frame_numbers(tmp_path):
+    for stamp in (1700000000040, 1700000000080, 1700000000120):
+        (tmp_path / f"{stamp}.jpg").write_bytes(b"x")
+    assert [number for number, _ in frame_files(tmp_path, ClipLayout())] == [0, 1, 2]
+
+
+def test_name_that_the_file_system_refuses_is_no_file():
+    assert not is_file(Path("x" * 5000))

@@ -1,0 +1,78 @@
+"""Contacts without pictures: the cropped mesh moves like the whole, and draws keep to their ranges."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from data.synthetic.contacts import FINE, REACH, crop_mesh, draw_contacts
+from data.synthetic.scene import draw_scene
+from data.synthetic.settings import SceneSettings
+from physics.load import Press, held
+from physics.msd.simulation import simulate
+
+SETTINGS = SceneSettings(width=214, height=120)
+
+
+def test_a_cropped_mesh_moves_like_the_whole() -> None:
+    scene = draw_scene(SETTINGS, np.random.default_rng(3))
+    mesh, vertex = crop_mesh(scene.mesh, scene.vertex, REACH)
+    assert len(mesh.vertices) < len(scene.mesh.vertices)
+    np.testing.assert_array_equal(mesh.vertices[vertex], scene.mesh.vertices[scene.vertex])
+    theta = np.array([1.0, 0.01, -0.05])  # the fastest waves of the ranges
+    exact = dataclasses.replace(FINE, window_error=0.0)
+    whole, cropped = (
+        simulate(theta, sheet, Press.at(pressed, scene.direction, held(160, FINE.steps)), exact)
+        for sheet, pressed in ((scene.mesh, scene.vertex), (mesh, vertex))
+    )
+    assert np.abs(cropped - whole).max() < 1e-3 * np.abs(whole).max()
+
+
+def test_draws_keep_to_their_ranges() -> None:
+    contacts = draw_contacts(SETTINGS, 11, 4, 0.005)
+    assert len({tuple(contact.theta) for contact in contacts}) == len(contacts) == 4
+    for contact in contacts:
+        stiffness, damping, force = contact.theta
+        assert 0.2 <= stiffness <= 1.0
+        assert 0.01 <= damping <= 0.3
+        assert -0.3 <= force <= -0.03
+        moved = np.linalg.norm(contact.interaction.moved, axis=1).max()
+        assert moved <= SETTINGS.peak_displacement[1] * 1.01
+        assert 0.25 - 4 * 0.005 <= contact.interaction.load_seconds <= 0.5 + 4 * 0.005
+        np.testing.assert_allclose(contact.interaction.observation.times, np.arange(1, 26) / 25)
+
+
+def test_a_press_may_outlast_the_second_that_is_told() -> None:
+    long = dataclasses.replace(SETTINGS, press_seconds=(1.2, 1.3))
+    for contact in draw_contacts(long, 11, 2, 0.005):
+        seen = contact.interaction
+        assert not seen.released
+        loaded = simulate(contact.theta, seen.mesh, Press.at(seen.vertex, seen.direction, np.ones(FINE.steps)), FINE)
+        np.testing.assert_allclose(seen.moved, loaded[15::16], atol=1e-7)
+
+
+def test_the_same_seed_gives_the_same_contacts() -> None:
+    first, again = (draw_contacts(SETTINGS, 5, 2, 0.005) for _ in range(2))
+    for one, two in zip(first, again, strict=True):
+        np.testing.assert_array_equal(one.theta, two.theta)
+        np.testing.assert_array_equal(one.interaction.moved, two.interaction.moved)
+    assert not np.array_equal(first[0].theta, draw_contacts(SETTINGS, 6, 1, 0.005)[0].theta)
+
+
+def test_motions_follow_the_fitted_simulator() -> None:
+    contact = draw_contacts(SETTINGS, 7, 1, 0.005)[0]
+    seen = contact.interaction
+    coarse = dataclasses.replace(FINE, time_step=seen.time_step, steps=seen.load.steps)
+    path = simulate(contact.theta, seen.mesh, seen.load, coarse)
+    assert np.abs(path[seen.observation.steps(seen.time_step)] - seen.moved).max() < 5e-4
+
+
+@pytest.mark.parametrize("reach", [2, 5])
+def test_the_cut_edge_is_held(reach: int) -> None:
+    scene = draw_scene(SETTINGS, np.random.default_rng(3))
+    mesh, vertex = crop_mesh(scene.mesh, scene.vertex, reach)
+    edge = np.abs(mesh.pixels - mesh.pixels[vertex]).max(axis=1) == reach
+    assert edge.any()
+    assert mesh.rim[edge].all()

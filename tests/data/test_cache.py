@@ -1,0 +1,160 @@
+"""Prepared clips on disk: what they hold, what they depend on, and that nothing half-written is left."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import pickle
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data.cache import COLUMNS, CacheEntry, cache_key
+from data.clip import ClipStream, prepare
+from data.depth.normalise import DepthSettings
+from data.source.frames import open_source
+from data.source.layout import ClipLayout, InputError
+from tests.data.clips import GRID, SETTINGS, write_clip
+
+
+def test_prepared_clip_equals_the_stream(tmp_path):
+    folder = write_clip(tmp_path / "clip", shift=0.5)
+    frames = list(ClipStream(open_source(folder, SETTINGS.layout), SETTINGS))
+    clip = prepare(folder, SETTINGS, tmp_path / "cache")
+    assert clip.status == [frame.status for frame in frames]
+    assert clip.counts["ok"] == 5
+    assert len(clip) == 12
+    assert sorted(clip.details) == [0, 1, 2, 8, 9, 10, 11]
+    assert np.array_equal(clip.usable, [True] * 12)
+    for index, frame in enumerate(frames):
+        assert clip.details.get(index, "") == frame.detail
+        assert np.array_equal(clip.depth(index), frame.depth)
+        assert np.array_equal(clip.labels[index], frame.labels)
+        assert (clip.numbers[index], clip.times[index]) == (frame.frame.number, frame.frame.time_s)
+        for name, (dtype, *_) in COLUMNS.items():
+            value = getattr(frame, name, getattr(frame.geometry, name, None))
+            if value is not None:
+                assert np.array_equal(getattr(clip, name)[index], np.array(value, dtype), equal_nan=dtype != np.bool_)
+        if frame.geometry is not None:
+            mesh, expected = clip.mesh(index), frame.geometry.mesh
+            for name in ("vertices", "triangles", "springs", "rim", "pixels"):
+                assert np.array_equal(getattr(mesh, name), getattr(expected, name))
+    with pytest.raises(IndexError, match="no_tool"):
+        clip.mesh(0)
+    assert np.array_equal(pickle.loads(pickle.dumps(clip)).depth(3), clip.depth(3))
+
+
+def entries(cache: Path) -> set[str]:
+    return {path.name for path in cache.iterdir()}
+
+
+def test_cache_is_reused_and_invalidated_by_files_settings_and_code(tmp_path, monkeypatch):
+    folder, cache = write_clip(tmp_path / "clip", frames=5), tmp_path / "cache"
+    clip = prepare(folder, SETTINGS, cache)
+    before = (clip.folder / "depth.npy").stat().st_mtime_ns
+    assert prepare(folder, SETTINGS, cache).folder == clip.folder
+    assert (clip.folder / "depth.npy").stat().st_mtime_ns == before
+    known = cache_key(folder, SETTINGS)
+    # What samples make of the geometry, and where a model runs, leaves the clip as it is.
+    same = replace(SETTINGS, geometry=replace(GRID, force_direction="displacement"), depth=DepthSettings(threads=3))
+    assert cache_key(folder, same) == known
+    for changed in (
+        replace(SETTINGS, geometry=replace(GRID, max_edge=0.04)),
+        replace(SETTINGS, depth=DepthSettings(bits=8)),
+        replace(SETTINGS, depth=DepthSettings(source="photometric")),
+        replace(SETTINGS, masks="automatic"),
+        replace(SETTINGS, track_seconds=0.5),
+    ):
+        assert cache_key(folder, changed) != known
+    os.utime(folder / "frame_2_endo.png", ns=(1, 1))
+    assert cache_key(folder, SETTINGS) != known
+    monkeypatch.setattr("data.cache.code_digest", lambda part: "another")
+    touched = cache_key(folder, SETTINGS)
+    monkeypatch.undo()
+    assert cache_key(folder, SETTINGS) != touched
+    prepare(folder, SETTINGS, cache)
+    assert len(entries(cache)) == 2
+
+
+def test_interrupted_preparation_leaves_nothing_and_can_go_on(tmp_path):
+    folder, cache = write_clip(tmp_path / "clip", frames=6), tmp_path / "cache"
+
+    def interrupt(count: int, _: int) -> None:
+        if count == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        prepare(folder, SETTINGS, cache, interrupt)
+    assert entries(cache) == set()
+    assert len(prepare(folder, SETTINGS, cache)) == 6
+
+
+def test_leftovers_of_a_killed_process_are_removed_after_a_day(tmp_path):
+    folder, cache = write_clip(tmp_path / "clip", frames=3), tmp_path / "cache"
+    for name, age in ((".tmp-old", 90_000), (".tmp-young", 60)):
+        (cache / name).mkdir(parents=True)
+        (cache / name / "depth.npy").write_bytes(b"half")
+        stamp = time.time() - age
+        for path in (cache / name / "depth.npy", cache / name):
+            os.utime(path, (stamp, stamp))
+    clip = prepare(folder, SETTINGS, cache)
+    assert entries(cache) == {".tmp-young", clip.folder.name}
+
+
+def test_a_damaged_entry_is_prepared_again(tmp_path):
+    folder, cache = write_clip(tmp_path / "clip", frames=5), tmp_path / "cache"
+    clip = prepare(folder, SETTINGS, cache)
+    (clip.folder / "clip.json").write_text("{")
+    assert prepare(folder, SETTINGS, cache).counts["ok"] == 2
+
+
+def test_an_unwritable_cache_and_a_missing_clip_are_sentences(tmp_path):
+    folder = write_clip(tmp_path / "clip", frames=3)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="change the cache"):
+        prepare(folder, SETTINGS, tmp_path / "file" / "cache")
+    with pytest.raises(InputError, match="nowhere"):
+        prepare(tmp_path / "nowhere", SETTINGS, tmp_path / "cache")
+    with pytest.raises(InputError, match="masks 'guess' is unknown"):
+        prepare(folder, replace(SETTINGS, masks="guess"), tmp_path / "cache")
+
+
+def _prepare_at(barrier, folder: Path, cache: Path, results) -> None:
+    barrier.wait()
+    clip = prepare(folder, SETTINGS, cache)
+    results.put((clip.folder.name, clip.counts["ok"]))
+
+
+def test_two_processes_prepare_the_same_clip_at_once(tmp_path):
+    folder, cache = write_clip(tmp_path / "clip"), tmp_path / "cache"
+    context = multiprocessing.get_context("fork")
+    barrier, results = context.Barrier(2), context.Queue()
+    processes = [context.Process(target=_prepare_at, args=(barrier, folder, cache, results)) for _ in range(2)]
+    for process in processes:
+        process.start()
+    found = [results.get(timeout=60) for _ in processes]
+    for process in processes:
+        process.join()
+    assert found[0] == found[1]
+    assert found[0][1] == 5
+    assert entries(cache) == {found[0][0]}
+
+
+def test_the_loser_of_a_race_discards_its_own(tmp_path):
+    folder, cache = write_clip(tmp_path / "clip", frames=3), tmp_path / "cache"
+    entry = CacheEntry(cache, "clip", cache_key(folder, SETTINGS))
+    clip = ClipStream(open_source(folder, ClipLayout()), SETTINGS)
+    with entry.writer() as writer:
+        for frame in clip:
+            writer.add(frame)
+        writer.finish(clip.description)
+        winner = prepare(folder, SETTINGS, cache)
+    assert entries(cache) == {winner.folder.name}
+
+
+def test_names_of_any_length_and_alphabet(tmp_path):
+    folder = write_clip(tmp_path / ("ö" * 100), frames=3)
+    assert len(prepare(folder, SETTINGS, tmp_path / "cache")) == 3

@@ -1,0 +1,62 @@
+"""Options that take what they should, and bars that say how fast the work goes."""
+
+from __future__ import annotations
+
+import argparse
+import io
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from data.command_line import Speed, path_option, progress_bars, real_number, say, whole_number
+
+
+def test_an_empty_path_is_refused() -> None:
+    assert path_option("a b") == Path("a b")
+    with pytest.raises(argparse.ArgumentTypeError, match="is empty; name a file or folder"):
+        path_option("")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"), [("2", "2 is less than 3"), ("10", "10 is more than 9"), (str(-(10**30)), "is less than 3")]
+)
+def test_whole_numbers_have_ends(text: str, said: str) -> None:
+    assert [whole_number(3, 9)(each) for each in ("3", "9")] == [3, 9]
+    with pytest.raises(argparse.ArgumentTypeError, match=said):
+        whole_number(3, 9)(text)
+    with pytest.raises(ValueError, match="x"):
+        whole_number(3, 9)("x")
+
+
+def test_nought_may_stand_for_none() -> None:
+    maybe = whole_number(3, or_zero=True)
+    assert [maybe(text) for text in ("0", "3", str(2**63 - 1))] == [0, 3, 2**63 - 1]
+    for text, said in (("1", "1 is less than 3 and not 0"), (str(2**63), "is more than 9223372036854775807")):
+        with pytest.raises(argparse.ArgumentTypeError, match=said):
+            maybe(text)
+
+
+@pytest.mark.parametrize("text", ["x", "nan", "inf", "-inf", "0.4"])
+def test_real_numbers_are_finite_and_have_a_lower_end(text: str) -> None:
+    width = real_number("a width; give 0.5 or more", 0.5)
+    assert [width("0.5"), width("1e300")] == [0.5, 1e300]
+    with pytest.raises(argparse.ArgumentTypeError, match=f"'{text}' is not a width; give 0.5 or more"):
+        width(text)
+
+
+def test_a_sentence_is_printed_as_it_is() -> None:
+    written = io.StringIO()
+    say(Console(file=written, width=20), "[red]a\x1b[2Jb[/red] " + 30 * "c", "red")
+    assert written.getvalue() == "[red]a\\x1b[2Jb[/red] " + 30 * "c" + "\n"
+
+
+def test_speed_is_told_by_the_minute_where_it_is_slow() -> None:
+    bars = progress_bars(Console(file=io.StringIO()), "clips", disable=True)
+    (column,) = (each for each in bars.columns if isinstance(each, Speed))
+    bars.add_task("x", total=10)
+    (task,), told = bars.tasks, []
+    for task.finished_speed in (None, 0.25, 12.345):
+        told.append(column.render(task).plain)
+    assert told == ["", "15.0 clips/min", "12.3 clips/s"]
+    assert not any(isinstance(each, Speed) for each in progress_bars(Console()).columns)

@@ -1,0 +1,94 @@
+"""What a batch tells of a contact: what was known at the sample's frame, and nothing of later ones."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from data.clip import prepare
+from data.contact.features import FEATURES, contact_features
+from data.training.batches import SampleDataset, collate
+from data.training.samples import SampleSettings, list_frames, make_interaction, make_sample
+from physics.load import held
+from tests.data.clips import GRID, SETTINGS, write_clip
+
+SMOOTH = replace(GRID, smoothing=4.0)
+TOLD = SampleSettings(window=2, observation="trajectory", onset_within=9, geometry=SMOOTH)
+KEYS = ("contact_features", "noise", "seen_load", "seen_observation")
+
+
+@pytest.fixture
+def clip(tmp_path):
+    """Contact in frames 3 to 7 of 12, 40 ms apart, its noise known."""
+    return prepare(write_clip(tmp_path / "clip"), replace(SETTINGS, geometry=SMOOTH), tmp_path / "cache")
+
+
+def batch_of(clip, frames: list[int], settings: SampleSettings = TOLD) -> dict:
+    dataset = SampleDataset([clip], [(0, frame) for frame in frames], settings)
+    return collate([dataset[index] for index in range(len(dataset))])
+
+
+def test_features_are_those_of_the_contact_cut_off_at_the_frame(clip):
+    frames = [3, 4, 6, 10]
+    batch = batch_of(clip, frames)
+    for row, frame in enumerate(frames):
+        whole, count = make_interaction(clip, frame, TOLD), frame - 3
+        load = replace(whole.load, factor=held(min(40, 8 * count), whole.load.steps))
+        expected = contact_features(replace(whole.observed(np.arange(count)), load=load))
+        for side in ("a", "b"):
+            assert batch[f"contact_features_{side}"].shape == (4, FEATURES)
+            np.testing.assert_array_equal(batch[f"contact_features_{side}"][row].numpy(), expected)
+            assert batch[f"noise_{side}"][row].item() == pytest.approx(float(clip.noise[3]))
+    seen = batch["seen_observation_a"]
+    assert seen.weight.sum(dim=1).tolist() == [0, 1, 3, 7]
+    assert torch.equal(seen.steps[3], torch.tensor([7, 15, 23, 31, 39, 47, 55]))
+    assert batch["seen_load_a"].factor.sum(dim=1).tolist() == [0, 8, 24, 40]  # in contact in frames 3 to 7, out in 8
+    assert batch["observation_a"].weight.sum(dim=1).tolist() == [8, 8, 8, 8]
+
+
+@pytest.mark.parametrize("frame", [3, 4, 6])
+def test_nothing_that_is_told_comes_from_later_frames(clip, frame: int):
+    """Another future of the same contact: its tissue goes elsewhere and the contact ends at once."""
+    along = replace(TOLD, geometry=replace(SMOOTH, force_direction="displacement"))
+    known = batch_of(clip, [frame], along)
+    clip.track_position, clip.contact = clip.track_position.copy(), clip.contact.copy()
+    clip.track_position[frame + 1 :] += (0.1, 0.0, 0.05)
+    clip.contact[frame + 1 :] = False
+    now = batch_of(clip, [frame], along)
+    assert not torch.equal(now["observation_a"].displacement, known["observation_a"].displacement)
+    for side in ("a", "b"):
+        assert torch.equal(now[f"contact_features_{side}"], known[f"contact_features_{side}"])
+        for name in ("direction", "factor", "vertices"):
+            ours, theirs = (getattr(batch[f"seen_load_{side}"], name) for batch in (now, known))
+            assert torch.equal(ours, theirs)
+        ours, theirs = (batch[f"seen_observation_{side}"].displacement for batch in (now, known))
+        assert torch.equal(ours, theirs)
+
+
+def test_without_a_known_noise_or_a_trajectory_nothing_is_told(clip, tmp_path):
+    plain = prepare(write_clip(tmp_path / "plain"), SETTINGS, tmp_path / "cache")
+    trajectory = replace(TOLD, geometry=GRID)
+    final = SampleSettings(geometry=SMOOTH)
+    for prepared, settings in ((plain, trajectory), (clip, final)):
+        batch = batch_of(prepared, [3, 4], settings)
+        assert not [key for key in batch if key.startswith(KEYS)]
+        assert make_sample(prepared, 3, settings).seen is None
+
+
+def test_frames_up_to_a_second_after_the_onset_become_samples(clip):
+    assert list_frames(clip, replace(TOLD, onset_within=None))[0] == [3, 4]
+    frames, left_out = list_frames(clip, replace(TOLD, onset_within=6))
+    assert frames == [3, 4, 5, 6, 7, 8]
+    assert left_out == {"no_tool": 3, "onset too far back": 3}
+    assert make_sample(clip, 8, TOLD).seen.observation.steps(0.005).tolist() == [7, 15, 23, 31, 39]
+
+
+def test_a_contact_of_unknown_noise_is_left_out_where_the_noise_is_asked_for(clip):
+    clip.noise = clip.noise.copy()
+    clip.noise[3] = np.nan
+    frames, left_out = list_frames(clip, TOLD)
+    assert frames == []
+    assert left_out["noise not known"] == 8

@@ -1,0 +1,166 @@
+"""Clips, videos, splits, checks and the door."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from data.masks.sources import MaskClasses
+from data.source.layout import ClipLayout, InputError
+from data.training.cholecseg8k import check_clip, list_clips, main
+from data.training.splits import FRACTIONS, part_sizes, split_by_video, split_in_time, video_of
+from tests.data.clips import remove_frame, write_clip
+
+
+@pytest.fixture
+def narrow(monkeypatch, tmp_path):
+    """The door's working folder; its table as wide as a normal terminal's."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "120")
+    return tmp_path
+
+
+def test_clips_are_found_at_any_depth_and_a_video_beside_its_folder_is_the_same_clip(tmp_path):
+    for name in ("a/video01/video01_00080", "a/video01/video01_00000", "video02/video02_00000"):
+        write_clip(tmp_path / name, frames=3)
+    (tmp_path / "video02" / "video02_00000.mp4").write_bytes(b"film")
+    found = list_clips(tmp_path, ClipLayout())
+    assert [path.name for path in found] == ["video01_00000", "video01_00080", "video02_00000"]
+    assert [video_of(path) for path in found] == ["video01", "video01", "video02"]
+    assert video_of(Path("films/gallbladder.mp4")) == "gallbladder"
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="empty"):
+        list_clips(tmp_path / "empty", ClipLayout())
+
+
+@given(
+    total=st.integers(0, 500),
+    fractions=st.sampled_from([FRACTIONS, (0.8, 0.1, 0.1), (1.0, 1.0, 1.0), (0.9, 0.1, 0.0)]),
+)
+def test_part_sizes_add_up_and_leave_no_part_empty_needlessly(total, fractions):
+    sizes = part_sizes(total, fractions)
+    assert sum(sizes) == total
+    assert min(sizes) >= 0
+    wanted = sum(fraction > 0 for fraction in fractions)
+    assert sum(size > 0 for size in sizes) == min(total, wanted)
+    for size, fraction in zip(sizes, fractions, strict=True):
+        assert abs(size - total * fraction / sum(fractions)) <= 2
+        assert size == 0 or fraction > 0
+
+
+def test_the_papers_split_is_seven_two_one():
+    assert part_sizes(10, FRACTIONS) == [7, 2, 1]
+    assert part_sizes(3, FRACTIONS) == [1, 1, 1]
+    assert part_sizes(2, FRACTIONS) == [1, 1, 0]
+    with pytest.raises(ValueError, match="fractions"):
+        part_sizes(3, (0, 0, 0))
+
+
+def test_splits_by_video_are_disjoint_complete_and_repeatable():
+    videos = [f"video{number:02d}" for number in range(10)]
+    split = split_by_video([*videos, *videos[::-1]], FRACTIONS, seed=3)
+    assert [len(split[name]) for name in ("train", "val", "test")] == [7, 2, 1]
+    assert sorted(video for part in split.values() for video in part) == videos
+    assert split == split_by_video(reversed(videos), FRACTIONS, seed=3)
+    assert split != split_by_video(videos, FRACTIONS, seed=4)
+
+
+def test_a_split_in_time_keeps_the_order():
+    assert split_in_time(range(10), FRACTIONS) == {"train": list(range(7)), "val": [7, 8], "test": [9]}
+
+
+def test_a_check_counts_what_is_wrong(tmp_path):
+    folder = write_clip(tmp_path / "clip")
+    remove_frame(folder, 5)
+    (folder / "frame_2_endo.png").write_bytes(b"\x89PNG")
+    (folder / "frame_3_endo_color_mask.png").unlink()
+    mask = cv2.imread(str(folder / "frame_4_endo_color_mask.png"))
+    mask[:48] = (1, 2, 3)  # within the tolerance of black? no: 6 away
+    mask[48:50] = (167, 160, 255)  # 2 away from gallbladder
+    cv2.imwrite(str(folder / "frame_4_endo_color_mask.png"), mask)
+    rgba = cv2.cvtColor(cv2.imread(str(folder / "frame_6_endo_color_mask.png")), cv2.COLOR_BGR2BGRA)
+    cv2.imwrite(str(folder / "frame_6_endo_color_mask.png"), rgba)
+    check = check_clip(folder, ClipLayout(), MaskClasses())
+    assert (check.frames, check.size, check.unreadable, check.gaps) == (11, (128, 96), 1, 1)
+    assert check.unknown_share == pytest.approx(0.5 / 9)
+    assert any("frame_3_endo_color_mask.png" in problem for problem in check.problems)
+
+
+def test_the_door_prepares_and_reports(narrow, capsys):
+    write_clip(narrow / "data" / "video01" / "video01_00000")
+    assert main(["data", "--depth", "stored", "--masks", "annotation", "--cache", "cache"]) == 0
+    out = capsys.readouterr().out
+    assert "video01_00000" in out
+    assert "128x96" in out
+    assert "7 no_tool" in out
+    assert len(list((narrow / "cache").iterdir())) == 1
+
+
+def test_the_door_goes_on_after_a_bad_clip_and_names_it(narrow, capsys):
+    write_clip(narrow / "data" / "video01" / "video01_00000", frames=4)
+    bad = write_clip(narrow / "data" / "video02" / "video02_00000", frames=4)
+    for path in bad.glob("*_color_mask.png"):
+        path.unlink()
+    assert main(["data", "--depth", "stored", "--masks", "annotation", "--cache", "cache"]) == 1
+    captured = capsys.readouterr()
+    assert "video01_00000" in captured.out
+    assert "video02_00000 failed" in captured.err
+
+
+def test_names_do_nothing_to_the_terminal(narrow, capsys):
+    for name in ("video01/good", "video02/bad"):
+        write_clip(narrow / "data" / f"{name}\x1b[31m\x07[red]", frames=4)
+    for path in (narrow / "data" / "video02").rglob("*_color_mask.png"):
+        path.unlink()
+    assert main(["data", "--depth", "stored", "--masks", "annotation", "--cache", "cache"]) == 1
+    captured = capsys.readouterr()
+    assert not {letter for letter in captured.out + captured.err if not letter.isprintable()} - {"\n"}
+    assert r"good\x1b[31m\x07[red]" in captured.out
+    assert r"bad\x1b[31m\x07[red] failed" in captured.err
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["nowhere"], ["data", "--depth", "none"], ["data", "--masks", "none"], ["data", "--layout", "nowhere.yaml"]],
+)
+def test_wrong_usage_is_one_sentence(narrow, capsys, arguments):
+    write_clip(narrow / "data" / "video01_00000", frames=2, contact=())
+    assert main(arguments) == 2
+    error = capsys.readouterr().err.strip()
+    assert error.endswith(".")
+    assert "Traceback" not in error
+    assert "\n" not in error
+
+
+def test_without_contact_the_door_says_so(narrow, capsys):
+    write_clip(narrow / "data" / "video01_00000", frames=3, contact=())
+    assert main(["data", "--cache", "cache"]) == 0
+    assert "No frame is in contact" in capsys.readouterr().err
+
+
+def test_the_module_runs_as_a_program_without_torch(tmp_path):
+    write_clip(tmp_path / "video01_00000", frames=3)
+    root = Path(__file__).parents[3]
+    code = (
+        "import sys; from data.training.cholecseg8k import main; "
+        f"status = main([{str(tmp_path)!r}, '--cache', {str(tmp_path / 'cache')!r}]); "
+        "assert not {'torch', 'lightning', 'matplotlib', 'scipy.stats'} & set(sys.modules); sys.exit(status)"
+    )
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, cwd=root, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_real_data_set_has_no_unknown_colours(real_data):
+    folder = real_data / "cholecseg8k" / "video01" / "video01_00080"
+    check = check_clip(folder, ClipLayout(), MaskClasses())
+    assert (check.frames, check.size, check.gaps, check.problems) == (80, (854, 480), 0, [])
+    assert check.unknown_share < 1e-3
+    assert np.isfinite(check.unknown_share)

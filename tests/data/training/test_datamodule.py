@@ -1,0 +1,177 @@
+"""Batches, splits and order."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from data.source.layout import InputError
+from data.training.datamodule import ClipDataModule, LoadingSettings
+from data.training.samples import SampleSettings
+from physics.mechanics import Bounds, Mechanics, UnstableConfiguration
+from physics.msd import rollout
+from physics.msd.likelihoods import displacement_error
+from tests.data.clips import GRID, write_clip
+
+
+def made(folder: Path, loading: dict | None = None, bounds: Bounds = Bounds(), **samples) -> ClipDataModule:  # noqa: B008
+    """Data module over `folder`/data."""
+    return ClipDataModule(
+        str(folder / "data"),
+        cache=str(folder / "cache"),
+        samples=SampleSettings(geometry=GRID, **samples),
+        loading=LoadingSettings(**loading or {}),
+        bounds=bounds,
+        geometry=GRID,
+    )
+
+
+def module(folder: Path, loading: dict | None = None, **samples) -> ClipDataModule:
+    """Data module over `folder`/data, set up."""
+    data = made(folder, loading, **samples)
+    data.prepare_data()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        data.setup("fit")
+    return data
+
+
+@pytest.fixture
+def one_clip(tmp_path):
+    """Ten pairs of one video."""
+    write_clip(tmp_path / "data" / "video01" / "video01_00000", contact=tuple(range(2, 13)), frames=14)
+    return tmp_path
+
+
+@pytest.fixture
+def four_videos(tmp_path):
+    """Four pairs of each of four videos."""
+    for number in range(1, 5):
+        write_clip(tmp_path / "data" / f"video{number:02d}" / f"video{number:02d}_00000")
+    return tmp_path
+
+
+def order(loader) -> list[tuple[str, int]]:
+    return [(clip, int(frame)) for batch in loader for clip, frame in zip(batch["clip"], batch["frame"], strict=True)]
+
+
+def test_a_batch_holds_what_the_training_step_needs(one_clip):
+    data = module(one_clip, window=3)
+    batch = next(iter(data.train_dataloader()))
+    assert batch["window_a"].shape == batch["window_b"].shape == (2, 3, 48, 64)
+    assert batch["window_a"].dtype == torch.float32
+    for side in ("a", "b"):
+        load, observation = batch[f"load_{side}"], batch[f"observation_{side}"]
+        assert load.vertices.dtype == torch.int64
+        assert load.direction.norm(dim=1).tolist() == pytest.approx([1, 1], abs=1e-5)
+        assert observation.steps.tolist() == [[199], [199]]
+        theta = torch.tensor([[0.5, 0.1, -0.1]]).repeat(2, 1)
+        trajectory = rollout(theta, batch[f"mesh_{side}"], load, data.mechanics)
+        assert torch.isfinite(displacement_error(trajectory, observation)).all()
+
+
+def test_trajectories_of_differing_length_are_padded_with_weight_zero(tmp_path):
+    write_clip(tmp_path / "data" / "video01" / "video01_00000", frames=8)
+    write_clip(tmp_path / "data" / "video01" / "video01_00080", frames=12)
+    data = module(tmp_path, {"batch_size": 20, "fractions": (1.0, 0.0, 0.0)}, observation="trajectory", window=4)
+    batch = next(iter(data.train_dataloader()))
+    lengths = dict(zip(batch["clip"], batch["observation_a"].weight.sum(dim=1).tolist(), strict=True))
+    assert lengths == {"video01_00000": 4, "video01_00080": 8}
+    assert batch["observation_a"].displacement.shape[1] == 8
+    assert torch.equal(batch["observation_a"].displacement, batch["observation_b"].displacement)
+
+
+def test_few_videos_are_split_in_time_with_a_warning(one_clip):
+    data = made(one_clip)
+    with pytest.warns(UserWarning, match="split in time"):
+        data.setup("fit")
+    frames = {split: [frame for _, frame in places] for split, places in data.places.items()}
+    assert frames == {"train": [2, 3, 4, 5, 6, 7, 8], "val": [9, 10], "test": [11]}
+    assert data.left_out == {"no_tool": 3, "next frame not in contact": 1}
+    assert "7 train, 2 val, 1 test" in data.summary()
+    assert "3 no_tool" in data.summary()
+
+
+def test_three_or_more_videos_share_no_video(four_videos):
+    data = module(four_videos)
+    videos = {split: {clip for clip, _ in places} for split, places in data.places.items()}
+    assert sum(len(found) for found in videos.values()) == 4
+    assert all(videos.values())
+    assert sum(len(places) for places in data.places.values()) == 16
+
+
+def test_order_depends_on_seed_and_epoch_only(four_videos):
+    first, second = module(four_videos).train_dataloader(), module(four_videos).train_dataloader()
+    first.sampler.set_epoch(5)
+    second.sampler.set_epoch(5)
+    fifth = order(first)
+    assert fifth == order(second)
+    first.sampler.set_epoch(6)
+    assert order(first) != fifth
+    assert sorted(order(first)) == sorted(fifth)
+    other = module(four_videos, {"seed": 1}).train_dataloader()
+    other.sampler.set_epoch(5)
+    assert order(other) != fifth
+
+
+def test_workers_see_the_same(one_clip):
+    alone, helped = module(one_clip), module(one_clip, {"num_workers": 2})
+    for batch, other in zip(alone.val_dataloader(), helped.val_dataloader(), strict=True):
+        assert torch.equal(batch["window_a"], other["window_a"])
+        assert torch.equal(batch["mesh_b"].vertices, other["mesh_b"].vertices)
+
+
+def test_interactions_and_metadata(one_clip):
+    data = module(one_clip, window=2)
+    found, (clip,) = data.interactions("train", 3), data.clips
+    for interaction, frame in zip(found, (2, 5, 8), strict=True):
+        np.testing.assert_array_equal(interaction.moved, clip.displacement[frame : frame + 1])
+        np.testing.assert_array_equal(interaction.mesh.vertices, clip.mesh(frame).vertices)
+        assert interaction.vertex == clip.vertex[frame]
+        assert interaction.load_seconds == pytest.approx(data.mechanics.load_steps * data.mechanics.time_step)
+    assert len(data.interactions("test")) == 1
+    metadata = json.loads(json.dumps(data.metadata()))
+    assert metadata["geometry"]["height"] == 48
+    assert metadata["classes"] == {"tool": ["grasper"], "tissue": ["gallbladder"], "tolerance": 5}
+    assert str(one_clip) not in json.dumps(metadata)
+
+
+def test_an_unstable_box_is_refused_with_the_numbers(one_clip):
+    data = made(one_clip, bounds=Bounds(stiffness=(0.0, 100.0)))
+    with pytest.raises(UnstableConfiguration, match="k_s = 100"), pytest.warns(UserWarning, match="in time"):
+        data.setup("fit")
+    explicit = made(one_clip, mechanics=Mechanics(damping="explicit"))
+    with pytest.raises(UnstableConfiguration, match="k_d = 1"), pytest.warns(UserWarning, match="in time"):
+        explicit.setup("fit")
+
+
+def test_without_contact_or_onset_one_sentence_says_what_to_do(tmp_path):
+    write_clip(tmp_path / "data" / "video01_00000", contact=(), frames=4)
+    with pytest.raises(InputError, match=r"no frame in contact \(4 no_tool\); check"):
+        module(tmp_path)
+    write_clip(tmp_path / "more" / "data" / "video01_00000", contact=(0, 1), frames=4)
+    with pytest.raises(InputError, match=r"2 onset not seen.*observation final"):
+        module(tmp_path / "more", observation="trajectory", window=8)
+
+
+def test_a_bad_clip_is_left_out_with_a_warning(one_clip):
+    bad = one_clip / "data" / "video02_00000"
+    bad.mkdir()
+    (bad / "frame_0_endo.png").write_bytes(b"")
+    data = made(one_clip)
+    with pytest.warns(UserWarning, match="video02_00000 is left out"):
+        data.prepare_data()
+    assert len(data.clips) == 1
+
+
+def test_impossible_settings_are_refused(tmp_path):
+    for wrong in ({"batch_size": 0}, {"num_workers": -1}, {"fractions": (0.0, 0.5, 0.5)}, {"fractions": (0.5, 0.5)}):
+        with pytest.raises(ValueError, match=next(iter(wrong))):
+            LoadingSettings(**wrong)
+    with pytest.raises(ValueError, match=r"samples\.geometry differs from geometry"):
+        ClipDataModule(str(tmp_path), geometry=GRID)

@@ -1,0 +1,190 @@
+"""Which frames become samples, and what the simulation is compared with."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from data.clip import prepare
+from data.contact.geometry import GeometrySettings
+from data.contact.interaction import Interaction
+from data.training.samples import (
+    SampleSettings,
+    builder_of,
+    consecutive_pairs,
+    list_frames,
+    make_interaction,
+    make_sample,
+)
+from physics.mechanics import Mechanics
+from tests.data.clips import DEPTH_STEP, GRID, HEIGHT, SETTINGS, WIDTH, remove_frame, write_clip
+
+PAIRS = SampleSettings(geometry=GRID)
+TRAJECTORY = SampleSettings(window=4, observation="trajectory", geometry=GRID)
+
+
+def steps_of(contact: Interaction) -> list[int]:
+    """Indices into a trajectory at which it was observed."""
+    return contact.observation.steps(contact.time_step).tolist()
+
+
+def load_steps(contact: Interaction) -> float:
+    """Steps under load, which all come first."""
+    assert (np.diff(contact.load.factor) <= 0).all()
+    return contact.load.factor.sum()
+
+
+@pytest.fixture
+def clip(tmp_path):
+    """Contact in frames 3 to 7 of 12, 40 ms apart."""
+    return prepare(write_clip(tmp_path / "clip"), SETTINGS, tmp_path / "cache")
+
+
+def test_pairs_are_consecutive_frames_in_contact_and_the_rest_is_counted(clip):
+    frames, left_out = list_frames(clip, PAIRS)
+    assert frames == [3, 4, 5, 6] == consecutive_pairs(clip)
+    assert left_out == {"no_tool": 7, "next frame not in contact": 1}
+    assert sum(left_out.values()) + len(frames) == len(clip)
+
+
+def test_no_pair_crosses_a_gap(tmp_path):
+    folder = write_clip(tmp_path / "clip")
+    remove_frame(folder, 5)
+    clip = prepare(folder, SETTINGS, tmp_path / "cache")
+    frames, left_out = list_frames(clip, PAIRS)
+    assert [clip.numbers[frame] for frame in frames] == [3, 6]
+    assert left_out["no next frame"] == 1
+
+
+@pytest.mark.parametrize(("observation", "step"), [("final", 199), ("release", 49)])
+def test_a_pair_observes_one_displacement_at_one_step(clip, observation, step):
+    sample = make_sample(clip, 4, replace(PAIRS, observation=observation, window=3))
+    assert np.array_equal(sample.window_a, [clip.depth(2), clip.depth(3), clip.depth(4)])
+    assert np.array_equal(sample.window_b, [clip.depth(7), clip.depth(6), clip.depth(5)])
+    for contact, frame, sign in ((sample.interaction_a, 4, 1), (sample.interaction_b, 5, -1)):
+        assert steps_of(contact) == [step]
+        assert load_steps(contact) == 50
+        assert contact.moved[0, 2] == pytest.approx(sign * DEPTH_STEP, abs=2e-4)
+        assert contact.vertex == clip.vertex[frame]
+        assert contact.direction == pytest.approx(clip.normal[frame])
+        assert len(contact.mesh.vertices) == len(clip.mesh(frame).vertices)
+
+
+def test_the_first_frame_is_repeated_at_a_clips_start(tmp_path):
+    clip = prepare(write_clip(tmp_path / "clip", contact=(0, 1, 2), frames=3), SETTINGS, tmp_path / "cache")
+    sample = make_sample(clip, 0, replace(PAIRS, window=4))
+    assert np.array_equal(sample.window_a, [clip.depth(0)] * 4)
+    assert np.array_equal(sample.window_b, [clip.depth(2), clip.depth(2), clip.depth(2), clip.depth(1)])
+
+
+def test_a_trajectory_is_observed_at_the_frames_time_stamps(clip):
+    frames, left_out = list_frames(clip, TRAJECTORY)
+    assert frames == [3, 4, 5, 6]
+    assert left_out == {"no_tool": 3, "onset outside the window": 5}
+    sample = make_sample(clip, 5, TRAJECTORY)
+    contact = sample.interaction_a
+    # Frames 40 ms apart are 8 steps of 5 ms; index i is the time (i + 1)·Δt.
+    assert steps_of(contact) == [8 * k - 1 for k in range(1, 9)]
+    assert contact.moved[:, 2] == pytest.approx(DEPTH_STEP * np.arange(1, 9), abs=2e-4)
+    assert load_steps(contact) == 5 * 8  # contact in frames 3 to 7, out of it in frame 8
+    assert contact.vertex == clip.vertex[3]
+    assert sample.interaction_b is contact
+
+
+def test_a_trajectory_ends_with_its_horizon_and_with_the_rollout(clip):
+    short = make_interaction(clip, 4, replace(TRAJECTORY, horizon_frames=3))
+    assert steps_of(short) == [7, 15, 23]
+    pressed = make_interaction(clip, 4, replace(TRAJECTORY, horizon_frames="press"))
+    assert steps_of(pressed) == [7, 15, 23, 31]  # contact in frames 3 to 7
+    brief = make_interaction(clip, 4, replace(TRAJECTORY, mechanics=Mechanics(steps=20, load_steps=5)))
+    assert steps_of(brief) == [7, 15]
+    assert load_steps(brief) == 20
+
+
+def test_contact_that_never_ends_loads_the_whole_rollout(tmp_path):
+    clip = prepare(write_clip(tmp_path / "clip", contact=(2, 3, 4), frames=5), SETTINGS, tmp_path / "cache")
+    assert load_steps(make_interaction(clip, 2, TRAJECTORY)) == 200
+
+
+def spoiled(tmp_path, frames: tuple[int, ...], what: str, contact: tuple[int, ...] = (3, 4, 5, 6, 7)):
+    """A clip some of whose frames have no depth or no mask."""
+    folder = write_clip(tmp_path / "clip", contact=contact)
+    for index in frames:
+        if what == "depth":
+            cv2.imwrite(str(folder / f"frame_{index}_endo_depth.png"), np.zeros((HEIGHT, WIDTH), np.uint16))
+        else:
+            (folder / f"frame_{index}_endo_color_mask.png").unlink()
+    return prepare(folder, SETTINGS, tmp_path / "cache")
+
+
+def test_a_frame_without_depth_within_a_press_is_no_release(tmp_path):
+    clip = spoiled(tmp_path, (5,), "depth")
+    assert clip.status[4:7] == ["ok", "bad_depth", "ok"]
+    run = builder_of(clip, 3, TRAJECTORY)
+    assert (run.pressed, run.load_seconds) == (4, pytest.approx(0.2))
+    contact = make_interaction(clip, 3, TRAJECTORY)
+    assert load_steps(contact) == 5 * 8
+    assert steps_of(contact) == [7, 23, 31, 39, 47, 55, 63]  # all but the frame itself
+
+
+@pytest.mark.parametrize(("frames", "what"), [((8,), "depth"), ((8, 9), "depth"), ((8,), "mask")])
+def test_after_an_unknown_frame_without_contact_nothing_is_observed(tmp_path, frames, what):
+    clip = spoiled(tmp_path, frames, what, contact=tuple(range(3, frames[-1] + 1)))
+    assert clip.status[8] == ("bad_depth" if what == "depth" else "no_mask")
+    run = builder_of(clip, 3, TRAJECTORY)
+    assert (run.pressed, run.load_seconds) == (4, None)
+    contact = make_interaction(clip, 3, TRAJECTORY)
+    assert load_steps(contact) == 200  # it wasn't seen to end
+    assert steps_of(contact) == [7, 15, 23, 31]  # frames 4 to 7
+
+
+def test_a_longer_unknown_stretch_ends_the_run(tmp_path):
+    clip = spoiled(tmp_path, (5, 6, 7), "depth", contact=(3, 4, 5, 6, 7, 8, 9))
+    contact = make_interaction(clip, 3, TRAJECTORY)
+    assert (load_steps(contact), steps_of(contact)) == (200, [7])
+    assert clip.track_start.tolist() == [-1] * 3 + [3] * 5 + [-1] * 4
+
+
+def test_contact_without_onset_gives_no_trajectory(tmp_path):
+    clip = prepare(write_clip(tmp_path / "clip", contact=(0, 1, 2), frames=6), SETTINGS, tmp_path / "cache")
+    frames, left_out = list_frames(clip, TRAJECTORY)
+    assert frames == []
+    assert left_out == {"onset not seen": 3, "no_tool": 3}
+
+
+def test_rigid_motion_can_be_left_out(tmp_path):
+    folder = write_clip(tmp_path / "clip", shift=1.0, recede=0.0)
+    clip = prepare(folder, SETTINGS, tmp_path / "cache")
+    for settings in (PAIRS, TRAJECTORY):
+        assert list_frames(clip, settings)[0] == [3, 4, 5, 6]
+        frames, left_out = list_frames(clip, replace(settings, min_deformation=0.004))
+        assert frames == []
+        assert left_out["rigid motion"] == 4
+
+
+def test_direction_of_the_observed_motion(clip):
+    along = replace(PAIRS, geometry=GeometrySettings(height=48, width=64, force_direction="displacement"))
+    sample = make_sample(clip, 4, along)
+    motion = sample.interaction_a.moved[0]
+    assert sample.interaction_a.direction == pytest.approx(-motion / np.linalg.norm(motion), abs=1e-5)
+    assert sample.interaction_a.direction @ clip.normal[4] > 0
+    assert sample.interaction_b.direction @ clip.normal[5] > 0
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"window": 0},
+        {"observation": "all"},
+        {"horizon_frames": 0},
+        {"horizon_frames": "release"},
+        {"min_deformation": float("nan")},
+        {"onset_within": 0},
+    ],
+)
+def test_impossible_settings_are_refused(wrong):
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        SampleSettings(**wrong)

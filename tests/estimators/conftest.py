@@ -1,0 +1,51 @@
+"""A small synthetic clip and an untrained posterior, shared by the tests of the estimators."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+import torch
+
+from data.contact.features import FEATURES
+from data.prepared import PreparedFrame
+from data.settings import PrepareSettings
+from data.synthetic.clip import SyntheticClip, make_clip
+from data.synthetic.settings import SceneSettings
+from data.synthetic.source import open_synthetic
+from estimators.network.fits import BOUNDS, MECHANICS
+from models.onnx_export import export_posterior
+from models.onnx_session import PosteriorModel
+from models.posterior import ContactPosterior
+from tests.estimators.sessions import SIZE, clip_info
+from tests.inference_inputs import metadata
+
+
+@pytest.fixture(scope="session")
+def pressed() -> SyntheticClip:
+    """A clip of 28 frames whose tissue is pressed for 0.3 s."""
+    width, height = SIZE
+    settings = SceneSettings(width=width, height=height, depth_noise=0.001, frames=28, press_seconds=(0.3, 0.3))
+    return make_clip(settings, 4)
+
+
+@pytest.fixture(scope="session")
+def frames(pressed: SyntheticClip) -> list[PreparedFrame]:
+    """The same, prepared."""
+    return list(open_synthetic(pressed, PrepareSettings(geometry=clip_info().geometry)))
+
+
+@pytest.fixture(scope="session")
+def posterior(tmp_path_factory: pytest.TempPathFactory) -> PosteriorModel:
+    """An untrained posterior, exported."""
+    torch.manual_seed(0)
+    path = tmp_path_factory.mktemp("posterior") / "contact.onnx"
+    document = metadata(
+        geometry=dataclasses.asdict(clip_info().geometry),
+        mechanics=dataclasses.asdict(MECHANICS),
+        bounds=dataclasses.asdict(BOUNDS),
+        observation="trajectory",
+        contact={"press_seconds": (0.24, 0.48)},
+    )
+    export_posterior(ContactPosterior(FEATURES, torch.tensor(BOUNDS.log_box), width=16, blocks=1), path, document)
+    return PosteriorModel(path)

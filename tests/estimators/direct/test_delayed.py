@@ -1,0 +1,135 @@
+"""A press that began and ended at unknown instants: the delayed motion, its derivatives, what is left to know of θ."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from data.contact.interaction import Interaction
+from estimators.direct.delayed import DelayedProblem, about_tissue
+from estimators.direct.problem import ContactProblem
+from physics.identifiability import box_information, covariance
+from physics.load import Press, held
+from physics.msd.simulation import simulate
+from tests.estimators.direct.test_estimator import (
+    DIRECTION,
+    LOAD,
+    MECHANICS,
+    MESH,
+    NOISE,
+    REGIMES,
+    SETTINGS,
+    STEPS,
+    VERTEX,
+    contact_of,
+    later,
+)
+
+STEP = MECHANICS.time_step
+WITHIN = 0.02
+
+
+def problem_of(theta: tuple[float, float, float], within: float = WITHIN) -> DelayedProblem:
+    return DelayedProblem(contact_of(theta), MECHANICS, NOISE, within)
+
+
+def values_of(theta: tuple[float, float, float], *delays: float) -> np.ndarray:
+    """All parameters, the delays in seconds."""
+    return np.concatenate([np.log(np.abs(theta)), np.array(delays) / WITHIN])
+
+
+def moved(theta: tuple[float, float, float], began: int, ended: int, released: bool = True) -> np.ndarray:
+    """Motion at STEPS of a press that began and ended so many steps after its stamps, at rest before, shape [M, 3]."""
+    steps = int(STEPS.max()) + 10
+    press = Press.at(VERTEX, DIRECTION, held(LOAD + ended - began if released else steps, steps))
+    path = simulate(np.array(theta), MESH, press, MECHANICS, dtype=np.float64)
+    since = STEPS - began
+    return np.where((since >= 0)[:, None], path[np.maximum(since, 0)], 0)
+
+
+@pytest.mark.parametrize("theta", REGIMES.values(), ids=REGIMES)
+def test_without_delays_it_is_the_plain_problem(theta: tuple[float, float, float]) -> None:
+    plain, delayed = ContactProblem(contact_of(theta), MECHANICS, NOISE), problem_of(theta)
+    values = values_of(theta, 0.0, 0.0) + 0.1 * np.array([1.0, -1.0, 1.0, 0.0, 0.0])
+    np.testing.assert_allclose(delayed.residual(values), plain.residual(values[:3]), atol=1e-6)
+    np.testing.assert_allclose(delayed.jacobian(values)[:, :3], plain.jacobian(values[:3]), atol=1e-5)
+    np.testing.assert_array_equal(delayed.theta(values), plain.theta(values[:3]))
+
+
+@pytest.mark.parametrize(("began", "ended"), [(-4, -4), (3, 3), (8, -2), (-3, 5)])
+def test_delays_of_whole_steps_shift_load_and_release(began: int, ended: int) -> None:
+    theta = REGIMES["under-damped"]
+    problem = problem_of(theta)
+    values = values_of(theta, began * STEP, ended * STEP)
+    np.testing.assert_allclose(problem.path(values), moved(theta, began, ended), atol=1e-7)
+    assert problem.delays(values) == pytest.approx((began * STEP, ended * STEP))
+
+
+@pytest.mark.parametrize(("fps", "load_frames"), [(25.0, 3), (24.0, 3), (60.0, 9)])
+def test_the_coarse_motion_is_off_by_less_than_the_noise(fps: float, load_frames: int) -> None:
+    """Also where frames, and the release, lie between its steps."""
+    mechanics = MECHANICS.matched(1 / fps)
+    frame = round(1 / fps / mechanics.time_step)
+    contact = contact_of(REGIMES["under-damped"])
+    observation = dataclasses.replace(contact.observation, times=np.arange(1, len(STEPS) + 1) / fps)
+    load = dataclasses.replace(contact.load, factor=held(frame * load_frames, mechanics.steps))
+    contact = Interaction(contact.mesh, load, observation, mechanics.time_step)
+    problem = DelayedProblem(contact, mechanics, 1e-3, 1 / fps)
+    for delays in ((0.0, 0.0), (0.37, -0.61), (-0.9, 0.2)):
+        values = np.concatenate([np.log(np.abs(REGIMES["under-damped"])), delays])
+        apart = problem.coarse_paths(values[None])[0] - problem.path(values)
+        assert np.abs(apart).max() < 0.3e-3
+
+
+@pytest.mark.parametrize("delays", [(-0.0113, 0.0042), (0.0071, -0.0132)])
+def test_derivatives_are_those_of_the_residual(delays: tuple[float, float]) -> None:
+    problem, values = problem_of(REGIMES["critical"]), values_of(REGIMES["critical"], *delays)
+    for column, size in enumerate((1e-4, 1e-4, 1e-4, 0.1, 0.1)):
+        step = size * np.eye(5)[column]
+        slope = (problem.residual(values + step) - problem.residual(values - step)) / (2 * size)
+        found, scale = problem.jacobian(values)[:, column], np.abs(slope).max()
+        # Within the step in which the force ends a curve through whole steps is off.
+        np.testing.assert_allclose(found, slope, atol=0.07 * scale)
+        assert np.abs(found - slope).mean() < 0.005 * scale
+
+
+def test_a_press_that_was_not_seen_to_end_goes_on() -> None:
+    """Begun earlier than its stamp it has lasted longer; when it ends is no parameter."""
+    theta = REGIMES["critical"]
+    contact = contact_of(theta)
+    pressed = dataclasses.replace(contact, load=dataclasses.replace(contact.load, factor=np.ones(MECHANICS.steps)))
+    problem = DelayedProblem(pressed, MECHANICS, NOISE, WITHIN)
+    assert problem.box(SETTINGS.bounds.log_box).shape == (2, 4)
+    found = problem.path(values_of(theta, -WITHIN))
+    np.testing.assert_allclose(found, moved(theta, -round(WITHIN / STEP), 0, released=False), atol=1e-7)
+    assert problem.jacobian(values_of(theta, -WITHIN)).shape == (3 * len(STEPS), 4)
+
+
+def test_a_release_in_the_last_frame_was_seen() -> None:
+    theta = REGIMES["critical"]
+    whole, under = contact_of(theta), STEPS < LOAD
+    problem = DelayedProblem(whole.observed(under), MECHANICS, NOISE, WITHIN)
+    values = values_of(theta, -3 * STEP, -3 * STEP)
+    np.testing.assert_allclose(problem.path(values), moved(theta, -3, -3)[under], atol=1e-7)
+
+
+def test_starts_are_at_the_delays_that_suit_them() -> None:
+    theta, delay = REGIMES["under-damped"], 0.01
+    problem = DelayedProblem(later(contact_of(theta), delay), MECHANICS, NOISE, WITHIN)
+    candidates = np.array([values_of(theta, 0.0, 0.0), values_of((0.06, 0.3, -0.05), 0.0, 0.0)])
+    low, high = candidates.min(axis=0) - 1, candidates.max(axis=0) + 1
+    best = problem.best_starts(candidates, problem.coarse_paths(candidates), low, high)[0]
+    np.testing.assert_allclose(best, values_of(theta, delay, delay), atol=0.07)
+
+
+def test_what_other_unknowns_leave_is_the_block_of_the_covariance() -> None:
+    generator = np.random.default_rng(0)
+    slopes = generator.normal(size=(20, 5))
+    ends = np.array([1.0, 2.0, 1.0, 0.5, 0.5])
+    information, prior = slopes.T @ slopes, box_information(np.array([-ends, ends]))
+    weighed = information.copy()
+    weighed[3:, 3:] += prior[3:, 3:]
+    np.testing.assert_allclose(covariance(about_tissue(information, prior)), np.linalg.inv(weighed)[:3, :3], rtol=1e-9)
+    np.testing.assert_array_equal(about_tissue(information[:3, :3], prior[:3, :3]), information[:3, :3])

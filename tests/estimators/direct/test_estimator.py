@@ -1,0 +1,386 @@
+"""Direct fits recover what made the motion, and say how well they can know it."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from data.contact.interaction import Interaction
+from data.prepared import PreparedFrame
+from estimators.direct import error_model
+from estimators.direct import estimator as direct
+from estimators.direct import optima as contact_optima
+from estimators.direct.error_model import log_likelihoods
+from estimators.direct.estimator import WHOLE, DirectEstimator, DirectSettings, trusted_information
+from estimators.direct.optima import Optimum, combine
+from estimators.direct.problem import ContactProblem
+from estimators.direct.sampling import Draws, sample_posterior
+from estimators.estimate import Estimate, NoEstimate
+from estimators.oblique import HIDDEN_ERROR
+from estimators.onset import BETWEEN, STAMP
+from estimators.runs import NOT_FOLLOWED
+from physics.identifiability import bounds, covariance
+from physics.likelihood import Likelihood
+from physics.load import Press, held
+from physics.mechanics import RECOMMENDED, Bounds, Mechanics, theta_of
+from physics.mesh import Mesh, contact_normal
+from physics.msd.simulation import simulate
+from physics.observation import Observation
+from tests.estimators.sessions import clip_info, follow, prepared_frame, touched
+from tests.physics.sheets import sheet
+
+MECHANICS = Mechanics(time_step=0.0025, steps=400, scheme="dkd")
+SETTINGS = DirectSettings(mechanics=MECHANICS)
+STEPS = 16 * np.arange(1, 16) - 1
+"""Frames at 25 Hz for 0.6 s."""
+LOAD = 128
+VERTEX = 6 * 13 + 6
+
+
+def facing_sheet() -> tuple[Mesh, np.ndarray]:
+    """A sheet that lies so that its normal at the contact is the line of sight, and that normal."""
+    mesh = sheet(13, 13)
+    normal = contact_normal(mesh, VERTEX)
+    vertices = (mesh.vertices - mesh.vertices[VERTEX] - 0.5 * normal).astype(np.float32)
+    return dataclasses.replace(mesh, vertices=vertices), normal
+
+
+MESH, DIRECTION = facing_sheet()
+NOISE = 2e-4
+NARROW = Bounds((0.1, 0.5), (0.01, 0.15), (-0.1, -0.02), initial=(0.3, 0.05, -0.05))
+REGIMES = {
+    "under-damped": (0.4, 0.015, -0.05),
+    "critical": (0.3, 0.035, -0.05),
+    "over-damped": (0.2, 0.06, -0.06),
+}
+
+
+def contact_of(
+    theta: tuple[float, float, float],
+    noise: float = NOISE,
+    seed: int | None = None,
+    delays: tuple[int, int] = (0, 0),
+) -> Interaction:
+    """A contact that moved as the simulator says, with noise where there is a seed.
+
+    Its load began, and ended, `delays` steps later than it says.
+    """
+    began, ended = delays
+    press = Press.at(VERTEX, DIRECTION, held(LOAD + ended - began, int(STEPS.max()) + 1 + max(-began, 0)))
+    moved = simulate(np.array(theta), MESH, press, MECHANICS, dtype=np.float64)
+    path = np.where((began <= STEPS)[:, None], moved[np.maximum(STEPS - began, 0)], 0)
+    if seed is not None:
+        path = path + np.random.default_rng(seed).normal(0, noise, path.shape)
+    times = MECHANICS.time_step * (STEPS + 1)
+    press = Press.at(VERTEX, DIRECTION.astype(np.float32), held(LOAD, MECHANICS.steps))
+    return Interaction(MESH, press, Observation.of_point(VERTEX, times, path, noise), MECHANICS.time_step)
+
+
+def later(contact: Interaction, seconds: float) -> Interaction:
+    """The same motion, seen so much later after the beginning of the load."""
+    observation = dataclasses.replace(contact.observation, times=contact.observation.times + seconds)
+    return dataclasses.replace(contact, observation=observation)
+
+
+def told(contact: Interaction, noise: float) -> Interaction:
+    """The same motion, said to have another noise."""
+    return dataclasses.replace(contact, observation=contact.observation.moved(contact.moved, noise))
+
+
+def fit(contact: Interaction, settings: DirectSettings = SETTINGS, within: float = 0.0) -> Estimate:
+    """An estimate of a press that began at its time stamp, or within so many seconds of it."""
+    session = DirectEstimator(settings, BETWEEN if within else STAMP).start(clip_info(1 / (within or 0.04)))
+    assert session.mechanics == settings.mechanics
+    return session.fit(contact)
+
+
+def expected_information(theta: tuple[float, float, float]) -> np.ndarray:
+    """Fisher information of the motion without noise."""
+    contact = contact_of(theta)
+    likelihood = Likelihood(contact.mesh, contact.load, contact.observation, MECHANICS)
+    return likelihood.information(np.log(np.abs(theta)))
+
+
+@pytest.mark.parametrize("theta", REGIMES.values(), ids=REGIMES)
+def test_exact_motion_gives_the_parameters_back(theta: tuple[float, float, float]) -> None:
+    estimate = fit(contact_of(theta))
+    # The posterior is not quite symmetric, so its mean lies a little beside its mode.
+    assert (np.abs(np.log(estimate.theta / theta)) < 0.25 * estimate.log_sd).all()
+    assert estimate.misfit < 0.01
+    assert not estimate.at_bound.any()
+    assert estimate.noise == NOISE
+
+
+def test_the_covariance_is_near_the_inverse_information_where_little_is_unknown(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The rest position and rounding are unknown besides, a tenth or two of the variance; sampling adds as much."""
+    monkeypatch.setattr(error_model, "SIGMA_FREEDOM", 1e9)
+    theta = REGIMES["critical"]
+    estimate = fit(contact_of(theta))
+    expected = expected_information(theta)
+    np.testing.assert_allclose(estimate.covariance, covariance(expected), rtol=0.3)
+    np.testing.assert_allclose(estimate.log_sd, np.sqrt(np.diag(estimate.covariance)))
+    np.testing.assert_allclose(bounds(estimate.information), bounds(expected), rtol=0.05)
+    # Twice the noise, twice the uncertainty.
+    wider = fit(contact_of(theta), dataclasses.replace(SETTINGS, noise=2 * NOISE))
+    np.testing.assert_allclose(wider.log_sd, 2 * estimate.log_sd, rtol=0.15)
+    assert wider.noise == 2 * NOISE
+
+
+def test_the_delay_of_a_press_is_fitted_beside_its_parameters() -> None:
+    """Half a frame of 0.02 s late: as if it had begun at its stamp it is far off, and surer of that than it may be."""
+    true, within = np.array(REGIMES["critical"]), 0.02
+    contact = contact_of(REGIMES["critical"])
+    late = later(contact, 0.01)
+    stamp, known = fit(late), fit(contact)
+    found = fit(late, within=within)
+    assert found.misfit < 0.1 < stamp.misfit
+    errors = [np.abs(np.log(item.theta / true)) / item.log_sd for item in (stamp, found)]
+    assert (errors[0] > 3).any()
+    assert (errors[1] < 1).all()
+    # Less is known of it than if the beginning were, and its bounds are what there would be then.
+    assert (found.log_sd > known.log_sd).all()
+    np.testing.assert_allclose(bounds(found.information), bounds(known.information), rtol=0.1)
+    assert found.covariance.shape == (3, 3)
+    assert (stamp.delays, found.delays) == ((), pytest.approx((0.01, 0.01), abs=1.5e-3))
+    assert not found.delays_at_end
+    assert (bounds(found.expected_information) > bounds(known.expected_information)).all()
+
+
+def test_a_motion_that_the_model_cannot_explain_widens_the_posterior() -> None:
+    """Noise eight times as large as it is said to be."""
+    theta = REGIMES["critical"]
+    good, bad = (fit(contact_of(theta, noise, seed=2)).log_sd for noise in (NOISE, 8 * NOISE))
+    unsuspecting = fit(contact_of(theta, 8 * NOISE, seed=2), dataclasses.replace(SETTINGS, noise=NOISE))
+    assert unsuspecting.misfit > 5
+    assert (unsuspecting.log_sd > 1.9 * good).all()
+    assert (unsuspecting.log_sd < 1.5 * bad).all()
+
+
+def test_a_press_aslant_to_the_line_of_sight_widens_the_posterior() -> None:
+    """The same motion of the same sheet, moved aside: its dent could hide its own bottom."""
+    theta = REGIMES["critical"]
+    contact = contact_of(theta)
+    aside = 0.5 * np.tan(np.deg2rad(12)) * np.linalg.svd(DIRECTION[None])[2][1]
+    aslant = dataclasses.replace(MESH, vertices=(MESH.vertices + aside).astype(np.float32))
+    facing, found = (fit(each) for each in (contact, dataclasses.replace(contact, mesh=aslant)))
+    assert facing.view_angle < 0.01
+    assert found.view_angle == pytest.approx(12, abs=0.01)
+    assert (facing.verdict, found.verdict) == ("determined", "undetermined")
+    np.testing.assert_allclose(np.log(found.theta / facing.theta), 0, atol=0.01)
+    low, high = SETTINGS.bounds.log_box
+    scaled = found.information * (NOISE / HIDDEN_ERROR) ** 2
+    added = np.linalg.inv(scaled + np.diag(12 / (high - low) ** 2))
+    np.testing.assert_allclose(found.covariance, facing.covariance + added, atol=1e-3)
+
+
+@pytest.mark.slow
+def test_errors_are_as_large_as_claimed() -> None:
+    """θ from the prior, noise of the assumed kind: the mean square of error over standard deviation is 1.
+
+    16 contacts with three parameters that hang together: known to about √(2/16) = 35 %.
+    """
+    settings = dataclasses.replace(SETTINGS, bounds=NARROW)
+    low, high = settings.bounds.log_box
+    generator = np.random.default_rng(5)
+    ratios, misfits = [], []
+    for seed in range(16):
+        logs = generator.uniform(low, high)
+        noise = 1e-3
+        estimate = fit(contact_of(tuple(theta_of(logs)), noise, seed=seed), settings)
+        ratios.append((np.log(np.abs(estimate.theta)) - logs) / estimate.log_sd)
+        misfits.append(estimate.misfit)
+    squares = np.square(ratios).mean(axis=0)
+    assert (squares > 0.35).all()
+    assert (squares < 1.9).all()
+    # The noise is drawn in all three coordinates, the misfit counts the one along the force, and three are fitted.
+    assert np.mean(misfits) == pytest.approx(np.sqrt(1 - 3 / len(STEPS)), rel=0.1)
+
+
+@pytest.mark.slow
+def test_errors_are_as_large_as_claimed_where_the_instants_are_unknown() -> None:
+    """θ and both delays from their priors: 16 contacts, as above."""
+    within, step = 0.02, SETTINGS.mechanics.time_step
+    settings = dataclasses.replace(SETTINGS, bounds=NARROW)
+    low, high = settings.bounds.log_box
+    generator = np.random.default_rng(6)
+    ratios = []
+    for seed in range(16):
+        logs = generator.uniform(low, high)
+        began, ended = generator.integers(-round(within / step), round(within / step) + 1, 2)
+        contact = contact_of(tuple(theta_of(logs)), 1e-3, seed=seed, delays=(began, ended))
+        estimate = fit(contact, settings, within)
+        ratios.append((np.log(np.abs(estimate.theta)) - logs) / estimate.log_sd)
+    squares = np.square(ratios).mean(axis=0)
+    assert (squares > 0.35).all()
+    assert (squares < 1.9).all()
+
+
+def test_mean_and_covariance_are_those_of_the_posterior_on_a_grid() -> None:
+    """An over-damped contact whose ridge the box cuts off, against 16³ rollouts."""
+    settings = dataclasses.replace(
+        SETTINGS, bounds=Bounds((0.1, 0.4), (0.03, 0.12), (-0.12, -0.03), initial=(0.2, 0.06, -0.06))
+    )
+    contact = contact_of(REGIMES["over-damped"], 4e-3, seed=7)
+    estimate = fit(contact, settings)
+    low, high = settings.bounds.log_box
+    problem = ContactProblem(contact, MECHANICS, contact.noise)
+    axes = [low[axis] + (np.arange(16) + 0.5) / 16 * (high[axis] - low[axis]) for axis in range(3)]
+    logs = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    along = problem.coarse_paths(logs) @ DIRECTION / contact.noise
+    values, evidences = log_likelihoods(contact.moved @ DIRECTION / contact.noise, along)
+    shares = np.exp(evidences - evidences.max()).sum(axis=0)
+    weights = np.exp(values - values.max(axis=0))
+    weights = weights / weights.sum(axis=0) @ (shares / shares.sum())
+    assert 1 / np.square(weights).sum() > 50  # the grid resolves it
+    mean = weights @ logs
+    sd = np.sqrt(weights @ np.square(logs - mean))
+    np.testing.assert_allclose((np.log(np.abs(estimate.theta)) - mean) / sd, 0, atol=0.2)
+    np.testing.assert_allclose(estimate.log_sd, sd, rtol=0.15)
+    assert sd[0] < 0.8 * estimate_free(contact)  # cut off indeed
+
+
+def estimate_free(contact: Interaction) -> float:
+    """Standard deviation of log k_s in the whole box."""
+    return float(fit(contact).log_sd[0])
+
+
+def test_the_same_contact_gives_the_same_estimate() -> None:
+    first, second = (fit(contact_of(REGIMES["critical"], 1e-3, seed=1)) for _ in range(2))
+    np.testing.assert_array_equal(first.theta, second.theta)
+    np.testing.assert_array_equal(first.covariance, second.covariance)
+    np.testing.assert_array_equal(first.information, second.information)
+
+
+def lone(logs: np.ndarray, likeliest: np.ndarray) -> Draws:
+    """A sample of which one point has all the weight."""
+    return Draws(np.array([logs, logs + 1]), np.array([1.0, 0.0]), likeliest)
+
+
+def test_an_optimum_that_the_starts_missed_is_found_from_the_likeliest_draw(monkeypatch: pytest.MonkeyPatch) -> None:
+    theta = np.array(REGIMES["under-damped"])
+    truth = np.log(np.abs(theta))
+    known = []
+
+    def first_fails(log_likelihoods, box, start, candidates) -> Draws:
+        known.append(start.means)
+        if len(known) == 1:
+            return lone(truth, truth + 0.02)
+        return sample_posterior(log_likelihoods, box, start, candidates)
+
+    monkeypatch.setattr(direct, "sample_posterior", first_fails)
+    monkeypatch.setattr(ContactProblem, "best_starts", lambda *_: np.log([[0.06, 0.4, 0.02]]))
+    monkeypatch.setattr(contact_optima, "MOST_EVALUATIONS", 2)
+    estimate = fit(contact_of(tuple(theta)))
+    assert len(known) == 2
+    assert np.abs(known[0] - truth).max(axis=1).min() > 0.5
+    assert np.abs(known[1] - truth).max(axis=1).min() < 0.01
+    assert (np.abs(np.log(estimate.theta / theta)) < 0.25 * estimate.log_sd).all()
+
+
+def test_where_sampling_fails_the_optima_speak(monkeypatch: pytest.MonkeyPatch) -> None:
+    theta = REGIMES["critical"]
+    monkeypatch.setattr(direct, "sample_posterior", lambda *_: lone(np.zeros(3), np.log(np.abs(theta))))
+    estimate = fit(contact_of(theta))
+    np.testing.assert_allclose(estimate.theta, theta, rtol=1e-3)
+    expected = expected_information(theta)
+    np.testing.assert_allclose(estimate.covariance, covariance(expected), rtol=0.02)
+
+
+def test_most_draws_must_agree_that_a_contact_determines_its_parameters() -> None:
+    """Two thirds: seven of ten."""
+    draws = [scale * np.diag([100.0, 200.0, 300.0]) for scale in (1, 2, 3, 4, 5, 6, 7, 8, 9, 10)]
+    np.testing.assert_array_equal(trusted_information(draws[::-1]), draws[3])
+    np.testing.assert_array_equal(trusted_information(draws[:1]), draws[0])
+
+
+def test_parameters_outside_the_ranges_are_said_to_be_at_their_end() -> None:
+    narrow = dataclasses.replace(
+        SETTINGS, bounds=dataclasses.replace(RECOMMENDED, stiffness=(0.05, 0.3), initial=(0.2, 0.08, -0.1))
+    )
+    estimate = fit(contact_of(REGIMES["under-damped"]), narrow)
+    assert estimate.theta[0] == pytest.approx(0.3, rel=0.02)
+    assert estimate.theta[0] < 0.3
+    assert estimate.at_bound.tolist() == [True, False, False]
+    assert estimate.misfit > 1.5
+
+
+def test_no_estimate_says_why() -> None:
+    contact = contact_of(REGIMES["critical"])
+    unknown = told(contact, float("nan"))
+    with pytest.raises(NoEstimate, match="noise isn't known; set geometry"):
+        fit(unknown)
+    assert fit(unknown, dataclasses.replace(SETTINGS, noise=NOISE)).misfit == pytest.approx(0, abs=0.01)
+    with pytest.raises(NoEstimate, match="followed over 2 frames after its onset; 3 are needed"):
+        fit(contact.observed(np.arange(2)))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"bounds": Bounds()}, r"bounds\.stiffness starts at 0\.0 .* give a positive lower bound"),
+        ({"bounds": dataclasses.replace(RECOMMENDED, force=(-0.3, 0.0))}, r"bounds\.force ends at 0\.0"),
+        ({"noise": 0.0}, "give a length of 3e-05 or more"),
+        ({"noise": 2.9e-5}, "noise is 2.9e-05; give a length of 3e-05 or more"),
+        ({"noise": float("inf")}, "noise is inf"),
+    ],
+)
+def test_impossible_settings_are_refused(wrong: dict, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        DirectSettings(**wrong)
+
+
+def frames_of(contact: Interaction, followed: int) -> list[PreparedFrame]:
+    """A clip that begins with a contact of eight frames, its tissue followed over so many frames after the first."""
+    rest = contact.mesh.vertices[contact.vertex]
+    positions = rest + np.concatenate([np.zeros((1, 3)), contact.moved])
+    positions[followed + 1 :] = np.nan
+    geometry = touched(contact.mesh, contact.vertex, contact.direction, contact.noise)
+    return [
+        prepared_frame(
+            index,
+            "ok" if index < 8 else "no_contact",
+            geometry if index < 8 else None,
+            consecutive=index < len(positions) - 1,
+            track_start=0,
+            track_position=position,
+        )
+        for index, position in enumerate(positions)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("followed", "status", "words"),
+    [(len(STEPS), "ok", ""), (2, "no_estimate", "over 2 frames after its onset"), (0, "no_estimate", NOT_FOLLOWED)],
+)
+def test_a_clips_contacts_are_fitted_when_they_have_ended(followed: int, status: str, words: str) -> None:
+    contact = contact_of(REGIMES["critical"])
+    frames, (found,) = follow(DirectEstimator(SETTINGS, STAMP).start(clip_info()), frames_of(contact, followed))
+    assert (found.onset, found.onset_frame, found.load_s) == (0, 0, pytest.approx(0.32))
+    assert [frame.detail for frame in frames] == [WHOLE] * 8 + [""] * (len(frames) - 8)
+    assert words in found.detail
+    if status == "ok":
+        np.testing.assert_allclose(found.estimate.theta, REGIMES["critical"], rtol=0.01)
+        times, along = found.simulated
+        seen = np.interp(contact.observation.times, times, along)
+        np.testing.assert_allclose(seen, contact.along, atol=NOISE)
+    else:
+        assert found.estimate is None
+
+
+def test_optima_are_weighed_by_their_evidence() -> None:
+    """Two equally good fits, one eight times as wide in every direction: 512 times as much φ explains the data."""
+    narrow = Optimum(np.array([0.0, 0.0, 0.0]), 5.0, 6400 * np.eye(3))
+    wide = Optimum(np.array([1.0, 0.0, 0.0]), 5.0, 100 * np.eye(3))
+    mean, spread, likeliest = combine([narrow, wide], np.zeros((3, 3)))
+    share = 512 / 513
+    np.testing.assert_allclose(mean, [share, 0, 0], rtol=1e-6)
+    np.testing.assert_allclose(spread[0, 0], share / 100 + (1 - share) / 6400 + share * (1 - share), rtol=1e-6)
+    assert likeliest is wide
+    mean, spread, likeliest = combine([narrow, wide._replace(cost=30.0)], np.zeros((3, 3)))  # e⁻²⁵·512 is nothing
+    np.testing.assert_array_equal(mean, narrow.logs)
+    np.testing.assert_allclose(spread, np.eye(3) / 6400)
+    assert likeliest is narrow

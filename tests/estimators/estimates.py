@@ -1,0 +1,54 @@
+"""A contact, and estimates of it, for what tells, draws and stores them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from data.contact.interaction import Interaction
+from estimators.estimate import NINETY, Estimate, FrameEstimate, InteractionEstimate
+from physics.load import Press, held
+from physics.mechanics import Mechanics
+from physics.mesh import contact_normal
+from physics.observation import Observation
+from tests.physics.sheets import sheet
+
+MECHANICS = Mechanics(time_step=0.0025, steps=400, scheme="dkd")
+LOAD_STEPS = 64
+MESH = sheet(9, 9)
+CONTACT = Interaction(
+    MESH,
+    Press.at(40, contact_normal(MESH, 40), held(LOAD_STEPS, MECHANICS.steps)),
+    Observation.of_point(40, 0.04 * np.arange(1, 9), np.zeros((8, 3)), 0.001),
+    MECHANICS.time_step,
+)
+ESTIMATE = Estimate(
+    theta=np.array([0.5, 0.06, -0.1]),
+    covariance=np.diag([0.01, 0.04, 0.0025]),
+    information=np.diag([100.0, 25.0, 400.0]),
+    noise=0.001,
+    misfit=1.1,
+    largest_misfit=1.5,
+)
+GOOD = InteractionEstimate(7, 7, 0.28, 0.16, CONTACT, ESTIMATE, (np.array([0.0, 0.32]), np.array([0.0, -0.02])))
+NONE = InteractionEstimate(1, 1, 0.0, detail="Because.")
+
+
+def frame_in_contact(
+    verdict: str,
+    theta: tuple[float, float, float],
+    factors: tuple[float, float, float] | None = None,
+    *,
+    number: int = 7,
+    time_s: float = 0.28,
+    **told: Any,
+) -> FrameEstimate:
+    """A frame with parameters.
+
+    Args:
+        factors: by which the ends of the 90 % intervals lie above and below θ; None = the estimator gives none.
+    """
+    covariance = None if factors is None else np.diag(np.square(np.log(factors) / NINETY))
+    estimate = Estimate(np.array(theta), covariance, told_verdict="" if covariance is not None else "undetermined")
+    return FrameEstimate(number, time_s, "ok", estimate=estimate, verdict=verdict, **told)

@@ -1,0 +1,279 @@
+"""The exported contact posterior on prepared clips: what every frame gets, and that streams and whole clips agree."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from data.contact.features import contact_features
+from data.contact.interaction import Interaction, InteractionBuilder
+from data.contact.motion import FRAYED, LOST
+from data.prepared import PreparedFrame
+from data.synthetic.clip import SyntheticClip
+from data.synthetic.source import open_synthetic
+from estimators.contract import Chosen, ClipInfo
+from estimators.estimate import NINETY, Estimate, FrameEstimate, NoEstimate
+from estimators.network.estimator import LARGEST_MISFIT, NO_NOISE, TOO_EARLY, UNEXPLAINED, NetworkEstimator
+from estimators.network.fits import BOUNDS, MECHANICS
+from estimators.oblique import HIDDEN_ERROR, LARGEST_ANGLE, OBLIQUE
+from estimators.onset import BETWEEN, STAMP
+from estimators.runs import contact_frame
+from physics.load import held
+from physics.msd.simulation import simulate
+from physics.observation import Observation
+from tests.estimators.sessions import clip_info, follow
+
+
+@pytest.fixture(scope="module")
+def network(posterior) -> NetworkEstimator:
+    """An untrained posterior at work."""
+    return NetworkEstimator(posterior, STAMP)
+
+
+@pytest.fixture(scope="module")
+def contact(pressed, frames: list[PreparedFrame]) -> Interaction:
+    """The clip's run of contact, as it was seen to its end."""
+    onset, *after = frames[pressed.motion.onset_frame :]
+    found = onset.geometry
+    settings = clip_info().geometry
+    run = InteractionBuilder(
+        found.mesh, found.vertex, found.normal, found.noise, contact_frame(onset), settings, MECHANICS.seconds
+    )
+    for frame in after:
+        assert frame.track_start == onset.frame.index
+        run.add(contact_frame(frame))
+    return run.build(MECHANICS)
+
+
+def frame_estimates(network: NetworkEstimator, frames: list[PreparedFrame]) -> list[FrameEstimate]:
+    """Of the whole clip."""
+    return follow(network.start(clip_info()), frames)[0]
+
+
+def estimated(network: NetworkEstimator, contact: Interaction) -> Estimate:
+    """Of a contact at 25 frames a second."""
+    return network.start(clip_info()).estimate(contact, None)
+
+
+def moved(contact: Interaction, displacement: np.ndarray, noise: float | None = None) -> Interaction:
+    """The same instants with other displacements [N, 3], and maybe another noise."""
+    noise = contact.noise if noise is None else noise
+    return dataclasses.replace(contact, observation=contact.observation.moved(displacement, noise))
+
+
+def prepared_roughly(network: NetworkEstimator, clip: SyntheticClip) -> list[PreparedFrame]:
+    """Without smoothing, which leaves the noise unknown."""
+    settings = network.preparation(Chosen())
+    rough = dataclasses.replace(settings, geometry=dataclasses.replace(settings.geometry, smoothing=0.0))
+    return list(open_synthetic(clip, rough))
+
+
+def test_every_frame_has_its_row(network: NetworkEstimator, pressed, frames: list[PreparedFrame]) -> None:
+    results = frame_estimates(network, frames)
+    assert [item.frame for item in results] == list(range(28))
+    onset, release = pressed.motion.onset_frame, pressed.motion.release_frame
+    for item in results:
+        values = item.values
+        if item.status != "ok":
+            assert (item.estimate, item.verdict, "stiffness_sd" in values) == (None, "", False)
+            continue
+        if item.frame < onset + 2:  # too little motion was seen
+            assert (item.estimate, item.verdict) == (None, "undetermined")
+            assert item.detail == TOO_EARLY
+            continue
+        assert onset <= item.frame < release
+        assert item.verdict in ("determined", "ratios", "undetermined")
+        low, high = values["stiffness_low"], values["stiffness_high"]
+        assert low < values["stiffness"] < high
+        log_sd = math.log(high / low) / (2 * NINETY)
+        expected = values["stiffness"] * math.exp(log_sd**2 / 2) * math.sqrt(math.expm1(log_sd**2))
+        assert values["stiffness_sd"] == pytest.approx(expected)
+    assert results[onset + 2].values["force_bound"] > results[release - 1].values["force_bound"]
+
+
+def test_a_stream_ends_where_the_whole_clip_would(
+    network: NetworkEstimator, pressed, frames: list[PreparedFrame], contact: Interaction
+) -> None:
+    """The last frame in contact is told exactly what a clip cut off there is told."""
+    onset, last = pressed.motion.onset_frame, pressed.motion.release_frame - 1
+    streamed = frame_estimates(network, frames)[last].estimate
+    seconds = (last - onset) / 25
+    cut = contact.observed(contact.observation.times <= seconds + 1e-6)
+    load = dataclasses.replace(contact.load, factor=held(round(seconds / MECHANICS.time_step), MECHANICS.steps))
+    found = estimated(network, dataclasses.replace(cut, load=load))
+    np.testing.assert_allclose(streamed.theta, found.theta, rtol=1e-5)
+    np.testing.assert_allclose(streamed.covariance, found.covariance, rtol=1e-5)
+
+
+def test_without_a_noise_level_there_is_no_estimate(network: NetworkEstimator, pressed) -> None:
+    results, (run,) = follow(network.start(clip_info()), prepared_roughly(network, pressed))
+    assert (run.estimate, run.detail) == (None, NO_NOISE)
+    touched = [item for item in results if item.status == "ok"]
+    assert touched
+    assert all(item.verdict == "undetermined" and item.estimate is None for item in touched)
+    assert {item.detail for item in touched} == {NO_NOISE}
+
+
+@pytest.mark.parametrize("noise", [math.nan, math.inf, 0.0])
+def test_a_noise_level_is_a_positive_number(network: NetworkEstimator, contact: Interaction, noise: float) -> None:
+    with pytest.raises(NoEstimate) as refused:
+        network.told(moved(contact, contact.moved, noise))
+    assert str(refused.value) == NO_NOISE
+
+
+def test_one_observation_is_too_early(posterior, frames: list[PreparedFrame]) -> None:
+    early, enough = (
+        follow(NetworkEstimator(posterior, STAMP, horizon).start(clip_info()), frames)[1][0] for horizon in (1, 2)
+    )
+    assert (early.estimate, early.detail) == (None, TOO_EARLY)
+    assert len(early.interaction.observation) == 1
+    assert np.isfinite(enough.estimate.theta).all()
+
+
+def test_what_is_wrong_with_a_contact_is_told_beside_why_it_has_no_estimate(
+    network: NetworkEstimator, pressed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Outlines that disagree with the depth are a remark of the onset's frame."""
+    monkeypatch.setattr("data.contact.motion.frayed_share", lambda *_: 0.25)
+    prepared = open_synthetic(pressed, network.preparation(Chosen()))
+    results, (run,) = follow(network.start(ClipInfo.of(prepared)), prepared)
+    onset = pressed.motion.onset_frame
+    assert results[onset].detail == f"{FRAYED.format(share=0.25)} {TOO_EARLY}"
+    assert (results[onset].verdict, results[onset].estimate) == ("undetermined", None)
+    assert results[onset + 1].detail == TOO_EARLY
+    assert run.detail.startswith(FRAYED.format(share=0.25))
+
+
+def remarked(frames: list[PreparedFrame]) -> list[PreparedFrame]:
+    """The same with a remark in every frame in contact."""
+    return [dataclasses.replace(frame, detail=LOST if frame.in_contact else "") for frame in frames]
+
+
+def test_remarks_stay_beside_what_the_network_says(
+    network: NetworkEstimator, pressed, frames: list[PreparedFrame]
+) -> None:
+    results = frame_estimates(network, remarked(frames))
+    onset, release = pressed.motion.onset_frame, pressed.motion.release_frame
+    assert [item.detail for item in results[onset : onset + 2]] == [f"{LOST} {TOO_EARLY}"] * 2
+    misfits = [item.estimate.misfit for item in results[onset + 2 : release]]
+    assert min(misfits) > LARGEST_MISFIT  # an untrained network explains nothing
+    expected = [f"{LOST} {UNEXPLAINED.format(misfit)}" for misfit in misfits]
+    assert [item.detail for item in results[onset + 2 : release]] == expected
+    assert {item.detail for item in results[:onset]} == {""}
+    blind = frame_estimates(network, remarked(prepared_roughly(network, pressed)))
+    assert {item.detail for item in blind} == {"", f"{LOST} {NO_NOISE}"}
+
+
+@pytest.mark.parametrize(
+    ("load", "told"),
+    [
+        (0.24, 25),  # the shortest press of the training, and what followed
+        (0.48, 25),
+        (0.52, 12),  # longer: its beginning
+        (5.0, 12),
+        (0.12, 3),  # shorter: as far as it lasted
+    ],
+)
+def test_presses_unlike_the_training_s_are_told_in_part(
+    network: NetworkEstimator, contact: Interaction, load: float, told: int
+) -> None:
+    observation = Observation.of_point(contact.vertex, np.arange(1, 26) / 25, np.ones((25, 3)), 0.001)
+    factor = held(round(load / MECHANICS.time_step), round(6 / MECHANICS.time_step))
+    pressed = dataclasses.replace(
+        contact, observation=observation, load=dataclasses.replace(contact.load, factor=factor)
+    )
+    found = network.told(pressed).observation
+    np.testing.assert_array_equal(found.times, observation.times[:told])
+    np.testing.assert_array_equal(found.displacement, observation.displacement[:, :told])
+
+
+def test_a_motion_that_is_not_explained_widens_the_intervals(network: NetworkEstimator, contact: Interaction) -> None:
+    still = moved(contact, contact.moved, 1.0)  # next to such noise every motion is explained
+    explained = estimated(network, still)
+    raw = network.model(contact_features(still)[None], None)[1][0]
+    assert explained.misfit < 1
+    np.testing.assert_array_equal(explained.covariance, raw)
+    sure = moved(contact, contact.moved, 1e-5)
+    found = estimated(network, sure)
+    raw = network.model(contact_features(sure)[None], None)[1][0]
+    assert found.misfit > LARGEST_MISFIT
+    box = BOUNDS.log_box
+    added = np.linalg.inv(found.information / found.misfit**2 + np.diag(12 / (box[1] - box[0]) ** 2))
+    np.testing.assert_allclose(found.covariance, raw + added, rtol=1e-6)
+    assert (np.diag(added) <= (box[1] - box[0]) ** 2 / 12 + 1e-12).all()  # never wider than the prior
+
+
+def test_a_motion_across_the_force_is_no_misfit(network: NetworkEstimator, contact: Interaction) -> None:
+    """A measured normal that is off by some degrees would look like it; the network is not told of it either."""
+    across = np.cross(contact.direction, [1.0, 0.0, 0.0])
+    straight, aside = (estimated(network, each) for each in (contact, moved(contact, contact.moved + 0.05 * across)))
+    assert aside.misfit == pytest.approx(straight.misfit, rel=1e-4)
+    np.testing.assert_allclose(aside.theta, straight.theta, rtol=1e-4)
+
+
+def aslant(contact: Interaction, degrees: float) -> Interaction:
+    """A contact moved aside, so that its direction lies that far from the line of sight; its motion stays."""
+    normal, mesh = np.asarray(contact.direction, np.float64), contact.mesh
+    ray = -0.5 * normal + 0.5 * math.tan(math.radians(degrees)) * np.linalg.svd(normal[None])[2][1]
+    vertices = (mesh.vertices - mesh.vertices[contact.vertex] + ray).astype(np.float32)
+    return dataclasses.replace(contact, mesh=dataclasses.replace(mesh, vertices=vertices))
+
+
+def test_a_press_aslant_to_the_line_of_sight_widens_the_intervals(
+    network: NetworkEstimator, contact: Interaction
+) -> None:
+    calm = moved(contact, 0 * contact.moved, 0.003)
+    first = estimated(network, aslant(calm, 0.0))
+    path = simulate(first.theta, contact.mesh, contact.load, MECHANICS)
+    # What it answers to is explained only if it moves so.
+    still = moved(contact, path[contact.observation.steps(MECHANICS.time_step)], 0.003)
+    angles = LARGEST_ANGLE - 0.1, LARGEST_ANGLE + 0.1
+    facing, oblique = (estimated(network, aslant(still, degrees)) for degrees in angles)
+    assert max(facing.misfit, oblique.misfit) < LARGEST_MISFIT < HIDDEN_ERROR / 0.003
+    assert (facing.view_angle, oblique.view_angle) == pytest.approx(angles, abs=1e-3)
+    np.testing.assert_allclose(oblique.theta, facing.theta, rtol=1e-3)
+    box = BOUNDS.log_box
+    added = np.linalg.inv(oblique.information / 5**2 + np.diag(12 / (box[1] - box[0]) ** 2))
+    np.testing.assert_allclose(oblique.covariance, facing.covariance + added, rtol=0.01, atol=1e-3)
+    # So does what decides the verdict.
+    expected = np.linalg.inv(facing.expected_information) + added
+    np.testing.assert_allclose(np.linalg.inv(oblique.expected_information), expected, rtol=0.01, atol=1e-3)
+
+
+def test_a_press_that_began_between_frames_is_known_less(network: NetworkEstimator, contact: Interaction) -> None:
+    """Estimates as if it had begun at five instants of two frames' time, taken together; so for the verdict."""
+    contact = moved(contact, contact.moved, 0.03)
+    shifted = []
+    for delay in (-0.04, -0.02, 0.0, 0.02, 0.04):
+        times = contact.observation.times - delay
+        later = dataclasses.replace(contact.observation, times=times).chosen(times > 0.001)
+        factor = np.pad(contact.load.factor, (0, 8))  # of the last frames, a frame later
+        load = dataclasses.replace(contact.load, factor=factor)
+        shifted.append(estimated(network, dataclasses.replace(contact, observation=later, load=load)))
+    found = estimated(NetworkEstimator(network.model, BETWEEN), contact)
+    assert found.misfit == min(item.misfit for item in shifted) < LARGEST_MISFIT
+    logs = np.log(np.abs([item.theta for item in shifted]))
+    np.testing.assert_allclose(np.log(np.abs(found.theta)), logs.mean(axis=0), rtol=1e-6)
+    apart = np.cov(logs.T, bias=True)
+    assert apart[0, 0] > 1e-6
+    inside = np.mean([item.covariance for item in shifted], axis=0)
+    np.testing.assert_allclose(found.covariance, inside + apart, rtol=1e-5)
+    inside = np.mean([np.linalg.inv(item.expected_information) for item in shifted], axis=0)
+    np.testing.assert_allclose(np.linalg.inv(found.expected_information), inside + apart, rtol=1e-4)
+
+
+def test_frames_of_an_oblique_press_say_so(
+    network: NetworkEstimator, pressed, frames: list[PreparedFrame], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("estimators.network.estimator.view_angle", lambda _: 17.4)
+    onset, release = pressed.motion.onset_frame, pressed.motion.release_frame
+    results, (run,) = follow(network.start(clip_info()), frames)
+    told = OBLIQUE.format(17.4)
+    assert "at 17° to the line of sight" in told
+    details = [item.detail for item in results]
+    assert all(detail.endswith(told) for detail in details[onset + 2 : release])
+    assert not any(told in detail for detail in details[: onset + 2] + details[release:])
+    assert run.detail.endswith(told)

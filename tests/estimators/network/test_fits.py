@@ -1,0 +1,72 @@
+"""Material of the last training stages: contacts as arrays, the problem without noise, and the motion's slopes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from data.contact.features import SLOTS, contact_surroundings
+from data.synthetic.contacts import SimulatedContact, draw_contacts
+from data.synthetic.settings import SceneSettings
+from estimators.network.fits import MECHANICS, NOMINAL, Fits, motion_slopes, observed_exactly
+from physics.mechanics import theta_of
+from physics.msd.simulation import simulate
+
+
+@pytest.fixture(scope="module")
+def contacts() -> list[SimulatedContact]:
+    """Two contacts of one scene."""
+    settings = SceneSettings(width=214, height=120, regime="critical")
+    return draw_contacts(settings, 1, 2, MECHANICS.time_step)
+
+
+def simulated(contact: SimulatedContact, logs: np.ndarray) -> np.ndarray:
+    """Displacement at the slots, shape [SLOTS, 3], in float64."""
+    pressed = contact.interaction
+    path = simulate(theta_of(logs), pressed.mesh, pressed.load, MECHANICS, dtype=np.float64)
+    return path[pressed.observation.steps(MECHANICS.time_step)]
+
+
+def test_fits_hold_what_they_are_made_of(contacts: list[SimulatedContact]) -> None:
+    pressed = [contact.interaction for contact in contacts]
+    around = [contact_surroundings(each) for each in pressed]
+    logs = [np.array([-1.0, -3.0, -2.0]), np.array([-2.0, -4.0, -3.0])]
+    slopes = [np.full((SLOTS, 3), 0.1), np.full((SLOTS, 3), 0.2)]
+    fits = Fits.of(pressed, around, logs, slopes)
+    np.testing.assert_array_equal(fits.logs, logs)
+    np.testing.assert_array_equal(fits.slopes, slopes)
+    np.testing.assert_array_equal(fits.spacing, [item.spacing for item in around])
+    assert (fits.motion.dtype, fits.motion.shape, fits.around.shape) == (np.float64, (2, SLOTS), (2, 40))
+    for index, contact in enumerate(pressed):
+        np.testing.assert_array_equal(fits.around[index], around[index].vector)
+        against = -np.einsum("td,d->t", contact.moved.astype(float), contact.direction.astype(float))
+        np.testing.assert_allclose(fits.motion[index], against, rtol=1e-6, atol=1e-8)
+        assert fits.motion[index].max() > 0.01  # the tissue gives way
+        # A slot every 8 steps of 5 ms, under load until the last of the load's steps.
+        np.testing.assert_array_equal(fits.loaded[index], 8 * np.arange(1, SLOTS + 1) <= contact.load.factor.sum())
+        assert 0 < fits.loaded[index].sum() < SLOTS
+
+
+def test_the_problem_without_noise_counts_in_a_nominal_one(contacts: list[SimulatedContact]) -> None:
+    contact = contacts[0]
+    logs = np.log(np.abs(contact.theta)) + np.array([0.2, -0.1, 0.1])
+    problem, path = observed_exactly(contact.interaction), simulated(contact, logs)
+    assert (problem.sigma, set(problem.noise)) == (NOMINAL, {NOMINAL})
+    residual = (path - contact.interaction.moved) / NOMINAL
+    np.testing.assert_allclose(problem.residual(logs).reshape(-1, 3), residual, atol=1e-6)
+
+
+@pytest.mark.parametrize("offset", [(0.0, 0.0, 0.0), (0.3, -0.2, 0.2)])
+def test_slopes_are_those_of_the_simulated_motion(
+    contacts: list[SimulatedContact], offset: tuple[float, float, float]
+) -> None:
+    """Against central differences in φ, in float64, also away from what explains the motion."""
+    step = 1e-4
+    for contact in contacts:
+        logs = np.log(np.abs(contact.theta)) + offset
+        found = motion_slopes(observed_exactly(contact.interaction), logs)
+        assert found.shape == (SLOTS, 3)
+        for column, change in enumerate(step * np.eye(3)):
+            difference = (simulated(contact, logs + change) - simulated(contact, logs - change)) / (2 * step)
+            np.testing.assert_allclose(found[:, column], -(difference @ contact.interaction.direction), atol=1e-6)
+        assert (np.abs(found).max(axis=0) > 1e-3).all()

@@ -1,0 +1,380 @@
+"""What every estimator keeps, whichever it is: its sessions are independent, miss no frame, survive any, and forget."""
+
+from __future__ import annotations
+
+import dataclasses
+import gc
+import types
+from collections.abc import Iterable, Iterator
+from itertools import zip_longest
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as some
+
+from data.clip import ClipInputs, ClipStream
+from data.contact.features import FEATURES
+from data.masks.class_table import CLASSES
+from data.masks.sources import MaskError
+from data.prepared import STATUSES, PreparedFrame
+from data.settings import PrepareSettings
+from data.source.frames import Frame
+from data.synthetic.clip import SyntheticClip, make_clip
+from data.synthetic.settings import SceneSettings
+from data.synthetic.source import SyntheticSource, _Depth, _Masks, open_synthetic
+from estimators.contract import Estimator, Said
+from estimators.direct.estimator import WHOLE
+from estimators.estimate import Estimate, FrameEstimate, InteractionEstimate
+from estimators.network.fits import BOUNDS, MECHANICS
+from estimators.open import NAMES, EstimatorOptions, open_estimator
+from results.columns import interaction_values
+from tests.estimators.sessions import SIZE, State, clip_info, follow, linked, sorted_out, touched
+from tests.inference_inputs import metadata, write_model, write_posterior
+from tests.physics.sheets import sheet
+
+ESTIMATORS = (*NAMES, "network with depth")
+FPS = (25.0, 30.0)
+MESH = sheet(7, 7)
+NORMAL = np.array([0.0, 0.0, -1.0])
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, EstimatorOptions]:
+    """How every estimator is opened; those that take depth look at three frames."""
+    folder = tmp_path_factory.mktemp("models")
+    common = {"geometry": dataclasses.asdict(clip_info().geometry), "observation": "trajectory"}
+    write_model(folder / "gan.onnx", metadata(3, **common))
+    document = metadata(3, **common, bounds=dataclasses.asdict(BOUNDS), mechanics=dataclasses.asdict(MECHANICS))
+    write_posterior(folder / "depth.onnx", document, FEATURES)
+    return {
+        "network": EstimatorOptions("network"),
+        "network with depth": EstimatorOptions(model=folder / "depth.onnx"),
+        "gan": EstimatorOptions("gan", folder / "gan.onnx"),
+        "direct": EstimatorOptions("direct", onset="stamp"),
+    }
+
+
+@pytest.fixture(scope="module", params=ESTIMATORS)
+def estimator(request: pytest.FixtureRequest, files: dict[str, EstimatorOptions]) -> Estimator:
+    """Each in turn."""
+    return open_estimator(files[request.param])
+
+
+@pytest.fixture(scope="module", params=ESTIMATORS)
+def prompt(request: pytest.FixtureRequest, files: dict[str, EstimatorOptions]) -> Estimator:
+    """Each in turn, for presses that begin at their time stamp, which takes a network a fifth of the time."""
+    return open_estimator(dataclasses.replace(files[request.param], onset="stamp"))
+
+
+@pytest.fixture(scope="module")
+def clips(frames: list[PreparedFrame]) -> list[list[PreparedFrame]]:
+    """Prepared clips at 25 and 30 frames a second."""
+    width, height = SIZE
+    scene = SceneSettings(width=width, height=height, depth_noise=0.001, frames=30, fps=30.0, press_seconds=(0.3, 0.3))
+    return [frames, list(open_synthetic(make_clip(scene, 5), PrepareSettings(geometry=clip_info().geometry)))]
+
+
+@pytest.fixture(scope="module")
+def alone(estimator: Estimator, clips: list[list[PreparedFrame]]) -> list[list[Said]]:
+    """What the estimator says of each clip when nothing else is open."""
+    return [said_of(estimator, frames, fps) for frames, fps in zip(clips, FPS, strict=True)]
+
+
+def said_of(estimator: Estimator, frames: Iterable[PreparedFrame], fps: float = 25.0) -> list[Said]:
+    """All that is said of a clip."""
+    told, runs = follow(estimator.start(clip_info(fps)), frames)
+    return [*told, *runs]
+
+
+def exactly(said: Iterable[Said]) -> list[str]:
+    """Everything that is said, to the last digit."""
+    found = []
+    for item in said:
+        if isinstance(item, FrameEstimate):
+            found.append(repr({name: value for name, value in item.values.items() if name != "estimate"}))
+            continue
+        seen, simulated = item.interaction, item.simulated
+        arrays = () if seen is None else (seen.observation.times, seen.observation.displacement, seen.load.factor)
+        arrays += () if simulated is None else simulated
+        found.append(repr((interaction_values(item), [array.tolist() for array in arrays])))
+    return found
+
+
+def test_sessions_side_by_side_say_what_they_say_alone(
+    estimator: Estimator, clips: list[list[PreparedFrame]], alone: list[list[Said]]
+) -> None:
+    """At 25 and 30 frames a second, frame by frame in turn."""
+    sessions = [estimator.start(clip_info(fps)) for fps in FPS]
+    said: list[list[Said]] = [[], []]
+    for pair in zip_longest(*clips):
+        for session, frame, heard in zip(sessions, pair, said, strict=True):
+            if frame is not None:
+                heard += session.push(frame)
+    for session, heard in zip(sessions, said, strict=True):
+        heard += session.finish()
+    for heard, expected in zip(said, alone, strict=True):
+        frames, runs = sorted_out(heard)
+        assert exactly([*frames, *runs]) == exactly(expected)
+    # Estimates depend on the frame rate and on the clip, so that mixed sessions would be noticed.
+    first, second = (sorted_out(expected)[1][0] for expected in alone)
+    assert first.estimate is not None
+    assert not np.allclose(first.estimate.theta, second.estimate.theta, rtol=1e-3)
+
+
+def test_a_stream_is_told_once_and_in_order(clips: list[list[PreparedFrame]], alone: list[list[Said]]) -> None:
+    for frames, said in zip(clips, alone, strict=True):
+        told, runs = sorted_out(said)
+        assert [item.frame for item in told] == [frame.frame.number for frame in frames]
+        assert [item.time_s for item in told] == [frame.frame.time_s for frame in frames]
+        assert [item.status for item in told] == [frame.status for frame in frames]
+        assert [run.onset for run in runs] == [frame.frame.index for frame in frames if begins(frame)] != []
+        (run,) = runs
+        assert run.load_s == pytest.approx(0.3, abs=0.021)
+        assert len(run.interaction.observation) > 3
+
+
+def begins(frame: PreparedFrame) -> bool:
+    """Whether a run of contact begins here, its onset seen."""
+    return frame.track_start == frame.frame.index
+
+
+def test_every_estimate_has_its_verdict_its_covariance_and_its_words(
+    estimator: Estimator, alone: list[list[Said]]
+) -> None:
+    said = [item for clip in alone for item in clip]
+    estimates = [item.estimate for item in said if item.estimate is not None]
+    of_frames = [item for item in said if isinstance(item, FrameEstimate) and item.estimate is not None]
+    assert (of_frames == []) == (estimator.name == "direct")
+    assert estimates
+    for found in estimates:
+        require_complete(estimator, found)
+    for item in said:
+        if isinstance(item, FrameEstimate) and item.status == "ok":
+            verdicts = {"direct": ("",)}.get(estimator.name, ("onset_in_view", "determined", "ratios", "undetermined"))
+            assert item.verdict in verdicts
+            assert item.estimate is not None or item.detail
+            assert item.detail == WHOLE or estimator.name != "direct"
+        elif isinstance(item, FrameEstimate):
+            assert (item.estimate, item.verdict) == (None, "")
+        else:
+            assert item.estimate is not None or item.detail
+
+
+def require_complete(estimator: Estimator, found: Estimate) -> None:
+    """θ in its octant; a covariance with verdict, reason and information by it, or a verdict that needs none."""
+    assert found.theta.shape == (3,)
+    assert (np.sign(found.theta) == (1, 1, -1)).all()
+    if estimator.name == "gan":
+        assert (found.covariance, found.information, found.explanation, found.determined) == (None, None, "", ())
+        assert found.verdict in ("onset_in_view", "undetermined")
+        return
+    assert found.verdict in ("determined", "ratios", "undetermined")
+    np.testing.assert_allclose(found.covariance, found.covariance.T, rtol=1e-9, atol=1e-12)
+    for matrix in (found.covariance, found.verdict_information):
+        assert np.linalg.eigvalsh(matrix).min() > 0
+    assert found.information.shape == (3, 3)
+    assert "determined" in found.explanation
+    assert found.misfit > 0
+    assert found.noise > 0
+    assert found.view_angle is not None
+
+
+def test_a_network_that_takes_depth_looks_at_it(
+    files: dict[str, EstimatorOptions], frames: list[PreparedFrame]
+) -> None:
+    """Of frames and of runs alike: other pictures, other estimates."""
+    estimator = open_estimator(files["network with depth"])
+    dark = [dataclasses.replace(frame, depth=0.5 * frame.depth) for frame in frames]
+    for said in zip(said_of(estimator, frames), said_of(estimator, dark), strict=True):
+        first, second = (item.estimate for item in said)
+        assert (first is None) == (second is None)
+        assert first is None or not np.allclose(first.theta, second.theta, rtol=1e-6)
+
+
+def test_nothing_of_a_clip_stays_with_the_estimator(estimator: Estimator, clips: list[list[PreparedFrame]]) -> None:
+    before, held = dict(vars(estimator)), reachable(estimator)
+    said_of(estimator, clips[0])
+    assert vars(estimator).keys() == before.keys()
+    assert all(vars(estimator)[name] is value for name, value in before.items())
+    assert reachable(estimator) == held
+
+
+def test_finishing_twice_or_without_frames_does_no_harm(
+    estimator: Estimator, clips: list[list[PreparedFrame]], alone: list[list[Said]]
+) -> None:
+    empty = estimator.start(clip_info())
+    assert [*empty.finish(), *empty.finish()] == []
+    # Cut off in contact: what is left comes once.
+    frames = clips[0][: next(index for index, frame in enumerate(clips[0]) if begins(frame)) + 2]
+    session = estimator.start(clip_info())
+    before = [item for frame in frames for item in session.push(frame)]
+    told, runs = sorted_out([*before, *session.finish()])
+    assert len(told) == len(frames)
+    assert [run.onset for run in runs] == [len(frames) - 2]
+    assert runs[0].load_s is None
+    assert list(session.finish()) == []
+
+
+@dataclasses.dataclass(frozen=True)
+class Faults:
+    """What is wrong with a clip, by the numbers of its frames."""
+
+    unreadable: tuple[int, ...] = ()
+    without_depth: tuple[int, ...] = ()
+    without_mask: tuple[int, ...] = ()
+    without_tool: tuple[int, ...] = ()
+    """In sight, but not in the mask."""
+    missing: tuple[int, ...] = ()
+    """Not in the clip; the other frames keep their numbers."""
+
+
+class FaultySource(SyntheticSource):
+    """Pictures of a clip, some of which can't be read, with the numbers that are given."""
+
+    def __init__(self, clip: SyntheticClip, numbers: list[int], unreadable: tuple[int, ...]) -> None:
+        super().__init__(clip)
+        self.numbers, self.unreadable = numbers, unreadable
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Frames in order."""
+        for frame, number in zip(super().__iter__(), self.numbers, strict=True):
+            broken = {"image": None, "error": "Broken."} if number in self.unreadable else {}
+            yield dataclasses.replace(frame, number=number, time_s=number / self.fps, **broken)
+
+
+class FaultyMasks(_Masks):
+    """Masks of a clip, of which some are missing."""
+
+    def __init__(self, clip: SyntheticClip, without: tuple[int, ...]) -> None:
+        super().__init__(clip)
+        self.without = without
+
+    def __call__(self, frame: Frame) -> np.ndarray:
+        """Label map of a frame."""
+        if frame.number in self.without:
+            raise MaskError("No mask.")
+        return super().__call__(frame)
+
+
+def faulty(clip: SyntheticClip, numbers: range, faults: Faults) -> list[PreparedFrame]:
+    """A damaged clip, prepared."""
+    kept = [number for number in numbers if number not in faults.missing]
+    parts = {name: getattr(clip, name)[kept] for name in ("images", "labels", "depth")}
+    parts["depth"][np.isin(kept, faults.without_depth)] = 0
+    bare = np.isin(kept, faults.without_tool)
+    parts["labels"][bare] = np.where(parts["labels"][bare] == CLASSES["grasper"].grey, 0, parts["labels"][bare])
+    cut = dataclasses.replace(clip, **parts)
+    inputs = ClipInputs(FaultyMasks(cut, faults.without_mask), _Depth(cut), clip.camera)
+    source = FaultySource(cut, kept, faults.unreadable)
+    return list(ClipStream(source, PrepareSettings(geometry=clip_info().geometry), inputs))
+
+
+# The tool touches frames 7 to 14 of `pressed`.
+FAULTY = {
+    "unreadable": (range(20), Faults(unreadable=(0, 10)), [(7, True), (11, False)]),
+    "without depth": (range(20), Faults(without_depth=(2, 10, 16)), [(7, True)]),
+    "without mask": (range(20), Faults(without_mask=(6, 10)), [(7, False)]),
+    "gaps in the numbers": (range(20), Faults(missing=(1, 9, 15)), [(6, True), (8, False)]),
+    "flicker": (range(20), Faults(without_tool=(9, 11, 12)), [(7, True)]),
+    "contact from the first frame on": (range(7, 20), Faults(), [(0, False)]),
+    "always in contact": (range(8, 14), Faults(), [(0, False)]),
+    "one frame": (range(8, 9), Faults(), [(0, False)]),
+    "no contact": (range(5), Faults(), []),
+}
+
+
+@pytest.fixture(scope="module", params=FAULTY)
+def damaged(request: pytest.FixtureRequest, pressed: SyntheticClip) -> tuple[list[PreparedFrame], list]:
+    """A clip of every kind, and its runs of contact: their first frames and whether their onsets are seen."""
+    numbers, faults, runs = FAULTY[request.param]
+    return faulty(pressed, numbers, faults), runs
+
+
+def test_bad_frames_are_survived(estimator: Estimator, damaged: tuple[list[PreparedFrame], list]) -> None:
+    frames, expected = damaged
+    told, runs = follow(estimator.start(clip_info()), frames)
+    assert [(item.frame, item.status) for item in told] == [(frame.frame.number, frame.status) for frame in frames]
+    assert [(run.onset, run.interaction is not None) for run in runs] == expected
+    assert [run.onset_frame for run in runs] == [frames[run.onset].frame.number for run in runs]
+    for frame, item in zip(frames, told, strict=True):
+        assert frame.detail in item.detail
+        assert item.detail or item.status in ("ok", "no_contact", "no_tool")
+    for run in runs:
+        assert run.estimate is not None or run.detail
+        if run.estimate is not None:
+            require_complete(estimator, run.estimate)
+
+
+def whole_clip_onsets(frames: list[PreparedFrame], bridge_frames: int) -> list[int]:
+    """Where runs of contact begin, from the whole clip; `tests.estimators.test_runs` has the rest of them."""
+    runs: list[list[int]] = []
+    for index, frame in enumerate(frames):
+        if frame.in_contact:
+            same = runs and frames[runs[-1][0]].track_start == frame.track_start
+            if same and not begins(frame) and index - runs[-1][-1] - 1 <= bridge_frames:
+                runs[-1].append(index)
+            else:
+                runs.append([index])
+    return [run[0] for run in runs]
+
+
+states = some.builds(
+    State,
+    status=some.one_of(some.sampled_from(("ok", "no_contact")), some.sampled_from(STATUSES)),
+    missing=some.sampled_from((0, 0, 0, 0, 1)),
+    rested=some.sampled_from((True, True, False)),
+    moved=some.none() | some.tuples(*[some.floats(-0.02, 0.02)] * 3),
+)
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(some.lists(states, max_size=16), some.booleans())
+@example([State("ok")], True)
+def test_any_clip_has_each_frame_and_each_run_once(estimator: Estimator, clip: list[State], noisy: bool) -> None:
+    # A fit takes a second, so that the direct estimator is left to decline.
+    noise = 0.001 if noisy and estimator.name != "direct" else float("nan")
+    frames = linked(clip, touched(MESH, 24, NORMAL, noise))
+    told, runs = follow(estimator.start(clip_info()), frames)
+    assert [item.frame for item in told] == [frame.frame.number for frame in frames]
+    assert [run.onset for run in runs] == whole_clip_onsets(frames, 2)
+    for run in runs:
+        assert (run.interaction is not None) <= begins(frames[run.onset])
+        assert run.estimate is not None or run.detail
+
+
+def reachable(thing: object, *others: object) -> int:
+    """Objects that something holds, however deep, without `others`, plain values and what all programs hold."""
+    everywhere = (type, types.ModuleType, types.FunctionType, types.BuiltinFunctionType, int, float, str)
+    known, left, count = {id(other) for other in others}, [thing], 0
+    while left:
+        item = left.pop()
+        if id(item) not in known and not isinstance(item, everywhere):
+            known.add(id(item))
+            count += 1
+            left += gc.get_referents(item)
+    return count
+
+
+def pressing(presses: int, frames: int) -> list[State]:
+    """Presses of so many frames, each after three frames without."""
+    down = [State("ok", moved=(0.0, 0.0, 0.01 * min(index, 10))) for index in range(frames)]
+    return ([State("no_contact")] * 3 + down) * presses
+
+
+@pytest.mark.parametrize(
+    ("presses", "length", "early"),
+    [(1, 500, 60), (30, 5, 80)],  # in frames: the first second of a press is kept, and no more
+    ids=["a long press", "many presses"],
+)
+def test_a_session_does_not_grow(prompt: Estimator, presses: int, length: int, early: int) -> None:
+    noise = 0.001 if prompt.name != "direct" else float("nan")
+    geometry = touched(MESH, 24, NORMAL, noise)
+    frames = linked(pressing(presses, length), geometry)
+    session, held = prompt.start(clip_info()), []
+    runs: list[InteractionEstimate] = []
+    for frame in frames:
+        runs += sorted_out(session.push(frame))[1]
+        held.append(reachable(session, prompt))
+    assert len(runs) == presses - 1
+    assert max(held[early:]) <= max(held[:early])

@@ -1,0 +1,146 @@
+"""Runs of contact gathered frame by frame are those that a whole clip shows."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as some
+
+from data.prepared import SEEN_OUT, STATUSES, PreparedFrame
+from estimators.runs import NO_ONSET, NOT_FOLLOWED, Run, RunTracker
+from physics.mechanics import Mechanics
+from tests.estimators.sessions import State, clip_info, linked, prepared_frame, touched
+from tests.physics.sheets import sheet
+
+MESH = sheet(5, 5)
+CONTACT = touched(MESH, 12, np.array([0.0, 0.0, -1.0]), 0.001)
+SECONDS = 1.0
+
+
+class Seen(NamedTuple):
+    """A run of contact of a whole clip."""
+
+    first: int
+    last: int
+    onset_seen: bool
+    load_s: float | None
+
+
+def whole_clip_runs(frames: list[PreparedFrame], bridge_frames: int) -> list[Seen]:
+    """Runs by their definition: contact of one tracked point that is missing on at most `bridge_frames` in a row."""
+    runs: list[list[int]] = []
+    for index, frame in enumerate(frames):
+        if not frame.in_contact:
+            continue
+        begins = frame.track_start == index
+        same = runs and frames[runs[-1][0]].track_start == frame.track_start
+        if same and not begins and index - runs[-1][-1] - 1 <= bridge_frames:
+            runs[-1].append(index)
+        else:
+            runs.append([index])
+    found = []
+    for first, *_, last in ([*run, run[-1]] for run in runs):
+        onset_seen = frames[first].track_start == first
+        after = frames[last + 1] if last + 1 < len(frames) else None
+        released = after is not None and frames[last].consecutive and after.status in SEEN_OUT
+        load = after.frame.time_s - frames[first].frame.time_s if onset_seen and released else None
+        found.append(Seen(first, last, onset_seen, load))
+    return found
+
+
+def tracked_runs(frames: list[PreparedFrame], bridge_frames: int) -> list[Run]:
+    """Of a tracker to which the frames are given one by one."""
+    tracker = RunTracker(clip_info(bridge_frames=bridge_frames), SECONDS)
+    found = [tracker.push(frame) for frame in frames] + [tracker.finish()]
+    assert tracker.finish() is None
+    return [run for run in found if run is not None]
+
+
+states = some.builds(
+    State,
+    status=some.one_of(some.sampled_from(("ok", "no_contact")), some.sampled_from(STATUSES)),
+    missing=some.sampled_from((0, 0, 0, 0, 0, 1, 3)),
+    rested=some.sampled_from((True, True, True, False)),
+)
+
+
+def clip_of(words: str) -> list[State]:
+    """ok, no_contact, bad_depth and unreadable frames by their first letters."""
+    names = {name[0]: name for name in ("ok", "no_contact", "bad_depth", "unreadable")}
+    return [State(names[letter]) for letter in words]
+
+
+@settings(max_examples=300, deadline=None)
+@given(some.lists(states, max_size=40), some.integers(0, 3))
+@example(clip_of("nooonnoonnnnnnnnnnnoooo"), 2)
+@example(clip_of("ooonooobbooouooo"), 1)
+def test_runs_are_those_of_the_whole_clip(clip: list[State], bridge_frames: int) -> None:
+    frames = linked(clip, CONTACT, bridge_frames)
+    runs = tracked_runs(frames, bridge_frames)
+    found = [
+        Seen(run.index, run.last, run.builder is not None, None if run.builder is None else run.builder.load_seconds)
+        for run in runs
+    ]
+    assert found == whole_clip_runs(frames, bridge_frames)
+
+
+@pytest.mark.parametrize(
+    ("words", "runs"),
+    [
+        ("nnooonn", [Seen(2, 4, True, 0.12)]),
+        ("nnooo", [Seen(2, 4, True, None)]),
+        ("ooonn", [Seen(0, 2, False, None)]),
+        ("nononoonnn", [Seen(1, 6, True, 0.24)]),  # flicker
+        ("nooonnnoo", [Seen(1, 3, True, 0.12), Seen(7, 8, True, None)]),  # contact was missing on three frames
+        ("noobnnn", [Seen(1, 2, True, None)]),  # nobody saw the release
+        ("noouoon", [Seen(1, 2, True, None), Seen(4, 5, False, None)]),
+        ("oonoo", [Seen(0, 4, False, None)]),
+    ],
+)
+def test_small_clips(words: str, runs: list[Seen]) -> None:
+    frames = linked(clip_of(words), CONTACT)
+    expected = [seen._replace(load_s=seen.load_s and pytest.approx(seen.load_s)) for seen in runs]
+    assert whole_clip_runs(frames, 2) == expected
+    assert [run.index for run in tracked_runs(frames, 2)] == [seen.first for seen in runs]
+
+
+def test_why_nothing_is_known_of_a_run() -> None:
+    unseen, unfollowed = (tracked_runs(linked(clip_of(words), CONTACT), 2)[0] for words in ("oon", "noon"))
+    assert unseen.unseen == NO_ONSET
+    assert unfollowed.unseen == f"{unfollowed.detail} {NOT_FOLLOWED}".strip()
+    assert len(unfollowed.builder.build(Mechanics()).observation) == 0
+
+
+def test_a_run_keeps_what_was_seen_of_it() -> None:
+    """Displacements from rest at the frames' times, up to the horizon; a lost point gives none."""
+    moved = [(0.0, 0.0, 0.001 * index) for index in range(32)]
+    moved[3] = None
+    clip = [
+        State("no_contact"),
+        *(State("ok" if index < 6 else "no_contact", moved=moved[index]) for index in range(32)),
+    ]
+    frames = linked(clip, CONTACT)
+    assert frames[-1].track_start == -1  # it is followed over 0.3 s
+    (run,) = tracked_runs(frames, 2)
+    seen = run.builder.build(Mechanics()).observation
+    kept = [1, 2, 4, 5, 6, 7]
+    np.testing.assert_allclose(seen.times, np.array(kept) / 25)
+    np.testing.assert_allclose(seen.displacement[0], [moved[index] for index in kept], atol=1e-7)
+    assert run.estimate().load_s == pytest.approx(6 / 25)
+    assert (run.number, run.time_s) == (1, pytest.approx(0.04))
+
+
+def test_without_a_noise_level_rest_is_where_the_point_was_at_the_onset() -> None:
+    """With one, it is the smoothed surface."""
+    position = MESH.vertices[12] + np.array([0.0, 0.0, 0.01])
+    for noise, rest in ((math.nan, position), (0.001, MESH.vertices[12])):
+        frame = prepared_frame(
+            0, "ok", touched(MESH, 12, CONTACT.normal, noise), track_start=0, track_position=position
+        )
+        tracker = RunTracker(clip_info(), SECONDS)
+        tracker.push(frame)
+        np.testing.assert_allclose(tracker.current.builder.rest, rest, rtol=1e-6)

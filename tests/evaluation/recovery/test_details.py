@@ -1,0 +1,104 @@
+"""Details of the benchmark against closed forms."""
+
+import numpy as np
+import pytest
+
+from evaluation.recovery.details import COLUMNS, detail_rows, true_verdicts
+from evaluation.recovery.scores import score_all
+from tests.evaluation.recovery_cases import off_by, recovery
+
+
+def details(rows):
+    (scores,) = score_all(rows)
+    found = list(detail_rows(scores))
+    assert all(set(row) <= set(COLUMNS) for row in found)
+    return {(row["regime"], row["parameter"], row["quantity"]): row for row in found}
+
+
+def test_errors_of_known_size():
+    shifts = (-0.5, 0.0, 0.5)
+    rows = [
+        recovery(i, theta=off_by([shift, 0, 0]), estimate=off_by([shift + error, 0, 0]))
+        for i, (shift, error) in enumerate(zip(shifts, (0.1, -0.3, 0.2), strict=True))
+    ]
+    found = details(rows)
+    assert found["all", "stiffness", "median_abs_error"]["value"] == pytest.approx(0.2)
+    assert found["all", "stiffness", "mean_error"]["value"] == pytest.approx(0.0)
+    assert found["all", "stiffness", "error_over_bound_variance"]["value"] == pytest.approx((1 + 9 + 4) / 3)
+    # The best constant is off by √(0.5/3) = 0.408, the bound is 0.1, the estimates' RMS √(0.14/3) = 0.216.
+    closed = (np.sqrt(0.5 / 3) - np.sqrt(0.14 / 3)) / (np.sqrt(0.5 / 3) - 0.1)
+    assert found["all", "stiffness", "gap_closed"]["value"] == pytest.approx(closed)
+
+
+def test_errors_are_judged_by_their_own_standard_deviations():
+    rows = [recovery(i, estimate=off_by([0.1, 0, 0]), covariance=0.04 * np.eye(3)) for i in range(3)]
+    assert details(rows)["all", "stiffness", "error_over_sd_variance"]["value"] == pytest.approx(0.25)
+
+
+def test_a_constant_estimate_has_no_spread():
+    rows = [recovery(i, theta=off_by([0.1 * i, 0, 0])) for i in range(5)]
+    found = details(rows)
+    assert found["all", "stiffness", "collapse"]["value"] == pytest.approx(0)
+    assert found["all", "stiffness", "true_spread"]["value"] == pytest.approx(np.std(0.1 * np.arange(5), ddof=1))
+
+
+def test_intervals_need_clips_and_hold_the_value():
+    generator = np.random.default_rng(1)
+    few, many = ([recovery(i, estimate=off_by(generator.normal(0, 0.1, 3))) for i in range(n)] for n in (4, 60))
+    assert "no interval" in details(few)["all", "force", "ratio"]["note"]
+    for quantity in ("ratio", "coverage90"):
+        row = details(many)["all", "force", quantity]
+        assert row["low"] < row["value"] < row["high"]
+
+
+def test_narrow_intervals_are_told_from_wide_ones():
+    """Errors of 0.1 throughout: standard deviations of 0.02 hold none of them, 0.1 and 0.5 all."""
+    rows = [
+        recovery(index, estimate=off_by([0.1, 0, 0]), covariance=np.eye(3) * (0.02, 0.1, 0.5)[index % 3] ** 2)
+        for index in range(15)
+    ]
+    found = details(rows)
+    assert found["all", "stiffness", "coverage90_narrow"]["value"] == 0
+    assert found["all", "stiffness", "coverage90_wide"]["value"] == 1
+    assert found["all", "stiffness", "coverage90_wide"]["n"] == 5
+    assert ("all", "stiffness", "coverage90_wide") not in details(rows[:14])
+    alike = [recovery(index, covariance=0.01 * np.eye(3)) for index in range(15)]
+    assert ("all", "stiffness", "coverage90_wide") not in details(alike)
+
+
+def test_warnings_are_counted():
+    rows = [recovery(0, warned=True), recovery(1, warned=False), recovery(2, warned=False), recovery(3)]
+    row = details(rows)["all", "all", "warned"]
+    assert (row["n"], row["value"]) == (3, pytest.approx(1 / 3))
+    assert ("all", "all", "warned") not in details([recovery(0)])
+
+
+def test_failures_are_counted_with_their_reasons():
+    lost = {"estimate": None, "covariance": None, "information": None}
+    rows = [recovery(0), recovery(1, status="no contact", **lost), recovery(2, status="other onset", **lost)]
+    row = details(rows)["all", "all", "failed"]
+    assert (row["n"], row["value"]) == (3, 2)
+    assert row["note"] == "no contact 1; other onset 1"
+
+
+def test_verdicts_and_which_are_clear():
+    bounds = np.array(
+        [
+            [0.1, 0.2, 0.3, 0.1, 0.1],  # determined, clearly
+            [0.1, 0.4, 0.1, 0.1, 0.1],  # determined, 0.4 within a factor 1.5 of 0.5
+            [2.0, 2.0, 2.0, 0.1, 0.1],  # ratios, clearly
+            [2.0, 2.0, 2.0, 0.4, 0.1],  # ratios, but one ratio is near the limit
+            [2.0, 2.0, 2.0, 0.9, 0.1],  # undetermined, clearly
+        ]
+    )
+    verdicts, clear = true_verdicts(bounds)
+    assert verdicts.tolist() == ["determined", "determined", "ratios", "ratios", "undetermined"]
+    assert clear.tolist() == [True, False, True, False, True]
+
+
+def test_verdict_accuracy_names_the_mistakes():
+    rows = [recovery(0), recovery(1, verdict="ratios")]
+    row = details(rows)["all", "all", "verdict_accuracy"]
+    assert row["value"] == 0.5
+    assert row["note"] == "1 determined taken for ratios"
+    assert ("all", "all", "verdict_accuracy") not in details([recovery(verdict="")])

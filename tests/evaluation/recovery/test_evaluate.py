@@ -1,0 +1,187 @@
+"""One clip against its truth: the same clip as the generator's, and every failure told."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from data.contact.interaction import Interaction
+from data.synthetic.clip import draw_truth, make_clip, synthetic_clip
+from data.synthetic.scene import SceneError
+from estimators.estimate import Estimate, InteractionEstimate
+from estimators.open import EstimatorOptions
+from evaluation.recovery import evaluate as recovery
+from evaluation.recovery.estimators import ConstantOptions
+from evaluation.recovery.evaluate import ClipTask, Recovery, draw_log_theta, evaluate_clip
+from evaluation.recovery.suites import SUITES, suite_clip_seed
+from physics.identifiability import fisher_information, log_jacobian
+from physics.load import Press, held
+from physics.msd.simulation import simulate_sensitivities
+from physics.observation import Observation
+from tests.estimators.sessions import clip_info
+
+CONSTANT = ConstantOptions(((-1.0, -3.0, -2.5), (1.0, 0, 0), (0, 1.0, 0), (0, 0, 1.0)))
+SEED = suite_clip_seed("test", 0, 2)  # over-damped: the cheapest motion
+
+
+def test_sharing_truths_gives_the_generators_clips():
+    truths = recovery._Truths(SEED)
+    clips = []
+    for name in ("clean", "focal-error", "8bit"):
+        settings = SUITES[name].settings(2)
+        clips.append(synthetic_clip(*truths.of(settings), SEED))
+        made = make_clip(settings, SEED)
+        assert clips[-1].camera == made.camera
+        for field in ("images", "labels", "depth"):
+            np.testing.assert_array_equal(getattr(clips[-1], field), getattr(made, field))
+    assert len(truths.known) == 1
+    np.testing.assert_array_equal(clips[0].motion.theta, clips[2].motion.theta)
+
+
+def test_suites_of_another_truth_draw_their_own():
+    truths = recovery._Truths(SEED)
+    motions = {}
+    for name in ("clean", "mismatch", "oblique", "late-onset"):
+        settings = SUITES[name].settings(2)
+        scene, motions[name] = truths.of(settings)
+        expected_scene, expected = draw_truth(settings, SEED)
+        np.testing.assert_array_equal(motions[name].contact, expected.contact)
+        np.testing.assert_array_equal(scene.mesh.vertices, expected_scene.mesh.vertices)
+    assert len(truths.known) == 4
+    changed = {
+        field.name
+        for field in dataclasses.fields(SUITES["clean"].settings(0))
+        for suite in SUITES.values()
+        for name in (*suite.truth, *suite.every_other_truth)
+        if name == field.name
+    }
+    assert changed == set(recovery.TRUTH_FIELDS)
+
+
+def test_a_late_force_is_compared_and_bounded_at_its_own_instants():
+    """A delay of half a frame, eight steps of the simulator: a track without error, and the information it holds."""
+    settings = dataclasses.replace(SUITES["late-onset"].settings(2), onset_delay=(0.5, 0.5), release_delay=(0.5, 0.5))
+    scene, motion = draw_truth(settings, SEED)
+    after = np.arange(1, 26)
+    observed = motion.contact[motion.onset_frame + after] - 0.002 * scene.direction
+    step, times = recovery.MECHANICS.time_step, after / 25
+    load = Press.at(scene.vertex, scene.direction, held(round(motion.load_seconds / step), 400))
+    contact = Interaction(scene.mesh, load, Observation.of_point(scene.vertex, times, observed, 0.001), step)
+    errors, information = recovery.compare_tracking(contact, scene, motion)
+    np.testing.assert_allclose(errors, -0.002, rtol=1e-4)
+    _, slopes = simulate_sensitivities(motion.theta, scene.mesh, load, recovery.MECHANICS, dtype=np.float64)
+    slopes = log_jacobian(slopes, motion.theta)
+    expected, on_time = (fisher_information(slopes[16 * after - first], 1.0) for first in (9, 1))
+    np.testing.assert_allclose(information, expected, rtol=1e-12)
+    assert not np.allclose(information, on_time, rtol=0.01)
+    # Before the force starts nothing is told.
+    late = dataclasses.replace(motion, delay=0.04)
+    blind = contact.observed(np.arange(1))
+    np.testing.assert_array_equal(recovery.compare_tracking(blind, scene, late)[1], np.zeros((3, 3)))
+
+
+def test_a_clip_in_two_suites():
+    clean, mismatch = evaluate_clip(ClipTask(2, SEED, (("clean", (CONSTANT,)), ("mismatch", (CONSTANT,)))))
+    assert (clean.status, mismatch.status) == ("ok", "ok")
+    assert np.sqrt(np.mean(np.square(clean.tracking))) < 0.003
+    np.testing.assert_allclose(clean.estimate, np.exp([-1, -3, -2.5]) * [1, 1, -1])
+    assert np.linalg.eigvalsh(clean.information).min() >= 0
+    assert mismatch.peak != clean.peak
+    np.testing.assert_allclose(draw_log_theta((2, SEED)), np.log(np.abs(clean.theta)))
+
+
+def run(monkeypatch, **replaced) -> Recovery:
+    for name, value in replaced.items():
+        monkeypatch.setattr(recovery, name, value)
+    (row,) = evaluate_clip(ClipTask(2, SEED, (("clean", (CONSTANT,)),)))
+    return row
+
+
+def raising(error: Exception):
+    def function(*_: object, **__: object) -> None:
+        raise error
+
+    return function
+
+
+def test_failures_become_results(monkeypatch):
+    row = run(monkeypatch, draw_truth=raising(SceneError("nothing to draw.")))
+    assert (row.status, row.reason, row.theta) == ("no scene", "nothing to draw.", None)
+    assert draw_log_theta((2, SEED)) is None
+
+
+def test_a_broken_preparation_and_missing_contacts_become_results(monkeypatch):
+    truth = make_clip(SUITES["clean"].settings(2), SEED)
+    known = {"draw_truth": lambda *_: (truth.scene, truth.motion), "synthetic_clip": lambda *_: truth}
+    row = run(monkeypatch, **known, open_synthetic=raising(RuntimeError("broken")))
+    assert (row.status, row.reason) == ("error", "RuntimeError: broken")
+    monkeypatch.undo()
+    row = run(monkeypatch, **known, observed_contacts=lambda *_: {})
+    assert row.status == "no contact"
+    row = run(monkeypatch, observed_contacts=lambda *_: {truth.motion.onset_frame + 1: None})
+    assert row.status == "other onset"
+    assert f"instead of {truth.motion.onset_frame}" in row.reason
+
+
+class Telling:
+    """An estimator that says the same at the end of every clip."""
+
+    def __init__(self, *said: InteractionEstimate) -> None:
+        self.said = said
+
+    def start(self, clip: object) -> Telling:
+        return self
+
+    def finish(self) -> tuple[InteractionEstimate, ...]:
+        return self.said
+
+
+def told(monkeypatch, candidate, estimator) -> Recovery:
+    """What becomes of an estimator's answer about a contact that began in frame 3."""
+    monkeypatch.setattr(recovery, "opened", lambda _: estimator)
+    return recovery._estimate(Recovery("clean", 0, "", 0, "critical"), candidate, [], clip_info(), 3)
+
+
+NOT_FINITE = Estimate(np.array([np.nan, 0.1, -0.1]))
+
+
+@pytest.mark.parametrize(
+    ("said", "reason"),
+    [
+        ((), "it doesn't see this contact."),
+        ((InteractionEstimate(2, 2, 0.08, estimate=NOT_FINITE),), "it doesn't see this contact."),
+        ((InteractionEstimate(3, 3, 0.12, detail="Too short."),), "Too short."),
+        ((InteractionEstimate(3, 3, 0.12, estimate=NOT_FINITE),), "its θ is not finite."),
+    ],
+)
+def test_contacts_without_an_estimate_become_results(monkeypatch, said, reason):
+    row = told(monkeypatch, CONSTANT, Telling(*said))
+    assert (row.status, row.reason, row.estimator, row.estimate) == ("no estimate", reason, "constant", None)
+
+
+def test_an_estimator_that_breaks_becomes_a_result(monkeypatch):
+    broken = Telling()
+    broken.finish = raising(ValueError("broken"))
+    row = told(monkeypatch, CONSTANT, broken)
+    assert (row.status, row.reason, row.estimate) == ("error", "ValueError: broken", None)
+
+
+@pytest.mark.parametrize(
+    ("misfit", "angle", "warned"), [(1.4, 1.0, False), (1.6, 1.0, True), (1.4, 4.9, False), (1.4, 5.1, True)]
+)
+def test_an_estimate_warns_of_a_motion_it_does_not_explain_and_of_one_seen_aslant(monkeypatch, misfit, angle, warned):
+    theta, at_bound = np.array([0.3, 0.05, -0.1]), np.array([False, True, False])
+    estimate = Estimate(theta, np.eye(3), np.eye(3), 0.001, misfit, 1.5, at_bound, view_angle=angle)
+    row = told(monkeypatch, EstimatorOptions("direct"), Telling(InteractionEstimate(3, 3, 0.12, estimate=estimate)))
+    assert (row.status, row.warned, row.verdict) == ("ok", warned, "undetermined")
+    assert (row.noise, row.misfit) == (0.001, misfit)
+    for name, value in (("estimate", theta), ("covariance", np.eye(3)), ("at_bound", at_bound)):
+        np.testing.assert_array_equal(getattr(row, name), value)
+
+
+def test_an_estimator_without_uncertainty_gives_no_verdict_and_no_warning(monkeypatch):
+    estimate = Estimate(np.array([0.3, 0.05, -0.1]), told_verdict="undetermined")
+    row = told(monkeypatch, CONSTANT, Telling(InteractionEstimate(3, 3, 0.12, estimate=estimate)))
+    assert (row.status, row.verdict, row.warned, row.covariance) == ("ok", "", None, None)

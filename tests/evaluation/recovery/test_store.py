@@ -1,0 +1,90 @@
+"""Results on disk: never lost, never mixed."""
+
+import json
+
+import numpy as np
+import pytest
+
+from evaluation.recovery.evaluate import Recovery
+from evaluation.recovery.store import RESULTS, RecoveryStore, read_results
+from results.store import OutputError
+from tests.evaluation.recovery_cases import recovery
+
+WANTED = {"seed": 0, "split": "test", "suites": {"clean": {"errors": 1}}, "estimators": {"direct": {"noise": None}}}
+
+
+def test_a_result_survives_the_file():
+    row = recovery(3)
+    again = Recovery.from_json(json.loads(json.dumps(row.to_json(), allow_nan=False)))
+    for name in ("theta", "information", "tracking", "estimate", "covariance", "at_bound"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(row, name))
+    assert again.key == row.key == ("clean", 3, "direct")
+
+
+def test_what_is_not_known_stays_unknown():
+    row = recovery(estimate=None, covariance=None, noise=float("nan"))
+    again = Recovery.from_json(json.loads(json.dumps(row.to_json(), allow_nan=False)))
+    assert again.estimate is None
+    assert again.covariance is None
+    assert np.isnan(again.noise)
+
+
+def test_a_second_run_finds_the_first_ones_results(tmp_path):
+    RecoveryStore(tmp_path, WANTED).append([recovery(0), recovery(1)])
+    store = RecoveryStore(tmp_path, WANTED)
+    assert store.done == {("clean", 0, "direct"), ("clean", 1, "direct")}
+    assert not store.outdated
+
+
+def test_an_unfinished_last_line_is_cut_off(tmp_path):
+    RecoveryStore(tmp_path, WANTED).append([recovery(0)])
+    with (tmp_path / RESULTS).open("a") as file:
+        file.write('{"suite": "clean", "ind')
+    store = RecoveryStore(tmp_path, WANTED)
+    store.append([recovery(1)])
+    assert [row.index for row in read_results(tmp_path / RESULTS)] == [0, 1]
+
+
+def test_a_broken_line_is_named(tmp_path):
+    RecoveryStore(tmp_path, WANTED).append([recovery(0)])
+    (tmp_path / RESULTS).write_text("{}\n")
+    with pytest.raises(OutputError, match=r"results\.jsonl: line 1 is not a result"):
+        RecoveryStore(tmp_path, WANTED)
+
+
+@pytest.mark.parametrize(
+    ("changed", "named"),
+    [
+        ({"seed": 1}, "another seed"),
+        ({"split": "validation"}, "another split"),
+        ({"suites": {"clean": {"errors": 2}}}, "another suite clean"),
+        ({"estimators": {"direct": {"noise": 0.1}}}, "another estimator direct"),
+    ],
+)
+def test_other_results_are_not_mixed_in(tmp_path, changed, named):
+    RecoveryStore(tmp_path, WANTED)
+    with pytest.raises(OutputError, match=named):
+        RecoveryStore(tmp_path, WANTED | changed)
+
+
+def test_suites_and_estimators_may_be_added(tmp_path):
+    RecoveryStore(tmp_path, WANTED)
+    RecoveryStore(tmp_path, WANTED | {"suites": {"8bit": {"errors": 3}}})
+    RecoveryStore(tmp_path, WANTED)
+    record = json.loads((tmp_path / "run.json").read_text())
+    assert set(record["suites"]) == {"clean", "8bit"}
+
+
+def test_another_version_of_the_program_is_noticed(tmp_path, monkeypatch):
+    RecoveryStore(tmp_path, WANTED).append([recovery(0)])
+    monkeypatch.setattr("evaluation.recovery.store.code_digest", lambda: "other")
+    assert RecoveryStore(tmp_path, WANTED).outdated
+
+
+def test_a_folder_of_something_else_is_refused(tmp_path):
+    (tmp_path / "run.json").write_text("[]")
+    with pytest.raises(OutputError, match="belongs to something else"):
+        RecoveryStore(tmp_path, WANTED)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match="is a file"):
+        RecoveryStore(tmp_path / "file", WANTED)

@@ -1,0 +1,219 @@
+"""The compiled rollout inside torch: derivatives, threads, workers, and what it refuses."""
+
+from __future__ import annotations
+
+import dataclasses
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+import warnings
+from pathlib import Path
+
+import pytest
+import torch
+from torch.utils.data import DataLoader, Dataset
+
+from physics import jit
+from physics.mechanics import Mechanics
+from physics.msd import autograd as msd_autograd
+from physics.msd.autograd import UnreliableGradient, cases
+from physics.msd.compiled import watched_rollout
+from physics.msd.rollouts import rollout, rollout_field, rollout_heterogeneous
+from tests.physics.batches import batch_of
+from tests.physics.sheets import sheet
+
+pytestmark = pytest.mark.skipif(not jit.COMPILED, reason="numba isn't installed")
+
+ROOT = Path(__file__).resolve().parents[3]
+THETA = [[0.7, 0.05, -0.1], [0.2, 0.3, -0.4], [0.5, 0.5, -5.0]]
+
+
+@pytest.mark.parametrize("scheme", ["euler", "dkd"])
+@pytest.mark.parametrize("keep", [1.0, 0.5])
+def test_jacobian_equals_double_precision_autograd(scheme, keep):
+    mesh, load = batch_of([sheet(12, 12, keep=keep)] * 3, [40, 33, 20], [50, 20, 120])
+    mechanics = Mechanics(scheme=scheme)
+    theta = torch.tensor(THETA, dtype=torch.float64)
+    columns = []
+    for parameter in range(3):
+        tangent = torch.zeros_like(theta)
+        tangent[:, parameter] = 1
+        columns.append(torch.func.jvp(lambda x: rollout(x, mesh, load, mechanics, "torch"), (theta,), (tangent,))[1])
+    expected = torch.stack(columns, dim=3)
+    scale = expected.abs().amax(dim=(1, 2), keepdim=True)
+    weights = torch.randn(3, 200, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
+    for dtype, allowed in ((torch.float64, 1e-10), (torch.float32, 1e-4)):
+        samples = cases(theta.to(dtype), mesh, load, load.vertices[:, None], mechanics)
+        seen = torch.stack([torch.from_numpy(watched_rollout(case, True).slopes[:, 0]) for case in samples]).double()
+        assert ((seen - expected).abs() <= allowed * scale).all()
+        leaf = theta.detach().clone().to(dtype).requires_grad_()
+        (weights.to(dtype) * rollout(leaf, mesh, load, mechanics, "numba")).sum().backward()
+        projected = torch.einsum("btc,btcp->bp", weights, expected)
+        torch.testing.assert_close(leaf.grad.double(), projected, rtol=10 * allowed, atol=10 * allowed)
+
+
+@pytest.mark.slow
+def test_heterogeneous_tissue_has_the_gradients_of_autograd():
+    mesh, load = batch_of([sheet(9, 8), sheet(9, 8, keep=0.5)], [30, 5], [50, 20])
+    generator = torch.Generator().manual_seed(0)
+    count = len(mesh.vertices)
+    stiffness = 0.5 + torch.rand(count, dtype=torch.float64, generator=generator)
+    damping = 0.03 + 0.1 * torch.rand(count, dtype=torch.float64, generator=generator)
+    parameters = [stiffness, damping, torch.tensor([-0.1, -0.3], dtype=torch.float64)]
+    weights = torch.randn(2, 200, 3, dtype=torch.float64, generator=generator)
+    results = []
+    for backend in ("numba", "torch"):
+        leaves = [value.clone().requires_grad_() for value in parameters]
+        trajectory = rollout_heterogeneous(*leaves, mesh, load, Mechanics(anchor=0.2), backend)
+        results.append([trajectory, *torch.autograd.grad((weights * trajectory).sum(), leaves)])
+    for seen, expected in zip(*results, strict=True):
+        torch.testing.assert_close(seen, expected, rtol=1e-10, atol=1e-12)
+
+
+def test_results_do_not_depend_on_the_number_of_threads():
+    mesh, load = batch_of([sheet(20, 20)] * 5, [200, 210, 190, 150, 250])
+    before, results = torch.get_num_threads(), []
+    try:
+        for threads in (1, 2, 3):
+            torch.set_num_threads(threads)
+            theta = torch.tensor([[0.7, 0.05, -0.1]] * 5, requires_grad=True)
+            trajectory = rollout(theta, mesh, load)
+            trajectory.square().sum().backward()
+            results.append((trajectory.detach(), theta.grad))
+    finally:
+        torch.set_num_threads(before)
+    for trajectory, gradient in results[1:]:
+        assert torch.equal(trajectory, results[0][0])
+        torch.testing.assert_close(gradient, results[0][1], rtol=1e-6, atol=0)
+
+
+class Rollouts(Dataset):
+    """Two rollouts, each computed in the worker."""
+
+    def __len__(self) -> int:
+        return 2
+
+    def __getitem__(self, index: int) -> torch.Tensor:
+        torch.set_num_threads(2)  # workers start with one; a pool must work there too
+        mesh, load = batch_of([sheet(8, 8)] * 2, [27, 28])
+        return rollout(torch.tensor(THETA[:2]), mesh, load)
+
+
+def test_workers_forked_from_a_process_with_threads_compute_the_same():
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        expected = Rollouts()[0]  # the parent has its pool before it forks
+        for seen in DataLoader(Rollouts(), batch_size=None, num_workers=2, multiprocessing_context="fork", timeout=60):
+            assert torch.equal(seen, expected)
+    finally:
+        torch.set_num_threads(before)
+
+
+def test_ctrl_c_ends_a_long_rollout():
+    code = """
+        import sys; sys.path[:0] = ["tests/physics"]
+        import torch
+        from tests.physics.sheets import sheet
+        from tests.physics.batches import batch_of
+        from physics.mechanics import Mechanics
+        from physics.msd.rollouts import rollout
+        torch.set_num_threads(2)
+        mesh, load = batch_of([sheet(8, 8)] * 2, [27, 28])
+        theta = torch.tensor([[0.7, 0.05, -0.1]] * 2)
+        rollout(theta, mesh, load)
+        print("ready", flush=True)
+        while True:
+            rollout(theta, mesh, load)
+    """
+    process = subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(code)],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert process.stdout.readline() == "ready\n"
+        time.sleep(0.3)
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=30)
+    finally:
+        process.kill()
+    assert process.returncode != 0
+    assert "KeyboardInterrupt" in errors
+
+
+def test_second_derivatives_are_refused_with_a_sentence():
+    mesh, load = batch_of([sheet(6, 6)], [14])
+    theta = torch.tensor(THETA[:1], requires_grad=True)
+    (gradient,) = torch.autograd.grad(
+        rollout(theta, mesh, load, backend="numba").square().sum(), theta, create_graph=True
+    )
+    with pytest.raises(RuntimeError, match="first derivatives only; pass backend='torch'"):
+        gradient.sum().backward()
+
+
+def test_chaotic_motion_has_no_gradient_and_says_so():
+    mesh, load = batch_of([sheet(21, 21)] * 2, [220, 220])
+    mechanics = Mechanics(boundary="free")
+    regular = torch.tensor([[0.7, 0.05, -0.1]] * 2, requires_grad=True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        rollout(regular, mesh, load, mechanics).square().sum().backward()
+    theta = torch.tensor([[0.7, 0.05, -0.1], [5.34, 0.0, -1.0]], requires_grad=True)
+    with pytest.warns(UnreliableGradient, match=r"k_s = 5\.34, k_d = 0, F = -1 is chaotic"):
+        rollout(theta, mesh, load, mechanics).square().sum().backward()
+    assert not theta.grad[1].any()
+    torch.testing.assert_close(theta.grad[0], regular.grad[0])
+
+
+def test_whole_field_has_gradients_through_torch_only():
+    mesh, load = batch_of([sheet(6, 6)], [14])
+    theta = torch.tensor(THETA[:1], requires_grad=True)
+    rollout_field(theta, mesh, load).square().sum().backward()
+    assert theta.grad.abs().min() > 0
+    with pytest.raises(ValueError, match="pass backend='torch' or detach"):
+        rollout_field(theta, mesh, load, backend="numba")
+
+
+def test_nan_parameters_are_not_hidden():
+    mesh, load = batch_of([sheet(6, 6)] * 2, [14, 14])
+    theta = torch.tensor([[0.7, 0.05, -0.1], [float("nan"), 0.05, -0.1]])
+    for mechanics in (Mechanics(), Mechanics(window_error=1e-4)):
+        seen = rollout(theta, mesh, load, mechanics)
+        assert torch.isfinite(seen[0]).all()
+        assert torch.isnan(seen[1, 50:]).all()
+
+
+def test_backends_that_cannot_do_it_say_so(monkeypatch):
+    mesh, load = batch_of([sheet(6, 6)], [14])
+    theta = torch.tensor(THETA[:1])
+    with pytest.raises(ValueError, match="choose auto, numba or torch"):
+        rollout(theta, mesh, load, backend="jax")
+    with pytest.raises(ValueError, match="computes on the CPU"):
+        rollout(theta.to("meta"), mesh, load, backend="numba")
+    for backend in ("numba", "torch"):
+        with pytest.raises(ValueError, match="names vertex 36; the mesh has 36"):
+            rollout(theta, mesh, dataclasses.replace(load, vertices=torch.tensor([36])), backend=backend)
+        with pytest.raises(ValueError, match="watch names vertex -1; the mesh has 36"):
+            rollout(theta, mesh, load, backend=backend, watch=torch.tensor([[3, -1]]))
+        with pytest.raises(ValueError, match=r"watch has shape \(2,\); give \[1, M\]"):
+            rollout(theta, mesh, load, backend=backend, watch=torch.tensor([3, 4]))
+    monkeypatch.setattr(jit, "COMPILED", False)
+    with pytest.raises(ValueError, match="isn't installed"):
+        rollout(theta, mesh, load, backend="numba")
+
+
+def test_one_thread_needs_no_pool():
+    msd_autograd._pool.cache_clear()
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        mesh, load = batch_of([sheet(6, 6)] * 2, [14, 15])
+        rollout(torch.tensor(THETA[:2]), mesh, load)
+    finally:
+        torch.set_num_threads(before)
+    assert msd_autograd._pool.cache_info().currsize == 0

@@ -1,0 +1,105 @@
+"""The stencil read from a grid mesh."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from physics.mesh import Mesh, grid_mesh
+from physics.msd.grid_layout import LENGTH, LINK, MOBILE, PITCHES, REST_PLANES, grid_layout, runs
+from tests.physics.sheets import hand_mesh, sheet, surface
+
+FLOAT = np.dtype(np.float64)
+
+
+def planes(layout) -> np.ndarray:
+    return layout.rest.reshape(-1, REST_PLANES, layout.pitch)
+
+
+def test_positions_lengths_links_and_free_vertices_are_where_they_belong():
+    mesh = sheet(4, 5)
+    free = ~mesh.rim
+    layout = grid_layout(mesh, 7, free, 9, FLOAT)
+    assert (layout.rows, layout.centre, layout.corner) == (4, (2, 3), (-1, -1))
+    row, column = mesh.pixels.T + 1
+    rest = planes(layout)
+    np.testing.assert_array_equal(rest[row, :3, column], mesh.vertices.astype(np.float64))
+    np.testing.assert_array_equal(rest[row, MOBILE, column], free)
+    assert rest[:, MOBILE].sum() == free.sum()
+    assert rest[:, LINK].sum() == 4 * 4  # right
+    assert rest[:, LINK + 1].sum() == 3 * 5  # down
+    assert rest[:, LINK + 2].sum() == 3 * 4  # diagonal
+    expected = np.linalg.norm(mesh.vertices[8].astype(np.float64) - mesh.vertices[7])
+    np.testing.assert_allclose(rest[2, LENGTH, 3], expected, rtol=1e-12)
+    np.testing.assert_array_equal(layout.first[1:5], [1] * 4)
+    np.testing.assert_array_equal(layout.last[1:5], [5] * 4)
+    assert layout.last[0] < layout.first[0]
+
+
+def test_runs_are_rows_that_end_at_holes():
+    valid = np.ones((4, 9), dtype=bool)
+    valid[2, 4] = False
+    mesh = grid_mesh(surface(4, 9), valid, max_edge=1.0)
+    layout = grid_layout(mesh, 7, ~mesh.rim, 9, FLOAT)
+    seen = runs(layout, mesh, 6)
+    np.testing.assert_array_equal(seen[:, 0], [0, 9, 18, 22, 26])
+    np.testing.assert_array_equal(seen[:, 2], [9, 9, 4, 4, 9])
+    row, column = mesh.pixels.T + 1
+    places = np.concatenate([np.arange(place, place + count) for _, place, count in seen])
+    np.testing.assert_array_equal(places, row * 6 * layout.pitch + column)
+
+
+def test_vertices_in_any_order_have_runs():
+    mesh = sheet(3, 3)
+    turned = Mesh(mesh.vertices, mesh.triangles, mesh.springs, mesh.rim, mesh.pixels[::-1], mesh.grid_shape)
+    layout = grid_layout(turned, 4, ~mesh.rim, 5, FLOAT)
+    row, column = turned.pixels.T + 1
+    expected = np.stack([np.arange(9), row * 6 * layout.pitch + column, np.ones(9)], axis=1)
+    np.testing.assert_array_equal(runs(layout, turned, 6), expected)
+
+
+def test_only_what_is_within_reach_is_laid_out():
+    mesh = sheet(20, 30)
+    vertex = 10 * 30 + 15
+    layout = grid_layout(mesh, vertex, np.ones(600, dtype=bool), 3, FLOAT)
+    assert layout.rows == 7
+    assert planes(layout)[:, MOBILE].sum() == 49
+    assert planes(layout)[:, LINK].sum() == 7 * 6
+    row, column = layout.centre
+    np.testing.assert_array_equal(planes(layout)[row, :3, column], mesh.vertices[vertex].astype(np.float64))
+
+
+def test_springs_may_be_stored_from_either_end():
+    mesh = sheet(3, 3)
+    turned = Mesh(mesh.vertices, mesh.triangles, mesh.springs[:, ::-1], mesh.rim, mesh.pixels, mesh.grid_shape)
+    first, second = (grid_layout(each, 4, ~mesh.rim, 5, FLOAT) for each in (mesh, turned))
+    np.testing.assert_array_equal(first.rest, second.rest)
+
+
+@pytest.mark.parametrize("springs", [[[0, 2]], [[0, 1], [0, 3]]])
+def test_other_springs_are_no_grid(springs):
+    mesh = hand_mesh(np.arange(12).reshape(4, 3), springs)
+    assert grid_layout(mesh, 0, np.ones(4, dtype=bool), 5, FLOAT) is None
+
+
+def test_the_other_diagonal_is_no_grid():
+    mesh = sheet(3, 3)
+    other = np.array([[1, 3]], dtype=np.int32)
+    crossed = Mesh(mesh.vertices, mesh.triangles, other, mesh.rim, mesh.pixels, mesh.grid_shape)
+    assert grid_layout(crossed, 4, np.ones(9, dtype=bool), 5, FLOAT) is None
+
+
+def test_two_vertices_on_a_pixel_are_no_grid():
+    mesh = hand_mesh([[0, 0, 1], [0, 0, 2]], [])
+    shared = Mesh(mesh.vertices, mesh.triangles, mesh.springs, mesh.rim, np.zeros((2, 2), np.int32), (1, 1))
+    assert grid_layout(shared, 0, np.ones(2, dtype=bool), 5, FLOAT) is None
+
+
+def test_a_window_too_wide_for_the_compiled_code_is_left_to_the_edge_list():
+    width = PITCHES[-1]
+    column = np.arange(width)
+    points = np.stack([np.stack([column * 0.01, row + 0 * column, 0 * column + 0.5], -1) for row in (0.0, 0.01)])
+    mesh = grid_mesh(points, np.ones((2, width), dtype=bool))
+    free = np.ones(2 * width, dtype=bool)
+    assert grid_layout(mesh, width // 2, free, width, FLOAT) is None
+    assert grid_layout(mesh, width // 2, free, 10, FLOAT).pitch == PITCHES[0]

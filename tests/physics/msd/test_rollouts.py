@@ -1,0 +1,184 @@
+"""The differentiable rollout: equal to numpy, right gradients, finite on the whole admissible box."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from physics import jit
+from physics.load import Press, ramped
+from physics.mechanics import Bounds, Mechanics
+from physics.mesh import contact_normal
+from physics.msd import reference
+from physics.msd.batch import MeshBatch
+from physics.msd.rollouts import rollout, rollout_field, rollout_heterogeneous
+from tests.physics.batches import batch_of, joined
+from tests.physics.sheets import gripped, hand_mesh, pressed, sheet
+
+LOADS = {
+    "vertex": lambda meshes: [
+        pressed(mesh, at, hold, 200) for mesh, at, hold in zip(meshes, (44, 5), (50, 20), strict=False)
+    ],
+    "patch": lambda meshes: [
+        Press.on_patch(mesh, at, 2.5, contact_normal(mesh, at), ramped(10, hold, 20, 200))
+        for mesh, at, hold in zip(meshes, (30, 5), (30, 10), strict=False)
+    ],
+    "grip": lambda meshes: [
+        gripped(mesh, at, 0.4, 200) for mesh, at in zip(meshes, ([44, 45, 36], [5, 6]), strict=False)
+    ],
+}
+"""A load for each of up to two meshes."""
+
+BACKENDS = [
+    pytest.param("numba", marks=pytest.mark.skipif(not jit.COMPILED, reason="numba isn't installed")),
+    "torch",
+]
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize(
+    "mechanics",
+    [
+        Mechanics(),
+        Mechanics(scheme="dkd"),
+        Mechanics(boundary="free", anchor=0.5),
+        Mechanics(damping="explicit"),
+    ],
+    ids=["default", "dkd", "anchored", "explicit"],
+)
+@pytest.mark.parametrize("kind", ["vertex", "patch", "grip"])
+def test_backends_equal_numpy_over_a_mixed_batch(kind, mechanics, backend):
+    meshes = [sheet(9, 8), sheet(9, 8, keep=0.5)]
+    theta = torch.tensor([[0.7, 0.05, -0.1], [0.2, 0.3, -0.4]], dtype=torch.float64)
+    watch = torch.tensor([[31, 30, 3], [5, 6, 20]])
+    mesh, load = joined(meshes, LOADS[kind](meshes))
+    first = rollout(theta, mesh, load, mechanics, backend)
+    seen = rollout(theta, mesh, load, mechanics, backend, watch)
+    field = rollout_field(theta, mesh, load, mechanics, backend)
+    for index in range(2):
+        start, end = mesh.vertex_offsets[index : index + 2].tolist()
+        acts = load.split()[index]
+        plain = reference.steps(theta[index].numpy(), meshes[index], acts, mechanics)
+        expected = np.stack([step.displacement for step in plain])
+        np.testing.assert_allclose(field[:, start:end].numpy(), expected, atol=1e-12)
+        np.testing.assert_allclose(seen[index].numpy(), expected[:, watch[index]], atol=1e-12)
+        np.testing.assert_allclose(first[index].numpy(), expected[:, acts.vertex], atol=1e-12)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("mechanics", [Mechanics(), Mechanics(scheme="dkd")], ids=["euler", "dkd"])
+@pytest.mark.parametrize("theta", [(0.7, 0.05, -0.1), (0.5, 0.5, -5.0), (0.1, 0.01, -0.02)])
+@pytest.mark.parametrize("kind", ["vertex", "patch", "grip"])
+def test_gradient_equals_finite_differences_over_all_steps(kind, theta, mechanics, backend):
+    meshes = [sheet(10, 10)]
+    mesh, load = joined(meshes, LOADS[kind](meshes))
+    watch = None if kind == "vertex" else torch.tensor([[44, 45, 22, 9]])  # 9 is held
+    shape = (200, 3) if kind == "vertex" else (200, 4, 3)
+    weight = torch.randn(shape, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+
+    def loss(values):
+        return (weight * rollout(values[None], mesh, load, mechanics, backend, watch)[0]).sum()
+
+    values = torch.tensor(theta, dtype=torch.float64, requires_grad=True)
+    (gradient,) = torch.autograd.grad(loss(values), values)
+    assert gradient[2] != 0 or kind == "grip"
+    for index in range(3):
+        offset = torch.zeros(3, dtype=torch.float64)
+        offset[index] = 1e-5 * abs(theta[index])
+        with torch.no_grad():
+            central = (loss(values + offset) - loss(values - offset)) / (2 * offset[index])
+        assert gradient[index].item() == pytest.approx(central.item(), rel=1e-4)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("mechanics", [Mechanics(), Mechanics(scheme="dkd", anchor=0.2)], ids=["euler", "dkd"])
+@pytest.mark.parametrize("kind", ["patch", "grip"])
+def test_gradients_by_heterogeneous_tissue_equal_finite_differences(kind, mechanics, backend):
+    meshes = [sheet(9, 8), sheet(9, 8, keep=0.5)]
+    mesh, load = joined(meshes, LOADS[kind](meshes))
+    count, random = mesh.vertices.shape[0], torch.Generator().manual_seed(4)
+    fields = [
+        0.4 + 0.4 * torch.rand(count, dtype=torch.float64, generator=random),
+        0.02 + 0.1 * torch.rand(count, dtype=torch.float64, generator=random),
+        torch.tensor([-0.1, -0.3], dtype=torch.float64),
+    ]
+    watch = torch.tensor([[31, 30, 3], [5, 6, 20]])
+    weight = torch.randn(2, 200, 3, 3, dtype=torch.float64, generator=random)
+
+    def loss(*values):
+        return (weight * rollout_heterogeneous(*values, mesh, load, mechanics, backend, watch)).sum()
+
+    leaves = [field.clone().requires_grad_() for field in fields]
+    gradients = torch.autograd.grad(loss(*leaves), leaves)
+    for which, places in enumerate(((30, 31, 22, 45, 72 + 6), (30, 31, 22, 45, 72 + 6), (0, 1))):
+        scale = gradients[which].abs().max().item()
+        for place in places:
+            offset = torch.zeros_like(fields[which])
+            offset[place] = 1e-5 * abs(fields[which][place])
+            with torch.no_grad():
+                plus, minus = (
+                    loss(*(field + sign * offset if index == which else field for index, field in enumerate(fields)))
+                    for sign in (1, -1)
+                )
+            central = ((plus - minus) / (2 * offset[place])).item()
+            assert gradients[which][place].item() == pytest.approx(central, rel=1e-4, abs=1e-6 * scale)
+    assert bool(gradients[2].any()) == (kind == "patch")
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_gradient_in_single_precision_agrees_with_double(backend):
+    mesh, load = batch_of([sheet(10, 10)], [44])
+    gradients = []
+    for dtype in (torch.float32, torch.float64):
+        theta = torch.tensor([[0.7, 0.05, -0.1]], dtype=dtype, requires_grad=True)
+        rollout(theta, mesh, load, backend=backend)[:, :, 2].mean().backward()
+        gradients.append(theta.grad.double())
+    torch.testing.assert_close(*gradients, rtol=1e-4, atol=0)
+
+
+box = st.tuples(*(st.floats(low, high) for low, high in zip(Bounds().lower, Bounds().upper, strict=True)))
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    theta=box,
+    scheme=st.sampled_from(["euler", "dkd"]),
+    boundary=st.sampled_from(["fixed", "free"]),
+    backend=st.sampled_from(["auto", "torch"]),
+)
+def test_implicit_damping_is_finite_on_the_whole_box(theta, scheme, boundary, backend):
+    mesh, load = batch_of([sheet(7, 7)], [24])
+    values = torch.tensor([theta], dtype=torch.float32, requires_grad=True)
+    trajectory = rollout(values, mesh, load, Mechanics(scheme=scheme, boundary=boundary), backend)
+    assert trajectory.shape == (1, 200, 3)
+    assert torch.isfinite(trajectory).all()
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_gradient_is_finite_at_rest_without_stiffness_and_with_coincident_vertices(backend):
+    mesh = hand_mesh([[0, 0, 1], [0, 0, 1], [0.01, 0, 1]], [[0, 1], [0, 2], [1, 2]])
+    joined, load = batch_of([mesh], [0])
+    for values in ([0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.5, 0.1, -1.0]):
+        theta = torch.tensor([values], requires_grad=True)
+        rollout(theta, joined, load, Mechanics(boundary="free"), backend).square().sum().backward()
+        assert torch.isfinite(theta.grad).all()
+
+
+def test_half_precision_is_computed_in_single():
+    mesh, load = batch_of([sheet(6, 6)], [14])
+    assert rollout(torch.tensor([[0.5, 0.1, -0.1]], dtype=torch.float16), mesh, load).dtype == torch.float32
+
+
+def test_shapes_that_do_not_belong_together_are_named():
+    mesh, load = batch_of([sheet(6, 6)], [14])
+    with pytest.raises(ValueError, match=r"theta has shape \(2, 3\); give \(1, 3\) for 1 meshes"):
+        rollout(torch.zeros(2, 3), mesh, load)
+    with pytest.raises(ValueError, match="no mesh"):
+        MeshBatch.from_meshes([])
+    with pytest.raises(ValueError, match="no vertices"):
+        MeshBatch.from_meshes([hand_mesh([], [])])
+    with pytest.raises(ValueError, match="don't form one batch"):
+        MeshBatch.from_meshes([sheet(6, 6), sheet(6, 7)])

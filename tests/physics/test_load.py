@@ -1,0 +1,89 @@
+"""Presses and grips: what they hold, and what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from physics.load import Grip, Press, held, ramped
+from tests.physics.sheets import sheet
+
+Z = np.array([0.0, 0.0, -1.0])
+PAIR = np.array([3, 4])
+
+
+def press(vertices=PAIR, weights=(0.5, 0.5), direction=Z, factor=(1.0, 1.0)) -> Press:
+    return Press(np.asarray(vertices), np.asarray(weights), np.asarray(direction), np.asarray(factor))
+
+
+def grip(vertices=PAIR, displacement=None) -> Grip:
+    return Grip(np.asarray(vertices), np.zeros((5, 2, 3)) if displacement is None else displacement)
+
+
+def test_a_patch_spreads_the_force_over_the_pixels_within_its_radius():
+    mesh = sheet(15, 15)
+    load = Press.on_patch(mesh, 7 * 15 + 7, 5.0, Z, np.ones(4))
+    apart = np.linalg.norm(mesh.pixels[load.vertices] - [7, 7], axis=1)
+    assert load.vertex == load.vertices[0] == 7 * 15 + 7
+    assert len(load.vertices) == 69  # pixels of a disc of radius below 5
+    np.testing.assert_allclose(load.weights, (1 - (apart / 5) ** 2) / (1 - (apart / 5) ** 2).sum(), rtol=1e-12)
+    assert load.weights.sum() == pytest.approx(1, abs=1e-12)
+    assert (np.diff(apart) >= 0).all()
+    np.testing.assert_array_equal(Press.on_patch(mesh, 30, 0.1, Z, np.ones(4)).vertices, [30])
+
+
+def test_a_press_on_one_vertex_carries_all_of_the_force():
+    load = Press.at(9, [0, 0, -1], [1, 1, 0])
+    assert (load.vertex, load.steps, load.weights.tolist()) == (9, 3, [1.0])
+    np.testing.assert_array_equal(load.until(2).factor, [1, 1])
+
+
+def test_a_grip_over_its_first_steps():
+    path = np.arange(30.0).reshape(5, 2, 3)
+    load = grip(displacement=path)
+    assert (load.vertex, load.steps) == (3, 5)
+    np.testing.assert_array_equal(load.until(2).displacement, path[:2])
+
+
+def test_held_loads_share_their_last_step():
+    np.testing.assert_allclose(held(2.25, 5), [1, 1, 0.25, 0, 0])
+    np.testing.assert_allclose(held(0, 2), [0, 0])
+    np.testing.assert_allclose(held(9, 3), [1, 1, 1])
+
+
+def test_ramps_count_at_the_middle_of_each_step():
+    np.testing.assert_allclose(ramped(2, 1, 4, 9), [0.25, 0.75, 1, 0.875, 0.625, 0.375, 0.125, 0, 0])
+    np.testing.assert_allclose(ramped(0, 2, 0, 4), held(2, 4))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        (lambda: press(vertices=5), r"vertices has shape \(\)"),
+        (lambda: press(vertices=[[3, 4]]), r"vertices has shape \(1, 2\)"),
+        (lambda: press(vertices=[], weights=[]), r"vertices has shape \(0,\)"),
+        (lambda: press(vertices=[3.5, 4.0]), "vertices are of type float64; give indices"),
+        (lambda: press(vertices=[True, False]), "vertices are of type bool"),
+        (lambda: press(weights=[1.0]), r"weights has shape \(1,\); give \(2,\)"),
+        (lambda: press(weights=[0.5, 0.6]), "weights add up to 1.1; give shares of one force"),
+        (lambda: press(weights=[0.5, np.nan]), "weights holds a number that is not finite"),
+        (lambda: press(direction=[0, 1]), r"direction has shape \(2,\); give \(3,\)"),
+        (lambda: press(direction=[0, 1, np.inf]), "direction holds a number that is not finite"),
+        (lambda: press(factor=[[1.0, 1.0]]), r"factor has shape \(1, 2\)"),
+        (lambda: press(factor=[]), r"factor has shape \(0,\)"),
+        (lambda: press(factor=[1.0, np.nan]), "factor holds a number that is not finite"),
+        (lambda: press().until(0), r"factor has shape \(0,\)"),
+        (lambda: Press.on_patch(sheet(4, 4), 5, 0.0, Z, np.ones(3)), "radius is 0.0; give a positive number"),
+        (lambda: Press.on_patch(sheet(4, 4), 5, np.nan, Z, np.ones(3)), "radius is nan"),
+        (lambda: grip(vertices=[], displacement=np.zeros((5, 0, 3))), r"vertices has shape \(0,\)"),
+        (lambda: grip(vertices=[3, 3]), "vertices names one twice"),
+        (lambda: grip(vertices=[3.0, 4.0]), "vertices are of type float64"),
+        (lambda: grip(displacement=np.zeros((5, 3, 3))), r"displacement has shape \(5, 3, 3\); give \(5, 2, 3\)"),
+        (lambda: grip(displacement=np.zeros((0, 2, 3))), r"displacement has shape \(0, 2, 3\)"),
+        (lambda: grip(displacement=np.float64(3)), r"displacement has shape \(\)"),
+        (lambda: grip(displacement=np.full((5, 2, 3), np.nan)), "displacement holds a number that is not finite"),
+    ],
+)
+def test_impossible_loads_are_refused(wrong, said):
+    with pytest.raises(ValueError, match=said):
+        wrong()

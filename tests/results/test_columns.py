@@ -1,0 +1,116 @@
+"""The tables' columns, and their cells."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from estimators.estimate import FrameEstimate, InteractionEstimate
+from physics.identifiability import bounds
+from results.columns import FRAMES, INTERACTIONS, frame_row, interaction_row
+from tests.estimators.estimates import ESTIMATE, GOOD, frame_in_contact
+
+PROMISED = (
+    "frame,time_s,stiffness,stiffness_sd,damping,damping_sd,force,force_sd,contact,contact_distance,contact_u,"
+    "contact_v,simulated_displacement,observed_displacement,status,damping_over_stiffness,damping_over_stiffness_sd,"
+    "damping_over_stiffness_low,damping_over_stiffness_high,force_over_stiffness,force_over_stiffness_sd,"
+    "force_over_stiffness_low,force_over_stiffness_high,verdict,determined"
+)
+DEVIATES = norm.ppf((np.arange(100_000) + 0.5) / 100_000)
+"""A standard normal distribution, as evenly likely values."""
+
+
+def of_frame(frame: FrameEstimate) -> dict[str, str]:
+    return dict(zip(FRAMES, frame_row(frame), strict=True))
+
+
+def of_run(run: InteractionEstimate) -> dict[str, str]:
+    return dict(zip(INTERACTIONS, interaction_row(run), strict=True))
+
+
+def test_the_promised_columns_are_there() -> None:
+    assert set(PROMISED.split(",")) <= set(FRAMES)
+
+
+def test_a_frame_leaves_unknown_cells_empty() -> None:
+    frame = frame_in_contact(
+        "undetermined", (0.25, 0.125, -2.0), number=5, time_s=0.2, contact=True, contact_u=3.5, contact_v=4.0
+    )
+    filled = {name: value for name, value in of_frame(frame).items() if value}
+    assert filled == {
+        "frame": "5",
+        "time_s": "0.200000",
+        "stiffness": "0.25",
+        "damping": "0.125",
+        "force": "2",
+        "damping_over_stiffness": "0.5",
+        "force_over_stiffness": "8",
+        "contact": "1",
+        "contact_u": "3.5",
+        "contact_v": "4",
+        "status": "ok",
+        "verdict": "undetermined",
+    }
+
+
+def test_detail_stays_on_one_line() -> None:
+    assert of_frame(FrameEstimate(1, 0.0, "no_mask", detail="one\ntwo,  three"))["detail"] == "one two, three"
+
+
+def test_a_run_has_values_spreads_and_bounds() -> None:
+    row = of_run(GOOD)
+    assert row["onset_time_s"] == "0.280000"
+    assert (row["onset_frame"], row["frames"], row["load_s"], row["status"]) == ("7", "8", "0.16", "ok")
+    log_sds = {"stiffness": 0.1, "damping": 0.2, "force": 0.05}
+    for name, value in zip(log_sds, (0.5, 0.06, 0.1), strict=True):
+        assert_log_normal(row, name, value, log_sds[name])
+        assert float(row[f"{name}_bound"]) == pytest.approx(log_sds[name])
+    assert_log_normal(row, "damping_over_stiffness", 0.12, np.hypot(0.1, 0.2))
+    assert_log_normal(row, "force_over_stiffness", 0.2, np.hypot(0.1, 0.05))
+    np.testing.assert_allclose(bounds(ESTIMATE.information), [0.1, 0.2, 0.05])
+    assert row["verdict"] == "determined"
+    combinations = "stiffness;damping;force;damping_over_stiffness;force_over_stiffness;force_over_damping"
+    assert row["determined"] == combinations
+    assert row["explanation"] == "F (±0.05), k_s (±0.1), k_d (±0.2) are determined"
+    assert (row["noise"], row["misfit"], row["at_bound"], row["detail"]) == ("0.001", "1.1", "", "")
+
+
+def assert_log_normal(row: dict[str, str], name: str, value: float, log_sd: float) -> None:
+    assert float(row[name]) == pytest.approx(value)
+    draws = value * np.exp(log_sd * DEVIATES)
+    assert float(row[f"{name}_sd"]) == pytest.approx(draws.std(), rel=1e-3)
+    ends = [float(row[f"{name}_{end}"]) for end in ("low", "high")]
+    assert ends == pytest.approx(np.quantile(draws, (0.05, 0.95)), rel=1e-4)
+
+
+def test_estimates_have_the_same_columns_in_the_same_order_in_both_tables() -> None:
+    def of_estimates(columns: dict[str, str]) -> list[str]:
+        return [name for name in columns if name.startswith(("stiffness", "damping", "force"))]
+
+    assert of_estimates(INTERACTIONS) == of_estimates(FRAMES)
+    assert len(of_estimates(INTERACTIONS)) == 23
+
+
+def test_a_run_without_estimate_has_no_numbers() -> None:
+    filled = {
+        name: value for name, value in of_run(InteractionEstimate(7, 7, 0.28, detail="Because.")).items() if value
+    }
+    assert filled == {
+        "onset_frame": "7",
+        "onset_time_s": "0.280000",
+        "frames": "0",
+        "status": "no_estimate",
+        "detail": "Because.",
+    }
+
+
+def test_parameters_at_their_ranges_end_and_delays_are_told() -> None:
+    at_bound, delays = np.array([False, False, True]), (0.01, -0.02)
+    row = of_run(dataclasses.replace(GOOD, estimate=dataclasses.replace(ESTIMATE, at_bound=at_bound, delays=delays)))
+    assert row["at_bound"] == "force"
+    assert (float(row["delay_s"]), float(row["release_delay_s"])) == delays
+    plain = of_run(GOOD)
+    assert plain["delay_s"] == plain["release_delay_s"] == ""

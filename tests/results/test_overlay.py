@@ -1,0 +1,162 @@
+"""What is drawn on a frame, and the video file."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from estimators.estimate import FrameEstimate
+from results import overlay
+from results.overlay import OverlayVideo, canvas_size, draw_overlay
+from results.verdicts import COLORS
+from tests.estimators.estimates import frame_in_contact
+
+SIZE = (640, 360)
+THETA = (0.5, 0.1, -2.0)
+OK = frame_in_contact("undetermined", THETA, contact=True, contact_u=400.0, contact_v=200.0)
+
+
+def grey(size: tuple[int, int] = SIZE) -> np.ndarray:
+    return np.full((size[1], size[0], 3), 90, np.uint8)
+
+
+def labels() -> np.ndarray:
+    found = np.zeros((180, 320), np.uint8)
+    found[80:150, 150:300] = overlay.TISSUE
+    found[60:80, 200:220] = overlay.TOOL
+    return found
+
+
+@pytest.mark.parametrize(
+    ("size", "expected"), [((854, 480), (854, 480)), ((741, 539), (742, 540)), ((213, 119), (640, 358))]
+)
+def test_canvas_is_even_and_wide_enough(size: tuple[int, int], expected: tuple[int, int]) -> None:
+    assert canvas_size(size) == expected
+
+
+def test_outlines_lie_where_the_masks_end() -> None:
+    plain = draw_overlay(grey(), SIZE, None, FrameEstimate(7, 0.28, "no_contact"))
+    drawn = draw_overlay(grey(), SIZE, labels(), FrameEstimate(7, 0.28, "no_contact"))
+    changed = (plain != drawn).any(axis=2)
+    rows, columns = np.nonzero(changed)
+    # Label pixel i covers the picture's pixels 2i and 2i + 1; the smoothed line is a few pixels wide.
+    assert abs(columns.min() - 300) <= 6
+    assert abs(columns.max() - 599) <= 6
+    assert abs(rows.min() - 120) <= 6
+    assert abs(rows.max() - 299) <= 6
+    assert not changed[180:280, 330:580].any()
+
+
+def test_contact_ring_and_arrow_are_drawn_there() -> None:
+    plain = draw_overlay(grey(), SIZE, None, frame_in_contact("undetermined", THETA))
+    drawn = draw_overlay(grey(), SIZE, None, dataclasses.replace(OK, arrow=((500.0, 120.0), (400.0, 200.0))))
+    changed = (plain != drawn).any(axis=2)
+    rows, columns = np.nonzero(changed)
+    assert changed[160, 450]
+    assert columns.min() >= 385
+    assert columns.max() <= 510
+    assert rows.max() <= 235
+
+
+def test_unreadable_frame_is_black_with_its_status() -> None:
+    picture = draw_overlay(None, SIZE, None, FrameEstimate(3, 0.1, "unreadable"))
+    assert picture.shape == (360, 640, 3)
+    assert picture[150:300].max() < 20
+    assert picture[:60, :200].max() > 200
+
+
+def test_panel_shows_numbers_only_where_there_are_some() -> None:
+    names = [name for name, _ in overlay._number_lines(OK)]
+    assert names == ["stiffness k_s", "damping k_d", "force |F|"]
+    assert overlay._number_lines(FrameEstimate(1, 0.0, "no_tool")) == []
+    # A 90 % interval of ±4 % is a standard deviation of 2.4 %.
+    lines = overlay._number_lines(frame_in_contact("determined", THETA, (1.04, 1.04, 1.04), observed_displacement=0.02))
+    assert lines == [
+        ("stiffness k_s", "0.5 ± 0.012"),
+        ("damping k_d", "0.1 ± 0.0024"),
+        ("force |F|", "2 ± 0.048"),
+        ("displacement, observed", "0.02"),
+    ]
+
+
+@pytest.mark.parametrize("verdict", ["determined", "ratios", "undetermined", "onset_in_view"])
+def test_the_dot_has_the_colour_of_the_verdict(verdict: str) -> None:
+    picture = draw_overlay(grey(), SIZE, None, frame_in_contact(verdict, THETA, (2, 2, 2)))
+    found = [name for name in COLORS if (picture[:40, :40] == COLORS[name]).all(axis=2).sum() > 20]
+    assert verdict in found
+    assert ("determined" in found) == (verdict == "determined")
+
+
+def test_notes_say_what_the_numbers_cannot() -> None:
+    estimate = frame_in_contact(
+        "undetermined", THETA, (2, 2, 2), detail="Because.", simulated_displacement=0.05, observed_displacement=0.02
+    )
+    assert overlay._notes(estimate, "scene units") == [
+        "Not determined by what was seen so far.",
+        "The simulated displacement is more than twice or less than half the observed one.",
+        "Because.",
+        "Ranges are 90 % intervals. Unit: scene units.",
+    ]
+    assert overlay._notes(frame_in_contact("determined", THETA, (1.1, 1.1, 1.1)), "scene units") == [
+        "Stiffness, damping and force are determined.",
+        "Unit: scene units.",
+    ]
+    assert overlay._notes(FrameEstimate(1, 0.0, "no_tool", "0 tool pixels."), "scene units") == ["0 tool pixels."]
+
+
+def test_a_long_remark_makes_the_panel_longer() -> None:
+    detail = "The tissue is pressed at 74° to the line of sight, so its dent may hide its own bottom."
+    plain, remarked = (
+        draw_overlay(grey(), SIZE, None, FrameEstimate(7, 0.28, "no_tool", text)) for text in ("", detail)
+    )
+    rows = np.flatnonzero((plain != remarked).any(axis=(1, 2)))
+    assert np.ptp(rows) > 3 * 10  # more than three lines of 10 px
+
+
+@pytest.mark.parametrize("size", [(640, 360), (480, 640), (240, 135)])
+def test_the_notice_is_whole_beside_a_long_time(size: tuple[int, int]) -> None:
+    picture = draw_overlay(None, size, None, FrameEstimate(999_999, 39999.96, "no_tool"))
+    columns = picture[-10:].max(axis=(0, 2)) > 100
+    ends = np.flatnonzero(np.diff(columns.astype(int)))
+    assert np.diff(ends).max() > 30  # a gap between the two
+    assert not columns[:5].any()
+    assert not columns[-5:].any()
+
+
+@pytest.mark.parametrize("with_av", [True, False])
+def test_video_keeps_rate_count_and_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, with_av: bool) -> None:
+    if with_av:
+        pytest.importorskip("av")
+    else:
+        monkeypatch.setattr(overlay, "av", None)
+    path = tmp_path / "overlay.mp4"
+    video = OverlayVideo(path, (321, 241), 30000 / 1001)
+    for level in range(12):
+        video.write(np.full((482, 642, 3), 20 * level, np.uint8))
+    video.close()
+    assert video.encoder == ("libx264" if with_av else "mp4v")
+    reader = cv2.VideoCapture(str(path))
+    assert reader.get(cv2.CAP_PROP_FRAME_COUNT) == 12
+    assert reader.get(cv2.CAP_PROP_FPS) == pytest.approx(29.97, abs=0.01)
+    frames = [reader.read()[1] for _ in range(12)]
+    assert [abs(float(frame.mean()) - 20 * level) < 6 for level, frame in enumerate(frames)] == [True] * 12
+
+
+@pytest.mark.parametrize("with_av", [True, False])
+def test_missing_folder_is_an_os_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, with_av: bool) -> None:
+    if with_av:
+        pytest.importorskip("av")
+    else:
+        monkeypatch.setattr(overlay, "av", None)
+
+    def attempt() -> None:
+        video = OverlayVideo(tmp_path / "nowhere" / "overlay.mp4", SIZE, 25.0)
+        video.write(grey())
+        video.close()
+
+    with pytest.raises(OSError, match=r"write|No such"):
+        attempt()

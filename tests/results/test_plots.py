@@ -1,0 +1,225 @@
+"""What the pictures of a clip and of its contacts hold."""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox
+
+from estimators.estimate import FrameEstimate
+from results.plots import NOTICE, OBSERVED, ContactPanel, Motion, draw_fits, draw_summary, write_figure
+from results.verdicts import COLORS
+from tests.estimators.estimates import frame_in_contact
+
+TIMES = np.array([0.04, 0.08, 0.12])
+MOTION = Motion(TIMES, np.array([0.01, 0.03, 0.02]), 0.002, np.array([0.0, 0.06, 0.12]), np.array([0, 0.04, 0.02]), 0.1)
+
+
+def clip(
+    count: int = 20,
+    contact_from: int = 10,
+    verdict: str = "undetermined",
+    factors: tuple[float, float, float] | None = (1.6, 40.0, 1.2),
+) -> list[FrameEstimate]:
+    moved = {"observed_displacement": 0.01, "simulated_displacement": 0.012}
+    seen = frame_in_contact(verdict, (0.5, 0.1, -3.0), factors, **moved)
+    return [
+        FrameEstimate(i, i / 25, "no_tool", "0 tool pixels, fewer than 8.")
+        if i < contact_from
+        else dataclasses.replace(seen, frame=i, time_s=i / 25)
+        for i in range(count)
+    ]
+
+
+def curve(axes: Axes, label: str) -> tuple[np.ndarray, np.ndarray]:
+    """Finite points of a curve by its label."""
+    (found,) = [line.get_xydata() for line in axes.lines if line.get_label() == label]
+    return tuple(found[np.isfinite(found).all(axis=1)].T)
+
+
+def legend(axes: Axes) -> list[str]:
+    return [entry.get_text() for entry in axes.get_legend().get_texts()]
+
+
+def heading(axes: Axes) -> str:
+    return axes.texts[0].get_text()
+
+
+def extent(area: PolyCollection) -> Bbox:
+    """Box around all of a coloured area, in the data's units."""
+    return Bbox.union([path.get_extents() for path in area.get_paths()])
+
+
+def color_of(name: str) -> tuple[float, ...]:
+    return tuple(channel / 255 for channel in COLORS[name])
+
+
+def test_the_verdict_is_the_heading_and_the_strip_shows_every_frame() -> None:
+    strip = draw_summary(clip(), title="clip").axes[0]
+    assert heading(strip) == "undetermined on 10 of 10 frames in contact"
+    assert to_rgb(strip.texts[0].get_color()) == pytest.approx(color_of("undetermined"))
+    assert legend(strip) == ["undetermined: 10", "no tool: 10"]
+    boxes = {tuple(area.get_facecolor()[0][:3]): extent(area) for area in strip.collections}
+    assert boxes[color_of("no_tool")].intervalx == pytest.approx((0.0, 0.4))
+    assert boxes[color_of("undetermined")].intervalx == pytest.approx((0.4, 0.8))
+
+
+def test_a_mixed_clip_counts_its_verdicts_and_is_not_green() -> None:
+    rows = clip(10, 2, "determined")[:6] + clip(10, 2)[6:]
+    strip = draw_summary(rows, title="clip").axes[0]
+    assert heading(strip) == "determined on 4, undetermined on 4 of 8 frames in contact"
+    assert to_rgb(strip.texts[0].get_color()) != pytest.approx(color_of("determined"))
+    alone = draw_summary(clip(10, 2, "determined"), title="clip").axes[0]
+    assert to_rgb(alone.texts[0].get_color()) == pytest.approx(color_of("determined"))
+
+
+def test_one_bad_frame_of_many_is_wide_enough_to_see() -> None:
+    for place in (4000, 8999):
+        rows = clip(9000, 9000)
+        rows[place] = FrameEstimate(place, place / 25, "bad_depth")
+        strip = draw_summary(rows, title="clip").axes[0]
+        bad, good = (
+            next(area for area in strip.collections if area.get_label().startswith(name)) for name in ("bad", "no")
+        )
+        begin, end = extent(bad).intervalx
+        assert end - begin == pytest.approx(360.0 / 1500)
+        assert end < 360.001
+        assert bad.get_zorder() > good.get_zorder()
+
+
+def test_curves_have_values_intervals_titles_and_units() -> None:
+    units = {"stiffness": "scene units, not $", "displacement": "m"}
+    axes = draw_summary(clip(), title="clip", units=units).axes
+    titles = [panel.get_title("left") for panel in axes[1:]]
+    assert titles == [
+        r"Stiffness $k_s$   [scene units, not \$]",
+        "Damping $k_d$",
+        "Force $|F|$",
+        "Displacement of the contact   [m]",
+    ]
+    assert axes[-1].get_xlabel() == "time [s]"
+    assert axes[-1].get_xlim() == pytest.approx((0.0, 0.8))
+    for panel, value in zip(axes[1:4], (0.5, 0.1, 3.0), strict=True):
+        times, values = curve(panel, "not determined")
+        np.testing.assert_allclose(times, np.arange(10, 20) / 25)
+        np.testing.assert_allclose(values, value)
+    assert legend(axes[1]) == ["not determined", "determined", "90 % interval"]
+    band = extent(axes[1].collections[0])
+    assert (band.y0, band.y1) == pytest.approx((0.5 / 1.6, 0.8))
+    # Intervals far above the values run out of the axes, and the legend says how far.
+    assert axes[2].get_ylim() == pytest.approx((0, 1.12 * 0.5))
+    assert legend(axes[2]) == ["not determined", "determined", "90 % interval, up to 4"]
+    assert axes[3].get_ylim() == pytest.approx((0, 1.12 * 3.6))
+    assert legend(axes[3]) == ["not determined", "determined", "90 % interval"]
+    assert curve(axes[4], "observed")[1] == pytest.approx(0.01)
+    assert curve(axes[4], "simulated")[1] == pytest.approx(0.012)
+
+
+def test_an_estimator_without_uncertainty_has_no_intervals() -> None:
+    for panel, value in zip(draw_summary(clip(factors=None), title="clip").axes[1:4], (0.5, 0.1, 3.0), strict=True):
+        assert panel.get_ylim() == pytest.approx((0, 1.12 * value))
+        assert legend(panel) == ["not determined", "determined"]
+        assert not panel.collections
+
+
+def test_only_determined_values_are_filled() -> None:
+    panel = draw_summary(clip(10, 2, "determined")[:6] + clip(10, 2)[6:], title="clip").axes[1]
+    faces = {line.get_label(): line.get_markerfacecolor() for line in panel.lines}
+    assert faces["not determined"] == "white"
+    assert faces["determined"] != "white"
+    np.testing.assert_allclose(curve(panel, "determined")[0], [0.08, 0.12, 0.16, 0.2])
+
+
+def test_a_missing_value_is_a_gap_in_the_curve() -> None:
+    rows = clip(5, 0)
+    rows[2] = FrameEstimate(2, 0.08, "no_contact")
+    line = draw_summary(rows, title="clip").axes[1].lines[0]
+    np.testing.assert_array_equal(np.isnan(line.get_ydata()), [False, False, True, False, False])
+
+
+def test_far_motions_and_remarks_are_said_whole() -> None:
+    rows, detail = clip(4, 1), "The model does not explain the motion. " * 12
+    rows[2] = dataclasses.replace(rows[2], simulated_displacement=0.03, detail=detail)
+    axes = draw_summary(rows, title="clip").axes
+    told = axes[0].get_title("left").replace("\n", " ")
+    assert "more than twice or less than half the observed one on 1 of these frames (×)" in told
+    assert told.endswith(f"Frames with a remark: 1; the last, frame 2: {detail.strip()}")
+    assert curve(axes[4], "far from the observed one") == (pytest.approx([0.08]), pytest.approx([0.03]))
+
+
+@pytest.mark.parametrize("rows", [[], clip(1, 1), clip(3, 3)])
+def test_clips_without_contact_say_so(rows: list[FrameEstimate]) -> None:
+    axes = draw_summary(rows, title="clip").axes
+    assert heading(axes[0]) == "no frame is in contact"
+    told = f"Frames with a remark: {len(rows)}; the last, frame {len(rows) - 1}: 0 tool pixels, fewer than 8."
+    assert axes[0].get_title("left") == (told if rows else "")
+    assert len(axes) == 1
+
+
+def test_where_only_whole_runs_are_estimated_no_frame_seems_to_have_a_verdict() -> None:
+    rows = [dataclasses.replace(row, estimate=None, verdict="") for row in clip(10, 4)]
+    (strip,) = draw_summary(rows, title="clip").axes
+    assert (heading(strip), legend(strip)) == ("6 frames in contact", ["in contact: 6", "no tool: 4"])
+
+
+def texts(figure: Figure) -> list[str]:
+    return [text.get_text() for text in figure.findobj(lambda item: hasattr(item, "get_text"))]
+
+
+def test_long_and_odd_names_are_written_whole_and_inside(tmp_path: Path) -> None:
+    figure = draw_summary(clip(), title="W" * 200 + " $x_1$ \udce4 名", subtitle="a path " * 60)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        write_figure(tmp_path / "summary.png", figure)
+    picture = cv2.imread(str(tmp_path / "summary.png"))
+    assert picture.shape[1] == 1500
+    for side in (picture[:, :5], picture[:, -5:], picture[:4], picture[-4:]):
+        assert side.min() == 255  # nothing is cut
+    title, footer = figure.get_suptitle(), figure.get_supxlabel()
+    assert title.replace("\n", "").startswith("W" * 200)
+    assert title.replace("\n", " ").endswith(r" \$x_1\$ ? 名")
+    assert footer.replace("\n", " ") == f"{('a path ' * 60)}{NOTICE}"
+    assert not any("…" in text for text in texts(figure))
+
+
+def test_a_fit_shows_observation_simulation_and_release() -> None:
+    (axes,) = draw_fits([ContactPanel("ratios", "ratios: contact", "All is well.", MOTION)], title="clip").axes
+    assert (heading(axes), axes.get_title("left")) == ("ratios: contact", "All is well.")
+    assert to_rgb(axes.texts[0].get_color()) == pytest.approx(color_of("ratios"))
+    assert legend(axes) == ["observed ± σ", "simulated with the fit", "release, 0.100 s"]
+    for label, times, values in (
+        ("observed ± σ", MOTION.times, MOTION.observed),
+        ("simulated with the fit", MOTION.simulated_times, MOTION.simulated),
+    ):
+        np.testing.assert_array_equal(curve(axes, label), (times, values))
+    assert curve(axes, "release, 0.100 s")[0] == pytest.approx(0.1)
+    (band,) = axes.collections
+    assert to_rgb(band.get_facecolor()[0]) == pytest.approx(to_rgb(OBSERVED))
+    assert tuple(extent(band).intervaly) == pytest.approx((0.008, 0.032))
+    assert axes.get_xlabel() == "time since the first frame in contact [s]"
+    assert axes.get_ylabel() == "displacement along the force\n[scene units (normalised)]"
+
+
+def test_a_release_that_was_not_seen_is_not_drawn() -> None:
+    for release in (None, 0.2):
+        motion = dataclasses.replace(MOTION, release=release)
+        (axes,) = draw_fits([ContactPanel("determined", "determined", "", motion)], title="clip").axes
+        assert legend(axes) == ["observed ± σ", "simulated with the fit"]
+
+
+def test_a_contact_without_estimate_says_why_without_axes() -> None:
+    reason = "The onset of the contact was not seen. " * 9
+    panels = [ContactPanel("determined", "determined", "", MOTION), ContactPanel("no_estimate", "none", reason, None)]
+    first, second = draw_fits(panels, title="clip").axes
+    assert first.axison
+    assert not second.axison
+    assert second.get_title("left").replace("\n", " ") == reason.strip()

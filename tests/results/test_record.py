@@ -1,0 +1,189 @@
+"""What results were made of, and when they are out of date."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import pytest
+import torch
+
+from data.clip import ClipStream
+from data.depth.normalise import DepthSettings
+from data.settings import PrepareSettings
+from data.source.frames import open_source
+from data.source.layout import ClipLayout
+from estimators.contract import Chosen, ClipInfo
+from estimators.estimate import FrameEstimate
+from estimators.gan import GanEstimator
+from estimators.model_settings import preparation_settings
+from models.calibration import Calibration, Widths
+from models.onnx_export import export_posterior
+from models.onnx_session import ParameterModel, PosteriorModel
+from models.posterior import ContactPosterior
+from results.record import (
+    UNCALIBRATED,
+    Provenance,
+    build_record,
+    describe,
+    program_version,
+    sha256_of,
+    units_of,
+    versions,
+    warnings_of,
+)
+from results.store import write_record
+from results.writer import ClipResults
+from tests.inference_inputs import metadata, write_clip, write_model
+
+PROVENANCE = Provenance("a" * 64, "b" * 64, PrepareSettings())
+
+
+def test_fingerprint_follows_what_results_depend_on(tmp_path: Path) -> None:
+    depth = DepthSettings(near=0.05)
+    others = [
+        dataclasses.replace(PROVENANCE, clip_sha256="c" * 64),
+        dataclasses.replace(PROVENANCE, model_sha256="c" * 64),
+        dataclasses.replace(PROVENANCE, settings=PrepareSettings(depth=depth)),
+        dataclasses.replace(PROVENANCE, settings=PrepareSettings(masks="automatic")),
+        dataclasses.replace(PROVENANCE, estimator={"name": "direct"}),
+        dataclasses.replace(PROVENANCE, estimator={"name": "direct", "noise": 0.002}),
+    ]
+    assert len({PROVENANCE.fingerprint, *(other.fingerprint for other in others)}) == 7
+    threads = dataclasses.replace(PROVENANCE, settings=PrepareSettings(depth=DepthSettings(threads=3)))
+    assert threads.fingerprint == PROVENANCE.fingerprint
+
+
+def test_fingerprint_follows_the_content_of_named_models(tmp_path: Path) -> None:
+    masks = tmp_path / "masks.onnx"
+    masks.write_bytes(b"one")
+    provenance = dataclasses.replace(PROVENANCE, settings=PrepareSettings(masks=str(masks)))
+    first = provenance.fingerprint
+    masks.write_bytes(b"other")
+    second = provenance.fingerprint
+    masks.with_suffix(".yaml").write_text("size: 3")
+    assert len({first, second, provenance.fingerprint}) == 3
+
+
+def test_record_holds_hashes_counts_units_and_times(tmp_path: Path) -> None:
+    path = write_clip(tmp_path / "clip", 6, 3)
+    model = ParameterModel(write_model(tmp_path / "model.onnx"))
+    estimator, settings = GanEstimator(model), preparation_settings(model, Chosen())
+    provenance = Provenance(sha256_of(path), sha256_of(model.path), settings, estimator.described)
+    source = open_source(path, settings.layout)
+    clip = ClipStream(source, settings)
+    session = estimator.start(ClipInfo.of(clip))
+    with ClipResults(tmp_path / "out", source.size, source.fps, units_of(model)) as results:
+        frames = list(clip)
+        found = [item for frame in frames for item in session.push(frame)] + list(session.finish())
+        for frame, estimate in zip(frames, found[:-1], strict=True):
+            results.write(frame, estimate)
+        results.add(found[-1])
+        record = build_record(clip, provenance, model, results, {**clip.seconds, **results.seconds})
+        results.finish(record, title="clip", subtitle=describe(record))
+    stored = json.loads((tmp_path / "out" / "run.json").read_text(encoding="utf-8"))
+    assert stored["input"]["path"] == str(path.resolve())
+    assert stored["input"]["sha256"] == sha256_of(path)
+    assert stored["model"]["sha256"] == sha256_of(model.path)
+    assert stored["depth_model"]["identity"].startswith("stored:")
+    assert stored["statuses"] == {"no_contact": 3, "ok": 3}
+    assert stored["verdicts"] == {"undetermined": 3}
+    assert stored["contacts"] == {"undetermined": 1}
+    assert stored["estimator"] == {"name": "gan"}
+    assert stored["settings"]["geometry"]["height"] == 48
+    assert stored["units"]["stiffness"] == "scene units (normalised), not N/m"
+    assert {table: columns["force"] for table, columns in stored["columns"].items()} == {
+        "parameters.csv": "|F|",
+        "interactions.csv": "|F|",
+    }
+    assert {"decode", "masks", "depth", "geometry", "overlay"} <= set(stored["timings_s"])
+    assert stored["versions"]["palpate"] == program_version()
+    assert stored["fingerprint"] == provenance.fingerprint
+    assert "6 frames, 160×96, 25 fps" in describe(stored)
+    assert "depth stored · masks annotation" in describe(stored)
+
+
+def test_units_of_the_force_say_nothing_of_its_sign(tmp_path: Path) -> None:
+    model = ParameterModel(write_model(tmp_path / "model.onnx"))
+    assert units_of(model)["force"] == "scene units"
+
+
+def test_warnings_name_broken_frames_and_another_preprocessing(tmp_path: Path) -> None:
+    path = write_clip(tmp_path / "clip", 3, 1)
+    model = ParameterModel(write_model(tmp_path / "model.onnx", metadata(preprocessing_version=0)))
+    source = open_source(path, ClipLayout())
+    sources = {"depth": "stored", "masks": "annotation"}
+    rows = [FrameEstimate(4, 0.0, "ok"), FrameEstimate(5, 0.1, "no_mask", detail="m.png does not exist; add it.")]
+    found = warnings_of(source, rows, model, sources)
+    assert found[0] == "1 of 2 frames are no_mask, the first is 5: m.png does not exist; add it."
+    assert found[1].startswith("the model was trained on preprocessing version 0")
+
+
+def test_a_model_that_names_no_preprocessing_is_of_the_first(tmp_path: Path) -> None:
+    path = write_clip(tmp_path / "clip", 3, 1)
+    told = metadata()
+    del told["preprocessing_version"]
+    model = ParameterModel(write_model(tmp_path / "model.onnx", told))
+    source = open_source(path, ClipLayout())
+    found = warnings_of(source, [], model, {"depth": "stored", "masks": "annotation"})
+    assert any(item.startswith("the model was trained on preprocessing version 1") for item in found)
+
+
+def test_warnings_name_sources_the_model_was_not_trained_on(tmp_path: Path) -> None:
+    path = write_clip(tmp_path / "clip", 3, 1)
+    trained_on = {"depth": ["depthpro", "stored"], "masks": ["annotation"]}
+    model = ParameterModel(write_model(tmp_path / "model.onnx", metadata(trained_on=trained_on)))
+    source = open_source(path, ClipLayout())
+    rows = [FrameEstimate(0, 0.0, "ok")]
+    assert warnings_of(source, rows, model, {"depth": "stored", "masks": "annotation"}) == []
+    found = warnings_of(source, rows, model, {"depth": "photometric", "masks": "automatic"})
+    assert found[0].startswith(
+        "the model was trained on depth from depthpro and stored and this clip's come from photo"
+    )
+    assert found[1].startswith("the model was trained on masks from annotation and this clip's come from automatic")
+    assert found[2].endswith("contact here means in view, not pressing")
+
+
+@pytest.mark.parametrize(
+    ("calibration", "told"),
+    [
+        (None, [UNCALIBRATED]),
+        (Calibration(), [UNCALIBRATED]),
+        (Calibration(Widths(power=(1.0, 0.8, 1.0))), []),
+    ],
+)
+def test_intervals_that_were_never_calibrated_are_warned_of(
+    calibration: Calibration | None, told: list[str], tmp_path: Path
+) -> None:
+    path = write_clip(tmp_path / "clip", 3, 1)
+    posterior = ContactPosterior(10, torch.tensor([[-3.0, -5.0, -4.0], [0.0, -0.7, -1.2]]), width=16, blocks=1)
+    export_posterior(posterior, tmp_path / "contact.onnx", metadata(), calibration)
+    model = PosteriorModel(tmp_path / "contact.onnx")
+    source = open_source(path, ClipLayout())
+    assert warnings_of(source, [], model, {"depth": "stored", "masks": "annotation"}) == told
+
+
+def test_versions_name_the_packages() -> None:
+    assert {"palpate", "python", "numpy", "onnxruntime"} <= set(versions())
+
+
+def test_hash_of_a_folder_follows_names_and_contents(tmp_path: Path) -> None:
+    (tmp_path / "clip" / "sub").mkdir(parents=True)
+    (tmp_path / "clip" / "a.png").write_bytes(b"1")
+    (tmp_path / "clip" / "sub" / "b.png").write_bytes(b"2")
+    first = sha256_of(tmp_path / "clip")
+    (tmp_path / "clip" / ".hidden").write_bytes(b"3")
+    assert sha256_of(tmp_path / "clip") == first
+    (tmp_path / "clip" / "out").mkdir()
+    for name in ("parameters.csv", "overlay.mp4", "summary.png"):
+        (tmp_path / "clip" / "out" / name).write_bytes(b"ours")
+    write_record(tmp_path / "clip" / "out", {"program": "infer.py"})
+    assert sha256_of(tmp_path / "clip") == first
+    (tmp_path / "clip" / "out" / "frame_1.png").write_bytes(b"a frame beside results")
+    second = sha256_of(tmp_path / "clip")
+    assert second != first
+    (tmp_path / "clip" / "a.png").rename(tmp_path / "clip" / "c.png")
+    assert sha256_of(tmp_path / "clip") != second
+    (tmp_path / "clip" / "out" / "run.json").write_bytes(b"{}")  # then nothing tells whose the files are
+    assert len({first, second, sha256_of(tmp_path / "clip")}) == 3

@@ -1,0 +1,274 @@
+"""Which folder is whose, which clips are done, and what is said when nothing can be written."""
+
+from __future__ import annotations
+
+import errno
+import itertools
+import json
+import os
+import tempfile
+from collections.abc import Container, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from results import store as result_store
+from results.store import (
+    FIT,
+    MARKER,
+    OVERLAY,
+    RECORD,
+    SUMMARY,
+    TABLE,
+    WRITTEN,
+    OutputError,
+    ResultStore,
+    own_files,
+    partial_folder,
+    publish,
+    read_record,
+    safe_name,
+    settle,
+    write_record,
+    writing,
+)
+
+FILES = (TABLE, SUMMARY, RECORD)
+
+
+def write_results(folder: Path, fingerprint: str = "abc", origin: str = "clip.mp4", *, overlay: bool = True) -> None:
+    folder.mkdir(parents=True)
+    for name in (TABLE, SUMMARY) + ((OVERLAY,) if overlay else ()):
+        (folder / name).write_text(f"{name} of {fingerprint}")
+    write_record(folder, {"program": "infer.py", "fingerprint": fingerprint, "input": {"path": origin}})
+
+
+@given(st.text(max_size=300))
+def test_safe_names_fit_every_file_system(name: str) -> None:
+    safe = safe_name(name)
+    assert 0 < len(safe.encode()) <= 120
+    assert not set(safe) & set('<>:"/\\|?*\0')
+    assert safe not in (".", "..")
+    assert safe == safe_name(safe)
+
+
+def test_long_names_stay_apart_and_other_scripts_stay_readable() -> None:
+    assert safe_name("é" * 200 + "a") != safe_name("é" * 200 + "b")
+    assert safe_name("肝臓 vidéo 1") == "肝臓 vidéo 1"
+
+
+def test_completeness_asks_for_the_same_fingerprint_and_files(tmp_path: Path) -> None:
+    store = ResultStore(tmp_path, "infer.py")
+    folder = store.folder("clip", tmp_path / "in" / "clip.mp4")
+    assert not store.is_complete(folder, "abc", FILES)
+    write_results(folder, "abc", overlay=False)
+    assert store.is_complete(folder, "abc", FILES)
+    assert not store.is_complete(folder, "abc", (*FILES, OVERLAY))
+    assert not store.is_complete(folder, "other", FILES)
+    (folder / "run.json").write_text("{")
+    assert not store.is_complete(folder, "abc", FILES)
+
+
+def test_an_emptied_table_is_not_complete_and_may_be_written_again(tmp_path: Path) -> None:
+    store, folder = ResultStore(tmp_path, "infer.py"), tmp_path / "clip"
+    write_results(folder)
+    (folder / TABLE).write_text("")
+    assert not store.is_complete(folder, "abc", FILES)
+    store.require_replaceable(folder, "abc", FILES, overwrite=False)
+    (folder / TABLE).write_text("edited")
+    assert not store.is_complete(folder, "abc", FILES)
+    with pytest.raises(OutputError, match=r"parameters.csv: is not as this program wrote it; move it away"):
+        store.require_replaceable(folder, "abc", FILES, overwrite=True)
+
+
+def test_other_results_are_replaced_only_when_asked(tmp_path: Path) -> None:
+    store, folder = ResultStore(tmp_path, "infer.py"), tmp_path / "clip"
+    write_results(folder)
+    store.require_replaceable(folder, "other", FILES, overwrite=True)
+    with pytest.raises(OutputError, match=r"holds results of other settings.*--overwrite replaces them"):
+        store.require_replaceable(folder, "other", FILES, overwrite=False)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"input": ["clip.mp4"]},
+        {"input": "clip.mp4"},
+        {"program": 1},
+        {"fingerprint": ["abc"]},
+        {"files": 3},
+        {"statuses": [1]},
+        {"contacts": "many"},
+    ],
+)
+def test_a_record_of_odd_types_is_nobody_s(tmp_path: Path, change: dict[str, Any]) -> None:
+    clip = tmp_path / "clip.mp4"
+    folder = tmp_path / "out" / "clip"
+    write_results(folder, origin=str(clip.resolve()))
+    (folder / RECORD).write_text(json.dumps(read_record(folder) | change))
+    store = ResultStore(tmp_path / "out", "infer.py")
+    assert read_record(folder) == {}
+    assert not store.is_complete(folder, "abc", FILES)
+    assert store.folder("clip", clip).name.startswith("clip-")
+
+
+# --- whatever happens, what a user put there stays ---
+
+DEAD = 2**22 + 1
+"""Above the largest process id of Linux."""
+PLACES = ("clip", ".", f".clip.partial-{DEAD}", f".clip.partial-{os.getpid()}", ".clip.old-1", "clip/sub")
+NAMES = (TABLE, OVERLAY, SUMMARY, RECORD, FIT, "notes.txt", ".hidden")
+RUNS = st.tuples(
+    st.just("run"),
+    st.sampled_from(("first", "second")),  # settings
+    st.booleans(),  # with an overlay
+    st.booleans(),  # --overwrite
+    st.sampled_from((None, *range(12))),  # which step is interrupted
+    st.booleans(),  # by a kill, which cleans nothing up
+)
+PUTS = st.tuples(st.just("put"), st.sampled_from(PLACES), st.sampled_from(NAMES), st.sampled_from(("mine", "{}")))
+
+
+class Interrupted(BaseException):
+    """Ctrl-C or a kill."""
+
+
+def interrupted_at(step: int | None) -> Iterator[None]:
+    """Every `next` is a step of a run, and this one raises."""
+    for number in itertools.count():
+        if number == step:
+            raise Interrupted
+        yield
+
+
+def run_once(output: Path, clip: Path, fingerprint: str, overlay: bool, overwrite: bool, steps: Iterator[None]) -> Path:
+    """What a door does with a clip, with files that tell their settings."""
+    names = (TABLE, SUMMARY, *((OVERLAY,) if overlay else ()))
+    store = ResultStore(output, "infer.py")
+    folder = store.folder("clip", clip)
+    if not overwrite and store.is_complete(folder, fingerprint, (*names, RECORD)):
+        return folder
+    store.require_replaceable(folder, fingerprint, (*names, RECORD), overwrite=overwrite)
+    with writing(output):
+        partial = partial_folder(folder)
+        for name in names:
+            next(steps)
+            (partial / name).write_text(f"{name} of {fingerprint}")
+        write_record(partial, {"program": "infer.py", "fingerprint": fingerprint, "input": {"path": str(clip)}})
+        next(steps)
+        publish(partial, folder)
+    return folder
+
+
+def is_whole(folder: Path, theirs: Container[Path]) -> bool:
+    """Whether every file that is not the user's is of the record's settings."""
+    record = read_record(folder)
+    made = [name for name in own_files(folder) if name != RECORD and folder / name not in theirs]
+    return all((folder / name).read_text() == f"{name} of {record['fingerprint']}" for name in made)
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.lists(st.one_of(RUNS, PUTS), min_size=2, max_size=8))
+def test_no_order_of_runs_interruptions_and_foreign_files_changes_a_user_s_file(events: list[tuple]) -> None:
+    replace, unlink = os.replace, Path.unlink
+    with tempfile.TemporaryDirectory() as name, pytest.MonkeyPatch.context() as patch:
+        output, clip = Path(name).resolve() / "out", Path(name).resolve() / "clip.mp4"
+        theirs: dict[Path, bytes] = {}
+        steps = interrupted_at(None)
+        # Every change on the disk is a step, too.
+        patch.setattr(result_store.os, "replace", lambda *paths: (next(steps, None), replace(*paths)))
+        patch.setattr(Path, "unlink", lambda path, **options: (next(steps, None), unlink(path, **options)))
+        for kind, *event in events:
+            if kind == "put":
+                place, file, content = event
+                path = output / place / file
+                if (path.parent / MARKER).exists() and file in WRITTEN:
+                    continue  # what this program has not finished can't be told from it
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_text(content)
+                theirs[path] = content.encode()
+            else:
+                fingerprint, overlay, overwrite, step, killed = event
+                steps = interrupted_at(step)
+                folder = None
+                with suppress(OutputError, Interrupted):
+                    folder = run_once(output, clip, fingerprint, overlay, overwrite, steps)
+                steps = interrupted_at(None)
+                own = output / f".clip.partial-{os.getpid()}"
+                if killed and (own / MARKER).exists() and not (output / f".clip.partial-{DEAD}").exists():
+                    replace(own, output / f".clip.partial-{DEAD}")
+                    for path in [path for path in theirs if path.parent == own]:
+                        theirs[output / f".clip.partial-{DEAD}" / path.name] = theirs.pop(path)
+                elif output.exists():
+                    with suppress(OutputError):
+                        settle(output / "clip")
+                    assert is_whole(output / "clip", theirs)
+                if folder is not None:
+                    assert read_record(folder)["fingerprint"] == fingerprint
+                    assert is_whole(folder, theirs)
+            assert {path: path.read_bytes() for path in theirs if path.exists()} == theirs
+
+
+def test_clips_of_one_name_get_folders_of_their_own(tmp_path: Path) -> None:
+    store = ResultStore(tmp_path / "out", "infer.py")
+    first, second = tmp_path / "a" / "clip.mp4", tmp_path / "b" / "Clip.mp4"
+    assert store.folder("clip", first).name == "clip"
+    marked = store.folder("Clip", second).name
+    assert marked.startswith("Clip-")
+    write_results(tmp_path / "out" / "clip", origin=str(first.resolve()))
+    write_results(tmp_path / "out" / marked, origin=str(second.resolve()))
+    # A later run in another order finds each clip's own folder again.
+    later = ResultStore(tmp_path / "out", "infer.py")
+    assert later.folder("Clip", second).name == marked
+    assert later.folder("clip", first).name == "clip"
+
+
+def test_a_folder_that_is_not_ours_is_never_replaced(tmp_path: Path) -> None:
+    frames = tmp_path / "clip"
+    frames.mkdir()
+    (frames / "frame_1.png").write_bytes(b"precious")
+    folder = ResultStore(tmp_path, "infer.py").folder("clip", frames)
+    assert folder != frames
+    folder.mkdir()
+    (folder / "mine.txt").write_text("precious")
+    with pytest.raises(OutputError, match="holds something else"):
+        ResultStore(tmp_path, "infer.py").folder("clip", frames)
+
+
+def test_results_of_another_program_are_never_replaced(tmp_path: Path) -> None:
+    clip = tmp_path / "clip.mp4"
+    write_results(tmp_path / "out" / "clip", origin=str(clip.resolve()))
+    assert ResultStore(tmp_path / "out", "infer.py").folder("clip", clip).name == "clip"
+    marked = ResultStore(tmp_path / "out", "estimate.py").folder("clip", clip).name
+    assert marked.startswith("clip-")
+    # A later run finds its own again.
+    write_results(tmp_path / "out" / marked, origin=str(clip.resolve()))
+    (tmp_path / "out" / marked / RECORD).write_text(
+        json.dumps({"program": "estimate.py", "input": {"path": str(clip.resolve())}})
+    )
+    assert ResultStore(tmp_path / "out", "estimate.py").folder("clip", clip).name == marked
+    assert ResultStore(tmp_path / "out", "infer.py").folder("clip", clip).name == "clip"
+
+
+def test_output_that_is_a_file_or_cannot_be_written(tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.write_text("")
+    with pytest.raises(OutputError, match="is a file; give a folder"):
+        ResultStore(file, "infer.py")
+    with pytest.raises(OutputError, match="choose another --output"):
+        ResultStore(file / "below", "infer.py")
+
+
+@pytest.mark.parametrize(
+    ("number", "words"),
+    [(errno.ENOSPC, "is full; free"), (errno.EROFS, "change its permissions"), (errno.EIO, "writing failed")],
+)
+def test_file_system_errors_become_one_sentence(tmp_path: Path, number: int, words: str) -> None:
+    with pytest.raises(OutputError, match=words) as caught, result_store.writing(tmp_path):
+        raise OSError(number, os.strerror(number))
+    assert str(tmp_path) in str(caught.value)
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,64 @@
+"""How pictures tell verdicts and numbers."""
+
+from __future__ import annotations
+
+import pytest
+
+from estimators.estimate import FrameEstimate
+from results.verdicts import COLORS, MEANINGS, digits, is_far, numbers, state
+
+VALUES = {
+    **dict.fromkeys(("stiffness_sd", "damping_sd", "force_sd"), 0.0123),
+    **{"stiffness": 0.5123, "stiffness_low": 0.2345, "stiffness_high": 0.8765},
+    **{"damping": 0.0512, "damping_low": 0.00123, "damping_high": 0.35678},
+    **{"force": 0.1024, "force_low": 0.0912, "force_high": 0.1156},
+    **{"damping_over_stiffness": 0.0999, "damping_over_stiffness_sd": 0.0123},
+    **{"force_over_stiffness": 0.1999, "force_over_stiffness_sd": 0.0345},
+}
+NO_INTERVAL = {"stiffness": 0.5123, "damping": 0.0512, "force": 0.1024}
+
+
+def test_verdicts_have_colours_and_meanings_and_only_determined_is_green() -> None:
+    assert set(MEANINGS) == {"determined", "ratios", "undetermined", "onset_in_view"}
+    assert set(MEANINGS) <= set(COLORS)
+    green = [name for name, (red, strongest, blue) in COLORS.items() if strongest > 1.2 * max(red, blue)]
+    assert green == ["determined"]
+
+
+def test_the_verdict_goes_before_the_status() -> None:
+    assert state(FrameEstimate(0, 0.0, "ok", verdict="ratios")) == "ratios"
+    assert state(FrameEstimate(0, 0.0, "no_tool")) == "no_tool"
+
+
+@pytest.mark.parametrize(
+    ("verdict", "values", "expected"),
+    [
+        ("determined", VALUES, ["0.512 ± 0.012", "0.0512 ± 0.012", "0.102 ± 0.012"]),
+        ("undetermined", VALUES, ["0.23 to 0.88", "0.0012 to 0.36", "0.091 to 0.12"]),
+        ("doubtful", VALUES, ["0.23 to 0.88", "0.0012 to 0.36", "0.091 to 0.12"]),
+        ("ratios", VALUES, ["0.23 to 0.88", "0.0012 to 0.36", "0.091 to 0.12", "0.1 ± 0.01", "0.2 ± 0.03"]),
+        ("undetermined", NO_INTERVAL, ["—", "—", "—"]),
+        ("onset_in_view", NO_INTERVAL, ["≈ 0.51", "≈ 0.051", "≈ 0.1"]),
+    ],
+)
+def test_no_number_is_surer_than_its_verdict(verdict: str, values: dict[str, float], expected: list[str]) -> None:
+    told = numbers(verdict, values)
+    assert [name for name, _ in told] == ["k_s", "k_d", "|F|", "k_d/k_s", "|F|/k_s"][: len(expected)]
+    assert [text for _, text in told] == expected
+
+
+def test_a_frame_without_parameters_has_no_numbers() -> None:
+    assert numbers("undetermined", FrameEstimate(0, 0.0, "ok", verdict="undetermined").values) == []
+
+
+@pytest.mark.parametrize(("value", "expected"), [(0.000456, "0.00046"), (348.2, "350"), (1.0, "1"), (0.0, "0")])
+def test_digits_need_no_exponent(value: float, expected: str) -> None:
+    assert digits(value, 2) == expected
+
+
+@pytest.mark.parametrize(
+    ("simulated", "observed", "far"), [(1.0, 1.9, False), (1.0, 2.1, True), (2.1, 1.0, True), (None, 1.0, False)]
+)
+def test_far_is_a_factor_of_two(simulated: float | None, observed: float, far: bool) -> None:
+    row = FrameEstimate(0, 0.0, "ok", simulated_displacement=simulated, observed_displacement=observed)
+    assert is_far(row) is far

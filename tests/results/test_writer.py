@@ -1,0 +1,148 @@
+"""Folders of results: names, completeness, what is left after a failure."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data.prepared import PreparedFrame
+from data.source.frames import Frame
+from results.columns import FRAMES, INTERACTIONS
+from results.interactions import MOST_PANELS
+from results.store import OutputError, ResultStore, own_files, partial_folder, read_record
+from results.writer import ClipResults
+from tests.estimators.estimates import GOOD, NONE, frame_in_contact
+
+SIZE = (64, 48)
+UNITS = {"stiffness": "scene units"}
+FRAME = PreparedFrame(
+    Frame(0, 5, 0.2, np.full((SIZE[1], SIZE[0], 3), 80, np.uint8)),
+    "ok",
+    "",
+    np.ones((12, 16), np.float32),
+    np.zeros((12, 16), np.uint8),
+)
+ESTIMATE = frame_in_contact("undetermined", (0.25, 0.125, -2.0), contact=True, contact_u=3.5, contact_v=4.0)
+NAMES = ["fit.png", "interactions.csv", "overlay.mp4", "parameters.csv", "run.json", "summary.png"]
+
+
+def write_clip(folder: Path, fingerprint: str = "abc", *, overlay: bool = True) -> None:
+    with ClipResults(folder, SIZE, 25.0, UNITS, overlay=overlay) as output:
+        output.write(FRAME, ESTIMATE)
+        output.add(GOOD)
+        output.finish({"fingerprint": fingerprint, "input": {"path": "clip.mp4"}}, title="clip", subtitle="")
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8", newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_folder_is_complete_or_not_there(tmp_path: Path) -> None:
+    folder = tmp_path / "clip"
+    write_clip(folder)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["clip"]
+    assert sorted(path.name for path in folder.iterdir()) == NAMES
+    assert [row["force"] for row in rows(folder / "parameters.csv")] == ["2"]
+    assert [(row["onset_frame"], row["force"]) for row in rows(folder / "interactions.csv")] == [("7", "0.1")]
+
+
+def test_a_clip_without_frames_and_contact_has_the_tables_heads(tmp_path: Path) -> None:
+    with ClipResults(tmp_path / "clip", SIZE, 25.0, UNITS, overlay=False) as output:
+        output.finish({}, title="clip", subtitle="")
+    for name, columns in (("parameters.csv", FRAMES), ("interactions.csv", INTERACTIONS)):
+        with (tmp_path / "clip" / name).open(encoding="utf-8", newline="") as stream:
+            assert list(csv.reader(stream)) == [list(columns)]
+
+
+def test_runs_of_contact_are_counted_by_verdict_and_those_with_a_motion_are_drawn_first(tmp_path: Path) -> None:
+    loose = dataclasses.replace(GOOD, estimate=dataclasses.replace(GOOD.estimate, covariance=np.eye(3)))
+    with ClipResults(tmp_path / "clip", SIZE, 25.0, UNITS, overlay=False) as output:
+        assert output.counts == {}
+        for run in [NONE] * MOST_PANELS + [GOOD, loose, GOOD]:
+            output.add(run)
+        assert output.counts == {"determined": 2, "undetermined": 1, "no_estimate": MOST_PANELS}
+        drawn = [panel.state for panel in output._panels]
+    assert drawn == ["determined", "undetermined", "determined"] + ["no_estimate"] * (MOST_PANELS - 3)
+
+
+def test_failure_keeps_earlier_results_and_leaves_no_rest(tmp_path: Path) -> None:
+    folder = tmp_path / "clip"
+    write_clip(folder, "first")
+
+    def fail() -> None:
+        with ClipResults(folder, SIZE, 25.0, UNITS) as output:
+            output.write(FRAME, ESTIMATE)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fail()
+    assert read_record(folder)["fingerprint"] == "first"
+    assert [path.name for path in tmp_path.iterdir()] == ["clip"]
+
+
+def test_new_results_replace_earlier_ones(tmp_path: Path) -> None:
+    write_clip(tmp_path / "clip", "first")
+    write_clip(tmp_path / "clip", "second", overlay=False)
+    assert read_record(tmp_path / "clip")["fingerprint"] == "second"
+    assert not (tmp_path / "clip" / "overlay.mp4").exists()
+
+
+def test_rests_of_a_killed_run_are_cleared(tmp_path: Path) -> None:
+    write_clip(tmp_path / "clip", "earlier")
+    killed = partial_folder(tmp_path / "clip")
+    for name in ("parameters.csv", ".summary.png.partial"):
+        (killed / name).write_text("unfinished")
+    killed.rename(tmp_path / f".clip.partial-{2**22 + 1}")  # above the largest process id of Linux
+    with ClipResults(tmp_path / "clip", SIZE, 25.0, UNITS, overlay=False):
+        pass
+    assert read_record(tmp_path / "clip")["fingerprint"] == "earlier"
+    assert [path.name for path in tmp_path.iterdir()] == ["clip"]
+
+
+def test_an_interruption_while_files_are_moved_ends_with_the_new_results(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, replace, left = tmp_path / "clip", os.replace, [3]
+    write_clip(folder, "first")
+
+    def interrupt(source: Path, target: Path) -> None:
+        left[0] -= Path(target).parent == folder
+        if not left[0]:
+            left[0] = -1
+            raise KeyboardInterrupt
+        replace(source, target)
+
+    monkeypatch.setattr("results.store.os.replace", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        write_clip(folder, "second")
+    assert left[0] < 0
+    assert read_record(folder)["fingerprint"] == "second"
+    assert ResultStore(tmp_path, "").is_complete(folder, "second", own_files(folder))
+    assert [path.name for path in tmp_path.iterdir()] == ["clip"]
+
+
+def test_a_user_s_files_stay_beside_new_results(tmp_path: Path) -> None:
+    folder = tmp_path / "clip"
+    write_clip(folder, "first", overlay=False)
+    (folder / "notes").mkdir()
+    (folder / "notes" / "mine.txt").write_text("mine")
+    write_clip(folder, "second", overlay=False)
+    assert read_record(folder)["fingerprint"] == "second"
+    assert (folder / "notes" / "mine.txt").read_text() == "mine"
+    (folder / "overlay.mp4").write_text("mine")
+    with pytest.raises(OutputError, match=r"overlay.mp4: is not as this program wrote it"):
+        write_clip(folder, "third")
+    assert (folder / "overlay.mp4").read_text() == "mine"
+    assert read_record(folder)["fingerprint"] == "second"
+
+
+def test_record_is_json_without_nan(tmp_path: Path) -> None:
+    write_clip(tmp_path / "clip")
+    assert json.loads((tmp_path / "clip" / "run.json").read_text())["fingerprint"] == "abc"

@@ -1,0 +1,67 @@
+"""Every program of the project ends alike."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.inference_inputs import write_clip, write_model
+from tests.test_architecture import ROOT, modules
+
+DOORS = {
+    "infer": ["infer.py"],
+    "train": ["train.py"],
+    "data.synthetic.__main__": ["-m", "data.synthetic"],
+    "data.cholecseg8k": ["-m", "data.cholecseg8k"],
+    "data.depth.photometric": ["-m", "data.depth.photometric"],
+    "estimators.network.training": ["-m", "estimators.network.training"],
+    "evaluation.benchmark": ["-m", "evaluation.benchmark"],
+    "evaluation.calibration": ["-m", "evaluation.calibration"],
+    "evaluation.ablations.__main__": ["-m", "evaluation.ablations"],
+}
+INTERRUPTING = """
+import os, signal, time
+os.kill(os.getpid(), signal.SIGINT)
+time.sleep(20)
+"""
+
+
+def test_these_are_all_but_the_benchmarks() -> None:
+    found = {
+        name for name, path in modules().items() if re.search(r'^if __name__ == "__main__"', path.read_text(), re.M)
+    }
+    assert {name for name in found if not name.startswith("benchmarks.")} == set(DOORS)
+
+
+@pytest.mark.parametrize("door", DOORS)
+def test_an_interrupt_during_imports_is_quiet(door: str, tmp_path: Path) -> None:
+    """numpy, which all of them import first or soon, is one that presses Ctrl-C."""
+    (tmp_path / "numpy.py").write_text(INTERRUPTING)
+    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
+    done = subprocess.run([sys.executable, *DOORS[door]], cwd=ROOT, env=environment, capture_output=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (130, b"", b"")
+
+
+@pytest.mark.parametrize("door", DOORS)
+def test_the_last_line_is_the_guarded_run(door: str) -> None:
+    assert re.search(r'\n\nif __name__ == "__main__":\n    run_door\(main\b[^\n]*\)\n\Z', modules()[door].read_text())
+
+
+def test_a_batch_works_on_whatever_becomes_of_its_output(tmp_path: Path) -> None:
+    """An ASCII-only terminal, a reader that is content with one line, and a full device."""
+    write_clip(tmp_path / "clips" / "vidéo 肝臓", 4, 2)
+    write_model(tmp_path / "parameters.onnx")
+    command = f"{sys.executable} infer.py '{tmp_path / 'clips'}' --model '{tmp_path / 'parameters.onnx'}' --no-overlay"
+    environment = os.environ | {"PYTHONIOENCODING": "ascii"}
+    for name, end, status in (("ascii", "", 0), ("head", "| head -1", 0), ("full", "> /dev/full 2> /dev/full", 1)):
+        script = f"set -o pipefail; {command} --output '{tmp_path / name}' {end}"
+        done = subprocess.run(["bash", "-c", script], cwd=ROOT, env=environment, capture_output=True, timeout=120)
+        assert done.returncode == status, (name, done.stderr)
+        assert b"Error" not in done.stderr
+        assert (tmp_path / name / "vidéo 肝臓" / "run.json").is_file()
+        assert (rb"vid\xe9o" in done.stdout) == (name == "ascii")

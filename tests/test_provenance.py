@@ -1,0 +1,141 @@
+"""Results know every line they were made with: of sub-packages too, and from an installed package as well."""
+
+from __future__ import annotations
+
+import ast
+import os
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from physics.provenance import NOT_PREPARATION, PACKAGES, code_digest
+
+CHECKOUT = Path(__file__).resolve().parents[1]
+DECIDING = ("data", "estimators", "models", "physics", "results")
+"""Packages on which a user's results depend."""
+SETUP = tomllib.loads((CHECKOUT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
+FINGERPRINTS = """
+import sys
+from pathlib import Path
+from data.settings import PrepareSettings
+from physics.provenance import ROOT, code_digest
+from results.record import Provenance
+
+def told():
+    code_digest.cache_clear()
+    return Provenance("clip", "model", PrepareSettings()).fingerprint, *map(code_digest, ("preparation", "kernels"))
+
+print(ROOT, *told())
+for name in sys.stdin.read().splitlines():
+    path, changed = Path(name), Path(name + ".changed")
+    kept = path.read_bytes()
+    path.write_bytes(changed.read_bytes())
+    print(name, *told())
+    path.write_bytes(kept)
+print(ROOT, *told())
+"""
+"""Prints fingerprint and digests of the program as it is, with every file that is named replaced in turn, and again."""
+
+
+def installed(site: Path) -> Path:
+    """What a wheel of the project unpacks to: the packages that are listed, and their data."""
+    for package in SETUP["packages"]:
+        folder = CHECKOUT / package.replace(".", "/")
+        (site / folder.relative_to(CHECKOUT)).mkdir()
+        for pattern in ("*.py", *SETUP["package-data"].get(package, ())):
+            for path in folder.glob(pattern):
+                copy = site / path.relative_to(CHECKOUT)
+                copy.parent.mkdir(exist_ok=True)
+                shutil.copyfile(path, copy)
+    (site / "palpate-1.dist-info").mkdir()
+    (site / "palpate-1.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: palpate\nVersion: 1\n")
+    return site
+
+
+def checked_out(folder: Path) -> Path:
+    """A copy of the checkout's packages."""
+    for package in PACKAGES:
+        shutil.copytree(CHECKOUT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copyfile(CHECKOUT / "pyproject.toml", folder / "pyproject.toml")
+    return folder
+
+
+def changed(source: bytes) -> bytes:
+    """A module with one number in it raised by 1; one without any says something else of itself."""
+    tree = ast.parse(source)
+    numbers = (node for node in ast.walk(tree) if isinstance(node, ast.Constant) and type(node.value) in (int, float))
+    node, added = next(numbers, None), b"+1"
+    if node is None:
+        node, added = tree.body[0].value, b'" "'
+    lines = source.splitlines(keepends=True)
+    line, column = node.end_lineno - 1, node.end_col_offset
+    lines[line] = lines[line][:column] + added + lines[line][column:]
+    compile(b"".join(lines), "changed", "exec")
+    return b"".join(lines)
+
+
+@pytest.mark.parametrize("lay_out", [checked_out, installed])
+def test_a_constant_changed_in_any_module_changes_the_fingerprint(lay_out, tmp_path: Path) -> None:
+    (tmp_path / "tree").mkdir()
+    tree = lay_out(tmp_path / "tree")
+    modules = [path for package in DECIDING for path in sorted((tree / package).rglob("*.py")) if path.stat().st_size]
+    names = {path.relative_to(tree).as_posix() for path in modules}
+    assert {"data/contact/motion.py", "estimators/network/fits.py", "models/losses.py", "physics/msd/cone.py"} <= names
+    for path in modules:
+        path.with_name(f"{path.name}.changed").write_bytes(changed(path.read_bytes()))
+    models = [tree / "data/depth/photometric.onnx", tree / "data/depth/presets/photometric.yaml"]
+    for path in models:
+        path.with_name(f"{path.name}.changed").write_bytes(path.read_bytes() + b"\n")
+    done = subprocess.run(
+        [sys.executable, "-c", FINGERPRINTS],
+        input="\n".join(map(str, [*modules, *models])),
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1"},
+        check=True,
+    )
+    first, *edited, last = (line.rsplit(" ", 3) for line in done.stdout.splitlines())
+    assert first == last
+    assert Path(first[0]) == tree
+    assert len(edited) == len(modules) + len(models) > 100
+    assert len({fingerprint for _, fingerprint, *_ in [first, *edited]}) == len(edited) + 1
+    for name, _, preparation, kernels in edited:
+        path = Path(name).relative_to(tree).as_posix()
+        prepares = path.startswith("data/") and not path.startswith(NOT_PREPARATION)
+        assert (preparation != first[2]) == (prepares or path == "physics/mesh.py"), path
+        assert (kernels != first[3]) == path.startswith("physics/"), path
+
+
+@pytest.mark.parametrize("part", ["all", "preparation", "kernels"])
+def test_installed_the_digest_is_the_checkout_s(tmp_path: Path, monkeypatch, part) -> None:
+    expected = code_digest(part)
+    monkeypatch.setattr("physics.provenance.ROOT", installed(tmp_path))
+    assert code_digest.__wrapped__(part) == expected
+
+
+def test_every_package_of_the_tree_is_installed() -> None:
+    found = {path.parent.relative_to(CHECKOUT) for path in CHECKOUT.glob("[!.]*/**/__init__.py")}
+    assert {".".join(path.parts) for path in found if path.parts[0] != "tests"} == set(SETUP["packages"])
+    assert {package.split(".")[0] for package in SETUP["packages"]} == {*PACKAGES, "benchmarks"}
+    # A folder without __init__.py would be left out of a wheel.
+    assert {
+        path.parent.relative_to(CHECKOUT) for package in PACKAGES for path in CHECKOUT.glob(f"{package}/**/*.py")
+    } <= found
+
+
+def test_a_prepared_clip_depends_on_what_preparing_it_imports() -> None:
+    program = "import sys, data.clip; print(*(vars(module).get('__file__') for module in list(sys.modules.values())))"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=CHECKOUT, check=True)
+    imported = {Path(name).relative_to(CHECKOUT).as_posix() for name in done.stdout.split() if f"{CHECKOUT}/" in name}
+    ours = {name for name in imported if name.split("/")[0] in PACKAGES}
+    assert "data/contact/motion.py" in ours
+    assert not [name for name in ours if name.startswith(NOT_PREPARATION)]
+    others = {name for name in ours if not name.startswith("data/")}
+    # The helpers load modules, name sources and show names; no array depends on them.
+    helpers = {"physics/lazy.py", "physics/provenance.py", "physics/doors.py"}
+    assert others - helpers == {"physics/__init__.py", "physics/mesh.py"}

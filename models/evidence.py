@@ -7,14 +7,10 @@ uniform distribution over the admissible box. Nothing here reads a true θ.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-import numpy as np
 import torch
 from torch import Tensor
 
 from models.posterior import evidence_loss
-from physics.likelihood import Linearised
 
 LONGEST_MOVE = 1.0
 """A mean is moved no farther than this at once in any log-parameter: the linearisation reaches no farther."""
@@ -23,31 +19,23 @@ PULL = 0.2
 
 
 def negative_evidence(
-    mean: Tensor, factor: Tensor, found: Sequence[Linearised | None], lower: Tensor, upper: Tensor
+    mean: Tensor, factor: Tensor, misfit: Tensor, gradient: Tensor, information: Tensor, lower: Tensor, upper: Tensor
 ) -> Tensor:
     """-E_q[log p(d|φ)] + KL(q‖prior), the mean over the batch: its value, with the gradient of `preconditioned`.
 
     Args:
         mean, factor: of q, shapes [B, 3] and [B, 3, 3].
-        found: every sample's likelihood around its mean; None where nothing was seen yet.
+        misfit, gradient, information: of the likelihood at the means (`physics.msd.likelihoods.linearise`).
         lower, upper: φ's box, shape [3].
 
     Returns:
         Scalar, the linearised bound in nats without the likelihood's constant.
     """
-    misfit, gradient, information = (mean.new_tensor(values) for values in parabolas(found))
+    misfit, gradient, information = (values.to(mean) for values in (misfit, gradient, information))
     surrogate = preconditioned(mean, factor, gradient, information, lower, upper)
     prior, away = _prior(mean, lower, upper)
     bound = (misfit + _divergence(factor.detach(), away, information + prior, prior)).mean()
     return surrogate + (bound - surrogate).detach()
-
-
-def parabolas(found: Sequence[Linearised | None]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Misfits [B], their gradients [B, 3] and information [B, 3, 3]; 0 where nothing was seen."""
-    nothing = 0.0, np.zeros(3), np.zeros((3, 3))
-    told = [nothing if item is None else (item.misfit, item.gradient, item.information) for item in found]
-    misfit, gradient, information = zip(*told, strict=True)
-    return np.array(misfit), np.stack(gradient), np.stack(information)
 
 
 def preconditioned(

@@ -1,4 +1,4 @@
-"""The five terms of the training loss, one function each; `models.evidence` has the physics term of head posterior.
+"""The five terms of the training loss, one function each; the physics term has a second for head posterior.
 
 Source: Bini 2026, section 3.4.2. Depth is in [0, 1], normalised by the clip's fixed scale; 0 marks a pixel without a
 measurement. Such pixels are left out of every reconstruction term: a difference to "unknown" is not an error.
@@ -14,10 +14,11 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
-from physics.mechanics import Bounds, Mechanics
-from physics.msd import rollout
+from models.evidence import negative_evidence
+from physics.mechanics import SIGNS, Bounds, Mechanics
+from physics.msd import rollout, rollout_sensitivities
 from physics.msd.batch import LoadBatch, MeshBatch, ObservationBatch
-from physics.msd.likelihoods import displacement_error
+from physics.msd.likelihoods import displacement_error, linearise
 
 
 @dataclass(frozen=True)
@@ -111,6 +112,33 @@ def physics_loss(
         Mean squared displacement error [scene units²], a scalar.
     """
     return displacement_error(rollout(theta, mesh, load, mechanics), observation).mean()
+
+
+def posterior_physics_loss(
+    mean: Tensor,
+    factor: Tensor,
+    noise: Tensor,
+    mesh: MeshBatch,
+    load: LoadBatch,
+    observation: ObservationBatch,
+    mechanics: Mechanics,
+    box: tuple[Tensor, Tensor],
+) -> tuple[Tensor, Tensor]:
+    """The physics term of head posterior: the negative evidence bound of what was seen up to the sample's frame.
+
+    Args:
+        mean, factor: of the posterior of φ, shapes [B, 3] and [B, 3, 3].
+        noise: σ of every observed coordinate, shape [B] [scene units].
+        mesh, load, observation, mechanics: as in `physics_loss`.
+        box: φ's lower and upper bounds, shape [3] each.
+
+    Returns:
+        The bound [nats], a scalar, and the Fisher information at the means, shape [B, 3, 3], a constant.
+    """
+    theta = torch.exp(mean.detach().double()) * mean.new_tensor(SIGNS)
+    path, slopes = rollout_sensitivities(theta.to(mean), mesh, load, mechanics)
+    misfit, gradient, information = linearise(path, slopes, theta, observation, noise)
+    return negative_evidence(mean, factor, misfit, gradient, information, *box), information
 
 
 def regularisation_loss(theta: Tensor, bounds: Bounds) -> Tensor:

@@ -14,7 +14,6 @@ from torch import Tensor
 from models.augmentation import AugmentationSettings, WindowAugmentation
 from models.checkpoint import load_posterior
 from models.discriminator import PatchDiscriminator
-from models.evidence import negative_evidence, parabolas
 from models.expected_bound import bound_loss
 from models.generator import Answer, Generator
 from models.losses import (
@@ -26,11 +25,11 @@ from models.losses import (
     identity_loss,
     null_parameters,
     physics_loss,
+    posterior_physics_loss,
     regularisation_loss,
 )
 from models.records import pair_records
 from physics.mechanics import PARAMETERS, Bounds, Mechanics
-from physics.msd.likelihoods import linearise_batch
 
 
 class TrainingDiverged(ValueError):
@@ -263,14 +262,15 @@ class PhysicsInformedGAN(LightningModule):
         if answer.mean is None or answer.factor is None:
             load, observation = batch[f"load_{side}"], batch[f"observation_{side}"]
             return physics_loss(answer.theta, mesh, load, observation, self.mechanics)
-        seen = batch[f"seen_load_{side}"], batch[f"seen_observation_{side}"]
-        found = linearise_batch(answer.mean, batch[f"noise_{side}"], mesh, *seen, self.mechanics)
+        noise, load, seen = (batch[f"{name}_{side}"] for name in ("noise", "seen_load", "seen_observation"))
         posterior = generator.posterior
-        evidence = negative_evidence(answer.mean, answer.factor, found, posterior.lower, posterior.upper)
+        evidence, information = posterior_physics_loss(
+            answer.mean, answer.factor, noise, mesh, load, seen, self.mechanics, (posterior.lower, posterior.upper)
+        )
         if self.pretrained is not None:  # it has learnt the bound where θ was known better
             return evidence
         expected = posterior.expected_bound_factor(batch[f"contact_features_{side}"])
-        error = bound_loss(expected, parabolas(found)[2])
+        error = bound_loss(expected, information.cpu().numpy())
         return evidence + (error - error.detach())  # learnt beside it, and no part of its value
 
     def _judge(

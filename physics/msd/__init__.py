@@ -2,8 +2,8 @@
 
 reference     the equations in plain numpy: read this one
 simulation    the numpy door: simulate, simulate_sensitivities, simulate_field, simulate_reaction
-rollouts      the torch door: rollout, rollout_field, rollout_heterogeneous; batch: what it takes
-likelihoods   the paper's squared error, and the likelihood of a batch
+rollouts      the torch door: rollout, rollout_sensitivities, rollout_field, rollout_heterogeneous; batch: what it takes
+likelihoods   the paper's squared error of a batch, and its likelihood
 compiled      one sample through the kernels: grid_kernel on grid_layout, edge_kernel on spring_graph; cone: which part
 autograd      torch's view of the compiled rollout; torch_backend: every derivative, any device
 """
@@ -12,7 +12,7 @@ from physics.lazy import exported
 
 __getattr__ = exported(
     {
-        "physics.msd.rollouts": ("rollout", "rollout_field", "rollout_heterogeneous"),
+        "physics.msd.rollouts": ("rollout", "rollout_field", "rollout_heterogeneous", "rollout_sensitivities"),
         "physics.msd.simulation": ("simulate", "simulate_field", "simulate_reaction", "simulate_sensitivities"),
         "physics.msd.batch": ("GripBatch", "MeshBatch", "ObservationBatch", "PressBatch"),
     }

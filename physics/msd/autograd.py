@@ -61,20 +61,26 @@ def cases(theta: Tensor, mesh, load, watched: Tensor, mechanics: Mechanics) -> l
 
 
 class CompiledRollout(torch.autograd.Function):
-    """Trajectories [B, T, M, 3] from θ [B, 3]."""
+    """Trajectories [B, T, M, 3] and their Jacobian [B, T, M, 3, 3], a constant, from θ [B, 3]."""
 
     @staticmethod
-    def forward(ctx, theta: Tensor, mesh, load, watched: Tensor, mechanics: Mechanics, sensitive: bool) -> Tensor:
-        """Compute the trajectories, and the Jacobian if a gradient may be asked for."""
+    def forward(
+        ctx, theta: Tensor, mesh, load, watched: Tensor, mechanics: Mechanics, sensitive: bool
+    ) -> tuple[Tensor, Tensor]:
+        """Compute the trajectories, and the Jacobian where it is wanted or a gradient may be; empty otherwise."""
         samples = cases(theta, mesh, load, watched, mechanics)
         results = map_samples(functools.partial(watched_rollout, sensitive=sensitive), samples)
-        if sensitive:
-            slopes = [_reliable(case, *result[:2]) for case, result in zip(samples, results, strict=True)]
-            ctx.save_for_backward(torch.from_numpy(np.stack(slopes)))
-        return torch.from_numpy(np.stack([result.path for result in results]))
+        found = [
+            _reliable(case, *result[:2]) if sensitive else result.slopes
+            for case, result in zip(samples, results, strict=True)
+        ]
+        slopes = torch.from_numpy(np.stack(found))
+        ctx.mark_non_differentiable(slopes)
+        ctx.save_for_backward(slopes)
+        return torch.from_numpy(np.stack([result.path for result in results])), slopes
 
     @staticmethod
-    def backward(ctx, gradient: Tensor):  # ty: ignore[incompatible-method-override]  as torch documents it
+    def backward(ctx, gradient: Tensor, _):  # ty: ignore[incompatible-method-override]  as torch documents it
         """Chain with the Jacobian [B, T, M, 3, 3]."""
         (slopes,) = ctx.saved_tensors
         by_theta = torch.einsum("btmc,btmcp->bp", gradient, slopes)

@@ -5,15 +5,10 @@ Source: Bini 2026, equation 14 (the squared 2-norm of a displacement's differenc
 
 from __future__ import annotations
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from physics.likelihood import Likelihood, Linearised
-from physics.mechanics import Mechanics
-from physics.msd.autograd import map_samples
-from physics.msd.batch import MeshBatch, ObservationBatch, PressBatch
-from physics.observation import Observation
+from physics.msd.batch import ObservationBatch
 
 
 def displacement_error(trajectory: Tensor, observation: ObservationBatch) -> Tensor:
@@ -39,44 +34,38 @@ def displacement_error(trajectory: Tensor, observation: ObservationBatch) -> Ten
             raise ValueError(
                 f"{name} has shape {tuple(value.shape)}; give {shape} for steps of shape {(batch, count)}."
             )
-    seen = observation.weight > 0
-    steps = observation.steps.clamp(0, trajectory.shape[1] - 1)
-    simulated = torch.gather(trajectory, 1, steps[..., None].expand(-1, -1, 3))
-    difference = torch.where(seen[..., None], simulated - observation.displacement, 0.0)
-    weight = torch.where(seen, observation.weight, 0.0)
+    weight = observation.weight.clamp(min=0.0)
     total = weight.sum(dim=1)
-    return (weight * difference.square().sum(dim=-1)).sum(dim=1) / torch.where(total > 0, total, 1.0)
+    squared = _difference(trajectory, observation).square().sum(dim=-1)
+    return (weight * squared).sum(dim=1) / torch.where(total > 0, total, 1.0)
 
 
-def linearise_batch(
-    mean: Tensor,
-    noise: Tensor,
-    mesh: MeshBatch,
-    load: PressBatch,
-    observation: ObservationBatch,
-    mechanics: Mechanics,
-) -> list[Linearised | None]:
-    """Every sample's likelihood around its φ, on as many threads as torch uses; None where nothing was seen yet.
+def linearise(
+    path: Tensor, slopes: Tensor, theta: Tensor, observation: ObservationBatch, noise: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """The torch side of `physics.likelihood`: -log p(d|φ) = ½ Σ r² around every sample's φ, in double precision.
 
     Args:
-        mean: φ, shape [B, 3].
+        path: displacement of the contact vertex, shape [B, T, 3] [scene units].
+        slopes: its derivatives by θ, shape [B, T, 3, 3].
+        theta: k_s, k_d and signed F, shape [B, 3] [normalised].
+        observation: what was seen; padding may hold anything, also NaN.
         noise: σ of every observed coordinate, shape [B] [scene units].
-        mesh, load: the tissue and what presses on it, as far as was seen.
-        observation: what was seen of the load's first vertex; weight 0 is padding.
-        mechanics: the rollout's constants.
+
+    Returns:
+        The misfit ½ Σ r² [B], its gradient [B, 3] and the Fisher information [B, 3, 3] by φ; 0 where nothing was seen.
     """
-    logs, sigma = mean.detach().cpu().double().numpy(), noise.cpu().double().numpy()
-    steps, displacement, weight = (
-        values.cpu().numpy() for values in (observation.steps, observation.displacement, observation.weight)
-    )
-    samples = list(zip(mesh.split(), load.split(), logs, sigma, steps, displacement, weight > 0, strict=True))
+    sigma = noise.double()[:, None, None]
+    residual = _difference(path.double(), observation) / sigma
+    instants = observation.steps[..., None, None].expand(-1, -1, 3, 3)
+    jacobian = torch.gather(slopes.double(), 1, instants) * theta.double()[:, None, None] / sigma[..., None]
+    jacobian = torch.where((observation.weight > 0)[..., None, None], jacobian, 0.0)
+    gradient = torch.einsum("bmcp,bmc->bp", jacobian, residual)
+    return 0.5 * residual.square().sum((1, 2)), gradient, torch.einsum("bmcp,bmcq->bpq", jacobian, jacobian)
 
-    def linearised(sample: tuple) -> Linearised | None:
-        single, press, at, deviation, steps, moved, seen = sample
-        if not seen.any():
-            return None
-        times = (steps[seen] + 1) * mechanics.time_step
-        observed = Observation.of_point(press.vertex, times, moved[seen], deviation)
-        return Likelihood(single, press, observed, mechanics, np.float32).linearise(at)
 
-    return map_samples(linearised, samples)
+def _difference(trajectory: Tensor, observation: ObservationBatch) -> Tensor:
+    """Simulated minus observed displacement [B, M, 3]; 0 where nothing was seen."""
+    steps = observation.steps.clamp(0, trajectory.shape[1] - 1)
+    simulated = torch.gather(trajectory, 1, steps[..., None].expand(-1, -1, 3))
+    return torch.where((observation.weight > 0)[..., None], simulated - observation.displacement, 0.0)

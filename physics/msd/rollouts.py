@@ -53,10 +53,38 @@ def rollout(
     watched = _watched(mesh, load, watch)
     if _compiled(backend, (theta,), mesh, load):
         sensitive = torch.is_grad_enabled() and theta.requires_grad
-        found = CompiledRollout.apply(theta, mesh, load, watched, mechanics, sensitive)
+        found, _ = CompiledRollout.apply(theta, mesh, load, watched, mechanics, sensitive)
     else:
         found = torch_backend.watched_trajectory(theta, mesh, load, watched, mechanics)
     return found[:, :, 0] if watch is None else found
+
+
+def rollout_sensitivities(
+    theta: Tensor,
+    mesh: MeshBatch,
+    load: LoadBatch,
+    mechanics: Mechanics = DEFAULT,
+    backend: Backend = "auto",
+    watch: Tensor | None = None,
+) -> tuple[Tensor, Tensor]:
+    """What `rollout` gives, and its exact derivatives by k_s, k_d and F in the same pass, both constants.
+
+    Arguments and errors as in `rollout`. The derivatives have θ as a further last axis; they are 0, with a warning,
+    where the compiled motion is so chaotic that rounding decides them.
+    """
+    theta = _checked(theta.detach(), mesh, load)
+    watched = _watched(mesh, load, watch)
+    if _compiled(backend, (theta,), mesh, load):
+        found, slopes = CompiledRollout.apply(theta, mesh, load, watched, mechanics, True)
+    else:
+
+        def moved(shift: Tensor) -> tuple[Tensor, Tensor]:
+            path = torch_backend.watched_trajectory(theta + shift, mesh, load, watched, mechanics)
+            return path, path
+
+        with torch.no_grad():
+            slopes, found = torch.func.jacfwd(moved, has_aux=True)(theta.new_zeros(3))
+    return (found[:, :, 0], slopes[:, :, 0]) if watch is None else (found, slopes)
 
 
 def rollout_field(

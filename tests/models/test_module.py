@@ -10,13 +10,11 @@ from lightning.pytorch import Trainer
 from torch.utils.data import DataLoader
 
 from models.augmentation import AugmentationSettings
-from models.evidence import parabolas
 from models.expected_bound import bound_loss
-from models.losses import LossWeights
+from models.losses import LossWeights, posterior_physics_loss
 from models.module import PhysicsInformedGAN, TrainingDiverged, with_current
 from models.posterior import ContactPosterior
 from physics.mechanics import Bounds, Mechanics
-from physics.msd.likelihoods import linearise_batch
 
 MECHANICS = Mechanics(steps=24, load_steps=8)
 BOUNDS = Bounds(force=(-0.3, 0.0), initial=(0.5, 0.1, -0.05))
@@ -210,7 +208,7 @@ def test_a_weight_of_zero_switches_its_term_off(make_told_batch, monkeypatch, se
         "gan": ("generator_adversarial_loss", "discriminator_loss"),
         "cycle": ("cycle_loss",),
         "identity": ("identity_loss",),
-        "physics": ("physics_loss", "negative_evidence"),
+        "physics": ("physics_loss", "posterior_physics_loss"),
         "regularisation": ("regularisation_loss",),
     }
     for name in functions[term]:
@@ -272,11 +270,12 @@ def test_the_expected_bound_is_learnt_beside_the_evidence(make_told_batch, tmp_p
 
     def error(module: PhysicsInformedGAN) -> float:
         generator = module.generator_ab
-        mean = generator.answer(generator.encode(batch["window_a"]), batch["contact_features_a"]).mean
+        posterior = generator.posterior
+        answer = generator.answer(generator.encode(batch["window_a"]), batch["contact_features_a"])
         seen = (batch[f"{name}_a"] for name in ("noise", "mesh", "seen_load", "seen_observation"))
-        found = linearise_batch(mean, *seen, module.mechanics)
-        factor = generator.head.posterior.expected_bound_factor(batch["contact_features_a"])
-        return float(bound_loss(factor, parabolas(found)[2]))
+        box = posterior.lower, posterior.upper
+        _, information = posterior_physics_loss(answer.mean, answer.factor, *seen, module.mechanics, box)
+        return float(bound_loss(posterior.expected_bound_factor(batch["contact_features_a"]), information.numpy()))
 
     module = build(learning_rate=2e-3, **POSTERIOR)
     before = error(module)

@@ -8,8 +8,9 @@ import torch
 
 from physics.likelihood import Likelihood
 from physics.mechanics import Mechanics
+from physics.msd import rollout_sensitivities
 from physics.msd.batch import ObservationBatch
-from physics.msd.likelihoods import displacement_error, linearise_batch
+from physics.msd.likelihoods import displacement_error, linearise
 from physics.observation import Observation
 from tests.physics.batches import batch_of
 from tests.physics.sheets import pressed, sheet
@@ -61,18 +62,16 @@ def test_a_batch_is_linearised_as_each_sample_is():
     ]
     seen = ObservationBatch.of(observations, 0.005)
     seen.weight[1, 1], seen.displacement[1, 1] = 0, float("nan")
-    mean, noise = torch.tensor([[0.5, 0.08, 0.1], [0.3, 0.1, 0.2]]).log(), torch.tensor([1e-3, 2e-3])
-    found = linearise_batch(mean, noise, mesh, load, seen, Mechanics())
+    theta, noise = torch.tensor([[0.5, 0.08, -0.1], [0.3, 0.1, -0.2]]), torch.tensor([1e-3, 2e-3])
+    path, slopes = rollout_sensitivities(theta, mesh, load)
+    found = linearise(path, slopes, theta, seen, noise)
     for index, kept in enumerate(([0, 1, 2], [0, 2])):
         own = observations[index].chosen(np.array(kept))
         own = own.moved(own.displacement, float(noise[index]))
         press = pressed(meshes[index], vertices[index], [40, 20][index], 100)
-        expected = Likelihood(meshes[index], press, own, Mechanics(), np.float32).linearise(
-            mean[index].double().numpy()
-        )
-        np.testing.assert_allclose(found[index].residual, expected.residual, rtol=1e-5)
-        np.testing.assert_allclose(
-            found[index].jacobian, expected.jacobian, atol=1e-5 * np.abs(expected.jacobian).max()
-        )
+        logs = theta[index].abs().log().double().numpy()
+        expected = Likelihood(meshes[index], press, own, Mechanics(), np.float32).linearise(logs)
+        for value, other in zip(found, (expected.misfit, expected.gradient, expected.information), strict=True):
+            np.testing.assert_allclose(value[index], other, atol=1e-5 * np.abs(other).max())
     seen.weight[1] = 0
-    assert linearise_batch(mean, noise, mesh, load, seen, Mechanics())[1] is None
+    assert not any(value[1].any() for value in linearise(path, slopes, theta, seen, noise))

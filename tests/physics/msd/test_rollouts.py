@@ -14,7 +14,8 @@ from physics.mechanics import Bounds, Mechanics
 from physics.mesh import contact_normal
 from physics.msd import reference
 from physics.msd.batch import MeshBatch
-from physics.msd.rollouts import rollout, rollout_field, rollout_heterogeneous
+from physics.msd.rollouts import rollout, rollout_field, rollout_heterogeneous, rollout_sensitivities
+from physics.msd.simulation import simulate_sensitivities
 from tests.physics.batches import batch_of, joined
 from tests.physics.sheets import gripped, hand_mesh, pressed, sheet
 
@@ -126,6 +127,27 @@ def test_gradients_by_heterogeneous_tissue_equal_finite_differences(kind, mechan
             central = ((plus - minus) / (2 * offset[place])).item()
             assert gradients[which][place].item() == pytest.approx(central, rel=1e-4, abs=1e-6 * scale)
     assert bool(gradients[2].any()) == (kind == "patch")
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("kind", ["vertex", "grip"])
+@pytest.mark.parametrize("keep", [1.0, 0.5], ids=["grids", "mixed"])
+def test_sensitivities_are_those_of_numpy(kind, keep, backend):
+    meshes = [sheet(9, 8), sheet(9, 8, keep=keep)]
+    loads = LOADS[kind](meshes)
+    theta = torch.tensor([[0.7, 0.05, -0.1], [0.2, 0.3, -0.4]], dtype=torch.float64)
+    watch = torch.tensor([[31, 30, 3], [5, 6, 20]])
+    path, slopes = rollout_sensitivities(theta.requires_grad_(), *joined(meshes, loads), Mechanics(), backend, watch)
+    assert not path.requires_grad
+    assert not slopes.requires_grad
+    one = rollout_sensitivities(theta, *joined(meshes, loads), Mechanics(), backend)
+    for index, sample in enumerate(zip(meshes, loads, strict=True)):
+        arguments = theta[index].detach().numpy(), *sample, Mechanics()
+        seen = {"watch": watch[index].numpy(), "dtype": np.float64}
+        for values, expected in zip((path, slopes), simulate_sensitivities(*arguments, **seen), strict=True):
+            np.testing.assert_allclose(values[index], expected, atol=1e-7 * np.abs(expected).max())
+        for values, expected in zip(one, simulate_sensitivities(*arguments, dtype=np.float64), strict=True):
+            np.testing.assert_allclose(values[index], expected, atol=1e-7 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("backend", BACKENDS)

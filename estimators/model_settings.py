@@ -35,7 +35,8 @@ def preparation_settings(model: ExportedModel, chosen: Chosen) -> PrepareSetting
     if "source" not in given:
         _require_file(model, "depth", depth.source)
     elif Path(given["source"]).name != depth.source:
-        given.setdefault("preset", None)  # The model's says how to read its own depth network, not the chosen one.
+        # What the model's own depth network needs is not the chosen one's.
+        given = {"model": None, "preset": None} | given
     if masks is None:
         masks = model.metadata.get("masks", "auto")
         # Clips without annotation are the rule outside training.

@@ -38,7 +38,7 @@ class DepthSettings:
     source: str = "auto"
     """auto (stored where the clip has it, else photometric), stored, a preset's name, or the path of an .onnx file."""
     model: str | None = None
-    """ONNX file for a preset that ships none."""
+    """ONNX file for a preset that ships none; with any other source it is refused."""
     preset: str | None = None
     """Preset (name or .yaml file) that says how to read an .onnx path; by default the .yaml file beside it. With any
     other source it is refused."""
@@ -62,7 +62,13 @@ class DepthSettings:
     """Where the depth model runs; cuda needs onnxruntime-gpu."""
 
     def __post_init__(self) -> None:
-        if self.preset is not None and not self.source.lower().endswith(".onnx"):
+        of_file = self.source.lower().endswith(".onnx")
+        if self.model is not None and (of_file or self.source in ("auto", "stored")):
+            raise ValueError(
+                f"depth.model is '{self.model}' and belongs to a preset, while depth.source is {self.source}; give "
+                "that preset as depth.source, or leave depth.model out."
+            )
+        if self.preset is not None and not of_file:
             raise ValueError(
                 f"depth.preset is '{self.preset}' and says how to read an .onnx file, while depth.source is "
                 f"{self.source}; give that file as depth.source, or leave depth.preset out."

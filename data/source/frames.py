@@ -223,7 +223,6 @@ def open_source(path: Path | str, layout: ClipLayout) -> FrameSource:
     try:
         if path.is_dir():
             return FrameFolder(path, layout)
-        path.stat()
         return VideoFile(path, layout.fps)
     except OSError as error:
         raise InputError(f"{printable(path)} can't be opened ({error.strerror}); check the path.") from error

@@ -173,7 +173,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         settings = PrepareSettings(depth=depth, masks=options.masks, layout=layout)
         require_models(settings)
         paths = list_clips(options.root, layout)
-    except InputError as error:
+    except ValueError as error:
         say(errors, str(error))
         return 2
     checks: dict[Path, ClipCheck] = {}

@@ -73,7 +73,11 @@ HEADER = (
 
 def score_clip(path: Path, layout: ClipLayout) -> Scores:
     """Run the automatic mode over a clip and compare it with the annotation; frames without a mask are left out."""
-    source, annotation, automatic = open_source(path, layout), AnnotationMasks(layout, MaskClasses()), AutomaticMasks()
+    source, annotation, automatic = (
+        open_source(path, layout),
+        AnnotationMasks(layout, MaskClasses(), path),
+        AutomaticMasks(),
+    )
     scores = Scores(source.name)
     for frame in source:
         if frame.image is None:

@@ -48,9 +48,9 @@ def pairs(source: FrameSource, layout: ClipLayout, *, tissue_only: bool) -> Iter
     """Photometric and stored depth of the pixels that count, a frame at a time (every third row and column)."""
     stored = open_depth(DepthSettings(source="stored"), layout, source)
     photometric = open_depth(DepthSettings(source="photometric"), layout, source)
-    masks = open_masks("annotation", layout, MaskClasses())
+    masks = open_masks("annotation", layout, MaskClasses(), source.path)
     for frame in source:
-        labels, truth, estimate = masks(frame), stored(frame).depth, photometric(frame).depth
+        labels, truth, estimate = masks(frame), stored(frame), photometric(frame)
         counts = (labels == TISSUE) if tissue_only else (labels != TOOL)
         counts = counts & (truth > 0) & (estimate > 0)
         counts &= truth < FAR_MULTIPLE * np.median(truth[truth > 0])

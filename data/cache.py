@@ -17,16 +17,18 @@ import time
 import uuid
 from collections import Counter
 from collections.abc import Generator, Mapping
+from os.path import isfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from data.depth.preset import resolve_model
+from data.masks.sources import mask_model
 from data.prepared import STATUSES, PreparedFrame
 from data.settings import PrepareSettings
 from data.source.camera import Camera, clip_camera
-from data.source.layout import InputError, is_file
+from data.source.layout import InputError
 from physics.mesh import Mesh
 from physics.provenance import code_digest
 
@@ -68,7 +70,6 @@ HASHED_BYTES = 64 * 2**20
 """Models up to this size are known by their content, larger ones by size and time of change."""
 STALE_SECONDS = 86400.0
 """Unfinished folders untouched for longer are left over from a killed process."""
-MASK_KINDS = ("annotation", "automatic", "auto")
 NOT_STORED = (
     ("depth", "threads"),
     ("depth", "device"),
@@ -114,14 +115,10 @@ def require_models(settings: PrepareSettings) -> list[tuple[Path, str]]:
         kind = "photometric" if settings.depth.source == "auto" else settings.depth.source
         model, preset = resolve_model(kind, settings.depth.model, settings.depth.preset)
         models.append((model, preset.identity))
-    if settings.masks.lower().endswith(".onnx"):
-        model = Path(settings.masks)
-        beside = model.with_suffix(".yaml")
-        if not is_file(model):
-            raise InputError(f"{model} does not exist; check the path of the mask model.")
-        models.append((model, beside.read_text(encoding="utf-8") if is_file(beside) else ""))
-    elif settings.masks not in MASK_KINDS:
-        raise InputError(f"masks '{settings.masks}' is unknown; choose {', '.join(MASK_KINDS)} or an .onnx file.")
+    segmentation = mask_model(settings.masks)
+    if segmentation is not None:
+        beside = segmentation.with_suffix(".yaml")
+        models.append((segmentation, beside.read_text(encoding="utf-8") if isfile(beside) else ""))
     return models
 
 

@@ -20,19 +20,14 @@ import numpy as np
 from data.cache import CacheEntry, PreparedClip, cache_key
 from data.contact.geometry import GeometryStatus, frame_geometry
 from data.contact.motion import ContactMotion
-from data.depth.normalise import (
-    DepthError,
-    DepthSource,
-    estimate_scale,
-    normalise,
-    open_depth,
-    resize_depth,
-)
+from data.depth.normalise import estimate_scale, normalise, open_depth, resize_depth
+from data.depth.sources import DepthSource
 from data.masks.sources import MaskError, MaskSource, chosen_kind, open_masks
 from data.prepared import PreparedFrame
 from data.settings import PrepareSettings
 from data.source.camera import Camera, Undistortion, clip_camera
-from data.source.frames import Frame, FrameSource, InputError, open_source
+from data.source.frames import Frame, FrameSource, open_source
+from data.source.layout import InputError
 
 
 @dataclass(frozen=True)
@@ -65,7 +60,7 @@ class ClipStream:
         self.seconds: dict[str, float] = defaultdict(float)
         """Time spent so far by stage [s]."""
         if inputs is None:
-            self._masks = open_masks(settings.masks, settings.layout, settings.classes)
+            self._masks = open_masks(settings.masks, settings.layout, settings.classes, source.path)
             self._depth = open_depth(settings.depth, settings.layout, source)
             camera = clip_camera(source.path, settings.layout)
         else:
@@ -119,7 +114,7 @@ class ClipStream:
         """Prepared frames from the clip's beginning, one for each of its frames, up to five frames late.
 
         Raises:
-            InputError: the clip can't be masked the chosen way at all.
+            InputError: the segmentation model fails on the clip's pictures.
         """
         self._masks.reset()
         motion = ContactMotion(
@@ -154,7 +149,7 @@ class ClipStream:
     def _fix_scale(self) -> tuple[float, float | None]:
         try:
             return estimate_scale(self.source, self._depth, self.settings.depth)
-        except DepthError as error:
+        except InputError as error:
             self._scale_error = str(error)
             return math.nan, None
 
@@ -191,8 +186,8 @@ class ClipStream:
             return nothing, self._scale_error
         try:
             with self._timed("depth"):
-                return self._depth(frame).depth, ""
-        except DepthError as error:
+                return self._depth(frame), ""
+        except InputError as error:
             return nothing, str(error)
 
     def _beyond_scale(self, depth: np.ndarray) -> str:
@@ -256,8 +251,6 @@ def prepare(
         InputError: the clip can't be prepared, or the cache can't be written.
     """
     path, source = Path(path), open_source(path, settings.layout)
-    if not path.exists():  # a camera
-        raise InputError(f"{path} is no file or folder, so it can't be prepared ahead; record it first.")
     entry = CacheEntry(Path(cache_dir), source.name, cache_key(path, settings))
     found = entry.load(path)
     if found is not None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import reprlib
 from collections.abc import Mapping
+from os.path import isfile
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
@@ -12,11 +13,12 @@ from data.contact.geometry import GeometrySettings
 from data.depth.model import DepthModel
 from data.depth.normalise import DepthSettings
 from data.depth.preset import resolve_model
-from data.masks.sources import MaskClasses, open_masks
+from data.masks.onnx import OnnxMasks
+from data.masks.sources import MaskClasses, mask_model
 from data.settings import PrepareSettings
-from data.source.layout import is_file
 from estimators.contract import Chosen
-from models.onnx_session import ExportedModel, ModelFileError, fits
+from models.onnx_session import ExportedModel, ModelFileError
+from physics.fields import fits
 
 Settings = TypeVar("Settings")
 
@@ -33,7 +35,8 @@ def preparation_settings(model: ExportedModel, chosen: Chosen) -> PrepareSetting
     if "source" not in given:
         _require_file(model, "depth", depth.source)
     elif Path(given["source"]).name != depth.source:
-        given.setdefault("preset", None)  # The model's says how to read its own depth network, not the chosen one.
+        # What the model's own depth network needs is not the chosen one's.
+        given = {"model": None, "preset": None} | given
     if masks is None:
         masks = model.metadata.get("masks", "auto")
         # Clips without annotation are the rule outside training.
@@ -57,7 +60,7 @@ def preparation_settings(model: ExportedModel, chosen: Chosen) -> PrepareSetting
 
 def _require_file(model: ExportedModel, option: str, name: str) -> None:
     """Ask for a model file whose name, without a path, the metadata gives."""
-    if name.endswith(".onnx") and not is_file(Path(name)):
+    if name.endswith(".onnx") and not isfile(Path(name)):
         raise ModelFileError(
             f"{model.path} was trained with {option} from {name}; give that file's path as --{option}."
         )
@@ -70,7 +73,9 @@ def check_sources(settings: PrepareSettings) -> None:
         InputError: one can't be used.
     """
     depth = settings.depth
-    open_masks(settings.masks, settings.layout, settings.classes)
+    segmentation = mask_model(settings.masks)
+    if segmentation is not None:
+        OnnxMasks(segmentation)
     if depth.source not in ("auto", "stored"):
         DepthModel(*resolve_model(depth.source, depth.model, depth.preset), threads=depth.threads, device=depth.device)
 

@@ -8,16 +8,16 @@ from __future__ import annotations
 
 import json
 import reprlib
-import types
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, Union, get_args, get_origin
+from typing import Any, Literal
 
 import numpy as np
 import onnxruntime
 from onnxruntime.capi import onnxruntime_pybind11_state as runtime_errors  # ty: ignore[missing-module-member]  compiled
 
 from models.calibration import Calibration
+from physics.fields import fits
 
 METADATA_KEY = "palpate"
 """Key of the custom metadata entry that holds everything inference needs, as one JSON document."""
@@ -186,32 +186,6 @@ def open_model(path: str | Path, threads: int | None = None) -> ParameterModel |
     """Open a file as the kind it is; arguments and errors as of `ExportedModel`."""
     posterior = ExportedModel(path, threads).metadata.get("head") == POSTERIOR
     return PosteriorModel(path, threads) if posterior else ParameterModel(path, threads)
-
-
-def fits(value: Any, kind: Any) -> bool:
-    """Whether a value read from JSON is of a kind.
-
-    Args:
-        kind: an annotation (float takes whole numbers and tuple lists), a range of whole numbers, or a dictionary of
-            the kinds of a mapping's fields, those that it has.
-    """
-    if isinstance(kind, range):
-        return type(value) is int and value in kind
-    if isinstance(kind, dict):
-        return isinstance(value, dict) and all(fits(value[name], kind[name]) for name in kind if name in value)
-    origin, inner = get_origin(kind), get_args(kind)
-    if origin in (Union, types.UnionType):
-        return any(fits(value, each) for each in inner)
-    if origin is Literal:
-        return value in inner
-    if origin is tuple:
-        if not isinstance(value, (list, tuple)):
-            return False
-        kinds = inner[:1] * len(value) if inner[-1] is Ellipsis else inner
-        return len(value) == len(kinds) and all(map(fits, value, kinds))
-    if origin is dict:
-        return type(value) is dict and all(fits(name, inner[0]) and fits(value[name], inner[1]) for name in value)
-    return kind is Any or type(value) is kind or (kind is float and type(value) is int)
 
 
 def _open_session(path: Path, threads: int | None) -> onnxruntime.InferenceSession:

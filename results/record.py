@@ -13,13 +13,13 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
+from os.path import isfile
 from pathlib import Path
 from typing import Any
 
 from data.clip import ClipStream
 from data.settings import PREPROCESSING_VERSION, PrepareSettings
 from data.source.frames import FrameSource
-from data.source.layout import is_file
 from estimators.estimate import FrameEstimate
 from models.onnx_session import ExportedModel, PosteriorModel
 from physics.provenance import ROOT, code_digest
@@ -230,7 +230,7 @@ def _named_files(settings: PrepareSettings) -> dict[str, str]:
     named |= {"masks": settings.masks, "camera": settings.layout.camera}
     paths = {name: Path(value) for name, value in named.items() if value is not None}
     paths |= {f"{name}, yaml": path.with_suffix(".yaml") for name, path in paths.items() if path.suffix == ".onnx"}
-    return {name: sha256_of(path) for name, path in paths.items() if is_file(path)}
+    return {name: sha256_of(path) for name, path in paths.items() if isfile(path)}
 
 
 @functools.cache

@@ -21,8 +21,9 @@ from data.command_line import path_option, progress_bars, say
 from data.depth.preset import preset_names
 from data.prepared import PreparedFrame
 from data.source.camera import load_camera
-from data.source.frames import CAMERA_PREFIX, discover, open_source, printable
-from data.source.layout import ClipLayout, InputError, load_layout
+from data.source.frames import discover, open_source
+from data.source.images import printable
+from data.source.layout import ClipLayout, load_layout
 from estimators.contract import Chosen, ClipInfo, Said
 from estimators.estimate import FrameEstimate
 from estimators.model_settings import check_sources
@@ -121,8 +122,6 @@ class Batch:
         failed = []
         for given in self.options.inputs:
             try:
-                if str(given).startswith(CAMERA_PREFIX):
-                    raise InputError(f"{given} is a live camera; record it to a video file and give that.")
                 found |= dict.fromkeys(discover([given], self.settings.layout))
             except ValueError as error:
                 failed.append(self._failure(given, error))

@@ -464,6 +464,19 @@ def test_depth_preset_that_nothing_reads_is_refused(
     assert capsys.readouterr().err == told
 
 
+@pytest.mark.parametrize("depth", [(), ("--depth", "stored"), ("--depth", "network.onnx")])
+def test_depth_model_that_nothing_reads_is_refused(
+    depth: tuple[str, ...], clips: Path, model: Path, capsys: pytest.CaptureFixture
+) -> None:
+    source = depth[1] if depth else "auto"
+    told = (
+        f"infer.py: --depth-model is 'banana.onnx' and belongs to a preset, while --depth is {source}; "
+        "give that preset as --depth, or leave --depth-model out.\n"
+    )
+    assert call(clips, *depth, "--depth-model", "banana.onnx") == 2
+    assert capsys.readouterr().err == told
+
+
 def test_input_that_is_not_there_or_holds_nothing(clips: Path, model: Path, capsys: pytest.CaptureFixture) -> None:
     (clips / "nothing").mkdir()
     assert call(clips.parent / "nowhere.mp4", "--output", str(clips.parent / "out")) == 2

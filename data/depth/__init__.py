@@ -12,8 +12,8 @@ from physics.lazy import exported
 __getattr__ = exported(
     {
         "data.depth.normalise": ("DepthSettings", "estimate_scale", "open_depth"),
-        "data.depth.sources": ("DepthMap", "DepthSource", "ModelDepth", "StoredDepth"),
+        "data.depth.sources": ("DepthSource", "ModelDepth", "StoredDepth"),
         "data.depth.model": ("DepthModel",),
-        "data.depth.preset": ("DepthError", "DepthPreset", "load_preset", "preset_names"),
+        "data.depth.preset": ("DepthPreset", "load_preset", "preset_names"),
     }
 )

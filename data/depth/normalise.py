@@ -15,23 +15,12 @@ import cv2
 import numpy as np
 
 from data.depth.model import DepthModel, RawDepth
-from data.depth.preset import DepthError, resolve_model
-from data.depth.sources import DepthMap, DepthSource, ModelDepth, StoredDepth
+from data.depth.preset import resolve_model
+from data.depth.sources import DepthSource, ModelDepth, StoredDepth
 from data.labels import TISSUE, TOOL
 from data.source.camera import clip_camera
 from data.source.frames import FrameSource
-from data.source.layout import ClipLayout, matches
-
-__all__ = [
-    "DepthError",
-    "DepthMap",
-    "DepthSettings",
-    "DepthSource",
-    "estimate_scale",
-    "normalise",
-    "open_depth",
-    "resize_depth",
-]
+from data.source.layout import ClipLayout, InputError, matches
 
 FAR_QUANTILE = 0.999
 """A frame's largest depth is this quantile of its valid depth: single wild pixels don't count."""
@@ -49,7 +38,7 @@ class DepthSettings:
     source: str = "auto"
     """auto (stored where the clip has it, else photometric), stored, a preset's name, or the path of an .onnx file."""
     model: str | None = None
-    """ONNX file for a preset that ships none."""
+    """ONNX file for a preset that ships none; with any other source it is refused."""
     preset: str | None = None
     """Preset (name or .yaml file) that says how to read an .onnx path; by default the .yaml file beside it. With any
     other source it is refused."""
@@ -73,7 +62,13 @@ class DepthSettings:
     """Where the depth model runs; cuda needs onnxruntime-gpu."""
 
     def __post_init__(self) -> None:
-        if self.preset is not None and not self.source.lower().endswith(".onnx"):
+        of_file = self.source.lower().endswith(".onnx")
+        if self.model is not None and (of_file or self.source in ("auto", "stored")):
+            raise ValueError(
+                f"depth.model is '{self.model}' and belongs to a preset, while depth.source is {self.source}; give "
+                "that preset as depth.source, or leave depth.model out."
+            )
+        if self.preset is not None and not of_file:
             raise ValueError(
                 f"depth.preset is '{self.preset}' and says how to read an .onnx file, while depth.source is "
                 f"{self.source}; give that file as depth.source, or leave depth.preset out."
@@ -82,30 +77,24 @@ class DepthSettings:
             raise ValueError(f"depth.near is {self.near} and depth.far {self.far}; give 0 < near < far.")
         if not 0 < self.field_of_view_deg < 180:
             raise ValueError(f"depth.field_of_view_deg is {self.field_of_view_deg}; give degrees between 0 and 180.")
-        if self.scale is not None and not 0 < self.scale < math.inf:
-            raise ValueError(f"depth.scale is {self.scale}; give a positive number or leave it out.")
-        if not 0 < self.scale_seconds < math.inf:
-            raise ValueError(f"depth.scale_seconds is {self.scale_seconds}; give a positive number of seconds.")
-        if self.scale_samples < 1:
-            raise ValueError(f"depth.scale_samples is {self.scale_samples}; give at least 1.")
-        if self.bits not in (8, 16):
-            raise ValueError(f"depth.bits is {self.bits}; choose 8 or 16.")
-        if self.threads < 0:
-            raise ValueError(f"depth.threads is {self.threads}; give 0 or more.")
-        if self.device not in ("cpu", "cuda"):
-            raise ValueError(f"depth.device is '{self.device}'; choose cpu or cuda.")
+        for name in ("scale", "scale_seconds"):
+            if getattr(self, name) is not None and not 0 < getattr(self, name) < math.inf:
+                raise ValueError(f"depth.{name} is {getattr(self, name)}; give a positive number.")
+        for name, least in (("scale_samples", 1), ("threads", 0)):
+            if getattr(self, name) < least:
+                raise ValueError(f"depth.{name} is {getattr(self, name)}; give at least {least}.")
 
 
 def open_depth(settings: DepthSettings, layout: ClipLayout, source: FrameSource) -> DepthSource:
     """The depth source of one clip; open it anew for every clip, because it holds what is frozen for the clip.
 
     Raises:
-        DepthError: no stored depth, or a model or preset that can't be used.
+        InputError: no stored depth, or a model or preset that can't be used.
     """
     kind = settings.source
-    folder = source.path.is_dir()
     if kind == "auto":
-        kind = "stored" if folder and layout.depth is not None and matches(source.path, layout.depth) else "photometric"
+        stored = source.path.is_dir() and layout.depth is not None and matches(source.path, layout.depth)
+        kind = "stored" if stored else "photometric"
     if kind == "stored":
         return StoredDepth(layout, source.path)
     path, preset = resolve_model(kind, settings.model, settings.preset)
@@ -122,7 +111,7 @@ def open_depth(settings: DepthSettings, layout: ClipLayout, source: FrameSource)
 def estimate_scale(source: FrameSource, depth: DepthSource, settings: DepthSettings) -> tuple[float, float | None]:
     """Freeze what is fixed for the clip and return its scale and its focal length.
 
-    Reads evenly spaced frames from the first usable one on, for at most `scale_seconds` (a live camera is watched
+    Reads evenly spaced frames from the first usable one on, for at most `scale_seconds` (a live source is watched
     that long). A frame's largest depth is min(99.9 % quantile, 3 × median) of its valid depth, the clip's scale D_max
     the 90 % quantile (lower sample) of those; `settings.scale`, else the `depth_scale` of the clip's own file for
     stored depth, replaces it.
@@ -131,7 +120,7 @@ def estimate_scale(source: FrameSource, depth: DepthSource, settings: DepthSetti
         D_max [unit of the source] and the model's median focal length for the source's width [px], or None.
 
     Raises:
-        DepthError: no frame has usable depth.
+        InputError: no frame has usable depth.
     """
     known = settings.scale if settings.scale is not None else depth.known_scale
     if known is not None and not depth.depends_on_clip:
@@ -141,16 +130,12 @@ def estimate_scale(source: FrameSource, depth: DepthSource, settings: DepthSetti
     if samples:
         depth.freeze(samples)
     maps = [depth.convert(sample) for sample in samples]
-    extents = [_largest_depth(map_.depth) for map_ in maps if map_.depth.any()]
+    extents = [_largest_depth(map_) for map_ in maps if map_.any()]
     if not extents:
         reason = problems[0] if problems else "choose another source with depth.source."
-        raise DepthError(f"{source.path} has no frame with usable depth; {reason}")
-    focal = maps[0].focal_px
-    width = samples[0].values.shape[1]
-    focal_px = None if focal is None else focal / width * source.size[0]
-    if known is not None:
-        return known, focal_px
-    return float(np.quantile(extents, CLIP_QUANTILE, method="lower")), focal_px
+        raise InputError(f"{source.path} has no frame with usable depth; {reason}")
+    scale = float(np.quantile(extents, CLIP_QUANTILE, method="lower")) if known is None else known
+    return scale, None if depth.focal is None else depth.focal * source.size[0]
 
 
 def _samples(
@@ -171,7 +156,7 @@ def _samples(
             continue
         try:
             sample = depth.observe(frame)
-        except DepthError as error:
+        except InputError as error:
             problems.append(str(error))
             continue
         if not taken:
@@ -239,9 +224,8 @@ def resize_depth(
     def resized(map_: np.ndarray) -> np.ndarray:
         return cv2.resize(map_, (width, height), interpolation=interpolation)
 
-    present = np.flatnonzero(np.bincount(labels.ravel(), minlength=256))
-    order = [value for value in (TOOL, TISSUE) if value in present]
-    order += [int(value) for value in present if value not in order]
+    present = np.flatnonzero(np.bincount(labels.ravel()))
+    order = sorted(present, key=lambda value: (value != TOOL, value != TISSUE, value))
     members = [(labels == value).astype(np.float32) for value in order]
     shares = np.stack([resized(member) for member in members])
     winner = shares.argmax(axis=0)

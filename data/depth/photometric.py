@@ -5,7 +5,7 @@ I ∝ ρ·cosθ/R², θ being the angle between its normal and the ray. With R =
 optical axis, and a surface parallel to the image plane (θ = α), z = cos^1.5(α)·sqrt(ρ/I): relative depth for one albedo
 and one exposure.
 
-`python -m data.depth.photometric` writes the file that is shipped beside this module.
+`python -m data.depth.photometric` writes it; the file that is shipped beside this module gives the same to the bit.
 """
 
 from __future__ import annotations
@@ -22,41 +22,69 @@ from typing import Any
 
 import numpy as np
 import onnx
-from onnx import TensorProto, helper, numpy_helper
+from onnx.inliner import inline_local_functions
+from onnxscript import FLOAT, opset18, script
 
 from physics.files import replacing
 
+op: Any = opset18
 SHIPPED = Path(__file__).with_name("photometric.onnx")
-RED, GREEN = 0.7, 0.3
+CHANNELS = onnx.numpy_helper.from_array(np.array([[[[0.7]], [[0.3]], [[0]]]], np.float32))
 """Weights of the linear channels. Blood absorbs green and blue, so red varies least with albedo; green helps where red
 saturates."""
 WINDOW = 9
 """Window of the morphological filters [px of the network's input, 428 wide]: highlights and vessels are narrower."""
 TOLERANCE = 1.2
 """Factor by which brightness may differ from the filtered one before it is pulled to it."""
-SIGMA = 6.0
-"""Standard deviation of the smoothing [px of the network's input]."""
+RADIUS = 18
+"""Half of the smoothing's kernel, three standard deviations [px of the network's input]."""
+WEIGHTS = np.exp(-0.5 * (np.arange(-RADIUS, RADIUS + 1) / (RADIUS / 3)) ** 2)
+WEIGHTS /= WEIGHTS.sum()
+DOWN = onnx.numpy_helper.from_array(WEIGHTS.astype(np.float32).reshape(1, 1, -1, 1))
+ACROSS = onnx.numpy_helper.from_array(WEIGHTS.astype(np.float32).reshape(1, 1, 1, -1))
 DARKEST = 0.005
 """Linear brightness (white = 1) under which sensor noise decides: such pixels are invalid (15 of 255 in sRGB)."""
 
 
-class _Graph:
-    """Collects nodes and constants; every call returns the name of its result."""
+@script()
+def _luminance(image):
+    """Linear brightness [1, 1, H, W]: sRGB undone (IEC 61966-2-1), red and green weighted."""
+    high = ((image + 0.055) / 1.055) ** 2.4
+    linear = op.Where(image <= 0.04045, image / 12.92, high)
+    return op.Conv(linear, op.Constant(value=CHANNELS))
 
-    def __init__(self) -> None:
-        self.nodes: list[onnx.NodeProto] = []
-        self.constants: list[onnx.TensorProto] = []
 
-    def constant(self, value: float | list[int] | np.ndarray, dtype: type = np.float32) -> str:
-        name = f"c{len(self.constants)}"
-        self.constants.append(numpy_helper.from_array(np.asarray(value, dtype), name))
-        return name
+@script()
+def _largest(values):
+    return op.MaxPool(values, kernel_shape=[WINDOW, WINDOW], pads=[WINDOW // 2, WINDOW // 2, WINDOW // 2, WINDOW // 2])
 
-    def node(self, kind: str, *inputs: str | float, **attributes: Any) -> str:
-        names = [item if isinstance(item, str) else self.constant(item) for item in inputs]
-        name = f"n{len(self.nodes)}"
-        self.nodes.append(helper.make_node(kind, names, [name], name=f"{kind.lower()}_{name}", **attributes))
-        return name
+
+@script()
+def _despeckle(brightness):
+    """Brightness with narrow highlights (opening) and narrow dark lines (closing) pulled in."""
+    opened = _largest(-_largest(-brightness))
+    filtered = -_largest(-_largest(opened))
+    return op.Max(op.Min(brightness, filtered * TOLERANCE), filtered / TOLERANCE)
+
+
+@script()
+def _blurred(values):
+    vertical = op.Conv(values, op.Constant(value=DOWN), pads=[RADIUS, 0, RADIUS, 0])
+    return op.Conv(vertical, op.Constant(value=ACROSS), pads=[0, RADIUS, 0, RADIUS])
+
+
+@script()
+def _smooth(brightness):
+    """Gaussian mean over usable pixels only (normalised convolution, also at the picture's border); 0 elsewhere."""
+    usable = op.Cast(brightness > DARKEST, to=onnx.TensorProto.FLOAT)
+    return _blurred(brightness * usable) / op.Max(_blurred(usable), 1e-6) * usable
+
+
+@script()
+def _centred(size):
+    """Index of every pixel along a side, from the picture's centre."""
+    indices = op.Cast(op.Range(0, op.Squeeze(size), 1), to=onnx.TensorProto.FLOAT)
+    return indices - (op.Cast(size, to=onnx.TensorProto.FLOAT) - 1.0) / 2.0
 
 
 def build_photometric(field_of_view_deg: float = 60.0) -> onnx.ModelProto:
@@ -73,92 +101,26 @@ def build_photometric(field_of_view_deg: float = 60.0) -> onnx.ModelProto:
     """
     if not 0 < field_of_view_deg < 180:
         raise ValueError(f"The field of view is {field_of_view_deg}; give degrees between 0 and 180.")
-    graph = _Graph()
-    brightness = _smooth(graph, *_despeckle(graph, _luminance(graph)))
-    cosine = _ray_cosine(graph, math.tan(math.radians(field_of_view_deg) / 2))
-    lit = graph.node("Greater", brightness, DARKEST)
-    distance = graph.node("Reciprocal", graph.node("Sqrt", graph.node("Max", brightness, DARKEST)))
-    depth = graph.node("Mul", graph.node("Pow", cosine, 1.5), distance)
-    kept = graph.node("Where", lit, depth, 0.0)
-    graph.nodes.append(helper.make_node("Squeeze", [kept, graph.constant([1], np.int64)], ["depth"], name="output"))
-    model = helper.make_model(
-        helper.make_graph(
-            graph.nodes,
-            "photometric_depth",
-            [helper.make_tensor_value_info("image", TensorProto.FLOAT, [1, 3, "height", "width"])],
-            [helper.make_tensor_value_info("depth", TensorProto.FLOAT, [1, "height", "width"])],
-            graph.constants,
-        ),
-        opset_imports=[helper.make_opsetid("", 18)],
-        ir_version=9,
-        producer_name="palpate",
-    )
+    # Pixels span so much from the left edge to the right one; pixels are square.
+    span = 2 * math.tan(math.radians(field_of_view_deg) / 2)
+
+    @script()
+    def photometric_depth(image):
+        brightness = _smooth(_despeckle(_luminance(image)))
+        height, width = op.Shape(image, start=2, end=3), op.Shape(image, start=3, end=4)
+        pitch = span / op.Cast(width, to=onnx.TensorProto.FLOAT)
+        across = op.Reshape(_centred(width) * pitch, op.Constant(value_ints=[1, 1, 1, -1]))
+        down = op.Reshape(_centred(height) * pitch, op.Constant(value_ints=[1, 1, -1, 1]))
+        cosine = op.Reciprocal(op.Sqrt(down * down + across * across + 1.0))
+        distance = op.Reciprocal(op.Sqrt(op.Max(brightness, DARKEST)))
+        kept = op.Where(brightness > DARKEST, cosine**1.5 * distance, 0.0)
+        depth = op.Squeeze(kept, op.Constant(value_ints=[1]))
+        return depth  # noqa: RET504  the name is the output's
+
+    types = {"input_types": [FLOAT[1, 3, "height", "width"]], "output_types": [FLOAT[1, "height", "width"]]}
+    model = inline_local_functions(photometric_depth.to_model_proto(**types, ir_version=9, producer_name="palpate"))
     onnx.checker.check_model(model, full_check=True)
     return model
-
-
-def _luminance(graph: _Graph) -> str:
-    """Linear brightness [1, 1, H, W]: sRGB undone (IEC 61966-2-1), red and green weighted."""
-    low = graph.node("Div", "image", 12.92)
-    high = graph.node("Pow", graph.node("Div", graph.node("Add", "image", 0.055), 1.055), 2.4)
-    linear = graph.node("Where", graph.node("LessOrEqual", "image", 0.04045), low, high)
-    return graph.node("Conv", linear, graph.constant(np.array([RED, GREEN, 0.0]).reshape(1, 3, 1, 1)))
-
-
-def _despeckle(graph: _Graph, brightness: str) -> tuple[str, str]:
-    """Brightness with narrow highlights (opening) and narrow dark lines (closing) pulled in, and where it is usable."""
-
-    def pool(name: str) -> str:
-        return graph.node("MaxPool", name, kernel_shape=[WINDOW, WINDOW], pads=[WINDOW // 2] * 4)
-
-    def negative_pool(name: str) -> str:
-        return graph.node("Neg", pool(graph.node("Neg", name)))
-
-    opened = pool(negative_pool(brightness))
-    filtered = negative_pool(pool(opened))
-    upper = graph.node("Min", brightness, graph.node("Mul", filtered, TOLERANCE))
-    limited = graph.node("Max", upper, graph.node("Div", filtered, TOLERANCE))
-    usable = graph.node("Cast", graph.node("Greater", limited, DARKEST), to=TensorProto.FLOAT)
-    return limited, usable
-
-
-def _smooth(graph: _Graph, brightness: str, usable: str) -> str:
-    """Gaussian mean over usable pixels only (normalised convolution, also at the picture's border); 0 elsewhere."""
-    radius = math.ceil(3 * SIGMA)
-    weights = np.exp(-0.5 * (np.arange(-radius, radius + 1) / SIGMA) ** 2)
-    weights /= weights.sum()
-
-    def blur(name: str) -> str:
-        down = graph.constant(weights.reshape(1, 1, -1, 1))
-        across = graph.constant(weights.reshape(1, 1, 1, -1))
-        vertical = graph.node("Conv", name, down, pads=[radius, 0, radius, 0])
-        return graph.node("Conv", vertical, across, pads=[0, radius, 0, radius])
-
-    total = blur(graph.node("Mul", brightness, usable))
-    share = graph.node("Max", blur(usable), 1e-6)
-    return graph.node("Mul", graph.node("Div", total, share), usable)
-
-
-def _ray_cosine(graph: _Graph, half_width: float) -> str:
-    """cosα of every pixel's ray to the optical axis [1, 1, H, W]; `half_width` is tan(field of view / 2)."""
-    height, width = (graph.node("Shape", "image", start=axis, end=axis + 1) for axis in (2, 3))
-    # Pixels span half_width from the centre to the left and right edges; pixels are square.
-    width_px = graph.node("Cast", width, to=TensorProto.FLOAT)
-    pitch = graph.node("Div", 2 * half_width, width_px)
-
-    def squares(size: str, shape: list[int]) -> str:
-        scalar = graph.node("Squeeze", size)
-        indices = graph.node("Range", graph.constant(0, np.int64), scalar, graph.constant(1, np.int64))
-        centred = graph.node(
-            "Sub",
-            graph.node("Cast", indices, to=TensorProto.FLOAT),
-            graph.node("Div", graph.node("Sub", graph.node("Cast", size, to=TensorProto.FLOAT), 1.0), 2.0),
-        )
-        slope = graph.node("Reshape", graph.node("Mul", centred, pitch), graph.constant(shape, np.int64))
-        return graph.node("Mul", slope, slope)
-
-    offsets = graph.node("Add", squares(height, [1, 1, -1, 1]), squares(width, [1, 1, 1, -1]))
-    return graph.node("Reciprocal", graph.node("Sqrt", graph.node("Add", offsets, 1.0)))
 
 
 def write_photometric(path: Path, field_of_view_deg: float = 60.0) -> None:

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 
 from data.depth.model import DepthModel, RawDepth
-from data.depth.preset import DepthError
-from data.source.frames import Frame, read_image
+from data.source.frames import Frame
+from data.source.images import read_image
 from data.source.layout import ClipLayout, InputError, companion, matches, read_clip_file
 
 LEAST_VALID = 0.01
@@ -24,16 +22,6 @@ RANGE_QUANTILES = (0.001, 0.999)
 """Ends of a frame's range of relative inverse depth."""
 MOST_PIXELS = 16
 """Stored maps have at most so many times their picture's pixels; larger ones are not even unpacked."""
-
-
-@dataclass(frozen=True)
-class DepthMap:
-    """Depth of one frame."""
-
-    depth: np.ndarray
-    """Shape [H, W] float32; positive, in one unit for the whole clip; 0 = invalid."""
-    focal_px: float | None = None
-    """Focal length that the model estimated, fixed for the clip, for the map's width [px]."""
 
 
 class DepthSource(ABC):
@@ -47,12 +35,14 @@ class DepthSource(ABC):
     """Depth that the clip's own file declares as z = 1."""
     depends_on_clip: bool = False
     """Whether `freeze` has anything to fix."""
+    focal: float | None = None
+    """Focal length that the model estimated, fixed for the clip, as a multiple of the picture's width."""
 
-    def __call__(self, frame: Frame) -> DepthMap:
-        """Depth of a frame with an image.
+    def __call__(self, frame: Frame) -> np.ndarray:
+        """Depth of a frame with an image, shape [H, W] float32; positive, in one unit for the whole clip; 0 = invalid.
 
         Raises:
-            DepthError: this frame's depth is unusable.
+            InputError: this frame's depth is unusable.
         """
         return self.convert(self.observe(frame))
 
@@ -65,7 +55,7 @@ class DepthSource(ABC):
         """Fix the clip's constants from samples of its frames (at least one; thumbnails will do)."""
 
     @abstractmethod
-    def convert(self, raw: RawDepth) -> DepthMap:
+    def convert(self, raw: RawDepth) -> np.ndarray:
         """Depth from what `observe` gave, or from a thumbnail of it."""
 
 
@@ -76,22 +66,22 @@ class StoredDepth(DepthSource):
 
     def __init__(self, layout: ClipLayout, clip: Path) -> None:
         if not clip.is_dir():
-            raise DepthError(f"{clip} is no folder, so it has no stored depth; choose a depth model with depth.source.")
+            raise InputError(f"{clip} is no folder, so it has no stored depth; choose a depth model with depth.source.")
         if layout.depth is None or not matches(clip, layout.depth):
             pattern = layout.depth or "layout.depth is empty"
-            raise DepthError(f"{clip} has no stored depth ({pattern}); choose a depth model with depth.source.")
+            raise InputError(f"{clip} has no stored depth ({pattern}); choose a depth model with depth.source.")
         self._layout, self._pattern = layout, layout.depth
         fields = (layout.depth, layout.depth_key, layout.depth_kind, layout.depth_factor)
-        self.known_scale = _declared_scale(clip)
+        self.known_scale = read_clip_file(clip).get("depth_scale")
         digest = hashlib.sha256(json.dumps([*fields, self.known_scale]).encode())
         self.identity = f"stored:{digest.hexdigest()[:16]}"
 
     def observe(self, frame: Frame) -> RawDepth:
         """Depth of the frame's file, at the frame's size (nearest pixel where the sizes differ)."""
-        if frame.path is None or frame.image is None:
-            raise DepthError(f"Frame {frame.number} has no image file, so it has no stored depth.")
+        if frame.path is None:
+            raise InputError(f"Frame {frame.number} has no image file, so it has no stored depth.")
         path = companion(self._layout, frame.path, self._pattern)
-        height, width = frame.image.shape[:2]
+        height, width = frame.picture.shape[:2]
         values, largest = _read_map(path, self._layout.depth_key, MOST_PIXELS * height * width)
         check_map(values, str(path), signed=False)
         factor = self._layout.depth_factor
@@ -101,7 +91,7 @@ class StoredDepth(DepthSource):
             depth = values * (factor / largest)
         if depth.shape != (height, width):
             if abs(depth.shape[1] * height - depth.shape[0] * width) > max(height, width, *depth.shape):
-                raise DepthError(
+                raise InputError(
                     f"{path} is {depth.shape[1]}x{depth.shape[0]} while its frame is {width}x{height}; "
                     "store depth in the frame's aspect."
                 )
@@ -111,8 +101,8 @@ class StoredDepth(DepthSource):
     def freeze(self, samples: Sequence[RawDepth]) -> None:
         """Nothing of stored depth depends on the clip's frames."""
 
-    def convert(self, raw: RawDepth) -> DepthMap:
-        return DepthMap(positive(raw.values))
+    def convert(self, raw: RawDepth) -> np.ndarray:
+        return positive(raw.values)
 
 
 class ModelDepth(DepthSource):
@@ -130,7 +120,6 @@ class ModelDepth(DepthSource):
         self._model, self._preset = model, model.preset
         self._near, self._far = near, far
         self._default_focal, self._known_focal = default_focal, known_focal
-        self._model_focal: float | None = None
         self._range = (0.0, 1.0)
         self._frozen = False
         self.metric = self._preset.metric
@@ -140,9 +129,7 @@ class ModelDepth(DepthSource):
 
     def observe(self, frame: Frame) -> RawDepth:
         """The network's output, checked."""
-        if frame.image is None:
-            raise DepthError(f"Frame {frame.number} has no image ({frame.error}).")
-        raw = self._model.raw(frame.image)
+        raw = self._model.raw(frame.picture)
         named = f"The output of {self._model.path} for frame {frame.number}"
         check_map(raw.values, named, signed=self._preset.kind == "relative_inverse")
         return raw
@@ -150,30 +137,27 @@ class ModelDepth(DepthSource):
     def freeze(self, samples: Sequence[RawDepth]) -> None:
         """Fix the focal length and the range of relative inverse depth as medians over the samples."""
         focals = [sample.focal for sample in samples if sample.focal is not None]
-        self._model_focal = float(np.median(focals)) if focals else None
+        self.focal = float(np.median(focals)) if focals else None
         if self._preset.kind == "relative_inverse":
-            ends = [np.quantile(values[np.isfinite(values)], RANGE_QUANTILES) for values in (s.values for s in samples)]
+            ends = [np.quantile(s.values[np.isfinite(s.values)], RANGE_QUANTILES) for s in samples]
             low, high = np.median(ends, axis=0)
             if not high > low:
-                raise DepthError(f"{self._model.path} gives the same depth nearly everywhere; check its preset.")
+                raise InputError(f"{self._model.path} gives the same depth nearly everywhere; check its preset.")
             self._range = (float(low), float(high))
         self._frozen = True
 
-    def convert(self, raw: RawDepth) -> DepthMap:
+    def convert(self, raw: RawDepth) -> np.ndarray:
         if not self._frozen:
             self.freeze([raw])
-        focal = self._known_focal or self._model_focal or self._default_focal
-        values, kind = raw.values, self._preset.kind
-        if kind == "relative_inverse":
-            depth = from_relative_inverse(values, self._range, self._near, self._far)
-        elif kind == "canonical_inverse":
-            depth = from_canonical_inverse(values, focal)
-        elif kind == "inverse":
-            depth = from_inverse(values)
-        else:
-            depth = positive(values if self._preset.canonical_focal_px is None else values * np.float32(focal))
-        focal_px = None if self._model_focal is None else self._model_focal * values.shape[1]
-        return DepthMap(depth, focal_px)
+        values, preset = raw.values, self._preset
+        if preset.kind == "relative_inverse":
+            return from_relative_inverse(values, self._range, self._near, self._far)
+        if preset.kind in ("inverse", "canonical_inverse"):
+            values = from_inverse(values)
+        if preset.kind == "canonical_inverse" or preset.canonical_focal_px is not None:
+            # DepthPro: D = f_px/(w·C); Bini 2026, section 3.2.1, prints its reciprocal in C.
+            values = values * np.float32(self._known_focal or self.focal or self._default_focal)
+        return positive(values)
 
 
 def positive(values: np.ndarray) -> np.ndarray:
@@ -185,16 +169,6 @@ def from_inverse(inverse: np.ndarray) -> np.ndarray:
     """D = 1/r; 0 where r is not positive and finite."""
     inverse = positive(inverse)
     return positive(np.divide(1, inverse, out=np.zeros_like(inverse), where=inverse > 0))
-
-
-def from_canonical_inverse(canonical: np.ndarray, focal: float) -> np.ndarray:
-    """D = f_px/(w·C) (DepthPro; Bini 2026, section 3.2.1, prints its reciprocal in C).
-
-    Args:
-        canonical: C, shape [H, W].
-        focal: f_px/w, the focal length as a multiple of the picture's width.
-    """
-    return positive(from_inverse(canonical) * np.float32(focal))
 
 
 def from_relative_inverse(values: np.ndarray, ends: tuple[float, float], near: float, far: float) -> np.ndarray:
@@ -216,29 +190,19 @@ def check_map(values: np.ndarray, named: str, *, signed: bool) -> None:
         signed: whether 0 and negative values mean something.
 
     Raises:
-        DepthError: nothing finite, zero or constant everywhere, or under 1 % valid.
+        InputError: nothing finite, zero or constant everywhere, or under 1 % valid.
     """
     remedy = "the frame is left out; check the depth source or choose another"
     finite = np.isfinite(values)
     if not finite.any():
-        raise DepthError(f"{named} is NaN or infinite everywhere; {remedy}.")
+        raise InputError(f"{named} is NaN or infinite everywhere; {remedy}.")
     if not values[finite].any():
-        raise DepthError(f"{named} is zero everywhere; {remedy}.")
+        raise InputError(f"{named} is zero everywhere; {remedy}.")
     valid = values[finite] if signed else values[finite & (values > 0)]
     if len(valid) < LEAST_VALID * values.size:
-        raise DepthError(f"{named} is valid on {len(valid) / values.size:.1%} of its pixels; {remedy}.")
+        raise InputError(f"{named} is valid on {len(valid) / values.size:.1%} of its pixels; {remedy}.")
     if float(valid.max()) - float(valid.min()) <= 1e-6 * float(np.abs(valid).max()):
-        raise DepthError(f"{named} is the same everywhere ({float(valid[0]):g}); {remedy}.")
-
-
-def _declared_scale(clip: Path) -> float | None:
-    """`depth_scale` of the clip's own file: the stored depth that means z = 1."""
-    scale = read_clip_file(clip).get("depth_scale")
-    if scale is None:
-        return None
-    if isinstance(scale, bool) or not isinstance(scale, (int, float)) or not 0 < scale < math.inf:
-        raise DepthError(f"{clip / 'clip.json'} gives depth_scale {scale!r}; give a positive number.")
-    return float(scale)
+        raise InputError(f"{named} is the same everywhere ({float(valid[0]):g}); {remedy}.")
 
 
 def _read_map(path: Path, key: str | None, most: int) -> tuple[np.ndarray, float]:
@@ -247,29 +211,17 @@ def _read_map(path: Path, key: str | None, most: int) -> tuple[np.ndarray, float
         array = _read_numpy(path, key, most)
         largest = 1.0
     else:
-        try:
-            array = read_image(path, cv2.IMREAD_UNCHANGED, most)
-        except InputError as error:
-            raise DepthError(str(error)) from error
+        array = read_image(path, cv2.IMREAD_UNCHANGED, most)
         largest = float(np.iinfo(array.dtype).max) if np.issubdtype(array.dtype, np.integer) else 1.0
         if array.ndim == 3:
             if not (array[..., :3] == array[..., :1]).all():
-                raise DepthError(f"{path} is a colour picture, not depth; store one channel of 8 or 16 bits.")
+                raise InputError(f"{path} is a colour picture, not depth; store one channel of 8 or 16 bits.")
             array = array[..., 0]
     if array.ndim == 3 and 1 in array.shape:
         array = array.squeeze()
     if array.ndim != 2 or array.dtype.kind not in "iuf":
-        raise DepthError(f"{path} holds {array.dtype} of shape {array.shape}; store one depth map of shape [H, W].")
+        raise InputError(f"{path} holds {array.dtype} of shape {array.shape}; store one depth map of shape [H, W].")
     return array.astype(np.float32), largest
-
-
-def _require_size(path: Path, size: int, most: int) -> None:
-    """Refuse a map of more bytes than so many pixels of 8 bytes, and a header, have."""
-    if size > 8 * most + 2**16:
-        raise DepthError(
-            f"{path} unpacks to {size / 2**20:.0f} MB, more than {MOST_PIXELS} times its picture's pixels; store depth "
-            "at the picture's size."
-        )
 
 
 def _read_numpy(path: Path, key: str | None, most: int) -> np.ndarray:
@@ -278,19 +230,21 @@ def _read_numpy(path: Path, key: str | None, most: int) -> np.ndarray:
         # Mapped, an .npy file is not read before its size is known.
         loaded = np.load(path, allow_pickle=False, mmap_mode="r")
         if isinstance(loaded, np.ndarray):
-            _require_size(path, loaded.nbytes, most)
-            return loaded
-        with loaded:
-            names = loaded.files
-            name = key if key is not None else names[0] if len(names) == 1 else None
-            if name not in names:
-                raise DepthError(f"{path} holds {', '.join(names)}; name one of them as layout.depth_key.")
-            sizes = {info.filename.removesuffix(".npy"): info.file_size for info in loaded.zip.infolist()}
-            _require_size(path, sizes[name], most)
-            return loaded[name]
+            name, size = None, loaded.nbytes
+        else:
+            name = key if key is not None else loaded.files[0] if len(loaded.files) == 1 else None
+            if name not in loaded.files:
+                raise InputError(f"{path} holds {', '.join(loaded.files)}; name one of them as layout.depth_key.")
+            size = loaded.zip.getinfo(f"{name}.npy").file_size
+        if size > 8 * most + 2**16:  # 8 bytes a pixel, and a header
+            raise InputError(
+                f"{path} unpacks to {size / 2**20:.0f} MB, more than {MOST_PIXELS} times its picture's pixels; store "
+                "depth at the picture's size."
+            )
+        return loaded if name is None else loaded[name]
     except FileNotFoundError as error:
-        raise DepthError(f"{path} does not exist; store the frame's depth there or choose a depth model.") from error
-    except DepthError:
+        raise InputError(f"{path} does not exist; store the frame's depth there or choose a depth model.") from error
+    except InputError:
         raise
     except Exception as error:  # a broken file raises zip, pickle, value or OS errors by where it is broken
-        raise DepthError(f"{path} can't be read as a numpy file; write it again with numpy.save.") from error
+        raise InputError(f"{path} can't be read as a numpy file; write it again with numpy.save.") from error

@@ -13,7 +13,7 @@ __getattr__ = exported(
     {
         "data.masks.sources": ("MaskClasses", "MaskError", "MaskSource", "open_masks", "read_mask"),
         "data.masks.onnx": ("OnnxMasks", "SegmentationSettings"),
-        "data.masks.automatic": ("AutomaticMasks", "AutomaticSettings"),
+        "data.masks.automatic": ("AutomaticMasks",),
         "data.masks.class_table": ("CLASSES",),
     }
 )

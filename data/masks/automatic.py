@@ -26,40 +26,35 @@ SAME_COLOR = 0.1
 """Redness above a band's at which a pixel around it is no longer its instrument."""
 DARKEST = 18
 """Pixels whose brightest channel is below this are unlit or clipped [8-bit value]."""
-
-
-@dataclass(frozen=True)
-class AutomaticSettings:
-    """Thresholds of the automatic mode; pallor as in `pallor`, lengths in working pixels."""
-
-    min_length: float = 40.0
-    """Shortest band [px]."""
-    max_gap: float = 1.2
-    """Longest distance between a band and the border, as a multiple of the band's length."""
-    colorless: float = 0.12
-    """A band this pale is an instrument by its colour, if hardly red, with edges enough for `colorless_support`."""
-    max_redness: float = 0.08
-    """Largest median redness of that band."""
-    colorless_support: float = 0.65
-    """Least summed length of that band's edges, as a multiple of its length."""
-    saturated_share: float = 0.2
-    """A pale band with a larger share of saturated pixels is a highlight on tissue."""
-    grooved: float = 0.02
-    """A band with the many sharp edges of jaws and joints needs only this pallor."""
-    grooved_contrast: float = 65.0
-    """Least mean brightness gradient across that band (3x3 Sobel of 8-bit values)."""
-    grooved_edges: int = 6
-    """Least number of that band's edges."""
-    grooved_support: float = 1.8
-    """Least summed length of that band's edges, as a multiple of its length."""
-    moving: float = 0.03
-    """A band of several edges that moves against the tissue needs only this pallor."""
-    moving_edges: int = 4
-    """Least number of that band's edges."""
-    min_motion: float = 3.0
-    """Median motion against the tissue that counts [px a frame]."""
-    max_instruments: int = 3
-    """Instruments in one picture."""
+# Thresholds; pallor as in `pallor`, lengths in working pixels.
+MIN_LENGTH = 40.0
+"""Shortest band [px]."""
+MAX_GAP = 1.2
+"""Longest distance between a band and the border, as a multiple of the band's length."""
+COLORLESS = 0.12
+"""A band this pale is an instrument by its colour, if hardly red, with edges enough for COLORLESS_SUPPORT."""
+MAX_REDNESS = 0.08
+"""Largest median redness of that band."""
+COLORLESS_SUPPORT = 0.65
+"""Least summed length of that band's edges, as a multiple of its length."""
+SATURATED_SHARE = 0.2
+"""A pale band with a larger share of saturated pixels is a highlight on tissue."""
+GROOVED = 0.02
+"""A band with the many sharp edges of jaws and joints needs only this pallor."""
+GROOVED_CONTRAST = 65.0
+"""Least mean brightness gradient across that band (3x3 Sobel of 8-bit values)."""
+GROOVED_EDGES = 6
+"""Least number of that band's edges."""
+GROOVED_SUPPORT = 1.8
+"""Least summed length of that band's edges, as a multiple of its length."""
+MOVING = 0.03
+"""A band of several edges that moves against the tissue needs only this pallor."""
+MOVING_EDGES = 4
+"""Least number of that band's edges."""
+MIN_MOTION = 3.0
+"""Median motion against the tissue that counts [px a frame]."""
+MAX_INSTRUMENTS = 3
+"""Instruments in one picture."""
 
 
 @dataclass(frozen=True)
@@ -73,18 +68,18 @@ class Look:
     bright: np.ndarray
     """Brightest channel [8-bit value]."""
 
-    def is_colorless(self, band: Band, settings: AutomaticSettings) -> bool:
+    def is_colorless(self, band: Band) -> bool:
         """Whether a band is paler than tissue and hardly red at all."""
         pale, red = (float(np.median(band_values(band, values))) for values in (self.pale, self.red))
-        return pale >= settings.colorless and red <= settings.max_redness
+        return pale >= COLORLESS and red <= MAX_REDNESS
 
 
 class AutomaticMasks:
     """Mask source (see masks.MaskSource) for raw video; frames must come in order."""
 
-    def __init__(self, settings: AutomaticSettings | None = None) -> None:
-        self.settings = settings or AutomaticSettings()
-        self.identity = f"automatic:{VERSION}:{self.settings}"
+    identity = f"automatic:{VERSION}"
+
+    def __init__(self) -> None:
         self._flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST)
         self._last_gray: np.ndarray | None = None
 
@@ -119,31 +114,30 @@ class AutomaticMasks:
         tool, near = np.zeros(lit.shape, bool), np.zeros(lit.shape, bool)
         instruments = 0
         for band in find_bands(gray, field):
-            if instruments == self.settings.max_instruments:
+            if instruments == MAX_INSTRUMENTS:
                 break
             # The strongest band stands for its instrument: what lies beside it is its shadow or the tissue it holds.
             if band_values(band, near).mean() < 0.1 and self._is_instrument(band, look, slopes, motion):
-                tool |= outline_tool(band, look, field, self.settings)
+                tool |= outline_tool(band, look, field)
                 near = cv2.dilate(tool.astype(np.uint8), np.ones((41, 41), np.uint8)).astype(bool)
                 instruments += 1
         return tool
 
     def _is_instrument(self, band: Band, look: Look, slopes: tuple[np.ndarray, np.ndarray], motion: np.ndarray) -> bool:
         """Whether a band's colour, edges or motion are an instrument's."""
-        settings = self.settings
-        if band.length < settings.min_length or band.gap > settings.max_gap * band.length:
+        if band.length < MIN_LENGTH or band.gap > MAX_GAP * band.length:
             return False
         density = band.support / band.length
-        if look.is_colorless(band, settings) and density >= settings.colorless_support:
-            return bool((band_values(band, look.bright) >= SATURATED).mean() < settings.saturated_share)
+        if look.is_colorless(band) and density >= COLORLESS_SUPPORT:
+            return bool((band_values(band, look.bright) >= SATURATED).mean() < SATURATED_SHARE)
         paleness = float(np.median(band_values(band, look.pale)))
-        many = band.edges >= settings.grooved_edges and density >= settings.grooved_support
-        if many and paleness >= settings.grooved:
+        many = band.edges >= GROOVED_EDGES and density >= GROOVED_SUPPORT
+        if many and paleness >= GROOVED:
             across = sum(band_values(band, slope) * part for slope, part in zip(slopes, band.normal, strict=True))
-            if np.abs(across).mean() >= settings.grooved_contrast:
+            if np.abs(across).mean() >= GROOVED_CONTRAST:
                 return True
-        if paleness >= settings.moving and band.edges >= settings.moving_edges:
-            return bool(np.median(band_values(band, motion)) >= settings.min_motion)
+        if paleness >= MOVING and band.edges >= MOVING_EDGES:
+            return bool(np.median(band_values(band, motion)) >= MIN_MOTION)
         return False
 
     def _motion_against_tissue(self, gray: np.ndarray, field: np.ndarray) -> np.ndarray:
@@ -233,7 +227,7 @@ def band_values(band: Band, values: np.ndarray, low: float = 0.0, high: float | 
     return values[rows[inside], columns[inside]] if inside.any() else np.zeros(1, np.float32)
 
 
-def outline_tool(band: Band, look: Look, field: np.ndarray, settings: AutomaticSettings) -> np.ndarray:
+def outline_tool(band: Band, look: Look, field: np.ndarray) -> np.ndarray:
     """Pixels of the instrument of a band, bool [h, w].
 
     The band itself to the border; where it is an instrument by its colour, rather all connected pixels around that
@@ -241,7 +235,7 @@ def outline_tool(band: Band, look: Look, field: np.ndarray, settings: AutomaticS
     """
     core = np.zeros(field.shape, np.uint8)
     cv2.fillConvexPoly(core, band.outline(-band.gap - 2, band.length), 1)
-    if not look.is_colorless(band, settings):
+    if not look.is_colorless(band):
         return (core > 0) & field
     around = np.zeros(field.shape, np.uint8)
     cv2.fillConvexPoly(around, band.outline(-band.gap - 2, band.length + MARGIN, MARGIN), 1)

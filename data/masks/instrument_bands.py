@@ -72,8 +72,6 @@ def find_bands(gray: np.ndarray, field: np.ndarray) -> list[Band]:
         field: the endoscope's picture without its dark surround, bool [h, w], convex.
     """
     segments = straight_edges(gray, field)
-    if len(segments) < 2:
-        return []
     vectors = segments[:, 2:] - segments[:, :2]
     lengths = np.linalg.norm(vectors, axis=1)
     bands = []

@@ -7,6 +7,7 @@ of the annotation is used).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from os.path import isfile
 from pathlib import Path
 from typing import Protocol
 
@@ -15,8 +16,12 @@ import numpy as np
 
 from data.labels import OTHER, TISSUE, TOOL
 from data.masks.class_table import CLASSES
-from data.source.frames import Frame, read_image
-from data.source.layout import ClipLayout, InputError, clip_folder, companion, is_file, matches
+from data.source.frames import Frame
+from data.source.images import read_image
+from data.source.layout import ClipLayout, InputError, companion, matches
+
+KINDS = ("annotation", "automatic", "auto")
+"""Where masks come from without a model; auto is annotation where the clip has masks, else automatic."""
 
 
 class MaskError(InputError):
@@ -36,11 +41,10 @@ class MaskClasses:
 
     def __post_init__(self) -> None:
         for field in ("tool", "tissue"):
-            names = tuple(getattr(self, field))
-            object.__setattr__(self, field, names)
-            unknown = [name for name in names if name not in CLASSES]
+            names = getattr(self, field)
+            unknown = [f"'{name}', which is no class" for name in names if name not in CLASSES]
             if unknown or not names:
-                wrong = f"'{unknown[0]}', which is no class" if unknown else "no class"
+                wrong = unknown[0] if unknown else "no class"
                 raise ValueError(f"classes.{field} names {wrong}; choose from {', '.join(CLASSES)}.")
         both = sorted(set(self.tool) & set(self.tissue))
         if both:
@@ -67,96 +71,90 @@ class MaskSource(Protocol):
         """Forget the clip seen so far."""
 
 
-def open_masks(kind: str, layout: ClipLayout, classes: MaskClasses) -> MaskSource:
-    """Open a mask source.
+def open_masks(kind: str, layout: ClipLayout, classes: MaskClasses, clip: Path) -> MaskSource:
+    """Open the mask source of one clip.
 
     Args:
-        kind: "annotation", "automatic", "auto" (annotation where the clip has masks, else automatic), or the path of an
-            ONNX segmentation model (see data.masks.onnx for its settings).
+        kind: one of KINDS, or the path of an ONNX segmentation model (see data.masks.onnx for its settings).
+        clip: the clip's folder or video file.
 
     Raises:
-        InputError: an unknown kind, or a model that can't be used.
+        InputError: an unknown kind, a model that can't be used, or a clip without annotation masks.
     """
     # Imported here: only the chosen source's dependencies are needed.
-    if kind == "annotation":
-        return AnnotationMasks(layout, classes)
-    if kind == "automatic":
-        from data.masks.automatic import AutomaticMasks
-
-        return AutomaticMasks()
-    if kind == "auto":
-        return AnnotationElseAutomatic(layout, classes)
-    if kind.lower().endswith(".onnx"):
+    model = mask_model(kind)
+    if model is not None:
         from data.masks.onnx import OnnxMasks
 
-        return OnnxMasks(Path(kind))
-    raise InputError(f"masks '{kind}' is unknown; choose annotation, automatic, auto or the path of an .onnx model.")
+        return OnnxMasks(model)
+    if chosen_kind(kind, clip, layout) == "annotation":
+        return AnnotationMasks(layout, classes, clip)
+    from data.masks.automatic import AutomaticMasks
+
+    return AutomaticMasks()
+
+
+def mask_model(kind: str) -> Path | None:
+    """The segmentation model that a kind of masks names, None where it needs none.
+
+    Raises:
+        InputError: an unknown kind, or a model that does not exist.
+    """
+    if kind in KINDS:
+        return None
+    if not kind.lower().endswith(".onnx"):
+        raise InputError(f"masks '{kind}' is unknown; choose {', '.join(KINDS)} or the path of an .onnx model.")
+    if not isfile(Path(kind)):
+        raise InputError(f"{kind} does not exist; check the path of the mask model.")
+    return Path(kind)
+
+
+def chosen_kind(kind: str, clip: Path, layout: ClipLayout) -> str:
+    """What `open_masks(kind, …)` uses for a clip: "auto" is resolved."""
+    if kind != "auto":
+        return kind
+    return "annotation" if clip.is_dir() and has_masks(clip, layout) else "automatic"
 
 
 class AnnotationMasks:
-    """Masks stored beside the frames, by the layout's patterns and the classes' colours."""
+    """Masks stored beside the frames of a clip, by the layout's patterns and the classes' colours."""
 
-    def __init__(self, layout: ClipLayout, classes: MaskClasses) -> None:
+    def __init__(self, layout: ClipLayout, classes: MaskClasses, clip: Path) -> None:
+        if not clip.is_dir() or not layout.mask_patterns:
+            what = "the layout names" if clip.is_dir() else "a video or camera has"
+            raise InputError(f"{what} no annotation masks; use --masks automatic or a segmentation model.")
+        if not has_masks(clip, layout):
+            expected = layout.mask_patterns[0]
+            raise InputError(
+                f"{clip} holds no annotation masks (such as {expected}); use --masks automatic or a model."
+            )
         self.layout, self.classes = layout, classes
         self.identity = f"annotation:{classes}:{layout.mask_patterns}"
-        self._checked: Path | None = None
 
     def reset(self) -> None:
-        """Look at the clip's folder anew."""
-        self._checked = None
+        """Nothing is remembered from frame to frame."""
 
     def __call__(self, frame: Frame) -> np.ndarray:
-        """Label map of a frame (see MaskSource)."""
-        if frame.path is None or not self.layout.mask_patterns:
-            what = "a video or camera has" if frame.path is None else "the layout names"
-            raise InputError(f"{what} no annotation masks; use --masks automatic or a segmentation model.")
-        clip = clip_folder(self.layout, frame.path)
-        if clip != self._checked:
-            if not has_masks(clip, self.layout):
-                expected = companion(self.layout, frame.path, self.layout.mask_patterns[0]).name
-                raise InputError(
-                    f"{clip} holds no annotation masks (such as {expected}); use --masks automatic or a model."
-                )
-            self._checked = clip
-        files = [companion(self.layout, frame.path, pattern) for pattern in self.layout.mask_patterns]
-        file = next((path for path in files if is_file(path)), None)
-        if file is None:
-            raise MaskError(f"{files[0]} does not exist; add the mask of frame {frame.number}.")
-        size = frame.picture.shape[:2]
-        if file == files[0] and self.layout.label_mask is not None:
+        """Label map of a frame of the clip's folder (see MaskSource)."""
+        (file, pattern), size = mask_file(self.layout, frame), frame.picture.shape[:2]
+        if pattern == self.layout.label_mask:
             return read_label_mask(file, size, self.layout)
         return read_class_mask(file, size, self.classes)
 
 
-class AnnotationElseAutomatic:
-    """Annotation where the clip's folder has any mask, else the automatic mode; decided once a clip."""
+def mask_file(layout: ClipLayout, frame: Frame) -> tuple[Path, str]:
+    """The annotation mask of a folder's frame, and which of the layout's patterns it matches: the first that has one.
 
-    def __init__(self, layout: ClipLayout, classes: MaskClasses) -> None:
-        self.layout = layout
-        self._annotation = AnnotationMasks(layout, classes)
-        self._automatic = open_masks("automatic", layout, classes)
-        self._chosen: MaskSource | None = None
-        self.identity = f"auto:{self._annotation.identity}:{self._automatic.identity}"
-
-    def reset(self) -> None:
-        """Forget the clip and the choice."""
-        self._chosen = None
-        self._annotation.reset()
-        self._automatic.reset()
-
-    def __call__(self, frame: Frame) -> np.ndarray:
-        """Label map of a frame (see MaskSource)."""
-        if self._chosen is None:
-            annotated = frame.path is not None and has_masks(clip_folder(self.layout, frame.path), self.layout)
-            self._chosen = self._annotation if annotated else self._automatic
-        return self._chosen(frame)
-
-
-def chosen_kind(kind: str, clip: Path, layout: ClipLayout) -> str:
-    """What `open_masks(kind, …)` uses for a clip, given its folder or video file: "auto" is resolved."""
-    if kind != "auto":
-        return kind
-    return "annotation" if clip.is_dir() and has_masks(clip, layout) else "automatic"
+    Raises:
+        MaskError: there is none.
+    """
+    if frame.path is None:
+        raise MaskError(f"Frame {frame.number} has no image file, so it has no annotation mask.")
+    files = [(companion(layout, frame.path, pattern), pattern) for pattern in layout.mask_patterns]
+    for file, pattern in files:
+        if isfile(file):
+            return file, pattern
+    raise MaskError(f"{files[0][0]} does not exist; add the mask of frame {frame.number}.")
 
 
 def has_masks(clip: Path, layout: ClipLayout) -> bool:

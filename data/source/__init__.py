@@ -1,6 +1,6 @@
 """Frames with time stamps, where they come from, and the camera that took them.
 
-frames  video files, folders of images and live cameras as FrameSource; the search for clips
+frames  video files and folders of images as FrameSource; the search for clips
 layout  how a folder's frames, masks, depth and camera file are named
 camera  intrinsics, back-projection, removal of lens distortion
 images  image files by their bytes, and paths as text
@@ -10,15 +10,7 @@ from physics.lazy import exported
 
 __getattr__ = exported(
     {
-        "data.source.frames": (
-            "Frame",
-            "FrameFolder",
-            "FrameSource",
-            "LiveCamera",
-            "VideoFile",
-            "discover",
-            "open_source",
-        ),
+        "data.source.frames": ("Frame", "FrameFolder", "FrameSource", "VideoFile", "discover", "open_source"),
         "data.source.layout": ("ClipLayout", "InputError", "load_layout"),
         "data.source.camera": ("Camera", "back_project", "load_camera"),
     }

@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from data.source.layout import ClipLayout, InputError, camera_file, read_clip_file, read_mapping
+from data.source.layout import ClipLayout, from_mapping, read_clip_file, read_mapping
 
 
 @dataclass(frozen=True)
@@ -45,8 +45,6 @@ class Camera:
     @classmethod
     def from_field_of_view(cls, degrees: float, width: int, height: int) -> Camera:
         """Camera with square pixels and a centred axis from its horizontal field of view [degrees]."""
-        if not 0 < degrees < 180:
-            raise ValueError(f"The field of view is {degrees} degrees; give a number between 0 and 180.")
         return cls.from_focal(width / 2 / math.tan(math.radians(degrees) / 2), width, height)
 
     @classmethod
@@ -57,31 +55,8 @@ class Camera:
     def scaled(self, width: int, height: int) -> Camera:
         """The same camera for the picture resized to width x height."""
         across, down = width / self.width, height / self.height
-        return Camera(
-            self.fx * across,
-            self.fy * down,
-            (self.cx + 0.5) * across - 0.5,
-            (self.cy + 0.5) * down - 0.5,
-            width,
-            height,
-            self.distortion,
-        )
-
-
-def camera_from_dict(entries: dict, name: str) -> Camera:
-    """Camera from the keys fx, fy, cx, cy, width, height and optionally distortion.
-
-    Raises:
-        InputError: a key is missing or not a number; `name` tells the user where.
-    """
-    try:
-        numbers = {key: float(entries[key]) for key in ("fx", "fy", "cx", "cy")}
-        distortion = tuple(float(value) for value in entries.get("distortion") or ())
-        return Camera(**numbers, width=int(entries["width"]), height=int(entries["height"]), distortion=distortion)
-    except KeyError as error:
-        raise InputError(f"{name}: the camera lacks {error.args[0]}; give fx, fy, cx, cy, width, height.") from error
-    except (TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"{name}: the camera is unusable ({error}); give numbers in pixels.") from error
+        cx, cy = (self.cx + 0.5) * across - 0.5, (self.cy + 0.5) * down - 0.5
+        return Camera(self.fx * across, self.fy * down, cx, cy, width, height, self.distortion)
 
 
 def load_camera(path: str | Path) -> Camera:
@@ -93,7 +68,7 @@ def load_camera(path: str | Path) -> Camera:
     entries = read_mapping(Path(path), "a camera file")
     if isinstance(entries.get("camera"), dict):
         entries = entries["camera"]
-    return camera_from_dict(entries, str(path))
+    return from_mapping(Camera, entries, str(path))
 
 
 def clip_camera(clip: Path, layout: ClipLayout) -> Camera | None:
@@ -104,9 +79,8 @@ def clip_camera(clip: Path, layout: ClipLayout) -> Camera | None:
     """
     entries = read_clip_file(clip).get("camera") if clip.is_dir() else None
     if entries is not None:
-        return camera_from_dict(entries, f"{clip} (clip.json)")
-    path = camera_file(layout, clip)
-    return None if path is None else load_camera(path)
+        return from_mapping(Camera, entries, f"{clip} (clip.json) has a camera that")
+    return None if layout.camera is None else load_camera(clip / layout.camera)
 
 
 def back_project(depth: np.ndarray, camera: Camera) -> np.ndarray:
@@ -136,9 +110,11 @@ class Undistortion:
     """
 
     def __init__(self, camera: Camera) -> None:
-        matrix = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
+        matrix = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]], float)
         size = (camera.width, camera.height)
-        self._maps = cv2.initUndistortRectifyMap(matrix, np.array(camera.distortion), None, matrix, size, cv2.CV_32FC1)
+        self._maps = cv2.initUndistortRectifyMap(
+            matrix, np.array(camera.distortion, float), None, matrix, size, cv2.CV_32FC1
+        )
 
     def image(self, image: np.ndarray) -> np.ndarray:
         """RGB picture [H, W, 3], interpolated; black outside the camera's picture."""

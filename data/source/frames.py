@@ -1,4 +1,4 @@
-"""Frames with time stamps from a video file, a folder of images or a camera, and the search for clips.
+"""Frames with time stamps from a video file or a folder of images, and the search for clips.
 
 No frame is lost silently: one that can't be read comes as a `Frame` without an image and with the reason.
 """
@@ -6,7 +6,6 @@ No frame is lost silently: one that can't be read comes as a `Frame` without an 
 from __future__ import annotations
 
 import math
-import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -19,23 +18,9 @@ import numpy as np
 from data.source.images import printable, read_image
 from data.source.layout import IMAGE_SUFFIXES, ClipLayout, InputError, frame_files, list_folder, read_clip_file
 
-__all__ = [
-    "Frame",
-    "FrameFolder",
-    "FrameSource",
-    "InputError",
-    "LiveCamera",
-    "VideoFile",
-    "discover",
-    "open_source",
-    "printable",
-    "read_image",
-]
-
 VIDEO_SUFFIXES = frozenset({".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".ts", ".wmv"})
 EXACT_COUNT_SUFFIXES = frozenset({".mp4", ".m4v", ".mov", ".avi"})
 """Containers whose header holds the true number of frames; elsewhere it is estimated from the duration."""
-CAMERA_PREFIX = "camera:"
 RESULT_FILE = "run.json"
 """Marks a folder of our own results, whose overlay video is no input."""
 FASTEST = 1000.0
@@ -80,7 +65,7 @@ class FrameSource(ABC):
     """(width, height) of the first readable frame [px]; frames of another size come as errors."""
     fps: float
     length: int
-    """Number of frames to expect; 0 where unknown (camera)."""
+    """Number of frames to expect; 0 where unknown."""
     warnings: list[str]
     """What was wrong with the clip as a whole, filled while iterating."""
 
@@ -110,11 +95,14 @@ class FrameFolder(FrameSource):
         description = read_clip_file(path)
         self.fps = float(description.get("fps", layout.fps))
         self.length = len(self.files)
-        self._times = description.get("times")
-        if self._times is not None and len(self._times) != self.length:
+        times = description.get("times")
+        if times is None:
+            times = [(number - self.files[0][0]) / self.fps for number, _ in self.files]
+        elif len(times) != self.length:
             raise InputError(
-                f"{path} has {self.length} frames while its clip.json gives {len(self._times)} times; make them agree."
+                f"{path} has {self.length} frames while its clip.json gives {len(times)} times; make them agree."
             )
+        self._times = times
         self.size = self._first_size()
 
     def _first_size(self) -> tuple[int, int]:
@@ -129,23 +117,19 @@ class FrameFolder(FrameSource):
 
     def __iter__(self) -> Iterator[Frame]:
         self.warnings = []
-        first, failed = self.files[0][0], 0
+        first, last, failed = self.files[0][0], self.files[-1][0], 0
         for index, (number, file) in enumerate(self.files):
-            stamp = self._times[index] if self._times is not None else (number - first) / self.fps
-            image, error = None, ""
+            image = None
             try:
                 image = read_image(file)
                 error = self.size_error(image, printable(file))
             except InputError as problem:
                 error = str(problem)
-            if error:
-                failed += 1
-                yield Frame(index, number, stamp, None, file, error)
-            else:
-                yield Frame(index, number, stamp, image, file)
-        missing = self.files[-1][0] - first + 1 - self.length
+            failed += bool(error)
+            yield Frame(index, number, self._times[index], None if error else image, file, error)
+        missing = last - first + 1 - self.length
         if missing:
-            self.warnings.append(f"{missing} frame numbers are missing between {first} and {self.files[-1][0]}")
+            self.warnings.append(f"{missing} frame numbers are missing between {first} and {last}")
         if failed:
             self.warnings.append(f"unreadable: {failed} of {self.length} frames")
 
@@ -158,11 +142,8 @@ class VideoFile(FrameSource):
         if path.stat().st_size == 0:
             raise InputError(f"{path} is an empty file (0 bytes); copy it again.")
         capture = self._open()
-        try:
-            done, image = capture.read()
-            fps, count = capture.get(cv2.CAP_PROP_FPS), capture.get(cv2.CAP_PROP_FRAME_COUNT)
-        finally:
-            capture.release()
+        done, image = capture.read()
+        fps, count = capture.get(cv2.CAP_PROP_FPS), capture.get(cv2.CAP_PROP_FRAME_COUNT)
         if not done:
             raise InputError(f"{path} holds no frame that can be decoded; copy it again or convert it to MP4.")
         self.size = _picture_size(path, image)
@@ -178,7 +159,6 @@ class VideoFile(FrameSource):
             raise InputError(f"{printable(self.path)} has a name that is not valid UTF-8; rename the file.") from error
         capture = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG)
         if not capture.isOpened():
-            capture.release()
             raise InputError(f"{self.path} can't be opened as a video (truncated, or none); copy or convert it again.")
         capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 1)
         return capture
@@ -186,61 +166,27 @@ class VideoFile(FrameSource):
     def __iter__(self) -> Iterator[Frame]:
         self.warnings = []
         capture = self._open()
-        decoded, number, stamp, start = 0, -1, 0.0, None
-        try:
-            while True:
-                done, image = capture.read()
-                if not done:
-                    break
-                position = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
-                if start is None:
-                    start, number = position, 0
-                else:
-                    # Some containers stamp nothing: time must rise all the same.
-                    gap = position - start - stamp if position - start > stamp else 1 / self.fps
-                    stamp += gap
-                    # A jump in the time stamps is a jump in the numbers: the frames around it are no neighbours.
-                    number += max(1, round(gap * self.fps))
-                error = self.size_error(image, f"Frame {number} of {self.path}")
-                rgb = None if error else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
-                yield Frame(decoded, number, stamp, rgb, None, error)
-                decoded += 1
-        finally:
-            capture.release()
+        decoded, number, stamp, start = 0, 0, 0.0, None
+        while (image := capture.read()[1]) is not None:
+            position = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
+            if start is None:
+                start = position
+            else:
+                # Some containers stamp nothing: time must rise all the same.
+                gap = position - start - stamp if position - start > stamp else 1 / self.fps
+                stamp += gap
+                # A jump in the time stamps is a jump in the numbers: the frames around it are no neighbours.
+                number += max(1, round(gap * self.fps))
+            error = self.size_error(image, f"Frame {number} of {self.path}")
+            rgb = None if error else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+            yield Frame(decoded, number, stamp, rgb, None, error)
+            decoded += 1
         if self.length - decoded <= self._tolerance:
             return
         self.warnings.append(f"truncated: {decoded} of {self.length} frames decoded")
         for step, index in enumerate(range(decoded, self.length), start=1):
             error = f"{self.path} ends before frame {number + step} or is damaged; copy it again."
             yield Frame(index, number + step, stamp + step / self.fps, None, None, error)
-
-
-class LiveCamera(FrameSource):
-    """A camera of this machine, named `camera:0`; it can't be rewound, and ends when it stops delivering."""
-
-    def __init__(self, name: str, fps: float = 25.0) -> None:
-        digits = name.removeprefix(CAMERA_PREFIX)
-        if not digits.isdecimal():
-            raise InputError(f"'{name}' is not a camera; write camera:0 for the first one.")
-        self.path, self.name, self.length, self.warnings = Path(name), f"camera-{digits}", 0, []
-        self._capture = cv2.VideoCapture(int(digits))
-        done, image = self._capture.read()
-        if not done:
-            self._capture.release()
-            raise InputError(f"{name} delivers no picture; check that the camera is connected and not in use.")
-        self.size = image.shape[1], image.shape[0]
-        rate = self._capture.get(cv2.CAP_PROP_FPS)
-        self.fps = float(rate) if 0 < rate <= FASTEST else fps
-
-    def __iter__(self) -> Iterator[Frame]:
-        start, index = time.monotonic(), 0
-        while True:
-            done, image = self._capture.read()
-            if not done:
-                self.warnings.append(f"{self.path} stopped delivering after {index} frames")
-                return
-            yield Frame(index, index, time.monotonic() - start, cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
-            index += 1
 
 
 def _picture_size(path: Path, image: np.ndarray) -> tuple[int, int]:
@@ -268,18 +214,15 @@ def _check_numbers(files: Sequence[tuple[int, Path]]) -> None:
 
 
 def open_source(path: Path | str, layout: ClipLayout) -> FrameSource:
-    """Open a clip: `camera:0`, a folder of frames, or a video file.
+    """Open a clip: a folder of frames or a video file.
 
     Raises:
         InputError: the path does not exist or holds no frame.
     """
     path = Path(path)
-    if str(path).startswith(CAMERA_PREFIX):
-        return LiveCamera(str(path), layout.fps)
     try:
         if path.is_dir():
             return FrameFolder(path, layout)
-        path.stat()
         return VideoFile(path, layout.fps)
     except OSError as error:
         raise InputError(f"{printable(path)} can't be opened ({error.strerror}); check the path.") from error
@@ -293,9 +236,8 @@ def discover(inputs: list[Path], layout: ClipLayout) -> list[Path]:
     """
     clips: dict[Path, None] = {}
     for given in map(Path, inputs):
-        if str(given).startswith(CAMERA_PREFIX):
-            clips[given] = None
-            continue
+        if str(given).startswith("camera:"):
+            raise InputError(f"{given} is a live camera; record it to a video file and give that.")
         try:
             given.stat()
             found = _search(given, layout, set()) if given.is_dir() else [given]
@@ -306,8 +248,6 @@ def discover(inputs: list[Path], layout: ClipLayout) -> list[Path]:
         if not found:
             raise InputError(f"{printable(given)} holds neither a video nor a folder of frames; give one that does.")
         clips.update(dict.fromkeys(found))
-    if not clips:
-        raise InputError("no input was given; name a video file or a folder of frames.")
     return list(clips)
 
 

@@ -10,13 +10,17 @@ import itertools
 import json
 import math
 import re
-from collections.abc import Callable
 from dataclasses import dataclass
+from os.path import isfile
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar, get_type_hints
 
 import numpy as np
 import yaml
+
+from physics.fields import described, fits
+
+Settings = TypeVar("Settings")
 
 CLIP_FILE = "clip.json"
 """Optional file of a clip folder: fps, camera, depth scale and time stamps."""
@@ -59,18 +63,13 @@ class ClipLayout:
     """Camera file (YAML or JSON) beside the layout file, else relative to the clip's folder."""
 
     def __post_init__(self) -> None:
-        for name in ("tool_values", "tissue_values"):
-            object.__setattr__(self, name, tuple(int(value) for value in getattr(self, name)))
         for name in ("image", "color_mask", "class_mask", "label_mask", "depth"):
             pattern = getattr(self, name)
             if pattern is not None and pattern.count("{number}") != 1:
                 raise ValueError(f"layout.{name} is '{pattern}'; write {{number}} once where the frame's digits stand.")
-        if not (math.isfinite(self.fps) and self.fps > 0):
-            raise ValueError(f"layout.fps is {self.fps}; give a positive number of frames a second.")
-        if not (math.isfinite(self.depth_factor) and self.depth_factor > 0):
-            raise ValueError(f"layout.depth_factor is {self.depth_factor}; give a positive number.")
-        if self.depth_kind not in ("depth", "disparity"):
-            raise ValueError(f"layout.depth_kind is '{self.depth_kind}'; choose depth or disparity.")
+        for name in ("fps", "depth_factor"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ValueError(f"layout.{name} is {getattr(self, name)}; give a positive number.")
         if self.mask_opening_px < 0:
             raise ValueError(f"layout.mask_opening_px is {self.mask_opening_px}; give 0 or more.")
         if self.label_mask is not None and not (self.tool_values and self.tissue_values):
@@ -82,22 +81,6 @@ class ClipLayout:
         return tuple(pattern for pattern in (self.label_mask, self.color_mask, self.class_mask) if pattern is not None)
 
 
-def _is_whole(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)
-
-
-_KINDS: dict[str, tuple[str, Callable[[Any], bool]]] = {
-    "str": ("text", lambda value: isinstance(value, str)),
-    "int": ("a whole number", _is_whole),
-    "float": ("a number", lambda value: _is_whole(value) or isinstance(value, float)),
-    "tuple[int, ...]": (
-        "a list of whole numbers",
-        lambda value: isinstance(value, list) and all(map(_is_whole, value)),
-    ),
-}
-"""What a field's annotation asks of a file: in words, and as a check."""
-
-
 def load_layout(path: Path | str) -> ClipLayout:
     """Read a layout from a YAML file; a camera file beside it becomes an absolute path.
 
@@ -105,21 +88,34 @@ def load_layout(path: Path | str) -> ClipLayout:
         InputError: unreadable file, unknown key or impossible value.
     """
     path = Path(path)
-    values = read_mapping(path, "a clip layout")
-    known = [field.name for field in dataclasses.fields(ClipLayout)]
-    for key in values:
-        if key not in known:
-            raise InputError(f"{path} has the unknown key '{key}'; known are {', '.join(known)}.")
-        wanted, fits = _KINDS.get(ClipLayout.__annotations__[key].removesuffix(" | None"), ("", None))
-        if fits is not None and values[key] is not None and not fits(values[key]):
-            raise InputError(f"{path} gives {key} {values[key]!r}; give {wanted}.")
-    camera = values.get("camera")
-    if isinstance(camera, str) and is_file(path.parent / camera):
-        values["camera"] = str((path.parent / camera).resolve())
+    layout = from_mapping(ClipLayout, read_mapping(path, "a clip layout"), str(path))
+    if layout.camera is not None and isfile(path.parent / layout.camera):
+        return dataclasses.replace(layout, camera=str((path.parent / layout.camera).resolve()))
+    return layout
+
+
+def from_mapping(kind: type[Settings], values: Any, where: str) -> Settings:
+    """A dataclass of settings from the mapping of a file; lists become tuples.
+
+    Raises:
+        InputError: no mapping, an unknown or a missing key, a value of another kind than the field's annotation, or an
+            impossible one; `where` tells the user in which file.
+    """
+    if not isinstance(values, dict):
+        raise InputError(f"{where} is not a mapping of names to values; write one.")
+    kinds = get_type_hints(kind)
+    for name, value in values.items():
+        if name not in kinds:
+            raise InputError(f"{where} has the unknown key '{name}'; known are {', '.join(kinds)}.")
+        if not fits(value, kinds[name]):
+            raise InputError(f"{where} gives {name} {value!r}; give {described(kinds[name])}.")
+    for name in kinds:
+        if name not in values and not hasattr(kind, name):  # a default is an attribute of the class
+            raise InputError(f"{where} lacks '{name}'; give {described(kinds[name])}.")
     try:
-        return ClipLayout(**values)
-    except (ValueError, TypeError, AttributeError) as error:
-        raise InputError(f"{path} is not a clip layout: {error}") from error
+        return kind(**{name: tuple(value) if isinstance(value, list) else value for name, value in values.items()})
+    except ValueError as error:
+        raise InputError(f"{where} can't be used: {error}") from error
 
 
 def read_mapping(path: Path, meaning: str) -> dict[str, Any]:
@@ -143,34 +139,20 @@ def read_clip_file(clip: Path) -> dict[str, Any]:
     Keys, all optional: `fps` [1/s], `times` [s] of the frames in order, `camera`, `depth_scale`.
 
     Raises:
-        InputError: unreadable file, an impossible frame rate, or times that do not rise.
+        InputError: unreadable file, an impossible frame rate or scale, or times that do not rise.
     """
     path = clip / CLIP_FILE
-    if not is_file(path):
+    if not isfile(path):
         return {}
     values = read_mapping(path, "a clip description")
-    fps, times = values.get("fps"), values.get("times")
-    if fps is not None and not (isinstance(fps, (int, float)) and math.isfinite(fps) and fps > 0):
-        raise InputError(f"{path} gives fps {fps!r}; give a positive number of frames a second.")
-    if times is not None:
-        rising = isinstance(times, list) and all(isinstance(t, (int, float)) and math.isfinite(t) for t in times)
-        if not rising or any(later <= earlier for earlier, later in itertools.pairwise(times)):
-            raise InputError(f"{path} gives times that are not rising numbers; give one time in seconds a frame.")
+    for name in ("fps", "depth_scale"):
+        if name in values and not (fits(values[name], float) and 0 < values[name] < math.inf):
+            raise InputError(f"{path} gives {name} {values[name]!r}; give a positive number.")
+    times = values.get("times", [])
+    rising = fits(times, tuple[float, ...]) and all(later > earlier for earlier, later in itertools.pairwise(times))
+    if not (rising and all(map(math.isfinite, times))):
+        raise InputError(f"{path} gives times that are not rising numbers; give one time in seconds a frame.")
     return values
-
-
-def camera_file(layout: ClipLayout, clip: Path) -> Path | None:
-    """Path of the camera file that the layout names for a clip, or None where it names none.
-
-    Raises:
-        InputError: the layout names a file that is neither beside the layout nor in the clip's folder.
-    """
-    if layout.camera is None:
-        return None
-    path = clip / layout.camera
-    if not is_file(path):
-        raise InputError(f"{path} does not exist; put the camera file there or take `camera` out of the layout.")
-    return path
 
 
 def pattern_expression(pattern: str) -> re.Pattern[str]:
@@ -242,11 +224,3 @@ def companion(layout: ClipLayout, frame_path: Path, pattern: str) -> Path:
         digits = re.findall(r"\d+", frame_path.stem)
         number = digits[-1] if digits else frame_path.stem
     return clip_folder(layout, frame_path) / pattern.replace("{number}", number)
-
-
-def is_file(path: Path) -> bool:
-    """Whether a path is a file; a name that the file system refuses (too long) is not."""
-    try:
-        return path.is_file()
-    except OSError:
-        return False

@@ -9,7 +9,7 @@ import numpy as np
 
 from data.clip import ClipInputs, ClipStream
 from data.depth.model import RawDepth
-from data.depth.sources import DepthMap, DepthSource
+from data.depth.sources import DepthSource
 from data.masks.class_table import CLASSES
 from data.masks.sources import OTHER, TISSUE, TOOL
 from data.settings import PrepareSettings
@@ -50,9 +50,9 @@ class _Depth(DepthSource):
     def freeze(self, samples: Sequence[RawDepth]) -> None:
         """Nothing of it depends on the clip's frames."""
 
-    def convert(self, raw: RawDepth) -> DepthMap:
+    def convert(self, raw: RawDepth) -> np.ndarray:
         """It is depth already."""
-        return DepthMap(raw.values)
+        return raw.values
 
 
 class _Masks:

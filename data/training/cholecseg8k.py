@@ -23,11 +23,11 @@ from data.cache import PreparedClip, require_models
 from data.command_line import path_option, say
 from data.depth.normalise import DepthSettings
 from data.masks.class_table import CLASSES
-from data.masks.sources import MaskClasses, MaskError, color_distance, read_mask
+from data.masks.sources import MaskClasses, MaskError, color_distance, mask_file, read_mask
 from data.prepared import STATUSES
 from data.settings import PrepareSettings
-from data.source.frames import discover, open_source
-from data.source.layout import ClipLayout, InputError, companion, is_file, load_layout
+from data.source.frames import Frame, discover, open_source
+from data.source.layout import ClipLayout, InputError, load_layout
 from data.training.preparation import prepare_all
 from data.training.samples import consecutive_pairs
 from physics.doors import plain
@@ -93,7 +93,7 @@ def check_clip(path: Path, layout: ClipLayout, classes: MaskClasses, *, masks: b
             check.problems.append(f"Frame {frame.number}: {frame.error}")
         elif masks and frame.path is not None and layout.mask_patterns:
             try:
-                strangers = _unknown_pixels(frame.path, frame.image.shape[:2], layout, classes)
+                strangers = _unknown_pixels(frame, layout, classes)
             except MaskError as error:
                 check.problems.append(str(error))
                 continue
@@ -104,14 +104,11 @@ def check_clip(path: Path, layout: ClipLayout, classes: MaskClasses, *, masks: b
     return check
 
 
-def _unknown_pixels(picture: Path, size: tuple[int, int], layout: ClipLayout, classes: MaskClasses) -> int:
+def _unknown_pixels(frame: Frame, layout: ClipLayout, classes: MaskClasses) -> int:
     """Number of pixels of a frame's mask that are no class and no border."""
-    files = [companion(layout, picture, pattern) for pattern in layout.mask_patterns]
-    file = next((path for path in files if is_file(path)), None)
-    if file is None:
-        raise MaskError(f"{files[0]} does not exist; add the frame's mask.")
-    mask = read_mask(file, size)
-    if layout.label_mask is not None and file == files[0]:
+    file, pattern = mask_file(layout, frame)
+    mask = read_mask(file, frame.picture.shape[:2])
+    if pattern == layout.label_mask:
         return int((~np.isin(mask, layout.tool_values + layout.tissue_values)).sum())
     if mask.ndim == 2:
         known = [entry.grey for entry in CLASSES.values()] + [color[0] for color in BORDER]
@@ -176,7 +173,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         settings = PrepareSettings(depth=depth, masks=options.masks, layout=layout)
         require_models(settings)
         paths = list_clips(options.root, layout)
-    except InputError as error:
+    except ValueError as error:
         say(errors, str(error))
         return 2
     checks: dict[Path, ClipCheck] = {}

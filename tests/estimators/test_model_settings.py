@@ -53,6 +53,9 @@ def test_model_files_of_the_training_are_asked_for(tmp_path: Path) -> None:
     same = preparation_settings(model, Chosen(masks="auto", depth={"source": "elsewhere/net.onnx"}))
     other = preparation_settings(model, Chosen(masks="auto", depth={"source": "elsewhere/other.onnx"}))
     assert (same.depth.preset, other.depth.preset) == ("midas-small", None)
+    depth = {"source": "depthpro", "model": "net.onnx"}
+    model = ParameterModel(write_model(tmp_path / "model.onnx", metadata(depth=depth)))
+    assert preparation_settings(model, Chosen(depth={"source": "stored"})).depth.model is None
 
 
 GRID_SETTINGS = {"height": GRID[0], "width": GRID[1]}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import onnx
@@ -17,7 +16,6 @@ from models.onnx_session import (
     ModelFileError,
     ParameterModel,
     PosteriorModel,
-    fits,
     open_model,
 )
 
@@ -159,25 +157,6 @@ def test_a_file_is_opened_as_the_kind_it_is(tmp_path):
         open_model(path)
     with pytest.raises(ModelFileError, match=expected):
         PosteriorModel(path)
-
-
-@pytest.mark.parametrize(
-    ("kind", "good", "bad"),
-    [
-        (float, [1, 1.5], [True, "1", None, [1.0]]),
-        (int, [3], [3.0, True, "3"]),
-        (str | None, ["a", None], [1, ["a"]]),
-        (Literal["a", "b"], ["a", "b"], ["c", ["a"], {}]),
-        (tuple[float, float], [[1, 2.0], (1, 2)], [[1.0], [1, 2, 3], [1, "2"], "ab", 2]),
-        (tuple[str, ...], [[], ["a"], ("a", "b")], ["ab", [1], None]),
-        (range(1, 3), [1, 2], [0, 3, 1.0, True, "1"]),
-        (dict[str, int], [{}, {"a": 1}], [{"a": "1"}, {1: 1}, []]),
-        ({"a": int, "b": str}, [{}, {"a": 1, "other": None}], [{"a": "1"}, {"a": 1, "b": 1}, [], None]),
-    ],
-)
-def test_kinds_of_values(kind: object, good: list, bad: list):
-    assert [fits(value, kind) for value in good] == [True] * len(good)
-    assert [fits(value, kind) for value in bad] == [False] * len(bad)
 
 
 def test_metadata_that_is_not_text(tmp_path):

@@ -17,7 +17,7 @@ from data.contact.geometry import (
     force_direction,
     frame_geometry,
 )
-from data.source.camera import Camera, Undistortion, back_project, camera_from_dict, load_camera
+from data.source.camera import Camera, Undistortion, back_project, load_camera
 from data.source.layout import InputError
 
 CAMERA = Camera(100.0, 110.0, 31.5, 23.5, 64, 48)
@@ -98,10 +98,14 @@ def test_camera_files_and_their_errors(tmp_path):
     path = tmp_path / "camera.json"
     path.write_text(json.dumps({"camera": {**entries, "distortion": [0.1, 0, 0, 0, 0]}}))
     assert load_camera(path) == Camera(100, 110, 31.5, 23.5, 64, 48, (0.1, 0.0, 0.0, 0.0, 0.0))
-    with pytest.raises(InputError, match="lacks fy"):
-        camera_from_dict({"fx": 1}, "clip.json")
-    with pytest.raises(InputError, match="focal length"):
-        camera_from_dict({**entries, "fx": -1}, "clip.json")
+    for wrong, told in (
+        ({"fx": 1}, r"camera\.json lacks 'fy'; give a number"),
+        (entries | {"fx": -1}, r"camera\.json can't be used: The camera's focal length"),
+        (entries | {"distorsion": [0.1, 0, 0, 0]}, "unknown key 'distorsion'"),
+    ):
+        path.write_text(json.dumps(wrong))
+        with pytest.raises(InputError, match=told):
+            load_camera(path)
     with pytest.raises(InputError, match=r"nowhere\.yaml"):
         load_camera(tmp_path / "nowhere.yaml")
 

@@ -15,9 +15,9 @@ from hypothesis.extra import numpy as hnp
 
 from data.depth.model import RawDepth
 from data.depth.normalise import DepthSettings, estimate_scale, normalise, open_depth, resize_depth
-from data.depth.sources import DepthError, DepthMap, DepthSource, StoredDepth, check_map, positive
+from data.depth.sources import DepthSource, StoredDepth, check_map, positive
 from data.source.frames import Frame, FrameSource, open_source
-from data.source.layout import ClipLayout
+from data.source.layout import ClipLayout, InputError
 
 
 class Frames(FrameSource):
@@ -53,7 +53,7 @@ class Planes(DepthSource):
         """Nothing to fix."""
 
     def convert(self, raw):
-        return DepthMap(positive(raw.values))
+        return positive(raw.values)
 
 
 def tilted(far: float) -> np.ndarray:
@@ -77,6 +77,7 @@ def test_normalise_marks_everything_unusable_as_invalid():
     assert normalise(depth, 2.0).tolist() == [0, 0, 0, 0, 0, np.float32(1 / 65535)]
 
 
+@settings(max_examples=40)
 @given(
     depth=hnp.arrays(np.float32, (5, 7), elements=st.floats(0, 100, width=32, allow_subnormal=False)),
     scale=st.floats(0.01, 100),
@@ -108,7 +109,7 @@ def test_normalise_refuses_an_impossible_scale(scale):
 # Resize
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(
     labels=hnp.arrays(np.uint8, st.tuples(st.integers(8, 40), st.integers(8, 40)), elements=st.sampled_from([0, 1, 2])),
     size=st.tuples(st.integers(3, 45), st.integers(3, 45)),
@@ -122,7 +123,7 @@ def test_resize_never_blends_across_labels(labels, size, levels):
     assert np.allclose(depth, table[grid], rtol=1e-5, atol=0)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(
     valid=hnp.arrays(bool, (24, 32)),
     size=st.tuples(st.integers(3, 40), st.integers(3, 40)),
@@ -221,9 +222,9 @@ def test_unusable_frames_give_way_to_the_next():
 
 
 def test_a_clip_without_usable_depth_gets_a_sentence():
-    with pytest.raises(DepthError, match=r"clip has no frame with usable depth; frame 0 is zero everywhere; .*choose"):
+    with pytest.raises(InputError, match=r"clip has no frame with usable depth; frame 0 is zero everywhere; .*choose"):
         estimate_scale(Frames(5), Planes(lambda index: np.zeros((30, 40))), DepthSettings())
-    with pytest.raises(DepthError, match=r"clip has no frame with usable depth; choose another .*depth\.source"):
+    with pytest.raises(InputError, match=r"clip has no frame with usable depth; choose another .*depth\.source"):
         estimate_scale(Frames(0), Planes(lambda index: tilted(2.0)), DepthSettings())
 
 
@@ -237,7 +238,7 @@ def test_flicker_shows_because_nothing_is_normalised_by_the_frame():
     flicker = [1.0, 0.95, 1.0, 1.05]
     source, planes = Frames(4), Planes(lambda index: tilted(2.0) * flicker[index])
     scale, _ = estimate_scale(source, planes, DepthSettings())
-    means = [normalise(planes(frame).depth, 1.2 * scale)[:, :20].mean() for frame in source]
+    means = [normalise(planes(frame), 1.2 * scale)[:, :20].mean() for frame in source]
     assert np.array(means) / means[0] == pytest.approx(flicker, rel=1e-3)
 
 
@@ -262,7 +263,7 @@ def test_auto_prefers_stored_depth_and_falls_back_to_photometric(tmp_path):
     assert isinstance(open_depth(DepthSettings(), layout, stored), StoredDepth)
     bare = open_source(write_clip(tmp_path / "b", depth=False), layout)
     assert open_depth(DepthSettings(), layout, bare).identity.startswith("photometric:")
-    with pytest.raises(DepthError, match=r"b has no stored depth \(frame_\{number\}_endo_depth.png\)"):
+    with pytest.raises(InputError, match=r"b has no stored depth \(frame_\{number\}_endo_depth.png\)"):
         open_depth(DepthSettings(source="stored"), layout, bare)
     assert open_depth(DepthSettings(source="photometric"), layout, stored).identity.startswith("photometric:")
 
@@ -270,7 +271,7 @@ def test_auto_prefers_stored_depth_and_falls_back_to_photometric(tmp_path):
 def test_stored_depth_of_a_video_gets_a_sentence(tmp_path):
     source = Frames(2)
     source.path = tmp_path / "clip.mp4"
-    with pytest.raises(DepthError, match=r"clip.mp4 is no folder"):
+    with pytest.raises(InputError, match=r"clip.mp4 is no folder"):
         open_depth(DepthSettings(source="stored"), ClipLayout(), source)
 
 
@@ -282,7 +283,7 @@ def test_declared_depth_scale_is_honoured_for_stored_depth_only(tmp_path):
     depth = open_depth(DepthSettings(), layout, source)
     scale, _ = estimate_scale(source, depth, DepthSettings())
     assert scale == 1.0
-    z = normalise(depth(next(iter(source))).depth, scale)
+    z = normalise(depth(next(iter(source))), scale)
     assert z[0, [0, -1]] == pytest.approx([20000 / 65535, 60000 / 65535], abs=1e-6)
     settings_ = DepthSettings(source="photometric")
     assert estimate_scale(source, open_depth(settings_, layout, source), settings_)[0] != 1.0
@@ -297,9 +298,7 @@ def test_declared_depth_scale_is_honoured_for_stored_depth_only(tmp_path):
         ({"scale": 0}, "depth.scale is 0"),
         ({"scale_seconds": 0}, "scale_seconds"),
         ({"scale_samples": 0}, "scale_samples"),
-        ({"bits": 12}, "choose 8 or 16"),
         ({"threads": -1}, "threads"),
-        ({"device": "tpu"}, "choose cpu or cuda"),
     ],
 )
 def test_impossible_settings_get_a_sentence(changes, expected):
@@ -326,7 +325,7 @@ def test_real_sequence_with_stored_disparity(real_data):
     source = open_source(real_data / "recover_tissue", layout)
     depth = open_depth(DepthSettings(), layout, source)
     scale, _ = estimate_scale(source, depth, DepthSettings())
-    first = depth(next(iter(source))).depth
+    first = depth(next(iter(source)))
     assert first.shape == (540, 740)
     # The tissue lies at about 75 to 120 mm; 3 % of the pixels are mismatches of metres, which must not set the scale.
     assert 150 < scale < 350
@@ -340,7 +339,7 @@ def test_real_clip_by_the_shipped_model(real_data):
     depth = open_depth(settings_, layout, source)
     scale, _ = estimate_scale(source, depth, settings_)
     started = time.perf_counter()
-    z = normalise(depth(next(iter(source))).depth, scale)
+    z = normalise(depth(next(iter(source))), scale)
     assert time.perf_counter() - started < 2
     assert z.shape == (480, 854)
     # 15 % of the picture is black outside the endoscope's circle.

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from data.depth.preset import DepthError, DepthPreset, load_preset, preset_names, resolve_model
+from data.depth.preset import DepthPreset, load_preset, preset_names, resolve_model
+from data.source.layout import InputError
 
 SHIPPED = [
     "depth-anything-v2",
@@ -28,12 +29,11 @@ def test_shipped_preset_loads(name):
     preset = load_preset(name)
     assert preset.name == name
     assert preset.model or preset.obtain
-    assert preset.metric == (preset.kind in ("metric", "canonical_inverse"))
 
 
 def test_facts_of_the_networks():
     depthpro = load_preset("depthpro")
-    assert (depthpro.size, depthpro.focal_output, depthpro.focal_grid) == ((1536, 1536), ("focallength_px",), 1536)
+    assert (depthpro.size, depthpro.focal_output, depthpro.focal_grid) == ((1536, 1536), "focallength_px", 1536)
     anything = load_preset("depth-anything-v2")
     assert (anything.resize, anything.size, anything.multiple) == ("shorter", 518, 14)
     assert anything.kind == "relative_inverse"
@@ -48,16 +48,15 @@ def test_facts_of_the_networks():
     ("text", "expected"),
     [
         ("kind: metric\nsise: [3, 4]\n", "unknown key 'sise'"),
-        ("kind: depth\n", "choose one of metric"),
-        ("size: [3, 4]\n", "kind"),
+        ("kind: depth\n", "give one of metric"),
+        ("size: [3, 4]\n", "lacks 'kind'"),
         ("kind: metric\nresize: shorter\nsize: [3, 4]\n", "needs one number"),
         ("kind: metric\nresize: exact\nsize: 5\n", "[height, width]"),
         ("kind: metric\nstd: [1, 0, 1]\n", "std"),
-        ("kind: metric\nmean: [1, 2]\n", "three numbers"),
+        ("kind: metric\nmean: [1, 2]\n", "[a number, a number, a number]"),
         ("kind: metric\nfactor: 0\n", "factor"),
         ("kind: metric\nmultiple: 0\n", "at least 1"),
         ("kind: metric\nresize: none\nletterbox: true\n", "letterbox"),
-        ("kind: relative\nmetric: true\n", "not metric"),
         ("- 1\n", "mapping"),
         ("kind: [\n", "not a depth preset"),
     ],
@@ -65,7 +64,7 @@ def test_facts_of_the_networks():
 def test_wrong_preset_file_is_named_with_the_reason(tmp_path, text, expected):
     path = tmp_path / "mine.yaml"
     path.write_text(text)
-    with pytest.raises(DepthError, match=r"mine\.yaml") as caught:
+    with pytest.raises(InputError, match=r"mine\.yaml") as caught:
         load_preset(path)
     assert expected in str(caught.value)
     assert "\n" not in str(caught.value)
@@ -74,11 +73,11 @@ def test_wrong_preset_file_is_named_with_the_reason(tmp_path, text, expected):
 def test_preset_file_takes_its_name_from_the_file(tmp_path):
     path = tmp_path / "mine.yaml"
     path.write_text("kind: inverse\noutput: disparity\n")
-    assert load_preset(path) == DepthPreset(name="mine", kind="inverse", output=("disparity",))
+    assert load_preset(path) == DepthPreset(name="mine", kind="inverse", output="disparity")
 
 
 def test_unknown_preset_lists_the_known_ones():
-    with pytest.raises(DepthError, match=r"'depthpr' is no depth preset.*depthpro, depthpro-canonical"):
+    with pytest.raises(InputError, match=r"'depthpr' is no depth preset.*depthpro, depthpro-canonical"):
         load_preset("depthpr")
 
 
@@ -89,18 +88,18 @@ def test_identity_changes_with_every_fact():
 
 
 def test_missing_model_says_where_to_get_it():
-    with pytest.raises(DepthError, match=r"depthpro needs a model file; download onnx/model.onnx .* depth\.model\."):
+    with pytest.raises(InputError, match=r"depthpro needs a model file; download onnx/model.onnx .* depth\.model\."):
         resolve_model("depthpro", None, None)
-    with pytest.raises(DepthError, match=r"nowhere.onnx \(for depth preset depthpro\) does not exist; .*, or download"):
+    with pytest.raises(InputError, match=r"nowhere.onnx \(for depth preset depthpro\) does not exist; .*, or download"):
         resolve_model("depthpro", "nowhere.onnx", None)
-    with pytest.raises(DepthError, match=r"nowhere\.onnx does not exist"):
+    with pytest.raises(InputError, match=r"nowhere\.onnx does not exist"):
         resolve_model("nowhere.onnx", None, "depthpro")
 
 
 def test_onnx_path_needs_a_preset_or_a_file_beside_it(tmp_path):
     model = tmp_path / "network.onnx"
     model.touch()
-    with pytest.raises(DepthError, match=r"Nothing says how to read .*network.onnx.*network.yaml"):
+    with pytest.raises(InputError, match=r"Nothing says how to read .*network.onnx.*network.yaml"):
         resolve_model(str(model), None, None)
     assert resolve_model(str(model), None, "midas-small") == (model, load_preset("midas-small"))
     (tmp_path / "network.yaml").write_text("kind: inverse\n")

@@ -59,8 +59,15 @@ def overlap(a: np.ndarray, b: np.ndarray) -> float:
     return (a & b).sum() / (a | b).sum()
 
 
-@pytest.mark.parametrize(("angle", "width"), [(0.4, 30), (-0.5, 45), (np.pi / 2, 26), (2.7, 36)])
-@pytest.mark.parametrize("size", [(640, 360), (854, 480), (214, 120)])
+@pytest.mark.parametrize(
+    ("angle", "width", "size"),
+    [
+        (0.4, 30, (640, 360)),
+        (-0.5, 45, (640, 360)),
+        (np.pi / 2, 26, (854, 480)),
+        (2.7, 36, (214, 120)),
+    ],
+)
 def test_shaft_from_the_border_is_found(angle, width, size):
     image = tissue()
     mask = draw_shaft(image, (330, 180), angle, width)
@@ -73,7 +80,7 @@ def test_shaft_from_the_border_is_found(angle, width, size):
     assert (labels[~cv2.dilate(truth.astype(np.uint8), np.ones((9, 9))).astype(bool)] == 1).mean() > 0.99
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_tissue_without_instrument_is_left_alone(seed):
     masks = AutomaticMasks()
     for index in range(2):
@@ -175,9 +182,10 @@ def test_brightest_channel_is_the_maximum():
 @pytest.mark.slow
 def test_real_clip_keeps_what_docs_masks_reports(real_data):
     layout = ClipLayout()
-    annotation, automatic = AnnotationMasks(layout, MaskClasses()), AutomaticMasks()
+    clip = real_data / "cholecseg8k" / "video01" / "video01_00080"
+    annotation, automatic = AnnotationMasks(layout, MaskClasses(), clip), AutomaticMasks()
     false, scores = [], {}
-    for frame in open_source(real_data / "cholecseg8k" / "video01" / "video01_00080", layout):
+    for frame in open_source(clip, layout):
         truth, found = annotation(frame) == 2, automatic(frame) == 2
         if truth.any():
             scores[frame.number] = overlap(truth, found)

@@ -11,7 +11,7 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 from data.masks.onnx import OnnxMasks
-from data.masks.sources import MaskClasses, open_masks
+from data.masks.sources import MaskClasses, mask_model, open_masks
 from data.source.frames import Frame
 from data.source.layout import ClipLayout, InputError
 
@@ -83,7 +83,7 @@ def scene() -> tuple[Frame, np.ndarray]:
 def test_models_of_every_form_find_tool_and_tissue(tmp_path, model, settings):
     path = save_model(tmp_path / "m.onnx", metadata={"tool": [2], "tissue": [1], **PLAIN, **settings}, **model)
     frame, expected = scene()
-    found = open_masks(str(path), ClipLayout(), MaskClasses())(frame)
+    found = open_masks(str(path), ClipLayout(), MaskClasses(), tmp_path)(frame)
     if settings.get("output") == "labels":
         # A tie of the logits goes to the first class, as in the scene.
         assert np.array_equal(found, expected)
@@ -121,13 +121,13 @@ def test_identity_follows_the_file_and_the_settings(tmp_path):
     ("metadata", "message"),
     [
         (None, r"has no settings; write m\.yaml beside it"),
-        ({}, "does not say which output channels are tool"),
+        ({}, r"lacks 'tool'; give \[a whole number, …\]"),
         ({"tool": [1], "tissu": [2]}, "unknown key 'tissu'; known are tool"),
         ({"tool": []}, "at least one output channel"),
-        ({"tool": 1}, "can't be used"),
+        ({"tool": 1}, "gives tool 1; give"),
         ({"tool": [1], "tissue": [1]}, "share a channel"),
-        ({"tool": [1], "output": "scores"}, "choose logits"),
-        ({"tool": [1], "std": [1, 1, 0]}, "std above 0"),
+        ({"tool": [1], "output": "scores"}, "give one of logits"),
+        ({"tool": [1], "std": [1, 1, 0]}, "numbers above 0"),
         ({"tool": [1], "threshold": 1.5}, "between 0 and 1"),
         ({"tool": [1], "height": 0}, "must be positive"),
         ({"tool": [1], "axes": "nhwc"}, "takes w channels|not one picture|3 channels|takes"),
@@ -147,7 +147,7 @@ def test_wrong_settings_get_a_sentence(tmp_path, metadata, message):
         ({}, {"tool": [7]}, "without a channel 7"),
         ({"weights": WEIGHTS[2:]}, {"tool": [0]}, "sigmoid_logits"),
         ({}, {"tool": [1], "output": "labels"}, "not one label a pixel"),
-        ({"size": (96, 128)}, {"tool": [1], "height": 50}, "check height and width"),
+        ({"size": (96, 128)}, {"tool": [1], "height": 50}, "check the size"),
         ({"weights": WEIGHTS * np.float32(np.nan)}, {"tool": [1]}, "not finite"),
     ],
 )
@@ -159,10 +159,10 @@ def test_wrong_outputs_get_a_sentence(tmp_path, model, settings, message):
 
 
 def test_files_that_are_no_models(tmp_path):
-    with pytest.raises(InputError, match="does not exist"):
-        OnnxMasks(tmp_path / "absent.onnx")
+    with pytest.raises(InputError, match=r"absent\.onnx does not exist; check the path"):
+        mask_model(str(tmp_path / "absent.onnx"))
     (tmp_path / "text.onnx").write_text("hello")
-    with pytest.raises(InputError, match="is not an ONNX model"):
+    with pytest.raises(InputError, match="can't be opened as an ONNX model"):
         OnnxMasks(tmp_path / "text.onnx")
 
 
@@ -177,5 +177,5 @@ def test_model_with_other_inputs(tmp_path):
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=9)
     helper.set_model_props(model, {"masks": '{"tool": [0]}'})
     onnx.save(model, tmp_path / "sum.onnx")
-    with pytest.raises(InputError, match="not one picture"):
+    with pytest.raises(InputError, match="not one colour picture"):
         OnnxMasks(tmp_path / "sum.onnx")

@@ -114,12 +114,12 @@ def test_impossible_classes_are_refused(values, message):
 
 def test_brush_strokes_are_never_read_and_watershed_stands_in(tmp_path):
     write(tmp_path / "frame_80_endo_mask.png", color_mask())
-    masks = open_masks("annotation", LAYOUT, CLASSES_USED)
     with pytest.raises(InputError, match="holds no annotation masks") as caught:
-        masks(frame_in(tmp_path))
+        open_masks("annotation", LAYOUT, CLASSES_USED, tmp_path)
     assert not isinstance(caught.value, MaskError)
     grey = np.full(SIZE, CLASSES["gallbladder"].grey, np.uint8)
     write(tmp_path / "frame_80_endo_watershed_mask.png", grey)
+    masks = open_masks("annotation", LAYOUT, CLASSES_USED, tmp_path)
     assert (masks(frame_in(tmp_path)) == 1).all()
     write(tmp_path / "frame_80_endo_color_mask.png", color_mask())
     assert np.array_equal(masks(frame_in(tmp_path)), expected_labels())
@@ -127,7 +127,7 @@ def test_brush_strokes_are_never_read_and_watershed_stands_in(tmp_path):
 
 def test_one_frames_bad_mask_is_that_frames_error(tmp_path):
     write(tmp_path / "frame_80_endo_color_mask.png", color_mask())
-    masks = open_masks("auto", LAYOUT, CLASSES_USED)
+    masks = open_masks("auto", LAYOUT, CLASSES_USED, tmp_path)
     assert np.array_equal(masks(frame_in(tmp_path)), expected_labels())
     with pytest.raises(MaskError, match=r"frame_81_endo_color_mask\.png does not exist; add the mask of frame 81"):
         masks(frame_in(tmp_path, 81))
@@ -143,30 +143,29 @@ def test_one_frames_bad_mask_is_that_frames_error(tmp_path):
         masks(frame_in(tmp_path, 82))
 
 
-def test_video_has_no_annotation():
-    frame = Frame(0, 0, 0.0, np.zeros((*SIZE, 3), np.uint8))
+def test_video_has_no_annotation(tmp_path):
+    video = tmp_path / "video.mp4"
     with pytest.raises(InputError, match="use --masks automatic"):
-        open_masks("annotation", LAYOUT, CLASSES_USED)(frame)
-    assert (open_masks("auto", LAYOUT, CLASSES_USED)(frame) == 0).all()
+        open_masks("annotation", LAYOUT, CLASSES_USED, video)
+    with pytest.raises(InputError, match="the layout names no annotation masks"):
+        open_masks("annotation", ClipLayout(color_mask=None, class_mask=None), CLASSES_USED, tmp_path)
+    assert isinstance(open_masks("auto", LAYOUT, CLASSES_USED, video), AutomaticMasks)
 
 
-def test_auto_chooses_once_a_clip_until_reset(tmp_path):
-    plain, annotated = tmp_path / "plain", tmp_path / "annotated"
-    plain.mkdir()
-    write(annotated / "frame_80_endo_color_mask.png", color_mask())
-    masks = open_masks("auto", LAYOUT, CLASSES_USED)
-    assert not (masks(frame_in(plain)) == 2).any()
-    masks.reset()
-    assert (masks(frame_in(annotated)) == 2).any()
+def test_auto_is_annotation_where_the_clip_has_any(tmp_path):
+    assert isinstance(open_masks("auto", LAYOUT, CLASSES_USED, tmp_path), AutomaticMasks)
+    write(tmp_path / "frame_80_endo_color_mask.png", color_mask())
+    assert isinstance(open_masks("auto", LAYOUT, CLASSES_USED, tmp_path), AnnotationMasks)
 
 
-def test_kinds_and_identities():
-    assert isinstance(open_masks("automatic", LAYOUT, CLASSES_USED), AutomaticMasks)
+def test_kinds_and_identities(tmp_path):
+    write(tmp_path / "frame_80_endo_color_mask.png", color_mask())
+    assert isinstance(open_masks("automatic", LAYOUT, CLASSES_USED, tmp_path), AutomaticMasks)
     with pytest.raises(InputError, match="choose annotation, automatic, auto"):
-        open_masks("watershed", LAYOUT, CLASSES_USED)
+        open_masks("watershed", LAYOUT, CLASSES_USED, tmp_path)
     other = MaskClasses(tool=("l-hook electrocautery",))
-    assert AnnotationMasks(LAYOUT, CLASSES_USED).identity != AnnotationMasks(LAYOUT, other).identity
-    assert open_masks("auto", LAYOUT, CLASSES_USED).identity != open_masks("auto", LAYOUT, other).identity
+    identities = {open_masks("auto", LAYOUT, classes, tmp_path).identity for classes in (CLASSES_USED, other)}
+    assert len(identities) == 2
 
 
 def test_label_mask_of_inverse_polarity_and_opening(tmp_path):
@@ -184,7 +183,7 @@ def test_label_mask_of_inverse_polarity_and_opening(tmp_path):
 
 def test_real_clip_annotation(real_data):
     source = open_source(real_data / "cholecseg8k" / "video01" / "video01_00080", LAYOUT)
-    masks = open_masks("auto", LAYOUT, CLASSES_USED)
+    masks = open_masks("auto", LAYOUT, CLASSES_USED, source.path)
     tool = {frame.number: int((masks(frame) == 2).sum()) for frame in source if frame.number in (80, 148, 149, 159)}
     assert tool == {80: 0, 148: 0, 149: 283, 159: 7059}
 
@@ -192,7 +191,7 @@ def test_real_clip_annotation(real_data):
 def test_real_recover_masks(real_data):
     layout = load_layout(CHECKOUT / "configs" / "layouts" / "recover_tissue.yaml")
     frame = next(iter(open_source(real_data / "recover_tissue", layout)))
-    labels = open_masks("annotation", layout, CLASSES_USED)(frame)
+    labels = open_masks("annotation", layout, CLASSES_USED, real_data / "recover_tissue")(frame)
     counts = np.bincount(labels.ravel(), minlength=3)
     assert counts[1] == 303301
     assert 0.99 * 96299 < counts[2] <= 96299

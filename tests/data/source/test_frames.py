@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 import pytest
 
-from data.source.frames import FrameFolder, LiveCamera, VideoFile, discover, open_source, read_image
+from data.source.frames import FrameFolder, VideoFile, discover, open_source
+from data.source.images import read_image
 from data.source.layout import ClipLayout, InputError, load_layout
 
 LAYOUT = ClipLayout()
@@ -199,13 +200,9 @@ def test_unreadable_videos_get_a_sentence(tmp_path, content):
     assert "\n" not in str(caught.value)
 
 
-def test_missing_path_and_camera(tmp_path):
+def test_missing_path(tmp_path):
     with pytest.raises(InputError, match="No such file"):
         open_source(tmp_path / "absent.mp4", LAYOUT)
-    with pytest.raises(InputError, match="write camera:0"):
-        LiveCamera("camera:front")
-    with pytest.raises(InputError, match="delivers no picture"):
-        open_source(Path("camera:97"), LAYOUT)
 
 
 def test_discover_finds_clips_at_any_depth_in_natural_order(tmp_path):
@@ -237,9 +234,8 @@ def test_discover_names_what_is_wrong(tmp_path):
     write_png(tmp_path / "one.png", picture())
     with pytest.raises(InputError, match="is a single image"):
         discover([tmp_path / "one.png"], LAYOUT)
-    with pytest.raises(InputError, match="no input was given"):
-        discover([], LAYOUT)
-    assert discover([Path("camera:0")], LAYOUT) == [Path("camera:0")]
+    with pytest.raises(InputError, match="camera:0 is a live camera; record it to a video file"):
+        discover([Path("camera:0")], LAYOUT)
 
 
 def test_truncated_jpeg_is_refused(tmp_path):

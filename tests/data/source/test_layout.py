@@ -6,17 +6,16 @@ import json
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from data.source.camera import Camera, clip_camera
 from data.source.layout import (
     ClipLayout,
     InputError,
-    camera_file,
     clip_folder,
     companion,
     frame_files,
-    is_file,
     load_layout,
     natural_key,
     read_clip_file,
@@ -34,9 +33,10 @@ def test_shipped_recover_layout_means_what_the_sequence_stores():
     assert (layout.tool_values, layout.tissue_values) == ((0,), (1,))
     assert (layout.depth_kind, layout.depth_key) == ("disparity", "disparity")
     assert layout.depth_factor == pytest.approx(732.25 * 4.552)
-    assert camera_file(layout, Path("anywhere")) == (LAYOUTS / "recover_tissue_camera.yaml").resolve()
+    assert layout.camera == str((LAYOUTS / "recover_tissue_camera.yaml").resolve())
 
 
+@settings(max_examples=30)
 @given(st.text("0123456789", min_size=1, max_size=12))
 def test_companion_keeps_the_zero_padding(digits):
     layout = ClipLayout()
@@ -60,9 +60,8 @@ def test_companion_of_a_plain_image_lies_beside_it():
     ("values", "message"),
     [
         ({"image": "frame.png"}, "write {number} once"),
-        ({"fps": 0.0}, "positive number of frames"),
+        ({"fps": 0.0}, "positive number"),
         ({"depth_factor": float("nan")}, "positive number"),
-        ({"depth_kind": "inverse"}, "choose depth or disparity"),
         ({"label_mask": "m/{number}.png"}, "needs layout.tool_values"),
         ({"mask_opening_px": -1}, "give 0 or more"),
     ],
@@ -77,15 +76,16 @@ def test_impossible_values_are_refused(values, message):
     [
         ("imagge: x", "unknown key 'imagge'; known are image"),
         ("fps: [", "is not a clip layout"),
+        ("depth_kind: inverse", "gives depth_kind 'inverse'; give one of depth, disparity"),
         ("- a\n- b", "write a mapping"),
         ("fps: fast", "gives fps 'fast'; give a number"),
         ("fps: true", "gives fps True; give a number"),
-        ("fps: -1", "is not a clip layout: layout.fps is -1; give a positive number"),
+        ("fps: -1", "can't be used: layout.fps is -1; give a positive number"),
         ("image: 3", "gives image 3; give text"),
         ("depth: 5", "gives depth 5; give text"),
         ("mask_opening_px: x", "gives mask_opening_px 'x'; give a whole number"),
-        ("tool_values: 3", "gives tool_values 3; give a list of whole numbers"),
-        ("tool_values: [a]", r"gives tool_values \['a'\]; give a list of whole numbers"),
+        ("tool_values: 3", r"gives tool_values 3; give \[a whole number, …\]"),
+        ("tool_values: [a]", r"gives tool_values \['a'\]; give \[a whole number, …\]"),
     ],
 )
 def test_bad_layout_files_get_one_sentence(tmp_path, text, message):
@@ -104,14 +104,20 @@ def test_missing_layout_file():
 
 def test_camera_beside_the_clip_must_exist(tmp_path):
     layout = ClipLayout(camera="camera.json")
-    with pytest.raises(InputError, match="does not exist"):
-        camera_file(layout, tmp_path)
-    (tmp_path / "camera.json").write_text("{}")
-    assert camera_file(layout, tmp_path) == tmp_path / "camera.json"
-    assert camera_file(ClipLayout(), tmp_path) is None
+    with pytest.raises(InputError, match=r"camera\.json can't be read as a camera file"):
+        clip_camera(tmp_path, layout)
+    entries = {"fx": 10, "fy": 10.5, "cx": 1, "cy": 1, "width": 4, "height": 3}
+    (tmp_path / "camera.json").write_text(json.dumps(entries))
+    assert clip_camera(tmp_path, layout) == Camera(10, 10.5, 1, 1, 4, 3)
+    assert clip_camera(tmp_path, ClipLayout()) is None
+    (tmp_path / "clip.json").write_text(json.dumps({"camera": [1]}))
+    with pytest.raises(InputError, match=r"clip\.json\) has a camera that is not a mapping"):
+        clip_camera(tmp_path, layout)
 
 
-@pytest.mark.parametrize("content", [{"fps": -1}, {"times": [0, 0]}, {"times": ["a"]}, {"times": 3}])
+@pytest.mark.parametrize(
+    "content", [{"fps": -1}, {"times": [0, 0]}, {"times": ["a"]}, {"times": 3}, {"depth_scale": 0}]
+)
 def test_bad_clip_files_are_refused(tmp_path, content):
     (tmp_path / "clip.json").write_text(json.dumps(content))
     with pytest.raises(InputError, match=r"clip\.json gives"):
@@ -143,7 +149,3 @@ def test_time_stamps_in_names_are_not_frame_numbers(tmp_path):
     for stamp in (1700000000040, 1700000000080, 1700000000120):
         (tmp_path / f"{stamp}.jpg").write_bytes(b"x")
     assert [number for number, _ in frame_files(tmp_path, ClipLayout())] == [0, 1, 2]
-
-
-def test_name_that_the_file_system_refuses_is_no_file():
-    assert not is_file(Path("x" * 5000))

@@ -75,7 +75,7 @@ def test_the_projects_readers_read_it_back(written: Path) -> None:
     layout = ClipLayout()
     source = open_source(written, layout)
     assert (source.length, source.fps, source.size) == (20, 25.0, (214, 120))
-    masks = open_masks("annotation", layout, MaskClasses())
+    masks = open_masks("annotation", layout, MaskClasses(), source.path)
     depth = open_depth(DepthSettings(), layout, source)
     for index, frame in enumerate(source):
         assert frame.number == index
@@ -84,7 +84,7 @@ def test_the_projects_readers_read_it_back(written: Path) -> None:
         labels = masks(frame)
         np.testing.assert_array_equal(labels == 2, clip.labels[index] == CLASSES["grasper"].grey)
         np.testing.assert_array_equal(labels == 1, clip.labels[index] == CLASSES["gallbladder"].grey)
-        np.testing.assert_allclose(depth(frame).depth, clip.depth[index], atol=1e-6)
+        np.testing.assert_allclose(depth(frame), clip.depth[index], atol=1e-6)
 
 
 def test_the_truth_lies_beside_the_clip(written: Path) -> None:

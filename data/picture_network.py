@@ -1,0 +1,120 @@
+"""ONNX networks that take one colour picture, for depth and for masks: opened, checked, fed and run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+import onnxruntime
+
+from data.source.layout import InputError
+
+_INPUT_TYPES = {
+    "tensor(float)": np.float32,
+    "tensor(float16)": np.float16,
+    "tensor(double)": np.float64,
+    "tensor(uint8)": np.uint8,
+}
+_PROVIDERS = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}
+
+
+class PictureNetwork:
+    """A network in a file that takes one picture.
+
+    Args:
+        path: ONNX file.
+        threads: intra-op threads, 0 = onnxruntime's choice.
+        device: cpu or cuda.
+
+    Raises:
+        InputError: no such file or device, not an ONNX model, or other inputs than one picture.
+    """
+
+    def __init__(self, path: Path, *, threads: int = 0, device: str = "cpu") -> None:
+        self.path = path
+        options = onnxruntime.SessionOptions()
+        options.log_severity_level = 3
+        options.intra_op_num_threads = threads
+        options.use_deterministic_compute = True
+        if _PROVIDERS[device] not in onnxruntime.get_available_providers():
+            raise InputError(
+                f"depth.device is {device}, which this onnxruntime lacks; install onnxruntime-gpu or use cpu."
+            )
+        try:
+            session = onnxruntime.InferenceSession(str(path), options, providers=[_PROVIDERS[device]])
+        except Exception as error:  # onnxruntime's errors share no base class of their own
+            raise InputError(
+                f"{path} can't be opened as an ONNX model ({_first_line(error)}); export or download it again."
+            ) from error
+        self._session, inputs = session, session.get_inputs()
+        if len(inputs) != 1 or len(inputs[0].shape) != 4 or inputs[0].type not in _INPUT_TYPES:
+            found = ", ".join(f"{entry.name} {entry.type} {entry.shape}" for entry in inputs)
+            raise InputError(f"{path} takes {found}, and not one colour picture; export it that way.")
+        self._input = inputs[0]
+        self.outputs = [entry.name for entry in session.get_outputs()]
+        """Names of what it gives."""
+        self.metadata: dict[str, str] = session.get_modelmeta().custom_metadata_map
+        """What its author wrote into the file."""
+
+    def fixed_size(self, axes: str) -> tuple[int | None, int | None]:
+        """Height and width that the file prescribes [px], None where they are free.
+
+        Args:
+            axes: order of the input's axes, NCHW or NHWC.
+
+        Raises:
+            InputError: the file does not take one picture of three channels in that order.
+        """
+        # Dimensions that are names or None are free.
+        fixed = [side if isinstance(side, int) else None for side in self._input.shape]
+        sides = dict(zip(axes, fixed, strict=True))
+        if sides["N"] not in (1, None) or sides["C"] not in (3, None):
+            raise InputError(
+                f"{self.path} takes an input '{self._input.name}' of shape {self._input.shape}, and not one colour "
+                f"picture as {axes}; correct the order of the axes in its settings."
+            )
+        return sides["H"], sides["W"]
+
+    def run(self, tensor: np.ndarray, outputs: Sequence[str] | None = None) -> list[np.ndarray]:
+        """The named outputs, or all, for an input of `network_input`.
+
+        Raises:
+            InputError: the network fails on it.
+        """
+        dtype = _INPUT_TYPES[self._input.type]
+        if dtype is np.uint8:
+            tensor = np.rint(tensor).clip(0, 255)
+        try:
+            return [np.asarray(value) for value in self._session.run(outputs, {self._input.name: tensor.astype(dtype)})]
+        except Exception as error:  # onnxruntime's errors share no base class of their own
+            raise InputError(
+                f"{self.path} fails on an input of shape {list(tensor.shape)} ({_first_line(error)}); check the size "
+                "that its settings say."
+            ) from error
+
+
+def resized(picture: np.ndarray, height: int, width: int) -> np.ndarray:
+    """A picture at another size: area average when shrinking, bilinear when enlarging."""
+    shrinking = height * width < picture.shape[0] * picture.shape[1]
+    return cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA if shrinking else cv2.INTER_LINEAR)
+
+
+def network_input(
+    picture: np.ndarray, factor: float, mean: Sequence[float], std: Sequence[float], axes: str
+) -> np.ndarray:
+    """A picture [h, w, 3] as a network takes it: (picture · factor − mean)/std, float32, [1, 3, h, w] or [1, h, w, 3].
+
+    Args:
+        factor: multiplies the 8-bit values.
+        mean, std: of the channels, in the picture's own order.
+        axes: NCHW or NHWC.
+    """
+    values = (picture * np.float32(factor) - np.asarray(mean, np.float32)) / np.asarray(std, np.float32)
+    return np.ascontiguousarray((values if axes == "NHWC" else values.transpose(2, 0, 1))[None])
+
+
+def _first_line(error: Exception) -> str:
+    """First line of an error, short enough for a sentence."""
+    return str(error).strip().split("\n")[0][:200]

@@ -240,7 +240,7 @@ class TrainCLI(LightningCLI):
         contacts = self.datamodule.interactions("train", TRAIN_CONTACTS)
         files = write_evaluation(self.model.test_records, contacts, self.model.mechanics, self.model.bounds, folder)
         for name, path in files.items():
-            log_artifact(self.trainer, Path(path), "evaluation")
+            log_artifact(self.trainer, path, "evaluation")
             print(f"{name}: {path}")
 
 

@@ -155,6 +155,7 @@ def reading_tables(found: Evaluation, contacts: int) -> dict[str, str]:
             "Paired comparison of the predicted θ with its baselines",
             _filled(COMPARISONS, {f"vs {name}": comparison for name, comparison in found.comparisons.items()}),
             "Difference = baseline − predicted: positive values mean that the predicted θ has the lower error.",
+            "Better, worse: the mean error is lower or higher and Wilcoxon's p below 0.05.",
             "Cohen's d is the paired variant d_z = mean(difference)/SD(difference) = t/√n, as the paper prints it.",
             "Tests and BCa intervals take frames as independent, and frames of one clip are not. 10,000 resamples.",
         ),

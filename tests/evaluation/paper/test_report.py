@@ -179,17 +179,18 @@ def test_text_of_the_page_is_escaped():
     assert "<script>" not in render_page("a <script> & b", {}).split("<body>")[1]
 
 
+@pytest.fixture
+def undrawn(monkeypatch):
+    monkeypatch.setattr("evaluation.paper.report._png", lambda figure: b"")
+
+
+@pytest.mark.usefixtures("undrawn")
 def test_one_record_is_enough_to_write(tmp_path):
     written = write_evaluation([record(SOFT, SOFT)], [], MECHANICS, BOUNDS, tmp_path)
     text = "".join(written[name].read_text("utf-8") for name in ("table2.md", "collapse.md", "report.html"))
     assert "n too small" in text
     assert ">nan<" not in text
     assert "| nan" not in text
-
-
-@pytest.fixture
-def undrawn(monkeypatch):
-    monkeypatch.setattr("evaluation.paper.report._png", lambda figure: b"")
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -39,8 +39,9 @@ from data.contact.features import FEATURES
 from data.contact.geometry import GeometrySettings
 from data.source.frames import InputError
 from data.training.datamodule import ClipDataModule
+from evaluation.paper.analysis import EvaluationError
 from evaluation.paper.figures import draw_next_depth
-from evaluation.paper.report import EvaluationError, write_evaluation
+from evaluation.paper.report import write_evaluation
 from models.checkpoint import CheckpointError, read_checkpoint, require_same_model
 from models.module import PhysicsInformedGAN, TrainingDiverged
 from models.onnx_export import ParityError, export, export_posterior
@@ -58,8 +59,8 @@ CHECKPOINT_DEFAULTS = {
     "enable_version_counter": False,
     "save_on_train_epoch_end": True,
 }
-TRAIN_CONTACTS = 200
-"""Training pairs that the constant-θ baseline of the evaluation is fitted on, at most."""
+TRAIN_CONTACTS = 8
+"""Training pairs that the constant-θ baseline of the evaluation is fitted on, at most, evenly spaced."""
 
 
 class UsageError(ValueError):
@@ -239,7 +240,7 @@ class TrainCLI(LightningCLI):
         contacts = self.datamodule.interactions("train", TRAIN_CONTACTS)
         files = write_evaluation(self.model.test_records, contacts, self.model.mechanics, self.model.bounds, folder)
         for name, path in files.items():
-            log_artifact(self.trainer, Path(path), "evaluation")
+            log_artifact(self.trainer, path, "evaluation")
             print(f"{name}: {path}")
 
 

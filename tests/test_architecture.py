@@ -36,6 +36,7 @@ FENCES = {
     "mlflow": ("train.py",),
     "cv2": ("data/", "results/", "evaluation/"),
     "matplotlib": ("results/plots.py", "evaluation/", "benchmarks/"),
+    "pandas": ("evaluation/",),
     "scipy.stats": ("estimators/direct/", "evaluation/", "benchmarks/"),
 }
 """Where a library may be imported, by whatever door."""

@@ -118,8 +118,8 @@ def require_steps(checkpoint: Path, steps: int) -> None:
 
 def next_depth(path: Path) -> float:
     """The decoder's mean error of the next depth over that of repeating the last frame, from an `evaluation.json`."""
-    depth = json.loads(path.read_text(encoding="utf-8"))["evaluation"]["next_depth"]
-    return depth["decoder"]["mean"] / depth["copy"]["mean"]
+    depth = json.loads(path.read_text(encoding="utf-8"))["depth"]
+    return depth["decoder"]["mean"]["value"] / depth["copy"]["mean"]["value"]
 
 
 def judge(candidate: EstimatorOptions, settings: TrainingSettings, constant: np.ndarray) -> dict[str, float | None]:

@@ -7,244 +7,156 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import pandas as pd
+import torch
 
 from data.contact.interaction import Interaction
-from evaluation.paper.baselines import (
-    CHAOTIC_AMPLIFICATION,
-    ConstantTheta,
-    ConstantThetaSettings,
-    amplification,
-    fit_constant_theta,
-    no_motion_error,
-    reference_theta,
-    simulate_contacts,
-)
-from evaluation.paper.collapse import CollapseCheck, check_collapse, conclude, describe
-from evaluation.paper.figures import Response, ThetaSeries, response, theta_series
-from evaluation.paper.settling import Settling, settle
-from evaluation.paper.statistics import Comparison, Summary, compare, judge, summarise
-from physics.mechanics import REFERENCE_DAMPING, REFERENCE_STIFFNESS, Bounds, Mechanics
+from evaluation.paper.baselines import fit_constant_theta, no_motion_errors, simulate_contacts
+from evaluation.paper.collapse import as_told, conclude, spread_of
+from evaluation.paper.motion import motion_row, settle
+from evaluation.paper.statistics import Statistics, compare, describe, format_number, summarise
+from models.records import with_reference_tissue
+from physics.mechanics import PARAMETERS, REFERENCE_DAMPING, REFERENCE_STIFFNESS, Bounds, Mechanics
 
 Record = Mapping[str, Any]
 
 REFERENCE, PREDICTED, CONSTANT = "reference θ", "predicted θ", "constant θ"
-MEAN, NO_MOTION = "mean of predicted θ", "no motion"
-PHRASES = {
-    REFERENCE: f"the literature constants (k_s {REFERENCE_STIFFNESS}, k_d {REFERENCE_DAMPING})",
-    CONSTANT: "the constant θ fitted on the training contacts",
-    MEAN: "its own mean over the test frames, used for all of them",
-    NO_MOTION: "a simulation in which nothing moves",
+REGIMES = {
+    REFERENCE: "error_reference",
+    PREDICTED: "error_predicted",
+    CONSTANT: "error_constant",
+    "mean of predicted θ": "error_mean_theta",
+    "no motion": "error_no_motion",
 }
-REGULARITY_CONTACTS = 16
-"""Most test contacts simulated again to look for chaotic motion, evenly spaced over those available."""
-SCENE_SIZE = 1.0
-"""The deepest point of a scene lies at 1 scene unit: a larger displacement leaves the scene."""
+"""What was simulated, in the order of tables, and its column in the table of frames."""
+MEASURED = [
+    "clip",
+    "frame",
+    "error_reference",
+    "error_predicted",
+    "next_depth_error",
+    "copy_error",
+    "theta_sensitivity",
+]
+"""Columns of the table of frames that the records know already."""
+DEFINITIONS = (
+    f"Reference θ: k_s = {REFERENCE_STIFFNESS}, k_d = {REFERENCE_DAMPING} from the literature, F and all else "
+    "identical. Constant θ: fitted on training contacts. Mean of predicted θ: over the test frames. No motion: F = 0."
+)
 CONDITION_SHARE = 0.05
 """Below this fraction of the change between frames, a change of θ hardly reaches the decoded picture."""
 
 
-@dataclass(frozen=True)
-class Regularity:
-    """Whether one regime's simulations can be believed at all."""
-
-    frames: int
-    not_finite: int
-    """Trajectories with a value that isn't finite."""
-    leaves_scene: int
-    """Finite trajectories whose peak exceeds 1 scene unit."""
-    checked: int
-    """Trajectories simulated again with F changed by 1e-4 of itself."""
-    chaotic: int
-    """Of those, how many changed by more than 100 times as much, relative to their peak."""
-
-
-@dataclass(frozen=True)
-class NextDepth:
-    """The decoder as a predictor of the next depth map; errors are mean |Δz| [scene units]."""
-
-    decoder: Summary
-    copy: Summary
-    """Error of repeating the last frame."""
-    sensitivity: Summary
-    """Change of the decoded depth when θ moves to the farthest corner of the admissible box."""
-    comparison: Comparison
-    sensitivity_share: float | None
-    """Mean sensitivity divided by the mean change between frames (the copy error)."""
-    sentences: tuple[str, str]
+class EvaluationError(ValueError):
+    """The evaluation can't be computed or written; one sentence says what to do."""
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Everything measured on the test frames; arrays have one entry a frame, in order of clip and frame."""
+    """Everything measured on the test frames."""
 
-    clips: np.ndarray
-    frames: np.ndarray
-    contacts: int
-    """Different observed motions behind the frames."""
-    theta: np.ndarray
-    """Predicted (k_s, k_d, F), F signed, shape [n, 3]."""
-    errors: dict[str, np.ndarray]
-    """Regime → displacement error of each frame [scene units²]."""
-    summaries: dict[str, Summary]
-    comparisons: dict[str, Comparison]
-    """Baseline → paired comparison of the predicted θ with it."""
-    constant: ConstantTheta | None
-    missing: tuple[str, ...]
-    """Sentences on what could not be computed, and why."""
-    regularity: dict[str, Regularity]
-    check: CollapseCheck
-    sentences: tuple[str, ...]
-    """One sentence for each comparison."""
+    frames: pd.DataFrame
+    """One row a test frame, in order of clip and frame: parameters as told, displacement errors by regime [scene
+    units²], errors of the next depth map [scene units], settling of the predicted motion."""
+    trajectories: np.ndarray
+    """Displacement of the contact vertex under the predicted θ, shape [n, T, 3] [scene units]."""
+    summaries: dict[str, Statistics]
+    """Errors of each regime."""
+    comparisons: dict[str, Statistics]
+    """Paired comparisons of the predicted θ with every other regime."""
+    depth: dict[str, Statistics]
+    """Mean |Δz| of the decoded next depth map, of repeating the last frame, and of the decoded map when θ moves to the
+    farthest corner of the admissible box; then the paired comparison of the first two."""
+    settling: pd.DataFrame
+    """Settling of every test frame under the predicted and the reference θ."""
+    motion: pd.DataFrame
+    """Settling and regularity of these simulations in numbers."""
+    spread: pd.DataFrame
+    """Spread of the estimates by parameter."""
+    constant: np.ndarray
+    """The constant θ, F signed; not a number without training contacts."""
+    training_error: float
+    """Its mean displacement error on the training contacts [scene units²]."""
     conclusion: str
-    settling: dict[str, list[Settling]]
-    next_depth: NextDepth
-    next_depth_errors: dict[str, np.ndarray]
-    response: Response
-    series: ThetaSeries
+    sentences: tuple[str, ...]
 
 
-def _contact(record: Record, mechanics: Mechanics) -> Interaction:
-    """The record's contact, to be simulated again."""
-    return Interaction(record["mesh"], record["load"], record["observation"], mechanics.time_step)
-
-
-def count_contacts(records: Sequence[Record]) -> int:
-    """How many different motions were observed; the frames of one contact may share theirs."""
-    observed = (
-        (str(record["clip"]), record["observation"].times.tobytes(), record["observation"].displacement.tobytes())
-        for record in records
-    )
-    return len(set(observed))
-
-
-def _column(records: Sequence[Record], name: str) -> np.ndarray:
-    return np.array([record[name] for record in records], dtype=float)
-
-
-def _finite_summary(values: np.ndarray, clips: np.ndarray) -> Summary:
-    finite = np.isfinite(values)
-    return summarise(values[finite], clips[finite])
-
-
-def _regularity(
-    trajectories: np.ndarray, theta: np.ndarray, contacts: Sequence[Interaction], mechanics: Mechanics
-) -> Regularity:
-    """Count what can't be believed."""
-    distance = np.linalg.norm(trajectories.astype(float), axis=2)
-    finite = np.isfinite(distance).all(axis=1)
-    count = min(REGULARITY_CONTACTS, len(contacts))
-    chosen = np.unique(np.linspace(0, len(contacts) - 1, count).round().astype(int))
-    gain = amplification(theta[chosen], [contacts[i] for i in chosen], mechanics)
-    chaotic = int(np.count_nonzero(gain > CHAOTIC_AMPLIFICATION))
-    return Regularity(
-        frames=len(distance),
-        not_finite=int(np.count_nonzero(~finite)),
-        leaves_scene=int(np.count_nonzero(distance[finite].max(axis=1, initial=0.0) > SCENE_SIZE)),
-        checked=len(chosen),
-        chaotic=chaotic,
+def describe_depth(depth: Mapping[str, Statistics]) -> str:
+    """Whether θ reaches the decoded picture."""
+    moved, error, change = (depth[name]["mean"].value for name in ("sensitivity", "decoder", "copy"))
+    share = moved / change if change else np.nan
+    return (
+        f"Moving θ to the farthest corner of the admissible box changes the decoded depth by {format_number(moved)} "
+        f"scene units, {format_number(100 * share)} % of the change between frames (the decoder's own error: "
+        f"{format_number(error)}): θ {'reaches' if share >= CONDITION_SHARE else 'hardly reaches'} the picture."
     )
 
 
-def analyse_next_depth(decoder: np.ndarray, copy: np.ndarray, sensitivity: np.ndarray, clips: np.ndarray) -> NextDepth:
-    """Compare the decoder's next depth with the last frame, and say whether θ reaches the picture; all shape [n]."""
-    comparison = compare(decoder, copy, clips)
-    summary, change = _finite_summary(sensitivity, clips), _finite_summary(copy, clips)
-    share = summary.mean / change.mean if summary.mean is not None and change.mean else None
-    first = describe(comparison, "The decoder's next depth map", "repeating the last frame")
-    if judge(comparison) == "better":
-        first += " The picture carries motion."
-    elif judge(comparison) != "untested":
-        first += " The picture carries no motion that repeating the last frame would not."
-    if share is None:
-        second = "The decoder's sensitivity to θ has nothing to be compared with: the scene does not change."
-    else:
-        reach = "θ reaches the picture" if share >= CONDITION_SHARE else "θ hardly reaches the picture"
-        second = (
-            f"Moving θ to the farthest corner of the admissible box changes the decoded depth by {summary.mean:.3g} "
-            f"scene units, {100 * share:.3g} % of the change between frames: {reach}."
-        )
-        own = _finite_summary(decoder, clips).mean
-        if summary.mean and own is not None and own > 2 * summary.mean:
-            second += f" The decoder's own error is {own / summary.mean:,.0f} times that."
-    return NextDepth(_finite_summary(decoder, clips), change, summary, comparison, share, (first, second))
-
-
-def _errors_and_baselines(
-    records: Sequence[Record], contacts: Sequence[Interaction], training: Sequence[Interaction], mechanics: Mechanics,
-    bounds: Bounds, settings: ConstantThetaSettings,
-) -> tuple[dict[str, np.ndarray], ConstantTheta | None]:  # fmt: skip
-    """Errors by regime, and the fitted constant."""
-    errors = {REFERENCE: _column(records, "error_reference"), PREDICTED: _column(records, "error_predicted")}
-    constant = fit_constant_theta(training, bounds, mechanics, settings)
-    if constant is not None:
-        errors[CONSTANT] = simulate_contacts(np.array(constant.theta), contacts, mechanics, settings.batch_size)[1]
-    mean = np.mean([record["theta"] for record in records], axis=0)
-    errors[MEAN] = simulate_contacts(mean, contacts, mechanics, settings.batch_size)[1]
-    errors[NO_MOTION] = np.array([no_motion_error(record["observation"]) for record in records])
-    return errors, constant
+def analyse_depth(frames: pd.DataFrame) -> dict[str, Statistics]:
+    """Compare the decoder's next depth with the last frame, and how far θ moves it."""
+    columns = {"decoder": "next_depth_error", "copy": "copy_error", "sensitivity": "theta_sensitivity"}
+    found = {name: summarise(frames[column], frames["clip"]) for name, column in columns.items()}
+    return found | {"comparison": compare(frames["next_depth_error"], frames["copy_error"], frames["clip"])}
 
 
 def analyse(
-    records: Sequence[Record],
-    training: Sequence[Interaction],
-    mechanics: Mechanics,
-    bounds: Bounds,
-    settings: ConstantThetaSettings | None = None,
+    records: Sequence[Record], training: Sequence[Interaction], mechanics: Mechanics, bounds: Bounds
 ) -> Evaluation:
     """Compute every number of the evaluation; see `evaluation.paper.report.write_evaluation` for the arguments.
 
     Raises:
-        ValueError: there are no records.
+        EvaluationError: there are no records.
     """
     if not records:
-        raise ValueError(
+        raise EvaluationError(
             "no test pair is in contact, so there is nothing to evaluate; check the split and the counts by status "
             "that the data preparation prints."
         )
-    settings = settings or ConstantThetaSettings()
-    records = sorted(records, key=lambda record: (str(record["clip"]), int(record["frame"])))
-    clips = np.array([str(record["clip"]) for record in records])
-    theta = np.array([record["theta"] for record in records], dtype=float)
-    trajectories = {
-        REFERENCE: np.array([record["reference_trajectory"] for record in records]),
-        PREDICTED: np.array([record["trajectory"] for record in records]),
+    records = sorted(records, key=lambda record: (record["clip"], record["frame"]))
+    contacts = [Interaction(one["mesh"], one["load"], one["observation"], mechanics.time_step) for one in records]
+    theta, predicted, reference = (
+        np.array([record[name] for record in records], float)
+        for name in ("theta", "trajectory", "reference_trajectory")
+    )
+    frames = pd.DataFrame(records, columns=MEASURED)
+    frames[list(PARAMETERS)] = as_told(theta, bounds)
+    constant, training_error = fit_constant_theta(training, bounds, mechanics)
+    frames["error_constant"] = simulate_contacts(constant, contacts, mechanics)[1] if training else np.nan
+    frames["error_mean_theta"] = simulate_contacts(theta.mean(axis=0), contacts, mechanics)[1]
+    frames["error_no_motion"] = no_motion_errors(contacts, mechanics)
+    clips, errors = frames["clip"], {name: frames[column] for name, column in REGIMES.items()}
+    comparisons = {name: compare(errors[PREDICTED], errors[name], clips) for name in errors if name != PREDICTED}
+    depth = analyse_depth(frames)
+
+    load_steps = np.array([contact.load.factor.sum().round() for contact in contacts], dtype=int)
+    simulated = {
+        REFERENCE: (with_reference_tissue(torch.from_numpy(theta)).numpy(), settle(reference, load_steps, mechanics)),
+        PREDICTED: (theta, settle(predicted, load_steps, mechanics)),
     }
-    load_steps = [round(float(record["load"].factor.sum())) for record in records]
-    again = [_contact(record, mechanics) for record in records]
-    errors, constant = _errors_and_baselines(records, again, training, mechanics, bounds, settings)
-    missing = [] if constant is not None else ["No constant θ was fitted: there are no training contacts."]
-    baselines = [name for name in (REFERENCE, CONSTANT, MEAN, NO_MOTION) if name in errors]
-    comparisons = {name: compare(errors[PREDICTED], errors[name], clips) for name in baselines}
-    check = check_collapse(theta, clips, bounds)
-    contacts = count_contacts(records)
-    if contacts < len(records):
-        missing.append(
-            f"The {len(records)} test frames share {contacts} observed motion{'' if contacts == 1 else 's'} of a "
-            "contact: p-values and intervals over frames overstate what they prove."
-        )
-    depth_errors = {name: _column(records, name) for name in ("next_depth_error", "copy_error", "theta_sensitivity")}
-    thetas = {REFERENCE: reference_theta(theta), PREDICTED: theta}
-    frames = np.array([int(record["frame"]) for record in records])
+    motion = {name: motion_row(settling, own, contacts, mechanics) for name, (own, settling) in simulated.items()}
+    settling = {name: frames[["clip", "frame"]].join(settling) for name, (_, settling) in simulated.items()}
+
+    spread = spread_of(frames, bounds)
+    seen = [(one.observation.times.tobytes(), one.moved.tobytes()) for one in contacts]
+    observed = set(zip(clips, seen, strict=True))
     return Evaluation(
-        clips=clips,
-        frames=frames,
-        contacts=contacts,
-        theta=theta,
-        errors=errors,
-        summaries={name: _finite_summary(values, clips) for name, values in errors.items()},
+        frames=frames.join(simulated[PREDICTED][1]),
+        trajectories=predicted,
+        summaries={name: summarise(values, clips) for name, values in errors.items()},
         comparisons=comparisons,
+        depth=depth,
+        settling=pd.concat(settling, names=["simulation"]).reset_index("simulation"),
+        motion=pd.DataFrame.from_dict(motion, orient="index"),
+        spread=spread,
         constant=constant,
-        missing=tuple(missing),
-        regularity={name: _regularity(trajectories[name], thetas[name], again, mechanics) for name in trajectories},
-        check=check,
-        sentences=tuple(describe(value, "The predicted θ", PHRASES[name]) for name, value in comparisons.items()),
-        conclusion=conclude(check, comparisons.get(CONSTANT), comparisons[REFERENCE], contacts),
-        settling={
-            name: [settle(one, steps, mechanics) for one, steps in zip(values, load_steps, strict=True)]
-            for name, values in trajectories.items()
-        },
-        next_depth=analyse_next_depth(*depth_errors.values(), clips),
-        next_depth_errors=depth_errors,
-        response=response(trajectories[PREDICTED], load_steps, mechanics),
-        series=theta_series(theta, clips.tolist(), frames.tolist(), bounds),
+        training_error=training_error,
+        conclusion=conclude(spread, comparisons[CONSTANT], comparisons[REFERENCE], len(observed)),
+        sentences=(
+            *(describe(found, "The predicted θ", name) for name, found in comparisons.items()),
+            describe(depth["comparison"], "The decoder's next depth map", "repeating the last frame"),
+            describe_depth(depth),
+            f"Test frames: {len(frames)}; observed motions of a contact behind them: {len(observed)}. Where frames "
+            "share one, p-values and intervals over frames overstate what they prove.",
+            DEFINITIONS,
+        ),
     )

@@ -1,16 +1,18 @@
 """Means, intervals and paired tests of the evaluation's errors (Bini 2026, section 4.1 and table 2).
 
 Frames of one clip are autocorrelated, so beside the paper's tests, which take frames as independent, every mean and
-every difference also gets a bootstrap over whole clips. A statistic that can't be computed is None; `notes` says why.
+every difference also gets a bootstrap over whole clips.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any, Literal
+import math
+from collections.abc import Callable, Sequence
+from typing import Literal, NamedTuple
 
 import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
 from scipy import stats
 
 RESAMPLES = 10_000
@@ -23,204 +25,146 @@ MINIMUM_FOR_WILCOXON = 6
 """Fewest non-zero differences: with 5, no two-sided p-value can fall below 0.05."""
 MINIMUM_CLIPS = 3
 """Fewest clips for a bootstrap over clips."""
-COARSE_CLIPS = 10
-"""Below this many clips the bootstrap over clips is reported with the remark that it is coarse."""
-LEAST_CHANGE = 0.1
-"""Relative changes below this [%] are not told apart in words."""
 RESAMPLES_AT_ONCE = 500
 """Resamples held in memory together."""
 
-Interval = tuple[float, float]
-Told = tuple[float | Interval | None, str]
-"""A statistic, and why it is None or what to keep in mind."""
+
+def format_number(value: float | str) -> str:
+    """A cell for reading: four significant digits, a dash for what does not exist."""
+    if isinstance(value, str | int):
+        return str(value)
+    if math.isnan(value):
+        return "–"
+    return f"{value:.4g}".replace("e-0", "e-").replace("e+0", "e+").replace("-", "−")
 
 
-@dataclass(frozen=True)
-class Summary:
-    """One regime's errors in numbers; None where there were too few values, with the reason in `notes`."""
+class Statistic(NamedTuple):
+    """A number or an interval; both not a number where `note` says why it can't be computed."""
 
-    n: int
-    """Number of values (frames)."""
-    clips: int
-    """Number of clips that the frames come from."""
-    mean: float | None
-    sd: float | None
-    """Sample standard deviation (n − 1)."""
-    interval: Interval | None
-    """BCa 95 % interval of the mean, frames taken as independent."""
-    clip_interval: Interval | None
-    """95 % interval of the mean from resampling whole clips (percentile method)."""
-    notes: dict[str, str] = field(default_factory=dict)
-    """Field name → why it is None, or what to keep in mind."""
+    value: float = math.nan
+    low: float = math.nan
+    high: float = math.nan
+    note: str = ""
+
+    def __str__(self) -> str:
+        """For reading."""
+        if math.isnan(self.low):
+            return self.note or format_number(self.value)
+        return f"[{format_number(self.low)}, {format_number(self.high)}]"
 
 
-@dataclass(frozen=True)
-class Comparison:
-    """Paired comparison of a regime with a baseline; differences are baseline − regime, so positive = regime better."""
-
-    n: int
-    """Number of pairs in which both errors are finite."""
-    clips: int
-    left_out: int
-    """Pairs left out because one of the two errors isn't finite."""
-    mean_difference: float | None
-    relative_change_percent: float | None
-    """100·(mean regime − mean baseline)/mean baseline; negative = the regime's error is lower."""
-    difference_interval: Interval | None
-    """BCa 95 % interval of the mean difference, frames taken as independent."""
-    difference_clip_interval: Interval | None
-    """95 % interval of the mean difference from resampling whole clips."""
-    wilcoxon_w: float | None
-    """Wilcoxon signed-rank statistic: the smaller of the two rank sums."""
-    wilcoxon_p: float | None
-    t: float | None
-    t_p: float | None
-    """Paired t-test, two-sided."""
-    cohens_d: float | None
-    """Paired Cohen's d_z = mean(difference)/SD(difference) = t/√n, the variant behind the paper's 0.390."""
-    notes: dict[str, str] = field(default_factory=dict)
+Statistics = dict[str, Statistic]
 
 
 def _too_small(count: int, needed: int, unit: str) -> str:
-    return f"n too small ({count} {unit if count != 1 else unit.removesuffix('s')}, {needed} needed)"
+    """Why nothing is computed from so few; empty where there are enough."""
+    return "" if count >= needed else f"n too small ({unit}: {count}, {needed} needed)"
 
 
-def bca_interval(values: np.ndarray, seed: int = 0) -> tuple[Interval | None, str]:
-    """BCa bootstrap interval of the mean of values [n]; the second entry says why it is None."""
-    if len(values) < MINIMUM_FOR_BCA:
-        return None, _too_small(len(values), MINIMUM_FOR_BCA, "values")
-    if np.ptp(values) == 0:
-        return None, "all values are equal"
+def _bootstrap(samples: Sequence[np.ndarray], mean: Callable, method: Literal["BCa", "percentile"]) -> Statistic:
+    """Interval of a mean over resamples of what belongs together."""
     result = stats.bootstrap(
-        (values,), np.mean, n_resamples=RESAMPLES, confidence_level=CONFIDENCE, method="BCa",
-        batch=RESAMPLES_AT_ONCE, random_state=np.random.default_rng(seed),
+        samples, mean, paired=True, vectorized=True, n_resamples=RESAMPLES, confidence_level=CONFIDENCE, method=method,
+        batch=RESAMPLES_AT_ONCE, rng=np.random.default_rng(0),
     )  # fmt: skip
     low, high = map(float, result.confidence_interval)
-    if not (np.isfinite(low) and np.isfinite(high)):
-        return None, "the resamples are degenerate"
-    return (low, high), ""
+    return Statistic(note="the resamples are degenerate") if math.isnan(low + high) else Statistic(low=low, high=high)
 
 
-def clip_interval(values: np.ndarray, clips: np.ndarray, seed: int = 0) -> tuple[Interval | None, str]:
+def bca_interval(values: pd.Series) -> Statistic:
+    """BCa bootstrap interval of the mean of values [n], taken as independent."""
+    note = _too_small(len(values), MINIMUM_FOR_BCA, "values")
+    if values.nunique() == 1:
+        note = note or "all values are equal"
+    return Statistic(note=note) if note else _bootstrap((values.to_numpy(),), np.mean, "BCa")
+
+
+def clip_interval(values: pd.Series, clips: np.ndarray) -> Statistic:
     """Interval of the mean of values [n] over resamples of whole clips, whose names [n] are `clips`.
 
     A percentile interval: with a handful of clips BCa's acceleration would itself be noise.
     """
-    _, block = np.unique(clips, return_inverse=True)
-    count = int(block.max()) + 1 if len(block) else 0
-    if count < MINIMUM_CLIPS:
-        return None, _too_small(count, MINIMUM_CLIPS, "clips")
-    totals, sizes = np.bincount(block, weights=values), np.bincount(block).astype(float)
-    result = stats.bootstrap(
-        (totals, sizes), lambda total, size, axis=-1: total.sum(axis=axis) / size.sum(axis=axis), paired=True,
-        n_resamples=RESAMPLES, confidence_level=CONFIDENCE, method="percentile", vectorized=True,
-        batch=RESAMPLES_AT_ONCE, random_state=np.random.default_rng(seed),
-    )  # fmt: skip
-    low, high = map(float, result.confidence_interval)
-    return (low, high), f"coarse: {count} clips" if count < COARSE_CLIPS else ""
-
-
-def _named(found: Mapping[str, Told]) -> dict[str, Any]:
-    """Statistics by name, and as `notes` what there is to say of them."""
-    notes = {name: note for name, (_, note) in found.items() if note}
-    return {name: value for name, (value, _) in found.items()} | {"notes": notes}
-
-
-def summarise(values: np.ndarray, clips: np.ndarray) -> Summary:
-    """Mean, SD and both intervals of finite values [n] from the clips [n]."""
-    values, clips = np.asarray(values, dtype=float), np.asarray(clips)
-    n = len(values)
-    found: dict[str, Told] = {
-        "mean": (float(values.mean()), "") if n else (None, _too_small(n, 1, "values")),
-        "sd": (float(values.std(ddof=1)), "") if n > 1 else (None, _too_small(n, 2, "values")),
-        "interval": bca_interval(values),
-        "clip_interval": clip_interval(values, clips),
-    }
-    return Summary(n=n, clips=len(np.unique(clips)), **_named(found))
-
-
-def _wilcoxon(difference: np.ndarray) -> dict[str, Told]:
-    nonzero = int(np.count_nonzero(difference))
-    if nonzero < MINIMUM_FOR_WILCOXON:
-        note = _too_small(nonzero, MINIMUM_FOR_WILCOXON, "non-zero differences")
-        return dict.fromkeys(("wilcoxon_w", "wilcoxon_p"), (None, note))
-    result = stats.wilcoxon(difference)
-    return {"wilcoxon_w": (float(result.statistic), ""), "wilcoxon_p": (float(result.pvalue), "")}
-
-
-def _paired_t(difference: np.ndarray) -> dict[str, Told]:
-    count, note = len(difference), ""
-    sd = float(difference.std(ddof=1)) if count > 1 else 0.0
-    if count < 2:
-        note = _too_small(count, 2, "pairs")
-    # Differences that agree to rounding have no spread to test against; t would be the rounding's.
-    elif sd <= 1e-12 * float(np.abs(difference).max()):
-        note = "all differences are equal"
+    by_clip = values.groupby(clips)
+    note = _too_small(by_clip.ngroups, MINIMUM_CLIPS, "clips")
     if note:
-        return dict.fromkeys(("t", "t_p", "cohens_d"), (None, note))
-    result = stats.ttest_1samp(difference, 0.0)
-    values = {"t": result.statistic, "t_p": result.pvalue, "cohens_d": difference.mean() / sd}
-    return {name: (float(value), "") for name, value in values.items()}
+        return Statistic(note=note)
+
+    def mean(totals: np.ndarray, sizes: np.ndarray, axis: int = -1) -> np.ndarray:
+        return totals.sum(axis=axis) / sizes.sum(axis=axis)
+
+    return _bootstrap((by_clip.sum().to_numpy(), by_clip.size().to_numpy()), mean, "percentile")
 
 
-def _changes(regime: np.ndarray, baseline: np.ndarray) -> dict[str, Told]:
-    if not len(regime):
-        note = _too_small(0, 1, "pairs")
-        return dict.fromkeys(("mean_difference", "relative_change_percent"), (None, note))
-    after, before = float(regime.mean()), float(baseline.mean())
-    percent = (100 * (after - before) / before, "") if before > 0 else (None, "the baseline's error is 0")
-    return {"mean_difference": (float((baseline - regime).mean()), ""), "relative_change_percent": percent}
+def summarise(values: ArrayLike, clips: ArrayLike) -> Statistics:
+    """Mean, SD (n − 1) and both intervals of the finite among the values [n] from the clips [n]."""
+    finite = np.isfinite(values)
+    kept, names = pd.Series(np.asarray(values, dtype=float)[finite]), np.asarray(clips)[finite]
+    return {
+        "mean": Statistic(kept.mean(), note=_too_small(len(kept), 1, "values")),
+        "sd": Statistic(kept.std(), note=_too_small(len(kept), 2, "values")),
+        "interval": bca_interval(kept),
+        "clip_interval": clip_interval(kept, names),
+        "n": Statistic(len(kept)),
+        "clips": Statistic(len(np.unique(names))),
+        "left_out": Statistic(int(np.count_nonzero(~finite))),
+    }
 
 
-def compare(regime: np.ndarray, baseline: np.ndarray, clips: np.ndarray) -> Comparison:
-    """Paired statistics of two regimes' errors on the same frames.
+def compare(regime: ArrayLike, baseline: ArrayLike, clips: ArrayLike) -> Statistics:
+    """Paired statistics of two regimes' errors on the same frames; pairs with an error that isn't finite are left out.
+
+    Differences are baseline − regime, so positive means that the regime is better; tests are two-sided; Cohen's d is
+    the paired d_z = mean(difference)/SD(difference) = t/√n, the variant behind the paper's 0.390.
 
     Args:
-        regime: errors with the parameters under test, shape [n]; not-finite entries are left out in pairs and counted.
+        regime: errors with the parameters under test, shape [n].
         baseline: errors of the baseline on the same frames, shape [n].
         clips: clip of each frame, shape [n].
-
-    Raises:
-        ValueError: the three lengths differ.
     """
-    regime, baseline, clips = np.asarray(regime, float), np.asarray(baseline, float), np.asarray(clips)
-    if not len(regime) == len(baseline) == len(clips):
-        raise ValueError(
-            f"a paired comparison needs equal lengths, got {len(regime)} errors, {len(baseline)} baseline errors and "
-            f"{len(clips)} clip names; give one of each per frame."
-        )
     finite = np.isfinite(regime) & np.isfinite(baseline)
-    regime, baseline, clips = regime[finite], baseline[finite], clips[finite]
-    difference = baseline - regime
-    found = _changes(regime, baseline) | {
+    after, before = (pd.Series(np.asarray(errors, dtype=float)[finite]) for errors in (regime, baseline))
+    names, difference = np.asarray(clips)[finite], before - after
+    empty = _too_small(len(difference), 1, "pairs")
+    few = _too_small(int(np.count_nonzero(difference)), MINIMUM_FOR_WILCOXON, "non-zero differences")
+    alike = _too_small(len(difference), 2, "pairs")
+    # Differences that agree to rounding have no spread to test against; t would be the rounding's.
+    if difference.std() <= 1e-12 * difference.abs().max():
+        alike = "all differences are equal"
+    unscaled = empty or ("" if before.mean() > 0 else "the baseline's error is 0")
+    w, w_p = (math.nan, math.nan) if few else stats.wilcoxon(difference)
+    t, t_p = (math.nan, math.nan) if alike else stats.ttest_1samp(difference, 0.0)
+    return {
+        "mean_difference": Statistic(difference.mean(), note=empty),
+        "relative_change_percent": Statistic(100 * (after.mean() / (before.mean() or math.nan) - 1), note=unscaled),
         "difference_interval": bca_interval(difference),
-        "difference_clip_interval": clip_interval(difference, clips),
+        "difference_clip_interval": clip_interval(difference, names),
+        "wilcoxon_w": Statistic(w, note=few),
+        "wilcoxon_p": Statistic(w_p, note=few),
+        "t": Statistic(t, note=alike),
+        "t_p": Statistic(t_p, note=alike),
+        "cohens_d": Statistic(t / np.sqrt(len(difference)), note=alike),
+        "n": Statistic(len(difference)),
+        "clips": Statistic(len(np.unique(names))),
+        "left_out": Statistic(int(np.count_nonzero(~finite))),
     }
-    return Comparison(
-        n=len(difference),
-        clips=len(np.unique(clips)),
-        left_out=int(np.count_nonzero(~finite)),
-        **_named(found | _wilcoxon(difference) | _paired_t(difference)),
-    )
 
 
-def relative_size(change_percent: float) -> str:
-    """A relative change in words, before "that of …": percentages up to a doubling, factors above."""
-    if abs(change_percent) < LEAST_CHANGE:
-        return f"within {LEAST_CHANGE:g} % of"
-    factor = 1 + change_percent / 100
-    if factor >= 2:
-        return f"{factor:.2g} times" if factor < 10 else f"{factor:,.0f} times"
-    return f"{abs(change_percent):.3g} % {'below' if change_percent < 0 else 'above'}"
-
-
-def judge(comparison: Comparison) -> Literal["better", "worse", "no different", "untested"]:
+def judge(comparison: Statistics) -> Literal["better", "worse", "no different", "untested"]:
     """Whether the regime beats the baseline: a lower mean error, and Wilcoxon's p below 0.05.
 
     "untested" where n is too small for the test.
     """
-    if comparison.wilcoxon_p is None or comparison.mean_difference is None:
+    p, difference = comparison["wilcoxon_p"].value, comparison["mean_difference"].value
+    if math.isnan(p):
         return "untested"
-    if comparison.wilcoxon_p >= SIGNIFICANCE or comparison.mean_difference == 0:
+    if p >= SIGNIFICANCE or difference == 0:
         return "no different"
-    return "better" if comparison.mean_difference > 0 else "worse"
+    return "better" if difference > 0 else "worse"
+
+
+def describe(comparison: Statistics, regime: str, baseline: str) -> str:
+    """One sentence on a paired comparison, the clip-level interval included."""
+    return (
+        "{regime} against {baseline}: {verdict}. Change of the mean error [%]: {relative_change_percent}; Wilcoxon p: "
+        "{wilcoxon_p}; frames: {n} of clips: {clips}; mean difference over resampled clips: {difference_clip_interval}."
+    ).format(regime=regime, baseline=baseline, verdict=judge(comparison), **comparison)

@@ -4,9 +4,11 @@ import dataclasses
 import math
 
 import numpy as np
+import torch
 
 from data.contact.interaction import Interaction
-from evaluation.paper.baselines import reference_theta, simulate_contacts
+from evaluation.paper.baselines import simulate_contacts
+from models.records import with_reference_tissue
 from physics.load import Press, held
 from physics.mechanics import Bounds, Mechanics
 from physics.mesh import grid_mesh
@@ -45,7 +47,8 @@ def record(theta, estimate, clip="a", frame=0, **changes):
     seen = contact(theta, vertex=14 + frame % 3, noise=1e-4, seed=frame)
     estimate = np.asarray(estimate, dtype=np.float32)
     trajectory, error = simulate_contacts(estimate, [seen], MECHANICS)
-    reference, reference_error = simulate_contacts(reference_theta(estimate[None]), [seen], MECHANICS)
+    constants = with_reference_tissue(torch.from_numpy(estimate[None])).numpy()
+    reference, reference_error = simulate_contacts(constants, [seen], MECHANICS)
     return {
         "clip": clip,
         "frame": frame,

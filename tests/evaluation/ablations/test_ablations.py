@@ -139,7 +139,7 @@ def test_impossible_options_are_told(tmp_path: Path, weights: Path, capsys: pyte
 
 
 def test_next_depth_is_the_decoder_s_error_over_that_of_copying(tmp_path: Path) -> None:
-    content = {"evaluation": {"next_depth": {"decoder": {"mean": 0.3}, "copy": {"mean": 0.2}}}}
+    content = {"depth": {"decoder": {"mean": {"value": 0.3}}, "copy": {"mean": {"value": 0.2}}}}
     (tmp_path / "evaluation.json").write_text(json.dumps(content))
     assert next_depth(tmp_path / "evaluation.json") == pytest.approx(1.5)
 

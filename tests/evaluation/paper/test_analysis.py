@@ -1,112 +1,119 @@
 """The evaluation's numbers, from records whose answer is known."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from data.contact.interaction import Interaction
-from evaluation.paper.analysis import CONSTANT, MEAN, NO_MOTION, PREDICTED, REFERENCE, analyse, analyse_next_depth
-from evaluation.paper.baselines import ConstantThetaSettings, no_motion_error, simulate_contacts
+from evaluation.paper.analysis import (
+    CONSTANT,
+    PREDICTED,
+    REFERENCE,
+    REGIMES,
+    EvaluationError,
+    analyse,
+    analyse_depth,
+    describe_depth,
+)
+from evaluation.paper.baselines import no_motion_errors, simulate_contacts
 from tests.evaluation.simple_contacts import BOUNDS, MECHANICS, contact, record
 
-SETTINGS = ConstantThetaSettings(contacts=2, starts=2, refined=1, iterations=8)
 SOFT, HARD = np.array([0.2, 0.02, -0.05]), np.array([1.5, 0.15, -0.2])
-
-
-@pytest.fixture(scope="module")
-def training():
-    return [contact(SOFT), contact(HARD)]
+TRAINING = [contact(SOFT), contact(HARD)]
 
 
 @pytest.fixture(scope="module")
 def followers():
-    """Estimates equal to the truth, which differs between clips."""
+    """Estimates equal to the truth, which differs between clips; a reference fails, and one leaves the scene."""
     truths = {"soft 1": SOFT, "hard 1": HARD, "soft 2": SOFT * 1.1, "hard 2": HARD * 0.9}
-    return [record(theta, theta, clip, frame) for clip, theta in truths.items() for frame in range(3)]
+    made = [record(theta, theta, clip, frame) for clip, theta in truths.items() for frame in range(3)]
+    made[0] |= {"reference_trajectory": np.full((40, 3), np.nan, np.float32), "error_reference": float("nan")}
+    made[1] |= {"reference_trajectory": np.full((40, 3), 2.0, np.float32)}
+    return made
 
 
-def test_an_estimator_that_follows_the_truth_succeeds(followers, training):
-    result = analyse(followers[::-1], training, MECHANICS, BOUNDS, SETTINGS)
-    assert result.clips.tolist() == sorted(result.clips.tolist())
-    assert result.frames[:3].tolist() == [0, 1, 2]
-    assert list(result.errors) == [REFERENCE, PREDICTED, CONSTANT, MEAN, NO_MOTION]
-    assert result.check.verdict == "varies"
-    assert result.conclusion.startswith("The estimates beat the constant θ fitted on the training contacts. Varies")
-    assert result.comparisons[CONSTANT].wilcoxon_w == 0
-    assert result.missing == ()
+@pytest.fixture(scope="module")
+def followed(followers):
+    return analyse(followers[::-1], TRAINING, MECHANICS, BOUNDS)
 
 
-def test_frames_that_share_an_observation_are_counted_once(followers, training):
+def test_an_estimator_that_follows_the_truth_succeeds(followed):
+    frames = followed.frames
+    assert frames["clip"].tolist() == sorted(frames["clip"])
+    assert frames["frame"].tolist()[:3] == [0, 1, 2]
+    assert list(followed.summaries) == list(REGIMES)
+    assert followed.spread["verdict"].tolist() == ["varies"] * 3
+    assert followed.conclusion.startswith("The estimates beat the constant θ fitted on the training contacts. Varies")
+    assert followed.comparisons[CONSTANT]["wilcoxon_w"].value == 0
+    assert any("observed motions of a contact behind them: 12." in sentence for sentence in followed.sentences)
+
+
+def test_frames_that_share_an_observation_are_counted_once():
     shared = [record(SOFT, SOFT * 1.05, "one", 0) | {"frame": frame} for frame in range(8)]
-    result = analyse(shared, training, MECHANICS, BOUNDS, SETTINGS)
-    assert (len(result.frames), result.contacts) == (8, 1)
-    assert any("8 test frames share 1 observed motion of a contact" in sentence for sentence in result.missing)
+    result = analyse(shared, TRAINING, MECHANICS, BOUNDS)
+    assert any("Test frames: 8; observed motions of a contact behind them: 1." in told for told in result.sentences)
     assert not result.conclusion.startswith("The estimates beat")
-    assert analyse(followers, training, MECHANICS, BOUNDS, SETTINGS).contacts == 12
 
 
-def test_errors_of_the_baselines_are_simulated_on_the_test_frames(followers, training):
-    result = analyse(followers, training, MECHANICS, BOUNDS, SETTINGS)
+def test_errors_of_the_baselines_are_simulated_on_the_test_frames(followers, followed):
     ordered = sorted(followers, key=lambda one: (one["clip"], one["frame"]))
     first = Interaction(*(ordered[0][name] for name in ("mesh", "load", "observation")), MECHANICS.time_step)
-    for name, theta in ((CONSTANT, np.array(result.constant.theta)), (MEAN, result.theta.mean(axis=0))):
-        assert result.errors[name][0] == pytest.approx(simulate_contacts(theta, [first], MECHANICS)[1][0], rel=1e-4)
-    assert result.errors[NO_MOTION][0] == pytest.approx(no_motion_error(first.observation))
-    assert result.errors[PREDICTED][0] == ordered[0]["error_predicted"]
+    row, mean = followed.frames.iloc[0], np.mean([one["theta"] for one in followers], axis=0)
+    for name, theta in (("error_constant", followed.constant), ("error_mean_theta", mean)):
+        assert row[name] == pytest.approx(simulate_contacts(theta, [first], MECHANICS)[1][0], rel=1e-4)
+    assert row["error_no_motion"] == pytest.approx(no_motion_errors([first], MECHANICS)[0])
+    assert row["error_predicted"] == ordered[0]["error_predicted"]
 
 
-def test_a_constant_estimator_is_called_collapsed_and_no_success(training):
+def test_a_constant_estimator_is_called_collapsed_and_no_success():
     truths = [SOFT, HARD] * 5
     records = [record(theta, (0.5, 0.09, -0.1), f"clip {i // 2}", i) for i, theta in enumerate(truths)]
-    result = analyse(records, training, MECHANICS, BOUNDS, SETTINGS)
-    assert result.check.verdict == "collapsed"
+    result = analyse(records, TRAINING, MECHANICS, BOUNDS)
     assert result.conclusion.startswith("No success")
-    np.testing.assert_allclose(result.errors[MEAN], result.errors[PREDICTED], rtol=1e-3)
+    assert "Collapsed" in result.conclusion
+    np.testing.assert_allclose(result.frames["error_mean_theta"], result.frames["error_predicted"], rtol=1e-3)
 
 
-def test_simulations_that_are_not_finite_or_leave_the_scene_are_counted(followers, training):
-    records = [dict(one) for one in followers]
-    records[0] |= {"reference_trajectory": np.full((40, 3), np.nan, np.float32), "error_reference": float("nan")}
-    records[1] |= {"reference_trajectory": np.full((40, 3), 2.0, np.float32)}
-    result = analyse(records, training, MECHANICS, BOUNDS, SETTINGS)
-    reference = result.regularity[REFERENCE]
-    assert (reference.frames, reference.not_finite, reference.leaves_scene) == (12, 1, 1)
-    assert result.regularity[PREDICTED].not_finite == 0
-    assert (result.summaries[REFERENCE].n, result.summaries[PREDICTED].n) == (11, 12)
-    assert (result.comparisons[REFERENCE].n, result.comparisons[REFERENCE].left_out) == (11, 1)
-    assert sum(one.state == "not finite" for one in result.settling[REFERENCE]) == 1
+def test_simulations_that_are_not_finite_or_leave_the_scene_are_counted(followed):
+    reference = followed.motion.loc[REFERENCE]
+    assert (reference["not finite"], reference["peak over 1 scene unit"]) == (1, 1)
+    assert followed.motion.loc[PREDICTED, "not finite"] == 0
+    assert (followed.summaries[REFERENCE]["n"].value, followed.summaries[PREDICTED]["n"].value) == (11, 12)
+    assert (followed.comparisons[REFERENCE]["n"].value, followed.comparisons[REFERENCE]["left_out"].value) == (11, 1)
+    failed = followed.settling[followed.settling["state"] == "not finite"]
+    assert failed["simulation"].tolist() == [REFERENCE]
 
 
 def test_without_training_contacts_there_is_no_constant():
-    result = analyse([record(SOFT, SOFT)], [], MECHANICS, BOUNDS, SETTINGS)
-    assert result.constant is None
-    assert CONSTANT not in result.errors
-    assert "there are no training contacts" in result.missing[0]
+    result = analyse([record(SOFT, SOFT)], [], MECHANICS, BOUNDS)
+    assert np.isnan(result.constant).all()
+    assert result.summaries[CONSTANT]["n"].value == 0
+    assert result.conclusion.startswith("No conclusion")
 
 
 def test_no_records_are_an_error():
-    with pytest.raises(ValueError, match="no test pair is in contact"):
+    with pytest.raises(EvaluationError, match="no test pair is in contact"):
         analyse([], [], MECHANICS, BOUNDS)
 
 
-CLIPS = np.repeat(list("abcd"), 5)
 COPY = 0.005 + 1e-4 * np.arange(20)
 
 
+def _depth(decoder, copy, sensitivity):
+    columns = {"next_depth_error": decoder, "copy_error": copy, "theta_sensitivity": sensitivity}
+    return analyse_depth(pd.DataFrame(columns).assign(clip=np.repeat(list("abcd"), 5)))
+
+
 def test_next_depth_better_than_copying_and_conditioned():
-    result = analyse_next_depth(0.8 * COPY, COPY, 0.5 * COPY, CLIPS)
-    assert result.comparison.relative_change_percent == pytest.approx(-20)
-    assert result.sensitivity_share == pytest.approx(0.5)
-    assert result.sentences[0].endswith("The picture carries motion.")
-    assert result.sentences[1].endswith("50 % of the change between frames: θ reaches the picture.")
+    depth = _depth(0.8 * COPY, COPY, 0.5 * COPY)
+    assert depth["comparison"]["relative_change_percent"].value == pytest.approx(-20)
+    assert "50 % of the change between frames" in describe_depth(depth)
+    assert describe_depth(depth).endswith("θ reaches the picture.")
 
 
-def test_next_depth_that_copies_and_ignores_theta():
-    result = analyse_next_depth(1.1 * COPY, COPY, 0.01 * COPY, CLIPS)
-    assert "no motion that repeating the last frame would not" in result.sentences[0]
-    assert "θ hardly reaches the picture. The decoder's own error is 110 times that." in result.sentences[1]
+def test_next_depth_that_ignores_theta():
+    assert describe_depth(_depth(1.1 * COPY, COPY, 0.01 * COPY)).endswith("θ hardly reaches the picture.")
 
 
 def test_next_depth_of_a_still_scene():
-    result = analyse_next_depth(COPY, np.zeros(20), COPY, CLIPS)
-    assert result.sensitivity_share is None
-    assert "the scene does not change" in result.sentences[1]
+    assert "– % of the change between frames" in describe_depth(_depth(COPY, np.zeros(20), COPY))

@@ -1,18 +1,18 @@
-"""The files of an evaluation: complete, consistent with each other, and never half written."""
+"""The files of an evaluation: complete, consistent with each other, readable, and never half written."""
 
 import csv
 import json
 import math
+from html.parser import HTMLParser
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from evaluation.paper.baselines import ConstantThetaSettings
-from evaluation.paper.report import EvaluationError, write_evaluation
+from evaluation.paper.analysis import EvaluationError
+from evaluation.paper.report import COMPARISONS, ERRORS, render_page, write_evaluation
 from tests.evaluation.simple_contacts import BOUNDS, MECHANICS, contact, record
 
-SETTINGS = ConstantThetaSettings(contacts=2, starts=2, refined=1, iterations=4)
 SOFT, HARD = np.array([0.2, 0.02, -0.05]), np.array([1.5, 0.15, -0.2])
 NAMES = {"table2.md", "table2.csv", "collapse.md", "collapse.csv", "settling.csv", "figure3.png", "theta.png",
          "per_frame.csv", "report.html", "evaluation.json"}  # fmt: skip
@@ -29,12 +29,19 @@ def records():
 @pytest.fixture(scope="module")
 def written(records, tmp_path_factory):
     folder = tmp_path_factory.mktemp("evaluation") / "new" / "folder"
-    return write_evaluation(records, [contact(SOFT), contact(HARD)], MECHANICS, BOUNDS, folder, SETTINGS)
+    return write_evaluation(records, [contact(SOFT), contact(HARD)], MECHANICS, BOUNDS, folder)
 
 
 def _rows(path):
     with path.open(encoding="utf-8", newline="") as file:
         return list(csv.DictReader(file))
+
+
+def _content(path):
+    def refuse(name):
+        raise AssertionError(f"{name} in JSON")
+
+    return json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
 
 
 def test_every_file_is_there_and_nothing_else(written):
@@ -44,32 +51,40 @@ def test_every_file_is_there_and_nothing_else(written):
 
 
 def test_json_holds_all_numbers_without_nan(written):
-    def refuse(name):
-        raise AssertionError(f"{name} in JSON")
-
-    content = json.loads(written["evaluation.json"].read_text(encoding="utf-8"), parse_constant=refuse)
-    evaluation = content["evaluation"]
-    assert evaluation["errors"]["reference θ"].count(None) == 1
-    assert evaluation["comparisons"]["constant θ"]["n"] == 9
-    assert evaluation["constant"]["contacts_used"] == 2
+    content = _content(written["evaluation.json"])
+    assert [row["error_reference"] for row in content["frames"].values()].count(None) == 1
+    assert content["comparisons"]["constant θ"]["n"]["value"] == 9
     assert content["mechanics"]["steps"] == 40
     assert content["bounds"]["force"] == [-0.5, 0.0]
-    assert content["settling_summary"]["predicted θ"]["counts"]["not finite"] == 0
-    assert set(evaluation["response"]) >= {"relative", "percentiles", "release", "order"}
+    assert content["motion"]["predicted θ"]["not finite"] == 0
+    assert np.shape(content["trajectories"]) == (9, 40, 3)
+    assert content["versions"]["numpy"] == np.__version__
 
 
 def test_tables_and_json_agree(written):
-    summaries = json.loads(written["evaluation.json"].read_text(encoding="utf-8"))["evaluation"]["summaries"]
+    summaries = _content(written["evaluation.json"])["summaries"]
     means = {row["regime"]: row["value"] for row in _rows(written["table2.csv"]) if row["quantity"] == "mean"}
-    assert {name: float(value) for name, value in means.items()} == {
-        name: summary["mean"] for name, summary in summaries.items()
-    }
-    assert f"{summaries['predicted θ']['mean']:.4g}".replace("e-0", "e−") in written["table2.md"].read_text("utf-8")
+    assert {name: float(value) for name, value in means.items()} == pytest.approx(
+        {name: summary["mean"]["value"] for name, summary in summaries.items()}
+    )
+    assert f"{summaries['predicted θ']['mean']['value']:.4g}".replace("e-0", "e−") in written["table2.md"].read_text()
+
+
+def test_table_2_has_every_statistic_in_full_precision(written):
+    rows = {(row["regime"], row["compared_with"], row["quantity"]): row for row in _rows(written["table2.csv"])}
+    errors = np.array([float(row["error_predicted"]) for row in _rows(written["per_frame.csv"])])
+    assert float(rows["predicted θ", "", "mean"]["value"]) == pytest.approx(errors.mean(), rel=1e-12)
+    assert float(rows["predicted θ", "", "sd"]["value"]) == pytest.approx(errors.std(ddof=1), rel=1e-12)
+    interval = rows["predicted θ", "", "interval"]
+    assert (interval["value"], rows["predicted θ", "", "mean"]["low"]) == ("", "")
+    assert float(interval["low"]) < errors.mean() < float(interval["high"])
+    text = written["table2.md"].read_text("utf-8")
+    for label in (*ERRORS, *COMPARISONS):
+        assert f"| {label} | " in text
 
 
 def test_per_frame_rows(written, records):
     rows = _rows(written["per_frame.csv"])
-    assert len(rows) == 9
     assert [(row["clip"], row["frame"]) for row in rows[:4]] == [
         ("hard", "0"),
         ("hard", "1"),
@@ -80,6 +95,7 @@ def test_per_frame_rows(written, records):
     assert float(rows[0]["force"]) == pytest.approx(0.21)  # a magnitude
     assert float(rows[0]["error_predicted"]) == hard["error_predicted"]
     assert float(rows[0]["copy_error"]) == hard["copy_error"]
+    assert len(rows) == 9
     assert rows[6]["clip"] == "weich ü"
     assert rows[6]["error_reference"] == ""  # not finite: empty, never 0
 
@@ -93,50 +109,99 @@ def test_settling_rows_name_what_did_not_settle(written):
     assert sum(row["state"] == "not finite" for row in rows) == 1
 
 
+def test_spread_by_parameter(written):
+    rows = _rows(written["collapse.csv"])
+    assert ",".join(rows[0]) == (
+        "parameter,mean,sd,minimum,maximum,low,high,sd_of_range,sd_of_mean,between_clips_sd,within_clips_sd,at_bound,"
+        "verdict"
+    )
+    assert [(row["parameter"], row["verdict"]) for row in rows] == [
+        (name, "varies") for name in ("stiffness", "damping", "force")
+    ]
+
+
 def test_markdown_says_what_was_left_out_and_concludes(written):
     text = written["table2.md"].read_text("utf-8")
-    assert "reference θ: 1 of 9 errors are not finite and left out of its column." in text
-    assert "| reference θ | 9 | 1 | 0 |" in text
+    assert "| frames left out (error not finite) | 1 | 0 | 0 | 0 | 0 |" in text
+    assert "| reference θ | – | – | 0 | 8 | 0 | 0 | 1 | 0 | 0 of 9 |" in text
     collapse = written["collapse.md"].read_text("utf-8")
+    assert "> The estimates beat the constant θ" in collapse
     assert "Spread of the estimates over the test frames" in collapse
-    assert "| training contacts used | 2 of 2 |" in collapse
+    assert "Constant θ fitted on the training contacts (n = 2)" in collapse
     assert "nan" not in (text + collapse).lower()
 
 
 @pytest.mark.parametrize("name", ["figure3.png", "theta.png"])
 def test_figures_are_pictures_with_content(written, name):
-    pixels = np.asarray(Image.open(written[name]).convert("RGB"))
-    assert pixels.shape[1] > 1500
-    assert len(np.unique(pixels.reshape(-1, 3), axis=0)) > 100
+    picture = Image.open(written[name]).convert("RGB")
+    assert picture.width > 1500
+    assert len(picture.reduce(4).getcolors(1_000_000)) > 100
 
 
-def test_page_is_self_contained(written):
+class _Balance(HTMLParser):
+    """Checks that every element that needs it is closed, in order."""
+
+    EMPTY = frozenset({"meta", "img"})
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.text = [], []
+
+    def handle_starttag(self, tag, attrs):
+        if tag not in self.EMPTY:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        if tag not in self.EMPTY:
+            assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+def test_page_is_self_contained_and_says_how_it_was_made(written):
     page = written["report.html"].read_text("utf-8")
-    assert page.count('src="data:image/png;base64,') == 2
+    parser = _Balance()
+    parser.feed(page)
+    assert parser.open == []
+    assert page.count('<img src="data:image/png;base64,') == 2
     assert "http" not in page
-    assert "Not a medical device." in page
+    text = "".join(parser.text)
+    assert "Not a medical device." in text
+    assert "not N/m, N·s/m and N" in text
+    assert "40 steps of 0.005 s" in text
+    assert "stiffness 0.05 … 2; damping 0.005 … 0.3; force -0.5 … 0" in text
+    assert f"numpy {np.__version__}" in text
+    assert "The estimates beat the constant θ" in text
 
 
+def test_text_of_the_page_is_escaped():
+    assert "<script>" not in render_page("a <script> & b", {}).split("<body>")[1]
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    monkeypatch.setattr("evaluation.paper.report._png", lambda figure: b"")
+
+
+@pytest.mark.usefixtures("undrawn")
 def test_one_record_is_enough_to_write(tmp_path):
-    written = write_evaluation([record(SOFT, SOFT)], [contact(SOFT)], MECHANICS, BOUNDS, tmp_path, SETTINGS)
+    written = write_evaluation([record(SOFT, SOFT)], [], MECHANICS, BOUNDS, tmp_path)
     text = "".join(written[name].read_text("utf-8") for name in ("table2.md", "collapse.md", "report.html"))
     assert "n too small" in text
     assert ">nan<" not in text
     assert "| nan" not in text
 
 
-def test_no_records_are_one_sentence(tmp_path):
-    with pytest.raises(EvaluationError, match="no test pair is in contact"):
-        write_evaluation([], [], MECHANICS, BOUNDS, tmp_path)
-
-
+@pytest.mark.usefixtures("undrawn")
 def test_a_folder_that_cannot_be_made_is_named(records, tmp_path):
     blocker = tmp_path / "file"
     blocker.write_text("")
     with pytest.raises(EvaluationError, match=r"file: the evaluation can't be written \(.+\); choose a folder"):
-        write_evaluation(records, [], MECHANICS, BOUNDS, blocker, SETTINGS)
+        write_evaluation(records[:1], [], MECHANICS, BOUNDS, blocker)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_write_that_fails_keeps_the_earlier_file(records, tmp_path, monkeypatch):
     (tmp_path / "table2.md").write_text("earlier")
 
@@ -145,6 +210,6 @@ def test_a_write_that_fails_keeps_the_earlier_file(records, tmp_path, monkeypatc
 
     monkeypatch.setattr("physics.files.os.replace", full)
     with pytest.raises(EvaluationError, match="No space left on device"):
-        write_evaluation(records, [], MECHANICS, BOUNDS, tmp_path, SETTINGS)
+        write_evaluation(records[:1], [], MECHANICS, BOUNDS, tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["table2.md"]
     assert (tmp_path / "table2.md").read_text() == "earlier"

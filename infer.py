@@ -14,12 +14,14 @@ if __name__ == "__main__":
     enter_door()  # before the slow imports
 
 import argparse
+from importlib.metadata import version
 
-from data.command_line import path_option, real_number
+from data.command_line import path_option, real_number, whole_number
+from data.depth.preset import preset_names
 from estimators.direct.estimator import LEAST_SIGMA, SMOOTHING
 from estimators.onset import ONSETS
 from estimators.open import NAMES
-from results.run import ONSET_HELP, add_input_options, add_version, run
+from results.run import run
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -34,19 +36,34 @@ def _parser() -> argparse.ArgumentParser:
         epilog="Exit status: 0 all clips done, 1 some failed, 2 wrong usage, 130 interrupted.",
     )
     add = parser.add_argument
-    add_input_options(add)
+    text = "video files, frame folders, or folders of those"
+    add("inputs", nargs="+", type=path_option, metavar="INPUT", help=text)
+    add("--output", type=path_option, required=True, metavar="DIR", help="folder of the results, one folder a clip")
+    text = f"auto, stored, {', '.join(preset_names())}, or a depth model's .onnx file"
+    add("--depth", metavar="SOURCE", help=f"{text} (default: as the model was trained, else auto)")
+    add("--depth-model", metavar="FILE", help="the .onnx file of a preset that ships none")
+    add("--depth-preset", metavar="PRESET", help="preset or .yaml file that says how to read --depth MODEL.onnx")
+    text = "annotation, automatic, or a segmentation model's .onnx file"
+    add("--masks", metavar="SOURCE", help=f"{text} (default: annotation where there is one, else automatic)")
+    text = "YAML file that names a folder's files (default: CholecSeg8k)"
+    add("--layout", type=path_option, metavar="FILE", help=text)
+    text = "camera (YAML or JSON) for clips that bring none of their own"
+    add("--camera", type=path_option, metavar="FILE", help=text)
+    add("--threads", type=whole_number(0), default=0, metavar="N", help="CPU threads; 0 = all (default)")
+    add("--overwrite", action="store_true", help="compute all clips again and replace earlier results")
+    add("--debug", action="store_true", help="stop at the first failure with its traceback")
     text = (
         "network: a posterior for every frame; gan: the parameter network of train.py; direct: the simulator fitted to "
         "every run of contact, without a network (default: what --model is for, else network)"
     )
     add("--estimator", choices=NAMES, help=text)
-    add(
-        "--model",
-        type=path_option,
-        metavar="FILE",
-        help="file from train.py export (default: the network that comes along)",
+    text = "file from train.py export (default: the network that comes along)"
+    add("--model", type=path_option, metavar="FILE", help=text)
+    text = (
+        "when a press begins: between frames, up to a frame's time from the first frame in contact (default, as in "
+        "real videos), or at that frame's time stamp (as in data.synthetic's clips)"
     )
-    add("--onset", choices=ONSETS, help=ONSET_HELP)
+    add("--onset", choices=ONSETS, help=text)
     text = (
         "of direct: smooth the tissue's resting shape over this many grid pixels, which also measures the depth's "
         f"noise (default: {SMOOTHING:g})"
@@ -56,7 +73,7 @@ def _parser() -> argparse.ArgumentParser:
     noise = real_number(f"a noise above the simulator's own error; give {LEAST_SIGMA:g} or more", LEAST_SIGMA)
     add("--noise", type=noise, metavar="X", help="of direct: noise of the depth [scene units] (default: as measured)")
     add("--no-overlay", dest="overlay", action="store_false", help="leave the overlay video out")
-    add_version(parser)
+    add("--version", action="version", version=f"palpate {version('palpate')}")
     return parser
 
 

@@ -29,7 +29,7 @@ os.environ.setdefault("MLFLOW_LOGGING_LEVEL", "WARNING")
 
 import yaml
 from lightning.pytorch import LightningModule, Trainer
-from lightning.pytorch.callbacks import ModelCheckpoint, TQDMProgressBar
+from lightning.pytorch.callbacks import ModelCheckpoint
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI, SaveConfigCallback
 from lightning.pytorch.loggers import CSVLogger, MLFlowLogger
 from lightning.pytorch.utilities import disable_possible_user_warnings
@@ -47,18 +47,13 @@ from models.module import PhysicsInformedGAN, TrainingDiverged
 from models.onnx_export import ParityError, export, export_posterior
 from physics.mechanics import Bounds, Mechanics, UnstableConfiguration
 
-CHECKPOINTS = {
-    "best_checkpoint": {"filename": "best", "monitor": "val/physics"},
-    "periodic_checkpoint": {"filename": "epoch_{epoch:03d}", "every_n_epochs": 10, "save_top_k": -1},
-    "last_checkpoint": {"filename": "last", "every_n_epochs": 1},
+CHECKPOINTS: dict[str, dict[str, Any]] = {
+    "best": {"monitor": "val/physics"},
+    "epoch_{epoch:03d}": {"every_n_epochs": 10, "save_top_k": -1},
+    "last": {"every_n_epochs": 1},
 }
-"""When to save what (Bini 2026, section 3.5). `save_last` would follow the best checkpoint only, so last is its own; it
-comes last because it holds the others' state."""
-CHECKPOINT_DEFAULTS = {
-    "auto_insert_metric_name": False,
-    "enable_version_counter": False,
-    "save_on_train_epoch_end": True,
-}
+"""When to save what, by file name (Bini 2026, section 3.5). `save_last` would follow the best checkpoint only, so last
+is its own; it comes last because it holds the others' state."""
 TRAIN_CONTACTS = 8
 """Training pairs that the constant-θ baseline of the evaluation is fitted on, at most, evenly spaced."""
 
@@ -105,15 +100,6 @@ class RunRecord(SaveConfigCallback):
     def on_exception(self, trainer: Trainer, pl_module: LightningModule, exception: BaseException) -> None:
         if isinstance(exception, KeyboardInterrupt) and trainer.state.fn == "fit":
             print("Interrupted. Add --ckpt_path last to the same command to go on after the last finished epoch.")
-
-
-class LossBar(TQDMProgressBar):
-    """Progress, rate and time left, with the five loss terms."""
-
-    def get_metrics(self, trainer: Trainer, pl_module: LightningModule) -> dict[str, Any]:
-        metrics = super().get_metrics(trainer, pl_module)
-        metrics.pop("v_num", None)
-        return metrics
 
 
 class RunTrainer(Trainer):
@@ -171,10 +157,6 @@ class TrainCLI(LightningCLI):
         ):
             for field in fields(settings):
                 parser.link_arguments(f"{source}.{field.name}", f"{target}.{field.name}")
-        for name, settings in CHECKPOINTS.items():
-            parser.add_lightning_class_args(ModelCheckpoint, name)
-            parser.set_defaults({f"{name}.{key}": value for key, value in (CHECKPOINT_DEFAULTS | settings).items()})
-            parser.link_arguments("trainer.default_root_dir", f"{name}.dirpath", compute_fn=checkpoint_folder)
 
     def _parse_ckpt_path(self) -> None:
         """Resolve and check `--ckpt_path`. Lightning's own version lets the checkpoint override the command line."""
@@ -223,14 +205,13 @@ class TrainCLI(LightningCLI):
         folder = Path(config.trainer.default_root_dir)
         if config.trainer.logger in (None, True):
             kwargs["logger"] = run_loggers(folder, tracking=config.tracking and self.subcommand != "export")
-        if config.trainer.enable_progress_bar is not False:
-            config.trainer.callbacks = [*(config.trainer.callbacks or []), LossBar()]
+        always: dict[str, Any] = {"auto_insert_metric_name": False, "enable_version_counter": False}
+        checkpoints = [
+            ModelCheckpoint(checkpoint_folder(folder), name, save_on_train_epoch_end=True, **always, **when)
+            for name, when in CHECKPOINTS.items()
+        ]
+        config.trainer.callbacks = [*(config.trainer.callbacks or []), *checkpoints]
         return super().instantiate_trainer(**kwargs)
-
-    def _prepare_subcommand_kwargs(self, subcommand: str) -> dict[str, Any]:
-        kwargs = super()._prepare_subcommand_kwargs(subcommand)
-        # A checkpoint is data; loading one never runs code.
-        return kwargs if subcommand == "export" else kwargs | {"weights_only": True}
 
     def after_test(self) -> None:
         """Write the paper's table 2 and figure 3, the collapse check and the baselines."""
@@ -265,13 +246,8 @@ def run_loggers(folder: Path, tracking: bool) -> list[CSVLogger | MLFlowLogger]:
     if tracking:
         root = folder.resolve().parent
         root.mkdir(parents=True, exist_ok=True)
-        loggers.append(
-            MLFlowLogger(
-                experiment_name=folder.name,
-                tracking_uri=f"sqlite:///{root / 'mlflow.db'}",
-                artifact_location=str(root / "mlflow"),
-            )
-        )
+        database = f"sqlite:///{root / 'mlflow.db'}"
+        loggers.append(MLFlowLogger(folder.name, tracking_uri=database, artifact_location=str(root / "mlflow")))
     return loggers
 
 

@@ -6,7 +6,6 @@ import contextlib
 import functools
 import os
 import tempfile
-import threading
 import warnings
 from collections.abc import Callable, Generator
 from pathlib import Path
@@ -32,8 +31,6 @@ except ImportError:
 # Contraction and reciprocals vectorise and lose nothing; reassociation would undo the displacement form, and
 # assuming that no NaN occurs would hide one.
 OPTIONS: dict[str, Any] = {"fastmath": {"contract", "arcp", "nsz"}, "error_model": "numpy", "nogil": True}
-
-_SETTING = threading.Lock()
 
 
 class Kernel:
@@ -66,14 +63,11 @@ class Kernel:
         """The function as numba's, with its code kept in ``folder`` if there is one."""
         if self.folder is None:
             return numba.njit(self.function, **OPTIONS)
-        with _SETTING:
-            before, SETTINGS.CACHE_DIR = SETTINGS.CACHE_DIR, str(self.folder)
-            try:
-                return numba.njit(self.function, cache=True, **OPTIONS)
-            except RuntimeError:  # "cannot cache function: no locator available"
-                return numba.njit(self.function, **OPTIONS)
-            finally:
-                SETTINGS.CACHE_DIR = before
+        before, SETTINGS.CACHE_DIR = SETTINGS.CACHE_DIR, str(self.folder)
+        try:
+            return numba.njit(self.function, cache=True, **OPTIONS)
+        finally:
+            SETTINGS.CACHE_DIR = before
 
 
 def _kind(argument) -> tuple:
@@ -111,18 +105,13 @@ def _alone(folder: Path | None) -> Generator[None]:
     numba writes its index and its code one after the other, so two writers could leave one's code under the other's
     signature.
     """
-    lock = None
-    if folder is not None and fcntl is not None:
-        with contextlib.suppress(OSError):
-            lock = (folder / "lock").open("w")
-            fcntl.flock(lock, fcntl.LOCK_EX)
-    try:
-        yield
-    finally:
-        if lock is not None and fcntl is not None:
+    with contextlib.ExitStack() as held:
+        if folder is not None and fcntl is not None:
             with contextlib.suppress(OSError):
-                fcntl.flock(lock, fcntl.LOCK_UN)  # a fork would hold on to it after a mere close
-            lock.close()
+                lock = held.enter_context((folder / "lock").open("w"))
+                fcntl.flock(lock, fcntl.LOCK_EX)
+                held.callback(fcntl.flock, lock, fcntl.LOCK_UN)  # a fork would hold on to it after a mere close
+        yield
 
 
 def kernel(function: Callable) -> Callable:

@@ -1,12 +1,12 @@
 """What infer.py writes for a clip.
 
-run           a batch of clips: finding them, going on after a failure, the closing table
-writer        one clip's folder, complete or not there; store: whose folder is whose, what is up to date
-columns       the columns of parameters.csv and interactions.csv, and their rows
-record        run.json: hashes, versions, settings, warnings
-verdicts      what is said first, and no number surer than it is
-interactions  the contacts' panels; plots: summary.png and fit.png
-overlay       the video; drawing: text on its frames
+run       a batch of clips: finding them, going on after a failure, the closing table
+writer    one clip's folder, complete or not there; store: whose folder is whose, what is up to date
+columns   the columns of parameters.csv and interactions.csv, and their rows
+record    run.json: hashes, versions, settings, warnings
+verdicts  what is said first, and no number surer than it is
+plots     summary.png and fit.png
+overlay   the video
 """
 
 from physics.lazy import exported
@@ -16,7 +16,7 @@ __getattr__ = exported(
         "results.writer": ("ClipResults",),
         "results.store": ("OutputError", "ResultStore", "read_record"),
         "results.columns": ("FRAMES", "INTERACTIONS"),
-        "results.overlay": ("OverlayVideo", "draw_overlay"),
+        "results.overlay": ("draw_overlay", "open_video"),
         "results.plots": ("draw_fits", "draw_summary", "write_figure"),
     }
 )

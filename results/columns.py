@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from estimators.estimate import REPORTED, SYMBOLS, FrameEstimate, InteractionEstimate
+from estimators.estimate import REPORTED, SYMBOLS, InteractionEstimate
 from physics.mechanics import PARAMETERS
 
 ESTIMATED = {
@@ -22,6 +22,14 @@ ESTIMATED = {
     for name in PARAMETERS
 }
 """Columns of an estimate; k_d/k_s is in s and |F|/k_s in scene units."""
+UNITS = {
+    "stiffness": "scene units (normalised), not N/m",
+    "damping": "scene units (normalised), not N·s/m",
+    "force": "scene units (normalised), not N",
+    "displacement": "scene units: depth divided by the clip's one fixed scale",
+    "time": "s",
+}
+"""Units of the results; nothing that estimates knows of others."""
 VERDICT = {
     "verdict": "determined, ratios (only k_s/k_d and F/k_d), undetermined; onset_in_view: the model doesn't tell",
     "determined": "which parameters and ratios are determined, joined by ;",
@@ -60,43 +68,26 @@ INTERACTIONS: dict[str, str] = {
 """Columns of `interactions.csv`, in order."""
 
 
-def frame_row(frame: FrameEstimate) -> list[str]:
-    """The cells of one frame."""
-    return _cells(FRAMES, frame.values)
+def row(columns: Mapping[str, str], values: Mapping[str, Any]) -> list[str]:
+    """The cells of one frame or one run of contact.
 
-
-def interaction_row(run: InteractionEstimate) -> list[str]:
-    """The cells of one run of contact."""
-    return _cells(INTERACTIONS, interaction_values(run))
+    Args:
+        columns: FRAMES or INTERACTIONS.
+        values: what is known, by column.
+    """
+    return [cell(values.get(name), decimals=6 if name.endswith("time_s") else None) for name in columns]
 
 
 def interaction_values(run: InteractionEstimate) -> dict[str, Any]:
     """What is known of a run of contact, by column."""
-    found: dict[str, Any] = {
-        "onset_frame": run.onset_frame,
-        "onset_time_s": run.onset_time_s,
-        "frames": 0 if run.interaction is None else len(run.interaction.observation),
-        "load_s": run.load_s,
-        "status": "no_estimate" if run.estimate is None else "ok",
-        "detail": run.detail,
-    }
-    estimate = run.estimate
+    estimate, contact = run.estimate, run.interaction
+    found = vars(run) | {"frames": 0 if contact is None else len(contact.observation), "status": "no_estimate"}
     if estimate is None:
         return found
     stuck = [name for name, at_end in zip(PARAMETERS, estimate.at_bound, strict=True) if at_end]
-    return {
-        **found,
-        **estimate.numbers(),
-        **dict(zip(("delay_s", "release_delay_s"), estimate.delays, strict=False)),
-        "explanation": estimate.explanation,
-        "noise": estimate.noise,
-        "misfit": estimate.misfit,
-        "at_bound": " ".join(stuck),
-    }
-
-
-def _cells(columns: Mapping[str, str], values: Mapping[str, Any]) -> list[str]:
-    return [cell(values.get(name), decimals=6 if name.endswith("time_s") else None) for name in columns]
+    delays = dict(zip(("delay_s", "release_delay_s"), estimate.delays, strict=False))
+    told = {"status": "ok", "explanation": estimate.explanation, "at_bound": " ".join(stuck)}
+    return found | vars(estimate) | estimate.numbers() | delays | told
 
 
 def cell(value: float | int | bool | str | None, *, decimals: int | None = None) -> str:

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import errno
-import shutil
-from collections.abc import Generator
-from contextlib import contextmanager
+import textwrap
 from fractions import Fraction
 from pathlib import Path
-from typing import Protocol
+from typing import Literal
 
 import cv2
 import numpy as np
 
 from data.labels import TISSUE, TOOL
 from estimators.estimate import FrameEstimate
-from results.drawing import WHITE, shade, text, wrap_text
+from results.columns import UNITS
 from results.verdicts import COLORS, FAR, MEANINGS, Color, in_words, is_far, numbers, state
 
 try:
@@ -23,10 +21,12 @@ try:
 except ImportError:  # the optional extra `video`; without it the overlay is MPEG-4 part 2
     av = None
 
+WHITE: Color = (255, 255, 255)
 _TISSUE_COLOR: Color = (74, 222, 128)
 _TOOL_COLOR: Color = (56, 189, 248)
 _FORCE_COLOR: Color = (251, 146, 60)
 _SOFT: Color = (203, 213, 225)
+_FONT = cv2.FontFace("sans")
 _SMALLEST_WIDTH = 480
 """Narrower clips are enlarged, or the numbers would not fit [px]."""
 _NOTICE = "Research software, not a medical device"
@@ -39,12 +39,7 @@ def canvas_size(size: tuple[int, int]) -> tuple[int, int]:
 
 
 def draw_overlay(
-    image: np.ndarray | None,
-    size: tuple[int, int],
-    labels: np.ndarray | None,
-    estimate: FrameEstimate,
-    *,
-    unit: str = "",
+    image: np.ndarray | None, size: tuple[int, int], labels: np.ndarray | None, estimate: FrameEstimate
 ) -> np.ndarray:
     """Draw one frame of the overlay.
 
@@ -53,42 +48,31 @@ def draw_overlay(
         size: width and height of the source frames [px].
         labels: label map of any resolution with the frame's field of view; None where there is none.
         estimate: the frame's result.
-        unit: unit of stiffness, damping and force.
 
     Returns:
         RGB uint8, of `canvas_size(size)`.
     """
     width, height = canvas_size(size)
-    factor = max(1, -(-_SMALLEST_WIDTH // size[0]))
-    canvas = np.zeros((height, width, 3), np.uint8)
-    if image is not None and image.shape[:2] == (size[1], size[0]):
-        enlarged = image if factor == 1 else cv2.resize(image, (size[0] * factor, size[1] * factor))
-        canvas[: enlarged.shape[0], : enlarged.shape[1]] = enlarged
-        if labels is not None:
-            view = canvas[: enlarged.shape[0], : enlarged.shape[1]]
-            _outline(view, labels == TISSUE, _TISSUE_COLOR)
-            _outline(view, labels == TOOL, _TOOL_COLOR)
-    _mark_contact(canvas, estimate, factor)
-    _panel(canvas, estimate, unit)
+    canvas = np.zeros((height, width, 3), np.uint8) if image is None else cv2.resize(image, (width, height))
+    if image is not None and labels is not None:
+        _outline(canvas, labels == TISSUE, _TISSUE_COLOR)
+        _outline(canvas, labels == TOOL, _TOOL_COLOR)
+    _mark_contact(canvas, estimate, width / size[0])
+    _panel(canvas, estimate)
     _footer(canvas, estimate)
     return canvas
 
 
 def _outline(canvas: np.ndarray, mask: np.ndarray, color: Color) -> None:
     """Draw a mask's smoothed outline; the mask is enlarged to the canvas."""
-    if not mask.any():
-        return
     height, width = canvas.shape[:2]
-    # Half the canvas is as smooth to the eye and a quarter of the work; shift=1 turns its pixels into the canvas's.
-    half = cv2.resize(mask.astype(np.uint8) * 255, (-(-width // 2), -(-height // 2)), interpolation=cv2.INTER_LINEAR)
-    reach = 2 * max(1, round(half.shape[1] / mask.shape[1])) + 1
-    half = cv2.blur(half, (reach, reach))
-    contours = cv2.findContours((half > 127).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
-    thickness = max(1, round(height / 320))
-    cv2.polylines(canvas, [contour * 4 for contour in contours], True, color, thickness, cv2.LINE_AA, shift=1)
+    reach = 2 * max(1, round(width / mask.shape[1])) + 1
+    smooth = cv2.blur(cv2.resize(mask.astype(np.uint8) * 255, (width, height)), (reach, reach))
+    contours = cv2.findContours((smooth > 127).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
+    cv2.drawContours(canvas, contours, -1, color, max(1, round(height / 320)), cv2.LINE_AA)
 
 
-def _mark_contact(canvas: np.ndarray, estimate: FrameEstimate, factor: int) -> None:
+def _mark_contact(canvas: np.ndarray, estimate: FrameEstimate, factor: float) -> None:
     """Ring at the contact point, and the force arrow that ends there."""
     scale = canvas.shape[0] / 480
     if estimate.arrow is not None:
@@ -101,13 +85,13 @@ def _mark_contact(canvas: np.ndarray, estimate: FrameEstimate, factor: int) -> N
         cv2.circle(canvas, center, max(4, round(7 * scale)), WHITE, max(1, round(2 * scale)), cv2.LINE_AA)
 
 
-def _panel(canvas: np.ndarray, estimate: FrameEstimate, unit: str) -> None:
+def _panel(canvas: np.ndarray, estimate: FrameEstimate) -> None:
     """Verdict, numbers and remarks at the upper left."""
     scale = min(canvas.shape[0] / 480, canvas.shape[1] / 640)
     size, step, pad = max(11.0, 15 * scale), max(15.0, 21 * scale), max(6, round(10 * scale))
     small, width = size * 0.76, min(canvas.shape[1] - 2 * pad, round(max(262 * scale, 190)))
     lines = _number_lines(estimate)
-    notes = [line for note in _notes(estimate, unit) for line in wrap_text(note, width - 2 * pad, small)]
+    notes = [line for note in _notes(estimate) for line in wrap_text(note, width - 2 * pad, small)]
     height = round(step * (1.2 + len(lines)) + step * 0.75 * len(notes) + 1.3 * pad)
     shade(canvas, (pad, pad), (width, height), 0.66)
     baseline, right = pad + step, width
@@ -135,7 +119,7 @@ def _number_lines(estimate: FrameEstimate) -> list[tuple[str, str]]:
     return found + [(name, f"{value:.2g}") for name, value in moved if value is not None]
 
 
-def _notes(estimate: FrameEstimate, unit: str) -> list[str]:
+def _notes(estimate: FrameEstimate) -> list[str]:
     """Small print under the numbers: what they can't say, why there are none, and their unit."""
     told = [MEANINGS[estimate.verdict]] if estimate.verdict else []
     told += [f"The simulated displacement is {FAR}."] if is_far(estimate) else []
@@ -143,8 +127,7 @@ def _notes(estimate: FrameEstimate, unit: str) -> list[str]:
     if estimate.estimate is None:
         return told
     unsure = estimate.verdict != "determined" and "stiffness_low" in estimate.values
-    ranges = "Ranges are 90 % intervals. " if unsure else ""
-    return [*told, f"{ranges}Unit: {unit}." if unit else ranges]
+    return [*told, f"{'Ranges are 90 % intervals. ' if unsure else ''}Unit: {UNITS['stiffness']}."]
 
 
 def _footer(canvas: np.ndarray, estimate: FrameEstimate) -> None:
@@ -158,16 +141,57 @@ def _footer(canvas: np.ndarray, estimate: FrameEstimate) -> None:
     text(canvas, _NOTICE, (width - size, baseline), size, _SOFT, align="right")
 
 
-class _Encoder(Protocol):
-    """Takes RGB frames of one size and writes a video file."""
+def text(
+    image: np.ndarray,
+    string: str,
+    origin: tuple[float, float],
+    size: float,
+    color: Color,
+    *,
+    bold: bool = False,
+    align: Literal["left", "right"] = "left",
+) -> None:
+    """Write one line on an RGB image in place.
 
-    def write(self, picture: np.ndarray) -> None: ...
+    Args:
+        image: uint8, shape [H, W, 3].
+        origin: (x, y) of the baseline's left or right end, by `align` [px].
+        size: height of the font [px].
+    """
+    shift = text_width(string, size, bold=bold) if align == "right" else 0
+    position = (round(origin[0] - shift), round(origin[1]))
+    cv2.putText(image, _drawable(string), position, color, _FONT, round(size), 650 if bold else 400)
 
-    def close(self) -> None: ...
+
+def text_width(string: str, size: float, *, bold: bool = False) -> int:
+    """Width of one line [px]."""
+    return cv2.getTextSize((1, 1), _drawable(string), (0, 0), _FONT, round(size), 650 if bold else 400)[2]
 
 
-class OverlayVideo:
-    """A video file written frame by frame: H.264 through PyAV where it is there (browsers play it), else MPEG-4.
+def wrap_text(string: str, width: float, size: float) -> list[str]:
+    """A text in lines of at most `width` px, broken between words, and within longer ones such as paths."""
+    count = max(1, int(50 * width / text_width("n" * 50, size)))
+    lines = textwrap.wrap(string, count)
+    while count > 1 and max((text_width(line, size) for line in lines), default=0) > width:
+        count -= 1
+        lines = textwrap.wrap(string, count)
+    return lines
+
+
+def shade(image: np.ndarray, corner: tuple[int, int], size: tuple[int, int], opacity: float) -> None:
+    """Darken a rectangle from `corner` (x, y), of `size` (width, height), of an RGB image in place."""
+    (left, top), (width, height) = corner, size
+    region = image[top : top + height, left : left + width]
+    cv2.addWeighted(region, 1 - opacity, np.full_like(region, (10, 14, 22)), opacity, 0, dst=region)
+
+
+def _drawable(string: str) -> str:
+    """Text without the stand-ins for bytes of file names that are not UTF-8, which OpenCV refuses."""
+    return string.encode("utf-8", "replace").decode()
+
+
+def open_video(path: Path, size: tuple[int, int], fps: float) -> H264 | Mpeg4:
+    """A video file to write picture by picture: H.264 through PyAV where it is there (browsers play it), else MPEG-4.
 
     Args:
         path: the file, in a folder that exists.
@@ -177,82 +201,54 @@ class OverlayVideo:
     Raises:
         OSError: the file can't be written (also from the methods).
     """
+    kind = H264 if av is not None and H264.encoder in av.codecs_available else Mpeg4
+    return kind(path, canvas_size(size), fps)
+
+
+class H264:
+    """A video written by PyAV."""
+
+    encoder = "libx264"
 
     def __init__(self, path: Path, size: tuple[int, int], fps: float) -> None:
-        self.encoder = "libx264" if _has_h264() else "mp4v"
-        """Name of the encoder in use."""
-        kind = _H264 if self.encoder == "libx264" else _Mpeg4
-        self._encoder: _Encoder = kind(path, canvas_size(size), fps)
+        self._container = av.open(str(path), "w", options={"movflags": "+faststart"})  # ty: ignore[missing-union-attribute]  it is there (open_video)
+        rate = Fraction(fps).limit_denominator(1001)
+        self._stream = self._container.add_stream("libx264", rate=rate, options={"preset": "veryfast", "crf": "21"})
+        self._stream.width, self._stream.height = size
+        self._stream.pix_fmt = "yuv420p"
 
     def write(self, picture: np.ndarray) -> None:
         """Append a picture, RGB uint8 [H, W, 3]."""
-        self._encoder.write(picture)
+        self._container.mux(self._stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))  # ty: ignore[missing-union-attribute]  as above
 
     def close(self) -> None:
         """Finish the file."""
-        self._encoder.close()
+        with self._container:
+            self._container.mux(self._stream.encode())
 
 
-def _has_h264() -> bool:
-    return av is not None and "libx264" in av.codecs_available
+class Mpeg4:
+    """A video written by OpenCV, which tells of no failure: the finished file is counted."""
 
-
-class _H264:
-    """PyAV with libx264."""
-
-    def __init__(self, path: Path, size: tuple[int, int], fps: float) -> None:
-        self._path = path
-        with self._told():
-            self._container = av.open(str(path), "w", options={"movflags": "+faststart"})  # ty: ignore[missing-union-attribute]  it is there (_has_h264)
-            rate = Fraction(fps).limit_denominator(1001)
-            self._stream = self._container.add_stream("libx264", rate=rate, options={"preset": "veryfast", "crf": "21"})
-            self._stream.width, self._stream.height = size
-            self._stream.pix_fmt = "yuv420p"
-
-    def write(self, picture: np.ndarray) -> None:
-        with self._told():
-            self._container.mux(self._stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))  # ty: ignore[missing-union-attribute]  as above
-
-    def close(self) -> None:
-        with self._told():
-            try:
-                self._container.mux(self._stream.encode())
-            finally:
-                self._container.close()
-
-    @contextmanager
-    def _told(self) -> Generator[None]:
-        """Turn the encoder's own errors into file-system errors, as most of them already are."""
-        try:
-            yield
-        except av.FFmpegError as error:  # ty: ignore[missing-union-attribute]  as above
-            if isinstance(error, OSError):
-                raise
-            raise OSError(errno.EIO, f"the video encoder failed ({error.strerror})", str(self._path)) from error
-
-
-class _Mpeg4:
-    """OpenCV's own writer, which tells of no failure: the finished file is counted."""
+    encoder = "mp4v"
 
     def __init__(self, path: Path, size: tuple[int, int], fps: float) -> None:
         self._path, self._count = path, 0
-        self._writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), fps, size)  # ty: ignore[missing-attribute]  stubs lack it
+        self._writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*self.encoder), fps, size)  # ty: ignore[missing-attribute]  stubs lack it
         if not self._writer.isOpened():
-            raise self._failure("OpenCV can't write an MPEG-4 video there")
+            raise OSError(errno.EIO, "OpenCV can't write an MPEG-4 video there", str(path))
 
     def write(self, picture: np.ndarray) -> None:
+        """Append a picture, RGB uint8 [H, W, 3]."""
         self._writer.write(cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
         self._count += 1
 
     def close(self) -> None:
+        """Finish the file."""
         self._writer.release()
         reader = cv2.VideoCapture(str(self._path))
         written = round(reader.get(cv2.CAP_PROP_FRAME_COUNT)) if reader.isOpened() else 0
         reader.release()
         if written < self._count:
-            raise self._failure(f"only {written} of {self._count} overlay frames were stored")
-
-    def _failure(self, reason: str) -> OSError:
-        folder = self._path.parent
-        full = folder.is_dir() and shutil.disk_usage(folder).free < 2**16
-        return OSError(errno.ENOSPC if full else errno.EIO, reason, str(self._path))
+            reason = f"only {written} of {self._count} overlay frames were stored"
+            raise OSError(errno.EIO, reason, str(self._path))

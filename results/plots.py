@@ -8,15 +8,15 @@ from __future__ import annotations
 import textwrap
 import warnings
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from estimators.estimate import FrameEstimate
-from results.verdicts import COLORS, FAR, digits, in_words, is_far, state
+from estimators.estimate import FrameEstimate, InteractionEstimate
+from results.columns import UNITS
+from results.verdicts import COLORS, FAR, digits, in_words, is_far, numbers, state
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,52 +33,22 @@ PANELS = {
 }
 """Title and colour of the panels with intervals, by attribute of a FrameEstimate."""
 NOTICE = "palpate: research software, not a medical device."
+MOST_PANELS = 12
+"""Runs of contact that are drawn."""
 
 
-@dataclass(frozen=True)
-class Motion:
-    """Displacement of a contact along its force [scene units], observed and simulated with the fitted parameters."""
-
-    times: np.ndarray
-    """Of the observations since the first frame in contact, shape [M] [s]."""
-    observed: np.ndarray
-    """Shape [M]."""
-    noise: float
-    """Standard deviation of an observation."""
-    simulated_times: np.ndarray
-    """Shape [T] [s]."""
-    simulated: np.ndarray
-    """Shape [T]."""
-    release: float | None
-    """When the force ends [s]; None where that was not seen."""
-
-
-@dataclass(frozen=True)
-class ContactPanel:
-    """One contact of a clip, in words, and its motion where it has an estimate."""
-
-    state: str
-    """Key of COLORS: what the fit determines, or that there is none."""
-    heading: str
-    sentence: str
-    motion: Motion | None
-
-
-def draw_summary(
-    estimates: Sequence[FrameEstimate], *, title: str, subtitle: str = "", units: Mapping[str, str] | None = None
-) -> Figure:
+def draw_summary(estimates: Sequence[FrameEstimate], *, title: str, subtitle: str = "") -> Figure:
     """Draw a clip's verdicts, parameters and displacements over time, or verdicts alone where frames have no estimate.
 
     Args:
         estimates: one a frame, in order.
         title: name of the clip.
         subtitle: what made the numbers.
-        units: unit of "stiffness", "damping", "force" and "displacement".
     """
     estimated = any(estimate.estimate is not None for estimate in estimates)
     heights = [1.1, 2.8, 2.8, 2.8, 3.0] if estimated else [2.2]
     figure, (strip, *panels) = _figure(heights, title, subtitle, sharex=True)
-    times, units = _column(estimates, "time_s"), units or {}
+    times = _column(estimates, "time_s")
     interval = max(float(np.median(np.diff(times))), 1e-3) if len(times) > 1 else 0.04
     edges = np.append(times, times[-1] + interval) if len(times) else np.array([0.0, 1.0])
     _draw_states(strip, edges, estimates, below=0.5 if estimated else 4.5)
@@ -86,23 +56,35 @@ def draw_summary(
     if estimated:
         for axes, (name, (label, color)) in zip(panels, PANELS.items(), strict=False):
             _draw_parameter(axes, times, estimates, name, color)
-            _finish(axes, label, units.get(name, ""))
+            _finish(axes, label, name)
         _draw_displacements(panels[-1], times, estimates)
-        _finish(panels[-1], "Displacement of the contact", units.get("displacement", ""))
+        _finish(panels[-1], "Displacement of the contact", "displacement")
     figure.axes[-1].set(xlim=(edges[0], edges[-1]), xlabel="time [s]")
     return figure
 
 
-def draw_fits(panels: Sequence[ContactPanel], *, title: str, subtitle: str = "") -> Figure:
-    """Draw contacts one below the other: their words, and observed and simulated motion where there is an estimate."""
-    heights = [0.9 + 0.2 * len(_lines(panel.sentence)) + (2.8 if panel.motion else 0.0) for panel in panels]
-    figure, rows = _figure(heights, title, subtitle)
-    for axes, panel in zip(rows, panels, strict=True):
-        _head(axes, panel.heading, panel.sentence, panel.state)
-        if panel.motion is None:
-            axes.set_axis_off()
-        else:
-            _draw_motion(axes, panel.motion)
+def draw_fits(runs: Sequence[InteractionEstimate], counts: Counter[str], title: str) -> Figure:
+    """Draw runs of contact one below the other: in words, and with their motion where there is an estimate.
+
+    Args:
+        runs: those that are drawn.
+        counts: of all of the clip by `state`.
+        title: name of the clip.
+    """
+    total = counts.total()
+    told = f"Runs of contact: {total}, with an estimate: {total - counts['no_estimate']}."
+    if len(runs) < total:
+        told += f" {len(runs)} are drawn, interactions.csv has all."
+    panels = list(runs) or [None]
+    words = [_told_of_run(run) for run in panels]
+    motions = [run is not None and run.simulated is not None for run in panels]
+    heights = [
+        0.9 + 0.2 * len(_lines(text)) + 2.8 * motion for (_, text, _), motion in zip(words, motions, strict=True)
+    ]
+    figure, rows = _figure(heights, title, told)
+    for axes, words_of, run in zip(rows, words, panels, strict=True):
+        _head(axes, *words_of)
+        _draw_motion(axes, run)
     return figure
 
 
@@ -155,9 +137,9 @@ def _head(axes: Axes, heading: str, sentence: str, state: str) -> None:
     )  # fmt: skip
 
 
-def _finish(axes: Axes, label: str, unit: str) -> None:
+def _finish(axes: Axes, label: str, quantity: str) -> None:
     """Title with unit, a grid, and a legend above on the right."""
-    axes.set_title(label + "".join(f"   [{line}]" for line in _lines(unit)), loc="left", fontsize=12, color=INK)
+    axes.set_title(f"{label}   [{UNITS[quantity]}]", loc="left", fontsize=12, color=INK)
     axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=3, frameon=False, fontsize=10, borderaxespad=0.2)
     axes.grid(color=GRID, lw=0.8)
 
@@ -215,15 +197,38 @@ def _draw_displacements(axes: Axes, times: np.ndarray, estimates: Sequence[Frame
     axes.set_ylim(0, _top(observed, simulated))
 
 
-def _draw_motion(axes: Axes, motion: Motion) -> None:
-    """Observed displacements with their noise, the simulated ones, and the release."""
-    low, high = motion.observed - motion.noise, motion.observed + motion.noise
-    axes.fill_between(motion.times, low, high, color=OBSERVED, alpha=0.2, lw=0)
-    axes.plot(motion.times, motion.observed, "o", ms=5, color=OBSERVED, label="observed ± σ")
-    axes.plot(motion.simulated_times, motion.simulated, "-", lw=2, color=SIMULATED, label="simulated with the fit")
-    if motion.release is not None and motion.release < motion.times[-1]:
-        axes.axvline(motion.release, color=RELEASE, lw=1.5, ls="--", label=f"release, {motion.release:.3f} s")
-    axes.set(xlim=(0, 1.01 * motion.times[-1]), xlabel="time since the first frame in contact [s]")
+def _told_of_run(run: InteractionEstimate | None) -> tuple[str, str, str]:
+    """Heading of a run of contact, the verdict first and no number surer than it, sentences, and a key of COLORS."""
+    if run is None:
+        return "no contact was found", "", "no_estimate"
+    place, estimate = f"contact from frame {run.onset_frame} ({run.onset_time_s:.3f} s)", run.estimate
+    if estimate is None:
+        return f"no estimate: {place}", run.detail, "no_estimate"
+    doubtful = estimate.verdict == "determined" and run.detail != ""
+    told = "doubtful" if doubtful else estimate.verdict
+    values = ", ".join(" ".join(pair) for pair in numbers(told, estimate.numbers()))
+    sentences = [run.detail]
+    if np.isfinite(estimate.misfit):
+        sentences.append(f"Misfit {estimate.misfit:.2g} (1: it fits); {estimate.explanation}.")
+    if estimate.covariance is not None and told != "determined":
+        sentences.append("Ranges are 90 % intervals.")
+    heading = f"{estimate.verdict}{', but doubtful' if doubtful else ''}: {place}, {values}"
+    return heading, " ".join(filter(None, sentences)), told
+
+
+def _draw_motion(axes: Axes, run: InteractionEstimate | None) -> None:
+    """Motion along the force, positive where it follows it: observed, with its noise, and simulated; the release."""
+    if run is None or run.simulated is None or run.interaction is None or run.estimate is None:
+        axes.set_axis_off()
+        return
+    contact, estimate, (simulated_times, simulated) = run.interaction, run.estimate, run.simulated
+    sign, times = np.sign(estimate.theta[2]), contact.observation.times
+    axes.errorbar(times, sign * contact.along, estimate.noise, fmt="o", ms=5, color=OBSERVED, label="observed ± σ")
+    axes.plot(simulated_times, sign * simulated, "-", lw=2, color=SIMULATED, label="simulated with the fit")
+    release = contact.load_seconds + (*estimate.delays, 0.0, 0.0)[1]
+    if contact.released and release < times[-1]:
+        axes.axvline(release, color=RELEASE, lw=1.5, ls="--", label=f"release, {release:.3f} s")
+    axes.set(xlim=(0, 1.01 * times[-1]), xlabel="time since the first frame in contact [s]")
     axes.set_ylabel("displacement along the force\n[scene units (normalised)]")
     axes.legend(framealpha=0.85, fontsize=10)
     axes.grid(color=GRID, lw=0.8)

@@ -8,11 +8,9 @@ import hashlib
 import json
 import math
 import platform
-import tomllib
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import distributions, version
 from os.path import isfile
 from pathlib import Path
 from typing import Any
@@ -20,26 +18,17 @@ from typing import Any
 from data.clip import ClipStream
 from data.settings import PREPROCESSING_VERSION, PrepareSettings
 from data.source.frames import FrameSource
+from estimators.contract import Estimator
 from estimators.estimate import FrameEstimate
 from models.onnx_session import ExportedModel, PosteriorModel
-from physics.provenance import ROOT, code_digest
+from physics.provenance import code_digest
 from results import columns
-from results.store import INTERACTIONS, TABLE, WRITTEN, file_sha256, own_files
+from results.store import INTERACTIONS, PROGRAM, TABLE, WRITTEN, file_sha256, own_files
 from results.writer import ClipResults
 
 FORMAT_VERSION = 1
 """Version of the record's layout."""
-PROGRAM = "infer.py"
-"""What writes results."""
-PACKAGES = ("numpy", "scipy", "opencv-python-headless", "onnxruntime", "av")
-UNITS = {
-    "stiffness": "scene units (normalised), not N/m",
-    "damping": "scene units (normalised), not N·s/m",
-    "force": "scene units (normalised), not N",
-    "displacement": "scene units: depth divided by the clip's one fixed scale",
-    "time": "s",
-}
-"""Units of the table where the model's metadata gives none."""
+PACKAGES = ("palpate", "numpy", "scipy", "opencv-python-headless", "onnxruntime", "av")
 UNCALIBRATED = (
     "the model's uncertainty was never calibrated: its standard deviations are the network's own, and its 90 % "
     "intervals hold the truth less often than that"
@@ -48,44 +37,36 @@ PERSISTENT = ("unreadable", "no_mask", "bad_depth")
 """Statuses that mean a broken input, not an empty scene."""
 
 
-@dataclass(frozen=True)
-class Provenance:
-    """What a clip's results depend on."""
+def depends_on(clip: Path, settings: PrepareSettings, estimator: Estimator) -> dict[str, Any]:
+    """What the results of a clip depend on: hashes of files, settings, and the code."""
+    model, prepared = model_of(estimator), dataclasses.asdict(settings)
+    for name in ("threads", "device"):  # where a model runs does not change what it means
+        prepared["depth"].pop(name)
+    return {
+        "format": FORMAT_VERSION,
+        "clip": sha256_of(clip),
+        "model": None if model is None else sha256_of(model.path),
+        "settings": prepared,
+        "estimator": dict(estimator.described),
+        "files": _named_files(settings),
+        "code": code_digest(),
+        "program": version("palpate"),
+    }
 
-    clip_sha256: str
-    """Hash of the clip's file, or of its folder's files."""
-    model_sha256: str
-    """Hash of the parameter network's file; empty where none is used."""
-    settings: PrepareSettings
-    """How frames are prepared."""
-    estimator: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    """Settings of the estimator that are not in a network's file."""
 
-    @property
-    def fingerprint(self) -> str:
-        """Digest of everything; results with the same one need not be computed again."""
-        document = {
-            "format": FORMAT_VERSION,
-            "clip": self.clip_sha256,
-            "model": self.model_sha256,
-            "settings": self._settings(),
-            "estimator": self.estimator,
-            "files": _named_files(self.settings),
-            "code": code_digest(),
-            "program": program_version(),
-        }
-        return hashlib.sha256(json.dumps(document, sort_keys=True).encode("utf-8", "surrogatepass")).hexdigest()
+def fingerprint_of(causes: Mapping[str, Any]) -> str:
+    """Digest of what results depend on; those with the same one need not be computed again."""
+    return hashlib.sha256(json.dumps(causes, sort_keys=True).encode("utf-8", "surrogatepass")).hexdigest()
 
-    def _settings(self) -> dict[str, Any]:
-        fields = dataclasses.asdict(self.settings)
-        for name in ("threads", "device"):  # where a model runs does not change what it means
-            fields["depth"].pop(name)
-        return fields
+
+def model_of(estimator: Estimator) -> ExportedModel | None:
+    """The estimator's network, where it has one."""
+    return getattr(estimator, "model", None)
 
 
 def build_record(
     clip: ClipStream,
-    provenance: Provenance,
+    causes: Mapping[str, Any],
     model: ExportedModel | None,
     results: ClipResults,
     seconds: Mapping[str, float],
@@ -94,47 +75,47 @@ def build_record(
 
     Args:
         clip: the clip, read to its end.
+        causes: what its results depend on (see `depends_on`).
         model: the estimator's network, where it has one.
         results: what was written of it.
         seconds: time spent by stage [s].
     """
-    source, settings, frames = clip.source, clip.settings, results.estimates
+    source, frames = clip.source, results.estimates
     depth_identity, masks_identity = clip.identity
     network = None
     if model is not None:
-        path = str(model.path.resolve())
-        network = {"path": path, "sha256": provenance.model_sha256, "metadata": model.metadata}
+        network = {"path": str(model.path.resolve()), "sha256": causes["model"], "metadata": model.metadata}
     return {
         "format_version": FORMAT_VERSION,
         "program": PROGRAM,
         "notice": "Research software, not a medical device.",
-        "fingerprint": provenance.fingerprint,
+        "fingerprint": fingerprint_of(causes),
         "input": {
             "path": str(source.path.resolve()),
-            "sha256": provenance.clip_sha256,
+            "sha256": causes["clip"],
             "frames": len(frames),
             "width": source.size[0],
             "height": source.size[1],
             "fps": source.fps,
         },
-        "depth_model": {"identity": depth_identity, "files_sha256": _named_files(settings)},
+        "depth_model": {"identity": depth_identity, "files_sha256": causes["files"]},
         "masks": {"source": clip.sources["masks"], "identity": masks_identity},
         "scale": {
             "depth_at_1": clip.scale if math.isfinite(clip.scale) else None,
             "unit": "m" if clip.metric else "of the depth source, not metric",
         },
         "camera": dataclasses.asdict(clip.picture_camera),
-        "settings": dataclasses.asdict(settings),
-        "statuses": dict(Counter(frame.status for frame in frames)),
-        "verdicts": dict(Counter(frame.verdict for frame in frames if frame.verdict)),
-        "contacts": dict(results.counts),
+        "settings": dataclasses.asdict(clip.settings),
+        "statuses": Counter(frame.status for frame in frames),
+        "verdicts": Counter(frame.verdict for frame in frames if frame.verdict),
+        "contacts": results.counts,
         "model": network,
-        "estimator": dict(provenance.estimator),
-        "units": units_of(model),
+        "estimator": causes["estimator"],
+        "units": columns.UNITS,
         "columns": {TABLE: columns.FRAMES, INTERACTIONS: columns.INTERACTIONS},
-        "warnings": warnings_of(clip.source, frames, model, clip.sources),
+        "warnings": warnings_of(source, frames, model, clip.sources),
         "timings_s": {stage: round(value, 4) for stage, value in seconds.items()},
-        "overlay_encoder": results.encoder or None,
+        "overlay_encoder": results.encoder,
         "versions": versions(),
     }
 
@@ -143,13 +124,10 @@ def describe(record: Mapping[str, Any]) -> str:
     """One line about what made a clip's results, for its summary."""
     given, model = record["input"], record["model"]
     told = "" if model is None else f", {Path(model['path']).name} ({model['sha256'][:8]})"
-    return " · ".join(
-        (
-            f"{given['frames']} frames, {given['width']}×{given['height']}, {given['fps']:.4g} fps",
-            f"estimator {record['estimator']['name']}{told}",
-            f"depth {record['depth_model']['identity'].split(':')[0]}",
-            f"masks {record['masks']['source']}",
-        )
+    return (
+        f"{given['frames']} frames, {given['width']}×{given['height']}, {given['fps']:.4g} fps · "
+        f"estimator {record['estimator']['name']}{told} · "
+        f"depth {record['depth_model']['identity'].split(':')[0]} · masks {record['masks']['source']}"
     )
 
 
@@ -191,14 +169,6 @@ def warnings_of(
     return found
 
 
-def units_of(model: ExportedModel | None) -> dict[str, str]:
-    """Units of the results: the model's where there is one, for a force that is a magnitude."""
-    units = UNITS | ({} if model is None else model.metadata.get("units", {}))
-    # The network's force is signed, the table's is not.
-    units["force"] = units["force"].split(";")[0]
-    return units
-
-
 def sha256_of(path: Path) -> str:
     """SHA-256 of a file, or of a folder's files with their names; hidden ones and our own results don't count.
 
@@ -233,22 +203,7 @@ def _named_files(settings: PrepareSettings) -> dict[str, str]:
     return {name: sha256_of(path) for name, path in paths.items() if isfile(path)}
 
 
-@functools.cache
-def program_version() -> str:
-    """Version of this program: the checkout's, or the installed package's."""
-    project = ROOT / "pyproject.toml"
-    if project.is_file():
-        return str(tomllib.loads(project.read_text(encoding="utf-8"))["project"]["version"])
-    return version("palpate")
-
-
 def versions() -> dict[str, str]:
     """Versions of this program and of the packages that the numbers depend on."""
-    found = {"palpate": program_version(), "python": platform.python_version()}
-    found["preprocessing"] = str(PREPROCESSING_VERSION)
-    for package in PACKAGES:
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            continue
-    return found
+    found = {item.name: item.version for item in distributions() if item.name in PACKAGES}
+    return found | {"python": platform.python_version(), "preprocessing": str(PREPROCESSING_VERSION)}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -17,8 +17,7 @@ from rich.table import Table
 from rich.text import Text
 
 from data.clip import ClipStream
-from data.command_line import path_option, progress_bars, say
-from data.depth.preset import preset_names
+from data.command_line import progress_bars, say
 from data.prepared import PreparedFrame
 from data.source.camera import load_camera
 from data.source.frames import discover, open_source
@@ -28,10 +27,9 @@ from estimators.contract import Chosen, ClipInfo, Said
 from estimators.estimate import FrameEstimate
 from estimators.model_settings import check_sources
 from estimators.open import EstimatorOptions, open_estimator
-from models.onnx_session import ExportedModel
 from physics.doors import INTERRUPTED, plain
-from results.record import PROGRAM, Provenance, build_record, describe, program_version, sha256_of, units_of
-from results.store import FIT, INTERACTIONS, OVERLAY, RECORD, SUMMARY, TABLE, ResultStore, read_record
+from results.record import build_record, depends_on, describe, fingerprint_of, model_of
+from results.store import OVERLAY, PROGRAM, WRITTEN, ResultStore, is_up_to_date, read_record
 from results.writer import ClipResults
 
 WORDS = {
@@ -78,26 +76,25 @@ class Batch:
         )
         if options.smoothing is not None and self.estimator.name != "direct":
             raise ValueError("--smoothing is for --estimator direct; a network's preparation is as it was trained.")
-        self.model: ExportedModel | None = getattr(self.estimator, "model", None)
-        self.model_sha256 = "" if self.model is None else sha256_of(self.model.path)
-        chosen = Chosen(chosen_layout(options), options.masks, chosen_depth(options), options.smoothing)
+        depth = {"source": options.depth, "model": options.depth_model, "preset": options.depth_preset}
+        depth = {name: value for name, value in depth.items() if value is not None} | {"threads": options.threads}
+        chosen = Chosen(_chosen_layout(options), options.masks, depth, options.smoothing)
         self.settings = self.estimator.preparation(chosen)
         check_sources(self.settings)
-        self.store = ResultStore(options.output, PROGRAM)
-        self.files = (TABLE, INTERACTIONS, SUMMARY, FIT, RECORD) + ((OVERLAY,) if options.overlay else ())
+        self.store = ResultStore(options.output)
+        self.files = [name for name in WRITTEN if options.overlay or name != OVERLAY]
 
     def process(self, path: Path, progress: Progress, place: str) -> Outcome:
         """Estimate every frame and every run of contact of a clip and write the results; arguments as of `attempt`."""
         source = open_source(path, self.settings.layout)
         folder = self.store.folder(source.name, path)
-        provenance = Provenance(sha256_of(path), self.model_sha256, self.settings, self.estimator.described)
-        if self.is_up_to_date(source.name, folder, provenance.fingerprint, self.files):
+        causes = depends_on(path, self.settings, self.estimator)
+        if is_up_to_date(folder, fingerprint_of(causes), self.files, overwrite=self.options.overwrite):
+            say(self.console, f"{source.name}: up to date in {folder}; --overwrite computes it again")
             return Outcome(source.name, UP_TO_DATE, str(folder), counts_of(read_record(folder)))
-        task = progress.add_task(f"{place} {short(plain(source.name))}", total=source.length or None)
+        task = progress.add_task(f"{place} {plain(source.name)[:36]}", total=source.length or None)
         try:
-            with ClipResults(
-                folder, source.size, source.fps, units_of(self.model), overlay=self.options.overlay
-            ) as results:
+            with ClipResults(folder, source.size, source.fps, overlay=self.options.overlay) as results:
                 clip, started = ClipStream(source, self.settings), time.perf_counter()
                 session = self.estimator.start(ClipInfo.of(clip))
                 frames: deque[PreparedFrame] = deque()
@@ -108,12 +105,12 @@ class Batch:
                 _write(results, frames, session.finish())
                 seconds = {**clip.seconds, **session.seconds, **results.seconds}
                 seconds["total"] = time.perf_counter() - started + clip.seconds["scale"]
-                record = build_record(clip, provenance, self.model, results, seconds)
+                record = build_record(clip, causes, model_of(self.estimator), results, seconds)
                 results.finish(record, title=source.name, subtitle=describe(record))
         finally:
             progress.remove_task(task)
         for warning in record["warnings"]:
-            self.say(f"{source.name}: {warning}")
+            say(self.console, f"{source.name}: {warning}")
         return Outcome(source.name, DONE, str(folder), counts_of(record))
 
     def clips(self) -> tuple[list[Path], list[Outcome]]:
@@ -140,30 +137,13 @@ class Batch:
                 raise
             return self._failure(path, error)
 
-    def is_up_to_date(self, name: str, folder: Path, fingerprint: str, files: Iterable[str]) -> bool:
-        """Whether a clip's folder holds these files as results of exactly this already, which is then said.
-
-        Raises:
-            OutputError: it holds results that may not be replaced.
-        """
-        overwrite = self.options.overwrite
-        if not overwrite and self.store.is_complete(folder, fingerprint, files):
-            self.say(f"{name}: up to date in {folder}; --overwrite computes it again")
-            return True
-        self.store.require_replaceable(folder, fingerprint, files, overwrite=overwrite)
-        return False
-
     def _failure(self, path: Path, error: Exception) -> Outcome:
         told = sentence_of(error)
         if not isinstance(error, (ValueError, OSError)):
             told = f"unexpected {type(error).__name__} ({told}); run with --debug and report what it prints."
         sentence = told if printable(path) in told else f"{printable(path)}: {told}"
-        self.say(f"failed: {sentence}")
+        say(self.console, f"failed: {sentence}")
         return Outcome(path.name, FAILED, sentence)
-
-    def say(self, sentence: str) -> None:
-        """Print one line as it is: no markup, no wrapping, and harmless whatever a file name holds."""
-        say(self.console, sentence)
 
 
 def sentence_of(error: Exception) -> str:
@@ -221,54 +201,12 @@ def run(options: argparse.Namespace) -> int:
     Console().print(_table(outcomes), soft_wrap=True)
     if interrupted:
         finished = sum(outcome.state != FAILED for outcome in outcomes)
-        batch.say(f"Interrupted: {finished} of {len(paths)} clips are complete; run the same command to continue.")
+        say(console, f"Interrupted: {finished} of {len(paths)} clips are complete; run the same command to continue.")
         return INTERRUPTED
     return int(any(outcome.state == FAILED for outcome in outcomes))
 
 
-ONSET_HELP = (
-    "when a press begins: between frames, up to a frame's time from the first frame in contact (default, as in real "
-    "videos), or at that frame's time stamp (as in data.synthetic's clips)"
-)
-
-
-def add_input_options(add: Callable[..., Any]) -> None:
-    """Options that say which clips to read and how; `add` is a parser's `add_argument`."""
-    add("inputs", nargs="+", type=_input, metavar="INPUT", help="video files, frame folders, or folders of those")
-    add("--output", type=path_option, required=True, metavar="DIR", help="folder of the results, one folder a clip")
-    sources = f"auto, stored, {', '.join(preset_names())}, or a depth model's .onnx file"
-    add("--depth", metavar="SOURCE", help=f"{sources} (default: as the model was trained, else auto)")
-    add("--depth-model", metavar="FILE", help="the .onnx file of a preset that ships none")
-    add("--depth-preset", metavar="PRESET", help="preset or .yaml file that says how to read --depth MODEL.onnx")
-    sources = "annotation, automatic, or a segmentation model's .onnx file"
-    add(
-        "--masks",
-        metavar="SOURCE",
-        help=f"{sources} (default: annotation where there is one, else automatic)",
-    )
-    add(
-        "--layout",
-        type=path_option,
-        metavar="FILE",
-        help="YAML file that names a folder's files (default: CholecSeg8k)",
-    )
-    add(
-        "--camera",
-        type=path_option,
-        metavar="FILE",
-        help="camera (YAML or JSON) for clips that bring none of their own",
-    )
-    add("--threads", type=_count, default=0, metavar="N", help="CPU threads; 0 = all (default)")
-    add("--overwrite", action="store_true", help="compute all clips again and replace earlier results")
-    add("--debug", action="store_true", help="stop at the first failure with its traceback")
-
-
-def add_version(parser: argparse.ArgumentParser) -> None:
-    """The option --version."""
-    parser.add_argument("--version", action="version", version=f"palpate {program_version()}")
-
-
-def chosen_layout(options: argparse.Namespace) -> ClipLayout:
+def _chosen_layout(options: argparse.Namespace) -> ClipLayout:
     """How the clips' files are named, with the camera given on the command line.
 
     Raises:
@@ -281,37 +219,15 @@ def chosen_layout(options: argparse.Namespace) -> ClipLayout:
     return layout
 
 
-def chosen_depth(options: argparse.Namespace) -> dict[str, Any]:
-    """Fields of DepthSettings that were given on the command line."""
-    chosen = {"source": options.depth, "model": options.depth_model, "preset": options.depth_preset}
-    return {name: value for name, value in chosen.items() if value is not None} | {"threads": options.threads}
-
-
-def short(name: str, width: int = 36) -> str:
-    """A name or its beginning, at most `width` characters."""
-    return name if len(name) <= width else name[: width - 1] + "…"
-
-
-def _input(text: str) -> Path:
-    if not text:  # an unset shell variable; as a path it would be the whole working folder
-        raise argparse.ArgumentTypeError("an INPUT is empty; name a video file or a folder of frames")
-    return Path(text)
-
-
-def _count(text: str) -> int:
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"'{text}' is not a number of threads; give 0 or more")
-    return int(text)
-
-
 def _table(outcomes: list[Outcome]) -> Table:
     """Clips with what was counted in them, and where the results lie."""
     table = Table(title="Clips", title_justify="left")
-    for column in ("clip", "result", "found"):
-        table.add_column(column, no_wrap=True)
+    table.add_column("clip", no_wrap=True, max_width=24)
+    table.add_column("result", no_wrap=True)
+    table.add_column("found", no_wrap=True)
     table.add_column("results in, or why not", overflow="fold")
     for outcome in outcomes:
         # A line a status: a column each would leave no room for the rest on a narrow terminal.
         counts = "\n".join(plain(f"{count} {status}") for status, count in outcome.counts.items())
-        table.add_row(Text(short(plain(outcome.name), 24)), outcome.state, Text(counts), Text(plain(outcome.where)))
+        table.add_row(Text(plain(outcome.name)), outcome.state, Text(counts), Text(plain(outcome.where)))
     return table

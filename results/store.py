@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import glob
 import hashlib
 import json
 import os
@@ -21,9 +22,10 @@ WRITTEN = (TABLE, INTERACTIONS, OVERLAY, SUMMARY, FIT, RECORD)
 """All that is ever written into a clip's folder, in the order in which it gets there; any other file is a user's."""
 MARKER = ".unfinished-results"
 """Tells a hidden folder of ours from a user's."""
-RECORD_KINDS = {"program": str, "fingerprint": str, "input": dict, "files": dict, "statuses": dict, "contacts": dict}
+PROGRAM = "infer.py"
+"""What writes results; another program's are never replaced."""
+RECORD_KINDS = {"fingerprint": str, "input": dict, "files": dict, "statuses": dict, "contacts": dict}
 """Types of the record's fields that are read again."""
-NOT_OURS = "something that is not ours"
 _NAME_BYTES = 120
 
 
@@ -61,8 +63,11 @@ def safe_name(name: str) -> str:
     clean = re.sub(r'[\x00-\x1f\x7f<>:"/\\|?*\ud800-\udfff]', "_", normal).strip(" .") or "clip"
     if len(clean.encode()) <= _NAME_BYTES:
         return clean
-    mark = hashlib.sha256(normal.encode("utf-8", "surrogatepass")).hexdigest()[:8]
-    return clean.encode()[: _NAME_BYTES - 9].decode("utf-8", "ignore").rstrip(" .") + "-" + mark
+    return clean.encode()[: _NAME_BYTES - 9].decode("utf-8", "ignore").rstrip(" .") + "-" + _mark(normal)
+
+
+def _mark(text: str) -> str:
+    return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:8]
 
 
 class ResultStore:
@@ -70,14 +75,13 @@ class ResultStore:
 
     Args:
         output: the folder; made when it is not there.
-        program: whose results they are; another program's are never replaced.
 
     Raises:
         OutputError: it can't be made or written.
     """
 
-    def __init__(self, output: Path, program: str) -> None:
-        self.output, self.program = output, program
+    def __init__(self, output: Path) -> None:
+        self.output = output
         self._taken: dict[str, str] = {}
         if output.exists() and not output.is_dir():
             raise OutputError(f"{output}: is a file; give a folder as --output.")
@@ -95,8 +99,7 @@ class ResultStore:
         """
         source = str(origin.resolve())
         plain = safe_name(name)
-        mark = hashlib.sha256(source.encode("utf-8", "surrogatepass")).hexdigest()[:8]
-        names = (plain, f"{plain}-{mark}")
+        names = (plain, f"{plain}-{_mark(source)}")
         with writing(self.output):
             for name in names:
                 settle(self.output / name)
@@ -108,42 +111,39 @@ class ResultStore:
                     return self.output / name
         raise OutputError(f"{self.output / name}: holds something else; move it away or choose another --output.")
 
-    def is_complete(self, folder: Path, fingerprint: str, files: Iterable[str]) -> bool:
-        """Whether the folder holds these files as results of exactly this input, these models and these settings."""
-        record = read_record(folder)
-        return record.get("fingerprint") == fingerprint and all(_is_as_recorded(folder, name, record) for name in files)
-
-    def require_replaceable(self, folder: Path, fingerprint: str, files: Iterable[str], *, overwrite: bool) -> None:
-        """Refuse to work for a folder whose files may not be replaced.
-
-        Args:
-            folder: of a clip, as `folder` gave it.
-            fingerprint: of the results to come; those of the same one are always replaced.
-            files: names of the results to come.
-            overwrite: whether the user asked to replace others.
-
-        Raises:
-            OutputError: results made otherwise are there, or one of them was changed since.
-        """
-        record = read_record(folder)
-        if record and record.get("fingerprint") != fingerprint and not overwrite:
-            raise OutputError(
-                f"{folder}: holds results of other settings, of another model or version, or of frames that have "
-                "changed since; --overwrite replaces them, or choose another --output."
-            )
-        _require_untouched(folder, files)
-
-    def _owner(self, name: str) -> str:
-        """Source whose results the folder `name` holds; empty when it is free."""
-        taken = self._taken.get(name.casefold())
+    def _owner(self, name: str) -> str | None:
+        """Source whose results the folder `name` holds; empty when it is free, None when it holds something else."""
         folder = self.output / name
-        if taken is not None:
-            return taken
+        if name.casefold() in self._taken:
+            return self._taken[name.casefold()]
         if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
             return ""
-        record = read_record(folder)
-        ours = record.get("program") == self.program
-        return str(record.get("input", {}).get("path", NOT_OURS)) if ours else NOT_OURS
+        return _source(folder)
+
+
+def is_up_to_date(folder: Path, fingerprint: str, files: Iterable[str], *, overwrite: bool) -> bool:
+    """Whether a clip's folder holds these files as results of exactly this already; not where they are to be replaced.
+
+    Args:
+        folder: of a clip, as `ResultStore.folder` gave it.
+        fingerprint: of the results to come.
+        files: names of the results to come.
+        overwrite: whether the user asked to replace earlier ones.
+
+    Raises:
+        OutputError: results made otherwise are there and `overwrite` is not given, or one of the files was changed.
+    """
+    record = read_record(folder)
+    same = record.get("fingerprint") == fingerprint
+    if same and not overwrite and all(_is_as_recorded(folder / name) for name in files):
+        return True
+    if record and not same and not overwrite:
+        raise OutputError(
+            f"{folder}: holds results of other settings, of another model or version, or of frames that have "
+            "changed since; --overwrite replaces them, or choose another --output."
+        )
+    _require_untouched(folder, files)
+    return False
 
 
 def read_record(folder: Path) -> dict[str, Any]:
@@ -152,7 +152,7 @@ def read_record(folder: Path) -> dict[str, Any]:
         record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
         return {}
-    if not isinstance(record, dict):
+    if not isinstance(record, dict) or record.get("program") != PROGRAM:
         return {}
     return record if all(isinstance(record.get(name, kind()), kind) for name, kind in RECORD_KINDS.items()) else {}
 
@@ -200,11 +200,11 @@ def publish(partial: Path, folder: Path) -> None:
             (folder / MARKER).unlink()
             return
         folder.mkdir(exist_ok=True)  # a user's file in the hidden folder stays there
-    new = [name for name in own_files(partial) if (partial / name).exists()]
+    written = own_files(partial)
+    new = [name for name in written if (partial / name).exists()]
     _require_untouched(folder, new)
-    record = read_record(folder)
     for name in own_files(folder):
-        if name not in (*read_record(partial)["files"], RECORD) and _is_as_recorded(folder, name, record):
+        if name not in written and _is_as_recorded(folder / name):
             (folder / name).unlink()
     for name in new:
         os.replace(partial / name, folder / name)
@@ -217,19 +217,18 @@ def settle(folder: Path) -> None:
     Raises:
         OutputError: see `publish`.
     """
-    for partial in folder.parent.glob(f".{_escape(folder.name)}.partial-*"):
+    for partial in folder.parent.glob(f".{glob.escape(folder.name)}.partial-*"):
         if not (partial / MARKER).is_file() or _is_running(partial.name.rpartition("-")[2]):
             continue
-        if own_files(partial) and (not folder.exists() or _made_of(partial) == _made_of(folder)):
+        if own_files(partial) and (not folder.exists() or _source(partial) == _source(folder)):
             publish(partial, folder)
         else:
             _discard(partial)
 
 
-def _made_of(folder: Path) -> tuple[Any, Any]:
-    """Program and input of the results in a folder."""
-    record = read_record(folder)
-    return record.get("program"), record.get("input", {}).get("path")
+def _source(folder: Path) -> str | None:
+    """Input of our results in a folder; None where there are none."""
+    return read_record(folder).get("input", {}).get("path")
 
 
 def _discard(partial: Path) -> None:
@@ -240,23 +239,18 @@ def _discard(partial: Path) -> None:
         partial.rmdir()
 
 
-def _is_as_recorded(folder: Path, name: str, record: Mapping[str, Any]) -> bool:
-    path = folder / name
-    return path.is_file() and (name == RECORD or file_sha256(path) == record.get("files", {}).get(name))
+def _is_as_recorded(path: Path) -> bool:
+    """Whether a file is as the record beside it has it."""
+    recorded = read_record(path.parent).get("files", {}).get(path.name)
+    return path.is_file() and (path.name == RECORD or file_sha256(path) == recorded)
 
 
 def _require_untouched(folder: Path, names: Iterable[str]) -> None:
     """Raise an OutputError where a file of these names is neither missing, empty, nor as the folder's record has it."""
-    record = read_record(folder)
-    for name in names:
-        path = folder / name
+    for path in (folder / name for name in names):
         lost = not os.path.lexists(path) or (path.is_file() and path.stat().st_size == 0)
-        if not lost and not _is_as_recorded(folder, name, record):
+        if not lost and not _is_as_recorded(path):
             raise OutputError(f"{path}: is not as this program wrote it; move it away or choose another --output.")
-
-
-def _escape(name: str) -> str:
-    return re.sub(r"([*?\[])", r"[\1]", name)
 
 
 def _is_running(process: str) -> bool:

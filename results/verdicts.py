@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from estimators.estimate import SYMBOLS, FrameEstimate
+from estimators.estimate import SYMBOLS, FrameEstimate, InteractionEstimate
 from physics.mechanics import PARAMETERS
 
 Color = tuple[int, int, int]
@@ -37,9 +37,11 @@ MEANINGS = {
 FAR = "more than twice or less than half the observed one"
 
 
-def state(estimate: FrameEstimate) -> str:
-    """What is said first about a frame: its verdict, or its status where it has none."""
-    return estimate.verdict or estimate.status
+def state(said: FrameEstimate | InteractionEstimate) -> str:
+    """What is said first about a frame or a run of contact: its verdict, or why it has none."""
+    if isinstance(said, FrameEstimate):
+        return said.verdict or said.status
+    return "no_estimate" if said.estimate is None else said.estimate.verdict
 
 
 def in_words(name: str) -> str:
@@ -68,7 +70,7 @@ def numbers(verdict: str, values: Mapping[str, Any]) -> list[tuple[str, str]]:
         values: of a frame or a run of contact, by column.
     """
     told = []
-    for name, symbol in ((name, SYMBOLS[name]) for name in PARAMETERS):
+    for name in PARAMETERS:
         value, spread, low, high = (values.get(f"{name}{end}") for end in ("", "_sd", "_low", "_high"))
         if value is None:
             continue
@@ -77,7 +79,7 @@ def numbers(verdict: str, values: Mapping[str, Any]) -> list[tuple[str, str]]:
             text = f"{digits(value, 3)} ± {digits(spread, 2)}"
         elif low is not None and high is not None:
             text = f"{digits(low, 2)} to {digits(high, 2)}"
-        told.append((symbol, text))
+        told.append((SYMBOLS[name], text))
     if verdict == "ratios":
         for name in ("damping_over_stiffness", "force_over_stiffness"):
             told.append((SYMBOLS[name], f"{digits(values[name], 2)} ± {digits(values[f'{name}_sd'], 1)}"))

@@ -17,3 +17,11 @@ def real_data() -> Path:
     if not (folder / "cholecseg8k").is_dir():
         pytest.skip(f"no real data at {folder}; set TISSUE_REAL_DATA")
     return folder
+
+
+@pytest.fixture
+def blank_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No pictures are drawn, which takes longer than all else about a short clip, where no test looks at them."""
+    for draw in ("draw_summary", "draw_fits"):
+        monkeypatch.setattr(f"results.writer.{draw}", lambda *_, **__: None)
+    monkeypatch.setattr("results.writer.write_figure", lambda path, _: path.write_bytes(b"a picture"))

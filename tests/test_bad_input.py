@@ -21,6 +21,7 @@ from data.contact.geometry import GeometrySettings
 from results import store as result_store
 from tests.inference_inputs import GRID, SIZE, encode, metadata, write_clip, write_model, write_video
 
+pytestmark = pytest.mark.usefixtures("blank_pictures")
 ROOT = Path(__file__).resolve().parents[1]
 FRAMES = 6
 """Frames of every clip here; contact from the third on, the tool in view from the start."""
@@ -494,7 +495,7 @@ def test_empty_input_is_not_the_working_folder(model: Path, capsys: pytest.Captu
     with pytest.raises(SystemExit) as ended:
         infer.main(["", "--output", str(model.parent / "out"), "--model", str(model)])
     assert ended.value.code == 2
-    assert "an INPUT is empty; name a video file" in capsys.readouterr().err
+    assert "INPUT: is empty; name a file or folder" in capsys.readouterr().err
 
 
 def test_covered_lens_gives_rows_without_a_tool(clips: Path, model: Path) -> None:
@@ -581,7 +582,7 @@ def test_read_only_file_system(
 
 def test_interrupted_process_keeps_finished_clips_and_continues(tmp_path: Path, model: Path) -> None:
     write_clip(tmp_path / "clips" / "a", 4, 2)
-    write_clip(tmp_path / "clips" / "b", 400, 2)
+    write_clip(tmp_path / "clips" / "b", 200, 2)
     output = tmp_path / "out"
     command = [sys.executable, "infer.py", str(tmp_path / "clips"), "--output", str(output), "--model", str(model)]
     process = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True)

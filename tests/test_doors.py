@@ -53,13 +53,13 @@ def test_the_last_line_is_the_guarded_run(door: str) -> None:
 
 
 def test_a_batch_works_on_whatever_becomes_of_its_output(tmp_path: Path) -> None:
-    """An ASCII-only terminal, a reader that is content with one line, and a full device."""
+    """An ASCII-only terminal, and a full device."""
     write_clip(tmp_path / "clips" / "vidéo 肝臓", 4, 2)
     write_model(tmp_path / "parameters.onnx")
     command = f"{sys.executable} infer.py '{tmp_path / 'clips'}' --model '{tmp_path / 'parameters.onnx'}' --no-overlay"
     environment = os.environ | {"PYTHONIOENCODING": "ascii"}
-    for name, end, status in (("ascii", "", 0), ("head", "| head -1", 0), ("full", "> /dev/full 2> /dev/full", 1)):
-        script = f"set -o pipefail; {command} --output '{tmp_path / name}' {end}"
+    for name, end, status in (("ascii", "", 0), ("full", "> /dev/full 2> /dev/full", 1)):
+        script = f"{command} --output '{tmp_path / name}' {end}"
         done = subprocess.run(["bash", "-c", script], cwd=ROOT, env=environment, capture_output=True, timeout=120)
         assert done.returncode == status, (name, done.stderr)
         assert b"Error" not in done.stderr

@@ -23,11 +23,13 @@ import sys
 from pathlib import Path
 from data.settings import PrepareSettings
 from physics.provenance import ROOT, code_digest
-from results.record import Provenance
+from estimators.open import EstimatorOptions, open_estimator
+from results.record import depends_on, fingerprint_of
 
 def told():
     code_digest.cache_clear()
-    return Provenance("clip", "model", PrepareSettings()).fingerprint, *map(code_digest, ("preparation", "kernels"))
+    causes = depends_on(Path(sys.executable), PrepareSettings(), open_estimator(EstimatorOptions("direct")))
+    return fingerprint_of(causes), *map(code_digest, ("preparation", "kernels"))
 
 print(ROOT, *told())
 for name in sys.stdin.read().splitlines():

@@ -28,7 +28,7 @@ from estimators.direct.estimator import WHOLE
 from estimators.estimate import Estimate, FrameEstimate, InteractionEstimate
 from estimators.network.fits import BOUNDS, MECHANICS
 from estimators.open import NAMES, EstimatorOptions, open_estimator
-from results.columns import interaction_values
+from results.columns import INTERACTIONS, interaction_values
 from tests.estimators.sessions import SIZE, State, clip_info, follow, linked, sorted_out, touched
 from tests.inference_inputs import metadata, write_model, write_posterior
 from tests.physics.sheets import sheet
@@ -97,7 +97,8 @@ def exactly(said: Iterable[Said]) -> list[str]:
         seen, simulated = item.interaction, item.simulated
         arrays = () if seen is None else (seen.observation.times, seen.observation.displacement, seen.load.factor)
         arrays += () if simulated is None else simulated
-        found.append(repr((interaction_values(item), [array.tolist() for array in arrays])))
+        values = interaction_values(item)
+        found.append(repr(([values.get(name) for name in INTERACTIONS], [array.tolist() for array in arrays])))
     return found
 
 

@@ -10,7 +10,7 @@ from scipy.stats import norm
 
 from estimators.estimate import FrameEstimate, InteractionEstimate
 from physics.identifiability import bounds
-from results.columns import FRAMES, INTERACTIONS, frame_row, interaction_row
+from results.columns import FRAMES, INTERACTIONS, interaction_values, row
 from tests.estimators.estimates import ESTIMATE, GOOD, frame_in_contact
 
 PROMISED = (
@@ -24,11 +24,11 @@ DEVIATES = norm.ppf((np.arange(100_000) + 0.5) / 100_000)
 
 
 def of_frame(frame: FrameEstimate) -> dict[str, str]:
-    return dict(zip(FRAMES, frame_row(frame), strict=True))
+    return dict(zip(FRAMES, row(FRAMES, frame.values), strict=True))
 
 
 def of_run(run: InteractionEstimate) -> dict[str, str]:
-    return dict(zip(INTERACTIONS, interaction_row(run), strict=True))
+    return dict(zip(INTERACTIONS, row(INTERACTIONS, interaction_values(run)), strict=True))
 
 
 def test_the_promised_columns_are_there() -> None:
@@ -61,28 +61,28 @@ def test_detail_stays_on_one_line() -> None:
 
 
 def test_a_run_has_values_spreads_and_bounds() -> None:
-    row = of_run(GOOD)
-    assert row["onset_time_s"] == "0.280000"
-    assert (row["onset_frame"], row["frames"], row["load_s"], row["status"]) == ("7", "8", "0.16", "ok")
+    found = of_run(GOOD)
+    assert found["onset_time_s"] == "0.280000"
+    assert (found["onset_frame"], found["frames"], found["load_s"], found["status"]) == ("7", "8", "0.16", "ok")
     log_sds = {"stiffness": 0.1, "damping": 0.2, "force": 0.05}
     for name, value in zip(log_sds, (0.5, 0.06, 0.1), strict=True):
-        assert_log_normal(row, name, value, log_sds[name])
-        assert float(row[f"{name}_bound"]) == pytest.approx(log_sds[name])
-    assert_log_normal(row, "damping_over_stiffness", 0.12, np.hypot(0.1, 0.2))
-    assert_log_normal(row, "force_over_stiffness", 0.2, np.hypot(0.1, 0.05))
+        assert_log_normal(found, name, value, log_sds[name])
+        assert float(found[f"{name}_bound"]) == pytest.approx(log_sds[name])
+    assert_log_normal(found, "damping_over_stiffness", 0.12, np.hypot(0.1, 0.2))
+    assert_log_normal(found, "force_over_stiffness", 0.2, np.hypot(0.1, 0.05))
     np.testing.assert_allclose(bounds(ESTIMATE.information), [0.1, 0.2, 0.05])
-    assert row["verdict"] == "determined"
+    assert found["verdict"] == "determined"
     combinations = "stiffness;damping;force;damping_over_stiffness;force_over_stiffness;force_over_damping"
-    assert row["determined"] == combinations
-    assert row["explanation"] == "F (±0.05), k_s (±0.1), k_d (±0.2) are determined"
-    assert (row["noise"], row["misfit"], row["at_bound"], row["detail"]) == ("0.001", "1.1", "", "")
+    assert found["determined"] == combinations
+    assert found["explanation"] == "F (±0.05), k_s (±0.1), k_d (±0.2) are determined"
+    assert (found["noise"], found["misfit"], found["at_bound"], found["detail"]) == ("0.001", "1.1", "", "")
 
 
-def assert_log_normal(row: dict[str, str], name: str, value: float, log_sd: float) -> None:
-    assert float(row[name]) == pytest.approx(value)
+def assert_log_normal(found: dict[str, str], name: str, value: float, log_sd: float) -> None:
+    assert float(found[name]) == pytest.approx(value)
     draws = value * np.exp(log_sd * DEVIATES)
-    assert float(row[f"{name}_sd"]) == pytest.approx(draws.std(), rel=1e-3)
-    ends = [float(row[f"{name}_{end}"]) for end in ("low", "high")]
+    assert float(found[f"{name}_sd"]) == pytest.approx(draws.std(), rel=1e-3)
+    ends = [float(found[f"{name}_{end}"]) for end in ("low", "high")]
     assert ends == pytest.approx(np.quantile(draws, (0.05, 0.95)), rel=1e-4)
 
 
@@ -109,8 +109,8 @@ def test_a_run_without_estimate_has_no_numbers() -> None:
 
 def test_parameters_at_their_ranges_end_and_delays_are_told() -> None:
     at_bound, delays = np.array([False, False, True]), (0.01, -0.02)
-    row = of_run(dataclasses.replace(GOOD, estimate=dataclasses.replace(ESTIMATE, at_bound=at_bound, delays=delays)))
-    assert row["at_bound"] == "force"
-    assert (float(row["delay_s"]), float(row["release_delay_s"])) == delays
+    found = of_run(dataclasses.replace(GOOD, estimate=dataclasses.replace(ESTIMATE, at_bound=at_bound, delays=delays)))
+    assert found["at_bound"] == "force"
+    assert (float(found["delay_s"]), float(found["release_delay_s"])) == delays
     plain = of_run(GOOD)
     assert plain["delay_s"] == plain["release_delay_s"] == ""

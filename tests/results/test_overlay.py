@@ -11,7 +11,8 @@ import pytest
 
 from estimators.estimate import FrameEstimate
 from results import overlay
-from results.overlay import OverlayVideo, canvas_size, draw_overlay
+from results.columns import UNITS
+from results.overlay import canvas_size, draw_overlay, open_video, shade, text, text_width, wrap_text
 from results.verdicts import COLORS
 from tests.estimators.estimates import frame_in_contact
 
@@ -95,23 +96,23 @@ def test_notes_say_what_the_numbers_cannot() -> None:
     estimate = frame_in_contact(
         "undetermined", THETA, (2, 2, 2), detail="Because.", simulated_displacement=0.05, observed_displacement=0.02
     )
-    assert overlay._notes(estimate, "scene units") == [
+    assert overlay._notes(estimate) == [
         "Not determined by what was seen so far.",
         "The simulated displacement is more than twice or less than half the observed one.",
         "Because.",
-        "Ranges are 90 % intervals. Unit: scene units.",
+        f"Ranges are 90 % intervals. Unit: {UNITS['stiffness']}.",
     ]
-    assert overlay._notes(frame_in_contact("determined", THETA, (1.1, 1.1, 1.1)), "scene units") == [
+    assert overlay._notes(frame_in_contact("determined", THETA, (1.1, 1.1, 1.1))) == [
         "Stiffness, damping and force are determined.",
-        "Unit: scene units.",
+        f"Unit: {UNITS['stiffness']}.",
     ]
-    assert overlay._notes(FrameEstimate(1, 0.0, "no_tool", "0 tool pixels."), "scene units") == ["0 tool pixels."]
+    assert overlay._notes(FrameEstimate(1, 0.0, "no_tool", "0 tool pixels.")) == ["0 tool pixels."]
 
 
 def test_a_long_remark_makes_the_panel_longer() -> None:
     detail = "The tissue is pressed at 74° to the line of sight, so its dent may hide its own bottom."
     plain, remarked = (
-        draw_overlay(grey(), SIZE, None, FrameEstimate(7, 0.28, "no_tool", text)) for text in ("", detail)
+        draw_overlay(grey(), SIZE, None, FrameEstimate(7, 0.28, "no_tool", told)) for told in ("", detail)
     )
     rows = np.flatnonzero((plain != remarked).any(axis=(1, 2)))
     assert np.ptp(rows) > 3 * 10  # more than three lines of 10 px
@@ -127,6 +128,29 @@ def test_the_notice_is_whole_beside_a_long_time(size: tuple[int, int]) -> None:
     assert not columns[-5:].any()
 
 
+def test_wrapped_lines_fit_and_lose_nothing() -> None:
+    line = "The tissue is pressed at 74° to the line of sight, so its dent may hide its own bottom."
+    lines = wrap_text(f"{line} /a/folder/{'name' * 20}.npy", 200, 11)
+    assert max(text_width(found, 11) for found in lines) <= 200
+    assert " ".join(lines).startswith(line)
+    assert "".join(lines).endswith("name" * 3 + ".npy")
+
+
+def test_text_ends_where_it_is_told() -> None:
+    image = np.zeros((40, 300, 3), np.uint8)
+    text(image, "θ 0.5 ± 0.1", (290, 30), 20, (255, 255, 255), align="right")
+    written = np.flatnonzero(image.any(axis=(0, 2)))
+    assert written.max() <= 291
+    assert abs(np.ptp(written) - text_width("θ 0.5 ± 0.1", 20)) < 8
+
+
+def test_shade_darkens_only_its_rectangle() -> None:
+    image = np.full((20, 20, 3), 200, np.uint8)
+    shade(image, (5, 5), (10, 10), 0.5)
+    assert image[10, 10, 0] == 105
+    assert image[4, 10, 0] == image[15, 10, 0] == 200
+
+
 @pytest.mark.parametrize("with_av", [True, False])
 def test_video_keeps_rate_count_and_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, with_av: bool) -> None:
     if with_av:
@@ -134,7 +158,7 @@ def test_video_keeps_rate_count_and_size(tmp_path: Path, monkeypatch: pytest.Mon
     else:
         monkeypatch.setattr(overlay, "av", None)
     path = tmp_path / "overlay.mp4"
-    video = OverlayVideo(path, (321, 241), 30000 / 1001)
+    video = open_video(path, (321, 241), 30000 / 1001)
     for level in range(12):
         video.write(np.full((482, 642, 3), 20 * level, np.uint8))
     video.close()
@@ -154,7 +178,7 @@ def test_missing_folder_is_an_os_error(tmp_path: Path, monkeypatch: pytest.Monke
         monkeypatch.setattr(overlay, "av", None)
 
     def attempt() -> None:
-        video = OverlayVideo(tmp_path / "nowhere" / "overlay.mp4", SIZE, 25.0)
+        video = open_video(tmp_path / "nowhere" / "overlay.mp4", SIZE, 25.0)
         video.write(grey())
         video.close()
 

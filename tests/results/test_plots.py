@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import warnings
+from collections import Counter
 from pathlib import Path
 
 import cv2
@@ -15,13 +16,12 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 
-from estimators.estimate import FrameEstimate
-from results.plots import NOTICE, OBSERVED, ContactPanel, Motion, draw_fits, draw_summary, write_figure
-from results.verdicts import COLORS
-from tests.estimators.estimates import frame_in_contact
-
-TIMES = np.array([0.04, 0.08, 0.12])
-MOTION = Motion(TIMES, np.array([0.01, 0.03, 0.02]), 0.002, np.array([0.0, 0.06, 0.12]), np.array([0, 0.04, 0.02]), 0.1)
+from estimators.estimate import FrameEstimate, InteractionEstimate
+from physics.load import held
+from results.columns import UNITS
+from results.plots import MOST_PANELS, NOTICE, OBSERVED, draw_fits, draw_summary, write_figure
+from results.verdicts import COLORS, state
+from tests.estimators.estimates import CONTACT, ESTIMATE, GOOD, LOAD_STEPS, MECHANICS, NONE, frame_in_contact
 
 
 def clip(
@@ -97,14 +97,13 @@ def test_one_bad_frame_of_many_is_wide_enough_to_see() -> None:
 
 
 def test_curves_have_values_intervals_titles_and_units() -> None:
-    units = {"stiffness": "scene units, not $", "displacement": "m"}
-    axes = draw_summary(clip(), title="clip", units=units).axes
+    axes = draw_summary(clip(), title="clip").axes
     titles = [panel.get_title("left") for panel in axes[1:]]
     assert titles == [
-        r"Stiffness $k_s$   [scene units, not \$]",
-        "Damping $k_d$",
-        "Force $|F|$",
-        "Displacement of the contact   [m]",
+        f"Stiffness $k_s$   [{UNITS['stiffness']}]",
+        f"Damping $k_d$   [{UNITS['damping']}]",
+        f"Force $|F|$   [{UNITS['force']}]",
+        f"Displacement of the contact   [{UNITS['displacement']}]",
     ]
     assert axes[-1].get_xlabel() == "time [s]"
     assert axes[-1].get_xlim() == pytest.approx((0.0, 0.8))
@@ -191,35 +190,92 @@ def test_long_and_odd_names_are_written_whole_and_inside(tmp_path: Path) -> None
     assert not any("…" in text for text in texts(figure))
 
 
+# --- runs of contact ---
+
+
+def fits(*runs: InteractionEstimate) -> list[Axes]:
+    return draw_fits(runs, Counter(map(state, runs)), "clip").axes
+
+
+def observed(axes: Axes) -> np.ndarray:
+    """Times and displacements with error bars, shape [2, n]."""
+    (bars,) = axes.containers
+    return bars.lines[0].get_xydata().T
+
+
 def test_a_fit_shows_observation_simulation_and_release() -> None:
-    (axes,) = draw_fits([ContactPanel("ratios", "ratios: contact", "All is well.", MOTION)], title="clip").axes
-    assert (heading(axes), axes.get_title("left")) == ("ratios: contact", "All is well.")
-    assert to_rgb(axes.texts[0].get_color()) == pytest.approx(color_of("ratios"))
-    assert legend(axes) == ["observed ± σ", "simulated with the fit", "release, 0.100 s"]
-    for label, times, values in (
-        ("observed ± σ", MOTION.times, MOTION.observed),
-        ("simulated with the fit", MOTION.simulated_times, MOTION.simulated),
-    ):
-        np.testing.assert_array_equal(curve(axes, label), (times, values))
-    assert curve(axes, "release, 0.100 s")[0] == pytest.approx(0.1)
-    (band,) = axes.collections
-    assert to_rgb(band.get_facecolor()[0]) == pytest.approx(to_rgb(OBSERVED))
-    assert tuple(extent(band).intervaly) == pytest.approx((0.008, 0.032))
+    (axes,) = fits(GOOD)
+    assert to_rgb(axes.texts[0].get_color()) == pytest.approx(color_of("determined"))
+    assert legend(axes) == ["simulated with the fit", "release, 0.160 s", "observed ± σ"]
+    np.testing.assert_allclose(observed(axes), (CONTACT.observation.times, np.zeros(8)))
+    np.testing.assert_allclose(curve(axes, "simulated with the fit"), ([0.0, 0.32], [0.0, 0.02]))
+    assert curve(axes, "release, 0.160 s")[0] == pytest.approx(0.16)
+    (bars,) = axes.collections
+    assert to_rgb(bars.get_color()[0]) == pytest.approx(to_rgb(OBSERVED))
+    np.testing.assert_allclose([bar[:, 1] for bar in bars.get_segments()], [[-0.001, 0.001]] * 8)
     assert axes.get_xlabel() == "time since the first frame in contact [s]"
     assert axes.get_ylabel() == "displacement along the force\n[scene units (normalised)]"
 
 
-def test_a_release_that_was_not_seen_is_not_drawn() -> None:
-    for release in (None, 0.2):
-        motion = dataclasses.replace(MOTION, release=release)
-        (axes,) = draw_fits([ContactPanel("determined", "determined", "", motion)], title="clip").axes
-        assert legend(axes) == ["observed ± σ", "simulated with the fit"]
+def test_motion_is_drawn_along_the_force() -> None:
+    """F < 0 presses against the normal, so motion against it is positive."""
+    pressed = CONTACT.observation.moved(-0.02 * np.tile(CONTACT.direction, (8, 1)), 0.001)
+    seen = dataclasses.replace(GOOD, interaction=dataclasses.replace(CONTACT, observation=pressed))
+    np.testing.assert_allclose(observed(*fits(seen))[1], np.full(8, 0.02), rtol=1e-6)
+    pulled = dataclasses.replace(seen, estimate=dataclasses.replace(ESTIMATE, theta=np.array([0.5, 0.06, 0.1])))
+    np.testing.assert_allclose(observed(*fits(pulled))[1], np.full(8, -0.02), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("load_steps", "delays", "told"),
+    [
+        (LOAD_STEPS, (), ["release, 0.160 s"]),
+        (LOAD_STEPS, (-0.01, -0.02), ["release, 0.140 s"]),
+        (MECHANICS.steps, (-0.01,), []),
+        (MECHANICS.steps - 1, (), []),  # after the last observation
+    ],
+)
+def test_a_release_is_told_where_one_was_seen(load_steps: int, delays: tuple[float, ...], told: list[str]) -> None:
+    press = dataclasses.replace(CONTACT.load, factor=held(load_steps, MECHANICS.steps))
+    contact = dataclasses.replace(CONTACT, load=press)
+    estimate = dataclasses.replace(ESTIMATE, delays=delays)
+    (axes,) = fits(dataclasses.replace(GOOD, interaction=contact, estimate=estimate))
+    assert legend(axes)[1:-1] == told
+
+
+def test_a_fit_tells_the_verdict_first_and_no_number_surer_than_it() -> None:
+    (axes,) = fits(GOOD)
+    values = "k_s 0.5 ± 0.05, k_d 0.06 ± 0.012, |F| 0.1 ± 0.005"
+    assert heading(axes) == f"determined: contact from frame 7 (0.280 s), {values}"
+    told = "Misfit 1.1 (1: it fits); F (±0.05), k_s (±0.1), k_d (±0.2) are determined."
+    assert axes.get_title("left") == told
+    (doubted,) = fits(dataclasses.replace(GOOD, detail="It does not fit."))
+    assert to_rgb(doubted.texts[0].get_color()) == pytest.approx(color_of("doubtful"))
+    assert heading(doubted).startswith("determined, but doubtful: contact")
+    assert heading(doubted).replace("\n", " ").endswith("k_s 0.42 to 0.59, k_d 0.043 to 0.083, |F| 0.092 to 0.11")
+    assert doubted.get_title("left").startswith("It does not fit. Misfit 1.1")
+    assert doubted.get_title("left").endswith("Ranges are 90 % intervals.")
+    loose = dataclasses.replace(GOOD, estimate=dataclasses.replace(ESTIMATE, covariance=np.eye(3)))
+    assert heading(fits(loose)[0]).startswith("undetermined: contact from frame 7 (0.280 s), k_s 0.097")
 
 
 def test_a_contact_without_estimate_says_why_without_axes() -> None:
     reason = "The onset of the contact was not seen. " * 9
-    panels = [ContactPanel("determined", "determined", "", MOTION), ContactPanel("no_estimate", "none", reason, None)]
-    first, second = draw_fits(panels, title="clip").axes
+    first, second = fits(GOOD, dataclasses.replace(NONE, detail=reason))
     assert first.axison
     assert not second.axison
+    assert heading(second) == "no estimate: contact from frame 1 (0.000 s)"
     assert second.get_title("left").replace("\n", " ") == reason.strip()
+
+
+def test_the_picture_counts_the_runs_that_are_not_drawn() -> None:
+    figure = draw_fits([GOOD, NONE], Counter({"determined": 1, "no_estimate": 1}), "clip")
+    assert [bool(axes.lines) for axes in figure.axes] == [True, False]
+    assert figure.get_supxlabel().startswith("Runs of contact: 2, with an estimate: 1.\n")
+    runs = [GOOD] + [NONE] * (MOST_PANELS - 1)
+    figure = draw_fits(runs, Counter({"determined": 1, "no_estimate": MOST_PANELS}), "clip")
+    assert len(figure.axes) == MOST_PANELS
+    assert f" {MOST_PANELS} are drawn, interactions.csv has all." in figure.get_supxlabel()
+    (empty,) = fits()
+    assert heading(empty) == "no contact was found"
+    assert not empty.axison

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
-import torch
 
 from data.clip import ClipStream
 from data.depth.normalise import DepthSettings
@@ -18,69 +17,73 @@ from estimators.contract import Chosen, ClipInfo
 from estimators.estimate import FrameEstimate
 from estimators.gan import GanEstimator
 from estimators.model_settings import preparation_settings
+from estimators.open import EstimatorOptions, open_estimator
 from models.calibration import Calibration, Widths
-from models.onnx_export import export_posterior
 from models.onnx_session import ParameterModel, PosteriorModel
-from models.posterior import ContactPosterior
 from results.record import (
     UNCALIBRATED,
-    Provenance,
     build_record,
+    depends_on,
     describe,
-    program_version,
+    fingerprint_of,
     sha256_of,
-    units_of,
     versions,
     warnings_of,
 )
 from results.store import write_record
 from results.writer import ClipResults
-from tests.inference_inputs import metadata, write_clip, write_model
-
-PROVENANCE = Provenance("a" * 64, "b" * 64, PrepareSettings())
+from tests.inference_inputs import metadata, write_clip, write_model, write_posterior
 
 
 def test_fingerprint_follows_what_results_depend_on(tmp_path: Path) -> None:
-    depth = DepthSettings(near=0.05)
+    clip, prepared = tmp_path / "clip.mp4", PrepareSettings()
+    clip.write_bytes(b"one")
+
+    def fingerprint(settings: PrepareSettings = prepared, **options: Any) -> str:
+        estimator = open_estimator(EstimatorOptions(**{"name": "direct"} | options))
+        return fingerprint_of(depends_on(clip, settings, estimator))
+
+    first = fingerprint()
     others = [
-        dataclasses.replace(PROVENANCE, clip_sha256="c" * 64),
-        dataclasses.replace(PROVENANCE, model_sha256="c" * 64),
-        dataclasses.replace(PROVENANCE, settings=PrepareSettings(depth=depth)),
-        dataclasses.replace(PROVENANCE, settings=PrepareSettings(masks="automatic")),
-        dataclasses.replace(PROVENANCE, estimator={"name": "direct"}),
-        dataclasses.replace(PROVENANCE, estimator={"name": "direct", "noise": 0.002}),
+        fingerprint(PrepareSettings(depth=DepthSettings(near=0.05))),
+        fingerprint(PrepareSettings(masks="automatic")),
+        fingerprint(noise=0.002),
+        fingerprint(name="gan", model=write_model(tmp_path / "one.onnx")),
+        fingerprint(name="gan", model=write_model(tmp_path / "other.onnx", slope=(0.3, 0.0, 0.0))),
     ]
-    assert len({PROVENANCE.fingerprint, *(other.fingerprint for other in others)}) == 7
-    threads = dataclasses.replace(PROVENANCE, settings=PrepareSettings(depth=DepthSettings(threads=3)))
-    assert threads.fingerprint == PROVENANCE.fingerprint
+    assert fingerprint(PrepareSettings(depth=DepthSettings(threads=3))) == first
+    clip.write_bytes(b"other")
+    assert len({first, *others, fingerprint()}) == 7
 
 
 def test_fingerprint_follows_the_content_of_named_models(tmp_path: Path) -> None:
     masks = tmp_path / "masks.onnx"
-    masks.write_bytes(b"one")
-    provenance = dataclasses.replace(PROVENANCE, settings=PrepareSettings(masks=str(masks)))
-    first = provenance.fingerprint
-    masks.write_bytes(b"other")
-    second = provenance.fingerprint
+
+    def fingerprint(content: bytes) -> str:
+        masks.write_bytes(content)
+        settings = PrepareSettings(masks=str(masks))
+        return fingerprint_of(depends_on(masks, settings, open_estimator(EstimatorOptions("direct"))))
+
+    first, second = fingerprint(b"one"), fingerprint(b"other")
     masks.with_suffix(".yaml").write_text("size: 3")
-    assert len({first, second, provenance.fingerprint}) == 3
+    assert len({first, second, fingerprint(b"other")}) == 3
 
 
 def test_record_holds_hashes_counts_units_and_times(tmp_path: Path) -> None:
     path = write_clip(tmp_path / "clip", 6, 3)
     model = ParameterModel(write_model(tmp_path / "model.onnx"))
     estimator, settings = GanEstimator(model), preparation_settings(model, Chosen())
-    provenance = Provenance(sha256_of(path), sha256_of(model.path), settings, estimator.described)
+    causes = depends_on(path, settings, estimator)
     source = open_source(path, settings.layout)
     clip = ClipStream(source, settings)
     session = estimator.start(ClipInfo.of(clip))
-    with ClipResults(tmp_path / "out", source.size, source.fps, units_of(model)) as results:
+    with ClipResults(tmp_path / "out", source.size, source.fps) as results:
         frames = list(clip)
         found = [item for frame in frames for item in session.push(frame)] + list(session.finish())
         for frame, estimate in zip(frames, found[:-1], strict=True):
             results.write(frame, estimate)
         results.add(found[-1])
-        record = build_record(clip, provenance, model, results, {**clip.seconds, **results.seconds})
+        record = build_record(clip, causes, model, results, {**clip.seconds, **results.seconds})
         results.finish(record, title="clip", subtitle=describe(record))
     stored = json.loads((tmp_path / "out" / "run.json").read_text(encoding="utf-8"))
     assert stored["input"]["path"] == str(path.resolve())
@@ -98,15 +101,10 @@ def test_record_holds_hashes_counts_units_and_times(tmp_path: Path) -> None:
         "interactions.csv": "|F|",
     }
     assert {"decode", "masks", "depth", "geometry", "overlay"} <= set(stored["timings_s"])
-    assert stored["versions"]["palpate"] == program_version()
-    assert stored["fingerprint"] == provenance.fingerprint
+    assert stored["versions"]["palpate"]
+    assert stored["fingerprint"] == fingerprint_of(causes)
     assert "6 frames, 160×96, 25 fps" in describe(stored)
     assert "depth stored · masks annotation" in describe(stored)
-
-
-def test_units_of_the_force_say_nothing_of_its_sign(tmp_path: Path) -> None:
-    model = ParameterModel(write_model(tmp_path / "model.onnx"))
-    assert units_of(model)["force"] == "scene units"
 
 
 def test_warnings_name_broken_frames_and_another_preprocessing(tmp_path: Path) -> None:
@@ -157,9 +155,8 @@ def test_intervals_that_were_never_calibrated_are_warned_of(
     calibration: Calibration | None, told: list[str], tmp_path: Path
 ) -> None:
     path = write_clip(tmp_path / "clip", 3, 1)
-    posterior = ContactPosterior(10, torch.tensor([[-3.0, -5.0, -4.0], [0.0, -0.7, -1.2]]), width=16, blocks=1)
-    export_posterior(posterior, tmp_path / "contact.onnx", metadata(), calibration)
-    model = PosteriorModel(tmp_path / "contact.onnx")
+    document = metadata() | ({} if calibration is None else {"calibration": calibration.document()})
+    model = PosteriorModel(write_posterior(tmp_path / "contact.onnx", document, 10))
     source = open_source(path, ClipLayout())
     assert warnings_of(source, [], model, {"depth": "stored", "masks": "annotation"}) == told
 

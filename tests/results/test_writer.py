@@ -14,13 +14,13 @@ import pytest
 from data.prepared import PreparedFrame
 from data.source.frames import Frame
 from results.columns import FRAMES, INTERACTIONS
-from results.interactions import MOST_PANELS
-from results.store import OutputError, ResultStore, own_files, partial_folder, read_record
+from results.plots import MOST_PANELS
+from results.store import PROGRAM, OutputError, is_up_to_date, own_files, partial_folder, read_record
+from results.verdicts import state
 from results.writer import ClipResults
 from tests.estimators.estimates import GOOD, NONE, frame_in_contact
 
 SIZE = (64, 48)
-UNITS = {"stiffness": "scene units"}
 FRAME = PreparedFrame(
     Frame(0, 5, 0.2, np.full((SIZE[1], SIZE[0], 3), 80, np.uint8)),
     "ok",
@@ -33,10 +33,11 @@ NAMES = ["fit.png", "interactions.csv", "overlay.mp4", "parameters.csv", "run.js
 
 
 def write_clip(folder: Path, fingerprint: str = "abc", *, overlay: bool = True) -> None:
-    with ClipResults(folder, SIZE, 25.0, UNITS, overlay=overlay) as output:
+    with ClipResults(folder, SIZE, 25.0, overlay=overlay) as output:
         output.write(FRAME, ESTIMATE)
         output.add(GOOD)
-        output.finish({"fingerprint": fingerprint, "input": {"path": "clip.mp4"}}, title="clip", subtitle="")
+        record = {"program": PROGRAM, "fingerprint": fingerprint, "input": {"path": "clip.mp4"}}
+        output.finish(record, title="clip", subtitle="")
 
 
 def rows(path: Path) -> list[dict[str, str]]:
@@ -49,35 +50,39 @@ def test_folder_is_complete_or_not_there(tmp_path: Path) -> None:
     write_clip(folder)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["clip"]
     assert sorted(path.name for path in folder.iterdir()) == NAMES
+    assert json.loads((folder / "run.json").read_text())["fingerprint"] == "abc"
     assert [row["force"] for row in rows(folder / "parameters.csv")] == ["2"]
     assert [(row["onset_frame"], row["force"]) for row in rows(folder / "interactions.csv")] == [("7", "0.1")]
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_a_clip_without_frames_and_contact_has_the_tables_heads(tmp_path: Path) -> None:
-    with ClipResults(tmp_path / "clip", SIZE, 25.0, UNITS, overlay=False) as output:
+    with ClipResults(tmp_path / "clip", SIZE, 25.0, overlay=False) as output:
         output.finish({}, title="clip", subtitle="")
     for name, columns in (("parameters.csv", FRAMES), ("interactions.csv", INTERACTIONS)):
         with (tmp_path / "clip" / name).open(encoding="utf-8", newline="") as stream:
             assert list(csv.reader(stream)) == [list(columns)]
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_runs_of_contact_are_counted_by_verdict_and_those_with_a_motion_are_drawn_first(tmp_path: Path) -> None:
     loose = dataclasses.replace(GOOD, estimate=dataclasses.replace(GOOD.estimate, covariance=np.eye(3)))
-    with ClipResults(tmp_path / "clip", SIZE, 25.0, UNITS, overlay=False) as output:
+    with ClipResults(tmp_path / "clip", SIZE, 25.0, overlay=False) as output:
         assert output.counts == {}
         for run in [NONE] * MOST_PANELS + [GOOD, loose, GOOD]:
             output.add(run)
         assert output.counts == {"determined": 2, "undetermined": 1, "no_estimate": MOST_PANELS}
-        drawn = [panel.state for panel in output._panels]
+        drawn = [state(run) for run in output.drawn]
     assert drawn == ["determined", "undetermined", "determined"] + ["no_estimate"] * (MOST_PANELS - 3)
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_failure_keeps_earlier_results_and_leaves_no_rest(tmp_path: Path) -> None:
     folder = tmp_path / "clip"
     write_clip(folder, "first")
 
     def fail() -> None:
-        with ClipResults(folder, SIZE, 25.0, UNITS) as output:
+        with ClipResults(folder, SIZE, 25.0) as output:
             output.write(FRAME, ESTIMATE)
             raise KeyboardInterrupt
 
@@ -87,6 +92,7 @@ def test_failure_keeps_earlier_results_and_leaves_no_rest(tmp_path: Path) -> Non
     assert [path.name for path in tmp_path.iterdir()] == ["clip"]
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_new_results_replace_earlier_ones(tmp_path: Path) -> None:
     write_clip(tmp_path / "clip", "first")
     write_clip(tmp_path / "clip", "second", overlay=False)
@@ -94,18 +100,20 @@ def test_new_results_replace_earlier_ones(tmp_path: Path) -> None:
     assert not (tmp_path / "clip" / "overlay.mp4").exists()
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_rests_of_a_killed_run_are_cleared(tmp_path: Path) -> None:
     write_clip(tmp_path / "clip", "earlier")
     killed = partial_folder(tmp_path / "clip")
     for name in ("parameters.csv", ".summary.png.partial"):
         (killed / name).write_text("unfinished")
     killed.rename(tmp_path / f".clip.partial-{2**22 + 1}")  # above the largest process id of Linux
-    with ClipResults(tmp_path / "clip", SIZE, 25.0, UNITS, overlay=False):
+    with ClipResults(tmp_path / "clip", SIZE, 25.0, overlay=False):
         pass
     assert read_record(tmp_path / "clip")["fingerprint"] == "earlier"
     assert [path.name for path in tmp_path.iterdir()] == ["clip"]
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_an_interruption_while_files_are_moved_ends_with_the_new_results(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -124,10 +132,11 @@ def test_an_interruption_while_files_are_moved_ends_with_the_new_results(
         write_clip(folder, "second")
     assert left[0] < 0
     assert read_record(folder)["fingerprint"] == "second"
-    assert ResultStore(tmp_path, "").is_complete(folder, "second", own_files(folder))
+    assert is_up_to_date(folder, "second", own_files(folder), overwrite=False)
     assert [path.name for path in tmp_path.iterdir()] == ["clip"]
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_a_user_s_files_stay_beside_new_results(tmp_path: Path) -> None:
     folder = tmp_path / "clip"
     write_clip(folder, "first", overlay=False)
@@ -141,8 +150,3 @@ def test_a_user_s_files_stay_beside_new_results(tmp_path: Path) -> None:
         write_clip(folder, "third")
     assert (folder / "overlay.mp4").read_text() == "mine"
     assert read_record(folder)["fingerprint"] == "second"
-
-
-def test_record_is_json_without_nan(tmp_path: Path) -> None:
-    write_clip(tmp_path / "clip")
-    assert json.loads((tmp_path / "clip" / "run.json").read_text())["fingerprint"] == "abc"

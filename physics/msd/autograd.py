@@ -27,7 +27,7 @@ from physics.msd.compiled import (
     watched_rollout,
 )
 from physics.msd.cone import exact_radii
-from physics.msd.edge_kernel import edge_adjoint, edge_forward
+from physics.msd.edge_kernel import Tissue, edge_adjoint, edge_forward
 from physics.msd.reference import NORM_GUARD, free_vertices, integrator
 from physics.msd.simulation import is_chaotic
 from physics.msd.spring_graph import spring_graph
@@ -160,39 +160,29 @@ class FieldRun:
         local = stiffness[graph.order].astype(dtype)
         load = placed(acting(case.load, mechanics, dtype), graph)
         self.push = load.push
-        self.forward = (
-            graph.springs,
-            graph.rest,
-            graph.length,
-            local[graph.springs].mean(axis=1),
-            (mechanics.anchor * local).astype(dtype),
-            (self.step.keep * self.free).astype(dtype),
-            (self.step.kick * self.free).astype(dtype),
-            *graph.prefixes(radii),
-            *load._replace(push=case.theta[2] * load.push),
-            graph.position[case.watch],
-            tuple(dtype.type(value) for value in (mechanics.time_step, self.step.lag, 0.0, NORM_GUARD)),
-        )
+        pull, hold = local[graph.springs].mean(axis=1), (mechanics.anchor * local).astype(dtype)
+        keep, kick = ((share * self.free).astype(dtype) for share in (self.step.keep, self.step.kick))
+        self.tissue = Tissue(pull, hold, keep, kick)
+        load = load._replace(push=case.theta[2] * load.push)
+        numbers = tuple(dtype.type(value) for value in (mechanics.time_step, self.step.lag, 0.0, NORM_GUARD))
+        self.forward = graph, *graph.prefixes(radii), self.tissue, load, graph.position[case.watch], numbers
         self.trajectory = np.empty((steps, len(case.watch), 3), dtype)
         self.speeds = np.zeros((steps, len(graph.order), 3), dtype)
-        edge_forward(*self.forward, self.trajectory, self.speeds, np.empty((0, len(graph.order), 3), dtype))
+        edge_forward(*self.forward, self.trajectory, self.speeds)
         self.held = put_gripped(case, self.trajectory)
 
     def slopes(self, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """Derivatives of Σ weights·trajectory, weights [T, M, 3]: by k_s [N], by k_d [N] and by F."""
         graph, dtype, mechanics = self.graph, self.trajectory.dtype, self.case.mechanics
-        spring_slope = np.zeros(len(graph.springs), dtype)
-        anchor_slope, keep_slope, kick_slope = np.zeros((3, len(graph.order)), dtype)
         final = (mechanics.time_step * self.speeds.sum(axis=0, dtype=np.float64)).astype(dtype)
         weights = np.array(weights, dtype)
         weights[:, self.held] = 0
-        by_push = edge_adjoint(
-            *self.forward, final, self.speeds, weights, spring_slope, anchor_slope, keep_slope, kick_slope
-        )
+        slopes = Tissue(*(np.zeros_like(values) for values in self.tissue))
+        by_push = edge_adjoint(*self.forward, final, self.speeds, weights, slopes)
         stiffness, damping = np.zeros((2, self.count), dtype)
-        local = mechanics.anchor * anchor_slope
-        np.add.at(local, graph.springs, spring_slope[:, None] / 2)
+        local = mechanics.anchor * slopes.anchor
+        np.add.at(local, graph.springs, slopes.stiffness[:, None] / 2)
         stiffness[graph.order] = local
-        chained = keep_slope * self.step.keep_slope + kick_slope * self.step.kick_slope
+        chained = slopes.keep * self.step.keep_slope + slopes.kick * self.step.kick_slope
         damping[graph.order] = chained * self.free
         return stiffness, damping, float((by_push * self.push).sum())

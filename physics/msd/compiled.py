@@ -11,7 +11,7 @@ from physics.load import Grip, Load, Press
 from physics.mechanics import Mechanics
 from physics.mesh import Mesh
 from physics.msd.cone import GRID_EIGENVALUE, Reach, exact_radii, growing_radii, window_radii
-from physics.msd.edge_kernel import edge_forward, edge_sensitivity
+from physics.msd.edge_kernel import Tissue, edge_forward, edge_sensitivity
 from physics.msd.grid_kernel import FORWARD_PLANES, SENSITIVITY_PLANES, specialised
 from physics.msd.grid_layout import GridLayout, grid_layout, places, runs
 from physics.msd.reference import NORM_GUARD, free_vertices, grip_positions, integrator, press_shares
@@ -107,12 +107,9 @@ def field_rollout(case: Case, field: np.ndarray, begin: int = 0) -> None:
         reach = _grid_reach(case)
         _run_grid(case, layout, growing_radii(steps, reach), where, _room(case, False), field, begin)
     else:
-        graph = spring_graph(case.mesh, case.load.vertices, case.watch, steps + 1, dtype)
-        sorted_field = np.empty((steps, len(graph.order), 3), dtype)
-        radii = growing_radii(steps, Reach(gripped=isinstance(case.load, Grip)))
-        _run_edges(case, graph, radii, _room(case, False), sorted_field)
-        own[:] = 0
-        own[:, graph.order] = sorted_field
+        whole = case._replace(watch=np.arange(len(case.mesh.vertices)))
+        graph = spring_graph(case.mesh, case.load.vertices, whole.watch, steps + 1, dtype)
+        own[:] = _within(whole, graph, growing_radii(steps, Reach(gripped=isinstance(case.load, Grip))), False).path
     if isinstance(case.load, Grip):
         own[:, case.load.vertices] = case.load.displacement
 
@@ -134,9 +131,9 @@ def numbers(case: Case) -> tuple:
 class Acting(NamedTuple):
     """A load as the kernels take it; vertices of the mesh, whose places in a layout the caller puts in."""
 
-    load: np.ndarray
-    """Factor of F in each step, shape [T]."""
-    loaded: np.ndarray
+    factor: np.ndarray
+    """Share of F in each step, shape [T]."""
+    pressed: np.ndarray
     """Pressed vertices, shape [P]."""
     push: np.ndarray
     """weight·direction of each, shape [P, 3]."""
@@ -148,20 +145,17 @@ class Acting(NamedTuple):
 
 def acting(load: Load, mechanics: Mechanics, dtype: np.dtype) -> Acting:
     """What a load does, in one precision."""
-    nobody = np.empty(0, np.int64)
+    vertices, nobody = load.vertices.astype(np.int64), np.empty(0, np.int64)
     if isinstance(load, Press):
-        push = press_shares(load, dtype)
         positions = np.empty((load.steps, 0, 3), dtype)
-        return Acting(load.factor.astype(dtype), load.vertices.astype(np.int64), push, nobody, positions)
+        return Acting(load.factor.astype(dtype), vertices, press_shares(load, dtype), nobody, positions)
     positions = np.ascontiguousarray(grip_positions(load, mechanics), dtype)
-    return Acting(
-        np.zeros(load.steps, dtype), nobody, np.empty((0, 3), dtype), load.vertices.astype(np.int64), positions
-    )
+    return Acting(np.zeros(load.steps, dtype), nobody, np.empty((0, 3), dtype), vertices, positions)
 
 
 def placed(load: Acting, graph: SpringGraph) -> Acting:
     """The same with its vertices' positions in a graph."""
-    return load._replace(loaded=graph.position[load.loaded], gripped=graph.position[load.gripped])
+    return load._replace(pressed=graph.position[load.pressed], gripped=graph.position[load.gripped])
 
 
 def _movable(case: Case) -> np.ndarray:
@@ -224,11 +218,10 @@ def _room(case: Case, sensitive: bool) -> Watched:
 def _within(case: Case, layout: GridLayout | SpringGraph, radii: np.ndarray, sensitive: bool) -> Watched:
     """Motion of the watched vertices, computing each step within a radius, shape [T]."""
     out = _room(case, sensitive)
-    nothing = np.empty((0, 0, 3), case.theta.dtype)
     if isinstance(layout, GridLayout):
-        _run_grid(case, layout, radii, np.empty((0, 3), np.int64), out, nothing)
+        _run_grid(case, layout, radii, np.empty((0, 3), np.int64), out, np.empty((0, 0, 3), case.theta.dtype))
     else:
-        _run_edges(case, layout, radii, out, nothing)
+        _run_edges(case, layout, radii, out)
     out.slopes[:, put_gripped(case, out.path)] = 0
     return out
 
@@ -247,51 +240,24 @@ def _run_grid(case: Case, layout: GridLayout, radii, where, out: Watched, field,
     dtype, sensitive = case.theta.dtype, len(out.slopes) > 0
     planes = SENSITIVITY_PLANES if sensitive else FORWARD_PLANES
     load = acting(case.load, case.mechanics, dtype)
-    inside = (places(layout, case.mesh, vertices, planes) for vertices in (load.loaded, load.gripped, case.watch))
-    loaded, gripped, watched = inside
-    specialised(layout.pitch, sensitive)(
-        layout.rest,
-        layout.first,
-        layout.last,
-        layout.centre,
-        radii,
-        *load._replace(loaded=loaded, gripped=gripped),
-        watched,
-        case.theta[2],
-        numbers(case),
-        where,
-        *out,
-        field,
-        begin,
-    )
+    inside = (places(layout, case.mesh, vertices, planes) for vertices in (load.pressed, load.gripped, case.watch))
+    pressed, gripped, watched = inside
+    load, rollout = load._replace(pressed=pressed, gripped=gripped), specialised(layout.pitch, sensitive)
+    rollout(layout, radii, load, watched, case.theta[2], numbers(case), where, out, field, begin)
 
 
-def _run_edges(case: Case, graph: SpringGraph, radii: np.ndarray, out: Watched, field: np.ndarray) -> None:
-    """Call the edge kernel with or without derivatives; it fills `out`, or the path in it and the field."""
-    dtype, count = case.theta.dtype, len(graph.order)
+def _run_edges(case: Case, graph: SpringGraph, radii: np.ndarray, out: Watched) -> None:
+    """Call the edge kernel with or without derivatives, which fills `out`."""
+    dtype = case.theta.dtype
     free = free_vertices(case.mesh, case.load, case.mechanics)[graph.order].astype(dtype)
     load = placed(acting(case.load, case.mechanics, dtype), graph)
-    shape, within, watched = (
-        (graph.springs, graph.rest, graph.length),
-        graph.prefixes(radii),
-        graph.position[case.watch],
-    )
+    within, watched = graph.prefixes(radii), graph.position[case.watch]
     force, values = case.theta[2], numbers(case)
     if len(out.slopes):
-        edge_sensitivity(*shape, free, *within, *load, watched, force, values, *out)
+        edge_sensitivity(graph, *within, free, load, watched, force, values, out)
         return
     stiffness, keep, kick, _, _, time_step, anchor, lag, tiny, guard = values
-    edge_forward(
-        *shape,
-        np.full(len(graph.springs), stiffness, dtype),
-        np.full(count, anchor * stiffness, dtype),
-        keep * free,
-        kick * free,
-        *within,
-        *load._replace(push=force * load.push),
-        watched,
-        (time_step, lag, tiny, guard),
-        out.path,
-        np.empty((0, count, 3), dtype),
-        field,
-    )
+    pull, hold = np.full(len(graph.springs), stiffness, dtype), np.full(len(free), anchor * stiffness, dtype)
+    tissue, load = Tissue(pull, hold, keep * free, kick * free), load._replace(push=force * load.push)
+    speeds = np.empty((0, len(free), 3), dtype)
+    edge_forward(graph, *within, tissue, load, watched, (time_step, lag, tiny, guard), out.path, speeds)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +13,7 @@ from physics.msd.cone import GRID_EIGENVALUE, Reach, exact_radii, growing_radii,
 from physics.msd.edge_kernel import Tissue, edge_forward, edge_sensitivity
 from physics.msd.grid_kernel import FORWARD_PLANES, SENSITIVITY_PLANES, specialised
 from physics.msd.grid_layout import GridLayout, grid_layout, places, runs
-from physics.msd.reference import NORM_GUARD, free_vertices, grip_positions, integrator, press_shares
+from physics.msd.reference import NORM_GUARD, Acting, acting, free_vertices, integrator
 from physics.msd.spring_graph import SpringGraph, spring_graph
 
 
@@ -67,27 +66,15 @@ def watched_rollout(case: Case, sensitive: bool) -> Watched:
     With ``window_error`` set, a window of the exact cone is computed and compared with a smaller one's trajectory;
     where the two differ by more than the error allowed, the exact cone is computed instead.
     """
-    steps, (stiffness, damping, _) = case.load.steps, (float(value) for value in case.theta)
-
-    def exact(reach: Reach, _graph: SpringGraph | None) -> tuple[np.ndarray, ...]:
-        return (exact_radii(steps, reach),)
-
-    def windows(reach: Reach, graph: SpringGraph | None) -> tuple[np.ndarray, ...]:
-        eigenvalue = GRID_EIGENVALUE if graph is None else _eigenvalue(case.mesh)
-        return (
-            *window_radii(stiffness, damping, case.mechanics, eigenvalue, steps, reach),
-            exact_radii(steps, reach),
-        )
-
     if case.mechanics.window_error > 0:
-        layout, (used, checked, whole) = _layout(case, windows)
+        layout, (used, checked, whole) = _layout(case, windowed=True)
         if (used < whole).any():
             found = _within(case, layout, used, sensitive)
             difference = np.abs(found.path - _within(case, layout, checked, False).path).max()
             # Two windows that both end before a watched vertex agree on 0, which tells nothing.
             if difference < case.mechanics.window_error * np.abs(found.path).max():
                 return found
-    layout, (whole,) = _layout(case, exact)
+    layout, (whole, _, _) = _layout(case, windowed=False)
     return _within(case, layout, whole, sensitive)
 
 
@@ -128,31 +115,6 @@ def numbers(case: Case) -> tuple:
     return tuple(dtype.type(value) for value in (*values, mechanics.anchor, step.lag, tiny, NORM_GUARD))
 
 
-class Acting(NamedTuple):
-    """A load as the kernels take it; vertices of the mesh, whose places in a layout the caller puts in."""
-
-    factor: np.ndarray
-    """Share of F in each step, shape [T]."""
-    pressed: np.ndarray
-    """Pressed vertices, shape [P]."""
-    push: np.ndarray
-    """weight·direction of each, shape [P, 3]."""
-    gripped: np.ndarray
-    """Gripped vertices, shape [G]."""
-    positions: np.ndarray
-    """Where they are in each step, shape [T, G, 3]."""
-
-
-def acting(load: Load, mechanics: Mechanics, dtype: np.dtype) -> Acting:
-    """What a load does, in one precision."""
-    vertices, nobody = load.vertices.astype(np.int64), np.empty(0, np.int64)
-    if isinstance(load, Press):
-        positions = np.empty((load.steps, 0, 3), dtype)
-        return Acting(load.factor.astype(dtype), vertices, press_shares(load, dtype), nobody, positions)
-    positions = np.ascontiguousarray(grip_positions(load, mechanics), dtype)
-    return Acting(np.zeros(load.steps, dtype), nobody, np.empty((0, 3), dtype), vertices, positions)
-
-
 def placed(load: Acting, graph: SpringGraph) -> Acting:
     """The same with its vertices' positions in a graph."""
     return load._replace(pressed=graph.position[load.pressed], gripped=graph.position[load.gripped])
@@ -182,22 +144,29 @@ def graph_reach(case: Case, graph: SpringGraph) -> Reach:
     return Reach(0, int(connected.max(initial=0)), isinstance(case.load, Grip))
 
 
-def _layout(case: Case, radii_of: Callable) -> tuple[GridLayout | SpringGraph, tuple[np.ndarray, ...]]:
-    """What lies within reach, as a grid where the mesh is one, and how far each step is computed.
-
-    Args:
-        case: the sample.
-        radii_of: radii [T], the widest first, for a reach and, if distances are those of a graph, the graph.
-    """
+def _layout(case: Case, windowed: bool) -> tuple[GridLayout | SpringGraph, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """What lies within reach, as a grid where the mesh is one, and `_radii`."""
     dtype, reach = case.theta.dtype, _grid_reach(case)
-    radii = radii_of(reach, None)
+    radii = _radii(case, reach, GRID_EIGENVALUE, windowed)
     far = max(int(radii[0].max()) + 1, reach.loaded, reach.watched)
     layout = grid_layout(case.mesh, case.load.vertex, _movable(case), far, dtype)
     if layout is not None:
         return layout, radii
     # Springs from every watched vertex to the load: no more than there are steps matter.
     graph = spring_graph(case.mesh, case.load.vertices, case.watch, case.load.steps + 1, dtype)
-    return graph, radii_of(graph_reach(case, graph), graph)
+    return graph, _radii(case, graph_reach(case, graph), _eigenvalue(case.mesh), windowed)
+
+
+def _radii(case: Case, reach: Reach, eigenvalue: float, windowed: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """How far each step is computed, [T]: in a window, in a smaller one to check it with, and in the exact cone.
+
+    All three are the cone if no window is wanted.
+    """
+    exact = exact_radii(case.load.steps, reach)
+    if not windowed:
+        return exact, exact, exact
+    stiffness, damping, _ = (float(value) for value in case.theta)
+    return *window_radii(stiffness, damping, case.mechanics, eigenvalue, case.load.steps, reach), exact
 
 
 def _eigenvalue(mesh: Mesh) -> float:

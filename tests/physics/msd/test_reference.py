@@ -8,8 +8,8 @@ import pytest
 from physics.load import Grip
 from physics.mechanics import Mechanics
 from physics.msd.reference import (
+    acting,
     free_vertices,
-    grip_positions,
     grip_velocities,
     integrator,
     reaction,
@@ -121,7 +121,7 @@ def test_a_mass_moved_with_constant_acceleration_needs_mass_times_acceleration(c
     velocities = grip_velocities(grip, mechanics)
     np.testing.assert_allclose(velocities[:, 0, 0], acceleration * np.append(0, times), atol=1e-13)
     np.testing.assert_allclose(reaction(nothing, grip, 0.0, mechanics), mechanics.mass * acceleration, rtol=1e-10)
-    middle = grip_positions(grip, mechanics)[:, 0, 0]
+    middle = acting(grip, mechanics, np.dtype(np.float64)).positions[:, 0, 0]
     np.testing.assert_allclose(middle, (grip.displacement[:, 0, 0] + np.append(0, grip.displacement[:-1, 0, 0])) / 2)
     # With damping it is ∫ over the step of m·a + k_d·v, weighted by how much of an impulse is left at its end.
     ratio = damping * mechanics.time_step / mechanics.mass

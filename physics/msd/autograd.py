@@ -18,14 +18,7 @@ from torch import Tensor
 
 from physics.mechanics import Mechanics
 from physics.msd.batch import pieces
-from physics.msd.compiled import (
-    Case,
-    graph_reach,
-    placed,
-    put_gripped,
-    require_inside,
-    watched_rollout,
-)
+from physics.msd.compiled import Case, graph_reach, placed, put_gripped, require_inside, watched_rollout
 from physics.msd.cone import exact_radii
 from physics.msd.edge_kernel import Tissue, edge_adjoint, edge_forward
 from physics.msd.reference import NORM_GUARD, acting, free_vertices, integrator

@@ -23,7 +23,7 @@ FORWARD_PLANES, SENSITIVITY_PLANES = 6, 24
 """Planes of a state without and with derivatives."""
 
 # Unsigned: numba reads a signed index below 0 from the end, and that choice would keep the loops from being vectorised.
-ONE, TWO, THREE, SIX, NINE, FIFTEEN = map(np.uint64, (1, 2, 3, 6, 9, 15))
+TWO, THREE, SIX, NINE = map(np.uint64, (2, 3, 6, 9))
 
 
 @inlined

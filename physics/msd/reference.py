@@ -130,7 +130,9 @@ def grip_velocities(grip: Grip, mechanics: Mechanics) -> np.ndarray:
     return np.concatenate([start, np.diff(path, axis=0, prepend=start) / mechanics.time_step])
 
 
-def reaction(elastic: np.ndarray, grip: Grip, damping: np.ndarray, mechanics: Mechanics) -> np.ndarray:
+def reaction(
+    elastic: np.ndarray, grip: Grip, damping: np.ndarray, mechanics: Mechanics
+) -> tuple[np.ndarray, np.ndarray]:
     """Force that the grip must exert in each step, shape [T, G, 3]: what is left of inertia and damping.
 
     Args:
@@ -138,16 +140,14 @@ def reaction(elastic: np.ndarray, grip: Grip, damping: np.ndarray, mechanics: Me
         grip: their path.
         damping: k_d.
         mechanics: constants.
+
+    Returns:
+        The force, and its derivative by k_d at this elastic force, both of shape [T, G, 3].
     """
     step, velocity = integrator(damping, mechanics), grip_velocities(grip, mechanics)
-    return (velocity[1:] - step.keep * velocity[:-1]) / step.kick - elastic
-
-
-def reaction_by_damping(grip: Grip, damping: np.ndarray, mechanics: Mechanics) -> np.ndarray:
-    """Derivative by k_d of `reaction` at a given elastic force, shape [T, G, 3]."""
-    step, velocity = integrator(damping, mechanics), grip_velocities(grip, mechanics)
     inertia = velocity[1:] - step.keep * velocity[:-1]
-    return -(step.keep_slope * velocity[:-1] + inertia * step.kick_slope / step.kick) / step.kick
+    by_damping = -(step.keep_slope * velocity[:-1] + inertia * step.kick_slope / step.kick) / step.kick
+    return inertia / step.kick - elastic, by_damping
 
 
 class Step(NamedTuple):

@@ -94,9 +94,8 @@ def simulate_reaction(
     exact = dataclasses.replace(mechanics, window_error=0.0)
     case = _case(theta, mesh, grip, exact, grip.vertices, dtype)
     elastic, slopes = _watched(case, sensitive=True)[2:]
-    force = reference.reaction(elastic, grip, case.theta[1], mechanics)
     # Inertia and damping of the gripped vertices themselves depend on k_d alone.
-    by_damping = reference.reaction_by_damping(grip, case.theta[1], mechanics)
+    force, by_damping = reference.reaction(elastic, grip, case.theta[1], mechanics)
     return force.astype(dtype), np.stack([-slopes[..., 0], by_damping - slopes[..., 1]], axis=-1).astype(dtype)
 
 

@@ -7,7 +7,6 @@ estimate of φ has a covariance below I⁻¹ (Cramér–Rao bound). A bound of 0
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -22,18 +21,6 @@ NOTHING = 1e-9
 """Information below this is rounding: a bound of 30,000."""
 
 Verdict = Literal["determined", "ratios", "undetermined"]
-
-
-@dataclass(frozen=True)
-class Direction:
-    """One principal direction of what is known about log θ."""
-
-    sd: float
-    """Cramér–Rao bound along it, in units of log θ; infinite where nothing is known."""
-    vector: np.ndarray
-    """Unit vector over (log k_s, log k_d, log |F|), shape [3]."""
-    words: str
-    """The product of powers that it stands for, such as `F / k_d`."""
 
 
 def log_jacobian(jacobian: np.ndarray, theta: np.ndarray) -> np.ndarray:
@@ -112,14 +99,16 @@ def verdict(information: np.ndarray, limit: float = LIMIT) -> Verdict:
     return "ratios" if (ratio_bounds(information) < limit).all() else "undetermined"
 
 
-def principal_directions(information: np.ndarray) -> list[Direction]:
-    """Eigenvectors of the information with their bounds, the best known first, named in words."""
+def principal_directions(information: np.ndarray) -> list[tuple[float, str]]:
+    """Bounds along the eigenvectors of the information, in units of log θ, the best known first, each with its words.
+
+    The bound is infinite where nothing is known.
+    """
     values, vectors = np.linalg.eigh(information)
     found = []
     for value, vector in sorted(zip(values, vectors.T, strict=True), key=lambda pair: -pair[0]):
-        vector = vector * np.sign(vector[np.argmax(np.abs(vector))])
-        sd = float(1 / np.sqrt(value)) if value > NOTHING else float("inf")
-        found.append(Direction(sd, vector, in_words(vector)))
+        words = in_words(vector * np.sign(vector[np.argmax(np.abs(vector))]))
+        found.append((float(1 / np.sqrt(value)) if value > NOTHING else float("inf"), words))
     return found
 
 
@@ -142,8 +131,8 @@ def _power(name: str, power: float) -> str:
 def describe(information: np.ndarray, limit: float = LIMIT) -> str:
     """What is determined and what isn't, a sentence such as `F / k_d (±0.02) is determined, k_s · k_d · F isn't`."""
     directions = principal_directions(information)
-    known = [f"{item.words} (±{item.sd:.2g})" for item in directions if item.sd < limit]
-    unknown = [item.words for item in directions if item.sd >= limit]
+    known = [f"{words} (±{sd:.2g})" for sd, words in directions if sd < limit]
+    unknown = [words for sd, words in directions if sd >= limit]
     if not unknown:
         return f"{', '.join(known)} are determined"
     if not known:

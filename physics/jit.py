@@ -75,7 +75,7 @@ def _kind(argument) -> tuple:
     if isinstance(argument, np.ndarray):
         return argument.dtype.char, argument.flags.c_contiguous, argument.flags.writeable
     if isinstance(argument, tuple):
-        return tuple(type(value) for value in argument)
+        return tuple(_kind(value) for value in argument)
     return (type(argument),)
 
 

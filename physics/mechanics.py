@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.sparse import coo_array
+from scipy.sparse import coo_array, diags_array
 from scipy.sparse.linalg import eigsh
 
 PARAMETERS = ("stiffness", "damping", "force")
@@ -174,20 +174,15 @@ def highest_frequency(springs: np.ndarray, vertex_count: int, stiffness: float, 
         vertex_count: number of vertices N.
         stiffness: k_s.
     """
-    if len(springs) == 0:
-        return math.sqrt(mechanics.anchor * stiffness / mechanics.mass)
     first, second = np.asarray(springs).T
-    ones = np.ones(len(springs))
-    adjacency = coo_array((ones, (first, second)), shape=(vertex_count, vertex_count)).tocsr()
-    adjacency = adjacency + adjacency.T
-    degree = np.asarray(adjacency.sum(axis=1)).ravel()
-    if vertex_count > 3:
-        signless = adjacency + coo_array((degree, (np.arange(vertex_count),) * 2), shape=adjacency.shape).tocsr()
-        start = np.ones(vertex_count)
+    adjacency = coo_array((np.ones(len(first)), (first, second)), shape=(vertex_count, vertex_count)).tocsr()
+    degree = np.bincount(np.ravel(springs), minlength=vertex_count).astype(float)
+    if vertex_count > 3 and len(springs):
         # The signless Laplacian bounds the Laplacian, and its leading vector is positive, so Lanczos converges fast.
+        signless, start = diags_array(degree) + adjacency + adjacency.T, np.ones(vertex_count)
         largest = float(eigsh(signless, k=1, which="LA", v0=start, tol=1e-3, return_eigenvectors=False)[0]) * 1.001
     else:
-        largest = 2.0 * float(degree.max())
+        largest = 2.0 * float(degree.max(initial=0))
     return math.sqrt((largest + mechanics.anchor) * stiffness / mechanics.mass)
 
 

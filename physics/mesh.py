@@ -57,7 +57,7 @@ def grid_mesh(
         keep: share of the pixels that are kept as vertices, in (0, 1]; the paper's decimation is 0.3.
 
     Raises:
-        ValueError: shapes that don't fit, or ``keep`` or ``max_edge`` outside their range.
+        ValueError: shapes that don't fit.
     """
     points = np.asarray(points, dtype=np.float32)
     valid = np.asarray(valid, dtype=bool)
@@ -65,10 +65,6 @@ def grid_mesh(
         raise ValueError(f"points have shape {points.shape} and valid {valid.shape}; give [H, W, 3] and [H, W].")
     if occluder is not None and np.shape(occluder) != valid.shape:
         raise ValueError(f"occluder has shape {np.shape(occluder)}; give the grid's shape {valid.shape}.")
-    if not 0 < keep <= 1:
-        raise ValueError(f"keep is {keep}; give a share above 0 and at most 1.")
-    if not max_edge > 0:
-        raise ValueError(f"max_edge is {max_edge}; give a positive length in scene units.")
     valid = valid & np.isfinite(points).all(axis=2)
     triangles = _grid_triangles(valid) if keep == 1 else _decimated_triangles(valid, keep)
     corners = points.reshape(-1, 3)[triangles]

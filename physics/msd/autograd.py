@@ -17,18 +17,11 @@ import torch
 from torch import Tensor
 
 from physics.mechanics import Mechanics
-from physics.msd.compiled import (
-    Case,
-    acting,
-    graph_reach,
-    placed,
-    put_gripped,
-    require_inside,
-    watched_rollout,
-)
+from physics.msd.batch import pieces
+from physics.msd.compiled import Case, graph_reach, placed, put_gripped, require_inside, watched_rollout
 from physics.msd.cone import exact_radii
-from physics.msd.edge_kernel import edge_adjoint, edge_forward
-from physics.msd.reference import NORM_GUARD, free_vertices, integrator
+from physics.msd.edge_kernel import Tissue, edge_adjoint, edge_forward
+from physics.msd.reference import NORM_GUARD, acting, free_vertices, integrator
 from physics.msd.simulation import is_chaotic
 from physics.msd.spring_graph import spring_graph
 
@@ -125,80 +118,64 @@ class CompiledFields(torch.autograd.Function):
         ctx, stiffness: Tensor, damping: Tensor, force: Tensor, mesh, load, watched: Tensor, mechanics: Mechanics
     ) -> Tensor:
         """Compute the trajectories and keep the velocities within the cone."""
-        parameters = torch.stack([force, force, force], dim=1)
-        starts = mesh.vertex_offsets.tolist()
-        samples = [
-            (case, stiffness.detach()[start:end].numpy(), damping.detach()[start:end].numpy())
-            for case, start, end in zip(
-                cases(parameters, mesh, load, watched, mechanics), starts[:-1], starts[1:], strict=True
-            )
-        ]
-        ctx.runs = map_samples(lambda sample: FieldRun(*sample), samples)
-        return torch.from_numpy(np.stack([run.trajectory for run in ctx.runs]))
+        fields = (pieces(values, mesh.vertex_offsets) for values in (stiffness, damping))
+        samples = zip(cases(force[:, None].expand(-1, 3), mesh, load, watched, mechanics), *fields, strict=True)
+        found = map_samples(lambda sample: tissue_rollout(*sample), list(samples))
+        ctx.ways_back = [way_back for _, way_back in found]
+        return torch.from_numpy(np.stack([trajectory for trajectory, _ in found]))
 
     @staticmethod
     def backward(ctx, gradient: Tensor):  # ty: ignore[incompatible-method-override]  as torch documents it
         """Go back through the stored velocities."""
         weights = gradient.detach().numpy()
-        slopes = map_samples(lambda pair: pair[0].slopes(pair[1]), list(zip(ctx.runs, weights, strict=True)))
+        slopes = map_samples(lambda pair: pair[0](pair[1]), list(zip(ctx.ways_back, weights, strict=True)))
         stiffness, damping, force = zip(*slopes, strict=True)
         joined = (np.concatenate(stiffness), np.concatenate(damping), np.array(force, dtype=weights.dtype))
         return *(FirstOrder.apply(torch.from_numpy(values)) for values in joined), None, None, None, None
 
 
-class FieldRun:
-    """One sample's rollout with parameters of its own at every vertex, and the way back."""
+def tissue_rollout(
+    case: Case, stiffness: np.ndarray, damping: np.ndarray
+) -> tuple[np.ndarray, Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, float]]]:
+    """One sample's rollout with parameters of its own at every vertex, and the way back.
 
-    def __init__(self, case: Case, stiffness: np.ndarray, damping: np.ndarray) -> None:
-        """Roll out.
+    Args:
+        case: the sample; only F is taken from its θ.
+        stiffness: k_s at the vertices, shape [N]; a spring has its ends' mean.
+        damping: k_d at the vertices, shape [N].
 
-        Args:
-            case: the sample; only F is taken from its θ.
-            stiffness: k_s at the vertices, shape [N]; a spring has its ends' mean.
-            damping: k_d at the vertices, shape [N].
-        """
-        dtype, mechanics, steps = case.theta.dtype, case.mechanics, case.load.steps
-        self.case, self.count = case, len(stiffness)
-        self.graph = graph = spring_graph(case.mesh, case.load.vertices, case.watch, steps + 1, dtype)
-        radii = exact_radii(steps, graph_reach(case, graph))
-        self.step = integrator(damping[graph.order], mechanics)
-        self.free = free_vertices(case.mesh, case.load, mechanics)[graph.order]
-        local = stiffness[graph.order].astype(dtype)
-        load = placed(acting(case.load, mechanics, dtype), graph)
-        self.push = load.push
-        self.forward = (
-            graph.springs,
-            graph.rest,
-            graph.length,
-            local[graph.springs].mean(axis=1),
-            (mechanics.anchor * local).astype(dtype),
-            (self.step.keep * self.free).astype(dtype),
-            (self.step.kick * self.free).astype(dtype),
-            *graph.prefixes(radii),
-            *load._replace(push=case.theta[2] * load.push),
-            graph.position[case.watch],
-            tuple(dtype.type(value) for value in (mechanics.time_step, self.step.lag, 0.0, NORM_GUARD)),
-        )
-        self.trajectory = np.empty((steps, len(case.watch), 3), dtype)
-        self.speeds = np.zeros((steps, len(graph.order), 3), dtype)
-        edge_forward(*self.forward, self.trajectory, self.speeds, np.empty((0, len(graph.order), 3), dtype))
-        self.held = put_gripped(case, self.trajectory)
+    Returns:
+        The trajectory, shape [T, M, 3], and a function of weights [T, M, 3] that gives the derivatives of
+        Σ weights·trajectory by k_s [N], by k_d [N] and by F.
+    """
+    dtype, mechanics, steps = case.theta.dtype, case.mechanics, case.load.steps
+    graph = spring_graph(case.mesh, case.load.vertices, case.watch, steps + 1, dtype)
+    step = integrator(damping[graph.order], mechanics)
+    free = free_vertices(case.mesh, case.load, mechanics)[graph.order]
+    local = stiffness[graph.order].astype(dtype)
+    keep, kick = ((share * free).astype(dtype) for share in (step.keep, step.kick))
+    tissue = Tissue(local[graph.springs].mean(axis=1), (mechanics.anchor * local).astype(dtype), keep, kick)
+    load = placed(acting(case.load, mechanics, dtype), graph)
+    within = graph.prefixes(exact_radii(steps, graph_reach(case, graph)))
+    numbers = tuple(dtype.type(value) for value in (mechanics.time_step, step.lag, 0.0, NORM_GUARD))
+    pressed = load._replace(push=case.theta[2] * load.push)
+    forward = graph, *within, tissue, pressed, graph.position[case.watch], numbers
+    trajectory = np.empty((steps, len(case.watch), 3), dtype)
+    speeds = np.zeros((steps, len(graph.order), 3), dtype)
+    edge_forward(*forward, trajectory, speeds)
+    held = put_gripped(case, trajectory)
 
-    def slopes(self, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-        """Derivatives of Σ weights·trajectory, weights [T, M, 3]: by k_s [N], by k_d [N] and by F."""
-        graph, dtype, mechanics = self.graph, self.trajectory.dtype, self.case.mechanics
-        spring_slope = np.zeros(len(graph.springs), dtype)
-        anchor_slope, keep_slope, kick_slope = np.zeros((3, len(graph.order)), dtype)
-        final = (mechanics.time_step * self.speeds.sum(axis=0, dtype=np.float64)).astype(dtype)
+    def way_back(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+        final = (mechanics.time_step * speeds.sum(axis=0, dtype=np.float64)).astype(dtype)
         weights = np.array(weights, dtype)
-        weights[:, self.held] = 0
-        by_push = edge_adjoint(
-            *self.forward, final, self.speeds, weights, spring_slope, anchor_slope, keep_slope, kick_slope
-        )
-        stiffness, damping = np.zeros((2, self.count), dtype)
-        local = mechanics.anchor * anchor_slope
-        np.add.at(local, graph.springs, spring_slope[:, None] / 2)
-        stiffness[graph.order] = local
-        chained = keep_slope * self.step.keep_slope + kick_slope * self.step.kick_slope
-        damping[graph.order] = chained * self.free
-        return stiffness, damping, float((by_push * self.push).sum())
+        weights[:, held] = 0
+        slopes = Tissue(*(np.zeros_like(values) for values in tissue))
+        by_push = edge_adjoint(*forward, final, speeds, weights, slopes)
+        by_stiffness, by_damping = np.zeros((2, len(stiffness)), dtype)
+        by_local = mechanics.anchor * slopes.anchor
+        np.add.at(by_local, graph.springs, slopes.stiffness[:, None] / 2)
+        by_stiffness[graph.order] = by_local
+        by_damping[graph.order] = (slopes.keep * step.keep_slope + slopes.kick * step.kick_slope) * free
+        return by_stiffness, by_damping, float((by_push * load.push).sum())
+
+    return trajectory, way_back

@@ -2,17 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.utils.rnn import pad_sequence
 
-from physics.load import Grip, Load, Press
+from physics.load import Grip, Press
 from physics.mesh import Mesh
 from physics.observation import Observation
+
+
+def _joined(arrays: Iterable[np.ndarray], dtype: type, axis: int = 0) -> Tensor:
+    return torch.from_numpy(np.concatenate(list(arrays), axis=axis).astype(dtype))
+
+
+def _offsets(arrays: Iterable[np.ndarray]) -> Tensor:
+    """Where each of the arrays begins in the joined one, and the total."""
+    return torch.from_numpy(np.cumsum([0, *(len(array) for array in arrays)]))
+
+
+def pieces(values: Tensor, offsets: Tensor, axis: int = 0) -> list[np.ndarray]:
+    """Each sample's part of joined values, on the CPU."""
+    return np.split(values.detach().cpu().numpy(), offsets.tolist()[1:-1], axis=axis)
 
 
 @dataclass
@@ -47,16 +61,15 @@ class MeshBatch:
             raise ValueError("a mesh has no vertices; leave frames without tissue out of the batch.")
         if len({tuple(mesh.grid_shape) for mesh in meshes}) > 1:
             raise ValueError(f"meshes of grids {sorted({tuple(m.grid_shape) for m in meshes})} don't form one batch.")
-        vertex_offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
-        spring_offsets = np.cumsum([0, *(len(mesh.springs) for mesh in meshes)])
-        springs = [mesh.springs.astype(np.int64) + start for mesh, start in zip(meshes, vertex_offsets, strict=False)]
+        vertex_offsets = _offsets(mesh.vertices for mesh in meshes)
+        starts = vertex_offsets.tolist()[:-1]
         return cls(
-            vertices=torch.from_numpy(np.concatenate([mesh.vertices for mesh in meshes]).astype(np.float32)),
-            springs=torch.from_numpy(np.concatenate(springs)),
-            rim=torch.from_numpy(np.concatenate([mesh.rim for mesh in meshes])),
-            pixels=torch.from_numpy(np.concatenate([mesh.pixels for mesh in meshes]).astype(np.int64)),
-            vertex_offsets=torch.from_numpy(vertex_offsets),
-            spring_offsets=torch.from_numpy(spring_offsets),
+            vertices=_joined((mesh.vertices for mesh in meshes), np.float32),
+            springs=_joined((mesh.springs + start for mesh, start in zip(meshes, starts, strict=True)), np.int64),
+            rim=_joined((mesh.rim for mesh in meshes), np.bool_),
+            pixels=_joined((mesh.pixels for mesh in meshes), np.int64),
+            vertex_offsets=vertex_offsets,
+            spring_offsets=_offsets(mesh.springs for mesh in meshes),
             grid_shape=tuple(meshes[0].grid_shape),
         )
 
@@ -67,21 +80,18 @@ class MeshBatch:
 
     def split(self) -> list[Mesh]:
         """The meshes, on the CPU and without their triangles, which only their making needed."""
-        starts, spring_starts = self.vertex_offsets.tolist(), self.spring_offsets.tolist()
-        vertices, springs, rim, pixels = (
-            values.detach().cpu().numpy() for values in (self.vertices, self.springs, self.rim, self.pixels)
-        )
-        ends = zip(starts[:-1], starts[1:], spring_starts[:-1], spring_starts[1:], strict=True)
+        of_vertices = (pieces(values, self.vertex_offsets) for values in (self.vertices, self.rim, self.pixels))
+        parts = zip(*of_vertices, pieces(self.springs, self.spring_offsets), self.vertex_offsets.tolist(), strict=False)
         return [
             Mesh(
-                vertices=vertices[start:end],
+                vertices=vertices,
                 triangles=np.empty((0, 3), np.int32),
-                springs=(springs[first:last] - start).astype(np.int32),
-                rim=rim[start:end],
-                pixels=pixels[start:end].astype(np.int32),
+                springs=(springs - start).astype(np.int32),
+                rim=rim,
+                pixels=pixels.astype(np.int32),
                 grid_shape=tuple(self.grid_shape),
             )
-            for start, end, first, last in ends
+            for vertices, rim, pixels, springs, start in parts
         ]
 
 
@@ -104,11 +114,11 @@ class PressBatch:
     def of(cls, loads: Sequence[Press]) -> PressBatch:
         """Join presses of one number of steps."""
         return cls(
-            vertices=torch.from_numpy(np.concatenate([load.vertices for load in loads]).astype(np.int64)),
-            weights=torch.from_numpy(np.concatenate([load.weights for load in loads]).astype(np.float32)),
-            offsets=_offsets(loads),
-            direction=torch.from_numpy(np.stack([load.direction for load in loads]).astype(np.float32)),
-            factor=torch.from_numpy(np.stack([load.factor for load in loads]).astype(np.float32)),
+            vertices=_joined((load.vertices for load in loads), np.int64),
+            weights=_joined((load.weights for load in loads), np.float32),
+            offsets=_offsets(load.vertices for load in loads),
+            direction=_joined((load.direction[None] for load in loads), np.float32),
+            factor=_joined((load.factor[None] for load in loads), np.float32),
         )
 
     @property
@@ -118,14 +128,9 @@ class PressBatch:
 
     def split(self) -> list[Press]:
         """The presses, on the CPU."""
-        offsets = self.offsets.tolist()
-        vertices, weights, direction, factor = (
-            values.detach().cpu().numpy() for values in (self.vertices, self.weights, self.direction, self.factor)
-        )
-        return [
-            Press(vertices[start:end], weights[start:end], direction[index], factor[index])
-            for index, (start, end) in enumerate(pairwise(offsets))
-        ]
+        patches = (pieces(values, self.offsets) for values in (self.vertices, self.weights))
+        courses = (values.detach().cpu().numpy() for values in (self.direction, self.factor))
+        return [Press(*parts) for parts in zip(*patches, *courses, strict=True)]
 
 
 @dataclass
@@ -143,11 +148,9 @@ class GripBatch:
     def of(cls, loads: Sequence[Grip]) -> GripBatch:
         """Join grips of one number of steps."""
         return cls(
-            vertices=torch.from_numpy(np.concatenate([load.vertices for load in loads]).astype(np.int64)),
-            offsets=_offsets(loads),
-            displacement=torch.from_numpy(
-                np.concatenate([load.displacement for load in loads], axis=1).astype(np.float32)
-            ),
+            vertices=_joined((load.vertices for load in loads), np.int64),
+            offsets=_offsets(load.vertices for load in loads),
+            displacement=_joined((load.displacement for load in loads), np.float32, axis=1),
         )
 
     @property
@@ -157,16 +160,11 @@ class GripBatch:
 
     def split(self) -> list[Grip]:
         """The grips, on the CPU."""
-        offsets = self.offsets.tolist()
-        vertices, displacement = self.vertices.cpu().numpy(), self.displacement.detach().cpu().numpy()
-        return [Grip(vertices[start:end], displacement[:, start:end]) for start, end in pairwise(offsets)]
+        paths = pieces(self.displacement, self.offsets, axis=1)
+        return [Grip(*parts) for parts in zip(pieces(self.vertices, self.offsets), paths, strict=True)]
 
 
 LoadBatch = PressBatch | GripBatch
-
-
-def _offsets(loads: Sequence[Load]) -> Tensor:
-    return torch.from_numpy(np.cumsum([0, *(len(load.vertices) for load in loads)]))
 
 
 @dataclass
@@ -183,12 +181,9 @@ class ObservationBatch:
     @classmethod
     def of(cls, observations: Sequence[Observation], time_step: float) -> ObservationBatch:
         """Join observations of one point each, for trajectories with this time step [s]; what was not seen weighs 0."""
-        longest = max(len(observation) for observation in observations)
-        steps = torch.zeros(len(observations), longest, dtype=torch.int64)
-        displacement, weight = torch.zeros(len(observations), longest, 3), torch.zeros(len(observations), longest)
-        for row, observation in enumerate(observations):
-            (moved,), count = observation.displacement, len(observation)
-            steps[row, :count] = torch.from_numpy(observation.steps(time_step))
-            displacement[row, :count] = torch.from_numpy(moved.astype(np.float32))
-            weight[row, :count] = torch.from_numpy(np.isfinite(moved).all(axis=1).astype(np.float32))
-        return cls(steps, displacement, weight)
+        steps = [torch.from_numpy(observation.steps(time_step)) for observation in observations]
+        moved = [
+            torch.from_numpy(point.astype(np.float32)) for (point,) in (item.displacement for item in observations)
+        ]
+        weight = [points.isfinite().all(dim=1).float() for points in moved]
+        return cls(*(pad_sequence(values, batch_first=True) for values in (steps, moved, weight)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -11,10 +10,10 @@ from physics.load import Grip, Load, Press
 from physics.mechanics import Mechanics
 from physics.mesh import Mesh
 from physics.msd.cone import GRID_EIGENVALUE, Reach, exact_radii, growing_radii, window_radii
-from physics.msd.edge_kernel import edge_forward, edge_sensitivity
+from physics.msd.edge_kernel import Tissue, edge_forward, edge_sensitivity
 from physics.msd.grid_kernel import FORWARD_PLANES, SENSITIVITY_PLANES, specialised
 from physics.msd.grid_layout import GridLayout, grid_layout, places, runs
-from physics.msd.reference import NORM_GUARD, free_vertices, grip_positions, integrator, press_shares
+from physics.msd.reference import NORM_GUARD, Acting, acting, free_vertices, integrator
 from physics.msd.spring_graph import SpringGraph, spring_graph
 
 
@@ -67,27 +66,15 @@ def watched_rollout(case: Case, sensitive: bool) -> Watched:
     With ``window_error`` set, a window of the exact cone is computed and compared with a smaller one's trajectory;
     where the two differ by more than the error allowed, the exact cone is computed instead.
     """
-    steps, (stiffness, damping, _) = case.load.steps, (float(value) for value in case.theta)
-
-    def exact(reach: Reach, _graph: SpringGraph | None) -> tuple[np.ndarray, ...]:
-        return (exact_radii(steps, reach),)
-
-    def windows(reach: Reach, graph: SpringGraph | None) -> tuple[np.ndarray, ...]:
-        eigenvalue = GRID_EIGENVALUE if graph is None else _eigenvalue(case.mesh)
-        return (
-            *window_radii(stiffness, damping, case.mechanics, eigenvalue, steps, reach),
-            exact_radii(steps, reach),
-        )
-
     if case.mechanics.window_error > 0:
-        layout, (used, checked, whole) = _layout(case, windows)
+        layout, (used, checked, whole) = _layout(case, windowed=True)
         if (used < whole).any():
             found = _within(case, layout, used, sensitive)
             difference = np.abs(found.path - _within(case, layout, checked, False).path).max()
             # Two windows that both end before a watched vertex agree on 0, which tells nothing.
             if difference < case.mechanics.window_error * np.abs(found.path).max():
                 return found
-    layout, (whole,) = _layout(case, exact)
+    layout, (whole, _, _) = _layout(case, windowed=False)
     return _within(case, layout, whole, sensitive)
 
 
@@ -107,12 +94,9 @@ def field_rollout(case: Case, field: np.ndarray, begin: int = 0) -> None:
         reach = _grid_reach(case)
         _run_grid(case, layout, growing_radii(steps, reach), where, _room(case, False), field, begin)
     else:
-        graph = spring_graph(case.mesh, case.load.vertices, case.watch, steps + 1, dtype)
-        sorted_field = np.empty((steps, len(graph.order), 3), dtype)
-        radii = growing_radii(steps, Reach(gripped=isinstance(case.load, Grip)))
-        _run_edges(case, graph, radii, _room(case, False), sorted_field)
-        own[:] = 0
-        own[:, graph.order] = sorted_field
+        whole = case._replace(watch=np.arange(len(case.mesh.vertices)))
+        graph = spring_graph(case.mesh, case.load.vertices, whole.watch, steps + 1, dtype)
+        own[:] = _within(whole, graph, growing_radii(steps, Reach(gripped=isinstance(case.load, Grip))), False).path
     if isinstance(case.load, Grip):
         own[:, case.load.vertices] = case.load.displacement
 
@@ -131,37 +115,9 @@ def numbers(case: Case) -> tuple:
     return tuple(dtype.type(value) for value in (*values, mechanics.anchor, step.lag, tiny, NORM_GUARD))
 
 
-class Acting(NamedTuple):
-    """A load as the kernels take it; vertices of the mesh, whose places in a layout the caller puts in."""
-
-    load: np.ndarray
-    """Factor of F in each step, shape [T]."""
-    loaded: np.ndarray
-    """Pressed vertices, shape [P]."""
-    push: np.ndarray
-    """weight·direction of each, shape [P, 3]."""
-    gripped: np.ndarray
-    """Gripped vertices, shape [G]."""
-    positions: np.ndarray
-    """Where they are in each step, shape [T, G, 3]."""
-
-
-def acting(load: Load, mechanics: Mechanics, dtype: np.dtype) -> Acting:
-    """What a load does, in one precision."""
-    nobody = np.empty(0, np.int64)
-    if isinstance(load, Press):
-        push = press_shares(load, dtype)
-        positions = np.empty((load.steps, 0, 3), dtype)
-        return Acting(load.factor.astype(dtype), load.vertices.astype(np.int64), push, nobody, positions)
-    positions = np.ascontiguousarray(grip_positions(load, mechanics), dtype)
-    return Acting(
-        np.zeros(load.steps, dtype), nobody, np.empty((0, 3), dtype), load.vertices.astype(np.int64), positions
-    )
-
-
 def placed(load: Acting, graph: SpringGraph) -> Acting:
     """The same with its vertices' positions in a graph."""
-    return load._replace(loaded=graph.position[load.loaded], gripped=graph.position[load.gripped])
+    return load._replace(pressed=graph.position[load.pressed], gripped=graph.position[load.gripped])
 
 
 def _movable(case: Case) -> np.ndarray:
@@ -188,22 +144,29 @@ def graph_reach(case: Case, graph: SpringGraph) -> Reach:
     return Reach(0, int(connected.max(initial=0)), isinstance(case.load, Grip))
 
 
-def _layout(case: Case, radii_of: Callable) -> tuple[GridLayout | SpringGraph, tuple[np.ndarray, ...]]:
-    """What lies within reach, as a grid where the mesh is one, and how far each step is computed.
-
-    Args:
-        case: the sample.
-        radii_of: radii [T], the widest first, for a reach and, if distances are those of a graph, the graph.
-    """
+def _layout(case: Case, windowed: bool) -> tuple[GridLayout | SpringGraph, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """What lies within reach, as a grid where the mesh is one, and `_radii`."""
     dtype, reach = case.theta.dtype, _grid_reach(case)
-    radii = radii_of(reach, None)
+    radii = _radii(case, reach, GRID_EIGENVALUE, windowed)
     far = max(int(radii[0].max()) + 1, reach.loaded, reach.watched)
     layout = grid_layout(case.mesh, case.load.vertex, _movable(case), far, dtype)
     if layout is not None:
         return layout, radii
     # Springs from every watched vertex to the load: no more than there are steps matter.
     graph = spring_graph(case.mesh, case.load.vertices, case.watch, case.load.steps + 1, dtype)
-    return graph, radii_of(graph_reach(case, graph), graph)
+    return graph, _radii(case, graph_reach(case, graph), _eigenvalue(case.mesh), windowed)
+
+
+def _radii(case: Case, reach: Reach, eigenvalue: float, windowed: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """How far each step is computed, [T]: in a window, in a smaller one to check it with, and in the exact cone.
+
+    All three are the cone if no window is wanted.
+    """
+    exact = exact_radii(case.load.steps, reach)
+    if not windowed:
+        return exact, exact, exact
+    stiffness, damping, _ = (float(value) for value in case.theta)
+    return *window_radii(stiffness, damping, case.mechanics, eigenvalue, case.load.steps, reach), exact
 
 
 def _eigenvalue(mesh: Mesh) -> float:
@@ -224,11 +187,10 @@ def _room(case: Case, sensitive: bool) -> Watched:
 def _within(case: Case, layout: GridLayout | SpringGraph, radii: np.ndarray, sensitive: bool) -> Watched:
     """Motion of the watched vertices, computing each step within a radius, shape [T]."""
     out = _room(case, sensitive)
-    nothing = np.empty((0, 0, 3), case.theta.dtype)
     if isinstance(layout, GridLayout):
-        _run_grid(case, layout, radii, np.empty((0, 3), np.int64), out, nothing)
+        _run_grid(case, layout, radii, np.empty((0, 3), np.int64), out, np.empty((0, 0, 3), case.theta.dtype))
     else:
-        _run_edges(case, layout, radii, out, nothing)
+        _run_edges(case, layout, radii, out)
     out.slopes[:, put_gripped(case, out.path)] = 0
     return out
 
@@ -247,51 +209,24 @@ def _run_grid(case: Case, layout: GridLayout, radii, where, out: Watched, field,
     dtype, sensitive = case.theta.dtype, len(out.slopes) > 0
     planes = SENSITIVITY_PLANES if sensitive else FORWARD_PLANES
     load = acting(case.load, case.mechanics, dtype)
-    inside = (places(layout, case.mesh, vertices, planes) for vertices in (load.loaded, load.gripped, case.watch))
-    loaded, gripped, watched = inside
-    specialised(layout.pitch, sensitive)(
-        layout.rest,
-        layout.first,
-        layout.last,
-        layout.centre,
-        radii,
-        *load._replace(loaded=loaded, gripped=gripped),
-        watched,
-        case.theta[2],
-        numbers(case),
-        where,
-        *out,
-        field,
-        begin,
-    )
+    inside = (places(layout, case.mesh, vertices, planes) for vertices in (load.pressed, load.gripped, case.watch))
+    pressed, gripped, watched = inside
+    load, rollout = load._replace(pressed=pressed, gripped=gripped), specialised(layout.pitch, sensitive)
+    rollout(layout, radii, load, watched, case.theta[2], numbers(case), where, out, field, begin)
 
 
-def _run_edges(case: Case, graph: SpringGraph, radii: np.ndarray, out: Watched, field: np.ndarray) -> None:
-    """Call the edge kernel with or without derivatives; it fills `out`, or the path in it and the field."""
-    dtype, count = case.theta.dtype, len(graph.order)
+def _run_edges(case: Case, graph: SpringGraph, radii: np.ndarray, out: Watched) -> None:
+    """Call the edge kernel with or without derivatives, which fills `out`."""
+    dtype = case.theta.dtype
     free = free_vertices(case.mesh, case.load, case.mechanics)[graph.order].astype(dtype)
     load = placed(acting(case.load, case.mechanics, dtype), graph)
-    shape, within, watched = (
-        (graph.springs, graph.rest, graph.length),
-        graph.prefixes(radii),
-        graph.position[case.watch],
-    )
+    within, watched = graph.prefixes(radii), graph.position[case.watch]
     force, values = case.theta[2], numbers(case)
     if len(out.slopes):
-        edge_sensitivity(*shape, free, *within, *load, watched, force, values, *out)
+        edge_sensitivity(graph, *within, free, load, watched, force, values, out)
         return
     stiffness, keep, kick, _, _, time_step, anchor, lag, tiny, guard = values
-    edge_forward(
-        *shape,
-        np.full(len(graph.springs), stiffness, dtype),
-        np.full(count, anchor * stiffness, dtype),
-        keep * free,
-        kick * free,
-        *within,
-        *load._replace(push=force * load.push),
-        watched,
-        (time_step, lag, tiny, guard),
-        out.path,
-        np.empty((0, count, 3), dtype),
-        field,
-    )
+    pull, hold = np.full(len(graph.springs), stiffness, dtype), np.full(len(free), anchor * stiffness, dtype)
+    tissue, load = Tissue(pull, hold, keep * free, kick * free), load._replace(push=force * load.push)
+    speeds = np.empty((0, len(free), 3), dtype)
+    edge_forward(graph, *within, tissue, load, watched, (time_step, lag, tiny, guard), out.path, speeds)

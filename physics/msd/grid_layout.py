@@ -6,7 +6,7 @@ compiled code: every plane then lies at a known distance from the others, which 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,20 +21,19 @@ REST, LENGTH, LINK, MOBILE, REST_PLANES = 0, 3, 6, 9, 10
 """Planes of the rest shape: positions x, y, z; lengths and presence of the springs right, down, diagonal; may move."""
 
 
-@dataclass(frozen=True)
-class GridLayout:
+class GridLayout(NamedTuple):
     """A window of the grid around the load, padded by one pixel on every side."""
 
     pitch: int
     """Numbers a plane and row."""
-    rows: int
-    """Rows of the window, without padding."""
     rest: np.ndarray
-    """Rest shape, shape [(rows + 2)·REST_PLANES·pitch]."""
+    """Rest shape, shape [rows·REST_PLANES·pitch]."""
     first: np.ndarray
-    """First column with a vertex in each padded row, shape [rows + 3], int64; behind ``last`` where there is none."""
+    """First column with a vertex in each padded row and one more, shape [rows + 1], int64.
+
+    Behind ``last`` where there is none."""
     last: np.ndarray
-    """Last column with a vertex in each padded row, shape [rows + 3], int64."""
+    """Last column with a vertex in each of them, shape [rows + 1], int64."""
     centre: tuple[int, int]
     """Padded row and column of the load's first vertex."""
     corner: tuple[int, int]
@@ -63,27 +62,17 @@ def grid_layout(mesh: Mesh, vertex: int, mobile: np.ndarray, reach: int, dtype: 
     pitch = next((size for size in PITCHES if size >= columns + 3), None)
     if pitch is None:
         return None
-    rest = np.zeros((rows + 2) * REST_PLANES * pitch, dtype=dtype)
-    first = np.full(rows + 3, columns + 2)
-    last = np.full(rows + 3, -1)
-    regular = _fill(
-        np.ascontiguousarray(mesh.vertices, dtype=dtype),
-        np.ascontiguousarray(mesh.springs, dtype=np.int32),
-        pixels - (low - 1).astype(np.int32),
-        np.ascontiguousarray(mobile, dtype=bool),
-        rows,
-        columns,
-        pitch,
-        rest.dtype.type(NORM_GUARD),
-        rest,
-        np.zeros((rows + 2) * pitch, dtype=bool),
-        first,
-        last,
+    vertices = np.ascontiguousarray(mesh.vertices, dtype=dtype)
+    springs = np.ascontiguousarray(mesh.springs, dtype=np.int32)
+    places = pixels - (low - 1).astype(np.int32)
+    mobile = np.ascontiguousarray(mobile, dtype=bool)
+    regular, rest, first, last = _filled(
+        vertices, springs, places, mobile, rows, columns, pitch, dtype.type(NORM_GUARD)
     )
     if not regular:
         return None
     row, column = (centre - low + 1).tolist()
-    return GridLayout(pitch, rows, rest, first, last, (row, column), (int(low[0]) - 1, int(low[1]) - 1))
+    return GridLayout(pitch, rest, first, last, (row, column), (int(low[0]) - 1, int(low[1]) - 1))
 
 
 def places(layout: GridLayout, mesh: Mesh, vertices: np.ndarray, planes: int) -> np.ndarray:
@@ -107,14 +96,16 @@ def runs(layout: GridLayout, mesh: Mesh, planes: int) -> np.ndarray:
 
 
 @kernel
-def _fill(vertices, springs, pixels, mobile, rows, columns, pitch, guard, rest, taken, first, last):
-    """Write vertices [N, 3] and springs [S, 2] into the planes; False where they don't form a grid mesh."""
+def _filled(vertices, springs, pixels, mobile, rows, columns, pitch, guard):
+    """Whether vertices [N, 3] and springs [S, 2] form a grid mesh; then its planes, first and last columns."""
     block = REST_PLANES * pitch
+    rest, taken = np.zeros((rows + 2) * block, vertices.dtype), np.zeros((rows + 2) * pitch, np.bool_)
+    first, last = np.full(rows + 3, columns + 2), np.full(rows + 3, -1)
     for vertex in range(vertices.shape[0]):
         row, column = pixels[vertex, 0], pixels[vertex, 1]
         if 1 <= row <= rows and 1 <= column <= columns:
             if taken[row * pitch + column]:
-                return False
+                return False, rest, first, last
             taken[row * pitch + column] = True
             place = row * block + column
             for axis in range(3):
@@ -131,7 +122,7 @@ def _fill(vertices, springs, pixels, mobile, rows, columns, pitch, guard, rest, 
         row, column = pixels[start, 0], pixels[start, 1]
         down, right = pixels[end, 0] - row, pixels[end, 1] - column
         if not (0 <= down <= 1 and 0 <= right <= 1 and down + right > 0):
-            return False
+            return False, rest, first, last
         if row < 1 or row + down > rows or column < 1 or column + right > columns:
             continue
         kind = 2 * down + right - 1
@@ -143,4 +134,4 @@ def _fill(vertices, springs, pixels, mobile, rows, columns, pitch, guard, rest, 
             squared += side * side
         rest[near + (LENGTH + kind) * pitch] = np.sqrt(squared)
         rest[near + (LINK + kind) * pitch] += 1
-    return True
+    return True, rest, first, last

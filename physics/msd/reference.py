@@ -92,16 +92,31 @@ def free_vertices(mesh: Mesh, load: Load, mechanics: Mechanics) -> np.ndarray:
     return free
 
 
-def press_shares(press: Press, dtype: np.dtype) -> np.ndarray:
-    """weight·direction of every pressed vertex, shape [P, 3]."""
-    return np.outer(press.weights.astype(dtype), press.direction.astype(dtype))
+class Acting(NamedTuple):
+    """A load in arrays, with vertices of the mesh; a kernel's caller puts their places in its layout instead."""
+
+    factor: np.ndarray
+    """Share of F in each step, shape [T]."""
+    pressed: np.ndarray
+    """Pressed vertices, shape [P]."""
+    push: np.ndarray
+    """weight·direction of each, shape [P, 3]."""
+    gripped: np.ndarray
+    """Gripped vertices, shape [G]."""
+    positions: np.ndarray
+    """Where they are while each step's forces act, shape [T, G, 3]: at its beginning, or in its middle."""
 
 
-def grip_positions(grip: Grip, mechanics: Mechanics) -> np.ndarray:
-    """Where gripped vertices are while each step's forces act, shape [T, G, 3]: at its beginning, or in its middle."""
-    after = grip.displacement.astype(np.float64)
+def acting(load: Load, mechanics: Mechanics, dtype: np.dtype) -> Acting:
+    """What a load does, in one precision."""
+    vertices, nobody = load.vertices.astype(np.int64), np.empty(0, np.int64)
+    if isinstance(load, Press):
+        push = np.outer(load.weights.astype(dtype), load.direction.astype(dtype))
+        return Acting(load.factor.astype(dtype), vertices, push, nobody, np.empty((load.steps, 0, 3), dtype))
+    after = load.displacement.astype(np.float64)
     before = np.concatenate([np.zeros_like(after[:1]), after[:-1]])
-    return (before + after) / 2 if mechanics.scheme == "dkd" else before
+    positions = ((before + after) / 2 if mechanics.scheme == "dkd" else before).astype(dtype)
+    return Acting(np.zeros(load.steps, dtype), nobody, np.empty((0, 3), dtype), vertices, positions)
 
 
 def grip_velocities(grip: Grip, mechanics: Mechanics) -> np.ndarray:
@@ -115,7 +130,9 @@ def grip_velocities(grip: Grip, mechanics: Mechanics) -> np.ndarray:
     return np.concatenate([start, np.diff(path, axis=0, prepend=start) / mechanics.time_step])
 
 
-def reaction(elastic: np.ndarray, grip: Grip, damping: np.ndarray, mechanics: Mechanics) -> np.ndarray:
+def reaction(
+    elastic: np.ndarray, grip: Grip, damping: np.ndarray, mechanics: Mechanics
+) -> tuple[np.ndarray, np.ndarray]:
     """Force that the grip must exert in each step, shape [T, G, 3]: what is left of inertia and damping.
 
     Args:
@@ -123,16 +140,14 @@ def reaction(elastic: np.ndarray, grip: Grip, damping: np.ndarray, mechanics: Me
         grip: their path.
         damping: k_d.
         mechanics: constants.
+
+    Returns:
+        The force, and its derivative by k_d at this elastic force, both of shape [T, G, 3].
     """
     step, velocity = integrator(damping, mechanics), grip_velocities(grip, mechanics)
-    return (velocity[1:] - step.keep * velocity[:-1]) / step.kick - elastic
-
-
-def reaction_by_damping(grip: Grip, damping: np.ndarray, mechanics: Mechanics) -> np.ndarray:
-    """Derivative by k_d of `reaction` at a given elastic force, shape [T, G, 3]."""
-    step, velocity = integrator(damping, mechanics), grip_velocities(grip, mechanics)
     inertia = velocity[1:] - step.keep * velocity[:-1]
-    return -(step.keep_slope * velocity[:-1] + inertia * step.kick_slope / step.kick) / step.kick
+    by_damping = -(step.keep_slope * velocity[:-1] + inertia * step.kick_slope / step.kick) / step.kick
+    return inertia / step.kick - elastic, by_damping
 
 
 class Step(NamedTuple):
@@ -171,19 +186,14 @@ def steps(
     rest = vertices[mesh.springs[:, 1]] - vertices[mesh.springs[:, 0]]
     gather = _incidence(mesh, dtype)
     mobile = free_vertices(mesh, load, mechanics).astype(dtype)[:, None]
+    acts = acting(load, mechanics, dtype)
     push = np.zeros_like(vertices)
-    factors, positions = np.zeros(load.steps, dtype), None
-    if isinstance(load, Press):
-        np.add.at(push, load.vertices, press_shares(load, dtype))
-        factors = load.factor.astype(dtype)
-    else:
-        positions = grip_positions(load, mechanics).astype(dtype)
+    np.add.at(push, acts.pressed, acts.push)
     displacement, velocity = np.zeros_like(vertices), np.zeros_like(vertices)
     moved, speed = np.zeros((3, *vertices.shape), dtype), np.zeros((3, *vertices.shape), dtype)
     elastic_moved = np.zeros_like(moved)
-    for index, factor in enumerate(factors):
-        if positions is not None:
-            displacement[load.vertices] = positions[index]
+    for index, factor in enumerate(acts.factor):
+        displacement[acts.gripped] = acts.positions[index]
         unit = gather @ spring_force(displacement, rest, mesh.springs) - anchor * displacement
         total = stiffness * unit + factor * force * push
         if sensitive:

@@ -15,7 +15,7 @@ from physics.load import Grip, Load
 from physics.mechanics import Mechanics
 from physics.mesh import Mesh
 from physics.msd import compiled, reference
-from physics.msd.compiled import Case
+from physics.msd.compiled import Case, Watched
 
 SENSITIVITY_LIMIT = {np.dtype(np.float32): 100.0, np.dtype(np.float64): 1e8}
 """Relative change of the trajectory for a relative change of θ from which on rounding spoils the derivatives.
@@ -49,12 +49,7 @@ def simulate(
     Raises:
         ValueError: a shape, an index or a value that makes no sense.
     """
-    case = _case(theta, mesh, load, mechanics, watch, dtype)
-    if jit.COMPILED:
-        path = compiled.watched_rollout(case, sensitive=False).path
-    else:
-        jit.say_slow()
-        path = np.stack([step.displacement[case.watch] for step in reference.steps(*case[:4])])
+    path = _watched(_case(theta, mesh, load, mechanics, watch, dtype), sensitive=False).path
     return path[:, 0] if watch is None else path
 
 
@@ -71,14 +66,7 @@ def simulate_sensitivities(
 
     Arguments and errors as in `simulate`; without `watch` the second axis is left out. The last axis is θ's.
     """
-    case = _case(theta, mesh, load, mechanics, watch, dtype)
-    if jit.COMPILED:
-        path, slopes = compiled.watched_rollout(case, sensitive=True)[:2]
-    else:
-        jit.say_slow()
-        found = list(reference.steps(*case[:4], sensitive=True))
-        path = np.stack([step.displacement[case.watch] for step in found])
-        slopes = np.stack([np.moveaxis(step.moved[:, case.watch], 0, -1) for step in found])
+    path, slopes = _watched(_case(theta, mesh, load, mechanics, watch, dtype), sensitive=True)[:2]
     return (path[:, 0], slopes[:, 0]) if watch is None else (path, slopes)
 
 
@@ -105,22 +93,33 @@ def simulate_reaction(
     """
     exact = dataclasses.replace(mechanics, window_error=0.0)
     case = _case(theta, mesh, grip, exact, grip.vertices, dtype)
-    if jit.COMPILED:
-        elastic, slopes = compiled.watched_rollout(case, sensitive=True)[2:]
-    else:
-        jit.say_slow()
-        found = list(reference.steps(*case[:4], sensitive=True))
-        elastic = np.stack([step.elastic[grip.vertices] for step in found])
-        slopes = np.stack([np.moveaxis(step.elastic_moved[:, grip.vertices], 0, -1) for step in found])
-    force = reference.reaction(elastic, grip, case.theta[1], mechanics)
+    elastic, slopes = _watched(case, sensitive=True)[2:]
     # Inertia and damping of the gripped vertices themselves depend on k_d alone.
-    by_damping = reference.reaction_by_damping(grip, case.theta[1], mechanics)
+    force, by_damping = reference.reaction(elastic, grip, case.theta[1], mechanics)
     return force.astype(dtype), np.stack([-slopes[..., 0], by_damping - slopes[..., 1]], axis=-1).astype(dtype)
 
 
 def is_chaotic(path: np.ndarray, log_slopes: np.ndarray) -> bool:
     """Whether a motion reacts so strongly to φ that rounding decides its derivatives; shapes [T, …] and [T, …, D]."""
     return bool(np.abs(log_slopes).max(initial=0) > SENSITIVITY_LIMIT[path.dtype] * np.abs(path).max(initial=0))
+
+
+def _watched(case: Case, sensitive: bool) -> Watched:
+    """One rollout, compiled or plain."""
+    if jit.COMPILED:
+        return compiled.watched_rollout(case, sensitive)
+    jit.say_slow()
+    watch, held = case.watch, case.load.vertices
+    found = [
+        (
+            step.displacement[watch],
+            np.moveaxis(step.moved[:, watch], 0, -1),
+            step.elastic[held],
+            np.moveaxis(step.elastic_moved[:, held], 0, -1),
+        )
+        for step in reference.steps(*case[:4], sensitive=sensitive)
+    ]
+    return Watched(*(np.stack(values) for values in zip(*found, strict=True)))
 
 
 def _case(theta, mesh, load, mechanics, watch, dtype) -> Case:

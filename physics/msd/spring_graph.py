@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -12,8 +12,7 @@ from physics.mesh import Mesh
 from physics.msd.reference import NORM_GUARD
 
 
-@dataclass(frozen=True)
-class SpringGraph:
+class SpringGraph(NamedTuple):
     """The part of a mesh that springs connect with the load, nearest first; n vertices, s springs.
 
     Watched vertices that nothing connects with the load come last, so that they too have a place: they never move.
@@ -21,8 +20,6 @@ class SpringGraph:
 
     order: np.ndarray
     """Index of each vertex in the mesh, those of the load first, shape [n], int64."""
-    spring_order: np.ndarray
-    """Index of each spring in the mesh, shape [s], int64."""
     springs: np.ndarray
     """Positions in ``order``, shape [s, 2], int64."""
     rest: np.ndarray
@@ -70,7 +67,6 @@ def spring_graph(mesh: Mesh, loaded: np.ndarray, watched: np.ndarray, reach: int
     levels = np.arange(int(distance[connected[-1]]) + 1)
     return SpringGraph(
         order=order,
-        spring_order=spring_order,
         springs=np.stack([position[first[spring_order]], position[second[spring_order]]], axis=1),
         rest=rest,
         length=np.sqrt((rest * rest).sum(axis=1) + dtype.type(NORM_GUARD)),

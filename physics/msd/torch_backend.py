@@ -14,9 +14,7 @@ from torch.nn.functional import pad
 
 from physics.mechanics import Mechanics
 from physics.msd.batch import PressBatch
-
-NORM_GUARD = 1e-18
-"""Added under every square root [scene units²], so that a spring of zero length has a gradient."""
+from physics.msd.reference import NORM_GUARD
 
 STENCIL = ((0, 1), (1, 0), (1, 1))
 """Rows and columns from a spring's first to its second pixel on a grid mesh: right, down, diagonal."""
@@ -131,20 +129,19 @@ def edge_steps(stiffness: Tensor, damping: Tensor, force: Tensor, mesh, load, me
     rest = vertices[second] - vertices[first]
     rest_length = torch.sqrt((rest * rest).sum(dim=1, keepdim=True) + NORM_GUARD)
     spring_stiffness = (stiffness[first] + stiffness[second]) / 2
-    acts = _Acting(mesh, load, mechanics, stiffness.dtype)
+    mobile, push, factor, gripped, paths = _acting(mesh, load, mechanics, stiffness.dtype)
 
     def elastic(displacement: Tensor) -> Tensor:
         pull = spring_stiffness * spring_force(displacement[second] - displacement[first], rest, rest_length, 1)
         total = torch.zeros_like(vertices).index_add(0, first, pull).index_add(0, second, -pull)
         return total - mechanics.anchor * stiffness * displacement if mechanics.anchor else total
 
-    push = acts.push() * force[mesh.sample_of_vertex()]
-    factors = acts.factor[mesh.sample_of_vertex()].unsqueeze(1).unbind(dim=2)
+    def grip(displacement: Tensor, positions: Tensor) -> Tensor:
+        return displacement.index_copy(0, gripped, positions)
 
-    def grip(displacement: Tensor, step: int, positions: Tensor) -> Tensor:
-        return displacement.index_copy(0, acts.gripped, positions[step])
-
-    yield from _steps(elastic, damping, acts.mobile[:, None], push, factors, acts, grip, mechanics)
+    sample = mesh.sample_of_vertex()
+    factors = factor[sample].unsqueeze(1).unbind(dim=2)
+    yield from _steps(elastic, grip, damping, mobile[:, None], push * force[sample], factors, paths, mechanics)
 
 
 def grid_steps(theta: Tensor, mesh, watched: Tensor, load, mechanics: Mechanics) -> Iterator[Tensor]:
@@ -165,7 +162,7 @@ def grid_steps(theta: Tensor, mesh, watched: Tensor, load, mechanics: Mechanics)
 
     vertices = planes(mesh.vertices.to(theta.dtype))
     springs = _stencil(mesh, place, vertices)
-    acts = _Acting(mesh, load, mechanics, theta.dtype)
+    mobile, push, factor, gripped, paths = _acting(mesh, load, mechanics, theta.dtype)
     stiffness, damping, force = (theta[:, index, None, None, None] for index in range(3))
 
     def elastic(displacement: Tensor) -> Tensor:
@@ -176,57 +173,46 @@ def grid_steps(theta: Tensor, mesh, watched: Tensor, load, mechanics: Mechanics)
             total = total + pad(pull, (0, right, 0, down)) - pad(pull, (right, 0, down, 0))
         return stiffness * total
 
-    holder = torch.div(place[acts.gripped], height * width, rounding_mode="floor")
-    at_row, at_column = row[acts.gripped], column[acts.gripped]
+    def grip(displacement: Tensor, positions: Tensor) -> Tensor:
+        cells = sample[gripped], row[gripped], column[gripped]
+        return displacement.permute(0, 2, 3, 1).index_put(cells, positions).permute(0, 3, 1, 2)
 
-    def grip(displacement: Tensor, step: int, positions: Tensor) -> Tensor:
-        return (
-            displacement.permute(0, 2, 3, 1).index_put((holder, at_row, at_column), positions[step]).permute(0, 3, 1, 2)
-        )
-
-    factors = acts.factor[:, :, None, None, None].unbind(dim=1)
-    samples, row, column = torch.arange(batch, device=theta.device)[:, None], row[watched], column[watched]
-    push, mobile = force * planes(acts.push()), planes(acts.mobile[:, None])
-    for displacement in _steps(elastic, damping, mobile, push, factors, acts, grip, mechanics):
-        yield displacement.permute(0, 2, 3, 1)[samples, row, column]
+    factors = factor[:, :, None, None, None].unbind(dim=1)
+    push, mobile = force * planes(push), planes(mobile[:, None])
+    shown = sample[watched], row[watched], column[watched]
+    for displacement in _steps(elastic, grip, damping, mobile, push, factors, paths, mechanics):
+        yield displacement.permute(0, 2, 3, 1)[shown]
 
 
-class _Acting:
-    """A batch's load on the joined meshes."""
+def _acting(
+    mesh, load, mechanics: Mechanics, dtype: torch.dtype
+) -> tuple[Tensor, Tensor, Tensor, Tensor, tuple[Tensor, Tensor] | None]:
+    """A batch's load on the joined meshes.
 
-    def __init__(self, mesh, load, mechanics: Mechanics, dtype: torch.dtype) -> None:
-        sizes = load.offsets.diff()
-        self.sample = torch.repeat_interleave(torch.arange(len(sizes), device=sizes.device), sizes)
-        starts, ends = mesh.vertex_offsets[self.sample], mesh.vertex_offsets[self.sample + 1]
-        loaded = places("load", load.vertices, starts, ends)
-        self.load, self.loaded, self.count, self.dtype = load, loaded, mesh.vertices.shape[0], dtype
-        pressed = isinstance(load, PressBatch)
-        self.gripped = loaded[:0] if pressed else loaded
-        free = ~mesh.rim if mechanics.boundary == "fixed" else torch.ones_like(mesh.rim)
-        self.mobile = free.index_fill(0, loaded, pressed).to(dtype)
-        """1 where a vertex moves by itself, shape [ΣN]: all but gripped ones and a fixed rim; pressed ones always."""
-        batch = len(sizes)
-        self.factor = load.factor.to(dtype) if pressed else mesh.vertices.new_zeros((batch, load.steps), dtype=dtype)
-        """Share of F in each step, shape [B, T]."""
-        self.path = None if pressed else load.displacement.to(dtype)
-        """Where gripped vertices are after each step, shape [T, ΣG, 3]."""
-        if self.path is not None:
-            before = torch.cat([torch.zeros_like(self.path[:1]), self.path[:-1]])
-            self.positions = (before + self.path) / 2 if mechanics.scheme == "dkd" else before
-            """Where they are while each step's forces act (see `physics.msd.reference.grip_positions`)."""
-
-    def push(self) -> Tensor:
-        """weight·direction at every vertex, shape [ΣN, 3]."""
-        push = self.factor.new_zeros(self.count, 3)
-        if self.path is not None:
-            return push
-        shares = self.load.weights.to(self.dtype)[:, None] * self.load.direction.to(self.dtype)[self.sample]
-        return push.index_add(0, self.loaded, shares)
+    Returns:
+        1 where a vertex moves by itself (all but gripped ones and a fixed rim; pressed ones always), shape [ΣN];
+        weight·direction at every vertex, shape [ΣN, 3]; the share of F in each step, shape [B, T]; gripped vertices;
+        where those are while each step's forces act (see `physics.msd.reference.Acting`) and after it, [T, ΣG, 3] each.
+    """
+    sizes = load.offsets.diff()
+    sample = torch.repeat_interleave(torch.arange(len(sizes), device=sizes.device), sizes)
+    loaded = places("load", load.vertices, mesh.vertex_offsets[sample], mesh.vertex_offsets[sample + 1])
+    pressed = isinstance(load, PressBatch)
+    free = ~mesh.rim if mechanics.boundary == "fixed" else torch.ones_like(mesh.rim)
+    mobile = free.index_fill(0, loaded, pressed).to(dtype)
+    push = mesh.vertices.new_zeros(mesh.vertices.shape, dtype=dtype)
+    if pressed:
+        shares = load.weights.to(dtype)[:, None] * load.direction.to(dtype)[sample]
+        return mobile, push.index_add(0, loaded, shares), load.factor.to(dtype), loaded[:0], None
+    after = load.displacement.to(dtype)
+    before = torch.cat([torch.zeros_like(after[:1]), after[:-1]])
+    during = (before + after) / 2 if mechanics.scheme == "dkd" else before
+    return mobile, push, push.new_zeros(len(sizes), load.steps), loaded, (during, after)
 
 
 def _steps(
-    elastic: Callable[[Tensor], Tensor], damping: Tensor, mobile: Tensor, push: Tensor, factors, acts: _Acting,
-    grip: Callable[[Tensor, int, Tensor], Tensor], mechanics: Mechanics,
+    elastic: Callable[[Tensor], Tensor], grip: Callable[[Tensor, Tensor], Tensor], damping: Tensor, mobile: Tensor,
+    push: Tensor, factors, paths: tuple[Tensor, Tensor] | None, mechanics: Mechanics,
 ) -> Iterator[Tensor]:  # fmt: skip
     """Integrate from rest; all tensors broadcast against ``push``, F·direction at the pressed vertices, 0 elsewhere."""
     keep, kick, lag = integrator(damping, mechanics)
@@ -234,12 +220,12 @@ def _steps(
     displacement = torch.zeros_like(push)
     velocity = torch.zeros_like(push)
     for step, factor in enumerate(factors):
-        if acts.path is not None:
-            displacement = grip(displacement, step, acts.positions)
+        if paths is not None:
+            displacement = grip(displacement, paths[0][step])
         velocity = keep * velocity + kick * (elastic(displacement) + factor * push)
         displacement = displacement + mechanics.time_step * velocity
         shown = displacement - lag * velocity if lag else displacement
-        yield shown if acts.path is None else grip(shown, step, acts.path)
+        yield shown if paths is None else grip(shown, paths[1][step])
 
 
 def _stencil(mesh, place: Tensor, vertices: Tensor) -> list[tuple[tuple[int, int], Tensor, Tensor, Tensor]]:

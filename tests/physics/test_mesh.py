@@ -147,10 +147,6 @@ def test_nearest_vertex():
 def test_bad_arguments_are_named():
     with pytest.raises(ValueError, match=r"\(4, 5, 2\)"):
         grid_mesh(np.zeros((4, 5, 2)), np.ones((4, 5), dtype=bool))
-    with pytest.raises(ValueError, match="keep is 0"):
-        grid_mesh(plane(4, 5), np.ones((4, 5), dtype=bool), keep=0)
-    with pytest.raises(ValueError, match="max_edge"):
-        grid_mesh(plane(4, 5), np.ones((4, 5), dtype=bool), max_edge=0)
     with pytest.raises(ValueError, match="occluder"):
         grid_mesh(plane(4, 5), np.ones((4, 5), dtype=bool), occluder=np.zeros((2, 2), dtype=bool))
 

@@ -36,12 +36,11 @@ def test_jacobian_equals_double_precision_autograd(scheme, keep):
     mesh, load = batch_of([sheet(12, 12, keep=keep)] * 3, [40, 33, 20], [50, 20, 120])
     mechanics = Mechanics(scheme=scheme)
     theta = torch.tensor(THETA, dtype=torch.float64)
-    columns = []
-    for parameter in range(3):
-        tangent = torch.zeros_like(theta)
-        tangent[:, parameter] = 1
-        columns.append(torch.func.jvp(lambda x: rollout(x, mesh, load, mechanics, "torch"), (theta,), (tangent,))[1])
-    expected = torch.stack(columns, dim=3)
+    # One sample for every derivative: all tangents in one pass.
+    wide = batch_of([sheet(12, 12, keep=keep)] * 9, [40] * 3 + [33] * 3 + [20] * 3, [50] * 3 + [20] * 3 + [120] * 3)
+    at, tangents = theta.repeat_interleave(3, dim=0), torch.eye(3, dtype=torch.float64).repeat(3, 1)
+    moved = torch.func.jvp(lambda x: rollout(x, *wide, mechanics, "torch"), (at,), (tangents,))[1]
+    expected = moved.reshape(3, 3, 200, 3).permute(0, 2, 3, 1)
     scale = expected.abs().amax(dim=(1, 2), keepdim=True)
     weights = torch.randn(3, 200, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
     for dtype, allowed in ((torch.float64, 1e-10), (torch.float32, 1e-4)):

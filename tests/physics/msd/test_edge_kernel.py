@@ -9,7 +9,7 @@ from physics import jit
 from physics.load import Press, ramped
 from physics.mechanics import Mechanics
 from physics.mesh import contact_normal
-from physics.msd.autograd import FieldRun
+from physics.msd.autograd import tissue_rollout
 from physics.msd.compiled import Case, _within, graph_reach, watched_rollout
 from physics.msd.cone import exact_radii
 from physics.msd.spring_graph import spring_graph
@@ -56,18 +56,18 @@ def test_adjoint_equals_finite_differences(load, mechanics):
     count = len(case.mesh.vertices)
     fields = [0.4 + 0.4 * random.random(count), 0.02 + 0.1 * random.random(count)]
     weights = random.standard_normal((60, 3, 3))
-    slopes = FieldRun(case, *fields).slopes(weights)
+    slopes = tissue_rollout(case, *fields)[1](weights)
     for which, vertices in ((0, (70, 71, 57, 30)), (1, (70, 58, 83, 0))):
         for vertex in vertices:
             values = []
             for sign in (1, -1):
                 moved = [field.copy() for field in fields]
                 moved[which][vertex] += sign * 1e-5
-                values.append((weights * FieldRun(case, *moved).trajectory).sum())
+                values.append((weights * tissue_rollout(case, *moved)[0]).sum())
             central = (values[0] - values[1]) / 2e-5
             assert slopes[which][vertex] == pytest.approx(central, rel=1e-6, abs=1e-9)
     pushes = [case._replace(theta=case.theta + np.array([0, 0, sign * 1e-6])) for sign in (1, -1)]
-    plus, minus = ((weights * FieldRun(push, *fields).trajectory).sum() for push in pushes)
+    plus, minus = ((weights * tissue_rollout(push, *fields)[0]).sum() for push in pushes)
     assert slopes[2] == pytest.approx((plus - minus) / 2e-6, rel=1e-6)
     assert (slopes[2] == 0) == (load == "grip")
 
@@ -76,10 +76,10 @@ def test_adjoint_equals_finite_differences(load, mechanics):
 def test_uniform_fields_are_the_uniform_rollout(load):
     case = case_of(Mechanics(), load, watch=(70, 72))
     count = len(case.mesh.vertices)
-    run = FieldRun(case, np.full(count, case.theta[0]), np.full(count, case.theta[1]))
+    trajectory, way_back = tissue_rollout(case, np.full(count, case.theta[0]), np.full(count, case.theta[1]))
     uniform = watched_rollout(case, sensitive=True)
-    np.testing.assert_allclose(run.trajectory, uniform.path, atol=1e-15)
+    np.testing.assert_allclose(trajectory, uniform.path, atol=1e-15)
     weights = np.random.default_rng(1).standard_normal((60, 2, 3))
-    stiffness, damping, force = run.slopes(weights)
+    stiffness, damping, force = way_back(weights)
     expected = np.einsum("tmc,tmcp->p", weights, uniform.slopes)
     np.testing.assert_allclose([stiffness.sum(), damping.sum(), force], expected, rtol=1e-10)

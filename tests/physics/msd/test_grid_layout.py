@@ -20,7 +20,7 @@ def test_positions_lengths_links_and_free_vertices_are_where_they_belong():
     mesh = sheet(4, 5)
     free = ~mesh.rim
     layout = grid_layout(mesh, 7, free, 9, FLOAT)
-    assert (layout.rows, layout.centre, layout.corner) == (4, (2, 3), (-1, -1))
+    assert (planes(layout).shape[0], layout.centre, layout.corner) == (4 + 2, (2, 3), (-1, -1))
     row, column = mesh.pixels.T + 1
     rest = planes(layout)
     np.testing.assert_array_equal(rest[row, :3, column], mesh.vertices.astype(np.float64))
@@ -62,7 +62,7 @@ def test_only_what_is_within_reach_is_laid_out():
     mesh = sheet(20, 30)
     vertex = 10 * 30 + 15
     layout = grid_layout(mesh, vertex, np.ones(600, dtype=bool), 3, FLOAT)
-    assert layout.rows == 7
+    assert planes(layout).shape[0] == 7 + 2
     assert planes(layout)[:, MOBILE].sum() == 49
     assert planes(layout)[:, LINK].sum() == 7 * 6
     row, column = layout.centre

@@ -20,7 +20,7 @@ def test_a_chain_is_sorted_by_distance():
     assert graph.position[5] == -1
     np.testing.assert_array_equal(graph.vertex_count, [1, 3, 5])
     np.testing.assert_array_equal(graph.spring_count, [2, 4, 4])
-    np.testing.assert_array_equal(graph.order[graph.springs], mesh.springs[graph.spring_order])
+    assert {tuple(ends) for ends in graph.order[graph.springs].tolist()} == {(0, 1), (1, 2), (2, 3), (3, 4)}
     np.testing.assert_allclose(graph.length, 1.0)
     vertices, springs = graph.prefixes(np.array([0, 1, 9]))
     np.testing.assert_array_equal(vertices, [1, 3, 5])

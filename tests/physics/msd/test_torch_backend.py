@@ -34,13 +34,13 @@ def test_other_meshes_are_no_grid():
 
 
 def test_second_derivatives():
-    mesh, load = batch_of([sheet(5, 5)], [12], [8], 20)
+    mesh, load = batch_of([sheet(4, 4)], [5], [4], 10)
     theta = torch.tensor([[0.7, 0.05, -0.1]], dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradgradcheck(lambda value: rollout(value, mesh, load, backend="torch"), theta)
 
 
 def test_gradient_by_the_mesh_and_the_direction():
-    mesh, load = batch_of([sheet(5, 5)], [12], [8], 15)
+    mesh, load = batch_of([sheet(4, 4)], [5], [4], 8)
     mesh.vertices, load.direction = mesh.vertices.double(), load.direction.double()
     theta = torch.tensor([[0.7, 0.05, -0.1]], dtype=torch.float64)
 

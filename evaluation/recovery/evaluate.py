@@ -62,8 +62,6 @@ class Recovery:
     """Why there is no estimate, in words."""
     theta: np.ndarray | None = None
     """True [k_s, k_d, F], shape [3]; None where no clip could be drawn."""
-    peak: float = math.nan
-    """True largest displacement of the contact [scene units]."""
     information: np.ndarray | None = None
     """Fisher information of log θ at the truth, on the true mesh, for observations with σ = 1, shape [3, 3]."""
     tracking: np.ndarray | None = None
@@ -128,7 +126,7 @@ def _evaluate_suite(task: ClipTask, suite: str, candidates: Mapping[str, Candida
     except SceneError as error:
         return failed("no scene", str(error))
     scene = dataclasses.replace(scene, settings=settings)
-    known |= {"theta": motion.theta, "peak": motion.peak}
+    known["theta"] = motion.theta
     try:
         clip = open_synthetic(synthetic_clip(scene, motion, task.seed), PREPARE)
         frames, info = list(clip), ClipInfo.of(clip)

@@ -17,12 +17,11 @@ if __name__ == "__main__":
     enter_door()  # before the slow imports
 
 import argparse
-from collections.abc import Sequence
+import itertools
+from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
 from rich.console import Console
-from rich.progress import Progress
 
 from data.command_line import path_option, progress_bars, real_number, say, whole_number
 from data.contact.interaction import PRESS
@@ -30,24 +29,17 @@ from estimators.direct.estimator import LEAST_SIGMA
 from estimators.onset import ONSETS, STAMP
 from estimators.open import EstimatorOptions
 from estimators.worker_pool import WorkerLost, run_tasks
-from evaluation.recovery.constant import kept_truths
-from evaluation.recovery.estimators import NAMES, NEEDS_MODEL, Candidate, ConstantOptions, describe, opened
-from evaluation.recovery.evaluate import OK, ClipTask, Recovery, evaluate_clip
-from evaluation.recovery.output import show, write_results
-from evaluation.recovery.scores import score_all
+from evaluation.recovery.constant import constant_estimate
+from evaluation.recovery.estimators import CONSTANT, NAMES, Candidate, describe
+from evaluation.recovery.evaluate import ClipTask, evaluate_clip
+from evaluation.recovery.output import finish
 from evaluation.recovery.store import RecoveryStore
-from evaluation.recovery.suites import FITTED_ON, LARGEST_SEED, SPLITS, SUITES, suite_clip_seed
+from evaluation.recovery.suites import LARGEST_SEED, SPLITS, SUITES, suite_clip_seed
 from models.onnx_session import ModelFileError
 from results.store import OutputError
 
-CONSTANT_CLIPS = 60
-"""Truths whose mean the estimator `constant` answers: over all clips its error is then within 1 % of the least."""
 LEAST_SEEN = 3
 """Fewer frames after the onset are refused by `direct`."""
-
-
-class UsageError(ValueError):
-    """Options that can't be used; the message is a sentence."""
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -90,153 +82,104 @@ def _seen(text: str) -> int | str:
     raise argparse.ArgumentTypeError(f"{text} is no part of a contact; give at least {LEAST_SEEN} frames, or {PRESS}")
 
 
-def check_options(options: argparse.Namespace) -> None:
-    """Fill in what was left out, and refuse what can't be used.
-
-    Raises:
-        UsageError: options that don't belong together, or one that lacks its file.
-    """
-    chosen = dict.fromkeys(options.suite or ["clean"])
+def parse(arguments: list[str] | None) -> argparse.Namespace:
+    """Options of the command line, with what was left out; ends the program where they don't belong together."""
+    parser = build_parser()
+    options = parser.parse_args(arguments)
+    chosen = options.suite or ["clean"]
     options.suite = [name for name in SUITES if "all" in chosen or name in chosen]
     options.estimator = [name for name in NAMES if name in (options.estimator or ["direct"])]
     if options.seen is not None and "gan" in options.estimator:
-        raise UsageError("--seen is of no use to gan, which sees single frames; leave one of the two out.")
-    for name, option in NEEDS_MODEL.items():
-        given = getattr(options, option[2:].replace("-", "_"))
+        parser.error("--seen is of no use to gan, which sees single frames; leave one of the two out.")
+    options.models = {"network": options.model, "gan": options.gan_model}
+    for (name, given), option in zip(options.models.items(), ("--model", "--gan-model"), strict=True):
         if name in options.estimator and given is None:
-            raise UsageError(f"--estimator {name} needs a network; give its file as {option} FILE.")
+            parser.error(f"--estimator {name} needs a network; give its file as {option} FILE.")
         if name not in options.estimator and given is not None:
-            raise UsageError(f"{option} {given} is of no use without --estimator {name}; add that or leave it out.")
+            parser.error(f"{option} {given} is of no use without --estimator {name}; add that or leave it out.")
+    return options
 
 
-def candidates_of(options: argparse.Namespace) -> list[Candidate]:
-    """What is compared, every network opened once; `constant` gets its numbers later.
-
-    Raises:
-        ModelFileError: a network can't be used.
-    """
-    found: list[Candidate] = []
-    for name in options.estimator:
-        if name == "constant":
-            found.append(ConstantOptions())
-            continue
-        option = NEEDS_MODEL.get(name)
-        candidate = EstimatorOptions(
+def estimators_of(options: argparse.Namespace) -> dict[str, EstimatorOptions]:
+    """What is compared but the constant, by name."""
+    return {
+        name: EstimatorOptions(
             name,
-            model=getattr(options, option[2:].replace("-", "_")) if option else None,
+            model=options.models.get(name),
             onset=None if name == "gan" else options.onset,
             noise=options.noise if name == "direct" else None,
             horizon=options.seen,
             threads=1,
         )
-        opened(candidate)
-        found.append(candidate)
-    return found
+        for name in options.estimator
+        if name != CONSTANT
+    }
 
 
-class Benchmark:
-    """One run: what is left to do of it, and what comes out."""
+def open_store(options: argparse.Namespace, estimators: Mapping[str, EstimatorOptions]) -> RecoveryStore:
+    """Results of earlier runs, and where those of this one go.
 
-    def __init__(self, options: argparse.Namespace, candidates: Sequence[Candidate], console: Console) -> None:
-        self.options, self.candidates, self.console = options, list(candidates), console
-        wanted = {
-            "seed": options.seed,
-            "split": options.split,
-            "seen": options.seen,
-            "suites": {name: SUITES[name].describe() for name in options.suite},
-            "estimators": {candidate.name: describe(candidate) for candidate in candidates},
-        }
-        self.store = RecoveryStore(options.output, wanted)
-        if self.store.outdated:
-            text = "Results of another version of the program are kept; give another --output to measure this one."
-            say(console, text, "yellow")
+    Raises:
+        ModelFileError: a network can't be used.
+        OutputError: the folder can't be, or holds results that depend on something else.
+    """
+    wanted = {"seed": options.seed, "split": options.split, "seen": options.seen}
+    wanted |= {f"suite {name}": SUITES[name].describe() for name in options.suite}
+    wanted |= {f"estimator {name}": describe(estimator) for name, estimator in estimators.items()}
+    return RecoveryStore(options.output, wanted)
 
-    def run(self) -> None:
-        """Do what is left."""
-        with progress_bars(self.console, "clips") as progress:
-            tasks = self._tasks(self._moments(progress))
-            bar = progress.add_task("clips", total=self.options.clips, completed=self.options.clips - len(tasks))
-            for rows in run_tasks(evaluate_clip, tasks, self.options.workers):
-                self.store.append(rows)
-                progress.advance(bar)
 
-    def chosen(self) -> list[Recovery]:
-        """Results that this run's options ask for, those of earlier runs included, in the order of tables."""
-        options = self.options
-        rows = [
-            row
-            for row in self.store.rows
-            if row.suite in options.suite and row.estimator in options.estimator and row.index < options.clips
-        ]
-        places = list(SUITES)
-        return sorted(rows, key=lambda row: (NAMES.index(row.estimator), places.index(row.suite), row.index))
-
-    def _moments(self, progress: Progress) -> tuple[tuple[float, ...], ...]:
-        """What the estimator `constant` answers: mean and covariance of log θ, shape [4][3]; empty without it."""
-        if "constant" not in self.options.estimator:
-            return ()
-        options = self.options
-        place = options.output / "constant.json"
-        logs = kept_truths(place, FITTED_ON[options.split], options.seed, CONSTANT_CLIPS, options.workers, progress)
-        return tuple(map(tuple, np.vstack((logs.mean(axis=0), np.cov(logs.T))).tolist()))
-
-    def _tasks(self, moments: tuple[tuple[float, ...], ...]) -> list[ClipTask]:
-        """Clips of which something is left to do, and what."""
-        options, done = self.options, self.store.done
-        some = [ConstantOptions(moments) if item.name == "constant" else item for item in self.candidates]
+def measure(
+    options: argparse.Namespace,
+    estimators: Mapping[str, EstimatorOptions],
+    left: set[tuple[str, int, str]],
+    store: RecoveryStore,
+    console: Console,
+) -> None:
+    """Do what is left: suite, clip and estimator of every result that is missing."""
+    candidates: dict[str, Candidate] = {**estimators}
+    with progress_bars(console, "clips") as progress:
+        if any(name == CONSTANT for _, _, name in left):
+            candidates[CONSTANT] = constant_estimate(options.split, options.seed, options.workers, progress)
         tasks = []
-        for index in range(options.clips):
-            left = ((suite, tuple(s for s in some if (suite, index, s.name) not in done)) for suite in options.suite)
-            wanted = tuple((suite, missing) for suite, missing in left if missing)
-            if wanted:
-                tasks.append(ClipTask(index, suite_clip_seed(options.split, options.seed, index), wanted, options.seen))
-        return tasks
+        for index in sorted({index for _, index, _ in left}):
+            wanted = {
+                suite: {name: candidates[name] for name in options.estimator if (suite, index, name) in left}
+                for suite in options.suite
+            }
+            tasks.append(ClipTask(index, suite_clip_seed(options.split, options.seed, index), wanted, options.seen))
+        bar = progress.add_task("clips", total=options.clips, completed=options.clips - len(tasks))
+        for rows in run_tasks(evaluate_clip, tasks, options.workers):
+            store.append(rows)
+            progress.advance(bar)
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the benchmark that the command line asks for; returns the exit status."""
-    console = Console(stderr=True)
-    options = build_parser().parse_args(arguments)
+    console, options = Console(stderr=True), parse(arguments)
+    estimators = estimators_of(options)
     try:
-        check_options(options)
-        benchmark = Benchmark(options, candidates_of(options), console)
-    except (UsageError, ModelFileError, OutputError) as error:
+        store = open_store(options, estimators)
+    except (ModelFileError, OutputError) as error:
         say(console, str(error), "red")
         return 2
+    if store.outdated:
+        text = "Results of another version of the program are kept; give another --output to measure this one."
+        say(console, text, "yellow")
+    asked = set(itertools.product(options.suite, range(options.clips), options.estimator))
     status = 0
     try:
-        benchmark.run()
+        measure(options, estimators, asked - store.done, store, console)
     except KeyboardInterrupt:
         say(console, "Interrupted; finished clips are kept, and the same command continues.", "yellow")
         status = INTERRUPTED
     except (OutputError, WorkerLost) as error:
         say(console, f"{error} Finished clips are kept.", "red")
         status = 1
-    return finish(benchmark, status)
-
-
-def finish(benchmark: Benchmark, status: int) -> int:
-    """Write and print what there is; returns the exit status.
-
-    Args:
-        status: exit status so far.
-    """
-    options, console = benchmark.options, benchmark.console
-    rows = benchmark.chosen()
-    if not rows:
-        return status or 1
-    scores = score_all(rows)
-    try:
-        table = write_results(options.output, scores)
-    except OutputError as error:
-        say(console, str(error), "red")
-        return 1
-    show(table, scores, console)
-    say(console, f"written: {options.output}/table.csv, details.csv, figures/")
-    if not any(row.status == OK for row in rows):
-        say(console, "No clip could be estimated.", "red")
-        return status or 1
-    return status
+    places = list(SUITES)
+    rows = [row for row in store.rows if row.key in asked]
+    rows.sort(key=lambda row: (NAMES.index(row.estimator), places.index(row.suite), row.index))
+    return finish(rows, options.output, console, status)
 
 
 if __name__ == "__main__":

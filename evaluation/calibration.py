@@ -24,7 +24,6 @@ import json
 import math
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -55,50 +54,24 @@ LEAST_CLIPS = 100
 """Fewer validation estimates say too little about a 90 % quantile."""
 
 
-@dataclass(frozen=True)
-class Scored:
-    """Estimates of validation contacts beside the truth; n of them.
-
-    Raises:
-        ValueError: fewer than 100.
-    """
-
-    errors: np.ndarray
-    """Estimated minus true log θ, shape [n, 3]."""
-    deviations: np.ndarray
-    """Standard deviations that the network gave, shape [n, 3]."""
-    noise: np.ndarray
-    """σ of each observation over REFERENCE_SPACING, shape [n]."""
-
-    def __post_init__(self) -> None:
-        if len(self.errors) < LEAST_CLIPS:
-            raise ValueError(f"{len(self.errors)} validation estimates; calibration needs {LEAST_CLIPS} or more.")
-
-    @classmethod
-    def of(cls, rows: Sequence[Recovery]) -> Scored:
-        """Of results, all suites together."""
-        errors = np.array([np.log(np.abs(row.estimate)) - np.log(np.abs(row.theta)) for row in rows])  # ty: ignore[no-matching-overload]  every OK row has both
-        deviations = np.array([np.sqrt(np.diag(row.covariance)) for row in rows])  # ty: ignore[no-matching-overload]  as above
-        noise = np.array([row.noise / REFERENCE_SPACING for row in rows])
-        return cls(errors.reshape(-1, 3), deviations.reshape(-1, 3), noise)
-
-
 def fit_widths_of(rows: Sequence[Recovery]) -> Widths:
-    """What makes the 90 % intervals hold 90 % of the truths, narrow ones as often as wide ones.
+    """What makes the 90 % intervals hold 90 % of the truths, narrow ones as often as wide ones, all suites together.
 
     Raises:
         ValueError: too few results.
     """
     rows = [row for row in rows if row.estimator == "network" and row.status == OK and row.covariance is not None]
-    seen = Scored.of(rows)
-    scales, powers, exponents = [], [], []
-    for error, deviation in zip(seen.errors.T, seen.deviations.T, strict=True):
-        known = np.stack([np.log(deviation), np.log(seen.noise)], axis=1)
-        power, exponent = fit_exponents(error, known)
-        powers.append(power)
-        exponents.append(exponent)
-        scales.append(conformal_scale(error, np.exp(known @ (power, exponent))))
-    return Widths(*(tuple(map(float, values)) for values in (scales, powers, exponents)))  # ty: ignore[invalid-argument-type]  three each
+    if len(rows) < LEAST_CLIPS:
+        raise ValueError(f"{len(rows)} validation estimates; calibration needs {LEAST_CLIPS} or more.")
+    estimates, truths = (np.log(np.abs([getattr(row, name) for row in rows])) for name in ("estimate", "theta"))
+    deviations = np.sqrt(np.diagonal([row.covariance for row in rows], axis1=1, axis2=2))
+    noise = np.array([row.noise / REFERENCE_SPACING for row in rows])
+    found = []
+    for error, deviation in zip((estimates - truths).T, deviations.T, strict=True):
+        known = np.stack([np.log(deviation), np.log(noise)], axis=1)
+        exponents = fit_exponents(error, known)
+        found.append((conformal_scale(error, np.exp(known @ exponents)), *exponents))
+    return Widths(*(tuple(map(float, values)) for values in zip(*found, strict=True)))  # ty: ignore[invalid-argument-type]  three each
 
 
 def fit_exponents(errors: np.ndarray, known: np.ndarray) -> np.ndarray:
@@ -143,12 +116,11 @@ def check_record(folder: Path, weights_sha256: str, seen: str | None) -> None:
         OSError, ValueError: no record, another split than validation, other frames, or another or a calibrated network.
     """
     record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
-    network = record.get("estimators", {}).get("network", {})
-    wanted = {"split": "validation", "seen": seen}
-    for name, value in wanted.items():
+    for name, value in {"split": "validation", "seen": seen}.items():
         if record.get(name) != value:
             remedy = f"with --{name} {value}" if value else f"without --{name}"
             raise ValueError(f"{folder} has {name} {record.get(name)}; run the benchmark {remedy}.")
+    network = record.get("estimator network", {})
     if network.get("onset", STAMP) != STAMP:
         raise ValueError(f"{folder} was made with --onset {network['onset']}; run the benchmark without it.")
     if network.get("weights_sha256") != weights_sha256 or network.get("calibrated") is not False:

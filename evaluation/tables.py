@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Iterable, Mapping, Sequence
 
 
 def to_csv(rows: Sequence[Mapping[str, object]], columns: Sequence[str] | None = None, form: str = "") -> str:
-    """Rows as CSV; what doesn't exist stays empty.
+    """Rows as CSV; what doesn't exist, or is not a number, stays empty.
 
     Args:
         rows: cells by column.
@@ -19,8 +20,15 @@ def to_csv(rows: Sequence[Mapping[str, object]], columns: Sequence[str] | None =
     writer = csv.DictWriter(text, columns or list(rows[0]), restval="", lineterminator="\n")
     writer.writeheader()
     for row in rows:
-        writer.writerow({key: format(value, form) if isinstance(value, float) else value for key, value in row.items()})
+        writer.writerow({key: to_cell(value, form) for key, value in row.items()})
     return text.getvalue()
+
+
+def to_cell(value: object, form: str = "") -> str:
+    """A value as text: numbers as `format` takes them, empty where there is none."""
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return ""
+    return format(value, form) if isinstance(value, float) else str(value)
 
 
 def to_markdown(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

@@ -22,7 +22,7 @@ DOORS = {
     "estimators.network.training": ["-m", "estimators.network.training"],
     "evaluation.benchmark": ["-m", "evaluation.benchmark"],
     "evaluation.calibration": ["-m", "evaluation.calibration"],
-    "evaluation.ablations.__main__": ["-m", "evaluation.ablations"],
+    "evaluation.ablations": ["-m", "evaluation.ablations"],
 }
 INTERRUPTING = """
 import os, signal, time

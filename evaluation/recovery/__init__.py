@@ -1,10 +1,10 @@
 """How well θ is recovered on synthetic clips whose truth is known.
 
 suites      the kinds of clips, and their seeds
-estimators  how each rival is opened; constant: the rival that always says the same
+estimators  how each rival is opened; constant: what the rival always says that ignores its input
 evaluate    one clip by one estimator; store: finished clips, so that a run goes on where it stopped
 scores      errors, coverage and verdicts of many; details: a row a clip
-output      the tables; figures: the pictures
+output      the tables and what is printed; figures: the pictures
 """
 
 from physics.lazy import exported

@@ -22,13 +22,17 @@ misfit, seconds               median of the RMS residual along the force over σ
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterator
 
 import numpy as np
+from scipy.stats import bootstrap
 
-from evaluation.recovery.scores import PARAMETERS, QUANTITIES, Scores, constant_error, coverage, rms
+from estimators.estimate import NINETY
+from evaluation.recovery.scores import QUANTITIES, Scores, constant_error, rms
 from physics.identifiability import LIMIT
+from physics.mechanics import PARAMETERS
 
 COLUMNS = ("estimator", "suite", "regime", "parameter", "quantity", "n", "value", "low", "high", "note")
 RESAMPLES = 2000
@@ -36,115 +40,99 @@ CLEAR = 1.5
 """Verdicts are clear where deciding bounds lie outside the limit times or over this."""
 LEAST_CLIPS = 5
 """Fewer clips give no interval."""
-Statistic = Callable[[np.ndarray], float | None]
 
 
 def detail_rows(scores: Scores) -> Iterator[dict[str, object]]:
-    """Rows of `details.csv`; cells that don't exist are left out."""
+    """Rows of `details.csv`: what exists, and cells that don't are left out."""
     named = {"estimator": scores.estimator, "suite": scores.suite}
+    arrays = scores.errors, scores.truth, scores.bounds, scores.sd
     for column, parameter in enumerate(QUANTITIES):
         for regime, used in scores.groups(column).items():
-            clips = np.flatnonzero(used)
-            if len(clips):
-                for quantity in _errors(scores, column, clips):
-                    yield {**named, "regime": regime, "parameter": parameter, "n": len(clips), **quantity}
-        for quantity in _collapse(scores, column):
-            yield {**named, "regime": "all", "parameter": parameter, "n": len(scores.rows), **quantity}
+            if used.any():
+                for quantity in _errors(*(values[used, column] for values in arrays)):
+                    if not math.isnan(quantity["value"]):
+                        yield {**named, "regime": regime, "parameter": parameter, "n": int(used.sum()), **quantity}
+        for name, value in _collapse(scores, column).items():
+            cells = {"parameter": parameter, "n": len(scores.rows), "quantity": name, "value": value}
+            yield {**named, "regime": "all", **cells}
     for quantity in _whole(scores):
         yield {**named, "regime": "all", "parameter": "all", **quantity}
 
 
-def _errors(scores: Scores, column: int, clips: np.ndarray) -> Iterator[dict[str, object]]:
-    """Quantities of some clips' errors [n]."""
-    errors, bounds, sd = (values[clips, column] for values in (scores.errors, scores.bounds, scores.sd))
-    worst = constant_error(scores.truth[clips, column])
-    gap = worst - rms(bounds)  # ty: ignore[unsupported-operator]  there are some
+def _errors(errors: np.ndarray, truth: np.ndarray, bounds: np.ndarray, sd: np.ndarray) -> Iterator[dict]:
+    """Quantities of one parameter's errors in some clips, one at least, shape [n] each; not a number where none."""
+    worst = constant_error(truth)
+    gap = worst - rms(bounds)
     yield {"quantity": "median_abs_error", "value": float(np.median(np.abs(errors)))}
     yield {"quantity": "mean_error", "value": float(errors.mean())}
     yield {"quantity": "error_over_bound_variance", "value": float(np.square(errors / bounds).mean())}
-    known = np.isfinite(sd)
-    if known.any():
-        variance = float(np.square(errors[known] / sd[known]).mean())
-        yield {"quantity": "error_over_sd_variance", "value": variance}
-    if gap > 0:
-        yield {"quantity": "gap_closed", "value": (worst - rms(errors)) / gap}  # ty: ignore[unsupported-operator]  there are some
-    yield _with_interval("ratio", len(clips), lambda chosen: rms(errors[chosen]) / rms(bounds[chosen]))  # ty: ignore[unsupported-operator]  there are some
-    if known.any():
-        yield _with_interval("coverage90", len(clips), lambda chosen: coverage(errors[chosen], sd[chosen]))
-        yield from _by_width(errors[known], sd[known])
+    yield {"quantity": "error_over_sd_variance", "value": float(np.square(errors / sd).mean())}
+    yield {"quantity": "gap_closed", "value": (worst - rms(errors)) / gap if gap > 0 else math.nan}
+    yield {"quantity": "ratio", **_with_interval(_ratio, errors, bounds)}
+    if np.isfinite(sd).all():
+        yield {"quantity": "coverage90", **_with_interval(_held, errors, sd)}
+    if len(sd) >= 3 * LEAST_CLIPS and np.ptp(sd) > 0:
+        narrow, _, wide = np.array_split(np.argsort(sd, kind="stable"), 3)
+        for quantity, third in (("coverage90_narrow", narrow), ("coverage90_wide", wide)):
+            yield {"quantity": quantity, "n": len(third), **_with_interval(_held, errors[third], sd[third])}
 
 
-def _by_width(errors: np.ndarray, sd: np.ndarray) -> Iterator[dict[str, object]]:
-    """Coverage of the thirds of some clips [n] with the narrowest and with the widest intervals, if they differ."""
-    if len(sd) < 3 * LEAST_CLIPS or np.ptp(sd) == 0:
-        return
-    narrow, _, wide = np.array_split(np.argsort(sd, kind="stable"), 3)
-    for quantity, third in (("coverage90_narrow", narrow), ("coverage90_wide", wide)):
-        part, width = errors[third], sd[third]
-        told = _with_interval(
-            quantity, len(third), lambda chosen, part=part, width=width: coverage(part[chosen], width[chosen])
-        )
-        yield {"n": len(third), **told}
+def _ratio(errors: np.ndarray, bounds: np.ndarray, axis: int = -1) -> np.ndarray:
+    return np.sqrt(np.square(errors).mean(axis)) / np.sqrt(np.square(bounds).mean(axis))
 
 
-def _with_interval(quantity: str, count: int, statistic: Statistic) -> dict[str, object]:
-    """A statistic of clips (indices into them) and its 95 % interval: percentiles over resamples of clips."""
-    found: dict[str, object] = {"quantity": quantity, "value": statistic(np.arange(count))}
-    if count < LEAST_CLIPS:
+def _held(errors: np.ndarray, sd: np.ndarray, axis: int = -1) -> np.ndarray:
+    return (np.abs(errors) <= NINETY * sd).mean(axis)
+
+
+def _with_interval(statistic: Callable[..., np.ndarray], *values: np.ndarray) -> dict[str, object]:
+    """A statistic of clips' values [n] and its 95 % interval: percentiles over resamples of clips."""
+    found: dict[str, object] = {"value": float(statistic(*values))}
+    if len(values[0]) < LEAST_CLIPS:
         return {**found, "note": f"no interval from fewer than {LEAST_CLIPS} clips"}
-    draws = np.random.default_rng(0).integers(count, size=(RESAMPLES, count))
-    values = [value for value in map(statistic, draws) if value is not None]
-    low, high = np.percentile(values, (2.5, 97.5))
+    resampled = bootstrap(
+        values, statistic, n_resamples=RESAMPLES, paired=True, method="percentile", rng=np.random.default_rng(0)
+    )
+    low, high = resampled.confidence_interval
     return {**found, "low": float(low), "high": float(high)}
 
 
-def _collapse(scores: Scores, column: int) -> Iterator[dict[str, object]]:
-    """Spread of one quantity over all estimated clips."""
+def _collapse(scores: Scores, column: int) -> dict[str, float]:
+    """Spread of one quantity over all estimated clips; empty for fewer than two."""
     if len(scores.rows) < 2:
-        return
+        return {}
     spread, true_spread = (float(values[:, column].std(ddof=1)) for values in (scores.estimate, scores.truth))
-    yield {"quantity": "spread", "value": spread}
-    yield {"quantity": "true_spread", "value": true_spread}
+    found = {"spread": spread, "true_spread": true_spread}
     if true_spread > 0:
-        yield {"quantity": "collapse", "value": spread / true_spread}
+        found["collapse"] = spread / true_spread
     if column < len(PARAMETERS):
-        ends = [row.at_bound[column] for row in scores.rows if row.at_bound is not None]
-        yield {"quantity": "at_bound", "value": float(np.mean(ends)) if ends else None}
+        found["at_bound"] = float(np.mean([row.at_bound[column] for row in scores.rows]))
+    return found
 
 
 def _whole(scores: Scores) -> Iterator[dict[str, object]]:
     """Quantities of the suite and the estimator."""
+    total = len(scores.rows) + len(scores.failed)
     reasons = Counter(row.status for row in scores.failed)
     note = "; ".join(f"{status} {count}" for status, count in reasons.most_common())
-    total = len(scores.rows) + len(scores.failed)
     yield {"quantity": "clips", "n": total, "value": total}
     yield {"quantity": "failed", "n": total, "value": len(scores.failed), "note": note}
-    yield {"quantity": "sigma", "n": total, "value": scores.noise.sigma}
-    yield {"quantity": "sigma_rms", "n": total, "value": scores.noise.rms}
+    for name, value in zip(("sigma", "sigma_rms"), scores.noise, strict=True):
+        yield {"quantity": name, "n": total, "value": value}
     true, clear = true_verdicts(scores.bounds)
     given = np.array([row.verdict for row in scores.rows])
     for name, used in (("verdict_accuracy", given != ""), ("verdict_accuracy_clear", (given != "") & clear)):
         if used.any():
-            right = given[used] == true[used]
-            yield {
-                "quantity": name,
-                "n": int(used.sum()),
-                "value": float(right.mean()),
-                "note": _mistakes(true, given, used),
-            }
-    told = [row.warned for row in scores.rows if row.warned is not None]
-    if told:
-        yield {"quantity": "warned", "n": len(told), "value": float(np.mean(told))}
-    for name in ("misfit", "seconds"):
-        values = np.array([getattr(row, name) for row in scores.rows])
+            pairs = zip(true[used].tolist(), given[used].tolist(), strict=True)
+            mistakes = Counter(f"{a} taken for {b}" for a, b in pairs if a != b)
+            note = "; ".join(f"{count} {mistake}" for mistake, count in mistakes.most_common())
+            value = float((given[used] == true[used]).mean())
+            yield {"quantity": name, "n": int(used.sum()), "value": value, "note": note}
+    for name, average in (("warned", np.mean), ("misfit", np.median), ("seconds", np.median)):
+        values = np.array([getattr(row, name) for row in scores.rows], float)
         values = values[np.isfinite(values)]
         if len(values):
-            yield {"quantity": name, "n": len(values), "value": float(np.median(values))}
-
-
-def _mistakes(true: np.ndarray, given: np.ndarray, used: np.ndarray) -> str:
-    pairs = Counter((a, b) for a, b in zip(true[used].tolist(), given[used].tolist(), strict=True) if a != b)
-    return "; ".join(f"{count} {a} taken for {b}" for (a, b), count in pairs.most_common())
+            yield {"quantity": name, "n": len(values), "value": float(average(values))}
 
 
 def true_verdicts(bounds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

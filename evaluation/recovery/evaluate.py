@@ -6,6 +6,7 @@ One task is one clip in all wanted suites, because the true motion costs most an
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import time
 from collections.abc import Mapping, Sequence
@@ -26,7 +27,7 @@ from data.synthetic.source import open_synthetic
 from data.synthetic.truth import Motion
 from estimators.contract import ClipInfo
 from estimators.direct.estimator import DirectSettings
-from estimators.estimate import InteractionEstimate
+from estimators.estimate import Estimate, InteractionEstimate
 from estimators.oblique import is_oblique
 from estimators.runs import RunTracker
 from evaluation.recovery.estimators import Candidate, opened
@@ -42,13 +43,6 @@ PREPARE = PrepareSettings(
 MECHANICS = DirectSettings().mechanics
 """Simulator of the bound."""
 OK = "ok"
-STATUSES = (OK, "no scene", "no contact", "other onset", "no estimate", "error")
-"""Whether a clip was estimated, or why not: its draw failed, no run of contact was found, one was found but in another
-frame, the estimator declined, or something broke."""
-Truth = tuple[Scene, Motion]
-TRUTH_FIELDS = ("stiffness_variation", "nonlinearity", "max_tilt_deg", "onset_delay", "release_delay")
-"""Fields of SceneSettings in which suites differ and that change the truth, not only how it is observed."""
-_ARRAYS = ("theta", "information", "tracking", "estimate", "covariance", "at_bound")
 
 
 @dataclass(frozen=True)
@@ -61,13 +55,13 @@ class Recovery:
     seed: int
     regime: str
     status: str = OK
-    """One of STATUSES."""
+    """`ok`, or why there is no estimate: its draw failed (`no scene`), no run of contact was found (`no contact`), one
+    was found but in another frame (`other onset`), the estimator declined (`no estimate`), or something broke
+    (`error`)."""
     reason: str = ""
     """Why there is no estimate, in words."""
     theta: np.ndarray | None = None
     """True [k_s, k_d, F], shape [3]; None where no clip could be drawn."""
-    peak: float = math.nan
-    """True largest displacement of the contact [scene units]."""
     information: np.ndarray | None = None
     """Fisher information of log θ at the truth, on the true mesh, for observations with σ = 1, shape [3, 3]."""
     tracking: np.ndarray | None = None
@@ -81,7 +75,7 @@ class Recovery:
     noise: float = math.nan
     """σ that the estimator believed in [scene units]."""
     misfit: float = math.nan
-    at_bound: np.ndarray | None = None
+    at_bound: np.ndarray = field(default_factory=lambda: np.zeros(3, bool))
     """Whether an estimate lies at its range's end, shape [3]."""
     warned: bool | None = None
     """Whether it says that the model doesn't explain the motion, or that a dent may hide its bottom; None = it never
@@ -94,27 +88,6 @@ class Recovery:
         """What tells it from other results of a run."""
         return self.suite, self.index, self.estimator
 
-    def to_json(self) -> dict[str, Any]:
-        """As a JSON object; what isn't known is null."""
-        fields = dataclasses.asdict(self)
-        for name, value in fields.items():
-            if isinstance(value, np.ndarray):
-                fields[name] = value.tolist()
-            elif isinstance(value, float) and not math.isfinite(value):
-                fields[name] = None
-        return fields
-
-    @staticmethod
-    def from_json(fields: Mapping[str, Any]) -> Recovery:
-        """Back from `to_json`.
-
-        Raises:
-            KeyError, TypeError, ValueError: it isn't one.
-        """
-        known: dict[str, Any] = {name: value for name, value in fields.items() if value is not None}
-        known |= {name: np.array(known[name]) for name in known.keys() & set(_ARRAYS)}
-        return Recovery(**known)
-
 
 @dataclass(frozen=True)
 class ClipTask:
@@ -123,56 +96,53 @@ class ClipTask:
     index: int
     seed: int
     """Seed of the clip."""
-    wanted: tuple[tuple[str, tuple[Candidate, ...]], ...]
-    """Suites, each with the estimators that are to be tried."""
+    wanted: Mapping[str, Mapping[str, Candidate]]
+    """Suites, each with the estimators that are to be tried, by name; those without any are left out."""
     seen: Horizon = None
     """Frames after the onset that estimators and bound see; none = one second."""
 
 
-@dataclass
-class _Truths:
-    """True motions of one clip; suites that only observe otherwise share one."""
-
-    seed: int
-    known: dict[tuple[object, ...], Truth] = field(default_factory=dict)
-
-    def of(self, settings: SceneSettings) -> Truth:
-        key = tuple(getattr(settings, name) for name in TRUTH_FIELDS)
-        if key not in self.known:
-            self.known[key] = draw_truth(settings, self.seed)
-        scene, motion = self.known[key]
-        return dataclasses.replace(scene, settings=settings), motion
+@functools.lru_cache(maxsize=1)
+def _truth(settings: SceneSettings, seed: int) -> tuple[Scene, Motion]:
+    """Drawn once for all suites that only observe otherwise; these follow each other."""
+    return draw_truth(settings, seed)
 
 
 def evaluate_clip(task: ClipTask) -> list[Recovery]:
     """Results of one clip for every wanted suite and estimator; what goes wrong becomes a result that says so."""
-    truths = _Truths(task.seed)
-    return [row for suite, some in task.wanted for row in _evaluate_suite(task, suite, some, truths)]
+    wanted = [(suite, candidates) for suite, candidates in task.wanted.items() if candidates]
+    return [row for suite, candidates in wanted for row in _evaluate_suite(task, suite, candidates)]
 
 
-def _evaluate_suite(task: ClipTask, suite: str, candidates: tuple[Candidate, ...], truths: _Truths) -> list[Recovery]:
+def _evaluate_suite(task: ClipTask, suite: str, candidates: Mapping[str, Candidate]) -> list[Recovery]:
     settings = SUITES[suite].settings(task.index)
-    blank = Recovery(suite, task.index, "", task.seed, settings.regime)
+    known: dict[str, Any] = {"suite": suite, "index": task.index, "seed": task.seed, "regime": settings.regime}
+
+    def failed(status: str, reason: str) -> list[Recovery]:
+        return [Recovery(**known, estimator=name, status=status, reason=reason) for name in candidates]
+
     try:
-        scene, motion = truths.of(settings)
-        known = dataclasses.replace(blank, theta=motion.theta, peak=motion.peak)
+        scene, motion = _truth(SUITES[suite].truth_settings(task.index), task.seed)
     except SceneError as error:
-        return [_failed(blank, candidate, "no scene", str(error)) for candidate in candidates]
+        return failed("no scene", str(error))
+    scene = dataclasses.replace(scene, settings=settings)
+    known["theta"] = motion.theta
     try:
         clip = open_synthetic(synthetic_clip(scene, motion, task.seed), PREPARE)
         frames, info = list(clip), ClipInfo.of(clip)
         contacts = observed_contacts(frames, info, task.seen)
     except Exception as error:  # a clip that breaks the preparation is a result, and the others go on
-        return [_failed(known, candidate, "error", f"{type(error).__name__}: {error}") for candidate in candidates]
+        return failed("error", f"{type(error).__name__}: {error}")
     onset = motion.onset_frame
     if not contacts:
-        return [_failed(known, candidate, "no contact", "no onset of contact was found.") for candidate in candidates]
+        return failed("no contact", "no onset of contact was found.")
     if onset not in contacts:
-        reason = f"contact began in frame {', '.join(map(str, contacts))} instead of {onset}."
-        return [_failed(known, candidate, "other onset", reason) for candidate in candidates]
-    tracking, information = compare_tracking(contacts[onset], scene, motion)
-    known = dataclasses.replace(known, tracking=tracking, information=information)
-    return [_estimate(known, candidate, frames, info, onset) for candidate in candidates]
+        return failed("other onset", f"contact began in frame {', '.join(map(str, contacts))} instead of {onset}.")
+    known["tracking"], known["information"] = compare_tracking(contacts[onset], scene, motion)
+    return [
+        Recovery(**known, estimator=name, **_estimate(candidate, frames, info, onset))
+        for name, candidate in candidates.items()
+    ]
 
 
 def observed_contacts(frames: Sequence[PreparedFrame], clip: ClipInfo, seen: Horizon = None) -> dict[int, Interaction]:
@@ -215,50 +185,30 @@ def compare_tracking(contact: Interaction, scene: Scene, motion: Motion) -> tupl
     return errors, likelihood.information(np.log(np.abs(motion.theta)))
 
 
-def _estimate(
-    known: Recovery, candidate: Candidate, frames: Sequence[PreparedFrame], clip: ClipInfo, onset: int
-) -> Recovery:
+def _estimate(candidate: Candidate, frames: Sequence[PreparedFrame], clip: ClipInfo, onset: int) -> dict[str, Any]:
+    """Fields of a `Recovery`: what is estimated of the run of contact that begins in a frame, or why nothing is."""
     start = time.perf_counter()
-    try:
-        session = opened(candidate).start(clip)
-        said = [item for frame in frames for item in session.push(frame)] + list(session.finish())
-    except Exception as error:  # an estimator that breaks on a clip is a result, and the others go on
-        return _failed(known, candidate, "error", f"{type(error).__name__}: {error}")
-    runs = {item.onset: item for item in said if isinstance(item, InteractionEstimate)}
-    run = runs.get(onset)
-    if run is None or run.estimate is None:
-        return _failed(known, candidate, "no estimate", "it doesn't see this contact." if run is None else run.detail)
-    found = run.estimate
+    if isinstance(candidate, Estimate):
+        found = candidate
+    else:
+        try:
+            session = opened(candidate).start(clip)
+            said = [item for frame in frames for item in session.push(frame)] + list(session.finish())
+        except Exception as error:  # an estimator that breaks on a clip is a result, and the others go on
+            return {"status": "error", "reason": f"{type(error).__name__}: {error}"}
+        run = next((item for item in said if isinstance(item, InteractionEstimate) and item.onset == onset), None)
+        if run is None or run.estimate is None:
+            return {"status": "no estimate", "reason": "it doesn't see this contact." if run is None else run.detail}
+        found = run.estimate
     if not np.isfinite(found.theta).all():
-        return _failed(known, candidate, "no estimate", "its θ is not finite.")
-    warns = candidate.name in ("direct", "network")
-    return dataclasses.replace(
-        known,
-        estimator=candidate.name,
-        estimate=np.asarray(found.theta, np.float64),
-        covariance=found.covariance,
-        verdict="" if found.told_verdict else found.verdict,
-        noise=found.noise,
-        misfit=found.misfit,
-        at_bound=found.at_bound,
-        warned=not found.explained or is_oblique(found) if warns else None,
-        seconds=time.perf_counter() - start,
-    )
-
-
-def _failed(known: Recovery, candidate: Candidate, status: str, reason: str) -> Recovery:
-    return dataclasses.replace(known, estimator=candidate.name, status=status, reason=reason)
-
-
-def draw_log_theta(task: tuple[int, int]) -> np.ndarray | None:
-    """True log |θ| of a clip, shape [3], without its pictures; None where nothing can be drawn.
-
-    Args:
-        task: index and seed of the clip.
-    """
-    index, seed = task
-    try:
-        _, motion = draw_truth(SUITES["clean"].settings(index), seed)
-    except SceneError:
-        return None
-    return np.log(np.abs(motion.theta))
+        return {"status": "no estimate", "reason": "its θ is not finite."}
+    return {
+        "estimate": np.asarray(found.theta, np.float64),
+        "covariance": found.covariance,
+        "verdict": "" if found.told_verdict else found.verdict,
+        "noise": found.noise,
+        "misfit": found.misfit,
+        "at_bound": found.at_bound,
+        "warned": None if found.told_verdict else not found.explained or is_oblique(found),
+        "seconds": time.perf_counter() - start,
+    }

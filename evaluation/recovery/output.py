@@ -10,19 +10,44 @@ from rich.console import Console
 from rich.table import Table
 
 from data.command_line import say
-from evaluation.recovery import details as recovery_details
-from evaluation.recovery import scores as recovery_scores
-from evaluation.recovery.scores import Scores, table_rows
+from evaluation.recovery import details, scores
+from evaluation.recovery.evaluate import OK, Recovery
+from evaluation.recovery.scores import Scores
 from evaluation.recovery.store import replace_text
-from evaluation.tables import to_csv
-from results.store import writing
+from evaluation.tables import to_cell, to_csv
+from results.store import OutputError, writing
 
 SHOWN_FAILURES = 8
 TABLE_WIDTH = 150
 """Width of the printed table where there is no terminal."""
 
 
-def write_results(output: Path, scores: Sequence[Scores]) -> list[dict[str, object]]:
+def finish(rows: Sequence[Recovery], output: Path, console: Console, status: int) -> int:
+    """Write and print what there is; returns the exit status.
+
+    Args:
+        rows: results in the order of tables.
+        output: folder of the results.
+        console: says what was not estimated.
+        status: exit status so far.
+    """
+    if not rows:
+        return status or 1
+    judged = scores.score_all(rows)
+    try:
+        table = write_results(output, judged)
+    except OutputError as error:
+        say(console, str(error), "red")
+        return 1
+    show(table, judged, console)
+    say(console, f"written: {output}/table.csv, details.csv, figures/")
+    if not any(row.status == OK for row in rows):
+        say(console, "No clip could be estimated.", "red")
+        return status or 1
+    return status
+
+
+def write_results(output: Path, judged: Sequence[Scores]) -> list[dict[str, object]]:
     """Write tables and figures; returns the rows of `table.csv`.
 
     Raises:
@@ -30,37 +55,31 @@ def write_results(output: Path, scores: Sequence[Scores]) -> list[dict[str, obje
     """
     from evaluation.recovery.figures import figures
 
-    rows = [row for item in scores for row in table_rows(item)]
-    replace_text(output / "table.csv", to_csv(rows, recovery_scores.COLUMNS, ".6g"))
-    details = [row for item in scores for row in recovery_details.detail_rows(item)]
-    replace_text(output / "details.csv", to_csv(details, recovery_details.COLUMNS, ".6g"))
+    rows = [row for item in judged for row in scores.table_rows(item)]
+    replace_text(output / "table.csv", to_csv(rows, scores.COLUMNS, ".6g"))
+    more = [row for item in judged for row in details.detail_rows(item)]
+    replace_text(output / "details.csv", to_csv(more, details.COLUMNS, ".6g"))
     with writing(output):
         (output / "figures").mkdir(exist_ok=True)
-        for name, figure in figures(scores):
+        for name, figure in figures(judged):
             figure.savefig(output / "figures" / name)
     return rows
 
 
-def show(rows: Sequence[dict[str, object]], scores: Sequence[Scores], console: Console) -> None:
+def show(rows: Sequence[dict[str, object]], judged: Sequence[Scores], console: Console) -> None:
     """Print the table, and what could not be estimated."""
-    table = Table(*recovery_scores.COLUMNS)
+    table = Table(*scores.COLUMNS)
     for row in rows:
         if row["n"]:
-            cells = [row[name] for name in recovery_scores.COLUMNS]
-            table.add_row(
-                *(f"{cell:.3g}" if isinstance(cell, float) else str("" if cell is None else cell) for cell in cells)
-            )
+            table.add_row(*(to_cell(cell, ".3g") for cell in row.values()))
     # A pipe has no width of its own, and 80 columns would cut the names.
     Console(stderr=True, width=None if console.is_terminal else TABLE_WIDTH).print(table)
-    for item in scores:
+    for item in judged:
         total = len(item.rows) + len(item.failed)
-        line = (
-            f"{item.estimator} on {item.suite}: {len(item.rows)} of {total} clips estimated, σ {item.noise.sigma:.3g}"
-        )
-        say(console, line)
-        reasons = Counter(row.status for row in item.failed)
+        text = f"{item.estimator} on {item.suite}: {len(item.rows)} of {total} clips estimated, σ {item.noise[0]:.3g}"
+        say(console, text)
         for row in item.failed[:SHOWN_FAILURES]:
-            text = f"  clip {row.index} ({row.regime}): {row.status}, {row.reason}"
-            say(console, text, "yellow")
+            say(console, f"  clip {row.index} ({row.regime}): {row.status}, {row.reason}", "yellow")
         if len(item.failed) > SHOWN_FAILURES:
-            say(console, f"  {len(item.failed)} in all: {dict(reasons)}", "yellow")
+            reasons = dict(Counter(row.status for row in item.failed))
+            say(console, f"  {len(item.failed)} in all: {reasons}", "yellow")

@@ -3,7 +3,7 @@
 Errors and bounds are of log θ, so 0.1 means about 10 %. The bound of a clip is that of its contact's true trajectory
 under the suite's measured tracking noise, which is pooled over all its clips. `constant_rmse_log` is the error of the
 best constant for exactly the clips of a row, their own mean: nothing that ignores its input can do better. The
-estimator `constant` is fitted on another split and does worse.
+estimator `constant` is fitted on another split and does worse. What doesn't exist is not a number.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from estimators.estimate import NINETY
 from evaluation.recovery.evaluate import OK, Recovery
 from evaluation.recovery.suites import REGIMES
 from physics.identifiability import LIMIT, RATIOS, covariance
+from physics.mechanics import PARAMETERS
 
-PARAMETERS = ("stiffness", "damping", "force")
 QUANTITIES = (*PARAMETERS, "stiffness/damping", "force/damping")
 COLUMNS = (
     "estimator", "suite", "regime", "parameter", "n",
@@ -38,27 +38,17 @@ TO_QUANTITIES = np.vstack((np.eye(3), RATIOS))
 
 
 @dataclass(frozen=True)
-class Noise:
-    """Measured error of the tracked contact displacement of a suite [scene units]."""
-
-    sigma: float
-    """Root mean square without the errors beyond ASTRAY times the width that holds the central 68 %: tracks that went
-    astray would raise the bound and so excuse the estimators."""
-    rms: float
-    """Root mean square of all."""
-
-
-@dataclass(frozen=True)
 class Scores:
     """Estimated clips of one suite by one estimator, everything in logarithms; n clips, 5 QUANTITIES."""
 
     estimator: str
     suite: str
-    rows: tuple[Recovery, ...]
+    rows: list[Recovery]
     """Results with an estimate, shape [n]."""
-    failed: tuple[Recovery, ...]
+    failed: list[Recovery]
     """Results without one."""
-    noise: Noise
+    noise: tuple[float, float]
+    """Of the suite, as `measure_noise` gives it."""
     regimes: np.ndarray
     """Shape [n]."""
     truth: np.ndarray
@@ -86,50 +76,54 @@ class Scores:
         Parameters: the clips whose own bound lies below the limit, and every clip. Ratios: all clips, and the
         non-identifiable ones.
         """
-        used = self.identifiable[:, quantity] if quantity < 3 else np.ones(len(self.rows), bool)
-        found: dict[str, np.ndarray] = {regime: used & (self.regimes == regime) for regime in REGIMES}
-        found["all"] = used
-        if quantity >= 3:
-            found[NON_IDENTIFIABLE] = ~self.identifiable.all(axis=1)  # ty: ignore[invalid-assignment]  one a clip
+        every = np.ones(len(self.rows), bool)
+        if quantity < len(PARAMETERS):
+            used, extra, clips = self.identifiable[:, quantity], EVERY, every
         else:
-            found[EVERY] = np.ones(len(self.rows), bool)
-        return found
+            used, extra, clips = every, NON_IDENTIFIABLE, (~self.identifiable).any(axis=1)
+        found: dict[str, np.ndarray] = {regime: used & (self.regimes == regime) for regime in REGIMES}
+        return found | {"all": used, extra: np.asarray(clips)}
 
 
-def measure_noise(rows: Sequence[Recovery]) -> Noise:
-    """Tracking noise of a suite's results, every clip once; not a number without any."""
+def measure_noise(rows: Sequence[Recovery]) -> tuple[float, float]:
+    """Measured error of the tracked contact of a suite [scene units], every clip once.
+
+    Returns:
+        Root mean square without the errors beyond ASTRAY times the width that holds the central 68 % (tracks that went
+        astray would raise the bound and so excuse the estimators), and the root mean square of all.
+    """
     tracks = {row.index: row.tracking for row in rows if row.tracking is not None}
     if not tracks:
-        return Noise(math.nan, math.nan)
+        return math.nan, math.nan
     sizes = np.abs(np.concatenate(list(tracks.values())))
-    kept = sizes[sizes <= ASTRAY * np.quantile(sizes, CENTRAL)]
-    return Noise(rms(kept), rms(sizes))  # ty: ignore[invalid-argument-type]  there are some
+    return rms(sizes[sizes <= ASTRAY * np.quantile(sizes, CENTRAL)]), rms(sizes)
 
 
-def score(rows: Sequence[Recovery], noise: Noise) -> Scores:
+def score(rows: Sequence[Recovery], noise: tuple[float, float]) -> Scores:
     """Scores of one suite and estimator.
 
     Args:
         rows: its results, one at least.
         noise: of the suite.
     """
-    kept = tuple(sorted((row for row in rows if row.status == OK), key=lambda row: row.index))
+    kept = [row for row in rows if row.status == OK]
     truth, estimate = (
         np.log(np.abs([getattr(row, name) for row in kept])).reshape(-1, 3) for name in ("theta", "estimate")
     )
-    limits = [deviations(covariance(row.information / noise.sigma**2)) for row in kept]  # ty: ignore[unsupported-operator]  every OK row has one
-    sds = [np.full(5, np.nan) if row.covariance is None else deviations(row.covariance) for row in kept]
+    information = np.array([row.information for row in kept]).reshape(-1, 3, 3)
+    unknown = np.full((3, 3), np.nan)
+    given = np.array([unknown if row.covariance is None else row.covariance for row in kept]).reshape(-1, 3, 3)
     return Scores(
         estimator=rows[0].estimator,
         suite=rows[0].suite,
         rows=kept,
-        failed=tuple(row for row in rows if row.status != OK),
+        failed=[row for row in rows if row.status != OK],
         noise=noise,
         regimes=np.array([row.regime for row in kept]),
         truth=truth @ TO_QUANTITIES.T,
         estimate=estimate @ TO_QUANTITIES.T,
-        bounds=np.array(limits).reshape(-1, 5),
-        sd=np.array(sds).reshape(-1, 5),
+        bounds=deviations(covariance(information / noise[0] ** 2)),
+        sd=deviations(given),
     )
 
 
@@ -147,25 +141,25 @@ def score_all(rows: Sequence[Recovery]) -> list[Scores]:
     return [score(group, noises[suite]) for (_, suite), group in groups.items()]
 
 
-def rms(values: np.ndarray) -> float | None:
-    """Root mean square; None of nothing."""
-    return float(np.sqrt(np.square(values).mean())) if len(values) else None
+def rms(values: np.ndarray) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.square(values).mean())) if len(values) else math.nan
 
 
-def constant_error(truth: np.ndarray) -> float | None:
-    """Error of the best constant for true values [n]: the root mean square about their own mean; None of nothing."""
-    return float(np.std(truth)) if len(truth) else None
+def constant_error(truth: np.ndarray) -> float:
+    """Error of the best constant for true values [n]: the root mean square about their own mean."""
+    return float(np.std(truth)) if len(truth) else math.nan
 
 
-def coverage(errors: np.ndarray, sd: np.ndarray, width: float = NINETY) -> float | None:
-    """Share of errors [n] within `width` standard deviations [n]; None where no deviations are given."""
+def coverage(errors: np.ndarray, sd: np.ndarray, width: float = NINETY) -> float:
+    """Share of errors [n] within `width` standard deviations [n], of those whose deviations are given."""
     known = np.isfinite(sd)
-    return float((np.abs(errors[known]) <= width * sd[known]).mean()) if known.any() else None
+    return float((np.abs(errors[known]) <= width * sd[known]).mean()) if known.any() else math.nan
 
 
 def table_rows(scores: Scores) -> list[dict[str, object]]:
-    """Rows of `table.csv`; a cell that doesn't exist is None."""
-    found = []
+    """Rows of `table.csv`."""
+    found: list[dict[str, object]] = []
     for column, parameter in enumerate(QUANTITIES):
         for regime, used in scores.groups(column).items():
             error, bound = rms(scores.errors[used, column]), rms(scores.bounds[used, column])
@@ -178,7 +172,7 @@ def table_rows(scores: Scores) -> list[dict[str, object]]:
                     "n": int(used.sum()),
                     "rmse_log": error,
                     "bound_log": bound,
-                    "ratio": None if error is None else error / bound,  # ty: ignore[unsupported-operator]  of the same clips
+                    "ratio": error / bound,
                     "constant_rmse_log": constant_error(scores.truth[used, column]),
                     "coverage90": coverage(scores.errors[used, column], scores.sd[used, column]),
                 }

@@ -8,13 +8,15 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from evaluation.recovery.evaluate import Recovery
 from physics.files import replacing
 from physics.provenance import code_digest
 from results.store import OutputError, writing
 
 RESULTS, RECORD = "results.jsonl", "run.json"
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 
 
 class RecoveryStore:
@@ -22,8 +24,8 @@ class RecoveryStore:
 
     Args:
         output: the folder; made when it is not there.
-        wanted: what the results depend on: `seed`, `split`, and more that must agree, with `suites` and `estimators`
-            as tables by name to which a later run may add.
+        wanted: what the results depend on, JSON-able. A later run may leave a part out or add one, but what both have
+            must be the same.
 
     Raises:
         OutputError: the folder can't be used, or holds results that depend on something else.
@@ -35,17 +37,23 @@ class RecoveryStore:
             raise OutputError(f"{output}: is a file; give a folder as --output.")
         with writing(output):
             output.mkdir(parents=True, exist_ok=True)
-            self._results = output / RESULTS
+        code, wanted = code_digest(), json.loads(json.dumps({"format": FORMAT_VERSION, **wanted}))
+        recorded = self._recorded()
+        for name, value in wanted.items():
+            if recorded.get(name, value) != value:
+                raise OutputError(
+                    f"{output}: holds results of another {name}; run with the same arguments or choose another "
+                    "--output."
+                )
+        self._results = output / RESULTS
+        with writing(output):
             if self._results.exists():
                 _cut_unfinished(self._results)
         self.rows = read_results(self._results) if self._results.exists() else []
         """Results in the order in which they came."""
-        code = code_digest()
-        recorded = self._recorded()
-        merged = _merge(output, recorded, {"format": FORMAT_VERSION, **wanted})
         self.outdated = bool(self.rows) and recorded.get("code", code) != code
         """Whether earlier results come from another version of the program."""
-        replace_text(output / RECORD, json.dumps({**merged, "code": recorded.get("code", code)}, indent=2) + "\n")
+        replace_text(output / RECORD, json.dumps({"code": code, **recorded, **wanted}, indent=2) + "\n")
 
     @property
     def done(self) -> set[tuple[str, int, str]]:
@@ -55,7 +63,7 @@ class RecoveryStore:
     def append(self, rows: Iterable[Recovery]) -> None:
         """Keep results; they are on disk when this returns."""
         rows = list(rows)
-        text = "".join(json.dumps(row.to_json(), allow_nan=False) + "\n" for row in rows)
+        text = "".join(json.dumps(vars(row), default=np.ndarray.tolist) + "\n" for row in rows)
         with writing(self.output), self._results.open("a", encoding="utf-8") as file:
             file.write(text)
             file.flush()
@@ -65,7 +73,7 @@ class RecoveryStore:
     def _recorded(self) -> dict[str, Any]:
         path = self.output / RECORD
         if not path.exists():
-            if self.rows:
+            if (self.output / RESULTS).exists():
                 raise OutputError(f"{self.output}: holds results without {RECORD}; choose another --output.")
             return {}
         try:
@@ -75,25 +83,6 @@ class RecoveryStore:
         if not isinstance(record, dict) or "seed" not in record:
             raise OutputError(f"{path}: belongs to something else; choose another --output.")
         return record
-
-
-def _merge(output: Path, recorded: Mapping[str, Any], wanted: Mapping[str, Any]) -> dict[str, Any]:
-    """What a folder's results depend on, with what this run adds."""
-    wanted = json.loads(json.dumps(wanted))
-    merged = dict(wanted)
-    for name, value in wanted.items():
-        if name not in recorded:
-            continue
-        before = recorded[name]
-        differ = name if before != value else ""
-        if isinstance(value, dict):
-            differ = " ".join(f"{name[:-1]} {key}" for key in value if key in before and before[key] != value[key])
-            merged[name] = {**before, **value}
-        if differ:
-            raise OutputError(
-                f"{output}: holds results of another {differ}; run with the same arguments or choose another --output."
-            )
-    return merged
 
 
 def read_results(path: Path) -> list[Recovery]:
@@ -106,8 +95,13 @@ def read_results(path: Path) -> list[Recovery]:
     found: dict[tuple[str, int, str], Recovery] = {}
     for number, line in enumerate(path.read_bytes().splitlines(), 1):
         try:
-            row = Recovery.from_json(json.loads(line))
-        except (ValueError, TypeError, KeyError, AttributeError) as error:
+            known: dict[str, Any] = {
+                name: np.array(value) if isinstance(value, list) else value
+                for name, value in json.loads(line).items()
+                if value is not None
+            }
+            row = Recovery(**known)
+        except (ValueError, TypeError, AttributeError) as error:
             raise OutputError(
                 f"{path}: line {number} is not a result; remove that line or choose another --output."
             ) from error
@@ -120,8 +114,7 @@ def _cut_unfinished(path: Path) -> None:
     data = path.read_bytes()
     complete = data.rfind(b"\n") + 1
     if complete < len(data):
-        with path.open("r+b") as file:
-            file.truncate(complete)
+        os.truncate(path, complete)
 
 
 def replace_text(path: Path, text: str) -> None:

@@ -9,7 +9,7 @@ under-damped again.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -42,10 +42,14 @@ class Suite:
     every_other_truth: Mapping[str, Any] = field(default_factory=dict)
     """The same, in every other clip of each regime only."""
 
-    def settings(self, index: int) -> SceneSettings:
-        """What clip `index` of the suite is drawn from: its regime is REGIMES[index % 3]."""
+    def truth_settings(self, index: int) -> SceneSettings:
+        """What the truth of clip `index` is drawn from, without errors: its regime is REGIMES[index % 3]."""
         extra = self.every_other_truth if index // len(REGIMES) % 2 else {}
-        return SceneSettings(**SIZE, regime=REGIMES[index % len(REGIMES)], **self.errors, **self.truth, **extra)
+        return SceneSettings(**SIZE, regime=REGIMES[index % len(REGIMES)], **self.truth, **extra)
+
+    def settings(self, index: int) -> SceneSettings:
+        """The same with the suite's errors of observation."""
+        return replace(self.truth_settings(index), **self.errors)
 
     def describe(self) -> dict[str, dict[str, Any]]:
         """What decides the suite's clips, for the run's record."""

@@ -19,7 +19,6 @@ def recovery(index: int = 0, **changes) -> Recovery:
         "seed": suite_clip_seed("test", 0, index),
         "regime": REGIMES[index % 3],
         "theta": TRUTH,
-        "peak": 0.03,
         "information": np.eye(3) * (0.001 / 0.1) ** 2,
         "tracking": np.array([0.001, -0.001]),
         "estimate": TRUTH,

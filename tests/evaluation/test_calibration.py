@@ -10,7 +10,6 @@ import pytest
 from data.contact.features import REFERENCE_SPACING
 from estimators.estimate import NINETY
 from evaluation.calibration import (
-    Scored,
     check_record,
     conformal_scale,
     fit_exponents,
@@ -71,20 +70,20 @@ def test_overconfident_estimates_become_calibrated_at_any_width() -> None:
 
 def test_too_few_clips_are_refused() -> None:
     with pytest.raises(ValueError, match="needs 100"):
-        Scored(np.zeros((99, 3)), np.ones((99, 3)), np.ones(99))
+        fit_widths_of([recovery(index, estimator="network") for index in range(99)])
 
 
 def test_results_of_something_else_are_refused(tmp_path) -> None:
     """Another split, contacts cut off otherwise, another network, or one whose intervals are calibrated already."""
     network = {"weights_sha256": "abc", "calibrated": False}
-    right = {"split": "validation", "seen": None, "estimators": {"network": network}}
+    right = {"split": "validation", "seen": None, "estimator network": network}
     for change, words in (
         ({"split": "test"}, "has split test; run the benchmark with --split validation"),
         ({"seen": "press"}, "has seen press; run the benchmark without --seen"),
-        ({"estimators": {"network": network | {"weights_sha256": "def"}}}, "not of the uncalibrated network"),
-        ({"estimators": {"network": network | {"calibrated": True}}}, "not of the uncalibrated network"),
-        ({"estimators": {"network": network | {"onset": "between"}}}, "made with --onset between"),
-        ({"estimators": {}}, "not of the uncalibrated network"),
+        ({"estimator network": network | {"weights_sha256": "def"}}, "not of the uncalibrated network"),
+        ({"estimator network": network | {"calibrated": True}}, "not of the uncalibrated network"),
+        ({"estimator network": network | {"onset": "between"}}, "made with --onset between"),
+        ({"estimator network": {}}, "not of the uncalibrated network"),
     ):
         (tmp_path / "run.json").write_text(json.dumps(right | change))
         with pytest.raises(ValueError, match=words):

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from data.contact.interaction import Interaction
-from data.synthetic.clip import draw_truth, make_clip, synthetic_clip
+from data.synthetic.clip import draw_truth, synthetic_clip
 from data.synthetic.scene import SceneError
 from estimators.estimate import Estimate, InteractionEstimate
 from estimators.open import EstimatorOptions
+from evaluation.recovery import constant
 from evaluation.recovery import evaluate as recovery
-from evaluation.recovery.estimators import ConstantOptions
-from evaluation.recovery.evaluate import ClipTask, Recovery, draw_log_theta, evaluate_clip
+from evaluation.recovery.constant import draw_log_theta
+from evaluation.recovery.evaluate import ClipTask, Recovery, evaluate_clip
 from evaluation.recovery.suites import SUITES, suite_clip_seed
 from physics.identifiability import fisher_information, log_jacobian
 from physics.load import Press, held
@@ -22,42 +23,25 @@ from physics.msd.simulation import simulate_sensitivities
 from physics.observation import Observation
 from tests.estimators.sessions import clip_info
 
-CONSTANT = ConstantOptions(((-1.0, -3.0, -2.5), (1.0, 0, 0), (0, 1.0, 0), (0, 0, 1.0)))
+CONSTANT = Estimate(np.exp([-1, -3, -2.5]) * [1, 1, -1], np.eye(3), told_verdict="undetermined")
 SEED = suite_clip_seed("test", 0, 2)  # over-damped: the cheapest motion
+DIRECT = EstimatorOptions("direct")
 
 
-def test_sharing_truths_gives_the_generators_clips():
-    truths = recovery._Truths(SEED)
-    clips = []
+@pytest.fixture(scope="module")
+def truth():
+    """Scene and motion of the clip in most suites."""
+    return draw_truth(SUITES["clean"].truth_settings(2), SEED)
+
+
+def test_suites_that_only_observe_otherwise_share_a_truth(truth):
     for name in ("clean", "focal-error", "8bit"):
-        settings = SUITES[name].settings(2)
-        clips.append(synthetic_clip(*truths.of(settings), SEED))
-        made = make_clip(settings, SEED)
-        assert clips[-1].camera == made.camera
-        for field in ("images", "labels", "depth"):
-            np.testing.assert_array_equal(getattr(clips[-1], field), getattr(made, field))
-    assert len(truths.known) == 1
-    np.testing.assert_array_equal(clips[0].motion.theta, clips[2].motion.theta)
-
-
-def test_suites_of_another_truth_draw_their_own():
-    truths = recovery._Truths(SEED)
-    motions = {}
-    for name in ("clean", "mismatch", "oblique", "late-onset"):
-        settings = SUITES[name].settings(2)
-        scene, motions[name] = truths.of(settings)
-        expected_scene, expected = draw_truth(settings, SEED)
-        np.testing.assert_array_equal(motions[name].contact, expected.contact)
-        np.testing.assert_array_equal(scene.mesh.vertices, expected_scene.mesh.vertices)
-    assert len(truths.known) == 4
-    changed = {
-        field.name
-        for field in dataclasses.fields(SUITES["clean"].settings(0))
-        for suite in SUITES.values()
-        for name in (*suite.truth, *suite.every_other_truth)
-        if name == field.name
-    }
-    assert changed == set(recovery.TRUTH_FIELDS)
+        assert SUITES[name].truth_settings(2) == SUITES["clean"].truth_settings(2)
+    _, motion = draw_truth(SUITES["8bit"].settings(2), SEED)
+    np.testing.assert_array_equal(motion.theta, truth[1].theta)
+    np.testing.assert_array_equal(motion.contact, truth[1].contact)
+    others = {SUITES[name].truth_settings(2) for name in ("clean", "mismatch", "oblique", "late-onset")}
+    assert len(others) == 4
 
 
 def test_a_late_force_is_compared_and_bounded_at_its_own_instants():
@@ -82,20 +66,35 @@ def test_a_late_force_is_compared_and_bounded_at_its_own_instants():
     np.testing.assert_array_equal(recovery.compare_tracking(blind, scene, late)[1], np.zeros((3, 3)))
 
 
-def test_a_clip_in_two_suites():
-    clean, mismatch = evaluate_clip(ClipTask(2, SEED, (("clean", (CONSTANT,)), ("mismatch", (CONSTANT,)))))
+def test_a_clip_in_three_suites(monkeypatch, truth):
+    drawn = []
+
+    def draw(settings, seed):
+        drawn.append(settings)
+        return truth
+
+    monkeypatch.setattr(recovery, "draw_truth", draw)
+    monkeypatch.setattr(constant, "draw_truth", draw)
+    recovery._truth.cache_clear()
+    wanted = {"clean": {"constant": CONSTANT}, "8bit": {"constant": CONSTANT}, "mismatch": {"constant": CONSTANT}}
+    clean, rounded, mismatch = evaluate_clip(ClipTask(2, SEED, wanted | {"noisy": {}}))
+    assert drawn == [SUITES[name].truth_settings(2) for name in ("clean", "mismatch")]
+    assert (clean.status, rounded.status, mismatch.status) == ("ok", "ok", "ok")
+    assert (clean.estimator, clean.suite, rounded.suite) == ("constant", "clean", "8bit")
+    assert not np.array_equal(clean.tracking, rounded.tracking)
     assert (clean.status, mismatch.status) == ("ok", "ok")
     assert np.sqrt(np.mean(np.square(clean.tracking))) < 0.003
     np.testing.assert_allclose(clean.estimate, np.exp([-1, -3, -2.5]) * [1, 1, -1])
     assert np.linalg.eigvalsh(clean.information).min() >= 0
-    assert mismatch.peak != clean.peak
     np.testing.assert_allclose(draw_log_theta((2, SEED)), np.log(np.abs(clean.theta)))
+    np.testing.assert_array_equal(clean.covariance, np.eye(3))
 
 
 def run(monkeypatch, **replaced) -> Recovery:
+    recovery._truth.cache_clear()
     for name, value in replaced.items():
         monkeypatch.setattr(recovery, name, value)
-    (row,) = evaluate_clip(ClipTask(2, SEED, (("clean", (CONSTANT,)),)))
+    (row,) = evaluate_clip(ClipTask(2, SEED, {"clean": {"constant": CONSTANT}}))
     return row
 
 
@@ -107,22 +106,27 @@ def raising(error: Exception):
 
 
 def test_failures_become_results(monkeypatch):
-    row = run(monkeypatch, draw_truth=raising(SceneError("nothing to draw.")))
+    failing = raising(SceneError("nothing to draw."))
+    row = run(monkeypatch, draw_truth=failing)
     assert (row.status, row.reason, row.theta) == ("no scene", "nothing to draw.", None)
+    monkeypatch.setattr(constant, "draw_truth", failing)
     assert draw_log_theta((2, SEED)) is None
 
 
-def test_a_broken_preparation_and_missing_contacts_become_results(monkeypatch):
-    truth = make_clip(SUITES["clean"].settings(2), SEED)
-    known = {"draw_truth": lambda *_: (truth.scene, truth.motion), "synthetic_clip": lambda *_: truth}
+def test_a_broken_preparation_and_missing_contacts_become_results(monkeypatch, truth):
+    scene, motion = truth
+    few = dataclasses.replace(SUITES["clean"].settings(2), frames=8)
+    clip = synthetic_clip(dataclasses.replace(scene, settings=few), motion, SEED)
+    known = {"draw_truth": lambda *_: truth, "synthetic_clip": lambda *_: clip}
     row = run(monkeypatch, **known, open_synthetic=raising(RuntimeError("broken")))
     assert (row.status, row.reason) == ("error", "RuntimeError: broken")
     monkeypatch.undo()
     row = run(monkeypatch, **known, observed_contacts=lambda *_: {})
     assert row.status == "no contact"
-    row = run(monkeypatch, observed_contacts=lambda *_: {truth.motion.onset_frame + 1: None})
+    row = run(monkeypatch, observed_contacts=lambda *_: {motion.onset_frame + 1: None})
     assert row.status == "other onset"
-    assert f"instead of {truth.motion.onset_frame}" in row.reason
+    assert f"instead of {motion.onset_frame}" in row.reason
+    np.testing.assert_array_equal(row.theta, motion.theta)
 
 
 class Telling:
@@ -138,10 +142,10 @@ class Telling:
         return self.said
 
 
-def told(monkeypatch, candidate, estimator) -> Recovery:
+def told(monkeypatch, estimator) -> Recovery:
     """What becomes of an estimator's answer about a contact that began in frame 3."""
     monkeypatch.setattr(recovery, "opened", lambda _: estimator)
-    return recovery._estimate(Recovery("clean", 0, "", 0, "critical"), candidate, [], clip_info(), 3)
+    return Recovery("clean", 0, "direct", 0, "critical", **recovery._estimate(DIRECT, [], clip_info(), 3))
 
 
 NOT_FINITE = Estimate(np.array([np.nan, 0.1, -0.1]))
@@ -157,14 +161,14 @@ NOT_FINITE = Estimate(np.array([np.nan, 0.1, -0.1]))
     ],
 )
 def test_contacts_without_an_estimate_become_results(monkeypatch, said, reason):
-    row = told(monkeypatch, CONSTANT, Telling(*said))
-    assert (row.status, row.reason, row.estimator, row.estimate) == ("no estimate", reason, "constant", None)
+    row = told(monkeypatch, Telling(*said))
+    assert (row.status, row.reason, row.estimate) == ("no estimate", reason, None)
 
 
 def test_an_estimator_that_breaks_becomes_a_result(monkeypatch):
     broken = Telling()
     broken.finish = raising(ValueError("broken"))
-    row = told(monkeypatch, CONSTANT, broken)
+    row = told(monkeypatch, broken)
     assert (row.status, row.reason, row.estimate) == ("error", "ValueError: broken", None)
 
 
@@ -174,7 +178,7 @@ def test_an_estimator_that_breaks_becomes_a_result(monkeypatch):
 def test_an_estimate_warns_of_a_motion_it_does_not_explain_and_of_one_seen_aslant(monkeypatch, misfit, angle, warned):
     theta, at_bound = np.array([0.3, 0.05, -0.1]), np.array([False, True, False])
     estimate = Estimate(theta, np.eye(3), np.eye(3), 0.001, misfit, 1.5, at_bound, view_angle=angle)
-    row = told(monkeypatch, EstimatorOptions("direct"), Telling(InteractionEstimate(3, 3, 0.12, estimate=estimate)))
+    row = told(monkeypatch, Telling(InteractionEstimate(3, 3, 0.12, estimate=estimate)))
     assert (row.status, row.warned, row.verdict) == ("ok", warned, "undetermined")
     assert (row.noise, row.misfit) == (0.001, misfit)
     for name, value in (("estimate", theta), ("covariance", np.eye(3)), ("at_bound", at_bound)):
@@ -183,5 +187,5 @@ def test_an_estimate_warns_of_a_motion_it_does_not_explain_and_of_one_seen_aslan
 
 def test_an_estimator_without_uncertainty_gives_no_verdict_and_no_warning(monkeypatch):
     estimate = Estimate(np.array([0.3, 0.05, -0.1]), told_verdict="undetermined")
-    row = told(monkeypatch, CONSTANT, Telling(InteractionEstimate(3, 3, 0.12, estimate=estimate)))
+    row = told(monkeypatch, Telling(InteractionEstimate(3, 3, 0.12, estimate=estimate)))
     assert (row.status, row.verdict, row.warned, row.covariance) == ("ok", "", None, None)

@@ -56,7 +56,7 @@ def test_the_best_constant_is_that_of_the_row_s_own_clips():
     least = min(np.sqrt(np.mean((kept - guess) ** 2)) for guess in np.linspace(-1, 2, 3001))
     assert found["all", "stiffness"]["constant_rmse_log"] == pytest.approx(least)
     assert found["under-damped", "stiffness"]["constant_rmse_log"] == pytest.approx(0.3)  # 0 and 0.6
-    assert found["over-damped", "stiffness"]["constant_rmse_log"] is None
+    assert math.isnan(found["over-damped", "stiffness"]["constant_rmse_log"])
     assert found["all", "stiffness/damping"]["constant_rmse_log"] == pytest.approx(np.std([0, 0.3, 1.2, 0.6]))
     assert found["non-identifiable", "stiffness/damping"]["constant_rmse_log"] == pytest.approx(0, abs=1e-12)
 
@@ -67,7 +67,7 @@ def test_regimes_get_their_own_rows():
     assert found["under-damped", "stiffness"]["rmse_log"] == pytest.approx(0.1)
     assert found["critical", "stiffness"]["rmse_log"] == pytest.approx(0.3)
     assert found["over-damped", "stiffness"]["n"] == 0
-    assert found["over-damped", "stiffness"]["rmse_log"] is None
+    assert math.isnan(found["over-damped", "stiffness"]["rmse_log"])
 
 
 def test_ratios_use_the_whole_covariance():
@@ -110,7 +110,7 @@ def test_identifiable_is_decided_for_each_parameter():
 
 
 def test_coverage_is_empty_without_standard_deviations():
-    assert table([recovery(covariance=None)])["all", "stiffness"]["coverage90"] is None
+    assert math.isnan(table([recovery(covariance=None)])["all", "stiffness"]["coverage90"])
 
 
 def test_calibrated_and_efficient_estimates_score_1_and_90_percent():
@@ -129,15 +129,15 @@ def test_the_interval_is_the_normal_one():
 def test_noise_is_pooled_over_clips_once_each():
     rows = [recovery(0, tracking=np.full(10, 0.001)), recovery(0, estimator="constant", tracking=np.full(10, 0.001))]
     rows += [recovery(1, tracking=np.full(10, -0.003))]
-    assert measure_noise(rows).sigma == pytest.approx(math.sqrt((1 + 9) / 2) * 1e-3)
+    assert measure_noise(rows)[0] == pytest.approx(math.sqrt((1 + 9) / 2) * 1e-3)
 
 
 def test_lost_tracks_do_not_excuse_estimators():
     errors = np.random.default_rng(0).normal(0, 0.001, 1000)
     lost = np.concatenate((errors, np.full(10, 0.1)))
-    noise = measure_noise([recovery(tracking=lost)])
-    assert noise.sigma == pytest.approx(0.001, rel=0.06)
-    assert noise.rms == pytest.approx(0.01, rel=0.06)
+    sigma, whole = measure_noise([recovery(tracking=lost)])
+    assert sigma == pytest.approx(0.001, rel=0.06)
+    assert whole == pytest.approx(0.01, rel=0.06)
 
 
 def test_a_suites_bound_follows_its_measured_noise():

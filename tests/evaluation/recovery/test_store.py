@@ -5,28 +5,20 @@ import json
 import numpy as np
 import pytest
 
-from evaluation.recovery.evaluate import Recovery
 from evaluation.recovery.store import RESULTS, RecoveryStore, read_results
 from results.store import OutputError
 from tests.evaluation.recovery_cases import recovery
 
-WANTED = {"seed": 0, "split": "test", "suites": {"clean": {"errors": 1}}, "estimators": {"direct": {"noise": None}}}
+WANTED = {"seed": 0, "split": "test", "suite clean": {"errors": 1}, "estimator direct": {"noise": None}}
 
 
-def test_a_result_survives_the_file():
-    row = recovery(3)
-    again = Recovery.from_json(json.loads(json.dumps(row.to_json(), allow_nan=False)))
-    for name in ("theta", "information", "tracking", "estimate", "covariance", "at_bound"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(row, name))
-    assert again.key == row.key == ("clean", 3, "direct")
-
-
-def test_what_is_not_known_stays_unknown():
-    row = recovery(estimate=None, covariance=None, noise=float("nan"))
-    again = Recovery.from_json(json.loads(json.dumps(row.to_json(), allow_nan=False)))
-    assert again.estimate is None
-    assert again.covariance is None
-    assert np.isnan(again.noise)
+def test_a_result_survives_the_file_and_what_is_not_known_stays_unknown(tmp_path):
+    rows = recovery(3), recovery(4, estimate=None, covariance=None, noise=float("nan"))
+    RecoveryStore(tmp_path, WANTED).append(rows)
+    for again, row in zip(read_results(tmp_path / RESULTS), rows, strict=True):
+        for name, value in vars(row).items():
+            np.testing.assert_array_equal(getattr(again, name), value)
+    assert rows[0].key == ("clean", 3, "direct")
 
 
 def test_a_second_run_finds_the_first_ones_results(tmp_path):
@@ -57,8 +49,8 @@ def test_a_broken_line_is_named(tmp_path):
     [
         ({"seed": 1}, "another seed"),
         ({"split": "validation"}, "another split"),
-        ({"suites": {"clean": {"errors": 2}}}, "another suite clean"),
-        ({"estimators": {"direct": {"noise": 0.1}}}, "another estimator direct"),
+        ({"suite clean": {"errors": 2}}, "another suite clean"),
+        ({"estimator direct": {"noise": 0.1}}, "another estimator direct"),
     ],
 )
 def test_other_results_are_not_mixed_in(tmp_path, changed, named):
@@ -69,10 +61,10 @@ def test_other_results_are_not_mixed_in(tmp_path, changed, named):
 
 def test_suites_and_estimators_may_be_added(tmp_path):
     RecoveryStore(tmp_path, WANTED)
-    RecoveryStore(tmp_path, WANTED | {"suites": {"8bit": {"errors": 3}}})
+    RecoveryStore(tmp_path, {"seed": 0, "suite 8bit": {"errors": 3}})
     RecoveryStore(tmp_path, WANTED)
     record = json.loads((tmp_path / "run.json").read_text())
-    assert set(record["suites"]) == {"clean", "8bit"}
+    assert {name for name in record if name.startswith("suite")} == {"suite clean", "suite 8bit"}
 
 
 def test_another_version_of_the_program_is_noticed(tmp_path, monkeypatch):

@@ -1,10 +1,11 @@
 """What is timed or measured once, against what; each is run by `python -m benchmarks.NAME`.
 
-rollout             the differentiable rollout against plain torch
+rollout             the differentiable rollout against plain torch, and a press on a patch against one on a vertex
 training_step       where the time of a training step goes
 physics_plots       the pictures of docs/physics.md
 observation_bounds  what each kind of observation can tell about θ
 tracking_errors     errors of tracked contacts, for the direct estimator's error model
 automatic_masks     automatic masks against annotation
 photometric_depth   photometric depth against stereo depth and truth
+shared              what all of them need: command line, timing, a table, the machine
 """

@@ -1,6 +1,6 @@
 """What each kind of observation can tell about stiffness, damping and force, whatever estimator reads it.
 
-    python -m benchmarks.observation_bounds [--contacts 90]
+    python -m benchmarks.observation_bounds
 
 Medians over simulated contacts of the Cramér–Rao bounds (`physics.identifiability`) at a depth noise of 0.001 scene
 units: the end point of the rollout (Bini 2026), the end of the load, the contact's trajectory over the first K frames
@@ -9,25 +9,30 @@ of 25 a second, and the trajectory of every vertex in view. No training: what ha
 
 from __future__ import annotations
 
-import argparse
+from physics.doors import enter_door, run_door
+
+if __name__ == "__main__":
+    enter_door()  # before the slow imports
+
+from collections import defaultdict
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
+from benchmarks.shared import command_line, machine, print_table
 from data.synthetic.contacts import FINE, SimulatedContact, draw_contacts
 from data.synthetic.settings import SceneSettings
-from data.synthetic.truth import damping_ratio, regime_of
+from data.synthetic.truth import REGIMES, Regime
 from physics.identifiability import LIMIT, bounds, ratio_bounds
 from physics.likelihood import Likelihood
 from physics.load import Press, held
 from physics.observation import Observation
 
 NOISE = 0.001
-REGIMES = ("under-damped", "critical", "over-damped")
-A_SCENE = 3
+SCENES, A_SCENE = 4, 3
+"""Scenes of each regime, and contacts of each scene."""
 FRAME = round(1 / 25 / FINE.time_step)
 """Steps a frame."""
+COLUMNS = ("regime", "observation", "k_s", "k_d", "F", "k_s/k_d", "F/k_d", "determined")
 
 
 def observations(contact: SimulatedContact) -> dict[str, tuple[np.ndarray, bool]]:
@@ -51,29 +56,29 @@ def limits(contact: SimulatedContact, steps: np.ndarray, whole: bool) -> np.ndar
     return np.concatenate([bounds(information), ratio_bounds(information)])
 
 
+def rows_of(regime: Regime, scenes: range) -> list[list[str]]:
+    """Rows of the contacts of one regime; `scenes` are seeds."""
+    found = defaultdict(list)
+    for scene in scenes:
+        for contact in draw_contacts(SceneSettings(width=214, height=120, regime=regime), scene, A_SCENE, 0.005):
+            for name, (steps, whole) in observations(contact).items():
+                found[name].append(limits(contact, steps, whole))
+    rows = []
+    for name, values in found.items():
+        cells = [f"{value:.2g}" if value < 100 else "none" for value in np.median(values, axis=0)]
+        determined = (np.array(values)[:, :3] < LIMIT).all(axis=1).mean()
+        rows.append([regime, name, *cells, f"{determined:.0%}"])
+    return rows
+
+
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--contacts", type=int, default=90, help="contacts, a third in each regime (default 90)")
-    options = parser.parse_args()
-    found: dict[tuple[str, str], list[np.ndarray]] = {}
-    for scene in range(-(-options.contacts // A_SCENE)):
-        settings = SceneSettings(width=214, height=120, regime=REGIMES[scene % 3])
-        for contact in draw_contacts(settings, 90_000 + scene, A_SCENE, 0.005):
-            regime = regime_of(damping_ratio(contact.theta[0], contact.theta[1], settings.mass))
-            for name, (steps, whole) in observations(contact).items():
-                found.setdefault((regime, name), []).append(limits(contact, steps, whole))
-    title = f"Cramér–Rao bounds, medians, σ = {NOISE} scene units; share: all three parameters below {LIMIT}"
-    table = Table("regime", "observation", "contacts", "k_s", "k_d", "F", "k_s/k_d", "F/k_d", "determined", title=title)
-    for regime in REGIMES:
-        for (one, name), rows in found.items():
-            if one == regime:
-                values = np.array(rows)
-                cells = [f"{value:.2g}" if value < 100 else "none" for value in np.median(values, axis=0)]
-                share = (values[:, :3] < LIMIT).all(axis=1).mean()
-                table.add_row(regime, name, str(len(rows)), *cells, f"{share:.0%}")
-    Console(width=130).print(table)
+    command_line(__doc__).parse_args()
+    print(f"{machine()}; determined: all three parameters below {LIMIT}\n")
+    seeds = range(90_000, 90_000 + SCENES * len(REGIMES))
+    by_regime = (rows_of(regime, seeds[place :: len(REGIMES)]) for place, regime in enumerate(REGIMES))
+    print_table(COLUMNS, (row for rows in by_regime for row in rows))
 
 
 if __name__ == "__main__":
-    main()
+    run_door(main)

@@ -1,60 +1,67 @@
-"""How fast the differentiable rollout is, against a plain torch version.
+"""How fast the differentiable rollout is, against a plain torch version, and what a press on a patch costs.
 
     python -m benchmarks.rollout
 
-Every contender has a process of its own, must give the baseline's trajectory and gradient, and is timed where it does;
-they take turns, so that all ratios come from one run. Large settings see them one after the other, because torch's
-graphs wouldn't fit into memory together. The table goes to the terminal, its picture to runs/bench/rollout.png.
+Every contender must give the baseline's trajectory and gradient before it is timed; they take turns, so that all ratios
+come from one run. The tables go to the terminal, the picture to runs/bench/rollout.png. It takes 12 GB of memory.
 """
 
 from __future__ import annotations
 
-import argparse
+from physics.doors import enter_door, run_door
+
+if __name__ == "__main__":
+    enter_door()  # before the slow imports
+
 import ctypes
-import functools
 import gc
+import itertools
 import math
-import multiprocessing
-import os
-import platform
-import tempfile
-import time
-from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import ExitStack, suppress
 from dataclasses import dataclass
-from datetime import date
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from rich.console import Console
+from matplotlib.figure import Figure
 from rich.progress import track
-from rich.table import Table
 from torch import Tensor
 
+from benchmarks.shared import command_line, machine, print_table, timed
 from physics.load import Press, held
 from physics.mechanics import Mechanics
-from physics.mesh import contact_normal, grid_mesh, nearest_vertex
+from physics.mesh import Mesh, contact_normal, grid_mesh, nearest_vertex
 from physics.msd import MeshBatch, PressBatch, rollout, rollout_field
+from physics.msd.simulation import simulate_sensitivities
 
 PICTURE = Path("runs/bench/rollout.png")
 GRID = (120, 214)
 """Height and width of the network's depth grid [px]; the ellipse on it has 14,800 vertices, like the paper's meshes."""
 SPACING = 0.0027
 """Distance of two pixels on tissue 0.5 scene units away, seen by a 60° camera [scene units]."""
-BASELINE, STENCIL = "torch edges", "torch stencil"
-NUMBA = ("numba exact", "numba window", "numba field")
+BASELINE, STENCIL, FIELD = "torch edges", "torch stencil", "numba field"
+NUMBA = ("numba exact", "numba window", FIELD)
 SETTINGS = {(2, 1): (1, 2), (1, 1): (1,), (16, 1): (2,), (1, 2): (1,), (1, 4): (1,), (1, 16): (1,)}
 """Threads of the contenders by batch and multiple of 14,800 vertices; the baseline has one thread."""
 SMALL = 4
-"""Batch times multiple up to which all processes are held at once, and up to which the stencil's graph fits."""
-ROUNDS, PATIENCE = 7, 5.0
-"""Times that a contender is timed, unless its turns took so long before [s]."""
-SAME_TRAJECTORY, SAME_GRADIENT = 1e-3, 1e-2
+"""Batch times multiple up to which the stencil's graph fits into memory."""
+ROUNDS, PATIENCE = 7, 5e3
+"""Times that a contender is timed, unless its turns took so long before [ms]."""
+ALLOWED = {"trajectory": 1e-3, "gradient": 1e-2}
 """Largest difference from the baseline's, relative to the latter's peak: single precision over 200 steps."""
+PATCH, PATCH_ROUNDS = 5, 51
+"""Radius of the pressed patch [grid px], and times that it is timed."""
+
+
+def pressed_sheet(scale: float, phase: float) -> tuple[Mesh, Press]:
+    """A mesh of `scale` times as many vertices as the grid's, pressed in the middle."""
+    height, width = (round(size * math.sqrt(scale)) for size in GRID)
+    row, column = np.mgrid[:height, :width]
+    z = 0.5 + 0.02 * np.sin(column / 31 + phase) + 0.01 * np.cos(row / 23)
+    points = np.stack([(column - width / 2) * SPACING, (row - height / 2) * SPACING, z], -1)
+    mesh = grid_mesh(points, ((row - height / 2) / height) ** 2 + ((column - width / 2) / width) ** 2 <= 0.4285**2)
+    vertex, mechanics = nearest_vertex(mesh, points[height // 2, width // 2]), Mechanics()
+    return mesh, Press.at(vertex, contact_normal(mesh, vertex), held(mechanics.load_steps, mechanics.steps))
 
 
 @dataclass(frozen=True)
@@ -74,28 +81,15 @@ class Task:
         return self.mesh.vertex_offsets[:-1] + self.load.vertices
 
 
-@functools.cache
-def make_task(batch: int, scale: int, grid: tuple[int, int] = GRID) -> Task:
-    """B meshes of `scale` times as many vertices as the grid's, pressed in the middle."""
-    height, width = (round(size * math.sqrt(scale)) for size in grid)
-    row, column = np.mgrid[:height, :width]
-    valid = ((row - height / 2) / height) ** 2 + ((column - width / 2) / width) ** 2 <= 0.4285**2
-    random = np.random.default_rng(0)
-    mechanics = Mechanics()
-    meshes, loads = [], []
-    for _ in range(batch):
-        phase = 6 * random.random()
-        z = 0.5 + 0.02 * np.sin(column / 31 + phase) + 0.01 * np.cos(row / 23)
-        points = np.stack([(column - width / 2) * SPACING, (row - height / 2) * SPACING, z], -1)
-        meshes.append(grid_mesh(points, valid))
-        vertex = nearest_vertex(meshes[-1], points[height // 2, width // 2])
-        factor = held(mechanics.load_steps, mechanics.steps)
-        loads.append(Press.at(vertex, contact_normal(meshes[-1], vertex), factor))
+def make_task(batch: int, scale: float) -> Task:
+    """B sheets that differ a little, each of `scale` times as many vertices as the grid's."""
+    phases = 6 * np.random.default_rng(0).random(batch)
+    meshes, loads = zip(*(pressed_sheet(scale, phase) for phase in phases), strict=True)
     return Task(
         theta=torch.tensor([[0.5, 0.09, -0.1]]) * (1 + 0.1 * torch.linspace(-1, 1, batch)[:, None]),
         mesh=MeshBatch.from_meshes(meshes),
         load=PressBatch.of(loads),
-        weights=torch.randn(batch, mechanics.steps, 3, generator=torch.Generator().manual_seed(0)),
+        weights=torch.randn(batch, loads[0].steps, 3, generator=torch.Generator().manual_seed(0)),
     )
 
 
@@ -126,7 +120,7 @@ def simulate(name: str, task: Task, theta: Tensor) -> Tensor:
     """Trajectories of the contact vertices as a contender computes them, shape [B, T, 3]."""
     if name == BASELINE:
         return spring_list(task, theta)
-    if name == "numba field":
+    if name == FIELD:
         field = rollout_field(theta, task.mesh, task.load, backend="numba")
         return field[:, task.touched].transpose(0, 1)
     mechanics = Mechanics(window_error=1e-4 if name == "numba window" else 0.0)
@@ -139,65 +133,55 @@ def forward(name: str, task: Task) -> np.ndarray:
         return simulate(name, task, task.theta).numpy()
 
 
-def total(name: str, task: Task) -> np.ndarray:
-    """Gradient of Σ weights·trajectory by θ, shape [B, 3]."""
+def total(name: str, task: Task) -> np.ndarray | None:
+    """Gradient of Σ weights·trajectory by θ, shape [B, 3]; None for the compiled whole field, which has none."""
+    if name == FIELD:
+        return None
     theta = task.theta.clone().requires_grad_()
     (task.weights * simulate(name, task, theta)).sum().backward()
     return theta.grad.numpy()  # ty: ignore[missing-union-attribute]  after backward()
 
 
 class Turn(NamedTuple):
-    """What a contender computed once."""
+    """What a contender computed once, and how long it took [ms]."""
 
-    forward: float
-    """[ms]"""
-    total: float
-    """Forward and gradient [ms]; not a number for the compiled whole field, which has no gradient."""
     trajectory: np.ndarray
     gradient: np.ndarray | None
+    forward: float
+    total: float
+    """Forward and gradient; not a number without gradient."""
 
-    def require_same(self, other: Turn, name: str) -> None:
-        """Refuse to time what computes something else.
 
-        Raises:
-            RuntimeError: trajectory or gradient differ from another contender's.
-        """
-        for what, allowed in (("trajectory", SAME_TRAJECTORY), ("gradient", SAME_GRADIENT)):
-            seen, expected = getattr(self, what), getattr(other, what)
-            if seen is None:
-                continue
+def take_turn(name: str, threads: int, task: Task) -> Turn:
+    """Roll out once with and once without gradient."""
+    torch.set_num_threads(threads)
+    (gradient, both), (trajectory, alone) = timed(total, name, task), timed(forward, name, task)
+    return Turn(trajectory, gradient, alone, math.nan if gradient is None else both)
+
+
+def require_same(name: str, turn: Turn, baseline: Turn) -> None:
+    """Refuse to time what computes something else.
+
+    Raises:
+        RuntimeError: trajectory or gradient differ from the baseline's.
+    """
+    for what, allowed in ALLOWED.items():
+        seen, expected = getattr(turn, what), getattr(baseline, what)
+        if seen is not None:
             difference = np.abs(seen - expected).max() / np.abs(expected).max()
             if not difference <= allowed:
                 raise RuntimeError(f"{name}: its {what} differs by {difference:.1e} from that of {BASELINE}.")
 
 
-def take_turn(name: str, threads: int, setting: tuple) -> Turn:
-    """Roll out once with and once without gradient; `setting` are the arguments of `make_task`."""
-    torch.set_num_threads(threads)
-    task = make_task(*setting)
-    gradient, both = None, math.nan
-    if name != "numba field":
-        gradient, both = timed(lambda: total(name, task))
-    trajectory, alone = timed(lambda: forward(name, task))
-    return Turn(alone, both, trajectory, gradient)
-
-
-def timed(work: Callable[[], np.ndarray]) -> tuple[np.ndarray, float]:
-    """A result, and how long it took [ms]."""
-    start = time.perf_counter()
-    result = work()
-    return result, 1e3 * (time.perf_counter() - start)
-
-
-def peak_memory(name: str, threads: int, setting: tuple) -> float:
-    """Most memory that a turn takes above what this process held before [MB]; not a number where Linux' /proc isn't."""
+def peak_memory(name: str, threads: int, task: Task) -> float:
+    """Most memory that a turn takes above what the process held before [MB]; not a number where Linux' /proc isn't."""
     if not Path("/proc/self/clear_refs").exists():
         return math.nan
     gc.collect()
     ctypes.CDLL(None).malloc_trim(0)
     Path("/proc/self/clear_refs").write_text("5")  # forgets the highest mark
     before = resident("VmRSS")
-    take_turn(name, threads, setting)
+    take_turn(name, threads, task)
     return resident("VmHWM") - before
 
 
@@ -207,137 +191,90 @@ def resident(key: str) -> float:
     return int(line.split()[1]) / 1024
 
 
-def own_process() -> ProcessPoolExecutor:
-    """A process for one contender, which ends before other work does where memory runs out."""
-    return ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), initializer=_end_first)
-
-
-def _end_first() -> None:
-    with suppress(OSError):
-        Path("/proc/self/oom_score_adj").write_text("1000")
-
-
-@dataclass
-class Row:
-    """Medians of one contender."""
-
-    name: str
-    threads: int
-    batch: int
-    vertices: int
-    """Of one mesh."""
-    forward: float
-    total: float
-    """[ms], not a number where there is no gradient."""
-    first_call: float
-    """Both together [s]."""
-    memory: float
-    """Above what was held before [MB]."""
-    forward_ratio: float = 1.0
-    total_ratio: float = 1.0
-    """Times faster than the baseline."""
-
-
-def measure(setting: tuple, threads: tuple[int, ...]) -> list[Row]:
-    """Time the contenders and return their rows, the baseline's first; `setting` are the arguments of `make_task`.
+def measure(batch: int, scale: float, threads: tuple[int, ...]) -> list[dict[str, Any]]:
+    """Time the contenders and return their rows of the table, the baseline's first; medians, not a number = nothing.
 
     Raises:
         RuntimeError: a contender computes something else than the baseline.
-        BrokenProcessPool: one was killed, most likely for lack of memory.
     """
-    small = setting[0] * setting[1] <= SMALL
-    names = (*NUMBA, STENCIL) if small else NUMBA
-    contenders = [(BASELINE, 1), *((name, count) for name in names for count in threads)]
-    firsts: dict[tuple[str, int], Turn] = {}
-    rows: list[Row] = []
-    for group in [contenders] if small else [[each] for each in contenders]:
-        with ExitStack() as stack:
-            ask = {each: functools.partial(_ask, stack.enter_context(own_process()), *each, setting) for each in group}
-            for each in group:
-                firsts[each] = ask[each](take_turn)
-                firsts[each].require_same(firsts[BASELINE, 1], each[0])
-            turns: dict[tuple[str, int], list[Turn]] = {each: [] for each in group}
-            for _ in range(ROUNDS):
-                for each in group:
-                    if sum(turn.forward + np.nan_to_num(turn.total) for turn in turns[each]) < 1e3 * PATIENCE:
-                        turns[each].append(ask[each](take_turn))
-            for each in group:
-                times = np.median([turn[:2] for turn in turns[each]], axis=0).tolist()
-                first_call = np.nansum(firsts[each][:2]) / 1e3
-                vertices = len(make_task(*setting).mesh.vertices) // setting[0]
-                rows.append(Row(*each, setting[0], vertices, *times, first_call, ask[each](peak_memory)))
-    for row in rows:
-        row.forward_ratio, row.total_ratio = rows[0].forward / row.forward, rows[0].total / row.total
-    return rows
+    task = make_task(batch, scale)
+    names = (*NUMBA, STENCIL) if batch * scale <= SMALL else NUMBA
+    contenders = [(BASELINE, 1), *itertools.product(names, threads)]
+    turns: dict[tuple[str, int], list[Turn]] = {}
+    for each in contenders:
+        turns[each] = [take_turn(*each, task)]
+        require_same(each[0], turns[each][0], turns[BASELINE, 1][0])
+    for _ in range(ROUNDS):
+        for each in contenders:
+            if np.nansum([turn[2:] for turn in turns[each][1:]]) < PATIENCE:
+                turns[each].append(take_turn(*each, task))
+    medians = {each: np.median([turn[2:] for turn in turns[each][1:]], axis=0) for each in contenders}
+    return [
+        {
+            "contender": each[0],
+            "threads": each[1],
+            "batch": batch,
+            "vertices": len(task.mesh.vertices) // batch,
+            "forward [ms]": times[0],
+            "forward ×": medians[BASELINE, 1][0] / times[0],
+            "forward + gradient [ms]": times[1],
+            "forward + gradient ×": medians[BASELINE, 1][1] / times[1],
+            "memory above base [MB]": peak_memory(*each, task),
+        }
+        for each, times in medians.items()
+    ]
 
 
-def _ask(process: ProcessPoolExecutor, name: str, threads: int, setting: tuple, work: Callable):
-    return process.submit(work, name, threads, setting).result()
+def cell(value: float | str) -> str:
+    """How a value of the table is written."""
+    if isinstance(value, float):
+        return "–" if math.isnan(value) else f"{value:,.1f}"
+    return str(value)
 
 
-def show(rows: list[Row], title: str) -> None:
-    """Print the table."""
-    table = Table(title=title)
-    for column in ("contender", "threads", "batch", "vertices", "forward [ms]", "×", "forward + gradient [ms]", "×",
-                   "memory above base [MB]", "first call [s]"):  # fmt: skip
-        table.add_column(column, justify="left" if column == "contender" else "right")
-    for row in rows:
-        figures = (row.forward, row.forward_ratio, row.total, row.total_ratio, row.memory, row.first_call)
-        cells = ["–" if math.isnan(figure) else f"{figure:,.1f}" for figure in figures]
-        table.add_row(row.name, str(row.threads), str(row.batch), f"{row.vertices:,}", *cells)
-    Console(width=150).print(table)
+def patch_ratio() -> tuple[float, float]:
+    """Times of a press on a vertex and on a patch, with sensitivities in the exact cone; medians of turns [ms]."""
+    mesh, press = pressed_sheet(1, 0.0)
+    loads = (press, Press.on_patch(mesh, press.vertex, PATCH, press.direction, press.factor))
+    theta, mechanics = (0.5, 0.09, -0.1), Mechanics()
+    turns = [
+        [timed(simulate_sensitivities, theta, mesh, load, mechanics)[1] for load in loads] for _ in range(PATCH_ROUNDS)
+    ]
+    vertex, patch = np.median(turns[1:], axis=0).tolist()
+    return vertex, patch
 
 
-def plot(rows: list[Row], title: str, path: Path) -> None:
-    """Draw speed at batch 2, and cost of one mesh against its vertices."""
-
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(12, 5), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    pair = [row for row in rows if row.batch == 2]
-    places, ratios = np.arange(len(pair)), np.array([(row.forward_ratio, row.total_ratio) for row in pair])
-    for column, label in enumerate(("forward", "forward + gradient")):
-        bars = left.barh(places + 0.4 * column - 0.2, np.nan_to_num(ratios[:, column]), 0.38, label=label)
-        texts = ["" if math.isnan(ratio) else f"{ratio:.3g}×" for ratio in ratios[:, column]]
-        left.bar_label(bars, texts, padding=3, fontsize=8)
-    left.set_yticks(places, [f"{row.name}, {row.threads} thr." for row in pair])
-    left.invert_yaxis()
-    left.set(xscale="log", xlabel=f"times faster than {BASELINE} on one thread", title="batch 2")
-    left.set_xlim(0.5, 3 * np.nanmax(ratios))
-    left.legend(loc="lower right")
-    singles = [row for row in rows if row.batch == 1]
-    for name in dict.fromkeys(row.name for row in singles):
-        own = [row for row in singles if row.name == name]
-        times = [row.forward if math.isnan(row.total) else row.total for row in own]
-        right.loglog([row.vertices for row in own], times, "o-", label=name)
-    vertices = sorted({row.vertices for row in singles})
-    right.set_xticks(vertices, [f"{count:,}" for count in vertices])
-    right.minorticks_off()
-    right.set(xlabel="vertices", ylabel="forward + gradient [ms]; field: forward", title="batch 1, one thread")
-    right.grid(alpha=0.3)
-    right.legend(fontsize=8)
-    figure.suptitle(title, fontsize=10)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
+def plot(rows: list[dict[str, Any]], title: str) -> Figure:
+    """Cost of one mesh against its vertices."""
+    figure = Figure(figsize=(7, 5), layout="constrained")
+    axis = figure.subplots()
+    singles = [row for row in rows if row["batch"] == 1]
+    for name in (BASELINE, STENCIL, *NUMBA):
+        own = [row for row in singles if row["contender"] == name and row["threads"] == 1]
+        column = "forward [ms]" if name == FIELD else "forward + gradient [ms]"
+        axis.loglog([row["vertices"] for row in own], [row[column] for row in own], "o-", label=name)
+    vertices = sorted({row["vertices"] for row in singles})
+    axis.set_xticks(vertices, [f"{count:,}" for count in vertices])
+    axis.minorticks_off()
+    axis.set(xlabel="vertices", ylabel="forward + gradient [ms]; field: forward", title=title)
+    axis.grid(alpha=0.3)
+    axis.legend()
+    return figure
 
 
 def main() -> None:
-    """Measure, print the table and draw the picture."""
-    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
-    rows: list[Row] = []
-    with tempfile.TemporaryDirectory() as compiled:
-        os.environ["NUMBA_CACHE_DIR"] = compiled  # empty: the first call of a kind compiles
-        for (batch, scale), threads in track(SETTINGS.items(), "batches and sizes"):
-            try:
-                rows += measure((batch, scale, GRID), threads)
-            except BrokenProcessPool:
-                print(f"batch {batch}, {scale} times the vertices: left out; a process was killed, short of memory.")
-    title = f"200-step rollout; {os.cpu_count()} cores {platform.machine()}, {date.today()}"
-    show(rows, title)
-    plot(rows, title, PICTURE)
+    """Measure, print the tables and draw the picture."""
+    command_line(__doc__).parse_args()
+    title = f"200-step rollout, one mesh, one thread; {machine()}"
+    vertex, patch = patch_ratio()
+    print(f"{title}\n\npatch of radius {PATCH}: {patch:.1f} ms, one vertex: {vertex:.1f} ms, {patch / vertex:.2f}×\n")
+    settings = track(SETTINGS.items(), "batches and sizes")
+    rows = [row for (batch, scale), threads in settings for row in measure(batch, scale, threads)]
+    print_table([*rows[0]], ([cell(value) for value in row.values()] for row in rows))
+    PICTURE.parent.mkdir(parents=True, exist_ok=True)
+    plot(rows, title).savefig(PICTURE, dpi=110)
     print(f"written: {PICTURE}")
 
 
 if __name__ == "__main__":
-    main()
+    run_door(main)

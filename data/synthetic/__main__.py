@@ -23,7 +23,7 @@ from typing import Any
 
 from rich.console import Console
 
-from data.command_line import path_option, progress_bars, say
+from data.command_line import path_option, progress_bars, say, whole_number
 from data.synthetic.clip import clip_seed, write_clip
 from data.synthetic.settings import SceneSettings
 
@@ -46,11 +46,17 @@ def build_parser() -> argparse.ArgumentParser:
     """Command line: the set, and an option for every field of SceneSettings."""
     parser = argparse.ArgumentParser(prog="python -m data.synthetic", description=__doc__.split("\n")[0])
     parser.add_argument("--output", type=path_option, required=True, help="folder that gets videoNN/videoNN_00000/")
-    parser.add_argument("--clips", type=int, default=1, help="number of clips (default %(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="another seed gives other clips (default %(default)s)")
-    parser.add_argument("--first", type=int, default=1, help="number of the first video (default %(default)s)")
+    parser.add_argument("--clips", type=whole_number(1), default=1, help="number of clips (default %(default)s)")
+    parser.add_argument(
+        "--seed", type=whole_number(0), default=0, help="another seed gives other clips (default %(default)s)"
+    )
+    parser.add_argument(
+        "--first", type=whole_number(0), default=1, help="number of the first video (default %(default)s)"
+    )
     sizes = ", ".join(f"{name} ({width}x{height})" for name, (width, height) in SIZES.items())
-    parser.add_argument("--size", default="full", help=f"picture: {sizes} or WIDTHxHEIGHT (default %(default)s)")
+    parser.add_argument(
+        "--size", type=picture_size, default="full", help=f"picture: {sizes} or WIDTHxHEIGHT (default %(default)s)"
+    )
     parser.add_argument(
         "--overwrite", action="store_true", help="replace synthetic clips that were made with other settings"
     )
@@ -78,13 +84,13 @@ def picture_size(text: str) -> tuple[int, int]:
     """Width and height [px] of a named size or WIDTHxHEIGHT.
 
     Raises:
-        ValueError: neither.
+        ArgumentTypeError: neither.
     """
     if text in SIZES:
         return SIZES[text]
     width, _, height = text.lower().partition("x")
     if not (width.isdecimal() and height.isdecimal()):
-        raise ValueError(f"--size is '{text}'; give {', '.join(SIZES)} or WIDTHxHEIGHT such as 854x480.")
+        raise argparse.ArgumentTypeError(f"is '{text}'; give {', '.join(SIZES)} or WIDTHxHEIGHT such as 854x480")
     return int(width), int(height)
 
 
@@ -92,17 +98,12 @@ def main(arguments: list[str] | None = None) -> int:
     """Write the clips that the command line asks for; returns the exit status: 0 done, 1 failed, 2 wrong usage."""
     console = Console(stderr=True)
     options = vars(build_parser().parse_args(arguments))
-    output, clips, seed, first, size, overwrite = (
+    output, clips, seed, first, (width, height), overwrite = (
         options.pop(name) for name in ("output", "clips", "seed", "first", "size", "overwrite")
     )
+    knobs: dict[str, Any] = {name: tuple(end) if isinstance(end, list) else end for name, end in options.items()}
     try:
-        if clips < 1 or seed < 0 or first < 0:
-            raise ValueError("--clips takes 1 or more, --seed and --first 0 or more.")
-        width, height = picture_size(size)
-        ranges: dict[str, Any] = {
-            name: tuple(value) if isinstance(value, list) else value for name, value in options.items()
-        }
-        settings = SceneSettings(width=width, height=height, **ranges)
+        settings = SceneSettings(width=width, height=height, **knobs)
     except ValueError as error:
         say(console, str(error), "red")
         return 2

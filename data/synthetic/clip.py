@@ -27,18 +27,6 @@ MARKER = "synthetic.json"
 
 
 @dataclass(frozen=True)
-class SyntheticFrame:
-    """One frame as a user's files would show it."""
-
-    image: np.ndarray
-    """RGB, shape [H, W, 3], uint8."""
-    labels: np.ndarray
-    """Grey class codes of `data.masks.class_table`, shape [H, W], uint8."""
-    stored_depth: np.ndarray
-    """z times its type's largest value, shape [H, W], uint8 or uint16, 0 = invalid."""
-
-
-@dataclass(frozen=True)
 class SyntheticClip:
     """A clip in memory."""
 
@@ -70,15 +58,19 @@ def draw_truth(settings: SceneSettings, seed: int) -> tuple[Scene, Motion]:
     return scene, draw_motion(scene, np.random.default_rng([seed, 1]))
 
 
-def observe(scene: Scene, motion: Motion, seed: int) -> Iterator[SyntheticFrame]:
-    """Frames of a clip in order, with their errors of observation."""
+def observe(scene: Scene, motion: Motion, seed: int) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Frames of a clip in order as a user's files would show them, with their errors of observation.
+
+    Yields:
+        RGB picture, shape [H, W, 3], uint8; grey class codes of `data.masks.class_table`, shape [H, W], uint8; z times
+        its type's largest value, shape [H, W], uint8 or uint16, 0 = invalid.
+    """
     settings = scene.settings
     renderer = Renderer(scene, motion, np.random.default_rng([seed, 2]))
     depth_errors, mask_errors = np.random.default_rng([seed, 3]), np.random.default_rng([seed, 4])
     for index in range(settings.frames):
-        frame = renderer.frame(index)
-        labels = observe_labels(frame.labels, settings, mask_errors)
-        yield SyntheticFrame(frame.image, labels, observe_depth(frame.depth, settings, depth_errors))
+        image, labels, depth = renderer.frame(index)
+        yield image, observe_labels(labels, settings, mask_errors), observe_depth(depth, settings, depth_errors)
 
 
 def make_clip(settings: SceneSettings, seed: int) -> SyntheticClip:
@@ -92,16 +84,9 @@ def make_clip(settings: SceneSettings, seed: int) -> SyntheticClip:
 
 def synthetic_clip(scene: Scene, motion: Motion, seed: int) -> SyntheticClip:
     """A clip in memory of a truth that was drawn already, observed as the scene's settings say."""
-    frames = list(observe(scene, motion, seed))
-    return SyntheticClip(
-        scene,
-        motion,
-        reported_camera(scene.camera, scene.settings),
-        seed,
-        np.stack([frame.image for frame in frames]),
-        np.stack([frame.labels for frame in frames]),
-        np.stack([stored_to_depth(frame.stored_depth) for frame in frames]),
-    )
+    images, labels, stored = map(np.stack, zip(*observe(scene, motion, seed), strict=True))
+    camera = reported_camera(scene.camera, scene.settings)
+    return SyntheticClip(scene, motion, camera, seed, images, labels, stored_to_depth(stored))
 
 
 def clip_seed(seed: int, index: int) -> int:
@@ -150,12 +135,11 @@ def write_clip(
         (partial / folder_name).mkdir()
         with open_video(partial / f"{folder_name}.mp4", settings) as add_to_video:
             for index, frame in enumerate(observe(scene, motion, seed)):
-                write_frame(partial / folder_name, index, frame.image, frame.labels, frame.stored_depth)
-                add_to_video(frame.image)
+                write_frame(partial / folder_name, index, *frame)
+                add_to_video(frame[0])
                 advance(1)
         write_truth(partial / folder_name, scene, motion, seed)
-        hashes = {name: _sha256(partial / name) for name in _files(partial)}
-        (partial / MARKER).write_text(json.dumps({"files": hashes}, indent=1) + "\n", encoding="utf-8")
+        (partial / MARKER).write_text(json.dumps({"files": _content(partial)}, indent=1) + "\n", encoding="utf-8")
         _require_own(target)
         _swap(partial, target)
     finally:
@@ -186,24 +170,23 @@ def _require_own(target: Path) -> None:
         written = None
     if target.is_symlink() or not isinstance(written, dict):
         raise FileExistsError(f"{target} has no {MARKER} of this program; move it away or give another --output.")
-    for name in _files(target):
-        path = target / name
-        if name != MARKER and (path.is_symlink() or not path.is_file() or written.get(name) != _sha256(path)):
-            raise FileExistsError(f"{path} is not as data.synthetic wrote it; move it away or give another --output.")
+    for name, digest in _content(target).items():
+        if name != MARKER and written.get(name) != digest:
+            raise FileExistsError(
+                f"{target / name} is not as data.synthetic wrote it; move it away or give another --output."
+            )
 
 
-def _files(folder: Path) -> list[str]:
-    """Relative names of all that is in a folder and below, but folders with something in them."""
-    found = sorted(folder.rglob("*"))
-    return [
-        path.relative_to(folder).as_posix()
-        for path in found
-        if path.is_symlink() or not path.is_dir() or not any(path.iterdir())
-    ]
-
-
-def _sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+def _content(folder: Path) -> dict[str, str]:
+    """Hash of every file in a folder and below, by its relative name; empty for links, empty folders and the like."""
+    content = {}
+    for path in sorted(folder.rglob("*")):
+        name = path.relative_to(folder).as_posix()
+        if path.is_file() and not path.is_symlink():
+            content[name] = hashlib.sha256(path.read_bytes()).hexdigest()
+        elif path.is_symlink() or not path.is_dir() or not any(path.iterdir()):
+            content[name] = ""
+    return content
 
 
 def _same_clip(truth: Path, settings: SceneSettings, seed: int) -> bool:

@@ -7,12 +7,13 @@ is kept for evaluation alone.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
 
 from data.contact.interaction import Interaction
-from data.synthetic.scene import Scene, draw_scene
+from data.synthetic.scene import Scene, crop_mesh, draw_scene
 from data.synthetic.settings import SceneSettings
 from data.synthetic.truth import draw_theta
 from physics.load import Press, held
@@ -38,24 +39,6 @@ class SimulatedContact:
     """[k_s, k_d, F], shape [3]."""
 
 
-def crop_mesh(mesh: Mesh, vertex: int, reach: int) -> tuple[Mesh, int]:
-    """The part of a grid mesh within `reach` pixels of a vertex, its cut edge held, and the vertex's number in it."""
-    apart = np.abs(mesh.pixels - mesh.pixels[vertex]).max(axis=1)
-    kept = np.flatnonzero(apart <= reach)
-    number = np.full(len(mesh.vertices), -1, np.int32)
-    number[kept] = np.arange(len(kept))
-    springs = number[mesh.springs]
-    cropped = Mesh(
-        vertices=mesh.vertices[kept],
-        triangles=np.empty((0, 3), np.int32),
-        springs=springs[(springs >= 0).all(axis=1)],
-        rim=mesh.rim[kept] | (apart[kept] == reach),
-        pixels=mesh.pixels[kept],
-        grid_shape=mesh.grid_shape,
-    )
-    return cropped, int(number[vertex])
-
-
 def draw_contacts(settings: SceneSettings, seed: int, count: int, time_step: float) -> list[SimulatedContact]:
     """Contacts of one scene, each with its own tissue and timing; fewer where too many draws move too much or little.
 
@@ -67,15 +50,10 @@ def draw_contacts(settings: SceneSettings, seed: int, count: int, time_step: flo
     """
     scene = draw_scene(settings, np.random.default_rng([seed, 0]))
     generator = np.random.default_rng([seed, 1])
-    mesh, vertex = crop_mesh(scene.mesh, scene.vertex, REACH)
-    found: list[SimulatedContact] = []
-    for _ in range(ATTEMPTS * count):
-        if len(found) == count:
-            break
-        contact = _draw_contact(scene, mesh, vertex, generator, time_step)
-        if contact is not None:
-            found.append(contact)
-    return found
+    mesh, kept, _ = crop_mesh(scene.mesh, scene.vertex, REACH)
+    vertex = int(np.searchsorted(kept, scene.vertex))
+    draws = (_draw_contact(scene, mesh, vertex, generator, time_step) for _ in range(ATTEMPTS * count))
+    return list(itertools.islice(filter(None, draws), count))
 
 
 def _draw_contact(

@@ -13,11 +13,10 @@ import cv2
 import numpy as np
 
 from data.masks.class_table import CLASSES
-from data.source.camera import Camera
 from data.synthetic.errors import reported_camera
 from data.synthetic.scene import Scene
 from data.synthetic.settings import SceneSettings
-from data.synthetic.truth import ABSOLUTE_TOLERANCE, RELATIVE_TOLERANCE, Motion
+from data.synthetic.truth import ABSOLUTE_TOLERANCE, RELATIVE_TOLERANCE, Motion, damping_ratio, regime_of
 from physics.mechanics import PARAMETERS
 
 UNITS = {
@@ -58,7 +57,7 @@ def write_truth(folder: Path, scene: Scene, motion: Motion, seed: int) -> None:
     settings, mesh = scene.settings, scene.mesh
     clip = {
         "fps": settings.fps,
-        "camera": _camera_entries(reported_camera(scene.camera, settings)),
+        "camera": dataclasses.asdict(reported_camera(scene.camera, settings)),
         "depth_scale": 1.0,
         "times": motion.times.tolist(),
     }
@@ -80,11 +79,12 @@ def write_truth(folder: Path, scene: Scene, motion: Motion, seed: int) -> None:
 
 
 def _truth_entries(scene: Scene, motion: Motion, seed: int) -> dict:
+    zeta = damping_ratio(motion.theta[0], motion.theta[1], scene.settings.mass)
     return {
         "seed": seed,
         "theta": dict(zip(PARAMETERS, motion.theta.tolist(), strict=True)),
-        "zeta": motion.zeta,
-        "regime": motion.regime,
+        "zeta": zeta,
+        "regime": regime_of(zeta),
         "onset_frame": motion.onset_frame,
         "release_frame": motion.release_frame,
         "onset_s": float(motion.times[motion.onset_frame]),
@@ -96,7 +96,7 @@ def _truth_entries(scene: Scene, motion: Motion, seed: int) -> dict:
         "contact_vertex": scene.vertex,
         "contact_pixel": dict(zip(("row", "column"), scene.mesh.pixels[scene.vertex].tolist(), strict=True)),
         "direction": scene.direction.tolist(),
-        "camera": _camera_entries(scene.camera),
+        "camera": dataclasses.asdict(scene.camera),
         "integrator": INTEGRATOR,
         "units": UNITS,
         "arrays": ARRAYS,
@@ -157,7 +157,3 @@ def _color_table() -> np.ndarray:
     for entry in CLASSES.values():
         table[entry.grey] = entry.color
     return table
-
-
-def _camera_entries(camera: Camera) -> dict:
-    return {**dataclasses.asdict(camera), "distortion": list(camera.distortion)}

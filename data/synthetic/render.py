@@ -7,12 +7,12 @@ Radiance = albedo · cos(angle of incidence) / distance², plus highlights, then
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from data.masks.class_table import CLASSES
+from data.source.camera import back_project
 from data.synthetic.scene import Scene
 from data.synthetic.surface import View, deformed_view, rest_view
 from data.synthetic.tool import draw_tool
@@ -30,18 +30,6 @@ FAT_LIFT = 0.04
 """How far the occluding piece of fat lies before the tissue [scene units]."""
 
 
-@dataclass(frozen=True)
-class RenderedFrame:
-    """One frame without errors of observation, apart from the picture's noise."""
-
-    image: np.ndarray
-    """RGB, shape [H, W, 3], uint8."""
-    labels: np.ndarray
-    """Grey class codes of `data.masks.class_table`, shape [H, W], uint8."""
-    depth: np.ndarray
-    """z, shape [H, W], float32 [scene units]; 0 outside the endoscope's circle."""
-
-
 class Renderer:
     """Draws the frames of one scene."""
 
@@ -54,20 +42,18 @@ class Renderer:
         self.bumps = _bumps(scene, generator)
         self.fat_course = generator.uniform(size=(2, 2))
         camera = scene.camera
-        self.rays = np.stack(
-            np.broadcast_arrays(
-                (np.arange(camera.width) - camera.cx) / camera.fx,
-                ((np.arange(camera.height) - camera.cy) / camera.fy)[:, None],
-                1.0,
-            ),
-            axis=-1,
-        ).astype(np.float32)
+        self.rays = back_project(np.ones((camera.height, camera.width)), camera)
         whole = (slice(0, camera.height), slice(0, camera.width))
         self.rest_light = self._tissue_light(self.rest, whole)
         self.outside = _outside_circle(scene) if scene.settings.circle else None
 
-    def frame(self, index: int) -> RenderedFrame:
-        """Draw a frame. Frames are drawn in order: the noise goes on from the last one."""
+    def frame(self, index: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Draw a frame. Frames are drawn in order: the noise goes on from the last one.
+
+        Returns:
+            RGB picture, shape [H, W, 3], uint8; grey class codes of `data.masks.class_table`, shape [H, W], uint8; true
+            z, shape [H, W], float32 [scene units], 0 outside the endoscope's circle.
+        """
         view = deformed_view(self.scene, self.motion, index, self.rest)
         labels, light, depth = self.rest_labels.copy(), self.rest_light.copy(), view.depth.copy()
         if view.region[0].stop > 0:
@@ -82,7 +68,7 @@ class Renderer:
         light[tool.rows, tool.columns] = tool.light * np.square(EXPOSURE_DISTANCE / tool.depth)[:, None]
         if self.outside is not None:
             labels[self.outside], depth[self.outside], light[self.outside] = GREY["background"], 0, 0
-        return RenderedFrame(self._expose(light), labels, depth)
+        return self._expose(light), labels, depth
 
     def _tissue_light(self, view: View, region: tuple[slice, slice]) -> np.ndarray:
         """Linear light of the tissue over a region, shape [h, w, 3]."""

@@ -140,6 +140,29 @@ def draw_scene(settings: SceneSettings, generator: np.random.Generator) -> Scene
     )
 
 
+def crop_mesh(mesh: Mesh, vertex: int, reach: int) -> tuple[Mesh, np.ndarray, np.ndarray]:
+    """The part of a grid mesh within `reach` pixels of a vertex, its cut edge held.
+
+    Returns:
+        The part, without triangles; which vertices it has, ascending, and whether they lie on the cut, shape [N] each.
+    """
+    apart = np.abs(mesh.pixels - mesh.pixels[vertex]).max(axis=1)
+    kept = np.flatnonzero(apart <= reach)
+    number = np.full(len(mesh.vertices), -1, np.int32)
+    number[kept] = np.arange(len(kept))
+    springs = number[mesh.springs]
+    cut = apart[kept] == reach
+    cropped = Mesh(
+        vertices=mesh.vertices[kept],
+        triangles=np.empty((0, 3), np.int32),
+        springs=springs[(springs >= 0).all(axis=1)],
+        rim=mesh.rim[kept] | cut,
+        pixels=mesh.pixels[kept],
+        grid_shape=mesh.grid_shape,
+    )
+    return cropped, kept, cut
+
+
 def _draw_entry(generator: np.random.Generator) -> np.ndarray:
     """Direction within 20° of a grid axis: only then one tissue pixel lies in front of the tool's tip."""
     base = generator.choice([0.0, 180.0, -90.0, 90.0], p=[0.35, 0.35, 0.15, 0.15])

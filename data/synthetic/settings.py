@@ -88,68 +88,56 @@ class SceneSettings:
     """Black out what lies outside a round endoscope picture."""
 
     def __post_init__(self) -> None:
-        self._check_sizes()
-        self._check_ranges()
-        self._check_errors()
+        for name, (lowest, highest) in _LIMITS.items():
+            value = getattr(self, name)
+            ends = value if isinstance(value, tuple) else (value,)
+            if not lowest <= ends[0] <= ends[-1] <= highest:
+                wanted = "a number" if len(ends) == 1 else "a low end up to a high end"
+                raise ValueError(f"scene.{name} is {value}; give {wanted} within [{lowest:g}, {highest:g}].")
+        if self.width < self.grid_width or self.height < self.grid_height:
+            raise ValueError(
+                f"scene.width x scene.height is {self.width}x{self.height}; give at least the grid's size, "
+                f"{self.grid_width}x{self.grid_height}."
+            )
+        if self.depth_bits not in (8, 16):
+            raise ValueError(f"scene.depth_bits is {self.depth_bits}; give 8 or 16.")
 
     @property
     def cell(self) -> tuple[float, float]:
         """Size of a grid cell along u and v [px]."""
         return self.width / self.grid_width, self.height / self.grid_height
 
-    def _check_sizes(self) -> None:
-        for name, low in (("width", 64), ("height", 48), ("grid_width", 64), ("grid_height", 48), ("frames", 8)):
-            if getattr(self, name) < low:
-                raise ValueError(f"scene.{name} is {getattr(self, name)}; give at least {low}.")
-        if self.width < self.grid_width or self.height < self.grid_height:
-            raise ValueError(
-                f"scene.width x scene.height is {self.width}x{self.height}; give at least the grid's size, "
-                f"{self.grid_width}x{self.grid_height}."
-            )
-        for name in ("fps", "mass"):
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise ValueError(f"scene.{name} is {getattr(self, name)}; give a positive number.")
-        if not 20 <= self.field_of_view_deg <= 110:
-            raise ValueError(f"scene.field_of_view_deg is {self.field_of_view_deg}; give 20 to 110 degrees.")
 
-    def _check_ranges(self) -> None:
-        limits = {
-            "stiffness": (1e-6, math.inf),
-            "damping": (1e-9, math.inf),
-            "force": (-math.inf, -1e-9),
-            "peak_displacement": (0.0, math.inf),
-            "press_seconds": (1e-6, math.inf),
-            "onset_fraction": (0.0, 0.9),
-            "onset_delay": (0.0, 1.0),
-            "release_delay": (0.0, 1.0),
-            "distance": (0.3, 0.8),
-            "curvature": (0.0, 1.5),
-        }
-        for name, (lowest, highest) in limits.items():
-            low, high = getattr(self, name)
-            if not lowest <= low <= high <= highest:
-                raise ValueError(
-                    f"scene.{name} is [{low:g}, {high:g}]; give a low end up to a high end within "
-                    f"[{lowest:g}, {highest:g}]."
-                )
-
-    def _check_errors(self) -> None:
-        limits = {
-            "max_tilt_deg": (0, 45),
-            "relief": (0, 0.05),
-            "stiffness_variation": (0, 2),
-            "nonlinearity": (0, 10),
-            "depth_noise": (0, 0.2),
-            "depth_noise_correlation": (0, 100),
-            "scale_flicker": (0, 0.5),
-            "mask_error": (0, 20),
-            "focal_error": (0.2, 5),
-            "occlusion": (0, 0.8),
-            "image_noise": (0, 0.5),
-            "highlights": (0, 5),
-        }
-        for name, (low, high) in limits.items():
-            if not low <= getattr(self, name) <= high:
-                raise ValueError(f"scene.{name} is {getattr(self, name)}; give {low:g} to {high:g}.")
-        if self.depth_bits not in (8, 16):
-            raise ValueError(f"scene.depth_bits is {self.depth_bits}; give 8 or 16.")
+_LIMITS = {
+    "width": (64, math.inf),
+    "height": (48, math.inf),
+    "grid_width": (64, math.inf),
+    "grid_height": (48, math.inf),
+    "frames": (8, math.inf),
+    "fps": (1e-6, 1e6),
+    "field_of_view_deg": (20, 110),
+    "stiffness": (1e-6, math.inf),
+    "damping": (1e-9, math.inf),
+    "force": (-math.inf, -1e-9),
+    "mass": (1e-12, 1e12),
+    "peak_displacement": (0, math.inf),
+    "press_seconds": (1e-6, math.inf),
+    "onset_fraction": (0, 0.9),
+    "onset_delay": (0, 1),
+    "release_delay": (0, 1),
+    "distance": (0.3, 0.8),
+    "max_tilt_deg": (0, 45),
+    "curvature": (0, 1.5),
+    "relief": (0, 0.05),
+    "stiffness_variation": (0, 2),
+    "nonlinearity": (0, 10),
+    "depth_noise": (0, 0.2),
+    "depth_noise_correlation": (0, 100),
+    "scale_flicker": (0, 0.5),
+    "mask_error": (0, 20),
+    "focal_error": (0.2, 5),
+    "occlusion": (0, 0.8),
+    "image_noise": (0, 0.5),
+    "highlights": (0, 5),
+}
+"""Smallest and largest value of each number, and of both ends of each range."""

@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 from scipy.ndimage import gaussian_filter
 from scipy.sparse import csr_array
 
-from data.synthetic.scene import Scene, SceneError
+from data.synthetic.scene import Scene, SceneError, crop_mesh
 from data.synthetic.settings import SceneSettings
 
 SAMPLE_STEP = 0.005
@@ -42,10 +42,6 @@ class Motion:
 
     theta: np.ndarray
     """[k_s, k_d, F], float64, F signed."""
-    zeta: float
-    """Damping ratio k_d/(2√(k_s m))."""
-    regime: Regime
-    """By ζ: under 0.7, 0.7 to 1.4, over 1.4."""
     onset_frame: int
     """First frame in contact; the force starts `delay` after its time stamp, until when the tissue is at rest."""
     release_frame: int
@@ -194,11 +190,8 @@ def simulate_motion(
     force = np.zeros(settings.frames)
     pressed = (after > -ROUNDING) & (after < load - ROUNDING)
     force[onset:][pressed] = theta[2] * _profile(settings, after[pressed], load)
-    zeta = damping_ratio(theta[0], theta[1], settings.mass)
     return Motion(
         theta=theta,
-        zeta=zeta,
-        regime=regime_of(zeta),
         onset_frame=onset,
         release_frame=release,
         delay=delay,
@@ -254,24 +247,17 @@ def _reach(scene: Scene, theta: np.ndarray, duration: float) -> int:
 
 def cut_window(scene: Scene, radius: int, variation: np.ndarray | None) -> Window:
     """Vertices within `radius` grid px of the contact and the springs among them; the cut border is held."""
-    mesh = scene.mesh
-    apart = np.abs(mesh.pixels - mesh.pixels[scene.vertex]).max(axis=1)
-    vertices = np.flatnonzero(apart <= radius)
-    number = np.full(len(mesh.vertices), -1)
-    number[vertices] = np.arange(len(vertices))
-    springs = number[mesh.springs]
-    springs = springs[(springs >= 0).all(axis=1)]
-    count = np.arange(len(springs))
-    signs = np.concatenate((-np.ones(len(springs)), np.ones(len(springs))))
-    ends = (np.concatenate((count, count)), np.concatenate((springs[:, 0], springs[:, 1])))
-    difference = csr_array((signs, ends), shape=(len(springs), len(vertices)))
-    edges = difference @ mesh.vertices[vertices].astype(np.float64)
-    relative = np.ones(len(springs))
+    mesh, vertices, cut = crop_mesh(scene.mesh, scene.vertex, radius)
+    count = np.arange(len(mesh.springs))
+    signs = np.repeat((-1.0, 1.0), len(count))
+    ends = (np.concatenate((count, count)), mesh.springs.T.ravel())
+    difference = csr_array((signs, ends), shape=(len(count), len(vertices)))
+    edges = difference @ mesh.vertices.astype(np.float64)
+    relative = np.ones(len(count))
     if variation is not None:
-        relative = variation[tuple(mesh.pixels[vertices].T)][springs].mean(axis=1)
-    contact = int(number[scene.vertex])
-    cut = apart[vertices] == radius
-    held = cut | mesh.rim[vertices]
+        relative = variation[tuple(mesh.pixels.T)][mesh.springs].mean(axis=1)
+    contact = int(np.searchsorted(vertices, scene.vertex))
+    held = mesh.rim.copy()
     held[contact] = False
     return Window(vertices, difference, edges, np.linalg.norm(edges, axis=1), relative, held, cut, contact)
 

@@ -1,6 +1,6 @@
 """How the errors of a tracked contact belong together from frame to frame: what a posterior must know beside their σ.
 
-`python -m benchmarks.tracking_errors --clips 240` measures it on synthetic clips with known truth (validation split):
+`python -m benchmarks.tracking_errors` measures it on 240 synthetic clips with known truth (validation split):
 errors lie along the viewing ray (0.05 σ across it, 0.14 σ where depth was rounded to 8 bits), and
 
 - the rest position is off by 0.04 σ (`clean`, `noisy`) to 0.09 σ (`8bit`), in all frames alike;
@@ -12,6 +12,8 @@ errors lie along the viewing ray (0.05 σ across it, 0.14 σ where depth was rou
 Whether depth was rounded isn't said by the contact, so both are held possible. Rounding errors are bounded, which says
 more about θ than their covariance does: where a simulated motion's depth lies in another step than the observed one,
 it is refuted. But it is by their covariance that they differ from noise.
+
+What is said of BLUR, ASTRAY, REACH and INDEPENDENT was measured once on those clips (2026-11); that script is gone.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from benchmarks.rollout import Task, forward, make_task, own_process, peak_memory, take_turn, total
+from benchmarks.rollout import Task, forward, make_task, peak_memory, take_turn, total
 from physics import jit
 from physics.msd.rollouts import rollout
 from tests.physics.batches import batch_of
@@ -26,10 +26,10 @@ ROOT = Path(__file__).resolve().parents[2]
 @pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="memory is read from Linux' /proc")
 @pytest.mark.parametrize("name", ["numba exact", "numba window"])
 def test_forward_and_gradient_of_two_meshes_take_under_40_mb(name):
-    assert len(make_task(2, 1).mesh.vertices) > 2 * 14_000
-    with own_process() as process:
-        process.submit(take_turn, name, 2, (2, 1)).result()
-        assert process.submit(peak_memory, name, 2, (2, 1)).result() < 40
+    task = make_task(2, 1)
+    assert len(task.mesh.vertices) > 2 * 14_000
+    take_turn(name, 2, task)
+    assert peak_memory(name, 2, task) < 40
 
 
 def fastest(work, name: str, task: Task, count: int) -> float:

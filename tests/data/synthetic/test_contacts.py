@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from data.synthetic.contacts import FINE, REACH, crop_mesh, draw_contacts
-from data.synthetic.scene import draw_scene
+from data.synthetic.contacts import FINE, REACH, draw_contacts
+from data.synthetic.scene import crop_mesh, draw_scene
 from data.synthetic.settings import SceneSettings
 from physics.load import Press, held
 from physics.msd.simulation import simulate
@@ -18,7 +18,8 @@ SETTINGS = SceneSettings(width=214, height=120)
 
 def test_a_cropped_mesh_moves_like_the_whole() -> None:
     scene = draw_scene(SETTINGS, np.random.default_rng(3))
-    mesh, vertex = crop_mesh(scene.mesh, scene.vertex, REACH)
+    mesh, kept, _ = crop_mesh(scene.mesh, scene.vertex, REACH)
+    vertex = int(np.flatnonzero(kept == scene.vertex)[0])
     assert len(mesh.vertices) < len(scene.mesh.vertices)
     np.testing.assert_array_equal(mesh.vertices[vertex], scene.mesh.vertices[scene.vertex])
     theta = np.array([1.0, 0.01, -0.05])  # the fastest waves of the ranges
@@ -72,7 +73,9 @@ def test_motions_follow_the_fitted_simulator() -> None:
 @pytest.mark.parametrize("reach", [2, 5])
 def test_the_cut_edge_is_held(reach: int) -> None:
     scene = draw_scene(SETTINGS, np.random.default_rng(3))
-    mesh, vertex = crop_mesh(scene.mesh, scene.vertex, reach)
+    mesh, kept, cut = crop_mesh(scene.mesh, scene.vertex, reach)
+    vertex = int(np.flatnonzero(kept == scene.vertex)[0])
     edge = np.abs(mesh.pixels - mesh.pixels[vertex]).max(axis=1) == reach
+    np.testing.assert_array_equal(cut, edge)
     assert edge.any()
     assert mesh.rim[edge].all()

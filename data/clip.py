@@ -6,14 +6,14 @@ with the next frame: observed displacement and the run of contact (Bini 2026, se
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -100,19 +100,6 @@ class ClipStream:
         return {
             "depth": self._depth.identity.split(":")[0],
             "masks": Path(chosen_kind(self.settings.masks, self.source.path, self.settings.layout)).name,
-        }
-
-    @property
-    def description(self) -> dict[str, Any]:
-        """What is known of the clip as a whole, JSON-able, once it is read to its end."""
-        return {
-            "name": self.source.name,
-            "fps": self.source.fps,
-            "scale": self.scale,
-            "metric": self.metric,
-            "sources": self.sources,
-            "camera": dataclasses.asdict(self.camera),
-            "warnings": self.source.warnings,
         }
 
     def __iter__(self) -> Iterator[PreparedFrame]:
@@ -216,30 +203,21 @@ class ClipStream:
             prepared.geometry, prepared.distance = geometry, geometry.distance
         return prepared
 
-    def _timed(self, stage: str) -> _Stopwatch:
-        return _Stopwatch(self.seconds, stage)
-
-
-@dataclass
-class _Stopwatch:
-    """Adds the time spent inside a `with` block to a stage's total."""
-
-    totals: dict[str, float]
-    stage: str
-    start: float = 0.0
-
-    def __enter__(self) -> None:
-        self.start = time.perf_counter()
-
-    def __exit__(self, *exception: object) -> None:
-        self.totals[self.stage] += time.perf_counter() - self.start
+    @contextlib.contextmanager
+    def _timed(self, stage: str) -> Generator[None]:
+        """Adds the time spent inside a `with` block to a stage's total."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[stage] += time.perf_counter() - start
 
 
 def prepare(
     path: Path | str,
     settings: PrepareSettings,
     cache_dir: Path | str,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], None] = lambda count, total: None,
 ) -> PreparedClip:
     """Prepare a clip once: from the cache where nothing that it depends on has changed, else frame by frame.
 
@@ -263,12 +241,13 @@ def prepare(
     if found is not None:
         return found
     clip_stream = ClipStream(source, settings)
-    with entry.writer() as writer:
+
+    def counted() -> Iterator[PreparedFrame]:
         for count, prepared in enumerate(clip_stream, start=1):
-            writer.add(prepared)
-            if progress is not None:
-                progress(count, max(source.length, count))
-        writer.finish(clip_stream.description)
+            yield prepared
+            progress(count, max(source.length, count))
+
+    entry.write(counted(), clip_stream.sources)
     found = entry.load(path)
     if found is None:
         raise InputError(f"{entry.folder} can't be read back; check the disk or give another cache.")

@@ -70,7 +70,6 @@ class ContactMotion:
         self.bridge_frames, self.track_seconds = bridge_frames, track_seconds
         self._tracker = TissueTracker()
         self._rest = RestDepth()
-        self._smooth = -1, np.empty(0)
         self._run: ContactRun | None = None
         self._last_contact: int | None = None
         self._last_time = -math.inf
@@ -100,7 +99,7 @@ class ContactMotion:
             after.detail = after.detail or DENTED
         run = self._run
         if run is not None:
-            after.track_start = run.start
+            after.track_start = run.onset.frame.index
             if run.pixel is not None:
                 after.track_position = self._lift(run.pixel[None], after)[0] - run.drift
             self._grow_older(run, after)
@@ -149,7 +148,7 @@ class ContactMotion:
         index = after.frame.index
         missing = math.inf if self._last_contact is None else index - self._last_contact - 1
         if not after.in_contact:
-            expired = self._run is not None and after.frame.time_s - self._run.start_time > self.track_seconds
+            expired = self._run is not None and after.frame.time_s - self._run.onset.frame.time_s > self.track_seconds
             if expired and missing >= self.bridge_frames:
                 self._run = None
         elif missing > self.bridge_frames:
@@ -190,7 +189,7 @@ class ContactMotion:
         pixel = picture_pixel(onset, self.size)
         template = TissueTemplate(*onset.view, pixel)
         young = [] if math.isfinite(onset.contact.noise) else None
-        return ContactRun(onset.frame.index, onset.frame.time_s, pixel, template, np.zeros(3), onset, young)
+        return ContactRun(onset, pixel, template, np.zeros(3), young)
 
     def _noise(self, onset: PreparedFrame) -> float:
         """Standard deviation of the depth [scene units], measured away from the outlines, where masks may be wrong."""
@@ -246,17 +245,14 @@ class ContactMotion:
         grid = picture_to_grid(pixels, prepared.depth.shape, self.size)
         noise = math.nan if self._run is None else self._run.onset.contact.noise
         labels = uncover(prepared.depth, prepared.labels, noise)
-        return lift(grid, prepared.depth, labels, self.camera, self.settings.depth_radius)
+        return lift(grid, prepared.depth, labels, self.camera)
 
     def _lift_smooth(self, pixels: np.ndarray, prepared: PreparedFrame) -> np.ndarray:
         """Points [P, 3] on the smoothed surface: drift adds up from frame to frame, and with it the depth's noise."""
-        if self.settings.smoothing == 0:
-            return self._lift(pixels, prepared)
-        index, depth = self._smooth
-        if index != prepared.frame.index:
-            tissue = (prepared.labels == TISSUE) & (prepared.depth > 0)
-            depth = smooth_surface(prepared.depth, tissue, self.settings.smoothing)[0]
-            self._smooth = prepared.frame.index, depth
+        depth = prepared.depth
+        if self.settings.smoothing > 0:
+            tissue = (prepared.labels == TISSUE) & (depth > 0)
+            depth = smooth_surface(depth, tissue, self.settings.smoothing)[0]
         grid = picture_to_grid(pixels, prepared.depth.shape, self.size)
         return lift(grid, depth, prepared.labels, self.camera)
 

@@ -30,18 +30,14 @@ REFINE_FRAMES = 5
 class ContactRun:
     """A run of contact whose onset was seen, and the tissue point that is followed from it."""
 
-    start: int
-    """Index of the first frame in contact."""
-    start_time: float
-    """Its time [s]."""
+    onset: PreparedFrame
+    """The first frame in contact."""
     pixel: np.ndarray | None
     """The followed point in the latest frame, (u, v) [full-picture px]; None once it is lost."""
     template: TissueTemplate
     """The tissue around it at the onset."""
     drift: np.ndarray
     """Rigid motion subtracted so far, shape [3] [scene units]."""
-    onset: PreparedFrame
-    """The first frame in contact."""
     young: list[tuple[PreparedFrame, np.ndarray, np.ndarray]] | None
     """Frames after it with the point's pixel and the drift in each; None once the contact's place is settled."""
 

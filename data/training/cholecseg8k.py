@@ -16,15 +16,14 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from data.cache import PreparedClip, require_models
 from data.command_line import path_option, say
 from data.depth.normalise import DepthSettings
 from data.masks.class_table import CLASSES
-from data.masks.sources import MaskClasses, MaskError, color_distance, read_mask
-from data.prepared import STATUSES
+from data.masks.sources import MaskClasses, MaskError, color_distance, open_masks, read_mask
 from data.settings import PrepareSettings
 from data.source.frames import discover, open_source
 from data.source.layout import ClipLayout, InputError, companion, is_file, load_layout
@@ -83,7 +82,7 @@ def check_clip(path: Path, layout: ClipLayout, classes: MaskClasses, *, masks: b
     """
     source = open_source(path, layout)
     check = ClipCheck(size=source.size)
-    previous, pixels, unknown = None, 0, 0
+    previous, shares = None, []
     for frame in source:
         check.frames += 1
         check.gaps += previous is not None and frame.number != previous + 1
@@ -93,58 +92,46 @@ def check_clip(path: Path, layout: ClipLayout, classes: MaskClasses, *, masks: b
             check.problems.append(f"Frame {frame.number}: {frame.error}")
         elif masks and frame.path is not None and layout.mask_patterns:
             try:
-                strangers = _unknown_pixels(frame.path, frame.image.shape[:2], layout, classes)
+                shares.append(_unknown_share(frame.path, frame.image.shape[:2], layout, classes))
             except MaskError as error:
                 check.problems.append(str(error))
-                continue
-            pixels += frame.image.shape[0] * frame.image.shape[1]
-            unknown += strangers
-    check.unknown_share = unknown / pixels if pixels else 0.0
+    check.unknown_share = float(np.mean(shares)) if shares else 0.0
     check.problems += source.warnings
     return check
 
 
-def _unknown_pixels(picture: Path, size: tuple[int, int], layout: ClipLayout, classes: MaskClasses) -> int:
-    """Number of pixels of a frame's mask that are no class and no border."""
+def _unknown_share(picture: Path, size: tuple[int, int], layout: ClipLayout, classes: MaskClasses) -> float:
+    """Share of a frame's mask that is no class and no border."""
     files = [companion(layout, picture, pattern) for pattern in layout.mask_patterns]
     file = next((path for path in files if is_file(path)), None)
     if file is None:
         raise MaskError(f"{files[0]} does not exist; add the frame's mask.")
     mask = read_mask(file, size)
     if layout.label_mask is not None and file == files[0]:
-        return int((~np.isin(mask, layout.tool_values + layout.tissue_values)).sum())
-    if mask.ndim == 2:
-        known = [entry.grey for entry in CLASSES.values()] + [color[0] for color in BORDER]
-        return int((~np.isin(mask, known)).sum())
-    # Packed into one number a pixel: sorting rows of three is ten times slower.
-    packed, counts = np.unique(mask.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], np.uint32), return_counts=True)
-    colors = np.stack((packed >> 16, packed >> 8 & 255, packed & 255), axis=1).astype(np.uint8)
-    known = [entry.color for entry in CLASSES.values()] + list(BORDER)
-    distances = [color_distance(colors[None], color)[0] for color in known]
-    return int(counts[np.min(distances, axis=0) > classes.tolerance].sum())
+        known = np.isin(mask, layout.tool_values + layout.tissue_values)
+    elif mask.ndim == 2:
+        known = np.isin(mask, [entry.grey for entry in CLASSES.values()] + [color[0] for color in BORDER])
+    else:
+        colors = [entry.color for entry in CLASSES.values()] + list(BORDER)
+        known = np.min([color_distance(mask, color) for color in colors], axis=0) <= classes.tolerance
+    return float(1 - known.mean())
 
 
 def print_table(clips: Sequence[PreparedClip], checks: dict[Path, ClipCheck], console: Console) -> None:
     """Table of what each clip holds and what of it can be used; a frame in contact is `ok`."""
-    table = Table(title=f"{len(clips)} clips")
-    table.add_column("clip", no_wrap=True)
     headings = ("frames", "size", "gaps", "no class", "pairs")
-    for heading in headings:
-        table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column("by status", no_wrap=True)
-    totals = np.zeros(2, int)
+    numbers = (Column(heading, justify="right", no_wrap=True) for heading in headings)
+    title = f"{len(clips)} clips"
+    table = Table(Column("clip", no_wrap=True), *numbers, Column("by status", no_wrap=True), title=title)
+    frames, pairs, contacts = 0, 0, 0
     for clip in clips:
-        check = checks[clip.path]
-        pairs = len(consecutive_pairs(clip))
-        totals += (len(clip), pairs)
-        statuses = "\n".join(f"{clip.counts[status]} {status}" for status in STATUSES if clip.counts[status])
-        size = f"{check.size[0]}x{check.size[1]}"
-        share = f"{100 * check.unknown_share:.2f} %"
-        cells = (len(clip), size, check.gaps, share, pairs)
-        table.add_row(Text(plain(clip.name)), *map(str, cells), statuses)
-    contacts = sum(clip.counts["ok"] for clip in clips)
+        check, found, statuses = checks[clip.path], len(consecutive_pairs(clip)), clip.counts
+        size, share = f"{check.size[0]}x{check.size[1]}", f"{check.unknown_share:.2%}"
+        by_status = "\n".join(f"{count} {status}" for status, count in statuses.most_common())
+        table.add_row(Text(plain(clip.name)), str(len(clip)), size, str(check.gaps), share, str(found), by_status)
+        frames, pairs, contacts = frames + len(clip), pairs + found, contacts + statuses["ok"]
     table.add_section()
-    table.add_row("all", str(totals[0]), "", "", "", str(totals[1]), f"{contacts} ok")
+    table.add_row("all", str(frames), "", "", "", str(pairs), f"{contacts} ok")
     console.print(table)
 
 
@@ -175,6 +162,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         depth = DepthSettings(source=options.depth, model=options.depth_model)
         settings = PrepareSettings(depth=depth, masks=options.masks, layout=layout)
         require_models(settings)
+        open_masks(settings.masks, layout, settings.classes)
         paths = list_clips(options.root, layout)
     except InputError as error:
         say(errors, str(error))
@@ -184,7 +172,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     annotated = options.masks in ("auto", "annotation")
     for path in paths:
         try:
-            checks[path] = check_clip(path, settings.layout, settings.classes, masks=annotated)
+            checks[path] = check_clip(path, layout, settings.classes, masks=annotated)
         except InputError as error:
             failures[path] = str(error)
     clips, failed = prepare_all([path for path in paths if path in checks], settings, options.cache)

@@ -14,7 +14,7 @@ import numpy as np
 
 from data.cache import PreparedClip
 from data.contact.geometry import GeometrySettings, force_direction
-from data.contact.interaction import PRESS, ContactFrame, Horizon, Interaction, InteractionBuilder
+from data.contact.interaction import ContactFrame, Interaction, InteractionBuilder
 from data.prepared import SEEN_OUT
 from data.windows import future_indices, window_indices
 from physics.load import Press, held
@@ -33,9 +33,6 @@ class SampleSettings:
     observation: Literal["final", "release", "trajectory"] = "final"
     """final (paper): the motion of one frame against the end of the rollout. release: against the rollout at the end of
     its load. trajectory: the contact's whole motion since its onset, at the frames' own time stamps."""
-    horizon_frames: Horizon = None
-    """Frames after the onset that a trajectory covers; "press" = those in contact, none = as many as the rollout
-    lasts."""
     min_deformation: float = 0.0
     """Samples whose observed motion, less the rigid motion, is shorter are left out [scene units]; 0 keeps all."""
     onset_within: int | None = None
@@ -51,10 +48,6 @@ class SampleSettings:
             raise ValueError(f"window is {self.window}; give at least 1 frame.")
         if self.observation not in OBSERVATIONS:
             raise ValueError(f"observation is '{self.observation}'; choose {', '.join(OBSERVATIONS)}.")
-        if self.horizon_frames not in (None, PRESS) and not (
-            isinstance(self.horizon_frames, int) and self.horizon_frames >= 1
-        ):
-            raise ValueError(f"horizon_frames is {self.horizon_frames}; give at least 1, press, or leave it out.")
         if self.onset_within is not None and self.onset_within < 1:
             raise ValueError(f"onset_within is {self.onset_within}; give at least 1, or leave it out.")
         if not (math.isfinite(self.min_deformation) and self.min_deformation >= 0):
@@ -89,14 +82,9 @@ def consecutive_pairs(clip: PreparedClip) -> list[int]:
 def list_frames(clip: PreparedClip, settings: SampleSettings) -> tuple[list[int], Counter[str]]:
     """Frames t of a clip that give a sample, and how many others there are by reason."""
     judge = _judge_run if settings.observation == "trajectory" else _judge_pair
-    kept, left_out = [], Counter()
-    for frame in range(len(clip)):
-        reason = judge(clip, frame, settings)
-        if reason:
-            left_out[reason] += 1
-        else:
-            kept.append(frame)
-    return kept, left_out
+    reasons = [judge(clip, frame, settings) for frame in range(len(clip))]
+    kept = [frame for frame, reason in enumerate(reasons) if not reason]
+    return kept, Counter(filter(None, reasons))
 
 
 def onset_of(clip: PreparedClip, frame: int) -> int:
@@ -116,7 +104,7 @@ def make_sample(clip: PreparedClip, frame: int, settings: SampleSettings) -> Sam
     elif forward.noise > 0:
         onset = onset_of(clip, frame)
         seconds = float(clip.times[frame] - clip.times[onset])
-        seen = builder_of(clip, onset, settings).build(settings.mechanics, settings.horizon_frames, seconds)
+        seen = builder_of(clip, onset, settings).build(settings.mechanics, until=seconds)
     window_a, window_b = (np.stack([clip.depth(index) for index in indices]) for indices in (earlier, later))
     return Sample(window_a, window_b, forward, backward or forward, clip.name, frame, seen)
 
@@ -124,8 +112,7 @@ def make_sample(clip: PreparedClip, frame: int, settings: SampleSettings) -> Sam
 def make_interaction(clip: PreparedClip, frame: int, settings: SampleSettings) -> Interaction:
     """The contact of a sample, forward in time."""
     if settings.observation == "trajectory":
-        run = builder_of(clip, onset_of(clip, frame), settings)
-        return run.build(settings.mechanics, settings.horizon_frames)
+        return builder_of(clip, onset_of(clip, frame), settings).build(settings.mechanics)
     return _pair(clip, frame, clip.displacement, settings)
 
 
@@ -186,7 +173,7 @@ def _judge_run(clip: PreparedClip, frame: int, settings: SampleSettings) -> str:
         return "bad_depth"
     if settings.geometry.smoothing > 0 and not clip.noise[onset] > 0:
         return "noise not known"
-    times = builder_of(clip, onset, settings).build(settings.mechanics, settings.horizon_frames).observation.times
+    times = builder_of(clip, onset, settings).build(settings.mechanics).observation.times
     if len(times) == 0:
         return "contact not followed"
     observed = np.searchsorted(clip.times, clip.times[onset] + times - 1e-9)

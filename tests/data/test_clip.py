@@ -201,8 +201,8 @@ def test_lift_reads_tissue_only():
     assert points[0, 2] == pytest.approx(0.53)
     assert points[1, 2] == pytest.approx(0.539)  # the tool is there; nearest tissue
     assert np.isnan(points[2]).all()
-    fitted = lift(np.array([[30.4, 24.0]]), depth, labels, CAMERA, radius=3)
-    assert fitted[0] == pytest.approx([0.5304 * (30.4 - 31.5) / 100, 0.5304 * 0.5 / 110, 0.5304], abs=1e-6)
+    between = lift(np.array([[30.4, 24.0]]), depth, labels, CAMERA)
+    assert between[0] == pytest.approx([0.53 * (30.4 - 31.5) / 100, 0.53 * 0.5 / 110, 0.53], abs=1e-6)
 
 
 def test_rigid_motion_is_recovered_despite_a_deforming_part():

@@ -32,7 +32,7 @@ def clip_info(fps: float = 25.0, bridge_frames: int = 2) -> ClipInfo:
 def touched(mesh: Mesh, vertex: int, normal: np.ndarray, noise: float) -> FrameGeometry:
     """A contact at a vertex of a mesh."""
     point, pixel = mesh.vertices[vertex], tuple(mesh.pixels[vertex, ::-1].tolist())
-    return FrameGeometry(mesh, vertex, normal, point, point, 0.0, pixel, pixel, True, noise)
+    return FrameGeometry(mesh, vertex, normal, point, point, 0.0, pixel, True, noise)
 
 
 def prepared_frame(index: int, status: str, geometry: FrameGeometry | None = None, **changes) -> PreparedFrame:
@@ -67,7 +67,7 @@ class _Linked(ContactMotion):
         return not self.rested
 
     def _begin(self, onset: PreparedFrame) -> ContactRun:
-        return ContactRun(onset.frame.index, onset.frame.time_s, None, None, np.zeros(3), onset, None)
+        return ContactRun(onset, None, None, np.zeros(3), None)
 
 
 def linked(states: Sequence[State], geometry: FrameGeometry, bridge_frames: int = 2) -> list[PreparedFrame]:

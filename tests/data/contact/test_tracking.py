@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from data.contact.tracking import TissueTracker, half_gray
+from data.contact import tracking
+from data.contact.tracking import TissueTracker
 
 HEIGHT, WIDTH = 240, 320
 
@@ -96,23 +97,10 @@ def test_point_without_tissue_around_is_lost():
     assert found.tolist() == [False, True, False]
 
 
-def test_unrelated_pictures_fail_the_forward_backward_check():
+def test_unrelated_pictures_fail_the_forward_backward_check(monkeypatch):
     rng = np.random.default_rng(0)
     first, second = (rng.integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8) for _ in range(2))
-    tracker = TissueTracker(consistency=0.2)
-    moved, found = tracker.step(first, second, TISSUE, TISSUE, POINTS)
+    monkeypatch.setattr(tracking, "CONSISTENCY", 0.2)
+    moved, found = TissueTracker().step(first, second, TISSUE, TISSUE, POINTS)
     assert not found.any()
     assert np.isnan(moved).all()
-
-
-def test_sizes_must_agree():
-    image = texture()
-    with pytest.raises(ValueError, match="one size"):
-        TissueTracker().step(image, image[:-1], TISSUE, TISSUE, POINTS)
-
-
-def test_half_gray_of_rgb_and_grey():
-    image = np.full((10, 8, 3), 200, np.uint8)
-    assert half_gray(image).shape == (5, 4)
-    assert (half_gray(image) == 200).all()
-    assert (half_gray(image[..., 0]) == 200).all()

@@ -130,7 +130,7 @@ def test_interactions_and_metadata(one_clip):
     data = module(one_clip, window=2)
     found, (clip,) = data.interactions("train", 3), data.clips
     for interaction, frame in zip(found, (2, 5, 8), strict=True):
-        np.testing.assert_array_equal(interaction.moved, clip.displacement[frame : frame + 1])
+        np.testing.assert_array_equal(interaction.moved, np.float32(clip.displacement[frame : frame + 1]))
         np.testing.assert_array_equal(interaction.mesh.vertices, clip.mesh(frame).vertices)
         assert interaction.vertex == clip.vertex[frame]
         assert interaction.load_seconds == pytest.approx(data.mechanics.load_steps * data.mechanics.time_step)

@@ -32,8 +32,6 @@ from data.source.layout import InputError, is_file
 from physics.mesh import Mesh
 from physics.provenance import code_digest
 
-LEVELS = 65535
-"""Depth is stored in 16 bits; 8-bit levels are a subset (65535 = 255·257)."""
 HASHED_BYTES = 64 * 2**20
 """Models up to this size are known by their content, larger ones by size and time of change."""
 STALE_SECONDS = 86400.0
@@ -139,7 +137,7 @@ class PreparedClip:
     def depth(self, index: int) -> np.ndarray:
         """z of a frame, shape [h, w], float32 in [0, 1] [scene units]; 0 = invalid."""
         with np.load(_frame_file(self.folder, index)) as stored:
-            return (stored["depth"] / np.float32(LEVELS)).astype(np.float32)
+            return stored["depth"]
 
     def mesh(self, index: int) -> Mesh:
         """Tissue mesh of a frame in contact.
@@ -198,23 +196,19 @@ class CacheEntry:
                 folder.mkdir()
                 for index, prepared in enumerate(frames):
                     mesh = {} if prepared.geometry is None else vars(prepared.geometry.mesh)
-                    levels = np.rint(prepared.depth * LEVELS).astype(np.uint16)
-                    np.savez(_frame_file(folder, index), depth=levels, **mesh)
+                    np.savez(_frame_file(folder, index), depth=prepared.depth, **mesh)
                     for name, value in _row(prepared).items():
                         columns[name].append(value)
                 np.savez(folder / "clip.npz", sources=json.dumps(sources), **columns)
-                self._publish(folder)
+                try:
+                    os.rename(folder, self.folder)
+                except OSError:
+                    # Another process has finished the same entry first; it is the same, so ours goes.
+                    if not self.folder.is_dir():
+                        raise
         except OSError as error:
             why = error.strerror or error
             raise InputError(f"{self.cache_dir} can't be written ({why}); free space or change the cache.") from error
-
-    def _publish(self, folder: Path) -> None:
-        try:
-            os.rename(folder, self.folder)
-        except OSError:
-            # Another process has finished the same entry first; it is the same, so ours goes.
-            if not self.folder.is_dir():
-                raise
 
 
 def _frame_file(folder: Path, index: int) -> Path:
@@ -223,7 +217,7 @@ def _frame_file(folder: Path, index: int) -> Path:
 
 def _row(prepared: PreparedFrame) -> dict[str, Any]:
     """What a prepared clip keeps of a frame beside its depth and mesh, by the names of PreparedClip's arrays."""
-    geometry, nowhere = prepared.geometry, np.full(3, np.nan)
+    geometry = prepared.geometry
     return {
         "status": prepared.status,
         "contact": prepared.in_contact,
@@ -231,11 +225,11 @@ def _row(prepared: PreparedFrame) -> dict[str, Any]:
         "usable": prepared.has_depth,
         "consecutive": prepared.consecutive,
         "vertex": -1 if geometry is None else geometry.vertex,
-        "normal": nowhere if geometry is None else geometry.normal,
+        "normal": np.full(3, np.nan) if geometry is None else geometry.normal,
         "noise": math.nan if geometry is None else geometry.noise,
-        "displacement": nowhere if prepared.displacement is None else prepared.displacement,
-        "backward": nowhere if prepared.backward is None else prepared.backward,
-        "rigid": nowhere if prepared.rigid is None else prepared.rigid,
+        "displacement": prepared.displacement,
+        "backward": prepared.backward,
+        "rigid": prepared.rigid,
         "track_start": prepared.track_start,
         "track_position": prepared.track_position,
     }

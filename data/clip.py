@@ -11,7 +11,7 @@ import dataclasses
 import math
 import time
 from collections import defaultdict
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -73,9 +73,13 @@ class ClipStream:
         self.metric = self._depth.metric
         """Whether `scale` is in metres."""
         self._scale_error = ""
+        self.scale, focal = math.nan, None
+        """Depth that is z = 1 [unit of the depth source]; not a number where no frame has depth."""
         with self._timed("scale"):
-            self.scale, focal = self._fix_scale()
-        """Depth that is z = 1 [unit of the depth source]."""
+            try:
+                self.scale, focal = estimate_scale(source, self._depth, settings.depth)
+            except DepthError as error:
+                self._scale_error = str(error)
         width, height = source.size
         if camera is not None:
             picture = camera.scaled(width, height)
@@ -109,14 +113,7 @@ class ClipStream:
             InputError: the clip can't be masked the chosen way at all.
         """
         self._masks.reset()
-        motion = ContactMotion(
-            self.camera,
-            self.source.size,
-            self.settings.geometry,
-            bridge_frames=self.settings.bridge_frames,
-            track_seconds=self.settings.track_seconds,
-        )
-        previous: PreparedFrame | None = None
+        motion = ContactMotion(self.camera, self.source.size, self.settings)
         held: list[PreparedFrame] = []
         frames = iter(self.source)
         while True:
@@ -124,26 +121,15 @@ class ClipStream:
                 frame = next(frames, None)
             if frame is None:
                 break
-            current = self._prepare(frame)
-            if previous is not None:
+            held.append(self._prepare(frame))
+            if len(held) > 1:
                 with self._timed("tracking"):
-                    motion.link(previous, current)
-                held.append(previous)
+                    motion.link(*held[-2:])
                 if motion.settled:
-                    yield from held
-                    held.clear()
-            previous = current
+                    yield from held[:-1]
+                    del held[:-1]
         motion.settle()
         yield from held
-        if previous is not None:
-            yield previous
-
-    def _fix_scale(self) -> tuple[float, float | None]:
-        try:
-            return estimate_scale(self.source, self._depth, self.settings.depth)
-        except DepthError as error:
-            self._scale_error = str(error)
-            return math.nan, None
 
     def _prepare(self, frame: Frame) -> PreparedFrame:
         """Everything about a frame that needs no other frame."""
@@ -217,7 +203,7 @@ def prepare(
     path: Path | str,
     settings: PrepareSettings,
     cache_dir: Path | str,
-    progress: Callable[[int, int], None] = lambda count, total: None,
+    track: Callable[[ClipStream], Iterable[PreparedFrame]] = iter,
 ) -> PreparedClip:
     """Prepare a clip once: from the cache where nothing that it depends on has changed, else frame by frame.
 
@@ -228,7 +214,7 @@ def prepare(
         path: frame folder or video file.
         settings: how to prepare it.
         cache_dir: folder of the cache; made where it does not exist.
-        progress: called with the number of frames done and of frames expected.
+        track: gives the stream's frames one by one and may count them, as a progress bar does.
 
     Raises:
         InputError: the clip can't be prepared, or the cache can't be written.
@@ -241,13 +227,7 @@ def prepare(
     if found is not None:
         return found
     clip_stream = ClipStream(source, settings)
-
-    def counted() -> Iterator[PreparedFrame]:
-        for count, prepared in enumerate(clip_stream, start=1):
-            yield prepared
-            progress(count, max(source.length, count))
-
-    entry.write(counted(), clip_stream.sources)
+    entry.write(track(clip_stream), clip_stream.sources)
     found = entry.load(path)
     if found is None:
         raise InputError(f"{entry.folder} can't be read back; check the disk or give another cache.")

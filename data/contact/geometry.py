@@ -123,12 +123,10 @@ class GeometrySettings:
 
     def __post_init__(self) -> None:
         least = {"height": 8, "width": 8, "min_tool_pixels": 1, "min_tissue_pixels": 1}
+        least |= dict.fromkeys(("smoothing", "contact_pixels", "contact_distance"), 0)
         for name, low in least.items():
-            if getattr(self, name) < low:
-                raise ValueError(f"geometry.{name} is {getattr(self, name)}; give at least {low}.")
-        for name in ("smoothing", "contact_pixels", "contact_distance"):
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
-                raise ValueError(f"geometry.{name} is {getattr(self, name)}; give a number of at least 0.")
+            if not low <= getattr(self, name) < math.inf:
+                raise ValueError(f"geometry.{name} is {getattr(self, name)}; give a finite number of at least {low}.")
         if self.smoothing > self.width:
             raise ValueError(f"geometry.smoothing is {self.smoothing}; give at most the grid's width, {self.width}.")
         if not self.max_edge > 0:

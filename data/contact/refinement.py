@@ -32,8 +32,8 @@ class ContactRun:
 
     onset: PreparedFrame
     """The first frame in contact."""
-    pixel: np.ndarray | None
-    """The followed point in the latest frame, (u, v) [full-picture px]; None once it is lost."""
+    pixel: np.ndarray
+    """The followed point in the latest frame, (u, v) [full-picture px]; not a number once it is lost."""
     template: TissueTemplate
     """The tissue around it at the onset."""
     drift: np.ndarray
@@ -144,8 +144,7 @@ def settle_run(run: ContactRun, size: tuple[int, int], lift: Callable[[np.ndarra
     run.onset.track_position = lift(moved[None], run.onset)[0]
     for prepared, pixel, drift in young:
         prepared.track_position = lift((pixel + moved - contact)[None], prepared)[0] - drift
-    if run.pixel is not None:
-        run.pixel = run.pixel + moved - contact
+    run.pixel = run.pixel + moved - contact
     run.template = TissueTemplate(*run.onset.view, moved)
 
 

@@ -62,7 +62,7 @@ def _depth_near(u: float, v: float, depth: np.ndarray, valid: np.ndarray) -> flo
     return float(depth[window][rows, columns][np.argmin(np.hypot(columns + left - u, rows + top - v))])
 
 
-def rigid_motion(before: np.ndarray, after: np.ndarray, at: np.ndarray) -> np.ndarray | None:
+def rigid_motion(before: np.ndarray, after: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Displacement that a point would have if it moved rigidly with the others.
 
     Least-squares rotation and translation (Kabsch), fitted again without the points that fit worse than three times
@@ -73,14 +73,14 @@ def rigid_motion(before: np.ndarray, after: np.ndarray, at: np.ndarray) -> np.nd
         at: the point, shape [3] [scene units].
 
     Returns:
-        Shape [3] [scene units], or None with fewer than six points.
+        Shape [3] [scene units]; not a number with fewer than six points.
     """
     finite = np.isfinite(before).all(1) & np.isfinite(after).all(1)
     before, after = before[finite], after[finite]
     rotation, shift = np.eye(3), np.zeros(3)
     for _ in range(3):
         if len(before) < REFERENCE_MINIMUM:
-            return None
+            return np.full(3, math.nan)
         rotation, shift = _kabsch(before, after)
         residual = np.linalg.norm(before @ rotation.T + shift - after, axis=1)
         kept = residual <= 3 * np.median(residual) + 1e-12

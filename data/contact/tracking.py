@@ -45,7 +45,7 @@ class TissueTracker:
         labels_previous: np.ndarray,
         labels_following: np.ndarray,
         points: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray]:
+    ) -> np.ndarray:
         """Follow points from one frame to the next; swap the arguments to follow them backwards in time.
 
         Args:
@@ -56,7 +56,7 @@ class TissueTracker:
             points: (u, v) in full-resolution pixels, [P, 2].
 
         Returns:
-            The points' new places [P, 2] float32, NaN where lost, and whether each was followed [P] bool.
+            The points' new places [P, 2] float32, NaN where lost.
         """
         points = np.asarray(points, np.float32).reshape(-1, 2)
         moved = np.full_like(points, np.nan)
@@ -76,7 +76,7 @@ class TissueTracker:
         width, height = previous.shape[1], previous.shape[0]
         inside = (moved >= -0.5).all(axis=1) & (moved[:, 0] < width - 0.5) & (moved[:, 1] < height - 0.5)
         moved[~inside] = np.nan
-        return moved, inside
+        return moved
 
     def _flow_pair(self, previous: np.ndarray, following: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Forward and backward flow [h, w, 2] at half resolution; the last pair is kept for the swapped call."""

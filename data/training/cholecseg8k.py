@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +28,7 @@ from data.settings import PrepareSettings
 from data.source.frames import discover, open_source
 from data.source.layout import ClipLayout, InputError, companion, is_file, load_layout
 from data.training.preparation import prepare_all
-from data.training.samples import consecutive_pairs
+from data.training.samples import SampleSettings, list_frames
 from physics.doors import plain
 
 BORDER = ((255, 255, 255), (0, 0, 0))
@@ -50,26 +50,20 @@ def list_clips(root: Path | str, layout: ClipLayout) -> list[Path]:
     return folders or found
 
 
-@dataclass
+@dataclass(frozen=True)
 class ClipCheck:
     """What a clip's files hold."""
 
-    frames: int = 0
-    """Frames, readable or not."""
-    size: tuple[int, int] = (0, 0)
+    size: tuple[int, int]
     """(width, height) of its pictures [px]."""
-    unreadable: int = 0
-    """Frames that can't be read or differ in size."""
-    gaps: int = 0
-    """Jumps in the frame numbers."""
-    unknown_share: float = 0.0
+    unknown_share: float
     """Share of mask pixels whose colour or value is no class."""
-    problems: list[str] = field(default_factory=list)
+    problems: list[str]
     """One sentence each."""
 
 
 def check_clip(path: Path, layout: ClipLayout, classes: MaskClasses, *, masks: bool = True) -> ClipCheck:
-    """Read every frame and mask of a clip and count what is wrong.
+    """Read every frame and mask of a clip and tell what is wrong.
 
     Args:
         path: frame folder or video file.
@@ -81,23 +75,16 @@ def check_clip(path: Path, layout: ClipLayout, classes: MaskClasses, *, masks: b
         InputError: the clip can't be opened.
     """
     source = open_source(path, layout)
-    check = ClipCheck(size=source.size)
-    previous, shares = None, []
+    shares, problems = [], []
     for frame in source:
-        check.frames += 1
-        check.gaps += previous is not None and frame.number != previous + 1
-        previous = frame.number
         if frame.image is None:
-            check.unreadable += 1
-            check.problems.append(f"Frame {frame.number}: {frame.error}")
+            problems.append(f"Frame {frame.number}: {frame.error}")
         elif masks and frame.path is not None and layout.mask_patterns:
             try:
                 shares.append(_unknown_share(frame.path, frame.image.shape[:2], layout, classes))
             except MaskError as error:
-                check.problems.append(str(error))
-    check.unknown_share = float(np.mean(shares)) if shares else 0.0
-    check.problems += source.warnings
-    return check
+                problems.append(str(error))
+    return ClipCheck(source.size, float(np.mean(shares)) if shares else 0.0, problems + source.warnings)
 
 
 def _unknown_share(picture: Path, size: tuple[int, int], layout: ClipLayout, classes: MaskClasses) -> float:
@@ -118,17 +105,18 @@ def _unknown_share(picture: Path, size: tuple[int, int], layout: ClipLayout, cla
 
 
 def print_table(clips: Sequence[PreparedClip], checks: dict[Path, ClipCheck], console: Console) -> None:
-    """Table of what each clip holds and what of it can be used; a frame in contact is `ok`."""
+    """Table of what each clip holds and what of it can be used: frames in contact (`ok`), pairs as the paper's."""
     headings = ("frames", "size", "gaps", "no class", "pairs")
     numbers = (Column(heading, justify="right", no_wrap=True) for heading in headings)
     title = f"{len(clips)} clips"
     table = Table(Column("clip", no_wrap=True), *numbers, Column("by status", no_wrap=True), title=title)
     frames, pairs, contacts = 0, 0, 0
     for clip in clips:
-        check, found, statuses = checks[clip.path], len(consecutive_pairs(clip)), clip.counts
+        check, found, statuses = checks[clip.path], len(list_frames(clip, SampleSettings())[0]), clip.counts
         size, share = f"{check.size[0]}x{check.size[1]}", f"{check.unknown_share:.2%}"
+        gaps = len(clip) - 1 - np.count_nonzero(clip.consecutive)
         by_status = "\n".join(f"{count} {status}" for status, count in statuses.most_common())
-        table.add_row(Text(plain(clip.name)), str(len(clip)), size, str(check.gaps), share, str(found), by_status)
+        table.add_row(Text(plain(clip.name)), str(len(clip)), size, str(gaps), share, str(found), by_status)
         frames, pairs, contacts = frames + len(clip), pairs + found, contacts + statuses["ok"]
     table.add_section()
     table.add_row("all", str(frames), "", "", "", str(pairs), f"{contacts} ok")
@@ -175,7 +163,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             checks[path] = check_clip(path, layout, settings.classes, masks=annotated)
         except InputError as error:
             failures[path] = str(error)
-    clips, failed = prepare_all([path for path in paths if path in checks], settings, options.cache)
+    clips, failed = prepare_all(list(checks), settings, options.cache)
     failures |= failed
     if clips:
         print_table(clips, checks, console)

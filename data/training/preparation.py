@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from rich.console import Console
 
 from data.cache import PreparedClip
-from data.clip import prepare
+from data.clip import ClipStream, prepare
 from data.command_line import progress_bars
+from data.prepared import PreparedFrame
 from data.settings import PrepareSettings
 from data.source.layout import InputError
 from physics.doors import plain
@@ -34,13 +35,13 @@ def prepare_all(
     with progress_bars(Console(stderr=True), "frames", disable=not show) as bar:
         task = bar.add_task("preparing", total=None)
 
-        def advance(count: int, total: int) -> None:
-            bar.update(task, completed=count, total=total)
+        def track(stream: ClipStream) -> Iterable[PreparedFrame]:
+            return bar.track(stream, stream.source.length, task_id=task)
 
         for number, path in enumerate(paths, start=1):
             bar.reset(task, description=f"preparing {plain(path.name)} ({number}/{len(paths)})")
             try:
-                clips.append(prepare(path, settings, cache_dir, advance))
+                clips.append(prepare(path, settings, cache_dir, track))
             except Exception as error:
                 failures[path] = _reason(error)
     return clips, failures

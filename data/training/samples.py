@@ -21,8 +21,6 @@ from physics.load import Press, held
 from physics.mechanics import Mechanics
 from physics.observation import Observation
 
-OBSERVATIONS = ("final", "release", "trajectory")
-
 
 @dataclass(frozen=True)
 class SampleSettings:
@@ -46,8 +44,6 @@ class SampleSettings:
     def __post_init__(self) -> None:
         if self.window < 1:
             raise ValueError(f"window is {self.window}; give at least 1 frame.")
-        if self.observation not in OBSERVATIONS:
-            raise ValueError(f"observation is '{self.observation}'; choose {', '.join(OBSERVATIONS)}.")
         if self.onset_within is not None and self.onset_within < 1:
             raise ValueError(f"onset_within is {self.onset_within}; give at least 1, or leave it out.")
         if not (math.isfinite(self.min_deformation) and self.min_deformation >= 0):
@@ -72,11 +68,6 @@ class Sample:
     """Index of t."""
     seen: Interaction | None = None
     """`interaction_a` as it was known at frame t; none but for trajectories of a clip whose noise is known."""
-
-
-def consecutive_pairs(clip: PreparedClip) -> list[int]:
-    """Frames t of which t and t + 1 are in contact and bear consecutive numbers."""
-    return np.flatnonzero(clip.contact[:-1] & clip.contact[1:] & clip.consecutive[:-1]).tolist()
 
 
 def list_frames(clip: PreparedClip, settings: SampleSettings) -> tuple[list[int], Counter[str]]:

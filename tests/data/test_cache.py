@@ -8,6 +8,7 @@ import pickle
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -34,8 +35,7 @@ def test_prepared_clip_equals_the_stream(tmp_path):
         assert np.array_equal(clip.depth(index), frame.depth)
         assert clip.times[index] == frame.frame.time_s
         for name in ("consecutive", "displacement", "backward", "rigid", "track_start", "track_position"):
-            value = getattr(frame, name)
-            np.testing.assert_array_equal(getattr(clip, name)[index], np.full(3, np.nan) if value is None else value)
+            np.testing.assert_array_equal(getattr(clip, name)[index], getattr(frame, name))
         for name in ("vertex", "normal", "noise") if frame.in_contact else ():
             np.testing.assert_array_equal(getattr(clip, name)[index], getattr(frame.geometry, name))
         if frame.geometry is not None:
@@ -83,9 +83,9 @@ def test_cache_is_reused_and_invalidated_by_files_settings_and_code(tmp_path, mo
 def test_interrupted_preparation_leaves_nothing_and_can_go_on(tmp_path):
     folder, cache = write_clip(tmp_path / "clip", frames=6), tmp_path / "cache"
 
-    def interrupt(count: int, _: int) -> None:
-        if count == 3:
-            raise KeyboardInterrupt
+    def interrupt(stream: ClipStream) -> Iterator[PreparedFrame]:
+        yield from islice(stream, 3)
+        raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         prepare(folder, SETTINGS, cache, interrupt)

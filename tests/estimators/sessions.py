@@ -11,6 +11,7 @@ from data.contact.geometry import FrameGeometry, GeometrySettings
 from data.contact.motion import ContactMotion
 from data.contact.refinement import ContactRun
 from data.prepared import PreparedFrame
+from data.settings import PrepareSettings
 from data.source.camera import Camera
 from data.source.frames import Frame
 from estimators.contract import ClipInfo, Said, Session
@@ -67,13 +68,13 @@ class _Linked(ContactMotion):
         return not self.rested
 
     def _begin(self, onset: PreparedFrame) -> ContactRun:
-        return ContactRun(onset, None, None, np.zeros(3), None)
+        return ContactRun(onset, np.full(2, np.nan), None, np.zeros(3), None)
 
 
 def linked(states: Sequence[State], geometry: FrameGeometry, bridge_frames: int = 2) -> list[PreparedFrame]:
     """A clip of such frames, its runs of contact found as in any clip."""
     info = clip_info(bridge_frames=bridge_frames)
-    motion = _Linked(info.camera, SIZE, GeometrySettings(), bridge_frames=bridge_frames, track_seconds=0.3)
+    motion = _Linked(info.camera, SIZE, PrepareSettings(bridge_frames=bridge_frames, track_seconds=0.3))
     picture, frames, number = np.zeros((*SIZE[::-1], 3), np.uint8), [], -1
     for index, state in enumerate(states):
         number += 1 + state.missing

@@ -67,7 +67,7 @@ GRID_SETTINGS = {"height": GRID[0], "width": GRID[1]}
         ({"observation": "guess"}, "unknown observation 'guess'"),
         ({"geometry": GRID_SETTINGS | {"keep": "all"}}, r"unusable settings in 'geometry' \(keep is 'all'\)"),
         ({"geometry": GRID_SETTINGS | {"depth_radius": 2}}, "unknown setting 'geometry.depth_radius'"),
-        ({"geometry": GRID_SETTINGS | {"width": 1.5}}, r"in 'geometry' \(width is 1\.5\)"),
+        ({"geometry": GRID_SETTINGS | {"min_tool_pixels": 1.5}}, r"in 'geometry' \(min_tool_pixels is 1\.5\)"),
         ({"geometry": GRID_SETTINGS | {"smoothing": 1e8}}, r"in 'geometry' \(geometry\.smoothing is 100000000"),
         ({"geometry": GRID_SETTINGS | {"keep": 1e-9}}, r"in 'geometry' \(geometry\.keep is 1e-09"),
         ({"depth": {"scale": [1.0]}}, r"in 'depth' \(scale is \[1\.0\]\)"),

@@ -153,7 +153,7 @@ class Benchmark:
 
     def run(self) -> None:
         """Do what is left."""
-        with progress_bars(self.console, "clips") as progress:
+        with progress_bars(self.console) as progress:
             tasks = self._tasks(self._moments(progress))
             bar = progress.add_task("clips", total=self.options.clips, completed=self.options.clips - len(tasks))
             for rows in run_tasks(evaluate_clip, tasks, self.options.workers):

@@ -22,7 +22,7 @@ from data.source.layout import ClipLayout, InputError, load_layout
 from data.training.batches import SampleDataset, collate
 from data.training.cholecseg8k import list_clips
 from data.training.preparation import prepare_all
-from data.training.samples import SampleSettings, list_frames, make_interaction, onset_of
+from data.training.samples import SampleSettings, list_frames, make_interaction
 from data.training.splits import FRACTIONS, SPLITS, Place, split_samples
 from physics.mechanics import Bounds, require_stable
 
@@ -190,7 +190,7 @@ class ClipDataModule(LightningDataModule):
     def _require_stable(self, places: Sequence[Place]) -> None:
         """Check the box on the training meshes."""
         if self.samples.observation == "trajectory":
-            places = [(clip, onset_of(self.clips[clip], frame)) for clip, frame in places]
+            places = [(clip, int(self.clips[clip].track_start[frame])) for clip, frame in places]
         for clip, frame in sorted(set(places)):
             mesh = self.clips[clip].mesh(frame)
             require_stable(mesh.springs, len(mesh.vertices), self.bounds, self.mechanics)

@@ -32,7 +32,7 @@ def prepare_all(
         The prepared clips, and why others could not be prepared.
     """
     clips, failures = [], {}
-    with progress_bars(Console(stderr=True), "frames", disable=not show) as bar:
+    with progress_bars(Console(stderr=True), disable=not show) as bar:
         task = bar.add_task("preparing", total=None)
 
         def track(stream: ClipStream) -> Iterable[PreparedFrame]:

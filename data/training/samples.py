@@ -78,11 +78,6 @@ def list_frames(clip: PreparedClip, settings: SampleSettings) -> tuple[list[int]
     return kept, Counter(filter(None, reasons))
 
 
-def onset_of(clip: PreparedClip, frame: int) -> int:
-    """Index of the frame in which the run of contact that `frame` belongs to began, -1 where that was not seen."""
-    return int(clip.track_start[frame])
-
-
 def make_sample(clip: PreparedClip, frame: int, settings: SampleSettings) -> Sample:
     """The sample of a frame that `list_frames` gave."""
     earlier = window_indices(frame, settings.window, clip.consecutive, clip.usable)
@@ -93,7 +88,7 @@ def make_sample(clip: PreparedClip, frame: int, settings: SampleSettings) -> Sam
     if settings.observation != "trajectory":
         backward = _pair(clip, frame + 1, clip.backward, settings)
     elif forward.noise > 0:
-        onset = onset_of(clip, frame)
+        onset = int(clip.track_start[frame])
         seconds = float(clip.times[frame] - clip.times[onset])
         seen = builder_of(clip, onset, settings).build(settings.mechanics, until=seconds)
     window_a, window_b = (np.stack([clip.depth(index) for index in indices]) for indices in (earlier, later))
@@ -103,7 +98,7 @@ def make_sample(clip: PreparedClip, frame: int, settings: SampleSettings) -> Sam
 def make_interaction(clip: PreparedClip, frame: int, settings: SampleSettings) -> Interaction:
     """The contact of a sample, forward in time."""
     if settings.observation == "trajectory":
-        return builder_of(clip, onset_of(clip, frame), settings).build(settings.mechanics)
+        return builder_of(clip, int(clip.track_start[frame]), settings).build(settings.mechanics)
     return _pair(clip, frame, clip.displacement, settings)
 
 
@@ -153,7 +148,7 @@ def _judge_pair(clip: PreparedClip, frame: int, settings: SampleSettings) -> str
 
 def _judge_run(clip: PreparedClip, frame: int, settings: SampleSettings) -> str:
     """Why a frame gives no trajectory, or an empty string."""
-    onset = onset_of(clip, frame)
+    onset = int(clip.track_start[frame])
     if onset < 0:
         return "onset not seen" if clip.contact[frame] else clip.status[frame]
     if frame - onset >= (settings.onset_within or settings.window):

@@ -11,7 +11,7 @@ from typing import TypeVar
 import numpy as np
 
 from data.cache import PreparedClip
-from data.training.samples import SampleSettings, onset_of
+from data.training.samples import SampleSettings
 
 SPLITS = ("train", "val", "test")
 FRACTIONS = (0.7, 0.2, 0.1)
@@ -100,7 +100,7 @@ def _units(clips: Sequence[PreparedClip], found: Sequence[Place], settings: Samp
     if settings.observation == "trajectory":
         runs: dict[Place, list[Place]] = {}
         for clip, frame in found:
-            runs.setdefault((clip, onset_of(clips[clip], frame)), []).append((clip, frame))
+            runs.setdefault((clip, int(clips[clip].track_start[frame])), []).append((clip, frame))
         if len(runs) >= len(SPLITS):
             return list(runs.values())
     return [[place] for place in found]

@@ -6,14 +6,14 @@ with the next frame: observed displacement and the run of contact (Bini 2026, se
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -68,9 +68,13 @@ class ClipStream:
         self.metric = self._depth.metric
         """Whether `scale` is in metres."""
         self._scale_error = ""
+        self.scale, focal = math.nan, None
+        """Depth that is z = 1 [unit of the depth source]; not a number where no frame has depth."""
         with self._timed("scale"):
-            self.scale, focal = self._fix_scale()
-        """Depth that is z = 1 [unit of the depth source]."""
+            try:
+                self.scale, focal = estimate_scale(source, self._depth, settings.depth)
+            except InputError as error:
+                self._scale_error = str(error)
         width, height = source.size
         if camera is not None:
             picture = camera.scaled(width, height)
@@ -97,19 +101,6 @@ class ClipStream:
             "masks": Path(chosen_kind(self.settings.masks, self.source.path, self.settings.layout)).name,
         }
 
-    @property
-    def description(self) -> dict[str, Any]:
-        """What is known of the clip as a whole, JSON-able, once it is read to its end."""
-        return {
-            "name": self.source.name,
-            "fps": self.source.fps,
-            "scale": self.scale,
-            "metric": self.metric,
-            "sources": self.sources,
-            "camera": dataclasses.asdict(self.camera),
-            "warnings": self.source.warnings,
-        }
-
     def __iter__(self) -> Iterator[PreparedFrame]:
         """Prepared frames from the clip's beginning, one for each of its frames, up to five frames late.
 
@@ -117,14 +108,7 @@ class ClipStream:
             InputError: the segmentation model fails on the clip's pictures.
         """
         self._masks.reset()
-        motion = ContactMotion(
-            self.camera,
-            self.source.size,
-            self.settings.geometry,
-            bridge_frames=self.settings.bridge_frames,
-            track_seconds=self.settings.track_seconds,
-        )
-        previous: PreparedFrame | None = None
+        motion = ContactMotion(self.camera, self.source.size, self.settings)
         held: list[PreparedFrame] = []
         frames = iter(self.source)
         while True:
@@ -132,26 +116,15 @@ class ClipStream:
                 frame = next(frames, None)
             if frame is None:
                 break
-            current = self._prepare(frame)
-            if previous is not None:
+            held.append(self._prepare(frame))
+            if len(held) > 1:
                 with self._timed("tracking"):
-                    motion.link(previous, current)
-                held.append(previous)
+                    motion.link(*held[-2:])
                 if motion.settled:
-                    yield from held
-                    held.clear()
-            previous = current
+                    yield from held[:-1]
+                    del held[:-1]
         motion.settle()
         yield from held
-        if previous is not None:
-            yield previous
-
-    def _fix_scale(self) -> tuple[float, float | None]:
-        try:
-            return estimate_scale(self.source, self._depth, self.settings.depth)
-        except InputError as error:
-            self._scale_error = str(error)
-            return math.nan, None
 
     def _prepare(self, frame: Frame) -> PreparedFrame:
         """Everything about a frame that needs no other frame."""
@@ -211,30 +184,21 @@ class ClipStream:
             prepared.geometry, prepared.distance = geometry, geometry.distance
         return prepared
 
-    def _timed(self, stage: str) -> _Stopwatch:
-        return _Stopwatch(self.seconds, stage)
-
-
-@dataclass
-class _Stopwatch:
-    """Adds the time spent inside a `with` block to a stage's total."""
-
-    totals: dict[str, float]
-    stage: str
-    start: float = 0.0
-
-    def __enter__(self) -> None:
-        self.start = time.perf_counter()
-
-    def __exit__(self, *exception: object) -> None:
-        self.totals[self.stage] += time.perf_counter() - self.start
+    @contextlib.contextmanager
+    def _timed(self, stage: str) -> Generator[None]:
+        """Adds the time spent inside a `with` block to a stage's total."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[stage] += time.perf_counter() - start
 
 
 def prepare(
     path: Path | str,
     settings: PrepareSettings,
     cache_dir: Path | str,
-    progress: Callable[[int, int], None] | None = None,
+    track: Callable[[ClipStream], Iterable[PreparedFrame]] = iter,
 ) -> PreparedClip:
     """Prepare a clip once: from the cache where nothing that it depends on has changed, else frame by frame.
 
@@ -245,7 +209,7 @@ def prepare(
         path: frame folder or video file.
         settings: how to prepare it.
         cache_dir: folder of the cache; made where it does not exist.
-        progress: called with the number of frames done and of frames expected.
+        track: gives the stream's frames one by one and may count them, as a progress bar does.
 
     Raises:
         InputError: the clip can't be prepared, or the cache can't be written.
@@ -256,12 +220,7 @@ def prepare(
     if found is not None:
         return found
     clip_stream = ClipStream(source, settings)
-    with entry.writer() as writer:
-        for count, prepared in enumerate(clip_stream, start=1):
-            writer.add(prepared)
-            if progress is not None:
-                progress(count, max(source.length, count))
-        writer.finish(clip_stream.description)
+    entry.write(track(clip_stream), clip_stream.sources)
     found = entry.load(path)
     if found is None:
         raise InputError(f"{entry.folder} can't be read back; check the disk or give another cache.")

@@ -8,7 +8,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    Task,
+    TaskProgressColumn,
+    TextColumn,
+    TimeRemainingColumn,
+)
 from rich.text import Text
 
 from physics.doors import plain
@@ -68,28 +77,19 @@ def say(console: Console, sentence: str, style: str = "") -> None:
     console.print(Text(plain(sentence), style=style), soft_wrap=True)
 
 
-class Speed(ProgressColumn):
-    """How many of something a second, or a minute where they are slow."""
-
-    def __init__(self, unit: str) -> None:
-        super().__init__()
-        self.unit = unit
+class Rate(ProgressColumn):
+    """How many a second."""
 
     def render(self, task: Task) -> Text:
-        """Text of the column; empty where nothing is done yet."""
-        speed = task.finished_speed or task.speed
-        if not speed:
-            return Text("")
-        return Text(f"{speed:.1f} {self.unit}/s" if speed >= 1 else f"{60 * speed:.1f} {self.unit}/min")
+        """Text of the column."""
+        return TaskProgressColumn.render_speed(task.finished_speed or task.speed)
 
 
-def progress_bars(console: Console, unit: str = "", *, disable: bool = False) -> Progress:
+def progress_bars(console: Console, *, disable: bool = False) -> Progress:
     """Bars with what is done, how fast and for how long still.
 
     Args:
-        unit: what is counted; empty = the speed says nothing.
         disable: draw none.
     """
-    name, speed = TextColumn("{task.description}", markup=False), (Speed(unit),) if unit else ()
-    columns = (name, BarColumn(), MofNCompleteColumn(), *speed, TimeRemainingColumn())
-    return Progress(*columns, console=console, disable=disable)
+    name, rest = TextColumn("{task.description}", markup=False), (BarColumn(), MofNCompleteColumn(), Rate())
+    return Progress(name, *rest, TimeRemainingColumn(), console=console, disable=disable)

@@ -16,7 +16,7 @@ SEEN_OUT = ("no_tool", "no_contact")
 """The frame was seen out of contact; with the other statuses but `ok` it isn't known whether it is in contact."""
 
 
-def _not_a_point() -> np.ndarray:
+def _unknown() -> np.ndarray:
     return np.full(3, np.nan)
 
 
@@ -40,17 +40,17 @@ class PreparedFrame:
     """Contact and mesh where the status is `ok`."""
     distance: float = math.nan
     """Distance of tool and tissue [scene units]; not a number where it was not measured."""
-    displacement: np.ndarray | None = None
-    """Observed motion of the contact from this frame to the next, shape [3] [scene units]."""
-    backward: np.ndarray | None = None
-    """Observed motion of this frame's contact back to the preceding frame, shape [3] [scene units]."""
-    rigid: np.ndarray | None = None
+    displacement: np.ndarray = field(default_factory=_unknown)
+    """Observed motion of the contact from this frame to the next, shape [3] [scene units]; NaN where it isn't known."""
+    backward: np.ndarray = field(default_factory=_unknown)
+    """Observed motion of this frame's contact back to the preceding frame, shape [3] [scene units]; NaN likewise."""
+    rigid: np.ndarray = field(default_factory=_unknown)
     """Motion to the next frame if the contact moved rigidly with the tissue far from it, shape [3] [scene units]."""
     consecutive: bool = False
     """Whether a next frame exists and bears the next number."""
     track_start: int = -1
     """Index of the frame where this run of contact began, kept after its release; -1 where no onset was seen."""
-    track_position: np.ndarray = field(default_factory=_not_a_point)
+    track_position: np.ndarray = field(default_factory=_unknown)
     """Where the tissue point that was the contact at `track_start` is now, shape [3]; not a number once it is lost."""
 
     @property

@@ -21,6 +21,8 @@ from models.onnx_session import ExportedModel, ModelFileError
 from physics.fields import fits
 
 Settings = TypeVar("Settings")
+RETIRED = {"geometry.depth_radius": 0, "geometry.min_displacement": 1e-4}
+"""Settings of earlier versions, each with the one value that the program still has: where files say so, all is well."""
 
 
 def preparation_settings(model: ExportedModel, chosen: Chosen) -> PrepareSettings:
@@ -90,6 +92,7 @@ def section(model: ExportedModel, name: str, kind: type[Settings], values: Mappi
         ModelFileError: a field is unknown, or its value is impossible.
     """
     values = model.metadata.get(name, {}) if values is None else values
+    values = {key: value for key, value in values.items() if (f"{name}.{key}", value) not in RETIRED.items()}
     kinds = get_type_hints(kind)
     unknown = sorted(set(values) - set(kinds))
     if unknown:

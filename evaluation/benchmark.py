@@ -138,7 +138,7 @@ def measure(
 ) -> None:
     """Do what is left: suite, clip and estimator of every result that is missing."""
     candidates: dict[str, Candidate] = {**estimators}
-    with progress_bars(console, "clips") as progress:
+    with progress_bars(console) as progress:
         if any(name == CONSTANT for _, _, name in left):
             candidates[CONSTANT] = constant_estimate(options.split, options.seed, options.workers, progress)
         tasks = []

@@ -32,9 +32,9 @@ from scipy.optimize import minimize
 
 from data.command_line import path_option
 from data.contact.features import FEATURES, FRAME_RATE, KNOWN, LOADED, LOG_NOISE, REFERENCE_SPACING, SLOTS
+from data.contact.interaction import PRESS
 from data.masks.sources import MaskClasses
 from data.settings import PREPROCESSING_VERSION
-from data.training.samples import PRESS
 from estimators.estimate import NINETY
 from estimators.network.fits import BOUNDS, MECHANICS, SCENES
 from estimators.onset import STAMP

@@ -192,7 +192,7 @@ def run(options: argparse.Namespace) -> int:
     if not paths:
         return 2
     interrupted = False
-    with progress_bars(console, "frames") as progress:
+    with progress_bars(console) as progress:
         try:
             for number, path in enumerate(paths, start=1):
                 outcomes.append(batch.attempt(path, progress, f"{number}/{len(paths)}"))

@@ -25,6 +25,8 @@ COARSE_POINTS = 1000
 """Number of tool points in each pass of the two-pass search (Bini 2026, section 3.2.2)."""
 LEAST_NOISE = 3e-4
 """Noise is never taken for smaller [scene units]: fitting planes to curved tissue errs by about 2e-4."""
+LEAST_MOTION = 1e-4
+"""Shorter observed motions have no direction [scene units]."""
 DEPTH_HOLE_REACH = 5.0
 """How many times `contact_pixels` the nearest valid tissue depth may lie from a touching outline."""
 
@@ -112,26 +114,19 @@ class GeometrySettings:
     """Axis of the force: the surface normal (paper), or the observed motion of the contact (see `force_direction`)."""
     displacement: Literal["tracked", "redetected"] = "tracked"
     """Observed displacement: of the same tissue point, or between the two frames' contact points (paper)."""
-    depth_radius: int = 0
-    """Half side of the window that gives a followed point its depth [grid pixels]; 0 = the nearest pixel. A point load
-    makes a dent hardly wider than a pixel, and noisy depth asks for 2 or 3: noise against bias."""
     rigid_motion: Literal["keep", "subtract"] = "keep"
     """Whether the common motion of the tissue far from the contact (the camera's) is taken off the displacement."""
-    min_displacement: float = 1e-4
-    """Shorter observed motions [scene units] have no direction; the force then acts along the normal."""
     min_tool_pixels: int = 8
     """Fewer tool pixels on the grid than this are `no_tool`."""
     min_tissue_pixels: int = 50
     """Fewer tissue pixels on the grid than this are `no_tissue`."""
 
     def __post_init__(self) -> None:
-        least = {"height": 8, "width": 8, "min_tool_pixels": 1, "min_tissue_pixels": 1, "depth_radius": 0}
+        least = {"height": 8, "width": 8, "min_tool_pixels": 1, "min_tissue_pixels": 1}
+        least |= dict.fromkeys(("smoothing", "contact_pixels", "contact_distance"), 0)
         for name, low in least.items():
-            if getattr(self, name) < low:
-                raise ValueError(f"geometry.{name} is {getattr(self, name)}; give at least {low}.")
-        for name in ("smoothing", "contact_pixels", "contact_distance", "min_displacement"):
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
-                raise ValueError(f"geometry.{name} is {getattr(self, name)}; give a number of at least 0.")
+            if not low <= getattr(self, name) < math.inf:
+                raise ValueError(f"geometry.{name} is {getattr(self, name)}; give a finite number of at least {low}.")
         if self.smoothing > self.width:
             raise ValueError(f"geometry.smoothing is {self.smoothing}; give at most the grid's width, {self.width}.")
         if not self.max_edge > 0:
@@ -160,8 +155,6 @@ class FrameGeometry:
     """d* [scene units]; not a number where the tool has no depth."""
     pixel: tuple[int, int]
     """Grid pixel (u, v) of b*."""
-    tool_pixel: tuple[int, int]
-    """Grid pixel (u, v) of g*."""
     touching: bool
     """Whether the masks touch; otherwise the clouds are within the contact distance."""
     noise: float = math.nan
@@ -214,8 +207,8 @@ def frame_geometry(
     vertex = nearest_vertex(mesh, tissue_point)
     distance = float(np.linalg.norm(tool_point - tissue_point))
     normal = contact_normal(mesh, vertex)
-    pixel, tool_pixel = (int(column), int(row)), (int(tool_column), int(tool_row))
-    return FrameGeometry(mesh, vertex, normal, tool_point, tissue_point, distance, pixel, tool_pixel, touching, noise)
+    pixel = int(column), int(row)
+    return FrameGeometry(mesh, vertex, normal, tool_point, tissue_point, distance, pixel, touching, noise)
 
 
 def move_contact(geometry: FrameGeometry, pixel: tuple[int, int]) -> FrameGeometry:
@@ -237,7 +230,7 @@ def force_direction(normal: np.ndarray, displacement: np.ndarray | None, setting
 
     `normal`: d = n, so that F < 0 presses into the tissue (Bini 2026, section 3.3). `displacement`: d is the axis of
     the observed motion, oriented so that d·n ≥ 0; F < 0 still presses and F > 0 pulls, so traction is representable
-    once `bounds.force` allows F > 0. Motions shorter than `min_displacement` have no axis and fall back to the normal.
+    once `bounds.force` allows F > 0. Motions shorter than LEAST_MOTION have no axis and fall back to the normal.
 
     Args:
         normal: n, shape [3], towards the camera.
@@ -246,10 +239,8 @@ def force_direction(normal: np.ndarray, displacement: np.ndarray | None, setting
     Returns:
         Shape [3], float32.
     """
-    if settings.force_direction == "normal" or displacement is None:
-        return np.asarray(normal, np.float32)
-    length = float(np.linalg.norm(displacement))
-    if not length > settings.min_displacement:
+    length = 0.0 if displacement is None else float(np.linalg.norm(displacement))
+    if settings.force_direction == "normal" or displacement is None or not length > LEAST_MOTION:
         return np.asarray(normal, np.float32)
     axis = np.asarray(displacement, np.float64) / length
     return (axis if axis @ normal >= 0 else -axis).astype(np.float32)

@@ -13,14 +13,13 @@ from collections import deque
 
 import numpy as np
 
-from data.contact.geometry import LEAST_NOISE, TISSUE, GeometrySettings, GeometryStatus, frame_geometry
+from data.contact.geometry import LEAST_NOISE, TISSUE, GeometryStatus, frame_geometry
 from data.contact.outlines import frayed_share, inside, uncover
 from data.contact.refinement import REFINE_FRAMES, ContactRun, picture_pixel, settle_run
 from data.contact.rest_depth import RestDepth
 from data.contact.surface import smooth_surface
 from data.contact.template import TissueTemplate
 from data.contact.tissue_points import (
-    REFERENCE_MINIMUM,
     grid_to_picture,
     lift,
     picture_to_grid,
@@ -29,6 +28,7 @@ from data.contact.tissue_points import (
 )
 from data.contact.tracking import TissueTracker
 from data.prepared import SEEN_OUT, PreparedFrame
+from data.settings import PrepareSettings
 from data.source.camera import Camera
 
 LOST = "The tissue that was touched first is not followed here or has no depth; nothing of its motion is observed."
@@ -50,27 +50,17 @@ REST_SIGMA = 4.0
 class ContactMotion:
     """Links each frame of a clip with the next: observed displacement, run of contact and its tracked point."""
 
-    def __init__(
-        self,
-        camera: Camera,
-        size: tuple[int, int],
-        settings: GeometrySettings,
-        *,
-        bridge_frames: int,
-        track_seconds: float,
-    ) -> None:
+    def __init__(self, camera: Camera, size: tuple[int, int], settings: PrepareSettings) -> None:
         """
         Args:
             camera: intrinsics of the grid.
             size: (width, height) of the full picture [px].
-            bridge_frames: contact that is missing on up to this many frames is still the same run.
-            track_seconds: how long a released contact is followed, from its onset [s].
+            settings: geometry, `bridge_frames` and `track_seconds` count.
         """
-        self.camera, self.size, self.settings = camera, size, settings
-        self.bridge_frames, self.track_seconds = bridge_frames, track_seconds
+        self.camera, self.size, self.settings = camera, size, settings.geometry
+        self.bridge_frames, self.track_seconds = settings.bridge_frames, settings.track_seconds
         self._tracker = TissueTracker()
         self._rest = RestDepth()
-        self._smooth = -1, np.empty(0)
         self._run: ContactRun | None = None
         self._last_contact: int | None = None
         self._last_time = -math.inf
@@ -100,9 +90,8 @@ class ContactMotion:
             after.detail = after.detail or DENTED
         run = self._run
         if run is not None:
-            after.track_start = run.start
-            if run.pixel is not None:
-                after.track_position = self._lift(run.pixel[None], after)[0] - run.drift
+            after.track_start = run.onset.frame.index
+            after.track_position = self._lift(run.pixel[None], after)[0] - run.drift
             self._grow_older(run, after)
             self._note_return(run, after)
             if after.in_contact and not after.detail and not np.isfinite(after.track_position).all():
@@ -121,35 +110,34 @@ class ContactMotion:
     def _grow_older(self, run: ContactRun, latest: PreparedFrame) -> None:
         if run.young is None or latest is run.onset:
             return
-        if run.pixel is not None and latest.in_contact:
+        followed = np.isfinite(run.pixel).all()
+        if followed and latest.in_contact:
             run.young.append((latest, run.pixel, run.drift))
-        if len(run.young) == REFINE_FRAMES or run.pixel is None or not latest.in_contact:
+        if len(run.young) == REFINE_FRAMES or not followed or not latest.in_contact:
             self.settle()
-            if run.pixel is not None:
-                latest.track_position = self._lift(run.pixel[None], latest)[0] - run.drift
+            latest.track_position = self._lift(run.pixel[None], latest)[0] - run.drift
 
     def _observe(self, before: PreparedFrame, after: PreparedFrame) -> None:
         before.rigid = self._rigid(before, after)
-        shift = np.zeros(3)
-        if self.settings.rigid_motion == "subtract":
-            shift = before.rigid if before.rigid is not None else np.full(3, np.nan)
+        shift = before.rigid if self.settings.rigid_motion == "subtract" else np.zeros(3)
         if self.settings.displacement == "tracked":
-            before.displacement = _finite(self._follow_contact(before, after) - shift)
-            after.backward = _finite(self._follow_contact(after, before) + shift)
+            before.displacement = self._follow_contact(before, after) - shift
+            after.backward = self._follow_contact(after, before) + shift
         elif before.in_contact and after.in_contact:
             moved = after.contact.tissue_point.astype(np.float64) - before.contact.tissue_point
-            before.displacement, after.backward = _finite(moved - shift), _finite(shift - moved)
-        if self._run is not None and self._run.pixel is not None:
-            moved = self._follow(before, after, self._run.pixel, self._run.template)
-            self._run.drift = self._run.drift + shift
-            self._run.pixel = moved if np.isfinite(self._run.drift).all() else None
+            before.displacement, after.backward = moved - shift, shift - moved
+        run = self._run
+        if run is not None:
+            moved = self._follow(before, after, run.pixel, run.template)
+            run.drift = run.drift + shift
+            run.pixel = moved if np.isfinite(run.drift).all() else np.full(2, math.nan)
 
     def _update_run(self, before: PreparedFrame, after: PreparedFrame) -> None:
         """Begin a run at a contact after frames that were seen without one; end it some time after its release."""
         index = after.frame.index
         missing = math.inf if self._last_contact is None else index - self._last_contact - 1
         if not after.in_contact:
-            expired = self._run is not None and after.frame.time_s - self._run.start_time > self.track_seconds
+            expired = self._run is not None and after.frame.time_s - self._run.onset.frame.time_s > self.track_seconds
             if expired and missing >= self.bridge_frames:
                 self._run = None
         elif missing > self.bridge_frames:
@@ -190,7 +178,7 @@ class ContactMotion:
         pixel = picture_pixel(onset, self.size)
         template = TissueTemplate(*onset.view, pixel)
         young = [] if math.isfinite(onset.contact.noise) else None
-        return ContactRun(onset.frame.index, onset.frame.time_s, pixel, template, np.zeros(3), onset, young)
+        return ContactRun(onset, pixel, template, np.zeros(3), young)
 
     def _noise(self, onset: PreparedFrame) -> float:
         """Standard deviation of the depth [scene units], measured away from the outlines, where masks may be wrong."""
@@ -202,42 +190,34 @@ class ContactMotion:
     def _follow_contact(self, source: PreparedFrame, target: PreparedFrame) -> np.ndarray:
         """Motion of the source's contact point to the target, shape [3]; not a number where it can't be followed."""
         if not source.in_contact:
-            return np.full(3, np.nan)
+            return np.full(3, math.nan)
         pixel = picture_pixel(source, self.size)
-        template = TissueTemplate(*source.view, pixel)
-        moved = self._follow(source, target, pixel, template)
-        if moved is None:
-            return np.full(3, np.nan)
+        moved = self._follow(source, target, pixel, TissueTemplate(*source.view, pixel))
         return (self._lift(moved[None], target) - self._lift(pixel[None], source))[0]
 
     def _follow(
         self, source: PreparedFrame, target: PreparedFrame, pixel: np.ndarray, template: TissueTemplate
-    ) -> np.ndarray | None:
-        """Place of a followed point in the next picture: by flow, corrected by its template."""
-        moved, followed = self._step(source, target, pixel[None])
-        if not followed[0]:
-            return None
-        found = template.locate(*target.view, moved[0])
-        return moved[0] if found is None else found
+    ) -> np.ndarray:
+        """Place of a followed point in the next picture: by flow, corrected by its template; NaN where it is lost."""
+        moved = self._step(source, target, pixel[None])[0]
+        found = template.locate(*target.view, moved) if np.isfinite(moved).all() else None
+        return moved if found is None else found
 
-    def _rigid(self, before: PreparedFrame, after: PreparedFrame) -> np.ndarray | None:
-        """Motion that the contact would have if it moved with the tissue far from it, shape [3]."""
+    def _rigid(self, before: PreparedFrame, after: PreparedFrame) -> np.ndarray:
+        """Motion that the contact would have if it moved with the tissue far from it, shape [3]; NaN if not known."""
         if before.in_contact or after.in_contact:
             pixel = picture_pixel(before if before.in_contact else after, self.size)
-        elif self._run is not None and self._run.pixel is not None:
+        elif self._run is not None:
             pixel = self._run.pixel
         else:
-            return None
+            return np.full(3, math.nan)
         grid = picture_to_grid(pixel, before.depth.shape, self.size)
         pixels = grid_to_picture(reference_pixels(before.depth, before.labels, grid), before.depth.shape, self.size)
-        if len(pixels) < REFERENCE_MINIMUM:
-            return None
-        moved, _ = self._step(before, after, pixels)
+        moved = self._step(before, after, pixels)
         place = self._lift(pixel[None], before)[0]
-        motion = rigid_motion(self._lift_smooth(pixels, before), self._lift_smooth(moved, after), place)
-        return None if motion is None else _finite(motion)
+        return rigid_motion(self._lift_smooth(pixels, before), self._lift_smooth(moved, after), place)
 
-    def _step(self, source: PreparedFrame, target: PreparedFrame, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _step(self, source: PreparedFrame, target: PreparedFrame, pixels: np.ndarray) -> np.ndarray:
         (first, first_labels), (second, second_labels) = source.view, target.view
         return self._tracker.step(first, second, first_labels, second_labels, pixels)
 
@@ -246,20 +226,13 @@ class ContactMotion:
         grid = picture_to_grid(pixels, prepared.depth.shape, self.size)
         noise = math.nan if self._run is None else self._run.onset.contact.noise
         labels = uncover(prepared.depth, prepared.labels, noise)
-        return lift(grid, prepared.depth, labels, self.camera, self.settings.depth_radius)
+        return lift(grid, prepared.depth, labels, self.camera)
 
     def _lift_smooth(self, pixels: np.ndarray, prepared: PreparedFrame) -> np.ndarray:
         """Points [P, 3] on the smoothed surface: drift adds up from frame to frame, and with it the depth's noise."""
-        if self.settings.smoothing == 0:
-            return self._lift(pixels, prepared)
-        index, depth = self._smooth
-        if index != prepared.frame.index:
-            tissue = (prepared.labels == TISSUE) & (prepared.depth > 0)
-            depth = smooth_surface(prepared.depth, tissue, self.settings.smoothing)[0]
-            self._smooth = prepared.frame.index, depth
+        depth = prepared.depth
+        if self.settings.smoothing > 0:
+            tissue = (prepared.labels == TISSUE) & (depth > 0)
+            depth = smooth_surface(depth, tissue, self.settings.smoothing)[0]
         grid = picture_to_grid(pixels, prepared.depth.shape, self.size)
         return lift(grid, depth, prepared.labels, self.camera)
-
-
-def _finite(vector: np.ndarray) -> np.ndarray | None:
-    return vector if np.isfinite(vector).all() else None

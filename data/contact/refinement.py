@@ -30,18 +30,14 @@ REFINE_FRAMES = 5
 class ContactRun:
     """A run of contact whose onset was seen, and the tissue point that is followed from it."""
 
-    start: int
-    """Index of the first frame in contact."""
-    start_time: float
-    """Its time [s]."""
-    pixel: np.ndarray | None
-    """The followed point in the latest frame, (u, v) [full-picture px]; None once it is lost."""
+    onset: PreparedFrame
+    """The first frame in contact."""
+    pixel: np.ndarray
+    """The followed point in the latest frame, (u, v) [full-picture px]; not a number once it is lost."""
     template: TissueTemplate
     """The tissue around it at the onset."""
     drift: np.ndarray
     """Rigid motion subtracted so far, shape [3] [scene units]."""
-    onset: PreparedFrame
-    """The first frame in contact."""
     young: list[tuple[PreparedFrame, np.ndarray, np.ndarray]] | None
     """Frames after it with the point's pixel and the drift in each; None once the contact's place is settled."""
 
@@ -148,8 +144,7 @@ def settle_run(run: ContactRun, size: tuple[int, int], lift: Callable[[np.ndarra
     run.onset.track_position = lift(moved[None], run.onset)[0]
     for prepared, pixel, drift in young:
         prepared.track_position = lift((pixel + moved - contact)[None], prepared)[0] - drift
-    if run.pixel is not None:
-        run.pixel = run.pixel + moved - contact
+    run.pixel = run.pixel + moved - contact
     run.template = TissueTemplate(*run.onset.view, moved)
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from data.contact.geometry import TISSUE, TOOL
+from data.contact.outlines import near
+from data.labels import TISSUE, TOOL
 
 RADIUS = 32
 """Half side of the patch [px]."""
@@ -52,19 +53,13 @@ class TissueTemplate:
 
 def _crop(image: np.ndarray, labels: np.ndarray, centre: np.ndarray, radius: int) -> tuple[np.ndarray, np.ndarray]:
     """Grey square around a pixel, float32, and where it shows tissue away from the tool (outside: nowhere)."""
-    padding = radius + TOOL_MARGIN
-    low, high = centre - padding, centre + padding + 1
-    top, left = max(low[1], 0), max(low[0], 0)
-    window = np.s_[top : max(high[1], top), left : max(high[0], left)]
-    side = 2 * padding + 1
-    grey, kinds = np.zeros((side, side), np.float32), np.zeros((side, side), np.uint8)
-    found = labels[window]
-    if found.size:
-        place = np.s_[top - low[1] : top - low[1] + found.shape[0], left - low[0] : left - low[0] + found.shape[1]]
-        grey[place], kinds[place] = cv2.cvtColor(image[window], cv2.COLOR_RGB2GRAY), found
-    near_tool = cv2.dilate((kinds == TOOL).astype(np.uint8), np.ones((2 * TOOL_MARGIN + 1,) * 2, np.uint8)) > 0
-    inner = np.s_[TOOL_MARGIN : side - TOOL_MARGIN, TOOL_MARGIN : side - TOOL_MARGIN]
-    return grey[inner], ((kinds == TISSUE) & ~near_tool)[inner]
+    margin = 2 * (radius + TOOL_MARGIN)
+    left, top = centre + margin // 2
+    window = np.s_[top : top + margin + 1, left : left + margin + 1]
+    grey = np.pad(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), margin)[window].astype(np.float32)
+    kinds = np.pad(labels, margin)[window]
+    inner = np.s_[TOOL_MARGIN:-TOOL_MARGIN, TOOL_MARGIN:-TOOL_MARGIN]
+    return grey[inner], ((kinds == TISSUE) & ~near(kinds == TOOL, TOOL_MARGIN))[inner]
 
 
 def _correlation(patch: np.ndarray, known: np.ndarray, picture: np.ndarray, usable: np.ndarray) -> np.ndarray:

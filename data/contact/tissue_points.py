@@ -11,8 +11,6 @@ from data.source.camera import Camera
 
 LIFT_REACH = 8
 """Farthest tissue that gives a covered point its depth [grid pixels]."""
-PLANE_POINTS = 6
-"""A plane is fitted to at least this many depths."""
 REFERENCE_POINTS = 64
 """Largest number of tissue points that show the common (camera) motion."""
 REFERENCE_DISTANCE = 25
@@ -33,45 +31,38 @@ def picture_to_grid(pixels: np.ndarray, grid_shape: tuple[int, int], size: tuple
     return (np.asarray(pixels, np.float64) + 0.5) / scale - 0.5
 
 
-def lift(pixels: np.ndarray, depth: np.ndarray, labels: np.ndarray, camera: Camera, radius: int = 0) -> np.ndarray:
-    """Tissue points at sub-pixel places of the grid.
+def lift(pixels: np.ndarray, depth: np.ndarray, labels: np.ndarray, camera: Camera) -> np.ndarray:
+    """Tissue points at sub-pixel places of the grid, each with the depth of the nearest tissue pixel.
+
+    A point load makes a dent hardly wider than a pixel, and a mean over several would flatten it.
 
     Args:
         pixels: grid pixels (u, v), shape [P, 2].
         depth: z, shape [h, w] [scene units], 0 = invalid.
         labels: label map, shape [h, w].
         camera: intrinsics of the grid.
-        radius: half side of the window whose tissue gives a point its depth, by a plane through it: at the tool's
-            outline half of the neighbourhood is missing, and a mean would be biased towards the other half. 0: the
-            nearest tissue pixel, the only choice that keeps a dent as narrow as a pixel.
 
     Returns:
         Shape [P, 3] float64 [scene units]; not a number where no tissue depth is near.
     """
     valid = (labels == TISSUE) & (depth > 0)
-    heights = np.array([_depth_near(u, v, depth, valid, radius) for u, v in pixels]).reshape(-1)
+    heights = np.array([_depth_near(u, v, depth, valid) for u, v in pixels]).reshape(-1)
     columns, rows = np.asarray(pixels, np.float64).reshape(-1, 2).T
     return np.stack((heights * (columns - camera.cx) / camera.fx, heights * (rows - camera.cy) / camera.fy, heights), 1)
 
 
-def _depth_near(u: float, v: float, depth: np.ndarray, valid: np.ndarray, radius: int) -> float:
+def _depth_near(u: float, v: float, depth: np.ndarray, valid: np.ndarray) -> float:
     if not (math.isfinite(u) and math.isfinite(v)):
         return math.nan
-    for reach in (radius, LIFT_REACH):
-        top, left = max(round(v) - reach, 0), max(round(u) - reach, 0)
-        window = np.s_[top : max(round(v) + reach + 1, 0), left : max(round(u) + reach + 1, 0)]
-        rows, columns = np.nonzero(valid[window])
-        across, down = columns + left - u, rows + top - v
-        values = depth[window][rows, columns].astype(np.float64)
-        if radius > 0 and len(values) >= PLANE_POINTS:
-            plane = np.linalg.lstsq(np.stack((np.ones(len(values)), across, down), 1), values, rcond=1e-6)[0]
-            return float(np.clip(plane[0], values.min(), values.max()))
-        if len(values) and (radius == 0 or reach == LIFT_REACH):
-            return float(values[np.argmin(np.hypot(across, down))])
-    return math.nan
+    top, left = max(round(v) - LIFT_REACH, 0), max(round(u) - LIFT_REACH, 0)
+    window = np.s_[top : max(round(v) + LIFT_REACH + 1, 0), left : max(round(u) + LIFT_REACH + 1, 0)]
+    rows, columns = np.nonzero(valid[window])
+    if len(rows) == 0:
+        return math.nan
+    return float(depth[window][rows, columns][np.argmin(np.hypot(columns + left - u, rows + top - v))])
 
 
-def rigid_motion(before: np.ndarray, after: np.ndarray, at: np.ndarray) -> np.ndarray | None:
+def rigid_motion(before: np.ndarray, after: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Displacement that a point would have if it moved rigidly with the others.
 
     Least-squares rotation and translation (Kabsch), fitted again without the points that fit worse than three times
@@ -82,14 +73,14 @@ def rigid_motion(before: np.ndarray, after: np.ndarray, at: np.ndarray) -> np.nd
         at: the point, shape [3] [scene units].
 
     Returns:
-        Shape [3] [scene units], or None with fewer than six points.
+        Shape [3] [scene units]; not a number with fewer than six points.
     """
     finite = np.isfinite(before).all(1) & np.isfinite(after).all(1)
     before, after = before[finite], after[finite]
     rotation, shift = np.eye(3), np.zeros(3)
     for _ in range(3):
         if len(before) < REFERENCE_MINIMUM:
-            return None
+            return np.full(3, math.nan)
         rotation, shift = _kabsch(before, after)
         residual = np.linalg.norm(before @ rotation.T + shift - after, axis=1)
         kept = residual <= 3 * np.median(residual) + 1e-12

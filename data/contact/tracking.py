@@ -12,32 +12,24 @@ import numpy as np
 
 from data.labels import TISSUE, TOOL
 
+RADIUS = 8.0
+"""Of the neighbourhood of a point; doubled twice where too few pixels of it can be used [px of the full picture]."""
+TOOL_MARGIN = 6.0
+"""Distance from the tool within which flow is not trusted [px of the full picture]."""
+CONSISTENCY = 1.0
+"""Largest distance between a pixel and where flow and backward flow return it to [px of the full picture]."""
+LEAST_PIXELS = 12
+"""Fewest half-resolution pixels whose median is taken."""
+
 
 class TissueTracker:
     """Moves tissue points by the median flow of the tissue around them.
 
     Flow is computed at half resolution. Flow near a moving tool is smeared over the tissue, so pixels within
-    `tool_margin` of the tool count only where nothing else is left.
+    TOOL_MARGIN of the tool count only where nothing else is left.
     """
 
-    def __init__(
-        self,
-        *,
-        radius: float = 8.0,
-        tool_margin: float = 6.0,
-        consistency: float = 1.0,
-        min_pixels: int = 12,
-    ) -> None:
-        """Settings in pixels of the full-resolution picture.
-
-        Args:
-            radius: of the neighbourhood of a point; doubled twice where too few pixels of it can be used.
-            tool_margin: distance from the tool within which flow is not trusted.
-            consistency: largest distance between a pixel and where flow and backward flow return it to.
-            min_pixels: fewest half-resolution pixels whose median is taken.
-        """
-        self.radius, self.tool_margin = radius, tool_margin
-        self.consistency, self.min_pixels = consistency, min_pixels
+    def __init__(self) -> None:
         self._flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
         # The preset's coarser finest scale flattens a local bump of 4 px by 0.7 px, this one by 0.2 px; the variational
         # refinement changes nothing there and doubles the time.
@@ -53,24 +45,19 @@ class TissueTracker:
         labels_previous: np.ndarray,
         labels_following: np.ndarray,
         points: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray]:
+    ) -> np.ndarray:
         """Follow points from one frame to the next; swap the arguments to follow them backwards in time.
 
         Args:
-            previous: picture that the points lie in, uint8 [H, W, 3] RGB or [H, W] grey.
+            previous: picture that the points lie in, uint8 [H, W, 3] RGB.
             following: picture to follow them to, same shape.
             labels_previous: label map of `previous`, [H, W].
             labels_following: label map of `following`, [H, W].
             points: (u, v) in full-resolution pixels, [P, 2].
 
         Returns:
-            The points' new places [P, 2] float32, NaN where lost, and whether each was followed [P] bool.
+            The points' new places [P, 2] float32, NaN where lost.
         """
-        if previous.shape != following.shape or labels_previous.shape != previous.shape[:2]:
-            raise ValueError(
-                f"expected pictures and labels of one size, got {previous.shape}, {following.shape} and "
-                f"{labels_previous.shape}."
-            )
         points = np.asarray(points, np.float32).reshape(-1, 2)
         moved = np.full_like(points, np.nan)
         forward, backward = self._flow_pair(previous, following)
@@ -81,7 +68,7 @@ class TissueTracker:
         tool = _shrink(labels_previous == TOOL, forward.shape[:2])
         distance = cv2.distanceTransform((~tool).astype(np.uint8), cv2.DIST_L2, 3) if tool.any() else None
         usable = tissue & allowed
-        trusted = usable if distance is None else usable & (distance > self.tool_margin / scale.mean())
+        trusted = usable if distance is None else usable & (distance > TOOL_MARGIN / scale.mean())
         for index, point in enumerate(points):
             flow = self._flow_near((point + 0.5) / scale - 0.5, forward, trusted, usable, float(scale.mean()))
             if flow is not None:
@@ -89,7 +76,7 @@ class TissueTracker:
         width, height = previous.shape[1], previous.shape[0]
         inside = (moved >= -0.5).all(axis=1) & (moved[:, 0] < width - 0.5) & (moved[:, 1] < height - 0.5)
         moved[~inside] = np.nan
-        return moved, inside
+        return moved
 
     def _flow_pair(self, previous: np.ndarray, following: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Forward and backward flow [h, w, 2] at half resolution; the last pair is kept for the swapped call."""
@@ -98,7 +85,7 @@ class TissueTracker:
                 return self._flows
             if self._pair[1] is previous and self._pair[0] is following:
                 return self._flows[::-1]
-        first, second = half_gray(previous), half_gray(following)
+        first, second = _half_gray(previous), _half_gray(following)
         self._pair = (previous, following)
         forward = self._flow.calc(first, second, None)  # ty: ignore[no-matching-overload]  no first guess
         self._flows = forward, self._flow.calc(second, first, None)  # ty: ignore[no-matching-overload]  no first guess
@@ -110,7 +97,7 @@ class TissueTracker:
         returned = cv2.remap(backward, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
         height, width = forward.shape[:2]
         inside = (columns >= 0) & (columns <= width - 1) & (rows >= 0) & (rows <= height - 1)
-        return inside & (np.linalg.norm((forward + returned) * scale, axis=2) < self.consistency)
+        return inside & (np.linalg.norm((forward + returned) * scale, axis=2) < CONSISTENCY)
 
     def _flow_near(
         self, point: np.ndarray, flow: np.ndarray, trusted: np.ndarray, usable: np.ndarray, scale: float
@@ -119,20 +106,20 @@ class TissueTracker:
         if not np.isfinite(point).all():
             return None
         for mask, factor in ((trusted, 1), (trusted, 2), (trusted, 4), (usable, 4)):
-            radius = factor * self.radius / scale
+            radius = factor * RADIUS / scale
             low = np.maximum(np.floor(point - radius), 0).astype(int)
             high = np.maximum(np.ceil(point + radius) + 1, 0).astype(int)
             window = np.s_[low[1] : high[1], low[0] : high[0]]
             rows, columns = np.nonzero(mask[window])
             near = np.hypot(columns + low[0] - point[0], rows + low[1] - point[1]) <= radius
-            if near.sum() >= self.min_pixels:
+            if near.sum() >= LEAST_PIXELS:
                 return np.median(flow[window][rows[near], columns[near]], axis=0)
         return None
 
 
-def half_gray(image: np.ndarray) -> np.ndarray:
-    """Grey picture at half resolution, uint8 [H/2, W/2], from RGB or grey."""
-    gray = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image
+def _half_gray(image: np.ndarray) -> np.ndarray:
+    """Grey picture at half resolution, uint8 [H/2, W/2], from RGB."""
+    gray = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
     return cv2.resize(gray, (max(gray.shape[1] // 2, 1), max(gray.shape[0] // 2, 1)), interpolation=cv2.INTER_AREA)
 
 

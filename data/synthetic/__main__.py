@@ -109,7 +109,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     try:
         output.mkdir(parents=True, exist_ok=True)
-        with progress_bars(console, "frames") as progress:
+        with progress_bars(console) as progress:
             task = progress.add_task("clips", total=clips * settings.frames)
             for index in range(clips):
                 progress.update(task, description=f"clip {index + 1} of {clips}")

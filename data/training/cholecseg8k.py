@@ -11,12 +11,12 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from data.cache import PreparedClip, require_models
@@ -24,12 +24,11 @@ from data.command_line import path_option, say
 from data.depth.normalise import DepthSettings
 from data.masks.class_table import CLASSES
 from data.masks.sources import MaskClasses, MaskError, color_distance, mask_file, read_mask
-from data.prepared import STATUSES
 from data.settings import PrepareSettings
 from data.source.frames import Frame, discover, open_source
 from data.source.layout import ClipLayout, InputError, load_layout
 from data.training.preparation import prepare_all
-from data.training.samples import consecutive_pairs
+from data.training.samples import SampleSettings, list_frames
 from physics.doors import plain
 
 BORDER = ((255, 255, 255), (0, 0, 0))
@@ -51,26 +50,20 @@ def list_clips(root: Path | str, layout: ClipLayout) -> list[Path]:
     return folders or found
 
 
-@dataclass
+@dataclass(frozen=True)
 class ClipCheck:
     """What a clip's files hold."""
 
-    frames: int = 0
-    """Frames, readable or not."""
-    size: tuple[int, int] = (0, 0)
+    size: tuple[int, int]
     """(width, height) of its pictures [px]."""
-    unreadable: int = 0
-    """Frames that can't be read or differ in size."""
-    gaps: int = 0
-    """Jumps in the frame numbers."""
-    unknown_share: float = 0.0
+    unknown_share: float
     """Share of mask pixels whose colour or value is no class."""
-    problems: list[str] = field(default_factory=list)
+    problems: list[str]
     """One sentence each."""
 
 
 def check_clip(path: Path, layout: ClipLayout, classes: MaskClasses, *, masks: bool = True) -> ClipCheck:
-    """Read every frame and mask of a clip and count what is wrong.
+    """Read every frame and mask of a clip and tell what is wrong.
 
     Args:
         path: frame folder or video file.
@@ -82,66 +75,48 @@ def check_clip(path: Path, layout: ClipLayout, classes: MaskClasses, *, masks: b
         InputError: the clip can't be opened.
     """
     source = open_source(path, layout)
-    check = ClipCheck(size=source.size)
-    previous, pixels, unknown = None, 0, 0
+    shares, problems = [], []
     for frame in source:
-        check.frames += 1
-        check.gaps += previous is not None and frame.number != previous + 1
-        previous = frame.number
         if frame.image is None:
-            check.unreadable += 1
-            check.problems.append(f"Frame {frame.number}: {frame.error}")
+            problems.append(f"Frame {frame.number}: {frame.error}")
         elif masks and frame.path is not None and layout.mask_patterns:
             try:
-                strangers = _unknown_pixels(frame, layout, classes)
+                shares.append(_unknown_share(frame, layout, classes))
             except MaskError as error:
-                check.problems.append(str(error))
-                continue
-            pixels += frame.image.shape[0] * frame.image.shape[1]
-            unknown += strangers
-    check.unknown_share = unknown / pixels if pixels else 0.0
-    check.problems += source.warnings
-    return check
+                problems.append(str(error))
+    return ClipCheck(source.size, float(np.mean(shares)) if shares else 0.0, problems + source.warnings)
 
 
-def _unknown_pixels(frame: Frame, layout: ClipLayout, classes: MaskClasses) -> int:
-    """Number of pixels of a frame's mask that are no class and no border."""
+def _unknown_share(frame: Frame, layout: ClipLayout, classes: MaskClasses) -> float:
+    """Share of a frame's mask that is no class and no border."""
     file, pattern = mask_file(layout, frame)
     mask = read_mask(file, frame.picture.shape[:2])
     if pattern == layout.label_mask:
-        return int((~np.isin(mask, layout.tool_values + layout.tissue_values)).sum())
-    if mask.ndim == 2:
-        known = [entry.grey for entry in CLASSES.values()] + [color[0] for color in BORDER]
-        return int((~np.isin(mask, known)).sum())
-    # Packed into one number a pixel: sorting rows of three is ten times slower.
-    packed, counts = np.unique(mask.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], np.uint32), return_counts=True)
-    colors = np.stack((packed >> 16, packed >> 8 & 255, packed & 255), axis=1).astype(np.uint8)
-    known = [entry.color for entry in CLASSES.values()] + list(BORDER)
-    distances = [color_distance(colors[None], color)[0] for color in known]
-    return int(counts[np.min(distances, axis=0) > classes.tolerance].sum())
+        known = np.isin(mask, layout.tool_values + layout.tissue_values)
+    elif mask.ndim == 2:
+        known = np.isin(mask, [entry.grey for entry in CLASSES.values()] + [color[0] for color in BORDER])
+    else:
+        colors = [entry.color for entry in CLASSES.values()] + list(BORDER)
+        known = np.min([color_distance(mask, color) for color in colors], axis=0) <= classes.tolerance
+    return float(1 - known.mean())
 
 
 def print_table(clips: Sequence[PreparedClip], checks: dict[Path, ClipCheck], console: Console) -> None:
-    """Table of what each clip holds and what of it can be used; a frame in contact is `ok`."""
-    table = Table(title=f"{len(clips)} clips")
-    table.add_column("clip", no_wrap=True)
+    """Table of what each clip holds and what of it can be used: frames in contact (`ok`), pairs as the paper's."""
     headings = ("frames", "size", "gaps", "no class", "pairs")
-    for heading in headings:
-        table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column("by status", no_wrap=True)
-    totals = np.zeros(2, int)
+    numbers = (Column(heading, justify="right", no_wrap=True) for heading in headings)
+    title = f"{len(clips)} clips"
+    table = Table(Column("clip", no_wrap=True), *numbers, Column("by status", no_wrap=True), title=title)
+    frames, pairs, contacts = 0, 0, 0
     for clip in clips:
-        check = checks[clip.path]
-        pairs = len(consecutive_pairs(clip))
-        totals += (len(clip), pairs)
-        statuses = "\n".join(f"{clip.counts[status]} {status}" for status in STATUSES if clip.counts[status])
-        size = f"{check.size[0]}x{check.size[1]}"
-        share = f"{100 * check.unknown_share:.2f} %"
-        cells = (len(clip), size, check.gaps, share, pairs)
-        table.add_row(Text(plain(clip.name)), *map(str, cells), statuses)
-    contacts = sum(clip.counts["ok"] for clip in clips)
+        check, found, statuses = checks[clip.path], len(list_frames(clip, SampleSettings())[0]), clip.counts
+        size, share = f"{check.size[0]}x{check.size[1]}", f"{check.unknown_share:.2%}"
+        gaps = len(clip) - 1 - np.count_nonzero(clip.consecutive)
+        by_status = "\n".join(f"{count} {status}" for status, count in statuses.most_common())
+        table.add_row(Text(plain(clip.name)), str(len(clip)), size, str(gaps), share, str(found), by_status)
+        frames, pairs, contacts = frames + len(clip), pairs + found, contacts + statuses["ok"]
     table.add_section()
-    table.add_row("all", str(totals[0]), "", "", "", str(totals[1]), f"{contacts} ok")
+    table.add_row("all", str(frames), "", "", "", str(pairs), f"{contacts} ok")
     console.print(table)
 
 
@@ -181,10 +156,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     annotated = options.masks in ("auto", "annotation")
     for path in paths:
         try:
-            checks[path] = check_clip(path, settings.layout, settings.classes, masks=annotated)
+            checks[path] = check_clip(path, layout, settings.classes, masks=annotated)
         except InputError as error:
             failures[path] = str(error)
-    clips, failed = prepare_all([path for path in paths if path in checks], settings, options.cache)
+    clips, failed = prepare_all(list(checks), settings, options.cache)
     failures |= failed
     if clips:
         print_table(clips, checks, console)

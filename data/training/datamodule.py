@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
-import warnings
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,19 +11,18 @@ from typing import Any
 
 import numpy as np
 from lightning.pytorch import LightningDataModule
-from lightning.pytorch.utilities import rank_zero_info, rank_zero_only
+from lightning.pytorch.utilities import rank_zero_info, rank_zero_warn
 from torch.utils.data import DataLoader
 from torch.utils.data.distributed import DistributedSampler
 
 from data.cache import PreparedClip
 from data.contact.interaction import Interaction
-from data.prepared import STATUSES
 from data.settings import PREPROCESSING_VERSION, PrepareSettings
 from data.source.layout import ClipLayout, InputError, load_layout
 from data.training.batches import SampleDataset, collate
 from data.training.cholecseg8k import list_clips
 from data.training.preparation import prepare_all
-from data.training.samples import SampleSettings, list_frames, make_interaction, onset_of
+from data.training.samples import SampleSettings, list_frames, make_interaction
 from data.training.splits import FRACTIONS, SPLITS, Place, split_samples
 from physics.mechanics import Bounds, require_stable
 
@@ -118,7 +115,7 @@ class ClipDataModule(LightningDataModule):
             raise InputError(self._nothing_found())
         places, warning = split_samples(self.clips, found, self.samples, self.loading.fractions, self.loading.seed)
         if warning:
-            _warn(f"{self.root} {warning}")
+            rank_zero_warn(f"{self.root} {warning}")
         self._require_stable(places["train"])
         self.places = places
         rank_zero_info(self.summary())
@@ -126,7 +123,7 @@ class ClipDataModule(LightningDataModule):
     def summary(self) -> str:
         """What the splits hold and what was left out, in two sentences."""
         sizes = ", ".join(f"{len(self.places[split])} {split}" for split in SPLITS)
-        reasons = ", ".join(f"{count} {reason}" for reason, count in self.left_out.most_common()) or "none"
+        reasons = _listed(self.left_out) or "none"
         return f"{self.root}: samples {sizes}, from {len(self.clips)} clips. Frames left out: {reasons}."
 
     def train_dataloader(self) -> DataLoader:
@@ -172,10 +169,8 @@ class ClipDataModule(LightningDataModule):
             "depth": depth,
             "masks": Path(masks).name,
             "trained_on": self.trained_on,
-            "classes": _plain(dataclasses.asdict(self.preparation.classes)),
+            "classes": dataclasses.asdict(self.preparation.classes),
             "observation": self.samples.observation,
-            "horizon_frames": self.samples.horizon_frames,
-            "onset_within": self.samples.onset_within,
             "bridge_frames": self.preparation.bridge_frames,
             "track_seconds": self.preparation.track_seconds,
         }
@@ -188,38 +183,27 @@ class ClipDataModule(LightningDataModule):
             if not clips:
                 raise InputError(next(iter(failures.values())))
             for path, reason in failures.items():
-                _warn(f"{path.name} is left out: {reason}")
+                rank_zero_warn(f"{path.name} is left out: {reason}")
             self.clips = clips
         return self.clips
 
     def _require_stable(self, places: Sequence[Place]) -> None:
-        """Check the box on the training meshes.
-
-        The largest eigenvalue of a graph's Laplacian is at most the largest sum of two neighbours' degrees (Anderson
-        and Morley 1985), so only meshes where that bound does not settle it need the eigenvalue itself.
-        """
-        meshes: dict[Place, float] = {}
-        for clip, frame in places:
-            start = onset_of(self.clips[clip], frame) if self.samples.observation == "trajectory" else frame
-            if (clip, start) not in meshes:
-                meshes[clip, start] = _degree_bound(self.clips[clip].mesh(start).springs)
-        stiffness, mechanics = self.bounds.stiffness[1], self.mechanics
-        worst = max(meshes, key=meshes.__getitem__)
-        for (clip, frame), bound in meshes.items():
-            frequency = math.sqrt((bound + mechanics.anchor) * stiffness / mechanics.mass)
-            if (clip, frame) == worst or mechanics.time_step * frequency >= 2:
-                mesh = self.clips[clip].mesh(frame)
-                require_stable(mesh.springs, len(mesh.vertices), self.bounds, mechanics)
+        """Check the box on the training meshes."""
+        if self.samples.observation == "trajectory":
+            places = [(clip, int(self.clips[clip].track_start[frame])) for clip, frame in places]
+        for clip, frame in sorted(set(places)):
+            mesh = self.clips[clip].mesh(frame)
+            require_stable(mesh.springs, len(mesh.vertices), self.bounds, self.mechanics)
 
     def _nothing_found(self) -> str:
-        counts = Counter(status for clip in self.clips for status in clip.status)
-        seen = ", ".join(f"{counts[status]} {status}" for status in STATUSES if counts[status])
+        counts = sum((clip.counts for clip in self.clips), Counter())
+        seen = _listed(counts)
         if not counts["ok"]:
             return (
                 f"{self.root} has no frame in contact ({seen}); check masks and classes, or raise "
                 "geometry.contact_pixels or geometry.contact_distance."
             )
-        reasons = ", ".join(f"{count} {reason}" for reason, count in self.left_out.most_common())
+        reasons = _listed(self.left_out)
         trajectory = self.samples.observation == "trajectory"
         remedy = "choose data.samples.observation final" if trajectory else "record longer contact"
         return f"{self.root} has {counts['ok']} frames in contact and no sample of them ({reasons}); {remedy}."
@@ -239,15 +223,5 @@ class ClipDataModule(LightningDataModule):
         )
 
 
-@rank_zero_only
-def _warn(message: str) -> None:
-    warnings.warn(message, stacklevel=3)
-
-
-def _degree_bound(springs: np.ndarray) -> float:
-    degree = np.bincount(springs.ravel())
-    return float(degree[springs].sum(axis=1).max())
-
-
-def _plain(fields: dict[str, Any]) -> dict[str, Any]:
-    return {name: list(value) if isinstance(value, tuple) else value for name, value in fields.items()}
+def _listed(counts: Counter[str]) -> str:
+    return ", ".join(f"{count} {reason}" for reason, count in counts.most_common())

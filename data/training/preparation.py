@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from rich.console import Console
 
 from data.cache import PreparedClip
-from data.clip import prepare
+from data.clip import ClipStream, prepare
 from data.command_line import progress_bars
+from data.prepared import PreparedFrame
 from data.settings import PrepareSettings
-from data.source.frames import open_source
 from data.source.layout import InputError
 from physics.doors import plain
 
@@ -32,21 +32,18 @@ def prepare_all(
         The prepared clips, and why others could not be prepared.
     """
     clips, failures = [], {}
-    with progress_bars(Console(stderr=True), "frames", disable=not show) as bar:
-        task = bar.add_task("preparing", total=sum(_length(path, settings) for path in paths))
-        done = 0
+    with progress_bars(Console(stderr=True), disable=not show) as bar:
+        task = bar.add_task("preparing", total=None)
+
+        def track(stream: ClipStream) -> Iterable[PreparedFrame]:
+            return bar.track(stream, stream.source.length, task_id=task)
+
         for number, path in enumerate(paths, start=1):
-            bar.update(task, description=f"preparing {plain(path.name)} ({number}/{len(paths)})")
+            bar.reset(task, description=f"preparing {plain(path.name)} ({number}/{len(paths)})")
             try:
-                clip = prepare(
-                    path, settings, cache_dir, lambda count, _, start=done: bar.update(task, completed=start + count)
-                )
+                clips.append(prepare(path, settings, cache_dir, track))
             except Exception as error:
                 failures[path] = _reason(error)
-                continue
-            clips.append(clip)
-            done += len(clip)
-            bar.update(task, completed=done)
     return clips, failures
 
 
@@ -57,10 +54,3 @@ def _reason(error: Exception) -> str:
         return told
     logging.getLogger(__name__).debug("a clip failed", exc_info=error)
     return f"unexpected {type(error).__name__} ({told}); report it with the clip's files."
-
-
-def _length(path: Path, settings: PrepareSettings) -> int:
-    try:
-        return open_source(path, settings.layout).length
-    except InputError:
-        return 0  # Reported when the clip's turn comes.

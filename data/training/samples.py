@@ -14,14 +14,12 @@ import numpy as np
 
 from data.cache import PreparedClip
 from data.contact.geometry import GeometrySettings, force_direction
-from data.contact.interaction import PRESS, ContactFrame, Horizon, Interaction, InteractionBuilder
+from data.contact.interaction import ContactFrame, Interaction, InteractionBuilder
 from data.prepared import SEEN_OUT
 from data.windows import future_indices, window_indices
 from physics.load import Press, held
 from physics.mechanics import Mechanics
 from physics.observation import Observation
-
-OBSERVATIONS = ("final", "release", "trajectory")
 
 
 @dataclass(frozen=True)
@@ -33,9 +31,6 @@ class SampleSettings:
     observation: Literal["final", "release", "trajectory"] = "final"
     """final (paper): the motion of one frame against the end of the rollout. release: against the rollout at the end of
     its load. trajectory: the contact's whole motion since its onset, at the frames' own time stamps."""
-    horizon_frames: Horizon = None
-    """Frames after the onset that a trajectory covers; "press" = those in contact, none = as many as the rollout
-    lasts."""
     min_deformation: float = 0.0
     """Samples whose observed motion, less the rigid motion, is shorter are left out [scene units]; 0 keeps all."""
     onset_within: int | None = None
@@ -49,12 +44,6 @@ class SampleSettings:
     def __post_init__(self) -> None:
         if self.window < 1:
             raise ValueError(f"window is {self.window}; give at least 1 frame.")
-        if self.observation not in OBSERVATIONS:
-            raise ValueError(f"observation is '{self.observation}'; choose {', '.join(OBSERVATIONS)}.")
-        if self.horizon_frames not in (None, PRESS) and not (
-            isinstance(self.horizon_frames, int) and self.horizon_frames >= 1
-        ):
-            raise ValueError(f"horizon_frames is {self.horizon_frames}; give at least 1, press, or leave it out.")
         if self.onset_within is not None and self.onset_within < 1:
             raise ValueError(f"onset_within is {self.onset_within}; give at least 1, or leave it out.")
         if not (math.isfinite(self.min_deformation) and self.min_deformation >= 0):
@@ -81,27 +70,12 @@ class Sample:
     """`interaction_a` as it was known at frame t; none but for trajectories of a clip whose noise is known."""
 
 
-def consecutive_pairs(clip: PreparedClip) -> list[int]:
-    """Frames t of which t and t + 1 are in contact and bear consecutive numbers."""
-    return np.flatnonzero(clip.contact[:-1] & clip.contact[1:] & clip.consecutive[:-1]).tolist()
-
-
 def list_frames(clip: PreparedClip, settings: SampleSettings) -> tuple[list[int], Counter[str]]:
     """Frames t of a clip that give a sample, and how many others there are by reason."""
     judge = _judge_run if settings.observation == "trajectory" else _judge_pair
-    kept, left_out = [], Counter()
-    for frame in range(len(clip)):
-        reason = judge(clip, frame, settings)
-        if reason:
-            left_out[reason] += 1
-        else:
-            kept.append(frame)
-    return kept, left_out
-
-
-def onset_of(clip: PreparedClip, frame: int) -> int:
-    """Index of the frame in which the run of contact that `frame` belongs to began, -1 where that was not seen."""
-    return int(clip.track_start[frame])
+    reasons = [judge(clip, frame, settings) for frame in range(len(clip))]
+    kept = [frame for frame, reason in enumerate(reasons) if not reason]
+    return kept, Counter(filter(None, reasons))
 
 
 def make_sample(clip: PreparedClip, frame: int, settings: SampleSettings) -> Sample:
@@ -114,9 +88,9 @@ def make_sample(clip: PreparedClip, frame: int, settings: SampleSettings) -> Sam
     if settings.observation != "trajectory":
         backward = _pair(clip, frame + 1, clip.backward, settings)
     elif forward.noise > 0:
-        onset = onset_of(clip, frame)
+        onset = int(clip.track_start[frame])
         seconds = float(clip.times[frame] - clip.times[onset])
-        seen = builder_of(clip, onset, settings).build(settings.mechanics, settings.horizon_frames, seconds)
+        seen = builder_of(clip, onset, settings).build(settings.mechanics, until=seconds)
     window_a, window_b = (np.stack([clip.depth(index) for index in indices]) for indices in (earlier, later))
     return Sample(window_a, window_b, forward, backward or forward, clip.name, frame, seen)
 
@@ -124,8 +98,7 @@ def make_sample(clip: PreparedClip, frame: int, settings: SampleSettings) -> Sam
 def make_interaction(clip: PreparedClip, frame: int, settings: SampleSettings) -> Interaction:
     """The contact of a sample, forward in time."""
     if settings.observation == "trajectory":
-        run = builder_of(clip, onset_of(clip, frame), settings)
-        return run.build(settings.mechanics, settings.horizon_frames)
+        return builder_of(clip, int(clip.track_start[frame]), settings).build(settings.mechanics)
     return _pair(clip, frame, clip.displacement, settings)
 
 
@@ -175,7 +148,7 @@ def _judge_pair(clip: PreparedClip, frame: int, settings: SampleSettings) -> str
 
 def _judge_run(clip: PreparedClip, frame: int, settings: SampleSettings) -> str:
     """Why a frame gives no trajectory, or an empty string."""
-    onset = onset_of(clip, frame)
+    onset = int(clip.track_start[frame])
     if onset < 0:
         return "onset not seen" if clip.contact[frame] else clip.status[frame]
     if frame - onset >= (settings.onset_within or settings.window):
@@ -186,7 +159,7 @@ def _judge_run(clip: PreparedClip, frame: int, settings: SampleSettings) -> str:
         return "bad_depth"
     if settings.geometry.smoothing > 0 and not clip.noise[onset] > 0:
         return "noise not known"
-    times = builder_of(clip, onset, settings).build(settings.mechanics, settings.horizon_frames).observation.times
+    times = builder_of(clip, onset, settings).build(settings.mechanics).observation.times
     if len(times) == 0:
         return "contact not followed"
     observed = np.searchsorted(clip.times, clip.times[onset] + times - 1e-9)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterable, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 
 from data.cache import PreparedClip
-from data.training.samples import SampleSettings, onset_of
+from data.training.samples import SampleSettings
 
 SPLITS = ("train", "val", "test")
 FRACTIONS = (0.7, 0.2, 0.1)
@@ -34,13 +35,8 @@ def part_sizes(total: int, fractions: Sequence[float]) -> list[int]:
 
     Args:
         total: number of things.
-        fractions: share of each split; a share of 0 stays empty.
-
-    Raises:
-        ValueError: negative shares, or shares that do not add up to something.
+        fractions: share of each split, not all 0; a share of 0 stays empty.
     """
-    if min(fractions) < 0 or not sum(fractions) > 0:
-        raise ValueError(f"fractions are {list(fractions)}; give shares of at least 0, not all 0.")
     exact = [total * fraction / sum(fractions) for fraction in fractions]
     sizes = [int(value + 1e-9) for value in exact]
     by_remainder = sorted(range(len(sizes)), key=lambda index: sizes[index] - exact[index])
@@ -57,17 +53,13 @@ def split_by_video(videos: Iterable[str], fractions: Sequence[float], seed: int)
     """Videos of each split, drawn by `seed`; the same set of videos always gives the same split."""
     names = sorted(set(videos))
     random.Random(seed).shuffle(names)
-    return dict(zip(SPLITS, _cut(names, fractions), strict=True))
+    return split_in_time(names, fractions)
 
 
 def split_in_time(items: Sequence[Item], fractions: Sequence[float]) -> dict[str, list[Item]]:
     """Items of each split: the earliest to train, the latest to test."""
-    return dict(zip(SPLITS, _cut(list(items), fractions), strict=True))
-
-
-def _cut(items: list[Item], fractions: Sequence[float]) -> list[list[Item]]:
-    first, second, _ = part_sizes(len(items), fractions)
-    return [items[:first], items[first : first + second], items[first + second :]]
+    rest, sizes = iter(items), part_sizes(len(items), fractions)
+    return {split: list(islice(rest, size)) for split, size in zip(SPLITS, sizes, strict=True)}
 
 
 def split_samples(
@@ -86,11 +78,8 @@ def split_samples(
     count = len(set(videos))
     if count >= LEAST_VIDEOS:
         chosen = split_by_video(videos, fractions, seed)
-        split_of = {video: split for split, names in chosen.items() for video in names}
-        places: dict[str, list[Place]] = {split: [] for split in SPLITS}
-        for place, video in zip(found, videos, strict=True):
-            places[split_of[video]].append(place)
-        return places, ""
+        by_video = list(zip(found, videos, strict=True))
+        return {split: [place for place, video in by_video if video in names] for split, names in chosen.items()}, ""
     parts = split_in_time(_units(clips, found, settings), fractions)
     places = {split: [place for unit in part for place in unit] for split, part in parts.items()}
     named = "1 video" if count == 1 else f"{count} videos"
@@ -111,7 +100,7 @@ def _units(clips: Sequence[PreparedClip], found: Sequence[Place], settings: Samp
     if settings.observation == "trajectory":
         runs: dict[Place, list[Place]] = {}
         for clip, frame in found:
-            runs.setdefault((clip, onset_of(clips[clip], frame)), []).append((clip, frame))
+            runs.setdefault((clip, int(clips[clip].track_start[frame])), []).append((clip, frame))
         if len(runs) >= len(SPLITS):
             return list(runs.values())
     return [[place] for place in found]

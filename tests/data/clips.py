@@ -83,8 +83,5 @@ def remove_frame(folder: Path, number: int) -> None:
 def stored(clip: ClipStream, cache: Path) -> PreparedClip:
     """A stream's frames, written to a cache and read back."""
     entry = CacheEntry(cache, clip.source.name, "0")
-    with entry.writer() as writer:
-        for frame in clip:
-            writer.add(frame)
-        writer.finish(clip.description)
+    entry.write(clip, clip.sources)
     return entry.load(clip.source.path)

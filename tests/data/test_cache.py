@@ -6,15 +6,18 @@ import multiprocessing
 import os
 import pickle
 import time
+from collections.abc import Iterator
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from data.cache import COLUMNS, CacheEntry, cache_key
+from data.cache import CacheEntry, cache_key
 from data.clip import ClipStream, prepare
 from data.depth.normalise import DepthSettings
+from data.prepared import PreparedFrame
 from data.source.frames import open_source
 from data.source.layout import ClipLayout, InputError
 from tests.data.clips import GRID, SETTINGS, write_clip
@@ -24,24 +27,22 @@ def test_prepared_clip_equals_the_stream(tmp_path):
     folder = write_clip(tmp_path / "clip", shift=0.5)
     frames = list(ClipStream(open_source(folder, SETTINGS.layout), SETTINGS))
     clip = prepare(folder, SETTINGS, tmp_path / "cache")
-    assert clip.status == [frame.status for frame in frames]
+    assert clip.status.tolist() == [frame.status for frame in frames]
     assert clip.counts["ok"] == 5
     assert len(clip) == 12
-    assert sorted(clip.details) == [0, 1, 2, 8, 9, 10, 11]
     assert np.array_equal(clip.usable, [True] * 12)
     for index, frame in enumerate(frames):
-        assert clip.details.get(index, "") == frame.detail
         assert np.array_equal(clip.depth(index), frame.depth)
-        assert np.array_equal(clip.labels[index], frame.labels)
-        assert (clip.numbers[index], clip.times[index]) == (frame.frame.number, frame.frame.time_s)
-        for name, (dtype, *_) in COLUMNS.items():
-            value = getattr(frame, name, getattr(frame.geometry, name, None))
-            if value is not None:
-                assert np.array_equal(getattr(clip, name)[index], np.array(value, dtype), equal_nan=dtype != np.bool_)
+        assert clip.times[index] == frame.frame.time_s
+        for name in ("consecutive", "displacement", "backward", "rigid", "track_start", "track_position"):
+            np.testing.assert_array_equal(getattr(clip, name)[index], getattr(frame, name))
+        for name in ("vertex", "normal", "noise") if frame.in_contact else ():
+            np.testing.assert_array_equal(getattr(clip, name)[index], getattr(frame.geometry, name))
         if frame.geometry is not None:
             mesh, expected = clip.mesh(index), frame.geometry.mesh
             for name in ("vertices", "triangles", "springs", "rim", "pixels"):
                 assert np.array_equal(getattr(mesh, name), getattr(expected, name))
+            assert mesh.grid_shape == expected.grid_shape
     with pytest.raises(IndexError, match="no_tool"):
         clip.mesh(0)
     assert np.array_equal(pickle.loads(pickle.dumps(clip)).depth(3), clip.depth(3))
@@ -54,9 +55,9 @@ def entries(cache: Path) -> set[str]:
 def test_cache_is_reused_and_invalidated_by_files_settings_and_code(tmp_path, monkeypatch):
     folder, cache = write_clip(tmp_path / "clip", frames=5), tmp_path / "cache"
     clip = prepare(folder, SETTINGS, cache)
-    before = (clip.folder / "depth.npy").stat().st_mtime_ns
+    before = (clip.folder / "clip.npz").stat().st_mtime_ns
     assert prepare(folder, SETTINGS, cache).folder == clip.folder
-    assert (clip.folder / "depth.npy").stat().st_mtime_ns == before
+    assert (clip.folder / "clip.npz").stat().st_mtime_ns == before
     known = cache_key(folder, SETTINGS)
     # What samples make of the geometry, and where a model runs, leaves the clip as it is.
     same = replace(SETTINGS, geometry=replace(GRID, force_direction="displacement"), depth=DepthSettings(threads=3))
@@ -82,9 +83,9 @@ def test_cache_is_reused_and_invalidated_by_files_settings_and_code(tmp_path, mo
 def test_interrupted_preparation_leaves_nothing_and_can_go_on(tmp_path):
     folder, cache = write_clip(tmp_path / "clip", frames=6), tmp_path / "cache"
 
-    def interrupt(count: int, _: int) -> None:
-        if count == 3:
-            raise KeyboardInterrupt
+    def interrupt(stream: ClipStream) -> Iterator[PreparedFrame]:
+        yield from islice(stream, 3)
+        raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         prepare(folder, SETTINGS, cache, interrupt)
@@ -107,8 +108,9 @@ def test_leftovers_of_a_killed_process_are_removed_after_a_day(tmp_path):
 def test_a_damaged_entry_is_prepared_again(tmp_path):
     folder, cache = write_clip(tmp_path / "clip", frames=5), tmp_path / "cache"
     clip = prepare(folder, SETTINGS, cache)
-    (clip.folder / "clip.json").write_text("{")
-    assert prepare(folder, SETTINGS, cache).counts["ok"] == 2
+    for name in ("clip.npz", "2.npz"):
+        (clip.folder / name).write_bytes((clip.folder / name).read_bytes()[:-100])
+        assert prepare(folder, SETTINGS, cache).counts["ok"] == 2
 
 
 def test_an_unwritable_cache_and_a_missing_clip_are_sentences(tmp_path):
@@ -147,12 +149,13 @@ def test_the_loser_of_a_race_discards_its_own(tmp_path):
     folder, cache = write_clip(tmp_path / "clip", frames=3), tmp_path / "cache"
     entry = CacheEntry(cache, "clip", cache_key(folder, SETTINGS))
     clip = ClipStream(open_source(folder, ClipLayout()), SETTINGS)
-    with entry.writer() as writer:
-        for frame in clip:
-            writer.add(frame)
-        writer.finish(clip.description)
-        winner = prepare(folder, SETTINGS, cache)
-    assert entries(cache) == {winner.folder.name}
+
+    def overtaken() -> Iterator[PreparedFrame]:
+        yield from clip
+        prepare(folder, SETTINGS, cache)
+
+    entry.write(overtaken(), clip.sources)
+    assert entries(cache) == {entry.folder.name}
 
 
 def test_names_of_any_length_and_alphabet(tmp_path):

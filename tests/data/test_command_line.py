@@ -1,4 +1,4 @@
-"""Options that take what they should, and bars that say how fast the work goes."""
+"""Options that take what they should, and sentences that are printed as they are."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from data.command_line import Speed, path_option, progress_bars, real_number, say, whole_number
+from data.command_line import path_option, real_number, say, whole_number
 
 
 def test_an_empty_path_is_refused() -> None:
@@ -49,14 +49,3 @@ def test_a_sentence_is_printed_as_it_is() -> None:
     written = io.StringIO()
     say(Console(file=written, width=20), "[red]a\x1b[2Jb[/red] " + 30 * "c", "red")
     assert written.getvalue() == "[red]a\\x1b[2Jb[/red] " + 30 * "c" + "\n"
-
-
-def test_speed_is_told_by_the_minute_where_it_is_slow() -> None:
-    bars = progress_bars(Console(file=io.StringIO()), "clips", disable=True)
-    (column,) = (each for each in bars.columns if isinstance(each, Speed))
-    bars.add_task("x", total=10)
-    (task,), told = bars.tasks, []
-    for task.finished_speed in (None, 0.25, 12.345):
-        told.append(column.render(task).plain)
-    assert told == ["", "15.0 clips/min", "12.3 clips/s"]
-    assert not any(isinstance(each, Speed) for each in progress_bars(Console()).columns)

@@ -11,6 +11,7 @@ from data.contact.geometry import FrameGeometry, GeometrySettings
 from data.contact.motion import ContactMotion
 from data.contact.refinement import ContactRun
 from data.prepared import PreparedFrame
+from data.settings import PrepareSettings
 from data.source.camera import Camera
 from data.source.frames import Frame
 from estimators.contract import ClipInfo, Said, Session
@@ -32,7 +33,7 @@ def clip_info(fps: float = 25.0, bridge_frames: int = 2) -> ClipInfo:
 def touched(mesh: Mesh, vertex: int, normal: np.ndarray, noise: float) -> FrameGeometry:
     """A contact at a vertex of a mesh."""
     point, pixel = mesh.vertices[vertex], tuple(mesh.pixels[vertex, ::-1].tolist())
-    return FrameGeometry(mesh, vertex, normal, point, point, 0.0, pixel, pixel, True, noise)
+    return FrameGeometry(mesh, vertex, normal, point, point, 0.0, pixel, True, noise)
 
 
 def prepared_frame(index: int, status: str, geometry: FrameGeometry | None = None, **changes) -> PreparedFrame:
@@ -67,13 +68,13 @@ class _Linked(ContactMotion):
         return not self.rested
 
     def _begin(self, onset: PreparedFrame) -> ContactRun:
-        return ContactRun(onset.frame.index, onset.frame.time_s, None, None, np.zeros(3), onset, None)
+        return ContactRun(onset, np.full(2, np.nan), None, np.zeros(3), None)
 
 
 def linked(states: Sequence[State], geometry: FrameGeometry, bridge_frames: int = 2) -> list[PreparedFrame]:
     """A clip of such frames, its runs of contact found as in any clip."""
     info = clip_info(bridge_frames=bridge_frames)
-    motion = _Linked(info.camera, SIZE, GeometrySettings(), bridge_frames=bridge_frames, track_seconds=0.3)
+    motion = _Linked(info.camera, SIZE, PrepareSettings(bridge_frames=bridge_frames, track_seconds=0.3))
     picture, frames, number = np.zeros((*SIZE[::-1], 3), np.uint8), [], -1
     for index, state in enumerate(states):
         number += 1 + state.missing

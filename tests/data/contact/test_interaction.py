@@ -15,7 +15,7 @@ import pytest
 
 from data.cache import PreparedClip
 from data.clip import ClipStream
-from data.contact.interaction import Horizon, Interaction
+from data.contact.interaction import Interaction
 from data.settings import PrepareSettings
 from data.source.frames import open_source
 from data.synthetic.clip import make_clip
@@ -85,12 +85,12 @@ def require_one_builder(runs: dict[int, Run], prepared: PreparedClip, settings: 
         batch = builder_of(prepared, onset, samples)
         assert (run.builder.pressed, run.builder.load_seconds) == (batch.pressed, batch.load_seconds)
         for horizon in (None, 3, "press"):
-            for until in (None, *(0.04 * count for count in range(10))):
+            for until in (None, *(0.04 * count for count in (0, 3, 4, 9))):
                 told = MECHANICS, horizon, until
                 require_same(run.builder.build(*told), batch.build(*told))
 
 
-@pytest.mark.parametrize("geometry", [GRID, SMOOTH, ALONG], ids=["plain", "noise known", "along the motion"])
+@pytest.mark.parametrize("geometry", [GRID, ALONG], ids=["plain", "noise known, along the motion"])
 @pytest.mark.parametrize("name", CLIPS)
 def test_stream_and_prepared_clip_give_the_same_interaction(name: str, geometry, tmp_path: Path) -> None:
     settings = dataclasses.replace(SETTINGS, geometry=geometry)
@@ -122,8 +122,7 @@ def test_a_noisy_synthetic_clip_whose_drift_is_subtracted(tmp_path: Path) -> Non
     require_one_builder(runs, stored(clip, tmp_path), settings)
 
 
-@pytest.mark.parametrize("horizon", [None, 3, "press"])
-def test_until_a_frame_a_run_is_what_was_known_then(horizon: Horizon, tmp_path: Path) -> None:
+def test_until_a_frame_a_run_is_what_was_known_then(tmp_path: Path) -> None:
     """Nothing comes from later frames: cut short, the stream says the same."""
     settings = dataclasses.replace(SETTINGS, geometry=ALONG)
     clip = open_clip(tmp_path / "clip", "press", settings)
@@ -132,10 +131,11 @@ def test_until_a_frame_a_run_is_what_was_known_then(horizon: Horizon, tmp_path: 
     for frame in clip:
         tracker.push(frame)
         if tracker.current is not None:
-            told = MECHANICS, horizon, frame.frame.time_s - whole.start
-            require_same(tracker.current.builder.build(*told), whole.build(*told))
-            compared += 1
-    assert compared == 9
+            for horizon in (None, 3, "press"):
+                told = MECHANICS, horizon, frame.frame.time_s - whole.start
+                require_same(tracker.current.builder.build(*told), whole.build(*told))
+                compared += 1
+    assert compared == 27
 
 
 def test_a_long_press_takes_no_more_memory_than_a_short_one(tmp_path: Path) -> None:

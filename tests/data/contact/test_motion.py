@@ -13,6 +13,7 @@ from data.contact.geometry import TISSUE, TOOL, GeometrySettings, frame_geometry
 from data.contact.motion import DENTED, LOST, ContactMotion
 from data.contact.refinement import REFINE_FRAMES, pressed_pixel
 from data.prepared import PreparedFrame
+from data.settings import PrepareSettings
 from data.source.camera import Camera
 from data.source.frames import Frame
 from physics.mesh import contact_normal
@@ -49,7 +50,7 @@ def frame(index: int, *, contact: bool, dent: tuple[int, int] | None = None) -> 
 
 
 def motion(settings: GeometrySettings = SETTINGS) -> ContactMotion:
-    return ContactMotion(CAMERA, (WIDTH, HEIGHT), settings, bridge_frames=2, track_seconds=1.0)
+    return ContactMotion(CAMERA, (WIDTH, HEIGHT), PrepareSettings(geometry=settings))
 
 
 def follow(linked: ContactMotion, pressed: int, *, dented: bool = True) -> tuple[list[PreparedFrame], tuple[int, int]]:
@@ -210,8 +211,8 @@ def test_a_lost_track_is_told(what: str, monkeypatch: pytest.MonkeyPatch) -> Non
         linked.link(before, after)
     if what == "no flow":
 
-        def lose(*arguments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            return np.full((len(arguments[-1]), 2), np.nan), np.zeros(len(arguments[-1]), bool)
+        def lose(*arguments: np.ndarray) -> np.ndarray:
+            return np.full((len(arguments[-1]), 2), np.nan)
 
         monkeypatch.setattr(linked._tracker, "step", lose)
     else:
@@ -283,11 +284,7 @@ def test_a_moved_contact_is_the_meshes_own_vertex() -> None:
     np.testing.assert_array_equal(moved.mesh.pixels[moved.vertex], (v, u - 2))
     np.testing.assert_array_equal(moved.tissue_point, moved.mesh.vertices[moved.vertex])
     assert moved.distance == pytest.approx(np.linalg.norm(geometry.tool_point - moved.tissue_point))
-    assert (moved.noise, moved.touching, moved.tool_pixel) == (
-        geometry.noise,
-        geometry.touching,
-        geometry.tool_pixel,
-    )
+    assert (moved.noise, moved.touching) == (geometry.noise, geometry.touching)
 
 
 def test_a_camera_that_comes_nearer_hides_no_dent() -> None:

@@ -20,10 +20,16 @@ TOLD = SampleSettings(window=2, observation="trajectory", onset_within=9, geomet
 KEYS = ("contact_features", "noise", "seen_load", "seen_observation")
 
 
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    """A folder with a clip in it."""
+    return write_clip(tmp_path_factory.mktemp("batches") / "clip").parent
+
+
 @pytest.fixture
-def clip(tmp_path):
-    """Contact in frames 3 to 7 of 12, 40 ms apart, its noise known."""
-    return prepare(write_clip(tmp_path / "clip"), replace(SETTINGS, geometry=SMOOTH), tmp_path / "cache")
+def clip(written):
+    """Contact in frames 3 to 7 of 12, 40 ms apart, its noise known; read anew from the cache."""
+    return prepare(written / "clip", replace(SETTINGS, geometry=SMOOTH), written / "cache")
 
 
 def batch_of(clip, frames: list[int], settings: SampleSettings = TOLD) -> dict:

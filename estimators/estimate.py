@@ -169,8 +169,9 @@ class FrameEstimate:
     """Length of the simulated displacement of the contact vertex [scene units]."""
     observed_displacement: float | None = None
     """Length of the observed displacement of the contact point [scene units]."""
-    arrow: tuple[tuple[float, float], tuple[float, float]] | None = None
-    """Tail and tip (u, v) of the force that acts on the contact point [px of the source frame]; None without force."""
+    arrow: np.ndarray | None = None
+    """Tail and tip (u, v) of the force that acts on the contact point, shape [2, 2] [px of the source frame]; None
+    without force."""
 
     @functools.cached_property
     def values(self) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections import defaultdict, deque
+from collections import deque
 from collections.abc import Iterator
 from itertools import pairwise
 from typing import Any
@@ -19,11 +19,10 @@ from data.contact.geometry import force_direction
 from data.prepared import SEEN_OUT, PreparedFrame
 from data.settings import PrepareSettings
 from data.windows import FrameWindow
-from estimators.arrow import force_arrow
 from estimators.contract import Chosen, ClipInfo, Said
-from estimators.estimate import Estimate
+from estimators.estimate import Estimate, InteractionEstimate
 from estimators.model_settings import preparation_settings, section
-from estimators.runs import Run, RunTracker, frame_estimate
+from estimators.runs import Run, RunSession, force_arrow, frame_estimate
 from models.onnx_session import ModelFileError, ParameterModel
 from physics.load import Press, held
 from physics.mechanics import SIGNS, Bounds, Mechanics
@@ -70,16 +69,14 @@ class GanEstimator:
         return GanSession(self, clip)
 
 
-class GanSession:
+class GanSession(RunSession):
     """One clip; frames come one late, because the motion to the next frame is shown."""
 
     def __init__(self, estimator: GanEstimator, clip: ClipInfo) -> None:
-        self.estimator, self.clip = estimator, clip
-        self.seconds: dict[str, float] = defaultdict(float)
-        """Time spent in `network` and `simulation` [s]."""
+        super().__init__(clip, estimator.mechanics)
+        self.estimator = estimator
         self._window = FrameWindow(estimator.model.window)
         self._statuses = deque[str](maxlen=estimator.model.window)
-        self._runs = RunTracker(clip, estimator.mechanics.seconds)
         self._onset: PreparedFrame | None = None
         self._held: tuple[PreparedFrame, np.ndarray | None] | None = None
         self._log_sum, self._count = np.zeros(3), 0
@@ -100,7 +97,7 @@ class GanSession:
         if self._held is not None:
             yield from self._pass(*self._held, None)
             self._held = None
-        yield from self._ended(self._runs.finish())
+        yield from super().finish()
 
     def _pass(
         self, current: PreparedFrame, depth: np.ndarray | None, following: PreparedFrame | None
@@ -130,7 +127,7 @@ class GanSession:
         if not current.consecutive:
             self._statuses.clear()
 
-    def _ended(self, run: Run | None) -> Iterator[Said]:
+    def _ended(self, run: Run | None) -> Iterator[InteractionEstimate]:
         """The mean of log |θ| over a run's frames in contact."""
         if run is None:
             return
@@ -139,7 +136,7 @@ class GanSession:
             return
         theta = np.exp(self._log_sum / self._count) * SIGNS
         self._log_sum, self._count = np.zeros(3), 0
-        seen = run.builder.build(self.estimator.mechanics.matched(1 / self.clip.fps))
+        seen = run.builder.build(self.mechanics)
         yield run.estimate(interaction=seen, estimate=Estimate(theta, told_verdict="undetermined"), detail=run.detail)
 
     def _theta(self, window: np.ndarray, prepared: PreparedFrame) -> np.ndarray:

@@ -8,7 +8,7 @@ from typing import Literal
 
 from data.contact.interaction import Horizon
 from estimators.contract import Estimator
-from estimators.direct.estimator import DirectEstimator, DirectSettings
+from estimators.direct.estimator import DirectEstimator
 from estimators.gan import GanEstimator
 from estimators.network.estimator import NetworkEstimator
 from estimators.onset import BETWEEN, STAMP
@@ -47,7 +47,7 @@ def open_estimator(options: EstimatorOptions) -> Estimator:
     if options.name == "direct":
         if options.model is not None:
             raise ValueError(f"--estimator direct needs no network; leave --model {options.model} out.")
-        return DirectEstimator(DirectSettings(noise=options.noise), options.onset or BETWEEN, options.horizon)
+        return DirectEstimator(options.onset or BETWEEN, options.horizon, options.noise)
     if options.noise is not None:
         raise ValueError("--noise is for --estimator direct; leave it out.")
     if options.name == "gan" and options.model is None:

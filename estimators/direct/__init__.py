@@ -11,7 +11,7 @@ from physics.lazy import exported
 
 __getattr__ = exported(
     {
-        "estimators.direct.estimator": ("DirectEstimator", "DirectSession", "DirectSettings"),
+        "estimators.direct.estimator": ("DirectEstimator", "DirectSession"),
         "estimators.direct.problem": ("ContactProblem",),
         "estimators.direct.delayed": ("DelayedProblem",),
         "estimators.direct.sampling": ("sample_posterior",),

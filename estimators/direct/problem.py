@@ -33,6 +33,8 @@ class ContactProblem(Likelihood):
     """
 
     load: Press
+    within = 0.0
+    """The press began, and ended, at most so long before or after the time stamps [s]; 0 = at them."""
 
     def __init__(self, contact: Interaction, mechanics: Mechanics, noise: float) -> None:
         observation = dataclasses.replace(contact.observation, noise=np.full(3, noise))
@@ -41,13 +43,6 @@ class ContactProblem(Likelihood):
         self.moved = observation.displacement[0].astype(np.float64)
         """Observed displacement, shape [N, 3]."""
         self.direction = np.asarray(contact.direction, np.float64)
-
-    def delays(self, logs: np.ndarray) -> tuple[float, ...]:
-        """Time from the stamps of the first frame in contact, and of the first one after it, to the true instants [s].
-
-        None of either where it is no parameter.
-        """
-        return ()
 
     def candidates(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
         """φ evenly spread over the box, shape [CANDIDATES, 3] (or with further parameters)."""

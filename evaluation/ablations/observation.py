@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from rich.progress import Progress
 
-from data.contact.features import FEATURES, SLOTS, contact_surroundings, join_features
+from data.contact.features import FEATURES, SLOTS, join_features
 from data.synthetic.contacts import SimulatedContact
 from estimators.network.fits import BOUNDS, Drawn, Fits, draw_observed, motion_slopes, observed_exactly
 from estimators.network.training import FINE_BATCH, FINE_RATE, Trainer, descend, fine_loss, make_contacts
@@ -112,7 +112,7 @@ def around_truth(contacts: list[SimulatedContact]) -> Fits:
     seen = [contact.interaction for contact in contacts]
     logs = [np.log(np.abs(contact.theta)) for contact in contacts]
     slopes = [motion_slopes(observed_exactly(contact), at) for contact, at in zip(seen, logs, strict=True)]
-    return Fits.of(seen, [contact_surroundings(contact) for contact in seen], logs, slopes)
+    return Fits.of(seen, logs, slopes)
 
 
 def train_row(row: str, material: Material, steps: int, seed: int) -> dict[str, float | None]:
@@ -126,7 +126,8 @@ def train_row(row: str, material: Material, steps: int, seed: int) -> dict[str, 
         return draw_observed(fits, count, generator, lambda loaded: seen_slots(row, loaded))
 
     posterior.standardise(torch.from_numpy(draw(EXAMPLES).features), least=LEAST_SPREAD)
-    descend(posterior, lambda _: loss_of(posterior, draw(FINE_BATCH)), steps, FINE_RATE, lambda step, loss: None)
+    for _ in descend(posterior, lambda _: loss_of(posterior, draw(FINE_BATCH)), steps, FINE_RATE):
+        pass
     return judge(posterior.eval(), row, material, seed)
 
 

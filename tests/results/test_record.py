@@ -19,7 +19,7 @@ from estimators.estimate import FrameEstimate
 from estimators.gan import GanEstimator
 from estimators.model_settings import preparation_settings
 from models.calibration import Calibration, Widths
-from models.onnx_export import export_posterior
+from models.onnx_export import export
 from models.onnx_session import ParameterModel, PosteriorModel
 from models.posterior import ContactPosterior
 from results.record import (
@@ -158,7 +158,7 @@ def test_intervals_that_were_never_calibrated_are_warned_of(
 ) -> None:
     path = write_clip(tmp_path / "clip", 3, 1)
     posterior = ContactPosterior(10, torch.tensor([[-3.0, -5.0, -4.0], [0.0, -0.7, -1.2]]), width=16, blocks=1)
-    export_posterior(posterior, tmp_path / "contact.onnx", metadata(), calibration)
+    export(posterior, tmp_path / "contact.onnx", metadata(), calibration)
     model = PosteriorModel(tmp_path / "contact.onnx")
     source = open_source(path, ClipLayout())
     assert warnings_of(source, [], model, {"depth": "stored", "masks": "annotation"}) == told

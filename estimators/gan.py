@@ -11,21 +11,19 @@ import time
 from collections import deque
 from collections.abc import Iterator
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
 from data.contact.geometry import force_direction
 from data.prepared import SEEN_OUT, PreparedFrame
-from data.settings import PrepareSettings
 from data.windows import FrameWindow
-from estimators.contract import Chosen, ClipInfo, Said
+from estimators.contract import ClipInfo, Said
 from estimators.estimate import Estimate, InteractionEstimate
-from estimators.model_settings import preparation_settings, section
+from estimators.model_settings import ModelEstimator
 from estimators.runs import Run, RunSession, force_arrow, frame_estimate
 from models.onnx_session import ModelFileError, ParameterModel
 from physics.load import Press, held
-from physics.mechanics import SIGNS, Bounds, Mechanics
+from physics.mechanics import SIGNS
 from physics.msd.simulation import simulate
 
 OBSERVATIONS = ("final", "release", "trajectory")
@@ -33,7 +31,7 @@ SMALLEST = 1e-12
 """Parameters nearer to 0 count as this before their logarithm is taken."""
 
 
-class GanEstimator:
+class GanEstimator(ModelEstimator):
     """Runs a trained parameter network over prepared clips.
 
     Args:
@@ -44,25 +42,17 @@ class GanEstimator:
     """
 
     name = "gan"
+    model: ParameterModel
 
     def __init__(self, model: ParameterModel) -> None:
-        self.model = model
-        self.mechanics: Mechanics = section(model, "mechanics", Mechanics)
-        self.bounds: Bounds = section(model, "bounds", Bounds)
+        super().__init__(model)
+        self.described = {"name": self.name}
+        """All is in the model's file."""
         self.observation: str = model.metadata.get("observation", "final")
         if self.observation not in OBSERVATIONS:
             raise ModelFileError(
                 f"{model.path} was trained with the unknown observation '{self.observation}'; export it again."
             )
-
-    @property
-    def described(self) -> dict[str, Any]:
-        """All is in the model's file."""
-        return {"name": self.name}
-
-    def preparation(self, chosen: Chosen) -> PrepareSettings:
-        """As the model was trained, with what the user chooses otherwise."""
-        return preparation_settings(self.model, chosen)
 
     def start(self, clip: ClipInfo) -> GanSession:
         """Open a session."""

@@ -17,8 +17,28 @@ from data.settings import PrepareSettings
 from data.source.layout import is_file
 from estimators.contract import Chosen
 from models.onnx_session import ExportedModel, ModelFileError, fits
+from physics.mechanics import Bounds, Mechanics
 
 Settings = TypeVar("Settings")
+
+
+class ModelEstimator:
+    """What the estimators with a network have in common.
+
+    Args:
+        model: the exported network.
+
+    Raises:
+        ModelFileError: its metadata can't be used.
+    """
+
+    def __init__(self, model: ExportedModel) -> None:
+        self.mechanics, self.bounds = section(model, "mechanics", Mechanics), section(model, "bounds", Bounds)
+        self.model = model
+
+    def preparation(self, chosen: Chosen) -> PrepareSettings:
+        """As the model was trained, with what the user chooses otherwise."""
+        return preparation_settings(self.model, chosen)
 
 
 def preparation_settings(model: ExportedModel, chosen: Chosen) -> PrepareSettings:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 from data.contact.interaction import Horizon
 from estimators.contract import Estimator
@@ -23,8 +22,8 @@ SHIPPED = Path(__file__).resolve().parents[1] / "models" / "weights" / "contact.
 class EstimatorOptions:
     """Everything that opens an estimator, also in another process."""
 
-    name: Literal["network", "gan", "direct"] | None = None
-    """None = what the model's file is for, and without one `network`."""
+    name: str | None = None
+    """One of NAMES; None = what the model's file is for, and without one `network`."""
     model: Path | None = None
     """ONNX file that `train.py export` or `evaluation.calibration` wrote; None = the one that comes along."""
     onset: str | None = None
@@ -60,4 +59,6 @@ def open_estimator(options: EstimatorOptions) -> Estimator:
         return NetworkEstimator(model, options.onset or BETWEEN, options.horizon)
     if options.onset not in (None, STAMP):
         raise ModelFileError(f"{model.path} knows nothing of when a press begins; leave --onset {options.onset} out.")
+    if options.horizon is not None:
+        raise ModelFileError(f"{model.path} sees single frames; leave the horizon {options.horizon} out.")
     return GanEstimator(model)

@@ -1,7 +1,7 @@
 """The direct estimator: θ of one contact from its motion through the simulator, without a trained network.
 
 The strongest classical rival of a network (docs/identifiability.md). Levenberg–Marquardt with a trust region
-(`estimators.direct.optima`) finds what explains the motion best, in φ = (log k_s, log k_d, log |F|) and, where the
+(`estimators.direct.problem`) finds what explains the motion best, in φ = (log k_s, log k_d, log |F|) and, where the
 instants are not known, in the delays of the press (`estimators.direct.delayed`). Around these optima the posterior is
 sampled (`estimators.direct.sampling`), with a uniform prior on the box of these and with noise as tracked contacts
 have it (`estimators.direct.error_model`): mean and covariance of φ are the estimate.
@@ -13,7 +13,6 @@ import dataclasses
 import math
 import time
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -25,8 +24,7 @@ from data.settings import PrepareSettings
 from estimators.contract import Chosen, ClipInfo, Said
 from estimators.direct.delayed import DelayedProblem, about_tissue
 from estimators.direct.error_model import log_likelihoods, variance_scale
-from estimators.direct.optima import Optimum, combine, distinct, evidence_shares, find_optimum
-from estimators.direct.problem import ContactProblem
+from estimators.direct.problem import ContactProblem, Optimum, combine, distinct, evidence_shares, find_optimum
 from estimators.direct.sampling import Draws, Mixture, sample_posterior
 from estimators.estimate import Estimate, NoEstimate
 from estimators.oblique import effective_misfit, is_oblique, remark, view_angle
@@ -94,14 +92,11 @@ class DirectEstimator:
         if noise is not None and not LEAST_SIGMA <= noise < math.inf:
             raise ValueError(f"noise is {noise}; give a length of {LEAST_SIGMA:g} or more, or leave it out.")
         self.onset, self.horizon, self.noise, self.mechanics, self.bounds = onset, horizon, noise, mechanics, bounds
+        model = {"mechanics": dataclasses.asdict(mechanics), "bounds": dataclasses.asdict(bounds)}
+        self.described = {"name": self.name, "onset": onset, "horizon": horizon, "noise": noise, **model}
+        """All that the fits depend on beside the clip."""
         self.log_box = bounds.log_box
         """Of φ, shape [2, 3]."""
-
-    @property
-    def described(self) -> dict[str, Any]:
-        """All that the fits depend on beside the clip."""
-        model = {"mechanics": dataclasses.asdict(self.mechanics), "bounds": dataclasses.asdict(self.bounds)}
-        return {"name": self.name, "onset": self.onset, "horizon": self.horizon, "noise": self.noise, **model}
 
     def preparation(self, chosen: Chosen) -> PrepareSettings:
         """Smoothed tissue, the camera's motion taken off, and otherwise what the user chooses."""

@@ -5,25 +5,23 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
 from data.contact.features import contact_features
 from data.contact.interaction import Horizon, Interaction, InteractionBuilder
 from data.prepared import PreparedFrame
-from data.settings import PrepareSettings
 from data.windows import FrameWindow
-from estimators.contract import Chosen, ClipInfo, Said
+from estimators.contract import ClipInfo, Said
 from estimators.estimate import Estimate, FrameEstimate, NoEstimate, mixture
-from estimators.model_settings import preparation_settings, section
+from estimators.model_settings import ModelEstimator
 from estimators.oblique import effective_misfit, is_oblique, remark, view_angle, widened
 from estimators.onset import onset_error, onset_perturbations
 from estimators.runs import Run, RunSession, force_arrow, frame_estimate
 from models.onnx_session import ModelFileError, PosteriorModel
 from physics.likelihood import Likelihood
 from physics.load import Press, held
-from physics.mechanics import Bounds, Mechanics, theta_of
+from physics.mechanics import Mechanics, theta_of
 from physics.msd.simulation import simulate
 
 LEAST_OBSERVATIONS = 2
@@ -41,7 +39,7 @@ EDGE = 0.02
 """A mean within this share of the box's end (in logarithms) lies at it."""
 
 
-class NetworkEstimator:
+class NetworkEstimator(ModelEstimator):
     """Runs an exported contact posterior over prepared clips.
 
     Args:
@@ -54,24 +52,17 @@ class NetworkEstimator:
     """
 
     name = "network"
+    model: PosteriorModel
 
     def __init__(self, model: PosteriorModel, onset: str, horizon: Horizon = None) -> None:
-        self.model, self.onset, self.horizon = model, onset, horizon
-        self.mechanics: Mechanics = section(model, "mechanics", Mechanics)
-        self.bounds: Bounds = section(model, "bounds", Bounds)
+        super().__init__(model)
+        self.onset, self.horizon = onset, horizon
+        self.described = {"name": self.name, "onset": onset, "horizon": horizon}
+        """What is not in the model's file."""
         self.press_seconds: tuple[float, float] = tuple(
             model.metadata.get("contact", {}).get("press_seconds", (0.0, math.inf))
         )
         """Shortest and longest press that the network was trained on [s]."""
-
-    @property
-    def described(self) -> dict[str, Any]:
-        """What is not in the model's file."""
-        return {"name": self.name, "onset": self.onset, "horizon": self.horizon}
-
-    def preparation(self, chosen: Chosen) -> PrepareSettings:
-        """As the model was trained, with what the user chooses otherwise."""
-        return preparation_settings(self.model, chosen)
 
     def start(self, clip: ClipInfo) -> NetworkSession:
         """Open a session."""

@@ -16,8 +16,7 @@ import numpy as np
 from data.contact.features import SLOTS, contact_surroundings, join_features, slot_times
 from data.contact.interaction import Interaction
 from data.synthetic.settings import SceneSettings
-from estimators.direct.optima import find_optimum
-from estimators.direct.problem import ContactProblem
+from estimators.direct.problem import ContactProblem, find_optimum
 from physics.mechanics import RECOMMENDED, Mechanics
 
 MECHANICS = Mechanics(scheme="dkd", window_error=1e-4)

@@ -9,13 +9,14 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import onnx
 import pytest
 import torch
 
 from models.calibration import Calibration, Widths
 from models.generator import Generator
-from models.onnx_export import ParityError, export
-from models.onnx_session import ModelFileError, ParameterModel, PosteriorModel
+from models.onnx_export import PARITY_TOLERANCE, ParityError, _Calibrated, export, parity
+from models.onnx_session import METADATA_KEY, ModelFileError, ParameterModel, PosteriorModel
 from models.posterior import ContactPosterior
 from physics.mechanics import Bounds
 
@@ -84,9 +85,8 @@ def test_a_file_that_differs_from_torch_is_never_left(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_file_tells_no_paths_of_the_machine_that_wrote_it(tmp_path):
-    export(Generator(width=4, residual_blocks=0), tmp_path / "parameters.onnx", METADATA)
-    written = (tmp_path / "parameters.onnx").read_bytes()
+def test_a_file_tells_no_paths_of_the_machine_that_wrote_it(exported):
+    written = exported[1].read_bytes()
     assert b"site-packages" not in written
     assert b"generator.py" not in written
 
@@ -138,6 +138,12 @@ def test_without_calibration_the_covariance_is_the_networks_own(posterior: Conta
     export(posterior, tmp_path / "contact.onnx", METADATA)
     model = PosteriorModel(tmp_path / "contact.onnx")
     assert not model.calibrated
+    # Earlier versions wrote factors of standard deviations instead of expected bounds.
+    former, document = onnx.load(model.path), model.metadata | {"calibration": {"whole": {"decisive": [1.0, 1.0, 1.0]}}}
+    onnx.helper.set_model_props(former, {METADATA_KEY: json.dumps(document)})
+    onnx.save(former, tmp_path / "old.onnx")
+    with pytest.raises(ModelFileError, match="as an earlier version did; export it again"):
+        PosteriorModel(tmp_path / "old.onnx")
     _, covariance, _ = model(np.ones((2, 10), np.float32))
     with torch.no_grad():
         factor = posterior(torch.ones(2, 10))[1]
@@ -164,13 +170,6 @@ def test_a_generators_posterior_takes_the_depth_window_too(tmp_path) -> None:
         model(contact)
 
 
-def test_files_that_give_verdicts_otherwise_are_refused(posterior: ContactPosterior, tmp_path) -> None:
-    """Earlier versions wrote factors of standard deviations instead of expected bounds."""
-    document = METADATA | {"calibration": {"whole": {"decisive": [1.0, 1.0, 1.0]}}}
-    with pytest.raises(ModelFileError, match="as an earlier version did; export it again"):
-        export(posterior, tmp_path / "old.onnx", document)
-
-
 def test_large_bounds_are_compared_relative_to_their_size(posterior: ContactPosterior, tmp_path, monkeypatch) -> None:
     """Variances of 7 can't agree to 1e-5 in float32; a difference of as many parts of 1 can."""
     with torch.no_grad():
@@ -184,5 +183,4 @@ def test_large_bounds_are_compared_relative_to_their_size(posterior: ContactPost
     monkeypatch.setattr(
         PosteriorModel, "run", lambda *told: [*plain(*told)[:2], plain(*told)[2] * 1.001]
     )  # a thousandth off
-    with pytest.raises(ParityError):
-        export(posterior, tmp_path / "off.onnx", METADATA)
+    assert parity(_Calibrated(posterior, Calibration()), model, (1, 24, 40)) > PARITY_TOLERANCE

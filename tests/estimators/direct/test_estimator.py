@@ -11,11 +11,10 @@ from data.contact.interaction import Interaction
 from data.prepared import PreparedFrame
 from estimators.direct import error_model
 from estimators.direct import estimator as direct
-from estimators.direct import optima as contact_optima
+from estimators.direct import problem as contact_problem
 from estimators.direct.error_model import log_likelihoods
 from estimators.direct.estimator import WHOLE, DirectEstimator, trusted_information
-from estimators.direct.optima import Optimum, combine
-from estimators.direct.problem import ContactProblem
+from estimators.direct.problem import ContactProblem, Optimum, combine
 from estimators.direct.sampling import Draws, sample_posterior
 from estimators.estimate import Estimate, NoEstimate
 from estimators.oblique import HIDDEN_ERROR
@@ -269,7 +268,7 @@ def test_an_optimum_that_the_starts_missed_is_found_from_the_likeliest_draw(monk
 
     monkeypatch.setattr(direct, "sample_posterior", first_fails)
     monkeypatch.setattr(ContactProblem, "best_starts", lambda *_: np.log([[0.06, 0.4, 0.02]]))
-    monkeypatch.setattr(contact_optima, "MOST_EVALUATIONS", 2)
+    monkeypatch.setattr(contact_problem, "MOST_EVALUATIONS", 2)
     estimate = fit(contact_of(tuple(theta)))
     assert len(known) == 2
     assert np.abs(known[0] - truth).max(axis=1).min() > 0.5

@@ -6,7 +6,8 @@ network         a posterior for every frame; gan: the parameter network of the g
 direct          the simulator fitted to every run of contact
 runs            runs of contact, frame by frame, and what all sessions share
 onset           unknown beginnings of a press; oblique: presses aslant to the line of sight
-model_settings  an exported network's preparation; worker_pool: many tasks in a few processes
+model_settings  an exported network's preparation, and what both networks' estimators share
+worker_pool     many tasks in a few processes
 """
 
 from physics.lazy import exported

@@ -33,7 +33,8 @@ class ModelEstimator:
     """
 
     def __init__(self, model: ExportedModel) -> None:
-        self.mechanics, self.bounds = section(model, "mechanics", Mechanics), section(model, "bounds", Bounds)
+        self.mechanics = section(model, "mechanics", Mechanics)
+        self.bounds = section(model, "bounds", Bounds)
         self.model = model
 
     def preparation(self, chosen: Chosen) -> PrepareSettings:

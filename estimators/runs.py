@@ -176,8 +176,7 @@ def frame_estimate(
     missing = NOT_SHOWN if contact is not None and lengths[0] is None and not whole else ""
     u, v = None, None
     if contact is not None:
-        place = grid_to_picture(np.array(contact.pixel), prepared.depth.shape, clip.size)
-        u, v = float(place[0]), float(place[1])
+        u, v = grid_to_picture(np.array(contact.pixel), prepared.depth.shape, clip.size).tolist()
     return FrameEstimate(
         frame.number,
         frame.time_s,

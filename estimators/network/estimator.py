@@ -123,13 +123,13 @@ class NetworkSession(RunSession):
         Raises:
             ModelFileError: the network gives a number that is not finite.
         """
-        depth = self._window.push(frame)
+        depth = self._window.push(frame) if self.estimator.model.takes_depth else None
         ended = self._runs.push(frame)
         run = self._runs.current
         yield from self._ended(ended)
         if ended is not None:
             self._depths.clear()
-        if run is not None and self.estimator.model.takes_depth and depth is not None:
+        if run is not None and depth is not None:
             since = frame.frame.time_s - run.time_s
             if since < self.mechanics.seconds:
                 self._depths.append((since, depth))
@@ -148,9 +148,7 @@ class NetworkSession(RunSession):
         estimator, start = self.estimator, time.perf_counter()
         contacts = onset_perturbations(contact, self._onset_error, LEAST_OBSERVATIONS)
         features = [contact_features(each) for each in contacts]
-        window = (
-            np.repeat(depth[None], len(contacts), axis=0) if depth is not None and estimator.model.takes_depth else None
-        )
+        window = None if depth is None else np.repeat(depth[None], len(contacts), axis=0)
         found = estimator.model(np.stack(features), window)
         self.seconds["network"] += time.perf_counter() - start
         if not all(np.isfinite(values).all() for values in found):

@@ -193,8 +193,10 @@ def test_numbers_that_would_end_a_training_late_are_refused_at_once(
 
 @pytest.fixture
 def few(contacts: list[SimulatedContact], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Drawing takes no time."""
-    monkeypatch.setattr(contact_training, "make_contacts", lambda *_: contacts)
+    """Drawing takes no time, and steps hardly any."""
+    monkeypatch.setattr(contact_training, "make_contacts", lambda *_: contacts[:2])
+    monkeypatch.setattr(contact_training, "ROUGH_BATCH", 8)
+    monkeypatch.setattr(contact_training, "FINE_BATCH", 32)
 
 
 def short(folder: Path) -> int:

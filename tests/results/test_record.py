@@ -148,13 +148,12 @@ def test_warnings_name_sources_the_model_was_not_trained_on(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("calibration", "told"),
     [
-        (None, [UNCALIBRATED]),
         (Calibration(), [UNCALIBRATED]),
         (Calibration(Widths(power=(1.0, 0.8, 1.0))), []),
     ],
 )
 def test_intervals_that_were_never_calibrated_are_warned_of(
-    calibration: Calibration | None, told: list[str], tmp_path: Path
+    calibration: Calibration, told: list[str], tmp_path: Path
 ) -> None:
     path = write_clip(tmp_path / "clip", 3, 1)
     posterior = ContactPosterior(10, torch.tensor([[-3.0, -5.0, -4.0], [0.0, -0.7, -1.2]]), width=16, blocks=1)

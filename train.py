@@ -44,7 +44,7 @@ from evaluation.paper.figures import draw_next_depth
 from evaluation.paper.report import write_evaluation
 from models.checkpoint import CheckpointError, read_checkpoint, require_same_model
 from models.module import PhysicsInformedGAN, TrainingDiverged
-from models.onnx_export import ParityError, export, export_posterior
+from models.onnx_export import ParityError, export
 from physics.mechanics import Bounds, Mechanics, UnstableConfiguration
 
 CHECKPOINTS: dict[str, dict[str, Any]] = {
@@ -130,10 +130,7 @@ class RunTrainer(Trainer):
         }
         geometry, generator = metadata["geometry"], model.generator_ab
         size = {"window": generator.channels, "height": geometry["height"], "width": geometry["width"]}
-        if model.hparams["head"] == "posterior":
-            difference = export_posterior(generator, Path(output), metadata | {"input": size})
-        else:
-            difference = export(generator, Path(output), (size["height"], size["width"]), metadata)
+        difference = export(generator, Path(output), metadata | {"input": size})
         print(f"{output}: written; largest difference from torch over batches of 1, 2 and 7 is {difference:.1e}")
 
 

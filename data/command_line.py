@@ -37,16 +37,16 @@ def path_option(text: str) -> Path:
     return Path(text)
 
 
-def whole_number(least: int, most: int = LARGEST_NUMBER, *, or_zero: bool = False) -> Callable[[str], int]:
-    """Type of an option that takes whole numbers from `least` to `most`, and maybe 0.
+def whole_number(least: int, most: int = LARGEST_NUMBER) -> Callable[[str], int]:
+    """Type of an option that takes whole numbers from `least` to `most`.
 
     The type raises ArgumentTypeError or ValueError, as argparse wants it.
     """
 
     def whole(text: str) -> int:
         value = int(text)
-        if value < least and not (or_zero and value == 0):
-            raise argparse.ArgumentTypeError(f"{value} is less than {least}" + " and not 0" * or_zero)
+        if value < least:
+            raise argparse.ArgumentTypeError(f"{value} is less than {least}")
         if value > most:
             raise argparse.ArgumentTypeError(f"{value} is more than {most}")
         return value

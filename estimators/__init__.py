@@ -4,9 +4,10 @@ contract        Estimator and Session: opened once, a session a clip; open: an e
 estimate        what is told of a frame, of a run of contact, and of θ
 network         a posterior for every frame; gan: the parameter network of the generator
 direct          the simulator fitted to every run of contact
-runs            runs of contact, frame by frame, for all of them; arrow: the force as it is drawn
+runs            runs of contact, frame by frame, and what all sessions share
 onset           unknown beginnings of a press; oblique: presses aslant to the line of sight
-model_settings  an exported network's preparation; worker_pool: many tasks in a few processes
+model_settings  an exported network's preparation, and what both networks' estimators share
+worker_pool     many tasks in a few processes
 """
 
 from physics.lazy import exported
@@ -18,6 +19,6 @@ __getattr__ = exported(
         "estimators.estimate": ("Estimate", "FrameEstimate", "InteractionEstimate", "NoEstimate"),
         "estimators.network.estimator": ("NetworkEstimator",),
         "estimators.gan": ("GanEstimator",),
-        "estimators.direct.estimator": ("DirectEstimator", "DirectSettings"),
+        "estimators.direct.estimator": ("DirectEstimator",),
     }
 )

@@ -169,8 +169,9 @@ class FrameEstimate:
     """Length of the simulated displacement of the contact vertex [scene units]."""
     observed_displacement: float | None = None
     """Length of the observed displacement of the contact point [scene units]."""
-    arrow: tuple[tuple[float, float], tuple[float, float]] | None = None
-    """Tail and tip (u, v) of the force that acts on the contact point [px of the source frame]; None without force."""
+    arrow: np.ndarray | None = None
+    """Tail and tip (u, v) of the force that acts on the contact point, shape [2, 2] [px of the source frame]; None
+    without force."""
 
     @functools.cached_property
     def values(self) -> dict[str, Any]:
@@ -200,13 +201,6 @@ class InteractionEstimate:
     """Why there is no estimate, or why it can't be trusted."""
 
 
-def moment_matched(means: np.ndarray, covariances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean [D] and covariance [D, D] of a mixture of distributions that count alike, shapes [n, D] and [n, D, D]."""
-    mean = means.mean(axis=0)
-    apart = means - mean
-    return mean, covariances.mean(axis=0) + apart.T @ apart / len(means)
-
-
 def mixture(found: Sequence[Estimate]) -> Estimate:
     """Several estimates of one contact that count alike as one, the moment-matched mixture.
 
@@ -215,10 +209,12 @@ def mixture(found: Sequence[Estimate]) -> Estimate:
     best = min(found, key=lambda item: item.misfit)
     if len(found) == 1:
         return best
-    means, signs = np.log(np.abs([item.theta for item in found])), np.sign(best.theta)
-    mean, spread = moment_matched(means, np.array([item.covariance for item in found]))
-    apart = spread - np.mean([item.covariance for item in found], axis=0)
+    logs = np.log(np.abs([item.theta for item in found]))
+    apart = np.cov(logs, rowvar=False, bias=True)
     expected = np.mean([covariance(item.verdict_information) for item in found], axis=0) + apart
     return dataclasses.replace(
-        best, theta=np.exp(mean) * signs, covariance=spread, expected_information=np.linalg.inv(expected)
+        best,
+        theta=np.exp(logs.mean(axis=0)) * np.sign(best.theta),
+        covariance=np.mean([item.covariance for item in found], axis=0) + apart,
+        expected_information=np.linalg.inv(expected),
     )

@@ -8,25 +8,22 @@ from __future__ import annotations
 
 import math
 import time
-from collections import defaultdict, deque
+from collections import deque
 from collections.abc import Iterator
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
 from data.contact.geometry import force_direction
 from data.prepared import SEEN_OUT, PreparedFrame
-from data.settings import PrepareSettings
 from data.windows import FrameWindow
-from estimators.arrow import force_arrow
-from estimators.contract import Chosen, ClipInfo, Said
-from estimators.estimate import Estimate
-from estimators.model_settings import preparation_settings, section
-from estimators.runs import Run, RunTracker, frame_estimate
+from estimators.contract import ClipInfo, Said
+from estimators.estimate import Estimate, InteractionEstimate
+from estimators.model_settings import ModelEstimator
+from estimators.runs import Run, RunSession, force_arrow, frame_estimate
 from models.onnx_session import ModelFileError, ParameterModel
 from physics.load import Press, held
-from physics.mechanics import SIGNS, Bounds, Mechanics
+from physics.mechanics import SIGNS
 from physics.msd.simulation import simulate
 
 OBSERVATIONS = ("final", "release", "trajectory")
@@ -34,7 +31,7 @@ SMALLEST = 1e-12
 """Parameters nearer to 0 count as this before their logarithm is taken."""
 
 
-class GanEstimator:
+class GanEstimator(ModelEstimator):
     """Runs a trained parameter network over prepared clips.
 
     Args:
@@ -45,41 +42,31 @@ class GanEstimator:
     """
 
     name = "gan"
+    model: ParameterModel
 
     def __init__(self, model: ParameterModel) -> None:
-        self.model = model
-        self.mechanics: Mechanics = section(model, "mechanics", Mechanics)
-        self.bounds: Bounds = section(model, "bounds", Bounds)
+        super().__init__(model)
+        self.described = {"name": self.name}
+        """All is in the model's file."""
         self.observation: str = model.metadata.get("observation", "final")
         if self.observation not in OBSERVATIONS:
             raise ModelFileError(
                 f"{model.path} was trained with the unknown observation '{self.observation}'; export it again."
             )
 
-    @property
-    def described(self) -> dict[str, Any]:
-        """All is in the model's file."""
-        return {"name": self.name}
-
-    def preparation(self, chosen: Chosen) -> PrepareSettings:
-        """As the model was trained, with what the user chooses otherwise."""
-        return preparation_settings(self.model, chosen)
-
     def start(self, clip: ClipInfo) -> GanSession:
         """Open a session."""
         return GanSession(self, clip)
 
 
-class GanSession:
+class GanSession(RunSession):
     """One clip; frames come one late, because the motion to the next frame is shown."""
 
     def __init__(self, estimator: GanEstimator, clip: ClipInfo) -> None:
-        self.estimator, self.clip = estimator, clip
-        self.seconds: dict[str, float] = defaultdict(float)
-        """Time spent in `network` and `simulation` [s]."""
+        super().__init__(clip, estimator.mechanics)
+        self.estimator = estimator
         self._window = FrameWindow(estimator.model.window)
         self._statuses = deque[str](maxlen=estimator.model.window)
-        self._runs = RunTracker(clip, estimator.mechanics.seconds)
         self._onset: PreparedFrame | None = None
         self._held: tuple[PreparedFrame, np.ndarray | None] | None = None
         self._log_sum, self._count = np.zeros(3), 0
@@ -100,7 +87,7 @@ class GanSession:
         if self._held is not None:
             yield from self._pass(*self._held, None)
             self._held = None
-        yield from self._ended(self._runs.finish())
+        yield from super().finish()
 
     def _pass(
         self, current: PreparedFrame, depth: np.ndarray | None, following: PreparedFrame | None
@@ -130,7 +117,7 @@ class GanSession:
         if not current.consecutive:
             self._statuses.clear()
 
-    def _ended(self, run: Run | None) -> Iterator[Said]:
+    def _ended(self, run: Run | None) -> Iterator[InteractionEstimate]:
         """The mean of log |θ| over a run's frames in contact."""
         if run is None:
             return
@@ -139,7 +126,7 @@ class GanSession:
             return
         theta = np.exp(self._log_sum / self._count) * SIGNS
         self._log_sum, self._count = np.zeros(3), 0
-        seen = run.builder.build(self.estimator.mechanics.matched(1 / self.clip.fps))
+        seen = run.builder.build(self.mechanics)
         yield run.estimate(interaction=seen, estimate=Estimate(theta, told_verdict="undetermined"), detail=run.detail)
 
     def _theta(self, window: np.ndarray, prepared: PreparedFrame) -> np.ndarray:

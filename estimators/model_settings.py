@@ -19,10 +19,31 @@ from data.settings import PrepareSettings
 from estimators.contract import Chosen
 from models.onnx_session import ExportedModel, ModelFileError
 from physics.fields import fits
+from physics.mechanics import Bounds, Mechanics
 
 Settings = TypeVar("Settings")
 RETIRED = {"geometry.depth_radius": 0, "geometry.min_displacement": 1e-4}
 """Settings of earlier versions, each with the one value that the program still has: where files say so, all is well."""
+
+
+class ModelEstimator:
+    """What the estimators with a network have in common.
+
+    Args:
+        model: the exported network.
+
+    Raises:
+        ModelFileError: its metadata can't be used.
+    """
+
+    def __init__(self, model: ExportedModel) -> None:
+        self.mechanics = section(model, "mechanics", Mechanics)
+        self.bounds = section(model, "bounds", Bounds)
+        self.model = model
+
+    def preparation(self, chosen: Chosen) -> PrepareSettings:
+        """As the model was trained, with what the user chooses otherwise."""
+        return preparation_settings(self.model, chosen)
 
 
 def preparation_settings(model: ExportedModel, chosen: Chosen) -> PrepareSettings:

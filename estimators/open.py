@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 from data.contact.interaction import Horizon
 from estimators.contract import Estimator
-from estimators.direct.estimator import DirectEstimator, DirectSettings
+from estimators.direct.estimator import DirectEstimator
 from estimators.gan import GanEstimator
 from estimators.network.estimator import NetworkEstimator
 from estimators.onset import BETWEEN, STAMP
@@ -23,8 +22,8 @@ SHIPPED = Path(__file__).resolve().parents[1] / "models" / "weights" / "contact.
 class EstimatorOptions:
     """Everything that opens an estimator, also in another process."""
 
-    name: Literal["network", "gan", "direct"] | None = None
-    """None = what the model's file is for, and without one `network`."""
+    name: str | None = None
+    """One of NAMES; None = what the model's file is for, and without one `network`."""
     model: Path | None = None
     """ONNX file that `train.py export` or `evaluation.calibration` wrote; None = the one that comes along."""
     onset: str | None = None
@@ -47,7 +46,7 @@ def open_estimator(options: EstimatorOptions) -> Estimator:
     if options.name == "direct":
         if options.model is not None:
             raise ValueError(f"--estimator direct needs no network; leave --model {options.model} out.")
-        return DirectEstimator(DirectSettings(noise=options.noise), options.onset or BETWEEN, options.horizon)
+        return DirectEstimator(options.onset or BETWEEN, options.horizon, options.noise)
     if options.noise is not None:
         raise ValueError("--noise is for --estimator direct; leave it out.")
     if options.name == "gan" and options.model is None:
@@ -60,4 +59,6 @@ def open_estimator(options: EstimatorOptions) -> Estimator:
         return NetworkEstimator(model, options.onset or BETWEEN, options.horizon)
     if options.onset not in (None, STAMP):
         raise ModelFileError(f"{model.path} knows nothing of when a press begins; leave --onset {options.onset} out.")
+    if options.horizon is not None:
+        raise ModelFileError(f"{model.path} sees single frames; leave the horizon {options.horizon} out.")
     return GanEstimator(model)

@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
+from collections.abc import Iterator
 
 import numpy as np
 
-from data.contact.geometry import GeometrySettings
-from data.contact.interaction import ContactFrame, InteractionBuilder
+from data.contact.geometry import FrameGeometry, GeometrySettings
+from data.contact.interaction import ContactFrame, Horizon, Interaction, InteractionBuilder
 from data.contact.tissue_points import grid_to_picture
 from data.prepared import SEEN_OUT, PreparedFrame
 from estimators.contract import ClipInfo
-from estimators.estimate import Estimate, FrameEstimate, InteractionEstimate
+from estimators.estimate import Estimate, FrameEstimate, InteractionEstimate, NoEstimate
+from physics.mechanics import Bounds, Mechanics
 
 NO_ONSET = (
     "The onset of the contact was not seen, and without it the rest shape and the beginning of the load are unknown."
 )
 NOT_SHOWN = "No displacement: the onset of contact was not seen, or lies beyond the model's horizon."
 NOT_FOLLOWED = "The tissue at the contact could not be followed after its onset."
+FULL_ARROW = 0.3
+"""Length of the drawn arrow of the largest admissible force, as a share of the contact point's depth."""
 
 
 class Run:
@@ -95,6 +100,52 @@ class RunTracker:
         return run
 
 
+class RunSession:
+    """What the sessions of all estimators share: the clip's runs of contact, and what is said of each at its end.
+
+    Args:
+        clip: the clip.
+        mechanics: of the estimator.
+        horizon: how much of a whole contact is looked at.
+    """
+
+    def __init__(self, clip: ClipInfo, mechanics: Mechanics, horizon: Horizon = None) -> None:
+        self.clip, self.horizon = clip, horizon
+        self.mechanics = mechanics.matched(1 / clip.fps)
+        """The simulator, its steps matched to the clip's frame rate."""
+        self.seconds: dict[str, float] = defaultdict(float)
+        """Time spent so far by stage [s]."""
+        self._runs = RunTracker(clip, self.mechanics.seconds)
+
+    def finish(self) -> Iterator[FrameEstimate | InteractionEstimate]:
+        """The run that the clip's end has cut off."""
+        yield from self._ended(self._runs.finish())
+
+    def _ended(self, run: Run | None) -> Iterator[InteractionEstimate]:
+        """What is said of a run, if one has ended."""
+        if run is None:
+            return
+        contact = None if run.builder is None else run.builder.build(self.mechanics, self.horizon)
+        if contact is None or len(contact.observation) == 0:
+            yield run.estimate(detail=run.unseen)
+            return
+        try:
+            found, simulated, doubts = self._whole(contact)
+        except NoEstimate as reason:
+            yield run.estimate(interaction=contact, detail=f"{run.detail} {reason}".strip())
+            return
+        detail = f"{run.detail} {doubts}".strip()
+        yield run.estimate(interaction=contact, estimate=found, simulated=simulated, detail=detail)
+
+    def _whole(self, contact: Interaction) -> tuple[Estimate, tuple[np.ndarray, np.ndarray], str]:
+        """Of a whole contact: the estimate, the simulated motion as an `InteractionEstimate` has it, and doubts.
+
+        Raises:
+            NoEstimate: it can't be estimated.
+        """
+        raise NotImplementedError
+
+
 def contact_frame(frame: PreparedFrame) -> ContactFrame:
     """What a prepared frame tells about its run of contact."""
     out = frame.status in SEEN_OUT
@@ -108,30 +159,29 @@ def frame_estimate(
     *,
     verdict: str = "",
     lengths: tuple[float | None, float | None] = (None, None),
-    sentences: tuple[str, ...] = (),
+    doubts: str = "",
     whole: bool = False,
-    arrow: tuple[tuple[float, float], tuple[float, float]] | None = None,
+    arrow: np.ndarray | None = None,
 ) -> FrameEstimate:
     """The record of a frame; without an estimate it holds the status and what is known of the contact.
 
     Args:
         verdict: of a frame without an estimate.
         lengths: of the simulated and the observed displacement [scene units].
-        sentences: about what can't be trusted, behind the frame's own.
-        whole: whether the sentences say already why no displacement is shown.
+        doubts: sentences about what can't be trusted, behind the frame's own.
+        whole: whether they say already why no displacement is shown.
         arrow: the force as it is drawn.
     """
     frame, contact = prepared.frame, prepared.geometry
     missing = NOT_SHOWN if contact is not None and lengths[0] is None and not whole else ""
     u, v = None, None
     if contact is not None:
-        place = grid_to_picture(np.array(contact.pixel), prepared.depth.shape, clip.size)
-        u, v = float(place[0]), float(place[1])
+        u, v = grid_to_picture(np.array(contact.pixel), prepared.depth.shape, clip.size).tolist()
     return FrameEstimate(
         frame.number,
         frame.time_s,
         prepared.status,
-        detail=" ".join(filter(None, (prepared.detail or missing, *sentences))),
+        detail=f"{prepared.detail or missing} {doubts}".strip(),
         estimate=estimate,
         verdict=verdict if estimate is None else estimate.verdict,
         contact=True if contact is not None else False if prepared.status in SEEN_OUT else None,
@@ -142,3 +192,17 @@ def frame_estimate(
         observed_displacement=lengths[1],
         arrow=arrow,
     )
+
+
+def force_arrow(
+    theta: np.ndarray, contact: FrameGeometry, clip: ClipInfo, bounds: Bounds, direction: np.ndarray
+) -> np.ndarray | None:
+    """The force as it acts: tail and tip (u, v) [px] of an arrow that ends at the contact, as long as |F| is large."""
+    largest, camera = max(abs(value) for value in bounds.force), clip.camera
+    tip = contact.tissue_point.astype(np.float64)
+    tail = tip - direction * (FULL_ARROW * tip[2] * float(theta[2]) / largest)
+    if theta[2] == 0 or tail[2] <= 0:
+        return None
+    ends = np.stack([tail, tip])
+    # The inverse of Bini 2026, equation 3.
+    return ends[:, :2] / ends[:, 2:] * (camera.fx, camera.fy) + (camera.cx, camera.cy)

@@ -45,43 +45,35 @@ def run_tasks(
         yield from map(function, tasks)
         return
     others = set(multiprocessing.active_children())
-    with _one_thread_each():
-        processes = min(workers or os.cpu_count() or 1, len(tasks))
-        pool = ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn"))
-        try:
-            with _interrupts_held():
-                futures = [pool.submit(function, task) for task in tasks]
-            for future in futures if ordered else as_completed(futures):
-                yield future.result()
-            pool.shutdown()
-        except BrokenProcessPool as error:
-            raise WorkerLost("A worker process was killed, maybe for want of memory; use fewer --workers.") from error
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
-            for process in set(multiprocessing.active_children()) - others:
-                process.terminate()
-
-
-@contextlib.contextmanager
-def _interrupts_held() -> Generator[None]:
-    """Let processes that start now never see Ctrl-C, not even while they import: this one decides what comes of it."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    processes = min(workers or os.cpu_count() or 1, len(tasks))
+    pool = ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn"))
     try:
-        yield
+        with _as_workers_start():
+            futures = [pool.submit(function, task) for task in tasks]
+        for future in futures if ordered else as_completed(futures):
+            yield future.result()
+        pool.shutdown()
+    except BrokenProcessPool as error:
+        raise WorkerLost("A worker process was killed, maybe for want of memory; use fewer --workers.") from error
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        pool.shutdown(wait=False, cancel_futures=True)
+        for process in set(multiprocessing.active_children()) - others:
+            process.terminate()
 
 
 @contextlib.contextmanager
-def _one_thread_each() -> Generator[None]:
-    """Let processes that start now use one native thread; libraries read this when they are loaded."""
-    before = {name: os.environ.get(name) for name in _LIMITS}
+def _as_workers_start() -> Generator[None]:
+    """Let processes that start now use one native thread, which libraries read when they are loaded.
+
+    And let them never see Ctrl-C, not even while they import: this one decides what comes of it.
+    """
+    before = dict(os.environ)
     os.environ.update(dict.fromkeys(_LIMITS, "1"))
+    signals = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name)
-            else:
-                os.environ[name] = value
+        signal.pthread_sigmask(signal.SIG_SETMASK, signals)
+        for name in _LIMITS:
+            del os.environ[name]
+        os.environ.update(before)

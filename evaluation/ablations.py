@@ -26,7 +26,7 @@ import torch
 from rich.console import Console
 
 from data.command_line import path_option, progress_bars, say, whole_number
-from data.contact.features import FEATURES, SLOTS, contact_surroundings, join_features
+from data.contact.features import FEATURES, SLOTS, join_features
 from data.synthetic.contacts import SimulatedContact
 from data.synthetic.truth import damping_ratio, regime_of
 from estimators.network.fits import BOUNDS, MECHANICS, Drawn, Fits, draw_observed, motion_slopes, observed_exactly
@@ -122,7 +122,7 @@ def around_truth(contacts: list[SimulatedContact]) -> Fits:
     seen = [contact.interaction for contact in contacts]
     logs = [np.log(np.abs(contact.theta)) for contact in contacts]
     slopes = [motion_slopes(observed_exactly(contact), at) for contact, at in zip(seen, logs, strict=True)]
-    return Fits.of(seen, [contact_surroundings(contact) for contact in seen], logs, slopes)
+    return Fits.of(seen, logs, slopes)
 
 
 def train_row(row: str, material: Material, steps: int, seed: int) -> ContactPosterior:
@@ -136,7 +136,8 @@ def train_row(row: str, material: Material, steps: int, seed: int) -> ContactPos
         return draw_observed(fits, count, generator, lambda loaded: seen_slots(row, loaded))
 
     posterior.standardise(torch.from_numpy(draw(EXAMPLES).features), least=LEAST_SPREAD)
-    descend(posterior, lambda _: loss_of(posterior, draw(FINE_BATCH)), steps, FINE_RATE, lambda step, loss: None)
+    for _ in descend(posterior, lambda _: loss_of(posterior, draw(FINE_BATCH)), steps, FINE_RATE):
+        pass
     return posterior.eval()
 
 

@@ -42,7 +42,7 @@ from evaluation.recovery.evaluate import OK, PREPARE, Recovery
 from evaluation.recovery.store import RECORD, RESULTS, read_results
 from models.calibration import Calibration, Widths
 from models.checkpoint import load_posterior
-from models.onnx_export import export_posterior
+from models.onnx_export import export
 from models.posterior import ContactPosterior
 from results.record import sha256_of
 
@@ -178,7 +178,7 @@ def main(arguments: list[str] | None = None) -> int:
                 fit_widths_of(read_results(folder / RESULTS)) for folder in (options.validation, options.pressed)
             )
             calibration = Calibration(whole, pressed, LOG_NOISE, KNOWN, LOADED)
-        difference = export_posterior(posterior, options.output, metadata(options.weights), calibration)
+        difference = export(posterior, options.output, metadata(options.weights), calibration)
     except (OSError, RuntimeError, ValueError) as error:
         print(error, file=sys.stderr)
         return 1

@@ -1,8 +1,8 @@
 """The networks, their training step, and their exported form.
 
 generator       encoder, parameter head and decoder; discriminator: the PatchGAN
-posterior       θ of a contact with its covariance; contact_head: the same beside the picture; contact_layers
-expected_bound  how well θ can be known; calibration: standard deviations that hold
+posterior       θ of a contact with its covariance, and how well it can be known; contact_head: beside the picture
+expected_bound  the loss of what can be known; calibration: standard deviations that hold
 module          the training step; losses: its five terms; evidence: the physics term of a posterior
 augmentation    disturbed windows; records: what a test writes down; checkpoint: reading checkpoints
 onnx_export     a trained network as one ONNX file; onnx_session: running it, without torch
@@ -19,7 +19,7 @@ __getattr__ = exported(
         "models.module": ("PhysicsInformedGAN",),
         "models.losses": ("LossWeights",),
         "models.calibration": ("Calibration",),
-        "models.onnx_export": ("export", "export_posterior"),
+        "models.onnx_export": ("export",),
         "models.onnx_session": ("ModelFileError", "ParameterModel", "PosteriorModel", "open_model"),
     }
 )

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 Triple = tuple[float, float, float]
 """One number for each of (log k_s, log k_d, log |F|)."""
@@ -38,7 +36,3 @@ class Calibration:
     """Features that are 1 for instants that were seen."""
     loaded_features: tuple[int, ...] = ()
     """Features that are 1 for instants that were seen under load."""
-
-    def document(self) -> dict[str, Any]:
-        """As JSON-able values."""
-        return json.loads(json.dumps(asdict(self)))

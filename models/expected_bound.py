@@ -10,42 +10,12 @@ import math
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
-from models.contact_layers import FACTOR_NUMBERS, ResidualLayer, covariance_factor
 from physics.identifiability import LIMIT, RATIOS, bounds, ratio_bounds
 
 FARTHEST = 2.0
 """Bounds farther from the limit than this, in logarithms, count as so far away: no verdict depends on them."""
-
-
-class ExpectedBound(nn.Module):
-    """Factor L of a covariance L·Lᵀ whose standard deviations are about the medians of the Cramér–Rao bounds.
-
-    Those of k_s, k_d, |F| and of the ratios k_s/k_d and F/k_d, between 0.07 and 2.7. Nothing else about it is learnt:
-    its other directions mean nothing.
-
-    Args:
-        features: length of the contact's vector.
-        width: of the hidden layers.
-        blocks: residual layers.
-    """
-
-    def __init__(self, features: int, width: int = 128, blocks: int = 2) -> None:
-        super().__init__()
-        self.layers = nn.Sequential(
-            nn.Linear(features, width),
-            *(ResidualLayer(width) for _ in range(blocks)),
-            nn.LayerNorm(width),
-            last := nn.Linear(width, FACTOR_NUMBERS),
-        )
-        with torch.no_grad():
-            last.weight.mul_(0.1)
-            last.bias[:3] = math.log(LIMIT)
-
-    def forward(self, contact: Tensor) -> Tensor:
-        """Standardised features [B, features] → L [B, 3, 3]."""
-        return covariance_factor(self.layers(contact))
 
 
 def bound_loss(factor: Tensor, information: np.ndarray) -> Tensor:
@@ -55,7 +25,7 @@ def bound_loss(factor: Tensor, information: np.ndarray) -> Tensor:
     worse ratio's.
 
     Args:
-        factor: of `ExpectedBound`, shape [B, 3, 3].
+        factor: of `models.posterior.ExpectedBound`, shape [B, 3, 3].
         information: Fisher information of what was seen, shape [B, 3, 3].
     """
     rows = torch.cat([torch.eye(3), torch.from_numpy(RATIOS).float()]).to(factor)

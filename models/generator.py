@@ -75,12 +75,8 @@ class ParameterHead(nn.Module):
         )
         self.register_buffer("lower", torch.tensor(bounds.lower), persistent=False)
         self.register_buffer("upper", torch.tensor(bounds.upper), persistent=False)
-        self._start_at(last, torch.tensor(bounds.initial))
-
-    def _start_at(self, last: nn.Linear, initial: Tensor) -> None:
-        """Make the untrained head give θ₀, nearly: the small weights leave it a slope in its input."""
-        fraction = (initial - self.lower) / (self.upper - self.lower)
-        with torch.no_grad():
+        fraction = self.scaled(torch.tensor(bounds.initial))
+        with torch.no_grad():  # untrained it gives θ₀, nearly: the small weights leave it a slope in its input
             last.weight.mul_(0.1)
             last.bias[:2] = torch.logit(fraction[:2])
             last.bias[2] = torch.atanh(2 * fraction[2] - 1)

@@ -11,7 +11,7 @@ import logging
 import platform
 import warnings
 from collections.abc import Sequence
-from dataclasses import astuple
+from dataclasses import asdict, astuple
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ import torch
 from torch import Tensor, nn
 
 from models.calibration import Calibration, Widths
-from models.generator import Generator
+from models.generator import Generator, ParameterHead
 from models.onnx_session import (
     CONTACT,
     EXPECTED_BOUND,
@@ -122,38 +122,20 @@ def _covariance(factor: Tensor) -> Tensor:
     return factor @ factor.transpose(1, 2)
 
 
-def export(generator: Generator, output: Path, size: tuple[int, int], metadata: dict[str, Any]) -> float:
-    """Write encoder and parameter head with a dynamic batch, and compare the file with torch.
-
-    Args:
-        generator: trained G_AB.
-        output: file to write; it appears only when it is complete and agrees with torch.
-        size: height and width of the depth maps [pixels].
-        metadata: JSON-able entries beside those written here (format version, input, units, program versions).
-
-    Returns:
-        Largest |θ_onnx − θ_torch| over batches of 1, 2 and 7.
-
-    Raises:
-        ParityError: the difference is over 1e-5.
-    """
-    document = {"input": {"window": generator.channels, "height": size[0], "width": size[1]}} | metadata
-    return _write(_Parameters(generator), document, output)
-
-
-def export_posterior(
-    network: ContactPosterior | Generator,
+def export(
+    network: Generator | ContactPosterior,
     output: Path,
     metadata: dict[str, Any],
-    calibration: Calibration | None = None,
+    calibration: Calibration = Calibration(),  # noqa: B008 (frozen)
 ) -> float:
-    """Write a contact posterior with a dynamic batch, and compare the file with torch.
+    """Write encoder and parameter head, or a contact posterior, with a dynamic batch, and compare the file with torch.
 
     Args:
-        network: trained posterior, or a generator whose head is one.
+        network: trained G_AB, or a posterior alone.
         output: file to write; it appears only when it is complete and agrees with torch.
-        metadata: JSON-able entries beside those written here; must hold `input` (window, height, width).
-        calibration: of the standard deviations; None leaves them as they are.
+        metadata: JSON-able entries beside those written here (format version, kind, units, program versions); must hold
+            `input` (window, height, width).
+        calibration: of a posterior's standard deviations; the default leaves them as they are.
 
     Returns:
         Largest difference of the outputs over batches of 1, 2 and 7; of the expected bound's covariance, which is large
@@ -162,31 +144,26 @@ def export_posterior(
     Raises:
         ParityError: the difference is over 1e-5.
     """
-    calibration = Calibration() if calibration is None else calibration
-    document = {"head": POSTERIOR, "calibration": calibration.document()} | metadata
-    return _write(_Calibrated(network, calibration), document, output)
-
-
-def _write(network: _Parameters | _Calibrated, metadata: dict[str, Any], output: Path) -> float:
-    """Write a file, with format version, units and program versions beside the metadata; its difference from torch."""
-    network = network.cpu().eval()
-    window = tuple(metadata["input"][name] for name in ("window", "height", "width"))
-    document = {
+    versions = {package.__name__: package.__version__ for package in (torch, onnx, onnxruntime)}
+    document: dict[str, Any] = {
         "format_version": FORMAT_VERSION,
         "units": UNITS,
-        "versions": {
-            "python": platform.python_version(),
-            "torch": torch.__version__,
-            "onnx": onnx.__version__,
-            "onnxruntime": onnxruntime.__version__,
-        },
-    } | metadata
-    model = _to_onnx(network, network.examples(2, window))
-    onnx.helper.set_model_props(model, {METADATA_KEY: json.dumps(document, ensure_ascii=False, sort_keys=True)})
+        "versions": {"python": platform.python_version(), **versions},
+    }
+    if isinstance(network, Generator) and isinstance(network.head, ParameterHead):
+        exported = _Parameters(network)
+    else:
+        exported = _Calibrated(network, calibration)
+        document |= {"head": POSTERIOR, "calibration": asdict(calibration)}
+    exported.cpu().eval()
+    window = tuple(metadata["input"][name] for name in ("window", "height", "width"))
+    model = _to_onnx(exported, exported.examples(2, window))
+    text = json.dumps(document | metadata, ensure_ascii=False, sort_keys=True)
+    onnx.helper.set_model_props(model, {METADATA_KEY: text})
     output.parent.mkdir(parents=True, exist_ok=True)
     with replacing(output) as partial:
         onnx.save(model, partial, format="protobuf")
-        difference = parity(network, network.kind(partial), window)
+        difference = parity(exported, exported.kind(partial), window)
         if difference > PARITY_TOLERANCE:
             raise ParityError(
                 f"the exported network differs from torch by {difference:.2g} in its outputs, more than "

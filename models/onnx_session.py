@@ -9,14 +9,14 @@ from __future__ import annotations
 import json
 import reprlib
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import onnxruntime
-from onnxruntime.capi import onnxruntime_pybind11_state as runtime_errors  # ty: ignore[missing-module-member]  compiled
 
-from models.calibration import Calibration
+from models.calibration import Widths
 from physics.fields import fits
 
 METADATA_KEY = "palpate"
@@ -28,7 +28,7 @@ POSTERIOR = "posterior"
 INPUT, OUTPUT = "depth", "theta"
 CONTACT, LOG_MEAN, LOG_COVARIANCE = "contact", "log_mean", "log_covariance"
 EXPECTED_BOUND = "decisive_covariance"
-"""Covariance by which verdicts are given, of `models.expected_bound.ExpectedBound`, under the name it has in files."""
+"""Covariance by which verdicts are given, of `models.posterior.ExpectedBound`, under the name it has in files."""
 
 LARGEST = 1e9
 """No number of the document is farther from 0."""
@@ -50,14 +50,6 @@ _FIELDS: dict[str, Any] = {
     "calibration": {"whole": dict},
 }
 """What the document's fields are, as `fits` takes it; files may lack all but the input's."""
-_UNREADABLE = (
-    runtime_errors.Fail,
-    runtime_errors.InvalidArgument,
-    runtime_errors.InvalidGraph,
-    runtime_errors.InvalidProtobuf,
-    runtime_errors.NotImplemented,
-    runtime_errors.RuntimeException,
-)
 
 
 class ModelFileError(ValueError):
@@ -147,19 +139,17 @@ class PosteriorModel(ExportedModel):
 
     def __init__(self, path: str | Path, threads: int | None = None) -> None:
         super().__init__(path, threads)
-        self.features: int = next(iter(self.inputs.get(CONTACT, ())), 0)
-        """Length of the contact's vector."""
         self.takes_depth = INPUT in self.inputs
         """Whether it looks at the depth window as well."""
         depth = {INPUT: (self.window, *self.input_size)} if self.takes_depth else {}
-        self._require({CONTACT: (self.features,)} | depth)
-        plain = Calibration().document()["whole"]
-        told = self.metadata.get("calibration", {}).get("whole", plain)
+        self._require({CONTACT: self.inputs.get(CONTACT, (0,))[:1]} | depth)
+        told = self.metadata.get("calibration", {}).get("whole", {})
         if "decisive" in told:
             raise ModelFileError(
                 f"{self.path} gives its verdicts by standard deviations, as an earlier version did; export it again."
             )
-        self.calibrated = any(told.get(name, value) != value for name, value in plain.items())
+        plain = {name: list(values) for name, values in asdict(Widths()).items()}
+        self.calibrated = plain | told != plain
         """Whether its standard deviations are more than the network's own."""
 
     def __call__(
@@ -204,10 +194,10 @@ def _open_session(path: Path, threads: int | None) -> onnxruntime.InferenceSessi
     providers = [name for name in ("CUDAExecutionProvider", "CPUExecutionProvider") if name in available]
     try:
         return onnxruntime.InferenceSession(path.read_bytes(), options, providers=providers)
-    except _UNREADABLE as error:
-        raise ModelFileError(f"{path} is not a readable ONNX file; export it again with train.py export.") from error
     except OSError as error:
         raise ModelFileError(f"{path} can't be read ({error.strerror}); check the file and its permissions.") from error
+    except Exception as error:  # ONNX Runtime's have no class of their own in common
+        raise ModelFileError(f"{path} is not a readable ONNX file; export it again with train.py export.") from error
 
 
 def _read_metadata(path: Path, session: onnxruntime.InferenceSession) -> dict[str, Any]:

@@ -11,8 +11,68 @@ import math
 import torch
 from torch import Tensor, nn
 
-from models.contact_layers import FACTOR_NUMBERS, ResidualLayer, covariance_factor
-from models.expected_bound import ExpectedBound
+from physics.identifiability import LIMIT
+
+LOG_SD_RANGE = (-5.0, 1.0)
+"""Diagonal of a covariance's factor, in logarithms: standard deviations between 0.7 % and a factor e^2.7."""
+FACTOR_NUMBERS = 6
+"""Numbers that make a factor of a covariance: its diagonal's logarithms, and its slopes."""
+
+
+class ResidualLayer(nn.Module):
+    """x + W₂·gelu(W₁·norm(x)); keeps the shape [B, width]."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.layers = nn.Sequential(
+            nn.LayerNorm(width), nn.Linear(width, width), nn.GELU(), nn.Linear(width, width)
+        )  # fmt: skip
+
+    def forward(self, hidden: Tensor) -> Tensor:
+        return hidden + self.layers(hidden)
+
+
+def covariance_factor(raw: Tensor) -> Tensor:
+    """Lower triangular L of the covariance L·Lᵀ, shape [B, 3, 3], from a network's numbers [B, FACTOR_NUMBERS]."""
+    first, second, third = torch.exp(raw[:, :3].clamp(*LOG_SD_RANGE)).unbind(1)
+    # Rows below the diagonal in units of their own diagonal, so that a correlation is one number whatever the size.
+    zero = torch.zeros_like(first)
+    slopes = raw[:, 3:]
+    rows = (
+        torch.stack([first, zero, zero], 1),
+        torch.stack([slopes[:, 0] * first, second, zero], 1),
+        torch.stack([slopes[:, 1] * first, slopes[:, 2] * second, third], 1),
+    )
+    return torch.stack(rows, dim=1)
+
+
+class ExpectedBound(nn.Module):
+    """Factor L of a covariance L·Lᵀ whose standard deviations are about the medians of the Cramér–Rao bounds.
+
+    Those of k_s, k_d, |F| and of the ratios k_s/k_d and F/k_d, between 0.07 and 2.7. Nothing else about it is learnt:
+    its other directions mean nothing.
+
+    Args:
+        features: length of the contact's vector.
+        width: of the hidden layers.
+        blocks: residual layers.
+    """
+
+    def __init__(self, features: int, width: int = 128, blocks: int = 2) -> None:
+        super().__init__()
+        self.layers = nn.Sequential(
+            nn.Linear(features, width),
+            *(ResidualLayer(width) for _ in range(blocks)),
+            nn.LayerNorm(width),
+            last := nn.Linear(width, FACTOR_NUMBERS),
+        )
+        with torch.no_grad():
+            last.weight.mul_(0.1)
+            last.bias[:3] = math.log(LIMIT)
+
+    def forward(self, contact: Tensor) -> Tensor:
+        """Standardised features [B, features] → L [B, 3, 3]."""
+        return covariance_factor(self.layers(contact))
 
 
 class ContactPosterior(nn.Module):

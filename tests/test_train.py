@@ -55,7 +55,7 @@ def config(clips: Path) -> Path:
             "residual_blocks": 1,
             "mechanics": {"steps": 40, "load_steps": 10},
             "bounds": {"force": [-0.3, 0.0], "initial": [0.5, 0.1, -0.05]},
-            "augmentation": {"noise": 0.002, "erasing": 0.3},
+            "augmentation": {"noise": 0.002},
         },
         "data": {
             "root": str(clips),

@@ -46,13 +46,6 @@ class DelayedProblem(ContactProblem):
         self.longest = self.load.steps + math.ceil(within / mechanics.time_step)
         """Steps of the simulation: the press may have begun earlier."""
 
-    def theta(self, logs: np.ndarray) -> np.ndarray:
-        """θ of all parameters, with F pressing."""
-        return super().theta(logs[:3])
-
-    def delays(self, logs: np.ndarray) -> tuple[float, ...]:
-        return tuple(float(self.within * value) for value in logs[3:])
-
     def box(self, tissue: np.ndarray) -> np.ndarray:
         """Lower and upper ends of all parameters, shape [2, 5] (4 where the release was not seen).
 

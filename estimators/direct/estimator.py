@@ -1,7 +1,7 @@
 """The direct estimator: θ of one contact from its motion through the simulator, without a trained network.
 
 The strongest classical rival of a network (docs/identifiability.md). Levenberg–Marquardt with a trust region
-(`estimators.direct.optima`) finds what explains the motion best, in φ = (log k_s, log k_d, log |F|) and, where the
+(`estimators.direct.problem`) finds what explains the motion best, in φ = (log k_s, log k_d, log |F|) and, where the
 instants are not known, in the delays of the press (`estimators.direct.delayed`). Around these optima the posterior is
 sampled (`estimators.direct.sampling`), with a uniform prior on the box of these and with noise as tracked contacts
 have it (`estimators.direct.error_model`): mean and covariance of φ are the estimate.
@@ -12,10 +12,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
-from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -27,13 +24,12 @@ from data.settings import PrepareSettings
 from estimators.contract import Chosen, ClipInfo, Said
 from estimators.direct.delayed import DelayedProblem, about_tissue
 from estimators.direct.error_model import log_likelihoods, variance_scale
-from estimators.direct.optima import Optimum, combine, distinct, evidence_shares, find_optimum
-from estimators.direct.problem import ContactProblem
+from estimators.direct.problem import ContactProblem, Optimum, combine, distinct, evidence_shares, find_optimum
 from estimators.direct.sampling import Draws, Mixture, sample_posterior
 from estimators.estimate import Estimate, NoEstimate
 from estimators.oblique import effective_misfit, is_oblique, remark, view_angle
 from estimators.onset import onset_error
-from estimators.runs import Run, RunTracker, frame_estimate
+from estimators.runs import RunSession, frame_estimate
 from physics.identifiability import bounds, box_information
 from physics.load import held
 from physics.mechanics import PARAMETERS, RECOMMENDED, Bounds, Mechanics
@@ -69,41 +65,38 @@ FITTED = Mechanics(time_step=0.0025, steps=400, scheme="dkd", window_error=1e-6)
 """The default integrator; its own error must lie below the noise: of second order, with half the paper's step."""
 
 
-@dataclass(frozen=True)
-class DirectSettings:
-    """The model that is fitted."""
-
-    mechanics: Mechanics = FITTED
-    """Integrator."""
-    bounds: Bounds = RECOMMENDED
-    """Admissible box, in which the prior is uniform; F presses."""
-    noise: float | None = None
-    """σ of every observed coordinate [scene units], at least LEAST_SIGMA; None = the clip's own depth noise."""
-
-    def __post_init__(self) -> None:
-        self.bounds.log_box  # noqa: B018 (raises)
-        if self.noise is not None and not LEAST_SIGMA <= self.noise < math.inf:
-            raise ValueError(f"noise is {self.noise}; give a length of {LEAST_SIGMA:g} or more, or leave it out.")
-
-
 class DirectEstimator:
     """Fits every run of contact when it has ended; needs no network.
 
     Args:
-        settings: the model that is fitted.
         onset: when a press begins, one of `estimators.onset.ONSETS`.
         horizon: how much of a contact is looked at.
+        noise: σ of every observed coordinate [scene units], at least LEAST_SIGMA; None = the clip's own depth noise.
+        mechanics: integrator of the fitted model.
+        bounds: admissible box, in which the prior is uniform; F presses.
+
+    Raises:
+        ValueError: a noise that is too small or not finite, or a box that reaches 0.
     """
 
     name = "direct"
 
-    def __init__(self, settings: DirectSettings, onset: str, horizon: Horizon = None) -> None:
-        self.settings, self.onset, self.horizon = settings, onset, horizon
-
-    @property
-    def described(self) -> dict[str, Any]:
+    def __init__(
+        self,
+        onset: str,
+        horizon: Horizon = None,
+        noise: float | None = None,
+        mechanics: Mechanics = FITTED,
+        bounds: Bounds = RECOMMENDED,
+    ) -> None:
+        if noise is not None and not LEAST_SIGMA <= noise < math.inf:
+            raise ValueError(f"noise is {noise}; give a length of {LEAST_SIGMA:g} or more, or leave it out.")
+        self.onset, self.horizon, self.noise, self.mechanics, self.bounds = onset, horizon, noise, mechanics, bounds
+        model = {"mechanics": dataclasses.asdict(mechanics), "bounds": dataclasses.asdict(bounds)}
+        self.described = {"name": self.name, "onset": onset, "horizon": horizon, "noise": noise, **model}
         """All that the fits depend on beside the clip."""
-        return {"name": self.name, "onset": self.onset, "horizon": self.horizon, **dataclasses.asdict(self.settings)}
+        self.log_box = bounds.log_box
+        """Of φ, shape [2, 3]."""
 
     def preparation(self, chosen: Chosen) -> PrepareSettings:
         """Smoothed tissue, the camera's motion taken off, and otherwise what the user chooses."""
@@ -120,26 +113,18 @@ class DirectEstimator:
         return DirectSession(self, clip)
 
 
-class DirectSession:
+class DirectSession(RunSession):
     """One clip: a record for every frame, and a fit for every run of contact."""
 
     def __init__(self, estimator: DirectEstimator, clip: ClipInfo) -> None:
-        self.estimator, self.clip = estimator, clip
-        self.mechanics = estimator.settings.mechanics.matched(1 / clip.fps)
-        """The fitted simulator, its steps matched to the clip's frame rate."""
-        self.seconds: dict[str, float] = defaultdict(float)
-        """Time spent in `fit` [s]."""
+        super().__init__(clip, estimator.mechanics, estimator.horizon)
+        self.estimator = estimator
         self._within = onset_error(estimator.onset, clip.fps)
-        self._runs = RunTracker(clip, self.mechanics.seconds)
 
     def push(self, frame: PreparedFrame) -> Iterator[Said]:
         """The next frame."""
         yield from self._ended(self._runs.push(frame))
-        yield frame_estimate(frame, self.clip, sentences=(WHOLE,) if frame.in_contact else (), whole=True)
-
-    def finish(self) -> Iterator[Said]:
-        """The run that the clip's end has cut off."""
-        yield from self._ended(self._runs.finish())
+        yield frame_estimate(frame, self.clip, doubts=WHOLE if frame.in_contact else "", whole=True)
 
     def fit(self, contact: Interaction) -> Estimate:
         """Fit θ to one contact.
@@ -152,39 +137,26 @@ class DirectSession:
         Raises:
             NoEstimate: fewer than three observations, or no noise level.
         """
-        settings, count = self.estimator.settings, len(contact.observation)
-        noise = contact.noise if settings.noise is None else settings.noise
+        estimator, count = self.estimator, len(contact.observation)
+        noise = contact.noise if estimator.noise is None else estimator.noise
         if not (math.isfinite(noise) and noise > 0):
             raise NoEstimate("The depth's noise isn't known; set geometry.smoothing above 0, or give the noise.")
         if count < LEAST_OBSERVATIONS:
             raise NoEstimate(
                 f"The contact was followed over {count} frames after its onset; {LEAST_OBSERVATIONS} are needed."
             )
-        box = settings.bounds.log_box
         if self._within > 0:
             problem = DelayedProblem(contact, self.mechanics, noise, self._within)
-            return _fit(problem, problem.box(box))
-        return _fit(ContactProblem(contact, self.mechanics, noise), box)
+            return _fit(problem, problem.box(estimator.log_box))
+        return _fit(ContactProblem(contact, self.mechanics, noise), estimator.log_box)
 
-    def _ended(self, run: Run | None) -> Iterator[Said]:
-        """The fit of a whole run."""
-        if run is None:
-            return
-        contact = None if run.builder is None else run.builder.build(self.mechanics, self.estimator.horizon)
-        if contact is None or len(contact.observation) == 0:
-            yield run.estimate(detail=run.unseen)
-            return
+    def _whole(self, contact: Interaction) -> tuple[Estimate, tuple[np.ndarray, np.ndarray], str]:
         start = time.perf_counter()
         try:
             found = self.fit(contact)
-        except NoEstimate as reason:
-            yield run.estimate(interaction=contact, detail=f"{run.detail} {reason}".strip())
-            return
         finally:
             self.seconds["fit"] += time.perf_counter() - start
-        detail = f"{run.detail} {doubts(found, self.estimator.settings.bounds)}".strip()
-        shown = simulated_motion(contact, found, self.mechanics)
-        yield run.estimate(interaction=contact, estimate=found, simulated=shown, detail=detail)
+        return found, simulated_motion(contact, found, self.mechanics), doubts(found, self.estimator.bounds)
 
 
 def simulated_motion(contact: Interaction, found: Estimate, mechanics: Mechanics) -> tuple[np.ndarray, np.ndarray]:
@@ -222,17 +194,16 @@ def doubts(found: Estimate, bounds: Bounds) -> str:
 def _fit(problem: ContactProblem, box: np.ndarray) -> Estimate:
     """Fit a problem's parameters, those of θ first, within their box, shape [2, D]."""
     low, high = box
+    prior = box_information(box)
     candidates = problem.candidates(low, high)
     paths = problem.coarse_paths(candidates)
-    prior = box_information(box)
-    optima = distinct(
-        [find_optimum(problem, start, low, high) for start in problem.best_starts(candidates, paths, low, high)]
-    )
-    draws = _sample(problem, optima, box, prior, candidates, paths)
+    starts = problem.best_starts(candidates, paths, low, high)
+    optima = distinct([find_optimum(problem, start, low, high) for start in starts])
+    draws = _sample(problem, optima, box, (candidates, paths))
     if draws.effective < TOO_FEW:
         # Most likely all starts have missed the best optimum, and some draw came near it.
         optima = distinct([*optima, find_optimum(problem, draws.likeliest, low, high)])
-        draws = _sample(problem, optima, box, prior, candidates, paths)
+        draws = _sample(problem, optima, box, (candidates, paths))
     mean, spread, best = combine(optima, prior)
     judges = mean[None]
     if draws.effective >= TOO_FEW:
@@ -248,7 +219,7 @@ def _fit(problem: ContactProblem, box: np.ndarray) -> Estimate:
         largest_misfit=LARGEST_MISFIT,
         at_bound=np.minimum(best.logs - low, high - best.logs)[:3] < AT_BOUND,
         expected_information=trusted_information([about_tissue(problem.information(logs), prior) for logs in judges]),
-        delays=problem.delays(mean),
+        delays=tuple((problem.within * mean[3:]).tolist()),
         delays_at_end=bool((np.abs(mean[3:]) > DELAY_AT_END).any()),
         view_angle=view_angle(problem.contact),
     )
@@ -259,30 +230,27 @@ def _fit(problem: ContactProblem, box: np.ndarray) -> Estimate:
 
 
 def _sample(
-    problem: ContactProblem,
-    optima: Sequence[Optimum],
-    box: np.ndarray,
-    prior: np.ndarray,
-    candidates: np.ndarray,
-    paths: np.ndarray,
+    problem: ContactProblem, optima: Sequence[Optimum], box: np.ndarray, known: tuple[np.ndarray, np.ndarray]
 ) -> Draws:
-    """The posterior around its optima; candidates [C, 3] with their motions [C, M, 3] are draws as well."""
+    """The posterior around its optima; known points [C, D] with their motions [C, N, 3] are draws as well."""
     # The coarse step's error hardly varies over the posterior.
     best = optima[0].logs
     coarse_error = problem.coarse_paths(best[None])[0] - problem.path(best)
-    direction, sigma = problem.direction, problem.sigma
+    direction, sigma, prior = problem.direction, problem.sigma, box_information(box)
     observed = (problem.moved + coarse_error) @ direction / sigma
+
+    def likelihoods(paths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return log_likelihoods(observed, paths @ direction / sigma)
+
     shares = np.maximum(evidence_shares(optima, prior), LEAST_SHARE)
     start = Mixture(
         shares / shares.sum(),
         np.array([optimum.logs for optimum in optima]),
         np.array([WIDER * np.linalg.inv(_tempered(optimum, len(observed)) + prior) for optimum in optima]),
     )
+    candidates, paths = known
     return sample_posterior(
-        lambda logs: log_likelihoods(observed, problem.coarse_paths(logs) @ direction / sigma),
-        box,
-        start,
-        (candidates, log_likelihoods(observed, paths @ direction / sigma)),
+        lambda logs: likelihoods(problem.coarse_paths(logs)), box, start, (candidates, likelihoods(paths))
     )
 
 

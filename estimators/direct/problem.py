@@ -1,12 +1,16 @@
-"""One observed contact as a least-squares problem: its likelihood, and where to start."""
+"""One observed contact as a least-squares problem: its likelihood, where to start, what explains it best."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from data.contact.interaction import Interaction
+from physics.identifiability import fisher_information
 from physics.likelihood import Likelihood
 from physics.load import Press
 from physics.mechanics import Mechanics
@@ -21,6 +25,12 @@ APART = 0.1
 """Starts are farther apart than this share of the box, in stiffness or damping: neighbours end in the same optimum."""
 COARSE_STEP = 0.005
 """Time step of simulations without derivatives [s]: off by up to 0.1 σ for the stiffest tissue."""
+TOLERANCE = 1e-6
+MOST_EVALUATIONS = 60
+SAME = 0.05
+"""Optima nearer to each other than this in every log-parameter are one."""
+NEGLIGIBLE = 1e-3
+"""Optima with less than this share of the likeliest one's evidence are left out."""
 
 
 class ContactProblem(Likelihood):
@@ -33,6 +43,8 @@ class ContactProblem(Likelihood):
     """
 
     load: Press
+    within = 0.0
+    """The press began, and ended, at most so long before or after the time stamps [s]; 0 = at them."""
 
     def __init__(self, contact: Interaction, mechanics: Mechanics, noise: float) -> None:
         observation = dataclasses.replace(contact.observation, noise=np.full(3, noise))
@@ -41,13 +53,6 @@ class ContactProblem(Likelihood):
         self.moved = observation.displacement[0].astype(np.float64)
         """Observed displacement, shape [N, 3]."""
         self.direction = np.asarray(contact.direction, np.float64)
-
-    def delays(self, logs: np.ndarray) -> tuple[float, ...]:
-        """Time from the stamps of the first frame in contact, and of the first one after it, to the true instants [s].
-
-        None of either where it is no parameter.
-        """
-        return ()
 
     def candidates(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
         """φ evenly spread over the box, shape [CANDIDATES, 3] (or with further parameters)."""
@@ -108,3 +113,61 @@ def _coarse(load: Press, coarse: int) -> Press:
     steps = -(-load.steps // coarse)
     loaded = min(round(float(load.factor.sum()) / coarse), steps)
     return dataclasses.replace(load, factor=(np.arange(steps) < loaded).astype(np.float64))
+
+
+class Optimum(NamedTuple):
+    """A local optimum of the misfit."""
+
+    logs: np.ndarray
+    """φ, shape [3]."""
+    cost: float
+    """Half of χ²."""
+    information: np.ndarray
+    """Fisher information of φ, shape [3, 3]."""
+
+
+def find_optimum(problem: ContactProblem, start: np.ndarray, low: np.ndarray, high: np.ndarray) -> Optimum:
+    """The optimum that a fit from φ = `start` [3] within the box [3], [3] ends in."""
+    end = least_squares(
+        problem.residual, start, problem.jacobian, (low, high), method="trf",
+        x_scale="jac", ftol=TOLERANCE, xtol=TOLERANCE, gtol=TOLERANCE, max_nfev=MOST_EVALUATIONS,
+    )  # fmt: skip
+    return Optimum(end.x, end.cost, fisher_information(end.jac, 1.0))
+
+
+def evidence_shares(optima: Sequence[Optimum], prior: np.ndarray) -> np.ndarray:
+    """Evidence of optima by Laplace's method relative to the likeliest, shape [O]; arguments as in `combine`."""
+    volumes = [-0.5 * np.linalg.slogdet(optimum.information + prior)[1] for optimum in optima]
+    logs = np.array([volume - optimum.cost for volume, optimum in zip(volumes, optima, strict=True)])
+    return np.exp(logs - logs.max())
+
+
+def combine(optima: Sequence[Optimum], prior: np.ndarray) -> tuple[np.ndarray, np.ndarray, Optimum]:
+    """Mean [3] and covariance [3, 3] of φ over several optima, and the likeliest of them.
+
+    Each optimum stands for a normal distribution whose share is its evidence by Laplace's method, exp(-χ²/2) times the
+    volume of φ that explains the data as well: a slightly worse fit of many φ can be likelier than the best of few.
+
+    Args:
+        optima: at least one.
+        prior: information of the admissible box, which limits that volume, shape [3, 3].
+    """
+    shares = evidence_shares(optima, prior)
+    shares = np.where(shares < NEGLIGIBLE, 0.0, shares)
+    shares /= shares.sum()
+    places = np.array([optimum.logs for optimum in optima])
+    mean = shares @ places
+    apart = np.einsum("o,op,oq->pq", shares, places - mean, places - mean)
+    within = sum(
+        share * np.linalg.inv(optimum.information + prior) for share, optimum in zip(shares, optima, strict=True)
+    )
+    return mean, within + apart, optima[int(np.argmax(shares))]
+
+
+def distinct(optima: Sequence[Optimum]) -> list[Optimum]:
+    """The optima without those that another start found as well, the best first."""
+    kept: list[Optimum] = []
+    for optimum in sorted(optima, key=lambda item: item.cost):
+        if all(np.abs(optimum.logs - other.logs).max() > SAME for other in kept):
+            kept.append(optimum)
+    return kept

@@ -58,10 +58,8 @@ class Mixture:
         """Log of share times density of every component at points [n, D], shape [n, K]."""
         size = points.shape[1]
         factors = np.linalg.cholesky(self.scales)
-        apart = np.stack(
-            [np.linalg.solve(factor, (points - mean).T) for mean, factor in zip(self.means, factors, strict=True)], 1
-        )
-        squares = np.square(apart).sum(axis=0).T
+        apart = np.linalg.solve(factors, np.swapaxes(points - self.means[:, None], 1, 2))
+        squares = np.square(apart).sum(axis=1).T
         log_volume = np.log(np.diagonal(factors, axis1=1, axis2=2)).sum(axis=1)
         constant = gammaln((FREEDOM + size) / 2) - gammaln(FREEDOM / 2) - size / 2 * math.log(FREEDOM * math.pi)
         with np.errstate(divide="ignore"):

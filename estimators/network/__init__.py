@@ -4,12 +4,3 @@ estimator  the exported network at work, a session a clip
 training   trains it without labels; `python -m estimators.network.training` is the door
 fits       observed motions with what explains them, for the fine stage of the training
 """
-
-from physics.lazy import exported
-
-__getattr__ = exported(
-    {
-        "estimators.network.estimator": ("NetworkEstimator", "NetworkSession"),
-        "estimators.network.training": ("TrainingError",),
-    }
-)

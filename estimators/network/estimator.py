@@ -4,28 +4,24 @@ from __future__ import annotations
 
 import math
 import time
-from collections import defaultdict
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
 from data.contact.features import contact_features
 from data.contact.interaction import Horizon, Interaction, InteractionBuilder
 from data.prepared import PreparedFrame
-from data.settings import PrepareSettings
 from data.windows import FrameWindow
-from estimators.arrow import force_arrow
-from estimators.contract import Chosen, ClipInfo, Said
+from estimators.contract import ClipInfo, Said
 from estimators.estimate import Estimate, FrameEstimate, NoEstimate, mixture
-from estimators.model_settings import preparation_settings, section
+from estimators.model_settings import ModelEstimator
 from estimators.oblique import effective_misfit, is_oblique, remark, view_angle, widened
 from estimators.onset import onset_error, onset_perturbations
-from estimators.runs import Run, RunTracker, frame_estimate
+from estimators.runs import Run, RunSession, force_arrow, frame_estimate
 from models.onnx_session import ModelFileError, PosteriorModel
 from physics.likelihood import Likelihood
 from physics.load import Press, held
-from physics.mechanics import Bounds, Mechanics, theta_of
+from physics.mechanics import Mechanics, theta_of
 from physics.msd.simulation import simulate
 
 LEAST_OBSERVATIONS = 2
@@ -43,7 +39,7 @@ EDGE = 0.02
 """A mean within this share of the box's end (in logarithms) lies at it."""
 
 
-class NetworkEstimator:
+class NetworkEstimator(ModelEstimator):
     """Runs an exported contact posterior over prepared clips.
 
     Args:
@@ -56,24 +52,17 @@ class NetworkEstimator:
     """
 
     name = "network"
+    model: PosteriorModel
 
     def __init__(self, model: PosteriorModel, onset: str, horizon: Horizon = None) -> None:
-        self.model, self.onset, self.horizon = model, onset, horizon
-        self.mechanics: Mechanics = section(model, "mechanics", Mechanics)
-        self.bounds: Bounds = section(model, "bounds", Bounds)
+        super().__init__(model)
+        self.onset, self.horizon = onset, horizon
+        self.described = {"name": self.name, "onset": onset, "horizon": horizon}
+        """What is not in the model's file."""
         self.press_seconds: tuple[float, float] = tuple(
             model.metadata.get("contact", {}).get("press_seconds", (0.0, math.inf))
         )
         """Shortest and longest press that the network was trained on [s]."""
-
-    @property
-    def described(self) -> dict[str, Any]:
-        """What is not in the model's file."""
-        return {"name": self.name, "onset": self.onset, "horizon": self.horizon}
-
-    def preparation(self, chosen: Chosen) -> PrepareSettings:
-        """As the model was trained, with what the user chooses otherwise."""
-        return preparation_settings(self.model, chosen)
 
     def start(self, clip: ClipInfo) -> NetworkSession:
         """Open a session."""
@@ -117,18 +106,14 @@ class NetworkEstimator:
         )
 
 
-class NetworkSession:
+class NetworkSession(RunSession):
     """One clip: an estimate for every frame in contact, and one for every whole run of contact."""
 
     def __init__(self, estimator: NetworkEstimator, clip: ClipInfo) -> None:
-        self.estimator, self.clip = estimator, clip
-        self.mechanics = estimator.mechanics.matched(1 / clip.fps)
-        """The trained simulator, its steps matched to the clip's frame rate."""
-        self.seconds: dict[str, float] = defaultdict(float)
-        """Time spent in `network` and `simulation` [s]."""
+        super().__init__(clip, estimator.mechanics, estimator.horizon)
+        self.estimator = estimator
         self._onset_error = onset_error(estimator.onset, clip.fps)
         self._window = FrameWindow(estimator.model.window)
-        self._runs = RunTracker(clip, self.mechanics.seconds)
         self._depths: list[tuple[float, np.ndarray]] = []
         """Depth windows of the run under way by the time since its onset [s], where the model looks at them."""
 
@@ -138,18 +123,17 @@ class NetworkSession:
         Raises:
             ModelFileError: the network gives a number that is not finite.
         """
-        depth = self._window.push(frame)
-        yield from self._ended(self._runs.push(frame))
+        depth = self._window.push(frame) if self.estimator.model.takes_depth else None
+        ended = self._runs.push(frame)
         run = self._runs.current
-        if run is not None and self.estimator.model.takes_depth and depth is not None:
+        yield from self._ended(ended)
+        if ended is not None:
+            self._depths.clear()
+        if run is not None and depth is not None:
             since = frame.frame.time_s - run.time_s
             if since < self.mechanics.seconds:
                 self._depths.append((since, depth))
         yield self._frame(frame, run, depth)
-
-    def finish(self) -> Iterator[Said]:
-        """The run that the clip's end has cut off."""
-        yield from self._ended(self._runs.finish())
 
     def estimate(self, contact: Interaction, depth: np.ndarray | None) -> Estimate:
         """Posterior of a contact from what was seen of it.
@@ -164,9 +148,7 @@ class NetworkSession:
         estimator, start = self.estimator, time.perf_counter()
         contacts = onset_perturbations(contact, self._onset_error, LEAST_OBSERVATIONS)
         features = [contact_features(each) for each in contacts]
-        window = (
-            np.repeat(depth[None], len(contacts), axis=0) if depth is not None and estimator.model.takes_depth else None
-        )
+        window = None if depth is None else np.repeat(depth[None], len(contacts), axis=0)
         found = estimator.model(np.stack(features), window)
         self.seconds["network"] += time.perf_counter() - start
         if not all(np.isfinite(values).all() for values in found):
@@ -189,36 +171,19 @@ class NetworkSession:
         try:
             found = self.estimate(self.estimator.told(contact), depth)
         except NoEstimate as reason:
-            return frame_estimate(frame, self.clip, verdict="undetermined", sentences=(str(reason),), whole=True)
+            return frame_estimate(frame, self.clip, verdict="undetermined", doubts=str(reason), whole=True)
         arrow = force_arrow(found.theta, frame.geometry, self.clip, self.estimator.bounds, contact.direction)
         lengths = self._lengths(found, contact, frame, run.builder)
-        return frame_estimate(frame, self.clip, found, lengths=lengths, sentences=_doubts(found), arrow=arrow)
+        return frame_estimate(frame, self.clip, found, lengths=lengths, doubts=_doubts(found), arrow=arrow)
 
-    def _ended(self, run: Run | None) -> Iterator[Said]:
-        """The estimate of a whole run."""
-        if run is None:
-            return
-        depths, self._depths = self._depths, []
-        if run.builder is None:
-            yield run.estimate(detail=run.unseen)
-            return
-        contact = run.builder.build(self.mechanics, self.estimator.horizon)
-        if len(contact.observation) == 0:
-            yield run.estimate(detail=run.unseen)
-            return
-        try:
-            told = self.estimator.told(contact)
-            last = told.observation.times[-1] + ROUNDING
-            depth = next((window for since, window in reversed(depths) if since <= last), None)
-            found = self.estimate(told, depth)
-        except NoEstimate as reason:
-            yield run.estimate(interaction=contact, detail=f"{run.detail} {reason}".strip())
-            return
+    def _whole(self, contact: Interaction) -> tuple[Estimate, tuple[np.ndarray, np.ndarray], str]:
+        told = self.estimator.told(contact)
+        last = told.observation.times[-1] + ROUNDING
+        depth = next((window for since, window in reversed(self._depths) if since <= last), None)
+        found = self.estimate(told, depth)
         path = simulate(found.theta, contact.mesh, contact.load.until(contact.steps), self.mechanics)
         times = self.mechanics.time_step * np.arange(1, len(path) + 1)
-        detail = " ".join(filter(None, (run.detail, *_doubts(found))))
-        along = path @ np.asarray(contact.direction, np.float64)
-        yield run.estimate(interaction=contact, estimate=found, simulated=(times, along), detail=detail)
+        return found, (times, path @ np.asarray(contact.direction, np.float64)), _doubts(found)
 
     def _lengths(
         self, found: Estimate, contact: Interaction, frame: PreparedFrame, seen: InteractionBuilder
@@ -238,6 +203,6 @@ class NetworkSession:
         return float(np.linalg.norm(path[-1])), observed
 
 
-def _doubts(found: Estimate) -> tuple[str, ...]:
+def _doubts(found: Estimate) -> str:
     """Sentences on what can't be trusted."""
-    return (UNEXPLAINED.format(found.misfit) if not found.explained else "", remark(found))
+    return f"{'' if found.explained else UNEXPLAINED.format(found.misfit)} {remark(found)}".strip()

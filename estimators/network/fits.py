@@ -13,11 +13,10 @@ from operator import itemgetter
 
 import numpy as np
 
-from data.contact.features import SLOTS, Surroundings, join_features, slot_times
+from data.contact.features import SLOTS, contact_surroundings, join_features, slot_times
 from data.contact.interaction import Interaction
 from data.synthetic.settings import SceneSettings
-from estimators.direct.optima import find_optimum
-from estimators.direct.problem import ContactProblem
+from estimators.direct.problem import ContactProblem, find_optimum
 from physics.mechanics import RECOMMENDED, Mechanics
 
 MECHANICS = Mechanics(scheme="dkd", window_error=1e-4)
@@ -58,15 +57,9 @@ class Fits:
     """Shape [N] [scene units]."""
 
     @classmethod
-    def of(
-        cls,
-        contacts: Sequence[Interaction],
-        surroundings: Sequence[Surroundings],
-        logs: Sequence[np.ndarray],
-        slopes: Sequence[np.ndarray],
-    ) -> Fits:
+    def of(cls, contacts: Sequence[Interaction], logs: Sequence[np.ndarray], slopes: Sequence[np.ndarray]) -> Fits:
         """Contacts without noise, with φ [3] of each and the slopes [SLOTS, 3] there."""
-        slots = slot_times() + 1e-9
+        slots, surroundings = slot_times() + 1e-9, [contact_surroundings(contact) for contact in contacts]
         return cls(
             motion=np.stack([-(contact.moved @ contact.direction) for contact in contacts]).astype(np.float64),
             logs=np.stack(logs),

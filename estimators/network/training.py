@@ -3,8 +3,8 @@
     python -m estimators.network.training --output runs/contact [--contacts 8000]
 
 The loss is the evidence bound: the trajectory residual with its σ is the likelihood, the admissible box the prior (a
-Gaussian with the box's mean and variance). It reads motions and noise levels, never θ; θ of held-out contacts is read
-by the logged evaluation alone. Four stages, because a rollout costs more than the network:
+Gaussian with the box's mean and variance). It reads motions and noise levels, never θ. Four stages, because a rollout
+costs more than the network:
  1. `rough`: rollouts at the network's own mean, with σ raised by a share of the motion: an under-damped response has an
     optimum for every number of swings, and only the wide view shows which is right.
  2. `fit`: every motion is explained once, by least squares from the network's estimate (or from several starts).
@@ -26,7 +26,7 @@ import json
 import math
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -57,18 +57,17 @@ from models.evidence import preconditioned
 from models.expected_bound import bound_loss
 from models.posterior import ContactPosterior
 from physics.files import replacing
-from physics.identifiability import bounds
 from physics.likelihood import Likelihood, Linearised
 
-WEIGHTS, UNFINISHED, LOG = "posterior.pt", "unfinished.pt", "training.jsonl"
-"""Files of the output folder; the second becomes the first when all is done."""
+WEIGHTS, LOG = "posterior.pt", "training.jsonl"
+"""Files of the output folder; the first appears when all is done."""
 CONTACTS_A_SCENE = 8
-HELD_OUT = 400
-"""Contacts that the logged evaluation reads."""
 LEAST_STEPS = 4
 """A stage's learning rate rises over three steps, and falls."""
+ROUGH_BATCH, ROUGH_RATE = 64, 1e-3
+"""Samples a step of the rough stage, and its largest learning rate."""
 FINE_BATCH, FINE_RATE = 512, 2e-3
-"""Samples a step of the last two stages, and their largest learning rate."""
+"""The same of the last two stages."""
 BLUR = 0.3, 0.03
 """σ of the rough stage is raised by this share of a contact's largest motion, at its beginning and its end."""
 
@@ -82,12 +81,6 @@ def widened(contact: Interaction, logs: np.ndarray, blur: float) -> Linearised:
     largest = float(np.linalg.norm(contact.moved, axis=1).max())
     observation = contact.observation.moved(contact.moved, math.hypot(contact.noise, blur * largest))
     return Likelihood(contact.mesh, contact.load, observation, MECHANICS, np.float32).linearise(logs)
-
-
-def noisy(contact: Interaction, noise: float, generator: np.random.Generator) -> Interaction:
-    """A contact without noise as it might have been observed, its errors along the force."""
-    error = generator.normal(0, noise, len(contact.observation))[:, None] * contact.direction
-    return dataclasses.replace(contact, observation=contact.observation.moved(contact.moved + error, noise))
 
 
 class Trainer:
@@ -104,28 +97,25 @@ class Trainer:
         self.threads = ThreadPoolExecutor()
 
     def draw(self) -> tuple[Interaction, np.ndarray]:
-        """A contact with Gaussian noise, and its features."""
+        """A contact with Gaussian noise along the force, and its features."""
         index = int(self.generator.integers(len(self.contacts)))
-        noise = math.exp(self.generator.uniform(*np.log(NOISE)))
-        seen = noisy(self.contacts[index].interaction, noise, self.generator)
+        contact, noise = self.contacts[index].interaction, math.exp(self.generator.uniform(*np.log(NOISE)))
+        error = self.generator.normal(0, noise, len(contact.observation))[:, None] * contact.direction
+        seen = dataclasses.replace(contact, observation=contact.observation.moved(contact.moved + error, noise))
         return seen, contact_features(seen, self.surroundings[index])
 
-    def rough(self, steps: int, batch_size: int, rate: float, advance: Callable[[int, float], None]) -> None:
-        """First stage: `advance(step, loss)` is called after each of its steps."""
-
-        def loss(step: int) -> Tensor:
-            blur = BLUR[0] * (BLUR[1] / BLUR[0]) ** (step / steps)
-            batch = [self.draw() for _ in range(batch_size)]
-            mean, factor = self.posterior(torch.from_numpy(np.stack([features for _, features in batch])))
-            contacts = [contact for contact, _ in batch]
-            found = list(self.threads.map(widened, contacts, mean.detach().numpy(), [blur] * len(contacts)))
-            gradient, information = (
-                _tensor([getattr(item, name) for item in found]) for name in ("gradient", "information")
-            )
-            box = self.posterior.lower, self.posterior.upper
-            return preconditioned(mean, factor, gradient, information, *box, whiten=False)
-
-        descend(self.posterior, loss, steps, rate, advance)
+    def rough_loss(self, done: float) -> Tensor:
+        """The evidence bound by rollouts at the means, a scalar; `done` is the share of the stage's steps before."""
+        blur = BLUR[0] * (BLUR[1] / BLUR[0]) ** done
+        batch = [self.draw() for _ in range(ROUGH_BATCH)]
+        mean, factor = self.posterior(torch.from_numpy(np.stack([features for _, features in batch])))
+        contacts = [contact for contact, _ in batch]
+        found = list(self.threads.map(widened, contacts, mean.detach().numpy(), [blur] * len(contacts)))
+        gradient, information = (
+            _tensor([getattr(item, name) for item in found]) for name in ("gradient", "information")
+        )
+        box = self.posterior.lower, self.posterior.upper
+        return preconditioned(mean, factor, gradient, information, *box, whiten=False)
 
     def fit(self, progress: Progress, workers: int | None = None) -> Fits:
         """Second stage: what explains every motion; motions that nothing explains are left out and counted.
@@ -146,41 +136,18 @@ class Trainer:
         with torch.no_grad():
             starts = self.posterior.eval()(torch.from_numpy(np.stack(quiet)))[0].double().numpy()
         self.posterior.train()
-        job = progress.add_task("fits", total=len(contacts))
-        found = []
         tasks = list(zip(contacts, starts, strict=True))
-        for result in run_tasks(fit_motion, tasks, workers, ordered=True):
-            found.append(result)
-            progress.advance(job)
-        kept = [index for index, (_, _, rms) in enumerate(found) if rms <= EXPLAINED]
-        print(f"{len(kept)} of {len(found)} motions explained to {EXPLAINED:g}")
-        if not kept:
+        fitted = run_tasks(fit_motion, tasks, workers, ordered=True)
+        found = list(progress.track(fitted, len(tasks), description="fits"))
+        explained = [
+            (contact, logs, slopes)
+            for contact, (logs, slopes, rms) in zip(contacts, found, strict=True)
+            if rms <= EXPLAINED
+        ]
+        print(f"{len(explained)} of {len(found)} motions explained to {EXPLAINED:g}")
+        if not explained:
             raise TrainingError("No motion could be explained; give more --contacts.")
-        return Fits.of(
-            [contacts[index] for index in kept],
-            [self.surroundings[index] for index in kept],
-            [found[index][0] for index in kept],
-            [found[index][1] for index in kept],
-        )
-
-    def fine(self, fits: Fits, steps: int, batch_size: int, rate: float, advance: Callable[[int, float], None]) -> None:
-        """Third stage, on fits: `advance(step, loss)` is called after each of its steps."""
-
-        def loss(_: int) -> Tensor:
-            return fine_loss(self.posterior, draw_observed(fits, batch_size, self.generator))
-
-        descend(self.posterior, loss, steps, rate, advance)
-
-    def learn_bound(
-        self, fits: Fits, steps: int, batch_size: int, rate: float, advance: Callable[[int, float], None]
-    ) -> None:
-        """Last stage, on fits: `advance(step, loss)` is called after each of its steps."""
-
-        def loss(_: int) -> Tensor:
-            drawn = draw_observed(fits, batch_size, self.generator)
-            return bound_loss(self.posterior.expected_bound_factor(torch.from_numpy(drawn.features)), drawn.information)
-
-        descend(self.posterior.expected_bound, loss, steps, rate, advance)
+        return Fits.of(*zip(*explained, strict=True))
 
 
 def fine_loss(posterior: ContactPosterior, drawn: Drawn) -> Tensor:
@@ -192,14 +159,13 @@ def fine_loss(posterior: ContactPosterior, drawn: Drawn) -> Tensor:
     return preconditioned(mean, factor, gradient, information, posterior.lower, posterior.upper)
 
 
-def descend(
-    network: nn.Module,
-    loss_of: Callable[[int], Tensor],
-    steps: int,
-    rate: float,
-    advance: Callable[[int, float], None],
-) -> None:
-    """Descend a network's loss, a function of the step's number; `advance(step, loss)` is called after each step."""
+def expected_loss(posterior: ContactPosterior, drawn: Drawn) -> Tensor:
+    """`bound_loss` of what the posterior expects, a scalar."""
+    return bound_loss(posterior.expected_bound_factor(torch.from_numpy(drawn.features)), drawn.information)
+
+
+def descend(network: nn.Module, loss_of: Callable[[int], Tensor], steps: int, rate: float) -> Iterator[float]:
+    """Descend a network's loss, a function of the step's number; gives it after each step."""
     optimizer = torch.optim.AdamW(network.parameters(), lr=rate, weight_decay=1e-4)
     rise = max(0.1, 3 / steps)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, rate, total_steps=steps, pct_start=rise)
@@ -210,39 +176,11 @@ def descend(
         torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
         optimizer.step()
         schedule.step()
-        advance(step, float(loss.detach()))
+        yield float(loss.detach())
 
 
 def _tensor(values) -> Tensor:
     return torch.as_tensor(np.asarray(values), dtype=torch.float32)
-
-
-@torch.no_grad()
-def evaluate(posterior: ContactPosterior, contacts: list[SimulatedContact], noise: float, seed: int) -> dict[str, list]:
-    """Root mean square log errors against bounds on held-out contacts, where the bounds are below 0.5.
-
-    And `expected`: the median of |log expected bound / bound|, where the bounds are below that as well.
-    """
-    generator = np.random.default_rng(seed)
-    errors, limits, scores, expected = [], [], [], []
-    for contact in contacts:
-        seen, truth = noisy(contact.interaction, noise, generator), np.log(np.abs(contact.theta))
-        features = torch.from_numpy(contact_features(seen))[None]
-        mean, factor = posterior(features)
-        expected.append(posterior.expected_bound_factor(features)[0].norm(dim=1).double().numpy())
-        error = mean[0].double().numpy() - truth
-        errors.append(error)
-        limits.append(bounds(widened(seen, truth, 0.0).information))
-        scores.append(error / (factor[0] @ factor[0].T).diagonal().sqrt().double().numpy())
-    errors, limits, scores, expected = (np.array(values) for values in (errors, limits, scores, expected))
-    pick = [limits[:, index] < 0.5 for index in range(3)]
-    return {
-        "rmse": [float(np.sqrt(np.mean(errors[k, i] ** 2))) for i, k in enumerate(pick)],
-        "bound": [float(np.sqrt(np.mean(limits[k, i] ** 2))) for i, k in enumerate(pick)],
-        "score": [float(np.sqrt(np.mean(scores[k, i] ** 2))) for i, k in enumerate(pick)],
-        "expected": [float(np.median(np.abs(np.log(expected[k, i] / limits[k, i])))) for i, k in enumerate(pick)],
-        "ratio_rmse": [float(np.sqrt(np.mean((errors[:, a] - errors[:, 1]) ** 2))) for a in (0, 2)],
-    }
 
 
 def _scene_contacts(task: tuple[SceneSettings, int, float]) -> list[SimulatedContact]:
@@ -266,11 +204,9 @@ def make_contacts(count: int, seed: int, progress: Progress, workers: int | None
     seeds = np.random.SeedSequence((seed, 0xC0)).generate_state(-(-count // CONTACTS_A_SCENE)).tolist()
     turns = [dataclasses.replace(SCENES, regime=regime) for regime in REGIMES]
     tasks = [(turns[number % len(turns)], scene, MECHANICS.time_step) for number, scene in enumerate(seeds)]
-    found: list[SimulatedContact] = []
-    job = progress.add_task("scenes", total=len(tasks))
-    for contacts in run_tasks(_scene_contacts, tasks, workers, ordered=True):
-        found += contacts
-        progress.advance(job)
+    drawn = run_tasks(_scene_contacts, tasks, workers, ordered=True)
+    scenes = progress.track(drawn, len(tasks), description="scenes")
+    found = [contact for contacts in scenes for contact in contacts]
     if not found:
         raise TrainingError("No contact could be drawn; give more --contacts or another --seed.")
     return found
@@ -284,11 +220,10 @@ def build_parser() -> argparse.ArgumentParser:
         epilog="Exit status: 0 done; 1 failed; 2 wrong usage; 130 interrupted.",
     )
     add = parser.add_argument
-    text = f"folder for {WEIGHTS} ({UNFINISHED} until all is done) and {LOG}"
-    add("--output", type=path_option, required=True, help=text)
+    add("--output", type=path_option, required=True, help=f"folder for {WEIGHTS} and {LOG}")
     add("--contacts", type=whole_number(1), default=8000, help="motions to train on (default %(default)s)")
-    steps, maybe = whole_number(LEAST_STEPS), whole_number(LEAST_STEPS, or_zero=True)
-    add("--rough-steps", type=maybe, default=2250, help="0 = none (default %(default)s)")
+    steps = whole_number(LEAST_STEPS)
+    add("--rough-steps", type=steps, default=2250, help="(default %(default)s)")
     add("--fine-steps", type=steps, default=12000, help="(default %(default)s)")
     add("--bound-steps", type=steps, default=4000, help="(default %(default)s)")
     add("--seed", type=whole_number(0), default=0, help="(default %(default)s)")
@@ -298,7 +233,7 @@ def build_parser() -> argparse.ArgumentParser:
 
 
 def train(options: argparse.Namespace) -> None:
-    """Train, evaluate, save.
+    """Train and save.
 
     Raises:
         OSError: the output folder can't be written.
@@ -307,35 +242,30 @@ def train(options: argparse.Namespace) -> None:
     """
     options.output.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(max(1, (os.cpu_count() or 1) // 2))
-    start, unfinished = time.time(), options.output / UNFINISHED
+    start = time.time()
     with progress_bars(Console()) as progress, (options.output / LOG).open("w") as log:
-        contacts = make_contacts(options.contacts, options.seed, progress, options.workers)
-        held_out = make_contacts(HELD_OUT, options.seed + 1, progress, options.workers)
-        trainer = Trainer(contacts, options.seed)
+        trainer = Trainer(make_contacts(options.contacts, options.seed, progress, options.workers), options.seed)
+        posterior = trainer.posterior
 
-        def stage(name: str, steps: int) -> Callable[[int, float], None]:
-            job = progress.add_task(name, total=steps)
-
-            def advance(step: int, loss: float) -> None:
-                progress.advance(job)
-                if (step + 1) % max(1, steps // 10) == 0:
-                    report = evaluate(trainer.posterior.eval(), held_out, 1e-3, 3)
-                    trainer.posterior.train()
-                    row = {"stage": name, "step": step + 1, "seconds": round(time.time() - start), "loss": loss}
-                    log.write(json.dumps(row | report) + "\n")
+        def stage(name: str, network: nn.Module, loss_of: Callable[[int], Tensor], steps: int, rate: float) -> None:
+            losses = progress.track(descend(network, loss_of, steps, rate), steps, description=name)
+            for step, loss in enumerate(losses, start=1):
+                if step % max(1, steps // 10) == 0:
+                    row = {"stage": name, "step": step, "seconds": round(time.time() - start), "loss": loss}
+                    log.write(json.dumps(row) + "\n")
                     log.flush()
-                    torch.save(trainer.posterior.state_dict(), unfinished)
 
-            return advance
+        def drawn() -> Drawn:
+            return draw_observed(fits, FINE_BATCH, trainer.generator)
 
-        if options.rough_steps:
-            trainer.rough(options.rough_steps, 64, 1e-3, stage("rough", options.rough_steps))
+        steps = options.rough_steps
+        stage("rough", posterior, lambda step: trainer.rough_loss(step / steps), steps, ROUGH_RATE)
         fits = trainer.fit(progress, options.workers)
-        trainer.fine(fits, options.fine_steps, FINE_BATCH, FINE_RATE, stage("fine", options.fine_steps))
-        trainer.learn_bound(fits, options.bound_steps, FINE_BATCH, FINE_RATE, stage("bound", options.bound_steps))
+        stage("fine", posterior, lambda _: fine_loss(posterior, drawn()), options.fine_steps, FINE_RATE)
+        bound = posterior.expected_bound
+        stage("bound", bound, lambda _: expected_loss(posterior, drawn()), options.bound_steps, FINE_RATE)
     with replacing(options.output / WEIGHTS) as weights:
-        torch.save(trainer.posterior.state_dict(), weights)
-    unfinished.unlink(missing_ok=True)
+        torch.save(posterior.state_dict(), weights)
     print(f"{options.output}/{WEIGHTS} written after {(time.time() - start) / 3600:.2f} h")
 
 

@@ -26,7 +26,7 @@ from data.synthetic.settings import SceneSettings
 from data.synthetic.source import open_synthetic
 from data.synthetic.truth import Motion
 from estimators.contract import ClipInfo
-from estimators.direct.estimator import DirectSettings
+from estimators.direct.estimator import FITTED
 from estimators.estimate import Estimate, InteractionEstimate
 from estimators.oblique import is_oblique
 from estimators.runs import RunTracker
@@ -40,7 +40,7 @@ PREPARE = PrepareSettings(
     depth=DepthSettings(source="stored"), geometry=GeometrySettings(smoothing=4, rigid_motion="subtract")
 )
 """How all clips are prepared."""
-MECHANICS = DirectSettings().mechanics
+MECHANICS = FITTED
 """Simulator of the bound."""
 OK = "ok"
 

@@ -29,14 +29,6 @@ def test_whole_numbers_have_ends(text: str, said: str) -> None:
         whole_number(3, 9)("x")
 
 
-def test_nought_may_stand_for_none() -> None:
-    maybe = whole_number(3, or_zero=True)
-    assert [maybe(text) for text in ("0", "3", str(2**63 - 1))] == [0, 3, 2**63 - 1]
-    for text, said in (("1", "1 is less than 3 and not 0"), (str(2**63), "is more than 9223372036854775807")):
-        with pytest.raises(argparse.ArgumentTypeError, match=said):
-            maybe(text)
-
-
 @pytest.mark.parametrize("text", ["x", "nan", "inf", "-inf", "0.4"])
 def test_real_numbers_are_finite_and_have_a_lower_end(text: str) -> None:
     width = real_number("a width; give 0.5 or more", 0.5)

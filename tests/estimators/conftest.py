@@ -14,7 +14,7 @@ from data.synthetic.clip import SyntheticClip, make_clip
 from data.synthetic.settings import SceneSettings
 from data.synthetic.source import open_synthetic
 from estimators.network.fits import BOUNDS, MECHANICS
-from models.onnx_export import export_posterior
+from models.onnx_export import export
 from models.onnx_session import PosteriorModel
 from models.posterior import ContactPosterior
 from tests.estimators.sessions import SIZE, clip_info
@@ -47,5 +47,5 @@ def posterior(tmp_path_factory: pytest.TempPathFactory) -> PosteriorModel:
         observation="trajectory",
         contact={"press_seconds": (0.24, 0.48)},
     )
-    export_posterior(ContactPosterior(FEATURES, torch.tensor(BOUNDS.log_box), width=16, blocks=1), path, document)
+    export(ContactPosterior(FEATURES, torch.tensor(BOUNDS.log_box), width=16, blocks=1), path, document)
     return PosteriorModel(path)

@@ -16,15 +16,12 @@ from estimators.estimate import (
     Estimate,
     FrameEstimate,
     mixture,
-    moment_matched,
 )
 from physics.identifiability import LIMIT
 from physics.mechanics import PARAMETERS
 
 THETA = np.array([0.5, 0.06, -0.1])
 CORRELATED = np.array([[0.10, 0.08, 0.05], [0.08, 0.12, 0.06], [0.05, 0.06, 0.20]])
-MEANS = np.array([[0.0, 1.0], [2.0, -1.0], [1.0, 0.5]])
-FACTORS = np.array([[[1.0, 0.0], [0.5, 0.3]], [[0.2, 0.0], [0.0, 2.0]], [[1.0, 0.0], [-0.4, 0.1]]])
 
 
 def test_everything_unknown_is_none() -> None:
@@ -138,17 +135,6 @@ def test_a_ratio_known_to_the_last_digit_has_no_width() -> None:
     numbers = Estimate(THETA, covariance, expected_information=np.eye(3)).numbers()
     assert numbers["damping_over_stiffness_sd"] == 0
     assert numbers["damping_over_stiffness_low"] == numbers["damping_over_stiffness_high"] == pytest.approx(0.12)
-
-
-def test_a_mixture_has_the_mean_and_covariance_of_its_draws() -> None:
-    """Of which every distribution gives as many."""
-    generator = np.random.default_rng(0)
-    draws = np.concatenate(
-        [mean + generator.normal(size=(200_000, 2)) @ f.T for mean, f in zip(MEANS, FACTORS, strict=True)]
-    )
-    mean, covariance = moment_matched(MEANS, FACTORS @ FACTORS.transpose(0, 2, 1))
-    np.testing.assert_allclose(mean, draws.mean(axis=0), atol=0.01)
-    np.testing.assert_allclose(covariance, np.cov(draws.T), atol=0.02)
 
 
 def test_estimates_of_one_contact_are_one() -> None:

@@ -14,7 +14,7 @@ def test_off_by_default():
 
 
 def test_same_seed_same_disturbance_and_the_global_random_state_is_left_alone():
-    augmentation = WindowAugmentation(AugmentationSettings(noise=0.01, erasing=0.5))
+    augmentation = WindowAugmentation(AugmentationSettings(noise=0.01))
     window = torch.rand(4, 2, 24, 32)
     torch.manual_seed(5)
     before = torch.get_rng_state()
@@ -32,19 +32,6 @@ def test_noise_has_the_given_spread_and_keeps_holes():
     assert (disturbed[..., 10:] - 0.5).std().item() == pytest.approx(0.02, rel=0.05)
 
 
-def test_erasing_removes_the_same_rectangle_from_all_frames_of_a_window():
-    window = torch.full((3, 2, 60, 60), 0.5)
-    settings = AugmentationSettings(erasing=1.0, erased_area=(0.05, 0.1))
-    erased = WindowAugmentation(settings)(window, seed=0) == 0
-    assert torch.equal(erased[:, 0], erased[:, 1])
-    parts = erased[:, 0].float().mean(dim=(1, 2))
-    assert ((parts > 0.03) & (parts < 0.13)).all()
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [({"noise": -1.0}, "noise"), ({"erasing": 1.5}, "erasing"), ({"erased_area": (0.2, 0.1)}, "erased_area")],
-)
-def test_impossible_settings_are_refused(settings: dict, message: str):
-    with pytest.raises(ValueError, match=f"augmentation.{message}"):
-        AugmentationSettings(**settings)
+def test_an_impossible_noise_is_refused():
+    with pytest.raises(ValueError, match=r"augmentation\.noise is -1\.0"):
+        AugmentationSettings(noise=-1.0)

@@ -8,7 +8,8 @@ import torch
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from models.expected_bound import FARTHEST, ExpectedBound, bound_loss
+from models.expected_bound import FARTHEST, bound_loss
+from models.posterior import ExpectedBound
 from physics.identifiability import LIMIT, bounds, covariance, ratio_bounds
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -146,16 +147,15 @@ def test_warnings_name_sources_the_model_was_not_trained_on(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("calibration", "told"),
     [
-        (None, [UNCALIBRATED]),
         (Calibration(), [UNCALIBRATED]),
         (Calibration(Widths(power=(1.0, 0.8, 1.0))), []),
     ],
 )
 def test_intervals_that_were_never_calibrated_are_warned_of(
-    calibration: Calibration | None, told: list[str], tmp_path: Path
+    calibration: Calibration, told: list[str], tmp_path: Path
 ) -> None:
     path = write_clip(tmp_path / "clip", 3, 1)
-    document = metadata() | ({} if calibration is None else {"calibration": calibration.document()})
+    document = metadata() | {"calibration": asdict(calibration)}
     model = PosteriorModel(write_posterior(tmp_path / "contact.onnx", document, 10))
     source = open_source(path, ClipLayout())
     assert warnings_of(source, [], model, {"depth": "stored", "masks": "annotation"}) == told

@@ -11,11 +11,10 @@ from data.contact.interaction import Interaction
 from data.prepared import PreparedFrame
 from estimators.direct import error_model
 from estimators.direct import estimator as direct
-from estimators.direct import optima as contact_optima
+from estimators.direct import problem as contact_problem
 from estimators.direct.error_model import log_likelihoods
-from estimators.direct.estimator import WHOLE, DirectEstimator, DirectSettings, trusted_information
-from estimators.direct.optima import Optimum, combine
-from estimators.direct.problem import ContactProblem
+from estimators.direct.estimator import WHOLE, DirectEstimator, trusted_information
+from estimators.direct.problem import ContactProblem, Optimum, combine
 from estimators.direct.sampling import Draws, sample_posterior
 from estimators.estimate import Estimate, NoEstimate
 from estimators.oblique import HIDDEN_ERROR
@@ -32,7 +31,6 @@ from tests.estimators.sessions import clip_info, follow, prepared_frame, touched
 from tests.physics.sheets import sheet
 
 MECHANICS = Mechanics(time_step=0.0025, steps=400, scheme="dkd")
-SETTINGS = DirectSettings(mechanics=MECHANICS)
 STEPS = 16 * np.arange(1, 16) - 1
 """Frames at 25 Hz for 0.6 s."""
 LOAD = 128
@@ -89,10 +87,11 @@ def told(contact: Interaction, noise: float) -> Interaction:
     return dataclasses.replace(contact, observation=contact.observation.moved(contact.moved, noise))
 
 
-def fit(contact: Interaction, settings: DirectSettings = SETTINGS, within: float = 0.0) -> Estimate:
+def fit(contact: Interaction, within: float = 0.0, **options) -> Estimate:
     """An estimate of a press that began at its time stamp, or within so many seconds of it."""
-    session = DirectEstimator(settings, BETWEEN if within else STAMP).start(clip_info(1 / (within or 0.04)))
-    assert session.mechanics == settings.mechanics
+    estimator = DirectEstimator(BETWEEN if within else STAMP, mechanics=MECHANICS, **options)
+    session = estimator.start(clip_info(1 / (within or 0.04)))
+    assert session.mechanics == MECHANICS
     return session.fit(contact)
 
 
@@ -125,7 +124,7 @@ def test_the_covariance_is_near_the_inverse_information_where_little_is_unknown(
     np.testing.assert_allclose(estimate.log_sd, np.sqrt(np.diag(estimate.covariance)))
     np.testing.assert_allclose(bounds(estimate.information), bounds(expected), rtol=0.05)
     # Twice the noise, twice the uncertainty.
-    wider = fit(contact_of(theta), dataclasses.replace(SETTINGS, noise=2 * NOISE))
+    wider = fit(contact_of(theta), noise=2 * NOISE)
     np.testing.assert_allclose(wider.log_sd, 2 * estimate.log_sd, rtol=0.15)
     assert wider.noise == 2 * NOISE
 
@@ -154,7 +153,7 @@ def test_a_motion_that_the_model_cannot_explain_widens_the_posterior() -> None:
     """Noise eight times as large as it is said to be."""
     theta = REGIMES["critical"]
     good, bad = (fit(contact_of(theta, noise, seed=2)).log_sd for noise in (NOISE, 8 * NOISE))
-    unsuspecting = fit(contact_of(theta, 8 * NOISE, seed=2), dataclasses.replace(SETTINGS, noise=NOISE))
+    unsuspecting = fit(contact_of(theta, 8 * NOISE, seed=2), noise=NOISE)
     assert unsuspecting.misfit > 5
     assert (unsuspecting.log_sd > 1.9 * good).all()
     assert (unsuspecting.log_sd < 1.5 * bad).all()
@@ -171,7 +170,7 @@ def test_a_press_aslant_to_the_line_of_sight_widens_the_posterior() -> None:
     assert found.view_angle == pytest.approx(12, abs=0.01)
     assert (facing.verdict, found.verdict) == ("determined", "undetermined")
     np.testing.assert_allclose(np.log(found.theta / facing.theta), 0, atol=0.01)
-    low, high = SETTINGS.bounds.log_box
+    low, high = RECOMMENDED.log_box
     scaled = found.information * (NOISE / HIDDEN_ERROR) ** 2
     added = np.linalg.inv(scaled + np.diag(12 / (high - low) ** 2))
     np.testing.assert_allclose(found.covariance, facing.covariance + added, atol=1e-3)
@@ -183,14 +182,13 @@ def test_errors_are_as_large_as_claimed() -> None:
 
     16 contacts with three parameters that hang together: known to about √(2/16) = 35 %.
     """
-    settings = dataclasses.replace(SETTINGS, bounds=NARROW)
-    low, high = settings.bounds.log_box
+    low, high = NARROW.log_box
     generator = np.random.default_rng(5)
     ratios, misfits = [], []
     for seed in range(16):
         logs = generator.uniform(low, high)
         noise = 1e-3
-        estimate = fit(contact_of(tuple(theta_of(logs)), noise, seed=seed), settings)
+        estimate = fit(contact_of(tuple(theta_of(logs)), noise, seed=seed), bounds=NARROW)
         ratios.append((np.log(np.abs(estimate.theta)) - logs) / estimate.log_sd)
         misfits.append(estimate.misfit)
     squares = np.square(ratios).mean(axis=0)
@@ -203,16 +201,15 @@ def test_errors_are_as_large_as_claimed() -> None:
 @pytest.mark.slow
 def test_errors_are_as_large_as_claimed_where_the_instants_are_unknown() -> None:
     """θ and both delays from their priors: 16 contacts, as above."""
-    within, step = 0.02, SETTINGS.mechanics.time_step
-    settings = dataclasses.replace(SETTINGS, bounds=NARROW)
-    low, high = settings.bounds.log_box
+    within, step = 0.02, MECHANICS.time_step
+    low, high = NARROW.log_box
     generator = np.random.default_rng(6)
     ratios = []
     for seed in range(16):
         logs = generator.uniform(low, high)
         began, ended = generator.integers(-round(within / step), round(within / step) + 1, 2)
         contact = contact_of(tuple(theta_of(logs)), 1e-3, seed=seed, delays=(began, ended))
-        estimate = fit(contact, settings, within)
+        estimate = fit(contact, within, bounds=NARROW)
         ratios.append((np.log(np.abs(estimate.theta)) - logs) / estimate.log_sd)
     squares = np.square(ratios).mean(axis=0)
     assert (squares > 0.35).all()
@@ -221,12 +218,10 @@ def test_errors_are_as_large_as_claimed_where_the_instants_are_unknown() -> None
 
 def test_mean_and_covariance_are_those_of_the_posterior_on_a_grid() -> None:
     """An over-damped contact whose ridge the box cuts off, against 16³ rollouts."""
-    settings = dataclasses.replace(
-        SETTINGS, bounds=Bounds((0.1, 0.4), (0.03, 0.12), (-0.12, -0.03), initial=(0.2, 0.06, -0.06))
-    )
+    small = Bounds((0.1, 0.4), (0.03, 0.12), (-0.12, -0.03), initial=(0.2, 0.06, -0.06))
     contact = contact_of(REGIMES["over-damped"], 4e-3, seed=7)
-    estimate = fit(contact, settings)
-    low, high = settings.bounds.log_box
+    estimate = fit(contact, bounds=small)
+    low, high = small.log_box
     problem = ContactProblem(contact, MECHANICS, contact.noise)
     axes = [low[axis] + (np.arange(16) + 0.5) / 16 * (high[axis] - low[axis]) for axis in range(3)]
     logs = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -273,7 +268,7 @@ def test_an_optimum_that_the_starts_missed_is_found_from_the_likeliest_draw(monk
 
     monkeypatch.setattr(direct, "sample_posterior", first_fails)
     monkeypatch.setattr(ContactProblem, "best_starts", lambda *_: np.log([[0.06, 0.4, 0.02]]))
-    monkeypatch.setattr(contact_optima, "MOST_EVALUATIONS", 2)
+    monkeypatch.setattr(contact_problem, "MOST_EVALUATIONS", 2)
     estimate = fit(contact_of(tuple(theta)))
     assert len(known) == 2
     assert np.abs(known[0] - truth).max(axis=1).min() > 0.5
@@ -298,10 +293,8 @@ def test_most_draws_must_agree_that_a_contact_determines_its_parameters() -> Non
 
 
 def test_parameters_outside_the_ranges_are_said_to_be_at_their_end() -> None:
-    narrow = dataclasses.replace(
-        SETTINGS, bounds=dataclasses.replace(RECOMMENDED, stiffness=(0.05, 0.3), initial=(0.2, 0.08, -0.1))
-    )
-    estimate = fit(contact_of(REGIMES["under-damped"]), narrow)
+    narrow = dataclasses.replace(RECOMMENDED, stiffness=(0.05, 0.3), initial=(0.2, 0.08, -0.1))
+    estimate = fit(contact_of(REGIMES["under-damped"]), bounds=narrow)
     assert estimate.theta[0] == pytest.approx(0.3, rel=0.02)
     assert estimate.theta[0] < 0.3
     assert estimate.at_bound.tolist() == [True, False, False]
@@ -313,7 +306,7 @@ def test_no_estimate_says_why() -> None:
     unknown = told(contact, float("nan"))
     with pytest.raises(NoEstimate, match="noise isn't known; set geometry"):
         fit(unknown)
-    assert fit(unknown, dataclasses.replace(SETTINGS, noise=NOISE)).misfit == pytest.approx(0, abs=0.01)
+    assert fit(unknown, noise=NOISE).misfit == pytest.approx(0, abs=0.01)
     with pytest.raises(NoEstimate, match="followed over 2 frames after its onset; 3 are needed"):
         fit(contact.observed(np.arange(2)))
 
@@ -330,7 +323,7 @@ def test_no_estimate_says_why() -> None:
 )
 def test_impossible_settings_are_refused(wrong: dict, words: str) -> None:
     with pytest.raises(ValueError, match=words):
-        DirectSettings(**wrong)
+        DirectEstimator(STAMP, **wrong)
 
 
 def frames_of(contact: Interaction, followed: int) -> list[PreparedFrame]:
@@ -358,7 +351,9 @@ def frames_of(contact: Interaction, followed: int) -> list[PreparedFrame]:
 )
 def test_a_clips_contacts_are_fitted_when_they_have_ended(followed: int, status: str, words: str) -> None:
     contact = contact_of(REGIMES["critical"])
-    frames, (found,) = follow(DirectEstimator(SETTINGS, STAMP).start(clip_info()), frames_of(contact, followed))
+    frames, (found,) = follow(
+        DirectEstimator(STAMP, mechanics=MECHANICS).start(clip_info()), frames_of(contact, followed)
+    )
     assert (found.onset, found.onset_frame, found.load_s) == (0, 0, pytest.approx(0.32))
     assert [frame.detail for frame in frames] == [WHOLE] * 8 + [""] * (len(frames) - 8)
     assert words in found.detail

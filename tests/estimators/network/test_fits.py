@@ -32,7 +32,7 @@ def test_fits_hold_what_they_are_made_of(contacts: list[SimulatedContact]) -> No
     around = [contact_surroundings(each) for each in pressed]
     logs = [np.array([-1.0, -3.0, -2.0]), np.array([-2.0, -4.0, -3.0])]
     slopes = [np.full((SLOTS, 3), 0.1), np.full((SLOTS, 3), 0.2)]
-    fits = Fits.of(pressed, around, logs, slopes)
+    fits = Fits.of(pressed, logs, slopes)
     np.testing.assert_array_equal(fits.logs, logs)
     np.testing.assert_array_equal(fits.slopes, slopes)
     np.testing.assert_array_equal(fits.spacing, [item.spacing for item in around])

@@ -232,4 +232,5 @@ def test_real_stereo_sequence_runs_by_configuration(real_data, tmp_path):
     settings = PrepareSettings(layout=layout, geometry=GeometrySettings())
     clip = prepare(real_data / "recover_tissue", settings, tmp_path)
     assert clip.counts["ok"] == 16
-    assert clip.camera.fx == pytest.approx(732.25 * 214 / 740)
+    camera = ClipStream(open_source(real_data / "recover_tissue", layout), settings).camera
+    assert camera.fx == pytest.approx(732.25 * 214 / 740)

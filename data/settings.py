@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 from data.contact.geometry import GeometrySettings
 from data.depth.normalise import DepthSettings
@@ -38,3 +38,7 @@ class PrepareSettings:
             raise ValueError(f"bridge_frames is {self.bridge_frames}; give 0 or more.")
         if not (math.isfinite(self.track_seconds) and self.track_seconds >= 0):
             raise ValueError(f"track_seconds is {self.track_seconds}; give a number of seconds of at least 0.")
+
+
+NUMBERS = tuple(item.name for item in fields(PrepareSettings) if type(item.default) in (int, float))
+"""Its fields that are plain numbers; exported models carry them by these names."""

@@ -15,7 +15,7 @@ from data.depth.normalise import DepthSettings
 from data.depth.preset import resolve_model
 from data.masks.onnx import OnnxMasks
 from data.masks.sources import MaskClasses, mask_model
-from data.settings import PrepareSettings
+from data.settings import NUMBERS, PrepareSettings
 from estimators.contract import Chosen
 from models.onnx_session import ExportedModel, ModelFileError
 from physics.fields import fits
@@ -65,8 +65,7 @@ def preparation_settings(model: ExportedModel, chosen: Chosen) -> PrepareSetting
         # Clips without annotation are the rule outside training.
         masks = "auto" if masks == "annotation" else masks
         _require_file(model, "masks", masks)
-    names = ("bridge_frames", "track_seconds")
-    settings: dict[str, Any] = {name: model.metadata[name] for name in names if name in model.metadata}
+    settings: dict[str, Any] = {name: model.metadata[name] for name in NUMBERS if name in model.metadata}
     settings |= {
         "depth": dataclasses.replace(depth, **given),
         "geometry": section(model, "geometry", GeometrySettings),

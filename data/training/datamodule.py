@@ -17,7 +17,7 @@ from torch.utils.data.distributed import DistributedSampler
 
 from data.cache import PreparedClip
 from data.contact.interaction import Interaction
-from data.settings import PREPROCESSING_VERSION, PrepareSettings
+from data.settings import NUMBERS, PREPROCESSING_VERSION, PrepareSettings
 from data.source.layout import ClipLayout, InputError, load_layout
 from data.training.batches import SampleDataset, collate
 from data.training.cholecseg8k import list_clips
@@ -171,8 +171,7 @@ class ClipDataModule(LightningDataModule):
             "trained_on": self.trained_on,
             "classes": dataclasses.asdict(self.preparation.classes),
             "observation": self.samples.observation,
-            "bridge_frames": self.preparation.bridge_frames,
-            "track_seconds": self.preparation.track_seconds,
+            **{name: getattr(self.preparation, name) for name in NUMBERS},
         }
 
     def _load(self, *, show: bool) -> list[PreparedClip]:

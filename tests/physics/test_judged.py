@@ -1,4 +1,4 @@
-"""What was asked of the rollout as a whole: memory, growth with the mesh, several processes, bounds."""
+"""What was asked of the rollout as a whole: memory, several processes, bounds."""
 
 from __future__ import annotations
 
@@ -6,13 +6,12 @@ import os
 import subprocess
 import sys
 import textwrap
-import time
 from pathlib import Path
 
 import pytest
 import torch
 
-from benchmarks.rollout import Task, forward, make_task, peak_memory, take_turn, total
+from benchmarks.rollout import make_task, peak_memory, take_turn
 from physics import jit
 from physics.msd.rollouts import rollout
 from tests.physics.batches import batch_of
@@ -30,26 +29,6 @@ def test_forward_and_gradient_of_two_meshes_take_under_40_mb(name):
     assert len(task.mesh.vertices) > 2 * 14_000
     take_turn(name, 2, task)
     assert peak_memory(name, 2, task) < 40
-
-
-def fastest(work, name: str, task: Task, count: int) -> float:
-    durations = []
-    for _ in range(count):
-        start = time.perf_counter()
-        work(name, task)
-        durations.append(time.perf_counter() - start)
-    return min(durations)
-
-
-def test_cost_is_linear_in_vertices_for_the_field_and_nearly_flat_for_a_windowed_contact():
-    times = {}
-    for scale in (1, 16):
-        task = make_task(1, scale)
-        times[scale] = fastest(forward, "numba field", task, 3), fastest(total, "numba window", task, 4)
-    # Linear, with room for what no longer fits the cache, and for an output of 16 times the size.
-    assert times[16][0] < 2.5 * 16 * times[1][0]
-    # All that grows is reading the mesh.
-    assert times[16][1] < 4 * times[1][1]
 
 
 def test_distributed_training_has_the_gradient_of_one_process(tmp_path):

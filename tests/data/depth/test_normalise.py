@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -338,9 +337,7 @@ def test_real_clip_by_the_shipped_model(real_data):
     settings_ = DepthSettings(scale_samples=4)
     depth = open_depth(settings_, layout, source)
     scale, _ = estimate_scale(source, depth, settings_)
-    started = time.perf_counter()
     z = normalise(depth(next(iter(source))), scale)
-    assert time.perf_counter() - started < 2
     assert z.shape == (480, 854)
     # 15 % of the picture is black outside the endoscope's circle.
     assert 0.5 < (z > 0).mean() < 0.97

@@ -14,13 +14,13 @@ if __name__ == "__main__":
     enter_door()  # before the slow imports
 
 import argparse
-from importlib.metadata import version
 
 from data.command_line import path_option, real_number, whole_number
 from data.depth.preset import preset_names
 from estimators.direct.estimator import LEAST_SIGMA, SMOOTHING
 from estimators.onset import ONSETS
 from estimators.open import NAMES
+from results.record import program_version
 from results.run import run
 
 
@@ -49,7 +49,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--layout", type=path_option, metavar="FILE", help=text)
     text = "camera (YAML or JSON) for clips that bring none of their own"
     add("--camera", type=path_option, metavar="FILE", help=text)
-    add("--threads", type=whole_number(0), default=0, metavar="N", help="CPU threads; 0 = all (default)")
+    add("--threads", type=whole_number(0, 2**31 - 1), default=0, metavar="N", help="CPU threads; 0 = all (default)")
     add("--overwrite", action="store_true", help="compute all clips again and replace earlier results")
     add("--debug", action="store_true", help="stop at the first failure with its traceback")
     text = (
@@ -73,7 +73,7 @@ def _parser() -> argparse.ArgumentParser:
     noise = real_number(f"a noise above the simulator's own error; give {LEAST_SIGMA:g} or more", LEAST_SIGMA)
     add("--noise", type=noise, metavar="X", help="of direct: noise of the depth [scene units] (default: as measured)")
     add("--no-overlay", dest="overlay", action="store_false", help="leave the overlay video out")
-    add("--version", action="version", version=f"palpate {version('palpate')}")
+    add("--version", action="version", version=f"palpate {program_version()}")
     return parser
 
 

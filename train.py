@@ -29,7 +29,7 @@ os.environ.setdefault("MLFLOW_LOGGING_LEVEL", "WARNING")
 
 import yaml
 from lightning.pytorch import LightningModule, Trainer
-from lightning.pytorch.callbacks import ModelCheckpoint
+from lightning.pytorch.callbacks import ModelCheckpoint, TQDMProgressBar
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI, SaveConfigCallback
 from lightning.pytorch.loggers import CSVLogger, MLFlowLogger
 from lightning.pytorch.utilities import disable_possible_user_warnings
@@ -207,7 +207,11 @@ class TrainCLI(LightningCLI):
             ModelCheckpoint(checkpoint_folder(folder), name, save_on_train_epoch_end=True, **always, **when)
             for name, when in CHECKPOINTS.items()
         ]
-        config.trainer.callbacks = [*(config.trainer.callbacks or []), *checkpoints]
+        given = config.trainer.callbacks or []
+        given = given if isinstance(given, list) else [given]
+        # Lightning's own bar is rich's where that is installed, which says nothing while its output is no terminal.
+        bars = [] if config.trainer.enable_progress_bar is False else [TQDMProgressBar()]
+        config.trainer.callbacks = [*given, *checkpoints, *bars]
         return super().instantiate_trainer(**kwargs)
 
     def after_test(self) -> None:

@@ -172,7 +172,7 @@ class CacheEntry:
             clip = PreparedClip(self.folder, path, self.name, sources, **columns)
             if all(zipfile.is_zipfile(_frame_file(self.folder, index)) for index in range(len(clip))):
                 return clip
-        except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
+        except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
             pass
         shutil.rmtree(self.folder, ignore_errors=True)
         return None

@@ -40,11 +40,14 @@ def path_option(text: str) -> Path:
 def whole_number(least: int, most: int = LARGEST_NUMBER) -> Callable[[str], int]:
     """Type of an option that takes whole numbers from `least` to `most`.
 
-    The type raises ArgumentTypeError or ValueError, as argparse wants it.
+    The type raises ArgumentTypeError, as argparse wants it.
     """
 
     def whole(text: str) -> int:
-        value = int(text)
+        try:
+            value = int(text)
+        except ValueError:
+            raise argparse.ArgumentTypeError(f"'{text}' is not a whole number") from None
         if value < least:
             raise argparse.ArgumentTypeError(f"{value} is less than {least}")
         if value > most:

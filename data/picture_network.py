@@ -27,12 +27,13 @@ class PictureNetwork:
         path: ONNX file.
         threads: intra-op threads, 0 = onnxruntime's choice.
         device: cpu or cuda.
+        raw: whether it may take 8-bit numbers, which hold no normalised picture.
 
     Raises:
         InputError: no such file or device, not an ONNX model, or other inputs than one picture.
     """
 
-    def __init__(self, path: Path, *, threads: int = 0, device: str = "cpu") -> None:
+    def __init__(self, path: Path, *, threads: int = 0, device: str = "cpu", raw: bool = False) -> None:
         self.path = path
         options = onnxruntime.SessionOptions()
         options.log_severity_level = 3
@@ -49,7 +50,8 @@ class PictureNetwork:
                 f"{path} can't be opened as an ONNX model ({_first_line(error)}); export or download it again."
             ) from error
         self._session, inputs = session, session.get_inputs()
-        if len(inputs) != 1 or len(inputs[0].shape) != 4 or inputs[0].type not in _INPUT_TYPES:
+        types = [name for name, dtype in _INPUT_TYPES.items() if raw or dtype is not np.uint8]
+        if len(inputs) != 1 or len(inputs[0].shape) != 4 or inputs[0].type not in types:
             found = ", ".join(f"{entry.name} {entry.type} {entry.shape}" for entry in inputs)
             raise InputError(f"{path} takes {found}, and not one colour picture; export it that way.")
         self._input = inputs[0]

@@ -6,6 +6,7 @@ of log θ).
 
 from __future__ import annotations
 
+import hashlib
 import json
 import reprlib
 from collections.abc import Mapping
@@ -73,7 +74,8 @@ class ExportedModel:
 
     def __init__(self, path: str | Path, threads: int | None = None) -> None:
         self.path = Path(path)
-        self._session = _open_session(self.path, threads)
+        self._session, self.sha256 = _open_session(self.path, threads)
+        """`sha256`: of what was opened, whatever becomes of the file."""
         self.metadata: dict[str, Any] = _read_metadata(self.path, self._session)
         """Everything the export wrote: bounds, units, mechanics, preprocessing settings, calibration and versions."""
         size = self.metadata["input"]
@@ -142,7 +144,7 @@ class PosteriorModel(ExportedModel):
         self.takes_depth = INPUT in self.inputs
         """Whether it looks at the depth window as well."""
         depth = {INPUT: (self.window, *self.input_size)} if self.takes_depth else {}
-        self._require({CONTACT: self.inputs.get(CONTACT, (0,))[:1]} | depth)
+        self._require({CONTACT: (self.inputs.get(CONTACT) or (0,))[:1]} | depth)
         told = self.metadata.get("calibration", {}).get("whole", {})
         if "decisive" in told:
             raise ModelFileError(
@@ -178,8 +180,8 @@ def open_model(path: str | Path, threads: int | None = None) -> ParameterModel |
     return PosteriorModel(path, threads) if posterior else ParameterModel(path, threads)
 
 
-def _open_session(path: Path, threads: int | None) -> onnxruntime.InferenceSession:
-    """Open an ONNX file.
+def _open_session(path: Path, threads: int | None) -> tuple[onnxruntime.InferenceSession, str]:
+    """Open an ONNX file; also the SHA-256 of its content.
 
     Raises:
         ModelFileError: no such file, or not an ONNX file.
@@ -193,7 +195,11 @@ def _open_session(path: Path, threads: int | None) -> onnxruntime.InferenceSessi
     available = onnxruntime.get_available_providers()
     providers = [name for name in ("CUDAExecutionProvider", "CPUExecutionProvider") if name in available]
     try:
-        return onnxruntime.InferenceSession(path.read_bytes(), options, providers=providers)
+        content = path.read_bytes()
+        return (
+            onnxruntime.InferenceSession(content, options, providers=providers),
+            hashlib.sha256(content).hexdigest(),
+        )
     except OSError as error:
         raise ModelFileError(f"{path} can't be read ({error.strerror}); check the file and its permissions.") from error
     except Exception as error:  # ONNX Runtime's have no class of their own in common

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import types
 from typing import Any, Literal, Union, get_args, get_origin
 
@@ -19,8 +20,8 @@ def fits(value: Any, kind: Any) -> bool:
     """Whether a value read from JSON is of a kind.
 
     Args:
-        kind: an annotation (float takes whole numbers and tuple lists), a range of whole numbers, or a dictionary of
-            the kinds of a mapping's fields, those that it has.
+        kind: an annotation (float takes whole numbers, but nothing that is not finite; tuple takes lists), a range of
+            whole numbers, or a dictionary of the kinds of a mapping's fields, those that it has.
     """
     if isinstance(kind, range):
         return type(value) is int and value in kind
@@ -38,7 +39,9 @@ def fits(value: Any, kind: Any) -> bool:
         return len(value) == len(kinds) and all(map(fits, value, kinds))
     if origin is dict:
         return type(value) is dict and all(fits(name, inner[0]) and fits(value[name], inner[1]) for name in value)
-    return kind is Any or type(value) is kind or (kind is float and type(value) is int)
+    if kind is float:
+        return type(value) in (int, float) and math.isfinite(value)
+    return kind is Any or type(value) is kind
 
 
 def described(kind: Any) -> str:

@@ -6,6 +6,7 @@ import contextlib
 import functools
 import os
 import tempfile
+import threading
 import warnings
 from collections.abc import Callable, Generator
 from pathlib import Path
@@ -31,6 +32,8 @@ except ImportError:
 # Contraction and reciprocals vectorise and lose nothing; reassociation would undo the displacement form, and
 # assuming that no NaN occurs would hide one.
 OPTIONS: dict[str, Any] = {"fastmath": {"contract", "arcp", "nsz"}, "error_model": "numpy", "nogil": True}
+_SETTING = threading.Lock()
+"""Held while numba's setting is another: threads build kernels."""
 
 
 class Kernel:
@@ -63,11 +66,14 @@ class Kernel:
         """The function as numba's, with its code kept in ``folder`` if there is one."""
         if self.folder is None:
             return numba.njit(self.function, **OPTIONS)
-        before, SETTINGS.CACHE_DIR = SETTINGS.CACHE_DIR, str(self.folder)
-        try:
-            return numba.njit(self.function, cache=True, **OPTIONS)
-        finally:
-            SETTINGS.CACHE_DIR = before
+        with _SETTING:
+            before, SETTINGS.CACHE_DIR = SETTINGS.CACHE_DIR, str(self.folder)
+            try:
+                return numba.njit(self.function, cache=True, **OPTIONS)
+            except RuntimeError:  # "cannot cache function: no locator available"
+                return numba.njit(self.function, **OPTIONS)
+            finally:
+                SETTINGS.CACHE_DIR = before
 
 
 def _kind(argument) -> tuple:

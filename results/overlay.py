@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import errno
+import shutil
 import textwrap
+from collections.abc import Generator
+from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
 from typing import Literal
@@ -205,6 +208,17 @@ def open_video(path: Path, size: tuple[int, int], fps: float) -> H264 | Mpeg4:
     return kind(path, canvas_size(size), fps)
 
 
+@contextmanager
+def _told() -> Generator[None]:
+    """Turn the encoder's own errors into file-system errors, as most of them already are."""
+    try:
+        yield
+    except av.FFmpegError as error:  # ty: ignore[missing-union-attribute]  it is there (open_video)
+        if isinstance(error, OSError):
+            raise
+        raise OSError(errno.EIO, f"the video encoder failed ({error.strerror})") from error
+
+
 class H264:
     """A video written by PyAV."""
 
@@ -219,11 +233,12 @@ class H264:
 
     def write(self, picture: np.ndarray) -> None:
         """Append a picture, RGB uint8 [H, W, 3]."""
-        self._container.mux(self._stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))  # ty: ignore[missing-union-attribute]  as above
+        with _told():
+            self._container.mux(self._stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))  # ty: ignore[missing-union-attribute]  as above
 
     def close(self) -> None:
         """Finish the file."""
-        with self._container:
+        with _told(), self._container:
             self._container.mux(self._stream.encode())
 
 
@@ -250,5 +265,6 @@ class Mpeg4:
         written = round(reader.get(cv2.CAP_PROP_FRAME_COUNT)) if reader.isOpened() else 0
         reader.release()
         if written < self._count:
+            full = shutil.disk_usage(self._path.parent).free < 2**16
             reason = f"only {written} of {self._count} overlay frames were stored"
-            raise OSError(errno.EIO, reason, str(self._path))
+            raise OSError(errno.ENOSPC if full else errno.EIO, reason, str(self._path))

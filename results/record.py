@@ -10,7 +10,7 @@ import math
 import platform
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from importlib.metadata import distributions, version
+from importlib.metadata import PackageNotFoundError, distributions, version
 from os.path import isfile
 from pathlib import Path
 from typing import Any
@@ -45,12 +45,12 @@ def depends_on(clip: Path, settings: PrepareSettings, estimator: Estimator) -> d
     return {
         "format": FORMAT_VERSION,
         "clip": sha256_of(clip),
-        "model": None if model is None else sha256_of(model.path),
+        "model": None if model is None else model.sha256,
         "settings": prepared,
         "estimator": dict(estimator.described),
         "files": _named_files(settings),
         "code": code_digest(),
-        "program": version("palpate"),
+        "program": program_version(),
     }
 
 
@@ -203,6 +203,15 @@ def _named_files(settings: PrepareSettings) -> dict[str, str]:
     return {name: sha256_of(path) for name, path in paths.items() if isfile(path)}
 
 
+def program_version() -> str:
+    """Version of this program as it is installed."""
+    try:
+        return version("palpate")
+    except PackageNotFoundError:  # its packages are there without it
+        return "unknown"
+
+
+@functools.cache
 def versions() -> dict[str, str]:
     """Versions of this program and of the packages that the numbers depend on."""
     found = {item.name: item.version for item in distributions() if item.name in PACKAGES}

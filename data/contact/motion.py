@@ -207,7 +207,7 @@ class ContactMotion:
         """Motion that the contact would have if it moved with the tissue far from it, shape [3]; NaN if not known."""
         if before.in_contact or after.in_contact:
             pixel = picture_pixel(before if before.in_contact else after, self.size)
-        elif self._run is not None:
+        elif self._run is not None and np.isfinite(self._run.pixel).all():
             pixel = self._run.pixel
         else:
             return np.full(3, math.nan)

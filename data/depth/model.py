@@ -114,7 +114,7 @@ class DepthModel:
             InputError: not an ONNX model, other inputs or outputs than the preset says, or no such device.
         """
         self.path, self.preset = path, preset
-        self._network = PictureNetwork(path, threads=threads, device=device)
+        self._network = PictureNetwork(path, threads=threads, device=device, raw=True)
         self._fixed = self._fixed_size()
         self._outputs = [self._named_output(preset.output)]
         if preset.focal_output:

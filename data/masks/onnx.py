@@ -88,14 +88,17 @@ class OnnxMasks:
     def __call__(self, frame: Frame) -> np.ndarray:
         """Label map uint8 [H, W] of a frame."""
         image, settings = frame.picture, self.settings
-        probabilities = self._probabilities(self._network.run(self._picture(image))[0])
-        # Independent channels may overlap, exclusive ones add up.
-        combine = np.max if settings.output == "sigmoid_logits" else np.sum
-        # Labels are mixed like probabilities, so that a threshold of a half draws the outline midway.
-        tool, tissue = (
-            cv2.resize(combine(probabilities[list(channels)], axis=0, initial=0), image.shape[1::-1])
-            for channels in (settings.tool, settings.tissue)
-        )
+        output, wanted = self._network.run(self._picture(image))[0], (settings.tool, settings.tissue)
+        if settings.output == "labels":
+            # Mixed like probabilities below, so that a threshold of a half draws the outline midway.
+            labels = self._label_map(output)
+            maps = [np.isin(labels, values).astype(np.float32) for values in wanted]
+        else:
+            probabilities = self._probabilities(output)
+            # Independent channels may overlap, exclusive ones add up.
+            combine = np.max if settings.output == "sigmoid_logits" else np.sum
+            maps = [combine(probabilities[list(channels)], axis=0, initial=0) for channels in wanted]
+        tool, tissue = (cv2.resize(each, image.shape[1::-1]) for each in maps)
         rest = tissue >= settings.threshold if settings.tissue else lit_picture(image)
         labels = rest.astype(np.uint8) * np.uint8(TISSUE)
         labels[(tool >= settings.threshold) & (tool >= tissue)] = TOOL
@@ -111,15 +114,18 @@ class OnnxMasks:
         scaled = resized(image, height, width)[..., :: 1 if settings.channels == "rgb" else -1]
         return network_input(scaled, settings.value_scale, settings.mean, settings.std, settings.axes.upper())
 
+    def _label_map(self, output: np.ndarray) -> np.ndarray:
+        """Label of every pixel, [h, w]."""
+        labels = output.squeeze()
+        if labels.ndim != 2:
+            found = list(output.shape)
+            raise InputError(f"{self.path} gives {found}, not one label a pixel; check output in its settings.")
+        return np.rint(labels)
+
     def _probabilities(self, output: np.ndarray) -> np.ndarray:
         """Probability of every channel, float32 [C, h, w]."""
         settings, found = self.settings, list(output.shape)
         highest = max(settings.tool + settings.tissue)
-        if settings.output == "labels":
-            labels = output.squeeze()
-            if labels.ndim != 2:
-                raise InputError(f"{self.path} gives {found}, not one label a pixel; check output in its settings.")
-            return (np.rint(labels) == np.arange(highest + 1)[:, None, None]).astype(np.float32)
         maps = output.astype(np.float32)
         if maps.ndim == 4 and maps.shape[0] == 1:
             maps = maps[0]

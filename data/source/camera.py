@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -68,7 +69,25 @@ def load_camera(path: str | Path) -> Camera:
     entries = read_mapping(Path(path), "a camera file")
     if isinstance(entries.get("camera"), dict):
         entries = entries["camera"]
-    return from_mapping(Camera, entries, str(path))
+    return _camera(entries, str(path))
+
+
+def _camera(entries: Any, where: str) -> Camera:
+    """Calibration tools write whole numbers with a point, numbers as text ("5e2" is text to YAML), and null."""
+    if isinstance(entries, dict):
+        entries = {name: _number(value) for name, value in entries.items() if value is not None}
+    return from_mapping(Camera, entries, where)
+
+
+def _number(value: Any) -> Any:
+    """A value of a camera file, as a number where it is one."""
+    if isinstance(value, list):
+        return [_number(each) for each in value]
+    try:
+        number = value if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError, OverflowError):
+        return value
+    return int(number) if isinstance(number, float) and number.is_integer() else number
 
 
 def clip_camera(clip: Path, layout: ClipLayout) -> Camera | None:
@@ -79,7 +98,7 @@ def clip_camera(clip: Path, layout: ClipLayout) -> Camera | None:
     """
     entries = read_clip_file(clip).get("camera") if clip.is_dir() else None
     if entries is not None:
-        return from_mapping(Camera, entries, f"{clip} (clip.json) has a camera that")
+        return _camera(entries, f"{clip} (clip.json) has a camera that")
     return None if layout.camera is None else load_camera(clip / layout.camera)
 
 

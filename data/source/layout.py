@@ -144,7 +144,7 @@ def read_clip_file(clip: Path) -> dict[str, Any]:
     path = clip / CLIP_FILE
     if not isfile(path):
         return {}
-    values = read_mapping(path, "a clip description")
+    values = {name: value for name, value in read_mapping(path, "a clip description").items() if value is not None}
     for name in ("fps", "depth_scale"):
         if name in values and not (fits(values[name], float) and 0 < values[name] < math.inf):
             raise InputError(f"{path} gives {name} {values[name]!r}; give a positive number.")

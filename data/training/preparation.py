@@ -41,7 +41,9 @@ def prepare_all(
         for number, path in enumerate(paths, start=1):
             bar.reset(task, description=f"preparing {plain(path.name)} ({number}/{len(paths)})")
             try:
-                clips.append(prepare(path, settings, cache_dir, track))
+                clip = prepare(path, settings, cache_dir, track)
+                bar.update(task, total=len(clip), completed=len(clip))
+                clips.append(clip)
             except Exception as error:
                 failures[path] = _reason(error)
     return clips, failures

@@ -87,7 +87,10 @@ def write_evaluation(
     Raises:
         EvaluationError: there are no records, or the folder can't be written.
     """
-    found = analyse(records, training, mechanics, bounds)
+    try:
+        found = analyse(records, training, mechanics, bounds)
+    except ValueError as error:
+        raise EvaluationError(str(error)) from error
     made = datetime.now(UTC).replace(microsecond=0)
     tables = reading_tables(found, len(training))
     figures = {

@@ -10,7 +10,6 @@ from estimators.estimate import Estimate
 from estimators.open import NAMES as OPENED
 from estimators.open import EstimatorOptions, open_estimator
 from models.onnx_session import ModelFileError, PosteriorModel
-from results.record import sha256_of
 
 CONSTANT = "constant"
 NAMES = (*sorted(OPENED), CONSTANT)
@@ -48,7 +47,7 @@ def describe(options: EstimatorOptions) -> dict[str, Any]:
     model = getattr(opened(options), "model", None)
     posterior = model if isinstance(model, PosteriorModel) else None
     return {
-        "model_sha256": "" if model is None else sha256_of(model.path),
+        "model_sha256": "" if model is None else model.sha256,
         "weights_sha256": "" if posterior is None else posterior.metadata.get("training", {}).get("weights_sha256", ""),
         "calibrated": None if posterior is None else posterior.calibrated,
         "noise": options.noise,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -61,9 +62,10 @@ class RecoveryStore:
         return {row.key for row in self.rows}
 
     def append(self, rows: Iterable[Recovery]) -> None:
-        """Keep results; they are on disk when this returns."""
-        rows = list(rows)
-        text = "".join(json.dumps(vars(row), default=np.ndarray.tolist) + "\n" for row in rows)
+        """Keep results that are not there yet; they are on disk when this returns."""
+        done = self.done
+        rows = [row for row in rows if row.key not in done]
+        text = "".join(_line(row) for row in rows)
         with writing(self.output), self._results.open("a", encoding="utf-8") as file:
             file.write(text)
             file.flush()
@@ -83,6 +85,15 @@ class RecoveryStore:
         if not isinstance(record, dict) or "seed" not in record:
             raise OutputError(f"{path}: belongs to something else; choose another --output.")
         return record
+
+
+def _line(row: Recovery) -> str:
+    """A result as JSON, which has no word for what isn't finite: that is null, and read as not a number."""
+    values = {
+        name: None if isinstance(value, float) and not math.isfinite(value) else value
+        for name, value in vars(row).items()
+    }
+    return json.dumps(values, default=lambda value: value.tolist(), allow_nan=False) + "\n"
 
 
 def read_results(path: Path) -> list[Recovery]:

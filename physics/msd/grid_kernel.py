@@ -258,6 +258,8 @@ def specialised(pitch: int, sensitive: bool) -> Callable:
         sensitive: whether ∂/∂(k_s, k_d, F) is carried along.
     """
     planes, sums = (SENSITIVITY_PLANES, 12) if sensitive else (FORWARD_PLANES, 3)
+    # From a tuple they are plain values to numba, which would compile the parts anew for each; LLVM sees constants.
+    fixed = pitch, sensitive
 
     @kernel
     def rollout(layout, radii, load, watched, force, numbers, runs, out, field, begin):
@@ -279,12 +281,12 @@ def specialised(pitch: int, sensitive: bool) -> Callable:
         forces = np.zeros(5 * sums * pitch, layout.rest.dtype)
         lag, whole = numbers[7], field.reshape(-1)
         for step in range(radii.shape[0]):
-            _grip(state, load, step, pitch, sensitive)
-            _step(state, forces, layout, radii[step], numbers, pitch, sensitive)
-            _press(state, load, step, force, numbers, pitch, sensitive)
+            _grip(state, load, step, *fixed)
+            _step(state, forces, layout, radii[step], numbers, *fixed)
+            _press(state, load, step, force, numbers, *fixed)
             if sensitive:
-                _feel(state, load, step, numbers, out, pitch)
-            _show(state, watched, step, lag, out, pitch, sensitive)
-            _record(state, runs, whole[3 * (step * field.shape[1] + begin) :], lag, pitch)
+                _feel(state, load, step, numbers, out, fixed[0])
+            _show(state, watched, step, lag, out, *fixed)
+            _record(state, runs, whole[3 * (step * field.shape[1] + begin) :], lag, fixed[0])
 
     return rollout

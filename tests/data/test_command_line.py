@@ -25,7 +25,7 @@ def test_whole_numbers_have_ends(text: str, said: str) -> None:
     assert [whole_number(3, 9)(each) for each in ("3", "9")] == [3, 9]
     with pytest.raises(argparse.ArgumentTypeError, match=said):
         whole_number(3, 9)(text)
-    with pytest.raises(ValueError, match="x"):
+    with pytest.raises(argparse.ArgumentTypeError, match="'x' is not a whole number"):
         whole_number(3, 9)("x")
 
 

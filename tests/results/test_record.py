@@ -57,6 +57,15 @@ def test_fingerprint_follows_what_results_depend_on(tmp_path: Path) -> None:
     assert len({first, *others, fingerprint()}) == 7
 
 
+def test_results_name_the_model_that_was_opened_whatever_becomes_of_its_file(tmp_path: Path) -> None:
+    clip = write_clip(tmp_path / "clip", 2, 1)
+    estimator = open_estimator(EstimatorOptions("gan", write_model(tmp_path / "model.onnx")))
+    opened = depends_on(clip, PrepareSettings(), estimator)["model"]
+    assert opened == sha256_of(tmp_path / "model.onnx")
+    write_model(tmp_path / "model.onnx", slope=(0.3, 0.0, 0.0))
+    assert depends_on(clip, PrepareSettings(), estimator)["model"] == opened != sha256_of(tmp_path / "model.onnx")
+
+
 def test_fingerprint_follows_the_content_of_named_models(tmp_path: Path) -> None:
     masks = tmp_path / "masks.onnx"
 

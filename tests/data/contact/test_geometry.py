@@ -98,6 +98,10 @@ def test_camera_files_and_their_errors(tmp_path):
     path = tmp_path / "camera.json"
     path.write_text(json.dumps({"camera": {**entries, "distortion": [0.1, 0, 0, 0, 0]}}))
     assert load_camera(path) == Camera(100, 110, 31.5, 23.5, 64, 48, (0.1, 0.0, 0.0, 0.0, 0.0))
+    # As calibration tools write it, in YAML, to which a power of ten without a point is text.
+    told = tmp_path / "camera.yaml"
+    told.write_text("fx: 1e2\nfy: 110.0\ncx: 31.5\ncy: '23.5'\nwidth: 64.0\nheight: 48\ndistortion: null\n")
+    assert load_camera(told) == Camera(100, 110, 31.5, 23.5, 64, 48)
     for wrong, told in (
         ({"fx": 1}, r"camera\.json lacks 'fy'; give a number"),
         (entries | {"fx": -1}, r"camera\.json can't be used: The camera's focal length"),

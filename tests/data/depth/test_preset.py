@@ -53,6 +53,7 @@ def test_facts_of_the_networks():
         ("kind: metric\nresize: shorter\nsize: [3, 4]\n", "needs one number"),
         ("kind: metric\nresize: exact\nsize: 5\n", "[height, width]"),
         ("kind: metric\nstd: [1, 0, 1]\n", "std"),
+        ("kind: metric\nmean: [.nan, 0, 0]\n", "[a number, a number, a number]"),
         ("kind: metric\nmean: [1, 2]\n", "[a number, a number, a number]"),
         ("kind: metric\nfactor: 0\n", "factor"),
         ("kind: metric\nmultiple: 0\n", "at least 1"),

@@ -27,8 +27,9 @@ def save_model(
     nhwc: bool = False,
     labels: bool = False,
     metadata: dict | None = None,
+    values: int = TensorProto.FLOAT,
 ) -> Path:
-    """A 1x1 convolution as a segmentation model."""
+    """A 1x1 convolution as a segmentation model, of a picture of `values`."""
     channels = len(weights)
     kernel = numpy_helper.from_array(weights.reshape(channels, 3, 1, 1), "kernel")
     shape = [1, *size, 3] if nhwc else [1, 3, *size]
@@ -36,6 +37,9 @@ def save_model(
     if nhwc:
         nodes.append(helper.make_node("Transpose", [last], ["first"], perm=[0, 3, 1, 2]))
         last = "first"
+    if values != TensorProto.FLOAT:
+        nodes.append(helper.make_node("Cast", [last], ["numbers"], to=TensorProto.FLOAT))
+        last = "numbers"
     nodes.append(helper.make_node("Conv", [last, "kernel"], ["logits"]))
     last, kind, out_shape = "logits", TensorProto.FLOAT, [1, channels, "p", "q"]
     if labels:
@@ -47,7 +51,7 @@ def save_model(
     graph = helper.make_graph(
         nodes,
         "segmentation",
-        [helper.make_tensor_value_info("picture", TensorProto.FLOAT, shape)],
+        [helper.make_tensor_value_info("picture", values, shape)],
         [helper.make_tensor_value_info(last, kind, out_shape)],
         [kernel],
     )
@@ -179,3 +183,23 @@ def test_model_with_other_inputs(tmp_path):
     onnx.save(model, tmp_path / "sum.onnx")
     with pytest.raises(InputError, match="not one colour picture"):
         OnnxMasks(tmp_path / "sum.onnx")
+
+
+def test_a_model_of_8_bit_pictures_is_refused_since_its_input_would_be_rounded(tmp_path):
+    model = save_model(tmp_path / "raw.onnx", metadata={"tool": [1]}, values=TensorProto.UINT8)
+    with pytest.raises(InputError, match=r"picture tensor\(uint8\).*not one colour picture"):
+        OnnxMasks(model)
+
+
+def test_labels_may_be_any_numbers(tmp_path):
+    """Not a map for every number up to the largest, which would be gigabytes."""
+    frame, _ = scene()
+    plain = save_model(
+        tmp_path / "plain.onnx", labels=True, metadata=PLAIN | {"tool": [1], "tissue": [2], "output": "labels"}
+    )
+    large = save_model(
+        tmp_path / "large.onnx",
+        labels=True,
+        metadata=PLAIN | {"tool": [1, 2**40], "tissue": [2, 65535], "output": "labels"},
+    )
+    np.testing.assert_array_equal(OnnxMasks(large)(frame), OnnxMasks(plain)(frame))

@@ -19,6 +19,14 @@ def test_a_result_survives_the_file_and_what_is_not_known_stays_unknown(tmp_path
         for name, value in vars(row).items():
             np.testing.assert_array_equal(getattr(again, name), value)
     assert rows[0].key == ("clean", 3, "direct")
+    assert "NaN" not in (tmp_path / RESULTS).read_text()  # other readers of JSON know no such word
+
+
+def test_what_is_there_is_not_kept_twice(tmp_path):
+    store = RecoveryStore(tmp_path, WANTED)
+    store.append([recovery(1)])
+    store.append([recovery(1), recovery(0)])
+    assert [row.index for row in store.rows] == [row.index for row in read_results(tmp_path / RESULTS)] == [1, 0]
 
 
 def test_a_second_run_finds_the_first_ones_results(tmp_path):

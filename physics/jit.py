@@ -135,7 +135,7 @@ def say_slow() -> None:
     """Tell once a process that the plain numpy or torch version runs."""
     warnings.warn(
         "numba isn't installed, so the simulator runs its plain version, up to a hundred times slower; "
-        "pip install numba (the extra [fast]).",
+        "pip install numba.",
         RuntimeWarning,
         stacklevel=3,
     )

@@ -21,7 +21,9 @@ from data.source.layout import IMAGE_SUFFIXES, ClipLayout, InputError, frame_fil
 
 VIDEO_SUFFIXES = frozenset({".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".ts", ".wmv"})
 EXACT_COUNT_SUFFIXES = frozenset({".mp4", ".m4v", ".mov", ".avi"})
-"""Containers whose header holds the true number of frames; elsewhere it is estimated from the duration."""
+"""Containers whose header holds the true number of frames; elsewhere it is the duration times the frame rate."""
+LEAST_FRAME = 10
+"""Bytes of a file without which there is no frame, whatever its header announces."""
 CAMERA_PREFIX = "camera:"
 RESULT_FILE = "run.json"
 """Marks a folder of our own results, whose overlay video is no input."""
@@ -150,9 +152,8 @@ class VideoFile(FrameSource):
             raise InputError(f"{path} holds no frame that can be decoded; copy it again or convert it to MP4.")
         self.size = _picture_size(path, image)
         self.fps = float(fps) if 0 < fps <= FASTEST else fallback_fps
-        self.length = max(int(count), 1) if math.isfinite(count) else 1
-        exact = path.suffix.lower() in EXACT_COUNT_SUFFIXES
-        self._tolerance = 0 if exact else max(2, round(0.1 * self.fps))
+        self.length = max(int(min(count, path.stat().st_size // LEAST_FRAME)), 1) if math.isfinite(count) else 1
+        self._exact = path.suffix.lower() in EXACT_COUNT_SUFFIXES
 
     def _open(self) -> cv2.VideoCapture:
         try:
@@ -168,7 +169,7 @@ class VideoFile(FrameSource):
     def __iter__(self) -> Iterator[Frame]:
         self.warnings = []
         capture = self._open()
-        decoded, number, stamp, start = 0, 0, 0.0, None
+        decoded, number, stamp, start, longest = 0, 0, 0.0, None, 1 / self.fps
         while (image := capture.read()[1]) is not None:
             position = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
             if start is None:
@@ -176,19 +177,23 @@ class VideoFile(FrameSource):
             else:
                 # Some containers stamp nothing: time must rise all the same.
                 gap = position - start - stamp if position - start > stamp else 1 / self.fps
-                stamp += gap
+                stamp, longest = stamp + gap, max(longest, gap)
                 # A jump in the time stamps is a jump in the numbers: the frames around it are no neighbours.
                 number += max(1, round(gap * self.fps))
             error = self.size_error(image, f"Frame {number} of {self.path}")
             rgb = None if error else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
             yield Frame(decoded, number, stamp, rgb, None, error)
             decoded += 1
-        if self.length - decoded <= self._tolerance:
-            return
-        self.warnings.append(f"truncated: {decoded} of {self.length} frames decoded")
-        for step, index in enumerate(range(decoded, self.length), start=1):
+        missing = self.length - decoded
+        if not self._exact:
+            # A varying frame rate has fewer frames than the duration says: only time that nothing covers is missing.
+            uncovered = round(self.length - (stamp + longest) * self.fps)
+            missing = uncovered if uncovered > max(2, 0.1 * self.fps) else 0
+        if missing > 0:
+            self.warnings.append(f"truncated: {decoded} of {decoded + missing} frames decoded")
+        for step in range(1, missing + 1):
             error = f"{self.path} ends before frame {number + step} or is damaged; copy it again."
-            yield Frame(index, number + step, stamp + step / self.fps, None, None, error)
+            yield Frame(decoded + step - 1, number + step, stamp + step / self.fps, None, None, error)
 
 
 class LiveCamera(FrameSource):

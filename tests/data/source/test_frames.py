@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from fractions import Fraction
 from pathlib import Path
 
 import cv2
@@ -262,6 +263,60 @@ def test_discover_names_what_is_wrong(tmp_path):
         discover([tmp_path / "one.png"], LAYOUT)
     with pytest.raises(InputError, match="camera:0 is a live camera; record it to a video file"):
         discover([Path("camera:0")], LAYOUT)
+
+
+def write_varying(path, milliseconds):
+    """A video whose frames have these time stamps."""
+    av = pytest.importorskip("av")
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("mpeg4", rate=30)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        stream.codec_context.time_base = Fraction(1, 1000)
+        for stamp in milliseconds:
+            frame = av.VideoFrame.from_ndarray(picture(stamp // 20), format="rgb24")
+            frame.pts, frame.time_base = int(stamp), Fraction(1, 1000)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+
+
+def test_a_varying_frame_rate_has_no_frames_but_its_own(tmp_path):
+    """59 frames in three seconds, whose container says 30 a second."""
+    stamps = np.cumsum(np.r_[0, np.tile([33, 34, 86], 20)])[:59]
+    write_varying(tmp_path / "clip.mkv", stamps)
+    source = open_source(tmp_path / "clip.mkv", LAYOUT)
+    frames = list(source)
+    assert [frame.error for frame in frames] == [""] * 59
+    assert [frame.time_s for frame in frames] == pytest.approx(stamps / 1000, abs=2e-3)
+    assert source.warnings == []
+
+
+def test_the_lost_end_of_a_matroska_is_missed(tmp_path):
+    path = tmp_path / "clip.mkv"
+    write_varying(path, np.arange(60) * 33)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    frames = list(open_source(path, LAYOUT))
+    lost = [frame for frame in frames if frame.error]
+    assert 10 < len(lost) < 45
+    assert len(frames) == pytest.approx(60, abs=3)
+
+
+def test_a_header_that_announces_millions_of_frames_is_not_believed(tmp_path):
+    path = tmp_path / "clip.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 25, (64, 48))
+    for index in range(5):
+        writer.write(picture(index))
+    writer.release()
+    content = bytearray(path.read_bytes())
+    for name, offset in ((b"avih", 24), (b"strh", 40)):  # total frames; length of the stream
+        place = content.index(name) + offset
+        assert int.from_bytes(content[place : place + 4], "little") == 5
+        content[place : place + 4] = (50_000_000).to_bytes(4, "little")
+    path.write_bytes(content)
+    source = open_source(path, LAYOUT)
+    frames = list(source)
+    assert sum(not frame.error for frame in frames) == 5
+    assert len(frames) <= path.stat().st_size // 10
+    assert "truncated: 5 of" in source.warnings[0]
 
 
 def test_truncated_jpeg_is_refused(tmp_path):

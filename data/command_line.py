@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import argparse
 import math
+import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.progress import (
@@ -14,6 +16,7 @@ from rich.progress import (
     Progress,
     ProgressColumn,
     Task,
+    TaskID,
     TaskProgressColumn,
     TextColumn,
     TimeRemainingColumn,
@@ -22,6 +25,8 @@ from rich.text import Text
 
 from physics.doors import plain
 
+TOLD_SECONDS = 30.0
+"""Time between two lines of progress where the output is no terminal [s]."""
 LARGEST_NUMBER = 2**63 - 1
 """Larger numbers are no counts, and no seeds of the libraries that draw."""
 
@@ -88,11 +93,39 @@ class Rate(ProgressColumn):
         return TaskProgressColumn.render_speed(task.finished_speed or task.speed)
 
 
+class ToldProgress(Progress):
+    """Progress where the output is no terminal, which shows no bars: a line now and then."""
+
+    def __init__(self, *columns: ProgressColumn, **options: Any) -> None:
+        super().__init__(*columns, **options)
+        self._said = time.monotonic()
+
+    def update(self, task_id: TaskID, **fields: Any) -> None:
+        """As rich has it."""
+        super().update(task_id, **fields)
+        self._tell(task_id)
+
+    def advance(self, task_id: TaskID, advance: float = 1) -> None:
+        """As rich has it."""
+        super().advance(task_id, advance)
+        self._tell(task_id)
+
+    def _tell(self, task_id: TaskID) -> None:
+        if self.disable or time.monotonic() - self._said < TOLD_SECONDS:
+            return
+        self._said = time.monotonic()
+        task = next(task for task in self.tasks if task.id == task_id)
+        total, left = "?" if task.total is None else f"{task.total:g}", TimeRemainingColumn().render(task)
+        rate = Rate().render(task)
+        self.console.print(f"{task.description}: {task.completed:g} of {total}, {rate}, {left} left", markup=False)
+
+
 def progress_bars(console: Console, *, disable: bool = False) -> Progress:
-    """Bars with what is done, how fast and for how long still.
+    """Bars with what is done, how fast and for how long still; without a terminal a line every half minute.
 
     Args:
         disable: draw none.
     """
     name, rest = TextColumn("{task.description}", markup=False), (BarColumn(), MofNCompleteColumn(), Rate())
-    return Progress(name, *rest, TimeRemainingColumn(), console=console, disable=disable)
+    kind = Progress if console.is_terminal else ToldProgress
+    return kind(name, *rest, TimeRemainingColumn(), console=console, disable=disable)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from data.command_line import path_option, real_number, say, whole_number
+from data.command_line import path_option, progress_bars, real_number, say, whole_number
 
 
 def test_an_empty_path_is_refused() -> None:
@@ -41,3 +41,16 @@ def test_a_sentence_is_printed_as_it_is() -> None:
     written = io.StringIO()
     say(Console(file=written, width=20), "[red]a\x1b[2Jb[/red] " + 30 * "c", "red")
     assert written.getvalue() == "[red]a\\x1b[2Jb[/red] " + 30 * "c" + "\n"
+
+
+def test_without_a_terminal_progress_is_told_now_and_then(monkeypatch: pytest.MonkeyPatch) -> None:
+    text, clock = io.StringIO(), [1000.0]
+    monkeypatch.setattr("time.monotonic", lambda: clock[0])
+    with progress_bars(Console(file=text, width=200)) as bars:
+        job = bars.add_task("clips [of many]", total=40)
+        for _ in range(8):
+            clock[0] += 10
+            bars.advance(job)
+    told = [line for line in text.getvalue().splitlines() if " of 40, " in line]
+    assert [line.split(",")[0] for line in told] == [f"clips [of many]: {done} of 40" for done in (3, 6)]
+    assert all("it/s" in line and "left" in line for line in told)

@@ -49,7 +49,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--layout", type=path_option, metavar="FILE", help=text)
     text = "camera (YAML or JSON) for clips that bring none of their own"
     add("--camera", type=path_option, metavar="FILE", help=text)
-    add("--threads", type=whole_number(0, 2**31 - 1), default=0, metavar="N", help="CPU threads; 0 = all (default)")
+    add("--threads", type=whole_number(0, 1024), default=0, metavar="N", help="CPU threads; 0 = all (default)")
     add("--overwrite", action="store_true", help="compute all clips again and replace earlier results")
     add("--debug", action="store_true", help="stop at the first failure with its traceback")
     text = (

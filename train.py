@@ -282,6 +282,9 @@ def main(arguments: list[str] | None = None) -> int:
     except (InputError, TrainingDiverged, ParityError, EvaluationError) as error:
         print(plain(f"train.py: {error}"), file=sys.stderr)
         return 1
+    except UnicodeDecodeError as error:
+        print(f"train.py: a configuration file is not text ({error}); give a YAML file.", file=sys.stderr)
+        return 2
     except OSError as error:
         if error.strerror is None:  # not the file system's
             raise

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import sys
 import types
 from typing import Any, Literal, Union, get_args, get_origin
 
@@ -14,6 +14,8 @@ WORDS: dict[Any, str] = {
     types.NoneType: "null",
     Ellipsis: "…",
 }
+LARGEST = sys.float_info.max
+"""Of a number; a whole one may be longer than any."""
 
 
 def fits(value: Any, kind: Any) -> bool:
@@ -40,7 +42,7 @@ def fits(value: Any, kind: Any) -> bool:
     if origin is dict:
         return type(value) is dict and all(fits(name, inner[0]) and fits(value[name], inner[1]) for name in value)
     if kind is float:
-        return type(value) in (int, float) and math.isfinite(value)
+        return type(value) in (int, float) and abs(value) <= LARGEST
     return kind is Any or type(value) is kind
 
 

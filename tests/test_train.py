@@ -240,6 +240,8 @@ def test_a_bad_option_or_file_gets_a_sentence(config: Path, tmp_path: Path, caps
     broken = tmp_path / "broken.yaml"
     broken.write_text("model: [1")
     assert "parsing" in refused(capsys, "fit", "-c", broken)
+    broken.write_bytes(bytes(range(128, 256)))
+    assert "a configuration file is not text" in refused(capsys, "fit", "-c", broken)
 
 
 def test_a_bad_checkpoint_gets_a_sentence(trained: Path, config: Path, tmp_path: Path, capsys):

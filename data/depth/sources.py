@@ -227,6 +227,8 @@ def _read_map(path: Path, key: str | None, most: int) -> tuple[np.ndarray, float
 def _read_numpy(path: Path, key: str | None, most: int) -> np.ndarray:
     """The array of an .npy file, or the one under `key` (by default the only one) of an .npz file."""
     try:
+        if path.exists() and not path.is_file():
+            raise InputError(f"{path} is no file; put the depth itself there.")
         # Mapped, an .npy file is not read before its size is known.
         loaded = np.load(path, allow_pickle=False, mmap_mode="r")
         if isinstance(loaded, np.ndarray):

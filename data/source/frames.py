@@ -277,7 +277,7 @@ def discover(inputs: list[Path], layout: ClipLayout) -> list[Path]:
             raise InputError(f"{given} is a live camera; record it to a video file and give that.")
         try:
             given.stat()
-            found = _search(given, layout, set()) if given.is_dir() else [given]
+            found = _search(given, layout) if given.is_dir() else [given]
         except OSError as error:
             raise InputError(f"{printable(given)} can't be opened ({error.strerror}); check the path.") from error
         if not given.is_dir() and given.suffix.lower() in IMAGE_SUFFIXES:
@@ -288,20 +288,23 @@ def discover(inputs: list[Path], layout: ClipLayout) -> list[Path]:
     return list(clips)
 
 
-def _search(folder: Path, layout: ClipLayout, seen: set[Path]) -> list[Path]:
-    """Clips in a folder and below; `seen` keeps links from leading in circles."""
-    real = folder.resolve()
-    if real in seen or (folder / RESULT_FILE).is_file():
-        return []
-    seen.add(real)
-    if frame_files(folder, layout):
-        return [folder]
+def _search(top: Path, layout: ClipLayout) -> list[Path]:
+    """Clips in a folder and below, in natural order."""
     found: list[Path] = []
-    for entry in list_folder(folder):
-        if entry.name.startswith("."):
+    seen: set[Path] = set()  # where links lead in circles
+    left = [top]
+    while left:
+        folder = left.pop()
+        if not folder.is_dir():
+            found.append(folder)
             continue
-        if entry.is_dir():
-            found += _search(entry, layout, seen)
-        elif entry.suffix.lower() in VIDEO_SUFFIXES:
-            found.append(entry)
+        real = folder.resolve()
+        if real in seen or (folder / RESULT_FILE).is_file():
+            continue
+        seen.add(real)
+        if frame_files(folder, layout):
+            found.append(folder)
+            continue
+        entries = [entry for entry in list_folder(folder) if not entry.name.startswith(".")]
+        left += reversed([e for e in entries if e.is_dir() or e.suffix.lower() in VIDEO_SUFFIXES])
     return found

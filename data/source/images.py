@@ -29,6 +29,8 @@ def read_image(path: Path, flags: int = cv2.IMREAD_COLOR_RGB, most: float = math
         InputError: missing, empty, truncated, undecodable or too large file.
     """
     try:
+        if path.exists() and not path.is_file():  # a pipe would be waited for, a device has no end
+            raise InputError(f"{printable(path)} is no file; put the picture itself there.")
         content = path.read_bytes()
     except OSError as error:
         raise InputError(f"{printable(path)} can't be read ({error.strerror}); check the file.") from error

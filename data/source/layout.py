@@ -125,9 +125,11 @@ def read_mapping(path: Path, meaning: str) -> dict[str, Any]:
         values = json.loads(text) if path.suffix.lower() == ".json" else yaml.safe_load(text)
     except OSError as error:
         raise InputError(f"{path} can't be read as {meaning} ({error.strerror}); check the path.") from error
-    except (UnicodeDecodeError, json.JSONDecodeError, yaml.YAMLError) as error:
+    except (ValueError, yaml.YAMLError) as error:
         reason = " ".join(str(error).split())
         raise InputError(f"{path} is not {meaning} ({reason}); correct the file.") from error
+    except RecursionError as error:
+        raise InputError(f"{path} is not {meaning} (it nests too deeply); correct the file.") from error
     if not isinstance(values, dict):
         raise InputError(f"{path} is not {meaning}; write a mapping of names to values.")
     return values

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 import pytest
@@ -12,7 +13,7 @@ from physics.fields import described, fits
 @pytest.mark.parametrize(
     ("kind", "good", "bad"),
     [
-        (float, [1, 1.5], [True, "1", None, [1.0]]),
+        (float, [1, 1.5], [True, "1", None, [1.0], math.nan, math.inf, 10**400]),
         (int, [3], [3.0, True, "3"]),
         (str | None, ["a", None], [1, ["a"]]),
         (Literal["a", "b"], ["a", "b"], ["c", ["a"], {}]),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 
 import cv2
@@ -155,6 +156,12 @@ def test_missing_empty_and_broken_files_are_named(tmp_path):
     (tmp_path / "7.npy").write_bytes(b"PK\x03\x04 not an archive")
     with pytest.raises(InputError, match=r"7.npy can't be read"):
         source(frame_of(tmp_path))
+
+
+def test_a_pipe_in_place_of_depth_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "7.npy")
+    with pytest.raises(InputError, match=r"7\.npy is no file; put the depth itself there"):
+        StoredDepth(NPY, tmp_path)(frame_of(tmp_path))
 
 
 def test_broken_and_coloured_pngs_are_named(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from fractions import Fraction
 from pathlib import Path
 
@@ -263,6 +264,44 @@ def test_discover_names_what_is_wrong(tmp_path):
         discover([tmp_path / "one.png"], LAYOUT)
     with pytest.raises(InputError, match="camera:0 is a live camera; record it to a video file"):
         discover([Path("camera:0")], LAYOUT)
+
+
+@pytest.mark.parametrize("kind", ["pipe", "device"])
+def test_what_is_no_file_costs_its_own_frame_only(tmp_path, kind):
+    """A pipe would be waited for, and a device has no end."""
+    folder = make_folder(tmp_path / "clip", range(3))
+    place = folder / "frame_1_endo.png"
+    place.unlink()
+    os.mkfifo(place) if kind == "pipe" else place.symlink_to("/dev/zero")
+    frames = list(open_source(folder, LAYOUT))
+    assert [frame.image is None for frame in frames] == [False, True, False]
+    assert frames[1].error == f"{place} is no file; put the picture itself there."
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("[" * 100_000 + "]" * 100_000, "nests too deeply"),
+        ('{"fps":' * 50_000 + "1" + "}" * 50_000, "nests too deeply"),
+        ('{"fps": ' + "9" * 400 + "}", "give a positive number"),
+        ('{"fps": ' + "9" * 5000 + "}", "is not a clip description"),
+        ('{"times": [0, ' + "9" * 400 + ", 1]}", "not rising numbers"),
+    ],
+)
+def test_a_hostile_clip_file_gets_a_sentence(tmp_path, text, told):
+    folder = make_folder(tmp_path / "clip")
+    (folder / "clip.json").write_text(text)
+    with pytest.raises(InputError, match=told):
+        open_source(folder, LAYOUT)
+
+
+def test_folders_may_nest_as_deeply_as_the_disk_allows(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for _ in range(1100):
+        os.mkdir("d")
+        os.chdir("d")
+    with pytest.raises(InputError, match="holds neither a video nor a folder of frames"):
+        discover([tmp_path], LAYOUT)
 
 
 def write_varying(path, milliseconds):

@@ -171,7 +171,7 @@ def test_contacts_and_fits_are_the_same_in_processes_of_their_own(contacts: list
     ("option", "value", "reason"),
     [
         ("--contacts", "0", "0 is less than 1"),
-        ("--contacts", "many", "invalid"),
+        ("--contacts", "many", "is not a whole number"),
         ("--rough-steps", "3", "3 is less than 4"),
         ("--fine-steps", "0", "0 is less than 4"),
         ("--fine-steps", "3", "3 is less than 4"),

@@ -120,7 +120,7 @@ class InteractionBuilder:
         seconds: float,
     ) -> None:
         self.mesh, self.vertex, self.normal, self.settings = mesh, vertex, normal, settings
-        # Rounded as prepared clips store it, and positions below: live and stored frames give the same interaction.
+        # In single precision, and positions below: what networks are trained on, whatever a frame comes from.
         self.noise = float(np.float32(noise))
         self.start, self.seconds = onset.time_s, seconds
         # Where the noise is known, so is the rest surface: the mean of many frames, without the onset's own error.

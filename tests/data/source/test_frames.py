@@ -300,8 +300,13 @@ def test_folders_may_nest_as_deeply_as_the_disk_allows(tmp_path, monkeypatch):
     for _ in range(1100):
         os.mkdir("d")
         os.chdir("d")
-    with pytest.raises(InputError, match="holds neither a video nor a folder of frames"):
-        discover([tmp_path], LAYOUT)
+    try:
+        with pytest.raises(InputError, match="holds neither a video nor a folder of frames"):
+            discover([tmp_path], LAYOUT)
+    finally:
+        for _ in range(1100):  # pytest's own removal recurses
+            os.chdir("..")
+            os.rmdir("d")
 
 
 def write_varying(path, milliseconds):

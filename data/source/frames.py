@@ -291,17 +291,18 @@ def discover(inputs: list[Path], layout: ClipLayout) -> list[Path]:
 def _search(top: Path, layout: ClipLayout) -> list[Path]:
     """Clips in a folder and below, in natural order."""
     found: list[Path] = []
-    seen: set[Path] = set()  # where links lead in circles
+    seen: set[tuple[int, int]] = set()  # links may lead in circles
     left = [top]
     while left:
         folder = left.pop()
         if not folder.is_dir():
             found.append(folder)
             continue
-        real = folder.resolve()
-        if real in seen or (folder / RESULT_FILE).is_file():
+        state = folder.stat()
+        place = state.st_dev, state.st_ino
+        if place in seen or (folder / RESULT_FILE).is_file():
             continue
-        seen.add(real)
+        seen.add(place)
         if frame_files(folder, layout):
             found.append(folder)
             continue

@@ -63,6 +63,7 @@ class GanSession(RunSession):
     """One clip; frames come one late, because the motion to the next frame is shown."""
 
     def __init__(self, estimator: GanEstimator, clip: ClipInfo) -> None:
+        # Runs are followed at the clip's own frame rate; what a frame shows is simulated as the network was trained.
         super().__init__(clip, estimator.mechanics)
         self.estimator = estimator
         self._window = FrameWindow(estimator.model.window)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import types
-from typing import Any, Literal, Union, get_args, get_origin
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 WORDS: dict[Any, str] = {
     str: "text",
@@ -56,3 +56,14 @@ def described(kind: Any) -> str:
     if origin is tuple:
         return f"[{', '.join(map(described, inner))}]"
     return WORDS[kind]
+
+
+def require_choices(settings: Any, group: str = "") -> None:
+    """Raise a ValueError where a field of a dataclass that may be one of a few holds something else.
+
+    Args:
+        group: of the settings, for the sentence.
+    """
+    for name, kind in get_type_hints(type(settings)).items():
+        if get_origin(kind) is Literal and not fits(getattr(settings, name), kind):
+            raise ValueError(f"{group}{name} is {getattr(settings, name)!r}; give {described(kind)}.")

@@ -19,6 +19,7 @@ from data.contact.outlines import tool_depth
 from data.contact.surface import smooth_surface
 from data.labels import TISSUE, TOOL
 from data.source.camera import Camera, back_project
+from physics.fields import require_choices
 from physics.mesh import Mesh, contact_normal, grid_mesh, nearest_vertex
 
 COARSE_POINTS = 1000
@@ -122,6 +123,7 @@ class GeometrySettings:
     """Fewer tissue pixels on the grid than this are `no_tissue`."""
 
     def __post_init__(self) -> None:
+        require_choices(self, "geometry.")
         least = {"height": 8, "width": 8, "min_tool_pixels": 1, "min_tissue_pixels": 1}
         least |= dict.fromkeys(("smoothing", "contact_pixels", "contact_distance"), 0)
         for name, low in least.items():

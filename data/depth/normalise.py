@@ -21,6 +21,7 @@ from data.labels import TISSUE, TOOL
 from data.source.camera import clip_camera
 from data.source.frames import FrameSource
 from data.source.layout import ClipLayout, InputError, matches
+from physics.fields import require_choices
 
 FAR_QUANTILE = 0.999
 """A frame's largest depth is this quantile of its valid depth: single wild pixels don't count."""
@@ -62,6 +63,7 @@ class DepthSettings:
     """Where the depth model runs; cuda needs onnxruntime-gpu."""
 
     def __post_init__(self) -> None:
+        require_choices(self, "depth.")
         of_file = self.source.lower().endswith(".onnx")
         if self.model is not None and (of_file or self.source in ("auto", "stored")):
             raise ValueError(

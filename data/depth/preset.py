@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Literal
 
 from data.source.layout import InputError, from_mapping, read_mapping
+from physics.fields import require_choices
 
 PRESET_FOLDER = Path(__file__).parent / "presets"
 
@@ -68,6 +69,7 @@ class DepthPreset:
     """Depth for a camera of this focal length (Metric3D: 1000): D = D̂·f/f_canonical with f on the input [px]."""
 
     def __post_init__(self) -> None:
+        require_choices(self)
         sides = self.size if isinstance(self.size, tuple) else (self.size,)
         if any(pixels is not None and pixels < 1 for pixels in (*sides, self.multiple, self.focal_grid)):
             raise ValueError("size, multiple and focal_grid are pixels; give numbers of at least 1.")

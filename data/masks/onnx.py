@@ -22,6 +22,7 @@ from data.masks.automatic import lit_picture
 from data.picture_network import PictureNetwork, network_input, resized
 from data.source.frames import Frame
 from data.source.layout import InputError, from_mapping, read_mapping
+from physics.fields import require_choices
 
 METADATA_KEY = "masks"
 
@@ -56,6 +57,7 @@ class SegmentationSettings:
     """Order of the axes of input and output."""
 
     def __post_init__(self) -> None:
+        require_choices(self)
         if not self.tool or min(self.tool + self.tissue) < 0:
             raise ValueError("tool must list at least one output channel, from 0, and tissue none or more.")
         if set(self.tool) & set(self.tissue):

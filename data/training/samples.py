@@ -17,6 +17,7 @@ from data.contact.geometry import GeometrySettings, force_direction
 from data.contact.interaction import ContactFrame, Interaction, InteractionBuilder
 from data.prepared import SEEN_OUT
 from data.windows import future_indices, window_indices
+from physics.fields import require_choices
 from physics.load import Press, held
 from physics.mechanics import Mechanics
 from physics.observation import Observation
@@ -42,6 +43,7 @@ class SampleSettings:
     """The rollout's time base."""
 
     def __post_init__(self) -> None:
+        require_choices(self, "samples.")
         if self.window < 1:
             raise ValueError(f"window is {self.window}; give at least 1 frame.")
         if self.onset_within is not None and self.onset_within < 1:

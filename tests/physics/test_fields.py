@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import Literal
 
 import pytest
 
+from data.contact.geometry import GeometrySettings
+from data.depth.normalise import DepthSettings
+from data.depth.preset import DepthPreset
+from data.masks.onnx import SegmentationSettings
+from data.training.samples import SampleSettings
 from physics.fields import described, fits
 
 
@@ -41,3 +47,27 @@ def test_kinds_of_values(kind: object, good: list, bad: list):
 )
 def test_an_annotation_in_words(kind: object, words: str):
     assert described(kind) == words
+
+
+@pytest.mark.parametrize(
+    ("kind", "choice", "told"),
+    [
+        (DepthSettings, {"bits": 12}, "depth.bits is 12; give one of 8, 16."),
+        (DepthSettings, {"device": "gpu"}, "depth.device is 'gpu'; give one of cpu, cuda."),
+        (
+            GeometrySettings,
+            {"displacement": "guessed"},
+            "geometry.displacement is 'guessed'; give one of tracked, redetected.",
+        ),
+        (
+            SampleSettings,
+            {"observation": "all"},
+            "samples.observation is 'all'; give one of final, release, trajectory.",
+        ),
+        (DepthPreset, {"name": "own", "kind": "depth"}, "kind is 'depth'; give one of metric, "),
+        (SegmentationSettings, {"tool": (1,), "axes": "hwc"}, "axes is 'hwc'; give one of nchw, nhwc."),
+    ],
+)
+def test_what_is_one_of_a_few_is_checked_from_python_too(kind: type, choice: dict, told: str):
+    with pytest.raises(ValueError, match=re.escape(told)):
+        kind(**choice)

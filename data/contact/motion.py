@@ -61,6 +61,8 @@ class ContactMotion:
         self.bridge_frames, self.track_seconds = settings.bridge_frames, settings.track_seconds
         self._tracker = TissueTracker()
         self._rest = RestDepth()
+        self._smooth = -1, np.empty(0)
+        """Index and smoothed depth of the latest frame that was asked for."""
         self._run: ContactRun | None = None
         self._last_contact: int | None = None
         self._last_time = -math.inf
@@ -232,7 +234,9 @@ class ContactMotion:
         """Points [P, 3] on the smoothed surface: drift adds up from frame to frame, and with it the depth's noise."""
         depth = prepared.depth
         if self.settings.smoothing > 0:
-            tissue = (prepared.labels == TISSUE) & (depth > 0)
-            depth = smooth_surface(depth, tissue, self.settings.smoothing)[0]
+            if self._smooth[0] != prepared.frame.index:  # every frame is asked for with the one before and after it
+                tissue = (prepared.labels == TISSUE) & (depth > 0)
+                self._smooth = prepared.frame.index, smooth_surface(depth, tissue, self.settings.smoothing)[0]
+            depth = self._smooth[1]
         grid = picture_to_grid(pixels, prepared.depth.shape, self.size)
         return lift(grid, depth, prepared.labels, self.camera)

@@ -10,7 +10,7 @@ from data.depth.normalise import DepthSettings
 from data.masks.sources import MaskClasses
 from data.source.layout import ClipLayout
 
-PREPROCESSING_VERSION = 2
+PREPROCESSING_VERSION = 3
 """Raised when the same pixels would give a network another input; exported models carry it."""
 
 

@@ -22,6 +22,8 @@ IN_FRONT = 5.0
 """Depth so many standard deviations nearer than the tissue at rest is the tool's."""
 ALIKE = 2.0
 """Mean changes whose difference is below this many of its standard deviations count as the same."""
+ALIKE_SHARE = 0.25
+"""So do those that differ by less than this share: the tip of the tool that presses goes about as deep as the dent."""
 REFINE_FRAMES = 5
 """Frames after the onset that decide where the contact is."""
 
@@ -116,7 +118,8 @@ def _largest(changes: np.ndarray, needed: np.ndarray, share: np.ndarray, noise: 
     # Dents grow: only frames that show both vertices compare them.
     behind = changes[:, np.argmax(np.where(clear, mean, -np.inf))][:, None] - changes
     common = np.isfinite(behind).sum(axis=0)
-    alike = clear & (np.nansum(behind, axis=0) <= ALIKE * noise * np.sqrt(2 * common)) & (common > 0)
+    least = ALIKE * noise * np.sqrt(2 * common) + ALIKE_SHARE * common * np.nanmax(mean[clear])
+    alike = clear & (np.nansum(behind, axis=0) <= least) & (common > 0)
     alike &= share == share[alike].max()
     return int(np.argmax(np.where(alike, mean, -np.inf)))
 

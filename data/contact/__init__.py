@@ -5,8 +5,9 @@ surface        smooth tissue behind noisy depth, and the noise; rest_depth: its 
 motion         the contact's motion from frame to frame and since its onset
 tracking       tissue points followed by optical flow; template: found again by their look
 tissue_points  places in a picture as points in space; refinement: where a young contact presses
-interaction    the frames of a run of contact as mesh, load and observation
-features       an interaction as the vector that networks read
+film           depth around a contact from frame to frame; patches: which of the mesh's vertices its pixels show
+interaction    the frames of a run of contact as mesh, load, observation and film
+features       an interaction as the vector that networks read; film_features: its film likewise
 """
 
 from physics.lazy import exported

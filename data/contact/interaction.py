@@ -13,6 +13,7 @@ from typing import Literal
 
 import numpy as np
 
+from data.contact.film import DentFilm, FilmRecorder
 from data.contact.geometry import GeometrySettings, force_direction
 from physics.load import Press, held
 from physics.mechanics import Mechanics
@@ -22,6 +23,8 @@ from physics.observation import Observation
 PRESS = "press"
 Horizon = int | Literal["press"] | None
 """How much of a contact's motion counts: so many frames after its onset, those under the tool, or all."""
+SAME_INSTANT = 1e-6
+"""Times nearer to each other than this are one [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +39,8 @@ class Interaction:
     """The followed points."""
     time_step: float
     """Of the load [s]."""
+    film: DentFilm | None = None
+    """Depth of all tissue around the contact; None where it wasn't kept or its noise isn't known."""
 
     @property
     def vertex(self) -> int:
@@ -78,8 +83,12 @@ class Interaction:
         return self.moved.astype(np.float64) @ np.asarray(self.direction, np.float64)
 
     def observed(self, instants: np.ndarray) -> Interaction:
-        """The same as seen at some of its instants only: a mask or indices."""
-        return dataclasses.replace(self, observation=self.observation.chosen(instants))
+        """The same as seen at some of its instants only, a mask or indices; its film as far as the last of them."""
+        observation, film = self.observation.chosen(instants), self.film
+        if film is not None:
+            last = observation.times[-1] if len(observation) else -math.inf
+            film = film.chosen(film.times <= last + SAME_INSTANT)
+        return dataclasses.replace(self, observation=observation, film=film)
 
 
 @dataclass(frozen=True)
@@ -96,10 +105,14 @@ class ContactFrame:
     """Whether the next frame bears the next number."""
     position: np.ndarray
     """Where the followed tissue is, shape [3] [scene units]; not a number where it is lost."""
+    depth: np.ndarray | None = None
+    """z on the grid, shape [h, w] [scene units], 0 = invalid; None where no film is kept."""
+    labels: np.ndarray | None = None
+    """Label map on the grid, shape [h, w]."""
 
 
 class InteractionBuilder:
-    """Gathers the frames of one run of contact whose onset was seen; memory does not grow with its length.
+    """Gathers the frames of one run of contact whose onset was seen; what counts no more is not kept.
 
     Args:
         mesh, vertex, normal: tissue at rest, the contact vertex and its normal [3].
@@ -107,6 +120,7 @@ class InteractionBuilder:
         onset: the first frame in contact.
         settings: the force's direction is taken from here.
         seconds: how long the motion counts [s].
+        size: width and height of the pictures [px]; None = keep no film.
     """
 
     def __init__(
@@ -118,6 +132,7 @@ class InteractionBuilder:
         onset: ContactFrame,
         settings: GeometrySettings,
         seconds: float,
+        size: tuple[int, int] | None = None,
     ) -> None:
         self.mesh, self.vertex, self.normal, self.settings = mesh, vertex, normal, settings
         # In single precision, and positions below: what networks are trained on, whatever a frame comes from.
@@ -136,6 +151,10 @@ class InteractionBuilder:
         """
         self._count, self._followed_on = 1, onset.consecutive
         self._seen: list[tuple[int, float, np.ndarray]] = []
+        keeps = size is not None and math.isfinite(self.noise)
+        self._recorder = FilmRecorder(mesh, vertex, self.noise, size) if keeps and size else None
+        self._film: list[tuple[int, float, np.ndarray]] = []
+        self._film_of(onset)
 
     def add(self, frame: ContactFrame) -> None:
         """The next frame."""
@@ -146,8 +165,19 @@ class InteractionBuilder:
         elif index == self.pressed + 1 and self._followed_on and frame.seen_out:
             self.load_seconds = since
         position = np.asarray(frame.position, np.float32)
-        if since < self.seconds and np.isfinite(position).all():
+        if since >= self.seconds:
+            return
+        if np.isfinite(position).all():
             self._seen.append((index, since, position))
+        change = self._film_of(frame)
+        if change is not None:
+            self._film.append((index, since, change))
+
+    def _film_of(self, frame: ContactFrame) -> np.ndarray | None:
+        """What a frame adds to the film."""
+        if self._recorder is None or frame.depth is None or frame.labels is None:
+            return None
+        return self._recorder.frame(frame.depth, frame.labels)
 
     def build(self, mechanics: Mechanics, horizon: Horizon = None, until: float | None = None) -> Interaction:
         """The run as far as it was seen; maybe without any observation.
@@ -161,11 +191,11 @@ class InteractionBuilder:
         step, steps = mechanics.time_step, mechanics.steps
         last = self.pressed if self.load_seconds is None or horizon == PRESS else math.inf
         last = min(last, horizon) if isinstance(horizon, int) else last
-        seen = [
-            (since, position)
-            for index, since, position in self._seen
-            if index <= last and step / 2 <= since < mechanics.seconds and (until is None or since <= until)
-        ]
+
+        def counts(index: int, since: float) -> bool:
+            return index <= last and step / 2 <= since < mechanics.seconds and (until is None or since <= until)
+
+        seen = [(since, position) for index, since, position in self._seen if counts(index, since)]
         moved = np.array([position - self.rest for _, position in seen], np.float32).reshape(-1, 3)
         farthest = max(moved, key=np.linalg.norm, default=np.zeros(3, np.float32))
         loaded = steps if self.load_seconds is None else int(np.clip(round(self.load_seconds / step), 1, steps))
@@ -173,5 +203,10 @@ class InteractionBuilder:
             loaded = min(loaded, round(until / step))
         direction = force_direction(self.normal, farthest, self.settings)
         press = Press.at(self.vertex, direction, held(loaded, steps))
-        times = np.array([since for since, _ in seen])
-        return Interaction(self.mesh, press, Observation.of_point(self.vertex, times, moved, self.noise), step)
+        observation = Observation.of_point(self.vertex, np.array([since for since, _ in seen]), moved, self.noise)
+        film = None
+        if self._recorder is not None:
+            kept = [(since, change) for index, since, change in self._film if counts(index, since)]
+            known = sum(until is None or since <= until for _, since, _ in self._film)
+            film = self._recorder.film(np.array([since for since, _ in kept]), [change for _, change in kept], known)
+        return Interaction(self.mesh, press, observation, step, film)

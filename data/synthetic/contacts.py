@@ -8,13 +8,19 @@ is kept for evaluation alone.
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
+from data.contact.film import REACH as FILM_REACH
+from data.contact.film import DentFilm, FilmNoise
 from data.contact.interaction import Interaction
+from data.contact.patches import Patches
 from data.synthetic.scene import Scene, crop_mesh, draw_scene
 from data.synthetic.settings import SceneSettings
+from data.synthetic.tool import TIP_START, jaw_width
 from data.synthetic.truth import draw_theta
 from physics.load import Press, held
 from physics.mechanics import Mechanics
@@ -27,6 +33,8 @@ REACH = 40
 FINE = Mechanics(time_step=0.0025, steps=400, scheme="dkd", window_error=1e-5)
 """The simulator that makes the motions."""
 ATTEMPTS = 60
+SHORTEST = 0.02
+"""No press is shorter, whatever its delays [s]."""
 
 
 @dataclass(frozen=True)
@@ -34,12 +42,14 @@ class SimulatedContact:
     """A contact, its motion without noise, and the truth that no training reads."""
 
     interaction: Interaction
-    """Motion at the frames' times; its noise is 0 and must be added."""
+    """Motion at the frames' times, and where it is wanted the film; their noise is 0 and must be added."""
     theta: np.ndarray
     """[k_s, k_d, F], shape [3]."""
 
 
-def draw_contacts(settings: SceneSettings, seed: int, count: int, time_step: float) -> list[SimulatedContact]:
+def draw_contacts(
+    settings: SceneSettings, seed: int, count: int, time_step: float, within: float = 0.0, film: bool = False
+) -> list[SimulatedContact]:
     """Contacts of one scene, each with its own tissue and timing; fewer where too many draws move too much or little.
 
     Args:
@@ -47,29 +57,74 @@ def draw_contacts(settings: SceneSettings, seed: int, count: int, time_step: flo
         seed: of this scene.
         count: contacts.
         time_step: of the loads' steps [s].
+        within: the press begins, and ends, at most so long before or after the time stamps that say so [s].
+        film: whether the films of the dents are made as well, seen at the grid's size or at CholecSeg8k's in turn.
     """
     scene = draw_scene(settings, np.random.default_rng([seed, 0]))
     generator = np.random.default_rng([seed, 1])
     mesh, kept, _ = crop_mesh(scene.mesh, scene.vertex, REACH)
     vertex = int(np.searchsorted(kept, scene.vertex))
-    draws = (_draw_contact(scene, mesh, vertex, generator, time_step) for _ in range(ATTEMPTS * count))
+    grid = settings.grid_width, settings.grid_height
+    patches = [Patches(mesh, vertex, size) for size in (grid, (854, 480))] if film else []
+    press = _Pressed(scene, mesh, vertex, time_step, within, patches)
+    draws = (press.draw(generator) for _ in range(ATTEMPTS * count))
     return list(itertools.islice(filter(None, draws), count))
 
 
-def _draw_contact(
-    scene: Scene, mesh: Mesh, vertex: int, generator: np.random.Generator, time_step: float
-) -> SimulatedContact | None:
-    settings = scene.settings
-    theta = draw_theta(settings, generator)
-    load_frames = max(1, round(generator.uniform(*settings.press_seconds) * settings.fps))
-    seconds = load_frames / settings.fps
-    fine = round(seconds / FINE.time_step)
-    low, high = settings.peak_displacement
-    pressed = simulate(theta, mesh, Press.at(vertex, scene.direction, np.ones(fine)), FINE)
-    if not low <= np.linalg.norm(pressed, axis=1).max() <= high:
-        return None
-    path = simulate(theta, mesh, Press.at(vertex, scene.direction, held(fine, FINE.steps)), FINE)
-    times = np.arange(1, round(settings.fps) + 1) / settings.fps
-    press = Press.at(vertex, scene.direction.astype(np.float32), held(round(seconds / time_step), round(1 / time_step)))
-    moved = Observation.of_point(vertex, times, path[np.rint(times / FINE.time_step).astype(np.int64) - 1], 0.0)
-    return SimulatedContact(Interaction(mesh, press, moved, time_step), theta)
+@dataclass(frozen=True)
+class _Pressed:
+    """One scene's mesh under presses."""
+
+    scene: Scene
+    mesh: Mesh
+    vertex: int
+    time_step: float
+    within: float
+    patches: list[Patches]
+
+    def draw(self, generator: np.random.Generator) -> SimulatedContact | None:
+        """One contact, or None where it moves too much or too little."""
+        settings, direction = self.scene.settings, self.scene.direction
+        theta = draw_theta(settings, generator)
+        stamped = max(1, round(generator.uniform(*settings.press_seconds) * settings.fps)) / settings.fps
+        delay, release = generator.uniform(-self.within, self.within, 2) if self.within else (0.0, 0.0)
+        loaded = max(stamped + release - delay, SHORTEST) / FINE.time_step
+        low, high = settings.peak_displacement
+        pressed = simulate(theta, self.mesh, Press.at(self.vertex, direction, np.ones(round(loaded) or 1)), FINE)
+        if not low <= np.linalg.norm(pressed, axis=1).max() <= high:
+            return None
+        view = self.patches[int(generator.integers(len(self.patches)))] if self.patches else None
+        watch = np.array([self.vertex]) if view is None else np.append(self.vertex, view.vertices)
+        steps = FINE.steps + math.ceil(self.within / FINE.time_step)
+        press = Press.at(self.vertex, direction, held(loaded, steps))
+        path = simulate(theta, self.mesh, press, FINE, watch=watch)
+        times = np.arange(1, round(settings.fps) + 1) / settings.fps
+        if self.within:
+            after = FINE.time_step * np.arange(steps + 1)
+            curve = CubicSpline(after, np.concatenate([np.zeros_like(path[:1]), path]))
+            moved = curve(np.maximum(times - delay, 0))
+        else:
+            moved = path[np.rint(times / FINE.time_step).astype(np.int64) - 1]
+        step = self.time_step
+        load = Press.at(self.vertex, direction.astype(np.float32), held(round(stamped / step), round(1 / step)))
+        observed = Observation.of_point(self.vertex, times, moved[:, 0], 0.0)
+        film = None if view is None else self._film(view, moved[:, 1:], times, stamped, generator)
+        return SimulatedContact(Interaction(self.mesh, load, observed, step, film), theta)
+
+    def _film(
+        self, view: Patches, moved: np.ndarray, times: np.ndarray, stamped: float, generator: np.random.Generator
+    ) -> DentFilm:
+        """What is seen of displacements [N, V, 3] beside a tool that touches until a time [s]."""
+        side = 2 * FILM_REACH + 1
+        change = view.shown(view.sunk(moved), view.covering(moved)).reshape(len(times), side, side)
+        change[np.ix_(times < stamped - 1e-9, *[np.ones(side, bool)] * 2)] += hidden_by_tool(generator)
+        return DentFilm(times, change.astype(np.float32), FilmNoise(0.0, 0.0), view.size)
+
+
+def hidden_by_tool(generator: np.random.Generator) -> np.ndarray:
+    """Not a number where a tool that touches the middle from any side hides a film's pixels, else 0, shape [S, S]."""
+    angle = generator.uniform(0, 2 * math.pi)
+    rows, columns = np.mgrid[-FILM_REACH : FILM_REACH + 1, -FILM_REACH : FILM_REACH + 1]
+    along = columns * math.cos(angle) + rows * math.sin(angle)
+    across = rows * math.cos(angle) - columns * math.sin(angle)
+    return np.where((along >= TIP_START) & (np.abs(across) <= jaw_width(along)), np.nan, 0.0)

@@ -96,10 +96,13 @@ def draw_tool(scene: Scene, motion: Motion, frame: int, view: View) -> Tool:
 
 def _half_width(along: np.ndarray, shaft: np.ndarray) -> np.ndarray:
     """Half-width of the tool [grid px] along its axis; `shaft` is the shaft's there."""
-    positions, widths = np.array(WIDTHS).T
     # Jaws and joint of narrow pictures must not outgrow the shaft.
-    jaws = np.interp(along, positions, widths)
-    return np.where(along < positions[-1], np.minimum(jaws, shaft), shaft)
+    return np.where(along < WIDTHS[-1][0], np.minimum(jaw_width(along), shaft), shaft)
+
+
+def jaw_width(along: np.ndarray) -> np.ndarray:
+    """Half-width of jaws and joint at places along their axis [grid px]."""
+    return np.interp(along, *np.array(WIDTHS).T)
 
 
 def _light(along: np.ndarray, across: np.ndarray, section: np.ndarray, bulge: np.ndarray) -> np.ndarray:

@@ -62,6 +62,44 @@ def test_the_same_seed_gives_the_same_contacts() -> None:
     assert not np.array_equal(first[0].theta, draw_contacts(SETTINGS, 6, 1, 0.005)[0].theta)
 
 
+def test_films_show_the_motion_beside_the_tool() -> None:
+    """A pixel of the grid's size shows the vertex that lies there; one of larger pictures the mean of several."""
+    plain = draw_contacts(SETTINGS, 11, 1, 0.005)[0]
+    assert plain.interaction.film is None
+    contacts = [contact.interaction for contact in draw_contacts(SETTINGS, 11, 8, 0.005, film=True)]
+    assert {contact.film.size for contact in contacts} == {(214, 120), (854, 480)}
+    for contact in contacts:
+        film, moved = contact.film, contact.moved[:, 2]
+        assert (film.change.shape, film.noise.total) == ((25, 15, 15), 0.0)
+        np.testing.assert_array_equal(film.times, contact.observation.times)
+        exact = film.size == (214, 120)
+        np.testing.assert_allclose(film.change[:, 7, 7], moved, atol=1e-5 if exact else 0.3 * moved.max())
+        # The tool is there until the frame whose time stamp says that it has let go.
+        touches = film.times < contact.load_seconds - 1e-9
+        hidden = ~np.isfinite(film.change)
+        assert hidden[touches].any(axis=(1, 2)).all()
+        assert not hidden[~touches].any()
+        assert hidden.mean(axis=(1, 2)).max() < 0.3
+
+
+def test_presses_begin_within_a_frame_of_their_stamps() -> None:
+    """The first three frames' motion, in which no press ends, is that of a press that began so much later."""
+    began, tried = [], np.linspace(-0.04, 0.04, 161)
+    for contact in draw_contacts(SETTINGS, 11, 12, 0.005, within=0.04):
+        seen = contact.interaction
+        assert seen.load_seconds == pytest.approx(0.04 * round(seen.load_seconds / 0.04))  # as the stamps say
+        pressed = simulate(contact.theta, seen.mesh, Press.at(seen.vertex, seen.direction, np.ones(64)), FINE)
+        along = np.concatenate([[0.0], pressed @ seen.direction])
+        since = seen.observation.times[:3] - tried[:, None]
+        left = np.interp(since, FINE.time_step * np.arange(65), along) - seen.along[:3]
+        misfits = np.abs(left).max(axis=1)
+        assert misfits.min() < 0.01 * np.abs(along).max()
+        began.append(tried[misfits.argmin()])
+    # Evenly spread from -0.04 s to 0.04 s.
+    assert min(began) < -0.02
+    assert max(began) > 0.02
+
+
 def test_motions_follow_the_fitted_simulator() -> None:
     contact = draw_contacts(SETTINGS, 7, 1, 0.005)[0]
     seen = contact.interaction

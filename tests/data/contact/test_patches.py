@@ -1,0 +1,407 @@
+"""Which tissue the pixels around a contact show while it moves: cameras, ramps, and the renderer as their twins."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from data.contact.film import REACH
+from data.contact.interaction import Interaction
+from data.contact.patches import LARGEST_SHIFT, MOST_SAMPLES, Patches, focal_length, footprint
+from data.source.camera import Camera, back_project
+from data.synthetic.clip import draw_truth, synthetic_clip
+from data.synthetic.scene import Scene
+from data.synthetic.settings import SceneSettings
+from data.synthetic.source import open_synthetic
+from data.synthetic.truth import Motion
+from estimators.contract import ClipInfo
+from evaluation.recovery.evaluate import PREPARE, observed_contacts
+from physics.mesh import Mesh, grid_mesh
+
+WIDTH, HEIGHT = 64, 48
+CAMERA = Camera(fx=90.0, fy=80.0, cx=30.5, cy=21.0, width=WIDTH, height=HEIGHT)
+CENTRE = (23, 33)
+SIDE = 2 * REACH + 1
+ROWS, COLUMNS = np.mgrid[:HEIGHT, :WIDTH]
+PLANE = 0.5 + 0.0007 * COLUMNS - 0.0004 * ROWS
+"""Depth that grows evenly from pixel to pixel."""
+CURVED = 0.5 + 0.01 * np.sin(COLUMNS / 5) + 0.008 * np.cos(ROWS / 4)
+SIZES = [(WIDTH, HEIGHT), (2 * WIDTH, 2 * HEIGHT), (3 * WIDTH - 5, 3 * HEIGHT - 2)]
+"""Of the picture."""
+
+
+def mesh_of(depth: np.ndarray = CURVED, hole: tuple[int, int] | None = None) -> Mesh:
+    valid = np.ones(depth.shape, bool)
+    if hole is not None:
+        valid[hole] = False
+    return grid_mesh(back_project(depth, CAMERA), valid, max_edge=1.0)
+
+
+def vertex_at(mesh: Mesh, row: int, column: int) -> int:
+    return int(np.flatnonzero((mesh.pixels == (row, column)).all(axis=1))[0])
+
+
+def patches_of(
+    depth: np.ndarray = CURVED, size: tuple[int, int] = (WIDTH, HEIGHT), hole: tuple[int, int] | None = None
+) -> tuple[Patches, Mesh]:
+    mesh = mesh_of(depth, hole)
+    return Patches(mesh, vertex_at(mesh, *CENTRE), size), mesh
+
+
+def moves(seed: int, count: int, size: float = 2e-3, frames: int = 2) -> np.ndarray:
+    """Random displacements, shape [N, V, 3]."""
+    return np.random.default_rng(seed).normal(0, size, (frames, count, 3))
+
+
+def shifting(patches: Patches, mesh: Mesh, shift: np.ndarray, sunk: float | np.ndarray = 0.0) -> np.ndarray:
+    """Displacements [N, V, 3] that move the patches by so many rows and columns [N, V, 2] (or what broadcasts)."""
+    rest = mesh.vertices[patches.vertices].astype(np.float64)
+    after = rest[:, 2] + sunk
+    pixels = mesh.pixels[patches.vertices] + shift
+    rays = (pixels[..., ::-1] - (CAMERA.cx, CAMERA.cy)) / (CAMERA.fx, CAMERA.fy)
+    after = np.broadcast_to(after, rays.shape[:-1])
+    return np.concatenate([rays * after[..., None], after[..., None]], axis=-1) - rest
+
+
+def pixels_of(patches: Patches, mesh: Mesh) -> np.ndarray:
+    """Row and column of every vertex from the contact, shape [V, 2]."""
+    return mesh.pixels[patches.vertices] - CENTRE
+
+
+def samples_of(size: tuple[int, int]) -> np.ndarray:
+    """Row and column of every pixel's samples from the contact, shape [P, K, 2]."""
+    rows, columns = (
+        footprint(centre + np.arange(-REACH, REACH + 1), cells, pixels)[0] - centre
+        for centre, cells, pixels in zip(CENTRE, (HEIGHT, WIDTH), size[::-1], strict=True)
+    )
+    shape = (SIDE, SIDE, rows.shape[1], columns.shape[1])
+    places = np.broadcast_to(rows[:, None, :, None], shape), np.broadcast_to(columns[None, :, None], shape)
+    return np.stack(places, axis=-1).reshape(SIDE * SIDE, -1, 2)
+
+
+def window_pixels() -> np.ndarray:
+    """Row and column of every pixel of a film from the contact, shape [P, 2]."""
+    return np.mgrid[-REACH : REACH + 1, -REACH : REACH + 1].reshape(2, -1).T
+
+
+def test_the_focal_length_is_the_cameras() -> None:
+    np.testing.assert_allclose(focal_length(mesh_of()), [CAMERA.fx, CAMERA.fy], rtol=1e-6)
+    wide = Camera.from_field_of_view(75, 854, 480).scaled(214, 120)
+    depth = 0.5 + 0.1 * np.random.default_rng(0).random((120, 214))
+    mesh = grid_mesh(back_project(depth, wide), depth > 0.53, max_edge=1.0)
+    np.testing.assert_allclose(focal_length(mesh), [wide.fx, wide.fy], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("count", "pixels"), [(60, 60), (60, 120), (60, 90), (214, 854), (120, 480), (60, 353), (7, 42)]
+)
+def test_footprints_are_those_of_an_area_average(count: int, pixels: int) -> None:
+    """Whatever the picture: of random rows, and so of ramps and steps."""
+    middles, shares = footprint(np.arange(count), count, pixels)
+    np.testing.assert_allclose(shares.sum(axis=1), 1, atol=1e-12)
+    assert (shares >= 0).all()
+    index = (middles + 0.5) * pixels / count - 0.5
+    np.testing.assert_allclose(index, np.rint(index), atol=1e-9)
+    index = np.rint(index).astype(int)
+    assert ((index >= 0) & (index < pixels))[shares > 0].all()
+    generator = np.random.default_rng(0)
+    step = (np.arange(pixels) >= 0.41 * pixels) * 1.0
+    for row in (np.linspace(0, 1, pixels), step, generator.random(pixels)):
+        picture = np.tile(row.astype(np.float32), (2 * count, 1))
+        shrunk = cv2.resize(picture, (count, count), interpolation=cv2.INTER_AREA)[0]
+        np.testing.assert_allclose((shares * row[np.clip(index, 0, pixels - 1)]).sum(axis=1), shrunk, atol=2e-6)
+
+
+@pytest.mark.parametrize("pixels", [60, 47])
+def test_a_picture_no_larger_than_the_grid_has_one_sample(pixels: int) -> None:
+    middles, shares = footprint(np.arange(60), 60, pixels)
+    np.testing.assert_array_equal(middles, np.arange(60)[:, None])
+    np.testing.assert_array_equal(shares, 1)
+
+
+def test_of_much_larger_pictures_some_places_stand_for_all() -> None:
+    middles, shares = footprint(np.arange(10, 20), 60, 60 * 17)
+    assert shares.shape == (10, MOST_SAMPLES)
+    np.testing.assert_allclose(shares, 1 / MOST_SAMPLES)
+    np.testing.assert_allclose(middles.mean(axis=1), np.arange(10, 20))
+    np.testing.assert_allclose(np.diff(np.sort(middles.ravel())), 1 / MOST_SAMPLES)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_samples_have_the_shares_of_both_axes(size: tuple[int, int]) -> None:
+    weights = patches_of(size=size)[0].weights
+    assert len(weights) == SIDE * SIDE
+    np.testing.assert_allclose(weights.sum(axis=1), 1, atol=1e-12)
+    if size == (WIDTH, HEIGHT):
+        assert weights.shape == (SIDE * SIDE, 1)
+    else:
+        rows, columns = (
+            footprint(centre + np.arange(-REACH, REACH + 1), cells, pixels)[1]
+            for centre, cells, pixels in zip(CENTRE, (HEIGHT, WIDTH), size[::-1], strict=True)
+        )
+        expected = np.einsum("ri,cj->rcij", rows, columns).reshape(SIDE * SIDE, -1)
+        np.testing.assert_allclose(weights, expected, atol=1e-15)
+
+
+def test_patches_are_all_that_pixels_can_show() -> None:
+    patches, mesh = patches_of()
+    apart = np.abs(mesh.pixels - CENTRE).max(axis=1)
+    np.testing.assert_array_equal(patches.vertices, np.flatnonzero(apart <= REACH + LARGEST_SHIFT))
+
+
+def test_shifts_are_those_of_the_cameras_picture() -> None:
+    patches, mesh = patches_of()
+    moved = moves(0, len(patches.vertices), size=0.01)
+    after = mesh.vertices[patches.vertices].astype(np.float64) + moved
+    places = after[..., :2] / after[..., 2:] * (CAMERA.fx, CAMERA.fy) + (CAMERA.cx, CAMERA.cy)
+    expected = places[..., ::-1] - mesh.pixels[patches.vertices]
+    np.testing.assert_allclose(patches.shift(moved), expected, atol=1e-5)
+    assert np.abs(expected).max() > 1
+
+
+def test_on_a_plane_sunk_is_the_new_depth_less_that_at_rest_where_it_lies() -> None:
+    patches, mesh = patches_of(PLANE)
+    moved = moves(1, len(patches.vertices), size=0.01)
+    after = mesh.vertices[patches.vertices].astype(np.float64) + moved
+    column, row = np.moveaxis(after[..., :2] / after[..., 2:] * (CAMERA.fx, CAMERA.fy) + (CAMERA.cx, CAMERA.cy), -1, 0)
+    expected = after[..., 2] - (0.5 + 0.0007 * column - 0.0004 * row)
+    np.testing.assert_allclose(patches.sunk(moved), expected, atol=1e-6)
+
+
+def test_tissue_that_slides_along_itself_does_not_sink() -> None:
+    patches, mesh = patches_of(PLANE)
+    shift = np.random.default_rng(2).uniform(-1, 1, (3, len(patches.vertices), 2))
+    moved = shifting(patches, mesh, shift, shift @ [-0.0004, 0.0007])
+    assert np.abs(moved[..., 2]).max() > 5e-4
+    np.testing.assert_allclose(patches.sunk(moved), 0, atol=2e-7)
+
+
+@pytest.mark.parametrize("hole", [None, (20, 30)])
+def test_slopes_of_sunk_are_those_of_central_differences(hole: tuple[int, int] | None) -> None:
+    patches, _ = patches_of(hole=hole)
+    moved = moves(3, len(patches.vertices), size=5e-3)
+    slopes = np.random.default_rng(4).normal(size=(*moved.shape, 4))
+    found, step = patches.sunk_slopes(moved, slopes), 1e-6
+    for index in range(4):
+        change = step * slopes[..., index]
+        expected = (patches.sunk(moved + change) - patches.sunk(moved - change)) / (2 * step)
+        np.testing.assert_allclose(found[..., index], expected, rtol=1e-7, atol=1e-8)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_at_rest_every_sample_shows_the_vertex_beneath_it(size: tuple[int, int]) -> None:
+    patches, mesh = patches_of(size=size)
+    covering = patches.covering(np.zeros((2, len(patches.vertices), 3)))
+    assert covering.shape == (2, *patches.weights.shape)
+    assert (covering >= 0).all()
+    np.testing.assert_array_equal(covering[0], covering[1])
+    places = samples_of(size)
+    clear = (np.abs(places % 1 - 0.5) > 1e-3).all(axis=-1)
+    shown = pixels_of(patches, mesh)[covering[0]]
+    np.testing.assert_array_equal(shown[clear], np.rint(places)[clear])
+    if size == (WIDTH, HEIGHT):
+        np.testing.assert_array_equal(shown[:, 0], window_pixels())
+    assert clear.mean() > 0.9
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("shift", [(0, 1), (-1, 0), (1, -2)])
+def test_patches_that_all_shift_alike_are_shown_so_far_on(size: tuple[int, int], shift: tuple[int, int]) -> None:
+    patches, mesh = patches_of(size=size)
+    count = len(patches.vertices)
+    moved = shifting(patches, mesh, np.broadcast_to(np.array(shift) * 1.0, (1, count, 2)))
+    covering, pixels = patches.covering(moved), pixels_of(patches, mesh)
+    places = samples_of(size)
+    clear = (np.abs(places % 1 - 0.5) > 1e-3).all(axis=-1) & (patches.weights > 0)
+    np.testing.assert_array_equal(pixels[covering[0]][clear], np.rint(places)[clear] - shift)
+    if size == (WIDTH, HEIGHT):
+        # And so the pixels show the values of other vertices.
+        values = np.random.default_rng(5).normal(size=(1, count, 2))
+        there = {tuple(pixel): value for pixel, value in zip(pixels.tolist(), values[0], strict=True)}
+        expected = [there[tuple(pixel)] for pixel in (window_pixels() - shift).tolist()]
+        np.testing.assert_array_equal(patches.shown(values, covering)[0], expected)
+
+
+def test_what_comes_from_too_far_away_is_not_known() -> None:
+    patches, mesh = patches_of()
+    far = LARGEST_SHIFT + 2
+    moved = shifting(patches, mesh, np.broadcast_to([0.0, far], (1, len(patches.vertices), 2)))
+    covering = patches.covering(moved).reshape(SIDE, SIDE)
+    assert (covering[:, far - LARGEST_SHIFT :] >= 0).all()
+    assert (covering[:, : far - LARGEST_SHIFT] == -1).all()
+
+
+def test_half_a_pixel_of_shift_shows_half_of_each() -> None:
+    """Of four samples a pixel in a row, two show each neighbour."""
+    patches, mesh = patches_of(size=(4 * WIDTH, 4 * HEIGHT))
+    moved = shifting(patches, mesh, np.broadcast_to([0.0, 0.5], (1, len(patches.vertices), 2)))
+    values = 1.0 * pixels_of(patches, mesh)[None]
+    shown = patches.shown(values, patches.covering(moved))[0]
+    np.testing.assert_allclose(shown, window_pixels() - (0, 0.5), atol=1e-12)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_what_a_sample_shows_lies_nearest_to_where_it_came_from(size: tuple[int, int]) -> None:
+    """Brute force: tissue that shifts evenly between the vertices, x + shift(x) = sample, on a fine lattice."""
+    patches, mesh = patches_of(size=size)
+    rest = pixels_of(patches, mesh)
+    apart = np.hypot(*rest.T)
+    shift = -0.4 * rest * np.exp(-0.5 * (apart / 4) ** 2)[:, None]
+    covering = patches.covering(shifting(patches, mesh, shift[None]))[0]
+    reach = REACH + LARGEST_SHIFT
+    dense = shift.reshape(2 * reach + 1, 2 * reach + 1, 2)
+    fine = np.linspace(0, 2 * reach, 16 * 2 * reach + 1)
+    corner = np.minimum(fine.astype(int), 2 * reach - 1)
+    part = fine - corner
+    across = dense[:, corner] * (1 - part)[:, None] + dense[:, corner + 1] * part[:, None]
+    both = across[corner] * (1 - part)[:, None, None] + across[corner + 1] * part[:, None, None]
+    origins = np.stack(np.meshgrid(fine, fine, indexing="ij"), axis=-1).reshape(-1, 2) - reach
+    arrived = origins + both.reshape(-1, 2)
+    generator = np.random.default_rng(6)
+    places, compared = samples_of(size), 0
+    for pixel in generator.choice(SIDE * SIDE, 40, replace=False):
+        for sample in generator.choice(places.shape[1], min(places.shape[1], 2), replace=False):
+            place = places[pixel, sample]
+            origin = origins[np.square(arrived - place).sum(axis=1).argmin()]
+            if np.abs(origin - np.floor(origin) - 0.5).min() > 0.08:
+                np.testing.assert_array_equal(rest[covering[pixel, sample]], np.rint(origin))
+                compared += 1
+    assert compared > 20
+
+
+@pytest.mark.parametrize("size", SIZES[:2])
+def test_what_is_hidden_or_folded_is_not_known(size: tuple[int, int]) -> None:
+    hole = (CENTRE[0] + 2, CENTRE[1] - 3)
+    patches, mesh = patches_of(size=size, hole=hole)
+    moved = np.zeros((1, len(patches.vertices), 3))
+    shown = patches.shown(np.ones(moved.shape[:2]), patches.covering(moved))[0]
+    apart = np.abs(window_pixels() - (2, -3)).max(axis=1)
+    assert np.isnan(shown[apart == 0]).all()
+    np.testing.assert_array_equal(shown[apart > 1], 1)
+    # One vertex that moves beyond its neighbours: which of them a pixel shows nobody knows.
+    patches, mesh = patches_of(size=size)
+    shift = np.zeros((1, len(patches.vertices), 2))
+    shift[0, patches.vertices == vertex_at(mesh, *CENTRE)] = (0, 3)
+    shown = patches.shown(np.ones(shift.shape[:2]), patches.covering(shifting(patches, mesh, shift)))[0]
+    assert np.isnan(shown[SIDE * SIDE // 2])
+    apart = np.abs(window_pixels()).max(axis=1)
+    np.testing.assert_array_equal(shown[apart > 3], 1)
+
+
+def test_what_is_shown_is_the_mean_over_a_pixels_samples() -> None:
+    patches, _ = patches_of(size=SIZES[2])
+    generator = np.random.default_rng(7)
+    count = len(patches.vertices)
+    values = generator.normal(size=(2, count, 3, 2))
+    covering = generator.integers(0, count, (2, *patches.weights.shape))
+    covering[1, 5, 2] = -1
+    shown = patches.shown(values, covering)
+    assert shown.shape == (2, SIDE * SIDE, 3, 2)
+    known = np.ones((2, SIDE * SIDE), bool)
+    known[1, 5] = patches.weights[5, 2] == 0
+    np.testing.assert_array_equal(np.isfinite(shown).all(axis=(2, 3)), known)
+    for frame, pixel in ((0, 0), (0, 100), (1, 4), (1, 224)):
+        expected = np.einsum("k,kij->ij", patches.weights[pixel], values[frame, covering[frame, pixel]])
+        np.testing.assert_allclose(shown[frame, pixel], expected, atol=1e-12)
+
+
+def test_samples_without_a_share_may_show_nothing() -> None:
+    patches, _ = patches_of(size=(2 * WIDTH, 2 * HEIGHT))
+    covering = np.zeros((1, *patches.weights.shape), np.int64)
+    covering[0][patches.weights == 0] = -1
+    np.testing.assert_allclose(patches.shown(np.full((1, len(patches.vertices)), 3.0), covering), 3)
+
+
+def test_where_pixels_are_alike_nothing_turns() -> None:
+    patches, _ = patches_of()
+    moved = moves(8, len(patches.vertices))
+    turned, steep = patches.turning(moved, np.ones((*moved.shape, 5)))
+    assert (turned.shape, steep.shape) == ((2, SIDE * SIDE, 5), (2, SIDE * SIDE))
+    assert not turned.any()
+    assert not steep.any()
+
+
+def test_pixels_turn_to_what_comes_from_beside_them() -> None:
+    """Tissue that shifts by a pixel changes the depth by one pixel of its slope, and is as steep as that slope."""
+    flat = np.full((HEIGHT, WIDTH), 0.5)
+    patches, mesh = patches_of(flat, size=(4 * WIDTH, 4 * HEIGHT))
+    pixels = pixels_of(patches, mesh)
+    slope = np.array([0.0004, -0.0003])
+    moved = shifting(patches, mesh, np.zeros((1, len(pixels), 2)), pixels @ slope)
+    step = 1e-6
+    by_row, by_column, deeper = (
+        (shifting(patches, mesh, np.broadcast_to(shift, (1, len(pixels), 2)), pixels @ slope + sunk) - moved) / step
+        for shift, sunk in (([step, 0.0], 0.0), ([0.0, step], 0.0), ([0.0, 0.0], step))
+    )
+    turned, steep = patches.turning(moved, np.stack([by_row, by_column, deeper], axis=-1))
+    np.testing.assert_allclose(turned, np.broadcast_to([*-slope, 0.0], turned.shape), atol=1e-8)
+    np.testing.assert_allclose(steep, np.hypot(*slope), rtol=1e-6)
+
+
+def test_turning_adds_up_to_what_is_shown_after_it() -> None:
+    """A dent that travels by a pixel: all it turns on the way is what pixels show more in the end."""
+    flat = np.full((HEIGHT, WIDTH), 0.5)
+    patches, mesh = patches_of(flat, size=(4 * WIDTH, 4 * HEIGHT))
+    pixels = pixels_of(patches, mesh)
+    dent = 0.01 * np.exp(-0.5 * np.square(pixels / 4).sum(axis=1))
+    ways = np.linspace(0, 1, 17)
+    moved = np.stack([shifting(patches, mesh, np.broadcast_to([0.0, way], (len(pixels), 2)), dent) for way in ways])
+    slopes = np.gradient(moved, ways, axis=0, edge_order=2)[..., None]
+    turned = patches.turning(moved, slopes)[0][..., 0]
+    total = np.trapezoid(turned, ways, axis=0)
+    first, last = (patches.shown(patches.sunk(part), patches.covering(part))[0] for part in (moved[:1], moved[-1:]))
+    assert np.abs(last - first).max() > 1e-3
+    np.testing.assert_allclose(total, last - first, atol=5e-5)
+
+
+def clip_of(seed: int, size: tuple[int, int]) -> tuple[Interaction, Scene, Motion]:
+    """The contact of a rendered clip without noise, as it is gathered, and its truth."""
+    settings = SceneSettings(
+        width=size[0], height=size[1], frames=11, press_seconds=(0.16, 0.16), onset_fraction=(0.2, 0.25)
+    )
+    scene, motion = draw_truth(settings, seed)
+    clip = open_synthetic(synthetic_clip(scene, motion, seed), PREPARE)
+    contacts = observed_contacts(list(clip), ClipInfo.of(clip))
+    return contacts[motion.onset_frame], scene, motion
+
+
+def truly_shown(contact: Interaction, scene: Scene, motion: Motion) -> np.ndarray:
+    """What the patches say of the true motion, shape of the film's change."""
+    film = contact.film
+    assert film is not None
+    frames = motion.onset_frame + np.rint(film.times * scene.settings.fps).astype(int)
+    whole = np.zeros((len(frames), len(scene.mesh.vertices), 3))
+    whole[:, motion.moving] = motion.field[frames]
+    patches = Patches(scene.mesh, scene.vertex, film.size)
+    moved = whole[:, patches.vertices]
+    return patches.shown(patches.sunk(moved), patches.covering(moved)).reshape(film.change.shape)
+
+
+@pytest.mark.parametrize("seed", [2])
+def test_rendered_clips_show_what_patches_say(seed: int) -> None:
+    contact, scene, motion = clip_of(seed, (214, 120))
+    np.testing.assert_array_equal(contact.mesh.pixels[contact.vertex], scene.mesh.pixels[scene.vertex])
+    assert contact.film is not None
+    assert contact.film.size == (214, 120)
+    expected = truly_shown(contact, scene, motion)
+    assert np.isfinite(expected).all()
+    assert expected.max() > 0.02
+    seen = np.isfinite(contact.film.change)
+    under = contact.film.times < motion.load_seconds - 1e-6
+    assert not seen[under].all(axis=(1, 2)).any()  # the tool is in the way
+    assert seen[~under].all()
+    assert seen.mean() > 0.85
+    np.testing.assert_allclose(contact.film.change[seen], expected[seen], atol=1e-4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("seed", "size"), [(1, (854, 480)), (4, (214, 120)), (4, (856, 480)), (5, (428, 240))])
+def test_patches_ends_are_where_the_renderers_are(seed: int, size: tuple[int, int]) -> None:
+    """All but a few pixels at a dent's walls, whose samples lie at the end of a patch, agree."""
+    contact, scene, motion = clip_of(seed, size)
+    assert contact.film is not None
+    apart = np.abs(contact.film.change - truly_shown(contact, scene, motion))
+    apart = apart[np.isfinite(apart)]
+    assert (apart > 3e-4).mean() < 0.02
+    assert np.sqrt(np.square(apart).mean()) < 4e-4

@@ -17,7 +17,7 @@ import argparse
 
 from data.command_line import path_option, real_number, whole_number
 from data.depth.preset import preset_names
-from estimators.direct.estimator import LEAST_SIGMA, SMOOTHING
+from estimators.direct.estimator import LEAST_SIGMA, OBSERVATIONS, SMOOTHING
 from estimators.onset import ONSETS
 from estimators.open import NAMES
 from results.record import program_version
@@ -64,6 +64,11 @@ def _parser() -> argparse.ArgumentParser:
         "real videos), or at that frame's time stamp (as in data.synthetic's clips)"
     )
     add("--onset", choices=ONSETS, help=text)
+    text = (
+        "of direct: the depth of all visible tissue around the contact (field, default), or the motion of the one "
+        "point that the tool touched first (contact)"
+    )
+    add("--observation", choices=OBSERVATIONS, help=text)
     text = (
         "of direct: smooth the tissue's resting shape over this many grid pixels, which also measures the depth's "
         f"noise (default: {SMOOTHING:g})"

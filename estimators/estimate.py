@@ -65,6 +65,8 @@ class Estimate:
     its end [s]; none of either that was not fitted."""
     delays_at_end: bool = False
     """Whether one of them lies at its range's end."""
+    outliers: float = 0.0
+    """Share of what was seen that lies so far from the model that it counted less."""
     view_angle: float | None = None
     """Angle between the contact's direction and the line of sight [degrees] (see estimators.oblique); None = not
     known."""
@@ -76,13 +78,18 @@ class Estimate:
 
     @property
     def verdict(self) -> str:
-        """`determined`, `ratios` or `undetermined` (see physics.identifiability.verdict)."""
+        """`determined`, `ratios` or `undetermined` (see physics.identifiability.verdict).
+
+        Nothing is determined by a model that does not explain the motion.
+        """
+        if not self.explained:
+            return "undetermined"
         return self.told_verdict or verdict(self.verdict_information)
 
     @property
     def determined(self) -> tuple[str, ...]:
         """Names of the COMBINATIONS that are determined."""
-        if self.told_verdict:
+        if self.told_verdict or not self.explained:
             return ()
         limits = combination_bounds(self.verdict_information, list(COMBINATIONS.values()))
         return tuple(name for name, limit in zip(COMBINATIONS, limits, strict=True) if limit < LIMIT)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from data.contact.interaction import Horizon
 from estimators.contract import Estimator
-from estimators.direct.estimator import DirectEstimator
+from estimators.direct.estimator import FIELD, DirectEstimator
 from estimators.gan import GanEstimator
 from estimators.network.estimator import NetworkEstimator
 from estimators.onset import BETWEEN, STAMP
@@ -28,6 +28,8 @@ class EstimatorOptions:
     """ONNX file that `train.py export` or `evaluation.calibration` wrote; None = the one that comes along."""
     onset: str | None = None
     """When a press begins, one of `estimators.onset.ONSETS`; None = between frames, as in real videos."""
+    observation: str | None = None
+    """What `direct` compares, one of `estimators.direct.estimator.OBSERVATIONS`; None = its default."""
     noise: float | None = None
     """σ that `direct` is told [scene units]; None = the clip's own estimate."""
     horizon: Horizon = None
@@ -46,7 +48,10 @@ def open_estimator(options: EstimatorOptions) -> Estimator:
     if options.name == "direct":
         if options.model is not None:
             raise ValueError(f"--estimator direct needs no network; leave --model {options.model} out.")
-        return DirectEstimator(options.onset or BETWEEN, options.horizon, options.noise)
+        seen = options.observation or FIELD
+        return DirectEstimator(options.onset or BETWEEN, seen, options.horizon, options.noise)
+    if options.observation is not None:
+        raise ValueError("--observation is for --estimator direct; leave it out.")
     if options.noise is not None:
         raise ValueError("--noise is for --estimator direct; leave it out.")
     if options.name == "gan" and options.model is None:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from data.contact.geometry import FrameGeometry, GeometrySettings
+from data.contact.geometry import FrameGeometry
 from data.contact.interaction import ContactFrame, Horizon, Interaction, InteractionBuilder
 from data.contact.tissue_points import grid_to_picture
 from data.prepared import SEEN_OUT, PreparedFrame
@@ -28,7 +28,7 @@ FULL_ARROW = 0.3
 class Run:
     """One run of contact; its frames are dropped as they pass, what they tell of it is kept."""
 
-    def __init__(self, first: PreparedFrame, settings: GeometrySettings, seconds: float) -> None:
+    def __init__(self, first: PreparedFrame, clip: ClipInfo, seconds: float) -> None:
         frame = first.frame
         self.index, self.number, self.time_s, self.detail = frame.index, frame.number, frame.time_s, first.detail
         """Of its first frame: index in the clip, number, time stamp [s], and what is wrong with the contact."""
@@ -38,9 +38,8 @@ class Run:
         """What is seen of it; None where its onset was not."""
         contact = first.geometry
         if contact is not None and first.track_start == frame.index:
-            self.builder = InteractionBuilder(
-                contact.mesh, contact.vertex, contact.normal, contact.noise, contact_frame(first), settings, seconds
-            )
+            found = contact.mesh, contact.vertex, contact.normal, contact.noise
+            self.builder = InteractionBuilder(*found, contact_frame(first), clip.geometry, seconds, clip.size)
 
     def add(self, current: PreparedFrame) -> None:
         """A frame of the run, in contact or followed after it."""
@@ -85,7 +84,7 @@ class RunTracker:
             missing = frame.frame.index - run.last
             if run.builder is None and not frame.in_contact and missing <= self._clip.bridge_frames:
                 return None  # it may be flicker
-        self.current = Run(frame, self._clip.geometry, self._seconds) if frame.in_contact else None
+        self.current = Run(frame, self._clip, self._seconds) if frame.in_contact else None
         return run
 
     def _belongs(self, frame: PreparedFrame, run: Run) -> bool:
@@ -149,7 +148,9 @@ class RunSession:
 def contact_frame(frame: PreparedFrame) -> ContactFrame:
     """What a prepared frame tells about its run of contact."""
     out = frame.status in SEEN_OUT
-    return ContactFrame(frame.frame.time_s, frame.in_contact, out, frame.consecutive, frame.track_position)
+    return ContactFrame(
+        frame.frame.time_s, frame.in_contact, out, frame.consecutive, frame.track_position, frame.depth, frame.labels
+    )
 
 
 def frame_estimate(

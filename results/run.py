@@ -71,7 +71,12 @@ class Batch:
         cv2.setNumThreads(options.threads or -1)
         self.estimator = open_estimator(
             EstimatorOptions(
-                options.estimator, options.model, options.onset, options.noise, threads=options.threads or None
+                options.estimator,
+                options.model,
+                options.onset,
+                options.observation,
+                options.noise,
+                threads=options.threads or None,
             )
         )
         if options.smoothing is not None and self.estimator.name != "direct":

@@ -1,7 +1,9 @@
 """The simulator fitted to a run of contact, without a network.
 
 estimator    the settings, the session, and the fit from start to verdict
-problem      one contact by least squares from several starts; delayed: with unknown beginning and end of the press
+motion       how vertices move under a press that began and ended at its time stamps, or near them
+problem      one followed point by least squares from several starts; contact_fit: from there to an estimate
+field        the whole dent by least squares; field_fit: from there to an estimate
 sampling     mean and covariance of the posterior by importance sampling
 error_model  how errors of a tracked contact belong together
 """

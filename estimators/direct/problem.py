@@ -4,27 +4,26 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from data.contact.interaction import Interaction
+from estimators.direct.motion import PressMotion, between_steps
 from physics.identifiability import fisher_information
-from physics.likelihood import Likelihood
-from physics.load import Press
+from physics.likelihood import Likelihood, Linearised
 from physics.mechanics import Mechanics
-from physics.msd.simulation import simulate
 
 CANDIDATES = 128
 """Points of a Sobol sequence over the box among which the starts are chosen: an under-damped response has many local
 optima, one for every number of swings."""
 STARTS = 6
 """Fits, begun at the candidates that explain the data best."""
+DELAYS = np.linspace(-1, 1, 17)
+"""Delays that are tried for every start, in units of the largest."""
 APART = 0.1
 """Starts are farther apart than this share of the box, in stiffness or damping: neighbours end in the same optimum."""
-COARSE_STEP = 0.005
-"""Time step of simulations without derivatives [s]: off by up to 0.1 σ for the stiffest tissue."""
 TOLERANCE = 1e-6
 MOST_EVALUATIONS = 60
 SAME = 0.05
@@ -40,15 +39,14 @@ class ContactProblem(Likelihood):
         contact: one followed point, seen at every instant.
         mechanics: of the fits.
         noise: σ of every observed coordinate [scene units].
+        within: as of `PressMotion`: delays of the press are parameters beside φ where it is above 0.
     """
 
-    load: Press
-    within = 0.0
-    """The press began, and ended, at most so long before or after the time stamps [s]; 0 = at them."""
-
-    def __init__(self, contact: Interaction, mechanics: Mechanics, noise: float) -> None:
+    def __init__(self, contact: Interaction, mechanics: Mechanics, noise: float, within: float = 0.0) -> None:
         observation = dataclasses.replace(contact.observation, noise=np.full(3, noise))
         super().__init__(contact.mesh, contact.load, observation, mechanics)
+        vertices = np.array([contact.vertex])
+        self.motion = PressMotion(contact, mechanics, vertices, observation.times, within)
         self.contact, self.sigma = contact, noise
         self.moved = observation.displacement[0].astype(np.float64)
         """Observed displacement, shape [N, 3]."""
@@ -68,8 +66,11 @@ class ContactProblem(Likelihood):
     def best_starts(self, candidates: np.ndarray, paths: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
         """Starts among candidates [C, 3] whose motions [C, N, 3] are known.
 
-        Displacement is about proportional to the force, so each candidate is tried with the force that suits it best.
+        Displacement is about proportional to the force, so each candidate is tried with the force that suits it best;
+        and with the delay that does, of the release alike.
         """
+        if self.motion.within:
+            candidates, paths = self._delayed(candidates)
         fitting = np.einsum("cmd,md->c", paths, self.moved) / np.maximum(np.square(paths).sum(axis=(1, 2)), 1e-30)
         logs = candidates.copy()
         logs[:, 2] = np.clip(logs[:, 2] + np.log(np.maximum(fitting, 1e-9)), low[2], high[2])
@@ -84,35 +85,35 @@ class ContactProblem(Likelihood):
                 break
         return logs[chosen]
 
-    def coarse_mechanics(self, whole: bool) -> tuple[Mechanics, int]:
-        """The simulator with a coarse time step, and how many of its own steps that is.
-
-        Args:
-            whole: whether the observations must lie on its steps.
-        """
-        coarse = max(1, round(COARSE_STEP / self.mechanics.time_step))
-        if whole and ((self.steps + 1) % coarse).any():
-            coarse = 1
-        time_step = coarse * self.mechanics.time_step
-        return dataclasses.replace(self.mechanics, time_step=time_step, window_error=1e-3), coarse
+    def _delayed(self, candidates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Candidates [C, D], each delayed as suits it best, and their motions, shape [C, N, 3]."""
+        within, settled = self.motion.within, candidates.copy()
+        since = self.motion.times - within * DELAYS[:, None]
+        settled[:, 3:] = 0
+        moved = np.empty((len(settled), *self.moved.shape))
+        for index, candidate in enumerate(settled):
+            path, ratio = self.motion.coarse_path(candidate)
+            tried = between_steps(path[:, 0], ratio * self.mechanics.time_step, since.ravel())[0]
+            tried = tried.reshape(len(DELAYS), *self.moved.shape)
+            along = np.einsum("tmd,md->t", tried, self.moved)
+            explained = np.square(np.maximum(along, 0)) / np.maximum(np.square(tried).sum(axis=(1, 2)), 1e-30)
+            best = int(np.argmax(explained))
+            candidate[3:], moved[index] = DELAYS[best], tried[best]
+        return settled, moved
 
     def coarse_paths(self, logs: np.ndarray) -> np.ndarray:
-        """Motion at the observations for every φ [n, 3], with a coarse time step, shape [n, N, 3]."""
-        mechanics, coarse = self.coarse_mechanics(whole=True)
-        load, seen = _coarse(self.load, coarse), (self.steps + 1) // coarse - 1
-        paths = [simulate(self.theta(item), self.mesh, load, mechanics)[seen] for item in logs]
-        return np.array(paths, np.float64).reshape(-1, len(seen), 3)
+        """Motion at the observations for all parameters [n, D], with a coarse time step, shape [n, N, 3]."""
+        paths = [self.motion.coarse(item)[:, 0] for item in logs]
+        return np.array(paths, np.float64).reshape(-1, *self.moved.shape)
 
     def path(self, logs: np.ndarray) -> np.ndarray:
         """Motion at the observations for one φ, with the problem's own time step, shape [N, 3]."""
         return self.simulated(logs).reshape(-1, 3)
 
-
-def _coarse(load: Press, coarse: int) -> Press:
-    """A load that is held and then released, in steps so many times as long."""
-    steps = -(-load.steps // coarse)
-    loaded = min(round(float(load.factor.sum()) / coarse), steps)
-    return dataclasses.replace(load, factor=(np.arange(steps) < loaded).astype(np.float64))
+    def _linearise(self, logs: np.ndarray) -> Linearised:
+        moved, slopes = (values[:, 0] for values in self.motion.at(logs))
+        residual = (moved - self.moved) / self.sigma
+        return Linearised(residual.ravel(), slopes.reshape(-1, len(logs)) / self.sigma)
 
 
 class Optimum(NamedTuple):
@@ -126,7 +127,19 @@ class Optimum(NamedTuple):
     """Fisher information of φ, shape [3, 3]."""
 
 
-def find_optimum(problem: ContactProblem, start: np.ndarray, low: np.ndarray, high: np.ndarray) -> Optimum:
+class LeastSquares(Protocol):
+    """What is to be explained: a residual, in standard deviations, of all parameters [D], and its derivatives."""
+
+    def residual(self, logs: np.ndarray) -> np.ndarray:
+        """Shape [K]."""
+        ...
+
+    def jacobian(self, logs: np.ndarray) -> np.ndarray:
+        """Shape [K, D]."""
+        ...
+
+
+def find_optimum(problem: LeastSquares, start: np.ndarray, low: np.ndarray, high: np.ndarray) -> Optimum:
     """The optimum that a fit from φ = `start` [3] within the box [3], [3] ends in."""
     end = least_squares(
         problem.residual, start, problem.jacobian, (low, high), method="trf",

@@ -120,6 +120,7 @@ def sample_posterior(
     box: np.ndarray,
     start: Mixture,
     known: tuple[np.ndarray, tuple[np.ndarray, np.ndarray]],
+    count: int = ROUND,
 ) -> Draws:
     """Weighted draws from a likelihood times a uniform prior; the caller judges whether enough of them count.
 
@@ -138,11 +139,11 @@ def sample_posterior(
     uniform = math.log(len(points)) - float(np.log(high - low).sum())
     mixtures = [start]
     while True:
-        found = mixtures[-1].draw(np.clip(sequence.random(ROUND), 1e-9, 1 - 1e-9))
+        found = mixtures[-1].draw(np.clip(sequence.random(count), 1e-9, 1 - 1e-9))
         found = found[((found >= low) & (found <= high)).all(axis=1)]
         points, more = np.concatenate((points, found)), log_likelihoods(found)
         values, evidences = (np.concatenate(pair) for pair in zip((values, evidences), more, strict=True))
-        draws = _weigh(points, values, evidences, uniform, mixtures)
+        draws = _weigh(points, values, evidences, uniform, mixtures, count)
         rounds = len(mixtures)
         if rounds >= ROUNDS[1] or (rounds >= ROUNDS[0] and draws.effective >= ENOUGH):
             return draws
@@ -159,11 +160,16 @@ def _flattened(weights: np.ndarray) -> np.ndarray:
 
 
 def _weigh(
-    points: np.ndarray, values: np.ndarray, evidences: np.ndarray, uniform: float, mixtures: Sequence[Mixture]
+    points: np.ndarray,
+    values: np.ndarray,
+    evidences: np.ndarray,
+    uniform: float,
+    mixtures: Sequence[Mixture],
+    count: int,
 ) -> Draws:
     """Points weighed by likelihood over the density of all draws, `uniform` being the log of the known ones'."""
     drawn = [np.full(len(points), uniform)]
-    drawn += [math.log(ROUND) + logsumexp(mixture.log_densities(points), axis=1) for mixture in mixtures]
+    drawn += [math.log(count) + logsumexp(mixture.log_densities(points), axis=1) for mixture in mixtures]
     density = logsumexp(drawn, axis=0)
     shares = [logsumexp(logs - density[:, None], axis=0) for logs in (evidences, values)]
     likelihoods = logsumexp(values + shares[0] - shares[1], axis=1)

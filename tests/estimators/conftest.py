@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import pytest
 import torch
 
 from data.contact.features import FEATURES
+from data.contact.film_features import FILM_FEATURES
 from data.prepared import PreparedFrame
 from data.settings import PrepareSettings
 from data.synthetic.clip import SyntheticClip, make_clip
@@ -38,8 +40,18 @@ def frames(pressed: SyntheticClip) -> list[PreparedFrame]:
 @pytest.fixture(scope="session")
 def posterior(tmp_path_factory: pytest.TempPathFactory) -> PosteriorModel:
     """An untrained posterior, exported."""
+    return _exported(tmp_path_factory.mktemp("posterior"), FEATURES)
+
+
+@pytest.fixture(scope="session")
+def film_posterior(tmp_path_factory: pytest.TempPathFactory) -> PosteriorModel:
+    """The same that is told of the whole dent."""
+    return _exported(tmp_path_factory.mktemp("posterior"), FEATURES + FILM_FEATURES)
+
+
+def _exported(folder: Path, features: int) -> PosteriorModel:
     torch.manual_seed(0)
-    path = tmp_path_factory.mktemp("posterior") / "contact.onnx"
+    path = folder / "contact.onnx"
     document = metadata(
         geometry=dataclasses.asdict(clip_info().geometry),
         mechanics=dataclasses.asdict(MECHANICS),
@@ -47,5 +59,5 @@ def posterior(tmp_path_factory: pytest.TempPathFactory) -> PosteriorModel:
         observation="trajectory",
         contact={"press_seconds": (0.24, 0.48)},
     )
-    export(ContactPosterior(FEATURES, torch.tensor(BOUNDS.log_box), width=16, blocks=1), path, document)
+    export(ContactPosterior(features, torch.tensor(BOUNDS.log_box), width=16, blocks=1), path, document)
     return PosteriorModel(path)

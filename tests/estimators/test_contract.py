@@ -15,6 +15,7 @@ from hypothesis import strategies as some
 
 from data.clip import ClipInputs, ClipStream
 from data.contact.features import FEATURES
+from data.contact.film_features import FILM_FEATURES
 from data.masks.class_table import CLASSES
 from data.masks.sources import MaskError
 from data.prepared import STATUSES, PreparedFrame
@@ -33,7 +34,7 @@ from tests.estimators.sessions import SIZE, State, clip_info, follow, linked, so
 from tests.inference_inputs import metadata, write_model, write_posterior
 from tests.physics.sheets import sheet
 
-ESTIMATORS = (*NAMES, "network with depth")
+ESTIMATORS = (*NAMES, "network with depth", "network with film")
 FPS = (25.0, 30.0)
 MESH = sheet(7, 7)
 NORMAL = np.array([0.0, 0.0, -1.0])
@@ -47,9 +48,11 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, EstimatorOption
     write_model(folder / "gan.onnx", metadata(3, **common))
     document = metadata(3, **common, bounds=dataclasses.asdict(BOUNDS), mechanics=dataclasses.asdict(MECHANICS))
     write_posterior(folder / "depth.onnx", document, FEATURES)
+    write_posterior(folder / "film.onnx", document, FEATURES + FILM_FEATURES)
     return {
         "network": EstimatorOptions("network"),
         "network with depth": EstimatorOptions(model=folder / "depth.onnx"),
+        "network with film": EstimatorOptions(model=folder / "film.onnx"),
         "gan": EstimatorOptions("gan", folder / "gan.onnx"),
         "direct": EstimatorOptions("direct", onset="stamp"),
     }

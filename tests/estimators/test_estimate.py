@@ -119,6 +119,18 @@ def test_what_is_determined_goes_by_standard_deviations(
         assert ("nothing is determined" in found.explanation) == (not determined)
 
 
+@pytest.mark.parametrize("told", ["", "onset_in_view"])
+def test_nothing_is_determined_by_a_model_that_does_not_explain_the_motion(told: str) -> None:
+    sure = Estimate(THETA, 1e-4 * np.eye(3), misfit=1.5, largest_misfit=1.5, told_verdict=told)
+    unexplained = dataclasses.replace(sure, misfit=1.501)
+    assert (sure.verdict, sure.determined) == ((told, ()) if told else ("determined", tuple(COMBINATIONS)))
+    assert (unexplained.verdict, unexplained.determined) == ("undetermined", ())
+    # Whatever it is expected to know; a misfit that nobody knows says nothing.
+    expected = dataclasses.replace(unexplained, expected_information=1e6 * np.eye(3))
+    assert (expected.verdict, expected.determined) == ("undetermined", ())
+    assert dataclasses.replace(sure, misfit=np.nan).verdict == sure.verdict
+
+
 def test_what_nothing_is_known_of_is_not_determined() -> None:
     """Directions without any information: of all parameters, and of their common scale."""
     blind = Estimate(THETA, CORRELATED, expected_information=np.zeros((3, 3)))

@@ -9,11 +9,11 @@ import pytest
 
 from data.contact.interaction import Interaction
 from data.prepared import PreparedFrame
-from estimators.direct import error_model
-from estimators.direct import estimator as direct
+from estimators.direct import contact_fit, error_model
 from estimators.direct import problem as contact_problem
+from estimators.direct.contact_fit import trusted_information
 from estimators.direct.error_model import log_likelihoods
-from estimators.direct.estimator import WHOLE, DirectEstimator, trusted_information
+from estimators.direct.estimator import WHOLE, DirectEstimator
 from estimators.direct.problem import ContactProblem, Optimum, combine
 from estimators.direct.sampling import Draws, sample_posterior
 from estimators.estimate import Estimate, NoEstimate
@@ -266,7 +266,7 @@ def test_an_optimum_that_the_starts_missed_is_found_from_the_likeliest_draw(monk
             return lone(truth, truth + 0.02)
         return sample_posterior(log_likelihoods, box, start, candidates)
 
-    monkeypatch.setattr(direct, "sample_posterior", first_fails)
+    monkeypatch.setattr(contact_fit, "sample_posterior", first_fails)
     monkeypatch.setattr(ContactProblem, "best_starts", lambda *_: np.log([[0.06, 0.4, 0.02]]))
     monkeypatch.setattr(contact_problem, "MOST_EVALUATIONS", 2)
     estimate = fit(contact_of(tuple(theta)))
@@ -278,7 +278,7 @@ def test_an_optimum_that_the_starts_missed_is_found_from_the_likeliest_draw(monk
 
 def test_where_sampling_fails_the_optima_speak(monkeypatch: pytest.MonkeyPatch) -> None:
     theta = REGIMES["critical"]
-    monkeypatch.setattr(direct, "sample_posterior", lambda *_: lone(np.zeros(3), np.log(np.abs(theta))))
+    monkeypatch.setattr(contact_fit, "sample_posterior", lambda *_: lone(np.zeros(3), np.log(np.abs(theta))))
     estimate = fit(contact_of(theta))
     np.testing.assert_allclose(estimate.theta, theta, rtol=1e-3)
     expected = expected_information(theta)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from data.contact.interaction import Interaction
-from estimators.direct.delayed import DelayedProblem, about_tissue
+from estimators.direct.motion import about_tissue
 from estimators.direct.problem import ContactProblem
 from physics.identifiability import box_information, covariance
 from physics.load import Press, held
@@ -31,8 +31,8 @@ STEP = MECHANICS.time_step
 WITHIN = 0.02
 
 
-def problem_of(theta: tuple[float, float, float], within: float = WITHIN) -> DelayedProblem:
-    return DelayedProblem(contact_of(theta), MECHANICS, NOISE, within)
+def problem_of(theta: tuple[float, float, float], within: float = WITHIN) -> ContactProblem:
+    return ContactProblem(contact_of(theta), MECHANICS, NOISE, within)
 
 
 def values_of(theta: tuple[float, float, float], *delays: float) -> np.ndarray:
@@ -75,7 +75,7 @@ def test_the_coarse_motion_is_off_by_less_than_the_noise(fps: float, load_frames
     observation = dataclasses.replace(contact.observation, times=np.arange(1, len(STEPS) + 1) / fps)
     load = dataclasses.replace(contact.load, factor=held(frame * load_frames, mechanics.steps))
     contact = Interaction(contact.mesh, load, observation, mechanics.time_step)
-    problem = DelayedProblem(contact, mechanics, 1e-3, 1 / fps)
+    problem = ContactProblem(contact, mechanics, 1e-3, 1 / fps)
     for delays in ((0.0, 0.0), (0.37, -0.61), (-0.9, 0.2)):
         values = np.concatenate([np.log(np.abs(REGIMES["under-damped"])), delays])
         apart = problem.coarse_paths(values[None])[0] - problem.path(values)
@@ -99,8 +99,8 @@ def test_a_press_that_was_not_seen_to_end_goes_on() -> None:
     theta = REGIMES["critical"]
     contact = contact_of(theta)
     pressed = dataclasses.replace(contact, load=dataclasses.replace(contact.load, factor=np.ones(MECHANICS.steps)))
-    problem = DelayedProblem(pressed, MECHANICS, NOISE, WITHIN)
-    assert problem.box(RECOMMENDED.log_box).shape == (2, 4)
+    problem = ContactProblem(pressed, MECHANICS, NOISE, WITHIN)
+    assert problem.motion.box(RECOMMENDED.log_box).shape == (2, 4)
     found = problem.path(values_of(theta, -WITHIN))
     np.testing.assert_allclose(found, moved(theta, -round(WITHIN / STEP), 0, released=False), atol=1e-7)
     assert problem.jacobian(values_of(theta, -WITHIN)).shape == (3 * len(STEPS), 4)
@@ -109,14 +109,14 @@ def test_a_press_that_was_not_seen_to_end_goes_on() -> None:
 def test_a_release_in_the_last_frame_was_seen() -> None:
     theta = REGIMES["critical"]
     whole, under = contact_of(theta), STEPS < LOAD
-    problem = DelayedProblem(whole.observed(under), MECHANICS, NOISE, WITHIN)
+    problem = ContactProblem(whole.observed(under), MECHANICS, NOISE, WITHIN)
     values = values_of(theta, -3 * STEP, -3 * STEP)
     np.testing.assert_allclose(problem.path(values), moved(theta, -3, -3)[under], atol=1e-7)
 
 
 def test_starts_are_at_the_delays_that_suit_them() -> None:
     theta, delay = REGIMES["under-damped"], 0.01
-    problem = DelayedProblem(later(contact_of(theta), delay), MECHANICS, NOISE, WITHIN)
+    problem = ContactProblem(later(contact_of(theta), delay), MECHANICS, NOISE, WITHIN)
     candidates = np.array([values_of(theta, 0.0, 0.0), values_of((0.06, 0.3, -0.05), 0.0, 0.0)])
     low, high = candidates.min(axis=0) - 1, candidates.max(axis=0) + 1
     best = problem.best_starts(candidates, problem.coarse_paths(candidates), low, high)[0]

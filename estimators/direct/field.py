@@ -1,0 +1,183 @@
+"""The whole dent as a least-squares problem: the depth of all visible tissue around a contact against the simulator.
+
+What a pixel shows at a motion is `data.contact.patches`'; it is decided for a motion near the best and then kept.
+Errors are new in every frame, or stay where tissue is still and turn with it like a sawtooth where depth is rounded
+(`estimators.direct.error_model`); the rest surface's own error is smooth and the same in all frames. All of that is
+one normal distribution, in which pixels that are far off count less, so that an outlier does not decide.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+
+from data.contact.film import REACH, FilmNoise
+from data.contact.interaction import Interaction
+from data.contact.patches import Patches
+from estimators.direct.error_model import rounding_covariance
+from estimators.direct.motion import PressMotion
+from physics.mechanics import Mechanics
+
+REST_SHARE, REST_LENGTH = 0.1, 5.0
+"""Standard deviation of the rest surface's error [σ], and the distance over which it is alike [grid pixels]."""
+REST_KEPT = 0.99
+"""Share of its variance that is taken into account."""
+OUTLIER = 4.0
+"""Residuals of more than this many standard deviations count as if they had as many."""
+ROUNDED = 0.5
+"""Errors that stay belong to rounding where those that are new are less than this share of them."""
+MOVED = 3.0
+"""Pixels that move by more than this many standard deviations say how well the model explains the motion."""
+STILL_NEW = 0.05
+"""Share of the errors that stay which is taken to be new in every frame: nothing stays exactly."""
+WALL = 0.08
+"""Standard deviation of a pixel's error at a dent's wall, as a share of how much its neighbours differ from it: so much
+of a grid pixel may show another patch than it seems."""
+HIDDEN = 1e6
+"""Standard deviation of what isn't seen [σ]."""
+
+
+class FieldProblem:
+    """Weighted residuals of a film and their derivatives by all parameters of a press; V vertices, P pixels, N frames.
+
+    What the pixels show must be decided first (`look`).
+
+    Args:
+        contact: with its film.
+        mechanics: of the fits.
+        within: as of `PressMotion`.
+        noise: σ of every pixel in every frame [scene units]; None = as the film says.
+
+    Raises:
+        ValueError: the contact has no film.
+    """
+
+    def __init__(
+        self, contact: Interaction, mechanics: Mechanics, within: float = 0.0, noise: float | None = None
+    ) -> None:
+        if contact.film is None or not len(contact.film.times):
+            raise ValueError("the contact has no film; gather it with frames that have depth and labels.")
+        film = contact.film if noise is None else dataclasses.replace(contact.film, noise=FilmNoise(noise, 0.0))
+        self.contact, self.film = contact, film
+        self.patches = Patches(contact.mesh, contact.vertex, film.size)
+        self.motion = PressMotion(contact, mechanics, self.patches.vertices, film.times, within)
+        self.observed = film.change.reshape(len(film.times), -1).astype(np.float64)
+        """Shape [N, P] [scene units]."""
+        self._smooth = smooth_errors(film.noise.total)
+        self.offset: np.ndarray | float = 0.0
+        """Error of the simulator's own steps, taken off all its displacements, shape [N, V, 3] [scene units]."""
+        self.seen = np.isfinite(self.observed)
+        """Pixels that show tissue which is known, shape [N, P], bool; all of `look` comes to be known by it."""
+
+    def look(self, logs: np.ndarray, *, finer: bool = False, outliers: bool = False) -> None:
+        """Decide what the pixels show, and how their errors belong together, by parameters [D] near the best.
+
+        Args:
+            finer: whether the error of the simulator's steps is measured there, and taken off from now on.
+            outliers: whether pixels that lie far from that motion count less from now on.
+        """
+        moved, slopes = self.motion.at(logs)
+        self.offset = self.motion.finer(logs) - moved if finer else 0.0
+        moved = moved + self.offset
+        self.covering = self.patches.covering(moved)
+        """Of `Patches`, shape [N, P, K]."""
+        self._turning, steep = self.patches.turning(moved, slopes)
+        self._looked_at = np.array(logs)
+        change, total = self.change(moved, logs), self.film.noise.total
+        left = change - self.observed
+        self.seen = np.isfinite(left)
+        self.moving = np.abs(np.where(self.seen, change, 0)).max(axis=0) > MOVED * total
+        """Pixels that move clearly, shape [P], bool."""
+        self._walls = np.square(WALL * steep)
+        weight = np.ones_like(left)
+        if outliers:
+            apart = np.abs(np.where(self.seen, left, 0)) / np.sqrt(total**2 + self._walls)
+            weight = np.minimum(1.0, OUTLIER / np.maximum(apart, OUTLIER)) ** 2
+        self.outliers = float(((weight < 1) & self.seen).sum() / max(self.seen.sum(), 1))
+        """Share of what is seen that counts less."""
+        self._known: tuple[np.ndarray, tuple[np.ndarray, np.ndarray]] | None = None
+        self._whitener = self._whitening(np.where(np.isfinite(change), change, 0.0), weight)
+
+    def _whitening(self, sunk: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Whitening of every pixel's errors over time [P, N, N], smooth errors as they leave it, what they cost."""
+        noise, frames = self.film.noise, len(sunk)
+        new = noise.alike_in_time * noise.in_time**2 + noise.total**2 * (1 / weight - 1)
+        new = np.where(self.seen, new, (HIDDEN * noise.total) ** 2).T
+        walls = np.sqrt(np.where(self.seen, self._walls, 0.0)).T
+        # A patch's end stays where it is, more or less.
+        covariance = new[:, :, None] * np.eye(frames) + 0.5 * walls[:, :, None] * walls[:, None]
+        covariance += 0.5 * np.square(walls)[:, :, None] * np.eye(frames)
+        if noise.in_place > 0:
+            alike = noise.alike_in_place * (np.ones((1, frames, frames)) + STILL_NEW * np.eye(frames))
+            if noise.in_time < ROUNDED * noise.in_place:
+                alike = math.sqrt(noise.alike_in_place) * rounding_covariance(sunk.T / noise.in_place)
+            covariance = covariance + noise.in_place**2 * alike
+        whiten = np.linalg.inv(np.linalg.cholesky(covariance))
+        still = whiten.sum(axis=2)  # [P, N]: what an error that stays is in every frame
+        smooth = still[:, :, None] * self._smooth[:, None, :]
+        flat = smooth.reshape(-1, smooth.shape[2])
+        return whiten, flat, np.linalg.cholesky(flat.T @ flat + np.eye(flat.shape[1]))
+
+    def whitened(self, values: np.ndarray) -> np.ndarray:
+        """Pixels' values [N, P] (or [N, P, D]) in units of their independent errors, shape [N·P + K] (or [..., D])."""
+        whiten, smooth, factor = self._whitener
+        values = np.where(self.seen.reshape(self.seen.shape + (1,) * (values.ndim - 2)), values, 0.0)
+        flat = np.matmul(whiten, np.moveaxis(values, 0, 1).reshape(len(whiten), len(values), -1))
+        flat = flat.reshape(-1, flat.shape[2])
+        common = np.linalg.solve(factor.T, np.linalg.solve(factor, smooth.T @ flat))
+        found = np.concatenate([flat - smooth @ common, common])
+        return found[:, 0] if values.ndim == 2 else found
+
+    def linearise(self, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Whitened simulated minus observed change, and its derivatives by all parameters; the last are remembered."""
+        if self._known is None or not np.array_equal(self._known[0], logs):
+            change, tangent = self.tangent(logs)
+            self._known = np.array(logs), (self.whitened(change - self.observed), self.whitened(tangent))
+        return self._known[1]
+
+    def tangent(self, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Change of every pixel's depth [N, P], and its derivatives by all parameters [N, P, D] [scene units]."""
+        moved, slopes = self.motion.at(logs)
+        moved = moved + self.offset
+        tangent = self.patches.shown(self.patches.sunk_slopes(moved, slopes), self.covering)
+        return self.change(moved, logs), tangent + self._turning
+
+    def residual(self, logs: np.ndarray) -> np.ndarray:
+        """The first of `linearise`."""
+        return self.linearise(logs)[0]
+
+    def jacobian(self, logs: np.ndarray) -> np.ndarray:
+        """The second of `linearise`."""
+        return self.linearise(logs)[1]
+
+    def information(self, logs: np.ndarray) -> np.ndarray:
+        """Fisher information of all parameters, shape [D, D]."""
+        jacobian = self.jacobian(logs)
+        return jacobian.T @ jacobian
+
+    def change(self, moved: np.ndarray, logs: np.ndarray) -> np.ndarray:
+        """Change of the depth of every pixel at displacements [N, V, 3] and their parameters [D], shape [N, P].
+
+        What pixels show turns with the parameters, from the last look on.
+        """
+        change = self.patches.shown(self.patches.sunk(moved), self.covering)
+        return change + self._turning @ (logs - self._looked_at)
+
+    def misfit(self, logs: np.ndarray) -> float:
+        """Root mean square of the residuals of pixels that move, in standard deviations; outliers count in full."""
+        used = self.seen & self.moving
+        left = (self.change(self.motion.at(logs)[0] + self.offset, logs) - self.observed)[used]
+        sigma = np.sqrt(self.film.noise.total**2 + self._walls[used])
+        return float(np.sqrt(np.square(left / sigma).mean())) if len(left) else 0.0
+
+
+def smooth_errors(sigma: float) -> np.ndarray:
+    """Columns whose sum, with independent normal factors, is the rest surface's error, shape [P, K] [as σ]."""
+    places = np.mgrid[-REACH : REACH + 1, -REACH : REACH + 1].reshape(2, -1).T
+    squares = np.square(places[:, None] - places).sum(axis=-1)
+    values, vectors = np.linalg.eigh(np.exp(-0.5 * squares / REST_LENGTH**2))
+    values, vectors = values[::-1], vectors[:, ::-1]
+    count = int(np.searchsorted(np.cumsum(values) / values.sum(), REST_KEPT)) + 1
+    return REST_SHARE * sigma * vectors[:, :count] * np.sqrt(values[:count])

@@ -1,0 +1,155 @@
+"""A whole dent fitted from start to verdict: starts, optima, posterior, estimate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from estimators.direct.contact_fit import (
+    AT_BOUND,
+    DELAY_AT_END,
+    JUDGES,
+    LARGEST_MISFIT,
+    LEAST_SHARE,
+    TOO_FEW,
+    WIDER,
+    trusted_information,
+)
+from estimators.direct.field import FieldProblem
+from estimators.direct.motion import about_tissue
+from estimators.direct.problem import (
+    APART,
+    CANDIDATES,
+    DELAYS,
+    Optimum,
+    combine,
+    distinct,
+    evidence_shares,
+    find_optimum,
+)
+from estimators.direct.sampling import Draws, Mixture, sample_posterior
+from estimators.estimate import Estimate
+from estimators.oblique import effective_misfit, is_oblique, view_angle
+from physics.identifiability import box_information
+
+STARTS = 3
+"""Fits, begun at the candidates that explain the film best."""
+LOOKS = 2
+"""How often it is decided anew at the best fit what the pixels show."""
+REFUTED = 20.0
+"""Optima whose misfit is so much larger than the best one's are out [nats]."""
+ROUND = 64
+"""Draws of a round; a power of two."""
+NARROW = 0.1
+"""Where all standard deviations of log θ are smaller the posterior is as good as normal, and needs no draws."""
+
+
+def fit_field(problem: FieldProblem, tissue: np.ndarray) -> Estimate:
+    """Fit a film; `tissue` is the box of φ, shape [2, 3].
+
+    Where the contact is pressed aslant to the line of sight its uncertainty is widened (`estimators.oblique`).
+    """
+    box = problem.motion.box(tissue)
+    prior = box_information(box)
+    found = []
+    for start in field_starts(problem, box):
+        problem.look(start)
+        found.append(find_optimum(problem, start, *box))
+    optima = distinct(found)
+    for _ in range(LOOKS):
+        problem.look(optima[0].logs, finer=True, outliers=True)
+        optima = distinct([find_optimum(problem, optimum.logs, *box) for optimum in optima])
+        optima = [optimum for optimum in optima if optimum.cost < optima[0].cost + REFUTED]
+    mean, spread, best = combine(optima, prior)
+    scale = max(1.0, problem.misfit(best.logs)) ** 2
+    spread = scale * spread
+    judges = mean[None]
+    if len(optima) > 1 or (np.diag(spread)[:3] > NARROW**2).any():
+        draws = _sample(problem, optima, best, box, scale)
+        if draws.effective >= TOO_FEW:
+            mean, spread, judges = draws.mean, draws.covariance, draws.thinned(JUDGES)
+    information = problem.information(mean)
+    found = Estimate(
+        theta=problem.motion.theta(mean),
+        covariance=spread[:3, :3],
+        information=information[:3, :3],
+        noise=problem.film.noise.total,
+        misfit=problem.misfit(best.logs),
+        largest_misfit=LARGEST_MISFIT,
+        at_bound=np.minimum(best.logs - box[0], box[1] - best.logs)[:3] < AT_BOUND,
+        expected_information=trusted_information([about_tissue(problem.information(logs), prior) for logs in judges]),
+        delays=tuple((problem.motion.within * mean[3:]).tolist()),
+        delays_at_end=bool((np.abs(mean[3:]) > DELAY_AT_END).any()),
+        view_angle=view_angle(problem.contact),
+        outliers=problem.outliers,
+    )
+    if not is_oblique(found):
+        return found
+    hidden = about_tissue(information / effective_misfit(found) ** 2, prior)
+    return found.widened(np.linalg.inv(hidden + prior[:3, :3]))
+
+
+def field_starts(problem: FieldProblem, box: np.ndarray) -> np.ndarray:
+    """Parameters with the smallest misfits among many, each with the force and the delay that suit it best, [S, D].
+
+    Tissue is taken to stay in its pixels, which is true of most of a dent.
+    """
+    from scipy.stats.qmc import Sobol  # takes seconds to load
+
+    low, high = box
+    motion, film = problem.motion, problem.film
+    candidates = low + Sobol(len(low), rng=0).random(CANDIDATES) * (high - low)
+    candidates[:, 3:] = 0
+    delays = DELAYS if motion.within else np.zeros(1)
+    observed = problem.observed
+    still = problem.patches.covering(np.zeros((len(film.times), len(problem.patches.vertices), 3)))
+    misfits = np.empty(len(candidates))
+    for index, candidate in enumerate(candidates):
+        path, ratio = motion.coarse_path(candidate)
+        step = ratio * motion.mechanics.time_step
+        sunk = np.concatenate([np.zeros((1, path.shape[1])), problem.patches.sunk(path.astype(np.float64))])
+        since = motion.times - motion.within * delays[:, None]
+        places = np.clip(np.rint(since / step), 0, len(path)).astype(np.int64)
+        tried = problem.patches.shown(sunk[places.ravel()], np.tile(still, (len(delays), 1, 1)))
+        tried = tried.reshape(len(delays), *observed.shape)
+        seen = np.isfinite(tried) & np.isfinite(observed)
+        tried, left = np.where(seen, tried, 0.0), np.where(seen, observed, 0.0)
+        squares = np.square(tried).sum(axis=(1, 2))
+        factors = np.maximum((tried * left).sum(axis=(1, 2)), 1e-12) / np.maximum(squares, 1e-30)
+        forces = np.clip(candidate[2] + np.log(np.maximum(factors, 1e-9)), low[2], high[2])
+        unexplained = np.square(np.exp(forces - candidate[2])[:, None, None] * tried - left).sum(axis=(1, 2))
+        best = int(np.argmin(unexplained))
+        misfits[index], candidate[2], candidate[3:] = unexplained[best], forces[best], delays[best]
+    chosen: list[int] = []
+    for index in np.argsort(misfits):
+        distances = np.abs(candidates[chosen] - candidates[index])[:, :2] / (high - low)[:2]
+        if (distances.max(axis=1, initial=0) > APART).all() or not chosen:
+            chosen.append(int(index))
+        if len(chosen) == STARTS:
+            break
+    return candidates[chosen]
+
+
+def _sample(problem: FieldProblem, optima: Sequence[Optimum], best: Optimum, box: np.ndarray, scale: float) -> Draws:
+    """The posterior around the optima, σ² being `scale` times as large as the film says."""
+    prior = box_information(box)
+    error = problem.motion.finer(best.logs) - problem.motion.quick(best.logs)
+
+    def likelihoods(logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        values = []
+        for item in logs:
+            moved = problem.motion.quick(item) + error
+            left = problem.whitened(problem.change(moved, item) - problem.observed)
+            values.append(-0.5 * float(left @ left) / scale)
+        found = np.array(values).reshape(-1, 1)
+        return found, found
+
+    shares = np.maximum(evidence_shares(optima, prior), LEAST_SHARE)
+    start = Mixture(
+        shares / shares.sum(),
+        np.array([optimum.logs for optimum in optima]),
+        np.array([WIDER * np.linalg.inv(optimum.information / scale + prior) for optimum in optima]),
+    )
+    known = best.logs[None]
+    return sample_posterior(likelihoods, box, start, (known, likelihoods(known)), ROUND)

@@ -1,0 +1,186 @@
+"""How vertices of the mesh move under a press, by all parameters of a fit: θ, and when the press began and ended.
+
+A camera knows the beginning and the end of a press to a frame only, and a few milliseconds look like other tissue.
+Where the instants aren't known, two delays are parameters beside φ = (log k_s, log k_d, log |F|), independent of each
+other. They count from the time stamps that say so, in units of `within`: from -1 to 1. That of the end is a parameter
+where it was seen. Before the press begins the tissue is at rest.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+
+from data.contact.interaction import Interaction
+from physics.identifiability import log_jacobian
+from physics.load import Press, held
+from physics.mechanics import Mechanics, theta_of
+from physics.msd.simulation import is_chaotic, simulate, simulate_sensitivities
+
+COARSE_STEP = 0.005
+"""Time step of simulations without derivatives [s]: off by up to 0.1 σ for the stiffest tissue."""
+QUICK_ERROR = 1e-5
+"""Window error of simulations that a whole dent's posterior is sampled with."""
+FINER = 4
+"""Parts into which a step is divided to see its error."""
+LATER = 0.05
+"""Change of the load's duration whose effect gives the derivative by it [time steps]."""
+
+
+class PressMotion:
+    """Displacements of M vertices at N instants for any parameters, D = 3, 4 or 5.
+
+    Args:
+        contact: mesh and load.
+        mechanics: of simulations with derivatives.
+        vertices: of the mesh, shape [M].
+        times: instants since the time stamp at which the press was seen to begin, shape [N] [s].
+        within: the press began, and ended, at most so long before or after the time stamps [s]; 0 = at them.
+    """
+
+    def __init__(
+        self, contact: Interaction, mechanics: Mechanics, vertices: np.ndarray, times: np.ndarray, within: float = 0.0
+    ) -> None:
+        self.contact, self.mechanics, self.vertices, self.within = contact, mechanics, vertices, within
+        self.steps = np.rint(times / mechanics.time_step).astype(np.int64) - 1
+        """Index into a trajectory that starts at the time stamp of the instants, shape [N]."""
+        self.times = (self.steps + 1) * mechanics.time_step
+        """The instants, to the nearest step, shape [N] [s]."""
+        self.longest = int(self.steps.max()) + 1 + math.ceil(within / mechanics.time_step)
+        """Steps of a simulation: the press may have begun earlier."""
+
+    def box(self, tissue: np.ndarray) -> np.ndarray:
+        """Lower and upper ends of all parameters, shape [2, D], from those of φ [2, 3]."""
+        if not self.within:
+            return tissue
+        return np.hstack([tissue, np.tile([[-1.0], [1.0]], 2 if self.contact.released else 1)])
+
+    def theta(self, logs: np.ndarray) -> np.ndarray:
+        """θ = [k_s, k_d, F], shape [3]."""
+        return theta_of(logs[:3])
+
+    def load(self, logs: np.ndarray, time_step: float, steps: int, longer: float = 0.0) -> Press:
+        """The load of all parameters.
+
+        Args:
+            logs: all parameters, shape [D].
+            time_step, steps: of the simulation [s].
+            longer: than the parameters say the load lasts [s].
+        """
+        loaded = math.inf
+        if self.contact.released:
+            delayed = self.within * (logs[4] - logs[3]) if self.within else 0.0
+            loaded = self.contact.load_seconds + delayed + longer
+        return dataclasses.replace(self.contact.load, factor=held(loaded / time_step, steps))
+
+    def since(self, logs: np.ndarray) -> np.ndarray:
+        """The instants since the beginning of the press, shape [N] [s]."""
+        return self.times - (self.within * logs[3] if self.within else 0.0)
+
+    def at(self, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Displacements [N, M, 3] and their derivatives by all parameters [N, M, 3, D], in double precision.
+
+        Exact by φ; by the delays of a press whose release was seen they are differences from then on, good to 1 %.
+        Without derivatives where the motion is so chaotic that rounding decides them.
+        """
+        theta, step = self.theta(logs), self.mechanics.time_step
+        load = self.load(logs, step, self.longest)
+        path, slopes = simulate_sensitivities(
+            theta, self.contact.mesh, load, self.mechanics, watch=self.vertices, dtype=np.float64
+        )
+        slopes = log_jacobian(slopes, theta)
+        if is_chaotic(path, slopes):
+            slopes = np.zeros_like(slopes)
+        if not self.within:
+            return path[self.steps], slopes[self.steps]
+        curves = [path[..., None], slopes]
+        if self.contact.released:
+            longer = LATER * step
+            later = self._path(logs, self.mechanics, self.longest, np.float64, longer)
+            curves.append((later - path)[..., None] / longer)
+        since = self.since(logs)
+        found, rate = between_steps(np.concatenate(curves, axis=-1), step, since)
+        velocity = rate[..., :1] * (since > 0)[:, None, None, None]
+        # A later beginning moves all of the motion, and shortens the load.
+        by_duration = found[..., 4:]
+        delayed = -velocity - by_duration if self.contact.released else -velocity
+        return found[..., 0], np.concatenate(
+            [found[..., 1:4], self.within * delayed, self.within * by_duration], axis=-1
+        )
+
+    def finer(self, logs: np.ndarray) -> np.ndarray:
+        """The displacements with a quarter of the time step, shape [N, M, 3]: what the steps' own error is."""
+        mechanics = dataclasses.replace(self.mechanics, time_step=self.mechanics.time_step / FINER)
+        path = self._path(logs, mechanics, FINER * self.longest, np.float64)
+        if not self.within:
+            return path[FINER * (self.steps + 1) - 1]
+        return between_steps(path, mechanics.time_step, self.since(logs))[0]
+
+    def coarse(self, logs: np.ndarray) -> np.ndarray:
+        """The displacements with a coarse time step and in single precision, shape [N, M, 3]."""
+        path, ratio = self.coarse_path(logs)
+        if not self.within:
+            return path[(self.steps + 1) // ratio - 1].astype(np.float64)
+        return between_steps(path, ratio * self.mechanics.time_step, self.since(logs))[0]
+
+    def quick(self, logs: np.ndarray) -> np.ndarray:
+        """The displacements in single precision and a wider window, with the time step of `at`, shape [N, M, 3]."""
+        mechanics = dataclasses.replace(self.mechanics, window_error=max(self.mechanics.window_error, QUICK_ERROR))
+        path = self._path(logs, mechanics, self.longest, np.float32)
+        if not self.within:
+            return path[self.steps].astype(np.float64)
+        return between_steps(path, mechanics.time_step, self.since(logs))[0]
+
+    def coarse_path(self, logs: np.ndarray) -> tuple[np.ndarray, int]:
+        """Displacements after every coarse step since the press began [T, M, 3], and how many steps one of them is."""
+        mechanics, ratio = self.coarse_mechanics()
+        return self._path(logs, mechanics, -(-self.longest // ratio), np.float32), ratio
+
+    def coarse_mechanics(self) -> tuple[Mechanics, int]:
+        """The simulator with a coarse time step, and how many of its own steps that is."""
+        ratio = max(1, round(COARSE_STEP / self.mechanics.time_step))
+        if not self.within and ((self.steps + 1) % ratio).any():
+            ratio = 1
+        time_step = ratio * self.mechanics.time_step
+        return dataclasses.replace(self.mechanics, time_step=time_step, window_error=1e-3), ratio
+
+    def _path(self, logs: np.ndarray, mechanics: Mechanics, steps: int, dtype: type, longer: float = 0.0) -> np.ndarray:
+        load = self.load(logs, mechanics.time_step, steps, longer)
+        return simulate(self.theta(logs), self.contact.mesh, load, mechanics, watch=self.vertices, dtype=dtype)
+
+
+def between_steps(values: np.ndarray, time_step: float, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What is known after every step and is 0 at first, with its rate, between the steps: cubic through four of them.
+
+    Args:
+        values: after every step, shape [T, ...], T at least 3.
+        time_step: [s].
+        times: since the beginning, shape [N] [s]; at rest before.
+
+    Returns:
+        Shapes [N, ...] each.
+    """
+    values = np.concatenate([np.zeros_like(values[:1]), values])
+    place = np.clip(times / time_step, 0, len(values) - 1)
+    first = np.clip(np.floor(place).astype(np.int64) - 1, 0, len(values) - 4)
+    nodes, x = np.arange(4.0), (place - first)[:, None]
+    others = np.array([[node for node in nodes if node != own] for own in nodes])
+    scale = np.prod(nodes[:, None] - others, axis=1)
+    apart = x[:, :, None] - others
+    weights = apart.prod(axis=2) / scale
+    rates = sum(np.delete(apart, index, axis=2).prod(axis=2) for index in range(3)) / scale / time_step
+    near = values[first[:, None] + np.arange(4)]
+    return np.einsum("nk,nk...->n...", weights, near), np.einsum("nk,nk...->n...", rates, near)
+
+
+def about_tissue(information: np.ndarray, prior: np.ndarray) -> np.ndarray:
+    """Information of (log k_s, log k_d, log |F|) alone, shape [3, 3], where other parameters are unknown.
+
+    Args:
+        information: of all parameters, those three first, shape [D, D].
+        prior: of all parameters; only that of the others counts, shape [D, D].
+    """
+    others = information[3:, 3:] + prior[3:, 3:]
+    return information[:3, :3] - information[:3, 3:] @ np.linalg.solve(others, information[3:, :3])

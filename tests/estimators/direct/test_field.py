@@ -1,0 +1,435 @@
+"""The residuals of a whole dent: what errors are expected, how they are weighed, and derivatives by all parameters."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Literal
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from data.contact.film import REACH, DentFilm, FilmNoise
+from data.contact.interaction import Interaction
+from data.contact.patches import Patches
+from data.source.camera import Camera, back_project
+from estimators.direct.error_model import rounding_covariance
+from estimators.direct.field import (
+    OUTLIER,
+    REST_KEPT,
+    REST_LENGTH,
+    REST_SHARE,
+    ROUNDED,
+    STILL_NEW,
+    WALL,
+    FieldProblem,
+    smooth_errors,
+)
+from estimators.direct.motion import PressMotion
+from estimators.direct.problem import Optimum, find_optimum
+from physics.load import Press, held
+from physics.mechanics import Mechanics
+from physics.mesh import Mesh, contact_normal, grid_mesh
+from physics.observation import Observation
+
+MECHANICS = Mechanics(time_step=0.0025, steps=160, scheme="dkd")
+FRAME = 0.04
+TIMES = FRAME * np.arange(1, 9)
+LOAD = 4 * FRAME
+SIGMA = 1e-3
+WITHIN = 0.04
+HEIGHT, WIDTH = 33, 35
+SIZE, LARGER = (WIDTH, HEIGHT), (3 * WIDTH + 4, 3 * HEIGHT + 4)
+"""Of pictures that are the grid, and that are brought to it."""
+SIDE = 2 * REACH + 1
+PIXELS = SIDE * SIDE
+REGIMES = {
+    "under-damped": (0.4, 0.015, -0.05),
+    "critical": (0.3, 0.035, -0.06),
+    "over-damped": (0.2, 0.06, -0.06),
+}
+THETA = REGIMES["critical"]
+
+
+def curved_mesh(hole: tuple[int, int] | None = None) -> Mesh:
+    """Tissue that bulges towards the camera, with a spacing near that of real clips, all of it but for one pixel."""
+    camera = Camera(fx=185.0, fy=185.0, cx=17.0, cy=16.0, width=WIDTH, height=HEIGHT)
+    row, column = np.mgrid[:HEIGHT, :WIDTH]
+    depth = 0.5 + 3e-5 * (np.square(row - 16.0) + np.square(column - 17.0)) + 0.002 * np.cos((column - 17) / 6)
+    valid = np.ones(depth.shape, bool)
+    if hole is not None:
+        valid[hole] = False
+    return grid_mesh(back_project(depth, camera), valid)
+
+
+MESH = curved_mesh()
+
+
+def logs_of(theta: tuple[float, float, float] = THETA, *delays: float) -> np.ndarray:
+    """All parameters, the delays in units of WITHIN."""
+    return np.concatenate([np.log(np.abs(theta)), delays])
+
+
+def contact_of(
+    theta: tuple[float, float, float] = THETA,
+    *delays: float,
+    noise: FilmNoise | None = None,
+    size: tuple[int, int] = SIZE,
+    released: bool = True,
+    mechanics: Mechanics = MECHANICS,
+    mesh: Mesh = MESH,
+) -> Interaction:
+    """A contact whose film is exactly what the simulator with these parameters shows; its point doesn't move."""
+    factor = held(LOAD / mechanics.time_step if released else mechanics.steps, mechanics.steps)
+    vertex = int(np.flatnonzero((mesh.pixels == (16, 17)).all(axis=1))[0])
+    press = Press.at(vertex, contact_normal(mesh, vertex), factor)
+    seen = Observation.of_point(vertex, TIMES, np.zeros((len(TIMES), 3)), SIGMA)
+    still = Interaction(mesh, press, seen, mechanics.time_step)
+    patches = Patches(mesh, vertex, size)
+    moved = PressMotion(still, mechanics, patches.vertices, TIMES, WITHIN if delays else 0.0)
+    moved, _ = moved.at(logs_of(theta, *delays))
+    change = patches.shown(patches.sunk(moved), patches.covering(moved)).reshape(-1, SIDE, SIDE)
+    film = DentFilm(TIMES, change.astype(np.float32), noise or FilmNoise(SIGMA, 0.0), size)
+    return dataclasses.replace(still, film=film)
+
+
+def with_change(contact: Interaction, change: np.ndarray) -> Interaction:
+    """The same with another film [N, S, S] (or [N, P])."""
+    assert contact.film is not None
+    change = np.asarray(change, np.float32).reshape(contact.film.change.shape)
+    return dataclasses.replace(contact, film=dataclasses.replace(contact.film, change=change))
+
+
+def errors_of(seed: int, sigma: float = SIGMA) -> np.ndarray:
+    return np.random.default_rng(seed).normal(0, sigma, (len(TIMES), SIDE, SIDE))
+
+
+def noisy(contact: Interaction, errors: np.ndarray) -> Interaction:
+    assert contact.film is not None
+    return with_change(contact, contact.film.change + errors)
+
+
+def shorter(contact: Interaction, frames: int = 5) -> Interaction:
+    """Its film's first frames: all pixels' covariance is large."""
+    assert contact.film is not None
+    return dataclasses.replace(contact, film=contact.film.chosen(np.arange(frames)))
+
+
+def problem_of(
+    contact: Interaction,
+    logs: np.ndarray | None = None,
+    *,
+    within: float = 0.0,
+    mechanics: Mechanics = MECHANICS,
+    noise: float | None = None,
+    **look: bool,
+) -> FieldProblem:
+    """A problem that was looked at."""
+    problem = FieldProblem(contact, mechanics, within, noise)
+    problem.look(logs_of() if logs is None else logs, **look)
+    return problem
+
+
+def central_differences(function, logs: np.ndarray, step: float = 1e-5) -> np.ndarray:
+    """Derivatives of a function of the parameters, the last axis theirs."""
+    columns = [(function(logs + change) - function(logs - change)) / (2 * step) for change in step * np.eye(len(logs))]
+    return np.stack(columns, axis=-1)
+
+
+def expected_covariance(problem: FieldProblem, change: np.ndarray, weight: np.ndarray, steep: np.ndarray) -> np.ndarray:
+    """Covariance of all seen pixels' errors, frame by frame, brute force, shape [seen, seen].
+
+    Args:
+        problem: looked at.
+        change, weight, steep: what the pixels show, how much they count, and their walls, shape [N, P] each.
+    """
+    noise, (frames, pixels) = problem.film.noise, change.shape
+    frame, pixel = (part.ravel() for part in np.indices((frames, pixels)))
+    same, alike = pixel[:, None] == pixel, frame[:, None] == frame
+    new = noise.alike_in_time * noise.in_time**2 + noise.total**2 * (1 / weight.ravel() - 1)
+    covariance = np.diag(new)
+    walls = WALL * steep.ravel()
+    covariance += 0.5 * same * walls[:, None] * walls + 0.5 * np.diag(walls**2)
+    if noise.in_place:
+        if noise.in_time < ROUNDED * noise.in_place:
+            kernel = rounding_covariance(change.T / noise.in_place)
+            part = np.sqrt(noise.alike_in_place) * kernel[pixel[:, None], frame[:, None], frame[None]]
+        else:
+            part = noise.alike_in_place * (1 + STILL_NEW * alike)
+        covariance += noise.in_place**2 * part * same
+    smooth = smooth_errors(noise.total)[pixel]
+    covariance += smooth @ smooth.T
+    seen = problem.seen.ravel()
+    return covariance[np.ix_(seen, seen)]
+
+
+NOISES = {
+    "new": FilmNoise(SIGMA, 0.0),
+    "blurred": FilmNoise(SIGMA, 0.0, 3.0),
+    "still": FilmNoise(0.8 * SIGMA, 0.6 * SIGMA, 2.0, 4.0),
+    "rounded": FilmNoise(0.1 * SIGMA, SIGMA, 1.0, 2.5),
+}
+
+
+def test_a_contact_without_a_film_is_refused() -> None:
+    contact = contact_of()
+    for film in (None, contact.film.chosen(np.zeros(len(TIMES), bool))):
+        with pytest.raises(ValueError, match="has no film"):
+            FieldProblem(dataclasses.replace(contact, film=film), MECHANICS)
+
+
+def test_smooth_errors_are_those_of_a_gaussian_process() -> None:
+    columns = smooth_errors(SIGMA)
+    places = np.mgrid[:SIDE, :SIDE].reshape(2, -1).T
+    apart = np.linalg.norm(places[:, None] - places, axis=2)
+    expected = (REST_SHARE * SIGMA) ** 2 * np.exp(-0.5 * (apart / REST_LENGTH) ** 2)
+    found = columns @ columns.T
+    # As few columns as hold so much of it.
+    assert np.trace(found) >= REST_KEPT * np.trace(expected)
+    assert np.trace(found) - np.square(columns[:, -1]).sum() < REST_KEPT * np.trace(expected)
+    np.testing.assert_allclose(columns.T @ columns, np.diag(np.square(columns).sum(axis=0)), atol=1e-12 * SIGMA)
+    np.testing.assert_allclose(found, expected, atol=0.06 * (REST_SHARE * SIGMA) ** 2)
+    assert np.linalg.eigvalsh(expected - found).min() > -1e-9 * expected.max()
+
+
+@pytest.mark.parametrize(
+    ("name", "size"), [("new", LARGER), ("blurred", SIZE), ("still", LARGER), ("rounded", SIZE), ("rounded", LARGER)]
+)
+def test_whitened_products_are_those_of_the_inverse_covariance(name: str, size: tuple[int, int]) -> None:
+    """Also where a third of the pixels is hidden, and where outliers count less."""
+    contact = shorter(contact_of(noise=NOISES[name], size=size))
+    generator = np.random.default_rng(0)
+    change = contact.film.change.reshape(-1, PIXELS).copy()
+    change += generator.normal(0, SIGMA, change.shape)
+    change[generator.random(change.shape) < 1 / 3] = np.nan
+    change[2, 40:60] += 0.02
+    contact = with_change(contact, change)
+    problem = problem_of(contact, outliers=True)
+    shown = problem.change(problem.motion.at(logs_of())[0], logs_of())
+    steep = problem.patches.turning(*problem.motion.at(logs_of()))[1]
+    assert (steep.max() > 1e-3) == (size == LARGER)
+    apart = np.abs(np.where(problem.seen, shown - problem.observed, 0))
+    apart = apart / np.sqrt(problem.film.noise.total**2 + (WALL * steep) ** 2)
+    weight = np.where(apart > OUTLIER, (OUTLIER / np.maximum(apart, 1e-9)) ** 2, 1.0)
+    assert problem.outliers == pytest.approx((weight < 1).sum() / problem.seen.sum())
+    assert 5 < (weight < 1).sum() < 30
+    inverse = np.linalg.inv(expected_covariance(problem, shown, weight, steep))
+    values = generator.normal(size=(*shown.shape, 3))
+    found = problem.whitened(values)
+    known = values[problem.seen]
+    expected = known.T @ inverse @ known
+    np.testing.assert_allclose(found.T @ found, expected, rtol=1e-5, atol=1e-5 * np.abs(expected).max())
+    np.testing.assert_allclose(problem.whitened(values[..., 1]), found[:, 1], rtol=1e-9, atol=1e-9)
+
+
+def test_what_is_hidden_does_not_count() -> None:
+    contact = contact_of()
+    change = contact.film.change + errors_of(1)
+    change[:3, :, REACH:] = np.nan
+    problem = problem_of(with_change(contact, change))
+    np.testing.assert_array_equal(problem.seen, np.isfinite(change).reshape(len(TIMES), -1))
+    residual, information = problem.residual(logs_of()), problem.information(logs_of())
+    assert np.isfinite(residual).all()
+    values = np.random.default_rng(0).normal(size=change.shape).reshape(len(TIMES), -1)
+    other = np.where(problem.seen, values, 123.0)
+    np.testing.assert_allclose(problem.whitened(other), problem.whitened(values), atol=1e-9)
+    assert residual.shape == problem.whitened(values).shape
+    whole = problem_of(contact).information(logs_of())
+    assert (np.linalg.eigvalsh(whole - information) > 0).all()
+
+
+def test_noise_of_the_films_size_has_unit_variance() -> None:
+    problem = problem_of(contact_of())
+    squares = [np.square(problem.whitened(errors_of(seed).reshape(-1, PIXELS))).sum() for seed in range(20)]
+    count = len(TIMES) * PIXELS
+    # The smooth errors that are held possible take none of it that counts: they are a few of all directions.
+    assert np.mean(squares) / count == pytest.approx(1, abs=0.025)
+    assert np.mean(squares) < count
+
+
+@pytest.mark.parametrize("name", ["still", "rounded"])
+def test_errors_as_the_noise_says_have_unit_variance(name: str) -> None:
+    """Drawn from the covariance that is meant; whitened they have as many squares as there are pixels."""
+    problem = problem_of(shorter(contact_of(noise=NOISES[name])))
+    shown = problem.change(problem.motion.at(logs_of())[0], logs_of())
+    flat = np.ones_like(shown)
+    factor = np.linalg.cholesky(expected_covariance(problem, shown, flat, 0 * flat))
+    drawn = factor @ np.random.default_rng(2).normal(size=(len(factor), 40))
+    assert problem.seen.all()
+    found = problem.whitened(drawn.reshape(*shown.shape, -1))
+    assert np.square(found).sum(axis=0).mean() / len(factor) == pytest.approx(1, abs=0.01)
+
+
+def test_an_error_of_the_rest_surface_costs_little() -> None:
+    """As much as the normal numbers it is made of, where noise of its size in every frame would cost far more."""
+    problem = problem_of(contact_of())
+    factors = np.random.default_rng(3).normal(size=smooth_errors(SIGMA).shape[1])
+    error = np.tile(smooth_errors(SIGMA) @ factors, (len(TIMES), 1))
+    costs = np.square(problem.whitened(5 * error)).sum()
+    assert costs < 25 * factors @ factors
+    assert costs < 0.25 * np.square(5 * error / SIGMA).sum()
+    turned = error * np.where(np.arange(len(TIMES)) % 2, 1, -1)[:, None]
+    np.testing.assert_allclose(
+        np.square(problem.whitened(5 * turned)).sum(), np.square(5 * turned / SIGMA).sum(), rtol=1e-6
+    )
+
+
+@pytest.mark.parametrize("theta", REGIMES.values(), ids=REGIMES)
+@pytest.mark.parametrize("offset", [(0.0, 0.0, 0.0), (0.2, -0.1, 0.1)], ids=["truth", "beside"])
+def test_derivatives_of_the_motion_are_those_of_central_differences(
+    theta: tuple[float, float, float], offset: tuple[float, float, float]
+) -> None:
+    motion = problem_of(contact_of(theta), logs_of(theta)).motion
+    logs = logs_of(theta) + offset
+    moved, slopes = motion.at(logs)
+    assert moved.dtype == slopes.dtype == np.float64
+    expected = central_differences(lambda values: motion.at(values)[0], logs)
+    np.testing.assert_allclose(slopes, expected, atol=1e-6 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize(
+    ("theta", "noise", "size"),
+    [
+        (REGIMES["under-damped"], NOISES["new"], SIZE),
+        (REGIMES["critical"], NOISES["rounded"], LARGER),
+        pytest.param(REGIMES["over-damped"], NOISES["new"], LARGER, marks=pytest.mark.slow),
+        pytest.param(REGIMES["over-damped"], NOISES["rounded"], SIZE, marks=pytest.mark.slow),
+    ],
+)
+def test_derivatives_of_the_residual_are_those_of_central_differences(
+    theta: tuple[float, float, float], noise: FilmNoise, size: tuple[int, int]
+) -> None:
+    """What the pixels show is kept; in larger pictures it turns as at the look."""
+    logs = logs_of(theta)
+    problem = problem_of(noisy(contact_of(theta, noise=noise, size=size), errors_of(4)), logs, outliers=True)
+    for offset in ((0.0, 0.0, 0.0), (0.03, -0.04, 0.05)):
+        found = problem.jacobian(logs + offset)
+        expected = central_differences(problem.residual, logs + offset)
+        np.testing.assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
+    np.testing.assert_allclose(problem.information(logs), problem.jacobian(logs).T @ problem.jacobian(logs))
+
+
+@pytest.mark.parametrize(
+    ("theta", "delays"),
+    [
+        (REGIMES["under-damped"], (-0.29, 0.13)),
+        pytest.param(REGIMES["critical"], (-0.29, 0.13), marks=pytest.mark.slow),
+        pytest.param(REGIMES["under-damped"], (0.36, -0.57), marks=pytest.mark.slow),
+        (REGIMES["over-damped"], (0.36, -0.57)),
+    ],
+)
+def test_derivatives_by_delays_are_those_of_central_differences(
+    theta: tuple[float, float, float], delays: tuple[float, float]
+) -> None:
+    """Those by the load's duration come from a difference over half a step: springs that stretch so far bend them."""
+    contact, logs = contact_of(theta), logs_of(theta, *delays)
+    problem = problem_of(contact, logs, within=WITHIN)
+    motion = problem.motion
+    for found, expected in (
+        (motion.at(logs)[1], central_differences(lambda values: motion.at(values)[0], logs)),
+        (problem.jacobian(logs), central_differences(problem.residual, logs)),
+    ):
+        assert found.shape[-1] == 5
+        scale = np.abs(expected).reshape(-1, 5).max(axis=0)
+        apart = np.abs(found - expected).reshape(-1, 5) / scale
+        assert apart[:, :3].max() < 1e-6
+        assert apart[:, 3:].max() < 0.06
+        assert np.sqrt(np.square(apart[:, 3:]).mean()) < 0.005
+    # Until the force ends they are exact.
+    under = LOAD + WITHIN * delays[1] - MECHANICS.time_step > TIMES
+    slopes, expected = motion.at(logs)[1][under], central_differences(lambda values: motion.at(values)[0][under], logs)
+    np.testing.assert_allclose(slopes, expected, atol=1e-6 * np.abs(expected).max())
+
+
+def test_a_release_that_was_not_seen_is_no_parameter() -> None:
+    contact, logs = contact_of(THETA, 0.3, released=False), logs_of(THETA, 0.3)
+    problem = problem_of(contact, logs, within=WITHIN)
+    np.testing.assert_allclose(problem.residual(logs), 0, atol=1e-3)
+    expected = central_differences(problem.residual, logs)
+    assert expected.shape[1] == 4
+    np.testing.assert_allclose(problem.jacobian(logs), expected, atol=1e-5 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("size", [SIZE, LARGER])
+def test_an_exact_film_leaves_nothing(size: tuple[int, int]) -> None:
+    problem = problem_of(contact_of(size=size))
+    np.testing.assert_allclose(problem.residual(logs_of()), 0, atol=1e-4)
+    assert problem.misfit(logs_of()) < 1e-4
+    assert problem.outliers == 0
+    # In it, what moves clearly is what sinks by more than three standard deviations at any time.
+    largest = np.abs(contact_of(size=size).film.change).reshape(len(TIMES), -1).max(axis=0)
+    np.testing.assert_array_equal(problem.moving, largest > 3 * SIGMA)
+    assert 20 < problem.moving.sum() < PIXELS
+
+
+def test_the_misfit_is_that_of_pixels_that_move() -> None:
+    contact = noisy(contact_of(), 2 * errors_of(5))
+    problem = problem_of(contact)
+    exact = contact_of().film.change.astype(np.float64)
+    moving = np.abs(exact).max(axis=0) > 3 * SIGMA
+    left = (contact.film.change - exact)[:, moving]
+    assert problem.misfit(logs_of()) == pytest.approx(np.sqrt(np.square(left / SIGMA).mean()), rel=1e-4)
+    assert problem.misfit(logs_of()) == pytest.approx(2, rel=0.1)
+    assert problem_of(contact, noise=4 * SIGMA).film.noise == FilmNoise(4 * SIGMA, 0.0)
+
+
+def test_the_error_of_the_steps_is_taken_off() -> None:
+    """Films that were made with a quarter of the step are explained by the true parameters."""
+    fine = dataclasses.replace(MECHANICS, time_step=MECHANICS.time_step / 4, steps=4 * MECHANICS.steps)
+    theta = REGIMES["under-damped"]
+    problem = FieldProblem(contact_of(theta, mechanics=fine), MECHANICS, noise=1e-5)
+    problem.look(logs_of(theta))
+    assert np.abs(problem.residual(logs_of(theta))).max() > 0.5
+    problem.look(logs_of(theta), finer=True)
+    np.testing.assert_allclose(problem.residual(logs_of(theta)), 0, atol=0.02)
+    expected = problem.motion.finer(logs_of(theta)) - problem.motion.at(logs_of(theta))[0]
+    np.testing.assert_array_equal(problem.offset, expected)
+
+
+@pytest.mark.parametrize(
+    "place", ["middle", pytest.param("wall", marks=pytest.mark.slow), pytest.param("far", marks=pytest.mark.slow)]
+)
+def test_an_outlier_does_not_move_the_fit(place: Literal["middle", "wall", "far"]) -> None:
+    pixel = {"middle": (REACH, REACH), "wall": (REACH + 1, REACH - 2), "far": (1, 12)}[place]
+    errors = errors_of(6)
+    plain, spoiled, hidden = errors, errors.copy(), errors.copy()
+    spoiled[3, *pixel] += 100 * SIGMA
+    hidden[3, *pixel] = np.nan
+    ends = [-3.0, -5.0, -4.0], [0.0, -2.0, -1.0]
+
+    def fitted(errors: np.ndarray, outliers: bool = True) -> Optimum:
+        problem = problem_of(noisy(contact_of(), errors), outliers=outliers)
+        assert problem.outliers == pytest.approx((errors is spoiled and outliers) / problem.seen.sum(), abs=2e-3)
+        return find_optimum(problem, logs_of(), *ends)
+
+    found = fitted(spoiled)
+    sd = np.sqrt(np.diag(np.linalg.inv(found.information)))
+    # It is as if nothing had been seen there.
+    assert (np.abs(found.logs - fitted(hidden).logs) < 0.2 * sd).all()
+    assert (np.abs(found.logs - fitted(plain).logs) < 0.6 * sd).all()
+    if place != "far":
+        assert (np.abs(fitted(spoiled, outliers=False).logs - found.logs) > sd).any()
+
+
+@pytest.mark.slow
+def test_fits_are_off_as_their_information_says() -> None:
+    """Where noise is blurred, and its size and likeness are told, by less: what is narrow suffers less from it."""
+    ends = [-3.0, -5.0, -4.0], [0.0, -2.0, -1.0]
+    for noise, blur, low, high in ((NOISES["new"], 0.0, 0.5, 1.7), (FilmNoise(SIGMA, 0.0, 4 * np.pi), 1.0, 0.1, 1.3)):
+        contact, found = contact_of(noise=noise), []
+        for seed in range(16):
+            errors = errors_of(100 + seed)
+            if blur:
+                errors = gaussian_filter(errors, (0, blur, blur), mode="wrap") * np.sqrt(4 * np.pi) * blur
+            optimum = find_optimum(problem_of(noisy(contact, errors)), logs_of(), *ends)
+            apart = optimum.logs - logs_of()
+            found.append(apart @ optimum.information @ apart / 3)
+        assert low < np.mean(found) < high
+
+
+def test_linearising_is_remembered() -> None:
+    problem = problem_of(contact_of())
+    first = problem.linearise(logs_of())
+    assert problem.linearise(logs_of()) is first
+    problem.look(logs_of() + 0.1)
+    assert problem.linearise(logs_of()) is not first

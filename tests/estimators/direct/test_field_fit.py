@@ -1,0 +1,153 @@
+"""Fits of whole dents recover what made them, and say how well they can know it."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from data.contact.film import REACH
+from data.contact.interaction import Interaction
+from estimators.direct.field import FieldProblem
+from estimators.direct.field_fit import NARROW, STARTS, field_starts, fit_field
+from estimators.direct.problem import APART
+from estimators.estimate import Estimate
+from physics.identifiability import covariance
+from physics.mechanics import Bounds
+from tests.estimators.direct.test_field import (
+    LARGER,
+    MECHANICS,
+    REGIMES,
+    SIGMA,
+    SIZE,
+    WITHIN,
+    contact_of,
+    curved_mesh,
+    errors_of,
+    logs_of,
+    noisy,
+    problem_of,
+    with_change,
+)
+
+BOX = Bounds((0.1, 1.0), (0.008, 0.2), (-0.2, -0.02), initial=(0.3, 0.05, -0.05)).log_box
+
+
+def fit(contact: Interaction, within: float = 0.0) -> Estimate:
+    return fit_field(FieldProblem(contact, MECHANICS, within), BOX)
+
+
+def errors(estimate: Estimate, theta: tuple[float, float, float]) -> np.ndarray:
+    """Of log θ, in the estimate's own standard deviations."""
+    return np.log(estimate.theta / theta) / estimate.log_sd
+
+
+def test_starts_are_the_candidates_that_explain_the_film_best() -> None:
+    theta = REGIMES["critical"]
+    problem = FieldProblem(contact_of(theta), MECHANICS)
+    starts = field_starts(problem, BOX)
+    assert 1 <= len(starts) <= STARTS
+    assert ((starts >= BOX[0]) & (starts <= BOX[1])).all()
+    for index, start in enumerate(starts):
+        apart = np.abs(starts[:index] - start)[:, :2] / (BOX[1] - BOX[0])[:2]
+        assert (apart.max(axis=1, initial=0) > APART).all() or index == 0
+    # Of a film that is told to the last digit, the best is nearest to the truth where it matters: one is near.
+    assert np.abs(starts[0] - logs_of(theta)).max() < 0.7
+    costs = []
+    for start in starts:
+        problem.look(start)
+        costs.append(np.square(problem.residual(start)).sum())
+    assert costs[0] < 0.1 * np.square(problem.whitened(problem.observed)).sum()
+
+
+def test_starts_have_the_delay_that_suits_them() -> None:
+    theta, delay = REGIMES["under-damped"], 0.5
+    problem = FieldProblem(contact_of(theta, delay, delay), MECHANICS, WITHIN)
+    starts = field_starts(problem, problem.motion.box(BOX))
+    assert starts.shape[1] == 5
+    np.testing.assert_array_equal(starts[:, 3], starts[:, 4])
+    assert np.abs(starts[:, 3] - delay).min() < 0.3
+
+
+def test_a_hidden_pixel_does_not_change_the_starts() -> None:
+    contact = contact_of()
+    spoiled = errors_of(0, 0.0)
+    spoiled[:, 0, :2] = np.nan
+    starts, others = (field_starts(FieldProblem(each, MECHANICS), BOX) for each in (contact, noisy(contact, spoiled)))
+    np.testing.assert_allclose(starts, others, atol=0.02)
+
+
+def test_starts_are_as_good_beside_a_hole_in_the_tissue() -> None:
+    """A film shows all pixels that tissue was known in at rest, up to the hole."""
+    contact = contact_of(mesh=curved_mesh((12, 13)))
+    change = contact_of().film.change.copy()
+    change[:, REACH - 4, REACH - 4] = np.nan
+    starts = field_starts(FieldProblem(with_change(contact, change), MECHANICS), BOX)
+    np.testing.assert_allclose(starts[0], field_starts(FieldProblem(contact_of(), MECHANICS), BOX)[0], atol=0.1)
+
+
+def test_an_exact_film_gives_the_parameters_back() -> None:
+    theta = REGIMES["critical"]
+    estimate = fit(contact_of(theta))
+    assert (np.abs(errors(estimate, theta)) < 0.3).all()
+    # No more than what the finer steps, with which the fit ends, move it.
+    assert (np.abs(np.log(estimate.theta / theta)) < 0.03).all()
+    assert estimate.misfit < 0.3
+    assert estimate.outliers == 0
+    assert not estimate.at_bound.any()
+    assert estimate.noise == SIGMA
+    expected = problem_of(contact_of(theta)).information(logs_of(theta))
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance(expected))), estimate.log_sd, rtol=0.15)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [SIZE, LARGER])
+@pytest.mark.parametrize("theta", REGIMES.values(), ids=REGIMES)
+def test_exact_films_made_with_fine_steps_give_the_parameters_back(
+    theta: tuple[float, float, float], size: tuple[int, int]
+) -> None:
+    """The steps' own error is taken off, so that even small noise finds the truth."""
+    fine = dataclasses.replace(MECHANICS, time_step=MECHANICS.time_step / 4, steps=4 * MECHANICS.steps)
+    contact = contact_of(theta, size=size, mechanics=fine)
+    estimate = fit(dataclasses.replace(contact, load=contact_of(theta).load, time_step=MECHANICS.time_step))
+    # A posterior that is not narrow has its mean beside its mode.
+    assert (np.abs(errors(estimate, theta)) < (0.1 if estimate.log_sd.max() < NARROW else 0.35)).all()
+    assert estimate.misfit < 0.05
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "delays"), [("under-damped", (-0.4, 0.3)), ("over-damped", (0.5, 0.1))])
+def test_delays_are_found_as_well(name: str, delays: tuple[float, float]) -> None:
+    theta = REGIMES[name]
+    estimate = fit(contact_of(theta, *delays), WITHIN)
+    assert (np.abs(errors(estimate, theta)) < 0.6).all()
+    np.testing.assert_allclose(estimate.delays, WITHIN * np.array(delays), atol=0.1 * WITHIN)
+    assert not estimate.delays_at_end
+    # Who knows the instants knows more.
+    known = fit(contact_of(theta, 0.0, 0.0))
+    assert (estimate.log_sd > known.log_sd).all()
+
+
+@pytest.mark.slow
+def test_errors_are_as_large_as_the_estimate_says() -> None:
+    theta = REGIMES["critical"]
+    squares, misfits = [], []
+    for seed in range(10):
+        estimate = fit(noisy(contact_of(theta), errors_of(seed)))
+        apart = np.log(estimate.theta / theta)
+        squares.append(apart @ np.linalg.solve(estimate.covariance, apart) / 3)
+        misfits.append(estimate.misfit)
+    assert 0.4 < np.mean(squares) < 1.9
+    assert np.mean(misfits) == pytest.approx(1, abs=0.1)
+
+
+@pytest.mark.slow
+def test_what_the_model_does_not_explain_widens_the_estimate() -> None:
+    """One half of the dent sinks by half more, the other by half less."""
+    theta = REGIMES["critical"]
+    contact = contact_of(theta)
+    more = 0.5 * contact.film.change * np.sign(np.arange(-REACH, REACH + 1))
+    plain, spoiled = fit(contact), fit(noisy(contact, more))
+    assert spoiled.misfit > 1.5
+    assert (spoiled.log_sd > 1.3 * plain.log_sd).all()

@@ -4,7 +4,9 @@
 
 Medians over simulated contacts of the Cramér–Rao bounds (`physics.identifiability`) at a depth noise of 0.001 scene
 units: the end point of the rollout (Bini 2026), the end of the load, the contact's trajectory over the first K frames
-of 25 a second, and the trajectory of every vertex in view. No training: what has no information has no estimate.
+of 25 a second or as long as the tool presses, and the depth of the whole dent, up to so many vertices from the contact;
+where it is said, with the instants of the press unknown within a frame. No training: what has no information has no
+estimate.
 """
 
 from __future__ import annotations
@@ -15,17 +17,19 @@ if __name__ == "__main__":
     enter_door()  # before the slow imports
 
 from collections import defaultdict
+from typing import NamedTuple
 
 import numpy as np
 
 from benchmarks.shared import command_line, machine, print_table
+from data.contact.film import REACH
 from data.synthetic.contacts import FINE, SimulatedContact, draw_contacts
 from data.synthetic.settings import SceneSettings
 from data.synthetic.truth import REGIMES, Regime
-from physics.identifiability import LIMIT, bounds, ratio_bounds
-from physics.likelihood import Likelihood
-from physics.load import Press, held
-from physics.observation import Observation
+from estimators.direct.motion import PressMotion
+from estimators.onset import BETWEEN, STAMP
+from evaluation.recovery.bounds import known
+from physics.identifiability import LIMIT, bounds, fisher_information, ratio_bounds
 
 NOISE = 0.001
 SCENES, A_SCENE = 4, 3
@@ -35,24 +39,42 @@ FRAME = round(1 / 25 / FINE.time_step)
 COLUMNS = ("regime", "observation", "k_s", "k_d", "F", "k_s/k_d", "F/k_d", "determined")
 
 
-def observations(contact: SimulatedContact) -> dict[str, tuple[np.ndarray, bool]]:
-    """Steps at which each kind of observation looks, and whether it sees every vertex."""
+class Observed(NamedTuple):
+    """What is seen of a contact."""
+
+    steps: np.ndarray
+    """Steps at which it is looked at, shape [K]."""
+    reach: int = 0
+    """How far from the contact the depth of every vertex is seen [grid px]; 0 = the contact alone, along all axes."""
+    onset: str = STAMP
+    """Whether the instants of the press are known, one of `estimators.onset.ONSETS`."""
+
+
+def observations(contact: SimulatedContact) -> dict[str, Observed]:
+    """What each kind of observation sees."""
     load = round(contact.interaction.load_seconds / FINE.time_step)
-    kinds = {"final": (np.array([FINE.steps - 1]), False), "release": (np.array([load - 1]), False)}
+    kinds = {"final": Observed(np.array([FINE.steps - 1])), "release": Observed(np.array([load - 1]))}
     for frames in (2, 4, 8, 16, 25):
-        kinds[f"trajectory, K = {frames}"] = (FRAME * np.arange(1, frames + 1) - 1, False)
-    kinds["field, K = 25"] = (FRAME * np.arange(1, 26) - 1, True)
+        kinds[f"contact, K = {frames}"] = Observed(FRAME * np.arange(1, frames + 1) - 1)
+    second = FRAME * np.arange(1, 26) - 1
+    pressed = second[second < load]
+    kinds["contact, under the tool"] = Observed(pressed)
+    kinds |= {f"dent to {reach} px, K = 25": Observed(second, reach) for reach in (2, 4, REACH, REACH + 8)}
+    kinds["dent, under the tool"] = Observed(pressed, REACH)
+    for name in (f"contact, K = {len(second)}", f"dent to {REACH} px, K = 25"):
+        kinds[f"{name}, instants unknown"] = kinds[name]._replace(onset=BETWEEN)
     return kinds
 
 
-def limits(contact: SimulatedContact, steps: np.ndarray, whole: bool) -> np.ndarray:
+def limits(contact: SimulatedContact, seen: Observed) -> np.ndarray:
     """Bounds on log k_s, log k_d, log |F|, log k_s/k_d and log F/k_d, shape [5]."""
-    seen = contact.interaction
-    vertices = np.arange(len(seen.mesh.vertices)) if whole else np.array([seen.vertex])
-    times, nothing = (steps + 1) * FINE.time_step, np.zeros((len(vertices), len(steps), 3), np.float32)
-    press = Press.at(seen.vertex, seen.direction.astype(float), held(seen.load_seconds / FINE.time_step, FINE.steps))
-    likelihood = Likelihood(seen.mesh, press, Observation(vertices, times, nothing, np.full(3, NOISE)), FINE)
-    information = likelihood.information(np.log(np.abs(contact.theta)))
+    pressed = contact.interaction
+    apart = np.abs(pressed.mesh.pixels - pressed.mesh.pixels[pressed.vertex]).max(axis=1)
+    vertices, times = np.flatnonzero(apart <= seen.reach), (seen.steps + 1) * FINE.time_step
+    motion = PressMotion(pressed, FINE, vertices, times, FRAME * FINE.time_step)
+    slopes = motion.at(np.concatenate([np.log(np.abs(contact.theta)), np.zeros(2)]))[1]
+    told = slopes[..., 2, :] if seen.reach else slopes
+    information = known(fisher_information(told, NOISE), seen.onset)
     return np.concatenate([bounds(information), ratio_bounds(information)])
 
 
@@ -61,8 +83,8 @@ def rows_of(regime: Regime, scenes: range) -> list[list[str]]:
     found = defaultdict(list)
     for scene in scenes:
         for contact in draw_contacts(SceneSettings(width=214, height=120, regime=regime), scene, A_SCENE, 0.005):
-            for name, (steps, whole) in observations(contact).items():
-                found[name].append(limits(contact, steps, whole))
+            for name, seen in observations(contact).items():
+                found[name].append(limits(contact, seen))
     rows = []
     for name, values in found.items():
         cells = [f"{value:.2g}" if value < 100 else "none" for value in np.median(values, axis=0)]

@@ -17,6 +17,7 @@ import ctypes
 import gc
 import itertools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -31,7 +32,7 @@ from benchmarks.shared import command_line, machine, print_table, timed
 from physics.load import Press, held
 from physics.mechanics import Mechanics
 from physics.mesh import Mesh, contact_normal, grid_mesh, nearest_vertex
-from physics.msd import MeshBatch, PressBatch, rollout, rollout_field
+from physics.msd import MeshBatch, PressBatch, rollout, rollout_field, rollout_sensitivities
 from physics.msd.simulation import simulate_sensitivities
 
 PICTURE = Path("runs/bench/rollout.png")
@@ -51,6 +52,8 @@ ALLOWED = {"trajectory": 1e-3, "gradient": 1e-2}
 """Largest difference from the baseline's, relative to the latter's peak: single precision over 200 steps."""
 PATCH, PATCH_ROUNDS = 5, 51
 """Radius of the pressed patch [grid px], and times that it is timed."""
+DENT, FRAME = 9, 8
+"""A whole dent reaches so far from the contact [grid px] and is seen every so many steps, 25 times a second."""
 
 
 def pressed_sheet(scale: float, phase: float) -> tuple[Mesh, Press]:
@@ -173,15 +176,15 @@ def require_same(name: str, turn: Turn, baseline: Turn) -> None:
                 raise RuntimeError(f"{name}: its {what} differs by {difference:.1e} from that of {BASELINE}.")
 
 
-def peak_memory(name: str, threads: int, task: Task) -> float:
-    """Most memory that a turn takes above what the process held before [MB]; not a number where Linux' /proc isn't."""
+def memory_above(function: Callable[..., Any], *arguments: Any) -> float:
+    """Most memory that a call takes above what the process held before [MB]; not a number where Linux' /proc isn't."""
     if not Path("/proc/self/clear_refs").exists():
         return math.nan
     gc.collect()
     ctypes.CDLL(None).malloc_trim(0)
     Path("/proc/self/clear_refs").write_text("5")  # forgets the highest mark
     before = resident("VmRSS")
-    take_turn(name, threads, task)
+    function(*arguments)
     return resident("VmHWM") - before
 
 
@@ -219,7 +222,7 @@ def measure(batch: int, scale: float, threads: tuple[int, ...]) -> list[dict[str
             "forward ×": medians[BASELINE, 1][0] / times[0],
             "forward + gradient [ms]": times[1],
             "forward + gradient ×": medians[BASELINE, 1][1] / times[1],
-            "memory above base [MB]": peak_memory(*each, task),
+            "memory above base [MB]": memory_above(take_turn, *each, task),
         }
         for each, times in medians.items()
     ]
@@ -242,6 +245,33 @@ def patch_ratio() -> tuple[float, float]:
     ]
     vertex, patch = np.median(turns[1:], axis=0).tolist()
     return vertex, patch
+
+
+def likelihood(task: Task, watch: Tensor) -> Tensor:
+    """Misfit of watched vertices seen 25 times and its gradient by φ, in the checked window, shape [B, 4]."""
+    path, slopes = rollout_sensitivities(task.theta, task.mesh, task.load, Mechanics(window_error=1e-4), watch=watch)
+    seen = slice(FRAME - 1, None, FRAME)
+    residual, jacobian = path[:, seen], slopes[:, seen] * task.theta[:, None, None, None]
+    misfit = 0.5 * residual.square().sum((1, 2, 3))
+    return torch.cat([misfit[:, None], torch.einsum("btmcp,btmc->bp", jacobian, residual)], dim=1)
+
+
+def dent_ratio() -> tuple[float, float, float]:
+    """Times of a batch of 2's likelihood and gradient, of contacts and of whole dents [ms], and the latter's memory.
+
+    In ms and MB; medians of turns, one thread.
+    """
+    torch.set_num_threads(1)
+    task = make_task(2, 1)
+    around = []
+    for index in range(2):
+        mesh, press = pressed_sheet(1, float(index))
+        apart = np.abs(mesh.pixels - mesh.pixels[press.vertex]).max(axis=1)
+        around.append(np.flatnonzero(apart <= DENT))
+    watches = task.load.vertices[:, None], torch.from_numpy(np.stack(around))
+    turns = [[timed(likelihood, task, watch)[1] for watch in watches] for _ in range(PATCH_ROUNDS)]
+    contact, dent = np.median(turns[1:], axis=0).tolist()
+    return contact, dent, memory_above(likelihood, task, watches[1])
 
 
 def plot(rows: list[dict[str, Any]], title: str) -> Figure:
@@ -268,6 +298,9 @@ def main() -> None:
     title = f"200-step rollout, one mesh, one thread; {machine()}"
     vertex, patch = patch_ratio()
     print(f"{title}\n\npatch of radius {PATCH}: {patch:.1f} ms, one vertex: {vertex:.1f} ms, {patch / vertex:.2f}×\n")
+    contact, dent, memory = dent_ratio()
+    text = f"likelihood and gradient of a batch of 2: contacts {contact:.1f} ms, whole dents {dent:.1f} ms"
+    print(f"{text}, {dent / contact:.2f}×, {memory:.0f} MB\n")
     settings = track(SETTINGS.items(), "batches and sizes")
     rows = [row for (batch, scale), threads in settings for row in measure(batch, scale, threads)]
     print_table([*rows[0]], ([cell(value) for value in row.values()] for row in rows))

@@ -29,6 +29,7 @@ from data.command_line import path_option, progress_bars, say, whole_number
 from data.contact.features import FEATURES, SLOTS, join_features
 from data.synthetic.contacts import SimulatedContact
 from data.synthetic.truth import damping_ratio, regime_of
+from estimators.direct.estimator import CONTACT
 from estimators.network.fits import BOUNDS, MECHANICS, Drawn, Fits, draw_observed, motion_slopes, observed_exactly
 from estimators.network.training import (
     FINE_BATCH,
@@ -43,6 +44,7 @@ from estimators.network.training import (
 from estimators.worker_pool import WorkerLost
 from evaluation.recovery.evaluate import Recovery
 from evaluation.recovery.output import finish
+from evaluation.recovery.scores import Bound
 from evaluation.recovery.store import RecoveryStore
 from evaluation.recovery.suites import CLEAN_NOISE
 from models.checkpoint import CheckpointError, load_posterior
@@ -173,7 +175,7 @@ def judge(posterior: ContactPosterior, row: str, held: Fits, seed: int) -> list[
                 seed=seed,
                 regime=regime_of(damping_ratio(theta[0], theta[1], MECHANICS.mass)),
                 theta=theta,
-                information=fisher_information(held.slopes[index], 1.0),
+                information=np.pad(fisher_information(held.slopes[index], 1.0), (0, 2)),
                 tracking=error,
                 estimate=theta_of(mean),
                 covariance=factor @ factor.T,
@@ -247,7 +249,13 @@ def main(arguments: list[str] | None = None) -> int:
         say(console, f"{error} Finished rows are kept.", "red")
         status = 1
     results = [result for result in store.rows if result.estimator in rows]
-    return finish(sorted(results, key=lambda result: rows.index(result.estimator)), options.output, console, status)
+    return finish(
+        sorted(results, key=lambda result: rows.index(result.estimator)),
+        options.output,
+        console,
+        status,
+        Bound(CONTACT),
+    )
 
 
 if __name__ == "__main__":

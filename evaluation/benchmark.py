@@ -25,7 +25,7 @@ from rich.console import Console
 
 from data.command_line import path_option, progress_bars, real_number, say, whole_number
 from data.contact.interaction import PRESS
-from estimators.direct.estimator import LEAST_SIGMA
+from estimators.direct.estimator import FIELD, LEAST_SIGMA, OBSERVATIONS
 from estimators.onset import ONSETS, STAMP
 from estimators.open import EstimatorOptions
 from estimators.worker_pool import WorkerLost, run_tasks
@@ -33,11 +33,14 @@ from evaluation.recovery.constant import constant_estimate
 from evaluation.recovery.estimators import CONSTANT, NAMES, Candidate, describe
 from evaluation.recovery.evaluate import ClipTask, evaluate_clip
 from evaluation.recovery.output import finish
+from evaluation.recovery.scores import Bound
 from evaluation.recovery.store import RecoveryStore
-from evaluation.recovery.suites import LARGEST_SEED, SPLITS, SUITES, suite_clip_seed
+from evaluation.recovery.suites import GRID_SIZE, LARGEST_SEED, SPLITS, SUITES, suite_clip_seed
 from models.onnx_session import ModelFileError
 from results.store import OutputError
 
+LARGEST_SIZE = 4096
+"""Of pictures [px]."""
 LEAST_SEEN = 3
 """Fewer frames after the onset are refused by `direct`."""
 
@@ -70,6 +73,15 @@ def build_parser() -> argparse.ArgumentParser:
     add("--seen", type=_seen, metavar="N", help=text)
     text = "when direct and network take a press to begin: at a frame's stamp (default, as in most suites) or between"
     add("--onset", choices=ONSETS, default=STAMP, help=text)
+    text = "what direct compares (default: its own choice)"
+    add("--observation", choices=OBSERVATIONS, help=text)
+    text = (
+        "Cramér–Rao bound that errors are compared with: of the film of the whole dent (default), or of the contact's "
+        "point; with --onset between, of somebody who doesn't know the instants either"
+    )
+    add("--bound", choices=OBSERVATIONS, default=FIELD, help=text)
+    text = "width and height of the pictures (default %(default)s); 854x480 is CholecSeg8k's"
+    add("--size", type=_size, default="214x120", metavar="WxH", help=text)
     add("--output", type=path_option, required=True, metavar="DIR", help="folder of the results")
     text = "processes; 0 = in this one (default %(default)s)"
     add("--workers", type=whole_number(0), default=2, metavar="N", help=text)
@@ -80,6 +92,15 @@ def _seen(text: str) -> int | str:
     if text == PRESS or (text.isascii() and text.isdigit() and int(text) >= LEAST_SEEN):
         return PRESS if text == PRESS else int(text)
     raise argparse.ArgumentTypeError(f"{text} is no part of a contact; give at least {LEAST_SEEN} frames, or {PRESS}")
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, _, height = text.partition("x")
+    whole = width.isdigit() and height.isdigit() and text.isascii()
+    if not whole or not (GRID_SIZE[0] <= int(width) <= LARGEST_SIZE and GRID_SIZE[1] <= int(height) <= LARGEST_SIZE):
+        least = "x".join(map(str, GRID_SIZE))
+        raise argparse.ArgumentTypeError(f"{text} is no size of pictures; give WIDTHxHEIGHT from {least} up")
+    return int(width), int(height)
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
@@ -108,6 +129,7 @@ def estimators_of(options: argparse.Namespace) -> dict[str, EstimatorOptions]:
             model=options.models.get(name),
             onset=None if name == "gan" else options.onset,
             noise=options.noise if name == "direct" else None,
+            observation=options.observation if name == "direct" else None,
             horizon=options.seen,
             threads=1,
         )
@@ -123,7 +145,7 @@ def open_store(options: argparse.Namespace, estimators: Mapping[str, EstimatorOp
         ModelFileError: a network can't be used.
         OutputError: the folder can't be, or holds results that depend on something else.
     """
-    wanted = {"seed": options.seed, "split": options.split, "seen": options.seen}
+    wanted = {"seed": options.seed, "split": options.split, "seen": options.seen, "size": list(options.size)}
     wanted |= {f"suite {name}": SUITES[name].describe() for name in options.suite}
     wanted |= {f"estimator {name}": describe(estimator) for name, estimator in estimators.items()}
     return RecoveryStore(options.output, wanted)
@@ -147,7 +169,9 @@ def measure(
                 suite: {name: candidates[name] for name in options.estimator if (suite, index, name) in left}
                 for suite in options.suite
             }
-            tasks.append(ClipTask(index, suite_clip_seed(options.split, options.seed, index), wanted, options.seen))
+            tasks.append(
+                ClipTask(index, suite_clip_seed(options.split, options.seed, index), wanted, options.seen, options.size)
+            )
         bar = progress.add_task("clips", total=options.clips, completed=options.clips - len(tasks))
         for rows in run_tasks(evaluate_clip, tasks, options.workers):
             store.append(rows)
@@ -179,7 +203,7 @@ def main(arguments: list[str] | None = None) -> int:
     places = list(SUITES)
     rows = [row for row in store.rows if row.key in asked]
     rows.sort(key=lambda row: (NAMES.index(row.estimator), places.index(row.suite), row.index))
-    return finish(rows, options.output, console, status)
+    return finish(rows, options.output, console, status, Bound(options.bound, options.onset))
 
 
 if __name__ == "__main__":

@@ -31,7 +31,7 @@ import torch
 from scipy.optimize import minimize
 
 from data.command_line import path_option
-from data.contact.features import FEATURES, FRAME_RATE, KNOWN, LOADED, LOG_NOISE, REFERENCE_SPACING, SLOTS
+from data.contact.features import FRAME_RATE, KNOWN, LOADED, LOG_NOISE, REFERENCE_SPACING, SLOTS
 from data.contact.interaction import PRESS
 from data.masks.sources import MaskClasses
 from data.settings import PREPROCESSING_VERSION
@@ -41,7 +41,7 @@ from estimators.onset import STAMP
 from evaluation.recovery.evaluate import OK, PREPARE, Recovery
 from evaluation.recovery.store import RECORD, RESULTS, read_results
 from models.calibration import Calibration, Widths
-from models.checkpoint import load_posterior
+from models.checkpoint import load_posterior, posterior_features
 from models.onnx_export import export
 from models.posterior import ContactPosterior
 from results.record import sha256_of
@@ -130,14 +130,19 @@ def check_record(folder: Path, weights_sha256: str, seen: str | None) -> None:
         )
 
 
-def metadata(weights: Path) -> dict[str, object]:
-    """What inference needs beside the network: how clips are prepared, the simulator and the admissible box."""
+def metadata(weights: Path, features: int) -> dict[str, object]:
+    """What inference needs beside the network: how clips are prepared, the simulator and the admissible box.
+
+    Args:
+        weights: of the network.
+        features: length of the vector that it is told.
+    """
     geometry = dataclasses.asdict(PREPARE.geometry)
     depth = dataclasses.asdict(PREPARE.depth) | {"source": "auto"}
     pressed = [round(seconds * SCENES.fps) / SCENES.fps for seconds in SCENES.press_seconds]
     return {
         "input": {"window": 1, "height": geometry["height"], "width": geometry["width"]},
-        "contact": {"features": FEATURES, "slots": SLOTS, "frame_rate": FRAME_RATE, "press_seconds": pressed},
+        "contact": {"features": features, "slots": SLOTS, "frame_rate": FRAME_RATE, "press_seconds": pressed},
         "observation": "trajectory",
         "preprocessing_version": PREPROCESSING_VERSION,
         "bounds": dataclasses.asdict(BOUNDS),
@@ -168,7 +173,8 @@ def main(arguments: list[str] | None = None) -> int:
         parser.error("give --validation and --pressed, or neither.")
     calibration = Calibration()
     try:
-        posterior = ContactPosterior(FEATURES, torch.tensor(BOUNDS.log_box))
+        features = posterior_features(options.weights)
+        posterior = ContactPosterior(features, torch.tensor(BOUNDS.log_box))
         load_posterior(posterior, options.weights)
         if options.validation is not None:
             weights = sha256_of(options.weights)
@@ -178,7 +184,7 @@ def main(arguments: list[str] | None = None) -> int:
                 fit_widths_of(read_results(folder / RESULTS)) for folder in (options.validation, options.pressed)
             )
             calibration = Calibration(whole, pressed, LOG_NOISE, KNOWN, LOADED)
-        difference = export(posterior, options.output, metadata(options.weights), calibration)
+        difference = export(posterior, options.output, metadata(options.weights, features), calibration)
     except (OSError, RuntimeError, ValueError) as error:
         print(error, file=sys.stderr)
         return 1

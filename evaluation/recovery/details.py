@@ -7,6 +7,8 @@ error_over_bound_variance     mean square of error / Cramér–Rao bound: 1 is t
 error_over_sd_variance        mean square of error / the estimate's own standard deviation: 1 is calibrated
 gap_closed                    share of the way from the best constant's error (for these clips) to the bound
 ratio, coverage90             as in the table, with 95 % intervals from a bootstrap over clips
+rank_uniformity               p-value of the ranks of the truths in their posteriors being evenly spread (Kolmogorov and
+                              Smirnov; simulation-based calibration, Talts 2018): small where posteriors are off
 coverage90_narrow, _wide      coverage90 of the third of the clips with the narrowest, and with the widest, intervals
 spread, true_spread           standard deviation of log θ over all estimated clips, estimated and true
 collapse                      spread / true_spread: near 0 for an estimator that ignores its input
@@ -27,7 +29,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from scipy.stats import bootstrap
+from scipy.stats import bootstrap, kstest, norm
 
 from estimators.estimate import NINETY
 from evaluation.recovery.scores import QUANTITIES, Scores, constant_error, rms
@@ -71,10 +73,16 @@ def _errors(errors: np.ndarray, truth: np.ndarray, bounds: np.ndarray, sd: np.nd
     yield {"quantity": "ratio", **_with_interval(_ratio, errors, bounds)}
     if np.isfinite(sd).all():
         yield {"quantity": "coverage90", **_with_interval(_held, errors, sd)}
+        yield {"quantity": "rank_uniformity", "value": float(kstest(ranks(errors, sd), "uniform").pvalue)}
     if len(sd) >= 3 * LEAST_CLIPS and np.ptp(sd) > 0:
         narrow, _, wide = np.array_split(np.argsort(sd, kind="stable"), 3)
         for quantity, third in (("coverage90_narrow", narrow), ("coverage90_wide", wide)):
             yield {"quantity": quantity, "n": len(third), **_with_interval(_held, errors[third], sd[third])}
+
+
+def ranks(errors: np.ndarray, sd: np.ndarray) -> np.ndarray:
+    """Share of each posterior that lies below its truth, any shape: even from 0 to 1 where the posteriors are right."""
+    return norm.cdf(-errors / sd)
 
 
 def _ratio(errors: np.ndarray, bounds: np.ndarray, axis: int = -1) -> np.ndarray:

@@ -26,22 +26,17 @@ from data.synthetic.settings import SceneSettings
 from data.synthetic.source import open_synthetic
 from data.synthetic.truth import Motion
 from estimators.contract import ClipInfo
-from estimators.direct.estimator import FITTED
 from estimators.estimate import Estimate, InteractionEstimate
 from estimators.oblique import is_oblique
 from estimators.runs import RunTracker
+from evaluation.recovery.bounds import MECHANICS, contact_information, field_information
 from evaluation.recovery.estimators import Candidate, opened
-from evaluation.recovery.suites import SUITES
-from physics.likelihood import Likelihood
-from physics.load import Press, held
-from physics.observation import Observation
+from evaluation.recovery.suites import GRID_SIZE, SUITES
 
 PREPARE = PrepareSettings(
     depth=DepthSettings(source="stored"), geometry=GeometrySettings(smoothing=4, rigid_motion="subtract")
 )
 """How all clips are prepared."""
-MECHANICS = FITTED
-"""Simulator of the bound."""
 OK = "ok"
 
 
@@ -63,7 +58,9 @@ class Recovery:
     theta: np.ndarray | None = None
     """True [k_s, k_d, F], shape [3]; None where no clip could be drawn."""
     information: np.ndarray | None = None
-    """Fisher information of log θ at the truth, on the true mesh, for observations with σ = 1, shape [3, 3]."""
+    """Fisher information of log θ and both delays from the contact's motion for σ = 1 (`bounds`), shape [5, 5]."""
+    field_information: np.ndarray | None = None
+    """The same from the film of its dent with the film's noise; None without a film."""
     tracking: np.ndarray | None = None
     """Tracked minus true displacement along the true direction, shape [M] [scene units]."""
     estimate: np.ndarray | None = None
@@ -100,6 +97,8 @@ class ClipTask:
     """Suites, each with the estimators that are to be tried, by name; those without any are left out."""
     seen: Horizon = None
     """Frames after the onset that estimators and bound see; none = one second."""
+    size: tuple[int, int] = GRID_SIZE
+    """Width and height of the pictures [px]."""
 
 
 @functools.lru_cache(maxsize=1)
@@ -115,14 +114,14 @@ def evaluate_clip(task: ClipTask) -> list[Recovery]:
 
 
 def _evaluate_suite(task: ClipTask, suite: str, candidates: Mapping[str, Candidate]) -> list[Recovery]:
-    settings = SUITES[suite].settings(task.index)
+    settings = SUITES[suite].settings(task.index, task.size)
     known: dict[str, Any] = {"suite": suite, "index": task.index, "seed": task.seed, "regime": settings.regime}
 
     def failed(status: str, reason: str) -> list[Recovery]:
         return [Recovery(**known, estimator=name, status=status, reason=reason) for name in candidates]
 
     try:
-        scene, motion = _truth(SUITES[suite].truth_settings(task.index), task.seed)
+        scene, motion = _truth(SUITES[suite].truth_settings(task.index, task.size), task.seed)
     except SceneError as error:
         return failed("no scene", str(error))
     scene = dataclasses.replace(scene, settings=settings)
@@ -138,7 +137,10 @@ def _evaluate_suite(task: ClipTask, suite: str, candidates: Mapping[str, Candida
         return failed("no contact", "no onset of contact was found.")
     if onset not in contacts:
         return failed("other onset", f"contact began in frame {', '.join(map(str, contacts))} instead of {onset}.")
-    known["tracking"], known["information"] = compare_tracking(contacts[onset], scene, motion)
+    contact = contacts[onset]
+    known["tracking"] = tracking_errors(contact, scene, motion)
+    known["information"] = contact_information(contact, scene, motion)
+    known["field_information"] = field_information(contact, scene, motion)
     return [
         Recovery(**known, estimator=name, **_estimate(candidate, frames, info, onset))
         for name, candidate in candidates.items()
@@ -160,29 +162,14 @@ def observed_contacts(frames: Sequence[PreparedFrame], clip: ClipInfo, seen: Hor
     return {onset: contact for onset, contact in found.items() if len(contact.observation)}
 
 
-def compare_tracking(contact: Interaction, scene: Scene, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
-    """Errors of a tracked contact, shape [M], and the information for σ = 1 that a perfect one would have, [3, 3].
-
-    The information is that of the true instants since the force's start, to the nearest step of the simulator (2.5 ms),
-    as if that start were known.
+def tracking_errors(contact: Interaction, scene: Scene, motion: Motion) -> np.ndarray:
+    """Errors of a tracked contact along the true direction, shape [M] [scene units].
 
     Args:
         contact: as observed; it must begin in the true onset's frame.
     """
-    times = contact.observation.times
-    frames = motion.onset_frame + np.rint(times * scene.settings.fps).astype(int)
-    errors = (contact.moved - motion.contact[frames]) @ scene.direction
-    steps = contact.observation.steps(MECHANICS.time_step) - round(motion.delay / MECHANICS.time_step)
-    steps = steps[steps >= 0]  # before the force starts the tissue is at rest and tells nothing
-    if not len(steps):
-        return errors, np.zeros((3, 3))
-    load = Press.at(
-        scene.vertex, scene.direction, held(round(motion.load_seconds / MECHANICS.time_step), int(steps[-1]) + 1)
-    )
-    nothing = np.zeros((len(steps), 3))
-    observed = Observation.of_point(scene.vertex, (steps + 1) * MECHANICS.time_step, nothing, 1.0)
-    likelihood = Likelihood(scene.mesh, load, observed, MECHANICS)
-    return errors, likelihood.information(np.log(np.abs(motion.theta)))
+    frames = motion.onset_frame + np.rint(contact.observation.times * scene.settings.fps).astype(int)
+    return (contact.moved - motion.contact[frames]) @ scene.direction
 
 
 def _estimate(candidate: Candidate, frames: Sequence[PreparedFrame], clip: ClipInfo, onset: int) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from rich.table import Table
 from data.command_line import say
 from evaluation.recovery import details, scores
 from evaluation.recovery.evaluate import OK, Recovery
-from evaluation.recovery.scores import Scores
+from evaluation.recovery.scores import Bound, Scores
 from evaluation.recovery.store import replace_text
 from evaluation.tables import to_cell, to_csv
 from results.store import OutputError, writing
@@ -22,7 +22,7 @@ TABLE_WIDTH = 150
 """Width of the printed table where there is no terminal."""
 
 
-def finish(rows: Sequence[Recovery], output: Path, console: Console, status: int) -> int:
+def finish(rows: Sequence[Recovery], output: Path, console: Console, status: int, bound: Bound = Bound()) -> int:  # noqa: B008 (immutable)
     """Write and print what there is; returns the exit status.
 
     Args:
@@ -30,10 +30,11 @@ def finish(rows: Sequence[Recovery], output: Path, console: Console, status: int
         output: folder of the results.
         console: says what was not estimated.
         status: exit status so far.
+        bound: what errors are compared with.
     """
     if not rows:
         return status or 1
-    judged = scores.score_all(rows)
+    judged = scores.score_all(rows, bound)
     try:
         table = write_results(output, judged)
     except OutputError as error:

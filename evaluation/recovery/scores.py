@@ -1,7 +1,8 @@
 """From results to numbers: errors in logarithms against the Cramér–Rao bound, and `table.csv`.
 
-Errors and bounds are of log θ, so 0.1 means about 10 %. The bound of a clip is that of its contact's true trajectory
-under the suite's measured tracking noise, which is pooled over all its clips. `constant_rmse_log` is the error of the
+Errors and bounds are of log θ, so 0.1 means about 10 %. The bound of a clip is that of the film of its dent with the
+film's own noise (`field`), or that of its contact's true trajectory under the suite's measured tracking noise, which is
+pooled over all its clips (`contact`). `constant_rmse_log` is the error of the
 best constant for exactly the clips of a row, their own mean: nothing that ignores its input can do better. The
 estimator `constant` is fitted on another split and does worse. What doesn't exist is not a number.
 """
@@ -14,7 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from estimators.direct.estimator import FIELD
 from estimators.estimate import NINETY
+from estimators.onset import STAMP
+from evaluation.recovery.bounds import known
 from evaluation.recovery.evaluate import OK, Recovery
 from evaluation.recovery.suites import REGIMES
 from physics.identifiability import LIMIT, RATIOS, covariance
@@ -99,18 +103,38 @@ def measure_noise(rows: Sequence[Recovery]) -> tuple[float, float]:
     return rms(sizes[sizes <= ASTRAY * np.quantile(sizes, CENTRAL)]), rms(sizes)
 
 
-def score(rows: Sequence[Recovery], noise: tuple[float, float]) -> Scores:
+@dataclass(frozen=True)
+class Bound:
+    """Which Cramér–Rao bound errors are compared with."""
+
+    observation: str = FIELD
+    """Of what is seen: one of `estimators.direct.estimator.OBSERVATIONS`."""
+    onset: str = STAMP
+    """Whether the instants of the press are known: one of `estimators.onset.ONSETS`."""
+
+    def information(self, rows: Sequence[Recovery], sigma: float) -> np.ndarray:
+        """Information of log θ, shape [n, 3, 3]; nothing where there is no film. `sigma`: of the tracked contact."""
+        nothing = np.zeros((5, 5))
+        if self.observation == FIELD:
+            found = [nothing if row.field_information is None else row.field_information for row in rows]
+        else:
+            found = [nothing if row.information is None else row.information / sigma**2 for row in rows]
+        return known(np.array(found).reshape(-1, 5, 5), self.onset)
+
+
+def score(rows: Sequence[Recovery], noise: tuple[float, float], bound: Bound = Bound()) -> Scores:
     """Scores of one suite and estimator.
 
     Args:
         rows: its results, one at least.
         noise: of the suite.
+        bound: what errors are compared with.
     """
     kept = [row for row in rows if row.status == OK]
     truth, estimate = (
         np.log(np.abs([getattr(row, name) for row in kept])).reshape(-1, 3) for name in ("theta", "estimate")
     )
-    information = np.array([row.information for row in kept]).reshape(-1, 3, 3)
+    information = bound.information(kept, noise[0])
     unknown = np.full((3, 3), np.nan)
     given = np.array([unknown if row.covariance is None else row.covariance for row in kept]).reshape(-1, 3, 3)
     return Scores(
@@ -122,7 +146,7 @@ def score(rows: Sequence[Recovery], noise: tuple[float, float]) -> Scores:
         regimes=np.array([row.regime for row in kept]),
         truth=truth @ TO_QUANTITIES.T,
         estimate=estimate @ TO_QUANTITIES.T,
-        bounds=deviations(covariance(information / noise[0] ** 2)),
+        bounds=deviations(covariance(information)),
         sd=deviations(given),
     )
 
@@ -132,13 +156,13 @@ def deviations(covariances: np.ndarray) -> np.ndarray:
     return np.sqrt(np.einsum("ij,...jk,ik->...i", TO_QUANTITIES, covariances, TO_QUANTITIES))
 
 
-def score_all(rows: Sequence[Recovery]) -> list[Scores]:
+def score_all(rows: Sequence[Recovery], bound: Bound = Bound()) -> list[Scores]:
     """Scores of every estimator and suite, in the order in which they first appear."""
     noises = {suite: measure_noise([row for row in rows if row.suite == suite]) for suite in {r.suite for r in rows}}
     groups: dict[tuple[str, str], list[Recovery]] = {}
     for row in rows:
         groups.setdefault((row.estimator, row.suite), []).append(row)
-    return [score(group, noises[suite]) for (_, suite), group in groups.items()]
+    return [score(group, noises[suite], bound) for (_, suite), group in groups.items()]
 
 
 def rms(values: np.ndarray) -> float:

@@ -17,7 +17,7 @@ from physics.provenance import code_digest
 from results.store import OutputError, writing
 
 RESULTS, RECORD = "results.jsonl", "run.json"
-FORMAT_VERSION = 3
+FORMAT_VERSION = 4
 
 
 class RecoveryStore:

@@ -17,8 +17,8 @@ import numpy as np
 from data.synthetic.settings import SceneSettings
 from data.synthetic.truth import REGIMES
 
-SIZE: dict[str, Any] = {"width": 214, "height": 120}
-"""Pictures of the network's input size [px]."""
+GRID_SIZE = (214, 120)
+"""Width and height of pictures of the network's input size [px]."""
 SPLITS = {"training": 1, "validation": 2, "test": 3}
 """First number of each split's random stream."""
 FITTED_ON = {"test": "validation", "validation": "training", "training": "validation"}
@@ -42,14 +42,18 @@ class Suite:
     every_other_truth: Mapping[str, Any] = field(default_factory=dict)
     """The same, in every other clip of each regime only."""
 
-    def truth_settings(self, index: int) -> SceneSettings:
-        """What the truth of clip `index` is drawn from, without errors: its regime is REGIMES[index % 3]."""
-        extra = self.every_other_truth if index // len(REGIMES) % 2 else {}
-        return SceneSettings(**SIZE, regime=REGIMES[index % len(REGIMES)], **self.truth, **extra)
+    def truth_settings(self, index: int, size: tuple[int, int] = GRID_SIZE) -> SceneSettings:
+        """What the truth of clip `index` is drawn from, without errors: its regime is REGIMES[index % 3].
 
-    def settings(self, index: int) -> SceneSettings:
+        Args:
+            size: width and height of the pictures [px].
+        """
+        extra = self.every_other_truth if index // len(REGIMES) % 2 else {}
+        return SceneSettings(width=size[0], height=size[1], regime=REGIMES[index % len(REGIMES)], **self.truth, **extra)
+
+    def settings(self, index: int, size: tuple[int, int] = GRID_SIZE) -> SceneSettings:
         """The same with the suite's errors of observation."""
-        return replace(self.truth_settings(index), **self.errors)
+        return replace(self.truth_settings(index, size), **self.errors)
 
     def describe(self) -> dict[str, dict[str, Any]]:
         """What decides the suite's clips, for the run's record."""

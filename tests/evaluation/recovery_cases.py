@@ -5,13 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from evaluation.recovery.evaluate import Recovery
+from evaluation.recovery.scores import Bound
 from evaluation.recovery.suites import REGIMES, suite_clip_seed
 
 TRUTH = np.array([0.5, 0.05, -0.1])
+BY_CONTACT = Bound("contact")
+"""The bound of the contact's point, which the clips below are made for."""
 
 
 def recovery(index: int = 0, **changes) -> Recovery:
-    """A clip whose θ was estimated exactly, with bounds of 0.1 for tracking noise of 0.001."""
+    """A clip whose θ was estimated exactly, with bounds of 0.1 for tracking noise of 0.001, and of 0.05 by its film.
+
+    Information of log θ alone [3, 3] is taken to be that of a press whose delays have no part in it.
+    """
     fields = {
         "suite": "clean",
         "index": index,
@@ -20,6 +26,7 @@ def recovery(index: int = 0, **changes) -> Recovery:
         "regime": REGIMES[index % 3],
         "theta": TRUTH,
         "information": np.eye(3) * (0.001 / 0.1) ** 2,
+        "field_information": np.eye(3) / 0.05**2,
         "tracking": np.array([0.001, -0.001]),
         "estimate": TRUTH,
         "covariance": np.eye(3) * 0.01,
@@ -29,7 +36,11 @@ def recovery(index: int = 0, **changes) -> Recovery:
         "at_bound": np.zeros(3, bool),
         "seconds": 1.0,
     }
-    return Recovery(**fields | changes)
+    fields |= changes
+    for name in ("information", "field_information"):
+        if fields[name] is not None:
+            fields[name] = np.pad(fields[name], (0, 5 - len(fields[name])))
+    return Recovery(**fields)
 
 
 def off_by(errors: object) -> np.ndarray:

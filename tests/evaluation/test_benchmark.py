@@ -124,6 +124,45 @@ def test_options_that_do_not_belong_together_are_wrong_usage(tmp_path, arguments
     assert sentence in capsys.readouterr().err
 
 
+def test_pictures_of_another_size_are_another_folder_s(tmp_path, evaluated, monkeypatch, capsys):
+    sizes, evaluate = [], benchmark.evaluate_clip
+
+    def measured(task):
+        sizes.append(task.size)
+        return evaluate(task)
+
+    monkeypatch.setattr(benchmark, "evaluate_clip", measured)
+    assert run(tmp_path, clips=1) == run(tmp_path / "large", "--size", "854x480", clips=1) == 0
+    assert sizes == [(214, 120), (854, 480)]
+    assert run(tmp_path, "--size", "854x480", clips=1) == 2
+    assert "holds results of another size" in capsys.readouterr().err
+    assert run(tmp_path, "--observation", "contact", clips=1) == 2
+    assert "holds results of another estimator direct" in capsys.readouterr().err
+
+
+def test_only_direct_is_told_what_to_compare(tmp_path):
+    options = benchmark.parse(["--output", "x", "--estimator", "direct", "network", "--model", "m.onnx"])
+    assert {name: found.observation for name, found in benchmark.estimators_of(options).items()} == dict.fromkeys(
+        ("direct", "network")
+    )
+    options = benchmark.parse(
+        ["--output", "x", "--estimator", "direct", "network", "--model", "m.onnx", "--observation", "contact"]
+    )
+    told = {name: found.observation for name, found in benchmark.estimators_of(options).items()}
+    assert told == {"direct": "contact", "network": None}
+
+
+def test_the_bound_is_chosen_after_the_clips_were_measured(tmp_path, evaluated):
+    """The film's is 0.05 and the contact's 0.1."""
+    found = []
+    for bound in ((), ("--bound", "field"), ("--bound", "contact")):
+        assert run(tmp_path, *bound) == 0
+        rows = {(row["regime"], row["parameter"]): row for row in read(tmp_path / "table.csv")}
+        found.append(float(rows["all", "damping"]["bound_log"]))
+    assert found == pytest.approx([0.05, 0.05, 0.1])
+    assert sorted(evaluated) == [0, 1, 2, 3, 4, 5]
+
+
 def test_a_missing_network_is_refused(tmp_path, capsys):
     assert run(tmp_path, "--estimator", "gan", "--gan-model", "missing.onnx") == 2
     assert "missing.onnx is not a file" in capsys.readouterr().err
@@ -150,6 +189,16 @@ def test_another_seeds_folder_is_refused(tmp_path, evaluated, capsys):
         (("--clips", "0"), "--clips: 0 is less than 1"),
         (("--noise", "0"), "'0' is not a noise above the simulator's own error; give 3e-05 or more"),
         (("--seen", "2"), "give at least 3 frames, or press"),
+        (("--size", "854"), "854 is no size of pictures; give WIDTHxHEIGHT from 214x120 up"),
+        (("--size", "213x120"), "213x120 is no size of pictures"),
+        (("--size", "214x119"), "214x119 is no size of pictures"),
+        (("--size", "854x480x3"), "854x480x3 is no size of pictures"),
+        (("--size", "5000x480"), "5000x480 is no size of pictures"),
+        (("--size=-854x480",), "-854x480 is no size of pictures"),
+        (("--size", "８５４x480"), "８５４x480 is no size of pictures"),
+        (("--size", "854x4.8e2"), "854x4.8e2 is no size of pictures"),
+        (("--observation", "film"), "invalid choice: 'film'"),
+        (("--bound", "film"), "invalid choice: 'film'"),
     ],
 )
 def test_an_option_that_takes_something_else_is_wrong_usage(tmp_path, arguments, sentence, capsys):

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from evaluation.recovery.details import COLUMNS, detail_rows, true_verdicts
+from evaluation.recovery.details import COLUMNS, detail_rows, ranks, true_verdicts
 from evaluation.recovery.scores import score_all
-from tests.evaluation.recovery_cases import off_by, recovery
+from tests.evaluation.recovery_cases import BY_CONTACT, off_by, recovery
 
 
 def details(rows):
-    (scores,) = score_all(rows)
+    (scores,) = score_all(rows, BY_CONTACT)
     found = list(detail_rows(scores))
     assert all(set(row) <= set(COLUMNS) for row in found)
     return {(row["regime"], row["parameter"], row["quantity"]): row for row in found}
@@ -64,6 +64,22 @@ def test_narrow_intervals_are_told_from_wide_ones():
     assert ("all", "stiffness", "coverage90_wide") not in details(rows[:14])
     alike = [recovery(index, covariance=0.01 * np.eye(3)) for index in range(15)]
     assert ("all", "stiffness", "coverage90_wide") not in details(alike)
+
+
+def test_ranks_of_truths_are_even_where_posteriors_are_right():
+    """A truth one standard deviation below the estimate has a sixth of the posterior below it."""
+    np.testing.assert_allclose(ranks(np.array([0.2, 0.0, -0.2]), np.full(3, 0.2)), [0.158655, 0.5, 0.841345], atol=1e-6)
+    generator = np.random.default_rng(3)
+    errors = generator.normal(0, 0.1, (200, 3))
+    right, narrow, biased = (
+        details([recovery(i, estimate=off_by(e + shift), covariance=sd**2 * np.eye(3)) for i, e in enumerate(errors)])[
+            "all", "stiffness", "rank_uniformity"
+        ]["value"]
+        for shift, sd in ((0.0, 0.1), (0.0, 0.04), (0.05, 0.1))
+    )
+    assert right > 0.1
+    assert max(narrow, biased) < 1e-4
+    assert ("all", "stiffness", "rank_uniformity") not in details([recovery(i, covariance=None) for i in range(5)])
 
 
 def test_warnings_are_counted():

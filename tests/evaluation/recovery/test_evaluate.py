@@ -11,15 +11,17 @@ from data.contact.interaction import Interaction
 from data.synthetic.clip import draw_truth, synthetic_clip
 from data.synthetic.scene import SceneError
 from estimators.estimate import Estimate, InteractionEstimate
+from estimators.onset import BETWEEN, STAMP
 from estimators.open import EstimatorOptions
 from evaluation.recovery import constant
 from evaluation.recovery import evaluate as recovery
+from evaluation.recovery.bounds import known
 from evaluation.recovery.constant import draw_log_theta
 from evaluation.recovery.evaluate import ClipTask, Recovery, evaluate_clip
 from evaluation.recovery.suites import SUITES, suite_clip_seed
-from physics.identifiability import fisher_information, log_jacobian
+from physics.identifiability import bounds, fisher_information, log_jacobian
 from physics.load import Press, held
-from physics.msd.simulation import simulate_sensitivities
+from physics.msd.simulation import simulate, simulate_sensitivities
 from physics.observation import Observation
 from tests.estimators.sessions import clip_info
 
@@ -53,17 +55,49 @@ def test_a_late_force_is_compared_and_bounded_at_its_own_instants():
     step, times = recovery.MECHANICS.time_step, after / 25
     load = Press.at(scene.vertex, scene.direction, held(round(motion.load_seconds / step), 400))
     contact = Interaction(scene.mesh, load, Observation.of_point(scene.vertex, times, observed, 0.001), step)
-    errors, information = recovery.compare_tracking(contact, scene, motion)
-    np.testing.assert_allclose(errors, -0.002, rtol=1e-4)
+    np.testing.assert_allclose(recovery.tracking_errors(contact, scene, motion), -0.002, rtol=1e-4)
+    information = recovery.contact_information(contact, scene, motion)
+    assert information.shape == (5, 5)
     _, slopes = simulate_sensitivities(motion.theta, scene.mesh, load, recovery.MECHANICS, dtype=np.float64)
     slopes = log_jacobian(slopes, motion.theta)
     expected, on_time = (fisher_information(slopes[16 * after - first], 1.0) for first in (9, 1))
-    np.testing.assert_allclose(information, expected, rtol=1e-12)
-    assert not np.allclose(information, on_time, rtol=0.01)
+    # Instants are read between steps; those that lie on one do so to rounding.
+    np.testing.assert_allclose(information[:3, :3], expected, rtol=1e-9)
+    assert not np.allclose(information[:3, :3], on_time, rtol=0.01)
+    np.testing.assert_array_equal(known(information, STAMP), information[:3, :3])
     # Before the force starts nothing is told.
     late = dataclasses.replace(motion, delay=0.04)
     blind = contact.observed(np.arange(1))
-    np.testing.assert_array_equal(recovery.compare_tracking(blind, scene, late)[1], np.zeros((3, 3)))
+    np.testing.assert_array_equal(recovery.contact_information(blind, scene, late), np.zeros((5, 5)))
+
+
+def test_the_bound_counts_the_delays_of_a_press_in_frames():
+    """Against presses a step of the simulator, a 16th of a frame, earlier and later, and held for a step longer."""
+    settings = dataclasses.replace(SUITES["late-onset"].settings(2), onset_delay=(0.5, 0.5), release_delay=(0.5, 0.5))
+    scene, motion = draw_truth(settings, SEED)
+    after, step = np.arange(1, 26), recovery.MECHANICS.time_step
+    loaded = round(motion.load_seconds / step)
+
+    def moved(began: int, ended: int) -> np.ndarray:
+        press = Press.at(scene.vertex, scene.direction, held(loaded + ended - began, 400))
+        path = simulate(motion.theta, scene.mesh, press, recovery.MECHANICS, dtype=np.float64)
+        return path[16 * after - 9 - began]
+
+    observed = Observation.of_point(scene.vertex, after / 25, moved(0, 0), 0.001)
+    press = Press.at(scene.vertex, scene.direction, held(loaded, 400))
+    contact = Interaction(scene.mesh, press, observed, step)
+    # Forward: a force that ends with a whole step gives another derivative for an earlier end than for a later one.
+    ended = 16 * (moved(0, 1) - moved(0, 0))
+    slopes = np.stack([8 * (moved(1, 1) - moved(-1, -1)) - ended, ended], axis=-1)
+    information = recovery.contact_information(contact, scene, motion)
+    np.testing.assert_allclose(information[3:, 3:], fisher_information(slopes, 1.0), rtol=0.02)
+    # Where the release was not seen nothing is known of its delay.
+    under = contact.observed(after / 25 < 0.2)
+    pressed = dataclasses.replace(under, load=dataclasses.replace(press, factor=np.ones(400)))
+    information = recovery.contact_information(pressed, scene, motion)
+    assert (np.diag(information)[:4] > 0).all()
+    assert not information[4].any()
+    assert not information[:, 4].any()
 
 
 def test_a_clip_in_three_suites(monkeypatch, truth):
@@ -88,6 +122,16 @@ def test_a_clip_in_three_suites(monkeypatch, truth):
     assert np.linalg.eigvalsh(clean.information).min() >= 0
     np.testing.assert_allclose(draw_log_theta((2, SEED)), np.log(np.abs(clean.theta)))
     np.testing.assert_array_equal(clean.covariance, np.eye(3))
+    for row in (clean, rounded, mismatch):
+        for onset in (STAMP, BETWEEN):
+            # The dent tells more than its middle, and both tell less to somebody who doesn't know the instants.
+            contact = known(row.information / np.mean(np.square(row.tracking)), onset)
+            assert (bounds(known(row.field_information, onset)) < bounds(contact)).all()
+        for information in (row.information, row.field_information):
+            assert information.shape == (5, 5)
+            assert (bounds(known(information, STAMP)) < bounds(known(information, BETWEEN))).all()
+    # Rounded depth has errors that stay, and other noise.
+    assert not np.allclose(clean.field_information, rounded.field_information, rtol=0.01)
 
 
 def run(monkeypatch, **replaced) -> Recovery:

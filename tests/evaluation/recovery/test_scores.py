@@ -10,6 +10,7 @@ from estimators.estimate import NINETY
 from evaluation.recovery.scores import (
     COLUMNS,
     QUANTITIES,
+    Bound,
     coverage,
     deviations,
     measure_noise,
@@ -17,11 +18,11 @@ from evaluation.recovery.scores import (
     score_all,
     table_rows,
 )
-from tests.evaluation.recovery_cases import off_by, recovery
+from tests.evaluation.recovery_cases import BY_CONTACT, off_by, recovery
 
 
-def table(rows):
-    (scores,) = score_all(rows)
+def table(rows, bound=BY_CONTACT):
+    (scores,) = score_all(rows, bound)
     return {(row["regime"], row["parameter"]): row for row in table_rows(scores)}
 
 
@@ -142,13 +143,37 @@ def test_lost_tracks_do_not_excuse_estimators():
 
 def test_a_suites_bound_follows_its_measured_noise():
     rows = [recovery(0), recovery(0, suite="noisy", tracking=np.array([0.003, -0.003]))]
-    bounds = [scores.bounds[0, 0] for scores in score_all(rows)]
+    bounds = [scores.bounds[0, 0] for scores in score_all(rows, BY_CONTACT)]
     assert bounds == pytest.approx([0.1, 0.3])
+    # The film knows its own.
+    assert [scores.bounds[0, 0] for scores in score_all(rows)] == pytest.approx([0.05, 0.05])
+
+
+def test_without_a_film_the_film_bounds_nothing():
+    rows = [recovery(0), recovery(1, field_information=None)]
+    assert table(rows)["all", "stiffness"]["n"] == 2
+    assert table(rows, Bound())["all", "stiffness"]["n"] == 1
+    assert table(rows, Bound())["every clip", "stiffness"]["n"] == 2
+
+
+@pytest.mark.parametrize(("observation", "share"), [("contact", 1e-6), ("field", 1.0)])
+def test_whoever_does_not_know_the_instants_pays_for_the_delays(observation, share):
+    # Of log k_s and the first delay [[100, 60], [60, 45]]; a delay from -1 to 1 is known to 1/√3 beforehand. What is
+    # left of k_s is 100 − 60²/(45 + 3) = 25; of k_d, which no delay looks like, 100.
+    information = np.diag([100.0, 100.0, 100.0, 45.0, 0.0])
+    information[0, 3] = information[3, 0] = 60.0
+    fields = {"information": None, "field_information": None}
+    fields["information" if observation == "contact" else "field_information"] = share * information
+    rows = [recovery(0, **fields)]
+    stamp, between = (table(rows, Bound(observation, onset)) for onset in ("stamp", "between"))
+    bounds = [[found["all", name]["bound_log"] for name in QUANTITIES[:2]] for found in (stamp, between)]
+    assert bounds[0] == pytest.approx([0.1, 0.1])
+    assert bounds[1] == pytest.approx([0.2, 0.1])
 
 
 def test_clips_without_estimate_are_kept_apart():
     rows = [recovery(0), recovery(1, status="no contact", estimate=None, covariance=None, information=None)]
-    scores = score(rows, measure_noise(rows))
+    scores = score(rows, measure_noise(rows), BY_CONTACT)
     assert [row.index for row in scores.rows] == [0]
     assert [row.index for row in scores.failed] == [1]
 

@@ -7,7 +7,7 @@ import pytest
 
 from data.synthetic.clip import clip_seed, draw_truth
 from data.synthetic.scene import draw_scene
-from evaluation.recovery.suites import FITTED_ON, REGIMES, SPLITS, SUITES, suite_clip_seed
+from evaluation.recovery.suites import FITTED_ON, GRID_SIZE, REGIMES, SPLITS, SUITES, suite_clip_seed
 
 NAMES = ["clean", "8bit", "noisy", "flicker", "mask-error", "focal-error", "occlusion", "mismatch"]
 NAMES += ["oblique", "late-onset"]
@@ -36,6 +36,14 @@ def test_suites_are_those_that_were_agreed():
 def test_each_suite_has_one_error(name, changed):
     clean, suite = (dataclasses.asdict(SUITES[which].settings(0)) for which in ("clean", name))
     assert {key: value for key, value in suite.items() if value != clean[key]} == changed
+
+
+def test_pictures_are_of_the_size_that_is_asked_for():
+    for suite in SUITES.values():
+        for settings in (suite.settings, suite.truth_settings):
+            plain, large = settings(4), settings(4, (854, 480))
+            assert (plain.width, plain.height, large.width, large.height) == (*GRID_SIZE, 854, 480)
+            assert dataclasses.replace(large, width=plain.width, height=plain.height) == plain
 
 
 def test_regimes_take_turns_and_half_of_each_has_nonlinear_springs_in_mismatch():

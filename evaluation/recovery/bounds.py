@@ -1,0 +1,92 @@
+"""What a contact could have told at best: Fisher information at the truth, of its point and of its whole dent.
+
+All on the true mesh and at the true instants, with two delays of the press as further parameters
+(`estimators.direct.motion`): whoever knows the instants leaves these out, whoever doesn't pays for them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from data.contact.film import REACH, DentFilm
+from data.contact.interaction import Interaction
+from data.synthetic.scene import Scene
+from data.synthetic.truth import Motion
+from estimators.direct.estimator import FITTED, LEAST_OBSERVATIONS
+from estimators.direct.field import FieldProblem
+from estimators.direct.motion import about_tissue
+from estimators.direct.problem import ContactProblem
+from estimators.onset import BETWEEN
+from physics.identifiability import box_information
+from physics.load import Press, held
+
+MECHANICS = FITTED
+"""Simulator of the bounds."""
+DELAY_BOX = np.array([[-1.0], [1.0]])
+"""Range of a delay in frames."""
+
+
+def contact_information(contact: Interaction, scene: Scene, motion: Motion) -> np.ndarray:
+    """Information of log θ and both delays of the press from the contact's observed instants, for σ = 1, shape [5, 5].
+
+    Args:
+        contact: as observed; it must begin in the true onset's frame.
+    """
+    truth, logs, within = _truth(contact, scene, motion)
+    return _squared(ContactProblem(truth, MECHANICS, 1.0, within).information(logs))
+
+
+def field_information(contact: Interaction, scene: Scene, motion: Motion) -> np.ndarray | None:
+    """The same from what the film of its dent shows, with the film's own noise; None without a film."""
+    film = contact.film
+    if film is None or len(film.times) < LEAST_OBSERVATIONS:
+        return None
+    truth, logs, within = _truth(contact, scene, motion)
+    offset = scene.mesh.pixels[scene.vertex] - contact.mesh.pixels[contact.vertex]
+    problem = FieldProblem(dataclasses.replace(truth, film=_recentred(film, offset)), MECHANICS, within)
+    problem.look(logs)
+    return _squared(problem.information(logs))
+
+
+def known(information: np.ndarray, onset: str) -> np.ndarray:
+    """Information of log θ alone [..., 3, 3] from that with both delays [..., 5, 5].
+
+    Args:
+        onset: whether the press began at its time stamp or anywhere within a frame of it.
+    """
+    if onset != BETWEEN:
+        return information[..., :3, :3]
+    prior = np.diag(np.concatenate([np.zeros(3), np.diag(box_information(np.repeat(DELAY_BOX, 2, axis=1)))]))
+    flat = information.reshape(-1, 5, 5)
+    return np.array([about_tissue(item, prior) for item in flat]).reshape(*information.shape[:-2], 3, 3)
+
+
+def _truth(contact: Interaction, scene: Scene, motion: Motion) -> tuple[Interaction, np.ndarray, float]:
+    """The contact as it truly was, its parameters [5] ([4] where no release was seen), and the frame interval [s]."""
+    within, step = 1 / scene.settings.fps, MECHANICS.time_step
+    seconds = (motion.release_frame - motion.onset_frame) * within if contact.released else np.inf
+    press = Press.at(scene.vertex, scene.direction, held(seconds / step, MECHANICS.steps))
+    delays = np.array([motion.delay, motion.release_delay])[: 1 + contact.released] / within
+    logs = np.concatenate([np.log(np.abs(motion.theta)), delays])
+    return dataclasses.replace(contact, mesh=scene.mesh, load=press, time_step=step, film=None), logs, within
+
+
+def _recentred(film: DentFilm, offset: np.ndarray) -> DentFilm:
+    """The film of what lies so many rows and columns away, as far as it shows that."""
+    change = np.full_like(film.change, np.nan)
+    size = 2 * REACH + 1
+    sources, targets = [], []
+    for away in offset.tolist():
+        sources.append(slice(max(away, 0), size + min(away, 0)))
+        targets.append(slice(max(-away, 0), size + min(-away, 0)))
+    change[:, targets[0], targets[1]] = film.change[:, sources[0], sources[1]]
+    return dataclasses.replace(film, change=change)
+
+
+def _squared(information: np.ndarray) -> np.ndarray:
+    """With the second delay, of which nothing is known where the release was not seen, shape [5, 5]."""
+    whole = np.zeros((5, 5))
+    whole[: len(information), : len(information)] = information
+    return whole

@@ -1,0 +1,212 @@
+"""What a contact could tell at best: of its point and of its dent, with known and with unknown instants."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+
+import numpy as np
+import pytest
+
+from data.contact.film import REACH, DentFilm, FilmNoise
+from data.contact.interaction import Interaction
+from data.contact.patches import Patches
+from data.synthetic.clip import draw_truth
+from data.synthetic.scene import Scene
+from data.synthetic.settings import SceneSettings
+from data.synthetic.truth import Motion
+from estimators.onset import BETWEEN, STAMP
+from evaluation.recovery.bounds import MECHANICS, contact_information, field_information, known
+from physics.identifiability import bounds, fisher_information
+from physics.load import Press, held
+from physics.mechanics import theta_of
+from physics.mesh import contact_normal
+from physics.msd.simulation import simulate
+from physics.observation import Observation
+
+SIGMA = 1e-3
+SETTINGS = SceneSettings(
+    width=214,
+    height=120,
+    frames=12,
+    press_seconds=(0.16, 0.16),
+    onset_fraction=(0.2, 0.25),
+    regime="critical",
+    onset_delay=(0.3, 0.3),
+    release_delay=(0.6, 0.6),
+)
+SIDE = 2 * REACH + 1
+
+
+@functools.cache
+def truth() -> tuple[Scene, Motion]:
+    return draw_truth(SETTINGS, 3)
+
+
+def contact_of(
+    aside: tuple[int, int] = (0, 0), *, released: bool = True, noise: FilmNoise | None = None
+) -> Interaction:
+    """The true contact as it would be observed without errors, found so many rows and columns beside where it is."""
+    scene, motion = truth()
+    mesh = scene.mesh
+    pixel = mesh.pixels[scene.vertex] + aside
+    vertex = int(np.flatnonzero((mesh.pixels == pixel).all(axis=1))[0])
+    until = len(motion.times) if released else motion.release_frame
+    frames = np.arange(motion.onset_frame + 1, until)
+    times = motion.times[frames] - motion.times[motion.onset_frame]
+    steps = (motion.release_frame - motion.onset_frame) / SETTINGS.fps / MECHANICS.time_step
+    load = held(steps if released else MECHANICS.steps, MECHANICS.steps)
+    whole = np.zeros((len(frames), len(mesh.vertices), 3))
+    whole[:, motion.moving] = motion.field[frames]
+    patches = Patches(mesh, vertex, (214, 120))
+    moved = whole[:, patches.vertices]
+    change = patches.shown(patches.sunk(moved), patches.covering(moved)).reshape(-1, SIDE, SIDE).astype(np.float32)
+    return Interaction(
+        mesh,
+        Press.at(vertex, contact_normal(mesh, vertex), load),
+        Observation.of_point(vertex, times, motion.contact[frames], SIGMA),
+        MECHANICS.time_step,
+        DentFilm(times, change, noise or FilmNoise(SIGMA, 0.0), (214, 120)),
+    )
+
+
+@pytest.fixture(scope="module")
+def found() -> tuple[np.ndarray, np.ndarray]:
+    """Information of the contact for SIGMA, and of the field."""
+    field = field_information(contact_of(), *truth())
+    assert field is not None
+    return contact_information(contact_of(), *truth()) / SIGMA**2, field
+
+
+def true_path(logs: np.ndarray, observed: Observation) -> np.ndarray:
+    """Displacement of the contact for log θ and both delays in frames, shape [N, 3], with steps of 1/64 ms each."""
+    scene, motion = truth()
+    fine = dataclasses.replace(MECHANICS, time_step=MECHANICS.time_step / 16, steps=16 * 160, window_error=1e-7)
+    frame = 1 / SETTINGS.fps
+    load = (motion.release_frame - motion.onset_frame + logs[4] - logs[3]) * frame
+    press = Press.at(scene.vertex, scene.direction, held(load / fine.time_step, fine.steps))
+    path = simulate(theta_of(logs[:3]), scene.mesh, press, fine, dtype=np.float64)
+    path, after = np.concatenate([np.zeros((1, 3)), path]), fine.time_step * np.arange(fine.steps + 1)
+    since = observed.times - logs[3] * frame
+    return np.stack([np.interp(since, after, column) for column in path.T], axis=1)
+
+
+@pytest.mark.slow
+def test_contact_information_is_that_of_the_motion_at_the_truth() -> None:
+    """Against central differences of the simulator with much finer steps."""
+    _, motion = truth()
+    contact = contact_of()
+    logs = np.concatenate([np.log(np.abs(motion.theta)), [0.3, 0.6]])
+    np.testing.assert_allclose(true_path(logs, contact.observation), contact.moved, atol=3e-4)
+    columns = [
+        (true_path(logs + step, contact.observation) - true_path(logs - step, contact.observation)) / 0.04
+        for step in 0.02 * np.eye(5)
+    ]
+    expected = fisher_information(np.stack(columns, axis=-1), 1.0)
+    information = contact_information(contact, *truth())
+    assert information.shape == (5, 5)
+    sizes = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    np.testing.assert_allclose(information / sizes, expected / sizes, atol=0.06)
+
+
+def test_information_is_symmetric_and_positive(found: tuple[np.ndarray, np.ndarray]) -> None:
+    for information in found:
+        assert information.shape == (5, 5)
+        np.testing.assert_allclose(information, information.T, rtol=1e-9)
+        assert (np.linalg.eigvalsh(information) > 0).all()
+
+
+@pytest.mark.parametrize("onset", [STAMP, BETWEEN])
+def test_a_dent_tells_more_than_its_deepest_point(found: tuple[np.ndarray, np.ndarray], onset: str) -> None:
+    contact, field = (bounds(known(information, onset)) for information in found)
+    assert (field < contact).all()
+    assert (field > 0).all()
+
+
+def test_the_films_noise_counts(found: tuple[np.ndarray, np.ndarray]) -> None:
+    """Independent errors of twice the size tell a quarter."""
+    larger = field_information(contact_of(noise=FilmNoise(2 * SIGMA, 0.0)), *truth())
+    np.testing.assert_allclose(larger, found[1] / 4, rtol=1e-6)
+    alike = field_information(contact_of(noise=FilmNoise(SIGMA, 0.0, 4.0)), *truth())
+    for less in (larger, alike):
+        assert np.linalg.eigvalsh(found[1] - less).min() > -1e-6 * np.abs(found[1]).max()
+
+
+def test_what_was_observed_itself_does_not_count(found: tuple[np.ndarray, np.ndarray]) -> None:
+    """Only when, and what was hidden, does."""
+    contact = contact_of()
+    generator = np.random.default_rng(0)
+    film = contact.film
+    noisy = film.change + generator.normal(0, SIGMA, film.change.shape).astype(np.float32)
+    spoiled = dataclasses.replace(
+        contact,
+        film=dataclasses.replace(film, change=noisy),
+        observation=contact.observation.moved(contact.moved + 0.01, 7.0),
+    )
+    np.testing.assert_allclose(field_information(spoiled, *truth()), found[1], rtol=1e-9)
+    np.testing.assert_allclose(contact_information(spoiled, *truth()) / SIGMA**2, found[0], rtol=1e-9)
+
+
+@pytest.mark.parametrize("aside", [(0, 1), (-1, 0), (1, -1)])
+def test_the_film_of_a_contact_found_one_pixel_aside_is_recentred(aside: tuple[int, int]) -> None:
+    """It tells what the true contact's does without the rows and columns that it doesn't show."""
+    contact = contact_of()
+    change = contact.film.change.copy()
+    for axis, away in enumerate(aside):
+        if away:
+            lost = [slice(None)] * 3
+            lost[1 + axis] = slice(None, away) if away > 0 else slice(away, None)
+            change[tuple(lost)] = np.nan
+    cut = dataclasses.replace(contact, film=dataclasses.replace(contact.film, change=change))
+    expected = field_information(cut, *truth())
+    np.testing.assert_allclose(field_information(contact_of(aside), *truth()), expected, rtol=1e-9)
+
+
+def test_a_tool_takes_what_it_hides_from_the_right_pixels() -> None:
+    """Hidden in the middle of the true contact, wherever the film's own middle is."""
+    found = []
+    for aside in ((0, 0), (1, 1)):
+        contact = contact_of(aside)
+        change = contact.film.change.copy()
+        change[:, REACH - aside[0], REACH - aside[1]] = np.nan
+        if aside == (0, 0):
+            change[:, 0], change[:, :, 0] = np.nan, np.nan
+        film = dataclasses.replace(contact.film, change=change)
+        found.append(field_information(dataclasses.replace(contact, film=film), *truth()))
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-9)
+
+
+def test_where_the_release_was_not_seen_nothing_is_known_of_it() -> None:
+    contact = contact_of(released=False)
+    for information in (contact_information(contact, *truth()), field_information(contact, *truth())):
+        assert information.shape == (5, 5)
+        np.testing.assert_array_equal(information[4], 0)
+        np.testing.assert_array_equal(information[:, 4], 0)
+        assert (np.diag(information)[:4] > 0).all()
+        assert np.isfinite(known(information, BETWEEN)).all()
+
+
+def test_without_a_film_there_is_no_information_of_it() -> None:
+    contact = contact_of()
+    assert field_information(dataclasses.replace(contact, film=None), *truth()) is None
+    short = dataclasses.replace(contact, film=contact.film.chosen(np.arange(2)))
+    assert field_information(short, *truth()) is None
+
+
+def test_unknown_instants_are_even_within_a_frame() -> None:
+    """What is left is the block of the covariance, with the variance of an even spread from -1 to 1 before."""
+    slopes = np.random.default_rng(1).normal(size=(4, 3, 20, 5))
+    information = np.einsum("abkp,abkq->abpq", slopes, slopes)
+    stamped, between = known(information, STAMP), known(information, BETWEEN)
+    np.testing.assert_array_equal(stamped, information[..., :3, :3])
+    weighed = information + np.diag([0, 0, 0, 3, 3])
+    assert between.shape == (4, 3, 3, 3)
+    np.testing.assert_allclose(np.linalg.inv(between), np.linalg.inv(weighed)[..., :3, :3], rtol=1e-8)
+
+
+def test_unknown_instants_never_tell_more(found: tuple[np.ndarray, np.ndarray]) -> None:
+    slopes = np.random.default_rng(2).normal(size=(50, 6, 5)) * [1.0, 2.0, 0.5, 10.0, 0.01]
+    for information in (*found, *np.einsum("akp,akq->apq", slopes, slopes)):
+        less = known(information, STAMP) - known(information, BETWEEN)
+        assert np.linalg.eigvalsh(less).min() > -1e-9 * np.abs(information).max()
+    assert (bounds(known(found[1], BETWEEN)) > bounds(known(found[1], STAMP))).all()

@@ -90,6 +90,18 @@ def load_posterior(posterior: ContactPosterior, path: Path) -> None:
     posterior.load_state_dict(weights, strict=False)
 
 
+def posterior_features(path: Path) -> int:
+    """Length of the vector that a contact posterior of a file of ours is told; reading it runs no code.
+
+    Raises:
+        CheckpointError: no such file, or not such a file.
+    """
+    entry = _read(path, WRITER).get("entry.weight")
+    if not isinstance(entry, torch.Tensor) or entry.ndim != 2:
+        raise CheckpointError(f"{path} holds no contact posterior of this version; give a file that {WRITER} wrote.")
+    return entry.shape[1]
+
+
 def _read(path: Path, writer: str) -> dict[str, Any]:
     """A dictionary that torch saved, on the CPU, without running code."""
     if not path.is_file():

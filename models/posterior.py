@@ -110,10 +110,10 @@ class ContactPosterior(nn.Module):
                 nn.init.zeros_(self.picture.weight)
                 nn.init.zeros_(self.picture.bias)
 
-    def standardise(self, features: Tensor, least: float = 1e-2) -> None:
-        """Set the inputs' centre and scale, `least` or more, from examples, shape [N, features]."""
-        self.centre.copy_(features.mean(dim=0))
-        self.scale.copy_(features.std(dim=0).clamp(min=least))
+    def standardise(self, features: Tensor, least: float = 1e-2, first: int = 0) -> None:
+        """Set centre and scale, `least` or more, of the inputs from the `first` on, from examples [N, features]."""
+        self.centre[first:] = features.mean(dim=0)[first:]
+        self.scale[first:] = features.std(dim=0).clamp(min=least)[first:]
 
     def forward(self, contact: Tensor, picture: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """Contact features [B, features] and pooled picture features [B, picture] → mean [B, 3], factor L [B, 3, 3]."""

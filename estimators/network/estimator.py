@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import time
 from collections.abc import Iterator
 
 import numpy as np
 
-from data.contact.features import contact_features
+from data.contact.features import FEATURES, contact_features, contact_spacing
+from data.contact.film_features import FILM_FEATURES, film_features
 from data.contact.interaction import Horizon, Interaction, InteractionBuilder
 from data.prepared import PreparedFrame
 from data.windows import FrameWindow
 from estimators.contract import ClipInfo, Said
+from estimators.direct.motion import between_steps
+from estimators.direct.problem import DELAYS
 from estimators.estimate import Estimate, FrameEstimate, NoEstimate, mixture
 from estimators.model_settings import ModelEstimator
 from estimators.oblique import effective_misfit, is_oblique, remark, view_angle, widened
 from estimators.onset import onset_error, onset_perturbations
 from estimators.runs import Run, RunSession, force_arrow, frame_estimate
-from models.onnx_session import ModelFileError, PosteriorModel
+from models.onnx_session import CONTACT, ModelFileError, PosteriorModel
 from physics.likelihood import Likelihood
 from physics.load import Press, held
 from physics.mechanics import Mechanics, theta_of
@@ -28,10 +32,9 @@ LEAST_OBSERVATIONS = 2
 """Frames after the onset in which the tissue was followed; the network never saw fewer."""
 TOO_EARLY = "The contact's tissue was not followed over two frames after its onset yet."
 NO_NOISE = "The depth's noise isn't known; prepare with geometry.smoothing above 0."
-LARGEST_MISFIT = 2.0
+LARGEST_MISFIT = 1.5
 """A motion farther from the simulated one than this many σ is unlike what the network was trained on, and its own
-covariance means nothing: that of a noise as large as the misfit, within the box, is added. Of 300 validation
-clips (`clean`, `8bit` and `noisy`; `warned` in details.csv of `make model`) none is so far off."""
+covariance means nothing: that of a noise as large as the misfit, within the box, is added."""
 UNEXPLAINED = "The model does not explain the motion, which lies {:.2g} times the noise from it; intervals are widened."
 ROUNDING = 1e-6
 """Of times [s]."""
@@ -59,6 +62,8 @@ class NetworkEstimator(ModelEstimator):
         self.onset, self.horizon = onset, horizon
         self.described = {"name": self.name, "onset": onset, "horizon": horizon}
         """What is not in the model's file."""
+        self.sees_film = model.inputs[CONTACT] == (FEATURES + FILM_FEATURES,)
+        """Whether it is told of the whole dent, and of how well the instants of the press are known."""
         self.press_seconds: tuple[float, float] = tuple(
             model.metadata.get("contact", {}).get("press_seconds", (0.0, math.inf))
         )
@@ -86,24 +91,86 @@ class NetworkEstimator(ModelEstimator):
             raise NoEstimate(TOO_EARLY)
         return contact
 
+    def features(self, contact: Interaction, within: float) -> np.ndarray:
+        """What the network is told of a contact whose instants are known so well [s], shape [features]."""
+        found = contact_features(contact)
+        if not self.sees_film:
+            return found
+        spacing = contact_spacing(contact.mesh, contact.vertex)
+        return np.concatenate([found, film_features(contact.film, spacing, contact.noise, within)])
+
     def judged(
-        self, contact: Interaction, mechanics: Mechanics, mean: np.ndarray, covariance: np.ndarray, expected: np.ndarray
+        self,
+        contact: Interaction,
+        mechanics: Mechanics,
+        within: float,
+        mean: np.ndarray,
+        covariance: np.ndarray,
+        expected: np.ndarray,
     ) -> Estimate:
-        """What the network says of a contact, mean [3] and covariances [3, 3], with how well it explains the motion."""
-        likelihood = Likelihood(contact.mesh, contact.load, contact.observation, mechanics, np.float32)
-        found, box = likelihood.linearise(mean), self.bounds.log_box
-        along = found.residual.reshape(-1, 3) @ contact.direction
+        """What the network says of a contact, mean [3] and covariances [3, 3], with how well it explains the motion.
+
+        Args:
+            within: the press began, and ended, at most so long before or after the time stamps [s].
+        """
+        box = self.bounds.log_box
+        misfit, information = compared(contact, mechanics, mean, within)
         return Estimate(
             theta=theta_of(mean),
             covariance=covariance,
-            information=found.information,
+            information=information,
             noise=contact.noise,
-            misfit=float(np.sqrt(np.square(along).mean())),
+            misfit=misfit,
             largest_misfit=LARGEST_MISFIT,
             at_bound=np.minimum(mean - box[0], box[1] - mean) < EDGE * (box[1] - box[0]),
             expected_information=np.linalg.inv(expected),
             view_angle=view_angle(contact),
         )
+
+
+def compared(contact: Interaction, mechanics: Mechanics, logs: np.ndarray, within: float) -> tuple[float, np.ndarray]:
+    """How far the contact's motion lies from the simulated one, and what it tells of φ if its instants are known.
+
+    Args:
+        contact: as it was seen.
+        mechanics: of the simulation.
+        logs: φ, shape [3].
+        within: the press began, and ended, at most so long before or after the time stamps [s]; the delays are those
+            that explain the motion best.
+
+    Returns:
+        Root mean square residual along the force [σ], and the Fisher information [3, 3].
+    """
+    likelihood = Likelihood(contact.mesh, contact.load, contact.observation, mechanics, np.float32)
+    found = likelihood.linearise(logs)
+    along = found.residual.reshape(-1, 3) @ contact.direction
+    if within:
+        along = _explained(contact, mechanics, logs, within)
+    return float(np.sqrt(np.square(along).mean())), found.information
+
+
+def _explained(contact: Interaction, mechanics: Mechanics, logs: np.ndarray, within: float) -> np.ndarray:
+    """Residual along the force [N] in σ with the delays that make it least; that of the release to first order."""
+    step, times = mechanics.time_step, contact.observation.times
+    steps = int(contact.observation.steps(step).max()) + 1 + math.ceil(within / step)
+
+    def moved(seconds: float) -> np.ndarray:
+        press = dataclasses.replace(contact.load, factor=held(seconds / step, steps))
+        return simulate(theta_of(logs), contact.mesh, press, mechanics) @ np.asarray(contact.direction, np.float64)
+
+    loaded = contact.load_seconds if contact.released else math.inf
+    paths = [moved(loaded)] + ([moved(loaded + within)] if contact.released else [])
+    best, least = contact.along, math.inf
+    for delay in within * DELAYS:
+        path, *later = between_steps(np.stack(paths, axis=1), step, times - delay)[0].T
+        left = path - contact.along
+        if later:  # the release may be later or earlier than the beginning
+            change = later[0] - path
+            share = -(change @ left) / max(float(change @ change), 1e-30)
+            left = left + np.clip(share, -1 - delay / within, 1 - delay / within) * change
+        if float(left @ left) < least:
+            best, least = left, float(left @ left)
+    return best / contact.noise
 
 
 class NetworkSession(RunSession):
@@ -146,8 +213,10 @@ class NetworkSession(RunSession):
             ModelFileError: the network gives a number that is not finite.
         """
         estimator, start = self.estimator, time.perf_counter()
-        contacts = onset_perturbations(contact, self._onset_error, LEAST_OBSERVATIONS)
-        features = [contact_features(each) for each in contacts]
+        contacts, within = [contact], self._onset_error
+        if not estimator.sees_film:
+            contacts, within = onset_perturbations(contact, self._onset_error, LEAST_OBSERVATIONS), 0.0
+        features = [estimator.features(each, within) for each in contacts]
         window = None if depth is None else np.repeat(depth[None], len(contacts), axis=0)
         found = estimator.model(np.stack(features), window)
         self.seconds["network"] += time.perf_counter() - start
@@ -155,7 +224,9 @@ class NetworkSession(RunSession):
             path = estimator.model.path
             raise ModelFileError(f"{path} gives a number that is not finite; export another checkpoint.")
         start = time.perf_counter()
-        judged = [estimator.judged(each, self.mechanics, *told) for each, *told in zip(contacts, *found, strict=True)]
+        judged = [
+            estimator.judged(each, self.mechanics, within, *told) for each, *told in zip(contacts, *found, strict=True)
+        ]
         self.seconds["simulation"] += time.perf_counter() - start
         whole = mixture(judged)
         error = effective_misfit(whole)

@@ -7,15 +7,18 @@ rounding or cut-off window is drawn on top.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable, Sequence
 from operator import itemgetter
 
 import numpy as np
 
-from data.contact.features import SLOTS, contact_surroundings, join_features, slot_times
+from data.contact.features import FRAME_RATE, SLOTS, contact_surroundings, join_features, slot_times
+from data.contact.film_features import SHAPES, dent_shapes, join_film_features, shape_amounts
 from data.contact.interaction import Interaction
 from data.synthetic.settings import SceneSettings
+from estimators.direct.field import FieldProblem, smooth_errors
 from estimators.direct.problem import ContactProblem, find_optimum
 from physics.mechanics import RECOMMENDED, Mechanics
 
@@ -27,38 +30,61 @@ NOISE = (3e-4, 6e-3)
 """σ is drawn log-uniformly from this range [scene units]."""
 ROUNDING_SHARE, LEVEL = 0.25, 1 / 255
 """Share of samples whose depth is rounded instead, as 8 bits do, and the rounding's step [scene units]."""
+ROUNDING_NOISE = LEVEL / math.sqrt(12)
+"""Its error's standard deviation [scene units]."""
 REST_SHARE = 0.1
 """Error of the rest position, in σ: the rest surface is an average of many depths (`benchmarks.tracking_errors`)."""
-CUT_SHARE = 0.3
-"""Share of samples that are cut off before the second is over, as live frames see them."""
+CUT_SHARES = 0.5, 0.2
+"""Shares of samples that end under the tool, as live frames see them, and anywhere before the second is over."""
+FILM_SHARE = 0.85
+"""Share of samples that are told of the film, where there is one."""
+FRAME = 1 / FRAME_RATE
+"""Where instants aren't known, a press begins and ends at most so long before or after the time stamps [s]."""
 SCENES = SceneSettings(width=214, height=120)
 """What contacts are drawn from."""
 EXPLAINED = 2e-4
 """A fit explains a motion without noise where its RMS residual is below this [scene units]."""
+DELAY_RANGE = 2.0
+"""Of every delay, from -1 to 1, in units of `within`."""
+PARAMETERS = 5
+"""φ and both delays."""
+STEEPEST = 0.004
+"""Steepest tissue at rest whose depth is rounded [scene units a pixel]."""
 NOMINAL = 1e-3
 """σ in which residuals of motions without noise are counted [scene units]."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Fits:
-    """Contacts with what explains their motions, as arrays; N contacts."""
+    """Contacts with what explains their motions, as arrays; N contacts, D parameters: φ, and two delays or none."""
 
     motion: np.ndarray
     """Motion against the force's direction at the slots, without noise, shape [N, SLOTS] [scene units]."""
     logs: np.ndarray
-    """φ that explains it, shape [N, 3]."""
+    """Parameters that explain it, shape [N, D]."""
     slopes: np.ndarray
-    """Derivatives of the motion by φ there, shape [N, SLOTS, 3] [scene units]."""
+    """Derivatives of the motion by them there, shape [N, SLOTS, D] [scene units]."""
     loaded: np.ndarray
-    """Whether a slot is under load, shape [N, SLOTS]."""
+    """Whether a slot is under load, as the time stamps say, shape [N, SLOTS]."""
     around: np.ndarray
     """`Surroundings.vector`, shape [N, 40]."""
     spacing: np.ndarray
     """Shape [N] [scene units]."""
+    within: np.ndarray
+    """What is known of the instants, shape [N] [s]; where it is 0 the delays are 0 and have no derivatives."""
+    films: Films | None = None
+    """Of the same contacts."""
 
     @classmethod
-    def of(cls, contacts: Sequence[Interaction], logs: Sequence[np.ndarray], slopes: Sequence[np.ndarray]) -> Fits:
-        """Contacts without noise, with φ [3] of each and the slopes [SLOTS, 3] there."""
+    def of(
+        cls,
+        contacts: Sequence[Interaction],
+        logs: Sequence[np.ndarray],
+        slopes: Sequence[np.ndarray],
+        within: Sequence[float] | None = None,
+        films: Films | None = None,
+    ) -> Fits:
+        """Contacts without noise, with the parameters [D] of each and the slopes [SLOTS, D] there."""
         slots, surroundings = slot_times() + 1e-9, [contact_surroundings(contact) for contact in contacts]
         return cls(
             motion=np.stack([-(contact.moved @ contact.direction) for contact in contacts]).astype(np.float64),
@@ -67,7 +93,23 @@ class Fits:
             loaded=np.stack([slots <= contact.load_seconds + 2e-9 for contact in contacts]) * 1.0,
             around=np.stack([item.vector for item in surroundings]),
             spacing=np.array([item.spacing for item in surroundings]),
+            within=np.zeros(len(surroundings)) if within is None else np.asarray(within, np.float64),
+            films=films,
         )
+
+
+@dataclasses.dataclass(frozen=True)
+class Films:
+    """Films without noise of N contacts, P pixels each, as arrays."""
+
+    change: np.ndarray
+    """Shape [N, SLOTS, P], float16 [scene units]; not a number where the tool is."""
+    amounts: np.ndarray
+    """Of the shapes in it, shape [N, SLOTS, SHAPES] [scene units]."""
+    slopes: np.ndarray
+    """Derivatives of these by the parameters, shape [N, SLOTS, SHAPES, D]."""
+    factors: np.ndarray
+    """How errors of pixels spread in the amounts, as of `shape_amounts`, shape [N, SLOTS, SHAPES, SHAPES]."""
 
 
 def observed_exactly(contact: Interaction) -> ContactProblem:
@@ -76,8 +118,8 @@ def observed_exactly(contact: Interaction) -> ContactProblem:
 
 
 def motion_slopes(problem: ContactProblem, logs: np.ndarray) -> np.ndarray:
-    """Derivatives by φ of the motion against the force's direction, at φ [3], shape [SLOTS, 3] [scene units]."""
-    jacobian = NOMINAL * problem.jacobian(logs).reshape(-1, 3, 3)
+    """Derivatives of the motion against the force's direction by its parameters [D], shape [SLOTS, D] [scene units]."""
+    jacobian = NOMINAL * problem.jacobian(logs).reshape(-1, 3, len(logs))
     return -np.einsum("tdp,d->tp", jacobian, problem.direction)
 
 
@@ -87,20 +129,53 @@ def fit_motion(task: tuple[Interaction, np.ndarray]) -> tuple[np.ndarray, np.nda
     Args:
         task: the contact without noise, and where to start.
     """
-    contact, start = task
-    low, high = BOUNDS.log_box
-    problem = observed_exactly(contact)
+    problem = observed_exactly(task[0])
+    best, rms = _explained(problem, task[1])
+    return best, motion_slopes(problem, best), rms
+
+
+def _explained(problem: ContactProblem, start: np.ndarray) -> tuple[np.ndarray, float]:
+    """Parameters that explain a motion, from a start [3] or, where that fails, from several; and the RMS residual."""
+    low, high = problem.motion.box(BOUNDS.log_box)
 
     def fitted(begin: np.ndarray) -> tuple[float, np.ndarray]:
         end = find_optimum(problem, begin, low, high)
-        return NOMINAL * math.sqrt(2 * end.cost / len(contact.observation)), end.logs
+        return NOMINAL * math.sqrt(2 * end.cost / len(problem.moved)), end.logs
 
-    rms, best = fitted(np.clip(start, low + 1e-3, high - 1e-3))
+    begin = np.concatenate([start, np.zeros(len(low) - len(start))])
+    rms, best = fitted(np.clip(begin, low + 1e-3, high - 1e-3))
     for begin in problem.starts(low, high) if rms > EXPLAINED else ():
         rms, best = min((rms, best), fitted(begin), key=itemgetter(0))
         if rms <= EXPLAINED:
             break
-    return best, motion_slopes(problem, best), rms
+    return best, rms
+
+
+def fit_film(task: tuple[Interaction, np.ndarray, float]) -> tuple[np.ndarray, np.ndarray, float, tuple]:
+    """The same with the instants of the press unknown, and with its film, where these are so.
+
+    Args:
+        task: the contact and its film without noise, where to start [3], and how well its instants are known [s].
+
+    Returns:
+        Parameters [5], slopes [SLOTS, 5], RMS residual [scene units], and the film's `Films` without N.
+    """
+    contact, start, within = task
+    problem = ContactProblem(contact, MECHANICS, NOMINAL, within)
+    best, rms = _explained(problem, start)
+    field = FieldProblem(contact, MECHANICS, within, NOMINAL)
+    field.look(best)
+    tangent = np.where(field.seen[..., None], field.tangent(best)[1], 0.0)
+    change = np.where(field.seen, field.observed, np.nan)
+    amounts, factors = shape_amounts(change)
+    slopes = np.einsum("tij,tkj,pk,tpd->tid", factors, factors, dent_shapes(), tangent)
+    parts = change.astype(np.float16), amounts, _padded(slopes), factors
+    return _padded(best), _padded(motion_slopes(problem, best)), rms, parts
+
+
+def _padded(values: np.ndarray) -> np.ndarray:
+    """Values [..., 3], or [..., 5], with delays that are known, shape [..., 5]."""
+    return np.concatenate([values, np.zeros((*values.shape[:-1], PARAMETERS - values.shape[-1]))], axis=-1)
 
 
 def draw_errors(motion: np.ndarray, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -112,16 +187,23 @@ def draw_errors(motion: np.ndarray, generator: np.random.Generator) -> tuple[np.
     count = len(motion)
     noise = np.exp(generator.uniform(*np.log(NOISE), size=count))
     rounded = generator.random(count) < ROUNDING_SHARE
-    noise[rounded] = LEVEL / math.sqrt(12)
+    noise[rounded] = ROUNDING_NOISE
     error = noise[:, None] * generator.normal(size=motion.shape)
     depth = motion + generator.uniform(0, LEVEL, (count, 1))
     error[rounded] = (np.rint(depth / LEVEL) * LEVEL - depth)[rounded]
     return error + noise[:, None] * REST_SHARE * generator.normal(size=(count, 1)), noise
 
 
-def draw_known(count: int, generator: np.random.Generator) -> np.ndarray:
-    """Which slots are seen, shape [count, SLOTS]: all, or the first few."""
-    last = np.where(generator.random(count) < CUT_SHARE, generator.integers(2, SLOTS + 1, count), SLOTS)
+def draw_known(loaded: np.ndarray, generator: np.random.Generator) -> np.ndarray:
+    """Which slots are seen, shape [B, SLOTS]: all, those up to one under the tool, or the first few.
+
+    Args:
+        loaded: whether a slot is under load, shape [B, SLOTS].
+    """
+    count = len(loaded)
+    under = generator.integers(2, np.maximum(loaded.sum(axis=1), 2).astype(int) + 1)
+    kind = np.searchsorted(np.cumsum(CUT_SHARES), generator.random(count), side="right")
+    last = np.choose(kind, [under, generator.integers(2, SLOTS + 1, count), np.full(count, SLOTS)])
     return (np.arange(SLOTS) < last[:, None]).astype(np.float64)
 
 
@@ -130,7 +212,7 @@ class Drawn:
     """Contacts as they might have been observed, with their likelihood's parabola; B samples."""
 
     features: np.ndarray
-    """What is told of them, shape [B, FEATURES], float32."""
+    """What is told of them, shape [B, FEATURES], or with films [B, FEATURES + FILM_FEATURES], float32."""
     logs: np.ndarray
     """φ that explains each motion without its errors, shape [B, 3]."""
     information: np.ndarray
@@ -156,12 +238,117 @@ def draw_observed(
     index = generator.integers(len(fits.logs), size=count)
     motion, loaded, spacing = fits.motion[index], fits.loaded[index], fits.spacing[index]
     error, noise = draw_errors(motion, generator)
-    known = draw_known(count, generator) if seen is None else seen(loaded)
-    along = (motion + error) / spacing[:, None]
+    known = draw_known(loaded, generator) if seen is None else seen(loaded)
     slopes = fits.slopes[index] * (known / noise[:, None])[..., None]
-    return Drawn(
-        features=join_features(along, known, loaded * known, fits.around[index], spacing, noise),
-        logs=fits.logs[index],
-        information=np.einsum("btp,btq->bpq", slopes, slopes),
-        pull=np.einsum("btp,bt->bp", slopes, error * known / noise[:, None]),
+    information = np.einsum("btp,btq->bpq", slopes, slopes)
+    pull = np.einsum("btp,bt->bp", slopes, error * known / noise[:, None])
+    films = fits.films
+    if films is not None:
+        told = generator.random(count) < FILM_SHARE
+        beside = draw_film_errors(films, index, noise, generator)
+        # The contact's own pixel is one of the film's: its error is the film's.
+        error[told] = beside.middle[told]
+        more, pulled = film_information(films.slopes[index], films.factors[index], beside.amounts, noise, known)
+        information[told], pull[told] = more[told], pulled[told]
+    within = fits.within[index]
+    along = (motion + error) / spacing[:, None]
+    features = join_features(along, known, loaded * known, fits.around[index], spacing, noise)
+    if films is not None:
+        amounts = (films.amounts[index] + beside.amounts) * known[..., None]
+        more = join_film_features(amounts, spacing, noise, within, told)
+        features = np.concatenate([features, more], axis=1)
+    logs = fits.logs[index]
+    information, pull = without_delays(information, pull, logs[:, 3:])
+    return Drawn(features, logs[:, :3], information, pull)
+
+
+@dataclasses.dataclass(frozen=True)
+class FilmErrors:
+    """Errors of B films."""
+
+    amounts: np.ndarray
+    """Of the shapes' amounts, shape [B, SLOTS, SHAPES] [scene units]."""
+    middle: np.ndarray
+    """Of the middle pixel, shape [B, SLOTS] [scene units]."""
+
+
+def draw_film_errors(films: Films, index: np.ndarray, noise: np.ndarray, generator: np.random.Generator) -> FilmErrors:
+    """Errors of some films: noise, or rounding where the noise is that of rounding, and the rest surface's.
+
+    Args:
+        films: all.
+        index: which of them, shape [B].
+        noise: of every pixel, shape [B] [scene units].
+    """
+    shapes, factors = dent_shapes(), films.factors[index]
+    middle = shapes[len(shapes) // 2]
+    # Jointly normal: what the middle pixel's error has beyond the amounts' share of it.
+    normal = generator.standard_normal((len(index), SLOTS, SHAPES), dtype=np.float32)
+    amounts = np.einsum("btij,btj->bti", factors, normal)
+    share = np.einsum("i,btij->btj", middle, factors)
+    rest = np.sqrt(np.maximum(1 - np.square(share).sum(axis=2), 0))
+    alone = amounts @ middle + rest * generator.standard_normal(rest.shape, dtype=np.float32)
+    amounts, alone = noise[:, None, None] * amounts, noise[:, None] * alone
+    rounded = np.flatnonzero(noise == ROUNDING_NOISE)
+    if len(rounded):
+        change = films.change[index[rounded]].astype(np.float32)
+        side = math.isqrt(change.shape[2])
+        slopes = generator.uniform(-1, 1, (2, len(rounded), 1)).astype(np.float32) * STEEPEST
+        places = np.mgrid[:side, :side].reshape(2, 1, -1)
+        depth = (
+            change + (np.float32(LEVEL) * generator.random((len(rounded), 1)) + (slopes * places).sum(axis=0))[:, None]
+        )
+        error = np.nan_to_num(np.rint(depth / np.float32(LEVEL)) * np.float32(LEVEL) - depth)
+        part = factors[rounded]
+        amounts[rounded] = np.einsum("btij,btkj,btk->bti", part, part, error @ shapes.astype(np.float32))
+        alone[rounded] = error[:, :, side * side // 2]
+    still = noise[:, None] * (generator.standard_normal((len(index), SHAPES)) @ smooth_share().T)
+    return FilmErrors(amounts + still[:, None], alone + (still @ middle)[:, None])
+
+
+@functools.cache
+def smooth_share() -> np.ndarray:
+    """Factor of the covariance that the rest surface's error has in the shapes' amounts, [SHAPES, SHAPES] [σ]."""
+    smooth = dent_shapes().T @ smooth_errors(1.0)
+    return np.linalg.cholesky(smooth @ smooth.T + 1e-12 * np.eye(SHAPES))
+
+
+def film_information(
+    slopes: np.ndarray, factors: np.ndarray, errors: np.ndarray, noise: np.ndarray, known: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Information [B, D, D] and pull [B, D] of films, their errors independent but for the rest surface's.
+
+    Args:
+        slopes, factors: of `Films`, of B films.
+        errors: of the amounts, shape [B, SLOTS, SHAPES] [scene units].
+        noise: of every pixel, shape [B] [scene units].
+        known: whether a slot is seen, shape [B, SLOTS].
+    """
+    whiten = np.linalg.inv(factors) * (known / noise[:, None])[..., None, None]
+    tangent, left = whiten @ slopes, (whiten @ errors[..., None])[..., 0]
+    still = (whiten @ smooth_share()) * noise[:, None, None, None]
+    common = np.einsum("btik,btil->bkl", still, still) + np.eye(SHAPES)
+    seen = np.einsum("btik,btid->bkd", still, tangent), np.einsum("btik,bti->bk", still, left)
+    solved = np.linalg.solve(common, np.concatenate([seen[0], seen[1][..., None]], axis=2))
+    count = slopes.shape[-1]
+    information = np.einsum("btip,btiq->bpq", tangent, tangent) - np.einsum(
+        "bkp,bkq->bpq", seen[0], solved[..., :count]
     )
+    pull = np.einsum("btip,bti->bp", tangent, left) - np.einsum("bkp,bk->bp", seen[0], solved[..., count])
+    return information, pull
+
+
+def without_delays(information: np.ndarray, pull: np.ndarray, delays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Information [B, 3, 3] and pull [B, 3] of φ where the delays are unknown within their range.
+
+    Args:
+        information, pull: of all parameters, shapes [B, D, D] and [B, D].
+        delays: that explain the motions, shape [B, D - 3]; their prior is about 0.
+    """
+    count = delays.shape[1]
+    if not count:
+        return information, pull
+    prior = 12 / DELAY_RANGE**2
+    cross = np.linalg.solve(information[:, 3:, 3:] + prior * np.eye(count), information[:, 3:, :3])
+    left = information[:, :3, :3] - np.einsum("bdp,bdq->bpq", information[:, 3:, :3], cross)
+    return left, pull[:, :3] - np.einsum("bdp,bd->bp", cross, pull[:, 3:] - prior * delays)

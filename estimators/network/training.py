@@ -22,12 +22,15 @@ if __name__ == "__main__":
 
 import argparse
 import dataclasses
+import functools
 import json
 import math
 import os
+import pickle
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -37,19 +40,24 @@ from torch import Tensor, nn
 
 from data.command_line import path_option, progress_bars, say, whole_number
 from data.contact.features import FEATURES, contact_features, contact_surroundings
+from data.contact.film_features import FILM_FEATURES, film_features
 from data.contact.interaction import Interaction
 from data.synthetic.contacts import SimulatedContact, draw_contacts
 from data.synthetic.settings import SceneSettings
 from data.synthetic.truth import REGIMES
+from estimators.direct.estimator import CONTACT, FIELD
 from estimators.network.fits import (
     BOUNDS,
     EXPLAINED,
+    FRAME,
     MECHANICS,
     NOISE,
     SCENES,
     Drawn,
+    Films,
     Fits,
     draw_observed,
+    fit_film,
     fit_motion,
 )
 from estimators.worker_pool import WorkerLost, run_tasks
@@ -58,16 +66,23 @@ from models.expected_bound import bound_loss
 from models.posterior import ContactPosterior
 from physics.files import replacing
 from physics.likelihood import Likelihood, Linearised
+from physics.provenance import code_digest
 
-WEIGHTS, LOG = "posterior.pt", "training.jsonl"
-"""Files of the output folder; the first appears when all is done."""
+WEIGHTS, LOG, PREPARED = "posterior.pt", "training.jsonl", "prepared.pt"
+"""Files of the output folder; the first appears when all is done, the last goes then."""
+KINDS = {FIELD: FEATURES + FILM_FEATURES, CONTACT: FEATURES}
+"""What a posterior may be told: of the whole dent, or of the contact's motion alone; and the length of that."""
 CONTACTS_A_SCENE = 8
 LEAST_STEPS = 4
 """A stage's learning rate rises over three steps, and falls."""
 ROUGH_BATCH, ROUGH_RATE = 64, 1e-3
 """Samples a step of the rough stage, and its largest learning rate."""
+UNKNOWN = 1_000_003
+"""Added to the seed of contacts whose instants are unknown."""
 FINE_BATCH, FINE_RATE = 512, 2e-3
 """The same of the last two stages."""
+EXAMPLES, LEAST_SPREAD = 2000, 0.02
+"""Samples that the inputs' centre and scale are taken from, and the least scale of a film's inputs."""
 BLUR = 0.3, 0.03
 """σ of the rough stage is raised by this share of a contact's largest motion, at its beginning and its end."""
 
@@ -86,13 +101,21 @@ def widened(contact: Interaction, logs: np.ndarray, blur: float) -> Linearised:
 class Trainer:
     """The posterior and its training on a fixed set of contacts."""
 
-    def __init__(self, contacts: list[SimulatedContact], seed: int) -> None:
+    def __init__(self, contacts: list[SimulatedContact], seed: int, within: Sequence[float] | None = None) -> None:
+        """
+        Args:
+            contacts: with films where the posterior is to see them.
+            seed: another seed gives other weights and errors.
+            within: how well the instants of each are known [s]; None = exactly.
+        """
         torch.manual_seed(seed)
         self.contacts = contacts
+        self.within = [0.0] * len(contacts) if within is None else list(within)
+        self.films = contacts[0].interaction.film is not None
         self.generator = np.random.default_rng([seed, 17])
         self.surroundings = [contact_surroundings(contact.interaction) for contact in contacts]
-        self.posterior = ContactPosterior(FEATURES, torch.tensor(BOUNDS.log_box))
-        sample = [self.draw() for _ in range(2000)]
+        self.posterior = ContactPosterior(KINDS[FIELD if self.films else CONTACT], torch.tensor(BOUNDS.log_box))
+        sample = [self.draw() for _ in range(EXAMPLES)]
         self.posterior.standardise(torch.tensor(np.stack([features for _, features in sample])))
         self.threads = ThreadPoolExecutor()
 
@@ -102,7 +125,15 @@ class Trainer:
         contact, noise = self.contacts[index].interaction, math.exp(self.generator.uniform(*np.log(NOISE)))
         error = self.generator.normal(0, noise, len(contact.observation))[:, None] * contact.direction
         seen = dataclasses.replace(contact, observation=contact.observation.moved(contact.moved + error, noise))
-        return seen, contact_features(seen, self.surroundings[index])
+        return seen, self.features(seen, index)
+
+    def features(self, contact: Interaction, index: int) -> np.ndarray:
+        """What is told of a contact in the first stages: not its film, which a rough look needs not."""
+        told = contact_features(contact, self.surroundings[index])
+        if not self.films:
+            return told
+        spacing = self.surroundings[index].spacing
+        return np.concatenate([told, film_features(None, spacing, contact.noise, self.within[index])])
 
     def rough_loss(self, done: float) -> Tensor:
         """The evidence bound by rollouts at the means, a scalar; `done` is the share of the stage's steps before."""
@@ -130,24 +161,32 @@ class Trainer:
         """
         contacts = [contact.interaction for contact in self.contacts]
         quiet = [
-            contact_features(dataclasses.replace(item, observation=item.observation.moved(item.moved, NOISE[0])))
-            for item in contacts
+            self.features(dataclasses.replace(item, observation=item.observation.moved(item.moved, NOISE[0])), index)
+            for index, item in enumerate(contacts)
         ]
         with torch.no_grad():
             starts = self.posterior.eval()(torch.from_numpy(np.stack(quiet)))[0].double().numpy()
         self.posterior.train()
-        tasks = list(zip(contacts, starts, strict=True))
-        fitted = run_tasks(fit_motion, tasks, workers, ordered=True)
-        found = list(progress.track(fitted, len(tasks), description="fits"))
-        explained = [
-            (contact, logs, slopes)
-            for contact, (logs, slopes, rms) in zip(contacts, found, strict=True)
-            if rms <= EXPLAINED
-        ]
-        print(f"{len(explained)} of {len(found)} motions explained to {EXPLAINED:g}")
-        if not explained:
+        tasks: list[tuple] = list(zip(contacts, starts, self.within, strict=True))
+        if self.films:
+            fitted = run_tasks(fit_film, tasks, workers, ordered=True)
+        else:
+            fitted = run_tasks(fit_motion, [task[:2] for task in tasks], workers, ordered=True)
+        found: list[tuple] = list(progress.track(fitted, len(tasks), description="fits"))
+        kept = [index for index, item in enumerate(found) if item[2] <= EXPLAINED]
+        print(f"{len(kept)} of {len(found)} motions explained to {EXPLAINED:g}")
+        if not kept:
             raise TrainingError("No motion could be explained; give more --contacts.")
-        return Fits.of(*zip(*explained, strict=True))
+        films = None
+        if self.films:
+            films = Films(*(np.stack(part) for part in zip(*(found[index][3] for index in kept), strict=True)))
+        logs, slopes = zip(*(found[index][:2] for index in kept), strict=True)
+        within = [self.within[index] for index in kept]
+        fits = Fits.of([contacts[index] for index in kept], logs, slopes, within, films)
+        if self.films:  # the first stage has seen none of them
+            examples = torch.from_numpy(draw_observed(fits, EXAMPLES, self.generator).features)
+            self.posterior.standardise(examples, least=LEAST_SPREAD, first=FEATURES)
+        return fits
 
 
 def fine_loss(posterior: ContactPosterior, drawn: Drawn) -> Tensor:
@@ -183,12 +222,14 @@ def _tensor(values) -> Tensor:
     return torch.as_tensor(np.asarray(values), dtype=torch.float32)
 
 
-def _scene_contacts(task: tuple[SceneSettings, int, float]) -> list[SimulatedContact]:
-    settings, seed, time_step = task
-    return draw_contacts(settings, seed, CONTACTS_A_SCENE, time_step)
+def _scene_contacts(task: tuple[SceneSettings, int, float, bool]) -> list[SimulatedContact]:
+    settings, seed, within, film = task
+    return draw_contacts(settings, seed, CONTACTS_A_SCENE, MECHANICS.time_step, within, film)
 
 
-def make_contacts(count: int, seed: int, progress: Progress, workers: int | None = None) -> list[SimulatedContact]:
+def make_contacts(
+    count: int, seed: int, progress: Progress, workers: int | None = None, within: float = 0.0, film: bool = False
+) -> list[SimulatedContact]:
     """About `count` contacts of many scenes, the regimes in turn, as in the benchmark.
 
     Args:
@@ -196,6 +237,7 @@ def make_contacts(count: int, seed: int, progress: Progress, workers: int | None
         seed: another seed gives other scenes.
         progress: gets a bar.
         workers: processes; None = one a core, 0 = in this one.
+        within, film: as of `draw_contacts`.
 
     Raises:
         TrainingError: none could be drawn.
@@ -203,7 +245,7 @@ def make_contacts(count: int, seed: int, progress: Progress, workers: int | None
     """
     seeds = np.random.SeedSequence((seed, 0xC0)).generate_state(-(-count // CONTACTS_A_SCENE)).tolist()
     turns = [dataclasses.replace(SCENES, regime=regime) for regime in REGIMES]
-    tasks = [(turns[number % len(turns)], scene, MECHANICS.time_step) for number, scene in enumerate(seeds)]
+    tasks = [(turns[number % len(turns)], scene, within, film) for number, scene in enumerate(seeds)]
     drawn = run_tasks(_scene_contacts, tasks, workers, ordered=True)
     scenes = progress.track(drawn, len(tasks), description="scenes")
     found = [contact for contacts in scenes for contact in contacts]
@@ -222,6 +264,8 @@ def build_parser() -> argparse.ArgumentParser:
     add = parser.add_argument
     add("--output", type=path_option, required=True, help=f"folder for {WEIGHTS} and {LOG}")
     add("--contacts", type=whole_number(1), default=8000, help="motions to train on (default %(default)s)")
+    text = "what the posterior is told: of the whole dent, or of the contact's motion alone (default %(default)s)"
+    add("--observation", choices=list(KINDS), default=FIELD, help=text)
     steps = whole_number(LEAST_STEPS)
     add("--rough-steps", type=steps, default=2250, help="(default %(default)s)")
     add("--fine-steps", type=steps, default=12000, help="(default %(default)s)")
@@ -243,9 +287,8 @@ def train(options: argparse.Namespace) -> None:
     options.output.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(max(1, (os.cpu_count() or 1) // 2))
     start = time.time()
-    with progress_bars(Console()) as progress, (options.output / LOG).open("w") as log:
-        trainer = Trainer(make_contacts(options.contacts, options.seed, progress, options.workers), options.seed)
-        posterior = trainer.posterior
+    with progress_bars(Console()) as progress, (options.output / LOG).open("a") as log:
+        posterior = ContactPosterior(KINDS[options.observation], torch.tensor(BOUNDS.log_box))
 
         def stage(name: str, network: nn.Module, loss_of: Callable[[int], Tensor], steps: int, rate: float) -> None:
             losses = progress.track(descend(network, loss_of, steps, rate), steps, description=name)
@@ -255,18 +298,68 @@ def train(options: argparse.Namespace) -> None:
                     log.write(json.dumps(row) + "\n")
                     log.flush()
 
-        def drawn() -> Drawn:
-            return draw_observed(fits, FINE_BATCH, trainer.generator)
-
-        steps = options.rough_steps
-        stage("rough", posterior, lambda step: trainer.rough_loss(step / steps), steps, ROUGH_RATE)
-        fits = trainer.fit(progress, options.workers)
+        kept = options.output / PREPARED
+        fits = _read_prepared(kept, options, posterior)
+        if fits is None:
+            trainer, steps = _trainer(options, progress), options.rough_steps
+            posterior = trainer.posterior
+            stage("rough", posterior, lambda step: trainer.rough_loss(step / steps), steps, ROUGH_RATE)
+            fits = trainer.fit(progress, options.workers)
+            _keep_prepared(kept, options, posterior, fits)
+        torch.manual_seed(options.seed)
+        generator = np.random.default_rng([options.seed, 19])
+        drawn = functools.partial(draw_observed, fits, FINE_BATCH, generator)
         stage("fine", posterior, lambda _: fine_loss(posterior, drawn()), options.fine_steps, FINE_RATE)
         bound = posterior.expected_bound
         stage("bound", bound, lambda _: expected_loss(posterior, drawn()), options.bound_steps, FINE_RATE)
     with replacing(options.output / WEIGHTS) as weights:
         torch.save(posterior.state_dict(), weights)
+    kept.unlink(missing_ok=True)
     print(f"{options.output}/{WEIGHTS} written after {(time.time() - start) / 3600:.2f} h")
+
+
+def _trainer(options: argparse.Namespace, progress: Progress) -> Trainer:
+    """On contacts whose instants are known, and with films on as many whose instants aren't."""
+    made = functools.partial(make_contacts, progress=progress, workers=options.workers)
+    if options.observation == CONTACT:
+        return Trainer(made(options.contacts, options.seed), options.seed)
+    half = -(-options.contacts // 2)
+    parts = [made(half, options.seed, film=True), made(half, options.seed + UNKNOWN, within=FRAME, film=True)]
+    within = [0.0] * len(parts[0]) + [FRAME] * len(parts[1])
+    return Trainer([*parts[0], *parts[1]], options.seed, within)
+
+
+def _prepared_by(options: argparse.Namespace) -> dict[str, object]:
+    """What the first stages depend on."""
+    names = ("observation", "contacts", "rough_steps", "seed")
+    return {"code": code_digest(), **{name: getattr(options, name) for name in names}}
+
+
+def _keep_prepared(path: Path, options: argparse.Namespace, posterior: ContactPosterior, fits: Fits) -> None:
+    """Keep what the first stages found, so that an interrupted training goes on from there."""
+    arrays = {field.name: getattr(fits, field.name) for field in dataclasses.fields(Fits)}
+    films = arrays.pop("films")
+    parts = {name: torch.from_numpy(values) for name, values in arrays.items()}
+    if films is not None:
+        parts |= {
+            f"films.{field.name}": torch.from_numpy(getattr(films, field.name)) for field in dataclasses.fields(Films)
+        }
+    with replacing(path) as partial:
+        torch.save({"by": _prepared_by(options), "posterior": posterior.state_dict(), "fits": parts}, partial)
+
+
+def _read_prepared(path: Path, options: argparse.Namespace, posterior: ContactPosterior) -> Fits | None:
+    """What was kept, its weights given to the posterior; None where there is nothing that fits the options."""
+    try:
+        kept = torch.load(path, map_location="cpu", weights_only=True)
+        if kept["by"] != _prepared_by(options):
+            return None
+        posterior.load_state_dict(kept["posterior"])
+    except (OSError, RuntimeError, EOFError, KeyError, pickle.UnpicklingError):
+        return None
+    arrays = {name: values.numpy() for name, values in kept["fits"].items()}
+    films = {name.removeprefix("films."): arrays.pop(name) for name in list(arrays) if name.startswith("films.")}
+    return Fits(**arrays, films=Films(**films) if films else None)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -279,7 +372,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         train(options)
     except KeyboardInterrupt:
-        text = f"Interrupted; {options.output} holds no {WEIGHTS}, and the same command starts anew."
+        text = f"Interrupted; {options.output} holds no {WEIGHTS}. The same command goes on, after its fits if made."
         say(console, text, "yellow")
         return INTERRUPTED
     except (OSError, TrainingError, WorkerLost) as error:

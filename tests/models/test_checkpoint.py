@@ -8,7 +8,13 @@ from pathlib import Path
 import pytest
 import torch
 
-from models.checkpoint import CheckpointError, load_posterior, read_checkpoint, require_same_model
+from models.checkpoint import (
+    CheckpointError,
+    load_posterior,
+    posterior_features,
+    read_checkpoint,
+    require_same_model,
+)
 from models.module import PhysicsInformedGAN
 from models.posterior import ContactPosterior
 from physics.mechanics import Bounds, Mechanics
@@ -119,6 +125,16 @@ def test_a_pretrained_posterior_answers_as_it_did_with_any_picture(pretrained):
     load_posterior(posterior, path)
     for value, expected in zip(posterior(contact, picture), trained(contact), strict=True):
         assert torch.equal(value, expected)
+
+
+def test_a_pretrained_posterior_says_how_much_it_is_told(pretrained, checkpoint: Path, tmp_path: Path):
+    assert posterior_features(pretrained[0]) == 7
+    with pytest.raises(CheckpointError, match=r"nothing\.pt does not exist; give a file that python -m estimators"):
+        posterior_features(tmp_path / "nothing.pt")
+    torch.save({"entry.weight": [1, 2]}, tmp_path / "list.pt")
+    for foreign in (checkpoint, tmp_path / "list.pt"):
+        with pytest.raises(CheckpointError, match="holds no contact posterior of this version"):
+            posterior_features(foreign)
 
 
 def test_a_pretrained_posterior_that_does_not_fit_is_refused(pretrained, checkpoint: Path, tmp_path: Path):

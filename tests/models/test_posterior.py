@@ -41,6 +41,10 @@ def test_inputs_are_standardised_by_their_spread_or_the_least_one() -> None:
     network.standardise(features, least=0.3)
     torch.testing.assert_close(network.centre, torch.tensor([3.0, 5.0, 0.2]))
     torch.testing.assert_close(network.scale, torch.tensor([2.0, 0.3, 0.3]))
+    # From an input on; those before it keep theirs.
+    network.standardise(2 * features, first=1)
+    torch.testing.assert_close(network.centre, torch.tensor([3.0, 10.0, 0.4]))
+    torch.testing.assert_close(network.scale, torch.tensor([2.0, 0.01, 0.4]))
 
 
 def test_loss_is_least_at_the_exact_posterior() -> None:

@@ -8,7 +8,8 @@ import math
 import numpy as np
 import pytest
 
-from data.contact.features import contact_features
+from data.contact.features import FEATURES, contact_features, contact_spacing
+from data.contact.film_features import FILM_FEATURES, film_features
 from data.contact.interaction import Interaction, InteractionBuilder
 from data.contact.motion import FRAYED, LOST
 from data.prepared import PreparedFrame
@@ -16,15 +17,16 @@ from data.synthetic.clip import SyntheticClip
 from data.synthetic.source import open_synthetic
 from estimators.contract import Chosen, ClipInfo
 from estimators.estimate import NINETY, Estimate, FrameEstimate, NoEstimate
-from estimators.network.estimator import LARGEST_MISFIT, NO_NOISE, TOO_EARLY, UNEXPLAINED, NetworkEstimator
+from estimators.network.estimator import LARGEST_MISFIT, NO_NOISE, TOO_EARLY, UNEXPLAINED, NetworkEstimator, compared
 from estimators.network.fits import BOUNDS, MECHANICS
 from estimators.oblique import HIDDEN_ERROR, LARGEST_ANGLE, OBLIQUE
 from estimators.onset import BETWEEN, STAMP
 from estimators.runs import contact_frame
 from physics.load import held
+from physics.mechanics import theta_of
 from physics.msd.simulation import simulate
 from physics.observation import Observation
-from tests.estimators.sessions import clip_info, follow
+from tests.estimators.sessions import SIZE, clip_info, follow
 
 
 @pytest.fixture(scope="module")
@@ -35,12 +37,22 @@ def network(posterior) -> NetworkEstimator:
 
 @pytest.fixture(scope="module")
 def contact(pressed, frames: list[PreparedFrame]) -> Interaction:
-    """The clip's run of contact, as it was seen to its end."""
+    """The clip's run of contact, as it was seen to its end, without its film."""
+    return built(pressed, frames, None)
+
+
+@pytest.fixture(scope="module")
+def filmed(pressed, frames: list[PreparedFrame]) -> Interaction:
+    """The same with its film."""
+    return built(pressed, frames, SIZE)
+
+
+def built(pressed: SyntheticClip, frames: list[PreparedFrame], size: tuple[int, int] | None) -> Interaction:
     onset, *after = frames[pressed.motion.onset_frame :]
     found = onset.geometry
     settings = clip_info().geometry
     run = InteractionBuilder(
-        found.mesh, found.vertex, found.normal, found.noise, contact_frame(onset), settings, MECHANICS.seconds
+        found.mesh, found.vertex, found.normal, found.noise, contact_frame(onset), settings, MECHANICS.seconds, size
     )
     for frame in after:
         assert frame.track_start == onset.frame.index
@@ -277,3 +289,48 @@ def test_frames_of_an_oblique_press_say_so(
     assert all(detail.endswith(told) for detail in details[onset + 2 : release])
     assert not any(told in detail for detail in details[: onset + 2] + details[release:])
     assert run.detail.endswith(told)
+
+
+def test_a_network_that_is_told_of_the_dent_is_told_how_well_the_instants_are_known(
+    network: NetworkEstimator, film_posterior, contact: Interaction, filmed: Interaction
+) -> None:
+    """It answers once, for all instants together, with or without a film."""
+    assert not network.sees_film
+    spacing = contact_spacing(contact.mesh, contact.vertex)
+    for onset, within in ((STAMP, 0.0), (BETWEEN, 0.04)):
+        told = NetworkEstimator(film_posterior, onset)
+        assert told.sees_film
+        for seen in (contact, filmed):
+            found = estimated(told, seen)
+            more = film_features(seen.film, spacing, seen.noise, within)
+            features = np.concatenate([contact_features(seen), more])
+            assert features.shape == (FEATURES + FILM_FEATURES,)
+            assert more[-2:].tolist() == [within / 0.04, seen.film is not None]  # in frames
+            np.testing.assert_array_equal(told.features(seen, within), features)
+            logs, covariance, _ = (values[0] for values in told.model(features[None], None))
+            np.testing.assert_allclose(found.theta, theta_of(logs), rtol=1e-6)
+            misfit, information = compared(seen, MECHANICS, logs, within)
+            assert (found.misfit, found.misfit > LARGEST_MISFIT) == (misfit, True)
+            np.testing.assert_array_equal(found.information, information)
+            box = BOUNDS.log_box
+            added = np.linalg.inv(information / misfit**2 + np.diag(12 / (box[1] - box[0]) ** 2))
+            np.testing.assert_allclose(found.covariance, covariance + added, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("began", "ended", "left"), [(4, 4, 0.02), (-6, -6, 0.02), (4, 2, 0.3), (0, 5, 0.3)])
+def test_a_press_at_other_instants_is_explained_where_they_are_unknown(
+    contact: Interaction, began: int, ended: int, left: float
+) -> None:
+    """Both delays in steps; that of the end is taken to first order."""
+    logs, steps = np.log([0.4, 0.03, 0.05]), contact.observation.steps(MECHANICS.time_step)
+    loaded = round(contact.load_seconds / MECHANICS.time_step) + ended - began
+    press = dataclasses.replace(contact.load, factor=held(loaded, MECHANICS.steps + 6))
+    path = simulate(theta_of(logs), contact.mesh, press, MECHANICS)
+    since = steps - began
+    late = moved(contact, np.where((since >= 0)[:, None], path[np.maximum(since, 0)], 0), 0.001)
+    stamp, information = compared(late, MECHANICS, logs, 0.0)
+    between, same = compared(late, MECHANICS, logs, 0.04)
+    assert stamp > 1
+    assert between < left * stamp
+    # What it would tell of a press whose instants are known.
+    np.testing.assert_array_equal(information, same)

@@ -6,9 +6,19 @@ import numpy as np
 import pytest
 
 from data.contact.features import SLOTS, contact_surroundings
+from data.contact.film_features import SHAPES
 from data.synthetic.contacts import SimulatedContact, draw_contacts
 from data.synthetic.settings import SceneSettings
-from estimators.network.fits import MECHANICS, NOMINAL, Fits, motion_slopes, observed_exactly
+from estimators.network.fits import (
+    MECHANICS,
+    NOMINAL,
+    Fits,
+    film_information,
+    motion_slopes,
+    observed_exactly,
+    smooth_share,
+    without_delays,
+)
 from physics.mechanics import theta_of
 from physics.msd.simulation import simulate
 
@@ -36,6 +46,9 @@ def test_fits_hold_what_they_are_made_of(contacts: list[SimulatedContact]) -> No
     np.testing.assert_array_equal(fits.logs, logs)
     np.testing.assert_array_equal(fits.slopes, slopes)
     np.testing.assert_array_equal(fits.spacing, [item.spacing for item in around])
+    np.testing.assert_array_equal(fits.within, np.zeros(2))
+    assert fits.films is None
+    np.testing.assert_array_equal(Fits.of(pressed, logs, slopes, [0.0, 0.04]).within, [0.0, 0.04])
     assert (fits.motion.dtype, fits.motion.shape, fits.around.shape) == (np.float64, (2, SLOTS), (2, 40))
     for index, contact in enumerate(pressed):
         np.testing.assert_array_equal(fits.around[index], around[index].vector)
@@ -70,3 +83,38 @@ def test_slopes_are_those_of_the_simulated_motion(
             difference = (simulated(contact, logs + change) - simulated(contact, logs - change)) / (2 * step)
             np.testing.assert_allclose(found[:, column], -(difference @ contact.interaction.direction), atol=1e-6)
         assert (np.abs(found).max(axis=0) > 1e-3).all()
+
+
+def test_information_of_a_film_is_that_of_all_its_errors_together() -> None:
+    """Against the covariance of every amount in every frame, in which the rest surface's error is one for all."""
+    generator = np.random.default_rng(0)
+    factors = np.tril(generator.normal(size=(1, SLOTS, SHAPES, SHAPES))) + 2 * np.eye(SHAPES)
+    slopes, errors = generator.normal(size=(1, SLOTS, SHAPES, 5)), generator.normal(size=(1, SLOTS, SHAPES))
+    noise, known = np.array([0.3]), (np.arange(SLOTS) < 9)[None].astype(float)
+    information, pull = film_information(slopes, factors, errors, noise, known)
+    common = np.tile(smooth_share(), (9, 1))
+    covariance = common @ common.T
+    for frame, factor in enumerate(factors[0, :9]):
+        own = np.s_[frame * SHAPES : (frame + 1) * SHAPES]
+        covariance[own, own] += factor @ factor.T
+    covariance *= 0.3**2
+    tangent, error = slopes[0, :9].reshape(-1, 5), errors[0, :9].ravel()
+    np.testing.assert_allclose(information[0], tangent.T @ np.linalg.solve(covariance, tangent), rtol=1e-6)
+    np.testing.assert_allclose(pull[0], tangent.T @ np.linalg.solve(covariance, error), rtol=1e-6)
+
+
+def test_unknown_delays_are_left_out_of_the_parabola() -> None:
+    """Its minimum over φ, and its curvature there, are those of the parabola in all parameters with the delays' prior:
+    about 0, with a variance of 1/3."""
+    generator = np.random.default_rng(1)
+    slopes, delays = generator.normal(size=(2, 20, 5)), np.array([[0.4, -0.3], [-0.9, 0.0]])
+    information, pull = np.einsum("btp,btq->bpq", slopes, slopes), generator.normal(size=(2, 5))
+    left, pulled = without_delays(information, pull, delays)
+    for index in range(2):
+        whole = information[index] + np.diag([0.0, 0.0, 0.0, 3.0, 3.0])
+        best = np.linalg.solve(whole, pull[index] - np.concatenate([np.zeros(3), 3.0 * delays[index]]))
+        np.testing.assert_allclose(np.linalg.inv(left[index]), np.linalg.inv(whole)[:3, :3], rtol=1e-9)
+        np.testing.assert_allclose(np.linalg.solve(left[index], pulled[index]), best[:3], rtol=1e-9)
+    same = without_delays(information[:, :3, :3], pull[:, :3], delays[:, :0])
+    np.testing.assert_array_equal(same[0], information[:, :3, :3])
+    np.testing.assert_array_equal(same[1], pull[:, :3])

@@ -12,18 +12,22 @@ import pytest
 import torch
 from rich.progress import Progress
 
-from data.contact.features import SLOTS
+from data.contact.features import FEATURES, SLOTS
+from data.contact.film_features import FILM_FEATURES
 from data.synthetic.contacts import SimulatedContact, draw_contacts
 from data.synthetic.settings import SceneSettings
 from data.synthetic.truth import damping_ratio, regime_of
 from estimators.network import training as contact_training
 from estimators.network.fits import (
     BOUNDS,
+    CUT_SHARES,
+    FRAME,
     LEVEL,
     MECHANICS,
     NOISE,
     REST_SHARE,
     SCENES,
+    Films,
     Fits,
     draw_errors,
     draw_known,
@@ -32,6 +36,8 @@ from estimators.network.fits import (
 )
 from estimators.network.training import (
     INTERRUPTED,
+    PREPARED,
+    WEIGHTS,
     Trainer,
     TrainingError,
     descend,
@@ -50,6 +56,13 @@ def contacts() -> list[SimulatedContact]:
     """A few contacts of two scenes."""
     settings = SceneSettings(width=214, height=120, regime="critical")
     return [contact for seed in (1, 2) for contact in draw_contacts(settings, seed, 4, MECHANICS.time_step)]
+
+
+@pytest.fixture(scope="module")
+def filmed() -> list[SimulatedContact]:
+    """Two contacts with films, of the second of which the instants are known to a frame only."""
+    settings = SceneSettings(width=214, height=120, regime="critical")
+    return [draw_contacts(settings, 3, 1, MECHANICS.time_step, within, film=True)[0] for within in (0.0, FRAME)]
 
 
 def test_a_fit_explains_its_motion(contacts: list[SimulatedContact]) -> None:
@@ -77,12 +90,22 @@ def test_drawn_errors_are_as_large_as_said() -> None:
     assert np.abs(error[rounded]).max() < LEVEL / 2 + 5 * REST_SHARE * LEVEL / np.sqrt(12)
 
 
-def test_windows_are_cut_at_their_end() -> None:
-    known = draw_known(2000, np.random.default_rng(0))
-    lengths = known.sum(axis=1)
-    assert lengths.min() == 2
-    assert 0.65 < (lengths == SLOTS).mean() < 0.75
+def test_half_of_the_windows_end_under_the_tool() -> None:
+    """And a fifth of them anywhere; all lengths from two slots on are equally likely."""
+    assert CUT_SHARES == (0.5, 0.2)
+    loads = np.repeat([1, 6, 12], 4000)
+    known = draw_known((np.arange(SLOTS) < loads[:, None]).astype(float), np.random.default_rng(0))
     assert (np.diff(known, axis=1) <= 0).all()
+    lengths = known.sum(axis=1).astype(int)
+    assert lengths.min() == 2
+    for load in (1, 6, 12):
+        longest = max(load, 2)  # a shorter window is too early for an estimate
+        expected = np.zeros(SLOTS + 1)
+        expected[2 : longest + 1] = 0.5 / (longest - 1)
+        expected[2:] += 0.2 / (SLOTS - 1)
+        expected[SLOTS] += 0.3
+        found = np.bincount(lengths[loads == load], minlength=SLOTS + 1) / 4000
+        np.testing.assert_allclose(found, expected, atol=0.03)  # √(0.25/4000) = 0.008
 
 
 def test_a_wider_noise_level_tells_less(contacts: list[SimulatedContact]) -> None:
@@ -167,6 +190,17 @@ def test_contacts_and_fits_are_the_same_in_processes_of_their_own(contacts: list
         assert np.array_equal(getattr(fits, field.name), getattr(same, field.name))
 
 
+@pytest.mark.slow
+def test_films_and_their_fits_are_the_same_in_processes_of_their_own(filmed: list[SimulatedContact]) -> None:
+    fits, same = (Trainer(filmed, 0, [0.0, FRAME]).fit(Progress(disable=True), workers) for workers in (0, 2))
+    assert fits.logs.shape == (2, 5)
+    assert fits.within.tolist() == [0.0, FRAME]
+    for holder, other, kind in ((fits, same, Fits), (fits.films, same.films, Films)):
+        for field in dataclasses.fields(kind):
+            if field.name != "films":
+                np.testing.assert_array_equal(getattr(holder, field.name), getattr(other, field.name))
+
+
 @pytest.mark.parametrize(
     ("option", "value", "reason"),
     [
@@ -179,6 +213,7 @@ def test_contacts_and_fits_are_the_same_in_processes_of_their_own(contacts: list
         ("--seed", "-1", "-1 is less than 0"),
         ("--seed", str(2**63), "is more than"),
         ("--workers", "-1", "-1 is less than 0"),
+        ("--observation", "film", "invalid choice: 'film'"),
     ],
 )
 def test_numbers_that_would_end_a_training_late_are_refused_at_once(
@@ -192,27 +227,104 @@ def test_numbers_that_would_end_a_training_late_are_refused_at_once(
 
 
 @pytest.fixture
-def few(contacts: list[SimulatedContact], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Drawing takes no time, and steps hardly any."""
-    monkeypatch.setattr(contact_training, "make_contacts", lambda *_: contacts[:2])
+def made(
+    contacts: list[SimulatedContact], filmed: list[SimulatedContact], monkeypatch: pytest.MonkeyPatch
+) -> list[tuple[float, bool]]:
+    """How contacts were asked for: drawing takes no time, and steps hardly any."""
+    asked = []
+
+    def make(*_: object, within: float = 0.0, film: bool = False, **__: object) -> list[SimulatedContact]:
+        asked.append((within, film))
+        return [filmed[within > 0]] if film else contacts[:2]
+
+    monkeypatch.setattr(contact_training, "make_contacts", make)
     monkeypatch.setattr(contact_training, "ROUGH_BATCH", 8)
     monkeypatch.setattr(contact_training, "FINE_BATCH", 32)
+    return asked
 
 
-def short(folder: Path) -> int:
+MADE = {"contact": [(0.0, False)], "field": [(0.0, True), (FRAME, True)]}
+"""Contacts whose instants are known, and with films as many whose instants aren't."""
+
+
+def short(folder: Path, observation: str = "contact", *options: str) -> int:
     steps = [text for stage in ("rough", "fine", "bound") for text in (f"--{stage}-steps", "4")]
-    return main(["--output", str(folder), *steps, "--workers", "0"])
+    return main(["--output", str(folder), *steps, "--workers", "0", "--observation", observation, *options])
 
 
-def test_a_training_leaves_its_weights_and_its_record(few, tmp_path: Path) -> None:
-    assert short(tmp_path / "out") == 0
+def stages(folder: Path) -> list[tuple[str, int]]:
+    """Stage and step of every row of the record."""
+    rows = [json.loads(line) for line in (folder / "training.jsonl").read_text().splitlines()]
+    return [(row["stage"], row["step"]) for row in rows]
+
+
+def steps_of(*names: str) -> list[tuple[str, int]]:
+    return [(name, step) for name in names for step in (1, 2, 3, 4)]
+
+
+@pytest.mark.parametrize(("observation", "told"), [("contact", FEATURES), ("field", FEATURES + FILM_FEATURES)])
+def test_a_training_leaves_its_weights_and_its_record(
+    observation: str, told: int, made: list[tuple[float, bool]], tmp_path: Path
+) -> None:
+    assert short(tmp_path / "out", observation) == 0
+    assert made == MADE[observation]
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["posterior.pt", "training.jsonl"]
-    rows = [json.loads(line) for line in (tmp_path / "out" / "training.jsonl").read_text().splitlines()]
-    assert [(row["stage"], row["step"]) for row in rows] == [
-        (s, n) for s in ("rough", "fine", "bound") for n in (1, 2, 3, 4)
-    ]
+    assert stages(tmp_path / "out") == steps_of("rough", "fine", "bound")
     weights = torch.load(tmp_path / "out" / "posterior.pt", weights_only=True)
     assert all(torch.isfinite(value).all() for value in weights.values())
+    assert weights["entry.weight"].shape[1] == told
+
+
+@pytest.mark.parametrize("observation", ["contact", "field"])
+def test_a_training_that_was_interrupted_after_its_fits_goes_on_from_them(
+    observation: str,
+    made: list[tuple[float, bool]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture,
+) -> None:
+    """To the same weights, to the last bit, as without the interruption."""
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    assert short(whole, observation) == 0
+    made.clear()
+    with monkeypatch.context() as patch:
+        patch.setattr(contact_training, "expected_loss", interrupt)
+        assert short(parts, observation) == INTERRUPTED
+    assert "The same command goes on, after its fits if made." in " ".join(capsys.readouterr().err.split())
+    assert sorted(path.name for path in parts.iterdir()) == [PREPARED, "training.jsonl"]
+    assert made == MADE[observation]
+    assert short(parts, observation) == 0
+    assert made == MADE[observation]  # and no others
+    assert stages(parts) == steps_of("rough", "fine", "fine", "bound")
+    assert not (parts / PREPARED).exists()
+    expected, found = (torch.load(folder / WEIGHTS, weights_only=True) for folder in (whole, parts))
+    assert expected.keys() == found.keys()
+    for name, values in expected.items():
+        assert torch.equal(values, found[name]), name
+
+
+def test_fits_of_another_training_or_broken_ones_are_made_anew(
+    made: list[tuple[float, bool]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(contact_training, "fine_loss", lambda *_: (_ for _ in ()).throw(OSError("The disk is full.")))
+        assert short(tmp_path) == 1
+        assert short(tmp_path, "contact", "--seed", "1") == 1
+        assert len(made) == 2  # of another seed
+        (tmp_path / PREPARED).write_bytes((tmp_path / PREPARED).read_bytes()[:1000])
+        assert short(tmp_path, "contact", "--seed", "1") == 1
+        assert len(made) == 3  # cut short
+        patch.setattr(contact_training, "code_digest", lambda: "other")
+        assert short(tmp_path, "contact", "--seed", "1") == 1
+        assert len(made) == 4  # of another version
+    monkeypatch.setattr(contact_training, "code_digest", lambda: "other")
+    assert short(tmp_path, "contact", "--seed", "1") == 0
+    assert len(made) == 4
+    assert stages(tmp_path) == steps_of("rough", "rough", "rough", "rough", "fine", "bound")
 
 
 def test_a_finished_training_is_not_written_over(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
@@ -237,7 +349,7 @@ def test_what_ends_a_training_is_one_sentence(
     error: BaseException,
     status: int,
     told: str,
-    few,
+    made: list[tuple[float, bool]],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture,
@@ -251,6 +363,7 @@ def test_what_ends_a_training_is_one_sentence(
     assert caught.startswith(told)
     assert "Traceback" not in caught
     assert not (tmp_path / "posterior.pt").exists()
+    assert (tmp_path / PREPARED).exists()
     assert len((tmp_path / "training.jsonl").read_text().splitlines()) == 4  # of the stage before
 
 

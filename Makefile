@@ -50,9 +50,9 @@ bench: $(INSTALLED)
 MODEL := runs/contact
 model: $(INSTALLED) $(MODEL)/posterior.pt
 	$(BIN)/python -m evaluation.calibration --weights $(MODEL)/posterior.pt --output $(MODEL)/uncalibrated.onnx
-	$(BIN)/python -m evaluation.benchmark --suite clean 8bit noisy --estimator network --split validation --clips 300 \
+	$(BIN)/python -m evaluation.benchmark --suite clean 8bit noisy --estimator network --split validation --clips 100 \
 		--model $(MODEL)/uncalibrated.onnx --output $(MODEL)/validation
-	$(BIN)/python -m evaluation.benchmark --suite clean 8bit noisy --estimator network --split validation --clips 300 \
+	$(BIN)/python -m evaluation.benchmark --suite clean 8bit noisy --estimator network --split validation --clips 100 \
 		--seen press --model $(MODEL)/uncalibrated.onnx --output $(MODEL)/pressed
 	$(BIN)/python -m evaluation.calibration --weights $(MODEL)/posterior.pt --output models/weights/contact.onnx \
 		--validation $(MODEL)/validation --pressed $(MODEL)/pressed

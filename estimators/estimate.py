@@ -97,6 +97,8 @@ class Estimate:
     @property
     def explanation(self) -> str:
         """The verdict's reason in words (see physics.identifiability.describe)."""
+        if not self.explained:
+            return "nothing is determined, because the model does not explain the motion"
         return "" if self.told_verdict else describe(self.verdict_information)
 
     @property

@@ -2,10 +2,10 @@
 
 Every simulated press begins at the time stamp of the first frame in contact. A real one begins up to a frame interval
 before or after it, and an estimate that takes the stamp for the beginning is surer than it may be: a few milliseconds
-look like other tissue. `direct` fits the delay (`estimators.direct.motion`). The network has learnt presses that
-begin at their time stamp only; it estimates the contact as if it had begun at several instants, evenly spread, and
-their moment-matched mixture is the estimate. They count alike: so far apart, how well each explains the motion is no
-guide.
+look like other tissue. `direct` fits the delay (`estimators.direct.motion`), and a network that sees films has learnt
+what not knowing it leaves. Others have learnt presses that begin at their time stamp only; they estimate the contact as
+if it had begun at several instants, evenly spread, and their moment-matched mixture is the estimate. They count alike:
+so far apart, how well each explains the motion is no guide.
 `python -m evaluation.benchmark --suite late-onset --onset between`, or without that option, shows what it is worth.
 """
 

@@ -99,7 +99,9 @@ def _size(text: str) -> tuple[int, int]:
     whole = width.isdigit() and height.isdigit() and text.isascii()
     if not whole or not (GRID_SIZE[0] <= int(width) <= LARGEST_SIZE and GRID_SIZE[1] <= int(height) <= LARGEST_SIZE):
         least = "x".join(map(str, GRID_SIZE))
-        raise argparse.ArgumentTypeError(f"{text} is no size of pictures; give WIDTHxHEIGHT from {least} up")
+        raise argparse.ArgumentTypeError(
+            f"{text} is no size of pictures; give WIDTHxHEIGHT from {least} up, {LARGEST_SIZE} px a side at most"
+        )
     return int(width), int(height)
 
 

@@ -27,6 +27,8 @@ ASTRAY = 4.0
 STILL_SHARE = 0.1
 """A part of the noise that stays the same over time is told from none where it is this share of the other, in
 variance."""
+ROUNDED = 0.5
+"""Errors that stay belong to rounding where those that are new are less than this share of them."""
 LEAST_CORRELATION = 0.05
 """Correlations of neighbouring pixels' noise below this are chance."""
 FARTHEST_ALIKE = 12
@@ -45,6 +47,11 @@ class FilmNoise:
     """Independent pixels are this many times fewer than pixels: neighbours' new errors go together."""
     alike_in_place: float = 1.0
     """The same of errors that stay."""
+
+    @property
+    def rounded(self) -> bool:
+        """Whether they are those of rounding: hardly any is new while tissue is still."""
+        return self.in_time < ROUNDED * self.in_place
 
     @property
     def total(self) -> float:

@@ -26,8 +26,6 @@ REST_KEPT = 0.99
 """Share of its variance that is taken into account."""
 OUTLIER = 4.0
 """Residuals of more than this many standard deviations count as if they had as many."""
-ROUNDED = 0.5
-"""Errors that stay belong to rounding where those that are new are less than this share of them."""
 MOVED = 3.0
 """Pixels that move by more than this many standard deviations say how well the model explains the motion."""
 STILL_NEW = 0.05
@@ -111,7 +109,7 @@ class FieldProblem:
         covariance += 0.5 * np.square(walls)[:, :, None] * np.eye(frames)
         if noise.in_place > 0:
             alike = noise.alike_in_place * (np.ones((1, frames, frames)) + STILL_NEW * np.eye(frames))
-            if noise.in_time < ROUNDED * noise.in_place:
+            if noise.rounded:
                 alike = math.sqrt(noise.alike_in_place) * rounding_covariance(sunk.T / noise.in_place)
             covariance = covariance + noise.in_place**2 * alike
         whiten = np.linalg.inv(np.linalg.cholesky(covariance))

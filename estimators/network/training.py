@@ -1,10 +1,11 @@
 """Trains the contact posterior without labels: amortised variational inference on observed contact motions.
 
-    python -m estimators.network.training --output runs/contact [--contacts 8000]
+    python -m estimators.network.training --output runs/contact [--contacts 3200]
 
 The loss is the evidence bound: the trajectory residual with its σ is the likelihood, the admissible box the prior (a
-Gaussian with the box's mean and variance). It reads motions and noise levels, never θ. Four stages, because a rollout
-costs more than the network:
+Gaussian with the box's mean and variance). It reads motions, films of dents and noise levels, never θ; of half of the
+presses the instants are unknown, and their delays are marginalised. Four stages, because a rollout costs more than the
+network:
  1. `rough`: rollouts at the network's own mean, with σ raised by a share of the motion: an under-damped response has an
     optimum for every number of swings, and only the wide view shows which is right.
  2. `fit`: every motion is explained once, by least squares from the network's estimate (or from several starts).
@@ -263,13 +264,13 @@ def build_parser() -> argparse.ArgumentParser:
     )
     add = parser.add_argument
     add("--output", type=path_option, required=True, help=f"folder for {WEIGHTS} and {LOG}")
-    add("--contacts", type=whole_number(1), default=8000, help="motions to train on (default %(default)s)")
+    add("--contacts", type=whole_number(1), default=3200, help="motions to train on (default %(default)s)")
     text = "what the posterior is told: of the whole dent, or of the contact's motion alone (default %(default)s)"
     add("--observation", choices=list(KINDS), default=FIELD, help=text)
     steps = whole_number(LEAST_STEPS)
-    add("--rough-steps", type=steps, default=2250, help="(default %(default)s)")
-    add("--fine-steps", type=steps, default=12000, help="(default %(default)s)")
-    add("--bound-steps", type=steps, default=4000, help="(default %(default)s)")
+    add("--rough-steps", type=steps, default=800, help="(default %(default)s)")
+    add("--fine-steps", type=steps, default=4500, help="(default %(default)s)")
+    add("--bound-steps", type=steps, default=1200, help="(default %(default)s)")
     add("--seed", type=whole_number(0), default=0, help="(default %(default)s)")
     text = "processes that draw contacts and explain motions; 0 = in this one (default: one a core)"
     add("--workers", type=whole_number(0), default=os.cpu_count(), help=text)
@@ -355,7 +356,7 @@ def _read_prepared(path: Path, options: argparse.Namespace, posterior: ContactPo
         if kept["by"] != _prepared_by(options):
             return None
         posterior.load_state_dict(kept["posterior"])
-    except (OSError, RuntimeError, EOFError, KeyError, pickle.UnpicklingError):
+    except (OSError, RuntimeError, EOFError, KeyError, TypeError, pickle.UnpicklingError):
         return None
     arrays = {name: values.numpy() for name, values in kept["fits"].items()}
     films = {name.removeprefix("films."): arrays.pop(name) for name in list(arrays) if name.startswith("films.")}

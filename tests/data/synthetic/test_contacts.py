@@ -96,8 +96,8 @@ def test_presses_begin_within_a_frame_of_their_stamps() -> None:
         assert misfits.min() < 0.01 * np.abs(along).max()
         began.append(tried[misfits.argmin()])
     # Evenly spread from -0.04 s to 0.04 s.
-    assert min(began) < -0.02
-    assert max(began) > 0.02
+    assert min(began) < -0.015
+    assert max(began) > 0.015
 
 
 def test_motions_follow_the_fitted_simulator() -> None:

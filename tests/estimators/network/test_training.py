@@ -128,10 +128,13 @@ def descended(network: torch.nn.Module, loss: Callable[[], torch.Tensor], steps:
 
 @pytest.mark.slow
 def test_the_fine_stage_learns(contacts: list[SimulatedContact]) -> None:
-    """On eight contacts, a hundred steps bring the estimates nearer to what explains the motions."""
+    """On eight contacts, two hundred steps bring the estimates nearer to what explains the motions.
+
+    Those that were seen for a second: most windows that end under the tool tell too little to come near.
+    """
     posterior, fits = Trainer(contacts, 0).posterior, fitted(contacts)
     generator = np.random.default_rng(1)
-    held_out = draw_observed(fits, 400, np.random.default_rng(5))
+    held_out = draw_observed(fits, 400, np.random.default_rng(5), np.ones_like)
 
     def error() -> float:
         with torch.no_grad():
@@ -139,13 +142,16 @@ def test_the_fine_stage_learns(contacts: list[SimulatedContact]) -> None:
         return float(np.sqrt(np.square(mean - held_out.logs).mean()))
 
     before = error()
-    descended(posterior, lambda: fine_loss(posterior, draw_observed(fits, 64, generator)), 100)
+    descended(posterior, lambda: fine_loss(posterior, draw_observed(fits, 64, generator)), 200)
     assert error() < 0.5 * before
 
 
 @pytest.mark.slow
 def test_the_expected_bound_learns_and_leaves_the_posterior_alone(contacts: list[SimulatedContact]) -> None:
-    """On eight contacts, two hundred steps tell how well each was seen, under noise that was not drawn before."""
+    """On eight contacts, four hundred steps tell how well each was seen, under noise that was not drawn before.
+
+    Half as many are enough for contacts that were seen to their end.
+    """
     posterior, fits = Trainer(contacts, 0).posterior, fitted(contacts)
     generator = np.random.default_rng(1)
     drawn = draw_observed(fits, 400, np.random.default_rng(5))
@@ -157,7 +163,7 @@ def test_the_expected_bound_learns_and_leaves_the_posterior_alone(contacts: list
             return *posterior(features), np.linalg.norm(bound, axis=2)
 
     mean, factor, before = told()
-    descended(posterior.expected_bound, lambda: expected_loss(posterior, draw_observed(fits, 128, generator)), 200)
+    descended(posterior.expected_bound, lambda: expected_loss(posterior, draw_observed(fits, 128, generator)), 400)
     same_mean, same_factor, expected = told()
     off = [np.median(np.abs(np.log(each / true))[true < LIMIT]) for each in (before, expected)]
     assert off[1] < 0.5 * off[0]

@@ -151,8 +151,8 @@ class InteractionBuilder:
         """
         self._count, self._followed_on = 1, onset.consecutive
         self._seen: list[tuple[int, float, np.ndarray]] = []
-        keeps = size is not None and math.isfinite(self.noise)
-        self._recorder = FilmRecorder(mesh, vertex, self.noise, size) if keeps and size else None
+        known = math.isfinite(self.noise)
+        self._recorder = FilmRecorder(mesh, vertex, self.noise, size) if size is not None and known else None
         self._film: list[tuple[int, float, np.ndarray]] = []
         self._film_of(onset)
 

@@ -38,7 +38,7 @@ covariance means nothing: that of a noise as large as the misfit, within the box
 UNEXPLAINED = "The model does not explain the motion, which lies {:.2g} times the noise from it; intervals are widened."
 ROUNDING = 1e-6
 """Of times [s]."""
-ROUNDED = 2.0
+ROUNDED = 1.4
 """A network that sees films is told of so many times the noise where depth was rounded: errors of still tissue are then
 the same in all frames and in neighbouring pixels, and tell as little as fewer, larger ones."""
 EDGE = 0.02

@@ -25,7 +25,7 @@ QUICK_ERROR = 1e-5
 """Window error of simulations that a whole dent's posterior is sampled with."""
 FINER = 4
 """Parts into which a step is divided to see its error."""
-LATER = 0.05
+LATER = 0.5
 """Change of the load's duration whose effect gives the derivative by it [time steps]."""
 
 
@@ -82,7 +82,7 @@ class PressMotion:
     def at(self, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Displacements [N, M, 3] and their derivatives by all parameters [N, M, 3, D], in double precision.
 
-        Exact by φ; by the delays of a press whose release was seen they are differences from then on, good to 1 %.
+        Exact by φ; by the delays of a press whose release was seen they are differences from then on, good to 5 %.
         Without derivatives where the motion is so chaotic that rounding decides them.
         """
         theta, step = self.theta(logs), self.mechanics.time_step

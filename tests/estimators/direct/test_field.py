@@ -19,7 +19,6 @@ from estimators.direct.field import (
     REST_KEPT,
     REST_LENGTH,
     REST_SHARE,
-    ROUNDED,
     STILL_NEW,
     WALL,
     FieldProblem,
@@ -151,7 +150,7 @@ def expected_covariance(problem: FieldProblem, change: np.ndarray, weight: np.nd
     walls = WALL * steep.ravel()
     covariance += 0.5 * same * walls[:, None] * walls + 0.5 * np.diag(walls**2)
     if noise.in_place:
-        if noise.in_time < ROUNDED * noise.in_place:
+        if noise.in_time < 0.5 * noise.in_place:
             kernel = rounding_covariance(change.T / noise.in_place)
             part = np.sqrt(noise.alike_in_place) * kernel[pixel[:, None], frame[:, None], frame[None]]
         else:

@@ -16,8 +16,8 @@ from data.labels import TISSUE
 from physics.mesh import Mesh
 
 REACH = 7
-"""Pixels up to so many rows and columns from the contact are compared. Of what the whole sheet tells, 8 hold all but
-one hundredth, 6 all but a twentieth (`python -m benchmarks.observation_bounds`)."""
+"""Pixels up to so many rows and columns from the contact are compared: `python -m benchmarks.observation_bounds` prints
+what they tell beside what more and fewer do."""
 FAR = 25
 """The depth's noise and the camera's motion are measured at least so far from the contact [grid pixels]."""
 LEAST_FAR = 200

@@ -1,8 +1,8 @@
 """What a network is told about a dent's film: how much of a few shapes it holds at every instant, as one vector.
 
 A sheet of equal springs answers a point load with a function of its graph Laplacian L, so that its dents lie in the
-span of the static answers of sheets with elastic foundations, (L + α)⁻¹δ. Six of them keep 97 % and more of what the
-whole film tells of θ (`python -m benchmarks.observation_bounds`).
+span of the static answers of sheets with elastic foundations, (L + α)⁻¹δ. With six of them the bounds of 12 simulated
+contacts were at most 11 % wider than the whole film's, mostly 1 to 5 % (a development run that no command repeats).
 """
 
 from __future__ import annotations

@@ -19,10 +19,10 @@ from estimators.direct.contact_fit import (
 from estimators.direct.field import FieldProblem
 from estimators.direct.motion import about_tissue
 from estimators.direct.problem import (
-    APART,
     CANDIDATES,
     DELAYS,
     Optimum,
+    apart,
     combine,
     distinct,
     evidence_shares,
@@ -121,14 +121,7 @@ def field_starts(problem: FieldProblem, box: np.ndarray) -> np.ndarray:
         unexplained = np.square(np.exp(forces - candidate[2])[:, None, None] * tried - left).sum(axis=(1, 2))
         best = int(np.argmin(unexplained))
         misfits[index], candidate[2], candidate[3:] = unexplained[best], forces[best], delays[best]
-    chosen: list[int] = []
-    for index in np.argsort(misfits):
-        distances = np.abs(candidates[chosen] - candidates[index])[:, :2] / (high - low)[:2]
-        if (distances.max(axis=1, initial=0) > APART).all() or not chosen:
-            chosen.append(int(index))
-        if len(chosen) == STARTS:
-            break
-    return candidates[chosen]
+    return apart(candidates, misfits, low, high, STARTS)
 
 
 def _sample(problem: FieldProblem, optima: Sequence[Optimum], best: Optimum, box: np.ndarray, scale: float) -> Draws:
@@ -151,5 +144,5 @@ def _sample(problem: FieldProblem, optima: Sequence[Optimum], best: Optimum, box
         np.array([optimum.logs for optimum in optima]),
         np.array([WIDER * np.linalg.inv(optimum.information / scale + prior) for optimum in optima]),
     )
-    known = best.logs[None]
-    return sample_posterior(likelihoods, box, start, (known, likelihoods(known)), ROUND)
+    none = np.empty((0, len(best.logs)))
+    return sample_posterior(likelihoods, box, start, (none, likelihoods(none)), ROUND)

@@ -76,14 +76,7 @@ class ContactProblem(Likelihood):
         logs[:, 2] = np.clip(logs[:, 2] + np.log(np.maximum(fitting, 1e-9)), low[2], high[2])
         factors = np.exp(logs[:, 2] - candidates[:, 2])
         misfits = np.square(factors[:, None, None] * paths - self.moved).sum(axis=(1, 2))
-        chosen: list[int] = []
-        for index in np.argsort(misfits):
-            distances = np.abs(logs[chosen] - logs[index])[:, :2] / (high - low)[:2]
-            if (distances.max(axis=1, initial=0) > APART).all() or not chosen:
-                chosen.append(int(index))
-            if len(chosen) == STARTS:
-                break
-        return logs[chosen]
+        return apart(logs, misfits, low, high, STARTS)
 
     def _delayed(self, candidates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Candidates [C, D], each delayed as suits it best, and their motions, shape [C, N, 3]."""
@@ -114,6 +107,18 @@ class ContactProblem(Likelihood):
         moved, slopes = (values[:, 0] for values in self.motion.at(logs))
         residual = (moved - self.moved) / self.sigma
         return Linearised(residual.ravel(), slopes.reshape(-1, len(logs)) / self.sigma)
+
+
+def apart(logs: np.ndarray, misfits: np.ndarray, low: np.ndarray, high: np.ndarray, count: int) -> np.ndarray:
+    """Those of points [C, D] with the smallest misfits [C] that lie APART in the box, shape [at most `count`, D]."""
+    chosen: list[int] = []
+    for index in np.argsort(misfits):
+        distances = np.abs(logs[chosen] - logs[index])[:, :2] / (high - low)[:2]
+        if (distances.max(axis=1, initial=0) > APART).all() or not chosen:
+            chosen.append(int(index))
+        if len(chosen) == count:
+            break
+    return logs[chosen]
 
 
 class Optimum(NamedTuple):

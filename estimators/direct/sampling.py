@@ -128,15 +128,15 @@ def sample_posterior(
         log_likelihoods: called with points inside the box only.
         box: lower and upper ends, shape [2, D].
         start: where the first points are drawn: around the modes.
-        known: evenly spread points of the box [U, D] whose log-likelihoods ([U, H], [U, H]) are known already: modes
-            that `start` has missed.
+        known: evenly spread points of the box, or none, [U, D] whose log-likelihoods ([U, H], [U, H]) are known
+            already: modes that `start` has missed.
     """
     from scipy.stats.qmc import Sobol  # takes seconds to load
 
     low, high = box
     sequence = Sobol(box.shape[1] + 2, rng=1)
     points, (values, evidences) = known
-    uniform = math.log(len(points)) - float(np.log(high - low).sum())
+    uniform = (math.log(len(points)) if len(points) else -math.inf) - float(np.log(high - low).sum())
     mixtures = [start]
     while True:
         found = mixtures[-1].draw(np.clip(sequence.random(count), 1e-9, 1 - 1e-9))

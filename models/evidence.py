@@ -73,9 +73,34 @@ def preconditioned(
     return evidence_loss(mean, factor, pull, information, shorter)
 
 
+def covering(mean: Tensor, factor: Tensor, best: Tensor, information: Tensor) -> Tensor:
+    """Cross entropy of q and the likelihoods' own posteriors N(best, H⁻¹), the mean over the batch, up to a constant.
+
+    Least by the covariance where that is H⁻¹ and the square of the mean's own error: one network for all contacts finds
+    none of their optima exactly, and the evidence bound, whose covariance is H⁻¹ alone, would never tell. It is the
+    loss of neural posterior estimation (Papamakarios & Murray 2016) with draws from N(best, H⁻¹) averaged out.
+
+    Args:
+        mean, factor: of q, shapes [B, 3] and [B, 3, 3].
+        best: optima of likelihood and prior, shape [B, 3].
+        information: H there, the prior's with it, shape [B, 3, 3], a constant.
+    """
+    values, vectors = torch.linalg.eigh(information.double())
+    spread = (vectors * values.rsqrt()[:, None]).to(factor)
+    apart = torch.cat([spread, (mean - best)[..., None]], dim=2)
+    squares = torch.linalg.solve_triangular(factor, apart, upper=False).square().sum((1, 2))
+    return (0.5 * squares + torch.log(factor.diagonal(dim1=1, dim2=2)).sum(1)).mean()
+
+
+def box_prior(lower: Tensor, upper: Tensor) -> tuple[Tensor, Tensor]:
+    """Precision [3, 3] and mean [3] of the Gaussian with the moments of the uniform distribution over a box."""
+    return torch.diag(12 / (upper - lower).square()), 0.5 * (lower + upper)
+
+
 def _prior(mean: Tensor, lower: Tensor, upper: Tensor) -> tuple[Tensor, Tensor]:
     """The prior's precision [3, 3], and how far the means lie from its own [B, 3], constants."""
-    return torch.diag(12 / (upper - lower).square()), mean.detach() - 0.5 * (lower + upper)
+    precision, middle = box_prior(lower, upper)
+    return precision, mean.detach() - middle
 
 
 def _divergence(factor: Tensor, away: Tensor, information: Tensor, prior: Tensor) -> Tensor:

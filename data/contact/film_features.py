@@ -26,6 +26,9 @@ RIDGE = 1e-3
 """Keeps shapes that hidden pixels leave undetermined small."""
 LEAST_SEEN = 0.4
 """Of a film's pixels, in a frame that counts."""
+ROUNDED = 1.4
+"""A network that sees films is told of so many times the noise where depth was rounded: errors of still tissue are then
+the same in all frames and in neighbouring pixels, and tell as little as fewer, larger ones."""
 LARGE = 40.0
 """A large amount of a shape, in units of the mesh's spacing."""
 FILM_FEATURES = 2 * SLOTS * SHAPES + 2

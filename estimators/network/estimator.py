@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from data.contact.features import FEATURES, contact_features, contact_spacing
-from data.contact.film_features import FILM_FEATURES, film_features
+from data.contact.film_features import FILM_FEATURES, ROUNDED, film_features
 from data.contact.interaction import Horizon, Interaction, InteractionBuilder
 from data.prepared import PreparedFrame
 from data.windows import FrameWindow
@@ -38,9 +38,6 @@ covariance means nothing: that of a noise as large as the misfit, within the box
 UNEXPLAINED = "The model does not explain the motion, which lies {:.2g} times the noise from it; intervals are widened."
 ROUNDING = 1e-6
 """Of times [s]."""
-ROUNDED = 1.4
-"""A network that sees films is told of so many times the noise where depth was rounded: errors of still tissue are then
-the same in all frames and in neighbouring pixels, and tell as little as fewer, larger ones."""
 EDGE = 0.02
 """A mean within this share of the box's end (in logarithms) lies at it."""
 

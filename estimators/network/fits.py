@@ -15,7 +15,7 @@ from operator import itemgetter
 import numpy as np
 
 from data.contact.features import FRAME_RATE, SLOTS, contact_surroundings, join_features, slot_times
-from data.contact.film_features import SHAPES, dent_shapes, join_film_features, shape_amounts
+from data.contact.film_features import ROUNDED, SHAPES, dent_shapes, join_film_features, shape_amounts
 from data.contact.interaction import Interaction
 from data.synthetic.settings import SceneSettings
 from estimators.direct.field import FieldProblem, smooth_errors
@@ -248,6 +248,7 @@ def draw_observed(
         beside = draw_film_errors(films, index, noise, generator)
         # The contact's own pixel is one of the film's: its error is the film's.
         error[told] = beside.middle[told]
+        noise = np.where(told & (noise == ROUNDING_NOISE), ROUNDED * noise, noise)
         more, pulled = film_information(films.slopes[index], films.factors[index], beside.amounts, noise, known)
         information[told], pull[told] = more[told], pulled[told]
     within = fits.within[index]
@@ -284,8 +285,8 @@ def draw_film_errors(films: Films, index: np.ndarray, noise: np.ndarray, generat
     middle = shapes[len(shapes) // 2]
     # Jointly normal: what the middle pixel's error has beyond the amounts' share of it.
     normal = generator.standard_normal((len(index), SLOTS, SHAPES), dtype=np.float32)
-    amounts = np.einsum("btij,btj->bti", factors, normal)
-    share = np.einsum("i,btij->btj", middle, factors)
+    amounts = (factors @ normal[..., None])[..., 0]
+    share = middle @ factors
     rest = np.sqrt(np.maximum(1 - np.square(share).sum(axis=2), 0))
     alone = amounts @ middle + rest * generator.standard_normal(rest.shape, dtype=np.float32)
     amounts, alone = noise[:, None, None] * amounts, noise[:, None] * alone
@@ -300,7 +301,8 @@ def draw_film_errors(films: Films, index: np.ndarray, noise: np.ndarray, generat
         )
         error = np.nan_to_num(np.rint(depth / np.float32(LEVEL)) * np.float32(LEVEL) - depth)
         part = factors[rounded]
-        amounts[rounded] = np.einsum("btij,btkj,btk->bti", part, part, error @ shapes.astype(np.float32))
+        mixed = (error @ shapes.astype(np.float32))[..., None]
+        amounts[rounded] = (part @ (part.transpose(0, 1, 3, 2) @ mixed))[..., 0]
         alone[rounded] = error[:, :, side * side // 2]
     still = noise[:, None] * (generator.standard_normal((len(index), SHAPES)) @ smooth_share().T)
     return FilmErrors(amounts + still[:, None], alone + (still @ middle)[:, None])
@@ -325,16 +327,15 @@ def film_information(
         known: whether a slot is seen, shape [B, SLOTS].
     """
     whiten = np.linalg.inv(factors) * (known / noise[:, None])[..., None, None]
-    tangent, left = whiten @ slopes, (whiten @ errors[..., None])[..., 0]
-    still = (whiten @ smooth_share()) * noise[:, None, None, None]
-    common = np.einsum("btik,btil->bkl", still, still) + np.eye(SHAPES)
-    seen = np.einsum("btik,btid->bkd", still, tangent), np.einsum("btik,bti->bk", still, left)
-    solved = np.linalg.solve(common, np.concatenate([seen[0], seen[1][..., None]], axis=2))
+    smooth = noise[:, None, None, None] * smooth_share()
+    parts = slopes, errors[..., None], np.broadcast_to(smooth, (*known.shape, SHAPES, SHAPES))
+    columns = (whiten @ np.concatenate(parts, axis=-1)).reshape(len(known), -1, slopes.shape[-1] + 1 + SHAPES)
+    products = columns.transpose(0, 2, 1) @ columns
     count = slopes.shape[-1]
-    information = np.einsum("btip,btiq->bpq", tangent, tangent) - np.einsum(
-        "bkp,bkq->bpq", seen[0], solved[..., :count]
-    )
-    pull = np.einsum("btip,bti->bp", tangent, left) - np.einsum("bkp,bk->bp", seen[0], solved[..., count])
+    still = products[:, -SHAPES:, -SHAPES:] + np.eye(SHAPES)
+    common = np.linalg.solve(still, products[:, -SHAPES:, : count + 1])
+    left = products[:, :count, : count + 1] - products[:, :count, -SHAPES:] @ common
+    information, pull = left[..., :count], left[..., count]
     return information, pull
 
 

@@ -10,7 +10,8 @@ network:
     optimum for every number of swings, and only the wide view shows which is right.
  2. `fit`: every motion is explained once, by least squares from the network's estimate (or from several starts).
  3. `fine`: the likelihood is linearised at those fits (exact Jacobians), so that noise, rounding and cut-off windows
-    are drawn anew for every step without a rollout.
+    are drawn anew for every step without a rollout. The covariance comes to hold the network's own error, too
+    (`models.evidence.covering`).
  4. `bound`: a network of its own learns how large the Cramér–Rao bound is at those fits; verdicts go by it.
 """
 
@@ -62,7 +63,7 @@ from estimators.network.fits import (
     fit_motion,
 )
 from estimators.worker_pool import WorkerLost, run_tasks
-from models.evidence import preconditioned
+from models.evidence import box_prior, covering, preconditioned
 from models.expected_bound import bound_loss
 from models.posterior import ContactPosterior
 from physics.files import replacing
@@ -82,6 +83,8 @@ UNKNOWN = 1_000_003
 """Added to the seed of contacts whose instants are unknown."""
 FINE_BATCH, FINE_RATE = 512, 2e-3
 """The same of the last two stages."""
+COVERING = 0.3
+"""Weight of the covariance's loss beside the means'; they share the network, and nothing else."""
 EXAMPLES, LEAST_SPREAD = 2000, 0.02
 """Samples that the inputs' centre and scale are taken from, and the least scale of a film's inputs."""
 BLUR = 0.3, 0.03
@@ -191,12 +194,17 @@ class Trainer:
 
 
 def fine_loss(posterior: ContactPosterior, drawn: Drawn) -> Tensor:
-    """The evidence bound with every likelihood linearised at its own fit, a scalar."""
+    """The evidence bound's pull of the means, every likelihood linearised at its own fit, and `covering`; a scalar."""
     mean, factor = posterior(torch.from_numpy(drawn.features))
-    information = _tensor(drawn.information)
-    offset = mean.detach() - _tensor(drawn.logs)
-    gradient = torch.einsum("bpq,bq->bp", information, offset) - _tensor(drawn.pull)
-    return preconditioned(mean, factor, gradient, information, posterior.lower, posterior.upper)
+    box = posterior.lower, posterior.upper
+    information, logs = torch.from_numpy(drawn.information), torch.from_numpy(drawn.logs)
+    pull, offset = torch.from_numpy(drawn.pull), mean.detach() - logs
+    gradient = torch.einsum("bpq,bq->bp", information, offset) - pull
+    moved = preconditioned(mean, factor.detach(), gradient.to(mean), information.to(mean), *box)
+    prior, middle = (values.double() for values in box_prior(*box))
+    whole = information + prior
+    best = logs + torch.linalg.solve(whole, pull - (logs - middle) @ prior)
+    return moved + COVERING * covering(mean.detach(), factor, best.to(mean), whole)
 
 
 def expected_loss(posterior: ContactPosterior, drawn: Drawn) -> Tensor:
@@ -217,6 +225,15 @@ def descend(network: nn.Module, loss_of: Callable[[int], Tensor], steps: int, ra
         optimizer.step()
         schedule.step()
         yield float(loss.detach())
+
+
+def _ahead(thread: ThreadPoolExecutor, draw: Callable[[], Drawn]) -> Iterator[Drawn]:
+    """What is drawn, the next one while the last is in use."""
+    following = thread.submit(draw)
+    while True:
+        drawn = following.result()
+        following = thread.submit(draw)
+        yield drawn
 
 
 def _tensor(values) -> Tensor:
@@ -269,8 +286,8 @@ def build_parser() -> argparse.ArgumentParser:
     add("--observation", choices=list(KINDS), default=FIELD, help=text)
     steps = whole_number(LEAST_STEPS)
     add("--rough-steps", type=steps, default=800, help="(default %(default)s)")
-    add("--fine-steps", type=steps, default=4500, help="(default %(default)s)")
-    add("--bound-steps", type=steps, default=1200, help="(default %(default)s)")
+    add("--fine-steps", type=steps, default=16000, help="(default %(default)s)")
+    add("--bound-steps", type=steps, default=2000, help="(default %(default)s)")
     add("--seed", type=whole_number(0), default=0, help="(default %(default)s)")
     text = "processes that draw contacts and explain motions; 0 = in this one (default: one a core)"
     add("--workers", type=whole_number(0), default=os.cpu_count(), help=text)
@@ -309,10 +326,11 @@ def train(options: argparse.Namespace) -> None:
             _keep_prepared(kept, options, posterior, fits)
         torch.manual_seed(options.seed)
         generator = np.random.default_rng([options.seed, 19])
-        drawn = functools.partial(draw_observed, fits, FINE_BATCH, generator)
-        stage("fine", posterior, lambda _: fine_loss(posterior, drawn()), options.fine_steps, FINE_RATE)
-        bound = posterior.expected_bound
-        stage("bound", bound, lambda _: expected_loss(posterior, drawn()), options.bound_steps, FINE_RATE)
+        with ThreadPoolExecutor(1) as ahead:
+            drawn = _ahead(ahead, functools.partial(draw_observed, fits, FINE_BATCH, generator))
+            stage("fine", posterior, lambda _: fine_loss(posterior, next(drawn)), options.fine_steps, FINE_RATE)
+            bound = posterior.expected_bound
+            stage("bound", bound, lambda _: expected_loss(posterior, next(drawn)), options.bound_steps, FINE_RATE)
     with replacing(options.output / WEIGHTS) as weights:
         torch.save(posterior.state_dict(), weights)
     kept.unlink(missing_ok=True)

@@ -8,7 +8,7 @@ import torch
 from scipy.linalg import sqrtm
 from torch.distributions import MultivariateNormal, kl_divergence
 
-from models.evidence import LONGEST_MOVE, PULL, negative_evidence
+from models.evidence import LONGEST_MOVE, PULL, box_prior, covering, negative_evidence
 from physics.likelihood import Linearised
 
 LOWER, UPPER = (torch.log(torch.tensor(values)) for values in ([0.05, 0.005, 0.01], [1.0, 0.5, 0.3]))
@@ -100,3 +100,29 @@ def test_of_what_was_not_seen_the_prior_alone_is_left():
     assert loss.item() == pytest.approx(
         kl_divergence(MultivariateNormal(mean[0], scale_tril=factor[0]), prior).item(), rel=1e-9
     )
+
+
+def test_covering_is_the_cross_entropy():
+    mean, factor, found = posterior()
+    whole = parabolas(found)[2] + box_prior(LOWER.double(), UPPER.double())[0]
+    best = mean + 0.1
+    own = MultivariateNormal(best, precision_matrix=whole)
+    expected = kl_divergence(own, MultivariateNormal(mean, scale_tril=factor)) + own.entropy()
+    constant = 1.5 * np.log(2 * np.pi)
+    assert covering(mean, factor, best, whole).item() + constant == pytest.approx(expected.mean().item(), rel=1e-9)
+
+
+def test_covering_is_least_where_the_covariance_holds_the_means_own_error():
+    mean, _, found = posterior()
+    whole, best = parabolas(found)[2] + torch.eye(3), mean + torch.tensor([0.3, -0.1, 0.2])
+    wanted = torch.linalg.inv(whole) + (best - mean)[:, :, None] * (best - mean)[:, None]
+    factor = torch.linalg.cholesky(wanted).requires_grad_()
+    covering(mean, factor, best, whole).backward()
+    assert factor.grad is not None
+    assert torch.tril(factor.grad).abs().max() < 1e-9
+
+
+def test_the_box_s_prior_has_the_moments_of_the_uniform_distribution():
+    precision, middle = box_prior(torch.tensor([0.0, 1.0, -1.0]), torch.tensor([1.0, 3.0, 0.0]))
+    torch.testing.assert_close(precision, torch.diag(torch.tensor([12.0, 3.0, 12.0])))
+    torch.testing.assert_close(middle, torch.tensor([0.5, 2.0, -0.5]))

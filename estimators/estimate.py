@@ -65,8 +65,10 @@ class Estimate:
     its end [s]; none of either that was not fitted."""
     delays_at_end: bool = False
     """Whether one of them lies at its range's end."""
-    outliers: float = 0.0
-    """Share of what was seen that lies so far from the model that it counted less."""
+    outliers: float | None = None
+    """Share of what was seen that lies so far from the model that it counted less; None where all counts alike."""
+    modes: int = 1
+    """Tissues far apart that explain the motion about as well; mean and covariance are those of all of them."""
     view_angle: float | None = None
     """Angle between the contact's direction and the line of sight [degrees] (see estimators.oblique); None = not
     known."""

@@ -9,7 +9,15 @@ import numpy as np
 
 from estimators.direct.error_model import log_likelihoods, variance_scale
 from estimators.direct.motion import about_tissue
-from estimators.direct.problem import ContactProblem, Optimum, combine, distinct, evidence_shares, find_optimum
+from estimators.direct.problem import (
+    ContactProblem,
+    Optimum,
+    combine,
+    count_modes,
+    distinct,
+    evidence_shares,
+    find_optimum,
+)
 from estimators.direct.sampling import Draws, Mixture, sample_posterior
 from estimators.estimate import Estimate
 from estimators.oblique import effective_misfit, is_oblique, view_angle
@@ -65,6 +73,7 @@ def fit_contact(problem: ContactProblem, box: np.ndarray) -> Estimate:
         delays=tuple((problem.motion.within * mean[3:]).tolist()),
         delays_at_end=bool((np.abs(mean[3:]) > DELAY_AT_END).any()),
         view_angle=view_angle(problem.contact),
+        modes=count_modes(optima, prior),
     )
     if not is_oblique(found):
         return found

@@ -24,6 +24,7 @@ from estimators.direct.problem import (
     Optimum,
     apart,
     combine,
+    count_modes,
     distinct,
     evidence_shares,
     find_optimum,
@@ -83,6 +84,7 @@ def fit_field(problem: FieldProblem, tissue: np.ndarray) -> Estimate:
         delays_at_end=bool((np.abs(mean[3:]) > DELAY_AT_END).any()),
         view_angle=view_angle(problem.contact),
         outliers=problem.outliers,
+        modes=count_modes(optima, prior),
     )
     if not is_oblique(found):
         return found

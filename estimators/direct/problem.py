@@ -30,6 +30,9 @@ SAME = 0.05
 """Optima nearer to each other than this in every log-parameter are one."""
 NEGLIGIBLE = 1e-3
 """Optima with less than this share of the likeliest one's evidence are left out."""
+LEAST_MODE, MODES_APART = 0.05, 3.0
+"""Optima are modes of the posterior from such a share of the likeliest one's evidence on, if they lie so many standard
+deviations of their difference from all likelier ones."""
 
 
 class ContactProblem(Likelihood):
@@ -180,6 +183,23 @@ def combine(optima: Sequence[Optimum], prior: np.ndarray) -> tuple[np.ndarray, n
         share * np.linalg.inv(optimum.information + prior) for share, optimum in zip(shares, optima, strict=True)
     )
     return mean, within + apart, optima[int(np.argmax(shares))]
+
+
+def count_modes(optima: Sequence[Optimum], prior: np.ndarray) -> int:
+    """How many of the optima hold a part of the evidence and lie apart from each other; arguments as in `combine`."""
+    shares, kept = evidence_shares(optima, prior), list[Optimum]()
+    for index in np.argsort(-shares):
+        own = optima[index]
+        if shares[index] < LEAST_MODE:
+            break
+        spread = np.linalg.inv(own.information + prior)
+        for other in kept:
+            joint, away = spread + np.linalg.inv(other.information + prior), own.logs - other.logs
+            if away @ np.linalg.solve(joint, away) <= MODES_APART**2:
+                break
+        else:
+            kept.append(own)
+    return len(kept)
 
 
 def distinct(optima: Sequence[Optimum]) -> list[Optimum]:

@@ -79,3 +79,8 @@ def test_delays_are_doubted_at_the_end_of_their_range() -> None:
     stuck = dataclasses.replace(ESTIMATE, delays=(0.04,), delays_at_end=True)
     assert "begun or ended a whole frame" in doubts(stuck, RECOMMENDED)
     assert "begun" not in doubts(dataclasses.replace(ESTIMATE, delays=(0.01,)), RECOMMENDED)
+
+
+def test_doubts_name_several_modes() -> None:
+    told = doubts(dataclasses.replace(ESTIMATE, modes=2), RECOMMENDED)
+    assert told == "2 kinds of tissue far apart explain the motion; the intervals span them all."

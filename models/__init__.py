@@ -1,6 +1,7 @@
 """The networks, their training step, and their exported form.
 
 generator       encoder, parameter head and decoder; discriminator: the PatchGAN
+carried_depth   what physics alone makes of the next picture, for the decoder to start from
 posterior       θ of a contact with its covariance, and how well it can be known; contact_head: beside the picture
 expected_bound  the loss of what can be known; calibration: standard deviations that hold
 module          the training step; losses: its five terms; evidence: the physics term of a posterior

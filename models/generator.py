@@ -17,7 +17,7 @@ from physics.mechanics import Bounds
 
 SMALLEST_SIDE = 16
 """Smallest height and width [pixels]: the features are a quarter of that and still leave a variance to normalise by."""
-DECODERS = ("direct", "residual")
+DECODERS = ("direct", "residual", "physics")
 HEADS = ("parameters", "posterior")
 LEAST_DEPTH = 1e-3
 """Depths are kept this far from 0 and 1 before their logit is taken."""
@@ -100,10 +100,11 @@ class Decoder(nn.Module):
     Source: Bini 2026, section 3.4.1.
     Upsampling resizes to a given size before a 3×3 convolution, so that odd sizes are met exactly.
     Instance norm takes the level and the spread of a depth map away before the decoder sees it, and the tiled θ can't
-    bring them back. `residual` therefore adds the layers' answer to the current frame, in logit space.
+    bring them back. `residual` therefore adds the layers' answer to the current frame, in logit space, and `physics` to
+    what the rollout of θ makes of that (`models.carried_depth`).
     """
 
-    def __init__(self, width: int, residual_blocks: int, kind: Literal["direct", "residual"]) -> None:
+    def __init__(self, width: int, residual_blocks: int, kind: Literal["direct", "residual", "physics"]) -> None:
         super().__init__()
         self.kind = kind
         channels = 4 * width
@@ -113,7 +114,7 @@ class Decoder(nn.Module):
         self.up_half = normalised_block(nn.Conv2d(channels, 2 * width, 3, padding=1, padding_mode="reflect"))
         self.up_full = normalised_block(nn.Conv2d(2 * width, width, 3, padding=1, padding_mode="reflect"))
         self.output = nn.Conv2d(width, 1, 7, padding=3, padding_mode="reflect")
-        if kind == "residual":
+        if kind != "direct":
             with torch.no_grad():
                 self.output.weight.mul_(0.1)  # start near the current frame, with a slope in θ
                 self.output.get_parameter("bias").zero_()
@@ -126,7 +127,7 @@ class Decoder(nn.Module):
         hidden = self.up_half(functional.interpolate(hidden, size=(size[0] // 2, size[1] // 2)))
         hidden = self.up_full(functional.interpolate(hidden, size=size))
         change = self.output(hidden)
-        if self.kind == "residual":
+        if self.kind != "direct":
             change = change + torch.logit(current, eps=LEAST_DEPTH)
         return torch.sigmoid(change)
 
@@ -142,7 +143,7 @@ class Generator(nn.Module):
         width: channels after the first convolution; the features have four times as many.
         residual_blocks: residual blocks of the decoder.
         bounds: admissible box of θ and where the head starts in it.
-        decoder: direct (paper) or residual; see `Decoder`.
+        decoder: direct (paper), residual or physics; see `Decoder`.
         head: parameters (paper): θ from the window alone; posterior: a Gaussian over log θ from the contact's vector
             and the window; see `models.contact_head.ContactHead`.
         contact_features: length of the contact's vector; head posterior needs it.
@@ -154,7 +155,7 @@ class Generator(nn.Module):
         width: int = 64,
         residual_blocks: int = 9,
         bounds: Bounds | None = None,
-        decoder: Literal["direct", "residual"] = "direct",
+        decoder: Literal["direct", "residual", "physics"] = "direct",
         head: Literal["parameters", "posterior"] = "parameters",
         contact_features: int = 0,
     ) -> None:
@@ -231,8 +232,9 @@ class Generator(nn.Module):
         Args:
             features: `encode`'s answer, shape [B, 4·width, H//4, W//4].
             theta: [k_s, k_d, F], physical units, shape [B, 3].
-            current: the current frame's depth, shape [B, 1, H, W]; its invalid pixels (0) stay invalid, because no
-                network can know what a hole hides and a filled hole would give every fake away.
+            current: the current frame's depth, with decoder physics carried along by the rollout of θ, shape
+                [B, 1, H, W]; its invalid pixels (0) stay invalid, because no network can know what a hole hides and a
+                filled hole would give every fake away.
 
         Returns:
             Depth in [0, 1], shape [B, 1, H, W].
@@ -241,6 +243,9 @@ class Generator(nn.Module):
             raise ValueError(f"theta has shape {list(theta.shape)}; expected [{features.shape[0]}, 3].")
         return self.decoder(features, self.head.scaled(theta), current) * (current > 0)
 
-    def generate(self, depth: Tensor, theta: Tensor) -> Tensor:
-        """G(D, θ): window [B, K, H, W] and θ [B, 3] → predicted next depth [B, 1, H, W], exactly the input's size."""
-        return self.decode(self.encode(depth), theta, depth[:, -1:])
+    def generate(self, depth: Tensor, theta: Tensor, start: Tensor | None = None) -> Tensor:
+        """G(D, θ): window [B, K, H, W] and θ [B, 3] → predicted next depth [B, 1, H, W], exactly the input's size.
+
+        `start` is `decode`'s `current`, by default the window's last map.
+        """
+        return self.decode(self.encode(depth), theta, depth[:, -1:] if start is None else start)

@@ -12,6 +12,7 @@ from lightning.pytorch.core.optimizer import LightningOptimizer
 from torch import Tensor
 
 from models.augmentation import AugmentationSettings, WindowAugmentation
+from models.carried_depth import starting_depth
 from models.checkpoint import load_posterior
 from models.discriminator import PatchDiscriminator
 from models.expected_bound import bound_loss
@@ -51,7 +52,8 @@ class PhysicsInformedGAN(LightningModule):
         window: frames in the input window, K.
         width: channels of the networks' first layer.
         residual_blocks: residual blocks of each decoder.
-        decoder: direct (paper): the next depth map from features and θ alone; residual: as a change of the current one.
+        decoder: direct (paper): the next depth map from features and θ alone; residual: as a change of the current one;
+            physics: as a change of what the rollout of θ makes of that.
         head: parameters (paper): θ from the window, trained by the squared displacement error; posterior: θ with its
             covariance from the contact's motion and the window, trained by the evidence bound.
         contact_features: length of the contact's vector, for head posterior; train.py takes it from the data.
@@ -70,7 +72,7 @@ class PhysicsInformedGAN(LightningModule):
         window: int = 1,
         width: int = 64,
         residual_blocks: int = 9,
-        decoder: Literal["direct", "residual"] = "direct",
+        decoder: Literal["direct", "residual", "physics"] = "direct",
         head: Literal["parameters", "posterior"] = "parameters",
         contact_features: int = 0,
         pretrained: str | None = None,
@@ -161,8 +163,8 @@ class PhysicsInformedGAN(LightningModule):
         gan = cycle = identity = physics = regularisation = real_a.new_zeros(())
         fakes = None
         if weights.gan or weights.cycle:
-            fake_b = self.generator_ab.decode(features_a, ab.theta, real_a)
-            fake_a = self.generator_ba.decode(features_b, ba.theta, real_b)
+            fake_b = self.generator_ab.decode(features_a, ab.theta, self._start(real_a, ab.theta, batch, "a"))
+            fake_a = self.generator_ba.decode(features_b, ba.theta, self._start(real_b, ba.theta, batch, "b"))
             if weights.gan:
                 fakes = fake_a, fake_b
                 gan = generator_adversarial_loss(self.discriminator_b(fake_b))
@@ -171,10 +173,12 @@ class PhysicsInformedGAN(LightningModule):
                 # The fake takes the current frame's place among the *real* earlier frames of the other direction's
                 # window. The own window with the fake appended would show the cycle's target to the network that must
                 # find it.
-                cycled_a = self.generator_ba.generate(with_current(window_b, fake_b), ba.theta)
-                cycled_b = self.generator_ab.generate(with_current(window_a, fake_a), ab.theta)
+                start_b, start_a = self._start(fake_b, ba.theta, batch, "b"), self._start(fake_a, ab.theta, batch, "a")
+                cycled_a = self.generator_ba.generate(with_current(window_b, fake_b), ba.theta, start_b)
+                cycled_b = self.generator_ab.generate(with_current(window_a, fake_a), ab.theta, start_a)
                 cycle = cycle_loss(cycled_a, real_a, cycled_b, real_b)
         if weights.identity:
+            # Without a force physics leaves every map as it is.
             unchanged_a = self.generator_ab.decode(features_a, null_parameters(ab.theta), real_a)
             unchanged_b = self.generator_ba.decode(features_b, null_parameters(ba.theta), real_b)
             identity = identity_loss(unchanged_a, real_a) + identity_loss(unchanged_b, real_b)
@@ -217,7 +221,8 @@ class PhysicsInformedGAN(LightningModule):
         self.log("val/physics", physics, prog_bar=True, on_epoch=True, batch_size=pairs, sync_dist=True)
         self._theta["val"].append(ab.theta)
         if batch_index == 0:
-            predicted = self.generator_ab.decode(features_a[:1], ab.theta[:1], batch["window_a"][:1, -1:])
+            start = self._start(batch["window_a"][:, -1:], ab.theta, batch, "a")
+            predicted = self.generator_ab.decode(features_a[:1], ab.theta[:1], start[:1])
             self.sample = (batch["window_b"][0, -1], predicted[0, 0])
 
     def test_step(self, batch: dict[str, Any], batch_index: int) -> None:
@@ -246,6 +251,9 @@ class PhysicsInformedGAN(LightningModule):
         for name, values in zip(PARAMETERS, theta.T, strict=True):
             self.log(f"{stage}/{name}_mean", values.mean(), sync_dist=True)
             self.log(f"{stage}/{name}_sd", values.std(correction=0), sync_dist=True)
+
+    def _start(self, depth: Tensor, theta: Tensor, batch: dict[str, Any], side: str) -> Tensor:
+        return starting_depth(self.generator_ab.decoder.kind, depth, theta, batch, side, self.mechanics)
 
     def _physics(self, ab: Answer, ba: Answer, batch: dict[str, Any]) -> Tensor:
         """L_physics in both directions of time (Bini 2026, figure 2)."""

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from models.carried_depth import starting_depth
 from models.generator import Generator
 from models.losses import masked_l1
 from physics.mechanics import REFERENCE_DAMPING, REFERENCE_STIFFNESS, Mechanics
@@ -49,8 +50,10 @@ def pair_records(batch: dict[str, Any], generator: Generator, mechanics: Mechani
     mesh, load, observation = batch["mesh_a"], batch["load_a"], batch["observation_a"]
     features = generator.encode(window)
     theta = generator.answer(features, batch.get("contact_features_a")).theta
-    predicted = generator.decode(features, theta, now)
-    moved = generator.decode(features, farthest_corner(theta, generator.head.lower, generator.head.upper), now)
+    predicted, moved = (
+        generator.decode(features, value, starting_depth(generator.decoder.kind, now, value, batch, "a", mechanics))
+        for value in (theta, farthest_corner(theta, generator.head.lower, generator.head.upper))
+    )
     trajectory = rollout(theta, mesh, load, mechanics)
     reference = rollout(with_reference_tissue(theta), mesh, load, mechanics)
     error, reference_error = (displacement_error(simulated, observation) for simulated in (trajectory, reference))

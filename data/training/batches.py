@@ -39,8 +39,9 @@ def collate(samples: Sequence[Sample]) -> dict[str, Any]:
 
     Returns:
         `window_a`, `window_b` [B, K, h, w] float32; `mesh_a`, `mesh_b` MeshBatch; `load_a`, `load_b` PressBatch;
-        `observation_a`, `observation_b` ObservationBatch (padded with weight 0); `clip` names; `frame` [B] int64. For
-        trajectories of clips whose noise is known, also what was known of the contact at frame t, the same on both
+        `observation_a`, `observation_b` ObservationBatch (padded with weight 0); `course_a`, `course_b` [B, 2] int64,
+        the rollout's steps at the window's last frame and the one that is predicted; `clip` names; `frame` [B] int64.
+        For trajectories of clips whose noise is known, also what was known of the contact at frame t, the same on both
         sides: `contact_features_a`, … [B, FEATURES] float32 (`data.contact.features`), `noise_a`, … [B] float32
         [scene units], `seen_load_a`, … PressBatch and `seen_observation_a`, … ObservationBatch.
     """
@@ -55,6 +56,7 @@ def collate(samples: Sequence[Sample]) -> dict[str, Any]:
         interactions: list[Interaction] = [getattr(sample, f"interaction_{side}") for sample in samples]
         windows = np.stack([getattr(sample, f"window_{side}") for sample in samples])
         batch[f"window_{side}"] = torch.from_numpy(windows)
+        batch[f"course_{side}"] = torch.tensor([getattr(sample, f"course_{side}") for sample in samples])
         batch[f"mesh_{side}"] = MeshBatch.from_meshes([interaction.mesh for interaction in interactions])
         batch[f"load_{side}"], batch[f"observation_{side}"] = _join(interactions)
         if known:

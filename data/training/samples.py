@@ -32,6 +32,9 @@ class SampleSettings:
     observation: Literal["final", "release", "trajectory"] = "final"
     """final (paper): the motion of one frame against the end of the rollout. release: against the rollout at the end of
     its load. trajectory: the contact's whole motion since its onset, at the frames' own time stamps."""
+    horizon: int = 1
+    """Frames from a sample's current frame to the one that is predicted; 1 is the paper's, where most of what changes
+    is noise. More need observation trajectory."""
     min_deformation: float = 0.0
     """Samples whose observed motion, less the rigid motion, is shorter are left out [scene units]; 0 keeps all."""
     onset_within: int | None = None
@@ -46,6 +49,11 @@ class SampleSettings:
         require_choices(self, "samples.")
         if self.window < 1:
             raise ValueError(f"window is {self.window}; give at least 1 frame.")
+        if self.horizon < 1 or (self.horizon > 1 and self.observation != "trajectory"):
+            raise ValueError(
+                f"horizon is {self.horizon} and observation {self.observation}; give at least 1 frame, and more only "
+                "with observation trajectory."
+            )
         if self.onset_within is not None and self.onset_within < 1:
             raise ValueError(f"onset_within is {self.onset_within}; give at least 1, or leave it out.")
         if not (math.isfinite(self.min_deformation) and self.min_deformation >= 0):
@@ -54,12 +62,12 @@ class SampleSettings:
 
 @dataclass(frozen=True)
 class Sample:
-    """A pair of consecutive frames t, t + 1 for both generators."""
+    """A pair of frames t, t + horizon for both generators."""
 
     window_a: np.ndarray
     """Depth of the frames up to t, oldest first, shape [K, h, w], float32."""
     window_b: np.ndarray
-    """Depth of the frames from t + 1 on, the farthest first and t + 1 last, shape [K, h, w], float32."""
+    """Depth of the frames from t + horizon on, the farthest first, that one last, shape [K, h, w], float32."""
     interaction_a: Interaction
     """Contact forward in time."""
     interaction_b: Interaction
@@ -68,6 +76,10 @@ class Sample:
     """Name of the clip."""
     frame: int
     """Index of t."""
+    course_a: tuple[int, int]
+    """Steps of the rollout of `interaction_a` at frame t and at the one that is predicted."""
+    course_b: tuple[int, int]
+    """The same the other way, of `interaction_b`."""
     seen: Interaction | None = None
     """`interaction_a` as it was known at frame t; none but for trajectories of a clip whose noise is known."""
 
@@ -83,18 +95,22 @@ def list_frames(clip: PreparedClip, settings: SampleSettings) -> tuple[list[int]
 def make_sample(clip: PreparedClip, frame: int, settings: SampleSettings) -> Sample:
     """The sample of a frame that `list_frames` gave."""
     earlier = window_indices(frame, settings.window, clip.consecutive, clip.usable)
-    later = future_indices(frame + 1, settings.window, clip.consecutive, clip.usable)
+    later = future_indices(frame + settings.horizon, settings.window, clip.consecutive, clip.usable)
     if earlier is None or later is None:
         raise ValueError(f"{clip.path} has no depth around frame {frame}; take a frame that list_frames gave.")
     forward, backward, seen = make_interaction(clip, frame, settings), None, None
     if settings.observation != "trajectory":
         backward = _pair(clip, frame + 1, clip.backward, settings)
-    elif forward.noise > 0:
+        onward = course = 0, _pair_steps(settings)
+    else:
         onset = int(clip.track_start[frame])
-        seconds = float(clip.times[frame] - clip.times[onset])
-        seen = builder_of(clip, onset, settings).build(settings.mechanics, until=seconds)
+        since = clip.times[[frame, frame + settings.horizon]] - clip.times[onset]
+        first, last = np.rint(since / settings.mechanics.time_step).astype(int).tolist()
+        onward, course = (first, last), (last, first)
+        if forward.noise > 0:
+            seen = builder_of(clip, onset, settings).build(settings.mechanics, until=float(since[0]))
     window_a, window_b = (np.stack([clip.depth(index) for index in indices]) for indices in (earlier, later))
-    return Sample(window_a, window_b, forward, backward or forward, clip.name, frame, seen)
+    return Sample(window_a, window_b, forward, backward or forward, clip.name, frame, onward, course, seen)
 
 
 def make_interaction(clip: PreparedClip, frame: int, settings: SampleSettings) -> Interaction:
@@ -155,9 +171,10 @@ def _judge_run(clip: PreparedClip, frame: int, settings: SampleSettings) -> str:
         return "onset not seen" if clip.contact[frame] else clip.status[frame]
     if frame - onset >= (settings.onset_within or settings.window):
         return "onset outside the window" if settings.onset_within is None else "onset too far back"
-    if not clip.consecutive[frame]:
+    predicted = frame + settings.horizon
+    if predicted >= len(clip) or not clip.consecutive[frame:predicted].all():
         return "no next frame"
-    if not clip.usable[frame : frame + 2].all():
+    if not clip.usable[[frame, predicted]].all():
         return "bad_depth"
     if settings.geometry.smoothing > 0 and not clip.noise[onset] > 0:
         return "noise not known"
@@ -175,8 +192,13 @@ def _judge_run(clip: PreparedClip, frame: int, settings: SampleSettings) -> str:
 def _pair(clip: PreparedClip, frame: int, motion: np.ndarray, settings: SampleSettings) -> Interaction:
     """One frame's contact and its motion to a neighbouring frame (`motion`, shape [F, 3])."""
     mechanics, vertex = settings.mechanics, int(clip.vertex[frame])
-    steps = mechanics.steps if settings.observation == "final" else max(mechanics.load_steps, 1)
+    steps = _pair_steps(settings)
     direction = force_direction(clip.normal[frame], motion[frame], settings.geometry)
     press = Press.at(vertex, direction, held(mechanics.load_steps, mechanics.steps))
     moved = Observation.of_point(vertex, np.array([steps * mechanics.time_step]), motion[frame : frame + 1], math.nan)
     return Interaction(clip.mesh(frame), press, moved, mechanics.time_step)
+
+
+def _pair_steps(settings: SampleSettings) -> int:
+    """Steps of the rollout after which a pair's motion is compared with it."""
+    return settings.mechanics.steps if settings.observation == "final" else max(settings.mechanics.load_steps, 1)

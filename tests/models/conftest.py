@@ -54,6 +54,7 @@ def make_batch() -> Callable[..., dict[str, Any]]:
             batch[f"load_{side}"] = PressBatch.of(
                 [Press.at(vertex, normal, factor) for vertex, normal in zip(vertices, normals, strict=True)]
             )
+            batch[f"course_{side}"] = torch.tensor([[0, 8], [0, 8]])
             batch[f"observation_{side}"] = ObservationBatch(
                 torch.full((2, 1), 7), sign * torch.tensor([[[0.0, 0.0, 0.02]]]).expand(2, 1, 3), torch.ones(2, 1)
             )

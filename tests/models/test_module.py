@@ -10,6 +10,7 @@ from lightning.pytorch import Trainer
 from torch.utils.data import DataLoader
 
 from models.augmentation import AugmentationSettings
+from models.carried_depth import carried
 from models.expected_bound import bound_loss
 from models.losses import LossWeights, posterior_physics_loss
 from models.module import PhysicsInformedGAN, TrainingDiverged, with_current
@@ -118,11 +119,26 @@ def test_cycle_of_a_longer_window_never_shows_its_target(make_batch):
     batch = make_batch(window=3)
     module = build(window=3)
     seen = []
-    module.generator_ba.generate, inner = lambda w, t: seen.append(w) or inner(w, t), module.generator_ba.generate
+    inner = module.generator_ba.generate
+    module.generator_ba.generate = lambda window, *more: seen.append(window) or inner(window, *more)
     module.generator_losses(batch)
     real_a = batch["window_a"][:, -1]
     assert torch.equal(seen[0][:, :-1], batch["window_b"][:, :-1])
     assert all(not torch.equal(seen[0][:, channel], real_a) for channel in range(3))
+
+
+def test_a_decoder_of_physics_starts_from_what_theta_makes_of_the_map(make_batch):
+    """Without its layers' part, the fake is the carried map, and its error pulls at θ through the rollout alone."""
+    batch, module = make_batch(), build(decoder="physics")
+    for generator in (module.generator_ab, module.generator_ba):
+        torch.nn.init.zeros_(generator.decoder.output.weight)
+    _, (_, fake_b), theta = module.generator_losses(batch)
+    carry = batch["mesh_a"], batch["load_a"], batch["course_a"], module.mechanics
+    expected = carried(batch["window_a"][:, -1:], theta, *carry)
+    torch.testing.assert_close(fake_b, expected, atol=1e-4, rtol=0)
+    assert (fake_b - batch["window_a"][:, -1:]).abs().max() > 1e-3
+    (fake_b - batch["window_b"][:, -1:]).square().sum().backward()
+    assert module.generator_ab.head.layers[-1].weight.grad.abs().max() > 0
 
 
 def test_every_picture_is_conditioned_on_its_own_generators_theta(make_batch):

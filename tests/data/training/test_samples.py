@@ -173,12 +173,32 @@ def test_direction_of_the_observed_motion(clip):
     assert sample.interaction_b.direction @ clip.normal[5] > 0
 
 
+def test_a_longer_horizon_predicts_a_later_frame(clip):
+    """Contact in frames 3 to 7 of 12, 40 ms apart, followed to the second's end; 8 steps of the rollout a frame."""
+    settings = replace(TRAJECTORY, horizon=3, onset_within=26)
+    frames, _ = list_frames(clip, settings)
+    assert frames == [frame for frame in list_frames(clip, replace(settings, horizon=1))[0] if frame + 3 < len(clip)]
+    assert frames
+    sample = make_sample(clip, 4, settings)
+    assert np.array_equal(sample.window_a[-1], clip.depth(4))
+    assert np.array_equal(sample.window_b, [clip.depth(10), clip.depth(9), clip.depth(8), clip.depth(7)])
+    assert (sample.course_a, sample.course_b) == ((8, 32), (32, 8))
+
+
+@pytest.mark.parametrize(("observation", "last"), [("final", 200), ("release", 50)])
+def test_a_pairs_course_is_from_rest_to_where_it_is_compared(clip, observation, last):
+    sample = make_sample(clip, 4, replace(PAIRS, observation=observation))
+    assert sample.course_a == sample.course_b == (0, last)
+
+
 @pytest.mark.parametrize(
     "wrong",
     [
         {"window": 0},
         {"min_deformation": float("nan")},
         {"onset_within": 0},
+        {"horizon": 0, "observation": "trajectory"},
+        {"horizon": 2},
     ],
 )
 def test_impossible_settings_are_refused(wrong):

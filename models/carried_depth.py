@@ -22,6 +22,9 @@ from physics.msd.batch import LoadBatch, MeshBatch
 
 REACH = 12
 """Vertices up to so many rows and columns from the contact are carried."""
+HALF = REACH + 3
+"""The maps in which they move reach so many pixels from it: tissue shifts by a few of them at most."""
+SIDE = 2 * HALF + 1
 ITERATIONS = 8
 """To find what a pixel shows: tissue that shifts by s pixels a pixel is found to s to this power."""
 INSIDE = 0.999
@@ -50,13 +53,13 @@ def carried(
     """
     if tuple(mesh.grid_shape) != tuple(depth.shape[2:]):
         raise ValueError(f"depth is {list(depth.shape[2:])}, the mesh's grid {list(mesh.grid_shape)}; give one grid.")
-    watched = _around_contact(mesh, load)
-    path = rollout(theta, mesh, load, mechanics, watch=watched)
+    dent = _Dent(mesh, load, depth)
+    path = rollout(theta, mesh, load, mechanics, watch=dent.watched)
     path = torch.cat([torch.zeros_like(path[:, :1]), path], dim=1)
     index = course.clamp(max=path.shape[1] - 1)[:, :, None, None].expand(-1, -1, *path.shape[2:])
-    sheets = _Sheets(mesh, watched, depth)
-    before, after = (sheets.sunk(moved) for moved in path.gather(1, index).to(depth).unbind(1))
-    return torch.where(depth > 0, (depth + after - before).clamp(min=0.0, max=1.0), 0.0)
+    before, after = (dent.sunk(moved) for moved in path.gather(1, index).to(depth).unbind(1))
+    change = dent.in_picture(after - before)
+    return torch.where(depth > 0, (depth + change).clamp(min=0.0, max=1.0), 0.0)
 
 
 def starting_depth(
@@ -76,54 +79,52 @@ def starting_depth(
     return carried(depth, theta, mesh, load, course, mechanics)
 
 
-def _around_contact(mesh: MeshBatch, load: LoadBatch) -> Tensor:
-    """Vertices within REACH of the contacts, each within its own mesh, shape [B, M]; filled up by the contacts."""
-    starts = mesh.vertex_offsets[:-1]
-    contacts = load.vertices[load.offsets[:-1]]
-    apart = mesh.pixels - mesh.pixels[(starts + contacts)[mesh.sample_of_vertex()]]
-    near = (apart.abs() <= REACH).all(dim=1)
-    ends = mesh.vertex_offsets.tolist()
-    found = [near[first:last].nonzero()[:, 0] for first, last in pairwise(ends)]
-    most = max(len(vertices) for vertices in found)
-    return torch.stack(
-        [torch.cat([own, contact.expand(most - len(own))]) for own, contact in zip(found, contacts, strict=True)]
-    )
+class _Dent:
+    """The tissue around B contacts as maps of S × S pixels, of the type of `like`; M vertices of each mesh move."""
 
-
-class _Sheets:
-    """The tissue around B contacts as maps, of the type of `like`; vertices [B, M] are those that move."""
-
-    def __init__(self, mesh: MeshBatch, watched: Tensor, like: Tensor) -> None:
-        batch, (height, width) = len(watched), mesh.grid_shape
-        sample = mesh.sample_of_vertex()
-        place = mesh.pixels[:, 0] * width + mesh.pixels[:, 1]
+    def __init__(self, mesh: MeshBatch, load: LoadBatch, like: Tensor) -> None:
+        height, width = mesh.grid_shape
+        self._shape = height, width
+        starts, ends, sample = mesh.vertex_offsets[:-1], mesh.vertex_offsets.tolist(), mesh.sample_of_vertex()
+        batch, contacts = len(starts), load.vertices[load.offsets[:-1]]
+        centre = mesh.pixels[starts + contacts]
+        apart = mesh.pixels - centre[sample]
+        near = (apart.abs() <= REACH).all(dim=1)
+        found = [near[first:last].nonzero()[:, 0] for first, last in pairwise(ends)]
+        most = max(len(vertices) for vertices in found)
+        self.watched = torch.stack(
+            [torch.cat([own, contact.expand(most - len(own))]) for own, contact in zip(found, contacts, strict=True)]
+        )
+        """Vertices within REACH of the contacts, each within its own mesh, shape [B, M]; filled up by the contacts."""
+        joined = self.watched + starts[:, None]
         vertices = mesh.vertices.to(like)
-        flat = vertices.new_zeros(batch, 2, height * width)
-        flat[sample, 0, place] = vertices[:, 2]
-        flat[sample, 1, place] = 1.0
-        self._rest = flat.view(batch, 2, height, width)
-        """Depth at rest, and 1 where there is tissue, shape [B, 2, H, W]."""
-        joined = watched + mesh.vertex_offsets[:-1, None]
-        self._places = place[joined]
         self._vertices = vertices[joined]
-        self._camera = self._vertices.new_zeros(batch, 1, 3, 3)
-        self._camera[:, 0, [0, 1], [0, 1]] = torch.stack(
-            [_focal_lengths(*(values[sample == index] for values in (vertices, mesh.pixels))) for index in range(batch)]
-        )
+        self._places = ((apart[joined] + HALF) * like.new_tensor([SIDE, 1], dtype=torch.int64)).sum(dim=-1)
+        """Of the vertices in the maps, shape [B, M]."""
+        inner = (apart.abs() <= HALF).all(dim=1)
+        self._rest = vertices.new_zeros(batch, 2, SIDE, SIDE)
+        """Depth at rest, and 1 where there is tissue, shape [B, 2, S, S]."""
+        rows, columns = (apart[inner] + HALF).unbind(dim=1)
+        self._rest[sample[inner], 0, rows, columns] = vertices[inner, 2]
+        self._rest[sample[inner], 1, rows, columns] = 1.0
+        self._camera = vertices.new_zeros(batch, 1, 3, 3)
+        focal = [_focal_lengths(vertices[first:last], mesh.pixels[first:last]) for first, last in pairwise(ends)]
+        self._camera[:, 0, [0, 1], [0, 1]] = torch.stack(focal)
         self._camera[:, 0, 2, 2] = 1.0
-        rows, columns = torch.meshgrid(
-            *(torch.arange(size, device=like.device, dtype=like.dtype) for size in (height, width)),
-            indexing="ij",
-        )
-        self._pixels = torch.stack([columns, rows]).expand(batch, -1, -1, -1)
+        steps = torch.arange(SIDE, device=like.device)
+        grid = torch.stack(torch.meshgrid(steps, steps, indexing="ij"))
+        self._pixels = grid.flip(0).to(like).expand(batch, -1, -1, -1)
+        """Columns and rows of the maps, shape [B, 2, S, S]."""
+        rows, columns = (centre[:, :, None, None] + grid - HALF).unbind(dim=1)
+        self._inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
+        self._in_picture = rows.clamp(0, height - 1) * width + columns.clamp(0, width - 1)
 
     def sunk(self, moved: Tensor) -> Tensor:
-        """Change of every pixel's depth from rest at displacements [B, M, 3], shape [B, 1, H, W]."""
+        """Change of every pixel's depth from rest at displacements [B, M, 3], shape [B, 1, S, S]."""
         shift = project_points(self._vertices + moved, self._camera) - project_points(self._vertices, self._camera)
         values = torch.cat([shift, moved[..., 2:]], dim=2).transpose(1, 2)
-        batch, _, height, width = self._rest.shape
-        places = self._places[:, None].expand(-1, 3, -1)
-        maps = values.new_zeros(batch, 3, height * width).scatter(2, places, values).view(batch, 3, height, width)
+        maps = values.new_zeros(len(values), 3, SIDE * SIDE)
+        maps = maps.scatter(2, self._places[:, None].expand(-1, 3, -1), values).view(-1, 3, SIDE, SIDE)
         # What a pixel shows lay at rest where the shift leads to the pixel.
         origin = self._pixels
         for _ in range(ITERATIONS):
@@ -131,6 +132,13 @@ class _Sheets:
         rest = _at(self._rest, origin)
         sloping = torch.where((rest[:, 1:] > INSIDE) & (self._rest[:, 1:] > 0), rest[:, :1] - self._rest[:, :1], 0.0)
         return _at(maps[:, 2:], origin) + sloping
+
+    def in_picture(self, change: Tensor) -> Tensor:
+        """Maps [B, 1, S, S] in the whole picture, 0 elsewhere, shape [B, 1, H, W]."""
+        height, width = self._shape
+        whole = change.new_zeros(len(change), height * width)
+        known = torch.where(self._inside, change[:, 0], 0.0).flatten(1)
+        return whole.scatter_add(1, self._in_picture.flatten(1), known).view(-1, 1, height, width)
 
 
 def _at(maps: Tensor, places: Tensor) -> Tensor:

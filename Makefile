@@ -44,6 +44,7 @@ demo: $(INSTALLED)
 bench: $(INSTALLED)
 	$(BIN)/python -m benchmarks.rollout
 	$(BIN)/python -m benchmarks.training_step
+	$(BIN)/python -m benchmarks.inference
 
 # An interrupted run goes on where it was: a finished training is kept, and so is every validation clip. After a change of
 # the code `rm -r runs/contact` first, or the old training is exported again.

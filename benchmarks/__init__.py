@@ -1,6 +1,7 @@
 """What is timed or measured once, against what; each is run by `python -m benchmarks.NAME`.
 
 rollout             the differentiable rollout against plain torch, and a press on a patch against one on a vertex
+inference           where the time of inference goes: encoder and head alone, and every stage of infer.py
 training_step       where the time of a training step goes
 physics_plots       the pictures of docs/physics.md
 observation_bounds  what each kind of observation can tell about θ

@@ -24,6 +24,7 @@ DOORS = {
     "evaluation.calibration": ["-m", "evaluation.calibration"],
     "evaluation.ablations": ["-m", "evaluation.ablations"],
     "benchmarks.automatic_masks": ["-m", "benchmarks.automatic_masks"],
+    "benchmarks.inference": ["-m", "benchmarks.inference"],
     "benchmarks.observation_bounds": ["-m", "benchmarks.observation_bounds"],
     "benchmarks.photometric_depth": ["-m", "benchmarks.photometric_depth"],
     "benchmarks.physics_plots": ["-m", "benchmarks.physics_plots"],

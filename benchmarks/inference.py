@@ -1,0 +1,109 @@
+"""Where the time of inference goes, a frame: the networks alone, and every stage of `infer.py`.
+
+    python -m benchmarks.inference
+
+The networks are exported with random weights, which cost what trained ones do. Bini 2026, section 4.3, has 1.67 ms for
+encoder and head and 921 ms for the depth network, on a GPU; here all runs on the CPU. The clip is synthetic, as frames
+with stored depth and annotated masks, and as a video without either (photometric depth, automatic masks).
+"""
+
+from __future__ import annotations
+
+from physics.doors import enter_door, run_door
+
+if __name__ == "__main__":
+    enter_door()  # before the slow imports
+
+import json
+import shutil
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from benchmarks.shared import command_line, machine, print_table, timed
+from data.contact.features import FEATURES
+from data.synthetic.__main__ import main as make_clips
+from infer import main as infer
+from models.generator import Generator
+from models.onnx_export import export
+from models.onnx_session import ParameterModel, PosteriorModel, open_model
+from physics.mechanics import RECOMMENDED
+
+FOLDER = Path("runs/bench/inference")
+SIZE = 120, 214
+"""Height and width of the networks' input."""
+RUNS, FRAMES = 20, 32
+NETWORKS = {
+    "paper.yaml": {"channels": 1},
+    "recommended.yaml": {"channels": 8, "head": "posterior", "contact_features": FEATURES, "bounds": RECOMMENDED},
+}
+"""What differs from the generator's defaults."""
+ESTIMATORS = ("network", "direct")
+
+
+def exported(name: str) -> Path:
+    """The ONNX file of a configuration's encoder and head, with random weights."""
+    settings = NETWORKS[name]
+    torch.manual_seed(0)
+    file = FOLDER / f"{Path(name).stem}.onnx"
+    size = {"window": settings["channels"], "height": SIZE[0], "width": SIZE[1]}
+    export(Generator(**settings), file, {"input": size})
+    return file
+
+
+def encoder_and_head(name: str, threads: int | None) -> float:
+    """Median time of one frame [ms]."""
+    model, generator = open_model(exported(name), threads), np.random.default_rng(0)
+    window = generator.random((1, model.window, *SIZE), dtype=np.float32)
+    if isinstance(model, PosteriorModel):
+        contact = np.zeros((1, FEATURES), np.float32)
+        return float(np.median([timed(model, contact, window)[1] for _ in range(RUNS)]))
+    assert isinstance(model, ParameterModel)
+    return float(np.median([timed(model, window)[1] for _ in range(RUNS)]))
+
+
+def stages(clip: Path, source: str, estimator: str) -> dict[str, float]:
+    """Time by stage of `infer.py` on a clip [ms a frame].
+
+    Raises:
+        RuntimeError: it failed.
+    """
+    output = FOLDER / "results" / source / estimator
+    with redirect_stdout(StringIO()), redirect_stderr(StringIO()):
+        status = infer([str(clip), "--estimator", estimator, "--output", str(output)])
+    if status != 0:
+        raise RuntimeError(f"infer.py ended with status {status} on {clip}.")
+    record = json.loads(next(output.rglob("run.json")).read_text(encoding="utf-8"))
+    return {stage: 1e3 * seconds / FRAMES for stage, seconds in record["timings_s"].items()}
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Print both tables; returns the exit status."""
+    command_line(__doc__).parse_args(arguments)
+    shutil.rmtree(FOLDER, ignore_errors=True)
+    FOLDER.mkdir(parents=True)
+    title = f"ms a frame ({machine()}; the paper: 1.67 for encoder and head, 921 for depth, on a GPU)"
+    print(f"Encoder and head, {SIZE[1]}x{SIZE[0]}, {title}\n")
+    rows = ([name, *(f"{encoder_and_head(name, threads):.1f}" for threads in (1, None))] for name in NETWORKS)
+    print_table(("configuration", "1 thread", "all threads"), rows)
+    make_clips(["--output", str(FOLDER / "clips"), "--clips", "1", "--frames", str(FRAMES), "--seed", "1"])
+    folder = next(path.parent for path in (FOLDER / "clips").rglob("clip.json"))
+    found = {
+        (source, estimator): stages(path, source, estimator)
+        for source, path in (("frames", folder), ("video", folder.with_name(f"{folder.name}.mp4")))
+        for estimator in ESTIMATORS
+    }
+    names = list(dict.fromkeys(stage for times in found.values() for stage in times))
+    print(f"\nStages of infer.py on frames of 854x480, {title}\n")
+    print_table(
+        ("source", "estimator", *names),
+        ((*key, *(f"{times[name]:.1f}" if name in times else "" for name in names)) for key, times in found.items()),
+    )
+    return 0
+
+
+if __name__ == "__main__":
+    run_door(main)

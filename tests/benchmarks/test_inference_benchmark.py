@@ -1,0 +1,37 @@
+"""The inference benchmark times the sizes that the configurations have, and reads what infer.py writes down."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from benchmarks import inference
+from benchmarks.inference import NETWORKS, encoder_and_head, exported, stages
+from data.synthetic.clip import write_clip
+from data.synthetic.settings import SceneSettings
+from models.onnx_session import open_model
+from tests.test_architecture import ROOT
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(inference, "FOLDER", tmp_path)
+    monkeypatch.setattr(inference, "RUNS", 2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NETWORKS)
+def test_networks_are_as_large_as_configured(name: str) -> None:
+    configured = yaml.safe_load((ROOT / "configs" / name).read_text())
+    assert open_model(exported(name)).window == configured["data"].get("samples", {}).get("window", 1)
+    assert configured["model"]["width"] == 64
+    assert 0.1 < encoder_and_head(name, 1) < 10_000
+
+
+def test_stages_are_those_of_the_record(tmp_path: Path) -> None:
+    clip = write_clip(tmp_path / "clips", 1, SceneSettings(width=214, height=120, frames=16), seed=1)
+    times = stages(clip, "frames", "network")
+    assert {"decode", "depth", "geometry", "overlay", "total"} <= set(times)
+    assert sum(value for name, value in times.items() if name != "total") <= times["total"] * 1.01

@@ -19,6 +19,7 @@ import shutil
 from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -36,7 +37,7 @@ FOLDER = Path("runs/bench/inference")
 SIZE = 120, 214
 """Height and width of the networks' input."""
 RUNS, FRAMES = 20, 32
-NETWORKS = {
+NETWORKS: dict[str, dict[str, Any]] = {
     "paper.yaml": {"channels": 1},
     "recommended.yaml": {"channels": 8, "head": "posterior", "contact_features": FEATURES, "bounds": RECOMMENDED},
 }

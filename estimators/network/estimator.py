@@ -23,10 +23,10 @@ from estimators.oblique import effective_misfit, is_oblique, remark, view_angle,
 from estimators.onset import onset_error, onset_perturbations
 from estimators.runs import Run, RunSession, force_arrow, frame_estimate
 from models.onnx_session import CONTACT, ModelFileError, PosteriorModel
-from physics.likelihood import Likelihood
+from physics.identifiability import fisher_information, log_jacobian
 from physics.load import Press, held
 from physics.mechanics import Mechanics, theta_of
-from physics.msd.simulation import simulate
+from physics.msd.simulation import is_chaotic, simulate, simulate_sensitivities
 
 LEAST_OBSERVATIONS = 2
 """Frames after the onset in which the tissue was followed; the network never saw fewer."""
@@ -144,36 +144,52 @@ def compared(contact: Interaction, mechanics: Mechanics, logs: np.ndarray, withi
     Returns:
         Root mean square residual along the force [σ], and the Fisher information [3, 3].
     """
-    likelihood = Likelihood(contact.mesh, contact.load, contact.observation, mechanics, np.float32)
-    found = likelihood.linearise(logs)
-    along = found.residual.reshape(-1, 3) @ contact.direction
-    if within:
-        along = _explained(contact, mechanics, logs, within)
-    return float(np.sqrt(np.square(along).mean())), found.information
-
-
-def _explained(contact: Interaction, mechanics: Mechanics, logs: np.ndarray, within: float) -> np.ndarray:
-    """Residual along the force [N] in σ with the delays that make it least; that of the release to first order."""
-    step, times = mechanics.time_step, contact.observation.times
-    steps = int(contact.observation.steps(step).max()) + 1 + math.ceil(within / step)
-
-    def moved(seconds: float) -> np.ndarray:
-        press = dataclasses.replace(contact.load, factor=held(seconds / step, steps))
-        return simulate(theta_of(logs), contact.mesh, press, mechanics) @ np.asarray(contact.direction, np.float64)
-
+    step, theta = mechanics.time_step, theta_of(logs)
+    seen, direction = contact.observation.steps(step), np.asarray(contact.direction, np.float64)
+    steps = int(seen.max()) + 1 + math.ceil(within / step)
     loaded = contact.load_seconds if contact.released else math.inf
-    paths = [moved(loaded)] + ([moved(loaded + within)] if contact.released else [])
-    best, least = contact.along, math.inf
-    for delay in within * DELAYS:
-        path, *later = between_steps(np.stack(paths, axis=1), step, times - delay)[0].T
-        left = path - contact.along
-        if later:  # the release may be later or earlier than the beginning
-            change = later[0] - path
-            share = -(change @ left) / max(float(change @ change), 1e-30)
-            left = left + np.clip(share, -1 - delay / within, 1 - delay / within) * change
-        if float(left @ left) < least:
-            best, least = left, float(left @ left)
-    return best / contact.noise
+    press = dataclasses.replace(contact.load, factor=held(loaded / step, steps))
+    path, slopes = simulate_sensitivities(theta, contact.mesh, press, mechanics, dtype=np.float32)
+    slopes = log_jacobian(slopes.astype(np.float64), theta)
+    if is_chaotic(path, slopes):
+        slopes = np.zeros_like(slopes)
+    information = fisher_information(slopes[seen].reshape(-1, len(logs)), contact.noise)
+    path = path @ direction
+    left = _left_with_delays(path, contact, within, step) if within else path[seen] - contact.along
+    return float(np.sqrt(np.square(left).mean())) / contact.noise, information
+
+
+def _left_with_delays(path: np.ndarray, contact: Interaction, within: float, step: float) -> np.ndarray:
+    """What delays of the press that fit best leave unexplained of the motion along the force, shape [N] [scene units].
+
+    As if motions added up: a press that ends is one that lasts, less one that begins when it ends.
+
+    Args:
+        path: along the force, after every step since the time stamp of the beginning, shape [T].
+        within: largest delay of the beginning, and of the end where it was seen [s].
+        step: of time [s].
+    """
+    times, tried, lasting = contact.observation.times, within * DELAYS, path.astype(np.float64)
+    began = between_steps(lasting, step, (times - tried[:, None]).ravel())
+    if contact.released:
+        pressed = round(contact.load_seconds / step)
+        for first in range(pressed, len(lasting), pressed):
+            lasting[first : first + pressed] += lasting[first - pressed : first][: len(lasting) - first]
+        began = between_steps(lasting, step, (times - tried[:, None]).ravel())
+        ended = between_steps(lasting, step, (times - pressed * step - tried[:, None]).ravel())
+    else:
+        tried, ended = tried[:1], tuple(np.zeros(len(times)) for _ in range(2))
+    (began, began_rate), (ended, ended_rate) = (
+        (values.reshape(-1, len(times)) for values in pair) for pair in (began, ended)
+    )
+    left = began[:, None] - ended - contact.along
+    first, last = np.unravel_index(np.argmin(np.square(left).sum(axis=2)), left.shape[:2])
+    # Between the delays that were tried.
+    rates = np.stack([-began_rate[first], ended_rate[last]], axis=1)
+    further = np.linalg.lstsq(rates, -left[first, last], rcond=None)[0]
+    half = 0.5 * within * (DELAYS[1] - DELAYS[0])
+    moved = left[first, last] + rates @ np.clip(further, -half, half)
+    return min(left[first, last], moved, key=lambda values: float(values @ values))
 
 
 class NetworkSession(RunSession):

@@ -40,6 +40,10 @@ demo: $(INSTALLED)
 	@echo "network:  $(DEMO)/parameters.onnx"
 	@echo "results:  $(DEMO)/results/*/ (parameters.csv, interactions.csv, overlay.mp4, summary.png, fit.png, run.json)"
 	@ls -1 $(DEMO)/results/*/parameters.csv $(DEMO)/results/*/overlay.mp4 $(DEMO)/results/*/summary.png
+	@echo
+	@echo "What fitting the simulator makes of the same clip (infer.py --estimator direct), beside the truth:"
+	@$(BIN)/python infer.py $(VIDEO) --estimator direct --onset stamp --output $(DEMO)/fits --overwrite > $(DEMO)/fits.log 2>&1
+	@$(BIN)/python -m evaluation.beside_truth $(DEMO)/fits/$(notdir $(VIDEO))
 
 bench: $(INSTALLED)
 	$(BIN)/python -m benchmarks.rollout

@@ -23,6 +23,7 @@ DOORS = {
     "evaluation.benchmark": ["-m", "evaluation.benchmark"],
     "evaluation.calibration": ["-m", "evaluation.calibration"],
     "evaluation.ablations": ["-m", "evaluation.ablations"],
+    "evaluation.beside_truth": ["-m", "evaluation.beside_truth"],
     "evaluation.next_depth": ["-m", "evaluation.next_depth"],
     "benchmarks.automatic_masks": ["-m", "benchmarks.automatic_masks"],
     "benchmarks.inference": ["-m", "benchmarks.inference"],

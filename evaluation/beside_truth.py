@@ -1,0 +1,108 @@
+"""Estimates of synthetic clips beside their truth, as a table a clip.
+
+    python -m evaluation.beside_truth RESULTS [RESULTS …]
+
+RESULTS are folders that `infer.py` wrote, of frame folders that `python -m data.synthetic` drew. Exit status: 0 all
+shown; 1 some are of no such clip, or have no estimate of its run of contact; 2 wrong usage.
+"""
+
+from __future__ import annotations
+
+from physics.doors import enter_door, run_door
+
+if __name__ == "__main__":
+    enter_door()  # before the slow imports
+
+import argparse
+import csv
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from data.command_line import path_option, say
+from estimators.estimate import COMBINATIONS, REPORTED, SYMBOLS
+from physics.doors import plain
+from physics.mechanics import PARAMETERS
+from results.store import INTERACTIONS, RECORD
+
+UNIT = {"damping_over_stiffness": "s"}
+"""Of quantities that are not in scene units alone."""
+SAME_ONSET = 1.5
+"""A run of contact is the true one where it begins within so many frames of it."""
+
+
+class NoTruth(ValueError):
+    """Results can't be shown beside the truth; the message is a sentence."""
+
+
+def true_values(theta: Mapping[str, float]) -> dict[str, float]:
+    """Every REPORTED combination of the true k_s, k_d and signed F."""
+    magnitudes = np.abs([theta[name] for name in PARAMETERS])
+    return {name: float(np.prod(magnitudes ** np.array(COMBINATIONS[name]))) for name in REPORTED}
+
+
+def read_results(folder: Path) -> tuple[str, dict[str, str], dict[str, float]]:
+    """Name of a clip, the row of `interactions.csv` of its true run of contact, and its true values.
+
+    Raises:
+        NoTruth: they are no results, of no synthetic clip, or have no such run.
+    """
+    try:
+        record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+        clip, fps = Path(record["input"]["path"]), float(record["input"]["fps"])
+        with (folder / INTERACTIONS).open(newline="", encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise NoTruth(f"{folder} holds no results of infer.py ({error}); give the folder of one clip.") from error
+    try:
+        truth = json.loads((clip / "truth.json").read_text(encoding="utf-8"))
+        values, onset = true_values(truth["theta"]), float(truth["onset_s"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise NoTruth(f"{clip} has no truth ({error}); give results of a frame folder of data.synthetic.") from error
+    for row in rows:
+        if row["status"] == "ok" and abs(float(row["onset_time_s"]) - onset) * fps <= SAME_ONSET:
+            return clip.name, row, values
+    raise NoTruth(f"{folder} has no estimate of a run of contact that begins at {onset:.2f} s, where it truly does.")
+
+
+def table_of(name: str, row: Mapping[str, str], truth: Mapping[str, float]) -> Table:
+    """Every quantity with its estimate, interval and truth; numbers of what is not determined are not shown."""
+    title = f"{name}: {row['verdict']}; normalised units, not N/m or N"
+    table = Table("quantity", "estimate", "90 % interval", "truth", "", title=plain(title))
+    determined = row["determined"].split(";")
+    for quantity in REPORTED:
+        label = f"{quantity.replace('_', ' ')} {SYMBOLS[quantity]} {UNIT.get(quantity, '')}".strip()
+        estimate, low, high = (row.get(f"{quantity}{end}", "") for end in ("", "_low", "_high"))
+        cells = [label, "not determined", "", f"{truth[quantity]:.3g}", ""]
+        if estimate and quantity in determined:
+            cells[1] = f"{float(estimate):.3g}"
+            if low and high:
+                held = float(low) <= truth[quantity] <= float(high)
+                cells[2], cells[4] = f"{float(low):.3g} to {float(high):.3g}", "held" if held else "missed"
+        table.add_row(*map(Text, cells))
+    return table
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Print the tables; returns the exit status."""
+    parser = argparse.ArgumentParser(prog="python -m evaluation.beside_truth", description=__doc__.split("\n")[0])
+    parser.add_argument("results", nargs="+", type=path_option, metavar="RESULTS", help="folder of infer.py")
+    options: Any = parser.parse_args(arguments)
+    console, status = Console(), 0
+    for folder in options.results:
+        try:
+            console.print(table_of(*read_results(folder)))
+        except NoTruth as error:
+            say(Console(stderr=True), str(error), "red")
+            status = 1
+    return status
+
+
+if __name__ == "__main__":
+    run_door(main)

@@ -1,0 +1,89 @@
+"""Estimates beside the truth: numbers of what is determined only, and whether the interval holds."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+
+from evaluation.beside_truth import main, true_values
+
+THETA = {"stiffness": 0.4, "damping": 0.02, "force": -0.05}
+ROW = {
+    "onset_time_s": "0.28",
+    "status": "ok",
+    "verdict": "ratios",
+    "determined": "stiffness;damping_over_stiffness",
+    "stiffness": "0.41",
+    "stiffness_low": "0.39",
+    "stiffness_high": "0.43",
+    "damping": "0.021",
+    "damping_low": "0.01",
+    "damping_high": "0.04",
+    "damping_over_stiffness": "0.06",
+    "damping_over_stiffness_low": "0.055",
+    "damping_over_stiffness_high": "0.065",
+}
+
+
+@pytest.fixture
+def results(tmp_path: Path) -> Path:
+    clip, folder = tmp_path / "video01_00000", tmp_path / "results"
+    clip.mkdir()
+    folder.mkdir()
+    (clip / "truth.json").write_text(json.dumps({"theta": THETA, "onset_s": 0.28}))
+    (folder / "run.json").write_text(json.dumps({"input": {"path": str(clip), "fps": 25.0}}))
+    write_rows(folder, {**ROW, "onset_time_s": "0.04", "stiffness": "9"}, ROW)
+    return folder
+
+
+def write_rows(folder: Path, *rows: dict[str, str]) -> None:
+    with (folder / "interactions.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(ROW))
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def cells(text: str) -> dict[str, list[str]]:
+    """Cells of the printed table by the first word of the quantity."""
+    lines = [[cell.strip() for cell in line.split("│")[1:-1]] for line in text.splitlines() if "│" in line]
+    return {line[0]: line[1:] for line in lines}
+
+
+def test_true_values_are_those_of_the_magnitudes() -> None:
+    assert true_values(THETA) == pytest.approx(
+        {
+            "stiffness": 0.4,
+            "damping": 0.02,
+            "force": 0.05,
+            "damping_over_stiffness": 0.05,
+            "force_over_stiffness": 0.125,
+        }
+    )
+
+
+def test_only_what_is_determined_has_numbers(
+    results: Path, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "120")
+    assert main([str(results)]) == 0
+    printed = capsys.readouterr().out
+    assert "video01_00000: ratios" in printed
+    assert "not N/m or N" in printed
+    found = cells(printed)
+    assert found["stiffness k_s"] == ["0.41", "0.39 to 0.43", "0.4", "held"]
+    assert found["damping k_d"] == ["not determined", "", "0.02", ""]
+    assert found["damping over stiffness k_d/k_s s"] == ["0.06", "0.055 to 0.065", "0.05", "missed"]
+
+
+def test_what_can_t_be_shown_is_said_in_a_sentence(results: Path, capsys: pytest.CaptureFixture) -> None:
+    write_rows(results, {**ROW, "onset_time_s": "0.36"})
+    assert main([str(results)]) == 1
+    assert "no estimate of a run of contact that begins at 0.28 s" in " ".join(capsys.readouterr().err.split())
+    (results.parent / "video01_00000" / "truth.json").unlink()
+    assert main([str(results)]) == 1
+    assert "has no truth" in " ".join(capsys.readouterr().err.split())
+    assert main([str(results.parent)]) == 1
+    assert "holds no results of infer.py" in " ".join(capsys.readouterr().err.split())

@@ -35,6 +35,8 @@ NO_NOISE = "The depth's noise isn't known; prepare with geometry.smoothing above
 LARGEST_MISFIT = 1.5
 """A motion farther from the simulated one than this many σ is unlike what the network was trained on, and its own
 covariance means nothing: that of a noise as large as the misfit, within the box, is added."""
+DOUBTFUL = 1.2
+"""Presses of unknown instants that seem farther from their motion than this many σ are simulated anew."""
 UNEXPLAINED = "The model does not explain the motion, which lies {:.2g} times the noise from it; intervals are widened."
 ROUNDING = 1e-6
 """Of times [s]."""
@@ -155,41 +157,55 @@ def compared(contact: Interaction, mechanics: Mechanics, logs: np.ndarray, withi
         slopes = np.zeros_like(slopes)
     information = fisher_information(slopes[seen].reshape(-1, len(logs)), contact.noise)
     path = path @ direction
-    left = _left_with_delays(path, contact, within, step) if within else path[seen] - contact.along
-    return float(np.sqrt(np.square(left).mean())) / contact.noise, information
+    if within:
+        left, delays = _left_with_delays(path, contact, within, step)
+        if contact.released and _rms(left) > DOUBTFUL * contact.noise:
+            # Large motions do not quite add up.
+            loaded = contact.load_seconds + delays[1] - delays[0]
+            press = dataclasses.replace(contact.load, factor=held(loaded / step, steps))
+            path = simulate(theta, contact.mesh, press, mechanics) @ direction
+            exact, rate = between_steps(path, step, contact.observation.times - delays[0])
+            exact = exact - contact.along
+            shift = np.clip(rate @ exact / max(float(rate @ rate), 1e-30), -step, step)
+            left = min(left, exact, exact - shift * rate, key=_rms)
+    else:
+        left = path[seen] - contact.along
+    return _rms(left) / contact.noise, information
 
 
-def _left_with_delays(path: np.ndarray, contact: Interaction, within: float, step: float) -> np.ndarray:
-    """What delays of the press that fit best leave unexplained of the motion along the force, shape [N] [scene units].
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.square(values).mean()))
 
-    As if motions added up: a press that ends is one that lasts, less one that begins when it ends.
+
+def _left_with_delays(
+    path: np.ndarray, contact: Interaction, within: float, step: float
+) -> tuple[np.ndarray, tuple[float, float]]:
+    """What delays of the press that fit best leave unexplained of the motion along the force, [N] [scene units].
+
+    And these delays, of the beginning and of the end where it was seen [s]. As if motions added up: a press that ends
+    is one that lasts, less one that begins when it ends.
 
     Args:
         path: along the force, after every step since the time stamp of the beginning, shape [T].
-        within: largest delay of the beginning, and of the end where it was seen [s].
+        within: largest delay [s].
         step: of time [s].
     """
     times, tried, lasting = contact.observation.times, within * DELAYS, path.astype(np.float64)
-    began = between_steps(lasting, step, (times - tried[:, None]).ravel())
+    ends, ended = tried[:1], np.zeros((1, len(times)))
     if contact.released:
         pressed = round(contact.load_seconds / step)
         for first in range(pressed, len(lasting), pressed):
             lasting[first : first + pressed] += lasting[first - pressed : first][: len(lasting) - first]
-        began = between_steps(lasting, step, (times - tried[:, None]).ravel())
-        ended = between_steps(lasting, step, (times - pressed * step - tried[:, None]).ravel())
-    else:
-        tried, ended = tried[:1], tuple(np.zeros(len(times)) for _ in range(2))
-    (began, began_rate), (ended, ended_rate) = (
-        (values.reshape(-1, len(times)) for values in pair) for pair in (began, ended)
-    )
+        ends, since = tried, times - pressed * step - tried[:, None]
+        ended = between_steps(lasting, step, since.ravel())[0].reshape(since.shape)
+    since = times - tried[:, None]
+    began, rate = (values.reshape(since.shape) for values in between_steps(lasting, step, since.ravel()))
     left = began[:, None] - ended - contact.along
     first, last = np.unravel_index(np.argmin(np.square(left).sum(axis=2)), left.shape[:2])
     # Between the delays that were tried.
-    rates = np.stack([-began_rate[first], ended_rate[last]], axis=1)
-    further = np.linalg.lstsq(rates, -left[first, last], rcond=None)[0]
-    half = 0.5 * within * (DELAYS[1] - DELAYS[0])
-    moved = left[first, last] + rates @ np.clip(further, -half, half)
-    return min(left[first, last], moved, key=lambda values: float(values @ values))
+    found, half = left[first, last], 0.5 * within * (DELAYS[1] - DELAYS[0])
+    shift = np.clip(rate[first] @ found / max(float(rate[first] @ rate[first]), 1e-30), -half, half)
+    return min(found, found - shift * rate[first], key=_rms), (float(tried[first]), float(ends[last]))
 
 
 class NetworkSession(RunSession):

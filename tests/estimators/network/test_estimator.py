@@ -317,11 +317,11 @@ def test_a_network_that_is_told_of_the_dent_is_told_how_well_the_instants_are_kn
             np.testing.assert_allclose(found.covariance, covariance + added, rtol=1e-6)
 
 
-@pytest.mark.parametrize(("began", "ended", "left"), [(4, 4, 0.02), (-6, -6, 0.02), (4, 2, 0.3), (0, 5, 0.35)])
+@pytest.mark.parametrize(("began", "ended", "left"), [(4, 4, 0.02), (-6, -6, 0.02), (4, 2, 0.15), (0, 5, 0.15)])
 def test_a_press_at_other_instants_is_explained_where_they_are_unknown(
     contact: Interaction, began: int, ended: int, left: float
 ) -> None:
-    """Both delays in steps; where they differ, motions are taken to add up, which large ones do not quite."""
+    """Both delays in steps."""
     logs, steps = np.log([0.4, 0.03, 0.05]), contact.observation.steps(MECHANICS.time_step)
     loaded = round(contact.load_seconds / MECHANICS.time_step) + ended - began
     press = dataclasses.replace(contact.load, factor=held(loaded, MECHANICS.steps + 6))

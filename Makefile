@@ -59,8 +59,10 @@ model: $(INSTALLED) $(MODEL)/posterior.pt
 		--model $(MODEL)/uncalibrated.onnx --output $(MODEL)/validation
 	$(BIN)/python -m evaluation.benchmark --suite clean 8bit noisy --estimator network --split validation --clips 100 \
 		--seen press --model $(MODEL)/uncalibrated.onnx --output $(MODEL)/pressed
+	$(BIN)/python -m evaluation.benchmark --suite late-onset --estimator network --onset between --split validation \
+		--clips 110 --model $(MODEL)/uncalibrated.onnx --output $(MODEL)/between
 	$(BIN)/python -m evaluation.calibration --weights $(MODEL)/posterior.pt --output models/weights/contact.onnx \
-		--validation $(MODEL)/validation --pressed $(MODEL)/pressed
+		--validation $(MODEL)/validation --pressed $(MODEL)/pressed --between $(MODEL)/between
 
 $(MODEL)/posterior.pt: | $(INSTALLED)
 	$(BIN)/python -m estimators.network.training --output $(MODEL)

@@ -1,13 +1,14 @@
 """From a trained contact posterior to the model that `infer.py` uses: calibrated on validation clips and exported.
 
     python -m evaluation.calibration --weights runs/contact/posterior.pt --output models/weights/contact.onnx \
-        [--validation runs/contact/validation --pressed runs/contact/pressed]
+        [--validation runs/contact/validation --pressed runs/contact/pressed [--between runs/contact/between]]
 
 Errors are taken to have standard deviations scale · sd^power · σ^noise, with sd the network's own and σ the
 observation's; the exponents are the likeliest ones for normal errors, the scale is then set so that the 90 % intervals
 hold the truth in 90 % of the validation results (conformal prediction, Vovk's quantile, with a normalised score). Both
 come from the same results and several suites observe the same clips, so the guarantee is not exact. It is done once for
-whole contacts, and once for those whose release has not been seen (--pressed). Without --validation nothing is changed.
+whole contacts, once for those whose release has not been seen (--pressed), and for a network that is told how well the
+instants are known, once for those whose aren't (--between). Without --validation nothing is changed.
 Truth of validation clips serves this and nothing else; no weight of the network changes.
 """
 
@@ -31,13 +32,14 @@ import torch
 from scipy.optimize import minimize
 
 from data.command_line import path_option
-from data.contact.features import FRAME_RATE, KNOWN, LOADED, LOG_NOISE, REFERENCE_SPACING, SLOTS
+from data.contact.features import FEATURES, FRAME_RATE, KNOWN, LOADED, LOG_NOISE, REFERENCE_SPACING, SLOTS
+from data.contact.film_features import FILM_FEATURES, WITHIN
 from data.contact.interaction import PRESS
 from data.masks.sources import MaskClasses
 from data.settings import PREPROCESSING_VERSION
 from estimators.estimate import NINETY
 from estimators.network.fits import BOUNDS, MECHANICS, SCENES
-from estimators.onset import STAMP
+from estimators.onset import BETWEEN, STAMP
 from evaluation.recovery.evaluate import OK, PREPARE, Recovery
 from evaluation.recovery.store import RECORD, RESULTS, read_results
 from models.calibration import Calibration, Widths
@@ -48,8 +50,8 @@ from results.record import sha256_of
 
 LEVEL = 0.9
 """Share of truths that the calibrated intervals hold."""
-LEAST_SPREAD = 1e-6
-"""Of a column of logarithms that can have a coefficient."""
+LEAST_SPREAD = 0.1
+"""Of a column of logarithms that can have a coefficient; the noise of one suite has none."""
 LEAST_CLIPS = 100
 """Fewer validation estimates say too little about a 90 % quantile."""
 
@@ -104,13 +106,14 @@ def conformal_scale(errors: np.ndarray, deviations: np.ndarray) -> float:
     return float(np.sort(np.abs(errors) / deviations)[rank - 1] / NINETY)
 
 
-def check_record(folder: Path, weights_sha256: str, seen: str | None) -> None:
+def check_record(folder: Path, weights_sha256: str, seen: str | None, onset: str = STAMP) -> None:
     """Refuse results that are of something else than what is to be calibrated.
 
     Args:
         folder: of the benchmark.
         weights_sha256: of the network that is calibrated.
         seen: how much of the contacts must have been seen.
+        onset: what the network must have been told of the instants.
 
     Raises:
         OSError, ValueError: no record, another split than validation, other frames, or another or a calibrated network.
@@ -121,8 +124,9 @@ def check_record(folder: Path, weights_sha256: str, seen: str | None) -> None:
             remedy = f"with --{name} {value}" if value else f"without --{name}"
             raise ValueError(f"{folder} has {name} {record.get(name)}; run the benchmark {remedy}.")
     network = record.get("estimator network", {})
-    if network.get("onset", STAMP) != STAMP:
-        raise ValueError(f"{folder} was made with --onset {network['onset']}; run the benchmark without it.")
+    made = network.get("onset", STAMP)
+    if made != onset:
+        raise ValueError(f"{folder} was made with --onset {made}; run the benchmark with --onset {onset}.")
     if network.get("weights_sha256") != weights_sha256 or network.get("calibrated") is not False:
         raise ValueError(
             f"{folder} is not of the uncalibrated network of these weights; export it without --validation, and run "
@@ -168,9 +172,13 @@ def main(arguments: list[str] | None = None) -> int:
     text = "results of evaluation.benchmark --split validation"
     parser.add_argument("--validation", type=path_option, metavar="DIR", help=text)
     parser.add_argument("--pressed", type=path_option, metavar="DIR", help=f"{text} --seen {PRESS}")
+    text = "results of evaluation.benchmark --split validation --suite late-onset --onset between"
+    parser.add_argument("--between", type=path_option, metavar="DIR", help=text)
     options = parser.parse_args(arguments)
     if (options.validation is None) != (options.pressed is None):
         parser.error("give --validation and --pressed, or neither.")
+    if options.between is not None and options.validation is None:
+        parser.error("give --validation and --pressed beside --between.")
     calibration = Calibration()
     try:
         features = posterior_features(options.weights)
@@ -183,13 +191,21 @@ def main(arguments: list[str] | None = None) -> int:
             whole, pressed = (
                 fit_widths_of(read_results(folder / RESULTS)) for folder in (options.validation, options.pressed)
             )
-            calibration = Calibration(whole, pressed, LOG_NOISE, KNOWN, LOADED)
+            calibration = Calibration(
+                whole=whole, pressed=pressed, noise_features=LOG_NOISE, known_features=KNOWN, loaded_features=LOADED
+            )
+            if options.between is not None:
+                if features != FEATURES + FILM_FEATURES:
+                    raise ValueError(f"{options.weights} is told nothing of the instants; leave --between out.")
+                check_record(options.between, weights, None, BETWEEN)
+                between = fit_widths_of(read_results(options.between / RESULTS))
+                calibration = dataclasses.replace(calibration, between=between, within_features=(FEATURES + WITHIN,))
         difference = export(posterior, options.output, metadata(options.weights, features), calibration)
     except (OSError, RuntimeError, ValueError) as error:
         print(error, file=sys.stderr)
         return 1
     print(f"{options.output}: written; largest difference from torch {difference:.1e}")
-    for name in ("whole", "pressed"):
+    for name in ("whole", "pressed", "between"):
         for field, values in dataclasses.asdict(getattr(calibration, name)).items():
             print(f"  {name} {field}: {np.round(values, 3).tolist()}")
     return 0

@@ -30,9 +30,13 @@ class Calibration:
     """Of contacts seen through their release."""
     pressed: Widths = Widths()
     """Of contacts whose release has not been seen; used where `known_features` are given."""
+    between: Widths = Widths()
+    """Of presses whose instants are not known, where they make it wider; used where `within_features` are given."""
     noise_features: tuple[int, ...] = ()
     """Features whose sum is log σ."""
     known_features: tuple[int, ...] = ()
     """Features that are 1 for instants that were seen."""
     loaded_features: tuple[int, ...] = ()
     """Features that are 1 for instants that were seen under load."""
+    within_features: tuple[int, ...] = ()
+    """Features that are above 0 where the instants of a press are not known."""

@@ -102,6 +102,10 @@ class _Calibrated(nn.Module):
         if told.known_features:
             released = _sum_of(contact, told.known_features) - _sum_of(contact, told.loaded_features) > 0.5
             widened = torch.where(released, widened, _widened(told.pressed, log_sd, log_noise))
+        if told.within_features:
+            unknown = _sum_of(contact, told.within_features) > 0
+            between = torch.maximum(widened, _widened(told.between, log_sd, log_noise))
+            widened = torch.where(unknown, between, widened)
         bound = self.posterior.expected_bound_factor(contact)
         return mean, _covariance(factor * widened[:, :, None]), _covariance(bound)
 

@@ -33,6 +33,8 @@ LARGE = 40.0
 """A large amount of a shape, in units of the mesh's spacing."""
 FILM_FEATURES = 2 * SLOTS * SHAPES + 2
 """Length of the vector."""
+WITHIN = FILM_FEATURES - 2
+"""Place in it of how well the instants of the press are known: 0 = exactly."""
 
 
 @functools.cache

@@ -92,6 +92,21 @@ def test_results_of_something_else_are_refused(tmp_path) -> None:
     check_record(tmp_path, "abc", None)
     with pytest.raises(ValueError, match="with --seen press"):
         check_record(tmp_path, "abc", "press")
+    with pytest.raises(ValueError, match="run the benchmark with --onset between"):
+        check_record(tmp_path, "abc", None, "between")
+    unknown = right | {"estimator network": network | {"onset": "between"}}
+    (tmp_path / "run.json").write_text(json.dumps(unknown))
+    check_record(tmp_path, "abc", None, "between")
+
+
+def test_the_noise_of_one_suite_has_no_exponent() -> None:
+    """It differs by a few per cent from clip to clip, and whatever goes with that would be wrong for others."""
+    generator = np.random.default_rng(0)
+    noise, deviation = generator.normal(0, 0.02, 200), generator.normal(0, 0.5, 200)
+    errors = np.exp(deviation + 3 * noise) * generator.normal(size=200)
+    exponents = fit_exponents(errors, np.stack([deviation, noise], axis=1))
+    assert exponents[1] == 0
+    assert exponents[0] == pytest.approx(1, abs=0.15)
 
 
 def test_a_missing_file_is_one_sentence(tmp_path, capsys) -> None:

@@ -129,6 +129,21 @@ def test_exported_file_agrees_and_is_calibrated(posterior: ContactPosterior, tmp
         model(contact[:, :9])
 
 
+def test_presses_of_unknown_instants_are_never_surer_than_others(posterior: ContactPosterior, tmp_path) -> None:
+    whole, between = Widths((1.0, 1.0, 1.0)), Widths((2.0, 0.5, 1.5))
+    calibration = Calibration(whole, between=between, within_features=(3,))
+    export(posterior, tmp_path / "contact.onnx", METADATA, calibration)
+    contact = np.random.default_rng(0).normal(size=(2, 10)).astype(np.float32)
+    contact[1] = contact[0]
+    contact[:, 3] = 0, 1
+    _, covariance, _ = PosteriorModel(tmp_path / "contact.onnx")(contact)
+    with torch.no_grad():
+        factor = posterior(torch.from_numpy(contact))[1]
+    plain = torch.sqrt(factor.square().sum(dim=2)).numpy()
+    expected = plain * np.array([(1, 1, 1), (2, 1, 1.5)])
+    np.testing.assert_allclose(np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)), expected, rtol=1e-4)
+
+
 def _correlations(covariances: np.ndarray) -> np.ndarray:
     sd = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
     return covariances / (sd[:, :, None] * sd[:, None])

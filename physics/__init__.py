@@ -8,7 +8,7 @@ likelihood       how well a θ explains an observation, and its derivatives
 identifiability  what a motion can tell about θ: information, bounds, verdict
 msd              mass–spring–damper sheets, with a numpy door and a torch door
 jit              compiled loops; lazy: package faces; provenance: digest of the code
-files            whole files or none; fields: values of settings; doors: how programs end
+files            whole files or none, and reading that ends; fields: values of settings; doors: how programs end
 """
 
 from physics.lazy import exported

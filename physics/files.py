@@ -1,11 +1,47 @@
-"""Files that appear complete or not at all."""
+"""Files that appear complete or not at all, and reading that neither waits nor goes on for ever."""
 
 from __future__ import annotations
 
+import errno
 import os
+import stat
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+
+
+def read_file(path: Path, most: int | None = None) -> bytes:
+    """Content of a file.
+
+    Args:
+        most: bytes; a larger file is not read.
+
+    Raises:
+        OSError: it can't be read, is larger, or is a pipe, which would be waited for, or a device, which has no end.
+    """
+    state = path.stat()
+    if not (stat.S_ISREG(state.st_mode) or stat.S_ISDIR(state.st_mode)):
+        raise OSError(errno.EINVAL, "no file but a pipe or a device", str(path))
+    if most is not None and stat.S_ISREG(state.st_mode) and state.st_size > most:
+        raise OSError(errno.EFBIG, f"larger than {most // 1024} kB", str(path))
+    return path.read_bytes()
+
+
+def all_below(folder: Path) -> list[Path]:
+    """What lies in a folder and below, sorted.
+
+    Links to folders are not followed. A folder that can't be listed, or whose path is too long to be opened, is as if
+    empty.
+    """
+    found, left = [], [folder]
+    while left:
+        with suppress(OSError), os.scandir(left.pop()) as entries:
+            for entry in entries:
+                path = Path(entry.path)
+                if os.path.lexists(path):
+                    found.append(path)
+                    left += [path] if entry.is_dir(follow_symlinks=False) else []
+    return sorted(found)
 
 
 @contextmanager

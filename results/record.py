@@ -21,6 +21,7 @@ from data.source.frames import FrameSource
 from estimators.contract import Estimator
 from estimators.estimate import FrameEstimate
 from models.onnx_session import ExportedModel, PosteriorModel
+from physics.files import all_below
 from physics.provenance import code_digest
 from results import columns
 from results.store import INTERACTIONS, PROGRAM, TABLE, WRITTEN, file_sha256, own_files
@@ -179,7 +180,7 @@ def sha256_of(path: Path) -> str:
         state = path.stat()
         return _file_sha256(path, state.st_size, state.st_mtime_ns)
     digest = hashlib.sha256()
-    for file in sorted(path.rglob("*")):
+    for file in all_below(path):
         relative = file.relative_to(path)
         own = file.name in WRITTEN and file.name in own_files(file.parent)
         if not own and file.is_file() and not any(part.startswith(".") for part in relative.parts):

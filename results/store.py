@@ -15,6 +15,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from physics.files import read_file
+
 TABLE, OVERLAY, SUMMARY, RECORD = "parameters.csv", "overlay.mp4", "summary.png", "run.json"
 INTERACTIONS, FIT = "interactions.csv", "fit.png"
 """Files of a clip's folder. The record is written last: a folder that has it is complete."""
@@ -149,7 +151,7 @@ def is_up_to_date(folder: Path, fingerprint: str, files: Iterable[str], *, overw
 def read_record(folder: Path) -> dict[str, Any]:
     """The run record of a clip's folder; empty where there is none, it is damaged or not one of this program's."""
     try:
-        record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+        record = json.loads(read_file(folder / RECORD))
     except (OSError, ValueError, RecursionError):
         return {}
     if not isinstance(record, dict) or record.get("program") != PROGRAM:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -25,3 +26,27 @@ def blank_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     for draw in ("draw_summary", "draw_fits"):
         monkeypatch.setattr(f"results.writer.{draw}", lambda *_, **__: None)
     monkeypatch.setattr("results.writer.write_figure", lambda path, _: path.write_bytes(b"a picture"))
+
+
+@pytest.fixture
+def nested() -> Iterator[Callable[[Path, str], None]]:
+    """Makes 1100 folders within each other in a folder, all of one name."""
+    home, tops = os.getcwd(), []
+
+    def make(top: Path, name: str) -> None:
+        tops.append((top, name))
+        os.chdir(top)
+        for _ in range(1100):
+            os.mkdir(name)
+            os.chdir(name)
+        os.chdir(home)
+
+    yield make
+    for top, name in tops:  # pytest's own removal recurses
+        os.chdir(top)
+        for _ in range(1100):
+            os.chdir(name)
+        for _ in range(1100):
+            os.chdir("..")
+            os.rmdir(name)
+    os.chdir(home)

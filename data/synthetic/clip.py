@@ -21,6 +21,7 @@ from data.synthetic.render import Renderer
 from data.synthetic.scene import Scene, draw_scene
 from data.synthetic.settings import SceneSettings
 from data.synthetic.truth import Motion, draw_motion
+from physics.files import all_below, read_file
 
 MARKER = "synthetic.json"
 """File of a clip's videoNN that tells which files this program wrote there, each with its hash."""
@@ -165,8 +166,8 @@ def _require_own(target: Path) -> None:
     if not os.path.lexists(target):
         return
     try:
-        written = json.loads((target / MARKER).read_text(encoding="utf-8"))["files"]
-    except (OSError, ValueError, KeyError, TypeError):
+        written = json.loads(read_file(target / MARKER))["files"]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         written = None
     if target.is_symlink() or not isinstance(written, dict):
         raise FileExistsError(f"{target} has no {MARKER} of this program; move it away or give another --output.")
@@ -180,7 +181,7 @@ def _require_own(target: Path) -> None:
 def _content(folder: Path) -> dict[str, str]:
     """Hash of every file in a folder and below, by its relative name; empty for links, empty folders and the like."""
     content = {}
-    for path in sorted(folder.rglob("*")):
+    for path in all_below(folder):
         name = path.relative_to(folder).as_posix()
         if path.is_file() and not path.is_symlink():
             content[name] = hashlib.sha256(path.read_bytes()).hexdigest()
@@ -191,8 +192,8 @@ def _content(folder: Path) -> dict[str, str]:
 
 def _same_clip(truth: Path, settings: SceneSettings, seed: int) -> bool:
     try:
-        recorded = json.loads(truth.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        recorded = json.loads(read_file(truth))
+    except (OSError, ValueError, RecursionError):
         return False
     wanted = json.loads(json.dumps(dataclasses.asdict(settings)))
     return isinstance(recorded, dict) and recorded.get("seed") == seed and recorded.get("settings") == wanted

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from evaluation.recovery.evaluate import Recovery
-from physics.files import replacing
+from physics.files import read_file, replacing
 from physics.provenance import code_digest
 from results.store import OutputError, writing
 
@@ -79,8 +79,8 @@ class RecoveryStore:
                 raise OutputError(f"{self.output}: holds results without {RECORD}; choose another --output.")
             return {}
         try:
-            record = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
+            record = json.loads(read_file(path))
+        except (OSError, ValueError, RecursionError) as error:
             raise OutputError(f"{path}: is not readable; remove the folder or choose another --output.") from error
         if not isinstance(record, dict) or "seed" not in record:
             raise OutputError(f"{path}: belongs to something else; choose another --output.")
@@ -104,7 +104,7 @@ def read_results(path: Path) -> list[Recovery]:
         OSError: the file can't be read.
     """
     found: dict[tuple[str, int, str], Recovery] = {}
-    for number, line in enumerate(path.read_bytes().splitlines(), 1):
+    for number, line in enumerate(read_file(path).splitlines(), 1):
         try:
             known: dict[str, Any] = {
                 name: np.array(value) if isinstance(value, list) else value
@@ -112,7 +112,7 @@ def read_results(path: Path) -> list[Recovery]:
                 if value is not None
             }
             row = Recovery(**known)
-        except (ValueError, TypeError, AttributeError) as error:
+        except (ValueError, TypeError, AttributeError, RecursionError) as error:
             raise OutputError(
                 f"{path}: line {number} is not a result; remove that line or choose another --output."
             ) from error

@@ -1,8 +1,11 @@
-"""Files that appear complete or not at all."""
+"""Files that appear complete or not at all, and reading that neither waits nor goes on for ever."""
+
+import os
+from pathlib import Path
 
 import pytest
 
-from physics.files import replacing
+from physics.files import all_below, read_file, replacing
 
 
 @pytest.fixture
@@ -29,3 +32,40 @@ def test_what_fails_half_way_leaves_the_earlier_file_and_nothing_else(table, rea
     with pytest.raises(type(reason)):
         write()
     assert {path.name: path.read_text() for path in table.parent.iterdir()} == {"table.csv": "earlier"}
+
+
+@pytest.mark.parametrize(
+    ("make", "told"),
+    [
+        (os.mkfifo, "no file but a pipe or a device"),
+        (lambda path: path.symlink_to("/dev/zero"), "no file but a pipe or a device"),
+        (lambda path: path.symlink_to(path.name), "symbolic links"),
+        (lambda path: path.mkdir(), "Is a directory"),
+        (lambda path: path.write_bytes(b"x" * 2049), "larger than 2 kB"),
+    ],
+    ids=["pipe", "device", "loop", "folder", "large"],
+)
+def test_only_a_file_of_a_reasonable_size_is_read(tmp_path, make, told):
+    make(tmp_path / "it")
+    with pytest.raises(OSError, match=told):
+        read_file(tmp_path / "it", 2048)
+    (tmp_path / "file").write_bytes(b"x" * 2048)
+    assert read_file(tmp_path / "file", 2048) == b"x" * 2048
+
+
+@pytest.mark.parametrize("name", ["d", "a folder whose path gets too long"])
+def test_all_is_found_however_deeply_folders_nest(tmp_path, monkeypatch, nested, name):
+    (tmp_path / "b").mkdir()
+    (tmp_path / "b" / "2").touch()
+    (tmp_path / "b" / "1").touch()
+    (tmp_path / "b" / "round").symlink_to(tmp_path)
+    (tmp_path / "b" / "self").symlink_to("self")
+    before = sorted(tmp_path.rglob("*"))
+    assert all_below(tmp_path) == before
+    monkeypatch.chdir(tmp_path)
+    assert all_below(Path("b")) == [Path("b") / each for each in ("1", "2", "round", "self")]
+    nested(tmp_path / "b", name)
+    found = all_below(tmp_path)
+    assert set(before) <= set(found)
+    assert len(found) > len(before) + 90
+    assert [path for path in found if path.is_file()] == [tmp_path / "b" / "1", tmp_path / "b" / "2"]

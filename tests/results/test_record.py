@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -193,3 +194,12 @@ def test_hash_of_a_folder_follows_names_and_contents(tmp_path: Path) -> None:
     assert sha256_of(tmp_path / "clip") != second
     (tmp_path / "clip" / "out" / "run.json").write_bytes(b"{}")  # then nothing tells whose the files are
     assert len({first, second, sha256_of(tmp_path / "clip")}) == 3
+
+
+def test_folders_in_a_clip_may_nest_as_deeply_as_the_disk_allows(tmp_path: Path, nested: Callable) -> None:
+    (tmp_path / "clip").mkdir()
+    (tmp_path / "clip" / "1.png").write_bytes(b"x")
+    digest = sha256_of(tmp_path / "clip")
+    for name in ("d", "nested"):
+        nested(tmp_path / "clip", name)
+    assert sha256_of(tmp_path / "clip") == digest

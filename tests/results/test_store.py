@@ -7,7 +7,7 @@ import itertools
 import json
 import os
 import tempfile
-from collections.abc import Container, Iterator
+from collections.abc import Callable, Container, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -265,3 +265,12 @@ def test_file_system_errors_become_one_sentence(tmp_path: Path, number: int, wor
         raise OSError(number, os.strerror(number))
     assert str(tmp_path) in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero")], ids=["pipe", "device"])
+def test_a_record_that_is_no_file_is_not_read(tmp_path: Path, make: Callable[[Path], None]) -> None:
+    (tmp_path / "clip").mkdir()
+    make(tmp_path / "clip" / RECORD)
+    assert read_record(tmp_path / "clip") == {}
+    taken = ResultStore(tmp_path).folder("clip", tmp_path / "video.mp4")
+    assert taken.name.startswith("clip-")  # what is there belongs to somebody else

@@ -81,6 +81,14 @@ def test_another_version_of_the_program_is_noticed(tmp_path, monkeypatch):
     assert RecoveryStore(tmp_path, WANTED).outdated
 
 
+@pytest.mark.parametrize("name", ["run.json", "results.jsonl"])
+def test_damaged_files_are_named(tmp_path, name):
+    RecoveryStore(tmp_path, WANTED).append([recovery(0)])
+    (tmp_path / name).write_text("[" * 100_000 + "\n")
+    with pytest.raises(OutputError, match=rf"{name}: (is not readable|line 1 is not a result); remove"):
+        RecoveryStore(tmp_path, WANTED)
+
+
 def test_a_folder_of_something_else_is_refused(tmp_path):
     (tmp_path / "run.json").write_text("[]")
     with pytest.raises(OutputError, match="belongs to something else"):

@@ -12,6 +12,8 @@ synthetic  clips with known truth
 training   samples, splits and batches; cholecseg8k: the door that prepares a data set
 """
 
+import os
+
 from physics.lazy import exported
 
 __getattr__ = exported(
@@ -27,3 +29,5 @@ __getattr__ = exported(
         "data.contact.interaction": ("Interaction",),
     }
 )
+# OpenCV reads it when it is first imported, which happens after this: MOST_PIXELS of data.source.images.
+os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", "33554432")

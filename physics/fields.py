@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import sys
+import itertools
+import reprlib
 import types
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
@@ -14,8 +15,36 @@ WORDS: dict[Any, str] = {
     types.NoneType: "null",
     Ellipsis: "…",
 }
-LARGEST = sys.float_info.max
-"""Of a number; a whole one may be longer than any."""
+LARGEST = 1e15
+"""No number that a file gives is farther from 0."""
+
+
+class _Short(reprlib.Repr):
+    """Representations of a few words; of a number beyond all use, that it is one."""
+
+    def repr_int(self, x: int, level: int) -> str:
+        return repr(x) if abs(x) <= LARGEST else f"a number beyond ±{LARGEST:g}"
+
+
+_short = _Short()
+_short.maxstring = _short.maxother = 60
+shown = _short.repr
+"""A value from a file for a sentence, which it leaves short however long, deep or circular the value is."""
+
+
+MOST_LEVELS, MOST_VALUES = 16, 100_000
+"""Of lists and mappings within each other, and of what lies in one of these levels."""
+
+
+def sound(value: Any) -> bool:
+    """Whether a value read from a file is of a reasonable size, with names in it that stand for others written out."""
+    row = [value]
+    for _ in range(MOST_LEVELS):
+        if any(isinstance(each, (int, float)) and not abs(each) <= LARGEST for each in row):
+            return False
+        held = (each.values() if isinstance(each, dict) else each for each in row if isinstance(each, (dict, list)))
+        row = list(itertools.islice(itertools.chain.from_iterable(held), MOST_VALUES))
+    return not row
 
 
 def fits(value: Any, kind: Any) -> bool:
@@ -23,7 +52,8 @@ def fits(value: Any, kind: Any) -> bool:
 
     Args:
         kind: an annotation (float takes whole numbers, but nothing that is not finite; tuple takes lists), a range of
-            whole numbers, or a dictionary of the kinds of a mapping's fields, those that it has.
+            whole numbers, or a dictionary of the kinds of a mapping's fields, those that it has. No number is beyond
+            `LARGEST`.
     """
     if isinstance(kind, range):
         return type(value) is int and value in kind
@@ -41,8 +71,8 @@ def fits(value: Any, kind: Any) -> bool:
         return len(value) == len(kinds) and all(map(fits, value, kinds))
     if origin is dict:
         return type(value) is dict and all(fits(name, inner[0]) and fits(value[name], inner[1]) for name in value)
-    if kind is float:
-        return type(value) in (int, float) and abs(value) <= LARGEST
+    if kind in (int, float):
+        return type(value) in (int, kind) and abs(value) <= LARGEST
     return kind is Any or type(value) is kind
 
 

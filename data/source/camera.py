@@ -12,6 +12,11 @@ import numpy as np
 
 from data.source.layout import ClipLayout, from_mapping, read_clip_file, read_mapping
 
+MOST_SIDE = 4096
+"""Of a grid, and of a network's input [px]."""
+FAR = 1e6
+"""No picture is so many times as wide as its camera's focal length, or has its centre so many widths off."""
+
 
 @dataclass(frozen=True)
 class Camera:
@@ -40,6 +45,14 @@ class Camera:
             raise ValueError(f"The camera's focal length is ({self.fx}, {self.fy}); give positive numbers of pixels.")
         if self.width < 1 or self.height < 1:
             raise ValueError(f"The camera's picture is {self.width}x{self.height}; give its size in pixels.")
+        if (
+            max(self.width / self.fx, self.height / self.fy, abs(self.cx) / self.width, abs(self.cy) / self.height)
+            > FAR
+        ):
+            raise ValueError(
+                f"The camera's focal length ({self.fx:g}, {self.fy:g}) or centre ({self.cx:g}, {self.cy:g}) is none of "
+                f"a picture of {self.width:g}x{self.height:g}; give all in its pixels."
+            )
         if len(self.distortion) not in (0, 4, 5, 8):
             raise ValueError(f"The camera has {len(self.distortion)} distortion coefficients; give 0, 4, 5 or 8.")
 
@@ -75,14 +88,16 @@ def load_camera(path: str | Path) -> Camera:
 def _camera(entries: Any, where: str) -> Camera:
     """Calibration tools write whole numbers with a point, numbers as text ("5e2" is text to YAML), and null."""
     if isinstance(entries, dict):
-        entries = {name: _number(value) for name, value in entries.items() if value is not None}
+        entries = {
+            name: [_number(each) for each in value] if isinstance(value, list) else _number(value)
+            for name, value in entries.items()
+            if value is not None
+        }
     return from_mapping(Camera, entries, where)
 
 
 def _number(value: Any) -> Any:
     """A value of a camera file, as a number where it is one."""
-    if isinstance(value, list):
-        return [_number(each) for each in value]
     try:
         number = value if isinstance(value, bool) else float(value)
     except (TypeError, ValueError, OverflowError):

@@ -11,12 +11,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from os.path import isdir
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from data.source.images import printable, read_image
+from data.source.images import printable, read_image, require_pixels
 from data.source.layout import IMAGE_SUFFIXES, ClipLayout, InputError, frame_files, list_folder, read_clip_file
 
 VIDEO_SUFFIXES = frozenset({".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".ts", ".wmv"})
@@ -94,7 +95,9 @@ class FrameFolder(FrameSource):
         self.warnings = []
         self.files = frame_files(path, layout)
         if not self.files:
-            raise InputError(f"{path} holds no frame images ({layout.image}); give a folder of frames or a video file.")
+            raise InputError(
+                f"{printable(path)} holds no frame images ({layout.image}); give a folder of frames or a video file."
+            )
         _check_numbers(self.files)
         description = read_clip_file(path)
         self.fps = float(description.get("fps", layout.fps))
@@ -111,13 +114,15 @@ class FrameFolder(FrameSource):
 
     def _first_size(self) -> tuple[int, int]:
         """(width, height) of the first image that can be read."""
+        problems = []
         for _, file in self.files:
             try:
                 image = read_image(file)
-            except InputError:
-                continue  # Reported with its own row when iterating.
+            except InputError as problem:
+                problems.append(problem)  # Reported with its own row when iterating.
+                continue
             return _picture_size(self.path, image)
-        raise InputError(f"{self.path} holds {self.length} images and none can be decoded; check or replace the files.")
+        raise InputError(f"{self.path} holds {self.length} images and none can be decoded; {problems[0]}")
 
     def __iter__(self) -> Iterator[Frame]:
         self.warnings = []
@@ -143,9 +148,13 @@ class VideoFile(FrameSource):
 
     def __init__(self, path: Path, fallback_fps: float = 25.0) -> None:
         self.path, self.name, self.warnings = path, path.stem, []
+        if path.exists() and not path.is_file():
+            raise InputError(f"{printable(path)} is no file; give the video itself.")
         if path.stat().st_size == 0:
             raise InputError(f"{path} is an empty file (0 bytes); copy it again.")
         capture = self._open()
+        size = (int(capture.get(side)) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+        require_pixels(path, *size)
         done, image = capture.read()
         fps, count = capture.get(cv2.CAP_PROP_FPS), capture.get(cv2.CAP_PROP_FRAME_COUNT)
         if not done:
@@ -295,17 +304,23 @@ def _search(top: Path, layout: ClipLayout) -> list[Path]:
     left = [top]
     while left:
         folder = left.pop()
-        if not folder.is_dir():
-            found.append(folder)
+        try:
+            if not folder.is_dir():
+                found.append(folder)
+                continue
+            state = folder.stat()
+            place = state.st_dev, state.st_ino
+            if place in seen or (folder / RESULT_FILE).is_file():
+                continue
+            seen.add(place)
+            if frame_files(folder, layout):
+                found.append(folder)
+                continue
+            entries = [entry for entry in list_folder(folder) if not entry.name.startswith(".")]
+        except OSError:
+            if folder == top:
+                raise
+            found.append(folder)  # which fails by itself, and the others go on
             continue
-        state = folder.stat()
-        place = state.st_dev, state.st_ino
-        if place in seen or (folder / RESULT_FILE).is_file():
-            continue
-        seen.add(place)
-        if frame_files(folder, layout):
-            found.append(folder)
-            continue
-        entries = [entry for entry in list_folder(folder) if not entry.name.startswith(".")]
-        left += reversed([e for e in entries if e.is_dir() or e.suffix.lower() in VIDEO_SUFFIXES])
+        left += reversed([e for e in entries if isdir(e) or e.suffix.lower() in VIDEO_SUFFIXES])
     return found

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from pathlib import Path
 
@@ -15,15 +14,21 @@ from data.source.layout import InputError
 from physics.doors import plain
 
 # The environment's level is read when OpenCV is first imported, which may have been elsewhere.
-cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
+cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+
+MOST_PIXELS = 2**25
+"""Larger pictures are not unpacked; those of 8K have fewer."""
+LONGEST = 600
+"""Letters of a path in a sentence."""
+_MOST = f"{MOST_PIXELS / 1e6:.0f} million pixels; store it smaller"
 
 
-def read_image(path: Path, flags: int = cv2.IMREAD_COLOR_RGB, most: float = math.inf) -> np.ndarray:
+def read_image(path: Path, flags: int = cv2.IMREAD_COLOR_RGB, most: float = MOST_PIXELS) -> np.ndarray:
     """Read an image file by its bytes, so that any file name works: RGB uint8 [H, W, 3] by default.
 
     Args:
         flags: OpenCV's.
-        most: pixels; a PNG that declares more is not unpacked.
+        most: pixels; a PNG that declares more is not unpacked, nor any picture that has more than `MOST_PIXELS`.
 
     Raises:
         InputError: missing, empty, truncated, undecodable or too large file.
@@ -37,17 +42,31 @@ def read_image(path: Path, flags: int = cv2.IMREAD_COLOR_RGB, most: float = math
     if not content:
         raise InputError(f"{printable(path)} is an empty file (0 bytes); copy it again.")
     width, height = (int.from_bytes(content[place : place + 4], "big") for place in (16, 20))
-    if content[12:16] == b"IHDR" and width * height > most:
-        raise InputError(f"{printable(path)} is {width}x{height}, far larger than its picture; store it at that size.")
+    if content[12:16] == b"IHDR":
+        if width * height > most != MOST_PIXELS:
+            told = f"is {width}x{height}, far larger than its picture; store it at that size"
+            raise InputError(f"{printable(path)} {told}.")
+        require_pixels(path, width, height)
     image = None
     if not _truncated(content):  # whose decoder would also print a message of its own
         try:
             image = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
-        except cv2.error:
-            image = None
+        except cv2.error as error:
+            if "MAX_IMAGE" in str(error):
+                raise InputError(f"{printable(path)} is more than {_MOST}.") from error
     if image is None:
         raise InputError(f"{printable(path)} can't be decoded as an image (truncated or damaged); copy it again.")
     return image
+
+
+def require_pixels(path: Path, width: int, height: int) -> None:
+    """Refuse a picture by the size that it declares, before it is unpacked.
+
+    Raises:
+        InputError: it is larger than `MOST_PIXELS`.
+    """
+    if width * height > MOST_PIXELS:
+        raise InputError(f"{printable(path)} is {width}x{height}, more than {_MOST}.")
 
 
 def _truncated(content: bytes) -> bool:
@@ -58,5 +77,6 @@ def _truncated(content: bytes) -> bool:
 
 
 def printable(path: Path) -> str:
-    """The path as text that any terminal and file can hold."""
-    return plain(os.fsencode(path).decode("utf-8", "replace"))
+    """The path as text that any terminal and file can hold; the middle of one of many folders is left out."""
+    text = plain(os.fsencode(path).decode("utf-8", "replace"))
+    return text if len(text) <= LONGEST else f"{text[: LONGEST // 2]}…{text[-LONGEST // 2 :]}"

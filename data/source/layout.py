@@ -9,6 +9,7 @@ import dataclasses
 import itertools
 import json
 import math
+import os
 import re
 from dataclasses import dataclass
 from os.path import isfile
@@ -18,13 +19,20 @@ from typing import Any, Literal, TypeVar, get_type_hints
 import numpy as np
 import yaml
 
-from physics.fields import described, fits
+from physics.fields import described, fits, shown
+from physics.files import read_file
 
 Settings = TypeVar("Settings")
 
 CLIP_FILE = "clip.json"
 """Optional file of a clip folder: fps, camera, depth scale and time stamps."""
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"})
+FRAME_RATES = (1e-6, 1e6)
+"""Lowest and highest frame rate of a clip [1/s]."""
+LARGEST_OPENING = 1001
+"""Of `mask_opening_px` [px]."""
+MOST_JSON, MOST_YAML = 2**24, 2**17
+"""Size of a file that describes something [bytes]: the time stamps of hours, and what is read in seconds."""
 
 
 class InputError(ValueError):
@@ -70,8 +78,12 @@ class ClipLayout:
         for name in ("fps", "depth_factor"):
             if not 0 < getattr(self, name) < math.inf:
                 raise ValueError(f"layout.{name} is {getattr(self, name)}; give a positive number.")
+        if not FRAME_RATES[0] <= self.fps <= FRAME_RATES[1]:
+            raise ValueError(f"layout.fps is {self.fps:g}; give frames a second.")
         if self.mask_opening_px < 0:
             raise ValueError(f"layout.mask_opening_px is {self.mask_opening_px}; give 0 or more.")
+        if self.mask_opening_px > LARGEST_OPENING:
+            raise ValueError(f"layout.mask_opening_px is {self.mask_opening_px}; give at most {LARGEST_OPENING}.")
         if self.label_mask is not None and not (self.tool_values and self.tissue_values):
             raise ValueError("layout.label_mask needs layout.tool_values and layout.tissue_values; give both.")
 
@@ -106,9 +118,9 @@ def from_mapping(kind: type[Settings], values: Any, where: str) -> Settings:
     kinds = get_type_hints(kind)
     for name, value in values.items():
         if name not in kinds:
-            raise InputError(f"{where} has the unknown key '{name}'; known are {', '.join(kinds)}.")
+            raise InputError(f"{where} has the unknown key {shown(name)}; known are {', '.join(kinds)}.")
         if not fits(value, kinds[name]):
-            raise InputError(f"{where} gives {name} {value!r}; give {described(kinds[name])}.")
+            raise InputError(f"{where} gives {name} {shown(value)}; give {described(kinds[name])}.")
     for name in kinds:
         if name not in values and not hasattr(kind, name):  # a default is an attribute of the class
             raise InputError(f"{where} lacks '{name}'; give {described(kinds[name])}.")
@@ -119,17 +131,22 @@ def from_mapping(kind: type[Settings], values: Any, where: str) -> Settings:
 
 
 def read_mapping(path: Path, meaning: str) -> dict[str, Any]:
-    """Read a YAML or JSON file that holds one mapping; `meaning` names it in the error message."""
+    """Read a YAML or JSON file that holds one mapping; `meaning` names it in the error message.
+
+    Raises:
+        InputError: a file that can't be read, is too large, is not text or not such a mapping.
+    """
+    is_json = path.suffix.lower() == ".json"
     try:
-        text = path.read_text(encoding="utf-8")
-        values = json.loads(text) if path.suffix.lower() == ".json" else yaml.safe_load(text)
+        text = read_file(path, MOST_JSON if is_json else MOST_YAML).decode("utf-8")
+        values = json.loads(text) if is_json else yaml.safe_load(text)
     except OSError as error:
         raise InputError(f"{path} can't be read as {meaning} ({error.strerror}); check the path.") from error
-    except (ValueError, yaml.YAMLError) as error:
-        reason = " ".join(str(error).split())
-        raise InputError(f"{path} is not {meaning} ({reason}); correct the file.") from error
     except RecursionError as error:
         raise InputError(f"{path} is not {meaning} (it nests too deeply); correct the file.") from error
+    except Exception as error:  # YAML's own, and whatever its constructors meet in a value
+        reason = " ".join(str(error).split())
+        raise InputError(f"{path} is not {meaning} ({reason}); correct the file.") from error
     if not isinstance(values, dict):
         raise InputError(f"{path} is not {meaning}; write a mapping of names to values.")
     return values
@@ -144,15 +161,15 @@ def read_clip_file(clip: Path) -> dict[str, Any]:
         InputError: unreadable file, an impossible frame rate or scale, or times that do not rise.
     """
     path = clip / CLIP_FILE
-    if not isfile(path):
+    if not os.path.lexists(path):
         return {}
     values = {name: value for name, value in read_mapping(path, "a clip description").items() if value is not None}
-    for name in ("fps", "depth_scale"):
-        if name in values and not (fits(values[name], float) and 0 < values[name] < math.inf):
-            raise InputError(f"{path} gives {name} {values[name]!r}; give a positive number.")
+    for name, least, most in (("fps", *FRAME_RATES), ("depth_scale", 0, math.inf)):
+        value = values.get(name, 1.0)
+        if not (fits(value, float) and value > 0 and least <= value <= most):
+            raise InputError(f"{path} gives {name} {shown(value)}; give a positive number.")
     times = values.get("times", [])
-    rising = fits(times, tuple[float, ...]) and all(later > earlier for earlier, later in itertools.pairwise(times))
-    if not (rising and all(map(math.isfinite, times))):
+    if not (fits(times, tuple[float, ...]) and all(later > earlier for earlier, later in itertools.pairwise(times))):
         raise InputError(f"{path} gives times that are not rising numbers; give one time in seconds a frame.")
     return values
 

@@ -13,14 +13,14 @@ from data.depth.normalise import DepthSettings
 from data.depth.preset import DepthPreset
 from data.masks.onnx import SegmentationSettings
 from data.training.samples import SampleSettings
-from physics.fields import described, fits
+from physics.fields import described, fits, shown, sound
 
 
 @pytest.mark.parametrize(
     ("kind", "good", "bad"),
     [
-        (float, [1, 1.5], [True, "1", None, [1.0], math.nan, math.inf, 10**400]),
-        (int, [3], [3.0, True, "3"]),
+        (float, [1, 1.5, -1e12], [True, "1", None, [1.0], math.nan, math.inf, 10**400, 1.1e15]),
+        (int, [3, 10**12], [3.0, True, "3", -(10**16), 10**5000]),
         (str | None, ["a", None], [1, ["a"]]),
         (Literal["a", "b"], ["a", "b"], ["c", ["a"], {}]),
         (tuple[float, float], [[1, 2.0], (1, 2)], [[1.0], [1, 2, 3], [1, "2"], "ab", 2]),
@@ -71,3 +71,45 @@ def test_an_annotation_in_words(kind: object, words: str):
 def test_what_is_one_of_a_few_is_checked_from_python_too(kind: type, choice: dict, told: str):
     with pytest.raises(ValueError, match=re.escape(told)):
         kind(**choice)
+
+
+def in_itself() -> list:
+    circle: list = []
+    circle.append(circle)
+    return circle
+
+
+def doubled(levels: int) -> list:
+    """A list in a list, twice in each: few objects, and more to write than there is paper."""
+    return [doubled(levels - 1)] * 2 if levels else [1]
+
+
+def deep(levels: int) -> list:
+    found: list = [1]
+    for _ in range(levels):
+        found = [found]
+    return found
+
+
+@pytest.mark.parametrize(
+    ("value", "told"),
+    [
+        ("a" * 10**6, "'aaaaa"),
+        (10**5000, "a number beyond ±1e+15"),
+        ([10**5000], "[a number beyond ±1e+15]"),
+        (in_itself(), "[[["),
+        (doubled(40), "[[["),
+        (deep(900), "[[["),
+        ({"a": 1.5, "b": None}, "{'a': 1.5, 'b': None}"),
+    ],
+    ids=["long", "huge", "huge inside", "circle", "doubled", "deep", "plain"],
+)
+def test_a_value_is_shown_in_few_words(value: object, told: str):
+    assert shown(value).startswith(told)
+    assert len(shown(value)) < 1000
+
+
+@pytest.mark.parametrize("value", [10**400, [math.nan], {"a": [math.inf]}, in_itself(), doubled(40), deep(900)])
+def test_what_nobody_means_is_not_sound(value: object):
+    assert not sound({"model": value})
+    assert sound({"model": [1, 2.5, -(10**12), None, True, "a", {"b": doubled(3)}]})

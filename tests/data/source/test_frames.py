@@ -4,6 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import re
+import struct
+import subprocess
+import sys
+import zlib
 from fractions import Fraction
 from pathlib import Path
 
@@ -11,6 +16,7 @@ import cv2
 import numpy as np
 import pytest
 
+from data.source.camera import load_camera
 from data.source.frames import FrameFolder, VideoFile, discover, open_source
 from data.source.images import read_image
 from data.source.layout import ClipLayout, InputError, load_layout
@@ -266,16 +272,88 @@ def test_discover_names_what_is_wrong(tmp_path):
         discover([Path("camera:0")], LAYOUT)
 
 
-@pytest.mark.parametrize("kind", ["pipe", "device"])
+NO_FILES = {
+    "pipe": (os.mkfifo, "no file"),
+    "device": (lambda path: path.symlink_to("/dev/zero"), "no file"),
+    "loop": (lambda path: path.symlink_to(path.name), "Too many levels of symbolic links"),
+}
+"""A pipe would be waited for, a device has no end, and a link to itself leads nowhere."""
+
+
+@pytest.mark.parametrize("kind", NO_FILES)
 def test_what_is_no_file_costs_its_own_frame_only(tmp_path, kind):
-    """A pipe would be waited for, and a device has no end."""
-    folder = make_folder(tmp_path / "clip", range(3))
+    folder, (make, told) = make_folder(tmp_path / "clip", range(3)), NO_FILES[kind]
     place = folder / "frame_1_endo.png"
     place.unlink()
-    os.mkfifo(place) if kind == "pipe" else place.symlink_to("/dev/zero")
+    make(place)
     frames = list(open_source(folder, LAYOUT))
     assert [frame.image is None for frame in frames] == [False, True, False]
-    assert frames[1].error == f"{place} is no file; put the picture itself there."
+    assert frames[1].error.startswith(f"{place} ")
+    assert told in frames[1].error
+    if told == "no file":
+        assert frames[1].error == f"{place} is no file; put the picture itself there."
+
+
+@pytest.mark.parametrize("kind", NO_FILES)
+@pytest.mark.parametrize("name", ["v.mp4", "clip.json", "layout.yaml", "camera.yaml"])
+def test_what_is_no_file_is_no_video_and_says_nothing_of_a_clip(tmp_path, kind, name):
+    folder, (make, told) = make_folder(tmp_path / "clip", range(3)), NO_FILES[kind]
+    make(folder / name)
+    read = {"layout.yaml": load_layout, "camera.yaml": load_camera}.get(name)
+    with pytest.raises(InputError, match=rf"{re.escape(str(folder / name))} .*{told}.*; \w+"):
+        read(folder / name) if read else open_source(folder / name if name == "v.mp4" else folder, LAYOUT)
+
+
+def bomb(width: int, height: int) -> bytes:
+    """A PNG that is whole, of a few kB, and unpacks to that many pixels; only its first rows are really there."""
+    rows = zlib.compress(b"\0" * (3 * width + 1) * min(height, 64), 9)
+    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    parts = ((b"IHDR", header), (b"IDAT", rows), (b"IEND", b""))
+    chunks = (
+        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data)) for name, data in parts
+    )
+    return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
+
+
+@pytest.mark.parametrize("size", [(100_000, 100_000), (30_000, 30_000), (8192, 4097), (100_000, 400)])
+def test_a_picture_that_declares_more_than_anybody_takes_is_not_unpacked(tmp_path, size):
+    folder = make_folder(tmp_path / "clip", range(3))
+    place = folder / "frame_1_endo.png"
+    place.write_bytes(bomb(*size))
+    frames = list(open_source(folder, LAYOUT))
+    assert [frame.image is None for frame in frames] == [False, True, False]
+    declared = f"{place} is {size[0]}x{size[1]}, more than 34 million pixels; store it smaller."
+    assert frames[1].error == declared
+    with pytest.raises(InputError, match="more than 34 million pixels"):
+        read_image(place, cv2.IMREAD_UNCHANGED)
+
+
+def test_other_pictures_are_not_unpacked_either(tmp_path):
+    """Their decoders go by a limit that is set before OpenCV is imported, so it takes a program of its own."""
+    content = bytearray(cv2.imencode(".jpg", picture())[1].tobytes())
+    place = content.index(b"\xff\xc0") + 5  # height and width
+    content[place : place + 4] = struct.pack(">HH", 30_000, 30_000)
+    (tmp_path / "large.jpg").write_bytes(content)
+    program = f"""
+import resource
+from pathlib import Path
+from data.source.images import read_image
+try:
+    read_image(Path({str(tmp_path / "large.jpg")!r}))
+except ValueError as error:
+    print(error, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss < 10**6)
+"""
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, cwd=CHECKOUT, capture_output=True, text=True, timeout=60, check=False)
+    told = f"{tmp_path / 'large.jpg'} is more than 34 million pixels; store it smaller. True\n"
+    assert (done.stdout, done.stderr) == (told, "")
+
+
+def test_a_video_that_declares_more_than_anybody_takes_is_not_decoded(tmp_path, monkeypatch):
+    path = make_video(tmp_path / "v.avi", 3)
+    monkeypatch.setattr("data.source.images.MOST_PIXELS", 64 * 48 - 1)
+    with pytest.raises(InputError, match=r"v\.avi is 64x48, more than .* million pixels; store it smaller"):
+        open_source(path, LAYOUT)
 
 
 @pytest.mark.parametrize(
@@ -286,6 +364,13 @@ def test_what_is_no_file_costs_its_own_frame_only(tmp_path, kind):
         ('{"fps": ' + "9" * 400 + "}", "give a positive number"),
         ('{"fps": ' + "9" * 5000 + "}", "is not a clip description"),
         ('{"times": [0, ' + "9" * 400 + ", 1]}", "not rising numbers"),
+        ('{"times": [0, 1, 1e308]}', "not rising numbers"),
+        *(
+            (f'{{"fps": {value}}}', "gives fps .*; give a positive number")
+            for value in ("1e-320", "1e308", "-1", "NaN")
+        ),
+        *((f'{{"fps": {value}}}', "gives fps .{,40}; give") for value in ("9" * 400, "[" * 900 + "]" * 900)),
+        (f'"{"x" * 2**24}"', r"larger than 16384 kB"),
     ],
 )
 def test_a_hostile_clip_file_gets_a_sentence(tmp_path, text, told):
@@ -295,18 +380,23 @@ def test_a_hostile_clip_file_gets_a_sentence(tmp_path, text, told):
         open_source(folder, LAYOUT)
 
 
-def test_folders_may_nest_as_deeply_as_the_disk_allows(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    for _ in range(1100):
-        os.mkdir("d")
-        os.chdir("d")
-    try:
-        with pytest.raises(InputError, match="holds neither a video nor a folder of frames"):
-            discover([tmp_path], LAYOUT)
-    finally:
-        for _ in range(1100):  # pytest's own removal recurses
-            os.chdir("..")
-            os.rmdir("d")
+def test_folders_may_nest_as_deeply_as_the_disk_allows(tmp_path, nested):
+    nested(tmp_path, "d")
+    with pytest.raises(InputError, match="holds neither a video nor a folder of frames"):
+        discover([tmp_path], LAYOUT)
+
+
+def test_a_folder_that_can_t_be_listed_fails_by_itself(tmp_path, nested):
+    """Its path gets too long to be opened."""
+    make_folder(tmp_path / "b")
+    (tmp_path / "a").mkdir()
+    nested(tmp_path / "a", "nested")
+    unlisted, good = discover([tmp_path], LAYOUT)
+    assert good == tmp_path / "b"
+    assert tmp_path / "a" / "nested" in unlisted.parents
+    with pytest.raises(InputError, match=r"nested holds no frame images .*; give a folder of frames") as caught:
+        open_source(unlisted, LAYOUT)
+    assert len(str(caught.value)) < 1000
 
 
 def write_varying(path, milliseconds):

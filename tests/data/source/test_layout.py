@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from data.source.camera import Camera, clip_camera
+from data.source.camera import Camera, clip_camera, load_camera
 from data.source.layout import (
     ClipLayout,
     InputError,
@@ -21,6 +21,11 @@ from data.source.layout import (
     read_clip_file,
 )
 
+LAUGHS = "tool_values: " + "[&a0 [x, x]"
+for _level in range(1, 40):
+    LAUGHS += f", &a{_level} [*a{_level - 1}, *a{_level - 1}]"
+LAUGHS += "]"
+"""Names that stand for twice the one before: 2**40 values, written out."""
 LAYOUTS = Path(__file__).resolve().parents[3] / "configs" / "layouts"
 
 
@@ -86,6 +91,20 @@ def test_impossible_values_are_refused(values, message):
         ("mask_opening_px: x", "gives mask_opening_px 'x'; give a whole number"),
         ("tool_values: 3", r"gives tool_values 3; give \[a whole number, …\]"),
         ("tool_values: [a]", r"gives tool_values \['a'\]; give \[a whole number, …\]"),
+        ("fps: " + "[" * 5000, "nests too deeply"),
+        ("fps: " + "[" * 400 + "]" * 400, r"nests too deeply|gives fps \[.{,60}; give a number"),
+        ("fps: &a [*a]", r"gives fps \[.*; give a number"),
+        (LAUGHS, r"gives tool_values \[.{,900}; give \["),
+        ("fps: 0x" + "f" * 5000, "gives fps a number beyond ±1e\\+15; give a number"),
+        ("fps: " + "9" * 5000, "is not a clip layout"),
+        ("fps: 2000000000", "layout.fps is 2e\\+09; give frames a second"),
+        ("fps: 1.0e-300", "layout.fps is 1e-300; give frames a second"),
+        ("fps: !!timestamp x", "is not a clip layout"),
+        ("tool_values: [0x" + "f" * 5000 + "]", "gives tool_values .a number beyond"),
+        ("depth_factor: 1.0e+308", "gives depth_factor 1e\\+308; give a number"),
+        ("mask_opening_px: 100000", "layout.mask_opening_px is 100000; give at most 1001"),
+        ("? 0x" + "f" * 5000 + "\n: 1", "has the unknown key a number beyond"),
+        ("fps: [" + "1," * 2**16 + "1]", "larger than 128 kB"),
     ],
 )
 def test_bad_layout_files_get_one_sentence(tmp_path, text, message):
@@ -113,6 +132,41 @@ def test_camera_beside_the_clip_must_exist(tmp_path):
     (tmp_path / "clip.json").write_text(json.dumps({"camera": [1]}))
     with pytest.raises(InputError, match=r"clip\.json\) has a camera that is not a mapping"):
         clip_camera(tmp_path, layout)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        *(("fx", value, "gives fx .{,60}; give a number") for value in ("1e308", "9" * 300, "NaN", '"1e999"')),
+        *(("fx", "[" * levels + "]" * levels, "gives fx .{,60}; give a number") for levels in (400, 900)),
+        (
+            "fx",
+            "1e-320",
+            r"focal length \(9.*e-321, 10\) or centre .* is none of a picture of 4x3; give all in its pixels",
+        ),
+        ("cx", "-1e12", "give all in its pixels"),
+        ("width", "1e12", "give all in its pixels"),
+        ("height", "9" * 400, "gives height a number beyond .*; give a whole number"),
+        ("width", "-1e9", "give its size in pixels"),
+        ("distortion", "[1e308, 0, 0, 0]", r"gives distortion \[.*; give \[a number"),
+    ],
+)
+def test_cameras_that_nobody_has_are_one_sentence(tmp_path, name, text, message):
+    entries = {"fx": "10", "fy": "10", "cx": "1", "cy": "1", "width": "4", "height": "3"} | {name: text}
+    camera = "{" + ", ".join(f'"{key}": {value}' for key, value in entries.items()) + "}"
+    (tmp_path / "camera.json").write_text(camera)
+    (tmp_path / "clip.json").write_text(f'{{"camera": {camera}}}')
+    for read in (lambda: load_camera(tmp_path / "camera.json"), lambda: clip_camera(tmp_path, ClipLayout())):
+        with pytest.raises(InputError, match=message) as caught:
+            read()
+        assert str(tmp_path) in str(caught.value)
+        assert len(str(caught.value)) < len(str(tmp_path)) + 300
+
+
+def test_a_camera_file_that_names_itself(tmp_path):
+    (tmp_path / "camera.yaml").write_text("fx: &a [*a]")
+    with pytest.raises(InputError, match=r"camera\.yaml gives fx \[.*; give a number"):
+        load_camera(tmp_path / "camera.yaml")
 
 
 @pytest.mark.parametrize(

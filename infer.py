@@ -16,6 +16,7 @@ if __name__ == "__main__":
 import argparse
 
 from data.command_line import path_option, real_number, whole_number
+from data.depth.normalise import MOST_THREADS
 from data.depth.preset import preset_names
 from estimators.direct.estimator import LEAST_SIGMA, OBSERVATIONS, SMOOTHING
 from estimators.onset import ONSETS
@@ -49,7 +50,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--layout", type=path_option, metavar="FILE", help=text)
     text = "camera (YAML or JSON) for clips that bring none of their own"
     add("--camera", type=path_option, metavar="FILE", help=text)
-    add("--threads", type=whole_number(0, 1024), default=0, metavar="N", help="CPU threads; 0 = all (default)")
+    add("--threads", type=whole_number(0, MOST_THREADS), default=0, metavar="N", help="CPU threads; 0 = all (default)")
     add("--overwrite", action="store_true", help="compute all clips again and replace earlier results")
     add("--debug", action="store_true", help="stop at the first failure with its traceback")
     text = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -37,7 +38,8 @@ class PictureNetwork:
         self.path = path
         options = onnxruntime.SessionOptions()
         options.log_severity_level = 3
-        options.intra_op_num_threads = threads
+        # More than there are cores wait for each other, busily.
+        options.intra_op_num_threads = min(threads, os.cpu_count() or 1)
         options.use_deterministic_compute = True
         if _PROVIDERS[device] not in onnxruntime.get_available_providers():
             raise InputError(

@@ -25,6 +25,7 @@ from rich.console import Console
 
 from data.command_line import path_option, progress_bars, real_number, say, whole_number
 from data.contact.interaction import PRESS
+from data.depth.normalise import MOST_THREADS
 from estimators.direct.estimator import FIELD, LEAST_SIGMA, OBSERVATIONS
 from estimators.onset import ONSETS, STAMP
 from estimators.open import EstimatorOptions
@@ -84,7 +85,7 @@ def build_parser() -> argparse.ArgumentParser:
     add("--size", type=_size, default="214x120", metavar="WxH", help=text)
     add("--output", type=path_option, required=True, metavar="DIR", help="folder of the results")
     text = "processes; 0 = in this one (default %(default)s)"
-    add("--workers", type=whole_number(0), default=2, metavar="N", help=text)
+    add("--workers", type=whole_number(0, MOST_THREADS), default=2, metavar="N", help=text)
     return parser
 
 

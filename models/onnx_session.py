@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import reprlib
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -191,7 +192,8 @@ def _open_session(path: Path, threads: int | None) -> tuple[onnxruntime.Inferenc
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 4  # what goes wrong is said once, below
     if threads is not None:
-        options.intra_op_num_threads = threads
+        # More than there are cores wait for each other, busily.
+        options.intra_op_num_threads = min(threads, os.cpu_count() or 1)
     available = onnxruntime.get_available_providers()
     providers = [name for name in ("CUDAExecutionProvider", "CPUExecutionProvider") if name in available]
     try:

@@ -61,6 +61,8 @@ class Mechanics:
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0):
                 raise ValueError(f"mechanics.{name} is {value}; give a positive number.")
+        if self.time_step > 1:
+            raise ValueError(f"mechanics.time_step is {self.time_step:g}; give seconds, at most 1.")
         if not 1 <= self.steps <= MOST_STEPS:
             raise ValueError(f"mechanics.steps is {self.steps}; give 1 to {MOST_STEPS}.")
         if not 0 <= self.load_steps <= self.steps:
@@ -81,7 +83,7 @@ class Mechanics:
         Observations at multiples of the interval then lie on steps; rounding them to the nearest step would shift a
         30 Hz clip's by up to a quarter of a step's worth of motion.
         """
-        step = interval / math.ceil(interval / self.time_step - 1e-6)
+        step = interval / max(1, math.ceil(interval / self.time_step - 1e-6))
         scale = self.time_step / step
         if abs(scale - 1) < 1e-9:
             return self

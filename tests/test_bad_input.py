@@ -101,6 +101,50 @@ def strip(clips: Path) -> Path:
     return clips / "bad"
 
 
+def video_of_a_device(clips: Path) -> Path:
+    (clips / "bad.mp4").symlink_to("/dev/zero")
+    return clips / "bad.mp4"
+
+
+def video_of_a_pipe(clips: Path) -> Path:
+    os.mkfifo(clips / "bad.mp4")
+    return clips / "bad.mp4"
+
+
+def video_of_a_loop(clips: Path) -> Path:
+    (clips / "bad.mp4").symlink_to("bad.mp4")
+    return clips / "bad.mp4"
+
+
+def clip_file_of_a_pipe(clips: Path) -> Path:
+    os.mkfifo(write_clip(clips / "bad", FRAMES, 2) / "clip.json")
+    return clips / "bad"
+
+
+def clip_file_of_camera(text: str) -> Callable[[Path], Path]:
+    def make(clips: Path) -> Path:
+        (write_clip(clips / "bad", FRAMES, 2) / "clip.json").write_text(f'{{"camera": {{"fx": {text}}}}}')
+        return clips / "bad"
+
+    return make
+
+
+def clip_file_of_rate(text: str) -> Callable[[Path], Path]:
+    def make(clips: Path) -> Path:
+        (write_clip(clips / "bad", FRAMES, 2) / "clip.json").write_text(f'{{"fps": {text}}}')
+        return clips / "bad"
+
+    return make
+
+
+def pictures_that_unpack_to_gigabytes(clips: Path) -> Path:
+    content = encode(np.zeros((40, 40), np.uint8))
+    (clips / "bad").mkdir()
+    for index in range(3):
+        (clips / "bad" / f"{index}.png").write_bytes(content[:16] + (30_000).to_bytes(4, "big") * 2 + content[24:])
+    return clips / "bad"
+
+
 UNUSABLE = (
     empty_video,
     no_video,
@@ -109,14 +153,21 @@ UNUSABLE = (
     broken_clip_file,
     two_images_of_one_number,
     strip,
+    video_of_a_device,
+    video_of_a_pipe,
+    video_of_a_loop,
+    clip_file_of_a_pipe,
+    *(clip_file_of_camera(text) for text in ("[" * 900 + "]" * 900, "9" * 400, "1e308", "-1", "NaN")),
+    *(clip_file_of_rate(text) for text in ("1e308", "1e-320", "9" * 400, "[" * 5000)),
+    pictures_that_unpack_to_gigabytes,
 )
 
 
 def test_unusable_clips_are_named_and_the_rest_goes_on(clips: Path, model: Path, capsys: pytest.CaptureFixture) -> None:
     bad = []
-    for make in UNUSABLE:
-        (clips / make.__name__).mkdir()
-        bad.append(make(clips / make.__name__))
+    for index, make in enumerate(UNUSABLE):
+        (clips / f"{index} {make.__name__}").mkdir()
+        bad.append(make(clips / f"{index} {make.__name__}"))
     assert call(clips) == 1
     told = capsys.readouterr()
     failures = [line for line in told.err.splitlines() if line.startswith("failed: ")]
@@ -124,8 +175,10 @@ def test_unusable_clips_are_named_and_the_rest_goes_on(clips: Path, model: Path,
         named = [line for line in failures if str(path) in line]
         assert len(named) == 1
         assert named[0].endswith(".")
+        assert len(named[0]) < 2 * len(str(path)) + 300
     assert len(failures) == len(UNUSABLE)
     assert is_plain(told.err + told.out)
+    assert "unexpected" not in told.err
     assert statuses(clips, "good") == ["no_contact"] * 2 + ["ok"] * 4
     assert sorted(path.name for path in (clips.parent / "out").iterdir()) == ["good"]
 
@@ -292,6 +345,26 @@ def test_truncated_video_keeps_a_row_for_every_announced_frame(
     assert "cut: truncated: " in capsys.readouterr().err
 
 
+def test_folders_nest_and_links_lead_in_circles(
+    clips: Path, model: Path, nested: Callable, capsys: pytest.CaptureFixture
+) -> None:
+    """In a clip and beside one; where a path gets too long to be opened, that folder fails alone."""
+    for folder in (clips, clips / "good"):
+        (folder / "round").symlink_to(clips)
+        (folder / "self").symlink_to("self")
+        nested(folder, "d")
+    assert call(clips) == 0
+    nested(clips, "long")
+    assert call(clips) == 1
+    told = capsys.readouterr()
+    [failure] = [line for line in told.err.splitlines() if line.startswith("failed: ")]
+    assert f"{clips}/long/long/" in failure
+    assert len(failure) < 1000
+    assert is_plain(told.err)
+    assert "unexpected" not in told.err
+    assert statuses(clips, "good") == ["no_contact"] * 2 + ["ok"] * 4
+
+
 def test_names_of_any_script_and_length(clips: Path, model: Path) -> None:
     long = "é" * 100
     write_clip(clips / "肝臓 [1] {x} vidéo", FRAMES, 2)
@@ -402,6 +475,47 @@ def camera_without_focal_length(folder: Path) -> list[str]:
     return ["--camera", str(folder / "bad.yaml")]
 
 
+def layout_of_a_pipe(folder: Path) -> list[str]:
+    os.mkfifo(folder / "bad.yaml")
+    return ["--layout", str(folder / "bad.yaml")]
+
+
+def layout_of_a_huge_opening(folder: Path) -> list[str]:
+    (folder / "bad.yaml").write_text("mask_opening_px: 100000\n")
+    return ["--layout", str(folder / "bad.yaml")]
+
+
+def camera_of_a_device(folder: Path) -> list[str]:
+    (folder / "bad.yaml").symlink_to("/dev/zero")
+    return ["--camera", str(folder / "bad.yaml")]
+
+
+def camera_that_names_itself(folder: Path) -> list[str]:
+    (folder / "bad.yaml").write_text("fx: &a [*a]\n")
+    return ["--camera", str(folder / "bad.yaml")]
+
+
+def preset_of_a_pipe(folder: Path) -> list[str]:
+    os.mkfifo(folder / "bad.yaml")
+    return ["--depth", str(write_model(folder / "depth.onnx")), "--depth-preset", str(folder / "bad.yaml")]
+
+
+def preset_of_huge_pictures(folder: Path) -> list[str]:
+    (folder / "bad.yaml").write_text("kind: metric\nsize: [100000, 100000]\n")
+    return ["--depth", str(write_model(folder / "depth.onnx")), "--depth-preset", str(folder / "bad.yaml")]
+
+
+def model_of_a_pipe(folder: Path) -> list[str]:
+    os.mkfifo(folder / "bad.onnx")
+    return ["--model", str(folder / "bad.onnx")]
+
+
+def model_of_a_huge_grid(folder: Path) -> list[str]:
+    geometry = dataclasses.asdict(GeometrySettings(height=GRID[0], width=GRID[1])) | {"height": 100_000}
+    write_model(folder / "bad.onnx", metadata() | {"geometry": geometry})
+    return ["--model", str(folder / "bad.onnx")]
+
+
 def output_is_a_file(folder: Path) -> list[str]:
     (folder / "bad.txt").write_text("")
     return ["--output", str(folder / "bad.txt")]
@@ -422,6 +536,14 @@ def output_is_a_file(folder: Path) -> list[str]:
         layout_with_unknown_key,
         layout_with_impossible_bound,
         camera_without_focal_length,
+        layout_of_a_pipe,
+        layout_of_a_huge_opening,
+        camera_of_a_device,
+        camera_that_names_itself,
+        preset_of_a_pipe,
+        preset_of_huge_pictures,
+        model_of_a_pipe,
+        model_of_a_huge_grid,
         output_is_a_file,
     ],
     ids=lambda make: make.__name__,
@@ -438,6 +560,16 @@ def test_wrong_usage_is_one_sentence_with_the_file(
     assert "depth.model" not in told
     assert "depth.preset" not in told
     assert not (clips.parent / "out").exists()
+
+
+@pytest.mark.parametrize("threads", ["100000", "-1", "1e5", "9" * 5000])
+def test_threads_that_no_machine_has_are_wrong_usage(
+    clips: Path, model: Path, capsys: pytest.CaptureFixture, threads: str
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        call(clips, f"--threads={threads}")
+    assert ended.value.code == 2
+    assert "error: argument --threads: " in capsys.readouterr().err
 
 
 def test_depth_preset_without_its_file_says_which_option(

@@ -18,7 +18,7 @@ from scipy.spatial import KDTree
 from data.contact.outlines import tool_depth
 from data.contact.surface import smooth_surface
 from data.labels import TISSUE, TOOL
-from data.source.camera import Camera, back_project
+from data.source.camera import MOST_SIDE, Camera, back_project
 from physics.fields import require_choices
 from physics.mesh import Mesh, contact_normal, grid_mesh, nearest_vertex
 
@@ -129,6 +129,9 @@ class GeometrySettings:
         for name, low in least.items():
             if not low <= getattr(self, name) < math.inf:
                 raise ValueError(f"geometry.{name} is {getattr(self, name)}; give a finite number of at least {low}.")
+        for name in ("height", "width"):
+            if getattr(self, name) > MOST_SIDE:
+                raise ValueError(f"geometry.{name} is {getattr(self, name)}; give at most {MOST_SIDE}.")
         if self.smoothing > self.width:
             raise ValueError(f"geometry.smoothing is {self.smoothing}; give at most the grid's width, {self.width}.")
         if not self.max_edge > 0:

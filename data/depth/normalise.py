@@ -30,6 +30,8 @@ FAR_MULTIPLE = 3.0
 CLIP_QUANTILE = 0.9
 """A clip's largest depth is this quantile of its sampled frames' largest depths: a few bad frames don't count."""
 OUTSIDE = 255
+MOST_THREADS = 1024
+"""Of one program."""
 
 
 @dataclass(frozen=True)
@@ -82,9 +84,11 @@ class DepthSettings:
         for name in ("scale", "scale_seconds"):
             if getattr(self, name) is not None and not 0 < getattr(self, name) < math.inf:
                 raise ValueError(f"depth.{name} is {getattr(self, name)}; give a positive number.")
-        for name, least in (("scale_samples", 1), ("threads", 0)):
+        for name, least, most in (("scale_samples", 1, 10_000), ("threads", 0, MOST_THREADS)):
             if getattr(self, name) < least:
                 raise ValueError(f"depth.{name} is {getattr(self, name)}; give at least {least}.")
+            if getattr(self, name) > most:
+                raise ValueError(f"depth.{name} is {getattr(self, name)}; give at most {most}.")
 
 
 def open_depth(settings: DepthSettings, layout: ClipLayout, source: FrameSource) -> DepthSource:

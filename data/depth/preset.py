@@ -11,6 +11,7 @@ from os.path import isfile
 from pathlib import Path
 from typing import Literal
 
+from data.source.camera import MOST_SIDE
 from data.source.layout import InputError, from_mapping, read_mapping
 from physics.fields import require_choices
 
@@ -73,6 +74,8 @@ class DepthPreset:
         sides = self.size if isinstance(self.size, tuple) else (self.size,)
         if any(pixels is not None and pixels < 1 for pixels in (*sides, self.multiple, self.focal_grid)):
             raise ValueError("size, multiple and focal_grid are pixels; give numbers of at least 1.")
+        if any(pixels is not None and pixels > MOST_SIDE for pixels in (*sides, self.multiple)):
+            raise ValueError(f"size and multiple are pixels; give numbers of at most {MOST_SIDE}.")
         if self.resize in ("shorter", "longer") and not isinstance(self.size, int):
             raise ValueError(f"resize {self.resize} needs one number as size, not {self.size!r}.")
         if self.resize == "exact" and isinstance(self.size, int):

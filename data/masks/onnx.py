@@ -20,6 +20,7 @@ from scipy.special import expit, softmax
 from data.labels import TISSUE, TOOL
 from data.masks.automatic import lit_picture
 from data.picture_network import PictureNetwork, network_input, resized
+from data.source.camera import MOST_SIDE
 from data.source.frames import Frame
 from data.source.layout import InputError, from_mapping, read_mapping
 from physics.fields import require_choices
@@ -66,8 +67,11 @@ class SegmentationSettings:
             raise ValueError("std needs numbers above 0.")
         if not 0 < self.threshold < 1:
             raise ValueError(f"threshold is {self.threshold}; give a number between 0 and 1.")
-        if any(pixels is not None and pixels < 1 for pixels in (self.multiple, self.height, self.width)):
+        sides = [pixels for pixels in (self.multiple, self.height, self.width) if pixels is not None]
+        if min(sides) < 1:
             raise ValueError("height, width and multiple must be positive.")
+        if max(sides) > MOST_SIDE:
+            raise ValueError(f"height, width and multiple are pixels; give at most {MOST_SIDE}.")
 
 
 class OnnxMasks:
@@ -159,7 +163,7 @@ def read_settings(path: Path, metadata: dict[str, str]) -> SegmentationSettings:
         where = f"the metadata '{METADATA_KEY}' of {path}"
         try:
             values = json.loads(metadata[METADATA_KEY])
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise InputError(f"{where} is not JSON ({error}); write {beside.name} beside the model instead.") from error
     else:
         raise InputError(f"{path} has no settings; write {beside.name} beside it that names its tool channels.")

@@ -10,6 +10,9 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
+from data.source.camera import MOST_SIDE
+from data.source.layout import FRAME_RATES
+
 Range = tuple[float, float]
 
 
@@ -109,12 +112,12 @@ class SceneSettings:
 
 
 _LIMITS = {
-    "width": (64, math.inf),
-    "height": (48, math.inf),
-    "grid_width": (64, math.inf),
-    "grid_height": (48, math.inf),
-    "frames": (8, math.inf),
-    "fps": (1e-6, 1e6),
+    "width": (64, MOST_SIDE),
+    "height": (48, MOST_SIDE),
+    "grid_width": (64, MOST_SIDE),
+    "grid_height": (48, MOST_SIDE),
+    "frames": (8, 1e6),
+    "fps": FRAME_RATES,
     "field_of_view_deg": (20, 110),
     "stiffness": (1e-6, math.inf),
     "damping": (1e-9, math.inf),

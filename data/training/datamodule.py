@@ -17,6 +17,7 @@ from torch.utils.data.distributed import DistributedSampler
 
 from data.cache import PreparedClip
 from data.contact.interaction import Interaction
+from data.depth.normalise import MOST_THREADS
 from data.settings import NUMBERS, PREPROCESSING_VERSION, PrepareSettings
 from data.source.layout import ClipLayout, InputError, load_layout
 from data.training.batches import SampleDataset, collate
@@ -25,6 +26,9 @@ from data.training.preparation import prepare_all
 from data.training.samples import SampleSettings, list_frames, make_interaction
 from data.training.splits import FRACTIONS, SPLITS, Place, split_samples
 from physics.mechanics import Bounds, require_stable
+
+LARGEST_BATCH = 2**16
+"""Samples of a batch."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +48,11 @@ class LoadingSettings:
         if self.batch_size < 1 or self.num_workers < 0:
             raise ValueError(
                 f"batch_size is {self.batch_size} and num_workers {self.num_workers}; give at least 1 and 0."
+            )
+        if self.batch_size > LARGEST_BATCH or self.num_workers > MOST_THREADS:
+            raise ValueError(
+                f"batch_size is {self.batch_size} and num_workers {self.num_workers}; give at most {LARGEST_BATCH} and "
+                f"{MOST_THREADS}."
             )
         if len(self.fractions) != len(SPLITS) or min(self.fractions) < 0 or not self.fractions[0] > 0:
             raise ValueError(f"fractions are {list(self.fractions)}; give the shares of train, val and test.")

@@ -194,6 +194,8 @@ def test_another_seeds_folder_is_refused(tmp_path, evaluated, capsys):
         (("--size", "214x119"), "214x119 is no size of pictures"),
         (("--size", "854x480x3"), "854x480x3 is no size of pictures"),
         (("--size", "5000x480"), "5000x480 is no size of pictures"),
+        (("--size", "100000x100000"), "100000x100000 is no size of pictures"),
+        (("--workers", "100000"), "--workers: 100000 is more than 1024"),
         (("--size=-854x480",), "-854x480 is no size of pictures"),
         (("--size", "８５４x480"), "８５４x480 is no size of pictures"),
         (("--size", "854x4.8e2"), "854x4.8e2 is no size of pictures"),

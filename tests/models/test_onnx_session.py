@@ -7,9 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import onnx
+import onnxruntime
 import pytest
 from onnx import TensorProto, helper
 
+from data.picture_network import PictureNetwork
 from models.onnx_session import (
     FORMAT_VERSION,
     METADATA_KEY,
@@ -164,3 +166,18 @@ def test_metadata_that_is_not_text(tmp_path):
     path.write_bytes(path.read_bytes().replace(b'"auto"', b'"\xff\xfe\xff\xfe"'))
     with pytest.raises(ModelFileError, match="without palpate's metadata"):
         ParameterModel(path)
+
+
+def test_no_more_threads_are_started_than_there_are_cores(tmp_path, monkeypatch):
+    asked, opened = [], onnxruntime.InferenceSession
+
+    def noted(content, options, **others):
+        asked.append(options.intra_op_num_threads)
+        return opened(content, options, **others)
+
+    monkeypatch.setattr(onnxruntime, "InferenceSession", noted)
+    monkeypatch.setattr("os.cpu_count", lambda: 2)
+    for threads in (None, 1, 2, 1024):
+        ParameterModel(write_model(tmp_path / "m.onnx"), threads)
+    PictureNetwork(Path(__file__).resolve().parents[2] / "data" / "depth" / "photometric.onnx", threads=1024)
+    assert asked == [0, 1, 2, 2, 2]

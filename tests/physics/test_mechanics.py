@@ -23,6 +23,7 @@ def test_defaults_are_the_papers():
     [
         ({"mass": 0.0}, "mechanics.mass is 0.0"),
         ({"time_step": float("nan")}, "mechanics.time_step"),
+        ({"time_step": 1e9}, "mechanics.time_step is 1e\\+09; give seconds, at most 1"),
         ({"steps": 0}, "mechanics.steps is 0"),
         ({"steps": 20_001}, "give 1 to 20000"),
         ({"load_steps": 201}, "give 0 to 200"),
@@ -101,6 +102,11 @@ def test_matched_steps_divide_the_frame_interval(fps: float) -> None:
     assert matched.time_step <= mechanics.time_step * (1 + 1e-9)
     assert matched.steps * matched.time_step == pytest.approx(1.0, abs=matched.time_step)
     assert (matched is mechanics) == (fps in (10.0, 25.0, 50.0))
+
+
+def test_frames_too_close_to_simulate_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"mechanics\.steps is 10000000; give 1 to"):
+        Mechanics(time_step=1.0, steps=1, load_steps=1).matched(1e-7)
 
 
 def test_the_box_of_logarithms_takes_the_force_as_a_magnitude() -> None:

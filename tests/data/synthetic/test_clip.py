@@ -280,6 +280,9 @@ def test_bad_usage_gets_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture
         assert option in capsys.readouterr().err
     assert main([*target, "--force", "1", "2"]) == 2
     assert "scene.force" in capsys.readouterr().err
+    for size in ("100000x100000", "4097x480", "9" * 400 + "x480"):
+        assert main([*target, "--size", size]) == 2
+        assert "within [64, 4096]" in " ".join(capsys.readouterr().err.split())
     assert main([*target, "--size", "small", "--frames", "9"]) == 1
     (tmp_path / "file").write_text("")
     assert main(["--output", str(tmp_path / "file")]) == 1

@@ -31,6 +31,7 @@ from data.prepared import PreparedFrame
 from data.settings import PrepareSettings
 from data.source.camera import clip_camera
 from data.source.layout import InputError
+from physics.files import all_below
 from physics.mesh import Mesh
 from physics.provenance import code_digest
 
@@ -62,7 +63,7 @@ def cache_key(path: Path, settings: PrepareSettings) -> str:
 
 
 def _file_states(path: Path) -> list[list[Any]]:
-    files = sorted(file for file in path.rglob("*") if file.is_file()) if path.is_dir() else [path]
+    files = [file for file in all_below(path) if file.is_file()] if path.is_dir() else [path]
     states = ((file, file.stat()) for file in files)
     return [[os.fspath(file.relative_to(path.parent)), state.st_size, state.st_mtime_ns] for file, state in states]
 
@@ -165,15 +166,16 @@ class CacheEntry:
         """The prepared clip, or None where there is none; a damaged entry is removed."""
         if not self.folder.is_dir():
             return None
-        try:
+        with contextlib.suppress(Exception):  # by where a file is damaged, readers of zip files or arrays give up
+            _require_whole(self.folder / "clip.npz", "sources")
             with np.load(self.folder / "clip.npz") as stored:
                 columns = dict(stored)
-            sources = json.loads(str(columns.pop("sources")))
+            sources = dict(json.loads(str(columns.pop("sources"))))
             clip = PreparedClip(self.folder, path, self.name, sources, **columns)
-            if all(zipfile.is_zipfile(_frame_file(self.folder, index)) for index in range(len(clip))):
+            for index in range(len(clip)):
+                _require_whole(_frame_file(self.folder, index), "depth")
+            if {len(column) for column in columns.values()} == {len(clip)}:
                 return clip
-        except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
-            pass
         shutil.rmtree(self.folder, ignore_errors=True)
         return None
 
@@ -213,6 +215,19 @@ class CacheEntry:
 
 def _frame_file(folder: Path, index: int) -> Path:
     return folder / f"{index}.npz"
+
+
+def _require_whole(path: Path, name: str) -> None:
+    """Raise an exception where a file is not as `numpy.savez` wrote it, with this array in it.
+
+    What is packed is none of ours, and may be far larger than it looks.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(path)
+    with zipfile.ZipFile(path) as file:
+        packed = any(entry.compress_type != zipfile.ZIP_STORED for entry in file.infolist())
+        if packed or f"{name}.npy" not in file.namelist() or file.testzip() is not None:
+            raise zipfile.BadZipFile(path)
 
 
 def _row(prepared: PreparedFrame) -> dict[str, Any]:

@@ -6,6 +6,7 @@ import multiprocessing
 import os
 import pickle
 import time
+import zipfile
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import islice
@@ -112,6 +113,75 @@ def test_a_damaged_entry_is_prepared_again(tmp_path):
         for left in (-100, 0):
             (clip.folder / name).write_bytes((clip.folder / name).read_bytes()[:left])
             assert prepare(folder, SETTINGS, cache).counts["ok"] == 2
+
+
+def one_byte(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+
+
+def packed(path: Path) -> None:
+    """As small, and of gigabytes."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
+        for name in ("status", "sources", "depth"):
+            with file.open(f"{name}.npy", "w") as entry:
+                np.lib.format.write_array(entry, np.zeros(10**6))
+
+
+def deep(path: Path) -> None:
+    with np.load(path) as stored:
+        columns = dict(stored)
+    np.savez(path, **columns | {"sources": "[" * 100_000})
+
+
+def short(path: Path) -> None:
+    with np.load(path) as stored:
+        columns = dict(stored)
+    np.savez(path, **columns | {"times": columns["times"][:-1]})
+
+
+def pipe(path: Path) -> None:
+    path.unlink()
+    os.mkfifo(path)
+
+
+def device(path: Path) -> None:
+    path.unlink()
+    path.symlink_to("/dev/zero")
+
+
+def foreign(path: Path) -> None:
+    np.savez(path, picture=np.zeros(3))
+
+
+@pytest.mark.parametrize(
+    ("name", "damage"),
+    [
+        *((name, damage) for name in ("clip.npz", "2.npz") for damage in (one_byte, packed, pipe, device, foreign)),
+        *(("clip.npz", damage) for damage in (deep, short)),
+    ],
+    ids=lambda each: getattr(each, "__name__", each),
+)
+def test_a_damaged_entry_is_made_again(tmp_path, name, damage):
+    folder, cache = write_clip(tmp_path / "clip", frames=4), tmp_path / "cache"
+    clip = prepare(folder, SETTINGS, cache)
+    before = {path.name: path.stat().st_size for path in clip.folder.iterdir()}
+    damage(clip.folder / name)
+    again = prepare(folder, SETTINGS, cache)
+    assert {path.name: path.stat().st_size for path in again.folder.iterdir()} == before
+    assert [again.depth(index).shape for index in range(4)] == [(GRID.height, GRID.width)] * 4
+    assert again.counts == clip.counts
+
+
+def test_folders_in_a_clip_may_nest_as_deeply_as_the_disk_allows(tmp_path, nested):
+    folder = write_clip(tmp_path / "clip", frames=3)
+    key = cache_key(folder, SETTINGS)
+    nested(folder, "d")
+    assert cache_key(folder, SETTINGS) == key
+    (folder / "d" / "file").touch()
+    assert cache_key(folder, SETTINGS) != key
+    (folder / "d" / "file").unlink()
 
 
 def test_an_unwritable_cache_and_a_missing_clip_are_sentences(tmp_path):

@@ -21,7 +21,6 @@ if __name__ == "__main__":
 
 import argparse
 import dataclasses
-import json
 import math
 import sys
 from collections.abc import Sequence
@@ -37,6 +36,7 @@ from data.contact.film_features import FILM_FEATURES, WITHIN
 from data.contact.interaction import PRESS
 from data.masks.sources import MaskClasses
 from data.settings import PREPROCESSING_VERSION
+from data.source.layout import read_mapping
 from estimators.estimate import NINETY
 from estimators.network.fits import BOUNDS, MECHANICS, SCENES
 from estimators.onset import BETWEEN, STAMP
@@ -116,14 +116,15 @@ def check_record(folder: Path, weights_sha256: str, seen: str | None, onset: str
         onset: what the network must have been told of the instants.
 
     Raises:
-        OSError, ValueError: no record, another split than validation, other frames, or another or a calibrated network.
+        ValueError: no record, another split than validation, other frames, or another or a calibrated network.
     """
-    record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+    record = read_mapping(folder / RECORD, "a record of the benchmark")
     for name, value in {"split": "validation", "seen": seen}.items():
         if record.get(name) != value:
             remedy = f"with --{name} {value}" if value else f"without --{name}"
             raise ValueError(f"{folder} has {name} {record.get(name)}; run the benchmark {remedy}.")
-    network = record.get("estimator network", {})
+    network = record.get("estimator network")
+    network = network if isinstance(network, dict) else {}
     made = network.get("onset", STAMP)
     if made != onset:
         raise ValueError(f"{folder} was made with --onset {made}; run the benchmark with --onset {onset}.")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 import zipfile
 from collections.abc import Mapping
 from dataclasses import fields
@@ -39,7 +38,8 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
         CheckpointError: no such file, or not such a checkpoint.
     """
     checkpoint = _read(path, "train.py fit")
-    if "bounds" not in checkpoint.get("hyper_parameters", {}) or "state_dict" not in checkpoint:
+    settings, weights = (checkpoint.get(name) for name in ("hyper_parameters", "state_dict"))
+    if not (isinstance(settings, dict) and isinstance(weights, dict) and "bounds" in settings):
         raise CheckpointError(f"{path} is a checkpoint of another program; give one that train.py fit wrote.")
     return checkpoint
 
@@ -111,7 +111,7 @@ def _read(path: Path, writer: str) -> dict[str, Any]:
         raise CheckpointError(unreadable)
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
-    except (pickle.UnpicklingError, RuntimeError, EOFError) as error:
+    except Exception as error:  # by where a file is damaged, readers of zip files, pickles or numbers give up
         raise CheckpointError(unreadable) from error
     if not isinstance(content, dict):
         raise CheckpointError(unreadable)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 
 import numpy as np
 import pytest
@@ -107,6 +108,25 @@ def test_the_noise_of_one_suite_has_no_exponent() -> None:
     exponents = fit_exponents(errors, np.stack([deviation, noise], axis=1))
     assert exponents[1] == 0
     assert exponents[0] == pytest.approx(1, abs=0.15)
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, "{", "[]", None], ids=["deep", "cut", "a list", "a pipe"])
+def test_a_damaged_record_is_one_sentence(tmp_path, text: str | None) -> None:
+    if text is None:
+        os.mkfifo(tmp_path / "run.json")
+    else:
+        (tmp_path / "run.json").write_text(text)
+    with pytest.raises(ValueError, match=r"run\.json (is not|can't be read as) a record of the benchmark.*; \w+"):
+        check_record(tmp_path, "abc", None)
+
+
+@pytest.mark.parametrize("content", [b"", b"garbage" * 500, b"PK\x05\x06" + bytes(18)])
+def test_weights_that_can_t_be_read_are_one_sentence(tmp_path, capsys, content: bytes) -> None:
+    (tmp_path / "bad.pt").write_bytes(content)
+    assert main(["--weights", str(tmp_path / "bad.pt"), "--output", str(tmp_path / "out.onnx")]) == 1
+    told = f"{tmp_path / 'bad.pt'} is not a readable checkpoint; give one that python -m estimators.network.training"
+    assert capsys.readouterr().err == f"{told} wrote.\n"
+    assert not (tmp_path / "out.onnx").exists()
 
 
 def test_a_missing_file_is_one_sentence(tmp_path, capsys) -> None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import zipfile
 from dataclasses import asdict
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
@@ -82,9 +84,34 @@ def test_unusable_files(checkpoint: Path, tmp_path: Path):
         broken.write_bytes(content)
         with pytest.raises(CheckpointError, match="not a readable checkpoint"):
             read_checkpoint(broken)
-    torch.save({"weights": torch.zeros(2)}, broken)
-    with pytest.raises(CheckpointError, match="another program"):
-        read_checkpoint(broken)
+    for foreign in ({"weights": torch.zeros(2)}, {"state_dict": {}, "hyper_parameters": 3}, {"state_dict": 3}):
+        torch.save(foreign, broken)
+        with pytest.raises(CheckpointError, match="another program"):
+            read_checkpoint(broken)
+
+
+def test_files_damaged_inside(checkpoint: Path, tmp_path: Path):
+    """Whatever part of one is garbage, cut short or gone, the sentence is the same."""
+    with zipfile.ZipFile(checkpoint) as file:
+        parts = {name: file.read(name) for name in file.namelist()}
+    (pickled,) = (name for name in parts if name.endswith("/data.pkl"))
+    root, damaged = pickled.rpartition("/")[0], tmp_path / "damaged.ckpt"
+    noise = np.random.default_rng(0)
+    changes = [
+        {pickled: content}
+        for content in (None, b"", parts[pickled][:-100], parts[pickled][: len(parts[pickled]) // 2], noise.bytes(900))
+    ]
+    changes += [{pickled: b"\x80\x02" + b"]" * 100_000 + b"a" * 99_999 + b"."}]
+    changes += [{f"{root}/{name}": content} for name, content in (("version", b"9" * 30), ("byteorder", b"x"))]
+    changes += [{name: parts[name][:5] for name in parts if "/data/" in name}, dict.fromkeys(parts)]
+    for change in changes:
+        with zipfile.ZipFile(damaged, "w") as file:
+            for name, content in (parts | change).items():
+                if content is not None:
+                    file.writestr(name, content)
+        for read in (read_checkpoint, posterior_features):
+            with pytest.raises(CheckpointError, match=r"damaged\.ckpt is not a readable checkpoint; give one that"):
+                read(damaged)
 
 
 def test_reading_runs_no_code(tmp_path: Path):

@@ -15,8 +15,10 @@ from physics.doors import INTERRUPTED, enter_door, plain, run_door
 if __name__ == "__main__":
     enter_door()  # before the slow imports
 
+import contextlib
 import hashlib
 import os
+import sqlite3
 import sys
 import warnings
 from dataclasses import fields
@@ -28,16 +30,18 @@ os.environ.setdefault("DO_NOT_TRACK", "true")
 os.environ.setdefault("MLFLOW_LOGGING_LEVEL", "WARNING")
 
 import yaml
+from jsonargparse import Namespace
 from lightning.pytorch import LightningModule, Trainer
 from lightning.pytorch.callbacks import ModelCheckpoint, TQDMProgressBar
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI, SaveConfigCallback
 from lightning.pytorch.loggers import CSVLogger, MLFlowLogger
 from lightning.pytorch.utilities import disable_possible_user_warnings
 from lightning.pytorch.utilities.exceptions import MisconfigurationException
+from mlflow import MlflowClient
 
 from data.contact.features import FEATURES
 from data.contact.geometry import GeometrySettings
-from data.source.frames import InputError
+from data.source.layout import InputError, read_mapping
 from data.training.datamodule import ClipDataModule
 from evaluation.paper.analysis import EvaluationError
 from evaluation.paper.figures import draw_next_depth
@@ -45,6 +49,7 @@ from evaluation.paper.report import write_evaluation
 from models.checkpoint import CheckpointError, read_checkpoint, require_same_model
 from models.module import PhysicsInformedGAN, TrainingDiverged
 from models.onnx_export import ParityError, export
+from physics.fields import sound
 from physics.mechanics import Bounds, Mechanics, UnstableConfiguration
 
 CHECKPOINTS: dict[str, dict[str, Any]] = {
@@ -64,6 +69,16 @@ class UsageError(ValueError):
 
 class SentenceParser(LightningArgumentParser):
     """Says what is wrong in a sentence, without the list of all options."""
+
+    def parse_path(self, cfg_path: str | os.PathLike[str], *arguments: Any, **options: Any) -> Namespace:
+        """As jsonargparse has it, once the file is known to be one that can be read."""
+        try:
+            settings = read_mapping(Path(cfg_path), "a configuration")
+        except InputError as error:
+            raise UsageError(str(error)) from error
+        if not sound(settings):
+            raise UsageError(f"{cfg_path} nests too deeply, or holds a number beyond all use; correct the file.")
+        return super().parse_path(cfg_path, *arguments, **options)
 
     def error(self, message: str, ex: Exception | None = None) -> NoReturn:
         sentence = " ".join(message.split()).rstrip(".")
@@ -247,9 +262,31 @@ def run_loggers(folder: Path, tracking: bool) -> list[CSVLogger | MLFlowLogger]:
     if tracking:
         root = folder.resolve().parent
         root.mkdir(parents=True, exist_ok=True)
+        _require_database(root / "mlflow.db")
         database = f"sqlite:///{root / 'mlflow.db'}"
         loggers.append(MLFlowLogger(folder.name, tracking_uri=database, artifact_location=str(root / "mlflow")))
     return loggers
+
+
+def _require_database(path: Path) -> None:
+    """Refuse a file in place of the tracking database that is none, which would be a traceback or minutes of trying.
+
+    Raises:
+        InputError: no database, a damaged one, or one of another program or version.
+    """
+    if not os.path.lexists(path):
+        return
+    try:
+        if not path.is_file():
+            raise sqlite3.DatabaseError("not a file")
+        with contextlib.closing(sqlite3.connect(path)) as database:
+            [[found]] = database.execute("pragma quick_check(1)").fetchall()
+        if found != "ok":
+            raise sqlite3.DatabaseError(found)
+        MlflowClient(f"sqlite:///{path}").search_experiments(max_results=1)
+    except Exception as error:  # SQLite's, SQLAlchemy's, Alembic's and MLflow's
+        told = " ".join(str(error).split())[:200]
+        raise InputError(f"{path} can't be used ({told}); move it away, or add --tracking false.") from error
 
 
 def log_artifact(trainer: Trainer, path: Path, folder: str | None = None) -> None:
@@ -282,9 +319,6 @@ def main(arguments: list[str] | None = None) -> int:
     except (InputError, TrainingDiverged, ParityError, EvaluationError) as error:
         print(plain(f"train.py: {error}"), file=sys.stderr)
         return 1
-    except UnicodeDecodeError as error:
-        print(f"train.py: a configuration file is not text ({error}); give a YAML file.", file=sys.stderr)
-        return 2
     except OSError as error:
         if error.strerror is None:  # not the file system's
             raise

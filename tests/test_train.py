@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import sqlite3
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -240,8 +242,80 @@ def test_a_bad_option_or_file_gets_a_sentence(config: Path, tmp_path: Path, caps
     broken = tmp_path / "broken.yaml"
     broken.write_text("model: [1")
     assert "parsing" in refused(capsys, "fit", "-c", broken)
-    broken.write_bytes(bytes(range(128, 256)))
-    assert "a configuration file is not text" in refused(capsys, "fit", "-c", broken)
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        (bytes(range(128, 256)), "is not a configuration"),
+        (b"\x7fELF\x02\x01\x00\x00", "is not a configuration"),
+        (b"\x00" * 100, "is not a configuration"),
+        ("model: {width: 4}".encode("utf-16"), "is not a configuration"),
+        (b"", "is not a configuration; write a mapping"),
+        (b"model: " + b"[" * 5000, "nests too deeply"),
+        (b"model: {width: " + b"[" * 20 + b"]" * 20 + b"}", "nests too deeply, or holds a number beyond all use"),
+        (b"model: {width: &a [*a]}", "nests too deeply, or holds a number beyond all use"),
+        (b"model: {width: " + b"9" * 400 + b"}", "nests too deeply, or holds a number beyond all use"),
+        (b"model: {width: 0x" + b"f" * 5000 + b"}", "nests too deeply, or holds a number beyond all use"),
+        (b"model: {learning_rate: .inf}", "nests too deeply, or holds a number beyond all use"),
+        (b"model: {width: !!timestamp x}", "is not a configuration"),
+        (None, "can't be read as a configuration (no file but a pipe or a device); check the path."),
+    ],
+)
+def test_a_configuration_that_is_none_is_named(config: Path, tmp_path: Path, capsys, content: bytes | None, told: str):
+    path = tmp_path / "broken.yaml"
+    path.write_bytes(content) if content is not None else os.mkfifo(path)
+    said = refused(capsys, "fit", "-c", config, "-c", path)
+    assert f"{path} " in said
+    assert told in said
+    assert len(said) < len(str(path)) + 300
+
+
+@pytest.mark.parametrize(
+    ("option", "told"),
+    [
+        ("data.depth.threads", "depth.threads is 100000; give at most 1024"),
+        ("data.loading.num_workers", "num_workers 100000; give at most 65536 and 1024"),
+        ("data.loading.batch_size", "batch_size is 100000 and"),
+        ("data.geometry.height", "geometry.height is 100000; give at most 4096"),
+    ],
+)
+def test_a_number_that_no_machine_has_room_for_gets_a_sentence(config: Path, capsys, option: str, told: str):
+    assert told in refused(capsys, "fit", "-c", config, f"--{option}", 100_000)
+
+
+def no_database(path: Path) -> None:
+    path.write_bytes(b"no database at all" * 500)
+
+
+def cut_database(path: Path) -> None:
+    other_database(path)
+    path.write_bytes(path.read_bytes()[:-4000])
+
+
+def other_database(path: Path) -> None:
+    with contextlib.closing(sqlite3.connect(path)) as database:
+        database.execute("create table alembic_version (version_num varchar(32))")
+        database.execute("insert into alembic_version values ('of something else')")
+        database.commit()
+
+
+def pipe(path: Path) -> None:
+    os.mkfifo(path)
+
+
+def link_to_itself(path: Path) -> None:
+    path.symlink_to(path.name)
+
+
+@pytest.mark.parametrize("damage", [no_database, cut_database, other_database, pipe, link_to_itself, Path.mkdir])
+def test_a_damaged_tracking_database_gets_a_sentence_at_once(config: Path, tmp_path: Path, capsys, damage: Callable):
+    damage(tmp_path / "mlflow.db")
+    arguments = ("fit", "-c", config, "--tracking", "true", "--trainer.default_root_dir", tmp_path / "run")
+    said = refused(capsys, *arguments)
+    assert f"{tmp_path / 'mlflow.db'} can't be used (" in said
+    assert said.endswith("); move it away, or add --tracking false.")
+    assert not (tmp_path / "run" / "checkpoints").exists()
 
 
 def test_a_bad_checkpoint_gets_a_sentence(trained: Path, config: Path, tmp_path: Path, capsys):
@@ -255,6 +329,13 @@ def test_a_bad_checkpoint_gets_a_sentence(trained: Path, config: Path, tmp_path:
     cut = tmp_path / "cut.ckpt"
     cut.write_bytes((trained / "checkpoints" / "last.ckpt").read_bytes()[:-1000])
     assert "cut.ckpt is not a readable checkpoint" in refused(capsys, "test", "-c", config, "--ckpt_path", cut)
+    garbage = tmp_path / "garbage.ckpt"
+    whole = (trained / "checkpoints" / "last.ckpt").read_bytes()
+    for content in (b"", os.urandom(3000), whole[: len(whole) // 2], bytes(byte ^ 255 for byte in whole)):
+        garbage.write_bytes(content)
+        for command in ("fit", "test", "export"):
+            said = refused(capsys, command, "-c", config, "--ckpt_path", garbage)
+            assert "garbage.ckpt is not a readable checkpoint; give one that train.py fit wrote." in said
     foreign = tmp_path / "foreign.ckpt"
     torch.save({"weights": torch.zeros(2)}, foreign)
     assert "another program" in refused(capsys, "test", "-c", config, "--ckpt_path", foreign)

@@ -193,7 +193,7 @@ def _left_with_delays(
     times, tried, lasting = contact.observation.times, within * DELAYS, path.astype(np.float64)
     ends, ended = tried[:1], np.zeros((1, len(times)))
     if contact.released:
-        pressed = round(contact.load_seconds / step)
+        pressed = max(1, round(contact.load_seconds / step))
         for first in range(pressed, len(lasting), pressed):
             lasting[first : first + pressed] += lasting[first - pressed : first][: len(lasting) - first]
         ends, since = tried, times - pressed * step - tried[:, None]

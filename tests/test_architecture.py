@@ -26,10 +26,10 @@ FLOORS = {
     "estimators": {"models", "data", "physics"},
     "results": {"estimators", "models", "data", "physics"},
     "evaluation": {"results", "estimators", "models", "data", "physics"},
-    "benchmarks": {"train", "evaluation", "results", "estimators", "models", "data", "physics"},
+    "benchmarks": {"train", "infer", "evaluation", "results", "estimators", "models", "data", "physics"},
 }
 """What of the project each package may import: downwards only, and models and data not each other. Benchmarks are
-doors of their own, and time the door of the training as well."""
+doors of their own, and time the doors of training and inference as well."""
 FENCES = {
     "lightning": ("train.py", "models/module.py", "data/training/datamodule.py"),
     "lightning.pytorch.loggers": ("train.py",),

@@ -138,6 +138,7 @@ def test_a_prepared_clip_depends_on_what_preparing_it_imports() -> None:
     assert "data/contact/motion.py" in ours
     assert not [name for name in ours if name.startswith(NOT_PREPARATION)]
     others = {name for name in ours if not name.startswith("data/")}
-    # The helpers load modules, name sources, show names and refuse settings; no array depends on them.
-    helpers = {"physics/lazy.py", "physics/provenance.py", "physics/doors.py", "physics/fields.py"}
+    # The helpers load modules, name sources, show names, read files and refuse settings; no array depends on them.
+    names = ("lazy", "provenance", "doors", "fields", "files")
+    helpers = {f"physics/{name}.py" for name in names}
     assert others - helpers == {"physics/__init__.py", "physics/mesh.py"}

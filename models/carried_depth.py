@@ -34,49 +34,55 @@ INSIDE = 0.999
 def carried(
     depth: Tensor, theta: Tensor, mesh: MeshBatch, load: LoadBatch, course: Tensor, mechanics: Mechanics
 ) -> Tensor:
-    """Depth maps as they are at other times of the rollout, if nothing but θ's press moves the tissue.
+    """Depth maps [B, 1, H, W] as they are at other times, if only θ's press moves the tissue: `shifted` by `change`."""
+    return shifted(depth, change(theta.to(depth), mesh, load, course, mechanics))
+
+
+def change(theta: Tensor, mesh: MeshBatch, load: LoadBatch, course: Tensor, mechanics: Mechanics) -> Tensor:
+    """Change of the depth from one time of the rollout to another, shape [B, 1, H, W] [scene units].
 
     Args:
-        depth: maps in [0, 1], 0 where invalid, shape [B, 1, H, W] [scene units].
         theta: [k_s, k_d, F], physical units, shape [B, 3].
         mesh: at rest, on the maps' grid.
         load: of the rollout.
-        course: steps since the rollout's beginning at which the maps were seen, and to which they are carried, shape
-            [B, 2], int64; beyond the rollout's last one, that.
+        course: steps since the rollout's beginning from which and to which the depth changes, shape [B, 2], int64;
+            beyond the rollout's last one, that.
         mechanics: the rollout's constants.
-
-    Returns:
-        Shape [B, 1, H, W]; invalid pixels stay invalid.
-
-    Raises:
-        ValueError: the mesh's grid is another one than the maps'.
     """
-    if tuple(mesh.grid_shape) != tuple(depth.shape[2:]):
-        raise ValueError(f"depth is {list(depth.shape[2:])}, the mesh's grid {list(mesh.grid_shape)}; give one grid.")
-    dent = _Dent(mesh, load, depth)
+    dent = _Dent(mesh, load, theta)
     path = rollout(theta, mesh, load, mechanics, watch=dent.watched)
     path = torch.cat([torch.zeros_like(path[:, :1]), path], dim=1)
     index = course.clamp(max=path.shape[1] - 1)[:, :, None, None].expand(-1, -1, *path.shape[2:])
-    before, after = (dent.sunk(moved) for moved in path.gather(1, index).to(depth).unbind(1))
-    change = dent.in_picture(after - before)
-    return torch.where(depth > 0, (depth + change).clamp(min=0.0, max=1.0), 0.0)
+    before, after = (dent.sunk(moved) for moved in path.gather(1, index).to(theta).unbind(1))
+    return dent.in_picture(after - before)
 
 
-def starting_depth(
-    kind: str, depth: Tensor, theta: Tensor, batch: Mapping[str, Any], side: str, mechanics: Mechanics
-) -> Tensor:
-    """What a decoder of this kind starts from: the current map itself, or with physics that carried to the other frame.
+def change_of(kind: str, theta: Tensor, batch: Mapping[str, Any], side: str, mechanics: Mechanics) -> Tensor | None:
+    """`change` from a map to the predicted one, for a decoder of this kind; None where it has no use for it.
 
     Args:
         kind: one of `models.generator.DECODERS`.
-        depth, theta, mechanics: as in `carried`.
+        theta, mechanics: as in `change`.
         batch: the data module's.
         side: a for forward in time, b for backward.
     """
     if kind != "physics":
-        return depth
+        return None
     mesh, load, course = (batch[f"{name}_{side}"] for name in ("mesh", "load", "course"))
-    return carried(depth, theta, mesh, load, course, mechanics)
+    return change(theta, mesh, load, course, mechanics)
+
+
+def shifted(depth: Tensor, by: Tensor | None) -> Tensor:
+    """Maps in [0, 1] with a change added, shape [B, 1, H, W]; invalid pixels (0) stay so, and without one all do.
+
+    Raises:
+        ValueError: the change is of another grid.
+    """
+    if by is None:
+        return depth
+    if by.shape[2:] != depth.shape[2:]:
+        raise ValueError(f"depth is {list(depth.shape[2:])}, the mesh's grid {list(by.shape[2:])}; give one grid.")
+    return torch.where(depth > 0, (depth + by).clamp(min=0.0, max=1.0), 0.0)
 
 
 class _Dent:

@@ -12,7 +12,7 @@ from lightning.pytorch.core.optimizer import LightningOptimizer
 from torch import Tensor
 
 from models.augmentation import AugmentationSettings, WindowAugmentation
-from models.carried_depth import starting_depth
+from models.carried_depth import change_of, shifted
 from models.checkpoint import load_posterior
 from models.discriminator import PatchDiscriminator
 from models.expected_bound import bound_loss
@@ -163,8 +163,9 @@ class PhysicsInformedGAN(LightningModule):
         gan = cycle = identity = physics = regularisation = real_a.new_zeros(())
         fakes = None
         if weights.gan or weights.cycle:
-            fake_b = self.generator_ab.decode(features_a, ab.theta, self._start(real_a, ab.theta, batch, "a"))
-            fake_a = self.generator_ba.decode(features_b, ba.theta, self._start(real_b, ba.theta, batch, "b"))
+            change_a, change_b = self._change(ab.theta, batch, "a"), self._change(ba.theta, batch, "b")
+            fake_b = self.generator_ab.decode(features_a, ab.theta, shifted(real_a, change_a))
+            fake_a = self.generator_ba.decode(features_b, ba.theta, shifted(real_b, change_b))
             if weights.gan:
                 fakes = fake_a, fake_b
                 gan = generator_adversarial_loss(self.discriminator_b(fake_b))
@@ -173,7 +174,7 @@ class PhysicsInformedGAN(LightningModule):
                 # The fake takes the current frame's place among the *real* earlier frames of the other direction's
                 # window. The own window with the fake appended would show the cycle's target to the network that must
                 # find it.
-                start_b, start_a = self._start(fake_b, ba.theta, batch, "b"), self._start(fake_a, ab.theta, batch, "a")
+                start_b, start_a = shifted(fake_b, change_b), shifted(fake_a, change_a)
                 cycled_a = self.generator_ba.generate(with_current(window_b, fake_b), ba.theta, start_b)
                 cycled_b = self.generator_ab.generate(with_current(window_a, fake_a), ab.theta, start_a)
                 cycle = cycle_loss(cycled_a, real_a, cycled_b, real_b)
@@ -221,7 +222,7 @@ class PhysicsInformedGAN(LightningModule):
         self.log("val/physics", physics, prog_bar=True, on_epoch=True, batch_size=pairs, sync_dist=True)
         self._theta["val"].append(ab.theta)
         if batch_index == 0:
-            start = self._start(batch["window_a"][:, -1:], ab.theta, batch, "a")
+            start = shifted(batch["window_a"][:, -1:], self._change(ab.theta, batch, "a"))
             predicted = self.generator_ab.decode(features_a[:1], ab.theta[:1], start[:1])
             self.sample = (batch["window_b"][0, -1], predicted[0, 0])
 
@@ -252,8 +253,8 @@ class PhysicsInformedGAN(LightningModule):
             self.log(f"{stage}/{name}_mean", values.mean(), sync_dist=True)
             self.log(f"{stage}/{name}_sd", values.std(correction=0), sync_dist=True)
 
-    def _start(self, depth: Tensor, theta: Tensor, batch: dict[str, Any], side: str) -> Tensor:
-        return starting_depth(self.generator_ab.decoder.kind, depth, theta, batch, side, self.mechanics)
+    def _change(self, theta: Tensor, batch: dict[str, Any], side: str) -> Tensor | None:
+        return change_of(self.generator_ab.decoder.kind, theta, batch, side, self.mechanics)
 
     def _physics(self, ab: Answer, ba: Answer, batch: dict[str, Any]) -> Tensor:
         """L_physics in both directions of time (Bini 2026, figure 2)."""

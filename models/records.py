@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from models.carried_depth import starting_depth
+from models.carried_depth import change_of, shifted
 from models.generator import Generator
 from models.losses import masked_l1
 from physics.mechanics import REFERENCE_DAMPING, REFERENCE_STIFFNESS, Mechanics
@@ -51,7 +51,7 @@ def pair_records(batch: dict[str, Any], generator: Generator, mechanics: Mechani
     features = generator.encode(window)
     theta = generator.answer(features, batch.get("contact_features_a")).theta
     predicted, moved = (
-        generator.decode(features, value, starting_depth(generator.decoder.kind, now, value, batch, "a", mechanics))
+        generator.decode(features, value, shifted(now, change_of(generator.decoder.kind, value, batch, "a", mechanics)))
         for value in (theta, farthest_corner(theta, generator.head.lower, generator.head.upper))
     )
     trajectory = rollout(theta, mesh, load, mechanics)

@@ -13,7 +13,7 @@ from data.synthetic.settings import SceneSettings
 from data.synthetic.source import open_synthetic
 from estimators.contract import ClipInfo
 from evaluation.recovery.evaluate import PREPARE, observed_contacts
-from models.carried_depth import carried, starting_depth
+from models.carried_depth import carried, change_of, shifted
 from physics.mechanics import Mechanics
 from physics.msd import rollout
 from physics.msd.batch import MeshBatch, PressBatch
@@ -117,8 +117,9 @@ def test_only_decoder_physics_starts_from_a_carried_map(make_batch) -> None:
     batch = make_batch() | {"course_a": course(2, 8), "course_b": course(8, 2)}
     depth = batch["window_a"][:, -1:]
     for kind in ("direct", "residual"):
-        assert starting_depth(kind, depth, THETA, batch, "a", MECHANICS) is depth
-    onward = starting_depth("physics", depth, THETA, batch, "a", MECHANICS)
+        assert change_of(kind, THETA, batch, "a", MECHANICS) is None
+    assert shifted(depth, None) is depth
+    onward = shifted(depth, change_of("physics", THETA, batch, "a", MECHANICS))
     torch.testing.assert_close(onward, carried(depth, THETA, *parts(batch), course(2, 8), MECHANICS))
 
 

@@ -53,16 +53,15 @@ bench: $(INSTALLED)
 # An interrupted run goes on where it was: a finished training is kept, and so is every validation clip. After a change of
 # the code `rm -r runs/contact` first, or the old training is exported again.
 MODEL := runs/contact
+VALIDATE := $(BIN)/python -m evaluation.benchmark --estimator network --split validation --model $(MODEL)/uncalibrated.onnx
 model: $(INSTALLED) $(MODEL)/posterior.pt
 	$(BIN)/python -m evaluation.calibration --weights $(MODEL)/posterior.pt --output $(MODEL)/uncalibrated.onnx
-	$(BIN)/python -m evaluation.benchmark --suite clean 8bit noisy --estimator network --split validation --clips 100 \
-		--model $(MODEL)/uncalibrated.onnx --output $(MODEL)/validation
-	$(BIN)/python -m evaluation.benchmark --suite clean 8bit noisy --estimator network --split validation --clips 100 \
-		--seen press --model $(MODEL)/uncalibrated.onnx --output $(MODEL)/pressed
-	$(BIN)/python -m evaluation.benchmark --suite late-onset --estimator network --onset between --split validation \
-		--clips 110 --model $(MODEL)/uncalibrated.onnx --output $(MODEL)/between
+	$(VALIDATE) --suite clean 8bit noisy --clips 140 --output $(MODEL)/validation
+	$(VALIDATE) --suite clean noisy --clips 40 --size 854x480 --output $(MODEL)/fine
+	$(VALIDATE) --suite clean 8bit noisy --clips 100 --seen press --output $(MODEL)/pressed
+	$(VALIDATE) --suite late-onset --clips 110 --onset between --output $(MODEL)/between
 	$(BIN)/python -m evaluation.calibration --weights $(MODEL)/posterior.pt --output models/weights/contact.onnx \
-		--validation $(MODEL)/validation --pressed $(MODEL)/pressed --between $(MODEL)/between
+		--validation $(MODEL)/validation $(MODEL)/fine --pressed $(MODEL)/pressed --between $(MODEL)/between
 
 $(MODEL)/posterior.pt: | $(INSTALLED)
 	$(BIN)/python -m estimators.network.training --output $(MODEL)

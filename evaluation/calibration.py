@@ -1,7 +1,8 @@
 """From a trained contact posterior to the model that `infer.py` uses: calibrated on validation clips and exported.
 
     python -m evaluation.calibration --weights runs/contact/posterior.pt --output models/weights/contact.onnx \
-        [--validation runs/contact/validation --pressed runs/contact/pressed [--between runs/contact/between]]
+        [--validation runs/contact/validation runs/contact/fine --pressed runs/contact/pressed
+         [--between runs/contact/between]]
 
 Errors are taken to have standard deviations scale · sd^power · σ^noise, with sd the network's own and σ the
 observation's; the exponents are the likeliest ones for normal errors, the scale is then set so that the 90 % intervals
@@ -135,6 +136,13 @@ def check_record(folder: Path, weights_sha256: str, seen: str | None, onset: str
         )
 
 
+def results_of(folders: Sequence[Path], weights_sha256: str, seen: str | None, onset: str = STAMP) -> list[Recovery]:
+    """What some folders hold, refused as by `check_record`."""
+    for folder in folders:
+        check_record(folder, weights_sha256, seen, onset)
+    return [row for folder in folders for row in read_results(folder / RESULTS)]
+
+
 def metadata(weights: Path, features: int) -> dict[str, object]:
     """What inference needs beside the network: how clips are prepared, the simulator and the admissible box.
 
@@ -171,10 +179,12 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("--output", type=path_option, required=True, help="ONNX file to write")
     text = "results of evaluation.benchmark --split validation"
-    parser.add_argument("--validation", type=path_option, metavar="DIR", help=text)
-    parser.add_argument("--pressed", type=path_option, metavar="DIR", help=f"{text} --seen {PRESS}")
-    text = "results of evaluation.benchmark --split validation --suite late-onset --onset between"
-    parser.add_argument("--between", type=path_option, metavar="DIR", help=text)
+    for name, more in (
+        ("--validation", ""),
+        ("--pressed", f" --seen {PRESS}"),
+        ("--between", " --suite late-onset --onset between"),
+    ):
+        parser.add_argument(name, type=path_option, nargs="+", metavar="DIR", help=text + more)
     options = parser.parse_args(arguments)
     if (options.validation is None) != (options.pressed is None):
         parser.error("give --validation and --pressed, or neither.")
@@ -187,19 +197,15 @@ def main(arguments: list[str] | None = None) -> int:
         load_posterior(posterior, options.weights)
         if options.validation is not None:
             weights = sha256_of(options.weights)
-            check_record(options.validation, weights, None)
-            check_record(options.pressed, weights, PRESS)
-            whole, pressed = (
-                fit_widths_of(read_results(folder / RESULTS)) for folder in (options.validation, options.pressed)
-            )
+            whole = fit_widths_of(results_of(options.validation, weights, None))
+            pressed = fit_widths_of(results_of(options.pressed, weights, PRESS))
             calibration = Calibration(
                 whole=whole, pressed=pressed, noise_features=LOG_NOISE, known_features=KNOWN, loaded_features=LOADED
             )
             if options.between is not None:
                 if features != FEATURES + FILM_FEATURES:
                     raise ValueError(f"{options.weights} is told nothing of the instants; leave --between out.")
-                check_record(options.between, weights, None, BETWEEN)
-                between = fit_widths_of(read_results(options.between / RESULTS))
+                between = fit_widths_of(results_of(options.between, weights, None, BETWEEN))
                 calibration = dataclasses.replace(calibration, between=between, within_features=(FEATURES + WITHIN,))
         difference = export(posterior, options.output, metadata(options.weights, features), calibration)
     except (OSError, RuntimeError, ValueError) as error:

@@ -72,6 +72,10 @@ class DentFilm:
     size: tuple[int, int]
     """Width and height of the picture that was brought to the grid [px]."""
 
+    def is_finer_than(self, grid_shape: tuple[int, int]) -> bool:
+        """Whether a pixel of a grid [h, w] is the mean of several of the picture."""
+        return self.size[0] > grid_shape[1] or self.size[1] > grid_shape[0]
+
     def chosen(self, frames: np.ndarray) -> DentFilm:
         """Some of its frames: a mask [N] or indices."""
         return dataclasses.replace(self, times=self.times[frames], change=self.change[frames])

@@ -15,6 +15,7 @@ from scipy.sparse.linalg import spsolve
 
 from data.contact.features import SLOTS, slot_times
 from data.contact.film import REACH, DentFilm
+from data.contact.interaction import SAME_INSTANT, Interaction
 
 SHAPES = 6
 """Shapes of a dent."""
@@ -73,6 +74,24 @@ def shape_amounts(change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     inverse = np.linalg.inv(normal)
     amounts = np.einsum("nij,nj->ni", inverse, np.where(seen, change, 0.0) @ shapes)
     return amounts, np.linalg.cholesky(inverse)
+
+
+def motion_in_film(contact: Interaction) -> np.ndarray:
+    """The contact's motion as its own pixel of the film shows it, shape [N, 3] [scene units].
+
+    Its depth changes along the pixel's ray. Where a pixel of the grid is one of the picture this is what is followed,
+    and the followed motion is given; so it is at instants without a film. Where it is the mean of several it shows
+    neighbours as well, and following slips by more than a dent is wide.
+    """
+    film, mesh, moved = contact.film, contact.mesh, contact.moved.copy()
+    if film is None or not len(film.times) or not film.is_finer_than(mesh.grid_shape):
+        return moved
+    times, middle = contact.observation.times, film.change[:, REACH, REACH]
+    frames = np.abs(film.times - times[:, None]).argmin(axis=1)
+    known = (np.abs(film.times[frames] - times) <= SAME_INSTANT) & np.isfinite(middle[frames])
+    ray = mesh.vertices[contact.vertex] / mesh.vertices[contact.vertex, 2]
+    moved[known] = middle[frames[known], None] * ray
+    return moved
 
 
 def film_features(film: DentFilm | None, spacing: float, noise: float, within: float) -> np.ndarray:

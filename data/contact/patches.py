@@ -25,17 +25,19 @@ MOST_SAMPLES = 6
 
 
 class Patches:
-    """The patches around a contact at rest; V vertices, P = (2·REACH + 1)² pixels, row by row.
+    """The patches around a contact at rest; V vertices, P = (2·reach + 1)² pixels, row by row.
 
     Args:
         mesh: tissue at rest, a vertex a pixel of its grid.
         vertex: the contact.
         size: width and height of the picture that was brought to the mesh's grid [px].
+        reach: rows and columns from the contact.
     """
 
-    def __init__(self, mesh: Mesh, vertex: int, size: tuple[int, int]) -> None:
-        self.size = size
-        reach = REACH + LARGEST_SHIFT
+    def __init__(self, mesh: Mesh, vertex: int, size: tuple[int, int], reach: int = REACH) -> None:
+        self.size, self._side = size, 2 * reach + 1
+        pixels = np.arange(-reach, reach + 1)
+        reach += LARGEST_SHIFT
         offsets = mesh.pixels - mesh.pixels[vertex]
         self.vertices = np.flatnonzero(np.abs(offsets).max(axis=1) <= reach)
         """Vertices of the mesh, shape [V]."""
@@ -47,16 +49,22 @@ class Patches:
         self._slope = self._rest_slope()
         centre = mesh.pixels[vertex]
         rows, columns = (
-            footprint(int(middle) + np.arange(-REACH, REACH + 1), cells, pixels)
-            for middle, cells, pixels in zip(centre, mesh.grid_shape, size[::-1], strict=True)
+            footprint(int(middle) + pixels, cells, length)
+            for middle, cells, length in zip(centre, mesh.grid_shape, size[::-1], strict=True)
         )
-        side, down, across = 2 * REACH + 1, rows[0].shape[1], columns[0].shape[1]
+        side, down, across = self._side, rows[0].shape[1], columns[0].shape[1]
         shape = (side, side, down, across)
         places = (rows[0] - centre[0])[:, None, :, None], (columns[0] - centre[1])[None, :, None, :]
         self._places = np.stack([np.broadcast_to(part, shape) for part in places], axis=-1) + reach
         """Of the picture's pixels in the square around the contact, shape [side, side, rows, columns, 2]."""
         self.weights = (rows[1][:, None, :, None] * columns[1][None, :, None, :]).reshape(side * side, down * across)
         """Share of every sample in its pixel of the grid, shape [P, K]."""
+
+    def own(self) -> np.ndarray:
+        """The vertex in every pixel at rest, as a place among the V, shape [P]; -1 where none is known."""
+        number = np.full((self._size, self._size), -1)
+        number[self._cells] = np.arange(len(self.vertices))
+        return number[LARGEST_SHIFT:-LARGEST_SHIFT, LARGEST_SHIFT:-LARGEST_SHIFT].ravel()
 
     def _rest_slope(self) -> np.ndarray:
         """Change of the depth at rest from row to row and from column to column, shape [V, 2] [scene units]."""
@@ -101,38 +109,55 @@ class Patches:
         across = self._focal[:, None] * (slopes[..., :2, :] - self._rays[:, :, None] * along) / after
         return across[..., ::-1, :] - self.shift(moved)[..., None] * along / after
 
-    def turning(self, moved: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    @property
+    def averages(self) -> bool:
+        """Whether a pixel of the grid is the mean of several of the picture."""
+        return self.weights.shape[1] > 1
+
+    def turning(self, moved: np.ndarray, slopes: np.ndarray) -> np.ndarray:
         """How the pixels' depth changes because they come to show other patches, where they are means of several.
 
         Args:
             moved, slopes: displacements [N, V, 3] and their derivatives [N, V, 3, D].
 
         Returns:
-            Its derivatives [N, P, D], and how much its neighbours differ from a pixel, root mean square along an axis,
-            shape [N, P]; 0 where a pixel of the grid is one of the picture: that shows one patch, then another.
+            Its derivatives [N, P, D]; 0 where a pixel of the grid is one of the picture: that shows one patch, then
+            another.
         """
-        side = 2 * REACH + 1
-        if self.weights.shape[1] == 1:
-            return np.zeros((len(moved), side * side, slopes.shape[-1])), np.zeros((len(moved), side * side))
-        frames = np.arange(len(moved))[:, None]
-        shift = np.moveaxis(self._dense(self.shift(moved)), -1, 0)
-        middle = np.mgrid[:side, :side].reshape(2, -1).T[None] + float(LARGEST_SHIFT)
-        place = self._origin(shift, middle)
-        place = np.where(np.isfinite(place), place, middle)
+        if not self.averages:
+            return np.zeros((len(moved), self._side**2, slopes.shape[-1]))
+        frames, place = self._at_rest(moved)
         values = np.concatenate([self.sunk(moved)[..., None], self.shift(moved)], axis=-1)
         dense = np.moveaxis(self._dense(values), -1, 0)
-        halves = 0.5 * np.eye(2)
         gradient = np.stack(
-            [_between(dense, frames, place + half) - _between(dense, frames, place - half) for half in halves], axis=-1
+            [_between(dense, frames, place + half) - _between(dense, frames, place - half) for half in 0.5 * np.eye(2)],
+            axis=-1,
         )
         flat = self._shift_slopes(moved, slopes).reshape(*moved.shape[:2], -1)
         shifting = _between(np.moveaxis(self._dense(flat), -1, 0), frames, place).reshape(*place.shape, -1)
         # What a pixel shows lies at x with x + shift(x) = pixel.
         inverse = np.linalg.inv(np.eye(2) + np.nan_to_num(gradient[..., 1:, :]))
-        turned = -np.einsum("npi,npij,npjd->npd", gradient[..., 0, :], inverse, shifting)
-        here = _between(dense[:1], frames, place)
-        apart = [_between(dense[:1], frames, place + step) - here for half in halves for step in (2 * half, -2 * half)]
-        return np.nan_to_num(turned), np.sqrt(0.5 * np.square(np.nan_to_num(apart)).sum(axis=0))[..., 0]
+        return np.nan_to_num(-np.einsum("npi,npij,npjd->npd", gradient[..., 0, :], inverse, shifting))
+
+    def steepness(self, moved: np.ndarray) -> np.ndarray:
+        """How much its neighbours differ from a pixel, where it is the mean of several, at displacements [N, V, 3].
+
+        Root mean square along an axis, shape [N, P]; 0 where a pixel of the grid is one of the picture.
+        """
+        if not self.averages:
+            return np.zeros((len(moved), self._side**2))
+        frames, place = self._at_rest(moved)
+        dense = self._dense(self.sunk(moved))[None]
+        here = _between(dense, frames, place)
+        apart = [_between(dense, frames, place + step) - here for axis in np.eye(2) for step in (axis, -axis)]
+        return np.sqrt(0.5 * np.square(np.nan_to_num(apart)).sum(axis=0))[..., 0]
+
+    def _at_rest(self, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Frames [N, 1], and where what the pixels' middles show lay at rest, shape [N, P, 2]; themselves in folds."""
+        shift = np.moveaxis(self._dense(self.shift(moved)), -1, 0)
+        middle = np.mgrid[: self._side, : self._side].reshape(2, -1).T[None] + float(LARGEST_SHIFT)
+        place = self._origin(shift, middle)
+        return np.arange(len(moved))[:, None], np.where(np.isfinite(place), place, middle)
 
     def covering(self, moved: np.ndarray) -> np.ndarray:
         """Vertices, as places among the V, that every pixel's samples show: shape [N, P, K]; -1 where none is known.
@@ -143,11 +168,11 @@ class Patches:
         # Where there is no vertex nothing shifts, and nothing is shown.
         shift = np.nan_to_num(np.moveaxis(self._dense(self.shift(moved)), -1, 0).astype(np.float32))
         samples = self._places.reshape(1, -1, 2).astype(np.float32)
-        if self.weights.shape[1] == 1:
+        if not self.averages:
             place = self._origin(shift, samples)
         else:
             # Between samples half a pixel apart it hardly bends, and they are far fewer.
-            side = 2 * (2 * REACH + 2) + 1
+            side = 2 * (self._side + 1) + 1
             lattice = np.mgrid[:side, :side].reshape(2, -1).T[None] / np.float32(2) + np.float32(LARGEST_SHIFT - 1)
             found = np.moveaxis(self._origin(shift, lattice).reshape(-1, side, side, 2), -1, 0)
             frames = np.arange(len(moved))[:, None]

@@ -81,14 +81,14 @@ class FieldProblem:
         moved = moved + self.offset
         self.covering = self.patches.covering(moved)
         """Of `Patches`, shape [N, P, K]."""
-        self._turning, steep = self.patches.turning(moved, slopes)
+        self._turning = self.patches.turning(moved, slopes)
         self._looked_at = np.array(logs)
         change, total = self.change(moved, logs), self.film.noise.total
         left = change - self.observed
         self.seen = np.isfinite(left)
         self.moving = np.abs(np.where(self.seen, change, 0)).max(axis=0) > MOVED * total
         """Pixels that move clearly, shape [P], bool."""
-        self._walls = np.square(WALL * steep)
+        self._walls = np.square(WALL * self.patches.steepness(moved))
         weight = np.ones_like(left)
         if outliers:
             apart = np.abs(np.where(self.seen, left, 0)) / np.sqrt(total**2 + self._walls)

@@ -1,6 +1,7 @@
 """The contact posterior: θ, its uncertainty and a verdict from what was seen of a contact so far.
 
 estimator  the exported network at work, a session a clip
+misfit     how far what was seen lies from the simulated motion
 training   trains it without labels; `python -m estimators.network.training` is the door
 fits       observed motions with what explains them, for the fine stage of the training
 """

@@ -10,23 +10,21 @@ from collections.abc import Iterator
 import numpy as np
 
 from data.contact.features import FEATURES, contact_features, contact_spacing
-from data.contact.film_features import FILM_FEATURES, ROUNDED, film_features
+from data.contact.film_features import FILM_FEATURES, ROUNDED, film_features, motion_in_film
 from data.contact.interaction import Horizon, Interaction, InteractionBuilder
 from data.prepared import PreparedFrame
 from data.windows import FrameWindow
 from estimators.contract import ClipInfo, Said
-from estimators.direct.motion import between_steps
-from estimators.direct.problem import DELAYS
 from estimators.estimate import Estimate, FrameEstimate, NoEstimate, mixture
 from estimators.model_settings import ModelEstimator
+from estimators.network.misfit import compared
 from estimators.oblique import effective_misfit, is_oblique, remark, view_angle, widened
 from estimators.onset import onset_error, onset_perturbations
 from estimators.runs import Run, RunSession, force_arrow, frame_estimate
 from models.onnx_session import CONTACT, ModelFileError, PosteriorModel
-from physics.identifiability import fisher_information, log_jacobian
 from physics.load import Press, held
 from physics.mechanics import Mechanics, theta_of
-from physics.msd.simulation import is_chaotic, simulate, simulate_sensitivities
+from physics.msd.simulation import simulate
 
 LEAST_OBSERVATIONS = 2
 """Frames after the onset in which the tissue was followed; the network never saw fewer."""
@@ -35,8 +33,6 @@ NO_NOISE = "The depth's noise isn't known; prepare with geometry.smoothing above
 LARGEST_MISFIT = 1.5
 """A motion farther from the simulated one than this many σ is unlike what the network was trained on, and its own
 covariance means nothing: that of a noise as large as the misfit, within the box, is added."""
-DOUBTFUL = 1.2
-"""Presses of unknown instants that seem farther from their motion than this many σ are simulated anew."""
 UNEXPLAINED = "The model does not explain the motion, which lies {:.2g} times the noise from it; intervals are widened."
 ROUNDING = 1e-6
 """Of times [s]."""
@@ -100,7 +96,8 @@ class NetworkEstimator(ModelEstimator):
         film, noise = contact.film, contact.noise
         if film is not None and film.noise.rounded:
             noise *= ROUNDED
-            contact = dataclasses.replace(contact, observation=contact.observation.moved(contact.moved, noise))
+        shown = contact.observation.moved(motion_in_film(contact), noise)
+        contact = dataclasses.replace(contact, observation=shown)
         spacing = contact_spacing(contact.mesh, contact.vertex)
         return np.concatenate([contact_features(contact), film_features(film, spacing, noise, within)])
 
@@ -131,81 +128,6 @@ class NetworkEstimator(ModelEstimator):
             expected_information=np.linalg.inv(expected),
             view_angle=view_angle(contact),
         )
-
-
-def compared(contact: Interaction, mechanics: Mechanics, logs: np.ndarray, within: float) -> tuple[float, np.ndarray]:
-    """How far the contact's motion lies from the simulated one, and what it tells of φ if its instants are known.
-
-    Args:
-        contact: as it was seen.
-        mechanics: of the simulation.
-        logs: φ, shape [3].
-        within: the press began, and ended, at most so long before or after the time stamps [s]; the delays are those
-            that explain the motion best.
-
-    Returns:
-        Root mean square residual along the force [σ], and the Fisher information [3, 3].
-    """
-    step, theta = mechanics.time_step, theta_of(logs)
-    seen, direction = contact.observation.steps(step), np.asarray(contact.direction, np.float64)
-    steps = int(seen.max()) + 1 + math.ceil(within / step)
-    loaded = contact.load_seconds if contact.released else math.inf
-    press = dataclasses.replace(contact.load, factor=held(loaded / step, steps))
-    path, slopes = simulate_sensitivities(theta, contact.mesh, press, mechanics, dtype=np.float32)
-    slopes = log_jacobian(slopes.astype(np.float64), theta)
-    if is_chaotic(path, slopes):
-        slopes = np.zeros_like(slopes)
-    information = fisher_information(slopes[seen].reshape(-1, len(logs)), contact.noise)
-    path = path @ direction
-    if within:
-        left, delays = _left_with_delays(path, contact, within, step)
-        if contact.released and _rms(left) > DOUBTFUL * contact.noise:
-            # Large motions do not quite add up.
-            loaded = contact.load_seconds + delays[1] - delays[0]
-            press = dataclasses.replace(contact.load, factor=held(loaded / step, steps))
-            path = simulate(theta, contact.mesh, press, mechanics) @ direction
-            exact, rate = between_steps(path, step, contact.observation.times - delays[0])
-            exact = exact - contact.along
-            shift = np.clip(rate @ exact / max(float(rate @ rate), 1e-30), -step, step)
-            left = min(left, exact, exact - shift * rate, key=_rms)
-    else:
-        left = path[seen] - contact.along
-    return _rms(left) / contact.noise, information
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.square(values).mean()))
-
-
-def _left_with_delays(
-    path: np.ndarray, contact: Interaction, within: float, step: float
-) -> tuple[np.ndarray, tuple[float, float]]:
-    """What delays of the press that fit best leave unexplained of the motion along the force, [N] [scene units].
-
-    And these delays, of the beginning and of the end where it was seen [s]. As if motions added up: a press that ends
-    is one that lasts, less one that begins when it ends.
-
-    Args:
-        path: along the force, after every step since the time stamp of the beginning, shape [T].
-        within: largest delay [s].
-        step: of time [s].
-    """
-    times, tried, lasting = contact.observation.times, within * DELAYS, path.astype(np.float64)
-    ends, ended = tried[:1], np.zeros((1, len(times)))
-    if contact.released:
-        pressed = max(1, round(contact.load_seconds / step))
-        for first in range(pressed, len(lasting), pressed):
-            lasting[first : first + pressed] += lasting[first - pressed : first][: len(lasting) - first]
-        ends, since = tried, times - pressed * step - tried[:, None]
-        ended = between_steps(lasting, step, since.ravel())[0].reshape(since.shape)
-    since = times - tried[:, None]
-    began, rate = (values.reshape(since.shape) for values in between_steps(lasting, step, since.ravel()))
-    left = began[:, None] - ended - contact.along
-    first, last = np.unravel_index(np.argmin(np.square(left).sum(axis=2)), left.shape[:2])
-    # Between the delays that were tried.
-    found, half = left[first, last], 0.5 * within * (DELAYS[1] - DELAYS[0])
-    shift = np.clip(rate[first] @ found / max(float(rate[first] @ rate[first]), 1e-30), -half, half)
-    return min(found, found - shift * rate[first], key=_rms), (float(tried[first]), float(ends[last]))
 
 
 class NetworkSession(RunSession):

@@ -15,7 +15,14 @@ from operator import itemgetter
 import numpy as np
 
 from data.contact.features import FRAME_RATE, SLOTS, contact_surroundings, join_features, slot_times
-from data.contact.film_features import ROUNDED, SHAPES, dent_shapes, join_film_features, shape_amounts
+from data.contact.film_features import (
+    ROUNDED,
+    SHAPES,
+    dent_shapes,
+    join_film_features,
+    motion_in_film,
+    shape_amounts,
+)
 from data.contact.interaction import Interaction
 from data.synthetic.settings import SceneSettings
 from estimators.direct.field import FieldProblem, smooth_errors
@@ -110,6 +117,8 @@ class Films:
     """Derivatives of these by the parameters, shape [N, SLOTS, SHAPES, D]."""
     factors: np.ndarray
     """How errors of pixels spread in the amounts, as of `shape_amounts`, shape [N, SLOTS, SHAPES, SHAPES]."""
+    middle: np.ndarray
+    """The contact's motion as its own pixel shows it, like `Fits.motion`, shape [N, SLOTS] [scene units]."""
 
 
 def observed_exactly(contact: Interaction) -> ContactProblem:
@@ -169,7 +178,8 @@ def fit_film(task: tuple[Interaction, np.ndarray, float]) -> tuple[np.ndarray, n
     change = np.where(field.seen, field.observed, np.nan)
     amounts, factors = shape_amounts(change)
     slopes = np.einsum("tij,tkj,pk,tpd->tid", factors, factors, dent_shapes(), tangent)
-    parts = change.astype(np.float16), amounts, _padded(slopes), factors
+    middle = -(motion_in_film(contact).astype(np.float64) @ contact.direction)
+    parts = change.astype(np.float16), amounts, _padded(slopes), factors, middle
     return _padded(best), _padded(motion_slopes(problem, best)), rms, parts
 
 
@@ -246,8 +256,8 @@ def draw_observed(
     if films is not None:
         told = generator.random(count) < FILM_SHARE
         beside = draw_film_errors(films, index, noise, generator)
-        # The contact's own pixel is one of the film's: its error is the film's.
-        error[told] = beside.middle[told]
+        # The contact's own pixel is one of the film's: its error is the film's, and it may show neighbours as well.
+        error[told] = (films.middle[index] - motion + beside.middle)[told]
         noise = np.where(told & (noise == ROUNDING_NOISE), ROUNDED * noise, noise)
         more, pulled = film_information(films.slopes[index], films.factors[index], beside.amounts, noise, known)
         information[told], pull[told] = more[told], pulled[told]

@@ -316,7 +316,7 @@ def test_samples_without_a_share_may_show_nothing() -> None:
 def test_where_pixels_are_alike_nothing_turns() -> None:
     patches, _ = patches_of()
     moved = moves(8, len(patches.vertices))
-    turned, steep = patches.turning(moved, np.ones((*moved.shape, 5)))
+    turned, steep = patches.turning(moved, np.ones((*moved.shape, 5))), patches.steepness(moved)
     assert (turned.shape, steep.shape) == ((2, SIDE * SIDE, 5), (2, SIDE * SIDE))
     assert not turned.any()
     assert not steep.any()
@@ -334,7 +334,7 @@ def test_pixels_turn_to_what_comes_from_beside_them() -> None:
         (shifting(patches, mesh, np.broadcast_to(shift, (1, len(pixels), 2)), pixels @ slope + sunk) - moved) / step
         for shift, sunk in (([step, 0.0], 0.0), ([0.0, step], 0.0), ([0.0, 0.0], step))
     )
-    turned, steep = patches.turning(moved, np.stack([by_row, by_column, deeper], axis=-1))
+    turned, steep = patches.turning(moved, np.stack([by_row, by_column, deeper], axis=-1)), patches.steepness(moved)
     np.testing.assert_allclose(turned, np.broadcast_to([*-slope, 0.0], turned.shape), atol=1e-8)
     np.testing.assert_allclose(steep, np.hypot(*slope), rtol=1e-6)
 
@@ -348,7 +348,7 @@ def test_turning_adds_up_to_what_is_shown_after_it() -> None:
     ways = np.linspace(0, 1, 17)
     moved = np.stack([shifting(patches, mesh, np.broadcast_to([0.0, way], (len(pixels), 2)), dent) for way in ways])
     slopes = np.gradient(moved, ways, axis=0, edge_order=2)[..., None]
-    turned = patches.turning(moved, slopes)[0][..., 0]
+    turned = patches.turning(moved, slopes)[..., 0]
     total = np.trapezoid(turned, ways, axis=0)
     first, last = (patches.shown(patches.sunk(part), patches.covering(part))[0] for part in (moved[:1], moved[-1:]))
     assert np.abs(last - first).max() > 1e-3

@@ -205,7 +205,7 @@ def test_whitened_products_are_those_of_the_inverse_covariance(name: str, size: 
     contact = with_change(contact, change)
     problem = problem_of(contact, outliers=True)
     shown = problem.change(problem.motion.at(logs_of())[0], logs_of())
-    steep = problem.patches.turning(*problem.motion.at(logs_of()))[1]
+    steep = problem.patches.steepness(problem.motion.at(logs_of())[0])
     assert (steep.max() > 1e-3) == (size == LARGER)
     apart = np.abs(np.where(problem.seen, shown - problem.observed, 0))
     apart = apart / np.sqrt(problem.film.noise.total**2 + (WALL * steep) ** 2)

@@ -17,8 +17,9 @@ from data.synthetic.clip import SyntheticClip
 from data.synthetic.source import open_synthetic
 from estimators.contract import Chosen, ClipInfo
 from estimators.estimate import NINETY, Estimate, FrameEstimate, NoEstimate
-from estimators.network.estimator import LARGEST_MISFIT, NO_NOISE, TOO_EARLY, UNEXPLAINED, NetworkEstimator, compared
+from estimators.network.estimator import LARGEST_MISFIT, NO_NOISE, TOO_EARLY, UNEXPLAINED, NetworkEstimator
 from estimators.network.fits import BOUNDS, MECHANICS
+from estimators.network.misfit import compared
 from estimators.oblique import HIDDEN_ERROR, LARGEST_ANGLE, OBLIQUE
 from estimators.onset import BETWEEN, STAMP
 from estimators.runs import contact_frame

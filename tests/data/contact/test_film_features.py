@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -18,8 +20,14 @@ from data.contact.film_features import (
     dent_shapes,
     film_features,
     join_film_features,
+    motion_in_film,
     shape_amounts,
 )
+from data.contact.interaction import Interaction
+from data.source.camera import Camera, back_project
+from physics.load import Press, held
+from physics.mesh import grid_mesh
+from physics.observation import Observation
 
 SIDE = 2 * REACH + 1
 PIXELS = SIDE * SIDE
@@ -178,3 +186,30 @@ def test_joined_vectors_are_those_of_each() -> None:
         alone = film_features(film, spacing[index], noise[index], within[index])
         np.testing.assert_allclose(joined[index], alone, rtol=2e-5, atol=1e-6)
     assert (joined.dtype, joined.shape) == (np.float32, (3, FILM_FEATURES))
+
+
+def followed(size: tuple[int, int]) -> Interaction:
+    """A point of a mesh of 8x8 pixels, followed over four frames; its film has three, the last without its pixel."""
+    camera = Camera(fx=10.0, fy=10.0, cx=3.5, cy=3.5, width=8, height=8)
+    mesh = grid_mesh(back_project(np.full((8, 8), 0.5), camera), np.ones((8, 8), bool), max_edge=1.0)
+    times = np.array([0.04, 0.08, 0.12, 0.16])
+    observed = Observation.of_point(45, times, 0.001 * np.arange(12).reshape(4, 3), NOISE)
+    change = np.zeros((3, SIDE, SIDE), np.float32)
+    change[:, REACH, REACH] = 0.01, 0.02, np.nan
+    film = DentFilm(times[[0, 2, 3]], change, FilmNoise(NOISE, 0.0), size)
+    return Interaction(mesh, Press.at(45, np.array([0.0, 0.0, 1.0]), held(10, 40)), observed, 0.005, film)
+
+
+def test_in_a_finer_picture_the_contact_moves_as_its_pixel_shows() -> None:
+    """Along its ray; where the pixel or the frame is missing it moves as it was followed."""
+    contact = followed((16, 16))
+    ray = np.array([(45 % 8 - 3.5) / 10, (45 // 8 - 3.5) / 10, 1.0])
+    expected = np.stack([0.01 * ray, contact.moved[1], 0.02 * ray, contact.moved[3]])
+    np.testing.assert_allclose(motion_in_film(contact), expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("size", [(8, 8), (4, 8)])
+def test_in_another_picture_the_contact_moves_as_it_was_followed(size: tuple[int, int]) -> None:
+    contact = followed(size)
+    np.testing.assert_array_equal(motion_in_film(contact), contact.moved)
+    np.testing.assert_array_equal(motion_in_film(dataclasses.replace(contact, film=None)), contact.moved)

@@ -316,22 +316,3 @@ def test_a_network_that_is_told_of_the_dent_is_told_how_well_the_instants_are_kn
             box = BOUNDS.log_box
             added = np.linalg.inv(information / misfit**2 + np.diag(12 / (box[1] - box[0]) ** 2))
             np.testing.assert_allclose(found.covariance, covariance + added, rtol=1e-6)
-
-
-@pytest.mark.parametrize(("began", "ended", "left"), [(4, 4, 0.02), (-6, -6, 0.02), (4, 2, 0.15), (0, 5, 0.15)])
-def test_a_press_at_other_instants_is_explained_where_they_are_unknown(
-    contact: Interaction, began: int, ended: int, left: float
-) -> None:
-    """Both delays in steps."""
-    logs, steps = np.log([0.4, 0.03, 0.05]), contact.observation.steps(MECHANICS.time_step)
-    loaded = round(contact.load_seconds / MECHANICS.time_step) + ended - began
-    press = dataclasses.replace(contact.load, factor=held(loaded, MECHANICS.steps + 6))
-    path = simulate(theta_of(logs), contact.mesh, press, MECHANICS)
-    since = steps - began
-    late = moved(contact, np.where((since >= 0)[:, None], path[np.maximum(since, 0)], 0), 0.001)
-    stamp, information = compared(late, MECHANICS, logs, 0.0)
-    between, same = compared(late, MECHANICS, logs, 0.04)
-    assert stamp > 1
-    assert between < left * stamp
-    # What it would tell of a press whose instants are known.
-    np.testing.assert_array_equal(information, same)

@@ -7,7 +7,7 @@ import pytest
 
 from data.contact.features import SLOTS
 from data.contact.film import REACH
-from data.contact.film_features import SHAPES, dent_shapes, shape_amounts
+from data.contact.film_features import SHAPES, dent_shapes, motion_in_film, shape_amounts
 from data.synthetic.contacts import SimulatedContact, draw_contacts, hidden_by_tool
 from data.synthetic.settings import SceneSettings
 from estimators.direct.field import FieldProblem, smooth_errors
@@ -44,6 +44,7 @@ def random_films(count: int = 3) -> Films:
         amounts.reshape(count, SLOTS, SHAPES),
         slopes,
         factors.reshape(count, SLOTS, SHAPES, SHAPES),
+        -change[..., PIXELS // 2],
     )
 
 
@@ -149,7 +150,7 @@ def test_an_exact_film_is_explained(pressed: SimulatedContact, within: float) ->
             SceneSettings(width=214, height=120, regime="critical"), 5, 1, MECHANICS.time_step, 0.0, film=True
         )[0]
         start, contact = np.log(np.abs(contact.theta)), contact.interaction
-    logs, slopes, rms, (change, amounts, tangents, factors) = fit_film((contact, start, within))
+    logs, slopes, rms, (change, amounts, tangents, factors, middle) = fit_film((contact, start, within))
     np.testing.assert_allclose(logs[:3], start, atol=0.05)
     assert rms < 2e-4
     assert (logs.shape, slopes.shape) == ((PARAMETERS,), (SLOTS, PARAMETERS))
@@ -159,6 +160,7 @@ def test_an_exact_film_is_explained(pressed: SimulatedContact, within: float) ->
     expected, spread = shape_amounts(np.where(np.isfinite(change), seen, np.nan))
     np.testing.assert_allclose(amounts, expected, atol=2e-4)
     np.testing.assert_allclose(factors, spread)
+    np.testing.assert_allclose(middle, -(motion_in_film(contact) @ contact.direction), atol=1e-6)
     if not within:
         assert not logs[3:].any()
         assert not slopes[:, 3:].any()

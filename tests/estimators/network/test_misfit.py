@@ -1,0 +1,71 @@
+"""How far a contact lies from the simulated motion: points and fine pictures, instants known and unknown."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+
+import numpy as np
+import pytest
+
+from data.contact.film import FilmNoise
+from data.contact.film_features import motion_in_film
+from data.contact.interaction import Interaction
+from data.synthetic.contacts import draw_contacts
+from data.synthetic.settings import SceneSettings
+from estimators.network.fits import MECHANICS
+from estimators.network.misfit import compared
+from physics.load import held
+from physics.mechanics import theta_of
+from physics.msd.simulation import simulate
+
+NOISE = 5e-4
+
+
+@functools.cache
+def contact_of(within: float) -> tuple[Interaction, np.ndarray]:
+    """A contact in a fine picture with noise, and its φ; its press begins and ends so long from the time stamps [s]."""
+    settings = SceneSettings(width=214, height=120, regime="critical")
+    for seed in range(20):
+        drawn = draw_contacts(settings, seed, 1, MECHANICS.time_step, within, film=True)
+        if drawn and drawn[0].interaction.film.size == (854, 480):
+            break
+    contact, generator = drawn[0].interaction, np.random.default_rng(0)
+    change = contact.film.change + generator.normal(0, NOISE, contact.film.change.shape).astype(np.float32)
+    film = dataclasses.replace(contact.film, change=change, noise=FilmNoise(NOISE, 0.0))
+    observation = contact.observation.moved(contact.moved, NOISE)
+    return dataclasses.replace(contact, film=film, observation=observation), np.log(np.abs(drawn[0].theta))
+
+
+@pytest.mark.parametrize("within", [0.0, 0.04])
+def test_a_fine_picture_is_explained_by_what_its_pixels_show(within: float) -> None:
+    """The bottom of the dent, which is narrower than a pixel of the grid, is not seen at its depth."""
+    contact, logs = contact_of(within)
+    misfit, information = compared(contact, MECHANICS, logs, within)
+    assert 0.5 < misfit < 1.3
+    other = compared(contact, MECHANICS, logs + np.array([0.0, 0.0, 0.4]), within)[0]
+    assert other > 2 * misfit
+    shown = contact.observation.moved(motion_in_film(contact), NOISE)
+    point = dataclasses.replace(contact, observation=shown, film=None)
+    unlike, same = compared(point, MECHANICS, logs, within)
+    assert unlike > 1.5 * misfit
+    np.testing.assert_allclose(information, same, rtol=1e-5)
+
+
+@pytest.mark.parametrize(("began", "ended", "left"), [(4, 4, 0.02), (-6, -6, 0.02), (4, 2, 0.25), (0, 5, 0.25)])
+def test_a_press_at_other_instants_is_explained_where_they_are_unknown(began: int, ended: int, left: float) -> None:
+    """Both delays in steps."""
+    contact = dataclasses.replace(contact_of(0.0)[0], film=None)
+    logs, steps = np.log([0.4, 0.03, 0.05]), contact.observation.steps(MECHANICS.time_step)
+    loaded = round(contact.load_seconds / MECHANICS.time_step) + ended - began
+    press = dataclasses.replace(contact.load, factor=held(loaded, MECHANICS.steps + 6))
+    path = simulate(theta_of(logs), contact.mesh, press, MECHANICS)
+    since = steps - began
+    moved = np.where((since >= 0)[:, None], path[np.maximum(since, 0)], 0)
+    late = dataclasses.replace(contact, observation=contact.observation.moved(moved, 0.001))
+    stamp, information = compared(late, MECHANICS, logs, 0.0)
+    between, same = compared(late, MECHANICS, logs, 0.04)
+    assert stamp > 1
+    assert between < left * stamp
+    # What it would tell of a press whose instants are known.
+    np.testing.assert_array_equal(information, same)

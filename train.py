@@ -40,6 +40,7 @@ from lightning.pytorch.utilities.exceptions import MisconfigurationException
 from mlflow import MlflowClient
 
 from data.contact.features import FEATURES
+from data.contact.film_features import FILM_FEATURES
 from data.contact.geometry import GeometrySettings
 from data.source.layout import InputError, read_mapping
 from data.training.datamodule import ClipDataModule
@@ -160,7 +161,7 @@ class TrainCLI(LightningCLI):
     def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
         parser.add_argument("--tracking", type=bool, default=True, help="Log to MLflow beside the run folder.")
         parser.link_arguments("data.samples.window", "model.window")
-        told = ("data.samples.observation", "data.geometry.smoothing")
+        told = ("data.samples.observation", "data.geometry.smoothing", "data.samples.film")
         parser.link_arguments(told, "model.contact_features", compute_fn=contact_features)
         for source, target, settings in (
             ("model.mechanics", "data.samples.mechanics", Mechanics),
@@ -241,9 +242,11 @@ class TrainCLI(LightningCLI):
             print(f"{name}: {path}")
 
 
-def contact_features(observation: str, smoothing: float) -> int:
+def contact_features(observation: str, smoothing: float, film: bool) -> int:
     """Length of the contact's vector in the batches; 0 where they have none, for want of a motion or its noise."""
-    return FEATURES if observation == "trajectory" and smoothing > 0 else 0
+    if observation != "trajectory" or not smoothing > 0:
+        return 0
+    return FEATURES + FILM_FEATURES if film else FEATURES
 
 
 def checkpoint_folder(run_folder: str | os.PathLike[str] | None) -> str:

@@ -111,6 +111,8 @@ class PreparedClip:
     """Its name."""
     sources: dict[str, str]
     """Where `depth` and `masks` came from, in a word each."""
+    size: tuple[int, int]
+    """Width and height of its pictures [px]."""
     status: np.ndarray
     contact: np.ndarray
     """Whether a frame is in contact, shape [F]."""
@@ -139,6 +141,11 @@ class PreparedClip:
         """z of a frame, shape [h, w], float32 in [0, 1] [scene units]; 0 = invalid."""
         with np.load(_frame_file(self.folder, index)) as stored:
             return stored["depth"]
+
+    def labels(self, index: int) -> np.ndarray:
+        """Label map of a frame on the grid, shape [h, w], uint8."""
+        with np.load(_frame_file(self.folder, index)) as stored:
+            return stored["labels"]
 
     def mesh(self, index: int) -> Mesh:
         """Tissue mesh of a frame in contact.
@@ -171,20 +178,21 @@ class CacheEntry:
             with np.load(self.folder / "clip.npz") as stored:
                 columns = dict(stored)
             sources = dict(json.loads(str(columns.pop("sources"))))
-            clip = PreparedClip(self.folder, path, self.name, sources, **columns)
+            width, height = columns.pop("size").tolist()
+            clip = PreparedClip(self.folder, path, self.name, sources, (width, height), **columns)
             for index in range(len(clip)):
-                _require_whole(_frame_file(self.folder, index), "depth")
+                _require_whole(_frame_file(self.folder, index), "labels")
             if {len(column) for column in columns.values()} == {len(clip)}:
                 return clip
         shutil.rmtree(self.folder, ignore_errors=True)
         return None
 
-    def write(self, frames: Iterable[PreparedFrame], sources: dict[str, str]) -> None:
+    def write(self, frames: Iterable[PreparedFrame], sources: dict[str, str], size: tuple[int, int]) -> None:
         """Write a clip's frames into a folder of its own, which takes its place once they are complete.
 
         Args:
             frames: all of them, in order.
-            sources: see `PreparedClip`.
+            sources, size: see `PreparedClip`.
 
         Raises:
             InputError: the cache can't be written (full, read-only).
@@ -198,10 +206,10 @@ class CacheEntry:
                 folder.mkdir()
                 for index, prepared in enumerate(frames):
                     mesh = {} if prepared.geometry is None else vars(prepared.geometry.mesh)
-                    np.savez(_frame_file(folder, index), depth=prepared.depth, **mesh)
+                    np.savez(_frame_file(folder, index), depth=prepared.depth, labels=prepared.labels, **mesh)
                     for name, value in _row(prepared).items():
                         columns[name].append(value)
-                np.savez(folder / "clip.npz", sources=json.dumps(sources), **columns)
+                np.savez(folder / "clip.npz", sources=json.dumps(sources), size=size, **columns)
                 try:
                     os.rename(folder, self.folder)
                 except OSError:

@@ -220,7 +220,7 @@ def prepare(
     if found is not None:
         return found
     clip_stream = ClipStream(source, settings)
-    entry.write(track(clip_stream), clip_stream.sources)
+    entry.write(track(clip_stream), clip_stream.sources, source.size)
     found = entry.load(path)
     if found is None:
         raise InputError(f"{entry.folder} can't be read back; check the disk or give another cache.")

@@ -11,11 +11,9 @@ from estimators.direct.estimator import FIELD, DirectEstimator
 from estimators.gan import GanEstimator
 from estimators.network.estimator import NetworkEstimator
 from estimators.onset import BETWEEN, STAMP
-from models.onnx_session import ModelFileError, PosteriorModel, open_model
+from models.onnx_session import SHIPPED, ModelFileError, PosteriorModel, open_model
 
 NAMES = ("network", "gan", "direct")
-SHIPPED = Path(__file__).resolve().parents[1] / "models" / "weights" / "contact.onnx"
-"""The model that comes with the program, of the estimator network; its card lies beside it."""
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,7 @@ from data.synthetic.truth import Motion
 from estimators.contract import ClipInfo
 from estimators.estimate import FrameEstimate
 from estimators.onset import STAMP
-from estimators.open import SHIPPED, EstimatorOptions
+from estimators.open import EstimatorOptions
 from estimators.worker_pool import WorkerLost, run_tasks
 from evaluation.recovery.bounds import MECHANICS
 from evaluation.recovery.estimators import opened
@@ -44,7 +44,7 @@ from evaluation.recovery.evaluate import PREPARE, observed_contacts
 from evaluation.recovery.suites import LARGEST_SEED, SPLITS, SUITES, suite_clip_seed
 from evaluation.tables import to_markdown
 from models.carried_depth import carried
-from models.onnx_session import ModelFileError, open_model
+from models.onnx_session import SHIPPED, ModelFileError, open_model
 from physics.msd.batch import MeshBatch, PressBatch
 
 NOISES = 2.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import zipfile
 from collections.abc import Mapping
 from dataclasses import fields
@@ -10,8 +11,9 @@ from typing import Any
 
 import torch
 
+from models.onnx_session import METADATA_KEY
 from models.posterior import ContactPosterior
-from physics.mechanics import Mechanics
+from physics.mechanics import Bounds, Mechanics
 
 FIXED = (
     *("window", "width", "residual_blocks", "decoder", "head", "bounds.stiffness", "bounds.damping", "bounds.force"),
@@ -21,6 +23,8 @@ FIXED = (
 
 WRITER = "python -m estimators.network.training"
 """What writes pretrained posteriors."""
+EXPORTED = "network."
+"""Before a weight's name in an exported posterior."""
 EXPECTED_BOUND = ".expected_bound."
 """In the names of weights by which verdicts are given."""
 SINCE = {"head": "parameters"}
@@ -68,14 +72,14 @@ def require_same_model(path: Path, configured: Mapping[str, Any]) -> None:
 
 
 def load_posterior(posterior: ContactPosterior, path: Path) -> None:
-    """Give a contact posterior the weights of a file of ours; reading it runs no code.
+    """Give a contact posterior the weights of a file of ours, or of one that was exported; reading it runs no code.
 
-    The file knows no pictures: that projection stays as it is.
+    The file knows no pictures: that projection stays as it is. An exported posterior's calibration is left behind.
 
     Raises:
         CheckpointError: no such file, not such a file, or one of another network or box.
     """
-    weights = _read(path, WRITER)
+    weights = _exported(path) if path.suffix == ".onnx" else _read(path, WRITER)
     own = {name: value for name, value in posterior.state_dict().items() if not name.startswith("picture.")}
     shapes = {name: getattr(value, "shape", None) for name, value in weights.items()}
     if shapes != {name: value.shape for name, value in own.items()}:
@@ -88,6 +92,27 @@ def load_posterior(posterior: ContactPosterior, path: Path) -> None:
                 f"say {', '.join(here)}; give the same bounds, or leave model.pretrained out."
             )
     posterior.load_state_dict(weights, strict=False)
+
+
+def _exported(path: Path) -> dict[str, torch.Tensor]:
+    """Weights of an exported contact posterior by their names in torch."""
+    import onnx  # heavy, and seldom wanted
+
+    try:
+        model = onnx.load(path)
+        graph, told = model.graph, {entry.key: entry.value for entry in model.metadata_props}
+        weights = {
+            name: torch.from_numpy(onnx.numpy_helper.to_array(item).copy())
+            for item in graph.initializer
+            if (name := item.name.removeprefix(EXPORTED)) != item.name
+        }
+        box = Bounds(**json.loads(told[METADATA_KEY])["bounds"]).log_box
+    except OSError as error:
+        raise CheckpointError(f"{path} can't be read ({error.strerror}); give a file that {WRITER} wrote.") from error
+    except Exception as error:  # protobuf's, JSON's, and of what is missing
+        raise CheckpointError(f"{path} is no exported contact posterior; give one, or what {WRITER} wrote.") from error
+    # Of the box the exporter keeps what the network computes with.
+    return weights | dict(zip(("lower", "upper"), torch.tensor(box, dtype=torch.float32), strict=True))
 
 
 def posterior_features(path: Path) -> int:

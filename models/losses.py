@@ -17,8 +17,8 @@ from torch import Tensor
 from models.evidence import negative_evidence
 from physics.mechanics import SIGNS, Bounds, Mechanics
 from physics.msd import rollout, rollout_sensitivities
-from physics.msd.batch import LoadBatch, MeshBatch, ObservationBatch
-from physics.msd.likelihoods import displacement_error, linearise
+from physics.msd.batch import DepthBatch, LoadBatch, MeshBatch, ObservationBatch
+from physics.msd.likelihoods import displacement_error, linearise, linearise_depth
 
 
 @dataclass(frozen=True)
@@ -123,6 +123,7 @@ def posterior_physics_loss(
     observation: ObservationBatch,
     mechanics: Mechanics,
     box: tuple[Tensor, Tensor],
+    dent: DepthBatch | None = None,
 ) -> tuple[Tensor, Tensor]:
     """The physics term of head posterior: the negative evidence bound of what was seen up to the sample's frame.
 
@@ -131,13 +132,18 @@ def posterior_physics_loss(
         noise: σ of every observed coordinate, shape [B] [scene units].
         mesh, load, observation, mechanics: as in `physics_loss`.
         box: φ's lower and upper bounds, shape [3] each.
+        dent: the tissue around the contact, which then counts instead of its point alone.
 
     Returns:
         The bound [nats], a scalar, and the Fisher information at the means, shape [B, 3, 3], a constant.
     """
     theta = torch.exp(mean.detach().double()) * mean.new_tensor(SIGNS)
-    path, slopes = rollout_sensitivities(theta.to(mean), mesh, load, mechanics)
-    misfit, gradient, information = linearise(path, slopes, theta, observation, noise)
+    if dent is None:
+        path, slopes = rollout_sensitivities(theta.to(mean), mesh, load, mechanics)
+        misfit, gradient, information = linearise(path, slopes, theta, observation, noise)
+    else:
+        path, slopes = rollout_sensitivities(theta.to(mean), mesh, load, mechanics, watch=dent.vertices)
+        misfit, gradient, information = linearise_depth(path, slopes, theta, dent)
     return negative_evidence(mean, factor, misfit, gradient, information, *box), information
 
 

@@ -29,6 +29,7 @@ from models.losses import (
     posterior_physics_loss,
     regularisation_loss,
 )
+from models.onnx_session import SHIPPED
 from models.records import pair_records
 from physics.mechanics import PARAMETERS, Bounds, Mechanics
 
@@ -57,7 +58,8 @@ class PhysicsInformedGAN(LightningModule):
         head: parameters (paper): θ from the window, trained by the squared displacement error; posterior: θ with its
             covariance from the contact's motion and the window, trained by the evidence bound.
         contact_features: length of the contact's vector, for head posterior; train.py takes it from the data.
-        pretrained: weights of head posterior that `estimators.network.training` wrote, taken over before training.
+        pretrained: weights of head posterior that `estimators.network.training` wrote or `evaluation.calibration`
+            exported, taken over before training; shipped: those that come with the program.
         pretrained_rate: share of `learning_rate` at which pretrained heads are trained on; 0 keeps them as they are.
         bounds: admissible box of θ.
         mechanics: constants of the rollout.
@@ -132,8 +134,9 @@ class PhysicsInformedGAN(LightningModule):
             CheckpointError: the file is missing, not such a file, or of another box.
         """
         if self.pretrained is not None and self.trainer.ckpt_path is None:
+            path = SHIPPED if self.pretrained == "shipped" else Path(self.pretrained)
             for generator in (self.generator_ab, self.generator_ba):
-                load_posterior(generator.posterior, Path(self.pretrained))
+                load_posterior(generator.posterior, path)
 
     def configure_optimizers(self) -> list[torch.optim.Optimizer]:
         """One Adam for both generators, one for each discriminator (Bini 2026, section 3.5).
@@ -274,7 +277,15 @@ class PhysicsInformedGAN(LightningModule):
         noise, load, seen = (batch[f"{name}_{side}"] for name in ("noise", "seen_load", "seen_observation"))
         posterior = generator.posterior
         evidence, information = posterior_physics_loss(
-            answer.mean, answer.factor, noise, mesh, load, seen, self.mechanics, (posterior.lower, posterior.upper)
+            answer.mean,
+            answer.factor,
+            noise,
+            mesh,
+            load,
+            seen,
+            self.mechanics,
+            (posterior.lower, posterior.upper),
+            batch.get(f"dent_{side}"),
         )
         if self.pretrained is not None:  # it has learnt the bound where θ was known better
             return evidence

@@ -21,6 +21,8 @@ import onnxruntime
 from models.calibration import Widths
 from physics.fields import fits
 
+SHIPPED = Path(__file__).resolve().parent / "weights" / "contact.onnx"
+"""The contact posterior that comes with the program; its card lies beside it."""
 METADATA_KEY = "palpate"
 """Key of the custom metadata entry that holds everything inference needs, as one JSON document."""
 FORMAT_VERSION = 1

@@ -13,8 +13,9 @@ from data.synthetic.clip import write_clip
 from data.synthetic.settings import SceneSettings
 from estimators.estimate import NINETY
 from estimators.network.estimator import NetworkEstimator
-from estimators.open import SHIPPED, EstimatorOptions, open_estimator
+from estimators.open import EstimatorOptions, open_estimator
 from infer import main
+from models.onnx_session import SHIPPED
 
 LARGEST = 6e6
 """Size limit of what ships [bytes]."""

@@ -7,6 +7,7 @@ where they are while tissue moves: which of the mesh's vertices a pixel shows is
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from dataclasses import dataclass
 
@@ -31,6 +32,10 @@ ROUNDED = 0.5
 """Errors that stay belong to rounding where those that are new are less than this share of them."""
 LEAST_CORRELATION = 0.05
 """Correlations of neighbouring pixels' noise below this are chance."""
+REST_SHARE, REST_LENGTH = 0.1, 5.0
+"""Standard deviation of the rest surface's error [σ], and the distance over which it is alike [grid pixels]."""
+REST_KEPT = 0.99
+"""Share of its variance that is taken into account."""
 FARTHEST_ALIKE = 12
 """Noise of pixels farther apart than this is independent [grid pixels]."""
 
@@ -189,3 +194,18 @@ def _alike(products: np.ndarray) -> float:
         if correlation > LEAST_CORRELATION:
             found *= 1 + 2 * float(np.power(correlation, np.arange(1, FARTHEST_ALIKE + 1) ** 2).sum())
     return found
+
+
+def smooth_errors(sigma: float) -> np.ndarray:
+    """Columns whose sum, with independent normal factors, is the rest surface's error, shape [P, K] [as σ]."""
+    return sigma * _smooth_shapes()
+
+
+@functools.cache
+def _smooth_shapes() -> np.ndarray:
+    places = np.mgrid[-REACH : REACH + 1, -REACH : REACH + 1].reshape(2, -1).T
+    squares = np.square(places[:, None] - places).sum(axis=-1)
+    values, vectors = np.linalg.eigh(np.exp(-0.5 * squares / REST_LENGTH**2))
+    values, vectors = values[::-1], vectors[:, ::-1]
+    count = int(np.searchsorted(np.cumsum(values) / values.sum(), REST_KEPT)) + 1
+    return REST_SHARE * vectors[:, :count] * np.sqrt(values[:count])

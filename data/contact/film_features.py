@@ -7,13 +7,14 @@ contacts were at most 11 % wider than the whole film's, mostly 1 to 5 % (a devel
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 
 import numpy as np
 from scipy.sparse import coo_array, diags_array, eye_array
 from scipy.sparse.linalg import spsolve
 
-from data.contact.features import SLOTS, slot_times
+from data.contact.features import SLOTS, contact_features, contact_spacing, slot_times
 from data.contact.film import REACH, DentFilm
 from data.contact.interaction import SAME_INSTANT, Interaction
 
@@ -92,6 +93,21 @@ def motion_in_film(contact: Interaction) -> np.ndarray:
     ray = mesh.vertices[contact.vertex] / mesh.vertices[contact.vertex, 2]
     moved[known] = middle[frames[known], None] * ray
     return moved
+
+
+def dent_features(contact: Interaction, within: float) -> np.ndarray:
+    """Vector of a contact and its film, shape [FEATURES + FILM_FEATURES], float32.
+
+    Args:
+        contact: with or without a film.
+        within: as of `film_features`.
+    """
+    film, noise = contact.film, contact.noise
+    if film is not None and film.noise.rounded:
+        noise *= ROUNDED
+    shown = dataclasses.replace(contact, observation=contact.observation.moved(motion_in_film(contact), noise))
+    spacing = contact_spacing(contact.mesh, contact.vertex)
+    return np.concatenate([contact_features(shown), film_features(film, spacing, noise, within)])
 
 
 def film_features(film: DentFilm | None, spacing: float, noise: float, within: float) -> np.ndarray:

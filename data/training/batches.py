@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import functools
+import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import torch
+from torch.nn.utils.rnn import pad_sequence
 from torch.utils.data import Dataset
 
 from data.cache import PreparedClip
 from data.contact.features import contact_features
+from data.contact.film import REACH, smooth_errors
+from data.contact.film_features import ROUNDED, dent_features
 from data.contact.interaction import Interaction
+from data.contact.patches import Patches
 from data.training.samples import Sample, SampleSettings, make_sample
 from data.training.splits import Place
-from physics.msd.batch import MeshBatch, ObservationBatch, PressBatch
+from physics.msd.batch import DepthBatch, MeshBatch, ObservationBatch, PressBatch
 
 
 class SampleDataset(Dataset):
@@ -43,7 +49,8 @@ def collate(samples: Sequence[Sample]) -> dict[str, Any]:
         the rollout's steps at the window's last frame and the one that is predicted; `clip` names; `frame` [B] int64.
         For trajectories of clips whose noise is known, also what was known of the contact at frame t, the same on both
         sides: `contact_features_a`, … [B, FEATURES] float32 (`data.contact.features`), `noise_a`, … [B] float32
-        [scene units], `seen_load_a`, … PressBatch and `seen_observation_a`, … ObservationBatch.
+        [scene units], `seen_load_a`, … PressBatch and `seen_observation_a`, … ObservationBatch. Where films are wanted
+        these vectors tell of them, too (`data.contact.film_features`), and `dent_a`, … DepthBatch holds them.
     """
     batch: dict[str, Any] = {
         "clip": [sample.clip for sample in samples],
@@ -51,7 +58,9 @@ def collate(samples: Sequence[Sample]) -> dict[str, Any]:
     }
     seen = [sample.seen for sample in samples if sample.seen is not None]
     known = len(seen) == len(samples)
-    features = np.stack([contact_features(interaction) for interaction in seen]) if known else None
+    filmed = known and any(interaction.film is not None for interaction in seen)
+    told = functools.partial(dent_features, within=0.0) if filmed else contact_features
+    features = np.stack([told(interaction) for interaction in seen]) if known else None
     for side in ("a", "b"):
         interactions: list[Interaction] = [getattr(sample, f"interaction_{side}") for sample in samples]
         windows = np.stack([getattr(sample, f"window_{side}") for sample in samples])
@@ -63,6 +72,8 @@ def collate(samples: Sequence[Sample]) -> dict[str, Any]:
             batch[f"contact_features_{side}"] = torch.from_numpy(features)
             batch[f"noise_{side}"] = torch.tensor([interaction.noise for interaction in seen], dtype=torch.float32)
             batch[f"seen_load_{side}"], batch[f"seen_observation_{side}"] = _join(seen)
+        if filmed:
+            batch[f"dent_{side}"] = join_films(seen)
     return batch
 
 
@@ -70,3 +81,58 @@ def _join(interactions: Sequence[Interaction]) -> tuple[PressBatch, ObservationB
     observations = [interaction.observation for interaction in interactions]
     loads = PressBatch.of([interaction.load for interaction in interactions])
     return loads, ObservationBatch.of(observations, interactions[0].time_step)
+
+
+def join_films(contacts: Sequence[Interaction]) -> DepthBatch:
+    """What was seen of the tissue around some contacts, every pixel by the vertex that it shows at rest.
+
+    Of a contact without any film its own motion counts, as the middle pixel's. In a finer picture than the grid the
+    middle pixels are left out: they are means of very different depths.
+    """
+    parts = [_film_parts(contact) for contact in contacts]
+    vertices, along, steps, change = (
+        pad_sequence([torch.from_numpy(np.asarray(part)) for part in column], batch_first=True)
+        for column in zip(*parts, strict=True)
+    )
+    instants = torch.tensor([len(part[2]) for part in parts])[:, None] > torch.arange(steps.shape[1])
+    weight = change.isfinite() & instants[..., None]
+    return DepthBatch(
+        vertices=vertices,
+        along=along,
+        steps=steps,
+        change=torch.where(weight, change, 0.0),
+        weight=weight.float(),
+        noise=torch.tensor([_film_noise(contact) for contact in contacts], dtype=torch.float32),
+        common=torch.from_numpy(smooth_errors(1.0).astype(np.float32)),
+    )
+
+
+def _film_parts(contact: Interaction) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices [P], `along` [P, 3], steps [N] and changes [N, P] of one contact; not a number where nothing is seen."""
+    film, side = contact.film, 2 * REACH + 1
+    middle = side * side // 2
+    if film is None or not len(film.times):
+        along = np.zeros((side * side, 3), np.float32)
+        along[middle] = contact.direction
+        change = np.full((len(contact.observation), side * side), np.nan, np.float32)
+        change[:, middle] = contact.along
+        return np.full(side * side, contact.vertex), along, contact.observation.steps(contact.time_step), change
+    patches = Patches(contact.mesh, contact.vertex, film.size)
+    own = patches.own()
+    still = np.zeros((1, len(patches.vertices), 3))
+    along = patches.sunk_slopes(still, np.broadcast_to(np.eye(3), (*still.shape, 3)))[0]
+    change = film.change.reshape(len(film.times), -1).copy()
+    change[:, own < 0] = np.nan
+    if patches.averages:
+        near = np.abs(np.mgrid[-REACH : REACH + 1, -REACH : REACH + 1]).max(axis=0).ravel() <= 1
+        change[:, near] = np.nan
+    steps = np.rint(film.times / contact.time_step).astype(np.int64) - 1
+    return patches.vertices[own], along[own].astype(np.float32), steps, change
+
+
+def _film_noise(contact: Interaction) -> float:
+    """σ of every pixel's independent error [scene units]; of pixels whose errors go together, as fewer would have."""
+    film = contact.film
+    if film is None or not len(film.times):
+        return contact.noise
+    return contact.noise * (ROUNDED if film.noise.rounded else math.sqrt(film.noise.alike_in_time))

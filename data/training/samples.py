@@ -40,6 +40,9 @@ class SampleSettings:
     onset_within: int | None = None
     """A trajectory's frame is a sample where its onset is less than this many frames back; none = the window, farther
     back than which no network can see. One that is told the contact's motion beside the window can have more."""
+    film: bool = False
+    """Whether the depth of all tissue around the contact is told and compared beside the contact's own motion; needs
+    observation trajectory."""
     geometry: GeometrySettings = field(default_factory=GeometrySettings)
     """The force's direction is taken from here."""
     mechanics: Mechanics = field(default_factory=Mechanics)
@@ -54,6 +57,8 @@ class SampleSettings:
                 f"horizon is {self.horizon} and observation {self.observation}; give at least 1 frame, and more only "
                 "with observation trajectory."
             )
+        if self.film and self.observation != "trajectory":
+            raise ValueError(f"film needs observation trajectory, not {self.observation}; choose that, or film false.")
         if self.onset_within is not None and self.onset_within < 1:
             raise ValueError(f"onset_within is {self.onset_within}; give at least 1, or leave it out.")
         if not (math.isfinite(self.min_deformation) and self.min_deformation >= 0):
@@ -108,7 +113,8 @@ def make_sample(clip: PreparedClip, frame: int, settings: SampleSettings) -> Sam
         first, last = np.rint(since / settings.mechanics.time_step).astype(int).tolist()
         onward, course = (first, last), (last, first)
         if forward.noise > 0:
-            seen = builder_of(clip, onset, settings).build(settings.mechanics, until=float(since[0]))
+            run = builder_of(clip, onset, settings, film=settings.film)
+            seen = run.build(settings.mechanics, until=float(since[0]))
     window_a, window_b = (np.stack([clip.depth(index) for index in indices]) for indices in (earlier, later))
     return Sample(window_a, window_b, forward, backward or forward, clip.name, frame, onward, course, seen)
 
@@ -120,8 +126,8 @@ def make_interaction(clip: PreparedClip, frame: int, settings: SampleSettings) -
     return _pair(clip, frame, clip.displacement, settings)
 
 
-def builder_of(clip: PreparedClip, onset: int, settings: SampleSettings) -> InteractionBuilder:
-    """The run of contact that began at an onset, all its frames gathered."""
+def builder_of(clip: PreparedClip, onset: int, settings: SampleSettings, *, film: bool = False) -> InteractionBuilder:
+    """The run of contact that began at an onset, all its frames gathered, with its film where that is wanted."""
 
     def frame_of(index: int) -> ContactFrame:
         return ContactFrame(
@@ -130,6 +136,8 @@ def builder_of(clip: PreparedClip, onset: int, settings: SampleSettings) -> Inte
             clip.status[index] in SEEN_OUT,
             bool(clip.consecutive[index]),
             clip.track_position[index],
+            clip.depth(index) if film else None,
+            clip.labels(index) if film else None,
         )
 
     run = InteractionBuilder(
@@ -140,6 +148,7 @@ def builder_of(clip: PreparedClip, onset: int, settings: SampleSettings) -> Inte
         frame_of(onset),
         settings.geometry,
         settings.mechanics.seconds,
+        clip.size if film else None,
     )
     for index in range(onset + 1, len(clip)):
         if clip.track_start[index] != onset:

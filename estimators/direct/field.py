@@ -13,17 +13,13 @@ import math
 
 import numpy as np
 
-from data.contact.film import REACH, FilmNoise
+from data.contact.film import FilmNoise, smooth_errors
 from data.contact.interaction import Interaction
 from data.contact.patches import Patches
 from estimators.direct.error_model import rounding_covariance
 from estimators.direct.motion import PressMotion
 from physics.mechanics import Mechanics
 
-REST_SHARE, REST_LENGTH = 0.1, 5.0
-"""Standard deviation of the rest surface's error [σ], and the distance over which it is alike [grid pixels]."""
-REST_KEPT = 0.99
-"""Share of its variance that is taken into account."""
 OUTLIER = 4.0
 """Residuals of more than this many standard deviations count as if they had as many."""
 MOVED = 3.0
@@ -169,13 +165,3 @@ class FieldProblem:
         left = (self.change(self.motion.at(logs)[0] + self.offset, logs) - self.observed)[used]
         sigma = np.sqrt(self.film.noise.total**2 + self._walls[used])
         return float(np.sqrt(np.square(left / sigma).mean())) if len(left) else 0.0
-
-
-def smooth_errors(sigma: float) -> np.ndarray:
-    """Columns whose sum, with independent normal factors, is the rest surface's error, shape [P, K] [as σ]."""
-    places = np.mgrid[-REACH : REACH + 1, -REACH : REACH + 1].reshape(2, -1).T
-    squares = np.square(places[:, None] - places).sum(axis=-1)
-    values, vectors = np.linalg.eigh(np.exp(-0.5 * squares / REST_LENGTH**2))
-    values, vectors = values[::-1], vectors[:, ::-1]
-    count = int(np.searchsorted(np.cumsum(values) / values.sum(), REST_KEPT)) + 1
-    return REST_SHARE * sigma * vectors[:, :count] * np.sqrt(values[:count])

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import time
 from collections.abc import Iterator
 
 import numpy as np
 
-from data.contact.features import FEATURES, contact_features, contact_spacing
-from data.contact.film_features import FILM_FEATURES, ROUNDED, film_features, motion_in_film
+from data.contact.features import FEATURES, contact_features
+from data.contact.film_features import FILM_FEATURES, dent_features
 from data.contact.interaction import Horizon, Interaction, InteractionBuilder
 from data.prepared import PreparedFrame
 from data.windows import FrameWindow
@@ -91,15 +90,7 @@ class NetworkEstimator(ModelEstimator):
 
     def features(self, contact: Interaction, within: float) -> np.ndarray:
         """What the network is told of a contact whose instants are known so well [s], shape [features]."""
-        if not self.sees_film:
-            return contact_features(contact)
-        film, noise = contact.film, contact.noise
-        if film is not None and film.noise.rounded:
-            noise *= ROUNDED
-        shown = contact.observation.moved(motion_in_film(contact), noise)
-        contact = dataclasses.replace(contact, observation=shown)
-        spacing = contact_spacing(contact.mesh, contact.vertex)
-        return np.concatenate([contact_features(contact), film_features(film, spacing, noise, within)])
+        return dent_features(contact, within) if self.sees_film else contact_features(contact)
 
     def judged(
         self,

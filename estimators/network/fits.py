@@ -15,6 +15,7 @@ from operator import itemgetter
 import numpy as np
 
 from data.contact.features import FRAME_RATE, SLOTS, contact_surroundings, join_features, slot_times
+from data.contact.film import smooth_errors
 from data.contact.film_features import (
     ROUNDED,
     SHAPES,
@@ -25,7 +26,7 @@ from data.contact.film_features import (
 )
 from data.contact.interaction import Interaction
 from data.synthetic.settings import SceneSettings
-from estimators.direct.field import FieldProblem, smooth_errors
+from estimators.direct.field import FieldProblem
 from estimators.direct.problem import ContactProblem, find_optimum
 from physics.mechanics import RECOMMENDED, Mechanics
 

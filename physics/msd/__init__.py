@@ -14,6 +14,6 @@ __getattr__ = exported(
     {
         "physics.msd.rollouts": ("rollout", "rollout_field", "rollout_heterogeneous", "rollout_sensitivities"),
         "physics.msd.simulation": ("simulate", "simulate_field", "simulate_reaction", "simulate_sensitivities"),
-        "physics.msd.batch": ("GripBatch", "MeshBatch", "ObservationBatch", "PressBatch"),
+        "physics.msd.batch": ("DepthBatch", "GripBatch", "MeshBatch", "ObservationBatch", "PressBatch"),
     }
 )

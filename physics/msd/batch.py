@@ -187,3 +187,23 @@ class ObservationBatch:
         ]
         weight = [points.isfinite().all(dim=1).float() for points in moved]
         return cls(*(pad_sequence(values, batch_first=True) for values in (steps, moved, weight)))
+
+
+@dataclass
+class DepthBatch:
+    """Observed changes of the depth of P vertices a sample, at up to N instants."""
+
+    vertices: Tensor
+    """Each an index within its own mesh, shape [B, P], int64."""
+    along: Tensor
+    """Change of the depth by a displacement of the vertex, shape [B, P, 3], float32."""
+    steps: Tensor
+    """Index into the trajectory that each instant belongs to, shape [B, N], int64."""
+    change: Tensor
+    """Observed change since rest, shape [B, N, P], float32 [scene units]; 0 where nothing was seen."""
+    weight: Tensor
+    """Whether it was seen, shape [B, N, P], float32."""
+    noise: Tensor
+    """σ of every observed change, shape [B], float32 [scene units]."""
+    common: Tensor
+    """Errors that all instants share, independent normal factors of these columns, shape [P, K], float32 [σ]."""

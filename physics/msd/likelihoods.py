@@ -8,7 +8,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from physics.msd.batch import ObservationBatch
+from physics.msd.batch import DepthBatch, ObservationBatch
 
 
 def displacement_error(trajectory: Tensor, observation: ObservationBatch) -> Tensor:
@@ -62,6 +62,37 @@ def linearise(
     jacobian = torch.where((observation.weight > 0)[..., None, None], jacobian, 0.0)
     gradient = torch.einsum("bmcp,bmc->bp", jacobian, residual)
     return 0.5 * residual.square().sum((1, 2)), gradient, torch.einsum("bmcp,bmcq->bpq", jacobian, jacobian)
+
+
+def linearise_depth(
+    path: Tensor, slopes: Tensor, theta: Tensor, observation: DepthBatch
+) -> tuple[Tensor, Tensor, Tensor]:
+    """The same of observed depth, the errors that all instants share marginalised (Woodbury's identity).
+
+    Args:
+        path: displacement of the P vertices, shape [B, T, P, 3] [scene units].
+        slopes: its derivatives by θ, shape [B, T, P, 3, 3].
+        theta: k_s, k_d and signed F, shape [B, 3] [normalised].
+        observation: what was seen of these vertices.
+
+    Returns:
+        As `linearise`.
+    """
+    samples = torch.arange(len(path), device=path.device)[:, None]
+    steps = observation.steps.clamp(0, path.shape[1] - 1)
+    along, weight = observation.along.double(), observation.weight.double()
+    share = weight / observation.noise.double()[:, None, None]
+    moved, tangent = path[samples, steps].double(), slopes[samples, steps].double()
+    residual = share * (torch.einsum("bnpc,bpc->bnp", moved, along) - observation.change.double())
+    jacobian = torch.einsum("bnpcd,bpc->bnpd", tangent, along) * theta.double()[:, None, None]
+    columns = torch.cat([share[..., None] * jacobian, residual[..., None]], dim=-1)
+    common = observation.common.double()
+    products = torch.einsum("bnpi,bnpj->bij", columns, columns)
+    shared = torch.einsum("bpi,pk->bki", columns.sum(dim=1), common)
+    inner = torch.einsum("bp,pk,pl->bkl", weight.sum(dim=1), common, common)
+    inner = inner + torch.eye(common.shape[1], dtype=inner.dtype, device=inner.device)
+    left = products - shared.transpose(1, 2) @ torch.linalg.solve(inner, shared)
+    return 0.5 * left[:, 3, 3], left[:, :3, 3], left[:, :3, :3]
 
 
 def _difference(trajectory: Tensor, observation: ObservationBatch) -> Tensor:

@@ -83,5 +83,5 @@ def remove_frame(folder: Path, number: int) -> None:
 def stored(clip: ClipStream, cache: Path) -> PreparedClip:
     """A stream's frames, written to a cache and read back."""
     entry = CacheEntry(cache, clip.source.name, "0")
-    entry.write(clip, clip.sources)
+    entry.write(clip, clip.sources, clip.source.size)
     return entry.load(clip.source.path)

@@ -225,7 +225,7 @@ def test_the_loser_of_a_race_discards_its_own(tmp_path):
         yield from clip
         prepare(folder, SETTINGS, cache)
 
-    entry.write(overtaken(), clip.sources)
+    entry.write(overtaken(), clip.sources, clip.source.size)
     assert entries(cache) == {entry.folder.name}
 
 

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from estimators.onset import STAMP
-from estimators.open import SHIPPED, EstimatorOptions
+from estimators.open import EstimatorOptions
 from evaluation.next_depth import NextDepthErrors, NextDepthTask, _row, main, next_depth_errors
 from evaluation.recovery.suites import suite_clip_seed
+from models.onnx_session import SHIPPED
 
 
 def test_physics_with_the_right_tissue_beats_copying() -> None:

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 import torch
 
+from data.contact.features import FEATURES
+from data.contact.film_features import FILM_FEATURES
 from models.checkpoint import (
     CheckpointError,
     load_posterior,
@@ -18,8 +20,9 @@ from models.checkpoint import (
     require_same_model,
 )
 from models.module import PhysicsInformedGAN
+from models.onnx_session import SHIPPED, PosteriorModel
 from models.posterior import ContactPosterior
-from physics.mechanics import Bounds, Mechanics
+from physics.mechanics import RECOMMENDED, Bounds, Mechanics
 
 SETTINGS = {
     "window": 1,
@@ -152,6 +155,31 @@ def test_a_pretrained_posterior_answers_as_it_did_with_any_picture(pretrained):
     load_posterior(posterior, path)
     for value, expected in zip(posterior(contact, picture), trained(contact), strict=True):
         assert torch.equal(value, expected)
+
+
+def test_the_shipped_posterior_is_taken_over_as_it_was_exported() -> None:
+    """The mean is the file's; the covariance is what it was before it was calibrated."""
+    posterior = ContactPosterior(FEATURES + FILM_FEATURES, torch.from_numpy(RECOMMENDED.log_box))
+    load_posterior(posterior, SHIPPED)
+    contact = posterior.centre + posterior.scale * torch.randn(5, len(posterior.centre))
+    mean, _, bound = PosteriorModel(SHIPPED)(contact.numpy())
+    with torch.no_grad():
+        found, factor = posterior.eval()(contact)[0], posterior.expected_bound_factor(contact)
+    np.testing.assert_allclose(found, mean, atol=1e-5)
+    np.testing.assert_allclose(factor @ factor.mT, bound, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("content", [b"", b"nothing of the kind"])
+def test_an_exported_posterior_that_is_none_gets_a_sentence(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "other.onnx"
+    posterior = ContactPosterior(7, BOX)
+    with pytest.raises(CheckpointError, match=r"other\.onnx can't be read"):
+        load_posterior(posterior, path)
+    path.write_bytes(content)
+    with pytest.raises(CheckpointError, match=r"other\.onnx is no exported contact posterior; give one"):
+        load_posterior(posterior, path)
+    with pytest.raises(CheckpointError, match="holds no contact posterior of this version"):
+        load_posterior(posterior, SHIPPED)
 
 
 def test_a_pretrained_posterior_says_how_much_it_is_told(pretrained, checkpoint: Path, tmp_path: Path):

@@ -9,7 +9,19 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
-from data.contact.film import FAR, LEAST_FAR, REACH, DentFilm, FilmNoise, FilmRecorder, window_around
+from data.contact.film import (
+    FAR,
+    LEAST_FAR,
+    REACH,
+    REST_KEPT,
+    REST_LENGTH,
+    REST_SHARE,
+    DentFilm,
+    FilmNoise,
+    FilmRecorder,
+    smooth_errors,
+    window_around,
+)
 from data.labels import TISSUE, TOOL
 from data.source.camera import Camera, back_project
 from physics.mesh import Mesh, grid_mesh
@@ -215,3 +227,17 @@ def test_a_film_holds_frames_times_and_size() -> None:
     empty = made.film(np.array([]), [], 0)
     assert isinstance(empty, DentFilm)
     assert (empty.times.shape, empty.change.shape) == ((0,), (0, SIDE, SIDE))
+
+
+def test_smooth_errors_are_those_of_a_gaussian_process() -> None:
+    columns = smooth_errors(1e-3)
+    places = np.mgrid[: 2 * REACH + 1, : 2 * REACH + 1].reshape(2, -1).T
+    apart = np.linalg.norm(places[:, None] - places, axis=2)
+    expected = (REST_SHARE * 1e-3) ** 2 * np.exp(-0.5 * (apart / REST_LENGTH) ** 2)
+    found = columns @ columns.T
+    # As few columns as hold so much of it.
+    assert np.trace(found) >= REST_KEPT * np.trace(expected)
+    assert np.trace(found) - np.square(columns[:, -1]).sum() < REST_KEPT * np.trace(expected)
+    np.testing.assert_allclose(columns.T @ columns, np.diag(np.square(columns).sum(axis=0)), atol=1e-15)
+    np.testing.assert_allclose(found, expected, atol=0.06 * (REST_SHARE * 1e-3) ** 2)
+    assert np.linalg.eigvalsh(expected - found).min() > -1e-9 * expected.max()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
 
 import numpy as np
@@ -9,14 +10,23 @@ import pytest
 import torch
 
 from data.clip import prepare
-from data.contact.features import FEATURES, contact_features
-from data.training.batches import SampleDataset, collate
+from data.contact.features import FEATURES, SLOTS, contact_features
+from data.contact.film import REACH, FilmNoise
+from data.contact.film_features import FILM_FEATURES, dent_features
+from data.contact.interaction import Interaction
+from data.synthetic.contacts import draw_contacts
+from data.synthetic.settings import SceneSettings
+from data.training.batches import SampleDataset, collate, join_films
 from data.training.samples import SampleSettings, list_frames, make_interaction, make_sample
 from physics.load import held
+from physics.mechanics import Mechanics
+from physics.msd.simulation import simulate
 from tests.data.clips import GRID, SETTINGS, write_clip
 
 SMOOTH = replace(GRID, smoothing=4.0)
 TOLD = SampleSettings(window=2, observation="trajectory", onset_within=9, geometry=SMOOTH)
+MECHANICS = Mechanics(scheme="dkd", window_error=1e-4)
+PIXELS = (2 * REACH + 1) ** 2
 KEYS = ("contact_features", "noise", "seen_load", "seen_observation")
 
 
@@ -98,3 +108,61 @@ def test_a_contact_of_unknown_noise_is_left_out_where_the_noise_is_asked_for(cli
     frames, left_out = list_frames(clip, TOLD)
     assert frames == []
     assert left_out["noise not known"] == 8
+
+
+def test_dents_are_told_and_joined_where_they_are_wanted(clip) -> None:
+    filmed = replace(TOLD, film=True)
+    samples = [make_sample(clip, frame, filmed) for frame in (4, 6)]
+    batch = collate(samples)
+    for row, sample in enumerate(samples):
+        assert sample.seen.film is not None
+        expected = dent_features(sample.seen, within=0.0)
+        for side in ("a", "b"):
+            assert batch[f"contact_features_{side}"].shape == (2, FEATURES + FILM_FEATURES)
+            np.testing.assert_array_equal(batch[f"contact_features_{side}"][row].numpy(), expected)
+    assert (batch["dent_a"].steps.shape, batch["dent_a"].vertices.shape) == ((2, 3), (2, PIXELS))
+    assert "dent_a" not in batch_of(clip, [4, 6])
+    with pytest.raises(ValueError, match="film needs observation trajectory, not final"):
+        SampleSettings(film=True)
+
+
+@pytest.mark.parametrize("fine", [False, True])
+def test_joined_films_change_as_the_vertices_sink(fine: bool) -> None:
+    """Of a simulated contact whose film is exact; the middle pixels of a fine picture are left out."""
+    contact, theta = contact_of(fine)
+    film = replace(contact.film, noise=FilmNoise(1e-3, 0.0))
+    noisy = replace(contact, film=film, observation=contact.observation.moved(contact.moved, 1e-3))
+    dent = join_films([noisy, noisy.observed(np.arange(5))])
+    seen = np.isfinite(contact.film.change.reshape(SLOTS, PIXELS))
+    left_out = seen & (dent.weight[0].numpy() == 0)
+    middle = np.abs(np.mgrid[-REACH : REACH + 1, -REACH : REACH + 1]).max(axis=0).ravel() <= 1
+    assert left_out.any(axis=0).tolist() == (middle & fine).tolist()
+    assert (dent.weight[1].sum(dim=1) > 0).tolist() == [True] * 5 + [False] * 20
+    load = replace(contact.load, factor=held(contact.load_seconds / contact.time_step, 200))
+    path = simulate(theta, contact.mesh, load, MECHANICS, watch=dent.vertices[0].numpy())
+    moved = path[dent.steps[0].numpy()]
+    expected = np.einsum("npc,pc->np", moved, dent.along[0].numpy())
+    left = (dent.change[0].numpy() - expected)[dent.weight[0].numpy() > 0]
+    assert np.abs(expected).max() > 0.01
+    assert np.sqrt(np.square(left).mean()) < 1e-3
+    assert dent.noise.tolist() == pytest.approx([1e-3, 1e-3])
+
+
+def test_without_a_film_the_contact_s_own_motion_counts() -> None:
+    contact = replace(contact_of(False)[0], film=None)
+    contact = replace(contact, observation=contact.observation.moved(contact.moved, 2e-3))
+    dent = join_films([contact])
+    assert dent.weight.sum() == dent.weight[..., PIXELS // 2].sum() == SLOTS
+    np.testing.assert_allclose(dent.change[0, :, PIXELS // 2], contact.along, rtol=1e-6)
+    np.testing.assert_array_equal(dent.along[0, PIXELS // 2], np.float32(contact.direction))
+    assert dent.vertices.unique().tolist() == [contact.vertex]
+    assert dent.noise.item() == pytest.approx(2e-3)
+
+
+@functools.cache
+def contact_of(fine: bool) -> tuple[Interaction, np.ndarray]:
+    """A simulated contact, exactly seen in a picture of the grid's size or a larger one, and its θ."""
+    settings = SceneSettings(width=214, height=120, regime="critical")
+    found = (draw_contacts(settings, seed, 1, MECHANICS.time_step, film=True) for seed in range(30))
+    drawn = next(each[0] for each in found if each and (each[0].interaction.film.size == (854, 480)) == fine)
+    return drawn.interaction, drawn.theta

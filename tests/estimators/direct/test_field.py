@@ -9,20 +9,16 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from data.contact.film import REACH, DentFilm, FilmNoise
+from data.contact.film import REACH, DentFilm, FilmNoise, smooth_errors
 from data.contact.interaction import Interaction
 from data.contact.patches import Patches
 from data.source.camera import Camera, back_project
 from estimators.direct.error_model import rounding_covariance
 from estimators.direct.field import (
     OUTLIER,
-    REST_KEPT,
-    REST_LENGTH,
-    REST_SHARE,
     STILL_NEW,
     WALL,
     FieldProblem,
-    smooth_errors,
 )
 from estimators.direct.motion import PressMotion
 from estimators.direct.problem import Optimum, find_optimum
@@ -175,20 +171,6 @@ def test_a_contact_without_a_film_is_refused() -> None:
     for film in (None, contact.film.chosen(np.zeros(len(TIMES), bool))):
         with pytest.raises(ValueError, match="has no film"):
             FieldProblem(dataclasses.replace(contact, film=film), MECHANICS)
-
-
-def test_smooth_errors_are_those_of_a_gaussian_process() -> None:
-    columns = smooth_errors(SIGMA)
-    places = np.mgrid[:SIDE, :SIDE].reshape(2, -1).T
-    apart = np.linalg.norm(places[:, None] - places, axis=2)
-    expected = (REST_SHARE * SIGMA) ** 2 * np.exp(-0.5 * (apart / REST_LENGTH) ** 2)
-    found = columns @ columns.T
-    # As few columns as hold so much of it.
-    assert np.trace(found) >= REST_KEPT * np.trace(expected)
-    assert np.trace(found) - np.square(columns[:, -1]).sum() < REST_KEPT * np.trace(expected)
-    np.testing.assert_allclose(columns.T @ columns, np.diag(np.square(columns).sum(axis=0)), atol=1e-12 * SIGMA)
-    np.testing.assert_allclose(found, expected, atol=0.06 * (REST_SHARE * SIGMA) ** 2)
-    assert np.linalg.eigvalsh(expected - found).min() > -1e-9 * expected.max()
 
 
 @pytest.mark.parametrize(

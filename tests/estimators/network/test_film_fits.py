@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from data.contact.features import SLOTS
-from data.contact.film import REACH
+from data.contact.film import REACH, smooth_errors
 from data.contact.film_features import SHAPES, dent_shapes, motion_in_film, shape_amounts
 from data.synthetic.contacts import SimulatedContact, draw_contacts, hidden_by_tool
 from data.synthetic.settings import SceneSettings
-from estimators.direct.field import FieldProblem, smooth_errors
+from estimators.direct.field import FieldProblem
 from estimators.network.fits import (
     DELAY_RANGE,
     FRAME,

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from estimators.open import SHIPPED, EstimatorOptions
+from estimators.open import EstimatorOptions
 from evaluation.recovery.estimators import describe, opened
-from models.onnx_session import ModelFileError
+from models.onnx_session import SHIPPED, ModelFileError
 from results.record import sha256_of
 from tests.inference_inputs import write_model
 

@@ -9,8 +9,8 @@ import torch
 from physics.likelihood import Likelihood
 from physics.mechanics import Mechanics
 from physics.msd import rollout_sensitivities
-from physics.msd.batch import ObservationBatch
-from physics.msd.likelihoods import displacement_error, linearise
+from physics.msd.batch import DepthBatch, ObservationBatch
+from physics.msd.likelihoods import displacement_error, linearise, linearise_depth
 from physics.observation import Observation
 from tests.physics.batches import batch_of
 from tests.physics.sheets import pressed, sheet
@@ -75,3 +75,60 @@ def test_a_batch_is_linearised_as_each_sample_is():
             np.testing.assert_allclose(value[index], other, atol=1e-5 * np.abs(other).max())
     seen.weight[1] = 0
     assert not any(value[1].any() for value in linearise(path, slopes, theta, seen, noise))
+
+
+def depths(generator: np.random.Generator) -> tuple[DepthBatch, torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Two samples of four vertices at three instants, a third of it unseen, with the motion, its slopes and θ."""
+    count, instants, vertices = 2, 3, 4
+    weight = torch.from_numpy((generator.random((count, instants, vertices)) > 1 / 3).astype(np.float32))
+    seen = DepthBatch(
+        vertices=torch.zeros(count, vertices, dtype=torch.int64),
+        along=torch.from_numpy(generator.normal(size=(count, vertices, 3)).astype(np.float32)),
+        steps=torch.tensor([[0, 2, 5], [1, 3, 4]]),
+        change=weight * torch.from_numpy(generator.normal(0, 1e-2, weight.shape).astype(np.float32)),
+        weight=weight,
+        noise=torch.tensor([1e-3, 4e-3]),
+        common=torch.from_numpy(0.1 * generator.normal(size=(vertices, 2)).astype(np.float32)),
+    )
+    path = torch.from_numpy(generator.normal(0, 1e-2, (count, 6, vertices, 3)))
+    slopes = torch.from_numpy(generator.normal(0, 1e-2, (count, 6, vertices, 3, 3)))
+    return seen, path, slopes, torch.tensor([[0.4, 0.05, -0.1], [0.6, 0.02, -0.05]], dtype=torch.float64)
+
+
+def test_depth_is_weighed_by_the_whole_covariance() -> None:
+    """Independent errors of every pixel, and some that all instants share."""
+    seen, path, slopes, theta = depths(np.random.default_rng(0))
+    misfit, gradient, information = linearise_depth(path, slopes, theta, seen)
+    for index in range(2):
+        kept = seen.weight[index].flatten() > 0
+        assert 4 < kept.sum() < 12
+        steps, along = seen.steps[index], seen.along[index].double()
+        residual = torch.einsum("npc,pc->np", path[index, steps], along) - seen.change[index]
+        jacobian = torch.einsum("npcd,pc->npd", slopes[index, steps], along) * theta[index]
+        residual, jacobian = residual.flatten()[kept], jacobian.reshape(-1, 3)[kept]
+        common = seen.common.double().repeat(3, 1)[kept]
+        covariance = (torch.eye(len(common)) + common @ common.T) * seen.noise[index].double() ** 2
+        weighed = torch.linalg.solve(covariance, torch.cat([residual[:, None], jacobian], dim=1))
+        torch.testing.assert_close(misfit[index], 0.5 * residual @ weighed[:, 0], rtol=1e-6, atol=0)
+        torch.testing.assert_close(gradient[index], jacobian.T @ weighed[:, 0], rtol=1e-5, atol=1e-8)
+        torch.testing.assert_close(information[index], jacobian.T @ weighed[:, 1:], rtol=1e-5, atol=1e-8)
+
+
+def test_the_gradient_by_depth_is_the_misfits() -> None:
+    """By φ, through what the slopes say the motion does."""
+    seen, path, slopes, theta = depths(np.random.default_rng(1))
+    logs = torch.zeros(2, 3, dtype=torch.float64, requires_grad=True)
+    moved = path + torch.einsum("btpcd,bd->btpc", slopes, theta * logs)
+    misfit, gradient, _ = linearise_depth(moved, slopes, theta, seen)
+    misfit.sum().backward()
+    torch.testing.assert_close(logs.grad, gradient.detach(), rtol=1e-9, atol=1e-9)
+
+
+def test_where_no_depth_was_seen_nothing_is_known() -> None:
+    seen, path, slopes, theta = depths(np.random.default_rng(2))
+    seen.weight[0] = 0
+    seen.change[0] = 0
+    misfit, gradient, information = linearise_depth(path, slopes, theta, seen)
+    assert (float(misfit[0]), gradient[0].tolist()) == (0.0, [0.0] * 3)
+    assert not information[0].any()
+    assert misfit[1] > 0

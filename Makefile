@@ -60,7 +60,7 @@ model: $(INSTALLED) $(MODEL)/posterior.pt
 	$(VALIDATE) --suite clean noisy --clips 40 --size 854x480 --output $(MODEL)/fine
 	$(VALIDATE) --suite clean 8bit noisy --clips 100 --seen press --output $(MODEL)/pressed
 	$(VALIDATE) --suite late-onset --clips 110 --onset between --output $(MODEL)/between
-	$(BIN)/python -m evaluation.calibration --weights $(MODEL)/posterior.pt --output models/weights/contact.onnx \
+	$(BIN)/python -m evaluation.calibration --model $(MODEL)/uncalibrated.onnx --output models/weights/contact.onnx \
 		--validation $(MODEL)/validation $(MODEL)/fine --pressed $(MODEL)/pressed --between $(MODEL)/between
 
 $(MODEL)/posterior.pt: | $(INSTALLED)

@@ -1,15 +1,19 @@
-"""From a trained contact posterior to the model that `infer.py` uses: calibrated on validation clips and exported.
+"""From a trained contact posterior to the model that `infer.py` uses: exported, and calibrated on validation clips.
 
-    python -m evaluation.calibration --weights runs/contact/posterior.pt --output models/weights/contact.onnx \
-        [--validation runs/contact/validation runs/contact/fine --pressed runs/contact/pressed
-         [--between runs/contact/between]]
+    python -m evaluation.calibration --weights runs/contact/posterior.pt --output runs/contact/uncalibrated.onnx
+    python -m evaluation.calibration --model runs/contact/uncalibrated.onnx --output models/weights/contact.onnx \
+        --validation runs/contact/validation runs/contact/fine --pressed runs/contact/pressed \
+        [--between runs/contact/between]
+
+The first exports what `estimators.network.training` wrote. The second calibrates any exported posterior, also one that
+`train.py export` wrote, by results of the benchmark with that file.
 
 Errors are taken to have standard deviations scale · sd^power · σ^noise, with sd the network's own and σ the
 observation's; the exponents are the likeliest ones for normal errors, the scale is then set so that the 90 % intervals
 hold the truth in 90 % of the validation results (conformal prediction, Vovk's quantile, with a normalised score). Both
 come from the same results and several suites observe the same clips, so the guarantee is not exact. It is done once for
 whole contacts, once for those whose release has not been seen (--pressed), and for a network that is told how well the
-instants are known, once for those whose aren't (--between). Without --validation nothing is changed.
+instants are known, once for those whose aren't (--between).
 Truth of validation clips serves this and nothing else; no weight of the network changes.
 """
 
@@ -45,7 +49,9 @@ from evaluation.recovery.evaluate import OK, PREPARE, Recovery
 from evaluation.recovery.store import RECORD, RESULTS, read_results
 from models.calibration import Calibration, Widths
 from models.checkpoint import load_posterior, posterior_features
+from models.onnx_calibration import calibrate
 from models.onnx_export import export
+from models.onnx_session import CONTACT, PosteriorModel
 from models.posterior import ContactPosterior
 from results.record import sha256_of
 
@@ -107,17 +113,17 @@ def conformal_scale(errors: np.ndarray, deviations: np.ndarray) -> float:
     return float(np.sort(np.abs(errors) / deviations)[rank - 1] / NINETY)
 
 
-def check_record(folder: Path, weights_sha256: str, seen: str | None, onset: str = STAMP) -> None:
+def check_record(folder: Path, model_sha256: str, seen: str | None, onset: str = STAMP) -> None:
     """Refuse results that are of something else than what is to be calibrated.
 
     Args:
         folder: of the benchmark.
-        weights_sha256: of the network that is calibrated.
+        model_sha256: of the file that is calibrated.
         seen: how much of the contacts must have been seen.
         onset: what the network must have been told of the instants.
 
     Raises:
-        ValueError: no record, another split than validation, other frames, or another or a calibrated network.
+        ValueError: no record, another split than validation, other frames, or another file.
     """
     record = read_mapping(folder / RECORD, "a record of the benchmark")
     for name, value in {"split": "validation", "seen": seen}.items():
@@ -129,17 +135,14 @@ def check_record(folder: Path, weights_sha256: str, seen: str | None, onset: str
     made = network.get("onset", STAMP)
     if made != onset:
         raise ValueError(f"{folder} was made with --onset {made}; run the benchmark with --onset {onset}.")
-    if network.get("weights_sha256") != weights_sha256 or network.get("calibrated") is not False:
-        raise ValueError(
-            f"{folder} is not of the uncalibrated network of these weights; export it without --validation, and run "
-            "the benchmark with that file."
-        )
+    if network.get("model_sha256") != model_sha256:
+        raise ValueError(f"{folder} is of another network than the one to calibrate; run the benchmark with that file.")
 
 
-def results_of(folders: Sequence[Path], weights_sha256: str, seen: str | None, onset: str = STAMP) -> list[Recovery]:
+def results_of(folders: Sequence[Path], model_sha256: str, seen: str | None, onset: str = STAMP) -> list[Recovery]:
     """What some folders hold, refused as by `check_record`."""
     for folder in folders:
-        check_record(folder, weights_sha256, seen, onset)
+        check_record(folder, model_sha256, seen, onset)
     return [row for folder in folders for row in read_results(folder / RESULTS)]
 
 
@@ -171,14 +174,35 @@ def metadata(weights: Path, features: int) -> dict[str, object]:
     }
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Calibrate and export; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m evaluation.calibration", description=__doc__.split("\n")[0])
-    parser.add_argument(
-        "--weights", type=path_option, required=True, help="posterior.pt of estimators.network.training"
+def calibration_of(options: argparse.Namespace) -> Calibration:
+    """What the results of the benchmark say.
+
+    Raises:
+        ModelFileError: the file is no exported posterior.
+        ValueError: results of something else, or too few.
+    """
+    model = PosteriorModel(options.model)
+    whole = fit_widths_of(results_of(options.validation, model.sha256, None))
+    pressed = fit_widths_of(results_of(options.pressed, model.sha256, PRESS))
+    found = Calibration(
+        whole=whole, pressed=pressed, noise_features=LOG_NOISE, known_features=KNOWN, loaded_features=LOADED
     )
+    if options.between is None:
+        return found
+    if model.inputs[CONTACT] != (FEATURES + FILM_FEATURES,):
+        raise ValueError(f"{options.model} is told nothing of the instants; leave --between out.")
+    between = fit_widths_of(results_of(options.between, model.sha256, None, BETWEEN))
+    return dataclasses.replace(found, between=between, within_features=(FEATURES + WITHIN,))
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Export or calibrate; returns the exit status."""
+    parser = argparse.ArgumentParser(prog="python -m evaluation.calibration", description=__doc__.split("\n")[0])
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument("--weights", type=path_option, help="posterior.pt of estimators.network.training, to export")
+    source.add_argument("--model", type=path_option, metavar="FILE", help="exported posterior, to calibrate")
     parser.add_argument("--output", type=path_option, required=True, help="ONNX file to write")
-    text = "results of evaluation.benchmark --split validation"
+    text = "results of evaluation.benchmark --split validation with that file"
     for name, more in (
         ("--validation", ""),
         ("--pressed", f" --seen {PRESS}"),
@@ -186,33 +210,25 @@ def main(arguments: list[str] | None = None) -> int:
     ):
         parser.add_argument(name, type=path_option, nargs="+", metavar="DIR", help=text + more)
     options = parser.parse_args(arguments)
-    if (options.validation is None) != (options.pressed is None):
-        parser.error("give --validation and --pressed, or neither.")
-    if options.between is not None and options.validation is None:
-        parser.error("give --validation and --pressed beside --between.")
-    calibration = Calibration()
+    results = options.validation, options.pressed
+    if options.model is not None and None in results:
+        parser.error("give --validation and --pressed beside --model.")
+    if options.weights is not None and (*results, options.between) != (None, None, None):
+        parser.error("give --model beside results; --weights are exported as they are.")
     try:
-        features = posterior_features(options.weights)
-        posterior = ContactPosterior(features, torch.tensor(BOUNDS.log_box))
-        load_posterior(posterior, options.weights)
-        if options.validation is not None:
-            weights = sha256_of(options.weights)
-            whole = fit_widths_of(results_of(options.validation, weights, None))
-            pressed = fit_widths_of(results_of(options.pressed, weights, PRESS))
-            calibration = Calibration(
-                whole=whole, pressed=pressed, noise_features=LOG_NOISE, known_features=KNOWN, loaded_features=LOADED
-            )
-            if options.between is not None:
-                if features != FEATURES + FILM_FEATURES:
-                    raise ValueError(f"{options.weights} is told nothing of the instants; leave --between out.")
-                between = fit_widths_of(results_of(options.between, weights, None, BETWEEN))
-                calibration = dataclasses.replace(calibration, between=between, within_features=(FEATURES + WITHIN,))
-        difference = export(posterior, options.output, metadata(options.weights, features), calibration)
+        if options.model is not None:
+            calibration = calibration_of(options)
+            difference = calibrate(options.model, options.output, calibration)
+        else:
+            calibration, features = None, posterior_features(options.weights)
+            posterior = ContactPosterior(features, torch.tensor(BOUNDS.log_box))
+            load_posterior(posterior, options.weights)
+            difference = export(posterior, options.output, metadata(options.weights, features))
     except (OSError, RuntimeError, ValueError) as error:
         print(error, file=sys.stderr)
         return 1
     print(f"{options.output}: written; largest difference from torch {difference:.1e}")
-    for name in ("whole", "pressed", "between"):
+    for name in ("whole", "pressed", "between") if calibration is not None else ():
         for field, values in dataclasses.asdict(getattr(calibration, name)).items():
             print(f"  {name} {field}: {np.round(values, 3).tolist()}")
     return 0

@@ -6,7 +6,8 @@ posterior       θ of a contact with its covariance, and how well it can be know
 expected_bound  the loss of what can be known; calibration: standard deviations that hold
 module          the training step; losses: its five terms; evidence: the physics term of a posterior
 augmentation    disturbed windows; records: what a test writes down; checkpoint: reading checkpoints
-onnx_export     a trained network as one ONNX file; onnx_session: running it, without torch
+onnx_export     a trained network as one ONNX file; onnx_calibration: one whose standard deviations hold
+onnx_session    running it, without torch
 weights/        the network that comes along, and its card
 """
 

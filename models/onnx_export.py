@@ -1,7 +1,8 @@
 """Trained network → one ONNX file that appears only when it agrees with torch, with what inference must know beside it.
 
-A generator gives its encoder and parameter head. A contact posterior gives itself, its covariance calibrated, and that
-of its expected bound; one that is a generator's head takes the depth window beside the contact's vector.
+A generator gives its encoder and parameter head. A contact posterior gives itself and the covariance of its expected
+bound; one that is a generator's head takes the depth window beside the contact's vector. `models.onnx_calibration`
+calibrates the file.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import logging
 import platform
 import warnings
 from collections.abc import Sequence
-from dataclasses import asdict, astuple
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ import onnxruntime
 import torch
 from torch import Tensor, nn
 
-from models.calibration import Calibration, Widths
+from models.calibration import Calibration
 from models.generator import Generator, ParameterHead
 from models.onnx_session import (
     CONTACT,
@@ -70,14 +71,14 @@ class _Parameters(nn.Module):
         return (self.generator.estimate(depth),)
 
 
-class _Calibrated(nn.Module):
-    """Mean, calibrated covariance, and that of the expected bound, by which verdicts are given."""
+class _Posterior(nn.Module):
+    """Mean and covariance, and that of the expected bound, by which verdicts are given."""
 
     kind = PosteriorModel
 
-    def __init__(self, network: ContactPosterior | Generator, calibration: Calibration) -> None:
+    def __init__(self, network: ContactPosterior | Generator) -> None:
         super().__init__()
-        self.network, self.calibration = network, calibration
+        self.network = network
 
     @property
     def posterior(self) -> ContactPosterior:
@@ -96,41 +97,14 @@ class _Calibrated(nn.Module):
             mean, factor = self.network.head(self.network.encode(depth), contact)
         else:
             mean, factor = self.network(contact)
-        told, log_sd = self.calibration, 0.5 * torch.log(factor.square().sum(dim=2))
-        log_noise = _sum_of(contact, told.noise_features)
-        widened = _widened(told.whole, log_sd, log_noise)
-        if told.known_features:
-            released = _sum_of(contact, told.known_features) - _sum_of(contact, told.loaded_features) > 0.5
-            widened = torch.where(released, widened, _widened(told.pressed, log_sd, log_noise))
-        if told.within_features:
-            unknown = _sum_of(contact, told.within_features) > 0
-            between = torch.maximum(widened, _widened(told.between, log_sd, log_noise))
-            widened = torch.where(unknown, between, widened)
         bound = self.posterior.expected_bound_factor(contact)
-        return mean, _covariance(factor * widened[:, :, None]), _covariance(bound)
-
-
-def _sum_of(contact: Tensor, features: Sequence[int]) -> Tensor:
-    """Sum of some of a contact's features, 0 of none, shape [B, 1]."""
-    return contact[:, list(features)].sum(dim=1, keepdim=True)
-
-
-def _widened(widths: Widths, log_sd: Tensor, log_noise: Tensor) -> Tensor:
-    """Factors [B, 3] of standard deviations [B, 3], from these and σ [B, 1], both in logarithms."""
-    scale, power, noise = (torch.tensor(values) for values in astuple(widths))
-    return scale * torch.exp((power - 1) * log_sd + noise * log_noise)
-
-
-def _covariance(factor: Tensor) -> Tensor:
-    """L·Lᵀ of factors L, shape [B, 3, 3]."""
-    return factor @ factor.transpose(1, 2)
+        return mean, factor @ factor.transpose(1, 2), bound @ bound.transpose(1, 2)
 
 
 def export(
     network: Generator | ContactPosterior,
     output: Path,
     metadata: dict[str, Any],
-    calibration: Calibration = Calibration(),  # noqa: B008 (frozen)
 ) -> float:
     """Write encoder and parameter head, or a contact posterior, with a dynamic batch, and compare the file with torch.
 
@@ -139,7 +113,6 @@ def export(
         output: file to write; it appears only when it is complete and agrees with torch.
         metadata: JSON-able entries beside those written here (format version, kind, units, program versions); must hold
             `input` (window, height, width).
-        calibration: of a posterior's standard deviations; the default leaves them as they are.
 
     Returns:
         Largest difference of the outputs over batches of 1, 2 and 7; of the expected bound's covariance, which is large
@@ -157,11 +130,11 @@ def export(
     if isinstance(network, Generator) and isinstance(network.head, ParameterHead):
         exported = _Parameters(network)
     else:
-        exported = _Calibrated(network, calibration)
-        document |= {"head": POSTERIOR, "calibration": asdict(calibration)}
+        exported = _Posterior(network)
+        document |= {"head": POSTERIOR, "calibration": asdict(Calibration())}
     exported.cpu().eval()
     window = tuple(metadata["input"][name] for name in ("window", "height", "width"))
-    model = _to_onnx(exported, exported.examples(2, window))
+    model = to_onnx(exported, exported.examples(2, window), exported.kind.outputs)
     text = json.dumps(document | metadata, ensure_ascii=False, sort_keys=True)
     onnx.helper.set_model_props(model, {METADATA_KEY: text})
     output.parent.mkdir(parents=True, exist_ok=True)
@@ -176,7 +149,7 @@ def export(
     return difference
 
 
-def parity(network: _Parameters | _Calibrated, model: ExportedModel, window: tuple[int, int, int]) -> float:
+def parity(network: _Parameters | _Posterior, model: ExportedModel, window: tuple[int, int, int]) -> float:
     """Largest difference between torch and the file over batches of 1, 2 and 7."""
     largest = 0.0
     for batch in PARITY_BATCHES:
@@ -190,7 +163,8 @@ def parity(network: _Parameters | _Calibrated, model: ExportedModel, window: tup
     return largest
 
 
-def _to_onnx(network: _Parameters | _Calibrated, inputs: dict[str, Tensor]) -> onnx.ModelProto:
+def to_onnx(network: nn.Module, inputs: dict[str, Tensor], outputs: Sequence[str]) -> onnx.ModelProto:
+    """A network as a graph with a dynamic batch, from examples of its inputs by their names."""
     # The exporter tells of a missing torchvision, which nothing here uses, and of its dependencies' deprecations.
     logging.getLogger("torch.onnx._internal.exporter._registration").setLevel(logging.ERROR)
     with warnings.catch_warnings():
@@ -201,7 +175,7 @@ def _to_onnx(network: _Parameters | _Calibrated, inputs: dict[str, Tensor]) -> o
             dynamo=True,
             dynamic_shapes=tuple({0: torch.export.Dim("batch")} for _ in inputs),
             input_names=list(inputs),
-            output_names=list(network.kind.outputs),
+            output_names=list(outputs),
             opset_version=OPSET,
             external_data=False,
             verbose=False,

@@ -7,9 +7,11 @@ import os
 
 import numpy as np
 import pytest
+import torch
 
-from data.contact.features import REFERENCE_SPACING
+from data.contact.features import FEATURES, KNOWN, REFERENCE_SPACING
 from estimators.estimate import NINETY
+from estimators.network.fits import BOUNDS
 from evaluation.calibration import (
     check_record,
     conformal_scale,
@@ -17,7 +19,14 @@ from evaluation.calibration import (
     fit_widths_of,
     main,
 )
+from evaluation.recovery.store import RecoveryStore
+from models.onnx_export import export
+from models.onnx_session import PosteriorModel
+from models.posterior import ContactPosterior
+from results.record import sha256_of
 from tests.evaluation.recovery_cases import off_by, recovery
+
+METADATA = {"input": {"window": 1, "height": 120, "width": 214}}
 
 
 def test_factor_by_hand() -> None:
@@ -75,16 +84,15 @@ def test_too_few_clips_are_refused() -> None:
 
 
 def test_results_of_something_else_are_refused(tmp_path) -> None:
-    """Another split, contacts cut off otherwise, another network, or one whose intervals are calibrated already."""
-    network = {"weights_sha256": "abc", "calibrated": False}
+    """Another split, contacts cut off otherwise, or another network."""
+    network = {"model_sha256": "abc"}
     right = {"split": "validation", "seen": None, "estimator network": network}
     for change, words in (
         ({"split": "test"}, "has split test; run the benchmark with --split validation"),
         ({"seen": "press"}, "has seen press; run the benchmark without --seen"),
-        ({"estimator network": network | {"weights_sha256": "def"}}, "not of the uncalibrated network"),
-        ({"estimator network": network | {"calibrated": True}}, "not of the uncalibrated network"),
+        ({"estimator network": {"model_sha256": "def"}}, "is of another network than the one to calibrate"),
         ({"estimator network": network | {"onset": "between"}}, "made with --onset between"),
-        ({"estimator network": {}}, "not of the uncalibrated network"),
+        ({"estimator network": {}}, "is of another network than the one to calibrate"),
     ):
         (tmp_path / "run.json").write_text(json.dumps(right | change))
         with pytest.raises(ValueError, match=words):
@@ -133,3 +141,51 @@ def test_a_missing_file_is_one_sentence(tmp_path, capsys) -> None:
     assert main(["--weights", str(tmp_path / "none.pt"), "--output", str(tmp_path / "out.onnx")]) == 1
     assert "none.pt" in capsys.readouterr().err
     assert not (tmp_path / "out.onnx").exists()
+
+
+def test_an_exported_posterior_is_calibrated_by_its_results(tmp_path, capsys) -> None:
+    """From the command line, several folders of results together; all errors are of one size, and sd tells nothing."""
+    torch.manual_seed(0)
+    plain, output = tmp_path / "plain.onnx", tmp_path / "out.onnx"
+    export(ContactPosterior(FEATURES, torch.tensor(BOUNDS.log_box)), plain, METADATA)
+    generator = np.random.default_rng(0)
+    for name, seen in (("first", None), ("second", None), ("pressed", "press")):
+        network = {"model_sha256": sha256_of(plain)}
+        wanted = {"seed": 0, "split": "validation", "seen": seen, "estimator network": network}
+        RecoveryStore(tmp_path / name, wanted).append(
+            recovery(
+                index, estimator="network", estimate=off_by(generator.normal(0, 0.4, 3)), covariance=np.eye(3) / 100
+            )
+            for index in range(100 if seen else 60)
+        )
+    pressed = ["--pressed", str(tmp_path / "pressed")]
+    results = ["--validation", str(tmp_path / "first"), str(tmp_path / "second"), *pressed]
+    assert main(["--model", str(plain), "--output", str(output), *results]) == 0
+    assert "whole scale" in capsys.readouterr().out
+    told = PosteriorModel(output).metadata["calibration"]
+    assert (told["known_features"], told["within_features"]) == (list(KNOWN), [])
+    np.testing.assert_allclose([told["whole"]["scale"], told["pressed"]["scale"]], 0.4, rtol=0.25)
+    assert main(["--model", str(output), "--output", str(tmp_path / "no.onnx"), *results]) == 1
+    assert "is of another network than the one to calibrate" in capsys.readouterr().err
+    assert main(["--model", str(plain), "--output", str(tmp_path / "no.onnx"), *results[:2], *pressed]) == 1
+    assert "60 validation estimates; calibration needs 100 or more" in capsys.readouterr().err
+    assert (
+        main(["--model", str(plain), "--output", str(tmp_path / "no.onnx"), *results, "--between", *pressed[1:]]) == 1
+    )
+    assert "is told nothing of the instants" in capsys.readouterr().err
+    assert not (tmp_path / "no.onnx").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--model", "x.onnx"], "give --validation and --pressed beside --model"),
+        (["--weights", "x.pt", "--pressed", "results"], "give --model beside results"),
+        (["--weights", "x.pt", "--model", "x.onnx"], "not allowed with argument"),
+    ],
+)
+def test_options_that_don_t_go_together_are_wrong_usage(tmp_path, capsys, options: list[str], told: str) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["--output", str(tmp_path / "out.onnx"), *options])
+    assert stop.value.code == 2
+    assert told in capsys.readouterr().err

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import subprocess
 import sys
@@ -13,9 +12,8 @@ import onnx
 import pytest
 import torch
 
-from models.calibration import Calibration, Widths
 from models.generator import Generator
-from models.onnx_export import PARITY_TOLERANCE, ParityError, _Calibrated, export, parity
+from models.onnx_export import PARITY_TOLERANCE, ParityError, _Posterior, export, parity
 from models.onnx_session import METADATA_KEY, ModelFileError, ParameterModel, PosteriorModel
 from models.posterior import ContactPosterior
 from physics.mechanics import Bounds
@@ -97,58 +95,6 @@ def posterior() -> ContactPosterior:
     return ContactPosterior(10, torch.tensor([[-3.0, -5.0, -4.0], [0.0, -0.7, -1.2]]), width=16, blocks=2)
 
 
-def test_exported_file_agrees_and_is_calibrated(posterior: ContactPosterior, tmp_path) -> None:
-    posterior.standardise(torch.randn(50, 10) * 3 + 1)
-    whole = Widths((1.0, 2.0, 0.5), (1.0, 0.8, 0.5), (0.0, 0.2, 0.1))
-    pressed = Widths((1.5, 2.0, 1.5), (0.9, 0.8, 0.7), (0.1, 0.1, 0.0))
-    calibration = Calibration(whole, pressed, noise_features=(8, 9), known_features=(4, 5), loaded_features=(6, 7))
-    assert export(posterior, tmp_path / "contact.onnx", METADATA, calibration) < 1e-5
-    model = PosteriorModel(tmp_path / "contact.onnx")
-    contact = np.random.default_rng(0).normal(size=(5, 10)).astype(np.float32)
-    # Two instants seen, none or one of them after the release; or one alone, under load.
-    contact[:, 4:8] = [(1, 1, 1, 1), (1, 1, 1, 0), (1, 1, 1, 1), (1, 0, 1, 0), (1, 1, 1, 0)]
-    still = np.array([1, 0, 1, 1, 0], bool)[:, None]
-    mean, covariance, expected_bound = model(contact)
-    with torch.no_grad():
-        expected, factor = posterior(torch.from_numpy(contact))
-        bound = posterior.expected_bound_factor(torch.from_numpy(contact))
-    np.testing.assert_allclose(mean, expected.numpy(), atol=1e-5)
-    plain = (factor @ factor.transpose(1, 2)).numpy()
-    sd = np.sqrt(np.diagonal(plain, axis1=1, axis2=2))
-    noise = np.exp(contact[:, 8] + contact[:, 9])[:, None]
-    whole_sd, pressed_sd = (
-        np.array(each.scale) * sd ** np.array(each.power) * noise ** np.array(each.noise) for each in (whole, pressed)
-    )
-    wanted = np.where(still, pressed_sd, whole_sd)
-    np.testing.assert_allclose(np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)), wanted, rtol=1e-4)
-    np.testing.assert_allclose(_correlations(covariance), _correlations(plain), atol=1e-4)
-    np.testing.assert_allclose(expected_bound, (bound @ bound.transpose(1, 2)).numpy(), rtol=1e-4, atol=1e-6)
-    assert model.metadata["calibration"] == json.loads(json.dumps(dataclasses.asdict(calibration)))
-    assert (model.inputs, model.calibrated) == ({"contact": (10,)}, True)
-    with pytest.raises(ValueError, match=r"expected \[B, 10\]"):
-        model(contact[:, :9])
-
-
-def test_presses_of_unknown_instants_are_never_surer_than_others(posterior: ContactPosterior, tmp_path) -> None:
-    whole, between = Widths((1.0, 1.0, 1.0)), Widths((2.0, 0.5, 1.5))
-    calibration = Calibration(whole, between=between, within_features=(3,))
-    export(posterior, tmp_path / "contact.onnx", METADATA, calibration)
-    contact = np.random.default_rng(0).normal(size=(2, 10)).astype(np.float32)
-    contact[1] = contact[0]
-    contact[:, 3] = 0, 1
-    _, covariance, _ = PosteriorModel(tmp_path / "contact.onnx")(contact)
-    with torch.no_grad():
-        factor = posterior(torch.from_numpy(contact))[1]
-    plain = torch.sqrt(factor.square().sum(dim=2)).numpy()
-    expected = plain * np.array([(1, 1, 1), (2, 1, 1.5)])
-    np.testing.assert_allclose(np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)), expected, rtol=1e-4)
-
-
-def _correlations(covariances: np.ndarray) -> np.ndarray:
-    sd = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
-    return covariances / (sd[:, :, None] * sd[:, None])
-
-
 def test_without_calibration_the_covariance_is_the_networks_own(posterior: ContactPosterior, tmp_path) -> None:
     export(posterior, tmp_path / "contact.onnx", METADATA)
     model = PosteriorModel(tmp_path / "contact.onnx")
@@ -159,9 +105,15 @@ def test_without_calibration_the_covariance_is_the_networks_own(posterior: Conta
     onnx.save(former, tmp_path / "old.onnx")
     with pytest.raises(ModelFileError, match="as an earlier version did; export it again"):
         PosteriorModel(tmp_path / "old.onnx")
-    _, covariance, _ = model(np.ones((2, 10), np.float32))
+    mean, covariance, expected_bound = model(np.ones((2, 10), np.float32))
     with torch.no_grad():
-        factor = posterior(torch.ones(2, 10))[1]
+        expected, factor = posterior(torch.ones(2, 10))
+        bound = posterior.expected_bound_factor(torch.ones(2, 10))
+    np.testing.assert_allclose(mean, expected.numpy(), atol=1e-5)
+    np.testing.assert_allclose(expected_bound, (bound @ bound.transpose(1, 2)).numpy(), rtol=1e-4, atol=1e-6)
+    assert model.inputs == {"contact": (10,)}
+    with pytest.raises(ValueError, match=r"expected \[B, 10\]"):
+        model(np.ones((2, 9), np.float32))
     np.testing.assert_allclose(covariance, (factor @ factor.transpose(1, 2)).numpy(), rtol=1e-4, atol=1e-6)
 
 
@@ -198,4 +150,4 @@ def test_large_bounds_are_compared_relative_to_their_size(posterior: ContactPost
     monkeypatch.setattr(
         PosteriorModel, "run", lambda *told: [*plain(*told)[:2], plain(*told)[2] * 1.001]
     )  # a thousandth off
-    assert parity(_Calibrated(posterior, Calibration()), model, (1, 24, 40)) > PARITY_TOLERANCE
+    assert parity(_Posterior(posterior), model, (1, 24, 40)) > PARITY_TOLERANCE

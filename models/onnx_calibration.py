@@ -1,0 +1,117 @@
+"""Calibration of an exported posterior: its standard deviations are made to hold, within the file itself.
+
+Of any posterior, whatever trained it: nothing but the file is needed.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, astuple
+from pathlib import Path
+
+import onnx
+import torch
+from torch import Tensor, nn
+
+from models.calibration import Calibration, Widths
+from models.onnx_export import PARITY_TOLERANCE, ParityError, to_onnx
+from models.onnx_session import CONTACT, INPUT, LOG_COVARIANCE, METADATA_KEY, PosteriorModel
+from physics.files import replacing
+
+PREFIX = "calibration/"
+"""Before the names of what is added to a file."""
+OWN = f"{PREFIX}own"
+"""Name within a calibrated file of the covariance that the network gives."""
+EXAMPLES = 7
+
+
+class Widening(nn.Module):
+    """Covariances with calibrated standard deviations, by what the contacts' vectors tell."""
+
+    def __init__(self, calibration: Calibration) -> None:
+        super().__init__()
+        self.calibration = calibration
+
+    def forward(self, contact: Tensor, covariance: Tensor) -> Tensor:
+        """Vectors [B, features] and a network's covariances [B, 3, 3] → calibrated ones."""
+        told, log_sd = self.calibration, 0.5 * torch.log(covariance.diagonal(dim1=1, dim2=2))
+        log_noise = _sum_of(contact, told.noise_features)
+        widened = _widened(told.whole, log_sd, log_noise)
+        if told.known_features:
+            released = _sum_of(contact, told.known_features) - _sum_of(contact, told.loaded_features) > 0.5
+            widened = torch.where(released, widened, _widened(told.pressed, log_sd, log_noise))
+        if told.within_features:
+            unknown = _sum_of(contact, told.within_features) > 0
+            between = torch.maximum(widened, _widened(told.between, log_sd, log_noise))
+            widened = torch.where(unknown, between, widened)
+        return covariance * widened[:, :, None] * widened[:, None, :]
+
+
+def calibrate(source: Path, output: Path, calibration: Calibration) -> float:
+    """Write an exported posterior with calibrated covariances.
+
+    Args:
+        source: file that `models.onnx_export.export` wrote.
+        output: file to write; it appears only when it is complete and agrees with torch.
+        calibration: of its standard deviations.
+
+    Returns:
+        Largest difference of the covariances from torch's.
+
+    Raises:
+        ModelFileError: the file is no exported posterior.
+        ValueError: it is calibrated already.
+        ParityError: the difference is over 1e-5.
+    """
+    plain = PosteriorModel(source)
+    if plain.calibrated:
+        raise ValueError(f"{source} is calibrated already; give the file that was exported from the training.")
+    random = torch.Generator().manual_seed(0)
+    inputs = {name: torch.rand(EXAMPLES, *shape, generator=random) for name, shape in plain.inputs.items()}
+    contact, widening = inputs[CONTACT], Widening(calibration).eval()
+    _, own, _ = (torch.from_numpy(values).float() for values in plain(contact.numpy(), _numpy(inputs.get(INPUT))))
+    model = onnx.load(source)
+    _append(model.graph, to_onnx(widening, {CONTACT: contact, "own": own}, (LOG_COVARIANCE,)))
+    document = plain.metadata | {"calibration": asdict(calibration)}
+    onnx.helper.set_model_props(model, {METADATA_KEY: json.dumps(document, ensure_ascii=False, sort_keys=True)})
+    output.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(output) as partial:
+        onnx.save(model, partial, format="protobuf")
+        found = torch.from_numpy(PosteriorModel(partial)(contact.numpy(), _numpy(inputs.get(INPUT)))[1])
+        difference = float((found - widening(contact, own)).abs().max())
+        if difference > PARITY_TOLERANCE:
+            raise ParityError(
+                f"the calibrated covariances differ from torch by {difference:.2g}, more than {PARITY_TOLERANCE:g}; "
+                f"nothing was written to {output}."
+            )
+    return difference
+
+
+def _append(graph: onnx.GraphProto, widening: onnx.ModelProto) -> None:
+    """Put a graph from (contact, own) to the covariance behind one that gives the covariance, which becomes `own`."""
+    for node in graph.node:
+        for names in (node.input, node.output):
+            names[:] = [OWN if name == LOG_COVARIANCE else name for name in names]
+    added = onnx.compose.add_prefix(widening, PREFIX).graph
+    outer = {f"{PREFIX}{name}": name for name in (CONTACT, LOG_COVARIANCE)}
+    for node in added.node:
+        for names in (node.input, node.output):
+            names[:] = [outer.get(name, name) for name in names]
+    graph.node.extend(added.node)
+    graph.initializer.extend(added.initializer)
+
+
+def _numpy(values: Tensor | None):
+    return None if values is None else values.numpy()
+
+
+def _sum_of(contact: Tensor, features: Sequence[int]) -> Tensor:
+    """Sum of some of a contact's features, 0 of none, shape [B, 1]."""
+    return contact[:, list(features)].sum(dim=1, keepdim=True)
+
+
+def _widened(widths: Widths, log_sd: Tensor, log_noise: Tensor) -> Tensor:
+    """Factors [B, 3] of standard deviations [B, 3], from these and σ [B, 1], both in logarithms."""
+    scale, power, noise = (torch.tensor(values) for values in astuple(widths))
+    return scale * torch.exp((power - 1) * log_sd + noise * log_noise)

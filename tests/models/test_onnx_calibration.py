@@ -1,0 +1,118 @@
+"""Calibrated files: as the formula says, for networks with and without a picture, and with all else as it was."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from models.calibration import Calibration, Widths
+from models.checkpoint import CheckpointError, load_posterior
+from models.generator import Generator
+from models.onnx_calibration import calibrate
+from models.onnx_export import ParityError, export
+from models.onnx_session import ModelFileError, PosteriorModel
+from models.posterior import ContactPosterior
+from physics.mechanics import Bounds
+
+METADATA = {"input": {"window": 1, "height": 24, "width": 40}}
+WHOLE = Widths((1.0, 2.0, 0.5), (1.0, 0.8, 0.5), (0.0, 0.2, 0.1))
+BOUNDS = Bounds((0.05, 1.0), (0.005, 0.5), (-0.3, -0.01), (0.4, 0.08, -0.1))
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory) -> Path:
+    """An exported posterior that is told ten numbers."""
+    torch.manual_seed(0)
+    posterior = ContactPosterior(10, torch.tensor(BOUNDS.log_box))
+    with torch.no_grad():  # the exporter keeps equal weights once
+        for weights in posterior.parameters():
+            weights += 0.01 * torch.randn(weights.shape)
+    posterior.standardise(torch.randn(50, 10) * 3 + 1)
+    path = tmp_path_factory.mktemp("plain") / "plain.onnx"
+    export(posterior, path, METADATA | {"bounds": dataclasses.asdict(BOUNDS)})
+    return path
+
+
+def deviations(covariances: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
+
+
+def correlations(covariances: np.ndarray) -> np.ndarray:
+    sd = deviations(covariances)
+    return covariances / (sd[:, :, None] * sd[:, None])
+
+
+def test_standard_deviations_are_widened_by_what_was_seen(plain: Path, tmp_path: Path) -> None:
+    pressed = Widths((1.5, 2.0, 1.5), (0.9, 0.8, 0.7), (0.1, 0.1, 0.0))
+    calibration = Calibration(WHOLE, pressed, noise_features=(8, 9), known_features=(4, 5), loaded_features=(6, 7))
+    assert calibrate(plain, tmp_path / "contact.onnx", calibration) < 1e-5
+    before, model = PosteriorModel(plain), PosteriorModel(tmp_path / "contact.onnx")
+    assert (before.calibrated, model.calibrated, model.inputs) == (False, True, before.inputs)
+    assert model.metadata == before.metadata | {"calibration": json.loads(json.dumps(dataclasses.asdict(calibration)))}
+    contact = np.random.default_rng(0).normal(size=(5, 10)).astype(np.float32)
+    # Two instants seen, none or one of them after the release; or one alone, under load.
+    contact[:, 4:8] = [(1, 1, 1, 1), (1, 1, 1, 0), (1, 1, 1, 1), (1, 0, 1, 0), (1, 1, 1, 0)]
+    still = np.array([1, 0, 1, 1, 0], bool)[:, None]
+    mean, own, expected = before(contact)
+    found, covariance, bound = model(contact)
+    np.testing.assert_array_equal(found, mean)
+    np.testing.assert_array_equal(bound, expected)
+    noise = np.exp(contact[:, 8] + contact[:, 9])[:, None]
+    whole_sd, pressed_sd = (
+        np.array(each.scale) * deviations(own) ** np.array(each.power) * noise ** np.array(each.noise)
+        for each in (WHOLE, pressed)
+    )
+    np.testing.assert_allclose(deviations(covariance), np.where(still, pressed_sd, whole_sd), rtol=1e-4)
+    np.testing.assert_allclose(correlations(covariance), correlations(own), atol=1e-4)
+
+
+def test_presses_of_unknown_instants_are_never_surer_than_others(plain: Path, tmp_path: Path) -> None:
+    whole, between = Widths((1.0, 1.0, 1.0)), Widths((2.0, 0.5, 1.5))
+    calibrate(plain, tmp_path / "contact.onnx", Calibration(whole, between=between, within_features=(3,)))
+    contact = np.random.default_rng(0).normal(size=(2, 10)).astype(np.float32)
+    contact[1] = contact[0]
+    contact[:, 3] = 0, 1
+    own, covariance = (PosteriorModel(path)(contact)[1] for path in (plain, tmp_path / "contact.onnx"))
+    expected = [1, 1, 1] * deviations(own)[0], [2, 1, 1.5] * deviations(own)[1]
+    np.testing.assert_allclose(deviations(covariance), expected, rtol=1e-4)
+
+
+def test_a_generators_posterior_is_calibrated_as_well(tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    generator = Generator(2, 4, 1, BOUNDS, head="posterior", contact_features=10)
+    export(generator, tmp_path / "both.onnx", {"input": {"window": 2, "height": 24, "width": 32}})
+    calibrate(tmp_path / "both.onnx", tmp_path / "out.onnx", Calibration(Widths((2.0, 3.0, 4.0))))
+    random = np.random.default_rng(0)
+    told = random.normal(size=(3, 10)), random.uniform(size=(3, 2, 24, 32))
+    own, covariance = (PosteriorModel(tmp_path / name)(*told)[1] for name in ("both.onnx", "out.onnx"))
+    np.testing.assert_allclose(covariance, own * np.outer([2, 3, 4], [2, 3, 4]), rtol=1e-4)
+
+
+def test_weights_of_a_calibrated_file_are_still_those_of_the_network(plain: Path, tmp_path: Path) -> None:
+    calibrate(plain, tmp_path / "contact.onnx", Calibration(WHOLE, noise_features=(8,)))
+    posteriors = [ContactPosterior(10, torch.tensor(BOUNDS.log_box)) for _ in range(2)]
+    for posterior, path in zip(posteriors, (plain, tmp_path / "contact.onnx"), strict=True):
+        load_posterior(posterior, path)
+    first, second = (posterior.state_dict() for posterior in posteriors)
+    assert all(torch.equal(value, second[name]) for name, value in first.items())
+    with pytest.raises(CheckpointError, match="holds no contact posterior of this version"):
+        load_posterior(ContactPosterior(9, torch.tensor(BOUNDS.log_box)), plain)
+
+
+def test_what_can_t_be_calibrated_is_refused_and_leaves_no_file(plain: Path, tmp_path: Path, monkeypatch) -> None:
+    once, twice = tmp_path / "once.onnx", tmp_path / "twice.onnx"
+    calibrate(plain, once, Calibration(WHOLE))
+    with pytest.raises(ValueError, match=r"once\.onnx is calibrated already"):
+        calibrate(once, twice, Calibration(WHOLE))
+    export(Generator(1, 4, 1, BOUNDS), tmp_path / "parameters.onnx", METADATA)
+    with pytest.raises(ModelFileError, match="takes depth"):
+        calibrate(tmp_path / "parameters.onnx", twice, Calibration(WHOLE))
+    monkeypatch.setattr("models.onnx_calibration.PARITY_TOLERANCE", -1.0)
+    with pytest.raises(ParityError, match="differ from torch"):
+        calibrate(plain, twice, Calibration(WHOLE))
+    assert not twice.exists()

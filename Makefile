@@ -27,23 +27,26 @@ test: lint
 test-fast: $(INSTALLED)
 	$(BIN)/pytest -m "not slow"
 
-# The network is trained on stored depth and annotated masks. The frame folder of the test clip has both; its video file
+# The system is trained on stored depth and annotated masks. The frame folder of the test clip has both; its video file
 # has neither and goes through the photometric depth model and the automatic masks, and the results say what that means.
 demo: $(INSTALLED)
 	$(BIN)/python -m data.synthetic --output $(DEMO)/clips --clips 6 --frames 32 --seed 1
 	$(BIN)/python train.py fit -c configs/smoke.yaml --ckpt_path last
 	$(BIN)/python train.py test -c configs/smoke.yaml $(BEST)
 	$(BIN)/python train.py export -c configs/smoke.yaml $(BEST) --output $(DEMO)/parameters.onnx
-	$(BIN)/python infer.py $(VIDEO) $(VIDEO).mp4 --model $(DEMO)/parameters.onnx --output $(DEMO)/results --overwrite
+	$(BIN)/python infer.py $(VIDEO) $(VIDEO).mp4 --output $(DEMO)/results --overwrite
+	@$(BIN)/python infer.py $(VIDEO) --model $(DEMO)/parameters.onnx --output $(DEMO)/trained --overwrite \
+		> $(DEMO)/trained.log 2>&1
+	@$(BIN)/python infer.py $(VIDEO) --estimator direct --output $(DEMO)/fits --overwrite > $(DEMO)/fits.log 2>&1
 	@echo
 	@echo "report:   $(DEMO)/training/evaluation/report.html"
 	@echo "network:  $(DEMO)/parameters.onnx"
 	@echo "results:  $(DEMO)/results/*/ (parameters.csv, interactions.csv, overlay.mp4, summary.png, fit.png, run.json)"
 	@ls -1 $(DEMO)/results/*/parameters.csv $(DEMO)/results/*/overlay.mp4 $(DEMO)/results/*/summary.png
 	@echo
-	@echo "What fitting the simulator makes of the same clip (infer.py --estimator direct), beside the truth:"
-	@$(BIN)/python infer.py $(VIDEO) --estimator direct --onset stamp --output $(DEMO)/fits --overwrite > $(DEMO)/fits.log 2>&1
-	@$(BIN)/python -m evaluation.beside_truth $(DEMO)/fits/$(notdir $(VIDEO))
+	@echo "One clip beside its truth: by the shipped network, by the one just trained, and by fitting the simulator"
+	@echo "(infer.py --estimator direct):"
+	@$(BIN)/python -m evaluation.beside_truth $(foreach run,results trained fits,$(DEMO)/$(run)/$(notdir $(VIDEO)))
 
 bench: $(INSTALLED)
 	$(BIN)/python -m benchmarks.rollout

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import csv
 import os
 import signal
 import sqlite3
@@ -19,7 +20,7 @@ import yaml
 import train
 from data.contact.features import FEATURES
 from data.synthetic import __main__ as synthetic
-from models.onnx_session import ParameterModel
+from models.onnx_session import ParameterModel, PosteriorModel
 from models.posterior import ContactPosterior
 from physics.mechanics import Bounds
 
@@ -174,6 +175,46 @@ def test_head_posterior_starts_pretrained_and_resumes_without_the_file(
     assert last(config.parent / "posterior")["epoch"] == 1
     assert train.main(["test", "-c", str(config), "-c", str(told), "--ckpt_path", "last"]) == 0
     assert (config.parent / "posterior" / "evaluation" / "table2.md").stat().st_size > 0
+
+
+@pytest.mark.slow
+def test_the_recommended_system_from_training_to_an_estimate(tmp_path: Path):
+    """fit, export and infer.py as a user runs them, from the shipped weights, which a few steps hardly change."""
+    clips, root = tmp_path / "clips", tmp_path / "run"
+    arguments = "--clips 3 --frames 24 --seed 2 --size 214x120"
+    assert not synthetic.main(["--output", str(clips), *arguments.split()])
+    smaller = [
+        "--model.width",
+        "4",
+        "--model.residual_blocks",
+        "1",
+        "--tracking",
+        "false",
+        "--trainer.accelerator",
+        "cpu",
+    ]
+    places = f"--data.root {clips} --data.cache {tmp_path / 'cache'} --trainer.default_root_dir {root}".split()
+    options = ["-c", CHECKOUT / "configs" / "recommended.yaml", *places, *smaller, "--data.loading.fractions"]
+    options.append("[0.34,0.33,0.33]")
+    few = ["--trainer.max_epochs", "1", "--trainer.limit_train_batches", "2", "--trainer.limit_val_batches", "1"]
+    done = run("fit", *options, *few)
+    assert done.returncode == 0, done.stderr
+    done = run("export", *options, "--ckpt_path", "last", "--output", tmp_path / "gan.onnx")
+    assert done.returncode == 0, done.stderr
+    assert PosteriorModel(tmp_path / "gan.onnx").takes_depth
+    rows = []
+    for number, model in enumerate((["--model", str(tmp_path / "gan.onnx")], [])):
+        output = tmp_path / f"results{number}"
+        program = [sys.executable, str(CHECKOUT / "infer.py"), str(clips / "video01" / "video01_00000"), *model]
+        told = subprocess.run([*program, "--output", str(output)], capture_output=True, text=True, check=False)
+        assert told.returncode == 0, told.stderr
+        with (output / "video01_00000" / "interactions.csv").open(newline="") as file:
+            rows.append(next(csv.DictReader(file)))
+    trained, shipped = rows
+    assert trained["status"] == shipped["status"] == "ok"
+    for name in ("stiffness", "damping", "force"):
+        assert trained[f"{name}_sd"] != shipped[f"{name}_sd"]
+        assert float(trained[name]) == pytest.approx(float(shipped[name]), rel=0.1)
 
 
 def test_a_second_training_in_one_run_folder_is_refused_and_goes_on_when_asked(config: Path, trained: Path, capsys):

@@ -136,9 +136,9 @@ def analyse(
     motion = {name: motion_row(settling, own, contacts, mechanics) for name, (own, settling) in simulated.items()}
     settling = {name: frames[["clip", "frame"]].join(settling) for name, (_, settling) in simulated.items()}
 
-    spread = spread_of(frames, bounds)
     seen = [(one.observation.times.tobytes(), one.moved.tobytes()) for one in contacts]
     observed = set(zip(clips, seen, strict=True))
+    spread = spread_of(frames, bounds, len(observed))
     return Evaluation(
         frames=frames.join(simulated[PREDICTED][1]),
         trajectories=predicted,

@@ -19,7 +19,8 @@ MINIMUM_VARIATION = 0.2
 """SD/|mean| from which on a parameter counts as varying even on a range that is far too wide for the scene."""
 AT_BOUND = 0.01
 """A value closer than this fraction of the range to an end counts as lying at the bound."""
-MINIMUM_FRAMES = 3
+MINIMUM_CONTACTS = 3
+"""Fewer different motions may well have the same θ."""
 
 
 def as_told(theta: np.ndarray, bounds: Bounds) -> np.ndarray:
@@ -27,12 +28,13 @@ def as_told(theta: np.ndarray, bounds: Bounds) -> np.ndarray:
     return np.abs(theta) if bounds.force[1] <= 0 else theta
 
 
-def spread_of(frames: pd.DataFrame, bounds: Bounds) -> pd.DataFrame:
+def spread_of(frames: pd.DataFrame, bounds: Bounds, contacts: int) -> pd.DataFrame:
     """Spread of the parameters, as told, over the test frames in the admissible box.
 
     Args:
         frames: one row a test frame with its `clip` and parameters.
         bounds: the box.
+        contacts: different observed motions behind the frames.
 
     Returns:
         One row a parameter. `sd` is the sample SD over all frames, of which a constant predictor has 0; `low` and
@@ -55,7 +57,7 @@ def spread_of(frames: pd.DataFrame, bounds: Bounds) -> pd.DataFrame:
         at_bound=((values - low < AT_BOUND * width) | (high - values < AT_BOUND * width)).mean(),
     )
     constant = (spread["sd_of_range"] < MINIMUM_SPREAD) & ~(spread["sd_of_mean"] >= MINIMUM_VARIATION)
-    few = len(values) < MINIMUM_FRAMES
+    few = contacts < MINIMUM_CONTACTS
     return spread.assign(verdict="n too small" if few else np.where(constant, "constant", "varies"))
 
 

@@ -241,8 +241,8 @@ palpate · {made:%Y-%m-%d %H:%M} UTC
 
 ![Stiffness, damping and force by test frame](theta.png)
 
-*Estimates by test frame. Left: within the admissible range, where a collapsed estimator shows a flat line.
-Right: zoomed to the estimates.*
+*Estimates by test frame. Left: within the admissible range, where an estimator that ignores the frames shows a flat
+line. Right: zoomed to the estimates.*
 
 {tables["spread"]}
 {tables["constant"]}

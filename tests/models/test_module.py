@@ -16,6 +16,7 @@ from models.losses import LossWeights, posterior_physics_loss
 from models.module import PhysicsInformedGAN, TrainingDiverged, with_current
 from models.posterior import ContactPosterior
 from physics.mechanics import Bounds, Mechanics
+from physics.msd.batch import DepthBatch, ObservationBatch
 
 MECHANICS = Mechanics(steps=24, load_steps=8)
 BOUNDS = Bounds(force=(-0.3, 0.0), initial=(0.5, 0.1, -0.05))
@@ -307,6 +308,39 @@ def test_the_bound_is_about_what_was_seen_until_the_frame(make_told_batch):
     assert torch.equal(build(**POSTERIOR).generator_losses(batch)[0].physics, expected)
     batch["seen_observation_a"].displacement = torch.zeros(2, 2, 3)
     assert not torch.equal(build(**POSTERIOR).generator_losses(batch)[0].physics, expected)
+
+
+def test_with_a_film_the_bound_is_about_the_dent(make_told_batch):
+    """Told as a dent of one pixel, the point gives nearly the same."""
+    batch = make_told_batch()
+    seen = batch["seen_observation_a"]
+    along = batch["load_a"].direction[:, None]
+    point = ObservationBatch(seen.steps, seen.displacement * 0 + 0.01 * along, seen.weight)
+    dent = DepthBatch(
+        vertices=batch["load_a"].vertices[:, None],
+        along=along,
+        steps=seen.steps,
+        change=torch.full((2, 2, 1), 0.01),
+        weight=seen.weight[..., None],
+        noise=batch["noise_a"],
+        common=torch.zeros(1, 1),
+    )
+    module = build(**POSTERIOR)
+    generator = module.generator_ab
+    answer = generator.answer(generator.encode(batch["window_a"]), batch["contact_features_a"])
+    box = generator.posterior.lower, generator.posterior.upper
+    told = batch["noise_a"], batch["mesh_a"], batch["seen_load_a"], point, module.mechanics, box
+    found = [posterior_physics_loss(answer.mean, answer.factor, *told, view) for view in (None, dent)]
+    # The dent says nothing across the force, along which the contact moves.
+    torch.testing.assert_close(found[0][1], found[1][1], rtol=1e-4, atol=1e-4 * float(found[0][1].max()))
+    assert float(found[0][0].detach()) == pytest.approx(float(found[1][0].detach()), rel=1e-3)
+    for side in ("a", "b"):
+        batch[f"dent_{side}"] = dent
+    before = build(**POSTERIOR).generator_losses(batch)[0].physics
+    batch["seen_observation_a"].displacement = torch.zeros(2, 2, 3)
+    assert torch.equal(build(**POSTERIOR).generator_losses(batch)[0].physics, before)
+    dent.change = dent.change + 0.01
+    assert not torch.equal(build(**POSTERIOR).generator_losses(batch)[0].physics, before)
 
 
 def test_test_records_of_head_posterior(make_told_batch):

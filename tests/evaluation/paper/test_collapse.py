@@ -19,9 +19,9 @@ def _theta(spread, seed=0):
     return np.array([0.508, 0.09, -7.79]) + noise * spread
 
 
-def _spread(theta, clips=CLIPS, bounds=BOUNDS):
+def _spread(theta, clips=CLIPS, bounds=BOUNDS, contacts=100):
     frames = pd.DataFrame(as_told(theta, bounds), columns=list(PARAMETERS)).assign(clip=clips)
-    return spread_of(frames, bounds)
+    return spread_of(frames, bounds, contacts)
 
 
 def test_the_papers_own_estimates_count_as_collapsed():
@@ -76,11 +76,12 @@ def test_values_at_the_bounds_are_counted():
     assert _spread(theta, list("aabb")).loc["damping", "at_bound"] == 0.75
 
 
-def test_too_few_frames_are_undetermined():
-    spread = _spread(_theta([0.1, 0.1, 1])[:2], CLIPS[:2])
+def test_frames_of_too_few_contacts_are_undetermined():
+    """One contact has one θ, however many frames show it."""
+    spread = _spread(_theta([0.001, 0.001, 0.01]), contacts=2)
     assert spread["verdict"].tolist() == ["n too small"] * 3
     assert describe_spread(spread).startswith("Undetermined, n too small")
-    assert np.isnan(_spread(_theta([0.1, 0.1, 1])[:1], CLIPS[:1]).loc["stiffness", "sd"])
+    assert np.isnan(_spread(_theta([0.1, 0.1, 1])[:1], CLIPS[:1], contacts=1).loc["stiffness", "sd"])
 
 
 def _compare(shift, clips=None):

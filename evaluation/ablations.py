@@ -30,7 +30,8 @@ from data.contact.features import FEATURES, SLOTS, join_features
 from data.synthetic.contacts import SimulatedContact
 from data.synthetic.truth import damping_ratio, regime_of
 from estimators.direct.estimator import CONTACT
-from estimators.network.fits import BOUNDS, MECHANICS, Drawn, Fits, draw_observed, motion_slopes, observed_exactly
+from estimators.network.draws import Drawn, draw_observed
+from estimators.network.fits import BOUNDS, MECHANICS, Fits, motion_slopes, observed_exactly
 from estimators.network.training import (
     FINE_BATCH,
     FINE_RATE,

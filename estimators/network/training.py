@@ -48,20 +48,8 @@ from data.synthetic.contacts import SimulatedContact, draw_contacts
 from data.synthetic.settings import SceneSettings
 from data.synthetic.truth import REGIMES
 from estimators.direct.estimator import CONTACT, FIELD
-from estimators.network.fits import (
-    BOUNDS,
-    EXPLAINED,
-    FRAME,
-    MECHANICS,
-    NOISE,
-    SCENES,
-    Drawn,
-    Films,
-    Fits,
-    draw_observed,
-    fit_film,
-    fit_motion,
-)
+from estimators.network.draws import NOISE, Drawn, draw_observed
+from estimators.network.fits import BOUNDS, EXPLAINED, FRAME, MECHANICS, SCENES, Films, Fits, fit_film, fit_motion
 from estimators.worker_pool import WorkerLost, run_tasks
 from models.evidence import box_prior, covering, preconditioned
 from models.expected_bound import bound_loss

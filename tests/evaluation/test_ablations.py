@@ -13,7 +13,8 @@ from scipy.stats import multivariate_normal
 from data.contact.features import FEATURES, SLOTS
 from data.synthetic.contacts import SimulatedContact, draw_contacts
 from data.synthetic.settings import SceneSettings
-from estimators.network.fits import BOUNDS, MECHANICS, SCENES, draw_observed
+from estimators.network.draws import draw_observed
+from estimators.network.fits import BOUNDS, MECHANICS, SCENES
 from evaluation import ablations
 from evaluation.ablations import Material, around_truth, judge, label_loss, seen_slots, train_row
 from evaluation.recovery.evaluate import Recovery

@@ -11,21 +11,16 @@ from data.contact.film_features import SHAPES, dent_shapes, motion_in_film, shap
 from data.synthetic.contacts import SimulatedContact, draw_contacts, hidden_by_tool
 from data.synthetic.settings import SceneSettings
 from estimators.direct.field import FieldProblem
-from estimators.network.fits import (
+from estimators.network.draws import (
     DELAY_RANGE,
-    FRAME,
     LEVEL,
-    MECHANICS,
-    NOMINAL,
-    PARAMETERS,
     ROUNDING_NOISE,
-    Films,
     draw_film_errors,
     film_information,
-    fit_film,
     smooth_share,
     without_delays,
 )
+from estimators.network.fits import FRAME, MECHANICS, NOMINAL, PARAMETERS, Films, fit_film
 
 PIXELS = (2 * REACH + 1) ** 2
 

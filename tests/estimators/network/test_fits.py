@@ -9,16 +9,8 @@ from data.contact.features import SLOTS, contact_surroundings
 from data.contact.film_features import SHAPES
 from data.synthetic.contacts import SimulatedContact, draw_contacts
 from data.synthetic.settings import SceneSettings
-from estimators.network.fits import (
-    MECHANICS,
-    NOMINAL,
-    Fits,
-    film_information,
-    motion_slopes,
-    observed_exactly,
-    smooth_share,
-    without_delays,
-)
+from estimators.network.draws import film_information, smooth_share, without_delays
+from estimators.network.fits import MECHANICS, NOMINAL, Fits, motion_slopes, observed_exactly
 from physics.mechanics import theta_of
 from physics.msd.simulation import simulate
 

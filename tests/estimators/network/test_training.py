@@ -18,22 +18,8 @@ from data.synthetic.contacts import SimulatedContact, draw_contacts
 from data.synthetic.settings import SceneSettings
 from data.synthetic.truth import damping_ratio, regime_of
 from estimators.network import training as contact_training
-from estimators.network.fits import (
-    BOUNDS,
-    CUT_SHARES,
-    FRAME,
-    LEVEL,
-    MECHANICS,
-    NOISE,
-    REST_SHARE,
-    SCENES,
-    Films,
-    Fits,
-    draw_errors,
-    draw_known,
-    draw_observed,
-    fit_motion,
-)
+from estimators.network.draws import CUT_SHARES, LEVEL, NOISE, REST_SHARE, draw_errors, draw_known, draw_observed
+from estimators.network.fits import BOUNDS, FRAME, MECHANICS, SCENES, Films, Fits, fit_motion
 from estimators.network.training import (
     INTERRUPTED,
     PREPARED,

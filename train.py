@@ -60,6 +60,8 @@ CHECKPOINTS: dict[str, dict[str, Any]] = {
 }
 """When to save what, by file name (Bini 2026, section 3.5). `save_last` would follow the best checkpoint only, so last
 is its own; it comes last because it holds the others' state."""
+FEWEST_PROCESSES = 2
+"""Processes that may train together however few cores there are."""
 TRAIN_CONTACTS = 8
 """Training pairs that the constant-θ baseline of the evaluation is fitted on, at most, evenly spaced."""
 
@@ -203,6 +205,11 @@ class TrainCLI(LightningCLI):
         trainer = self.config[self.subcommand].trainer  # ty: ignore[invalid-argument-type]  a command is required
         if str(trainer.default_root_dir) == "":
             raise UsageError("trainer.default_root_dir is empty; name the run folder.")
+        most, asked = max(os.cpu_count() or 1, FEWEST_PROCESSES), str(trainer.devices)
+        if asked.isdecimal() and int(asked) > most and str(trainer.accelerator) in ("cpu", "auto"):
+            raise UsageError(
+                f"trainer.devices is {asked}; give at most {most}, one for each core here."
+            )
         if trainer.strategy == "ddp" or (trainer.strategy == "auto" and str(trainer.devices) not in ("1", "auto")):
             # Each of the three backward passes reaches a part of the parameters only.
             trainer.strategy = "ddp_find_unused_parameters_true"

@@ -2,9 +2,9 @@
 
     python -m benchmarks.training_step
 
-Runs `train.py fit` for a few steps of paper.yaml and smoke.yaml on synthetic clips, on the CPU, and times every
-training step, the rollouts forward, and their gradient. An epoch is the paper's 415 steps: 830 pairs, 2 a step (Bini
-2026, section 3.1). The first step is left out: it compiles and warms up.
+Runs `train.py fit` for a few steps of paper.yaml, recommended.yaml and smoke.yaml on synthetic clips, on the CPU, and
+times every training step, the rollouts forward, and their gradient. An epoch is the paper's 415 steps: 830 pairs, 2 a
+step (Bini 2026, section 3.1). The first step is left out: it compiles and warms up.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from train import main as train
 
 PAPER_STEPS = 415
 FOLDER = Path("runs/bench/training_step")
-CONFIGURATIONS = (Path("configs/paper.yaml"), Path("configs/smoke.yaml"))
+CONFIGURATIONS = tuple(Path("configs", f"{name}.yaml") for name in ("paper", "recommended", "smoke"))
 STEPS = 5
 COLUMNS = ("configuration", "a step", "of it physics", f"{PAPER_STEPS} steps (the paper's epoch)")
 

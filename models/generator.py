@@ -17,6 +17,8 @@ from physics.mechanics import Bounds
 
 SMALLEST_SIDE = 16
 """Smallest height and width [pixels]: the features are a quarter of that and still leave a variance to normalise by."""
+WIDEST, MOST_BLOCKS = 256, 64
+"""Four times the paper's width has half a billion weights."""
 DECODERS = ("direct", "residual", "physics")
 HEADS = ("parameters", "posterior")
 LEAST_DEPTH = 1e-3
@@ -167,6 +169,10 @@ class Generator(nn.Module):
             raise ValueError(
                 f"channels is {channels}, width {width} and residual_blocks {residual_blocks}; "
                 "give at least 1 channel, a width of at least 1 and no negative number of blocks."
+            )
+        if width > WIDEST or residual_blocks > MOST_BLOCKS:
+            raise ValueError(
+                f"width is {width} and residual_blocks {residual_blocks}; give at most {WIDEST} and {MOST_BLOCKS}."
             )
         self.channels = channels
         self.encoder = nn.Sequential(

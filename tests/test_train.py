@@ -319,6 +319,10 @@ def test_a_configuration_that_is_none_is_named(config: Path, tmp_path: Path, cap
         ("data.loading.num_workers", "num_workers 100000; give at most 65536 and 1024"),
         ("data.loading.batch_size", "batch_size is 100000 and"),
         ("data.geometry.height", "geometry.height is 100000; give at most 4096"),
+        ("data.samples.window", "window is 100000; give at least 1 frame and at most 256"),
+        ("model.width", "width is 100000 and residual_blocks 1; give at most 256 and 64"),
+        ("model.residual_blocks", "give at most 256 and 64"),
+        ("trainer.devices", "trainer.devices is 100000; give at most"),
     ],
 )
 def test_a_number_that_no_machine_has_room_for_gets_a_sentence(config: Path, capsys, option: str, told: str):

@@ -22,6 +22,9 @@ from physics.load import Press, held
 from physics.mechanics import Mechanics
 from physics.observation import Observation
 
+LONGEST_WINDOW = 256
+"""Frames; ten seconds."""
+
 
 @dataclass(frozen=True)
 class SampleSettings:
@@ -50,8 +53,8 @@ class SampleSettings:
 
     def __post_init__(self) -> None:
         require_choices(self, "samples.")
-        if self.window < 1:
-            raise ValueError(f"window is {self.window}; give at least 1 frame.")
+        if not 1 <= self.window <= LONGEST_WINDOW:
+            raise ValueError(f"window is {self.window}; give at least 1 frame and at most {LONGEST_WINDOW}.")
         if self.horizon < 1 or (self.horizon > 1 and self.observation != "trajectory"):
             raise ValueError(
                 f"horizon is {self.horizon} and observation {self.observation}; give at least 1 frame, and more only "

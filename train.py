@@ -47,7 +47,7 @@ from data.training.datamodule import ClipDataModule
 from evaluation.paper.analysis import EvaluationError
 from evaluation.paper.figures import draw_next_depth
 from evaluation.paper.report import write_evaluation
-from models.checkpoint import CheckpointError, read_checkpoint, require_same_model
+from models.checkpoint import CheckpointError, read_checkpoint, require_same_model, require_same_weights
 from models.module import PhysicsInformedGAN, TrainingDiverged
 from models.onnx_export import ParityError, export
 from physics.fields import sound
@@ -140,7 +140,7 @@ class RunTrainer(Trainer):
         """
         checkpoint = read_checkpoint(Path(ckpt_path))  # ty: ignore[invalid-argument-type]  the command line resolves it
         model.load_state_dict(checkpoint["state_dict"])
-        datamodule.load_state_dict(checkpoint[ClipDataModule.__name__])
+        datamodule.load_state_dict(checkpoint.get(ClipDataModule.__name__, {}))
         metadata: dict[str, Any] = datamodule.metadata() | {
             "bounds": model.hparams["bounds"],
             "mechanics": model.hparams["mechanics"],
@@ -207,9 +207,7 @@ class TrainCLI(LightningCLI):
             raise UsageError("trainer.default_root_dir is empty; name the run folder.")
         most, asked = max(os.cpu_count() or 1, FEWEST_PROCESSES), str(trainer.devices)
         if asked.isdecimal() and int(asked) > most and str(trainer.accelerator) in ("cpu", "auto"):
-            raise UsageError(
-                f"trainer.devices is {asked}; give at most {most}, one for each core here."
-            )
+            raise UsageError(f"trainer.devices is {asked}; give at most {most}, one for each core here.")
         if trainer.strategy == "ddp" or (trainer.strategy == "auto" and str(trainer.devices) not in ("1", "auto")):
             # Each of the three backward passes reaches a part of the parameters only.
             trainer.strategy = "ddp_find_unused_parameters_true"
@@ -219,6 +217,9 @@ class TrainCLI(LightningCLI):
             super().instantiate_classes()
         except (ValueError, MisconfigurationException) as error:  # a setting's own check
             raise UsageError(str(error)) from error
+        checkpoint = self.config_init[self.subcommand].ckpt_path
+        if checkpoint is not None:
+            require_same_weights(Path(checkpoint), self.model.state_dict(), resume=self.subcommand == "fit")
 
     def instantiate_trainer(self, **kwargs: Any) -> Trainer:
         config = self.config_init[self.subcommand]
@@ -306,6 +307,13 @@ def log_artifact(trainer: Trainer, path: Path, folder: str | None = None) -> Non
             logger.experiment.log_artifact(logger.run_id, str(path), folder)
 
 
+def by_interrupt(error: BaseException | None) -> bool:
+    """Whether an interruption stands at the beginning of what went wrong."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__context__
+    return error is not None
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line and return the exit status."""
     warnings.filterwarnings("ignore", message=".*LeafSpec.*")  # Lightning about torch's internals
@@ -337,8 +345,9 @@ def main(arguments: list[str] | None = None) -> int:
         return 1
     except KeyboardInterrupt:
         return INTERRUPTED
-    except SystemExit as stop:
-        if not isinstance(stop.__context__, KeyboardInterrupt):  # Lightning turns Ctrl-C into exit status 1
+    except (SystemExit, Exception) as error:
+        # Lightning turns Ctrl-C into exit status 1, and a file that is being written complains of its end.
+        if not by_interrupt(error):
             raise
         return INTERRUPTED
     return 0

@@ -23,6 +23,8 @@ FIXED = (
 
 WRITER = "python -m estimators.network.training"
 """What writes pretrained posteriors."""
+STATE = {"state", "param_groups"}
+"""What a checkpoint keeps of an optimiser."""
 EXPORTED = "network."
 """Before a weight's name in an exported posterior."""
 EXPECTED_BOUND = ".expected_bound."
@@ -69,6 +71,32 @@ def require_same_model(path: Path, configured: Mapping[str, Any]) -> None:
             )
     if trained["head"] == "posterior" and not any(EXPECTED_BOUND in name for name in checkpoint["state_dict"]):
         raise CheckpointError(f"{path} knows no expected bounds, as earlier versions did not; train it again.")
+
+
+def require_same_weights(path: Path, own: Mapping[str, torch.Tensor], *, resume: bool) -> None:
+    """Refuse a checkpoint that a network can't take over, although the settings agree.
+
+    Args:
+        path: checkpoint.
+        own: the network's weights by name.
+        resume: whether its training goes on.
+
+    Raises:
+        CheckpointError: weights of other names or shapes, or no state to go on from.
+    """
+    checkpoint = read_checkpoint(path)
+    here = {name: value.shape for name, value in own.items()}
+    there = {name: getattr(value, "shape", None) for name, value in checkpoint["state_dict"].items()}
+    other = [name for name in {**here, **there} if here.get(name) != there.get(name)]
+    if other:
+        raise CheckpointError(
+            f"{path} holds other weights than this network has, {len(other)} of them, such as {other[0]}; give the "
+            "configuration it was trained with."
+        )
+    states, loops = (checkpoint.get(name) for name in ("optimizer_states", "loops"))
+    whole = isinstance(states, list) and isinstance(loops, dict) and isinstance(loops.get("fit_loop"), dict)
+    if resume and not (whole and all(isinstance(state, dict) and set(state) >= STATE for state in states)):
+        raise CheckpointError(f"{path} holds no state of a training to go on from; give the last.ckpt of a run folder.")
 
 
 def load_posterior(posterior: ContactPosterior, path: Path) -> None:

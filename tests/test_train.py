@@ -386,6 +386,30 @@ def test_a_bad_checkpoint_gets_a_sentence(trained: Path, config: Path, tmp_path:
     assert "another program" in refused(capsys, "test", "-c", config, "--ckpt_path", foreign)
 
 
+def test_a_checkpoint_whose_inside_is_wrong_gets_a_sentence(trained: Path, config: Path, tmp_path: Path, capsys):
+    """Readable, of these settings, and yet of no use."""
+    whole = torch.load(trained / "checkpoints" / "last.ckpt", weights_only=True)
+    weights, path = whole["state_dict"], tmp_path / "wrong.ckpt"
+    first = next(iter(weights))
+    cases = [
+        ({"state_dict": {}}, "test", f"holds other weights than this network has, {len(weights)} of them"),
+        ({"state_dict": weights | {first: torch.zeros(2)}}, "fit", f"1 of them, such as {first}; give the config"),
+        ({"state_dict": weights | {"more": torch.zeros(2)}}, "export", "1 of them, such as more; give the config"),
+        ({"optimizer_states": "none"}, "fit", "holds no state of a training to go on from"),
+        ({"optimizer_states": [{}]}, "fit", "holds no state of a training to go on from"),
+        ({"loops": None}, "fit", "holds no state of a training to go on from"),
+    ]
+    for change, command, told in cases:
+        torch.save(whole | change, path)
+        assert told in refused(capsys, command, "-c", config, "--ckpt_path", path)
+    for data in ({}, {"trained_on": 3}, {"trained_on": {"depth": "stored"}}):
+        torch.save(whole | {"ClipDataModule": data}, path)
+        output = tmp_path / "out.onnx"
+        assert train.main(["export", "-c", str(config), "--ckpt_path", str(path), "--output", str(output)]) == 1
+        assert "doesn't say what it was trained on; give one that train.py fit" in capsys.readouterr().err
+        assert not output.exists()
+
+
 def test_a_checkpoint_of_another_architecture_is_refused_not_followed(trained: Path, config: Path, capsys):
     arguments = ("test", "-c", config, "--ckpt_path", "best")
     assert "model.width = 4 and the configuration says 8" in refused(capsys, *arguments, "--model.width", 8)
@@ -466,6 +490,26 @@ def test_interrupt_ends_cleanly_and_keeps_the_last_checkpoint(config: Path, tmp_
     assert "--ckpt_path last" in output
     assert "Traceback" not in output
     assert last(folder)["epoch"] >= 0
+
+
+@pytest.mark.parametrize("stop", [SystemExit(1), RuntimeError("the file is not complete")])
+def test_what_an_interruption_leads_to_is_one(config: Path, monkeypatch, stop: BaseException):
+    """Writing a checkpoint, say, ends with an error of its own."""
+
+    def interrupted(*_, **__) -> None:
+        try:
+            try:
+                raise KeyboardInterrupt
+            finally:
+                raise OSError("cut")
+        except OSError:
+            raise stop  # noqa: B904
+
+    monkeypatch.setattr(train, "TrainCLI", interrupted)
+    assert train.main(["fit", "-c", str(config)]) == 130
+    monkeypatch.setattr(train, "TrainCLI", lambda *_, **__: (_ for _ in ()).throw(type(stop)("other")))
+    with pytest.raises(type(stop), match="other"):
+        train.main(["fit", "-c", str(config)])
 
 
 @pytest.mark.slow

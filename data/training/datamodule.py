@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from lightning.pytorch import LightningDataModule
@@ -25,8 +25,11 @@ from data.training.cholecseg8k import list_clips
 from data.training.preparation import prepare_all
 from data.training.samples import SampleSettings, list_frames, make_interaction
 from data.training.splits import FRACTIONS, SPLITS, Place, split_samples
+from physics.fields import fits
 from physics.mechanics import Bounds, require_stable
 
+TRAINED_ON = dict[Literal["depth", "masks"], tuple[str, ...]]
+"""Where depth and masks came from, as `fits` takes it."""
 LARGEST_BATCH = 2**16
 """Samples of a batch."""
 
@@ -161,7 +164,13 @@ class ClipDataModule(LightningDataModule):
         }
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Take over a checkpoint's record, for `metadata`."""
+        """Take over a checkpoint's record, for `metadata`.
+
+        Raises:
+            InputError: it is none.
+        """
+        if "trained_on" not in state_dict or not fits(state_dict["trained_on"], TRAINED_ON):
+            raise InputError("The checkpoint doesn't say what it was trained on; give one that train.py fit wrote.")
         self.trained_on = state_dict["trained_on"]
 
     def metadata(self) -> dict[str, Any]:

@@ -45,7 +45,7 @@ class Widening(nn.Module):
             unknown = _sum_of(contact, told.within_features) > 0
             between = torch.maximum(widened, _widened(told.between, log_sd, log_noise))
             widened = torch.where(unknown, between, widened)
-        return covariance * widened[:, :, None] * widened[:, None, :]
+        return covariance * (widened[:, :, None] * widened[:, None, :])
 
 
 def calibrate(source: Path, output: Path, calibration: Calibration) -> float:

@@ -16,7 +16,7 @@ from data.windows import FrameWindow
 from estimators.contract import ClipInfo, Said
 from estimators.estimate import Estimate, FrameEstimate, NoEstimate, mixture
 from estimators.model_settings import ModelEstimator
-from estimators.network.misfit import compared
+from estimators.network.misfit import compared, largest_misfit
 from estimators.oblique import effective_misfit, is_oblique, remark, view_angle, widened
 from estimators.onset import onset_error, onset_perturbations
 from estimators.runs import Run, RunSession, force_arrow, frame_estimate
@@ -29,9 +29,6 @@ LEAST_OBSERVATIONS = 2
 """Frames after the onset in which the tissue was followed; the network never saw fewer."""
 TOO_EARLY = "The contact's tissue was not followed over two frames after its onset yet."
 NO_NOISE = "The depth's noise isn't known; prepare with geometry.smoothing above 0."
-LARGEST_MISFIT = 1.5
-"""A motion farther from the simulated one than this many σ is unlike what the network was trained on, and its own
-covariance means nothing: that of a noise as large as the misfit, within the box, is added."""
 UNEXPLAINED = "The model does not explain the motion, which lies {:.2g} times the noise from it; intervals are widened."
 ROUNDING = 1e-6
 """Of times [s]."""
@@ -107,14 +104,14 @@ class NetworkEstimator(ModelEstimator):
             within: the press began, and ended, at most so long before or after the time stamps [s].
         """
         box = self.bounds.log_box
-        misfit, information = compared(contact, mechanics, mean, within)
+        misfit, information = compared(contact, mechanics, mean, covariance, within)
         return Estimate(
             theta=theta_of(mean),
             covariance=covariance,
             information=information,
             noise=contact.noise,
             misfit=misfit,
-            largest_misfit=LARGEST_MISFIT,
+            largest_misfit=largest_misfit(len(contact.observation)),
             at_bound=np.minimum(mean - box[0], box[1] - mean) < EDGE * (box[1] - box[0]),
             expected_information=np.linalg.inv(expected),
             view_angle=view_angle(contact),
@@ -178,7 +175,7 @@ class NetworkSession(RunSession):
         self.seconds["simulation"] += time.perf_counter() - start
         whole = mixture(judged)
         error = effective_misfit(whole)
-        unsure = is_oblique(whole) or error > LARGEST_MISFIT
+        unsure = is_oblique(whole) or error > whole.largest_misfit
         return widened(whole, error, estimator.bounds.log_box) if unsure else whole
 
     def _frame(self, frame: PreparedFrame, run: Run | None, depth: np.ndarray | None) -> FrameEstimate:

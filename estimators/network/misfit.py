@@ -12,6 +12,7 @@ import math
 from typing import Protocol
 
 import numpy as np
+from scipy.special import gammainccinv
 
 from data.contact.film import REACH, DentFilm
 from data.contact.interaction import Interaction
@@ -22,8 +23,13 @@ from estimators.direct.problem import DELAYS
 from physics.identifiability import fisher_information, log_jacobian
 from physics.load import held
 from physics.mechanics import Mechanics, theta_of
-from physics.msd.simulation import is_chaotic, simulate, simulate_sensitivities
+from physics.msd.simulation import is_chaotic, simulate_sensitivities
 
+LARGEST_MISFIT = 1.5
+"""A motion farther from the simulated one than this many σ is unlike what the network was trained on, and its own
+covariance means nothing: that of a noise as large as the misfit, within the box, is added."""
+CHANCE = 3.5e-4
+"""Noise alone takes 25 observations so far away so rarely; fewer may lie farther."""
 DOUBTFUL = 1.2
 """Presses of unknown instants that seem farther from their motion than this many σ are simulated anew."""
 NEAR = 2
@@ -114,13 +120,20 @@ def _seen_of(contact: Interaction) -> _Seen:
     return _Point(contact)
 
 
-def compared(contact: Interaction, mechanics: Mechanics, logs: np.ndarray, within: float) -> tuple[float, np.ndarray]:
+def largest_misfit(count: int) -> float:
+    """Largest root mean square [σ] of so many observations that noise may explain."""
+    return max(LARGEST_MISFIT, math.sqrt(2 * float(gammainccinv(count / 2, CHANCE)) / count))
+
+
+def compared(
+    contact: Interaction, mechanics: Mechanics, logs: np.ndarray, covariance: np.ndarray, within: float
+) -> tuple[float, np.ndarray]:
     """How far a contact's motion lies from the simulated one, and what it tells of φ if its instants are known.
 
     Args:
         contact: as it was seen.
         mechanics: of the simulation.
-        logs: φ, shape [3].
+        logs, covariance: posterior of φ, shapes [3] and [3, 3]; the motion is compared with the nearest that it allows.
         within: the press began, and ended, at most so long before or after the time stamps [s]; the delays are those
             that explain the motion best.
 
@@ -131,30 +144,31 @@ def compared(contact: Interaction, mechanics: Mechanics, logs: np.ndarray, withi
     instants = contact.observation.steps(step)
     steps = max(int(instants.max()), round(seen.times[-1] / step) - 1) + 1 + math.ceil(within / step)
     loaded = contact.load_seconds if contact.released else math.inf
-    press = dataclasses.replace(contact.load, factor=held(loaded / step, steps))
-    path, slopes = simulate_sensitivities(theta, contact.mesh, press, mechanics, watch=seen.vertices, dtype=np.float32)
-    slopes = log_jacobian(slopes[:, 0].astype(np.float64), theta)
-    if is_chaotic(path[:, 0], slopes):
-        slopes = np.zeros_like(slopes)
-    information = fisher_information(slopes[instants].reshape(-1, len(logs)), contact.noise)
-    path = path.astype(np.float64)
+
+    def simulated(seconds: float) -> np.ndarray:
+        """Displacements and their derivatives by φ under a press that lasts so long, shape [T, M, 3, 4]."""
+        press = dataclasses.replace(contact.load, factor=held(seconds / step, steps))
+        path, slopes = simulate_sensitivities(theta, contact.mesh, press, mechanics, watch=seen.vertices)
+        slopes = log_jacobian(slopes.astype(np.float64), theta)
+        if is_chaotic(path, slopes):
+            slopes = np.zeros_like(slopes)
+        return np.concatenate([path[..., None], slopes], axis=-1)
+
+    motion, prior = simulated(loaded), np.linalg.inv(covariance)
+    information = fisher_information(motion[instants, 0, :, 1:].reshape(-1, len(logs)), contact.noise)
     if not within:
-        return _misfit(seen, path[np.rint(seen.few / step).astype(np.int64) - 1]), information
+        at = motion[np.rint(seen.few / step).astype(np.int64) - 1]
+        left, slopes = seen.left(at[..., 0], at[..., 1:])
+        return _rms(left + slopes @ _nearest(left, slopes, prior)), information
     pressed = max(1, round(contact.load_seconds / step)) if contact.released else 0
-    delays = _best_delays(_lasting(seen.signal(path), pressed), seen, pressed, step, within)
-    misfit, delays = _with_delays(_lasting(path, pressed), seen, pressed, step, delays, within)
+    lasting = _lasting(motion, pressed)
+    delays = _best_delays(seen.signal(lasting[..., 0]), seen, pressed, step, within)
+    misfit, delays = _with_delays(lasting, seen, pressed, step, delays, within, prior)
     if pressed and misfit > DOUBTFUL:
         # Large motions do not quite add up.
-        loaded = contact.load_seconds + delays[1] - delays[0]
-        press = dataclasses.replace(contact.load, factor=held(loaded / step, steps))
-        path = simulate(theta, contact.mesh, press, mechanics, watch=seen.vertices).astype(np.float64)
-        misfit = min(misfit, _with_delays(path, seen, 0, step, delays, within)[0])
+        motion = simulated(contact.load_seconds + delays[1] - delays[0])
+        misfit = min(misfit, _with_delays(motion, seen, 0, step, delays, within, prior)[0])
     return misfit, information
-
-
-def _misfit(seen: _Seen, moved: np.ndarray) -> float:
-    """Root mean square of what displacements [K, M, 3] leave unexplained [σ]."""
-    return _rms(seen.left(moved, np.zeros((*moved.shape, 0)))[0])
 
 
 def _best_delays(lasting: np.ndarray, seen: _Seen, pressed: int, step: float, within: float) -> tuple[float, float]:
@@ -178,29 +192,42 @@ def _best_delays(lasting: np.ndarray, seen: _Seen, pressed: int, step: float, wi
 
 
 def _with_delays(
-    lasting: np.ndarray, seen: _Seen, pressed: int, step: float, delays: tuple[float, float], within: float
+    lasting: np.ndarray,
+    seen: _Seen,
+    pressed: int,
+    step: float,
+    delays: tuple[float, float],
+    within: float,
+    prior: np.ndarray,
 ) -> tuple[float, tuple[float, float]]:
     """Root mean square of what is left unexplained near some delays [σ], and these where they fit best [s].
 
     Args:
-        lasting: displacements under a press that lasts, after every step, shape [T, M, 3].
+        lasting: displacements under a press that lasts, and their derivatives by φ, shape [T, M, 3, 4].
+        prior: precision of φ, shape [3, 3].
         others: as of `_best_delays`.
     """
-    found = []
+    found, count = [], 2 if pressed else 1
+    whole = np.zeros((count + len(prior), count + len(prior)))
+    whole[:count, :count], whole[count:, count:] = np.eye(count) / within**2, prior
     for _ in range(LOOKS):
         moved, rate = between_steps(lasting, step, seen.few - delays[0])
-        rates = -rate[..., None]
+        rates = [-rate[..., :1]]
         if pressed:
             ended, rate = between_steps(lasting, step, seen.few - pressed * step - delays[1])
-            moved, rates = moved - ended, np.stack([rates[..., 0], rate], axis=-1)
-        left, slopes = seen.left(moved, rates)
-        found.append((_rms(left), delays))
-        information = slopes.T @ slopes + np.eye(slopes.shape[1]) / within**2
-        later = -np.linalg.solve(information, slopes.T @ left)
+            moved, rates = moved - ended, [*rates, rate[..., :1]]
+        left, slopes = seen.left(moved[..., 0], np.concatenate([*rates, moved[..., 1:]], axis=-1))
+        later = _nearest(left, slopes, whole)
+        found.append((_rms(left + slopes[:, count:] @ later[count:]), delays))
         reach = within * (DELAYS[1] - DELAYS[0])
-        later = np.append(np.clip(later, -reach, reach), 0.0)
-        delays = delays[0] + float(later[0]), delays[1] + float(later[1])
+        first, last = np.append(np.clip(later[:count], -reach, reach), 0.0)[:2]
+        delays = delays[0] + float(first), delays[1] + float(last)
     return min(found)
+
+
+def _nearest(left: np.ndarray, slopes: np.ndarray, prior: np.ndarray) -> np.ndarray:
+    """Change of D parameters about which something is known [D, D] that leaves least of residuals [L], to 1st order."""
+    return -np.linalg.solve(slopes.T @ slopes + prior, slopes.T @ left)
 
 
 def _lasting(path: np.ndarray, pressed: int) -> np.ndarray:

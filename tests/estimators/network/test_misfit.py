@@ -14,12 +14,13 @@ from data.contact.interaction import Interaction
 from data.synthetic.contacts import draw_contacts
 from data.synthetic.settings import SceneSettings
 from estimators.network.fits import MECHANICS
-from estimators.network.misfit import compared
+from estimators.network.misfit import CHANCE, LARGEST_MISFIT, compared, largest_misfit
 from physics.load import held
 from physics.mechanics import theta_of
 from physics.msd.simulation import simulate
 
 NOISE = 5e-4
+SURE = 1e-8 * np.eye(3)
 
 
 @functools.cache
@@ -41,13 +42,16 @@ def contact_of(within: float) -> tuple[Interaction, np.ndarray]:
 def test_a_fine_picture_is_explained_by_what_its_pixels_show(within: float) -> None:
     """The bottom of the dent, which is narrower than a pixel of the grid, is not seen at its depth."""
     contact, logs = contact_of(within)
-    misfit, information = compared(contact, MECHANICS, logs, within)
+    misfit, information = compared(contact, MECHANICS, logs, SURE, within)
     assert 0.5 < misfit < 1.3
-    other = compared(contact, MECHANICS, logs + np.array([0.0, 0.0, 0.4]), within)[0]
+    other = compared(contact, MECHANICS, logs + np.array([0.0, 0.0, 0.4]), SURE, within)[0]
     assert other > 2 * misfit
+    # What the posterior allows is no misfit.
+    allowed = np.outer([0.0, 0.0, 0.4], [0.0, 0.0, 0.4]) + SURE
+    assert compared(contact, MECHANICS, logs + np.array([0.0, 0.0, 0.1]), allowed, within)[0] < 1.1 * misfit
     shown = contact.observation.moved(motion_in_film(contact), NOISE)
     point = dataclasses.replace(contact, observation=shown, film=None)
-    unlike, same = compared(point, MECHANICS, logs, within)
+    unlike, same = compared(point, MECHANICS, logs, SURE, within)
     assert unlike > 1.5 * misfit
     np.testing.assert_allclose(information, same, rtol=1e-5)
 
@@ -63,9 +67,17 @@ def test_a_press_at_other_instants_is_explained_where_they_are_unknown(began: in
     since = steps - began
     moved = np.where((since >= 0)[:, None], path[np.maximum(since, 0)], 0)
     late = dataclasses.replace(contact, observation=contact.observation.moved(moved, 0.001))
-    stamp, information = compared(late, MECHANICS, logs, 0.0)
-    between, same = compared(late, MECHANICS, logs, 0.04)
+    stamp, information = compared(late, MECHANICS, logs, SURE, 0.0)
+    between, same = compared(late, MECHANICS, logs, SURE, 0.04)
     assert stamp > 1
     assert between < left * stamp
     # What it would tell of a press whose instants are known.
     np.testing.assert_array_equal(information, same)
+
+
+def test_few_observations_may_lie_farther_from_the_motion_by_chance() -> None:
+    """As rarely as 25 lie beyond 1.5 σ."""
+    assert largest_misfit(25) == pytest.approx(LARGEST_MISFIT, abs=0.005)
+    assert largest_misfit(40) == LARGEST_MISFIT
+    draws = np.random.default_rng(0).normal(size=(400_000, 5))
+    assert np.mean(np.sqrt(np.square(draws).mean(axis=1)) > largest_misfit(5)) == pytest.approx(CHANCE, rel=0.25)

@@ -62,9 +62,13 @@ class Patches:
 
     def own(self) -> np.ndarray:
         """The vertex in every pixel at rest, as a place among the V, shape [P]; -1 where none is known."""
+        return self._number()[LARGEST_SHIFT:-LARGEST_SHIFT, LARGEST_SHIFT:-LARGEST_SHIFT].ravel()
+
+    def _number(self) -> np.ndarray:
+        """The same on the whole square of pixels around the contact, shape [S, S]."""
         number = np.full((self._size, self._size), -1)
         number[self._cells] = np.arange(len(self.vertices))
-        return number[LARGEST_SHIFT:-LARGEST_SHIFT, LARGEST_SHIFT:-LARGEST_SHIFT].ravel()
+        return number
 
     def _rest_slope(self) -> np.ndarray:
         """Change of the depth at rest from row to row and from column to column, shape [V, 2] [scene units]."""
@@ -177,8 +181,7 @@ class Patches:
             found = np.moveaxis(self._origin(shift, lattice).reshape(-1, side, side, 2), -1, 0)
             frames = np.arange(len(moved))[:, None]
             place = _between(found, frames, 2 * (samples - (LARGEST_SHIFT - 1)))
-        number = np.full((self._size, self._size), -1)
-        number[self._cells] = np.arange(len(self.vertices))
+        number = self._number()
         nearest = np.clip(np.rint(np.nan_to_num(place)), 0, self._size - 1).astype(np.int64)
         inside = (np.abs(place - (self._size - 1) / 2) <= self._size / 2).all(axis=-1)
         found = np.where(inside, number[nearest[..., 0], nearest[..., 1]], -1)

@@ -61,6 +61,7 @@ def collate(samples: Sequence[Sample]) -> dict[str, Any]:
     filmed = known and any(interaction.film is not None for interaction in seen)
     told = functools.partial(dent_features, within=0.0) if filmed else contact_features
     features = np.stack([told(interaction) for interaction in seen]) if known else None
+    dents = join_films(seen) if filmed else None
     for side in ("a", "b"):
         interactions: list[Interaction] = [getattr(sample, f"interaction_{side}") for sample in samples]
         windows = np.stack([getattr(sample, f"window_{side}") for sample in samples])
@@ -72,8 +73,8 @@ def collate(samples: Sequence[Sample]) -> dict[str, Any]:
             batch[f"contact_features_{side}"] = torch.from_numpy(features)
             batch[f"noise_{side}"] = torch.tensor([interaction.noise for interaction in seen], dtype=torch.float32)
             batch[f"seen_load_{side}"], batch[f"seen_observation_{side}"] = _join(seen)
-        if filmed:
-            batch[f"dent_{side}"] = join_films(seen)
+        if dents is not None:
+            batch[f"dent_{side}"] = dents
     return batch
 
 

@@ -95,6 +95,12 @@ def motion_in_film(contact: Interaction) -> np.ndarray:
     return moved
 
 
+def told_noise(contact: Interaction) -> float:
+    """σ that networks are told of a contact [scene units], more where depth was rounded."""
+    film = contact.film
+    return contact.noise * (ROUNDED if film is not None and film.noise.rounded else 1.0)
+
+
 def dent_features(contact: Interaction, within: float) -> np.ndarray:
     """Vector of a contact and its film, shape [FEATURES + FILM_FEATURES], float32.
 
@@ -102,9 +108,7 @@ def dent_features(contact: Interaction, within: float) -> np.ndarray:
         contact: with or without a film.
         within: as of `film_features`.
     """
-    film, noise = contact.film, contact.noise
-    if film is not None and film.noise.rounded:
-        noise *= ROUNDED
+    film, noise = contact.film, told_noise(contact)
     shown = dataclasses.replace(contact, observation=contact.observation.moved(motion_in_film(contact), noise))
     spacing = contact_spacing(contact.mesh, contact.vertex)
     return np.concatenate([contact_features(shown), film_features(film, spacing, noise, within)])

@@ -23,6 +23,9 @@ SETTLED = 0.05
 MOST_SAMPLES = 6
 """Of larger pictures as many places a pixel of the grid, evenly spread, stand for its pixels along an axis."""
 
+ENOUGH = 1000
+"""Vertices that tell the focal lengths."""
+
 
 class Patches:
     """The patches around a contact at rest; V vertices, P = (2·reach + 1)² pixels, row by row.
@@ -104,7 +107,11 @@ class Patches:
 
     def sunk_slopes(self, moved: np.ndarray, slopes: np.ndarray) -> np.ndarray:
         """Derivatives of `sunk` from those of the displacements, shapes [N, V, 3, D] to [N, V, D]."""
-        return slopes[..., 2, :] - (self._slope[..., None] * self._shift_slopes(moved, slopes)).sum(axis=-2)
+        after, pull = self._depth + moved[..., 2], self._slope[:, ::-1] * self._focal
+        sinking = after + (self._slope * self.shift(moved)).sum(axis=-1) + (pull * self._rays).sum(axis=-1)
+        across = np.broadcast_to(-pull, (*after.shape, 2))
+        by_motion = np.concatenate([across, sinking[..., None]], axis=-1) / after[..., None]
+        return np.matmul(by_motion[..., None, :], slopes)[..., 0, :]
 
     def _shift_slopes(self, moved: np.ndarray, slopes: np.ndarray) -> np.ndarray:
         """Derivatives of `shift` from those of the displacements, shapes [N, V, 3, D] to [N, V, 2, D]."""
@@ -142,6 +149,19 @@ class Patches:
         # What a pixel shows lies at x with x + shift(x) = pixel.
         inverse = np.linalg.inv(np.eye(2) + np.nan_to_num(gradient[..., 1:, :]))
         return np.nan_to_num(-np.einsum("npi,npij,npjd->npd", gradient[..., 0, :], inverse, shifting))
+
+    def seen(self, moved: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Change of every pixel's depth since rest, and its derivatives, with what it shows decided at this motion.
+
+        Args:
+            moved, slopes: displacements [N, V, 3] and their derivatives [N, V, 3, D].
+
+        Returns:
+            Shapes [N, P] and [N, P, D]; not a number where a pixel shows nothing known.
+        """
+        covering = self.covering(moved)
+        tangent = self.shown(self.sunk_slopes(moved, slopes), covering) + self.turning(moved, slopes)
+        return self.shown(self.sunk(moved), covering), tangent
 
     def steepness(self, moved: np.ndarray) -> np.ndarray:
         """How much its neighbours differ from a pixel, where it is the mean of several, at displacements [N, V, 3].
@@ -183,20 +203,21 @@ class Patches:
             place = _between(found, frames, 2 * (samples - (LARGEST_SHIFT - 1)))
         number = self._number()
         nearest = np.clip(np.rint(np.nan_to_num(place)), 0, self._size - 1).astype(np.int64)
-        inside = (np.abs(place - (self._size - 1) / 2) <= self._size / 2).all(axis=-1)
-        found = np.where(inside, number[nearest[..., 0], nearest[..., 1]], -1)
+        down, right = np.moveaxis(np.abs(place - (self._size - 1) / 2) <= self._size / 2, -1, 0)
+        found = np.where(down & right, number[nearest[..., 0], nearest[..., 1]], -1)
         return found.reshape(len(moved), *self.weights.shape)
 
     def _origin(self, shift: np.ndarray, samples: np.ndarray) -> np.ndarray:
         """Where what samples [1, Q, 2] show lay at rest, shape [N, Q, 2]; not a number in folds, and out of sight."""
         place = np.broadcast_to(samples, (shift.shape[1], *samples.shape[1:]))
-        frames, change = np.arange(len(place))[:, None], np.zeros((*place.shape[:2], 1))
+        frames, change = np.arange(len(place))[:, None], np.zeros(place.shape[:2])
         for _ in range(ITERATIONS):
             before, place = place, samples - _between(shift, frames, place)
-            change = np.abs(place - before).max(axis=-1, keepdims=True)
-            if not np.nanmax(change, initial=0) > EXACT:
+            down, right = np.moveaxis(np.abs(place - before), -1, 0)
+            change = np.maximum(down, right)  # faster than along an axis of two
+            if not (change > EXACT).any():
                 break
-        return np.where(change < SETTLED, place, np.nan)
+        return np.where((change < SETTLED)[..., None], place, np.nan)
 
     def shown(self, values: np.ndarray, covering: np.ndarray) -> np.ndarray:
         """Values of the vertices [N, V, ...] as every pixel shows them, the mean over its samples, shape [N, P, ...].
@@ -237,18 +258,23 @@ def footprint(cells: np.ndarray, count: int, pixels: int) -> tuple[np.ndarray, n
 
 def _between(values: np.ndarray, frames: np.ndarray, place: np.ndarray) -> np.ndarray:
     """Values on the square [C, N, S, S] at places (row, column) in every frame [N, Q, 2], bilinear, shape [N, Q, C]."""
-    last = values.shape[2] - 1
-    place = np.clip(place, 0, last)
-    corner = np.minimum(np.nan_to_num(place), last - 1).astype(np.int64)
-    (down, right), (row, column) = np.moveaxis(place - corner, -1, 0), np.moveaxis(corner, -1, 0)
-    upper = (1 - right) * values[:, frames, row, column] + right * values[:, frames, row, column + 1]
-    lower = (1 - right) * values[:, frames, row + 1, column] + right * values[:, frames, row + 1, column + 1]
-    return np.moveaxis((1 - down) * upper + down * lower, 0, -1)
+    side = values.shape[2]
+    place = np.clip(place, 0, side - 1)
+    corner = np.minimum(np.nan_to_num(place), side - 2).astype(np.intp)
+    down, right = np.moveaxis(place - corner, -1, 0)
+    first = (frames * side + corner[..., 0]) * side + corner[..., 1]
+    flat = values.reshape(len(values), -1)
+    upper, upper_right, lower, lower_right = (flat.take(first + step, axis=1) for step in (0, 1, side, side + 1))
+    upper += right * (upper_right - upper)
+    lower += right * (lower_right - lower)
+    upper += down * (lower - upper)
+    return np.moveaxis(upper, 0, -1)
 
 
 def focal_length(mesh: Mesh) -> np.ndarray:
     """Focal lengths along x and y, from the places of the mesh's vertices in its grid, shape [2] [grid pixels]."""
-    rays = mesh.vertices[:, :2].astype(np.float64) / mesh.vertices[:, 2:]
-    places = mesh.pixels[:, ::-1].astype(np.float64)
+    some = np.s_[:: max(1, len(mesh.vertices) // ENOUGH)]  # all lie on the same two lines
+    rays = mesh.vertices[some, :2].astype(np.float64) / mesh.vertices[some, 2:]
+    places = mesh.pixels[some, ::-1].astype(np.float64)
     rays, places = rays - rays.mean(axis=0), places - places.mean(axis=0)
     return (rays * places).sum(axis=0) / np.square(rays).sum(axis=0)

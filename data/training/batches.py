@@ -15,7 +15,7 @@ from torch.utils.data import Dataset
 from data.cache import PreparedClip
 from data.contact.features import contact_features
 from data.contact.film import REACH, smooth_errors
-from data.contact.film_features import ROUNDED, dent_features
+from data.contact.film_features import dent_features, told_noise
 from data.contact.interaction import Interaction
 from data.contact.patches import Patches
 from data.training.samples import Sample, SampleSettings, make_sample
@@ -85,21 +85,28 @@ def _join(interactions: Sequence[Interaction]) -> tuple[PressBatch, ObservationB
 
 
 def join_films(contacts: Sequence[Interaction]) -> DepthBatch:
-    """What was seen of the tissue around some contacts, every pixel by the vertex that it shows at rest.
+    """What was seen of the tissue around some contacts.
 
     Of a contact without any film its own motion counts, as the middle pixel's. In a finer picture than the grid the
     middle pixels are left out: they are means of very different depths.
     """
     parts = [_film_parts(contact) for contact in contacts]
-    vertices, along, steps, change = (
-        pad_sequence([torch.from_numpy(np.asarray(part)) for part in column], batch_first=True)
-        for column in zip(*parts, strict=True)
+    views = [view for view, _, _ in parts]
+    steps, change = (
+        pad_sequence([torch.from_numpy(part) for part in column], batch_first=True)
+        for column in zip(*((steps, change) for _, steps, change in parts), strict=True)
     )
-    instants = torch.tensor([len(part[2]) for part in parts])[:, None] > torch.arange(steps.shape[1])
+    most = max(len(view.vertices) for view in views)
+    # The contact's vertex fills up: far ones would have to be simulated.
+    vertices = [
+        np.pad(view.vertices, (0, most - len(view.vertices)), constant_values=contact.vertex)
+        for view, contact in zip(views, contacts, strict=True)
+    ]
+    instants = torch.tensor([len(part) for _, part, _ in parts])[:, None] > torch.arange(steps.shape[1])
     weight = change.isfinite() & instants[..., None]
     return DepthBatch(
-        vertices=vertices,
-        along=along,
+        views=views,
+        vertices=torch.from_numpy(np.stack(vertices)),
         steps=steps,
         change=torch.where(weight, change, 0.0),
         weight=weight.float(),
@@ -108,32 +115,27 @@ def join_films(contacts: Sequence[Interaction]) -> DepthBatch:
     )
 
 
-def _film_parts(contact: Interaction) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices [P], `along` [P, 3], steps [N] and changes [N, P] of one contact; not a number where nothing is seen."""
+def _film_parts(contact: Interaction) -> tuple[Patches, np.ndarray, np.ndarray]:
+    """What its pixels show, and steps [N] and changes [N, P] of one contact; not a number where nothing was seen."""
     film, side = contact.film, 2 * REACH + 1
-    middle = side * side // 2
     if film is None or not len(film.times):
-        along = np.zeros((side * side, 3), np.float32)
-        along[middle] = contact.direction
-        change = np.full((len(contact.observation), side * side), np.nan, np.float32)
-        change[:, middle] = contact.along
-        return np.full(side * side, contact.vertex), along, contact.observation.steps(contact.time_step), change
+        patches = Patches(contact.mesh, contact.vertex, contact.mesh.grid_shape[::-1])
+        moved = np.zeros((len(contact.observation), len(patches.vertices), 3))
+        place = int(np.flatnonzero(patches.vertices == contact.vertex)[0])
+        moved[:, place] = contact.moved
+        change = np.full((len(moved), side * side), np.nan, np.float32)
+        change[:, side * side // 2] = patches.sunk(moved)[:, place]
+        return patches, contact.observation.steps(contact.time_step), change
     patches = Patches(contact.mesh, contact.vertex, film.size)
-    own = patches.own()
-    still = np.zeros((1, len(patches.vertices), 3))
-    along = patches.sunk_slopes(still, np.broadcast_to(np.eye(3), (*still.shape, 3)))[0]
     change = film.change.reshape(len(film.times), -1).copy()
-    change[:, own < 0] = np.nan
     if patches.averages:
         near = np.abs(np.mgrid[-REACH : REACH + 1, -REACH : REACH + 1]).max(axis=0).ravel() <= 1
         change[:, near] = np.nan
-    steps = np.rint(film.times / contact.time_step).astype(np.int64) - 1
-    return patches.vertices[own], along[own].astype(np.float32), steps, change
+    return patches, np.rint(film.times / contact.time_step).astype(np.int64) - 1, change
 
 
 def _film_noise(contact: Interaction) -> float:
     """σ of every pixel's independent error [scene units]; of pixels whose errors go together, as fewer would have."""
-    film = contact.film
-    if film is None or not len(film.times):
-        return contact.noise
-    return contact.noise * (ROUNDED if film.noise.rounded else math.sqrt(film.noise.alike_in_time))
+    film, noise = contact.film, told_noise(contact)
+    alike = film is not None and len(film.times) and not film.noise.rounded
+    return noise * math.sqrt(film.noise.alike_in_time) if alike else noise

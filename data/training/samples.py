@@ -5,6 +5,7 @@ No sample crosses a clip or a gap in the frame numbers (Bini 2026, section 3.1).
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections import Counter
 from dataclasses import dataclass, field
@@ -106,17 +107,19 @@ def make_sample(clip: PreparedClip, frame: int, settings: SampleSettings) -> Sam
     later = future_indices(frame + settings.horizon, settings.window, clip.consecutive, clip.usable)
     if earlier is None or later is None:
         raise ValueError(f"{clip.path} has no depth around frame {frame}; take a frame that list_frames gave.")
-    forward, backward, seen = make_interaction(clip, frame, settings), None, None
+    backward = seen = None
     if settings.observation != "trajectory":
+        forward = make_interaction(clip, frame, settings)
         backward = _pair(clip, frame + 1, clip.backward, settings)
         onward = course = 0, _pair_steps(settings)
     else:
         onset = int(clip.track_start[frame])
+        run = builder_of(clip, onset, settings, film_until=frame if settings.film else None)
+        forward = dataclasses.replace(run.build(settings.mechanics), film=None)
         since = clip.times[[frame, frame + settings.horizon]] - clip.times[onset]
         first, last = np.rint(since / settings.mechanics.time_step).astype(int).tolist()
         onward, course = (first, last), (last, first)
         if forward.noise > 0:
-            run = builder_of(clip, onset, settings, film=settings.film)
             seen = run.build(settings.mechanics, until=float(since[0]))
     window_a, window_b = (np.stack([clip.depth(index) for index in indices]) for indices in (earlier, later))
     return Sample(window_a, window_b, forward, backward or forward, clip.name, frame, onward, course, seen)
@@ -129,18 +132,21 @@ def make_interaction(clip: PreparedClip, frame: int, settings: SampleSettings) -
     return _pair(clip, frame, clip.displacement, settings)
 
 
-def builder_of(clip: PreparedClip, onset: int, settings: SampleSettings, *, film: bool = False) -> InteractionBuilder:
-    """The run of contact that began at an onset, all its frames gathered, with its film where that is wanted."""
+def builder_of(
+    clip: PreparedClip, onset: int, settings: SampleSettings, *, film_until: int | None = None
+) -> InteractionBuilder:
+    """The run of contact that began at an onset, all its frames gathered; its film up to a frame, or none."""
 
     def frame_of(index: int) -> ContactFrame:
+        filmed = film_until is not None and index <= film_until
         return ContactFrame(
             float(clip.times[index]),
             bool(clip.contact[index]),
             clip.status[index] in SEEN_OUT,
             bool(clip.consecutive[index]),
             clip.track_position[index],
-            clip.depth(index) if film else None,
-            clip.labels(index) if film else None,
+            clip.depth(index) if filmed else None,
+            clip.labels(index) if filmed else None,
         )
 
     run = InteractionBuilder(
@@ -151,7 +157,7 @@ def builder_of(clip: PreparedClip, onset: int, settings: SampleSettings, *, film
         frame_of(onset),
         settings.geometry,
         settings.mechanics.seconds,
-        clip.size if film else None,
+        None if film_until is None else clip.size,
     )
     for index in range(onset + 1, len(clip)):
         if clip.track_start[index] != onset:

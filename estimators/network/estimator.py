@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from data.contact.features import FEATURES, contact_features
-from data.contact.film_features import FILM_FEATURES, dent_features
+from data.contact.film_features import FILM_FEATURES, dent_features, told_noise
 from data.contact.interaction import Horizon, Interaction, InteractionBuilder
 from data.prepared import PreparedFrame
 from data.windows import FrameWindow
@@ -109,7 +109,7 @@ class NetworkEstimator(ModelEstimator):
             theta=theta_of(mean),
             covariance=covariance,
             information=information,
-            noise=contact.noise,
+            noise=told_noise(contact) if self.sees_film else contact.noise,
             misfit=misfit,
             largest_misfit=largest_misfit(len(contact.observation)),
             at_bound=np.minimum(mean - box[0], box[1] - mean) < EDGE * (box[1] - box[0]),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -189,14 +190,32 @@ class ObservationBatch:
         return cls(*(pad_sequence(values, batch_first=True) for values in (steps, moved, weight)))
 
 
+class DepthView(Protocol):
+    """What a camera sees of a mesh; V vertices that may be seen, P pixels."""
+
+    vertices: np.ndarray
+    """Each an index within the mesh, shape [V]."""
+
+    def seen(self, moved: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Change of every pixel's depth since rest [N, P], and its derivatives [N, P, D].
+
+        Args:
+            moved, slopes: displacements of the vertices [N, V, 3] and their derivatives [N, V, 3, D].
+
+        Returns:
+            Not a number where a pixel shows nothing known.
+        """
+        ...
+
+
 @dataclass
 class DepthBatch:
-    """Observed changes of the depth of P vertices a sample, at up to N instants."""
+    """Observed changes of the depth of P pixels a sample, at up to N instants."""
 
+    views: Sequence[DepthView]
+    """What the pixels show, B of them."""
     vertices: Tensor
-    """Each an index within its own mesh, shape [B, P], int64."""
-    along: Tensor
-    """Change of the depth by a displacement of the vertex, shape [B, P, 3], float32."""
+    """Theirs, each an index within its own mesh, filled up with any of them, shape [B, V], int64."""
     steps: Tensor
     """Index into the trajectory that each instant belongs to, shape [B, N], int64."""
     change: Tensor

@@ -5,6 +5,7 @@ Source: Bini 2026, equation 14 (the squared 2-norm of a displacement's differenc
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -69,9 +70,12 @@ def linearise_depth(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """The same of observed depth, the errors that all instants share marginalised (Woodbury's identity).
 
+    What the pixels show is decided at every sample's own motion; that it changes with φ is in the derivatives as far as
+    the view says so.
+
     Args:
-        path: displacement of the P vertices, shape [B, T, P, 3] [scene units].
-        slopes: its derivatives by θ, shape [B, T, P, 3, 3].
+        path: displacement of the V vertices, shape [B, T, V, 3] [scene units].
+        slopes: its derivatives by θ, shape [B, T, V, 3, 3].
         theta: k_s, k_d and signed F, shape [B, 3] [normalised].
         observation: what was seen of these vertices.
 
@@ -80,19 +84,35 @@ def linearise_depth(
     """
     samples = torch.arange(len(path), device=path.device)[:, None]
     steps = observation.steps.clamp(0, path.shape[1] - 1)
-    along, weight = observation.along.double(), observation.weight.double()
-    share = weight / observation.noise.double()[:, None, None]
-    moved, tangent = path[samples, steps].double(), slopes[samples, steps].double()
-    residual = share * (torch.einsum("bnpc,bpc->bnp", moved, along) - observation.change.double())
-    jacobian = torch.einsum("bnpcd,bpc->bnpd", tangent, along) * theta.double()[:, None, None]
-    columns = torch.cat([share[..., None] * jacobian, residual[..., None]], dim=-1)
+    moved = path[samples, steps].double()
+    tangent = slopes[samples, steps].double() * theta.double()[:, None, None, None]
+    change, jacobian = _seen(observation, moved, tangent)
+    known = (observation.weight > 0) & change.isfinite()
+    share = torch.where(known, observation.weight, 0.0).double() / observation.noise.double()[:, None, None]
+    residual = share * torch.where(known, change - observation.change.double(), 0.0)
+    jacobian = share[..., None] * torch.where(known[..., None], jacobian, 0.0)
+    columns = torch.cat([jacobian, residual[..., None]], dim=-1)
     common = observation.common.double()
     products = torch.einsum("bnpi,bnpj->bij", columns, columns)
     shared = torch.einsum("bpi,pk->bki", columns.sum(dim=1), common)
-    inner = torch.einsum("bp,pk,pl->bkl", weight.sum(dim=1), common, common)
+    inner = torch.einsum("bp,pk,pl->bkl", known.double().sum(dim=1), common, common)
     inner = inner + torch.eye(common.shape[1], dtype=inner.dtype, device=inner.device)
     left = products - shared.transpose(1, 2) @ torch.linalg.solve(inner, shared)
     return 0.5 * left[:, 3, 3], left[:, :3, 3], left[:, :3, :3]
+
+
+def _seen(observation: DepthBatch, moved: Tensor, tangent: Tensor) -> tuple[Tensor, Tensor]:
+    """Change of the depth of every sample's pixels, and its derivatives by φ, shapes [B, N, P] and [B, N, P, 3].
+
+    Args:
+        observation: whose views say what is seen.
+        moved, tangent: displacements of the vertices [B, N, V, 3] and their derivatives [B, N, V, 3, 3].
+    """
+    found = []
+    for view, *motion in zip(observation.views, moved.detach(), tangent.detach(), strict=True):
+        found.append(view.seen(*(values[:, : len(view.vertices)].cpu().numpy() for values in motion)))
+    change, slopes = (torch.from_numpy(np.stack(values)).to(moved) for values in zip(*found, strict=True))
+    return change, slopes
 
 
 def _difference(trajectory: Tensor, observation: ObservationBatch) -> Tensor:

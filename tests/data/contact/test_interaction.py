@@ -87,7 +87,7 @@ def require_one_builder(runs: dict[int, Run], prepared: PreparedClip, settings: 
     onsets = np.flatnonzero(prepared.track_start == np.arange(len(prepared))).tolist()
     assert onsets == list(runs)
     for onset, run in runs.items():
-        batch = builder_of(prepared, onset, samples, film=True)
+        batch = builder_of(prepared, onset, samples, film_until=len(prepared) - 1)
         assert (run.builder.pressed, run.builder.load_seconds) == (batch.pressed, batch.load_seconds)
         for horizon in (None, 3, "press"):
             for until in (None, *(0.04 * count for count in (0, 3, 4, 9))):

@@ -18,8 +18,12 @@ from data.synthetic.contacts import draw_contacts
 from data.synthetic.settings import SceneSettings
 from data.training.batches import SampleDataset, collate, join_films
 from data.training.samples import SampleSettings, list_frames, make_interaction, make_sample
+from estimators.direct.field import FieldProblem
 from physics.load import held
-from physics.mechanics import Mechanics
+from physics.mechanics import Mechanics, theta_of
+from physics.msd import rollout_sensitivities
+from physics.msd.batch import MeshBatch, PressBatch
+from physics.msd.likelihoods import linearise_depth
 from physics.msd.simulation import simulate
 from tests.data.clips import GRID, SETTINGS, write_clip
 
@@ -120,7 +124,10 @@ def test_dents_are_told_and_joined_where_they_are_wanted(clip) -> None:
         for side in ("a", "b"):
             assert batch[f"contact_features_{side}"].shape == (2, FEATURES + FILM_FEATURES)
             np.testing.assert_array_equal(batch[f"contact_features_{side}"][row].numpy(), expected)
-    assert (batch["dent_a"].steps.shape, batch["dent_a"].vertices.shape) == ((2, 3), (2, PIXELS))
+    dent = batch["dent_a"]
+    assert (dent.steps.shape, dent.change.shape) == ((2, 3), (2, 3, PIXELS))
+    for vertices, view in zip(dent.vertices.tolist(), dent.views, strict=True):
+        assert set(vertices) == set(view.vertices.tolist())  # no far vertex fills up
     assert "dent_a" not in batch_of(clip, [4, 6])
     with pytest.raises(ValueError, match="film needs observation trajectory, not final"):
         SampleSettings(film=True)
@@ -141,11 +148,30 @@ def test_joined_films_change_as_the_vertices_sink(fine: bool) -> None:
     load = replace(contact.load, factor=held(contact.load_seconds / contact.time_step, 200))
     path = simulate(theta, contact.mesh, load, MECHANICS, watch=dent.vertices[0].numpy())
     moved = path[dent.steps[0].numpy()]
-    expected = np.einsum("npc,pc->np", moved, dent.along[0].numpy())
+    expected, _ = dent.views[0].seen(moved.astype(np.float64), np.zeros((*moved.shape, 1)))
     left = (dent.change[0].numpy() - expected)[dent.weight[0].numpy() > 0]
     assert np.abs(expected).max() > 0.01
     assert np.sqrt(np.square(left).mean()) < 1e-3
     assert dent.noise.tolist() == pytest.approx([1e-3, 1e-3])
+
+
+def test_training_and_the_direct_fit_have_one_likelihood() -> None:
+    """At one θ, of noise that is independent but for the rest surface's: the same pull and the same information."""
+    contact, theta = contact_of(False)
+    drawn = np.random.default_rng(0).normal(0, 1e-3, contact.film.change.shape).astype(np.float32)
+    film = replace(contact.film, change=contact.film.change + drawn, noise=FilmNoise(1e-3, 0.0))
+    contact = replace(contact, film=film, observation=contact.observation.moved(contact.moved, 1e-3))
+    logs = np.log(np.abs(theta)) + np.array([0.1, -0.05, 0.1])
+    problem = FieldProblem(contact, MECHANICS)
+    problem.look(logs)
+    residual, jacobian = problem.linearise(logs)
+    dent, here = join_films([contact]), torch.from_numpy(theta_of(logs))[None]
+    mesh, load = MeshBatch.from_meshes([contact.mesh]), PressBatch.of([contact.load])
+    motion = rollout_sensitivities(here, mesh, load, MECHANICS, watch=dent.vertices)
+    misfit, gradient, information = (values[0].numpy() for values in linearise_depth(*motion, here, dent))
+    assert misfit == pytest.approx(0.5 * float(residual @ residual), rel=1e-6)
+    np.testing.assert_allclose(gradient, jacobian.T @ residual, rtol=1e-5)
+    np.testing.assert_allclose(information, jacobian.T @ jacobian, rtol=1e-5)
 
 
 def test_without_a_film_the_contact_s_own_motion_counts() -> None:
@@ -153,9 +179,10 @@ def test_without_a_film_the_contact_s_own_motion_counts() -> None:
     contact = replace(contact, observation=contact.observation.moved(contact.moved, 2e-3))
     dent = join_films([contact])
     assert dent.weight.sum() == dent.weight[..., PIXELS // 2].sum() == SLOTS
-    np.testing.assert_allclose(dent.change[0, :, PIXELS // 2], contact.along, rtol=1e-6)
-    np.testing.assert_array_equal(dent.along[0, PIXELS // 2], np.float32(contact.direction))
-    assert dent.vertices.unique().tolist() == [contact.vertex]
+    # It is pressed nearly along the line of sight, so that what its pixel sinks by is its whole motion.
+    sunk = np.linalg.norm(contact.moved, axis=1) / np.linalg.norm(contact.mesh.vertices[contact.vertex])
+    sunk *= contact.mesh.vertices[contact.vertex, 2]
+    np.testing.assert_allclose(dent.change[0, :, PIXELS // 2], sunk, atol=0.01 * sunk.max())
     assert dent.noise.item() == pytest.approx(2e-3)
 
 

@@ -8,12 +8,13 @@
 The first exports what `estimators.network.training` wrote. The second calibrates any exported posterior, also one that
 `train.py export` wrote, by results of the benchmark with that file.
 
-Errors are taken to have standard deviations scale · sd^power · σ^noise, with sd the network's own and σ the
-observation's; the exponents are the likeliest ones for normal errors, the scale is then set so that the 90 % intervals
-hold the truth in 90 % of the validation results (conformal prediction, Vovk's quantile, with a normalised score). Both
-come from the same results and several suites observe the same clips, so the guarantee is not exact. It is done once for
-whole contacts, once for those whose release has not been seen (--pressed), and for a network that is told how well the
-instants are known, once for those whose aren't (--between).
+Errors are taken to have standard deviations scale · sd^power · σ^noise · (k_d/√k_s)^damping, with sd the network's own,
+σ the observation's as it is told it, and the damping ratio as it estimates it; the exponents are the likeliest ones for
+normal errors, the scale is then set so that the 90 % intervals hold the truth in 90 % of the validation results
+(conformal prediction, Vovk's quantile, with a normalised score). Both come from the same results and several suites
+observe the same clips, so the guarantee is not exact. It is done once for whole contacts, once for those whose release
+has not been seen (--pressed), and for a network that is told how well the instants are known, once for those whose
+aren't (--between).
 Truth of validation clips serves this and nothing else; no weight of the network changes.
 """
 
@@ -47,7 +48,7 @@ from estimators.network.fits import BOUNDS, MECHANICS, SCENES
 from estimators.onset import BETWEEN, STAMP
 from evaluation.recovery.evaluate import OK, PREPARE, Recovery
 from evaluation.recovery.store import RECORD, RESULTS, read_results
-from models.calibration import Calibration, Widths
+from models.calibration import LOG_DAMPING, Calibration, Widths
 from models.checkpoint import load_posterior, posterior_features
 from models.onnx_calibration import calibrate
 from models.onnx_export import export
@@ -77,7 +78,7 @@ def fit_widths_of(rows: Sequence[Recovery]) -> Widths:
     noise = np.array([row.noise / REFERENCE_SPACING for row in rows])
     found = []
     for error, deviation in zip((estimates - truths).T, deviations.T, strict=True):
-        known = np.stack([np.log(deviation), np.log(noise)], axis=1)
+        known = np.stack([np.log(deviation), np.log(noise), estimates @ LOG_DAMPING], axis=1)
         exponents = fit_exponents(error, known)
         found.append((conformal_scale(error, np.exp(known @ exponents)), *exponents))
     return Widths(*(tuple(map(float, values)) for values in zip(*found, strict=True)))  # ty: ignore[invalid-argument-type]  three each

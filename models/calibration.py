@@ -6,11 +6,15 @@ from dataclasses import dataclass
 
 Triple = tuple[float, float, float]
 """One number for each of (log k_s, log k_d, log |F|)."""
+LOG_DAMPING: Triple = (-0.5, 1.0, 0.0)
+"""Shares of these in the logarithm of the damping ratio ζ = k_d/(2√(k_s·m)), less its constant."""
 
 
 @dataclass(frozen=True)
 class Widths:
-    """Calibrated standard deviations of log θ: scale · sd^power · σ^noise; the default leaves them as they are.
+    """Calibrated standard deviations of log θ: scale · sd^power · σ^noise · (k_d/√k_s)^damping.
+
+    The default leaves them as they are.
 
     Networks are surest where they should be least so: their own error hardly shrinks with the posterior's width. A
     power below 1 widens narrow intervals more than wide ones.
@@ -20,6 +24,9 @@ class Widths:
     power: Triple = (1.0, 1.0, 1.0)
     noise: Triple = (0.0, 0.0, 0.0)
     """Exponents of the observation's σ, in the unit in which the contact's features tell it."""
+    damping: Triple = (0.0, 0.0, 0.0)
+    """Exponents of the damping ratio as the network estimates it, but for its constant factor: tissue that creeps has
+    posteriors unlike a normal distribution."""
 
 
 @dataclass(frozen=True)

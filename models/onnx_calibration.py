@@ -14,9 +14,9 @@ import onnx
 import torch
 from torch import Tensor, nn
 
-from models.calibration import Calibration, Widths
+from models.calibration import LOG_DAMPING, Calibration, Widths
 from models.onnx_export import PARITY_TOLERANCE, ParityError, to_onnx
-from models.onnx_session import CONTACT, INPUT, LOG_COVARIANCE, METADATA_KEY, PosteriorModel
+from models.onnx_session import CONTACT, INPUT, LOG_COVARIANCE, LOG_MEAN, METADATA_KEY, PosteriorModel
 from physics.files import replacing
 
 PREFIX = "calibration/"
@@ -27,23 +27,23 @@ EXAMPLES = 7
 
 
 class Widening(nn.Module):
-    """Covariances with calibrated standard deviations, by what the contacts' vectors tell."""
+    """Covariances with calibrated standard deviations, by what the contacts' vectors tell and the means."""
 
     def __init__(self, calibration: Calibration) -> None:
         super().__init__()
         self.calibration = calibration
 
-    def forward(self, contact: Tensor, covariance: Tensor) -> Tensor:
-        """Vectors [B, features] and a network's covariances [B, 3, 3] → calibrated ones."""
+    def forward(self, contact: Tensor, mean: Tensor, covariance: Tensor) -> Tensor:
+        """Vectors [B, features], a network's means [B, 3] and covariances [B, 3, 3] → calibrated covariances."""
         told, log_sd = self.calibration, 0.5 * torch.log(covariance.diagonal(dim1=1, dim2=2))
-        log_noise = _sum_of(contact, told.noise_features)
-        widened = _widened(told.whole, log_sd, log_noise)
+        known = log_sd, _sum_of(contact, told.noise_features), mean @ torch.tensor(LOG_DAMPING)[:, None]
+        widened = _widened(told.whole, *known)
         if told.known_features:
             released = _sum_of(contact, told.known_features) - _sum_of(contact, told.loaded_features) > 0.5
-            widened = torch.where(released, widened, _widened(told.pressed, log_sd, log_noise))
+            widened = torch.where(released, widened, _widened(told.pressed, *known))
         if told.within_features:
             unknown = _sum_of(contact, told.within_features) > 0
-            between = torch.maximum(widened, _widened(told.between, log_sd, log_noise))
+            between = torch.maximum(widened, _widened(told.between, *known))
             widened = torch.where(unknown, between, widened)
         return covariance * (widened[:, :, None] * widened[:, None, :])
 
@@ -70,16 +70,16 @@ def calibrate(source: Path, output: Path, calibration: Calibration) -> float:
     random = torch.Generator().manual_seed(0)
     inputs = {name: torch.rand(EXAMPLES, *shape, generator=random) for name, shape in plain.inputs.items()}
     contact, widening = inputs[CONTACT], Widening(calibration).eval()
-    _, own, _ = (torch.from_numpy(values).float() for values in plain(contact.numpy(), _numpy(inputs.get(INPUT))))
+    mean, own, _ = (torch.from_numpy(values).float() for values in plain(contact.numpy(), _numpy(inputs.get(INPUT))))
     model = onnx.load(source)
-    _append(model.graph, to_onnx(widening, {CONTACT: contact, "own": own}, (LOG_COVARIANCE,)))
+    _append(model.graph, to_onnx(widening, {CONTACT: contact, LOG_MEAN: mean, "own": own}, (LOG_COVARIANCE,)))
     document = plain.metadata | {"calibration": asdict(calibration)}
     onnx.helper.set_model_props(model, {METADATA_KEY: json.dumps(document, ensure_ascii=False, sort_keys=True)})
     output.parent.mkdir(parents=True, exist_ok=True)
     with replacing(output) as partial:
         onnx.save(model, partial, format="protobuf")
         found = torch.from_numpy(PosteriorModel(partial)(contact.numpy(), _numpy(inputs.get(INPUT)))[1])
-        difference = float((found - widening(contact, own)).abs().max())
+        difference = float((found - widening(contact, mean, own)).abs().max())
         if difference > PARITY_TOLERANCE:
             raise ParityError(
                 f"the calibrated covariances differ from torch by {difference:.2g}, more than {PARITY_TOLERANCE:g}; "
@@ -89,12 +89,12 @@ def calibrate(source: Path, output: Path, calibration: Calibration) -> float:
 
 
 def _append(graph: onnx.GraphProto, widening: onnx.ModelProto) -> None:
-    """Put a graph from (contact, own) to the covariance behind one that gives the covariance, which becomes `own`."""
+    """Put a graph from (contact, mean, own) to the covariance behind one that gives the covariance, then called own."""
     for node in graph.node:
         for names in (node.input, node.output):
             names[:] = [OWN if name == LOG_COVARIANCE else name for name in names]
     added = onnx.compose.add_prefix(widening, PREFIX).graph
-    outer = {f"{PREFIX}{name}": name for name in (CONTACT, LOG_COVARIANCE)}
+    outer = {f"{PREFIX}{name}": name for name in (CONTACT, LOG_MEAN, LOG_COVARIANCE)}
     for node in added.node:
         for names in (node.input, node.output):
             names[:] = [outer.get(name, name) for name in names]
@@ -111,7 +111,7 @@ def _sum_of(contact: Tensor, features: Sequence[int]) -> Tensor:
     return contact[:, list(features)].sum(dim=1, keepdim=True)
 
 
-def _widened(widths: Widths, log_sd: Tensor, log_noise: Tensor) -> Tensor:
-    """Factors [B, 3] of standard deviations [B, 3], from these and σ [B, 1], both in logarithms."""
-    scale, power, noise = (torch.tensor(values) for values in astuple(widths))
-    return scale * torch.exp((power - 1) * log_sd + noise * log_noise)
+def _widened(widths: Widths, log_sd: Tensor, log_noise: Tensor, log_damping: Tensor) -> Tensor:
+    """Factors [B, 3] of standard deviations [B, 3], from these, σ and damping ratios [B, 1], all in logarithms."""
+    scale, power, noise, damping = (torch.tensor(values) for values in astuple(widths))
+    return scale * torch.exp((power - 1) * log_sd + noise * log_noise + damping * log_damping)

@@ -20,6 +20,7 @@ from evaluation.calibration import (
     main,
 )
 from evaluation.recovery.store import RecoveryStore
+from models.calibration import LOG_DAMPING
 from models.onnx_export import export
 from models.onnx_session import PosteriorModel
 from models.posterior import ContactPosterior
@@ -27,6 +28,8 @@ from results.record import sha256_of
 from tests.evaluation.recovery_cases import off_by, recovery
 
 METADATA = {"input": {"window": 1, "height": 120, "width": 214}}
+RATIO = float(np.exp(np.log(np.abs(off_by([0.0] * 3))) @ LOG_DAMPING))
+"""k_d/√k_s of the usual tissue."""
 
 
 def test_factor_by_hand() -> None:
@@ -51,21 +54,27 @@ def test_overconfident_estimates_become_calibrated_at_any_width() -> None:
     """Errors with a floor under their size: one factor for all leaves narrow intervals too narrow."""
     generator = np.random.default_rng(0)
     sd, noise = generator.uniform(0.03, 0.6, (6000, 3)), generator.choice([0.4, 1.5], 6000)
-    errors = generator.normal(size=(6000, 3)) * 1.3 * sd**0.7 * noise[:, None] ** 0.2
+    damping = np.exp(generator.uniform(-4, 4, 6000))
+    """Over the usual tissue's."""
+    errors = generator.normal(size=(6000, 3)) * 1.3 * sd**0.7 * noise[:, None] ** 0.2 * damping[:, None] ** 0.15
     rows = [
         recovery(
             index,
             estimator="network",
-            estimate=off_by(error),
-            covariance=np.diag(deviation**2),
-            noise=level * REFERENCE_SPACING,
+            theta=off_by([0.0, np.log(damping[index]), 0.0]),
+            estimate=off_by(errors[index] + [0.0, np.log(damping[index]), 0.0]),
+            covariance=np.diag(sd[index] ** 2),
+            noise=noise[index] * REFERENCE_SPACING,
         )
-        for index, (error, deviation, level) in enumerate(zip(errors[:3000], sd[:3000], noise[:3000], strict=True))
+        for index in range(3000)
     ]
     found = fit_widths_of(rows)
     np.testing.assert_allclose(found.power, 0.7, atol=0.06)
     np.testing.assert_allclose(found.noise, 0.2, atol=0.06)
+    np.testing.assert_allclose(found.damping, 0.15, atol=0.06)
+    ratios = RATIO * damping[3000:, None]
     widths = found.scale * sd[3000:] ** found.power * noise[3000:, None] ** np.array(found.noise)
+    widths = widths * ratios ** np.array(found.damping)
     held = np.abs(errors[3000:]) <= NINETY * widths
     for parameter in range(3):
         order = np.argsort(sd[3000:, parameter])
@@ -75,7 +84,7 @@ def test_overconfident_estimates_become_calibrated_at_any_width() -> None:
         narrow, wide = (
             (np.abs(errors[3000:, parameter]) <= NINETY * flat)[half].mean() for half in np.array_split(order, 2)
         )
-        assert narrow < 0.87 < 0.93 < wide
+        assert narrow < 0.88 < 0.92 < wide
 
 
 def test_too_few_clips_are_refused() -> None:
@@ -164,7 +173,8 @@ def test_an_exported_posterior_is_calibrated_by_its_results(tmp_path, capsys) ->
     assert "whole scale" in capsys.readouterr().out
     told = PosteriorModel(output).metadata["calibration"]
     assert (told["known_features"], told["within_features"]) == (list(KNOWN), [])
-    np.testing.assert_allclose([told["whole"]["scale"], told["pressed"]["scale"]], 0.4, rtol=0.25)
+    scales = [told[name]["scale"] * RATIO ** np.array(told[name]["damping"]) for name in ("whole", "pressed")]
+    np.testing.assert_allclose(scales, 0.4, rtol=0.25)
     assert main(["--model", str(output), "--output", str(tmp_path / "no.onnx"), *results]) == 1
     assert "is of another network than the one to calibrate" in capsys.readouterr().err
     assert main(["--model", str(plain), "--output", str(tmp_path / "no.onnx"), *results[:2], *pressed]) == 1

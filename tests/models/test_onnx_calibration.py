@@ -20,7 +20,7 @@ from models.posterior import ContactPosterior
 from physics.mechanics import Bounds
 
 METADATA = {"input": {"window": 1, "height": 24, "width": 40}}
-WHOLE = Widths((1.0, 2.0, 0.5), (1.0, 0.8, 0.5), (0.0, 0.2, 0.1))
+WHOLE = Widths((1.0, 2.0, 0.5), (1.0, 0.8, 0.5), (0.0, 0.2, 0.1), (0.0, 0.3, -0.2))
 BOUNDS = Bounds((0.05, 1.0), (0.005, 0.5), (-0.3, -0.01), (0.4, 0.08, -0.1))
 
 
@@ -63,8 +63,12 @@ def test_standard_deviations_are_widened_by_what_was_seen(plain: Path, tmp_path:
     np.testing.assert_array_equal(found, mean)
     np.testing.assert_array_equal(bound, expected)
     noise = np.exp(contact[:, 8] + contact[:, 9])[:, None]
+    damping = np.exp(mean[:, 1:2] - 0.5 * mean[:, :1])
     whole_sd, pressed_sd = (
-        np.array(each.scale) * deviations(own) ** np.array(each.power) * noise ** np.array(each.noise)
+        np.array(each.scale)
+        * deviations(own) ** np.array(each.power)
+        * noise ** np.array(each.noise)
+        * damping ** np.array(each.damping)
         for each in (WHOLE, pressed)
     )
     np.testing.assert_allclose(deviations(covariance), np.where(still, pressed_sd, whole_sd), rtol=1e-4)

@@ -20,7 +20,8 @@ FREEDOM = 5.0
 ROUND = 128
 """Points of a round; a power of two, as Sobol points want."""
 ENOUGH = 150.0
-"""Effective draws after which no further round is made: a mean is then within a twelfth of a standard deviation."""
+"""Effective draws after which, usually, no further round is made: a mean is then within a twelfth of a standard
+deviation."""
 ROUNDS = (2, 8)
 """Fewest and most rounds: the first one's mixture is a guess."""
 WIDER = 1.2
@@ -121,6 +122,7 @@ def sample_posterior(
     start: Mixture,
     known: tuple[np.ndarray, tuple[np.ndarray, np.ndarray]],
     count: int = ROUND,
+    enough: float = ENOUGH,
 ) -> Draws:
     """Weighted draws from a likelihood times a uniform prior; the caller judges whether enough of them count.
 
@@ -130,6 +132,8 @@ def sample_posterior(
         start: where the first points are drawn: around the modes.
         known: evenly spread points of the box, or none, [U, D] whose log-likelihoods ([U, H], [U, H]) are known
             already: modes that `start` has missed.
+        count: draws of a round, a power of two.
+        enough: effective draws after which no further round is made.
     """
     from scipy.stats.qmc import Sobol  # takes seconds to load
 
@@ -145,7 +149,7 @@ def sample_posterior(
         values, evidences = (np.concatenate(pair) for pair in zip((values, evidences), more, strict=True))
         draws = _weigh(points, values, evidences, uniform, mixtures, count)
         rounds = len(mixtures)
-        if rounds >= ROUNDS[1] or (rounds >= ROUNDS[0] and draws.effective >= ENOUGH):
+        if rounds >= ROUNDS[1] or (rounds >= ROUNDS[0] and draws.effective >= enough):
             return draws
         mixtures.append(mixtures[-1].moved(draws.points, _flattened(draws.weights)))
 

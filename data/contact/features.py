@@ -100,7 +100,8 @@ def join_features(
 
 def contact_spacing(mesh: Mesh, vertex: int) -> float:
     """Mean length of the springs at a vertex [scene units]."""
-    ends = mesh.springs[(mesh.springs == vertex).any(axis=1)]
+    begin, end = mesh.springs.T
+    ends = mesh.springs[(begin == vertex) | (end == vertex)]
     return float(np.linalg.norm(mesh.vertices[ends[:, 1]] - mesh.vertices[ends[:, 0]], axis=1).mean())
 
 
@@ -126,8 +127,8 @@ def contact_surroundings(contact: Interaction) -> Surroundings:
 
 
 def _steps_to_rim(number: np.ndarray, rim: np.ndarray, centre: np.ndarray, offset: np.ndarray) -> int:
-    for step in range(1, FARTHEST_RIM):
-        vertex = number[tuple(centre + step * offset)]
-        if vertex < 0 or rim[vertex]:
-            return step
-    return FARTHEST_RIM
+    places = centre + np.arange(1, FARTHEST_RIM)[:, None] * offset
+    # Around the grid there are no vertices.
+    vertices = number[tuple(np.clip(places, 0, np.array(number.shape) - 1).T)]
+    ends = np.flatnonzero((vertices < 0) | rim[vertices])
+    return int(ends[0]) + 1 if len(ends) else FARTHEST_RIM

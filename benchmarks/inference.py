@@ -1,10 +1,11 @@
-"""Where the time of inference goes, a frame: the networks alone, and every stage of `infer.py`.
+"""Where the time of inference goes: the networks alone, one contact, and every stage of `infer.py` a frame.
 
     python -m benchmarks.inference
 
 The networks are exported with random weights, which cost what trained ones do. Bini 2026, section 4.3, has 1.67 ms for
 encoder and head and 921 ms for the depth network, on a GPU; here all runs on the CPU. The clip is synthetic, as frames
-with stored depth and annotated masks, and as a video without either (photometric depth, automatic masks).
+with stored depth and annotated masks, and as a video without either (photometric depth, automatic masks). A contact is
+one call of the network that ships, with what it is told and how well the simulator explains the motion, on one thread.
 """
 
 from __future__ import annotations
@@ -27,6 +28,14 @@ import torch
 from benchmarks.shared import command_line, machine, print_table, timed
 from data.contact.features import FEATURES
 from data.synthetic.__main__ import main as make_clips
+from data.synthetic.clip import draw_truth, synthetic_clip
+from data.synthetic.source import open_synthetic
+from estimators.contract import ClipInfo
+from estimators.network.estimator import NetworkEstimator
+from estimators.onset import ONSETS
+from estimators.open import EstimatorOptions, open_estimator
+from evaluation.recovery.evaluate import PREPARE, observed_contacts
+from evaluation.recovery.suites import GRID_SIZE, SUITES, suite_clip_seed
 from infer import main as infer
 from models.generator import Generator
 from models.onnx_export import export
@@ -43,6 +52,10 @@ NETWORKS: dict[str, dict[str, Any]] = {
 }
 """What differs from the generator's defaults."""
 ESTIMATORS = ("network", "direct")
+CONTACTS = 9
+"""Contacts that are timed, a third of them in each regime."""
+SIZES = (GRID_SIZE, (854, 480))
+"""Width and height of their pictures [px]."""
 
 
 def exported(name: str) -> Path:
@@ -64,6 +77,28 @@ def encoder_and_head(name: str, threads: int | None) -> float:
         return float(np.median([timed(model, contact, window)[1] for _ in range(RUNS)]))
     assert isinstance(model, ParameterModel)
     return float(np.median([timed(model, window)[1] for _ in range(RUNS)]))
+
+
+def one_contact(size: tuple[int, int], onset: str) -> tuple[float, float, float]:
+    """Times of a contact seen whole [ms]: median of all, of it the vector and the network, and the longest of all.
+
+    Args:
+        size: width and height of the pictures [px].
+        onset: one of `estimators.onset.ONSETS`.
+    """
+    estimator = open_estimator(EstimatorOptions(onset=onset, threads=1))
+    assert isinstance(estimator, NetworkEstimator)
+    found = []
+    for index in range(CONTACTS):
+        scene, motion = draw_truth(SUITES["clean"].settings(index, size), suite_clip_seed("validation", 0, index))
+        clip = open_synthetic(synthetic_clip(scene, motion, index), PREPARE)
+        frames, info = list(clip), ClipInfo.of(clip)
+        contact = estimator.told(observed_contacts(frames, info)[motion.onset_frame])
+        sessions = [estimator.start(info) for _ in range(RUNS)]
+        whole = np.median([timed(session.estimate, contact, None)[1] for session in sessions])
+        found.append((whole, 1e3 * np.median([session.seconds["network"] for session in sessions])))
+    median = np.median(found, axis=0)
+    return float(median[0]), float(median[1]), float(np.max(found, axis=0)[0])
 
 
 def stages(clip: Path, source: str, estimator: str) -> dict[str, float]:
@@ -90,6 +125,13 @@ def main(arguments: list[str] | None = None) -> int:
     print(f"Encoder and head, {SIZE[1]}x{SIZE[0]}, {title}\n")
     rows = ([name, *(f"{encoder_and_head(name, threads):.1f}" for threads in (1, None))] for name in NETWORKS)
     print_table(("configuration", "1 thread", "all threads"), rows)
+    print("\nOne contact by the network that ships, 1 thread [ms]\n")
+    told = ("pictures", "--onset", "median", "of it vector and network", "longest")
+    measured = ((size, onset, one_contact(size, onset)) for size in SIZES for onset in ONSETS)
+    print_table(
+        told, (("x".join(map(str, size)), onset, *(f"{t:.1f}" for t in times)) for size, onset, times in measured)
+    )
+    print()
     make_clips(["--output", str(FOLDER / "clips"), "--clips", "1", "--frames", str(FRAMES), "--seed", "1"])
     folder = next(path.parent for path in (FOLDER / "clips").rglob("clip.json"))
     found = {

@@ -29,11 +29,16 @@ from rich.progress import track
 from torch import Tensor
 
 from benchmarks.shared import command_line, machine, print_table, timed
+from data.contact.film import smooth_errors
+from data.contact.patches import Patches
 from physics.load import Press, held
 from physics.mechanics import Mechanics
 from physics.mesh import Mesh, contact_normal, grid_mesh, nearest_vertex
 from physics.msd import MeshBatch, PressBatch, rollout, rollout_field, rollout_sensitivities
+from physics.msd.batch import DepthBatch, ObservationBatch
+from physics.msd.likelihoods import linearise, linearise_depth
 from physics.msd.simulation import simulate_sensitivities
+from physics.observation import Observation
 
 PICTURE = Path("runs/bench/rollout.png")
 GRID = (120, 214)
@@ -52,8 +57,8 @@ ALLOWED = {"trajectory": 1e-3, "gradient": 1e-2}
 """Largest difference from the baseline's, relative to the latter's peak: single precision over 200 steps."""
 PATCH, PATCH_ROUNDS = 5, 51
 """Radius of the pressed patch [grid px], and times that it is timed."""
-DENT, FRAME = 9, 8
-"""A whole dent reaches so far from the contact [grid px] and is seen every so many steps, 25 times a second."""
+FRAME = 8
+"""Steps from one observation to the next, 25 times a second."""
 
 
 def pressed_sheet(scale: float, phase: float) -> tuple[Mesh, Press]:
@@ -247,31 +252,41 @@ def patch_ratio() -> tuple[float, float]:
     return vertex, patch
 
 
-def likelihood(task: Task, watch: Tensor) -> Tensor:
-    """Misfit of watched vertices seen 25 times and its gradient by φ, in the checked window, shape [B, 4]."""
-    path, slopes = rollout_sensitivities(task.theta, task.mesh, task.load, Mechanics(window_error=1e-4), watch=watch)
-    seen = slice(FRAME - 1, None, FRAME)
-    residual, jacobian = path[:, seen], slopes[:, seen] * task.theta[:, None, None, None]
-    misfit = 0.5 * residual.square().sum((1, 2, 3))
-    return torch.cat([misfit[:, None], torch.einsum("btmcp,btmc->bp", jacobian, residual)], dim=1)
+def likelihood(theta: Tensor, mesh: MeshBatch, load: PressBatch, seen: ObservationBatch | DepthBatch) -> None:
+    """What training asks of a contact's point or of its whole dent: misfit, gradient and information by φ."""
+    mechanics, noise = Mechanics(window_error=1e-4), torch.full((len(theta),), 1e-3)
+    if isinstance(seen, DepthBatch):
+        linearise_depth(*rollout_sensitivities(theta, mesh, load, mechanics, watch=seen.vertices), theta, seen)
+    else:
+        linearise(*rollout_sensitivities(theta, mesh, load, mechanics), theta, seen, noise)
 
 
 def dent_ratio() -> tuple[float, float, float]:
     """Times of a batch of 2's likelihood and gradient, of contacts and of whole dents [ms], and the latter's memory.
 
-    In ms and MB; medians of turns, one thread.
+    In ms and MB; medians of turns, one thread; both are seen 25 times, without any noise.
     """
     torch.set_num_threads(1)
-    task = make_task(2, 1)
-    around = []
-    for index in range(2):
-        mesh, press = pressed_sheet(1, float(index))
-        apart = np.abs(mesh.pixels - mesh.pixels[press.vertex]).max(axis=1)
-        around.append(np.flatnonzero(apart <= DENT))
-    watches = task.load.vertices[:, None], torch.from_numpy(np.stack(around))
-    turns = [[timed(likelihood, task, watch)[1] for watch in watches] for _ in range(PATCH_ROUNDS)]
-    contact, dent = np.median(turns[1:], axis=0).tolist()
-    return contact, dent, memory_above(likelihood, task, watches[1])
+    sheets = [pressed_sheet(1, float(index)) for index in range(2)]
+    steps = np.arange(FRAME, 201, FRAME)
+    at_rest = Observation.of_point(0, steps * Mechanics().time_step, np.zeros((len(steps), 3)), 1e-3)
+    views = [Patches(mesh, press.vertex, GRID[::-1]) for mesh, press in sheets]
+    still = torch.zeros(2, len(steps), len(views[0].weights))
+    dent = DepthBatch(
+        views=views,
+        vertices=torch.from_numpy(np.stack([view.vertices for view in views])),
+        steps=torch.from_numpy(steps - 1).expand(2, -1),
+        change=still,
+        weight=torch.ones_like(still),
+        noise=torch.full((2,), 1e-3),
+        common=torch.from_numpy(smooth_errors(1.0)).float(),
+    )
+    batch = MeshBatch.from_meshes([mesh for mesh, _ in sheets]), PressBatch.of([press for _, press in sheets])
+    task = torch.tensor([[0.5, 0.09, -0.1]] * 2), *batch
+    seen = ObservationBatch.of([at_rest] * 2, Mechanics().time_step), dent
+    turns = [[timed(likelihood, *task, each)[1] for each in seen] for _ in range(PATCH_ROUNDS)]
+    contact, whole = np.median(turns[1:], axis=0).tolist()
+    return contact, whole, memory_above(likelihood, *task, dent)
 
 
 def plot(rows: list[dict[str, Any]], title: str) -> Figure:

@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from benchmarks import inference
-from benchmarks.inference import NETWORKS, encoder_and_head, exported, stages
+from benchmarks.inference import NETWORKS, encoder_and_head, exported, one_contact, stages
 from data.synthetic.clip import write_clip
 from data.synthetic.settings import SceneSettings
 from models.onnx_session import open_model
@@ -28,6 +28,12 @@ def test_networks_are_as_large_as_configured(name: str) -> None:
     assert open_model(exported(name)).window == configured["data"].get("samples", {}).get("window", 1)
     assert configured["model"]["width"] == 64
     assert 0.1 < encoder_and_head(name, 1) < 10_000
+
+
+def test_a_contact_is_timed_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(inference, "CONTACTS", 1)
+    median, network, longest = one_contact((214, 120), "stamp")
+    assert 0 < network < median == longest
 
 
 def test_stages_are_those_of_the_record(tmp_path: Path) -> None:

@@ -16,7 +16,8 @@ from models.posterior import ContactPosterior
 from physics.mechanics import Bounds, Mechanics
 
 FIXED = (
-    *("window", "width", "residual_blocks", "decoder", "head", "bounds.stiffness", "bounds.damping", "bounds.force"),
+    *("window", "width", "residual_blocks", "decoder", "head", "picture"),
+    *("bounds.stiffness", "bounds.damping", "bounds.force"),
     *(f"mechanics.{field.name}" for field in fields(Mechanics)),
 )
 """Model settings that a trained network can't change any more: its shape, and what its θ means."""
@@ -29,7 +30,7 @@ EXPORTED = "network."
 """Before a weight's name in an exported posterior."""
 EXPECTED_BOUND = ".expected_bound."
 """In the names of weights by which verdicts are given."""
-SINCE = {"head": "parameters"}
+SINCE = {"head": "parameters", "picture": True}
 """What settings were that checkpoints of earlier versions don't name."""
 
 

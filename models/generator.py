@@ -149,6 +149,7 @@ class Generator(nn.Module):
         head: parameters (paper): θ from the window alone; posterior: a Gaussian over log θ from the contact's vector
             and the window; see `models.contact_head.ContactHead`.
         contact_features: length of the contact's vector; head posterior needs it.
+        picture: whether head posterior looks at the encoder's features.
     """
 
     def __init__(
@@ -160,11 +161,14 @@ class Generator(nn.Module):
         decoder: Literal["direct", "residual", "physics"] = "direct",
         head: Literal["parameters", "posterior"] = "parameters",
         contact_features: int = 0,
+        picture: bool = True,
     ) -> None:
         super().__init__()
         for name, value, choices in (("decoder", decoder, DECODERS), ("head", head, HEADS)):
             if value not in choices:
                 raise ValueError(f"{name} is {value!r}; choose {' or '.join(choices)}.")
+        if not picture and head != "posterior":
+            raise ValueError(f"picture is false and head {head}, which sees nothing else; choose head posterior.")
         if channels < 1 or width < 1 or residual_blocks < 0:
             raise ValueError(
                 f"channels is {channels}, width {width} and residual_blocks {residual_blocks}; "
@@ -184,7 +188,7 @@ class Generator(nn.Module):
         bounds = bounds or Bounds()
         self.head: ParameterHead | ContactHead
         if head == "posterior":
-            self.head = ContactHead(4 * width, bounds, contact_features)
+            self.head = ContactHead(4 * width, bounds, contact_features, picture)
         else:
             self.head = ParameterHead(4 * width, bounds)
         self.decoder = Decoder(width, residual_blocks, decoder)

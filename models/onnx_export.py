@@ -130,7 +130,8 @@ def export(
     if isinstance(network, Generator) and isinstance(network.head, ParameterHead):
         exported = _Parameters(network)
     else:
-        exported = _Posterior(network)
+        blind = isinstance(network, Generator) and network.posterior.picture is None
+        exported = _Posterior(network.posterior if blind else network)
         document |= {"head": POSTERIOR, "calibration": asdict(Calibration())}
     exported.cpu().eval()
     window = tuple(metadata["input"][name] for name in ("window", "height", "width"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 
+import numpy as np
 import pytest
 import torch
 from lightning.pytorch import Trainer
@@ -184,7 +185,7 @@ def test_hyperparameters_are_plain_values():
     hparams = dict(build(weights=LossWeights(physics=3.0)).hparams)
     assert hparams["weights"]["physics"] == 3.0
     assert hparams["bounds"]["force"] == (-0.3, 0.0)
-    assert {type(value) for value in hparams.values()} <= {int, float, str, dict, list}
+    assert {type(value) for value in hparams.values()} <= {bool, int, float, str, dict, list}
 
 
 def test_impossible_learning_rate_is_refused():
@@ -310,6 +311,16 @@ def test_the_bound_is_about_what_was_seen_until_the_frame(make_told_batch):
     assert not torch.equal(build(**POSTERIOR).generator_losses(batch)[0].physics, expected)
 
 
+class OnePixel:
+    """What a camera sees that looks along a direction [1, 3] at one vertex."""
+
+    def __init__(self, along: np.ndarray) -> None:
+        self.along, self.vertices = along, np.zeros(1, np.int64)
+
+    def seen(self, moved: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return np.einsum("nvc,vc->nv", moved, self.along), np.einsum("nvcd,vc->nvd", slopes, self.along)
+
+
 def test_with_a_film_the_bound_is_about_the_dent(make_told_batch):
     """Told as a dent of one pixel, the point gives nearly the same."""
     batch = make_told_batch()
@@ -317,8 +328,8 @@ def test_with_a_film_the_bound_is_about_the_dent(make_told_batch):
     along = batch["load_a"].direction[:, None]
     point = ObservationBatch(seen.steps, seen.displacement * 0 + 0.01 * along, seen.weight)
     dent = DepthBatch(
+        views=[OnePixel(direction) for direction in along.double().numpy()],
         vertices=batch["load_a"].vertices[:, None],
-        along=along,
         steps=seen.steps,
         change=torch.full((2, 2, 1), 0.01),
         weight=seen.weight[..., None],

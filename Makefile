@@ -2,6 +2,7 @@
 # make test  — lint and all tests; make test-fast leaves the slow ones out
 # make bench — what is timed, against what (see benchmarks/)
 # make model — trains, calibrates and exports the contact posterior that comes along (docs/identifiability.md)
+# make gan   — the same of the recommended system, which starts from that posterior
 PYTHON ?= python3
 BIN := .venv/bin
 DEMO := runs/demo
@@ -9,7 +10,7 @@ BEST := --ckpt_path $(DEMO)/training/checkpoints/best.ckpt
 VIDEO := $(DEMO)/clips/video04/video04_00000
 INSTALLED := .venv/.installed
 
-.PHONY: demo test test-fast lint bench model clean
+.PHONY: demo test test-fast lint bench model gan clean
 
 $(INSTALLED): pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
@@ -53,21 +54,39 @@ bench: $(INSTALLED)
 	$(BIN)/python -m benchmarks.training_step
 	$(BIN)/python -m benchmarks.inference
 
-# An interrupted run goes on where it was: a finished training is kept, and so is every validation clip. After a change of
-# the code `rm -r runs/contact` first, or the old training is exported again.
+# Calibrates an exported posterior: $(call calibrated,FOLDER,OUTPUT,CLIPS,of large pictures,under the tool,of unknown instants).
+# Results of finished clips are kept. After a change of the code `rm -r` the folder first, or the old training is used again.
+define calibrated
+	$(call validate,$(1)) --suite clean 8bit noisy --clips $(3) --output $(1)/validation
+	$(call validate,$(1)) --suite clean noisy --clips $(4) --size 854x480 --output $(1)/fine
+	$(call validate,$(1)) --suite clean 8bit noisy --clips $(5) --seen press --output $(1)/pressed
+	$(call validate,$(1)) --suite late-onset --clips $(6) --onset between --output $(1)/between
+	$(BIN)/python -m evaluation.calibration --model $(1)/uncalibrated.onnx --output $(2) \
+		--validation $(1)/validation $(1)/fine --pressed $(1)/pressed --between $(1)/between
+endef
+validate = $(BIN)/python -m evaluation.benchmark --estimator network --split validation --model $(1)/uncalibrated.onnx
+
 MODEL := runs/contact
-VALIDATE := $(BIN)/python -m evaluation.benchmark --estimator network --split validation --model $(MODEL)/uncalibrated.onnx
 model: $(INSTALLED) $(MODEL)/posterior.pt
 	$(BIN)/python -m evaluation.calibration --weights $(MODEL)/posterior.pt --output $(MODEL)/uncalibrated.onnx
-	$(VALIDATE) --suite clean 8bit noisy --clips 140 --output $(MODEL)/validation
-	$(VALIDATE) --suite clean noisy --clips 40 --size 854x480 --output $(MODEL)/fine
-	$(VALIDATE) --suite clean 8bit noisy --clips 100 --seen press --output $(MODEL)/pressed
-	$(VALIDATE) --suite late-onset --clips 110 --onset between --output $(MODEL)/between
-	$(BIN)/python -m evaluation.calibration --model $(MODEL)/uncalibrated.onnx --output models/weights/contact.onnx \
-		--validation $(MODEL)/validation $(MODEL)/fine --pressed $(MODEL)/pressed --between $(MODEL)/between
+	$(call calibrated,$(MODEL),models/weights/contact.onnx,200,60,100,160)
 
 $(MODEL)/posterior.pt: | $(INSTALLED)
 	$(BIN)/python -m estimators.network.training --output $(MODEL)
+
+# The recommended system on pictures of two sizes with three kinds of noise, its networks an eighth as wide as the paper's.
+GAN := runs/gan
+TRAIN := $(BIN)/python train.py fit -c configs/recommended.yaml --data.root $(GAN)/clips --data.cache $(GAN)/cache \
+	--trainer.default_root_dir $(GAN)/training --model.width 8 --model.residual_blocks 2 --trainer.max_epochs 2
+DRAW := $(BIN)/python -m data.synthetic --output $(GAN)/clips
+gan: $(INSTALLED)
+	$(DRAW) --seed 21 --clips 30 --size small
+	$(DRAW) --seed 22 --clips 30 --first 31 --size small --depth-noise 0.004
+	$(DRAW) --seed 23 --clips 20 --first 61 --size small --depth-bits 8
+	$(DRAW) --seed 24 --clips 20 --first 81 --depth-noise 0.002
+	$(TRAIN) --ckpt_path last
+	$(subst fit,export,$(TRAIN)) --ckpt_path best --output $(GAN)/uncalibrated.onnx
+	$(call calibrated,$(GAN),models/weights/gan.onnx,60,20,40,110)
 
 clean:
 	rm -rf .venv runs build *.egg-info

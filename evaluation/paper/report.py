@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
@@ -11,10 +9,9 @@ from pathlib import Path
 
 import pandas as pd
 import torch
-from markdown_it import MarkdownIt
-from matplotlib.figure import Figure
 
 from data.contact.interaction import Interaction
+from evaluation.page import as_png, render_page
 from evaluation.paper.analysis import Evaluation, EvaluationError, Record, analyse
 from evaluation.paper.collapse import as_told
 from evaluation.paper.figures import draw_response, draw_theta
@@ -58,14 +55,6 @@ UNITS = {
     "time": "s",
 }
 TITLE = "Evaluation of the estimated tissue parameters"
-STYLE = """
-body { max-width: 1080px; margin: 0 auto; padding: 24px; color: #1d2939; font: 15px/1.5 "DejaVu Sans", sans-serif; }
-blockquote { border-left: 4px solid #1d4e89; margin: 20px 0; padding: 2px 18px; font-size: 17px; }
-img { width: 100%; border: 1px solid #e4e7ec; }
-table { display: block; overflow-x: auto; border-collapse: collapse; font-size: 13.5px; }
-th, td { text-align: left; padding: 6px 12px; border-bottom: 1px solid #e4e7ec; vertical-align: top; }
-em, table + ul { color: #667085; font-size: 13.5px; font-style: normal; }
-"""
 
 
 def write_evaluation(
@@ -94,8 +83,8 @@ def write_evaluation(
     made = datetime.now(UTC).replace(microsecond=0)
     tables = reading_tables(found, len(training))
     figures = {
-        "figure3.png": _png(draw_response(found.trajectories, found.frames["release_s"].to_numpy(), mechanics)),
-        "theta.png": _png(draw_theta(found.frames, found.spread, as_told(found.constant, bounds))),
+        "figure3.png": as_png(draw_response(found.trajectories, found.frames["release_s"].to_numpy(), mechanics)),
+        "theta.png": as_png(draw_theta(found.frames, found.spread, as_told(found.constant, bounds))),
     }
     told = f"> {found.conclusion}\n\n" + "".join(f"- {sentence}\n" for sentence in found.sentences)
     texts = {
@@ -105,7 +94,7 @@ def write_evaluation(
         "collapse.csv": found.spread.to_csv(index_label="parameter"),
         "settling.csv": found.settling.to_csv(index=False),
         "per_frame.csv": found.frames.to_csv(index=False),
-        "report.html": render_page(page_text(told, tables, mechanics, bounds, made), figures),
+        "report.html": render_page(TITLE, page_text(told, tables, mechanics, bounds, made), figures),
         "evaluation.json": evaluation_json(found, mechanics, bounds, made),
     }
     try:
@@ -119,12 +108,6 @@ def write_evaluation(
             f"{output}: the evaluation can't be written ({error.strerror}); choose a folder that is "
             "writable and has space."
         ) from error
-
-
-def _png(figure: Figure) -> bytes:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png")
-    return buffer.getvalue()
 
 
 def _table(title: str, table: pd.DataFrame, *notes: str) -> str:
@@ -200,18 +183,6 @@ def statistics_table(found: Evaluation) -> pd.DataFrame:
             for regime, baseline, statistics in regimes
             for quantity, statistic in statistics.items()
         ]
-    )
-
-
-def render_page(text: str, figures: Mapping[str, bytes]) -> str:
-    """Markdown as one self-contained HTML page: figures embedded, nothing loaded from anywhere."""
-    body = MarkdownIt("commonmark", {"html": False}).enable("table").render(text)
-    for name, png in figures.items():
-        body = body.replace(f'src="{name}"', f'src="data:image/png;base64,{base64.b64encode(png).decode()}"')
-    return (
-        "<!DOCTYPE html>\n<html lang='en'><head><meta charset='utf-8'>"
-        "<meta name='viewport' content='width=device-width, initial-scale=1'>"
-        f"<title>{TITLE}</title><style>{STYLE}</style></head>\n<body>\n{body}</body></html>\n"
     )
 
 

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from evaluation.page import render_page
 from evaluation.paper.analysis import EvaluationError
-from evaluation.paper.report import COMPARISONS, ERRORS, render_page, write_evaluation
+from evaluation.paper.report import COMPARISONS, ERRORS, write_evaluation
 from tests.evaluation.simple_contacts import BOUNDS, MECHANICS, contact, record
 
 SOFT, HARD = np.array([0.2, 0.02, -0.05]), np.array([1.5, 0.15, -0.2])
@@ -176,12 +177,12 @@ def test_page_is_self_contained_and_says_how_it_was_made(written):
 
 
 def test_text_of_the_page_is_escaped():
-    assert "<script>" not in render_page("a <script> & b", {}).split("<body>")[1]
+    assert "<script>" not in render_page("title", "a <script> & b", {}).split("<body>")[1]
 
 
 @pytest.fixture
 def undrawn(monkeypatch):
-    monkeypatch.setattr("evaluation.paper.report._png", lambda figure: b"")
+    monkeypatch.setattr("evaluation.paper.report.as_png", lambda figure: b"")
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -6,6 +6,7 @@ load             how a tool acts on a mesh: Press or Grip
 observation      what was seen of followed points
 likelihood       how well a θ explains an observation, and its derivatives
 identifiability  what a motion can tell about θ: information, bounds, verdict
+sheet            a gripped sheet at rest: the quasi-static limit
 msd              mass–spring–damper sheets, with a numpy door and a torch door
 jit              compiled loops; lazy: package faces; provenance: digest of the code
 files            whole files or none, and reading that ends; fields: values of settings; doors: how programs end

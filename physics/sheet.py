@@ -1,0 +1,101 @@
+"""A gripped sheet at rest: where springs and a foundation hold tissue whose grip is moved slowly.
+
+The quasi-static limit of Bini 2026, equation 9, for a sheet under tension: K u = 0 away from the grip, with K the graph
+Laplacian of the springs' stiffness plus the foundation's. Tension makes the force of a spring k·(u_j - u_i), along
+whatever axis: every axis is alone, and a picture's plane does. Only ratios of stiffness and foundation count for u.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_array, csr_array
+from scipy.sparse.linalg import SuperLU, splu
+
+
+@dataclass(frozen=True, eq=False)
+class Equilibrium:
+    """A sheet at rest under a grip; N nodes, S springs, G gripped nodes, A axes."""
+
+    displacement: np.ndarray
+    """From where nothing is pulled, shape [N, A], in the unit of the grip's motion."""
+    springs: np.ndarray
+    """Node indices, shape [S, 2]."""
+    matrix: csr_array
+    """K, shape [N, N] [unit of stiffness]."""
+    gripped: np.ndarray
+    """Shape [N], bool."""
+    factors: SuperLU
+    """Of the rows and columns of K that are free."""
+
+    @property
+    def reaction(self) -> np.ndarray:
+        """Force on every gripped node that holds it there, shape [G, A] [unit of stiffness × unit of motion]."""
+        return (self.matrix @ self.displacement)[self.gripped]
+
+    def gradient(self, by_displacement: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives of a scalar by every spring's stiffness [S] and every node's foundation [N], by the adjoint.
+
+        Args:
+            by_displacement: its derivatives by the displacement, shape [N, A]; those of gripped nodes don't count.
+        """
+        adjoint = np.zeros_like(self.displacement)
+        adjoint[~self.gripped] = self.factors.solve(by_displacement[~self.gripped])
+        stretch, pull = (
+            values[self.springs[:, 0]] - values[self.springs[:, 1]] for values in (self.displacement, adjoint)
+        )
+        return -(stretch * pull).sum(axis=1), -(adjoint * self.displacement).sum(axis=1)
+
+    def slopes(self, stiffness: np.ndarray, anchor: np.ndarray) -> np.ndarray:
+        """Derivatives of the displacement by parameters, shape [N, A, P].
+
+        Args:
+            stiffness: derivatives of the springs' stiffness by them, shape [S, P].
+            anchor: of the nodes' foundation, shape [N, P].
+        """
+        nodes, axes = self.displacement.shape
+        one, two = self.springs.T
+        found = np.zeros((nodes, axes, anchor.shape[1]))
+        for axis in range(axes):
+            moved = self.displacement[:, axis]
+            force = stiffness * (moved[one] - moved[two])[:, None]
+            load = anchor * moved[:, None]
+            np.add.at(load, one, force)
+            np.subtract.at(load, two, force)
+            found[~self.gripped, axis] = -self.factors.solve(load[~self.gripped])
+        return found
+
+
+def equilibrium(
+    springs: np.ndarray, stiffness: np.ndarray, anchor: np.ndarray, gripped: np.ndarray, motion: np.ndarray
+) -> Equilibrium:
+    """Where a sheet comes to rest when some of its nodes are held at a displacement.
+
+    Args:
+        springs: node indices, shape [S, 2].
+        stiffness: of every spring, shape [S], positive.
+        anchor: stiffness of every node's foundation, shape [N], positive.
+        gripped: which nodes are held, shape [N], bool; some but not all.
+        motion: their displacement, shape [G, A], finite.
+
+    Raises:
+        ValueError: nothing is gripped or everything; stiffness that is not positive; motion that is not finite.
+    """
+    count = len(anchor)
+    if not gripped.any() or gripped.all():
+        raise ValueError(f"{int(gripped.sum())} of {count} nodes are gripped; hold some of them and leave some free.")
+    if not ((stiffness > 0).all() and (anchor > 0).all()):
+        raise ValueError("a stiffness is not positive; without any a node has no place.")
+    if not np.isfinite(motion).all():
+        raise ValueError("motion of the grip holds a number that is not finite.")
+    one, two = springs.T
+    ties = coo_array((np.tile(stiffness, 2), (np.r_[one, two], np.r_[two, one])), (count, count)).tocsr()
+    diagonal = ties.sum(axis=1) + anchor
+    matrix = (coo_array((diagonal, (np.arange(count), np.arange(count))), (count, count)) - ties).tocsr()
+    displacement = np.zeros((count, motion.shape[1]))
+    displacement[gripped] = motion
+    free = matrix[~gripped]
+    factors = splu(free[:, ~gripped].tocsc())
+    displacement[~gripped] = factors.solve(-(free[:, gripped] @ np.asarray(motion, np.float64)))
+    return Equilibrium(displacement, springs, matrix, gripped, factors)

@@ -1,0 +1,190 @@
+"""The gripped sheet at rest against closed forms, a dense solve and finite differences."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from physics.sheet import Equilibrium, equilibrium
+
+NODES, LINKS, AXES = 12, 25, 2
+STEP = 1e-6
+
+
+def chain(count: int) -> np.ndarray:
+    return np.column_stack([np.arange(count - 1), np.arange(1, count)])
+
+
+def ends(count: int) -> np.ndarray:
+    held = np.zeros(count, bool)
+    held[[0, -1]] = True
+    return held
+
+
+def tangle(seed: int = 0) -> tuple[np.ndarray, ...]:
+    """A connected net of random springs of random stiffness, three of its nodes held."""
+    generator = np.random.default_rng(seed)
+    others = np.array([generator.choice(NODES, 2, replace=False) for _ in range(LINKS - NODES + 1)])
+    springs = np.concatenate([chain(NODES), others])
+    gripped = np.zeros(NODES, bool)
+    gripped[[1, 6, 7]] = True
+    stiffness, anchor = generator.uniform(0.2, 3, LINKS), generator.uniform(0.05, 1, NODES)
+    return springs, stiffness, anchor, gripped, generator.normal(size=(3, AXES))
+
+
+def dense(springs: np.ndarray, stiffness: np.ndarray, anchor: np.ndarray) -> np.ndarray:
+    """K, one spring after the other."""
+    matrix = np.diag(anchor)
+    for (one, two), strength in zip(springs, stiffness, strict=True):
+        matrix[[one, two], [one, two]] += strength
+        matrix[[one, two], [two, one]] -= strength
+    return matrix
+
+
+def differences(of: Callable[[np.ndarray], np.ndarray | float], at: np.ndarray) -> np.ndarray:
+    """Central differences by every element of a vector, the last axis its."""
+    return np.stack([(of(at + row) - of(at - row)) / (2 * STEP) for row in STEP * np.eye(len(at))], axis=-1)
+
+
+def test_a_chain_stretches_evenly() -> None:
+    found = equilibrium(chain(9), np.full(8, 2.5), np.full(9, 1e-12), ends(9), np.array([[1.0, -2.0], [5.0, 0.0]]))
+    np.testing.assert_allclose(found.displacement, np.linspace([1.0, -2.0], [5.0, 0.0], 9), atol=1e-9)
+    np.testing.assert_allclose(found.reaction, 2.5 * np.array([[-0.5, -0.25], [0.5, 0.25]]), atol=1e-9)
+
+
+def test_springs_in_series_share_the_stretch_by_their_softness() -> None:
+    stiffness = np.array([1.0, 2.0, 4.0, 4.0])
+    found = equilibrium(chain(5), stiffness, np.full(5, 1e-12), ends(5), np.array([[0.0], [1.0]]))
+    np.testing.assert_allclose(found.displacement[:, 0], np.array([0, 4, 6, 7, 8]) / 8, atol=1e-9)
+
+
+def test_on_a_foundation_a_chain_is_a_hyperbolic_sine() -> None:
+    """2·cosh(q) = 2 + anchor / stiffness solves the difference equation exactly."""
+    count, stiffness, anchor = 15, 0.7, 0.05
+    found = equilibrium(
+        chain(count), np.full(count - 1, stiffness), np.full(count, anchor), ends(count), np.array([[0.0], [3.0]])
+    )
+    q = np.arccosh(1 + anchor / stiffness / 2)
+    expected = 3 * np.sinh(q * np.arange(count)) / np.sinh(q * (count - 1))
+    np.testing.assert_allclose(found.displacement[:, 0], expected, rtol=1e-12, atol=1e-12)
+
+
+def test_a_long_chain_decays_geometrically_and_its_grip_carries_the_foundation() -> None:
+    count, stiffness, anchor = 400, 1.0, 0.1
+    gripped = np.arange(count) == 0
+    found = equilibrium(
+        chain(count), np.full(count - 1, stiffness), np.full(count, anchor), gripped, np.array([[1.0, -0.5]])
+    )
+    decay = 1 + anchor / 2 - np.sqrt(anchor + anchor**2 / 4)
+    expected = decay ** np.arange(50)[:, None] * [1.0, -0.5]
+    np.testing.assert_allclose(found.displacement[:50], expected, rtol=1e-9)
+    # The sum of a geometric series.
+    np.testing.assert_allclose(found.reaction, [[anchor / (1 - decay), -0.5 * anchor / (1 - decay)]], rtol=1e-9)
+
+
+def test_a_dense_solve_gives_the_same() -> None:
+    springs, stiffness, anchor, gripped, motion = tangle()
+    found = equilibrium(springs, stiffness, anchor, gripped, motion)
+    matrix = dense(springs, stiffness, anchor)
+    np.testing.assert_allclose(found.matrix.toarray(), matrix, atol=1e-12)
+    free = ~gripped
+    expected = np.zeros((NODES, AXES))
+    expected[gripped] = motion
+    expected[free] = np.linalg.solve(matrix[np.ix_(free, free)], -matrix[np.ix_(free, gripped)] @ motion)
+    np.testing.assert_allclose(found.displacement, expected, rtol=1e-11, atol=1e-13)
+    np.testing.assert_allclose(found.reaction, (matrix @ expected)[gripped], rtol=1e-10)
+
+
+def test_the_grip_holds_what_the_foundation_pulls() -> None:
+    springs, stiffness, anchor, gripped, motion = tangle(1)
+    found = equilibrium(springs, stiffness, anchor, gripped, motion)
+    np.testing.assert_allclose(found.reaction.sum(axis=0), anchor @ found.displacement, rtol=1e-11)
+
+
+def test_only_the_ratio_of_stiffness_and_foundation_counts_for_the_motion() -> None:
+    springs, stiffness, anchor, gripped, motion = tangle(2)
+    one = equilibrium(springs, stiffness, anchor, gripped, motion)
+    other = equilibrium(springs, 7 * stiffness, 7 * anchor, gripped, motion)
+    np.testing.assert_allclose(other.displacement, one.displacement, rtol=1e-11, atol=1e-13)
+    np.testing.assert_allclose(other.reaction, 7 * one.reaction, rtol=1e-10)
+
+
+def test_the_gradient_is_that_of_finite_differences() -> None:
+    springs, stiffness, anchor, gripped, motion = tangle(3)
+    weights = np.random.default_rng(4).normal(size=(NODES, AXES))
+
+    def scalar(found: Equilibrium) -> float:
+        return float((weights * found.displacement**2).sum())
+
+    found = equilibrium(springs, stiffness, anchor, gripped, motion)
+    by_stiffness, by_anchor = found.gradient(2 * weights * found.displacement)
+    np.testing.assert_allclose(
+        by_stiffness,
+        differences(lambda values: scalar(equilibrium(springs, values, anchor, gripped, motion)), stiffness),
+        atol=1e-6,
+    )
+    np.testing.assert_allclose(
+        by_anchor,
+        differences(lambda values: scalar(equilibrium(springs, stiffness, values, gripped, motion)), anchor),
+        atol=1e-6,
+    )
+    assert np.abs(by_stiffness).max() > 0.1
+
+
+def test_derivatives_by_gripped_nodes_do_not_count() -> None:
+    springs, stiffness, anchor, gripped, motion = tangle(5)
+    found = equilibrium(springs, stiffness, anchor, gripped, motion)
+    by_displacement = np.random.default_rng(6).normal(size=(NODES, AXES))
+    first = found.gradient(by_displacement)
+    by_displacement[gripped] = 1e6
+    for one, other in zip(first, found.gradient(by_displacement), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_the_slopes_are_those_of_finite_differences() -> None:
+    """By three numbers of which stiffness and foundation depend, and not alike."""
+    springs, stiffness, anchor, gripped, motion = tangle(7)
+    generator = np.random.default_rng(8)
+    of_stiffness, of_anchor = generator.normal(size=(LINKS, 3)), generator.normal(size=(NODES, 3))
+
+    def moved(numbers: np.ndarray) -> np.ndarray:
+        values = stiffness * np.exp(of_stiffness @ numbers), anchor * np.exp(of_anchor @ numbers)
+        return equilibrium(springs, *values, gripped, motion).displacement
+
+    found = equilibrium(springs, stiffness, anchor, gripped, motion)
+    slopes = found.slopes(of_stiffness * stiffness[:, None], of_anchor * anchor[:, None])
+    np.testing.assert_allclose(slopes, differences(moved, np.zeros(3)), atol=1e-6)
+    np.testing.assert_array_equal(slopes[gripped], 0)
+    assert np.abs(slopes).max() > 0.1
+
+
+def test_gradient_and_slopes_agree() -> None:
+    springs, stiffness, anchor, gripped, motion = tangle(9)
+    found = equilibrium(springs, stiffness, anchor, gripped, motion)
+    weights = np.random.default_rng(10).normal(size=(NODES, AXES))
+    every = np.hstack([np.eye(LINKS), np.zeros((LINKS, NODES))]), np.hstack([np.zeros((NODES, LINKS)), np.eye(NODES)])
+    by_slopes = np.einsum("na,nap->p", weights, found.slopes(*every))
+    np.testing.assert_allclose(np.concatenate(found.gradient(weights)), by_slopes, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize(("held", "told"), [(0, "0 of 5 nodes are gripped"), (5, "5 of 5 nodes are gripped")])
+def test_some_nodes_must_be_held_and_some_free(held: int, told: str) -> None:
+    with pytest.raises(ValueError, match=f"{told}; hold some of them and leave some free"):
+        equilibrium(chain(5), np.ones(4), np.ones(5), np.arange(5) < held, np.ones((held, 2)))
+
+
+@pytest.mark.parametrize("wrong", [0.0, -1.0, np.nan])
+@pytest.mark.parametrize("of", ["stiffness", "anchor"])
+def test_stiffness_is_positive(wrong: float, of: str) -> None:
+    values = {"stiffness": np.ones(4), "anchor": np.ones(5)}
+    values[of][2] = wrong
+    with pytest.raises(ValueError, match="a stiffness is not positive; without any a node has no place"):
+        equilibrium(chain(5), **values, gripped=ends(5), motion=np.ones((2, 2)))
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf])
+def test_the_grip_moves_by_numbers(wrong: float) -> None:
+    with pytest.raises(ValueError, match="motion of the grip holds a number that is not finite"):
+        equilibrium(chain(5), np.ones(4), np.ones(5), ends(5), np.array([[0.0, 1.0], [wrong, 0.0]]))

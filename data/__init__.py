@@ -4,6 +4,7 @@ source     frames of files and folders; how they are named; the camera
 masks      where tool and tissue are; depth: how far away they are
 picture_network  ONNX networks for either: opened, fed and run
 contact    where they touch, how the tissue moves, and the Interaction that the simulator replays
+tracks     hundreds of tissue points followed over a clip
 clip       ClipStream, the one path from pictures to prepared frames; settings: what decides it
 prepared   what a prepared frame holds; labels: what a pixel shows; windows: the network's input
 cache      prepared clips on disk

@@ -1,0 +1,8 @@
+"""Hundreds of tissue points followed over a clip, in pixels of its pictures.
+
+following   a grid of points, from the first picture on; background: the camera's own motion taken off
+"""
+
+from physics.lazy import exported
+
+__getattr__ = exported({"data.tracks.following": ("PointFollower",), "data.tracks.background": ("without_background",)})

@@ -1,0 +1,28 @@
+"""The camera's own motion, and a breathing background's, taken off what tissue does."""
+
+from __future__ import annotations
+
+import numpy as np
+
+FAR = 60.0
+"""Points farther from the tool than this percentile are the background [%]."""
+LEAST = 6
+"""Fewer such points determine no affine motion."""
+
+
+def without_background(points: np.ndarray, moved: np.ndarray, distance: np.ndarray) -> np.ndarray:
+    """Displacement less the affine motion of the points farthest from the tool, shape [N, 2] [px].
+
+    Args:
+        points: places at rest, shape [N, 2] [px].
+        moved: displacements, shape [N, 2] [px]; not a number where a point is lost.
+        distance: from the tool at rest, shape [N] [px].
+    """
+    known = np.isfinite(moved).all(axis=1)
+    if not known.any():
+        return moved
+    far = known & (distance > np.percentile(distance[known], FAR))
+    if far.sum() < LEAST:
+        return moved
+    terms = np.column_stack([points, np.ones(len(points))]).astype(np.float64)
+    return moved - terms @ np.linalg.lstsq(terms[far], moved[far], rcond=None)[0]

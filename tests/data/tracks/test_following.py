@@ -1,0 +1,172 @@
+"""Points followed through drawn pictures that move as told, and the reasons for which a point is lost."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+import pytest
+
+from data.tracks.following import BORDER, MARGIN, RIM, SPACING, TOUCHED, PointFollower, lit_field, tool_distance
+
+HEIGHT, WIDTH = 128, 176
+NO_TOOL = np.zeros((HEIGHT, WIDTH), bool)
+Motion = Callable[[np.ndarray], np.ndarray]
+
+
+def texture(seed: int = 0, height: int = HEIGHT, width: int = WIDTH) -> np.ndarray:
+    """An RGB picture of smoothed noise, bright everywhere."""
+    noise = np.random.default_rng(seed).normal(size=(height, width, 3)).astype(np.float32)
+    smooth = cv2.GaussianBlur(noise, (0, 0), 1.5)
+    return np.clip(140 + 40 * smooth / smooth.std(), 60, 250).astype(np.uint8)
+
+
+def warped(picture: np.ndarray, motion: Motion) -> np.ndarray:
+    """The picture when every place moves by `motion(place)`; which place came here is found by iteration."""
+    here = np.stack(np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT)), axis=-1).reshape(-1, 2).astype(np.float64)
+    source = here.copy()
+    for _ in range(30):
+        source = here - motion(source)
+    maps = source.reshape(HEIGHT, WIDTH, 2).astype(np.float32)
+    return cv2.remap(picture, maps[..., 0], maps[..., 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
+
+
+def bulge(share: float) -> Motion:
+    """A smooth swelling and a shift, up to about 5 px."""
+
+    def motion(places: np.ndarray) -> np.ndarray:
+        off = places - [WIDTH / 2, HEIGHT / 2]
+        near = np.exp(-np.square(off).sum(axis=1, keepdims=True) / (2 * 35**2))
+        return share * (0.1 * off * near + [3.0, -1.5])
+
+    return motion
+
+
+def shift(columns: float, rows: float) -> Motion:
+    return lambda places: np.broadcast_to([columns, rows], places.shape)
+
+
+def left_of(column: int) -> np.ndarray:
+    return np.broadcast_to(np.arange(WIDTH) < column, (HEIGHT, WIDTH))
+
+
+def test_points_are_a_grid_away_from_the_tool() -> None:
+    follower = PointFollower(texture(), left_of(40))
+    columns, rows = follower.points.T
+    assert follower.spacing == SPACING
+    assert sorted(set(columns)) == [48, 56, 64, 72, 80, 88, 96, 104, 112, 120, 128, 136, 144, 152, 160]
+    assert sorted(set(rows)) == [8, 16, 24, 32, 40, 48, 56, 64, 72, 80, 88, 96, 104, 112]
+    np.testing.assert_allclose(follower.distance, columns - 39, atol=0.2)
+    assert follower.followed.all()
+    np.testing.assert_array_equal(follower.moved, 0)
+
+
+def test_no_point_begins_at_the_tool() -> None:
+    tool = NO_TOOL.copy()
+    tool[40:60, 60:90] = True
+    follower = PointFollower(texture(), tool, 1)
+    away = tool_distance(tool)
+    assert follower.distance.min() > MARGIN
+    expected = (away[1:-1, 1:-1] > MARGIN) & lit_field(texture())[1:-1, 1:-1]
+    assert len(follower.points) == expected.sum() < expected.size
+
+
+def test_distance_is_from_the_tools_nearest_pixel() -> None:
+    tool = NO_TOOL.copy()
+    tool[30, 50] = True
+    away = tool_distance(tool)
+    assert away[30, 50] == 0
+    np.testing.assert_allclose([away[30, 60], away[20, 50], away[33, 54]], [10, 10, 5], atol=0.2)
+    assert tool_distance(NO_TOOL).min() > 1000
+
+
+def test_a_shift_is_followed() -> None:
+    picture = texture()
+    follower = PointFollower(picture, NO_TOOL)
+    follower.step(warped(picture, shift(4.25, -2.5)), NO_TOOL)
+    assert follower.followed.mean() > 0.9
+    off = (follower.moved - [4.25, -2.5])[follower.followed]
+    assert np.abs(off).max() < 0.3
+
+
+@pytest.mark.parametrize("frames", [1, 4])
+def test_a_smooth_motion_is_followed(frames: int) -> None:
+    """Half-resolution flow errs by a tenth of a pixel, towards whole pixels, so that errors of frames add up."""
+    picture = texture(1)
+    follower = PointFollower(picture, NO_TOOL)
+    for share in np.arange(1, frames + 1) / frames:
+        follower.step(warped(picture, bulge(share)), NO_TOOL)
+    expected = bulge(1)(follower.points.astype(np.float64))
+    assert np.linalg.norm(expected, axis=1).max() > 5
+    off = np.linalg.norm(follower.moved - expected, axis=1)[follower.followed]
+    assert follower.followed.mean() > 0.9
+    assert np.median(off) < 0.1 * frames
+    assert np.quantile(off, 0.95) < (0.3 if frames == 1 else 0.5)
+
+
+def test_points_under_the_tool_are_lost_and_stay_lost() -> None:
+    picture = texture(2)
+    follower = PointFollower(picture, NO_TOOL)
+    columns = follower.points[:, 0]
+    follower.step(picture, left_of(81))
+    np.testing.assert_array_equal(follower.followed, columns - 80 > TOUCHED)
+    assert np.isnan(follower.moved[columns <= 80]).all()
+    np.testing.assert_allclose(follower.moved[columns > 88], 0, atol=0.05)
+    follower.step(picture, NO_TOOL)
+    np.testing.assert_array_equal(follower.followed, columns - 80 > TOUCHED)
+    np.testing.assert_array_equal(follower.place[columns <= 80], follower.points[columns <= 80])
+
+
+def test_points_that_leave_the_picture_are_lost() -> None:
+    """The picture's rim counts as unlit, some pixels before its edge."""
+    picture = texture(3, HEIGHT, WIDTH + 60)
+    follower = PointFollower(picture[:, 30 : 30 + WIDTH], NO_TOOL)
+    for step in (4, 8, 12, 16):
+        follower.step(picture[:, 30 + step : 30 + step + WIDTH], NO_TOOL)
+    columns = follower.points[:, 0]
+    assert not follower.followed[columns < 16 + BORDER].any()
+    inside = (columns > 40) & (np.abs(follower.points[:, 1] - HEIGHT / 2) < 40)
+    assert follower.followed[inside].all()
+    np.testing.assert_allclose(follower.moved[inside], np.broadcast_to([-16, 0], (inside.sum(), 2)), atol=0.3)
+
+
+def test_what_flow_back_does_not_return_is_lost() -> None:
+    """Half of the picture becomes another one."""
+    picture = texture(4)
+    other = np.where(left_of(WIDTH // 2)[..., None], texture(5), picture)
+    follower = PointFollower(picture, NO_TOOL)
+    follower.step(other, NO_TOOL)
+    columns = follower.points[:, 0]
+    assert follower.followed[columns < WIDTH / 2 - 16].mean() < 0.5
+    assert follower.followed[columns > WIDTH / 2 + 16].all()
+
+
+def test_a_round_field_is_lit_up_to_its_rim() -> None:
+    rows, columns = np.mgrid[:HEIGHT, :WIDTH]
+    radius = np.hypot(columns - WIDTH / 2, rows - HEIGHT / 2)
+    picture = np.where(radius[..., None] < 55, 90, 6).astype(np.uint8) * np.ones((1, 1, 3), np.uint8)
+    lit = lit_field(picture)
+    assert lit[radius < 55 - RIM // 2 * np.sqrt(2) - 1].all()
+    assert not lit[radius > 55 - RIM // 2].any()
+    assert lit.sum() == (cv2.blur((radius < 55).astype(np.float32), (RIM, RIM)) > 1 - 1e-4).sum()
+    follower = PointFollower(picture, NO_TOOL)
+    assert lit[follower.points[:, 1].astype(int), follower.points[:, 0].astype(int)].all()
+    assert len(follower.points) == lit[SPACING:-SPACING:SPACING, SPACING:-SPACING:SPACING].sum()
+
+
+@pytest.mark.parametrize("channel", [0, 1, 2])
+def test_one_bright_channel_is_a_picture(channel: int) -> None:
+    picture = np.zeros((40, 60, 3), np.uint8)
+    assert not lit_field(picture).any()
+    picture[..., channel] = 20
+    assert not lit_field(picture).any()
+    picture[..., channel] = 21
+    assert lit_field(picture).all()
+
+
+def test_a_dark_picture_has_no_points_and_goes_on() -> None:
+    dark = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+    follower = PointFollower(dark, NO_TOOL)
+    follower.step(dark, NO_TOOL)
+    assert len(follower.points) == len(follower.moved) == len(follower.followed) == 0

@@ -4,6 +4,7 @@ contract        Estimator and Session: opened once, a session a clip; open: an e
 estimate        what is told of a frame, of a run of contact, and of θ
 network         a posterior for every frame; gan: the parameter network of the generator
 direct          the simulator fitted to every run of contact
+grip            a sheet fitted to tissue that an instrument holds and moves, for runs without an onset
 runs            runs of contact, frame by frame, and what all sessions share
 onset           unknown beginnings of a press; oblique: presses aslant to the line of sight
 model_settings  an exported network's preparation, and what both networks' estimators share

@@ -31,6 +31,10 @@ REPORTED = tuple(name for name in COMBINATIONS if name != "force_over_damping")
 SYMBOLS = dict(zip(COMBINATIONS, ("k_s", "k_d", "|F|", "k_d/k_s", "|F|/k_s", "|F|/k_d"), strict=True))
 
 
+LEAST_SKILL = 0.35
+"""Of a grip's model: instruments that pass over tissue reach 0.1 to 0.3 with a whole mask, pulls 0.4 and more."""
+
+
 class NoEstimate(ValueError):
     """A contact can't be estimated; the message is a sentence that says why."""
 
@@ -191,6 +195,46 @@ class FrameEstimate:
 
 
 @dataclass(frozen=True, eq=False)
+class GripEstimate:
+    """What the motion around an instrument tells where the onset of contact was not seen; T frames that move.
+
+    The tissue at the instrument is taken as given, a sheet on a foundation explains the rest. Neither k_s nor k_d nor a
+    force in any unit is determined by a displacement.
+    """
+
+    foundation_over_stiffness: float
+    """Stiffness of a node's foundation over a spring's, nodes 8 px apart."""
+    foundation_over_stiffness_low: float
+    """Lower end of its 90 % interval."""
+    foundation_over_stiffness_high: float
+    """Upper end."""
+    skill: float
+    """1 - error / motion in frames that were not fitted: 0 as if nothing moved, 1 = exact."""
+    times: np.ndarray
+    """Since the run's first frame, shape [T] [s]."""
+    force: np.ndarray
+    """At the grip over that of the last frame, shape [T]."""
+    force_sd: np.ndarray
+    """Its standard deviation, shape [T]."""
+
+    @property
+    def explained(self) -> bool:
+        """Whether the tissue moves with the instrument as a sheet would."""
+        return self.skill >= LEAST_SKILL
+
+    @property
+    def verdict(self) -> str:
+        """`foundation` or `undetermined`."""
+        return "foundation" if self.explained else "undetermined"
+
+    @property
+    def determined(self) -> tuple[str, ...]:
+        """Names of what is determined."""
+        known = math.log(self.foundation_over_stiffness_high / self.foundation_over_stiffness_low) < 2 * NINETY * LIMIT
+        return ("foundation_over_stiffness", "relative_force") if self.explained and known else ()
+
+
+@dataclass(frozen=True, eq=False)
 class InteractionEstimate:
     """One whole run of contact: its parameters, or the reason why there are none."""
 
@@ -208,8 +252,21 @@ class InteractionEstimate:
     """Its parameters."""
     simulated: tuple[np.ndarray, np.ndarray] | None = None
     """Times since the onset [s] and the simulated motion along the force then [scene units], shape [T] each."""
+    grip: GripEstimate | None = None
+    """What the motion around tells, where nothing is determined by the contact's own."""
     detail: str = ""
     """Why there is no estimate, or why it can't be trusted."""
+
+    @property
+    def told(self) -> Estimate | GripEstimate | None:
+        """The one by which the verdict is given."""
+        known = self.estimate is not None and self.estimate.verdict != "undetermined"
+        return self.estimate if known or self.grip is None else self.grip
+
+    @property
+    def verdict(self) -> str:
+        """What is determined in a word; empty where nothing was estimated."""
+        return "" if self.told is None else self.told.verdict
 
 
 def mixture(found: Sequence[Estimate]) -> Estimate:

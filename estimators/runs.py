@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
+import time
 from collections import defaultdict
 from collections.abc import Iterator
 
@@ -13,7 +15,8 @@ from data.contact.interaction import ContactFrame, Horizon, Interaction, Interac
 from data.contact.tissue_points import grid_to_picture
 from data.prepared import SEEN_OUT, PreparedFrame
 from estimators.contract import ClipInfo
-from estimators.estimate import Estimate, FrameEstimate, InteractionEstimate, NoEstimate
+from estimators.estimate import LEAST_SKILL, Estimate, FrameEstimate, InteractionEstimate, NoEstimate
+from estimators.grip.recorder import GripRecorder
 from physics.mechanics import Bounds, Mechanics
 
 NO_ONSET = (
@@ -115,26 +118,59 @@ class RunSession:
         self.seconds: dict[str, float] = defaultdict(float)
         """Time spent so far by stage [s]."""
         self._runs = RunTracker(clip, self.mechanics.seconds)
+        self._grip: GripRecorder | None = None
 
     def finish(self) -> Iterator[FrameEstimate | InteractionEstimate]:
         """The run that the clip's end has cut off."""
         yield from self._ended(self._runs.finish())
 
+    def _follow(self, frame: PreparedFrame) -> None:
+        """Gather the motion around the instrument, too; for sessions that tell what a grip tells, after every frame."""
+        run, start = self._runs.current, time.perf_counter()
+        if run is None or not self._follows(run):
+            self._grip = None
+        elif run.index == frame.frame.index:
+            self._grip = GripRecorder(frame) if frame.visible else None
+        elif self._grip is not None:
+            self._grip.add(frame)
+        self.seconds["grip"] += time.perf_counter() - start
+
+    def _follows(self, run: Run) -> bool:
+        """Whether the motion around the instrument may be needed: nothing else tells of a run without an onset."""
+        return run.builder is None
+
     def _ended(self, run: Run | None) -> Iterator[InteractionEstimate]:
-        """What is said of a run, if one has ended."""
+        """What is said of a run, if one has ended: what the press tells, and the grip where that is nothing."""
         if run is None:
             return
+        recorder, self._grip = self._grip, None
+        said = self._pressed(run)
+        if recorder is not None and said.verdict in ("", "undetermined"):
+            said = self._gripped(said, recorder, run.builder is None)
+        yield said
+
+    def _pressed(self, run: Run) -> InteractionEstimate:
         contact = None if run.builder is None else run.builder.build(self.mechanics, self.horizon)
         if contact is None or len(contact.observation) == 0:
-            yield run.estimate(detail=run.unseen)
-            return
+            return run.estimate(detail=run.unseen)
         try:
             found, simulated, doubts = self._whole(contact)
         except NoEstimate as reason:
-            yield run.estimate(interaction=contact, detail=f"{run.detail} {reason}".strip())
-            return
+            return run.estimate(interaction=contact, detail=f"{run.detail} {reason}".strip())
         detail = f"{run.detail} {doubts}".strip()
-        yield run.estimate(interaction=contact, estimate=found, simulated=simulated, detail=detail)
+        return run.estimate(interaction=contact, estimate=found, simulated=simulated, detail=detail)
+
+    def _gripped(self, said: InteractionEstimate, recorder: GripRecorder, only: bool) -> InteractionEstimate:
+        """What is said of a run, with what a grip tells; why that is nothing counts only where nothing else could."""
+        start = time.perf_counter()
+        try:
+            found, told = recorder.estimate(), ""
+        except NoEstimate as reason:
+            found, told = None, str(reason) if only else ""
+        self.seconds["grip"] += time.perf_counter() - start
+        if found is not None and not found.explained:
+            told = f"A gripped sheet doesn't explain the motion: skill {found.skill:.2f}; {LEAST_SKILL:g} is needed."
+        return dataclasses.replace(said, grip=found, detail=f"{said.detail} {told}".strip())
 
     def _whole(self, contact: Interaction) -> tuple[Estimate, tuple[np.ndarray, np.ndarray], str]:
         """Of a whole contact: the estimate, the simulated motion as an `InteractionEstimate` has it, and doubts.

@@ -31,9 +31,17 @@ UNITS = {
 }
 """Units of the results; nothing that estimates knows of others."""
 VERDICT = {
-    "verdict": "determined, ratios (only k_s/k_d and F/k_d), undetermined; onset_in_view: the model doesn't tell",
+    "verdict": "determined, ratios (only k_s/k_d and F/k_d), foundation (only that over stiffness), undetermined; "
+    "onset_in_view: the model doesn't tell",
     "determined": "which parameters and ratios are determined, joined by ;",
 }
+GRIP = {
+    "foundation_over_stiffness": "of a node over a spring's, nodes 8 px apart; empty unless only that is determined",
+    "foundation_over_stiffness_low": "lower end of its 90 % interval",
+    "foundation_over_stiffness_high": "upper end of its 90 % interval",
+    "skill": "of that sheet in frames that were not fitted: 1 - error / motion",
+}
+"""Columns of what the motion around an instrument tells, where nothing is determined by the contact's own."""
 FRAMES: dict[str, str] = {
     "frame": "number of the frame in its source",
     "time_s": "s",
@@ -57,6 +65,7 @@ INTERACTIONS: dict[str, str] = {
     "delay_s": "s from the onset frame to the beginning of the press, as fitted; empty: taken to be 0, or no estimate",
     "release_delay_s": "s from the first frame after contact to the end of the press; empty: the same, or not seen",
     **ESTIMATED,
+    **GRIP,
     **VERDICT,
     "explanation": "which products of k_s, k_d and F are determined, with their relative errors",
     "noise": "standard deviation of every observed coordinate, scene units",
@@ -82,14 +91,18 @@ def row(columns: Mapping[str, str], values: Mapping[str, Any]) -> list[str]:
 
 def interaction_values(run: InteractionEstimate) -> dict[str, Any]:
     """What is known of a run of contact, by column."""
-    estimate, contact = run.estimate, run.interaction
+    estimate, contact, told = run.estimate, run.interaction, run.told
     found = vars(run) | {"frames": 0 if contact is None else len(contact.observation), "status": "no_estimate"}
-    if estimate is None:
-        return found
-    stuck = [name for name, at_end in zip(PARAMETERS, estimate.at_bound, strict=True) if at_end]
-    delays = dict(zip(("delay_s", "release_delay_s"), estimate.delays, strict=False))
-    told = {"status": "ok", "explanation": estimate.explanation, "at_bound": " ".join(stuck)}
-    return found | vars(estimate) | estimate.numbers() | delays | told
+    if estimate is not None:
+        stuck = [name for name, at_end in zip(PARAMETERS, estimate.at_bound, strict=True) if at_end]
+        delays = dict(zip(("delay_s", "release_delay_s"), estimate.delays, strict=False))
+        found |= vars(estimate) | estimate.numbers() | delays
+        found |= {"explanation": estimate.explanation if told is estimate else "", "at_bound": " ".join(stuck)}
+    if run.grip is not None:
+        found |= {name: getattr(run.grip, name) for name in GRIP}
+    if told is not None:
+        found |= {"status": "ok", "verdict": told.verdict, "determined": ";".join(told.determined)}
+    return found
 
 
 def cell(value: float | int | bool | str | None, *, decimals: int | None = None) -> str:

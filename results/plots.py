@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from estimators.estimate import FrameEstimate, InteractionEstimate
+from estimators.estimate import NINETY, FrameEstimate, GripEstimate, InteractionEstimate
 from results.columns import UNITS
 from results.verdicts import COLORS, FAR, digits, in_words, is_far, numbers, state
 
@@ -77,7 +77,7 @@ def draw_fits(runs: Sequence[InteractionEstimate], counts: Counter[str], title: 
         told += f" {len(runs)} are drawn, interactions.csv has all."
     panels = list(runs) or [None]
     words = [_told_of_run(run) for run in panels]
-    motions = [run is not None and run.simulated is not None for run in panels]
+    motions = [run is not None and (run.simulated is not None or run.grip is not None) for run in panels]
     heights = [
         0.9 + 0.2 * len(_lines(text)) + 2.8 * motion for (_, text, _), motion in zip(words, motions, strict=True)
     ]
@@ -202,6 +202,11 @@ def _told_of_run(run: InteractionEstimate | None) -> tuple[str, str, str]:
     if run is None:
         return "no contact was found", "", "no_estimate"
     place, estimate = f"contact from frame {run.onset_frame} ({run.onset_time_s:.3f} s)", run.estimate
+    if run.grip is not None and run.told is run.grip:
+        low, high = run.grip.foundation_over_stiffness_low, run.grip.foundation_over_stiffness_high
+        heading = f"{run.grip.verdict}: {place}, foundation over stiffness {digits(low, 2)} to {digits(high, 2)}"
+        sentence = f"Skill {run.grip.skill:.2f} in frames that were not fitted (1: exact). No k_s, k_d or |F|."
+        return heading, f"{sentence} {run.detail}", run.grip.verdict
     if estimate is None:
         return f"no estimate: {place}", run.detail, "no_estimate"
     doubtful = estimate.verdict == "determined" and run.detail != ""
@@ -218,6 +223,9 @@ def _told_of_run(run: InteractionEstimate | None) -> tuple[str, str, str]:
 
 def _draw_motion(axes: Axes, run: InteractionEstimate | None) -> None:
     """Motion along the force, positive where it follows it: observed, with its noise, and simulated; the release."""
+    if run is not None and run.grip is not None and run.told is run.grip:
+        _draw_grip(axes, run.grip)
+        return
     if run is None or run.simulated is None or run.interaction is None or run.estimate is None:
         axes.set_axis_off()
         return
@@ -231,6 +239,16 @@ def _draw_motion(axes: Axes, run: InteractionEstimate | None) -> None:
     axes.set(xlim=(0, 1.01 * times[-1]), xlabel="time since the first frame in contact [s]")
     axes.set_ylabel("displacement along the force\n[scene units (normalised)]")
     axes.legend(framealpha=0.85, fontsize=10)
+    axes.grid(color=GRID, lw=0.8)
+
+
+def _draw_grip(axes: Axes, grip: GripEstimate) -> None:
+    """Force at the grip over time, over that of the last frame."""
+    low, high = grip.force - NINETY * grip.force_sd, grip.force + NINETY * grip.force_sd
+    axes.fill_between(grip.times, low, high, color=SIMULATED, alpha=0.25, lw=0, label="90 % interval")
+    axes.plot(grip.times, grip.force, "o-", ms=4, lw=1.5, color=SIMULATED, label="force at the grip")
+    axes.set(xlabel="time since the first frame in contact [s]", ylabel="force over that of\nthe last frame [1]")
+    axes.legend(loc="upper left", framealpha=0.85, fontsize=10)
     axes.grid(color=GRID, lw=0.8)
 
 

@@ -13,6 +13,7 @@ Color = tuple[int, int, int]
 COLORS: dict[str, Color] = {
     "determined": (22, 163, 74),
     "ratios": (37, 99, 235),
+    "foundation": (13, 148, 136),
     "onset_in_view": (129, 140, 248),
     "undetermined": (217, 119, 6),
     "doubtful": (217, 119, 6),
@@ -30,6 +31,7 @@ pictures; only `determined` is green."""
 MEANINGS = {
     "determined": "Stiffness, damping and force are determined.",
     "ratios": "Only k_s/k_d and |F|/k_d are determined.",
+    "foundation": "Only how firmly tissue is attached, over its stiffness, and relative forces are determined.",
     "onset_in_view": "The onset was seen; the model does not tell what is determined.",
     "undetermined": "Not determined by what was seen so far.",
 }
@@ -41,7 +43,7 @@ def state(said: FrameEstimate | InteractionEstimate) -> str:
     """What is said first about a frame or a run of contact: its verdict, or why it has none."""
     if isinstance(said, FrameEstimate):
         return said.verdict or said.status
-    return "no_estimate" if said.estimate is None else said.estimate.verdict
+    return said.verdict or "no_estimate"
 
 
 def in_words(name: str) -> str:

@@ -16,7 +16,7 @@ from results import columns, store
 from results.overlay import draw_overlay, open_video
 from results.plots import MOST_PANELS, draw_fits, draw_summary, write_figure
 from results.store import writing
-from results.verdicts import state
+from results.verdicts import in_words, state
 
 
 class ClipResults:
@@ -85,7 +85,8 @@ class ClipResults:
     def add(self, run: InteractionEstimate) -> None:
         """Append a run of contact."""
         self.counts[state(run)] += 1
-        self.drawn = sorted([*self.drawn, run], key=lambda item: item.simulated is None)[:MOST_PANELS]
+        shown = [*self.drawn, run]
+        self.drawn = sorted(shown, key=lambda item: item.simulated is None and item.grip is None)[:MOST_PANELS]
         with writing(self.folder.parent):
             self._runs.writerow(columns.row(columns.INTERACTIONS, columns.interaction_values(run)))
 
@@ -93,7 +94,9 @@ class ClipResults:
         """Write the pictures and the record (as JSON), and move everything to its final place."""
         with writing(self.folder.parent):
             self._open.close()
-            write_figure(self._partial / store.SUMMARY, draw_summary(self.estimates, title=title, subtitle=subtitle))
+            runs = ", ".join(f"{count} {in_words(name)}" for name, count in self.counts.items())
+            told = f"{subtitle} · runs of contact: {runs or 'none'}"
+            write_figure(self._partial / store.SUMMARY, draw_summary(self.estimates, title=title, subtitle=told))
             write_figure(self._partial / store.FIT, draw_fits(self.drawn, self.counts, title))
             store.write_record(self._partial, record)
             store.publish(self._partial, self.folder)

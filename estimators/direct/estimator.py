@@ -29,7 +29,7 @@ from estimators.direct.problem import ContactProblem
 from estimators.estimate import Estimate, NoEstimate
 from estimators.oblique import remark
 from estimators.onset import onset_error
-from estimators.runs import RunSession, frame_estimate
+from estimators.runs import Run, RunSession, frame_estimate
 from physics.load import held
 from physics.mechanics import PARAMETERS, RECOMMENDED, Bounds, Mechanics
 from physics.msd.simulation import simulate
@@ -115,7 +115,11 @@ class DirectSession(RunSession):
     def push(self, frame: PreparedFrame) -> Iterator[Said]:
         """The next frame."""
         yield from self._ended(self._runs.push(frame))
+        self._follow(frame)
         yield frame_estimate(frame, self.clip, doubts=WHOLE if frame.in_contact else "", whole=True)
+
+    def _follows(self, run: Run) -> bool:
+        return True
 
     def fit(self, contact: Interaction) -> Estimate:
         """Fit θ to one contact.

@@ -139,6 +139,7 @@ class NetworkSession(RunSession):
         ended = self._runs.push(frame)
         run = self._runs.current
         yield from self._ended(ended)
+        self._follow(frame)
         if ended is not None:
             self._depths.clear()
         if run is not None and depth is not None:

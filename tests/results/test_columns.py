@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from estimators.estimate import FrameEstimate, InteractionEstimate
+from estimators.estimate import FrameEstimate, GripEstimate, InteractionEstimate
 from physics.identifiability import bounds
 from results.columns import FRAMES, INTERACTIONS, interaction_values, row
 from tests.estimators.estimates import ESTIMATE, GOOD, frame_in_contact
@@ -114,3 +114,28 @@ def test_parameters_at_their_ranges_end_and_delays_are_told() -> None:
     assert (float(found["delay_s"]), float(found["release_delay_s"])) == delays
     plain = of_run(GOOD)
     assert plain["delay_s"] == plain["release_delay_s"] == ""
+
+
+def grip(skill: float = 0.6) -> GripEstimate:
+    times = np.arange(1.0, 4.0)
+    return GripEstimate(0.02, 0.015, 0.027, skill, times, times / 3, np.array([0.02, 0.03, 0.0]))
+
+
+def test_a_grip_is_told_where_nothing_else_is_determined() -> None:
+    found = of_run(InteractionEstimate(0, 5, 0.0, grip=grip(), detail="No onset."))
+    told = [found[name] for name in ("foundation_over_stiffness", "foundation_over_stiffness_low", "skill", "status")]
+    assert told == ["0.02", "0.015", "0.6", "ok"]
+    assert found["verdict"] == "foundation"
+    assert found["determined"] == "foundation_over_stiffness;relative_force"
+    assert found["force"] == found["stiffness"] == ""
+    unexplained = of_run(InteractionEstimate(0, 5, 0.0, grip=grip(0.2)))
+    assert (unexplained["verdict"], unexplained["determined"]) == ("undetermined", "")
+
+
+def test_a_press_that_is_determined_comes_before_a_grip() -> None:
+    found = of_run(dataclasses.replace(GOOD, grip=grip()))
+    assert found["verdict"] == of_run(GOOD)["verdict"] == "determined"
+    loose = dataclasses.replace(ESTIMATE, covariance=np.eye(3))
+    vague = of_run(dataclasses.replace(GOOD, estimate=loose, grip=grip()))
+    assert (vague["verdict"], vague["explanation"]) == ("foundation", "")
+    assert vague["stiffness"] == of_run(GOOD)["stiffness"]

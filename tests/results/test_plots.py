@@ -16,7 +16,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 
-from estimators.estimate import FrameEstimate, InteractionEstimate
+from estimators.estimate import FrameEstimate, GripEstimate, InteractionEstimate
 from physics.load import held
 from results.columns import UNITS
 from results.plots import MOST_PANELS, NOTICE, OBSERVED, draw_fits, draw_summary, write_figure
@@ -257,6 +257,19 @@ def test_a_fit_tells_the_verdict_first_and_no_number_surer_than_it() -> None:
     assert doubted.get_title("left").endswith("Ranges are 90 % intervals.")
     loose = dataclasses.replace(GOOD, estimate=dataclasses.replace(ESTIMATE, covariance=np.eye(3)))
     assert heading(fits(loose)[0]).startswith("undetermined: contact from frame 7 (0.280 s), k_s 0.097")
+
+
+def test_a_grip_shows_how_the_force_changes_and_names_no_other_number() -> None:
+    times = np.arange(1.0, 4.0)
+    grip = GripEstimate(0.02, 0.015, 0.027, 0.6, times, times / 3, np.array([0.02, 0.03, 0.0]))
+    (axes,) = fits(dataclasses.replace(NONE, grip=grip, detail="No onset."))
+    assert heading(axes).endswith("foundation over stiffness 0.015 to 0.027")
+    assert to_rgb(axes.texts[0].get_color()) == pytest.approx(color_of("foundation"))
+    assert axes.get_title("left").startswith(
+        "Skill 0.60 in frames that were not fitted (1: exact). No k_s, k_d or |F|."
+    )
+    np.testing.assert_allclose(curve(axes, "force at the grip"), (times, times / 3))
+    assert extent(axes.collections[0]).y1 == pytest.approx(1.0)
 
 
 def test_a_contact_without_estimate_says_why_without_axes() -> None:

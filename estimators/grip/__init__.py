@@ -1,0 +1,10 @@
+"""Tissue that an instrument holds and moves: its motion is given, what lies around it is explained.
+
+lattice      the points as a sheet's nodes, and coarse knots for fields over it
+recorder     a run of contact without an onset, gathered frame by frame
+sheet_fit    stiffness and foundation as fields, and how well they predict
+"""
+
+from physics.lazy import exported
+
+__getattr__ = exported({"estimators.grip.sheet_fit": ("GripFrame", "NothingMoves", "SheetFit", "fit_sheet")})

@@ -1,0 +1,128 @@
+"""A run of contact from pictures: what a pull tells, what a tool that only passes does not, and what is kept."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+
+from data.labels import TISSUE, TOOL
+from data.prepared import PreparedFrame
+from data.source.frames import Frame
+from estimators.estimate import NINETY, NoEstimate
+from estimators.grip import recorder as module
+from estimators.grip.recorder import GripRecorder
+
+WIDTH, HEIGHT, FPS = 320, 240, 25.0
+TIP = np.array([60.0, 120.0])
+"""Middle of a tool of 40×40 px (column, row)."""
+DECAY = 40.0
+"""Length over which the tissue's motion dies away [px]."""
+
+
+def texture() -> np.ndarray:
+    noise = np.random.default_rng(3).integers(0, 256, (HEIGHT, WIDTH), np.uint8)
+    smooth = cv2.GaussianBlur(noise, (0, 0), 2)
+    stretched = cv2.normalize(smooth, None, 60, 250, cv2.NORM_MINMAX)
+    return np.repeat(stretched[..., None], 3, axis=2)
+
+
+def tool_at(place: np.ndarray) -> np.ndarray:
+    labels = np.full((HEIGHT, WIDTH), TISSUE, np.uint8)
+    column, row = place.astype(int)
+    labels[row - 20 : row + 20, column - 20 : column + 20] = TOOL
+    return labels
+
+
+def frame(index: int, picture: np.ndarray, labels: np.ndarray, contact: bool = True) -> PreparedFrame:
+    nothing, unlabelled = np.zeros((4, 4), np.float32), np.zeros((4, 4), np.uint8)
+    touching = SimpleNamespace() if contact else None
+    return PreparedFrame(
+        Frame(index, index, index / FPS, picture),
+        "ok",
+        "",
+        nothing,
+        unlabelled,
+        labels,
+        geometry=touching,  # ty: ignore[invalid-argument-type]  only whether
+    )
+
+
+def run(count: int, pull: float, middle: np.ndarray = TIP, follow: bool = True) -> GripRecorder:
+    """A tool that moves upwards by `pull` a frame, and tissue around `middle` that does, too.
+
+    Args:
+        follow: whether the mask moves as well.
+    """
+    rest = texture()
+    rows, columns = np.indices((HEIGHT, WIDTH), np.float32)
+    away = np.maximum(np.hypot(columns - middle[0], rows - middle[1]) - 20, 0)
+    found = None
+    for index in range(count):
+        moved = index * pull
+        shift = moved * np.exp(-away / DECAY)
+        picture = cv2.remap(
+            rest, columns, (rows + shift).astype(np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT
+        )
+        seen = frame(index, picture, tool_at(TIP - (0, moved * follow)))
+        if found is None:
+            found = GripRecorder(seen)
+        else:
+            found.add(seen)
+    assert found is not None
+    return found
+
+
+def test_a_pull_tells_how_its_motion_dies_away_and_how_the_force_grows() -> None:
+    found = run(12, 1.5).estimate()
+    assert found.skill > 0.6
+    assert (found.verdict, found.determined) == ("foundation", ("foundation_over_stiffness", "relative_force"))
+    assert found.foundation_over_stiffness_low < found.foundation_over_stiffness < found.foundation_over_stiffness_high
+    middle = math.sqrt(found.foundation_over_stiffness_low * found.foundation_over_stiffness_high)
+    assert middle == pytest.approx(found.foundation_over_stiffness)
+    # A sheet whose springs are worth three a node: √(3/ratio) nodes of 8 px.
+    assert 8 * math.sqrt(3 / found.foundation_over_stiffness) == pytest.approx(DECAY, rel=0.6)
+    # The grip moves evenly, and the sheet is linear.
+    np.testing.assert_allclose(found.force, found.times / found.times[-1], atol=0.08)
+    assert (found.force[-1], found.force_sd[-1]) == pytest.approx((1.0, 0.0))
+
+
+def test_tissue_that_moves_elsewhere_is_not_explained_by_the_tool() -> None:
+    found = run(12, 1.5, middle=np.array([250.0, 120.0]), follow=False).estimate()
+    assert found.skill < 0.35
+    assert (found.explained, found.verdict, found.determined) == (False, "undetermined", ())
+
+
+def test_a_tool_over_still_tissue_tells_nothing() -> None:
+    with pytest.raises(NoEstimate, match=r"In 0 of \d+ frames the tissue moves by more than 1 px"):
+        run(8, 0.0).estimate()
+
+
+def test_memory_does_not_grow_with_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "MOST_KEPT", 4)
+    found = run(24, 0.4)
+    times = [kept.time_s for kept in found._kept]
+    assert len(times) <= 4
+    assert np.ptp(np.diff(times)) == pytest.approx(0.0)
+    assert times[-1] > 0.6 * 23 / FPS
+
+
+def test_frames_out_of_contact_and_without_a_picture_are_followed_through() -> None:
+    found = run(3, 1.0)
+    before = len(found._kept)
+    found.add(frame(3, texture(), tool_at(TIP), contact=False))
+    unseen = frame(4, texture(), tool_at(TIP))
+    unseen.picture_labels = None
+    found.add(unseen)
+    assert len(found._kept) == before
+
+
+def test_an_interval_that_is_too_wide_determines_nothing() -> None:
+    found = run(12, 1.5).estimate()
+    wide = found.foundation_over_stiffness * math.exp(NINETY)
+    vague = type(found)(**{**vars(found), "foundation_over_stiffness_high": wide * math.exp(NINETY)})
+    assert vague.verdict == "foundation"
+    assert vague.determined == ()

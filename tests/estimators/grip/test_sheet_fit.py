@@ -1,0 +1,302 @@
+"""Sheets that are fitted to frames made by the simulator: what is found again, how sure it is, and what is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from estimators.grip.lattice import Fields, knotted, lattice_springs, uniform
+from estimators.grip.sheet_fit import (
+    LEAST_AROUND,
+    LEAST_GRIPPED,
+    MOST_FRAMES,
+    RADIUS,
+    GripFrame,
+    NothingMoves,
+    SheetFit,
+    _covariance,
+    _likeliest,
+    _spread,
+    fit_sheet,
+    length,
+    solve,
+)
+from physics.sheet import equilibrium
+
+SPACING, COLUMNS, ROWS = 8, 20, 16
+NOISE = 0.02
+"""Of synthetic frames [px]."""
+Field = Callable[[np.ndarray], np.ndarray]
+
+
+def grid(columns: int = COLUMNS, rows: int = ROWS) -> np.ndarray:
+    row, column = np.mgrid[:rows, :columns]
+    return SPACING * np.column_stack([column.ravel() + 1, row.ravel() + 1]).astype(np.float64)
+
+
+def held(points: np.ndarray) -> np.ndarray:
+    """24 nodes around the middle of the left edge."""
+    return (points[:, 0] <= 4 * SPACING) & (np.abs(points[:, 1] - 8.5 * SPACING) < 3 * SPACING)
+
+
+def truth(
+    log_stiffness: np.ndarray, log_anchor: np.ndarray, pulls: np.ndarray, noise: float = NOISE, seed: int = 0
+) -> list[GripFrame]:
+    """A grip that pulls and turns a little, every point's motion off by noise."""
+    points = grid()
+    springs, gripped = lattice_springs(points, SPACING), held(points)
+    stiffness = np.exp((log_stiffness[springs[:, 0]] + log_stiffness[springs[:, 1]]) / 2)
+    off = points[gripped] - points[gripped].mean(axis=0)
+    generator = np.random.default_rng(seed)
+    frames = []
+    for pull in pulls:
+        motion = pull * (np.array([1.0, 0.4]) + 0.01 * off @ np.array([[0, 1], [-1, 0]]))
+        found = equilibrium(springs, stiffness, np.exp(log_anchor), gripped, motion).displacement
+        frames.append(GripFrame(found + generator.normal(0, noise, found.shape), gripped))
+    return frames
+
+
+def even(log_anchor: float, pulls: np.ndarray, noise: float = NOISE, seed: int = 0) -> list[GripFrame]:
+    count = COLUMNS * ROWS
+    return truth(np.zeros(count), np.full(count, log_anchor), pulls, noise, seed)
+
+
+def halves(contrast: float) -> np.ndarray:
+    """Log stiffness that steps from the upper to the lower half, its mean 0."""
+    return np.where(grid()[:, 1] < 8.5 * SPACING, contrast / 2, -contrast / 2)
+
+
+def test_roots_of_mean_squares() -> None:
+    assert length(np.array([[3.0, 4.0], [0.0, 0.0]])) == pytest.approx(np.sqrt(12.5))
+
+
+def test_a_frame_tells_what_is_seen_and_moves() -> None:
+    count = LEAST_GRIPPED + LEAST_AROUND
+    moved = np.broadcast_to([3.0, 4.0], (count, 2)).copy()
+    gripped = np.arange(count) < LEAST_GRIPPED
+    frame = GripFrame(moved, gripped)
+    assert (frame.pull, frame.tells) == (pytest.approx(5.0), True)
+    np.testing.assert_array_equal(frame.around, ~gripped)
+    assert not GripFrame(moved, gripped & (np.arange(count) > 0)).tells
+    lost = moved.copy()
+    lost[-1, 1] = np.nan
+    assert not GripFrame(lost, gripped).tells
+    np.testing.assert_array_equal(GripFrame(lost, gripped).around, ~gripped & (np.arange(count) < count - 1))
+    still = np.where(gripped[:, None], moved, [0.6, 0.79])
+    assert not GripFrame(still, gripped).tells  # 0.99 px
+    assert GripFrame(np.where(gripped[:, None], moved, [0.6, 0.81]), gripped).tells
+
+
+@pytest.mark.parametrize("anchor", [0.002, 0.02, 0.2])
+def test_a_foundation_is_found_again(anchor: float) -> None:
+    fit = fit_sheet(grid(), SPACING, even(np.log(anchor), np.linspace(12, 24, 6)), field=False)
+    log, sd = fit.mean_log_anchor
+    assert log == pytest.approx(np.log(anchor), abs=0.05)
+    assert abs(log - np.log(anchor)) < 3 * sd
+    assert fit.roughness == 0
+    np.testing.assert_array_equal(fit.log_stiffness, 0)
+    np.testing.assert_allclose(fit.log_anchor[0], log)
+    np.testing.assert_allclose(fit.log_anchor[1], sd)
+
+
+def test_one_number_is_enough_where_all_is_even() -> None:
+    """With fields allowed, an even sheet stays nearly even."""
+    frames = even(np.log(0.02), np.linspace(12, 24, 6))
+    fit = fit_sheet(grid(), SPACING, frames)
+    assert fit.mean_log_anchor[0] == pytest.approx(np.log(0.02), abs=0.1)
+    assert np.abs(fit.log_stiffness[0]).max() < 0.3
+
+
+@pytest.mark.parametrize("contrast", [np.log(3), -np.log(3)])
+def test_a_stiff_half_is_found_again(contrast: float) -> None:
+    """As well as knots seven nodes apart resolve a step, and as the fit's own covariance says."""
+    count = COLUMNS * ROWS
+    frames = truth(halves(contrast), np.full(count, np.log(0.02)), np.linspace(12, 24, 8))
+    fit = fit_sheet(grid(), SPACING, frames[:6])
+    assert fit.roughness > 0
+    log, sd = fit.log_stiffness
+    near = (grid()[:, 0] < 12 * SPACING) & (np.abs(grid()[:, 1] - 8.5 * SPACING) > 3 * SPACING)
+    upper, lower = near & (halves(1) > 0), near & (halves(1) < 0)
+    found = log[upper].mean() - log[lower].mean()
+    row = fit.fields.stiffness[upper].mean(axis=0) - fit.fields.stiffness[lower].mean(axis=0)
+    deviation = np.sqrt(row @ fit.covariance @ row)
+    assert found == pytest.approx(contrast, rel=0.5)
+    assert abs(found - contrast) < 1.5 * deviation < abs(contrast)
+    assert sd[near].max() < sd.max()  # far away there is little motion to tell
+    plain = fit_sheet(grid(), SPACING, frames[:6], field=False)
+    for frame in frames[6:]:
+        left = [length((sheet.predict(frame)[0] - frame.moved)[frame.around]) for sheet in (fit, plain)]
+        assert left[0] < 0.2 * left[1]
+
+
+@pytest.mark.parametrize(("field", "least", "most"), [(False, 0.86, 0.94), (True, 0.86, 0.995)])
+def test_discs_hold_ninety_per_cent_of_frames_kept_back(field: bool, least: float, most: float) -> None:
+    """Errors that are even over the sheet and grow with the pull, as the sheet's own do.
+
+    They are independent here, so that uncertain fields, which expect them to be alike nearby, are too careful.
+    """
+    points, pulls = grid(), np.linspace(12, 30, 10)
+    wrong = 0.8 * np.sin(points[:, 0] / 23) * np.cos(points[:, 1] / 17)
+    clean = truth(wrong, np.full(len(points), np.log(0.02)), pulls, noise=0)
+    generator = np.random.default_rng(1)
+    frames = [
+        GripFrame(
+            frame.moved + np.where(frame.gripped[:, None], 0, 0.01 * pull * generator.normal(size=(len(points), 2))),
+            frame.gripped,
+        )
+        for frame, pull in zip(clean, pulls, strict=True)
+    ]
+    fit = fit_sheet(points, SPACING, frames[:6], field=field)
+    shares = []
+    for frame in frames[6:]:
+        moved, sd = fit.predict(frame)
+        off = np.linalg.norm(moved - frame.moved, axis=1)
+        shares.append((off < RADIUS * sd)[frame.around].mean())
+        np.testing.assert_allclose(moved[frame.gripped], frame.moved[frame.gripped])
+    assert least < np.mean(shares) < most
+
+
+def test_a_disc_of_the_radius_holds_ninety_per_cent() -> None:
+    draws = np.random.default_rng(0).normal(size=(200_000, 2))
+    assert (np.linalg.norm(draws, axis=1) < RADIUS).mean() == pytest.approx(0.9, abs=0.003)
+
+
+def test_predictions_grow_with_the_pull() -> None:
+    """The sheet is linear: twice the pull is twice the motion, and twice its standard deviation."""
+    frames = even(np.log(0.02), np.linspace(12, 24, 6))
+    fit = fit_sheet(grid(), SPACING, frames, field=False)
+    one = fit.predict(frames[-1])
+    two = fit.predict(GripFrame(2 * frames[-1].moved, frames[-1].gripped))
+    for single, double in zip(one, two, strict=True):
+        np.testing.assert_allclose(double, 2 * single, rtol=1e-9, atol=1e-12)
+
+
+def test_forces_are_over_that_of_the_last_frame() -> None:
+    frames = even(np.log(0.05), np.linspace(6, 24, 7))
+    fit = fit_sheet(grid(), SPACING, frames, field=False)
+    force, sd = fit.relative_force(frames)
+    np.testing.assert_allclose(force, np.linspace(6, 24, 7) / 24, rtol=0.01)
+    assert force[-1] == pytest.approx(1)
+    assert sd[-1] == pytest.approx(0)
+    # For as long as the same tissue is held, all forces change alike with the foundation.
+    assert sd.max() < 1e-3
+
+
+def test_less_tissue_in_the_grip_is_held_with_less_force_of_less_certain_share() -> None:
+    """A grip that takes in two more columns of nodes later."""
+    points = grid()
+    springs, late = lattice_springs(points, SPACING), held(points)
+    early = late & (points[:, 0] <= 2 * SPACING)
+    log_anchor = np.log(0.05)
+
+    def frame(gripped: np.ndarray) -> GripFrame:
+        motion = np.full((gripped.sum(), 2), 10.0)
+        values = np.ones(len(springs)), np.full(len(points), np.exp(log_anchor))
+        return GripFrame(equilibrium(springs, *values, gripped, motion).displacement, gripped)
+
+    frames = [frame(early), frame(late)]
+    expected = [float(solve(springs, *known(log_anchor), one).reaction.sum()) for one in frames]
+    fit = SheetFit(springs, *known(log_anchor), np.array([[0.3**2]]), 0.0, (0.1, 0.1))
+    force, sd = fit.relative_force(frames)
+    np.testing.assert_allclose(force, [expected[0] / expected[1], 1])
+    assert expected[0] < expected[1]
+    step = 1e-4
+    up, down = (
+        SheetFit(springs, *known(log_anchor + change), np.eye(1), 0.0, (0.1, 0.1)).relative_force(frames)[0][0]
+        for change in (step, -step)
+    )
+    assert sd[0] == pytest.approx(0.3 * abs(up - down) / (2 * step), rel=0.3)
+
+
+def known(log_anchor: float) -> tuple[Fields, np.ndarray]:
+    """An even sheet as fields and their number."""
+    return uniform(COLUMNS * ROWS), np.array([log_anchor])
+
+
+def test_lost_points_do_not_count() -> None:
+    frames = even(np.log(0.02), np.linspace(12, 24, 6))
+    generator = np.random.default_rng(2)
+    for frame in frames:
+        frame.moved[(generator.random(len(frame.moved)) < 0.3) & ~frame.gripped] = np.nan
+    fit = fit_sheet(grid(), SPACING, frames, field=False)
+    assert fit.mean_log_anchor[0] == pytest.approx(np.log(0.02), abs=0.05)
+    assert np.isfinite(fit.predict(frames[-1])[0]).all()
+    assert all(0 < share < 0.2 for share in fit.error)
+
+
+def test_frames_without_motion_do_not_count() -> None:
+    pulls = np.linspace(12, 24, 6)
+    moving = even(np.log(0.02), pulls)
+    still = GripFrame(np.full_like(moving[0].moved, 0.01), moving[0].gripped)
+    one = fit_sheet(grid(), SPACING, moving, field=False)
+    other = fit_sheet(grid(), SPACING, [still, *moving[:3], still, *moving[3:]], field=False)
+    np.testing.assert_array_equal(one.numbers, other.numbers)
+    assert one.error == other.error
+
+
+def test_the_likeliest_numbers_have_no_slope() -> None:
+    """Where the optimiser stops no other number is likelier, and the density's curvature is 1 / variance."""
+    points = grid()
+    springs, frames = lattice_springs(points, SPACING), even(np.log(0.02), np.array([12.0, 24.0]), noise=0.3)
+    fields, start = known(np.log(0.02))
+
+    def loss(number: float) -> float:
+        off = number - fields.mean[0]
+        value = 0.5 * off**2 * fields.precision[0, 0]
+        for frame in frames:
+            error = (solve(springs, fields, np.array([number]), frame).displacement - frame.moved)[frame.around]
+            value += len(error) / 49 / len(frames) * np.log(np.square(error).sum())
+        return value
+
+    found = _likeliest(springs, fields, frames, start + 0.5)
+    best = min(np.linspace(start[0] - 0.5, start[0] + 0.5, 401).tolist(), key=loss)
+    assert found[0] == pytest.approx(best, abs=0.005)
+    step = 0.02
+    curvature = (loss(found[0] + step) - 2 * loss(found[0]) + loss(found[0] - step)) / step**2
+    assert 1 / _covariance(springs, fields, found, frames)[0, 0] == pytest.approx(curvature, rel=0.05)
+
+
+def test_deviations_of_fields_are_the_covariances() -> None:
+    points = grid()
+    fields = knotted(points, SPACING, 1.0)
+    count = len(fields.mean)
+    root = np.random.default_rng(0).normal(size=(count, count)) / 10
+    numbers, spread = np.random.default_rng(1).normal(size=count), root @ root.T
+    fit = SheetFit(lattice_springs(points, SPACING), fields, numbers, spread, 1.0, (0.1, 0.1))
+    stiffness, anchor = fields.stiffness.toarray(), fields.anchor.toarray()
+    for basis, (log, sd) in ((stiffness, fit.log_stiffness), (anchor - stiffness, fit.log_anchor)):
+        np.testing.assert_allclose(log, basis @ numbers)
+        np.testing.assert_allclose(sd, np.sqrt(np.diag(basis @ spread @ basis.T)))
+    row = (anchor - stiffness).mean(axis=0)
+    np.testing.assert_allclose(fit.mean_log_anchor, (row @ numbers, np.sqrt(row @ spread @ row)))
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 6, 9, 30])
+def test_fitted_frames_are_few_evenly_spread_and_end_with_the_last(count: int) -> None:
+    frames = [GripFrame(np.full((1, 2), float(index)), np.zeros(1, bool)) for index in range(count)]
+    used = [int(frame.moved[0, 0]) for frame in _spread(frames)]
+    assert used[-1] == count - 1
+    assert min(count, 2) <= len(used) <= MOST_FRAMES
+    assert np.ptp(np.diff(used)) <= 1 if len(used) > 2 else True
+    assert len(used) == MOST_FRAMES or count <= MOST_FRAMES
+
+
+def test_too_few_frames_that_move_are_a_sentence() -> None:
+    frames = even(np.log(0.02), np.array([12.0, 24.0, 0.1, 0.1]))
+    told = (
+        "In 2 of 4 frames the tissue moves by more than 1 px, with 20 points seen at the instrument and 50 around it; "
+        "3 are needed"
+    )
+    with pytest.raises(NothingMoves, match=told):
+        fit_sheet(grid(), SPACING, frames)
+
+
+def test_too_few_points_at_the_instrument_are_a_sentence() -> None:
+    frames = [
+        GripFrame(frame.moved, frame.gripped & (np.cumsum(frame.gripped) < LEAST_GRIPPED))
+        for frame in even(np.log(0.02), np.linspace(12, 24, 6))
+    ]
+    with pytest.raises(NothingMoves, match="In 0 of 6 frames the tissue moves"):
+        fit_sheet(grid(), SPACING, frames)

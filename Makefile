@@ -69,7 +69,7 @@ validate = $(BIN)/python -m evaluation.benchmark --estimator network --split val
 MODEL := runs/contact
 model: $(INSTALLED) $(MODEL)/posterior.pt
 	$(BIN)/python -m evaluation.calibration --weights $(MODEL)/posterior.pt --output $(MODEL)/uncalibrated.onnx
-	$(call calibrated,$(MODEL),models/weights/contact.onnx,200,60,100,160)
+	$(call calibrated,$(MODEL),models/weights/contact.onnx,200,60,100,300)
 
 $(MODEL)/posterior.pt: | $(INSTALLED)
 	$(BIN)/python -m estimators.network.training --output $(MODEL)

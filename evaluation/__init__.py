@@ -5,8 +5,9 @@ recovery     synthetic clips with known truth against the best that is possible;
 calibration  a trained posterior's standard deviations made to hold, and its export; a door of its own
 next_depth   the picture some frames ahead by physics alone, against truth; a door of its own
 beside_truth estimates of synthetic clips beside their truth; a door of its own
+real         real clips, judged on what was kept back from the fit; a door of its own
 ablations    the contact posterior with fewer of a contact's frames; a door of its own
-tables       rows as CSV and as Markdown
+tables       rows as CSV and as Markdown; page: Markdown and figures as one HTML page
 """
 
 from physics.lazy import exported

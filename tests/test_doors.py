@@ -25,6 +25,7 @@ DOORS = {
     "evaluation.ablations": ["-m", "evaluation.ablations"],
     "evaluation.beside_truth": ["-m", "evaluation.beside_truth"],
     "evaluation.next_depth": ["-m", "evaluation.next_depth"],
+    "evaluation.real.__main__": ["-m", "evaluation.real"],
     "benchmarks.automatic_masks": ["-m", "benchmarks.automatic_masks"],
     "benchmarks.inference": ["-m", "benchmarks.inference"],
     "benchmarks.observation_bounds": ["-m", "benchmarks.observation_bounds"],

@@ -1,0 +1,184 @@
+"""What can be said on real clips, judged on what was kept back from the fit.
+
+    python -m evaluation.real --data DIR --output OUT
+    python -m evaluation.real --pulled FRAMES [MASKS] [--tool-value N] [--camera] [--start A --stop B] --output OUT
+    python -m evaluation.real --pressed FOLDER --wrench CSV --output OUT
+
+--data runs every known clip under a folder (docs/real.md). A pulled clip shows tissue that an instrument holds and
+moves: a sheet is fitted to the first half of its frames and judged on the second. A pressed one is a folder with
+`depth/` and a table of the force. Writes table.csv (clip, measure, value), figures/ and report.html. Not a medical
+device.
+"""
+
+from __future__ import annotations
+
+from physics.doors import enter_door, run_door
+
+if __name__ == "__main__":
+    enter_door()  # before the slow imports
+
+import argparse
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from data.command_line import path_option, progress_bars, say, whole_number
+from data.source.layout import InputError
+from estimators.grip.sheet_fit import NothingMoves
+from evaluation.page import as_png, render_page
+from evaluation.real.figures import draw_press, draw_pull
+from evaluation.real.pressed import evaluate_press
+from evaluation.real.pulled import PulledClip, evaluate_pull
+from evaluation.tables import to_csv, to_markdown
+from physics.doors import plain
+from physics.files import replacing
+from results.store import OutputError, writing
+
+COLUMNS = ("clip", "measure", "value")
+TITLE = "Real clips, judged on what was kept back"
+KNOWN = {
+    "recover_tissue": ("recover_tissue/img_left", "recover_tissue/tool_mask"),
+    "video01_00080, frames 149 to 159": ("cholecseg8k/video01/video01_00080", None),
+}
+"""Folders of frames and of masks of the pulled clips, below the data's folder."""
+FIRST = {"video01_00080, frames 149 to 159": 69}
+"""Frames before the instrument comes into view are left out."""
+MOVING = {"video01_00080, frames 149 to 159"}
+"""Clips whose camera moves."""
+PRESSED = "pressed_membrane"
+
+Found = tuple[Mapping[str, object], bytes]
+"""Measures by name, and a figure."""
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """Command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m evaluation.real",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog="Exit status: 0 all clips judged; 1 some could not be; 2 wrong usage; 130 interrupted.",
+    )
+    add = parser.add_argument
+    add("--data", type=path_option, metavar="DIR", help="folder of the known clips")
+    text = "frames, as a folder or a video, and masks of the same order (default: beside the frames, else automatic)"
+    add("--pulled", nargs="+", type=path_option, metavar="PATH", help=text)
+    add("--tool-value", type=whole_number(0, 255), default=0, metavar="N", help="of the tool in MASKS (default 0)")
+    add("--camera", action="store_true", help="the camera moves: take the motion of far points off")
+    text = "first frame, where the tissue counts as at rest (default 0)"
+    add("--start", type=whole_number(0), default=0, metavar="A", help=text)
+    add("--stop", type=whole_number(1), metavar="B", help="frame behind the last one (default: all)")
+    add("--pressed", type=path_option, metavar="FOLDER", help="a press with depth")
+    add("--wrench", type=path_option, metavar="CSV", help="its force, one row a frame")
+    add("--output", type=path_option, required=True, metavar="OUT", help="folder of the results")
+    return parser
+
+
+def tasks_of(options: argparse.Namespace) -> dict[str, Callable[[], Found]]:
+    """What to do, by the clip's name."""
+    tasks: dict[str, Callable[[], Found]] = {}
+
+    def add(name: str, task: Callable[[], Found]) -> None:
+        same = sum(other == name or other.startswith(f"{name} (") for other in tasks)
+        tasks[f"{name} ({same + 1})" if same else name] = task
+
+    def pull(name: str, clip: PulledClip) -> None:
+        add(name, lambda: _pulled(clip))
+
+    if options.data is not None:
+        for name, (frames, masks) in KNOWN.items():
+            if (options.data / frames).exists():
+                folder = None if masks is None else options.data / masks
+                pull(name, PulledClip(options.data / frames, folder, camera=name in MOVING, start=FIRST.get(name, 0)))
+        folder = options.data / PRESSED
+        for wrench in sorted(folder.glob("wrench_*.csv")):
+            add(f"{PRESSED}, {wrench.stem}", lambda wrench=wrench: _pressed(folder, wrench))
+    if options.pulled:
+        frames, masks = options.pulled[0], options.pulled[1] if len(options.pulled) > 1 else None
+        part = options.start, options.stop
+        pull(frames.resolve().name, PulledClip(frames, masks, options.tool_value, options.camera, *part))
+    if options.pressed is not None:
+        add(options.pressed.resolve().name, lambda: _pressed(options.pressed, options.wrench))
+    return tasks
+
+
+def _pulled(clip: PulledClip) -> Found:
+    found = evaluate_pull(clip)
+    return found.measures, as_png(draw_pull(found))
+
+
+def _pressed(folder: Path, wrench: Path) -> Found:
+    found = evaluate_press(folder, wrench)
+    return found.measures, as_png(draw_press(found))
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Judge what the command line names; returns the exit status."""
+    parser, console = build_parser(), Console(stderr=True)
+    options: Any = parser.parse_args(arguments)
+    if options.pulled and len(options.pulled) > 2:
+        parser.error("--pulled takes the frames and their masks; leave the rest out.")
+    if (options.pressed is None) != (options.wrench is None):
+        parser.error("--pressed and --wrench belong together; give both.")
+    tasks = tasks_of(options)
+    if not tasks:
+        where = "" if options.data is None else f"; {options.data} holds none of {', '.join([*KNOWN, PRESSED])}"
+        parser.error(f"there is nothing to judge{where}. Give --data, --pulled or --pressed.")
+    rows: list[dict[str, object]] = []
+    figures: dict[str, bytes] = {}
+    status = 0
+    with progress_bars(console) as progress:
+        bar = progress.add_task("clips", total=len(tasks))
+        for name, task in tasks.items():
+            try:
+                measures, figure = task()
+                figures[f"{len(figures) + 1}.png"] = figure
+            except (InputError, NothingMoves) as error:
+                measures = {"status": str(error)}
+                say(console, f"{name}: {error}", "red")
+                status = 1
+            rows += [{"clip": name, "measure": measure, "value": value} for measure, value in measures.items()]
+            progress.advance(bar)
+    try:
+        write(options.output, rows, figures)
+    except OutputError as error:
+        say(console, str(error), "red")
+        return 1
+    table = Table(*COLUMNS)
+    for row in rows:
+        table.add_row(*(Text(plain(_shown(row[column]))) for column in COLUMNS))
+    Console().print(table)
+    say(console, f"written: {options.output}/table.csv, report.html, figures/")
+    return status
+
+
+def _shown(value: object) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+def write(output: Path, rows: list[dict[str, object]], figures: Mapping[str, bytes]) -> None:
+    """Write table, figures and page.
+
+    Raises:
+        OutputError: they can't be written.
+    """
+    table = to_markdown(COLUMNS, ([_shown(row[column]) for column in COLUMNS] for row in rows))
+    shown = "\n".join(f"![Figure {name}]({name})\n" for name in figures)
+    told = "> **Not a medical device.** Lengths in pixels; forces in newtons only where some were measured.\n"
+    page = render_page(TITLE, f"# {TITLE}\n\n{told}\n{shown}\n{table}\n", figures)
+    texts = {"table.csv": to_csv(rows, COLUMNS, ".6g"), "report.html": page}
+    with writing(output):
+        (output / "figures").mkdir(parents=True, exist_ok=True)
+        for name, content in (
+            {f"figures/{n}": c for n, c in figures.items()} | {n: t.encode() for n, t in texts.items()}
+        ).items():
+            with replacing(output / name) as partial:
+                partial.write_bytes(content)
+
+
+if __name__ == "__main__":
+    run_door(main)

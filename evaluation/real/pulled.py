@@ -1,0 +1,239 @@
+"""Gripped tissue: a sheet fitted to the first half of a clip's frames, judged on the second.
+
+The points close to the instrument are taken as given in every frame, all others are predicted. Skill is 1 - error /
+motion, root mean squares over the points of a frame: 0 = as good as saying that nothing moves, 1 = exact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from data.labels import TOOL
+from data.masks.sources import MaskClasses, MaskError, open_masks
+from data.source.frames import Frame, open_source
+from data.source.images import read_image
+from data.source.layout import IMAGE_SUFFIXES, ClipLayout, InputError, list_folder
+from data.tracks.background import without_background
+from data.tracks.following import PointFollower
+from estimators.estimate import LEAST_SKILL, NINETY
+from estimators.grip.recorder import DRIVEN
+from estimators.grip.sheet_fit import RADIUS, GripFrame, SheetFit, fit_sheet, length
+
+NEARBY = 35.0
+"""Nearby points began nearer to the tool than this percentile of those that are followed [%]."""
+OPENING = 15
+"""Blobs of a stored mask that no square of this side fits into are no tool [px]."""
+
+
+@dataclass(frozen=True)
+class PulledClip:
+    """A clip and which part of it is judged."""
+
+    frames: Path
+    """Folder of pictures, or a video file."""
+    masks: Path | None = None
+    """Folder of masks in the pictures' order; None = those beside the frames, else the automatic ones."""
+    tool_value: int = 0
+    """Grey value of the tool in the masks."""
+    camera: bool = False
+    """Whether the camera moves, so that the background's motion is taken off."""
+    start: int = 0
+    """First frame, where the tissue is taken to be at rest."""
+    stop: int | None = None
+    """Frame behind the last one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Follow:
+    """Followed points of a clip; N points, T frames after the first."""
+
+    points: np.ndarray
+    """Places in the first frame, shape [N, 2] [px]."""
+    spacing: int
+    """Of their grid [px]."""
+    distance: np.ndarray
+    """From the tool there, shape [N] [px]."""
+    frames: list[GripFrame]
+    """T of them."""
+    pictures: tuple[np.ndarray, np.ndarray]
+    """The first and the last, RGB."""
+    unreadable: list[str]
+    """Sentences about frames that were left out."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pull:
+    """What is said of a clip."""
+
+    measures: dict[str, object]
+    """Numbers and words by name."""
+    follow: Follow
+    fit: SheetFit
+    skills: dict[str, np.ndarray]
+    """By kind of points and sheet, a judged frame each."""
+    judged: list[int]
+    """Indices of the judged frames."""
+    force: tuple[np.ndarray, np.ndarray]
+    """Over that of the last frame, and its standard deviation, of every frame that is used."""
+
+
+def evaluate_pull(clip: PulledClip) -> Pull:
+    """Follow, fit and judge.
+
+    Raises:
+        InputError: the clip can't be read, or shows no tool or no tissue.
+        NothingMoves: nothing could be fitted.
+    """
+    follow = follow_clip(clip)
+    half = len(follow.frames) // 2
+    early, late = follow.frames[:half], [frame for frame in follow.frames[half:] if frame.tells]
+    sheets = {
+        "field": fit_sheet(follow.points, follow.spacing, early),
+        "one number": fit_sheet(follow.points, follow.spacing, early, field=False),
+    }
+    fit = sheets["field"]
+    skills: dict[str, list[float]] = {}
+    held = []
+    for frame in late:
+        nearby = _nearby(frame, follow.distance)
+        for name, sheet in sheets.items():
+            moved, sd = sheet.predict(frame)
+            off = moved - frame.moved
+            for kind, used in (("all", frame.around), ("nearby", nearby)):
+                skills.setdefault(f"{kind}, {name}", []).append(1 - length(off[used]) / length(frame.moved[used]))
+            if sheet is fit:
+                inside = np.linalg.norm(off, axis=1)[frame.around] < RADIUS * sd[frame.around]
+                held.append(float(inside.mean()))
+    found = {name: np.array(values) for name, values in skills.items()}
+    used = [frame for frame in follow.frames if frame.tells]
+    judged = [index for index, frame in enumerate(follow.frames, start=1) if index > half and frame.tells]
+    measures = _measures(follow, sheets, found, held, judged)
+    return Pull(measures, follow, fit, found, judged, fit.relative_force(used))
+
+
+def _measures(
+    follow: Follow,
+    sheets: Mapping[str, SheetFit],
+    skills: Mapping[str, np.ndarray],
+    held: list[float],
+    judged: list[int],
+) -> dict[str, object]:
+    """Rows of the table."""
+    fit, one = sheets["field"], sheets["one number"]
+    log, sd = one.mean_log_anchor
+    found: dict[str, object] = {
+        "status": "ok" if judged else "nothing moves in the second half",
+        "frames": len(follow.frames) + 1,
+        "frames left out": len(follow.unreadable),
+        "frames judged": len(judged),
+        "points": len(follow.points),
+        "foundation over stiffness": float(np.exp(log)),
+        "foundation over stiffness, low": float(np.exp(log - NINETY * sd)),
+        "foundation over stiffness, high": float(np.exp(log + NINETY * sd)),
+        "roughness between knots": fit.roughness,
+    }
+    if judged:
+        for name, values in skills.items():
+            found[f"skill of {name}, mean"] = float(values.mean())
+            found[f"skill of {name}, last frame"] = float(values[-1])
+        found["points within the 90 % bands"] = float(np.mean(held))
+        explained = skills["all, field"].mean() >= LEAST_SKILL
+        found["verdict"] = "the sheet explains the motion" if explained else "the sheet does not explain the motion"
+    return found
+
+
+def _nearby(frame: GripFrame, distance: np.ndarray) -> np.ndarray:
+    """Points around the grip that began close to the tool, shape [N], bool."""
+    seen = frame.around | frame.gripped
+    return frame.around & (distance < np.percentile(distance[seen], NEARBY))
+
+
+def follow_clip(clip: PulledClip) -> Follow:
+    """Follow the tissue's points through a clip.
+
+    Raises:
+        InputError: it can't be read, has fewer than two frames, or its first frame shows no tool or no tissue.
+    """
+    follower: PointFollower | None = None
+    frames, unreadable = [], []
+    first = picture = np.zeros((0, 0, 3), np.uint8)
+    for number, current, tool in _views(clip):
+        if isinstance(tool, str) or current is None:
+            unreadable.append(f"frame {number}: {tool}")
+            continue
+        picture = current
+        if follower is None:
+            first, follower = picture, PointFollower(picture, tool)
+            if not tool.any() or not len(follower.points):
+                what = "instrument" if not tool.any() else "tissue away from the instrument"
+                raise InputError(
+                    f"{clip.frames} shows no {what} where the judged part begins; choose another frame (--start)."
+                )
+            continue
+        follower.step(picture, tool)
+        moved = follower.moved
+        if clip.camera:
+            moved = without_background(follower.points, moved, follower.distance)
+        frames.append(GripFrame(moved, follower.followed & (follower.distance < DRIVEN)))
+    if follower is None or not frames:
+        raise InputError(f"{clip.frames} has fewer than two frames that can be used; give more of them.")
+    return Follow(follower.points, follower.spacing, follower.distance, frames, (first, picture), unreadable)
+
+
+def _views(clip: PulledClip) -> Iterator[tuple[int, np.ndarray | None, np.ndarray | str]]:
+    """Number of a frame, its RGB picture, and its mask of the tool; or no picture and why it can't be used."""
+    source = open_source(clip.frames, ClipLayout())
+    tools = _stored_tools(clip) if clip.masks is not None else _found_tools(clip.frames)
+    for frame in islice(source, clip.stop):
+        tool = tools(frame)
+        if frame.index < clip.start:
+            continue
+        if frame.image is None or isinstance(tool, str):
+            yield frame.number, None, frame.error or tool
+        elif tool.shape != frame.image.shape[:2]:
+            yield frame.number, None, "Its mask is of another size than its picture."
+        else:
+            yield frame.number, frame.image, tool
+
+
+def _stored_tools(clip: PulledClip) -> Callable[[Frame], np.ndarray | str]:
+    """Gives the tool of a frame from a folder of masks, bool [H, W], or why there is none."""
+    folder, value = clip.masks, clip.tool_value
+    if folder is None or not folder.is_dir():
+        raise InputError(f"{folder} is no folder; give the one of the masks, in the pictures' order.")
+    files = [path for path in list_folder(folder) if path.suffix.lower() in IMAGE_SUFFIXES]
+    if not files:
+        raise InputError(f"{folder} holds no masks; give a folder of pictures whose tool has the value {value}.")
+    square = np.ones((OPENING, OPENING), np.uint8)
+
+    def tool(frame: Frame) -> np.ndarray | str:
+        if frame.index >= len(files):
+            return f"{folder} holds {len(files)} masks, none for this frame."
+        try:
+            grey = read_image(files[frame.index], cv2.IMREAD_GRAYSCALE)
+        except InputError as error:
+            return str(error)
+        return cv2.morphologyEx((grey == value).astype(np.uint8), cv2.MORPH_OPEN, square) > 0
+
+    return tool
+
+
+def _found_tools(frames: Path) -> Callable[[Frame], np.ndarray | str]:
+    """The same from masks beside the frames, or else from the automatic ones."""
+    masks = open_masks("auto", ClipLayout(), MaskClasses(), frames)
+
+    def tool(frame: Frame) -> np.ndarray | str:
+        if frame.image is None:
+            return frame.error
+        try:
+            return masks(frame) == TOOL
+        except MaskError as error:
+            return str(error)
+
+    return tool

@@ -1,0 +1,174 @@
+"""`python -m evaluation.real` as a user runs it: what it writes, how it ends, and what it says."""
+
+from __future__ import annotations
+
+import base64
+import csv
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from evaluation.real.__main__ import COLUMNS, KNOWN, build_parser, main, tasks_of, write
+from tests.evaluation.real_clips import ramp, write_press, write_pull, write_wrench
+
+FACTOR = 0.35
+STILL = np.zeros(9)
+PULLED = np.linspace(0, 1, 13)
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A pull, a clip where nothing moves, and a press."""
+    folder = tmp_path_factory.mktemp("inputs")
+    write_pull(folder / "pull", PULLED)
+    write_pull(folder / "still", STILL)
+    write_press(folder / "press", ramp(90))
+    write_wrench(folder / "wrench.csv", FACTOR * ramp(90) + np.random.default_rng(0).normal(0, 0.01, 90))
+    return folder
+
+
+def pulled(inputs: Path, name: str) -> list[str]:
+    return ["--pulled", str(inputs / name / "frames"), str(inputs / name / "masks")]
+
+
+def pressed(inputs: Path, wrench: str = "wrench.csv") -> list[str]:
+    return ["--pressed", str(inputs / "press"), "--wrench", str(inputs / wrench)]
+
+
+def rows(output: Path) -> dict[str, dict[str, str]]:
+    """Values by clip and measure."""
+    with (output / "table.csv").open(encoding="utf-8", newline="") as file:
+        table = csv.DictReader(file)
+        assert tuple(table.fieldnames or ()) == COLUMNS == ("clip", "measure", "value")
+        found: dict[str, dict[str, str]] = {}
+        for row in table:
+            found.setdefault(row["clip"], {})[row["measure"]] = row["value"]
+    return found
+
+
+def test_two_clips_are_judged(inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    assert main([*pulled(inputs, "pull"), *pressed(inputs), "--output", str(tmp_path)]) == 0
+    found = rows(tmp_path)
+    assert list(found) == ["frames", "press"]
+    assert found["frames"]["status"] == found["press"]["status"] == "ok"
+    assert float(found["frames"]["skill of nearby, field, mean"]) > 0.8
+    assert found["frames"]["frames judged"] == "6"
+    assert float(found["press"]["force over dent [N/mm]"]) == pytest.approx(FACTOR, rel=0.01)
+    assert found["press"]["damping time"] == "not determined"
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "Not a medical device" in page
+    assert "<td>force over dent [N/mm]</td>" in page
+    for name in ("1.png", "2.png"):
+        content = (tmp_path / "figures" / name).read_bytes()
+        picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
+        assert picture.std() > 10
+        assert f"data:image/png;base64,{base64.b64encode(content).decode()}" in page
+    assert 'src="1.png"' not in page
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["figures", "report.html", "table.csv"]
+    told = capsys.readouterr()
+    assert f"written: {tmp_path}/table.csv, report.html, figures/" in told.err
+    assert "force over dent" in told.out
+
+
+def test_a_clip_where_nothing_moves_is_a_sentence_and_the_other_is_judged(
+    inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    assert main([*pulled(inputs, "still"), *pressed(inputs), "--output", str(tmp_path)]) == 1
+    sentence = "In 0 of 4 frames the tissue moves by more than 1 px"
+    found = rows(tmp_path)
+    assert list(found["frames"]) == ["status"]
+    assert found["frames"]["status"].startswith(sentence)
+    assert float(found["press"]["force over dent [N/mm]"]) == pytest.approx(FACTOR, rel=0.01)
+    assert [path.name for path in (tmp_path / "figures").iterdir()] == ["1.png"]
+    assert sentence in (tmp_path / "report.html").read_text(encoding="utf-8")
+    told = capsys.readouterr().err
+    assert told.count(f"frames: {sentence}") == 1
+    assert "Traceback" not in told
+
+
+def test_a_clip_that_can_t_be_read_is_a_sentence(inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    assert main([*pressed(inputs, "no.csv"), "--output", str(tmp_path)]) == 1
+    assert "no.csv is no table of forces" in rows(tmp_path)["press"]["status"]
+    assert "press: " in capsys.readouterr().err
+    assert (tmp_path / "report.html").is_file()
+    assert not list((tmp_path / "figures").iterdir())
+
+
+def test_parts_and_the_tools_value_reach_the_clip(inputs: Path, tmp_path: Path) -> None:
+    part = ["--start", "4", "--stop", "9"]
+    assert main([*pulled(inputs, "pull"), *part, "--output", str(tmp_path / "part")]) == 1
+    assert rows(tmp_path / "part")["frames"]["status"].startswith("In 0 of 2 frames")
+    assert main([*pulled(inputs, "pull"), "--tool-value", "9", "--output", str(tmp_path / "value")]) == 1
+    assert "shows no instrument where" in rows(tmp_path / "value")["frames"]["status"]
+
+
+def test_known_clips_are_found_below_a_folder(inputs: Path, tmp_path: Path) -> None:
+    data = tmp_path / "data"
+    for folder in ("recover_tissue", "cholecseg8k/video01"):
+        (data / folder).mkdir(parents=True)
+    (data / "recover_tissue" / "img_left").symlink_to(inputs / "pull" / "frames")
+    (data / "recover_tissue" / "tool_mask").symlink_to(inputs / "pull" / "masks")
+    (data / "pressed_membrane").symlink_to(inputs / "press")
+    for rows_known in (73, 90):
+        write_wrench(inputs / "press" / f"wrench_{rows_known}.csv", FACTOR * ramp(rows_known))
+    assert main(["--data", str(data), "--output", str(tmp_path / "out")]) == 0
+    found = rows(tmp_path / "out")
+    assert list(found) == ["recover_tissue", "pressed_membrane, wrench_73", "pressed_membrane, wrench_90"]
+    assert float(found["recover_tissue"]["skill of nearby, field, mean"]) > 0.8
+    judged = [found[f"pressed_membrane, wrench_{known}"]["frames judged"] for known in (73, 90)]
+    assert judged == ["67 to 72", "73 to 89"]
+    assert len(list((tmp_path / "out" / "figures").iterdir())) == 3
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ([], "there is nothing to judge. Give --data, --pulled or --pressed."),
+        (["--data", "{empty}"], "{empty} holds none of " + ", ".join([*KNOWN, "pressed_membrane"])),
+        (["--pulled", "a", "b", "c"], "--pulled takes the frames and their masks; leave the rest out."),
+        (["--pressed", "a"], "--pressed and --wrench belong together; give both."),
+        (["--wrench", "a.csv"], "--pressed and --wrench belong together; give both."),
+        (["--pulled", "a", "--tool-value", "256"], "256 is more than 255"),
+        (["--pulled", "a", "--stop", "0"], "0 is less than 1"),
+    ],
+)
+def test_wrong_usage_is_a_sentence(
+    tmp_path: Path, capsys: pytest.CaptureFixture, options: list[str], told: str
+) -> None:
+    """And nothing is written."""
+    output, empty = tmp_path / "out", tmp_path
+    with pytest.raises(SystemExit) as stop:
+        main([*(option.format(empty=empty) for option in options), "--output", str(output)])
+    assert stop.value.code == 2
+    assert told.format(empty=empty) in " ".join(capsys.readouterr().err.split())
+    assert not output.exists()
+
+
+def test_an_output_that_can_t_be_written_is_a_sentence(
+    inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    (tmp_path / "file").write_text("")
+    assert main([*pressed(inputs), "--output", str(tmp_path / "file")]) == 1
+    told = capsys.readouterr().err
+    assert "choose another --output" in told
+    assert "written:" not in told
+
+
+def test_names_and_numbers_are_written_as_they_are(tmp_path: Path) -> None:
+    """What is a table's or a page's syntax stays text, and what is not a number is empty."""
+    clips = [
+        {"clip": "a|b <i>", "measure": "one", "value": 1 / 3},
+        {"clip": "a|b <i>", "measure": "two", "value": float("nan")},
+    ]
+    write(tmp_path, clips, {})
+    assert (tmp_path / "table.csv").read_text() == "clip,measure,value\na|b <i>,one,0.333333\na|b <i>,two,\n"
+    page = (tmp_path / "report.html").read_text()
+    assert "<td>a|b &lt;i&gt;</td>" in page
+    assert "<td>0.333</td>" in page
+
+
+def test_two_clips_of_one_name_are_both_judged(tmp_path: Path) -> None:
+    options = ["--pulled", "a/clip", "--pressed", "b/clip", "--wrench", "w.csv", "--output", str(tmp_path)]
+    assert len(tasks_of(build_parser().parse_args(options))) == 2

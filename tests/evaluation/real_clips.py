@@ -1,0 +1,105 @@
+"""Drawn clips of tissue that is pulled or pressed, written as a user has them."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from evaluation.real.pressed import BLUR, UNIT
+from tests.inference_inputs import encode
+
+SIZE = 240, 176
+"""Width and height of a pulled clip's pictures [px]."""
+TIP = 80, 88
+"""Column where the tool ends and row of its middle, in the first picture [px]."""
+REACH = 45.0
+"""How far motion reaches from the tip [px]."""
+WAY = np.array([-6.0, 3.0])
+"""Of the grip, from the first picture to the last [px]."""
+DENT = 60, 80, 12.0
+"""Height and width of a press's pictures, and the standard deviation of its dent [px]."""
+REST_MM = 100.0
+"""Depth where nothing is pressed [mm]."""
+
+
+def tissue_motion(places: np.ndarray, share: float) -> np.ndarray:
+    """Displacement of places [N, 2] (column, row) after a share of the way [px]: it dies away smoothly."""
+    away = np.maximum(np.hypot(np.maximum(places[:, 0] - TIP[0], 0), places[:, 1] - TIP[1]) - 10, 0)
+    return share * WAY * np.exp(-np.square(away / REACH) / 2)[:, None]
+
+
+def tool_mask(share: float) -> np.ndarray:
+    """Where the tool is, bool [H, W]."""
+    width, height = SIZE
+    row, column = np.mgrid[:height, :width]
+    right, middle = TIP + share * WAY
+    return (column < right) & (np.abs(row - middle) < 12)
+
+
+def pull_pictures(shares: np.ndarray, camera: tuple[float, float] = (0.0, 0.0)) -> list[np.ndarray]:
+    """RGB pictures; by the last one the camera has moved all of it so far too [px]."""
+    width, height = SIZE
+    noise = np.random.default_rng(0).normal(size=(height, width, 3)).astype(np.float32)
+    smooth = cv2.GaussianBlur(noise, (0, 0), 3)
+    texture = np.clip(130 + 40 * smooth / smooth.std(), 50, 250).astype(np.uint8)
+    here = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).reshape(-1, 2).astype(np.float64)
+    pictures = []
+    for share in shares:
+        still = here - share * np.asarray(camera)
+        source = still
+        for _ in range(20):
+            source = still - tissue_motion(source, share)
+        columns, rows = source.reshape(height, width, 2).astype(np.float32).transpose(2, 0, 1)
+        picture = cv2.remap(texture, columns, rows, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
+        picture[tool_mask(share)] = 215
+        pictures.append(picture)
+    return pictures
+
+
+def write_pull(folder: Path, shares: np.ndarray, camera: tuple[float, float] = (0.0, 0.0)) -> tuple[Path, Path]:
+    """Folders of pictures and of masks, whose tool is 0."""
+    frames, masks = folder / "frames", folder / "masks"
+    for index, (share, picture) in enumerate(zip(shares, pull_pictures(shares, camera), strict=True)):
+        write(frames / f"{index:03d}.png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+        write(masks / f"{index:03d}.png", np.where(tool_mask(share), 0, 255).astype(np.uint8))
+    return frames, masks
+
+
+def write(path: Path, picture: np.ndarray) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(encode(picture))
+
+
+def deep(dent: float, size: tuple[int, int] = DENT[:2]) -> np.ndarray:
+    """Depth picture with a dent towards the camera [mm], as stored, whose deepest point a blur leaves `dent` deep."""
+    row, column = np.mgrid[: size[0], : size[1]]
+    square = DENT[2] ** 2
+    away = np.square(row - size[0] // 2) + np.square(column - size[1] // 2)
+    peak = dent * (square + BLUR**2) / square
+    return np.rint((REST_MM - peak * np.exp(-away / (2 * square))) / UNIT).astype(np.uint16)
+
+
+def write_press(folder: Path, dent: np.ndarray) -> Path:
+    """A folder with `depth/`, one picture a frame; dents in mm."""
+    for index, value in enumerate(dent):
+        write(folder / "depth" / f"{index}.png", deep(float(value)))
+    return folder
+
+
+def write_wrench(path: Path, force: np.ndarray, zero: tuple[float, ...] = (0.4, -1.2, 2.0)) -> Path:
+    """A table of the force along one direction, above what the sensor shows at rest [N]."""
+    along = np.array([2.0, -1.0, 2.0]) / 3
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file)
+        table.writerow(["frame", "Fx_N", "Fy_N", "Fz_N"])
+        table.writerows([index, *row] for index, row in enumerate(np.asarray(zero) + force[:, None] * along))
+    return path
+
+
+def ramp(frames: int, slope: float = 0.25) -> np.ndarray:
+    """Nothing until frame 56, then deeper by as much in every frame, and held from frame 80 on [mm]."""
+    return slope * np.clip(np.arange(frames) - 56, 0, 24)

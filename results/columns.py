@@ -36,7 +36,8 @@ VERDICT = {
     "determined": "which parameters and ratios are determined, joined by ;",
 }
 GRIP = {
-    "foundation_over_stiffness": "of a node over a spring's, nodes 8 px apart; empty unless only that is determined",
+    "foundation_over_stiffness": "of a node over a spring's, nodes 8 px apart in a picture at most 854 px wide; empty "
+    "unless only that is determined",
     "foundation_over_stiffness_low": "lower end of its 90 % interval",
     "foundation_over_stiffness_high": "upper end of its 90 % interval",
     "skill": "of that sheet in frames that were not fitted: 1 - error / motion",

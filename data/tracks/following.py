@@ -19,6 +19,8 @@ BORDER = 3
 """And one that comes nearer to the picture's edge [px]."""
 CHECK = 1.5
 """Largest distance to where flow and backward flow return a point [px]."""
+WIDEST = 854
+"""Wider pictures are shrunk to this before their points are followed, which would take too long [px]."""
 DARK = 20
 """Of 255: where no channel is brighter there is no picture, outside an endoscope's round field."""
 RIM = 15
@@ -36,7 +38,7 @@ def tool_distance(tool: np.ndarray) -> np.ndarray:
 
 
 class PointFollower:
-    """Points on tissue from the first picture on.
+    """Points on tissue from the first picture on; places and lengths in pixels of a picture at most WIDEST wide.
 
     Args:
         picture: the first one, uint8 [H, W, 3] RGB.
@@ -46,6 +48,7 @@ class PointFollower:
 
     def __init__(self, picture: np.ndarray, tool: np.ndarray, spacing: int = SPACING) -> None:
         self._flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+        picture, tool = shrunk(picture, tool)
         self._gray = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
         self._lit = lit_field(picture)
         height, width = self._gray.shape
@@ -71,6 +74,7 @@ class PointFollower:
 
     def step(self, picture: np.ndarray, tool: np.ndarray) -> None:
         """Follow the points into the next picture, with its tool's mask."""
+        picture, tool = shrunk(picture, tool)
         before, self._gray = self._gray, cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
         there = self._flow.calc(before, self._gray, None)  # ty: ignore[no-matching-overload]  no first guess
         back = self._flow.calc(self._gray, before, None)  # ty: ignore[no-matching-overload]  no first guess
@@ -83,6 +87,16 @@ class PointFollower:
         tissue = (tool_distance(tool)[row, column] > TOUCHED) & self._lit[row, column]
         self.followed &= inside & (returned < CHECK) & tissue
         self.place = np.where(self.followed[:, None], place, self.place).astype(np.float32)
+
+
+def shrunk(picture: np.ndarray, tool: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A picture and its mask, at most WIDEST wide."""
+    height, width = tool.shape
+    if width <= WIDEST:
+        return picture, tool
+    size = WIDEST, max(round(height * WIDEST / width), 1)
+    small = cv2.resize(tool.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+    return cv2.resize(picture, size, interpolation=cv2.INTER_AREA), small
 
 
 def _sampled(field: np.ndarray, places: np.ndarray) -> np.ndarray:

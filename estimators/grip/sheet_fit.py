@@ -127,6 +127,8 @@ class SheetFit:
         """
         factor = np.linalg.cholesky(self.covariance + TINY * np.eye(len(self.numbers)))
         random = np.random.default_rng(0).standard_normal((DRAWS, len(self.numbers)))
+        if len(self.numbers) == 1:
+            random = np.array([[1.0], [-1.0]])  # which have its standard deviation, and are fewer
         drawn = [_forces_along_last(self, self.numbers + factor @ row, frames) for row in random]
         ratio = _forces_along_last(self, self.numbers, frames)
         left = self.error[1] * np.abs(ratio * (1 - ratio))

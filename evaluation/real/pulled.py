@@ -20,7 +20,7 @@ from data.source.frames import Frame, open_source
 from data.source.images import read_image
 from data.source.layout import IMAGE_SUFFIXES, ClipLayout, InputError, list_folder
 from data.tracks.background import without_background
-from data.tracks.following import PointFollower
+from data.tracks.following import PointFollower, shrunk
 from estimators.estimate import LEAST_SKILL, NINETY
 from estimators.grip.recorder import DRIVEN
 from estimators.grip.sheet_fit import RADIUS, GripFrame, SheetFit, fit_sheet, length
@@ -167,7 +167,7 @@ def follow_clip(clip: PulledClip) -> Follow:
         if isinstance(tool, str) or current is None:
             unreadable.append(f"frame {number}: {tool}")
             continue
-        picture = current
+        picture, tool = shrunk(current, tool)
         if follower is None:
             first, follower = picture, PointFollower(picture, tool)
             if not tool.any() or not len(follower.points):

@@ -170,3 +170,15 @@ def test_a_dark_picture_has_no_points_and_goes_on() -> None:
     follower = PointFollower(dark, NO_TOOL)
     follower.step(dark, NO_TOOL)
     assert len(follower.points) == len(follower.moved) == len(follower.followed) == 0
+
+
+def test_wide_pictures_are_shrunk_before_their_points_are_followed() -> None:
+    wide = np.repeat(np.random.default_rng(0).integers(40, 250, (300, 1708), np.uint8)[..., None], 3, axis=2)
+    wide = cv2.GaussianBlur(wide, (0, 0), 3)
+    tool = np.zeros(wide.shape[:2], bool)
+    tool[100:200, 800:900] = True
+    follower = PointFollower(wide, tool)
+    assert follower.points.max(axis=0) == pytest.approx([848, 136], abs=8)
+    np.testing.assert_allclose(np.linalg.norm(follower.points - [425, 75], axis=1).min(), 30, atol=8)
+    follower.step(np.roll(wide, 4, axis=1), np.roll(tool, 4, axis=1))
+    np.testing.assert_allclose(np.nanmedian(follower.moved, axis=0), [2.0, 0.0], atol=0.1)

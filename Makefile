@@ -86,7 +86,7 @@ gan: $(INSTALLED)
 	$(DRAW) --seed 24 --clips 20 --first 81 --depth-noise 0.002
 	$(TRAIN) --ckpt_path last
 	$(subst fit,export,$(TRAIN)) --ckpt_path best --output $(GAN)/uncalibrated.onnx
-	$(call calibrated,$(GAN),models/weights/gan.onnx,60,20,40,110)
+	$(call calibrated,$(GAN),models/weights/gan.onnx,160,20,40,200)
 
 clean:
 	rm -rf .venv runs build *.egg-info

@@ -33,6 +33,8 @@ SYMBOLS = dict(zip(COMBINATIONS, ("k_s", "k_d", "|F|", "k_d/k_s", "|F|/k_s", "|F
 
 LEAST_SKILL = 0.35
 """Of a grip's model: instruments that pass over tissue reach 0.1 to 0.3 with a whole mask, pulls 0.4 and more."""
+LEAST_LEAD = 0.1
+"""Over the skill of the same model with tissue far from the instrument as its grip: any motion spreads smoothly."""
 
 
 class NoEstimate(ValueError):
@@ -210,6 +212,8 @@ class GripEstimate:
     """Upper end."""
     skill: float
     """1 - error / motion in frames that were not fitted: 0 as if nothing moved, 1 = exact."""
+    rival: float
+    """The same if the most moving tissue far from the instrument is taken as the grip instead."""
     times: np.ndarray
     """Since the run's first frame, shape [T] [s]."""
     force: np.ndarray
@@ -219,19 +223,22 @@ class GripEstimate:
 
     @property
     def explained(self) -> bool:
-        """Whether the tissue moves with the instrument as a sheet would."""
-        return self.skill >= LEAST_SKILL
+        """Whether the tissue moves with the instrument as a sheet would, and not with something else."""
+        return self.skill >= max(LEAST_SKILL, self.rival + LEAST_LEAD)
 
     @property
     def verdict(self) -> str:
         """`foundation` or `undetermined`."""
-        return "foundation" if self.explained else "undetermined"
+        return "foundation" if self.determined else "undetermined"
 
     @property
     def determined(self) -> tuple[str, ...]:
         """Names of what is determined."""
-        known = math.log(self.foundation_over_stiffness_high / self.foundation_over_stiffness_low) < 2 * NINETY * LIMIT
-        return ("foundation_over_stiffness", "relative_force") if self.explained and known else ()
+        width = math.log(self.foundation_over_stiffness_high / self.foundation_over_stiffness_low) / (2 * NINETY)
+        if not self.explained or not width < LIMIT:
+            return ()
+        known = np.isfinite(self.force).all() and self.force_sd.max() < LIMIT
+        return ("foundation_over_stiffness", *(("relative_force",) if known else ()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,9 +266,10 @@ class InteractionEstimate:
 
     @property
     def told(self) -> Estimate | GripEstimate | None:
-        """The one by which the verdict is given."""
+        """The one by which the verdict is given: a grip's where it tells something and the press nothing."""
         known = self.estimate is not None and self.estimate.verdict != "undetermined"
-        return self.estimate if known or self.grip is None else self.grip
+        useful = self.grip is not None and self.grip.verdict != "undetermined"
+        return self.grip if useful and not known else self.estimate
 
     @property
     def verdict(self) -> str:

@@ -15,7 +15,7 @@ from data.contact.interaction import ContactFrame, Horizon, Interaction, Interac
 from data.contact.tissue_points import grid_to_picture
 from data.prepared import SEEN_OUT, PreparedFrame
 from estimators.contract import ClipInfo
-from estimators.estimate import LEAST_SKILL, Estimate, FrameEstimate, InteractionEstimate, NoEstimate
+from estimators.estimate import Estimate, FrameEstimate, InteractionEstimate, NoEstimate
 from estimators.grip.recorder import GripRecorder
 from physics.mechanics import Bounds, Mechanics
 
@@ -131,7 +131,7 @@ class RunSession:
             self._grip = None
         elif run.index == frame.frame.index:
             self._grip = GripRecorder(frame) if frame.visible else None
-        elif self._grip is not None:
+        elif self._grip is not None and frame.frame.index - run.last <= self.clip.bridge_frames:
             self._grip.add(frame)
         self.seconds["grip"] += time.perf_counter() - start
 
@@ -169,7 +169,10 @@ class RunSession:
             found, told = None, str(reason) if only else ""
         self.seconds["grip"] += time.perf_counter() - start
         if found is not None and not found.explained:
-            told = f"A gripped sheet doesn't explain the motion: skill {found.skill:.2f}; {LEAST_SKILL:g} is needed."
+            told = f"A sheet gripped by the instrument doesn't explain the motion (skill {found.skill:.2f}"
+            told += f", gripped elsewhere {found.rival:.2f})."
+        elif found is not None and not found.determined:
+            told = "A gripped sheet explains the motion, but its foundation is hardly known."
         return dataclasses.replace(said, grip=found, detail=f"{said.detail} {told}".strip())
 
     def _whole(self, contact: Interaction) -> tuple[Estimate, tuple[np.ndarray, np.ndarray], str]:

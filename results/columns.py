@@ -33,14 +33,14 @@ UNITS = {
 VERDICT = {
     "verdict": "determined, ratios (only k_s/k_d and F/k_d), foundation (only that over stiffness), undetermined; "
     "onset_in_view: the model doesn't tell",
-    "determined": "which parameters and ratios are determined, joined by ;",
+    "determined": "which parameters and ratios are determined, joined by ;; relative_force is in fit.png only",
 }
 GRIP = {
     "foundation_over_stiffness": "of a node over a spring's, nodes 8 px apart in a picture at most 854 px wide; empty "
     "unless only that is determined",
     "foundation_over_stiffness_low": "lower end of its 90 % interval",
     "foundation_over_stiffness_high": "upper end of its 90 % interval",
-    "skill": "of that sheet in frames that were not fitted: 1 - error / motion",
+    "skill": "of that sheet in frames that were not fitted: 1 - error / motion; unless foundation, detail says it",
 }
 """Columns of what the motion around an instrument tells, where nothing is determined by the contact's own."""
 FRAMES: dict[str, str] = {
@@ -99,8 +99,8 @@ def interaction_values(run: InteractionEstimate) -> dict[str, Any]:
         delays = dict(zip(("delay_s", "release_delay_s"), estimate.delays, strict=False))
         found |= vars(estimate) | estimate.numbers() | delays
         found |= {"explanation": estimate.explanation if told is estimate else "", "at_bound": " ".join(stuck)}
-    if run.grip is not None:
-        found |= {name: getattr(run.grip, name) for name in GRIP}
+    if run.grip is not None and told is run.grip:
+        found |= {name: getattr(run.grip, name) for name in GRIP} | {"frames": len(run.grip.times)}
     if told is not None:
         found |= {"status": "ok", "verdict": told.verdict, "determined": ";".join(told.determined)}
     return found

@@ -77,7 +77,7 @@ def draw_fits(runs: Sequence[InteractionEstimate], counts: Counter[str], title: 
         told += f" {len(runs)} are drawn, interactions.csv has all."
     panels = list(runs) or [None]
     words = [_told_of_run(run) for run in panels]
-    motions = [run is not None and (run.simulated is not None or run.grip is not None) for run in panels]
+    motions = [run is not None and (run.simulated is not None or run.told is run.grip is not None) for run in panels]
     heights = [
         0.9 + 0.2 * len(_lines(text)) + 2.8 * motion for (_, text, _), motion in zip(words, motions, strict=True)
     ]
@@ -246,8 +246,8 @@ def _draw_grip(axes: Axes, grip: GripEstimate) -> None:
     """Force at the grip over time, over that of the last frame."""
     low, high = grip.force - NINETY * grip.force_sd, grip.force + NINETY * grip.force_sd
     axes.fill_between(grip.times, low, high, color=SIMULATED, alpha=0.25, lw=0, label="90 % interval")
-    axes.plot(grip.times, grip.force, "o-", ms=4, lw=1.5, color=SIMULATED, label="force at the grip")
-    axes.set(xlabel="time since the first frame in contact [s]", ylabel="force over that of\nthe last frame [1]")
+    axes.plot(grip.times, grip.force, "o-", ms=4, lw=1.5, color=SIMULATED, label="force along that of the last frame")
+    axes.set(xlabel="time since the first frame in contact [s]", ylabel="force at the grip\nover the last one [1]")
     axes.legend(loc="upper left", framealpha=0.85, fontsize=10)
     axes.grid(color=GRID, lw=0.8)
 

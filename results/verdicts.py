@@ -13,7 +13,7 @@ Color = tuple[int, int, int]
 COLORS: dict[str, Color] = {
     "determined": (22, 163, 74),
     "ratios": (37, 99, 235),
-    "foundation": (13, 148, 136),
+    "foundation": (8, 120, 165),
     "onset_in_view": (129, 140, 248),
     "undetermined": (217, 119, 6),
     "doubtful": (217, 119, 6),

@@ -20,7 +20,7 @@ BORDER = 3
 CHECK = 1.5
 """Largest distance to where flow and backward flow return a point [px]."""
 WIDEST = 854
-"""Wider pictures are shrunk to this before their points are followed, which would take too long [px]."""
+"""Wider or higher pictures are shrunk to this before their points are followed, which would take too long [px]."""
 DARK = 20
 """Of 255: where no channel is brighter there is no picture, outside an endoscope's round field."""
 RIM = 15
@@ -38,7 +38,7 @@ def tool_distance(tool: np.ndarray) -> np.ndarray:
 
 
 class PointFollower:
-    """Points on tissue from the first picture on; places and lengths in pixels of a picture at most WIDEST wide.
+    """Points on tissue from the first picture on; all in pixels of a picture at most WIDEST wide and high.
 
     Args:
         picture: the first one, uint8 [H, W, 3] RGB.
@@ -90,11 +90,12 @@ class PointFollower:
 
 
 def shrunk(picture: np.ndarray, tool: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A picture and its mask, at most WIDEST wide."""
+    """A picture and its mask, at most WIDEST wide and high."""
     height, width = tool.shape
-    if width <= WIDEST:
+    share = WIDEST / max(height, width)
+    if share >= 1:
         return picture, tool
-    size = WIDEST, max(round(height * WIDEST / width), 1)
+    size = max(round(width * share), 1), max(round(height * share), 1)
     small = cv2.resize(tool.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
     return cv2.resize(picture, size, interpolation=cv2.INTER_AREA), small
 

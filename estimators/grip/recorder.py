@@ -5,6 +5,9 @@ Rest is the run's first frame: what the tissue was stretched by before is not kn
 
 from __future__ import annotations
 
+import dataclasses
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,12 +17,14 @@ from data.prepared import PreparedFrame
 from data.tracks.background import without_background
 from data.tracks.following import PointFollower
 from estimators.estimate import NINETY, GripEstimate, NoEstimate
-from estimators.grip.sheet_fit import GripFrame, NothingMoves, fit_sheet, skill
+from estimators.grip.sheet_fit import LEAST_FRAMES, LEAST_MOTION, GripFrame, NothingMoves, SheetFit, fit_sheet, skill
 
 DRIVEN = 24.0
 """Points that began nearer to the tool move with it [px]."""
+ELSEWHERE = 100.0
+"""Tissue that began farther from the tool may be taken as another grip, to compare [px]."""
 MOST_KEPT = 32
-"""Frames that are kept, evenly spread over the run so far: memory does not grow with it."""
+"""Frames that are kept, evenly spread over those so far that tell anything: memory does not grow with the run."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +43,8 @@ class GripRecorder:
     def __init__(self, first: PreparedFrame) -> None:
         picture, labels = first.view
         self._follower = PointFollower(picture, labels == TOOL)
-        self._start, self._kept, self._every, self._count = first.frame.time_s, list[_Kept](), 1, 0
+        self._start, self._kept, self._every = first.frame.time_s, list[_Kept](), 1
+        self._seen, self._count = 0, 0
 
     def add(self, frame: PreparedFrame) -> None:
         """The next frame; one without picture or labels is passed over, one out of contact only followed through."""
@@ -47,11 +53,16 @@ class GripRecorder:
         picture, labels = frame.view
         follower = self._follower
         follower.step(picture, labels == TOOL)
-        self._count += frame.in_contact
-        if not frame.in_contact or self._count % self._every:
+        if not frame.in_contact:
             return
+        self._seen += 1
         moved = without_background(follower.points, follower.moved, follower.distance).astype(np.float32)
         grip = GripFrame(moved, follower.followed & (follower.distance < DRIVEN))
+        if not grip.tells:
+            return
+        self._count += 1
+        if self._count % self._every:
+            return
         self._kept.append(_Kept(frame.frame.time_s - self._start, grip))
         if len(self._kept) > MOST_KEPT:
             self._kept, self._every = self._kept[1::2], 2 * self._every
@@ -62,20 +73,56 @@ class GripRecorder:
         Raises:
             NoEstimate: too little moves, or too few points are seen.
         """
-        moving = [kept for kept in self._kept if kept.frame.tells]
-        half, points = len(moving) // 2, self._follower.points
+        kept, half, points = self._kept, len(self._kept) // 2, self._follower.points
+        if half < LEAST_FRAMES:
+            raise NoEstimate(
+                f"In {self._count} of {self._seen} frames the tissue moves with the instrument by more than "
+                f"{LEAST_MOTION:g} px and enough of it is seen; {2 * LEAST_FRAMES} are needed."
+            )
+        spacing, frames = self._follower.spacing, [item.frame for item in kept]
         try:
-            fit = fit_sheet(points, self._follower.spacing, [kept.frame for kept in moving[:half]], field=False)
+            fit = fit_sheet(points, spacing, frames[:half], field=False)
         except NothingMoves as error:
             raise NoEstimate(str(error)) from error
         log, sd = fit.mean_log_anchor
-        force, force_sd = fit.relative_force([kept.frame for kept in moving])
+        force, force_sd = fit.relative_force(frames)
         return GripEstimate(
             foundation_over_stiffness=float(np.exp(log)),
             foundation_over_stiffness_low=float(np.exp(log - NINETY * sd)),
             foundation_over_stiffness_high=float(np.exp(log + NINETY * sd)),
-            skill=float(np.mean([skill(fit, kept.frame) for kept in moving[half:]])),
-            times=np.array([kept.time_s for kept in moving]),
+            skill=_mean_skill(fit, frames[half:]),
+            rival=_rival_skill(points, spacing, self._follower.distance, frames),
+            times=np.array([item.time_s for item in kept]),
             force=force,
             force_sd=force_sd,
         )
+
+
+def _mean_skill(fit: SheetFit, frames: Sequence[GripFrame]) -> float:
+    return float(np.mean([skill(fit, frame) for frame in frames]))
+
+
+def _rival_skill(points: np.ndarray, spacing: int, distance: np.ndarray, frames: Sequence[GripFrame]) -> float:
+    """Skill if as many points as are gripped were so around the one that moves most, far from the tool.
+
+    Args:
+        points, distance: places at rest [N, 2] and distances from the tool there [N] [px].
+        spacing: of the points [px].
+
+    Returns:
+        -∞ where too few points are seen there in all frames, or too little of them moves.
+    """
+    seen = np.logical_and.reduce([np.isfinite(frame.moved).all(axis=1) for frame in frames])
+    far = seen & (distance > ELSEWHERE)
+    if not far.any():
+        return -math.inf
+    moved = np.where(far, np.linalg.norm(frames[-1].moved, axis=1), -1.0)
+    away = np.where(seen, np.linalg.norm(points - points[np.argmax(moved)], axis=1), np.inf)
+    gripped = np.zeros(len(points), bool)
+    gripped[np.argsort(away)[: min(int(frames[-1].gripped.sum()), int(seen.sum()))]] = True
+    found = [dataclasses.replace(frame, gripped=gripped) for frame in frames]
+    found = [frame for frame in found if frame.tells]
+    half = len(found) // 2
+    if half < LEAST_FRAMES:
+        return -math.inf
+    return _mean_skill(fit_sheet(points, spacing, found[:half], field=False), found[half:])

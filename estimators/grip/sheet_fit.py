@@ -9,6 +9,7 @@ error is hundreds of times that of following points.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -122,22 +123,33 @@ class SheetFit:
     def relative_force(self, frames: Sequence[GripFrame]) -> tuple[np.ndarray, np.ndarray]:
         """What holds the gripped tissue in every frame over what holds it in the last, and its standard deviation.
 
-        Along the last one's direction, shape [T] each. What the sheet leaves of the motion counts as its share of the
-        force, in between rest and the last frame, where the ratio is 0 and 1 whatever the tissue.
+        Along the last one's direction, shape [T] each, of the points that are seen in all of them; not a number where
+        these are too few. What the sheet leaves of the motion counts as its share of the force, in between rest and the
+        last frame, where the ratio is 0 and 1 whatever the tissue.
         """
+        same = np.logical_and.reduce([frame.gripped for frame in frames])
+        if same.sum() < LEAST_GRIPPED:
+            return np.full(len(frames), np.nan), np.full(len(frames), np.nan)
+        frames = [dataclasses.replace(frame, gripped=same) for frame in frames]
         factor = np.linalg.cholesky(self.covariance + TINY * np.eye(len(self.numbers)))
         random = np.random.default_rng(0).standard_normal((DRAWS, len(self.numbers)))
         if len(self.numbers) == 1:
             random = np.array([[1.0], [-1.0]])  # which have its standard deviation, and are fewer
-        drawn = [_forces_along_last(self, self.numbers + factor @ row, frames) for row in random]
-        ratio = _forces_along_last(self, self.numbers, frames)
-        left = self.error[1] * np.abs(ratio * (1 - ratio))
+        drawn = [_along_last(_forces(self, self.numbers + factor @ row, frames))[0] for row in random]
+        ratio, across = _along_last(_forces(self, self.numbers, frames))
+        left = self.error[1] * np.hypot(ratio * (1 - ratio), across)
         return ratio, np.hypot(np.std(drawn, axis=0), left)
 
 
-def _forces_along_last(fit: SheetFit, numbers: np.ndarray, frames: Sequence[GripFrame]) -> np.ndarray:
-    forces = np.array([solve(fit.springs, fit.fields, numbers, frame).reaction.sum(axis=0) for frame in frames])
-    return forces @ forces[-1] / (forces[-1] @ forces[-1])
+def _forces(fit: SheetFit, numbers: np.ndarray, frames: Sequence[GripFrame]) -> np.ndarray:
+    """What holds the gripped tissue in every frame, shape [T, 2] [unit of stiffness × px]."""
+    return np.array([solve(fit.springs, fit.fields, numbers, frame).reaction.sum(axis=0) for frame in frames])
+
+
+def _along_last(forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Forces [T, 2] along the last one, and across it, over its length, shape [T] each."""
+    last = forces[-1] / (forces[-1] @ forces[-1])
+    return forces @ last, forces @ np.array([-last[1], last[0]])
 
 
 def fit_sheet(points: np.ndarray, spacing: int, frames: Sequence[GripFrame], field: bool = True) -> SheetFit:

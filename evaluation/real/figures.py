@@ -28,7 +28,8 @@ def draw_pull(found: Pull) -> Figure:
     _draw_field(figure, axes[0, 2], found, anchor, anchor_sd, "Foundation over stiffness")
     for name, values in found.skills.items():
         axes[1, 0].plot(found.judged, values, marker="o", ms=3, ls="-" if "field" in name else ":", label=name)
-    axes[1, 0].set(ylim=(0, 1), xlabel="frame after the first", ylabel="skill: 1 − error / motion")
+    lowest = min([0.0, *(float(values.min()) for values in found.skills.values())])
+    axes[1, 0].set(ylim=(lowest, 1), xlabel="frame after the first", ylabel="skill: 1 − error / motion")
     axes[1, 0].set_title("Motion of the frames kept back", fontsize=10)
     if found.skills:
         axes[1, 0].legend(fontsize=8)

@@ -72,7 +72,7 @@ def evaluate_press(folder: Path, wrench: Path) -> Press:
     dent, force = deepest_dent(folder), measured_force(wrench)
     if len(dent) < KNOWN[1] or len(force) < KNOWN[1]:
         raise InputError(f"{folder} has {len(dent)} frames and {wrench} {len(force)} rows; {KNOWN[1]} are needed.")
-    fitted = KNOWN if len(force) > KNOWN[1] else DEVELOPED
+    fitted = KNOWN if min(len(force), len(dent)) > KNOWN[1] else DEVELOPED
     if not dent[slice(*fitted)].any():
         raise InputError(f"{folder} shows no dent in frames {fitted[0]} to {fitted[1] - 1}, whose force is known.")
     factor, variance, left = fit_factor(dent[slice(*fitted)], force[slice(*fitted)])
@@ -113,7 +113,7 @@ def damping_time(dent: np.ndarray, force: np.ndarray, fitted: tuple[int, int]) -
     columns = np.column_stack([dent, np.gradient(dent)])[frames]
     (factor, slope), *_ = np.linalg.lstsq(columns, force[frames], rcond=None)
     left = np.square(force[frames] - columns @ [factor, slope]).sum() / max(len(columns) - 2, 1)
-    covariance = left * np.linalg.inv(columns.T @ columns)
+    covariance = left * np.linalg.pinv(columns.T @ columns)
     time = slope / factor
     row = np.array([-time, 1]) / factor
     return float(time), float(np.sqrt(row @ covariance @ row + CLOCK**2))

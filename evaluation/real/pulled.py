@@ -151,7 +151,8 @@ def _measures(
 def _nearby(frame: GripFrame, distance: np.ndarray) -> np.ndarray:
     """Points around the grip that began close to the tool, shape [N], bool."""
     seen = frame.around | frame.gripped
-    return frame.around & (distance < np.percentile(distance[seen], NEARBY))
+    nearby = frame.around & (distance < np.percentile(distance[seen], NEARBY))
+    return nearby if nearby.any() else frame.around
 
 
 def follow_clip(clip: PulledClip) -> Follow:

@@ -118,7 +118,7 @@ def test_parameters_at_their_ranges_end_and_delays_are_told() -> None:
 
 def grip(skill: float = 0.6) -> GripEstimate:
     times = np.arange(1.0, 4.0)
-    return GripEstimate(0.02, 0.015, 0.027, skill, times, times / 3, np.array([0.02, 0.03, 0.0]))
+    return GripEstimate(0.02, 0.015, 0.027, skill, 0.1, times, times / 3, np.array([0.02, 0.03, 0.0]))
 
 
 def test_a_grip_is_told_where_nothing_else_is_determined() -> None:
@@ -129,7 +129,7 @@ def test_a_grip_is_told_where_nothing_else_is_determined() -> None:
     assert found["determined"] == "foundation_over_stiffness;relative_force"
     assert found["force"] == found["stiffness"] == ""
     unexplained = of_run(InteractionEstimate(0, 5, 0.0, grip=grip(0.2)))
-    assert (unexplained["verdict"], unexplained["determined"]) == ("undetermined", "")
+    assert (unexplained["verdict"], unexplained["status"], unexplained["skill"]) == ("", "no_estimate", "")
 
 
 def test_a_press_that_is_determined_comes_before_a_grip() -> None:

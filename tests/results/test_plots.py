@@ -261,14 +261,14 @@ def test_a_fit_tells_the_verdict_first_and_no_number_surer_than_it() -> None:
 
 def test_a_grip_shows_how_the_force_changes_and_names_no_other_number() -> None:
     times = np.arange(1.0, 4.0)
-    grip = GripEstimate(0.02, 0.015, 0.027, 0.6, times, times / 3, np.array([0.02, 0.03, 0.0]))
+    grip = GripEstimate(0.02, 0.015, 0.027, 0.6, 0.1, times, times / 3, np.array([0.02, 0.03, 0.0]))
     (axes,) = fits(dataclasses.replace(NONE, grip=grip, detail="No onset."))
     assert heading(axes).endswith("foundation over stiffness 0.015 to 0.027")
     assert to_rgb(axes.texts[0].get_color()) == pytest.approx(color_of("foundation"))
     assert axes.get_title("left").startswith(
         "Skill 0.60 in frames that were not fitted (1: exact). No k_s, k_d or |F|."
     )
-    np.testing.assert_allclose(curve(axes, "force at the grip"), (times, times / 3))
+    np.testing.assert_allclose(curve(axes, "force along that of the last frame"), (times, times / 3))
     assert extent(axes.collections[0]).y1 == pytest.approx(1.0)
 
 

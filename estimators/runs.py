@@ -169,8 +169,8 @@ class RunSession:
             found, told = None, str(reason) if only else ""
         self.seconds["grip"] += time.perf_counter() - start
         if found is not None and not found.explained:
-            told = f"A sheet gripped by the instrument doesn't explain the motion (skill {found.skill:.2f}"
-            told += f", gripped elsewhere {found.rival:.2f})."
+            elsewhere = f", gripped elsewhere {found.rival:.2f}" if math.isfinite(found.rival) else ""
+            told = f"A sheet gripped by the instrument doesn't explain the motion (skill {found.skill:.2f}{elsewhere})."
         elif found is not None and not found.determined:
             told = "A gripped sheet explains the motion, but its foundation is hardly known."
         return dataclasses.replace(said, grip=found, detail=f"{said.detail} {told}".strip())

@@ -17,7 +17,7 @@ from data.prepared import PreparedFrame
 from data.tracks.background import without_background
 from data.tracks.following import PointFollower
 from estimators.estimate import NINETY, GripEstimate, NoEstimate
-from estimators.grip.sheet_fit import LEAST_FRAMES, LEAST_MOTION, GripFrame, NothingMoves, SheetFit, fit_sheet, skill
+from estimators.grip.sheet_fit import LEAST_FRAMES, LEAST_MOTION, GripFrame, SheetFit, fit_sheet, skill
 
 DRIVEN = 24.0
 """Points that began nearer to the tool move with it [px]."""
@@ -80,10 +80,7 @@ class GripRecorder:
                 f"{LEAST_MOTION:g} px and enough of it is seen; {2 * LEAST_FRAMES} are needed."
             )
         spacing, frames = self._follower.spacing, [item.frame for item in kept]
-        try:
-            fit = fit_sheet(points, spacing, frames[:half], field=False)
-        except NothingMoves as error:
-            raise NoEstimate(str(error)) from error
+        fit = fit_sheet(points, spacing, frames[:half], field=False)
         log, sd = fit.mean_log_anchor
         force, force_sd = fit.relative_force(frames)
         return GripEstimate(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from estimators.estimate import REPORTED, SYMBOLS, InteractionEstimate
+from estimators.estimate import REPORTED, SYMBOLS, GripEstimate, InteractionEstimate
 from physics.mechanics import PARAMETERS
 
 ESTIMATED = {
@@ -33,7 +33,7 @@ UNITS = {
 VERDICT = {
     "verdict": "determined, ratios (only k_s/k_d and F/k_d), foundation (only that over stiffness), undetermined; "
     "onset_in_view: the model doesn't tell",
-    "determined": "which parameters and ratios are determined, joined by ;; relative_force is in fit.png only",
+    "determined": "which parameters and ratios are determined, joined by ; (relative_force: its curve is in fit.png)",
 }
 GRIP = {
     "foundation_over_stiffness": "of a node over a spring's, nodes 8 px apart in a picture at most 854 px wide; empty "
@@ -99,8 +99,8 @@ def interaction_values(run: InteractionEstimate) -> dict[str, Any]:
         delays = dict(zip(("delay_s", "release_delay_s"), estimate.delays, strict=False))
         found |= vars(estimate) | estimate.numbers() | delays
         found |= {"explanation": estimate.explanation if told is estimate else "", "at_bound": " ".join(stuck)}
-    if run.grip is not None and told is run.grip:
-        found |= {name: getattr(run.grip, name) for name in GRIP} | {"frames": len(run.grip.times)}
+    if isinstance(told, GripEstimate):
+        found |= {name: getattr(told, name) for name in GRIP} | {"frames": len(told.times)}
     if told is not None:
         found |= {"status": "ok", "verdict": told.verdict, "determined": ";".join(told.determined)}
     return found

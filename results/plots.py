@@ -77,7 +77,7 @@ def draw_fits(runs: Sequence[InteractionEstimate], counts: Counter[str], title: 
         told += f" {len(runs)} are drawn, interactions.csv has all."
     panels = list(runs) or [None]
     words = [_told_of_run(run) for run in panels]
-    motions = [run is not None and (run.simulated is not None or run.told is run.grip is not None) for run in panels]
+    motions = [run is not None and (run.simulated is not None or isinstance(run.told, GripEstimate)) for run in panels]
     heights = [
         0.9 + 0.2 * len(_lines(text)) + 2.8 * motion for (_, text, _), motion in zip(words, motions, strict=True)
     ]
@@ -202,11 +202,11 @@ def _told_of_run(run: InteractionEstimate | None) -> tuple[str, str, str]:
     if run is None:
         return "no contact was found", "", "no_estimate"
     place, estimate = f"contact from frame {run.onset_frame} ({run.onset_time_s:.3f} s)", run.estimate
-    if run.grip is not None and run.told is run.grip:
-        low, high = run.grip.foundation_over_stiffness_low, run.grip.foundation_over_stiffness_high
-        heading = f"{run.grip.verdict}: {place}, foundation over stiffness {digits(low, 2)} to {digits(high, 2)}"
-        sentence = f"Skill {run.grip.skill:.2f} in frames that were not fitted (1: exact). No k_s, k_d or |F|."
-        return heading, f"{sentence} {run.detail}", run.grip.verdict
+    if isinstance(grip := run.told, GripEstimate):
+        low, high = (digits(getattr(grip, f"foundation_over_stiffness_{end}"), 2) for end in ("low", "high"))
+        sentence = f"Skill {grip.skill:.2f} in frames that were not fitted (1: exact). No k_s, k_d or |F|."
+        heading = f"{grip.verdict}: {place}, foundation over stiffness {low} to {high}"
+        return heading, f"{sentence} {run.detail}", grip.verdict
     if estimate is None:
         return f"no estimate: {place}", run.detail, "no_estimate"
     doubtful = estimate.verdict == "determined" and run.detail != ""
@@ -223,8 +223,8 @@ def _told_of_run(run: InteractionEstimate | None) -> tuple[str, str, str]:
 
 def _draw_motion(axes: Axes, run: InteractionEstimate | None) -> None:
     """Motion along the force, positive where it follows it: observed, with its noise, and simulated; the release."""
-    if run is not None and run.grip is not None and run.told is run.grip:
-        _draw_grip(axes, run.grip)
+    if run is not None and isinstance(run.told, GripEstimate):
+        _draw_grip(axes, run.told)
         return
     if run is None or run.simulated is None or run.interaction is None or run.estimate is None:
         axes.set_axis_off()

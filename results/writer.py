@@ -86,7 +86,7 @@ class ClipResults:
         """Append a run of contact."""
         self.counts[state(run)] += 1
         shown = [*self.drawn, run]
-        self.drawn = sorted(shown, key=lambda item: item.simulated is None and item.grip is None)[:MOST_PANELS]
+        self.drawn = sorted(shown, key=lambda item: item.simulated is None and not item.verdict)[:MOST_PANELS]
         with writing(self.folder.parent):
             self._runs.writerow(columns.row(columns.INTERACTIONS, columns.interaction_values(run)))
 

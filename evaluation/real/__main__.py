@@ -18,6 +18,7 @@ if __name__ == "__main__":
     enter_door()  # before the slow imports
 
 import argparse
+import dataclasses
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -34,21 +35,18 @@ from evaluation.real.figures import draw_press, draw_pull
 from evaluation.real.pressed import evaluate_press
 from evaluation.real.pulled import PulledClip, evaluate_pull
 from evaluation.tables import to_csv, to_markdown
-from physics.doors import plain
+from physics.doors import INTERRUPTED, plain
 from physics.files import replacing
 from results.store import OutputError, writing
 
 COLUMNS = ("clip", "measure", "value")
 TITLE = "Real clips, judged on what was kept back"
 KNOWN = {
-    "recover_tissue": ("recover_tissue/img_left", "recover_tissue/tool_mask"),
-    "video01_00080, frames 149 to 159": ("cholecseg8k/video01/video01_00080", None),
+    "recover_tissue": PulledClip(Path("recover_tissue/img_left"), Path("recover_tissue/tool_mask")),
+    # Before that no instrument is in view.
+    "video01_00080, frames 149 to 159": PulledClip(Path("cholecseg8k/video01/video01_00080"), camera=True, start=69),
 }
-"""Folders of frames and of masks of the pulled clips, below the data's folder."""
-FIRST = {"video01_00080, frames 149 to 159": 69}
-"""Frames before the instrument comes into view are left out."""
-MOVING = {"video01_00080, frames 149 to 159"}
-"""Clips whose camera moves."""
+"""Pulled clips, below the data's folder."""
 PRESSED = "pressed_membrane"
 
 Found = tuple[Mapping[str, object], bytes]
@@ -90,10 +88,10 @@ def tasks_of(options: argparse.Namespace) -> dict[str, Callable[[], Found]]:
         add(name, lambda: _pulled(clip))
 
     if options.data is not None:
-        for name, (frames, masks) in KNOWN.items():
-            if (options.data / frames).exists():
-                folder = None if masks is None else options.data / masks
-                pull(name, PulledClip(options.data / frames, folder, camera=name in MOVING, start=FIRST.get(name, 0)))
+        for name, clip in KNOWN.items():
+            frames, masks = options.data / clip.frames, None if clip.masks is None else options.data / clip.masks
+            if frames.exists():
+                pull(name, dataclasses.replace(clip, frames=frames, masks=masks))
         folder = options.data / PRESSED
         for wrench in sorted(folder.glob("wrench_*.csv")):
             add(f"{PRESSED}, {wrench.stem}", lambda wrench=wrench: _pressed(folder, wrench))
@@ -131,18 +129,24 @@ def main(arguments: list[str] | None = None) -> int:
     rows: list[dict[str, object]] = []
     figures: dict[str, bytes] = {}
     status = 0
-    with progress_bars(console) as progress:
-        bar = progress.add_task("clips", total=len(tasks))
-        for name, task in tasks.items():
-            try:
-                measures, figure = task()
-                figures[f"{len(figures) + 1}.png"] = figure
-            except (InputError, NothingMoves) as error:
-                measures = {"status": str(error)}
-                say(console, f"{name}: {error}", "red")
-                status = 1
-            rows += [{"clip": name, "measure": measure, "value": value} for measure, value in measures.items()]
-            progress.advance(bar)
+    try:
+        with progress_bars(console) as progress:
+            bar = progress.add_task("clips", total=len(tasks))
+            for name, task in tasks.items():
+                try:
+                    measures, figure = task()
+                    figures[f"{len(figures) + 1}.png"] = figure
+                except (InputError, NothingMoves) as error:
+                    measures = {"status": str(error)}
+                    say(console, f"{name}: {error}", "red")
+                    status = 1
+                rows += [{"clip": name, "measure": measure, "value": value} for measure, value in measures.items()]
+                progress.advance(bar)
+    except KeyboardInterrupt:
+        say(console, "Interrupted; what is finished is written.", "yellow")
+        status = INTERRUPTED
+    if not rows:
+        return status
     try:
         write(options.output, rows, figures)
     except OutputError as error:

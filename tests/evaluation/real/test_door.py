@@ -72,6 +72,20 @@ def test_two_clips_are_judged(inputs: Path, tmp_path: Path, capsys: pytest.Captu
     assert "force over dent" in told.out
 
 
+def test_an_interruption_keeps_what_is_finished(
+    inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("evaluation.real.__main__.evaluate_press", interrupt)
+    assert main([*pulled(inputs, "pull"), *pressed(inputs), "--output", str(tmp_path / "part")]) == 130
+    assert list(rows(tmp_path / "part")) == ["frames"]
+    assert "Interrupted; what is finished is written." in capsys.readouterr().err
+    assert main([*pressed(inputs), "--output", str(tmp_path / "nothing")]) == 130
+    assert not (tmp_path / "nothing").exists()
+
+
 def test_a_clip_where_nothing_moves_is_a_sentence_and_the_other_is_judged(
     inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:

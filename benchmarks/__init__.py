@@ -2,6 +2,7 @@
 
 rollout             the differentiable rollout against plain torch, and a press on a patch against one on a vertex
 inference           where the time of inference goes: encoder and head alone, and every stage of infer.py
+fem                 a body at rest, its tangents and its adjoint against element count, beside scikit-fem
 training_step       where the time of a training step goes
 physics_plots       the pictures of docs/physics.md
 observation_bounds  what each kind of observation can tell about θ

@@ -7,6 +7,7 @@ observation      what was seen of followed points
 likelihood       how well a θ explains an observation, and its derivatives
 identifiability  what a motion can tell about θ: information, bounds, verdict
 sheet            a gripped sheet at rest: the quasi-static limit
+fem              soft bodies of tetrahedra: laws, rest, motion, exact derivatives
 msd              mass–spring–damper sheets, with a numpy door and a torch door
 jit              compiled loops; lazy: package faces; provenance: digest of the code
 files            whole files or none, and reading that ends; fields: values of settings; doors: how programs end

@@ -1,0 +1,21 @@
+"""Finite elements of soft bodies, with exact derivatives (Frank 2010, section IV).
+
+laws           energy, stress and tangent of the materials; polar: rotations of deformation gradients
+solid          nodes and elements, linear or quadratic, and the sums over them
+lattice        tetrahedra that fill the cells of a grid
+equilibrium    rest under forces and prescribed displacements; derivatives by (E, ν), elements' E and forces
+dynamics       implicit time steps: mass-proportional damping, standard linear solid
+linear_system  symmetric sparse systems, factorised or iterated
+"""
+
+from physics.lazy import exported
+
+__getattr__ = exported(
+    {
+        "physics.fem.laws": ("LAWS", "Material"),
+        "physics.fem.solid": ("Solid", "make_solid"),
+        "physics.fem.lattice": ("box", "fill_cells"),
+        "physics.fem.equilibrium": ("Equilibrium", "NoEquilibrium", "find_equilibrium"),
+        "physics.fem.dynamics": ("Inertia", "Motion", "Relaxation", "simulate"),
+    }
+)

@@ -1,0 +1,229 @@
+"""Motion of a body: implicit time steps, with mass-proportional damping and with a standard linear solid.
+
+The trapezoidal rule, which is Newmark's with β = 1/4 and γ = 1/2 (Newmark 1959): of second order, stable at any step
+where the law is linear, and then its energy balance holds to rounding. A standard linear solid adds to the law a
+branch that relaxes, Q̇ + Q/τ = γ Ṡ with S the law's second Piola–Kirchhoff stress (Simo 1987; of law `linear` the stress
+itself), integrated exactly for a stress that changes linearly within the step.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from physics.fem.equilibrium import Energy, applied, settle
+from physics.fem.laws import Material, Response
+from physics.fem.linear_system import LinearSystem
+from physics.fem.solid import Solid
+from physics.load import Load
+
+
+@dataclass(frozen=True)
+class Relaxation:
+    """A standard linear solid: stress under a held strain falls from 1 + ratio to 1 times the law's as e^(-t/time).
+
+    Raises:
+        ValueError: a number that is not positive.
+    """
+
+    ratio: float
+    """γ, stiffness of the relaxing branch over the law's."""
+    time: float
+    """τ [s]."""
+
+    def __post_init__(self) -> None:
+        if not (self.ratio > 0 and self.time > 0):
+            raise ValueError(f"a relaxation of ratio {self.ratio:g} and time {self.time:g} s; give positive numbers.")
+
+
+@dataclass(frozen=True)
+class Inertia:
+    """What resists motion.
+
+    Raises:
+        ValueError: a density that is not positive, a negative damping.
+    """
+
+    density: float
+    """[kg/m³]."""
+    damping: float = 0.0
+    """Force per momentum, mass-proportional (Rayleigh's α) [1/s]."""
+
+    def __post_init__(self) -> None:
+        if not self.density > 0 or not self.damping >= 0:
+            raise ValueError(
+                f"density {self.density:g}, damping {self.damping:g}; give a positive and no negative one."
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A body's motion; T steps, N nodes. Index 0 is the beginning."""
+
+    material: Material
+    """Law and constants."""
+    times: np.ndarray
+    """Shape [T + 1] [s]."""
+    displacement: np.ndarray
+    """From rest, shape [T + 1, N, 3] [m]."""
+    reaction: np.ndarray
+    """Force on what is prescribed, shape [T, N, 3], zero elsewhere [N]: the mean over each time step, which rings where
+    a grip's velocity jumps; without inertia, at its end."""
+    kinetic: np.ndarray
+    """Energy of motion, shape [T + 1] [J]."""
+    elastic: np.ndarray
+    """Energy that the law stores, shape [T + 1] [J]; a relaxing branch's is not in it."""
+    damped: np.ndarray
+    """What mass-proportional damping has taken so far, shape [T + 1] [J]."""
+    work: np.ndarray
+    """Of loads, own forces and reactions so far, shape [T + 1] [J]."""
+
+
+def simulate(
+    solid: Solid,
+    material: Material,
+    held: np.ndarray,
+    load: Load,
+    step: float,
+    *,
+    inertia: Inertia | None,
+    force: float = 0.0,
+    forces: np.ndarray | None = None,
+    relaxation: Relaxation | None = None,
+    start: np.ndarray | None = None,
+) -> Motion:
+    """Follow a body under a load, from rest or from another displacement that is let go.
+
+    Args:
+        solid: the body.
+        material: of which it is.
+        held: components that don't move, shape [N, 3], bool.
+        load: a press of `force`, or a grip whose displacement is from rest; its steps are the time steps.
+        step: duration of one [s].
+        inertia: density and damping; None = slowly, each step in equilibrium.
+        force: F of a press [N].
+        forces: constant ones on the nodes, as its weight, shape [N, 3] [N].
+        relaxation: of a standard linear solid.
+        start: displacement at the beginning, shape [N, 3] [m], fully relaxed; None = rest.
+
+    Raises:
+        ValueError: a step that is not positive.
+        NoEquilibrium: a time step without a solution; take smaller ones.
+    """
+    if not step > 0:
+        raise ValueError(f"a time step of {step:g} s; give a positive one.")
+    nodes = len(solid.rest)
+    constant = np.zeros((nodes, 3)) if forces is None else forces
+    now = np.zeros((nodes, 3)) if start is None else np.array(start, np.float64)
+    velocity = np.zeros((nodes, 3))
+    mass = (0.0 if inertia is None else inertia.density) * solid.mass
+    damping = 0.0 if inertia is None else inertia.damping
+    rate = (4 / step**2 + 2 * damping / step) if inertia is not None else 0.0
+    branch = None if relaxation is None else _Branch(solid, material, relaxation, step, now)
+    gripped = applied(load, nodes, 0)[0]
+    free = ~(held | gripped)
+
+    def pulls(acting: np.ndarray, at: np.ndarray, speed: np.ndarray) -> np.ndarray:
+        """Forces that accelerate every node [N, 3]."""
+        stress = _response(solid, material, at).stress if branch is None else branch.total(at)
+        return acting - solid.forces(stress) - damping * _times(mass, speed)
+
+    acting = constant
+    balance = pulls(acting, now, velocity)
+    energies, system = [_energies(solid, material, mass, now, velocity)], None
+    moved, reactions, damped, work = [now], [], [0.0], [0.0]
+    for index in range(load.steps):
+        _, motion, pressed = applied(load, nodes, index, force)
+        before, acting = acting, constant + pressed
+        outer, quadratic = acting, None
+        if inertia is not None:
+            past = 4 / step**2 * (now + step * velocity) + damping * (2 / step * now + velocity)
+            outer, quadratic = acting + balance + _times(mass, past), (rate * mass).tocsr()
+        scale, history = (1.0, None) if branch is None else (branch.scale, branch.history)
+        energy = Energy(solid, material, outer, quadratic, scale, history)
+        if material.law == "linear" and system is None:
+            inside = free.ravel()
+            system = LinearSystem(energy.matrix(energy.response(now, tangent=True))[inside][:, inside].tocsr())
+        after, _ = settle(energy, now, np.where(gripped, motion, now), ~free, system)
+        if branch is not None:
+            branch.advance(after)
+        path, old = after - now, velocity
+        if inertia is not None:
+            velocity = 2 / step * path - old
+        past_balance, balance = balance, pulls(acting, after, velocity)
+        mean = np.where(free, 0.0, _times(mass, (velocity - old) / step) - (past_balance + balance) / 2)
+        damped.append(damped[-1] + damping / step * float((path * _times(mass, path)).sum()))
+        work.append(work[-1] + float((path * ((before + acting) / 2 + mean)).sum()))
+        reactions.append(mean if inertia is not None else np.where(free, 0.0, -balance))
+        now = after
+        moved.append(now)
+        energies.append(_energies(solid, material, mass, now, velocity))
+    kinetic, elastic = np.array(energies).T
+    times = step * np.arange(load.steps + 1)
+    return Motion(
+        material, times, np.stack(moved), np.stack(reactions), kinetic, elastic, np.array(damped), np.array(work)
+    )
+
+
+class _Branch:
+    """The relaxing branch of a standard linear solid; E elements, Q quadrature points."""
+
+    def __init__(
+        self, solid: Solid, material: Material, relaxation: Relaxation, step: float, displacement: np.ndarray
+    ) -> None:
+        share = step / relaxation.time
+        self.solid, self.material = solid, material
+        self.left = np.exp(-share)
+        """Of the branch's stress after a time step."""
+        self.gain = -relaxation.ratio * np.expm1(-share) / share
+        """Stress of the branch per change of the law's within a time step."""
+        self.stress = self._law_stress(displacement)
+        """The law's S, shape [E, Q, 3, 3] [Pa]."""
+        self.extra = np.zeros_like(self.stress)
+        """The branch's Q, likewise."""
+
+    @property
+    def scale(self) -> float:
+        """What the law's stress is multiplied by within a time step."""
+        return 1 + self.gain
+
+    @property
+    def history(self) -> np.ndarray:
+        """What is added to it: Q as it decays, less the share of the stress that is no change."""
+        return self.left * self.extra - self.gain * self.stress
+
+    def advance(self, displacement: np.ndarray) -> None:
+        """To the end of a time step, where the displacement is this [N, 3]."""
+        stress = self._law_stress(displacement)
+        self.extra = self.left * self.extra + self.gain * (stress - self.stress)
+        self.stress = stress
+
+    def total(self, displacement: np.ndarray) -> np.ndarray:
+        """First Piola–Kirchhoff stress of law and branch, shape [E, Q, 3, 3] [Pa]."""
+        added = self.extra
+        if self.material.law != "linear":
+            added = np.matmul(self.solid.deformation(displacement), added)
+        return _response(self.solid, self.material, displacement).stress + added
+
+    def _law_stress(self, displacement: np.ndarray) -> np.ndarray:
+        stress = _response(self.solid, self.material, displacement).stress
+        if self.material.law == "linear":
+            return stress
+        return np.linalg.solve(self.solid.deformation(displacement), stress)
+
+
+def _response(solid: Solid, material: Material, displacement: np.ndarray) -> Response:
+    return Energy(solid, material, np.zeros_like(displacement)).response(displacement)
+
+
+def _energies(
+    solid: Solid, material: Material, mass: csr_array, displacement: np.ndarray, velocity: np.ndarray
+) -> tuple[float, float]:
+    elastic = float((solid.weights * _response(solid, material, displacement).energy).sum())
+    return float((velocity * _times(mass, velocity)).sum()) / 2, elastic
+
+
+def _times(mass: csr_array, values: np.ndarray) -> np.ndarray:
+    return (mass @ values.ravel()).reshape(values.shape)

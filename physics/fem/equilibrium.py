@@ -1,0 +1,327 @@
+"""Where a body comes to rest under forces and prescribed displacements, with exact derivatives.
+
+Newton's method on the potential energy with a backtracking line search (Nocedal & Wright 2006, algorithm 3.1) along
+load steps that are halved where it fails. Derivatives come from the tangent at the solution (implicit function
+theorem): by (E, ν) and by forces directly, of a scalar by every element's E and every nodal force through the adjoint.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.sparse import csr_array, diags_array
+
+from physics.fem.laws import Material, Response, respond
+from physics.fem.linear_system import LinearSystem
+from physics.fem.solid import Solid
+from physics.load import Grip, Load
+
+TOLERANCE = 1e-10
+"""Largest force out of balance, over the largest sum of the elements' forces at a node."""
+_ITERATIONS = 60
+_ARMIJO = 1e-4
+_SHORTEST = 2.0**-12
+_FORCING = 1e-3
+"""Accuracy of a Newton step that is solved iteratively: the outer iteration squares it away."""
+_HALVINGS = 8
+
+
+class NoEquilibrium(ValueError):
+    """Newton's method found none along the load."""
+
+
+@dataclass(frozen=True, eq=False)
+class Energy:
+    """Potential energy of a body whose displacement is u: elastic, and what time stepping adds to it.
+
+    scale·elastic(u) + ½ F·H·F + ½ u·A·u - f·u
+    """
+
+    solid: Solid
+    material: Material
+    forces: np.ndarray
+    """f, shape [N, 3] [N]."""
+    quadratic: csr_array | None = None
+    """A, shape [3N, 3N] [N/m]: inertia and damping within a time step."""
+    scale: float = 1.0
+    """Of the elastic stress: 1 + what a relaxing branch adds to it."""
+    history: np.ndarray | None = None
+    """H, second Piola–Kirchhoff stress left from before, shape [E, Q, 3, 3] [Pa]; of law `linear` the stress itself."""
+
+    def response(self, displacement: np.ndarray, tangent: bool = False) -> Response:
+        """Energy [J], stress and tangent of the material at every quadrature point."""
+        gradient = self.solid.deformation(displacement)
+        law = self.material.law
+        mu, lam = (np.broadcast_to(value, len(self.solid.elements))[:, None] for value in self.material.lame)
+        energy, stress, slope = respond(law, gradient, mu, lam, tangent=tangent)
+        energy, stress = self.scale * energy, self.scale * stress
+        if slope is not None:
+            slope = self.scale * slope
+        if self.history is not None:
+            added = self.history if law == "linear" else np.matmul(gradient, self.history)
+            stress = stress + added
+            strain = gradient - np.eye(3) if law == "linear" else gradient / 2
+            energy = energy + (added * strain).sum((-2, -1))
+            if slope is not None and law != "linear":
+                stretched = np.einsum("ik,eqlj->eqijkl", np.eye(3), self.history)
+                slope = slope + stretched.reshape(slope.shape)
+        return Response(energy, stress, slope)
+
+    def value(self, displacement: np.ndarray) -> tuple[float, float]:
+        """The energy, infinite where the law isn't defined, and what rounding may make of it [J]."""
+        solid = self.solid
+        elastic = float((solid.weights * self.response(displacement).energy).sum())
+        flat = displacement.ravel()
+        inertia = 0.0 if self.quadratic is None else 0.5 * float(flat @ (self.quadratic @ flat))
+        outer = float((self.forces * displacement).sum())
+        # Neo-Hookean energies are differences of terms of the size of μ.
+        rounded = float((solid.volumes * self.material.lame[0]).sum())
+        return elastic + inertia - outer, 1e-14 * (rounded + abs(elastic) + abs(inertia) + abs(outer))
+
+    def out_of_balance(self, response: Response, displacement: np.ndarray) -> tuple[np.ndarray, float]:
+        """Force that still accelerates every node, shape [N, 3], and the size of the forces that cancel in it [N]."""
+        by_element = self.solid.element_forces(response.stress)
+        inner, size = self.solid.gather(by_element), float(self.solid.gather(np.abs(by_element)).max())
+        if self.quadratic is not None:
+            inertia = (self.quadratic @ displacement.ravel()).reshape(-1, 3)
+            inner, size = inner + inertia, max(size, float(np.abs(inertia).max()))
+        return self.forces - inner, max(size, float(np.abs(self.forces).max()))
+
+    def matrix(self, response: Response) -> csr_array:
+        """Second derivatives of the energy, shape [3N, 3N] [N/m]."""
+        assert response.tangent is not None
+        found = self.solid.stiffness(response.tangent)
+        return found if self.quadratic is None else (found + self.quadratic).tocsr()
+
+
+@dataclass(frozen=True, eq=False)
+class Equilibrium:
+    """A body at rest under a load; N nodes, E elements."""
+
+    energy: Energy
+    """What it minimises: body, material (with the name of its law) and forces."""
+    displacement: np.ndarray
+    """From rest, shape [N, 3] [m]."""
+    held: np.ndarray
+    """Which components are prescribed, shape [N, 3], bool."""
+    iterations: int
+    """Newton steps that it took, over all load steps."""
+
+    @property
+    def material(self) -> Material:
+        """Law and constants."""
+        return self.energy.material
+
+    @cached_property
+    def response(self) -> Response:
+        """Of the material at every quadrature point, with its tangent."""
+        return self.energy.response(self.displacement, tangent=True)
+
+    @cached_property
+    def reaction(self) -> np.ndarray:
+        """Force that holds what is prescribed, shape [N, 3], zero elsewhere [N]."""
+        return np.where(self.held, -self.energy.out_of_balance(self.response, self.displacement)[0], 0.0)
+
+    @cached_property
+    def _matrix(self) -> csr_array:
+        return self.energy.matrix(self.response)
+
+    @cached_property
+    def _system(self) -> LinearSystem:
+        free = ~self.held.ravel()
+        return LinearSystem(self._matrix[free][:, free].tocsr())
+
+    def moved_by(self, forces: np.ndarray) -> np.ndarray:
+        """Derivatives of the displacement along K directions of the nodal forces, [N, 3, K] → [N, 3, K] [m/N]."""
+        free = ~self.held.ravel()
+        flat = forces.reshape(len(free), -1)
+        found = np.zeros_like(flat, dtype=np.float64)
+        found[free] = self._system.solve(np.ascontiguousarray(flat[free], np.float64))
+        return found.reshape(*self.displacement.shape, -1)
+
+    def tangents(self) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives by Young's modulus (of a body with one) and Poisson's ratio.
+
+        Returns:
+            of the displacement, shape [N, 3, 2] [m/Pa, m]; of the reaction, likewise [N/Pa, N].
+        """
+        material, solid = self.material, self.energy.solid
+        mu, lam = material.lame
+        slopes = np.stack(
+            [self._forces_at(mu, lam) / np.mean(material.young), self._forces_at(*material.lame_by_poisson)], axis=-1
+        )
+        moved = self.moved_by(-slopes)
+        pulled = (self._matrix @ moved.reshape(-1, 2)).reshape(*solid.rest.shape, 2) + slopes
+        return moved, np.where(self.held[..., None], pulled, 0.0)
+
+    def gradient(self, by_displacement: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives of a scalar by every element's E [E] and every component of the nodal forces [N, 3].
+
+        Args:
+            by_displacement: its derivatives by the displacement, shape [N, 3]; those of what is prescribed don't count.
+        """
+        adjoint = self.moved_by(by_displacement[..., None])[..., 0]  # the matrix is symmetric
+        by_element = self.energy.solid.element_forces(self._elastic_stress(*self.material.lame))
+        by_element = by_element / np.broadcast_to(self.material.young, len(by_element))[:, None, None]
+        return -(by_element * adjoint[self.energy.solid.elements]).sum((1, 2)), adjoint
+
+    def _elastic_stress(self, mu: np.ndarray, lam: np.ndarray) -> np.ndarray:
+        solid = self.energy.solid
+        parts = (np.broadcast_to(value, len(solid.elements))[:, None] for value in (mu, lam))
+        return respond(self.material.law, solid.deformation(self.displacement), *parts).stress
+
+    def _forces_at(self, mu: np.ndarray, lam: np.ndarray) -> np.ndarray:
+        """Nodal forces of the elastic stress with other constants, in which it is linear, shape [N, 3]."""
+        return self.energy.solid.forces(self._elastic_stress(mu, lam))
+
+
+def find_equilibrium(
+    solid: Solid,
+    material: Material,
+    held: np.ndarray,
+    *,
+    motion: np.ndarray | None = None,
+    forces: np.ndarray | None = None,
+    start: np.ndarray | None = None,
+    steps: int = 1,
+) -> Equilibrium:
+    """Where a body comes to rest.
+
+    Args:
+        solid: the body.
+        material: of which it is.
+        held: which components are prescribed, shape [N, 3], bool; enough of them that it can't float away.
+        motion: where those are, from rest, shape [N, 3] [m]; the others' entries don't count; None = at rest.
+        forces: on the nodes, shape [N, 3] [N]; None = none.
+        start: displacement to begin at, shape [N, 3] [m]; None = rest.
+        steps: load steps, in which the motion goes from `start` to what is given; the forces grow with it from rest,
+            and act in full from a `start`.
+
+    Raises:
+        ValueError: shapes that don't fit, numbers that are not finite, nothing held.
+        NoEquilibrium: none found, even with steps 2⁸ times smaller.
+    """
+    shape = solid.rest.shape
+    motion = np.zeros(shape) if motion is None else np.asarray(motion, np.float64)
+    forces = np.zeros(shape) if forces is None else np.asarray(forces, np.float64)
+    begun = np.zeros(shape) if start is None else np.asarray(start, np.float64)
+    for name, values in (("held", held), ("motion", motion), ("forces", forces), ("start", begun)):
+        if np.shape(values) != shape:
+            raise ValueError(f"{name} has shape {np.shape(values)}; give one row of three a node, {shape}.")
+        if not np.isfinite(values).all():
+            raise ValueError(f"{name} holds a number that is not finite.")
+    if not held.any():
+        raise ValueError("nothing is held, so nothing keeps the body in place; hold some nodes.")
+    if np.size(material.young) not in (1, len(solid.elements)):
+        raise ValueError(f"there are {np.size(material.young)} Young's moduli; give one, or {len(solid.elements)}.")
+    displacement, iterations = begun, 0
+    done, step, halvings = 0.0, 1.0 / steps, 0
+    while done < 1:
+        aim = 1.0 if done + step > 1 - 1e-9 else done + step
+        energy = Energy(solid, material, forces if start is not None else aim * forces)
+        goal = np.where(held, begun + aim * (motion - begun), displacement)
+        try:
+            displacement, count = settle(energy, displacement, goal, held)
+        except NoEquilibrium:
+            step, halvings = step / 2, halvings + 1
+            if halvings > _HALVINGS:
+                raise
+            continue
+        done, iterations = aim, iterations + count
+    return Equilibrium(energy, displacement, held, iterations)
+
+
+def settle(
+    energy: Energy,
+    displacement: np.ndarray,
+    goal: np.ndarray,
+    held: np.ndarray,
+    system: LinearSystem | None = None,
+) -> tuple[np.ndarray, int]:
+    """Newton's method with a line search, the prescribed components first moved to their goal along with the rest.
+
+    Args:
+        energy: to minimise.
+        displacement: to begin at, shape [N, 3].
+        goal: where the prescribed components go, shape [N, 3].
+        held: which are prescribed, shape [N, 3], bool.
+        system: the matrix of the free components where it is known not to change (law `linear`); None = assembled anew.
+
+    Returns:
+        displacement, shape [N, 3], and how many steps it took.
+
+    Raises:
+        NoEquilibrium: it doesn't converge.
+    """
+    free = ~held.ravel()
+    jump = np.where(held, goal - displacement, 0.0)
+    moving = bool(jump.any())
+    balanced = np.inf
+    for iteration in range(_ITERATIONS):
+        response = energy.response(displacement, tangent=system is None or moving)
+        force, size = energy.out_of_balance(response, displacement)
+        if not np.isfinite(size):
+            raise NoEquilibrium(
+                "an element is turned inside out, where the law isn't defined; give smaller load steps."
+            )
+        left = float(np.abs(force[~held]).max(initial=0.0))
+        relative = left / size if size > 0 else 0.0
+        if not moving and relative <= TOLERANCE:
+            return displacement, iteration
+        right = force.ravel()
+        matrix = energy.matrix(response) if response.tangent is not None else None
+        if moving and matrix is not None:
+            right = right - matrix @ jump.ravel()
+        if system is None and matrix is not None:
+            inner = matrix[free][:, free].tocsr()
+        path = np.zeros(displacement.size)
+        accuracy = max(_FORCING * min(1.0, relative), 1e-13)
+        value, rounding = energy.value(displacement)
+        for shift in (0.0, 1e-4, 1e-2, 1.0):
+            solver = system or LinearSystem((inner + diags_array(shift * np.abs(inner.diagonal()))).tocsr())
+            try:
+                path[free] = solver.solve(right[free], accuracy)
+            except RuntimeError as error:
+                if shift == 0:
+                    continue
+                raise NoEquilibrium("the matrix is singular: too little of the body is held.") from error
+            slope = -float(right[free] @ path[free])
+            if slope < 0 or system is not None:
+                break
+        whole = path.reshape(-1, 3) + jump
+        if moving:  # the potential of another boundary can't be compared
+            displacement, moving, jump = displacement + whole, False, np.zeros_like(jump)
+            if not np.isfinite(energy.value(displacement)[0]):
+                raise NoEquilibrium("the load step turns an element inside out; give smaller ones.")
+            continue
+        length = 1.0
+        while not energy.value(displacement + length * whole)[0] <= value + _ARMIJO * length * slope + rounding:
+            length /= 2
+            if length < _SHORTEST:
+                if relative <= 1e3 * TOLERANCE:  # as far as rounding lets it
+                    return displacement, iteration
+                raise NoEquilibrium("the line search ends nowhere; give smaller load steps.")
+        displacement = displacement + length * whole
+        if length == 1.0 and balanced <= 1e2 * TOLERANCE and relative >= balanced / 2:
+            return displacement, iteration + 1  # rounding: it comes no closer
+        balanced = relative
+    raise NoEquilibrium(f"no equilibrium within {_ITERATIONS} Newton steps; give smaller load steps.")
+
+
+def applied(load: Load, nodes: int, step: int, force: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What a load does in one of its steps: held components [nodes, 3], their motion and the nodal forces, likewise.
+
+    Args:
+        load: a press or a grip.
+        nodes: N of the body.
+        step: which of the load's steps.
+        force: F of a press [N]; a grip takes none.
+    """
+    held, motion, forces = np.zeros((nodes, 3), bool), np.zeros((nodes, 3)), np.zeros((nodes, 3))
+    if isinstance(load, Grip):
+        held[load.vertices], motion[load.vertices] = True, load.displacement[step]
+    else:
+        np.add.at(forces, load.vertices, force * load.factor[step] * load.weights[:, None] * load.direction)
+    return held, motion, forces

@@ -1,0 +1,133 @@
+"""Motion: energy balance, frequency, order, and a standard linear solid's closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from physics.fem.dynamics import Inertia, Motion, Relaxation, simulate
+from physics.fem.equilibrium import find_equilibrium
+from physics.fem.lattice import box
+from physics.fem.laws import LAWS, Material
+from physics.fem.solid import Solid, make_solid
+from physics.load import Grip, Press
+from tests.physics.fem.bodies import block, clamped
+
+YOUNG, DENSITY = 2e5, 1000.0
+
+
+def bar() -> tuple[Solid, np.ndarray]:
+    """A cantilever of 10 cm, and the nodes of its end."""
+    body = make_solid(*box((0.1, 0.03, 0.03), (6, 2, 2)))
+    return body, np.flatnonzero(np.isclose(body.rest[:, 0], 0.1))
+
+
+def pushed(
+    law: str, step: float, damping: float = 0.0, relaxation: Relaxation | None = None, seconds: float = 0.12
+) -> Motion:
+    body, end = bar()
+    count = round(seconds / step)
+    load = Press(end, np.full(len(end), 1 / len(end)), np.array([0, 0, 1.0]), np.ones(count))
+    inertia = Inertia(DENSITY, damping)
+    return simulate(
+        body, Material(law, YOUNG, 0.3), clamped(body), load, step, inertia=inertia, force=0.3, relaxation=relaxation
+    )
+
+
+def imbalance(motion: Motion) -> float:
+    return float(np.abs(motion.kinetic + motion.elastic + motion.damped - motion.work).max() / motion.work.max())
+
+
+@pytest.mark.parametrize("damping", [0.0, 4.0])
+def test_energy_balances_to_rounding_where_the_law_is_linear(damping: float) -> None:
+    motion = pushed("linear", 0.01, damping)
+    assert imbalance(motion) < 1e-12
+    assert (np.diff(motion.damped) >= 0).all()
+    assert (motion.damped[-1] > 0) == (damping > 0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law", [law for law in LAWS if law != "linear"])
+def test_energy_balances_at_second_order_elsewhere(law: str) -> None:
+    coarse, fine = (imbalance(pushed(law, step, 2.0)) for step in (0.004, 0.001))
+    assert fine < 3e-5
+    assert np.log(coarse / fine) / np.log(4) > 1.6, (coarse, fine)
+
+
+def test_a_relaxing_branch_only_takes_energy() -> None:
+    motion = pushed("linear", 0.005, relaxation=Relaxation(0.5, 0.05))
+    taken = motion.work - motion.kinetic - motion.elastic
+    assert taken[1:].min() > 0
+    assert taken[-1] > 0.05 * motion.work[-1]
+
+
+def test_a_bar_let_go_rings_at_its_frequency_and_loses_its_energy_at_the_rate_of_damping() -> None:
+    """Euler–Bernoulli's first frequency, a little less for shear; energy falls as e^(-αt) over whole periods."""
+    body = make_solid(*box((0.2, 0.02, 0.02), (10, 1, 1)), order=2)
+    held, end = clamped(body), np.isclose(body.rest[:, 0], 0.2)
+    material, damping, step = Material("linear", 8e6, 0.3), 3.0, 0.002
+    forces = np.zeros_like(body.rest)
+    forces[end, 2] = 1e-4 / end.sum()
+    start = find_equilibrium(body, material, held, forces=forces).displacement
+    still = Press.at(int(np.flatnonzero(end)[0]), np.array([0, 0, 1.0]), np.zeros(300))
+    motion = simulate(body, material, held, still, step, inertia=Inertia(DENSITY, damping), start=start)
+    tip = motion.displacement[:, end, 2].mean(axis=1)
+    crossings = np.flatnonzero(np.diff(np.sign(tip)))
+    moments = motion.times[crossings] - step * tip[crossings] / (tip[crossings + 1] - tip[crossings])
+    found = (len(moments) - 1) / 2 / (moments[-1] - moments[0])
+    exact = 3.5160 / (2 * np.pi) * np.sqrt(8e6 * 0.02**2 / 12 / (DENSITY * 0.2**4))
+    assert found == pytest.approx(exact, rel=0.02)
+    energy = motion.kinetic + motion.elastic
+    first, last = (np.searchsorted(motion.times, moments[k]) for k in (0, 4))
+    assert np.log(energy[first] / energy[last]) / (moments[4] - moments[0]) == pytest.approx(damping, rel=0.03)
+
+
+def stretched(law: str, strain: np.ndarray, step: float, relaxation: Relaxation) -> np.ndarray:
+    """Force on a unit cube whose length follows a strain, its sides free to shrink [N]."""
+    body = block(1)
+    ends = np.isclose(body.rest[:, 0], 1)
+    held = np.zeros(body.rest.shape, bool)
+    for axis in range(3):
+        held[np.isclose(body.rest[:, axis], 0), axis] = True
+    # A grip prescribes all three components: with ν = 0 the sides stay where they are.
+    path = np.zeros((len(strain), ends.sum(), 3))
+    path[..., 0] = strain[:, None]
+    load = Grip(np.flatnonzero(ends), path)
+    motion = simulate(body, Material(law, 10.0, 0.0), held, load, step, inertia=None, relaxation=relaxation)
+    return motion.reaction[:, ends, 0].sum(axis=1)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_held_strain_relaxes_as_in_closed_form(law: str) -> None:
+    """Ramp to ε within t₀, then held: E ε (1 + γ τ/t₀ (1 - e^(-t₀/τ)) e^(-(t - t₀)/τ)), at any step."""
+    strain, ramp, relaxation, step = 1e-7, 0.2, Relaxation(0.8, 0.5), 0.1
+    times = step * (1 + np.arange(20))
+    found = stretched(law, strain * np.minimum(times / ramp, 1), step, relaxation)
+    tau = relaxation.time
+    rising = times / ramp + relaxation.ratio * tau / ramp * (1 - np.exp(-times / tau))
+    left = relaxation.ratio * tau / ramp * (1 - np.exp(-ramp / tau)) * np.exp(-(times - ramp) / tau)
+    expected = 10 * strain * np.where(times <= ramp + 1e-9, rising, 1 + left)
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
+
+
+def test_large_strain_relaxes_to_the_law_alone() -> None:
+    strain = np.full(60, 0.4)
+    found = stretched("stable_neo_hookean", strain, 0.1, Relaxation(0.8, 0.3))
+    alone = stretched("stable_neo_hookean", strain, 0.1, Relaxation(1e-12, 0.3))
+    assert found[0] > 1.3 * alone[0]
+    assert found[-1] == pytest.approx(alone[-1], rel=1e-7)
+
+
+def test_bad_numbers_are_refused() -> None:
+    body, end = bar()
+    load = Press.at(int(end[0]), np.array([0, 0, 1.0]), np.ones(1))
+    with pytest.raises(ValueError, match="time step of 0"):
+        simulate(body, Material("linear", 1.0, 0.3), clamped(body), load, 0.0, inertia=None)
+    for make in (
+        lambda: Relaxation(0.0, 1.0),
+        lambda: Relaxation(1.0, -1.0),
+        lambda: Inertia(0.0),
+        lambda: Inertia(1.0, -1.0),
+    ):
+        with pytest.raises(ValueError, match="positive"):
+            make()

@@ -10,19 +10,23 @@ from __future__ import annotations
 import numpy as np
 
 from data.contact.film import REACH
+from physics.jit import inlined, kernel
 from physics.mesh import Mesh
 
 LARGEST_SHIFT = 2
 """Patches that come from farther away than this are not known [grid pixels]."""
 ITERATIONS = 12
 """To find what a sample shows; tissue that shifts by s grid pixels a pixel needs log(SETTLED)/log(s) of them."""
-EXACT = 0.01
-"""No more of them once all have settled to this [grid pixels]."""
+EXACT = 1e-3
+"""No more of them once it has settled to this [grid pixels]."""
 SETTLED = 0.05
 """What still moves by more than this in the last of them lies in a fold [grid pixels]."""
 MOST_SAMPLES = 6
 """Of larger pictures as many places a pixel of the grid, evenly spread, stand for its pixels along an axis."""
 
+ALL = np.s_[:]
+CROSS = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+"""A pixel and its neighbours."""
 ENOUGH = 1000
 """Vertices that tell the focal lengths."""
 
@@ -42,7 +46,8 @@ class Patches:
         pixels = np.arange(-reach, reach + 1)
         reach += LARGEST_SHIFT
         offsets = mesh.pixels - mesh.pixels[vertex]
-        self.vertices = np.flatnonzero(np.abs(offsets).max(axis=1) <= reach)
+        rows, columns = np.abs(offsets).T
+        self.vertices = np.flatnonzero((rows <= reach) & (columns <= reach))
         """Vertices of the mesh, shape [V]."""
         self._cells = tuple((offsets[self.vertices] + reach).T)
         self._size = 2 * reach + 1
@@ -93,17 +98,22 @@ class Patches:
         dense[:, self._cells[0], self._cells[1]] = values
         return dense
 
-    def shift(self, moved: np.ndarray) -> np.ndarray:
-        """By how much displacements [N, V, 3] move the patches in the picture, shape [N, V, 2], rows and columns."""
-        across = moved[..., :2] - self._rays * moved[..., 2:]
-        return (self._focal * across / (self._depth[:, None] + moved[..., 2:]))[..., ::-1]
+    def shift(self, moved: np.ndarray, some: np.ndarray | slice = ALL) -> np.ndarray:
+        """By how much displacements [N, V, 3] move the patches in the picture, shape [N, V, 2], rows and columns.
 
-    def sunk(self, moved: np.ndarray) -> np.ndarray:
+        Args:
+            moved: of all patches or, with their places among the V, of some.
+            some: these places.
+        """
+        across = moved[..., :2] - self._rays[some] * moved[..., 2:]
+        return (self._focal * across / (self._depth[some, None] + moved[..., 2:]))[..., ::-1]
+
+    def sunk(self, moved: np.ndarray, some: np.ndarray | slice = ALL) -> np.ndarray:
         """By how much displacements [N, V, 3] change the depth of a pixel that the patch covers, shape [N, V].
 
-        A patch that shifts along sloping tissue changes it as well.
+        A patch that shifts along sloping tissue changes it as well. Arguments as of `shift`.
         """
-        return moved[..., 2] - (self._slope * self.shift(moved)).sum(axis=-1)
+        return moved[..., 2] - (self._slope[some] * self.shift(moved, some)).sum(axis=-1)
 
     def sunk_slopes(self, moved: np.ndarray, slopes: np.ndarray) -> np.ndarray:
         """Derivatives of `sunk` from those of the displacements, shapes [N, V, 3, D] to [N, V, D]."""
@@ -137,15 +147,13 @@ class Patches:
         """
         if not self.averages:
             return np.zeros((len(moved), self._side**2, slopes.shape[-1]))
-        frames, place = self._at_rest(moved)
-        values = np.concatenate([self.sunk(moved)[..., None], self.shift(moved)], axis=-1)
-        dense = np.moveaxis(self._dense(values), -1, 0)
+        place = self._at_rest(moved)
+        dense = self._dense(np.concatenate([self.sunk(moved)[..., None], self.shift(moved)], axis=-1))
         gradient = np.stack(
-            [_between(dense, frames, place + half) - _between(dense, frames, place - half) for half in 0.5 * np.eye(2)],
-            axis=-1,
+            [_between(dense, place + half) - _between(dense, place - half) for half in 0.5 * np.eye(2)], axis=-1
         )
         flat = self._shift_slopes(moved, slopes).reshape(*moved.shape[:2], -1)
-        shifting = _between(np.moveaxis(self._dense(flat), -1, 0), frames, place).reshape(*place.shape, -1)
+        shifting = _between(self._dense(flat), place).reshape(*place.shape, -1)
         # What a pixel shows lies at x with x + shift(x) = pixel.
         inverse = np.linalg.inv(np.eye(2) + np.nan_to_num(gradient[..., 1:, :]))
         return np.nan_to_num(-np.einsum("npi,npij,npjd->npd", gradient[..., 0, :], inverse, shifting))
@@ -170,18 +178,16 @@ class Patches:
         """
         if not self.averages:
             return np.zeros((len(moved), self._side**2))
-        frames, place = self._at_rest(moved)
-        dense = self._dense(self.sunk(moved))[None]
-        here = _between(dense, frames, place)
-        apart = [_between(dense, frames, place + step) - here for axis in np.eye(2) for step in (axis, -axis)]
-        return np.sqrt(0.5 * np.square(np.nan_to_num(apart)).sum(axis=0))[..., 0]
+        places = self._at_rest(moved)[:, None] + CROSS[:, None]
+        found = _between(self._dense(self.sunk(moved)[..., None]), places.reshape(len(moved), -1, 2))
+        found = found.reshape(places.shape[:3])
+        return np.sqrt(0.5 * np.square(np.nan_to_num(found[:, 1:] - found[:, :1])).sum(axis=1))
 
-    def _at_rest(self, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Frames [N, 1], and where what the pixels' middles show lay at rest, shape [N, P, 2]; themselves in folds."""
-        shift = np.moveaxis(self._dense(self.shift(moved)), -1, 0)
-        middle = np.mgrid[: self._side, : self._side].reshape(2, -1).T[None] + float(LARGEST_SHIFT)
-        place = self._origin(shift, middle)
-        return np.arange(len(moved))[:, None], np.where(np.isfinite(place), place, middle)
+    def _at_rest(self, moved: np.ndarray) -> np.ndarray:
+        """Where what the pixels' middles show lay at rest, shape [N, P, 2]; themselves in folds, and out of sight."""
+        middle = np.mgrid[: self._side, : self._side].reshape(2, -1).T + float(LARGEST_SHIFT)
+        place = _settled(self._dense(self.shift(moved)), middle)
+        return np.where(np.isfinite(place), place, middle)
 
     def covering(self, moved: np.ndarray) -> np.ndarray:
         """Vertices, as places among the V, that every pixel's samples show: shape [N, P, K]; -1 where none is known.
@@ -190,34 +196,17 @@ class Patches:
         shift there leads to the sample.
         """
         # Where there is no vertex nothing shifts, and nothing is shown.
-        shift = np.nan_to_num(np.moveaxis(self._dense(self.shift(moved)), -1, 0).astype(np.float32))
-        samples = self._places.reshape(1, -1, 2).astype(np.float32)
-        if not self.averages:
-            place = self._origin(shift, samples)
-        else:
+        shift, samples = np.nan_to_num(self._dense(self.shift(moved))), self._places.reshape(-1, 2)
+        if self.averages:
             # Between samples half a pixel apart it hardly bends, and they are far fewer.
             side = 2 * (self._side + 1) + 1
-            lattice = np.mgrid[:side, :side].reshape(2, -1).T[None] / np.float32(2) + np.float32(LARGEST_SHIFT - 1)
-            found = np.moveaxis(self._origin(shift, lattice).reshape(-1, side, side, 2), -1, 0)
-            frames = np.arange(len(moved))[:, None]
-            place = _between(found, frames, 2 * (samples - (LARGEST_SHIFT - 1)))
-        number = self._number()
-        nearest = np.clip(np.rint(np.nan_to_num(place)), 0, self._size - 1).astype(np.int64)
-        down, right = np.moveaxis(np.abs(place - (self._size - 1) / 2) <= self._size / 2, -1, 0)
-        found = np.where(down & right, number[nearest[..., 0], nearest[..., 1]], -1)
-        return found.reshape(len(moved), *self.weights.shape)
-
-    def _origin(self, shift: np.ndarray, samples: np.ndarray) -> np.ndarray:
-        """Where what samples [1, Q, 2] show lay at rest, shape [N, Q, 2]; not a number in folds, and out of sight."""
-        place = np.broadcast_to(samples, (shift.shape[1], *samples.shape[1:]))
-        frames, change = np.arange(len(place))[:, None], np.zeros(place.shape[:2])
-        for _ in range(ITERATIONS):
-            before, place = place, samples - _between(shift, frames, place)
-            down, right = np.moveaxis(np.abs(place - before), -1, 0)
-            change = np.maximum(down, right)  # faster than along an axis of two
-            if not (change > EXACT).any():
-                break
-        return np.where((change < SETTLED)[..., None], place, np.nan)
+            lattice = np.mgrid[:side, :side].reshape(2, -1).T / 2 + (LARGEST_SHIFT - 1)
+            found = _settled(shift, lattice).reshape(-1, side, side, 2)
+            places = np.broadcast_to(2 * (samples - (LARGEST_SHIFT - 1)), (len(moved), *samples.shape))
+            place = _between(found, places)
+        else:
+            place = _settled(shift, samples)
+        return _nearest(place, self._number()).reshape(len(moved), *self.weights.shape)
 
     def shown(self, values: np.ndarray, covering: np.ndarray) -> np.ndarray:
         """Values of the vertices [N, V, ...] as every pixel shows them, the mean over its samples, shape [N, P, ...].
@@ -256,19 +245,82 @@ def footprint(cells: np.ndarray, count: int, pixels: int) -> tuple[np.ndarray, n
     return (found + 0.5) / size - 0.5, share / share.sum(axis=1, keepdims=True)
 
 
-def _between(values: np.ndarray, frames: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Values on the square [C, N, S, S] at places (row, column) in every frame [N, Q, 2], bilinear, shape [N, Q, C]."""
-    side = values.shape[2]
-    place = np.clip(place, 0, side - 1)
-    corner = np.minimum(np.nan_to_num(place), side - 2).astype(np.intp)
-    down, right = np.moveaxis(place - corner, -1, 0)
-    first = (frames * side + corner[..., 0]) * side + corner[..., 1]
-    flat = values.reshape(len(values), -1)
-    upper, upper_right, lower, lower_right = (flat.take(first + step, axis=1) for step in (0, 1, side, side + 1))
-    upper += right * (upper_right - upper)
-    lower += right * (lower_right - lower)
-    upper += down * (lower - upper)
-    return np.moveaxis(upper, 0, -1)
+@inlined
+def _corner(along, last):
+    """The place within the square, and the row or column before it."""
+    along = min(max(along, 0.0), last)
+    return along, min(int(along), int(last) - 1)
+
+
+@inlined
+def _bilinear(values, top, left, down, right, channel):
+    """One channel of values [S, S, C] between four of them."""
+    upper, lower = values[top, left, channel], values[top + 1, left, channel]
+    upper += right * (values[top, left + 1, channel] - upper)
+    lower += right * (values[top + 1, left + 1, channel] - lower)
+    return upper + down * (lower - upper)
+
+
+@kernel
+def _between(values, place):
+    """Values on the square [N, S, S, C] at places (row, column) in every frame [N, Q, 2], bilinear, shape [N, Q, C].
+
+    Beyond the square's ends those at the ends; not a number at places, and next to values, that aren't one.
+    """
+    found = np.empty((place.shape[0], place.shape[1], values.shape[3]))
+    last = values.shape[1] - 1.0
+    for frame in range(place.shape[0]):
+        for index in range(place.shape[1]):
+            row, column = place[frame, index, 0], place[frame, index, 1]
+            if np.isnan(row + column):
+                found[frame, index] = np.nan
+                continue
+            row, top = _corner(row, last)
+            column, left = _corner(column, last)
+            for channel in range(values.shape[3]):
+                found[frame, index, channel] = _bilinear(values[frame], top, left, row - top, column - left, channel)
+    return found
+
+
+@kernel
+def _settled(shift, samples):
+    """Where what samples show lay at rest, shape [N, Q, 2]; not a number in folds, and out of sight.
+
+    Args:
+        shift: on the square, by rows and columns, shape [N, S, S, 2].
+        samples: row and column on the square, shape [Q, 2].
+    """
+    found = np.full((shift.shape[0], *samples.shape), np.nan)
+    last = shift.shape[1] - 1.0
+    for frame in range(shift.shape[0]):
+        for index in range(samples.shape[0]):
+            row, column, change = samples[index, 0], samples[index, 1], np.inf
+            for _ in range(ITERATIONS):
+                near_row, top = _corner(row, last)
+                near_column, left = _corner(column, last)
+                down, right = near_row - top, near_column - left
+                next_row = samples[index, 0] - _bilinear(shift[frame], top, left, down, right, 0)
+                next_column = samples[index, 1] - _bilinear(shift[frame], top, left, down, right, 1)
+                change = max(abs(next_row - row), abs(next_column - column))
+                row, column = next_row, next_column
+                if np.isnan(row + column) or change <= EXACT:
+                    break
+            if not np.isnan(row + column) and change < SETTLED:
+                found[frame, index, 0], found[frame, index, 1] = row, column
+    return found
+
+
+@kernel
+def _nearest(place, number):
+    """Numbers [S, S] nearest to places [N, Q, 2], shape [N, Q]; -1 where these lie outside or aren't known."""
+    found, last = np.full(place.shape[:2], -1), number.shape[0] - 1
+    for frame in range(place.shape[0]):
+        for index in range(place.shape[1]):
+            row, column = place[frame, index, 0], place[frame, index, 1]
+            if -0.5 <= row <= last + 0.5 and -0.5 <= column <= last + 0.5:
+                row, column = min(max(row, 0.0), last), min(max(column, 0.0), last)
+                found[frame, index] = number[int(np.rint(row)), int(np.rint(column))]
+    return found
 
 
 def focal_length(mesh: Mesh) -> np.ndarray:

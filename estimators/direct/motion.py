@@ -27,6 +27,9 @@ FINER = 4
 """Parts into which a step is divided to see its error."""
 LATER = 0.5
 """Change of the load's duration whose effect gives the derivative by it [time steps]."""
+_OTHERS = np.array([[1.0, 0.0, 0.0, 0.0], [2.0, 2.0, 1.0, 1.0], [3.0, 3.0, 3.0, 2.0]])
+"""Of four nodes in a row, the three others of each one."""
+_SCALE = (np.arange(4.0) - _OTHERS).prod(axis=0)
 
 
 class PressMotion:
@@ -162,17 +165,16 @@ def between_steps(values: np.ndarray, time_step: float, times: np.ndarray) -> tu
     Returns:
         Shapes [N, ...] each.
     """
-    values = np.concatenate([np.zeros_like(values[:1]), values])
-    place = np.clip(times / time_step, 0, len(values) - 1)
-    first = np.clip(np.floor(place).astype(np.int64) - 1, 0, len(values) - 4)
-    nodes, x = np.arange(4.0), (place - first)[:, None]
-    others = np.array([[node for node in nodes if node != own] for own in nodes])
-    scale = np.prod(nodes[:, None] - others, axis=1)
-    apart = x[:, :, None] - others
-    weights = apart.prod(axis=2) / scale
-    rates = sum(np.delete(apart, index, axis=2).prod(axis=2) for index in range(3)) / scale / time_step
-    near = values[first[:, None] + np.arange(4)]
-    return np.einsum("nk,nk...->n...", weights, near), np.einsum("nk,nk...->n...", rates, near)
+    place = np.clip(times / time_step, 0, len(values))
+    first = np.clip(np.floor(place).astype(np.int64) - 1, 0, len(values) - 3)
+    one, two, three = ((place - first)[:, None] - others for others in _OTHERS)
+    weights = np.stack([one * two * three, (one * two + two * three + three * one) / time_step], axis=1) / _SCALE
+    # After step i is values[i - 1]; at the beginning all is 0.
+    steps = first[:, None] + np.arange(-1, 3)
+    weights = np.where(steps[:, None] < 0, 0.0, weights)
+    near = values[np.maximum(steps, 0)].reshape(*steps.shape, -1)
+    found, rates = np.moveaxis(np.matmul(weights, near), 1, 0).reshape(2, len(times), *values.shape[1:])
+    return found, rates
 
 
 def about_tissue(information: np.ndarray, prior: np.ndarray) -> np.ndarray:

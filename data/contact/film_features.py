@@ -14,7 +14,7 @@ import numpy as np
 from scipy.sparse import coo_array, diags_array, eye_array
 from scipy.sparse.linalg import spsolve
 
-from data.contact.features import SLOTS, contact_features, contact_spacing, slot_times
+from data.contact.features import SLOTS, contact_features, contact_surroundings, slot_times
 from data.contact.film import REACH, DentFilm
 from data.contact.interaction import SAME_INSTANT, Interaction
 
@@ -110,8 +110,8 @@ def dent_features(contact: Interaction, within: float) -> np.ndarray:
     """
     film, noise = contact.film, told_noise(contact)
     shown = dataclasses.replace(contact, observation=contact.observation.moved(motion_in_film(contact), noise))
-    spacing = contact_spacing(contact.mesh, contact.vertex)
-    return np.concatenate([contact_features(shown), film_features(film, spacing, noise, within)])
+    around = contact_surroundings(contact)
+    return np.concatenate([contact_features(shown, around), film_features(film, around.spacing, noise, within)])
 
 
 def film_features(film: DentFilm | None, spacing: float, noise: float, within: float) -> np.ndarray:

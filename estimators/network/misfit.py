@@ -34,8 +34,12 @@ DOUBTFUL = 1.2
 """Presses of unknown instants that seem farther from their motion than this many σ are simulated anew."""
 NEAR = 2
 """Pixels up to so many rows and columns from the contact are compared."""
-LOOKS = 3
-"""Delays are found to first order, so often."""
+LOOKS = 5
+"""Delays are found to first order, at most so often."""
+SETTLED = 0.05
+"""No more often once they change by less than this, in units of the largest."""
+FARTHEST = 0.5
+"""Farthest change that is believed at once, in units of the largest delay."""
 MOST_FRAMES = 8
 """In so many frames, evenly chosen: finding out what pixels show takes longer than the rollout."""
 
@@ -97,17 +101,18 @@ class _Dent:
         self.few, self._change = film.times[frames], self._change[frames]
 
     def signal(self, path: np.ndarray) -> np.ndarray:
-        return self._patches.sunk(path[:, 1:])[:, self._shown].mean(axis=1)
+        return self._patches.sunk(path[:, 1 + self._shown], self._shown).mean(axis=1)
 
     def left(self, moved: np.ndarray, rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         patches, moved, rates = self._patches, moved[:, 1:], rates[:, 1:]
         covering = patches.covering(moved)
-        change = patches.shown(patches.sunk(moved), covering)
+        both = np.concatenate([patches.sunk(moved)[..., None], patches.sunk_slopes(moved, rates)], axis=-1)
+        shown = patches.shown(both, covering)
+        change = shown[..., 0]
         left = change - self._change
         used = np.isfinite(left) & (np.abs(change) > MOVED * self._noise).any(axis=0)
         sigma = np.hypot(self._noise, WALL * patches.steepness(moved))[used]
-        slopes = patches.shown(patches.sunk_slopes(moved, rates), covering)[used]
-        return left[used] / sigma, slopes / sigma[:, None]
+        return left[used] / sigma, shown[used, 1:] / sigma[:, None]
 
 
 def _seen_of(contact: Interaction) -> _Seen:
@@ -149,7 +154,7 @@ def compared(
         """Displacements and their derivatives by φ under a press that lasts so long, shape [T, M, 3, 4]."""
         press = dataclasses.replace(contact.load, factor=held(seconds / step, steps))
         path, slopes = simulate_sensitivities(theta, contact.mesh, press, mechanics, watch=seen.vertices)
-        slopes = log_jacobian(slopes.astype(np.float64), theta)
+        slopes = log_jacobian(slopes, theta)
         if is_chaotic(path, slopes):
             slopes = np.zeros_like(slopes)
         return np.concatenate([path[..., None], slopes], axis=-1)
@@ -218,10 +223,14 @@ def _with_delays(
             moved, rates = moved - ended, [*rates, rate[..., :1]]
         left, slopes = seen.left(moved[..., 0], np.concatenate([*rates, moved[..., 1:]], axis=-1))
         later = _nearest(left, slopes, whole)
+        settled = np.abs(later[:count]).max() < SETTLED * within
+        first, last = np.append(np.clip(later[:count], -FARTHEST * within, FARTHEST * within), 0.0)[:2]
+        later_delays = delays[0] + float(first), delays[1] + float(last)
+        if settled:
+            found.append((_rms(left + slopes @ later), later_delays))
+            break
         found.append((_rms(left + slopes[:, count:] @ later[count:]), delays))
-        reach = within * (DELAYS[1] - DELAYS[0])
-        first, last = np.append(np.clip(later[:count], -reach, reach), 0.0)[:2]
-        delays = delays[0] + float(first), delays[1] + float(last)
+        delays = later_delays
     return min(found)
 
 

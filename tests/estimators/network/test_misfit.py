@@ -49,6 +49,9 @@ def test_a_fine_picture_is_explained_by_what_its_pixels_show(within: float) -> N
     # What the posterior allows is no misfit.
     allowed = np.outer([0.0, 0.0, 0.4], [0.0, 0.0, 0.4]) + SURE
     assert compared(contact, MECHANICS, logs + np.array([0.0, 0.0, 0.1]), allowed, within)[0] < 1.1 * misfit
+    # Delays that other tissue within it needs are not those that this tissue's mean suggests.
+    other = np.array([0.3, -0.3, 0.3])
+    assert compared(contact, MECHANICS, logs + other, np.outer(other, other) + SURE, within)[0] < 1.6 * misfit
     shown = contact.observation.moved(motion_in_film(contact), NOISE)
     point = dataclasses.replace(contact, observation=shown, film=None)
     unlike, same = compared(point, MECHANICS, logs, SURE, within)

@@ -28,7 +28,7 @@ import torch
 from benchmarks.shared import command_line, machine, print_table, timed
 from data.contact.features import FEATURES
 from data.synthetic.__main__ import main as make_clips
-from data.synthetic.clip import draw_truth, synthetic_clip
+from data.synthetic.clip import draw_press, synthetic_clip
 from data.synthetic.source import open_synthetic
 from estimators.contract import ClipInfo
 from estimators.network.estimator import NetworkEstimator
@@ -90,7 +90,7 @@ def one_contact(size: tuple[int, int], onset: str) -> tuple[float, float, float]
     assert isinstance(estimator, NetworkEstimator)
     found = []
     for index in range(CONTACTS):
-        scene, motion = draw_truth(SUITES["clean"].settings(index, size), suite_clip_seed("validation", 0, index))
+        scene, motion = draw_press(SUITES["clean"].settings(index, size), suite_clip_seed("validation", 0, index))
         clip = open_synthetic(synthetic_clip(scene, motion, index), PREPARE)
         frames, info = list(clip), ClipInfo.of(clip)
         contact = estimator.told(observed_contacts(frames, info)[motion.onset_frame])

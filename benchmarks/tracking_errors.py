@@ -24,10 +24,10 @@ from rich.progress import track
 
 from benchmarks.shared import command_line, machine, print_table
 from data.contact.interaction import Interaction
-from data.synthetic.clip import draw_truth, synthetic_clip
+from data.synthetic.clip import draw_press, synthetic_clip
 from data.synthetic.scene import Scene, SceneError
 from data.synthetic.source import open_synthetic
-from data.synthetic.truth import Motion
+from data.synthetic.truth import PressedMotion
 from estimators.contract import ClipInfo
 from estimators.direct import error_model
 from estimators.direct.error_model import STEP, sawtooth
@@ -64,7 +64,7 @@ def measure_clip(task: tuple[int, int]) -> dict[str, ClipErrors]:
     """Errors of the clip of an index and a seed by suite, less suites where its contact was not found at its onset."""
     index, seed = task
     try:
-        scene, motion = draw_truth(SUITES[NAMES[0]].settings(index), seed)
+        scene, motion = draw_press(SUITES[NAMES[0]].settings(index), seed)
     except SceneError:
         return {}
     found = {}
@@ -82,7 +82,7 @@ def stacked(clips: Sequence[ClipErrors]) -> ClipErrors:
     return ClipErrors(*map(np.stack, zip(*clips, strict=True)))
 
 
-def compare(contact: Interaction, scene: Scene, motion: Motion) -> ClipErrors:
+def compare(contact: Interaction, scene: Scene, motion: PressedMotion) -> ClipErrors:
     """Errors of a contact that was observed from its true onset on."""
     settings, direction, noise = scene.settings, contact.direction.astype(np.float64), contact.noise
     likelihood = Likelihood(contact.mesh, contact.load, contact.observation, MECHANICS)

@@ -29,10 +29,10 @@ from data.contact.film import window_around
 from data.contact.interaction import Interaction
 from data.labels import TISSUE
 from data.prepared import PreparedFrame
-from data.synthetic.clip import draw_truth, synthetic_clip
+from data.synthetic.clip import draw_press, synthetic_clip
 from data.synthetic.scene import Scene, SceneError
 from data.synthetic.source import open_synthetic
-from data.synthetic.truth import Motion
+from data.synthetic.truth import PressedMotion
 from estimators.contract import ClipInfo
 from estimators.estimate import FrameEstimate
 from estimators.onset import STAMP
@@ -82,7 +82,7 @@ def next_depth_errors(task: NextDepthTask) -> NextDepthErrors:
     """Errors of one clip; no pixels where it has no contact whose onset was seen."""
     suite = SUITES[task.suite]
     try:
-        scene, motion = draw_truth(suite.truth_settings(task.index), task.seed)
+        scene, motion = draw_press(suite.truth_settings(task.index), task.seed)
     except SceneError:
         return NextDepthErrors(0, np.zeros(len(RIVALS)))
     settings = suite.settings(task.index)
@@ -137,7 +137,7 @@ def moving(
     return near & seen & (np.abs(then.depth - here.depth) > NOISES * contact.noise)
 
 
-def _observed(scene: Scene, motion: Motion, seed: int) -> tuple[list[PreparedFrame], ClipInfo]:
+def _observed(scene: Scene, motion: PressedMotion, seed: int) -> tuple[list[PreparedFrame], ClipInfo]:
     clip = open_synthetic(synthetic_clip(scene, motion, seed), PREPARE)
     return list(clip), ClipInfo.of(clip)
 

@@ -17,10 +17,11 @@ import numpy as np
 from data.source.camera import Camera
 from data.synthetic.errors import observe_depth, observe_labels, reported_camera, stored_to_depth
 from data.synthetic.files import open_video, write_frame, write_truth
+from data.synthetic.grip import GrippedMotion, draw_grip
 from data.synthetic.render import Renderer
 from data.synthetic.scene import Scene, draw_scene
 from data.synthetic.settings import SceneSettings
-from data.synthetic.truth import Motion, draw_motion
+from data.synthetic.truth import Motion, PressedMotion, draw_motion
 from physics.files import all_below, read_file
 
 MARKER = "synthetic.json"
@@ -34,7 +35,7 @@ class SyntheticClip:
     scene: Scene
     """True geometry: sheet, mesh, contact vertex, direction, true cameras."""
     motion: Motion
-    """Truth: θ, force in time, trajectories."""
+    """Truth: what the tissue is made of, what the tool does, trajectories."""
     camera: Camera
     """Camera that the clip claims, with its focal-length error."""
     seed: int
@@ -46,11 +47,23 @@ class SyntheticClip:
     """Observed z, shape [F, H, W], float32 [scene units], 0 = invalid."""
 
 
-def draw_truth(settings: SceneSettings, seed: int) -> tuple[Scene, Motion]:
+def draw_truth(settings: SceneSettings, seed: int) -> tuple[Scene, PressedMotion | GrippedMotion]:
     """Scene and true motion of a clip, without its pictures.
 
     Geometry, motion, looks and errors of observation have a random stream each, so that changing the errors leaves the
     truth as it is.
+
+    Raises:
+        SceneError: the settings leave nothing to draw.
+    """
+    if settings.action == "press":
+        return draw_press(settings, seed)
+    scene = draw_scene(settings, np.random.default_rng([seed, 0]))
+    return scene, draw_grip(scene, np.random.default_rng([seed, 1]))
+
+
+def draw_press(settings: SceneSettings, seed: int) -> tuple[Scene, PressedMotion]:
+    """The same of a press.
 
     Raises:
         SceneError: the settings leave nothing to draw.

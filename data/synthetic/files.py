@@ -14,9 +14,10 @@ import numpy as np
 
 from data.masks.class_table import CLASSES
 from data.synthetic.errors import reported_camera
+from data.synthetic.grip import SUBSTEPS, GrippedMotion
 from data.synthetic.scene import Scene
 from data.synthetic.settings import SceneSettings
-from data.synthetic.truth import ABSOLUTE_TOLERANCE, RELATIVE_TOLERANCE, Motion, damping_ratio, regime_of
+from data.synthetic.truth import ABSOLUTE_TOLERANCE, RELATIVE_TOLERANCE, PressedMotion, damping_ratio, regime_of
 from physics.mechanics import PARAMETERS
 
 UNITS = {
@@ -28,13 +29,21 @@ UNITS = {
 }
 ARRAYS = {
     "trajectory": "displacement of the contact vertex at the frames' times [F, 3]",
-    "response": "the same every 5 ms from the force's start (onset_s + force_delay_s), the first 5 ms after it [R, 3]",
-    "force": "signed force just after each frame's time [F]",
+    "in_contact": "whether tool and tissue touch in each frame [F]",
     "times": "time stamps [F]",
-    "mesh_*": "organ at rest: vertices [N, 3], springs [S, 2], rim [N], pixels (row, column) [N, 2]",
+    "mesh_*": "organ at rest, of a grip all tissue: vertices [N, 3], springs [S, 2], rim [N], pixels [N, 2]",
     "moving, field": "vertices that move [M] and their displacement at the frames' times [F, M, 3], float16",
 }
+PRESS_ARRAYS = {
+    "response": "the same every 5 ms from the force's start (onset_s + force_delay_s), the first 5 ms after it [R, 3]",
+    "force": "signed force just after each frame's time [F]",
+}
+GRIP_ARRAYS = {
+    "reaction": "what holds the tissue over k_s at the frames' times, along the picture's axes [F, 2] [scene units]",
+    "course": "the tool's tip from the contact vertex in the picture, columns and rows [F, 2] [grid px]",
+}
 INTEGRATOR = f"DOP853 (scipy), relative tolerance {RELATIVE_TOLERANCE:g}, absolute {ABSOLUTE_TOLERANCE:g}"
+GRIP_INTEGRATOR = f"BDF2, {SUBSTEPS} steps a frame"
 FASTEST_COMPRESSION = [cv2.IMWRITE_PNG_COMPRESSION, 1]
 
 
@@ -52,7 +61,7 @@ def write_frame(folder: Path, number: int, image: np.ndarray, labels: np.ndarray
     _write_png(stem, "_depth", stored_depth)
 
 
-def write_truth(folder: Path, scene: Scene, motion: Motion, seed: int) -> None:
+def write_truth(folder: Path, scene: Scene, motion: PressedMotion | GrippedMotion, seed: int) -> None:
     """Write clip.json (what a user may know) and truth.json and truth.npz (what no training may read)."""
     settings, mesh = scene.settings, scene.mesh
     clip = {
@@ -61,11 +70,11 @@ def write_truth(folder: Path, scene: Scene, motion: Motion, seed: int) -> None:
         "depth_scale": 1.0,
         "times": motion.times.tolist(),
     }
+    names = PRESS_ARRAYS if isinstance(motion, PressedMotion) else GRIP_ARRAYS
     np.savez(
         folder / "truth.npz",
         trajectory=motion.contact,
-        response=motion.response,
-        force=motion.force,
+        in_contact=motion.in_contact,
         times=motion.times,
         mesh_vertices=mesh.vertices,
         mesh_springs=mesh.springs,
@@ -73,34 +82,55 @@ def write_truth(folder: Path, scene: Scene, motion: Motion, seed: int) -> None:
         mesh_pixels=mesh.pixels,
         moving=motion.moving.astype(np.int32),
         field=motion.field.astype(np.float16),
+        **{name: getattr(motion, name) for name in names},
     )
     for name, content in (("truth.json", _truth_entries(scene, motion, seed)), ("clip.json", clip)):
         (folder / name).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
-def _truth_entries(scene: Scene, motion: Motion, seed: int) -> dict:
-    zeta = damping_ratio(motion.theta[0], motion.theta[1], scene.settings.mass)
+def _truth_entries(scene: Scene, motion: PressedMotion | GrippedMotion, seed: int) -> dict:
+    if isinstance(motion, PressedMotion):
+        own, arrays = _press_entries(scene, motion), PRESS_ARRAYS
+    else:
+        own, arrays = _grip_entries(motion), GRIP_ARRAYS
     return {
         "seed": seed,
+        "action": scene.settings.action,
+        "contact": motion.in_contact.tolist(),
+        "onset_frame": motion.onset_frame,
+        "release_frame": motion.release_frame,
+        **own,
+        "contact_vertex": scene.vertex,
+        "contact_pixel": dict(zip(("row", "column"), scene.mesh.pixels[scene.vertex].tolist(), strict=True)),
+        "direction": scene.direction.tolist(),
+        "camera": dataclasses.asdict(scene.camera),
+        "units": UNITS,
+        "arrays": ARRAYS | arrays,
+        "settings": dataclasses.asdict(scene.settings),
+    }
+
+
+def _press_entries(scene: Scene, motion: PressedMotion) -> dict:
+    zeta = damping_ratio(motion.theta[0], motion.theta[1], scene.settings.mass)
+    return {
         "theta": dict(zip(PARAMETERS, motion.theta.tolist(), strict=True)),
         "zeta": zeta,
         "regime": regime_of(zeta),
-        "onset_frame": motion.onset_frame,
-        "release_frame": motion.release_frame,
         "onset_s": float(motion.times[motion.onset_frame]),
         "release_s": float(motion.times[motion.release_frame]),
         "force_delay_s": motion.delay,
         "release_delay_s": motion.release_delay,
         "force_profile": scene.settings.profile,
         "peak_displacement": motion.peak,
-        "contact_vertex": scene.vertex,
-        "contact_pixel": dict(zip(("row", "column"), scene.mesh.pixels[scene.vertex].tolist(), strict=True)),
-        "direction": scene.direction.tolist(),
-        "camera": dataclasses.asdict(scene.camera),
         "integrator": INTEGRATOR,
-        "units": UNITS,
-        "arrays": ARRAYS,
-        "settings": dataclasses.asdict(scene.settings),
+    }
+
+
+def _grip_entries(motion: GrippedMotion) -> dict:
+    return {
+        "foundation_over_stiffness": motion.anchor,
+        "damping_over_stiffness": motion.damping,
+        "integrator": GRIP_INTEGRATOR,
     }
 
 

@@ -78,8 +78,9 @@ class Renderer:
         inner = tuple(slice(p.start - start, p.stop - start) for p, start in zip(region, starts, strict=True))
         outer = tuple(slice(start, part.stop + margin) for part, start in zip(region, starts, strict=True))
         maps = view.rest_u[outer], view.rest_v[outer]
-        albedo = cv2.remap(self.albedo, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        bumps = cv2.remap(self.bumps, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        # What comes into the picture is a mirror image of what is there: it can be followed.
+        albedo = cv2.remap(self.albedo, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+        bumps = cv2.remap(self.bumps, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
         rays = self.rays[outer]
         points = rays * _smooth(view.depth[outer], 0.6 * self.scene.settings.cell[0])[..., None]
         normals = _normals(points)

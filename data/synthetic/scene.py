@@ -92,7 +92,7 @@ class Scene:
     grid_camera: Camera
     """True camera of the grid."""
     mesh: Mesh
-    """Undeformed organ on the grid, nothing hidden."""
+    """Undeformed organ on the grid, nothing hidden; of a grip all tissue in the picture."""
     vertex: int
     """Contact vertex of the mesh."""
     direction: np.ndarray
@@ -127,7 +127,9 @@ def draw_scene(settings: SceneSettings, generator: np.random.Generator) -> Scene
         depth = sheet.depth(*rays)
         if not (depth.min() > NEAREST and depth.max() < FARTHEST):
             continue
-        mesh = grid_mesh(back_project(depth, grid_camera), outline.level(columns, rows) > 0)
+        # What a grip moves spreads beyond the organ.
+        tissue = (outline.level(columns, rows) > 0) | (settings.action == "grip")
+        mesh = grid_mesh(back_project(depth, grid_camera), tissue)
         vertices = np.flatnonzero((mesh.pixels == (row, column)).all(axis=1))
         exit_offset = _exit_offset(outline, (column, row), entry)
         if len(vertices) == 1 and not mesh.rim[vertices[0]] and exit_offset < 0.3 * settings.grid_width:

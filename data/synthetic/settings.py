@@ -46,12 +46,20 @@ class SceneSettings:
     """Mass of every vertex [kg by the paper's convention]."""
     peak_displacement: Range = (0.01, 0.06)
     """Keep only draws whose largest displacement of the contact vertex lies in this range [scene units]."""
+    action: Literal["press", "grip"] = "press"
+    """What the tool does: press with a force, or hold tissue from its first frame in contact to the clip's last and
+    move it across the line of sight, as far as peak_displacement says; force and regime mean nothing then."""
+    spread: Range = (12.0, 30.0)
+    """Over which distance the motion of a grip dies away, √(3·stiffness/foundation), drawn log-uniformly [grid px]."""
+    relaxation: Range = (0.002, 0.01)
+    """Damping over foundation of gripped tissue, drawn log-uniformly [s]."""
     profile: Literal["step", "ramp"] = "step"
     """Force while in contact: constant, or rising linearly from 0 to F at release."""
     press_seconds: Range = (0.25, 0.5)
     """Time in contact [s], rounded to whole frames."""
     onset_fraction: Range = (0.15, 0.25)
-    """The first frame in contact, as a share of the clip's frames."""
+    """The first frame in contact, as a share of the clip's frames; a tool that grips passes over the tissue before, and
+    only that at 1."""
     onset_delay: Range = (0.0, 0.0)
     """Share of a frame interval by which the force starts after the time stamp of the first frame in contact; drawn
     uniformly from this range. Frames of a real video don't wait for the tool."""
@@ -124,8 +132,10 @@ _LIMITS = {
     "force": (-math.inf, -1e-9),
     "mass": (1e-12, 1e12),
     "peak_displacement": (0, math.inf),
+    "spread": (2, 1000),
+    "relaxation": (1e-4, 10),
     "press_seconds": (1e-6, math.inf),
-    "onset_fraction": (0, 0.9),
+    "onset_fraction": (0, 1),
     "onset_delay": (0, 1),
     "release_delay": (0, 1),
     "distance": (0.3, 0.8),

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data.synthetic.scene import Scene
+from data.synthetic.scene import NEAREST, Scene
 from data.synthetic.truth import Motion
 
 PATCH = 0.49
@@ -54,9 +54,7 @@ def deformed_view(scene: Scene, motion: Motion, frame: int, rest: View) -> View:
     moved = np.abs(displacement).max(axis=2) > VISIBLE
     if not moved.any():
         return rest
-    low, high = (f(np.argwhere(moved), axis=0) for f in (np.min, np.max))
-    top, left = np.maximum(low - 2, 0)
-    bottom, right = np.minimum(high + 2, np.array(moved.shape) - 1)
+    (top, left), (bottom, right) = _moved_range(scene, displacement, moved)
     nodes, at_rest = _lattice(scene, displacement, (top, bottom), (left, right))
     region, (inverse, weighted_u, weighted_v) = _rasterise(nodes, at_rest, (scene.camera.width, scene.camera.height))
     drawn = inverse > 0
@@ -67,10 +65,19 @@ def deformed_view(scene: Scene, motion: Motion, frame: int, rest: View) -> View:
     return View(depth, map_u, map_v, region)
 
 
+def _moved_range(scene: Scene, displacement: np.ndarray, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """First and last row and column to be drawn anew, shape [2] each; beyond the grid where its edge moves inwards."""
+    low, high = (f(np.argwhere(moved), axis=0) for f in (np.min, np.max))
+    last = np.array(moved.shape) - 1
+    shift = scene.grid_camera.fx * np.abs(displacement[..., :2]).max() / NEAREST
+    beyond = np.where((low == 0) | (high == last), math.ceil(shift) + 1, 0)
+    return np.maximum(low - 2, -beyond), np.minimum(high + 2, last + beyond)
+
+
 def _lattice(
     scene: Scene, displacement: np.ndarray, rows: tuple[int, int], columns: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Deformed sheet over an inclusive range of the grid, four nodes a vertex.
+    """Deformed sheet over an inclusive range of the grid, four nodes a vertex; beyond the grid it moves as at its edge.
 
     Returns:
         Column, row [px] and z [scene units] of the nodes in the picture, shape [3, h, w], and their column and row at
@@ -80,7 +87,8 @@ def _lattice(
     row, column = np.arange(rows[0], rows[1] + 1), np.arange(columns[0], columns[1] + 1)
     ray = np.stack(np.meshgrid((column - camera.cx) / camera.fx, (row - camera.cy) / camera.fy))
     depth = scene.sheet.depth(*ray)
-    moved = displacement[np.ix_(row, column)]
+    height, width = scene.mesh.grid_shape
+    moved = displacement[np.ix_(np.clip(row, 0, height - 1), np.clip(column, 0, width - 1))]
     after = depth + moved[..., 2]
     nodes = []
     node_ray = np.stack(np.meshgrid(_patch_edges(column) - camera.cx, _patch_edges(row) - camera.cy))

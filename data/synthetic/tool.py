@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from data.synthetic.grip import GrippedMotion
 from data.synthetic.scene import Scene
 from data.synthetic.surface import View
 from data.synthetic.truth import Motion
@@ -59,24 +60,29 @@ class Tool:
         return Tool(self.rows[seen], self.columns[seen], self.depth[seen], self.light[seen])
 
 
-def tip_offset(scene: Scene, motion: Motion, frame: int) -> float:
-    """How far the tip is drawn back along the entry [grid px]; 0 exactly in the frames of contact."""
-    if motion.onset_frame <= frame < motion.release_frame:
-        return 0.0
+def tip_offset(scene: Scene, motion: Motion, frame: int) -> np.ndarray:
+    """The tip from the contact vertex in the picture, shape [2] [grid px]; 0 exactly in the frames of contact.
+
+    A tool that presses draws back along its entry, out of the organ.
+    """
+    if isinstance(motion, GrippedMotion):
+        return motion.course[frame]
+    if motion.in_contact[frame]:
+        return np.zeros(2)
     away = motion.onset_frame - 1 - frame if frame < motion.onset_frame else frame - motion.release_frame
-    return scene.exit_offset + min(APPROACH * away, FARTHEST_RETREAT)
+    return (scene.exit_offset + min(APPROACH * away, FARTHEST_RETREAT)) * scene.entry
 
 
 def draw_tool(scene: Scene, motion: Motion, frame: int, view: View) -> Tool:
     """Pixels, depth and brightness of the tool in a frame."""
     camera, settings = scene.camera, scene.settings
-    offset = tip_offset(scene, motion, frame)
+    offset, touching = tip_offset(scene, motion, frame), bool(motion.in_contact[frame])
     vertex = scene.mesh.vertices[scene.vertex] + motion.contact[frame]
     contact = vertex[:2] / vertex[2] * [camera.fx, camera.fy] + [camera.cx, camera.cy]
-    tip_depth = vertex[2] if offset == 0 else vertex[2] - LIFT
-    columns = (np.arange(camera.width) - contact[0]) / settings.cell[0]
-    rows = (np.arange(camera.height) - contact[1]) / settings.cell[1]
-    along = columns * scene.entry[0] + rows[:, None] * scene.entry[1] - offset
+    tip_depth = vertex[2] if touching else vertex[2] - LIFT
+    columns = (np.arange(camera.width) - contact[0]) / settings.cell[0] - offset[0]
+    rows = (np.arange(camera.height) - contact[1]) / settings.cell[1] - offset[1]
+    along = columns * scene.entry[0] + rows[:, None] * scene.entry[1]
     across = rows[:, None] * scene.entry[0] - columns * scene.entry[1]
     axis_depth = tip_depth / np.maximum(1 + AXIS_SLOPE * along, 0.5)
     half_width = _half_width(along, SHAFT_RADIUS * scene.grid_camera.fx / axis_depth)
@@ -86,9 +92,9 @@ def draw_tool(scene: Scene, motion: Motion, frame: int, view: View) -> Tool:
     bulge = np.sqrt(1 - np.square(section))
     depth = axis_depth - half_width * bulge * axis_depth / scene.grid_camera.fx
     rise = GAP_SLOPE * (np.maximum(along - KEEL_LENGTH, 0) + np.abs(across))
-    gap = np.minimum((TIP_GAP + rise) * scene.spacing, LARGEST_GAP) if offset == 0 else LIFT
+    gap = np.minimum((TIP_GAP + rise) * scene.spacing, LARGEST_GAP) if touching else LIFT
     depth = np.minimum(depth, view.depth[row, column] - gap)
-    if offset == 0:
+    if touching:
         keel = (along <= KEEL_LENGTH) & (np.abs(across) <= KEEL_WIDTH)
         depth[keel] = tip_depth - (TIP_GAP + 0.3 * np.abs(across[keel])) * scene.spacing
     return Tool(row, column, depth.astype(np.float32), _light(along, across, section, bulge))

@@ -38,31 +38,43 @@ REGIMES: tuple[Regime, ...] = get_args(Regime)
 
 @dataclass(frozen=True)
 class Motion:
-    """What truly happened in a clip."""
+    """What truly happened in a clip, as far as its pictures show it."""
 
-    theta: np.ndarray
-    """[k_s, k_d, F], float64, F signed."""
     onset_frame: int
-    """First frame in contact; the force starts `delay` after its time stamp, until when the tissue is at rest."""
+    """First frame in contact, before which the tissue is at rest; the number of frames where there is none."""
     release_frame: int
-    """First frame after contact; the force ends `release_delay` after its time stamp."""
-    delay: float
-    """Time from the first frame in contact to the start of the force [s], at most a frame interval."""
-    release_delay: float
-    """Time from the first frame after contact to the end of the force [s], at most a frame interval."""
+    """First frame after contact."""
     times: np.ndarray
     """Time stamps of the frames [s], shape [F]."""
     contact: np.ndarray
     """Displacement of the contact vertex at the frames' times, shape [F, 3] [scene units]."""
+    moving: np.ndarray
+    """Mesh vertices that the simulation covers, shape [M], int64."""
+    field: np.ndarray
+    """Displacement of those vertices at the frames' times, shape [F, M, 3], float32."""
+
+    @property
+    def in_contact(self) -> np.ndarray:
+        """Whether tool and tissue touch in each frame, shape [F], bool."""
+        frame = np.arange(len(self.times))
+        return (frame >= self.onset_frame) & (frame < self.release_frame)
+
+
+@dataclass(frozen=True)
+class PressedMotion(Motion):
+    """What truly happened in a clip whose tool presses with a force."""
+
+    theta: np.ndarray
+    """[k_s, k_d, F], float64, F signed."""
+    delay: float
+    """Time from the first frame in contact to the start of the force [s], at most a frame interval."""
+    release_delay: float
+    """Time from the first frame after contact to the end of the force [s], at most a frame interval."""
     response: np.ndarray
     """Displacement of the contact vertex every 5 ms from the start of the force on, the first 5 ms after it, shape
     [R, 3]."""
     force: np.ndarray
     """Signed force at the frames' times, just after them, shape [F]."""
-    moving: np.ndarray
-    """Mesh vertices that the simulation covers, shape [M], int64."""
-    field: np.ndarray
-    """Displacement of those vertices at the frames' times, shape [F, M, 3], float32."""
 
     @property
     def load_seconds(self) -> float:
@@ -125,7 +137,7 @@ def draw_theta(settings: SceneSettings, generator: np.random.Generator) -> np.nd
     )
 
 
-def draw_motion(scene: Scene, generator: np.random.Generator) -> Motion:
+def draw_motion(scene: Scene, generator: np.random.Generator) -> PressedMotion:
     """Draw θ and the time course, and integrate; draws whose peak is outside the wanted range are drawn again.
 
     Raises:
@@ -161,7 +173,7 @@ def simulate_motion(
     variation: np.ndarray | None = None,
     delay: float = 0.0,
     release_delay: float = 0.0,
-) -> Motion:
+) -> PressedMotion:
     """Integrate the sheet from rest through press and release.
 
     Args:
@@ -190,7 +202,7 @@ def simulate_motion(
     force = np.zeros(settings.frames)
     pressed = (after > -ROUNDING) & (after < load - ROUNDING)
     force[onset:][pressed] = theta[2] * _profile(settings, after[pressed], load)
-    return Motion(
+    return PressedMotion(
         theta=theta,
         onset_frame=onset,
         release_frame=release,

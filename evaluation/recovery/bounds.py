@@ -13,7 +13,7 @@ import numpy as np
 from data.contact.film import REACH, DentFilm
 from data.contact.interaction import Interaction
 from data.synthetic.scene import Scene
-from data.synthetic.truth import Motion
+from data.synthetic.truth import PressedMotion
 from estimators.direct.estimator import FITTED, LEAST_OBSERVATIONS
 from estimators.direct.field import FieldProblem
 from estimators.direct.motion import about_tissue
@@ -28,7 +28,7 @@ DELAY_BOX = np.array([[-1.0], [1.0]])
 """Range of a delay in frames."""
 
 
-def contact_information(contact: Interaction, scene: Scene, motion: Motion) -> np.ndarray:
+def contact_information(contact: Interaction, scene: Scene, motion: PressedMotion) -> np.ndarray:
     """Information of log θ and both delays of the press from the contact's observed instants, for σ = 1, shape [5, 5].
 
     Args:
@@ -38,7 +38,7 @@ def contact_information(contact: Interaction, scene: Scene, motion: Motion) -> n
     return _squared(ContactProblem(truth, MECHANICS, 1.0, within).information(logs))
 
 
-def field_information(contact: Interaction, scene: Scene, motion: Motion) -> np.ndarray | None:
+def field_information(contact: Interaction, scene: Scene, motion: PressedMotion) -> np.ndarray | None:
     """The same from what the film of its dent shows, with the film's own noise; None without a film."""
     film = contact.film
     if film is None or len(film.times) < LEAST_OBSERVATIONS:
@@ -63,7 +63,7 @@ def known(information: np.ndarray, onset: str) -> np.ndarray:
     return np.array([about_tissue(item, prior) for item in flat]).reshape(*information.shape[:-2], 3, 3)
 
 
-def _truth(contact: Interaction, scene: Scene, motion: Motion) -> tuple[Interaction, np.ndarray, float]:
+def _truth(contact: Interaction, scene: Scene, motion: PressedMotion) -> tuple[Interaction, np.ndarray, float]:
     """The contact as it truly was, its parameters [5] ([4] where no release was seen), and the frame interval [s]."""
     within, step = 1 / scene.settings.fps, MECHANICS.time_step
     seconds = (motion.release_frame - motion.onset_frame) * within if contact.released else np.inf

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from rich.progress import Progress
 
-from data.synthetic.clip import draw_truth
+from data.synthetic.clip import draw_press
 from data.synthetic.scene import SceneError
 from estimators.estimate import Estimate
 from estimators.worker_pool import run_tasks
@@ -41,7 +41,7 @@ def draw_log_theta(task: tuple[int, int]) -> np.ndarray | None:
     """
     index, seed = task
     try:
-        _, motion = draw_truth(SUITES["clean"].truth_settings(index), seed)
+        _, motion = draw_press(SUITES["clean"].truth_settings(index), seed)
     except SceneError:
         return None
     return np.log(np.abs(motion.theta))

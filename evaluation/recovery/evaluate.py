@@ -20,11 +20,11 @@ from data.contact.interaction import Horizon, Interaction
 from data.depth.normalise import DepthSettings
 from data.prepared import PreparedFrame
 from data.settings import PrepareSettings
-from data.synthetic.clip import draw_truth, synthetic_clip
+from data.synthetic.clip import draw_press, synthetic_clip
 from data.synthetic.scene import Scene, SceneError
 from data.synthetic.settings import SceneSettings
 from data.synthetic.source import open_synthetic
-from data.synthetic.truth import Motion
+from data.synthetic.truth import PressedMotion
 from estimators.contract import ClipInfo
 from estimators.estimate import Estimate, InteractionEstimate
 from estimators.oblique import is_oblique
@@ -102,9 +102,9 @@ class ClipTask:
 
 
 @functools.lru_cache(maxsize=1)
-def _truth(settings: SceneSettings, seed: int) -> tuple[Scene, Motion]:
+def _truth(settings: SceneSettings, seed: int) -> tuple[Scene, PressedMotion]:
     """Drawn once for all suites that only observe otherwise; these follow each other."""
-    return draw_truth(settings, seed)
+    return draw_press(settings, seed)
 
 
 def evaluate_clip(task: ClipTask) -> list[Recovery]:
@@ -162,7 +162,7 @@ def observed_contacts(frames: Sequence[PreparedFrame], clip: ClipInfo, seen: Hor
     return {onset: contact for onset, contact in found.items() if len(contact.observation)}
 
 
-def tracking_errors(contact: Interaction, scene: Scene, motion: Motion) -> np.ndarray:
+def tracking_errors(contact: Interaction, scene: Scene, motion: PressedMotion) -> np.ndarray:
     """Errors of a tracked contact along the true direction, shape [M] [scene units].
 
     Args:

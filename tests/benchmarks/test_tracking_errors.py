@@ -109,5 +109,5 @@ def test_a_clip_with_known_truth(monkeypatch: pytest.MonkeyPatch) -> None:
     def nothing(*_: object) -> None:
         raise SceneError("nothing to draw.")
 
-    monkeypatch.setattr(benchmark, "draw_truth", nothing)
+    monkeypatch.setattr(benchmark, "draw_press", nothing)
     assert measure_clip(task) == {}

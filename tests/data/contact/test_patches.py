@@ -10,7 +10,7 @@ from data.contact.film import REACH
 from data.contact.interaction import Interaction
 from data.contact.patches import LARGEST_SHIFT, MOST_SAMPLES, Patches, focal_length, footprint
 from data.source.camera import Camera, back_project
-from data.synthetic.clip import draw_truth, synthetic_clip
+from data.synthetic.clip import draw_press, synthetic_clip
 from data.synthetic.scene import Scene
 from data.synthetic.settings import SceneSettings
 from data.synthetic.source import open_synthetic
@@ -360,7 +360,7 @@ def clip_of(seed: int, size: tuple[int, int]) -> tuple[Interaction, Scene, Motio
     settings = SceneSettings(
         width=size[0], height=size[1], frames=11, press_seconds=(0.16, 0.16), onset_fraction=(0.2, 0.25)
     )
-    scene, motion = draw_truth(settings, seed)
+    scene, motion = draw_press(settings, seed)
     clip = open_synthetic(synthetic_clip(scene, motion, seed), PREPARE)
     contacts = observed_contacts(list(clip), ClipInfo.of(clip))
     return contacts[motion.onset_frame], scene, motion

@@ -14,7 +14,7 @@ from data.synthetic.scene import Scene, SceneError, draw_scene
 from data.synthetic.settings import SceneSettings
 from data.synthetic.truth import (
     SAMPLE_STEP,
-    Motion,
+    PressedMotion,
     cut_window,
     damping_ratio,
     draw_motion,
@@ -37,7 +37,7 @@ def scene() -> Scene:
 
 
 @pytest.fixture(scope="module")
-def motion(scene: Scene) -> Motion:
+def motion(scene: Scene) -> PressedMotion:
     return simulate_motion(scene, THETA, ONSET, RELEASE)
 
 
@@ -50,7 +50,7 @@ def fitted(scene: Scene, time_step: float, seconds: float, load_seconds: float) 
     return response[every - 1 :: every]
 
 
-def test_the_fitted_integrator_converges_to_the_truth_at_first_order(scene: Scene, motion: Motion) -> None:
+def test_the_fitted_integrator_converges_to_the_truth_at_first_order(scene: Scene, motion: PressedMotion) -> None:
     seconds = 0.45
     coarse, fine = (fitted(scene, step, seconds, motion.load_seconds) for step in (0.0025, 0.00125))
     truth = motion.response[: len(fine)]
@@ -61,7 +61,7 @@ def test_the_fitted_integrator_converges_to_the_truth_at_first_order(scene: Scen
     assert np.linalg.norm(2 * fine - coarse - truth, axis=1).max() < 0.1 * errors[1]
 
 
-def test_rest_force_and_samples_are_consistent(scene: Scene, motion: Motion) -> None:
+def test_rest_force_and_samples_are_consistent(scene: Scene, motion: PressedMotion) -> None:
     assert not motion.contact[: ONSET + 1].any()
     assert not motion.field[: ONSET + 1].any()
     np.testing.assert_array_equal(motion.force != 0, (np.arange(24) >= ONSET) & (np.arange(24) < RELEASE))
@@ -76,7 +76,7 @@ def test_rest_force_and_samples_are_consistent(scene: Scene, motion: Motion) -> 
     assert motion.peak == pytest.approx(np.linalg.norm(motion.response, axis=1).max())
 
 
-def test_first_instants_follow_the_closed_form(scene: Scene, motion: Motion) -> None:
+def test_first_instants_follow_the_closed_form(scene: Scene, motion: PressedMotion) -> None:
     # Before the springs answer, m x'' + k_d x' = F: x = F/k_d (t - tau (1 - exp(-t/tau))), tau = m/k_d. The six springs
     # take off a share of at most 6 k_s t^2 / (12 m), 0.6 % at 5 ms, and the curve of the sheet turns the rest aside.
     tau = SMALL.mass / THETA[1]
@@ -85,7 +85,7 @@ def test_first_instants_follow_the_closed_form(scene: Scene, motion: Motion) -> 
     assert motion.response[0] @ scene.direction == pytest.approx(expected, rel=0.01)
 
 
-def test_a_wider_window_changes_nothing(scene: Scene, motion: Motion, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_wider_window_changes_nothing(scene: Scene, motion: PressedMotion, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("data.synthetic.truth._reach", lambda *_: 200)
     whole = simulate_motion(scene, THETA, ONSET, RELEASE)
     assert len(whole.moving) == len(scene.mesh.vertices)
@@ -104,14 +104,14 @@ def with_settings(scene: Scene, **changes) -> Scene:
     return dataclasses.replace(scene, settings=dataclasses.replace(scene.settings, **changes))
 
 
-def test_a_ramp_reaches_the_force_at_release(scene: Scene, motion: Motion) -> None:
+def test_a_ramp_reaches_the_force_at_release(scene: Scene, motion: PressedMotion) -> None:
     ramp = simulate_motion(with_settings(scene, profile="ramp"), THETA, ONSET, RELEASE)
     np.testing.assert_allclose(ramp.force[ONSET:RELEASE], THETA[2] * np.arange(8) / 8)
     assert ramp.peak < motion.peak
 
 
 @pytest.mark.parametrize("share", [0.25, 0.625, 1.0])
-def test_a_late_force_is_the_same_motion_later(scene: Scene, motion: Motion, share: float) -> None:
+def test_a_late_force_is_the_same_motion_later(scene: Scene, motion: PressedMotion, share: float) -> None:
     delay = share / 25
     late = simulate_motion(scene, THETA, ONSET, RELEASE, delay=delay, release_delay=delay)
     assert (late.delay, late.release_delay) == (delay, delay)
@@ -155,7 +155,7 @@ def test_the_delay_has_a_random_stream_of_its_own(scene: Scene) -> None:
     assert found.delay == late[0].delay != found.release_delay
 
 
-def test_a_late_release_holds_the_force_for_longer(scene: Scene, motion: Motion) -> None:
+def test_a_late_release_holds_the_force_for_longer(scene: Scene, motion: PressedMotion) -> None:
     late = simulate_motion(scene, THETA, ONSET, RELEASE, release_delay=0.03)
     assert late.load_seconds == pytest.approx(motion.load_seconds + 0.03)
     np.testing.assert_allclose(late.contact[: RELEASE + 1], motion.contact[: RELEASE + 1], atol=1e-6)
@@ -172,7 +172,7 @@ def test_a_delay_of_more_than_a_frame_is_refused() -> None:
         dataclasses.replace(SMALL, onset_delay=(0.0, 1.5))
 
 
-def test_mismatch_knobs_change_the_truth(scene: Scene, motion: Motion) -> None:
+def test_mismatch_knobs_change_the_truth(scene: Scene, motion: PressedMotion) -> None:
     stiffening = simulate_motion(with_settings(scene, nonlinearity=1.0), THETA, ONSET, RELEASE)
     assert stiffening.peak < 0.95 * motion.peak
     doubled = simulate_motion(scene, THETA, ONSET, RELEASE, np.full(scene.mesh.grid_shape, 2.0))

@@ -11,10 +11,10 @@ import pytest
 from data.contact.film import REACH, DentFilm, FilmNoise
 from data.contact.interaction import Interaction
 from data.contact.patches import Patches
-from data.synthetic.clip import draw_truth
+from data.synthetic.clip import draw_press
 from data.synthetic.scene import Scene
 from data.synthetic.settings import SceneSettings
-from data.synthetic.truth import Motion
+from data.synthetic.truth import PressedMotion
 from estimators.onset import BETWEEN, STAMP
 from evaluation.recovery.bounds import MECHANICS, contact_information, field_information, known
 from physics.identifiability import bounds, fisher_information
@@ -39,8 +39,8 @@ SIDE = 2 * REACH + 1
 
 
 @functools.cache
-def truth() -> tuple[Scene, Motion]:
-    return draw_truth(SETTINGS, 3)
+def truth() -> tuple[Scene, PressedMotion]:
+    return draw_press(SETTINGS, 3)
 
 
 def contact_of(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from data.contact.interaction import Interaction
-from data.synthetic.clip import draw_truth, synthetic_clip
+from data.synthetic.clip import draw_press, synthetic_clip
 from data.synthetic.scene import SceneError
 from estimators.estimate import Estimate, InteractionEstimate
 from estimators.onset import BETWEEN, STAMP
@@ -33,13 +33,13 @@ DIRECT = EstimatorOptions("direct")
 @pytest.fixture(scope="module")
 def truth():
     """Scene and motion of the clip in most suites."""
-    return draw_truth(SUITES["clean"].truth_settings(2), SEED)
+    return draw_press(SUITES["clean"].truth_settings(2), SEED)
 
 
 def test_suites_that_only_observe_otherwise_share_a_truth(truth):
     for name in ("clean", "focal-error", "8bit"):
         assert SUITES[name].truth_settings(2) == SUITES["clean"].truth_settings(2)
-    _, motion = draw_truth(SUITES["8bit"].settings(2), SEED)
+    _, motion = draw_press(SUITES["8bit"].settings(2), SEED)
     np.testing.assert_array_equal(motion.theta, truth[1].theta)
     np.testing.assert_array_equal(motion.contact, truth[1].contact)
     others = {SUITES[name].truth_settings(2) for name in ("clean", "mismatch", "oblique", "late-onset")}
@@ -49,7 +49,7 @@ def test_suites_that_only_observe_otherwise_share_a_truth(truth):
 def test_a_late_force_is_compared_and_bounded_at_its_own_instants():
     """A delay of half a frame, eight steps of the simulator: a track without error, and the information it holds."""
     settings = dataclasses.replace(SUITES["late-onset"].settings(2), onset_delay=(0.5, 0.5), release_delay=(0.5, 0.5))
-    scene, motion = draw_truth(settings, SEED)
+    scene, motion = draw_press(settings, SEED)
     after = np.arange(1, 26)
     observed = motion.contact[motion.onset_frame + after] - 0.002 * scene.direction
     step, times = recovery.MECHANICS.time_step, after / 25
@@ -74,7 +74,7 @@ def test_a_late_force_is_compared_and_bounded_at_its_own_instants():
 def test_the_bound_counts_the_delays_of_a_press_in_frames():
     """Against presses a step of the simulator, a 16th of a frame, earlier and later, and held for a step longer."""
     settings = dataclasses.replace(SUITES["late-onset"].settings(2), onset_delay=(0.5, 0.5), release_delay=(0.5, 0.5))
-    scene, motion = draw_truth(settings, SEED)
+    scene, motion = draw_press(settings, SEED)
     after, step = np.arange(1, 26), recovery.MECHANICS.time_step
     loaded = round(motion.load_seconds / step)
 
@@ -107,8 +107,8 @@ def test_a_clip_in_three_suites(monkeypatch, truth):
         drawn.append(settings)
         return truth
 
-    monkeypatch.setattr(recovery, "draw_truth", draw)
-    monkeypatch.setattr(constant, "draw_truth", draw)
+    monkeypatch.setattr(recovery, "draw_press", draw)
+    monkeypatch.setattr(constant, "draw_press", draw)
     recovery._truth.cache_clear()
     wanted = {"clean": {"constant": CONSTANT}, "8bit": {"constant": CONSTANT}, "mismatch": {"constant": CONSTANT}}
     clean, rounded, mismatch = evaluate_clip(ClipTask(2, SEED, wanted | {"noisy": {}}))
@@ -151,9 +151,9 @@ def raising(error: Exception):
 
 def test_failures_become_results(monkeypatch):
     failing = raising(SceneError("nothing to draw."))
-    row = run(monkeypatch, draw_truth=failing)
+    row = run(monkeypatch, draw_press=failing)
     assert (row.status, row.reason, row.theta) == ("no scene", "nothing to draw.", None)
-    monkeypatch.setattr(constant, "draw_truth", failing)
+    monkeypatch.setattr(constant, "draw_press", failing)
     assert draw_log_theta((2, SEED)) is None
 
 
@@ -161,7 +161,7 @@ def test_a_broken_preparation_and_missing_contacts_become_results(monkeypatch, t
     scene, motion = truth
     few = dataclasses.replace(SUITES["clean"].settings(2), frames=8)
     clip = synthetic_clip(dataclasses.replace(scene, settings=few), motion, SEED)
-    known = {"draw_truth": lambda *_: truth, "synthetic_clip": lambda *_: clip}
+    known = {"draw_press": lambda *_: truth, "synthetic_clip": lambda *_: clip}
     row = run(monkeypatch, **known, open_synthetic=raising(RuntimeError("broken")))
     assert (row.status, row.reason) == ("error", "RuntimeError: broken")
     monkeypatch.undo()

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from data.synthetic.clip import clip_seed, draw_truth
+from data.synthetic.clip import clip_seed, draw_press
 from data.synthetic.scene import draw_scene
 from evaluation.recovery.suites import FITTED_ON, GRID_SIZE, REGIMES, SPLITS, SUITES, suite_clip_seed
 
@@ -55,7 +55,7 @@ def test_regimes_take_turns_and_half_of_each_has_nonlinear_springs_in_mismatch()
 
 def test_late_onset_has_the_clean_suites_truth_with_a_force_that_waits():
     seed = suite_clip_seed("test", 0, 2)
-    (scene, clean), (same, late) = (draw_truth(SUITES[name].settings(2), seed) for name in ("clean", "late-onset"))
+    (scene, clean), (same, late) = (draw_press(SUITES[name].settings(2), seed) for name in ("clean", "late-onset"))
     np.testing.assert_array_equal(same.mesh.vertices, scene.mesh.vertices)
     np.testing.assert_array_equal(late.theta, clean.theta)
     assert (late.onset_frame, late.release_frame) == (clean.onset_frame, clean.release_frame)
@@ -93,7 +93,7 @@ def test_the_constant_is_fitted_on_another_split():
 
 
 def test_splits_draw_other_geometry_and_theta():
-    drawn = [draw_truth(SUITES["clean"].settings(2), suite_clip_seed(split, 0, 2)) for split in ("validation", "test")]
+    drawn = [draw_press(SUITES["clean"].settings(2), suite_clip_seed(split, 0, 2)) for split in ("validation", "test")]
     (first, first_motion), (second, second_motion) = drawn
     assert first.sheet.distance != second.sheet.distance
     assert not np.allclose(first_motion.theta, second_motion.theta)

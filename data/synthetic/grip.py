@@ -1,0 +1,194 @@
+"""True motion of tissue that a tool holds and moves, or only passes over.
+
+A sheet under tension on a foundation, m ü + k_d u̇ + K u = 0 away from the grip: the model of `physics.sheet` with its
+inertia and damping, on a grid twice as fine, beyond the picture's edges, by another integrator (BDF2 with short steps).
+It is the same everywhere in the picture's plane, whatever the tissue's depth.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_array, csr_array, diags_array
+from scipy.sparse.linalg import splu
+
+from data.synthetic.scene import Scene, SceneError
+from data.synthetic.settings import SceneSettings
+from data.synthetic.truth import Motion
+
+SUBSTEPS = 8
+"""Of the integrator, a frame."""
+BEYOND = 32
+"""How far the tissue goes on beyond the picture [grid px]."""
+HELD = 2.5
+"""Radius of the tissue between the jaws, around the contact vertex [grid px]."""
+RISE = (0.6, 0.95)
+"""Share of the time in contact in which the tool reaches its farthest."""
+BEND = 0.2
+"""How far its way bends aside at most, as a share of its length."""
+INSIDE = 12.0
+"""The tip stays so far inside the picture [grid px]."""
+UNIFORM_DAMPING = 2.0
+"""ζ of the motion in which all tissue moves alike: over-damped."""
+PASSES = (15.0, 45.0)
+"""From where a tool comes that has not touched yet [grid px]."""
+
+
+@dataclass(frozen=True)
+class GrippedMotion(Motion):
+    """What truly happened in a clip whose tool holds tissue from its first frame in contact to the clip's end."""
+
+    course: np.ndarray
+    """The tip from where the contact vertex is, in the picture, shape [F, 2] [grid px]; 0 in contact."""
+    anchor: float
+    """Foundation of a node over the stiffness of a spring, nodes a grid px apart and joined along both diagonals."""
+    damping: float
+    """k_d/k_s of such nodes [s]."""
+    reaction: np.ndarray
+    """What holds the gripped tissue over k_s, across the line of sight at the contact's depth, shape [F, 2] [scene
+    units]."""
+
+
+def draw_grip(scene: Scene, generator: np.random.Generator) -> GrippedMotion:
+    """Draw tissue and the tool's way, and integrate.
+
+    Raises:
+        SceneError: the tool has no room for a way as long as is wanted.
+    """
+    settings = scene.settings
+    onset = round(generator.uniform(*settings.onset_fraction) * settings.frames)
+    spread = math.exp(generator.uniform(*np.log(settings.spread)))
+    relaxation = math.exp(generator.uniform(*np.log(settings.relaxation)))
+    way, course = _draw_way(scene, generator), _draw_course(onset, settings, generator)
+    # Neighbours on both diagonals: every node has springs worth three in the picture's plane.
+    anchor = 3 / spread**2
+    times = np.arange(settings.frames) / settings.fps
+    moved, reaction = np.zeros((settings.frames, *scene.mesh.grid_shape, 2)), np.zeros((settings.frames, 2))
+    if onset < settings.frames - 1:
+        steps = SUBSTEPS * (settings.frames - 1 - onset)
+        moved[onset:], reaction[onset:] = _integrate(scene, anchor, relaxation, way(np.arange(1, steps + 1) / steps))
+    field = _in_space(scene, moved)
+    return GrippedMotion(
+        onset_frame=onset,
+        release_frame=settings.frames,
+        times=times,
+        contact=field[:, scene.vertex].astype(np.float64),
+        moving=np.arange(len(scene.mesh.vertices)),
+        field=field,
+        course=course,
+        anchor=anchor,
+        damping=anchor * relaxation,
+        reaction=reaction * scene.spacing,
+    )
+
+
+def _draw_way(scene: Scene, generator: np.random.Generator) -> Callable[[np.ndarray], np.ndarray]:
+    """Where the tool has moved tissue at shares of its time in contact, a function of [S] that gives [S, 2] [grid px].
+
+    From rest, across the line of sight, slowly at both ends.
+    """
+    settings = scene.settings
+    size = np.array([settings.grid_width, settings.grid_height])
+    row, column = scene.mesh.pixels[scene.vertex]
+    for _ in range(100):
+        length = generator.uniform(*settings.peak_displacement) / scene.spacing
+        angle = generator.uniform(0, 2 * np.pi)
+        far = length * np.array([math.cos(angle), math.sin(angle)])
+        end = np.array([column, row]) + far
+        if (end > INSIDE).all() and (end < size - INSIDE).all():
+            break
+    else:
+        raise SceneError(
+            f"scene.peak_displacement {settings.peak_displacement} moves the tip out of the picture; choose smaller."
+        )
+    aside = generator.uniform(-BEND, BEND) * np.array([-far[1], far[0]])
+    rise = generator.uniform(*RISE)
+
+    def way(shares: np.ndarray) -> np.ndarray:
+        share = np.clip(shares / rise, 0, 1)
+        gone = (share**3 * (10 - 15 * share + 6 * share**2))[:, None]
+        return gone * far + 4 * gone * (1 - gone) * aside
+
+    return way
+
+
+def _draw_course(onset: int, settings: SceneSettings, generator: np.random.Generator) -> np.ndarray:
+    """The tip's way before it touches, shape [F, 2] [grid px]: it comes in an arc, or passes if it never touches."""
+    angle, bend = generator.uniform(0, 2 * np.pi), generator.uniform(-0.5, 0.5)
+    far = generator.uniform(*PASSES) * np.array([math.cos(angle), math.sin(angle)])
+    left = np.clip((onset - np.arange(settings.frames)) / max(onset, 1), 0, 1)[:, None]
+    left = 2 * left - 1 if onset >= settings.frames else left * left * (3 - 2 * left)
+    return left * far + bend * (left - left * np.abs(left)) * np.array([-far[1], far[0]])
+
+
+def _integrate(scene: Scene, anchor: float, relaxation: float, way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The sheet from rest while its grip goes along a way.
+
+    Args:
+        relaxation: damping over foundation [s].
+        way: displacement of the grip after each step, shape [S, 2] [grid px].
+
+    Returns:
+        Displacement of the picture's nodes at the frames' times, shape [S / SUBSTEPS + 1, h, w, 2], and what holds the
+        grip, shape [S / SUBSTEPS + 1, 2] [unit of a spring's stiffness × grid px].
+    """
+    rows, columns = (side + 2 * BEYOND for side in scene.mesh.grid_shape)
+    mass, damping = anchor * (relaxation / (2 * UNIFORM_DAMPING)) ** 2, anchor * relaxation
+    step = 1 / (scene.settings.fps * SUBSTEPS)
+    matrix = lattice_matrix(rows, columns, anchor)
+    shift = mass * 9 / (4 * step**2) + damping * 3 / (2 * step)
+    row, column = np.mgrid[:rows, :columns] - BEYOND
+    apart = np.hypot(row - scene.mesh.pixels[scene.vertex, 0], column - scene.mesh.pixels[scene.vertex, 1])
+    held = (apart <= HELD).ravel()
+    advanced = matrix + shift * diags_array(np.ones(rows * columns))
+    free = advanced[~held]
+    # Symmetric and positive: no pivoting.
+    factors = splu(
+        free[:, ~held].tocsc(),
+        permc_spec="MMD_AT_PLUS_A",
+        diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
+    )
+    ties = free[:, held].sum(axis=1)[:, None]
+    place, before, speed, speed_before = (np.zeros((rows * columns, 2)) for _ in range(4))
+    seen, reaction = [np.zeros((*scene.mesh.grid_shape, 2))], [np.zeros(2)]
+    inner = (slice(BEYOND, rows - BEYOND), slice(BEYOND, columns - BEYOND))
+    for index, target in enumerate(way, start=1):
+        carried = (4 * place - before) / (2 * step)
+        pushed = (mass * (3 / (2 * step)) + damping) * carried + mass * (4 * speed - speed_before) / (2 * step)
+        moved = np.empty_like(place)
+        moved[held] = target
+        moved[~held] = factors.solve(pushed[~held] - ties * target)
+        new_speed = 3 / (2 * step) * moved - carried
+        force = (advanced[held] @ moved - pushed[held]).sum(axis=0)
+        place, before, speed, speed_before = moved, place, new_speed, speed
+        if index % SUBSTEPS == 0:
+            seen.append(moved.reshape(rows, columns, 2)[inner])
+            reaction.append(force)
+    return np.array(seen), np.array(reaction)
+
+
+def lattice_matrix(rows: int, columns: int, anchor: float) -> csr_array:
+    """K of a grid of nodes whose springs, along both axes and both diagonals, have stiffness 1; shape [N, N]."""
+    number = np.arange(rows * columns).reshape(rows, columns)
+    neighbours = (
+        (number[:-1], number[1:]),
+        (number[:, :-1], number[:, 1:]),
+        (number[:-1, :-1], number[1:, 1:]),
+        (number[1:, :-1], number[:-1, 1:]),
+    )
+    one, two = (np.concatenate([pair[end].ravel() for pair in neighbours]) for end in (0, 1))
+    places = np.r_[one, two], np.r_[two, one]
+    ties = coo_array((np.ones(2 * len(one)), places), (rows * columns,) * 2).tocsr()
+    return csr_array(diags_array(ties.sum(axis=1) + anchor) - ties)
+
+
+def _in_space(scene: Scene, moved: np.ndarray) -> np.ndarray:
+    """Displacement of the mesh's vertices in space, shape [F, N, 3], float32, of one in the picture [F, h, w, 2]."""
+    row, column = scene.mesh.pixels.T
+    depth = scene.mesh.vertices[:, 2:].astype(np.float64)
+    across = moved[:, row, column] / [scene.grid_camera.fx, scene.grid_camera.fy] * depth
+    return np.concatenate([across, np.zeros_like(across[..., :1])], axis=-1).astype(np.float32)

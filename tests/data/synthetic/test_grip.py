@@ -1,0 +1,136 @@
+"""True motion of gripped tissue."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.sparse.linalg import spsolve
+
+from data.synthetic.clip import draw_truth, make_clip, write_clip
+from data.synthetic.grip import BEYOND, HELD, GrippedMotion, lattice_matrix
+from data.synthetic.scene import Scene
+from data.synthetic.settings import SceneSettings
+from data.synthetic.tool import tip_offset
+from physics.sheet import equilibrium
+
+GRIP = SceneSettings(
+    width=107, height=60, grid_width=107, grid_height=60, frames=12, action="grip", onset_fraction=(0.0, 0.0),
+    spread=(8.0, 8.0), relaxation=(1e-3, 1e-3),
+)  # fmt: skip
+SEED = 7401
+
+
+@pytest.fixture(scope="module")
+def truth() -> tuple[Scene, GrippedMotion]:
+    scene, motion = draw_truth(GRIP, SEED)
+    assert isinstance(motion, GrippedMotion)
+    return scene, motion
+
+
+def in_picture(scene: Scene, motion: GrippedMotion) -> np.ndarray:
+    """Displacement of the vertices in the picture, shape [F, N, 2] [grid px]."""
+    rest = scene.mesh.vertices.astype(np.float64)
+    focal = np.array([scene.grid_camera.fx, scene.grid_camera.fy])
+    moved = rest + motion.field
+    return focal * (moved[..., :2] / moved[..., 2:] - rest[..., :2] / rest[..., 2:])
+
+
+def test_the_lattice_is_that_of_a_sheet_at_rest() -> None:
+    generator = np.random.default_rng(0)
+    rows, columns, anchor = 5, 7, 0.3
+    number = np.arange(rows * columns).reshape(rows, columns)
+    springs = [
+        (number[row, column], number[row + down, column + right])
+        for row in range(rows)
+        for column in range(columns)
+        for down, right in ((1, 0), (0, 1), (1, 1), (1, -1))
+        if row + down < rows and 0 <= column + right < columns
+    ]
+    held = generator.random(rows * columns) < 0.2
+    motion = generator.standard_normal((held.sum(), 2))
+    found = equilibrium(np.array(springs), np.ones(len(springs)), np.full(rows * columns, anchor), held, motion)
+    np.testing.assert_allclose(lattice_matrix(rows, columns, anchor).toarray(), found.matrix.toarray(), atol=1e-12)
+
+
+def test_a_slow_grip_is_an_equilibrium(truth: tuple[Scene, GrippedMotion]) -> None:
+    scene, motion = truth
+    rows, columns = (side + 2 * BEYOND for side in scene.mesh.grid_shape)
+    matrix = lattice_matrix(rows, columns, motion.anchor)
+    place = scene.mesh.pixels[scene.vertex] + BEYOND
+    row, column = np.mgrid[:rows, :columns]
+    held = (np.hypot(row - place[0], column - place[1]) <= HELD).ravel()
+    inner = np.zeros((rows, columns), bool)
+    inner[tuple(scene.mesh.pixels.T + BEYOND)] = True
+    free = ~held
+    moved = in_picture(scene, motion)
+    for frame in (6, 11):
+        at_rest = np.zeros((rows * columns, 2))
+        at_rest[held] = moved[frame, scene.vertex]
+        at_rest[free] = spsolve(matrix[free][:, free].tocsc(), -matrix[free][:, held] @ at_rest[held])
+        # Damping over foundation is a 40th of a frame.
+        np.testing.assert_allclose(moved[frame], at_rest[inner.ravel()], atol=0.02 * np.abs(at_rest).max())
+        # In equilibrium the foundation holds what the grip pulls.
+        pull = motion.anchor * at_rest.sum(axis=0) * scene.spacing
+        np.testing.assert_allclose(motion.reaction[frame], pull, atol=0.03 * np.linalg.norm(pull))
+
+
+def test_damping_lets_the_tissue_lag_behind(truth: tuple[Scene, GrippedMotion]) -> None:
+    scene, slow = truth
+    _, lagging = draw_truth(dataclasses.replace(GRIP, relaxation=(0.05, 0.05)), SEED)
+    assert lagging.damping == pytest.approx(50 * slow.damping)
+    np.testing.assert_allclose(lagging.contact, slow.contact, atol=1e-9)
+    far = np.abs(scene.mesh.pixels - scene.mesh.pixels[scene.vertex]).max(axis=1) > 8
+    for frame in (3, 5):
+        assert np.abs(lagging.field[frame, far]).sum() < 0.8 * np.abs(slow.field[frame, far]).sum()
+
+
+def test_the_tool_is_where_the_gripped_tissue_is(truth: tuple[Scene, GrippedMotion]) -> None:
+    scene, motion = truth
+    assert motion.in_contact.all()
+    assert not motion.contact[0].any()
+    length = np.linalg.norm(motion.contact[-1])
+    assert GRIP.peak_displacement[0] * 0.99 < length < GRIP.peak_displacement[1] * 1.01
+    assert not motion.course.any()
+    near = np.hypot(*(scene.mesh.pixels - scene.mesh.pixels[scene.vertex]).T) <= HELD
+    moved = in_picture(scene, motion)
+    np.testing.assert_allclose(moved[:, near], moved[:, [scene.vertex]].repeat(near.sum(), axis=1), atol=1e-4)
+
+
+def test_a_tool_that_never_touches_moves_nothing() -> None:
+    settings = dataclasses.replace(GRIP, onset_fraction=(1.0, 1.0))
+    clip = make_clip(settings, SEED)
+    motion = clip.motion
+    assert not motion.in_contact.any()
+    assert not motion.field.any()
+    tips = np.array([tip_offset(clip.scene, motion, frame) for frame in range(12)])
+    assert np.linalg.norm(tips[-1] - tips[0]) > 15
+    # It passes over the place, and never lies on the tissue.
+    assert np.linalg.norm(tips, axis=1).min() < 5
+    tool = clip.labels == 31
+    assert tool.any(axis=(1, 2)).all()
+    rest = clip.scene.sheet.depth(*_rays(clip.scene))
+    assert (rest[None].repeat(12, axis=0)[tool] - clip.depth[tool]).min() > 0.02
+
+
+def _rays(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    camera = scene.camera
+    columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    return (columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy
+
+
+def test_a_tool_that_comes_and_grips_is_continuous(tmp_path: Path) -> None:
+    settings = dataclasses.replace(GRIP, frames=24, onset_fraction=(0.5, 0.5))
+    folder = write_clip(tmp_path, 1, settings, SEED)
+    truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    assert truth["contact"] == [False] * 12 + [True] * 12
+    arrays = np.load(folder / "truth.npz")
+    assert not arrays["field"][:13].any()
+    assert arrays["field"][13].any()
+    steps = np.linalg.norm(np.diff(arrays["course"], axis=0), axis=1)
+    assert steps.max() < 8
+    assert not arrays["course"][12:].any()
+    assert arrays["course"][0].any()

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from data.source.camera import Camera
-from data.synthetic.errors import observe_depth, observe_labels, reported_camera, stored_to_depth
+from data.synthetic.errors import depth_bias, observe_depth, observe_labels, reported_camera, stored_to_depth
 from data.synthetic.files import open_video, write_frame, write_truth
 from data.synthetic.grip import GrippedMotion, draw_grip
 from data.synthetic.render import Renderer
@@ -82,8 +82,10 @@ def observe(scene: Scene, motion: Motion, seed: int) -> Iterator[tuple[np.ndarra
     settings = scene.settings
     renderer = Renderer(scene, motion, np.random.default_rng([seed, 2]))
     depth_errors, mask_errors = np.random.default_rng([seed, 3]), np.random.default_rng([seed, 4])
+    bias = depth_bias(settings, np.random.default_rng([seed, 5]))
     for index in range(settings.frames):
         image, labels, depth = renderer.frame(index)
+        depth = depth * bias
         yield image, observe_labels(labels, settings, mask_errors), observe_depth(depth, settings, depth_errors)
 
 

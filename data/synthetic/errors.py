@@ -14,6 +14,19 @@ MASK_ERROR_LENGTH = 6.0
 """Correlation length of the outlines' displacement [grid px]."""
 
 
+BIAS_LENGTH = 0.15
+"""Correlation length of the depth's bias, as a share of the picture's width."""
+
+
+def depth_bias(settings: SceneSettings, generator: np.random.Generator) -> np.ndarray:
+    """Factor on a clip's depth that is wrong in the same way in all frames, shape [H, W], float32."""
+    shape = settings.grid_height, settings.grid_width
+    if settings.depth_bias == 0:
+        return np.ones((settings.height, settings.width), np.float32)
+    field = settings.depth_bias * _noise(shape, BIAS_LENGTH * settings.grid_width, generator)
+    return np.exp(cv2.resize(field, (settings.width, settings.height), interpolation=cv2.INTER_CUBIC))
+
+
 def observe_depth(depth: np.ndarray, settings: SceneSettings, generator: np.random.Generator) -> np.ndarray:
     """Depth as a depth model would give it, stored with a number of bits.
 

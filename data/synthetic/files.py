@@ -39,6 +39,7 @@ PRESS_ARRAYS = {
     "force": "signed force just after each frame's time [F]",
 }
 GRIP_ARRAYS = {
+    "log_stiffness": "relative to the mean at every grid pixel [h, w]",
     "reaction": "what holds the tissue over k_s at the frames' times, along the picture's axes [F, 2] [scene units]",
     "course": "the tool's tip from the contact vertex in the picture, columns and rows [F, 2] [grid px]",
 }

@@ -33,6 +33,10 @@ INSIDE = 12.0
 """The tip stays so far inside the picture [grid px]."""
 UNIFORM_DAMPING = 2.0
 """ζ of the motion in which all tissue moves alike: over-damped."""
+ASIDE, SOFT = (-4.0, 10.0), 2.0
+"""How far the line between two regions passes from the grip, and half the width of the step [grid px]."""
+BREATH, SHEAR = (2.0, 4.0), 0.6
+"""Period of breathing [s]; how much more or less one edge of the picture moves than its middle."""
 PASSES = (15.0, 45.0)
 """From where a tool comes that has not touched yet [grid px]."""
 
@@ -47,6 +51,8 @@ class GrippedMotion(Motion):
     """Foundation of a node over the stiffness of a spring, nodes a grid px apart and joined along both diagonals."""
     damping: float
     """k_d/k_s of such nodes [s]."""
+    log_stiffness: np.ndarray
+    """Of the springs at every grid pixel, relative to the mean over the picture, shape [h, w]."""
     reaction: np.ndarray
     """What holds the gripped tissue over k_s, across the line of sight at the contact's depth, shape [F, 2] [scene
     units]."""
@@ -65,11 +71,15 @@ def draw_grip(scene: Scene, generator: np.random.Generator) -> GrippedMotion:
     way, course = _draw_way(scene, generator), _draw_course(onset, settings, generator)
     # Neighbours on both diagonals: every node has springs worth three in the picture's plane.
     anchor = 3 / spread**2
+    log_stiffness = _draw_regions(scene, generator)
+    inner = (slice(BEYOND, -BEYOND), slice(BEYOND, -BEYOND))
     times = np.arange(settings.frames) / settings.fps
     moved, reaction = np.zeros((settings.frames, *scene.mesh.grid_shape, 2)), np.zeros((settings.frames, 2))
     if onset < settings.frames - 1:
         steps = SUBSTEPS * (settings.frames - 1 - onset)
-        moved[onset:], reaction[onset:] = _integrate(scene, anchor, relaxation, way(np.arange(1, steps + 1) / steps))
+        path = way(np.arange(1, steps + 1) / steps)
+        moved[onset:], reaction[onset:] = _integrate(scene, log_stiffness, anchor, relaxation, path)
+    moved += _draw_breathing(scene, times, generator)
     field = _in_space(scene, moved)
     return GrippedMotion(
         onset_frame=onset,
@@ -81,6 +91,7 @@ def draw_grip(scene: Scene, generator: np.random.Generator) -> GrippedMotion:
         course=course,
         anchor=anchor,
         damping=anchor * relaxation,
+        log_stiffness=log_stiffness[inner],
         reaction=reaction * scene.spacing,
     )
 
@@ -124,10 +135,36 @@ def _draw_course(onset: int, settings: SceneSettings, generator: np.random.Gener
     return left * far + bend * (left - left * np.abs(left)) * np.array([-far[1], far[0]])
 
 
-def _integrate(scene: Scene, anchor: float, relaxation: float, way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _draw_regions(scene: Scene, generator: np.random.Generator) -> np.ndarray:
+    """Log stiffness over the tissue, the picture's mean 0: a smooth step across a line that passes by the grip."""
+    row, column = scene.mesh.pixels[scene.vertex]
+    rows, columns = (side + 2 * BEYOND for side in scene.mesh.grid_shape)
+    angle, aside = generator.uniform(0, 2 * np.pi), generator.uniform(*ASIDE)
+    down, right = np.mgrid[:rows, :columns] - BEYOND - np.array([row, column])[:, None, None]
+    across = right * math.cos(angle) + down * math.sin(angle) - aside
+    log = math.log(scene.settings.regions) / 2 * np.tanh(across / SOFT)
+    return log - log[BEYOND:-BEYOND, BEYOND:-BEYOND].mean()
+
+
+def _draw_breathing(scene: Scene, times: np.ndarray, generator: np.random.Generator) -> np.ndarray:
+    """Affine motion of the background since the first frame, shape [F, h, w, 2] [grid px]."""
+    height, width = scene.mesh.grid_shape
+    size, period = generator.uniform(*scene.settings.breathing), generator.uniform(*BREATH)
+    phase, angle = generator.uniform(0, 2 * np.pi, 2)
+    swing = np.sin(2 * np.pi * times / period + phase) - math.sin(phase)
+    places = np.moveaxis(np.mgrid[:height, :width], 0, -1) / width - 0.5
+    shape = np.array([math.cos(angle), math.sin(angle)]) + places @ generator.uniform(-SHEAR, SHEAR, (2, 2))
+    return size / 2 * swing[:, None, None, None] * shape
+
+
+def _integrate(
+    scene: Scene, log_stiffness: np.ndarray, anchor: float, relaxation: float, way: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """The sheet from rest while its grip goes along a way.
 
     Args:
+        log_stiffness: of the tissue, also beyond the picture, shape [h + 2 BEYOND, w + 2 BEYOND].
+        anchor: foundation over a spring's mean stiffness.
         relaxation: damping over foundation [s].
         way: displacement of the grip after each step, shape [S, 2] [grid px].
 
@@ -138,7 +175,7 @@ def _integrate(scene: Scene, anchor: float, relaxation: float, way: np.ndarray) 
     rows, columns = (side + 2 * BEYOND for side in scene.mesh.grid_shape)
     mass, damping = anchor * (relaxation / (2 * UNIFORM_DAMPING)) ** 2, anchor * relaxation
     step = 1 / (scene.settings.fps * SUBSTEPS)
-    matrix = lattice_matrix(rows, columns, anchor)
+    matrix = lattice_matrix(log_stiffness, anchor)
     shift = mass * 9 / (4 * step**2) + damping * 3 / (2 * step)
     row, column = np.mgrid[:rows, :columns] - BEYOND
     apart = np.hypot(row - scene.mesh.pixels[scene.vertex, 0], column - scene.mesh.pixels[scene.vertex, 1])
@@ -171,9 +208,14 @@ def _integrate(scene: Scene, anchor: float, relaxation: float, way: np.ndarray) 
     return np.array(seen), np.array(reaction)
 
 
-def lattice_matrix(rows: int, columns: int, anchor: float) -> csr_array:
-    """K of a grid of nodes whose springs, along both axes and both diagonals, have stiffness 1; shape [N, N]."""
-    number = np.arange(rows * columns).reshape(rows, columns)
+def lattice_matrix(log_stiffness: np.ndarray, anchor: float) -> csr_array:
+    """K of a grid of nodes with springs along both axes and both diagonals, shape [N, N].
+
+    Args:
+        log_stiffness: at the nodes, shape [rows, columns]; a spring has the geometric mean of its ends'.
+        anchor: of every node.
+    """
+    number = np.arange(log_stiffness.size).reshape(log_stiffness.shape)
     neighbours = (
         (number[:-1], number[1:]),
         (number[:, :-1], number[:, 1:]),
@@ -182,7 +224,9 @@ def lattice_matrix(rows: int, columns: int, anchor: float) -> csr_array:
     )
     one, two = (np.concatenate([pair[end].ravel() for pair in neighbours]) for end in (0, 1))
     places = np.r_[one, two], np.r_[two, one]
-    ties = coo_array((np.ones(2 * len(one)), places), (rows * columns,) * 2).tocsr()
+    log = log_stiffness.ravel()
+    stiffness = np.exp((log[one] + log[two]) / 2)
+    ties = coo_array((np.tile(stiffness, 2), places), (log.size,) * 2).tocsr()
     return csr_array(diags_array(ties.sum(axis=1) + anchor) - ties)
 
 

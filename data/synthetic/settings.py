@@ -53,8 +53,15 @@ class SceneSettings:
     """Over which distance the motion of a grip dies away, √(3·stiffness/foundation), drawn log-uniformly [grid px]."""
     relaxation: Range = (0.002, 0.01)
     """Damping over foundation of gripped tissue, drawn log-uniformly [s]."""
-    profile: Literal["step", "ramp"] = "step"
-    """Force while in contact: constant, or rising linearly from 0 to F at release."""
+    regions: float = 1.0
+    """Stiffness of gripped tissue on one side of a line that passes by the grip over that on the other."""
+    breathing: Range = (0.0, 0.0)
+    """How far all tissue of a grip is carried to and fro in the background, drawn uniformly [grid px]."""
+    patch_radius: float = 0.0
+    """A press acts on the vertices nearer than this, as 1 - (r/R)² [grid px]; 0 = on the contact vertex alone."""
+    profile: Literal["step", "ramp", "hold"] = "step"
+    """Force while in contact: constant, rising linearly from 0 to F at release, or rising, holding and falling, a third
+    of the time each."""
     press_seconds: Range = (0.25, 0.5)
     """Time in contact [s], rounded to whole frames."""
     onset_fraction: Range = (0.15, 0.25)
@@ -81,6 +88,9 @@ class SceneSettings:
     """Standard deviation of the depth noise of a pixel [scene units]."""
     depth_noise_correlation: float = 0.0
     """Standard deviation of the blur of the depth noise [px], which keeps the noise's size; 0 is white noise."""
+    depth_bias: float = 0.0
+    """Standard deviation of log of a smooth factor on the depth that stays through the clip: what a network that sees
+    one picture gets wrong."""
     depth_bits: Literal[8, 16] = 16
     """Bits of the stored depth; 8 rounds to 1/255 scene units."""
     scale_flicker: float = 0.0
@@ -134,6 +144,9 @@ _LIMITS = {
     "peak_displacement": (0, math.inf),
     "spread": (2, 1000),
     "relaxation": (1e-4, 10),
+    "regions": (1, 100),
+    "breathing": (0, 20),
+    "patch_radius": (0, 20),
     "press_seconds": (1e-6, math.inf),
     "onset_fraction": (0, 1),
     "onset_delay": (0, 1),
@@ -146,6 +159,7 @@ _LIMITS = {
     "nonlinearity": (0, 10),
     "depth_noise": (0, 0.2),
     "depth_noise_correlation": (0, 100),
+    "depth_bias": (0, 0.5),
     "scale_flicker": (0, 0.5),
     "mask_error": (0, 20),
     "focal_error": (0.2, 5),

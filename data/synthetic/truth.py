@@ -18,6 +18,7 @@ from scipy.sparse import csr_array
 
 from data.synthetic.scene import Scene, SceneError, crop_mesh
 from data.synthetic.settings import SceneSettings
+from physics.load import Press
 
 SAMPLE_STEP = 0.005
 """Time between samples of the stored response [s], Bini 2026's Δt."""
@@ -108,6 +109,10 @@ class Window:
     """Vertices on the window's own border, shape [M], bool."""
     contact: int
     """Row of the contact vertex."""
+    pressed: np.ndarray
+    """Rows of the vertices under the tool, shape [P]."""
+    shares: np.ndarray
+    """Of the force on each, shape [P], sum 1."""
 
 
 def regime_of(zeta: float) -> Regime:
@@ -239,6 +244,8 @@ def _stiffness_field(settings: SceneSettings, generator: np.random.Generator) ->
 
 def _profile(settings: SceneSettings, time: np.ndarray, load: float) -> np.ndarray:
     """Force at a time since its start as a share of F, for times within the load."""
+    if settings.profile == "hold":
+        return np.clip(np.minimum(time, load - time) / (load / 3), 0.0, 1.0)
     return np.ones_like(time) if settings.profile == "step" else time / load
 
 
@@ -269,9 +276,14 @@ def cut_window(scene: Scene, radius: int, variation: np.ndarray | None) -> Windo
     if variation is not None:
         relative = variation[tuple(mesh.pixels.T)][mesh.springs].mean(axis=1)
     contact = int(np.searchsorted(vertices, scene.vertex))
+    pressed, shares = np.array([contact]), np.ones(1)
+    if scene.settings.patch_radius:
+        press = Press.on_patch(mesh, contact, scene.settings.patch_radius, scene.direction, np.ones(1))
+        pressed, shares = press.vertices, press.weights
     held = mesh.rim.copy()
-    held[contact] = False
-    return Window(vertices, difference, edges, np.linalg.norm(edges, axis=1), relative, held, cut, contact)
+    held[pressed] = False
+    lengths = np.linalg.norm(edges, axis=1)
+    return Window(vertices, difference, edges, lengths, relative, held, cut, contact, pressed, shares)
 
 
 def _integrate(
@@ -335,6 +347,7 @@ def _rate(settings: SceneSettings, window: Window, theta: np.ndarray, direction:
     scale = stiffness * window.stiffness
     square = np.square(window.lengths)
     moving = (~window.held)[:, None].astype(np.float64)
+    push = np.outer(window.shares, direction)
 
     def rate(time: float, state: np.ndarray) -> np.ndarray:
         displacement, velocity = state.reshape(2, -1, 3)
@@ -347,7 +360,7 @@ def _rate(settings: SceneSettings, window: Window, theta: np.ndarray, direction:
         if settings.nonlinearity:
             tension *= 1 + settings.nonlinearity * np.square(elongation / STIFFENING_LENGTH)
         forces = -(transposed @ ((tension / length)[:, None] * (window.edges + stretch))) - damping * velocity
-        forces[window.contact] += force * _profile(settings, np.asarray(time), load) * direction
+        forces[window.pressed] += force * _profile(settings, np.asarray(time), load) * push
         return np.stack((velocity * moving, forces * moving / settings.mass)).ravel()
 
     return rate

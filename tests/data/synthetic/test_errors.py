@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from data.source.camera import Camera
-from data.synthetic.errors import observe_depth, observe_labels, reported_camera, stored_to_depth
+from data.synthetic.errors import depth_bias, observe_depth, observe_labels, reported_camera, stored_to_depth
 from data.synthetic.settings import SceneSettings
 
 SMALL = SceneSettings(width=214, height=120)
@@ -45,6 +45,15 @@ def test_flicker_scales_each_frame_as_a_whole() -> None:
     ratios = [observed(seed=seed, scale_flicker=0.02) / DEPTH for seed in range(300)]
     assert max(float(np.ptp(ratio)) for ratio in ratios) < 1e-4
     assert np.std([np.log(ratio.mean()) for ratio in ratios]) == pytest.approx(0.02, rel=0.15)
+
+
+def test_a_depth_s_bias_is_smooth_and_of_its_size() -> None:
+    wide = dataclasses.replace(SMALL, depth_bias=0.05)
+    logs = np.array([np.log(depth_bias(wide, np.random.default_rng(seed))) for seed in range(40)])
+    # A few correlation lengths a picture: its edges, where the blur mirrors, vary more.
+    assert 0.04 < np.sqrt(np.square(logs).mean()) < 0.08
+    assert np.abs(np.diff(logs, axis=2)).max() < 0.2 * 0.05
+    assert (depth_bias(SMALL, np.random.default_rng(0)) == 1).all()
 
 
 def test_missing_depth_stays_missing_and_noise_makes_none() -> None:

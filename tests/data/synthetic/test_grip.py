@@ -52,14 +52,18 @@ def test_the_lattice_is_that_of_a_sheet_at_rest() -> None:
     ]
     held = generator.random(rows * columns) < 0.2
     motion = generator.standard_normal((held.sum(), 2))
-    found = equilibrium(np.array(springs), np.ones(len(springs)), np.full(rows * columns, anchor), held, motion)
-    np.testing.assert_allclose(lattice_matrix(rows, columns, anchor).toarray(), found.matrix.toarray(), atol=1e-12)
+    log = generator.standard_normal(rows * columns)
+    stiffness = np.exp([(log[one] + log[two]) / 2 for one, two in springs])
+    found = equilibrium(np.array(springs), stiffness, np.full(rows * columns, anchor), held, motion)
+    np.testing.assert_allclose(
+        lattice_matrix(log.reshape(rows, columns), anchor).toarray(), found.matrix.toarray(), atol=1e-12
+    )
 
 
 def test_a_slow_grip_is_an_equilibrium(truth: tuple[Scene, GrippedMotion]) -> None:
     scene, motion = truth
     rows, columns = (side + 2 * BEYOND for side in scene.mesh.grid_shape)
-    matrix = lattice_matrix(rows, columns, motion.anchor)
+    matrix = lattice_matrix(np.zeros((rows, columns)), motion.anchor)
     place = scene.mesh.pixels[scene.vertex] + BEYOND
     row, column = np.mgrid[:rows, :columns]
     held = (np.hypot(row - place[0], column - place[1]) <= HELD).ravel()
@@ -114,6 +118,36 @@ def test_a_tool_that_never_touches_moves_nothing() -> None:
     assert tool.any(axis=(1, 2)).all()
     rest = clip.scene.sheet.depth(*_rays(clip.scene))
     assert (rest[None].repeat(12, axis=0)[tool] - clip.depth[tool]).min() > 0.02
+
+
+def test_breathing_carries_a_grip_s_motion_affinely(truth: tuple[Scene, GrippedMotion]) -> None:
+    scene, still = truth
+    _, carried = draw_truth(dataclasses.replace(GRIP, breathing=(4.0, 4.0)), SEED)
+    added = in_picture(scene, carried) - in_picture(scene, still)
+    terms = np.column_stack([scene.mesh.pixels, np.ones(len(scene.mesh.pixels))])
+    for frame in (1, 5, 11):
+        fitted = terms @ np.linalg.lstsq(terms, added[frame], rcond=None)[0]
+        np.testing.assert_allclose(added[frame], fitted, atol=1e-3)
+    assert np.abs(added[0]).max() < 1e-6
+    assert 0.5 < np.linalg.norm(added, axis=2).max() < 2 * 4
+    np.testing.assert_allclose(carried.reaction, still.reaction)
+
+
+def test_a_stiffer_region_lets_the_motion_reach_farther(truth: tuple[Scene, GrippedMotion]) -> None:
+    scene, even = truth
+    _, motion = draw_truth(dataclasses.replace(GRIP, regions=3.0), SEED)
+    assert isinstance(motion, GrippedMotion)
+    log = motion.log_stiffness
+    assert log.mean() == pytest.approx(0)
+    assert np.ptp(log) == pytest.approx(np.log(3), abs=1e-3)
+    assert not even.log_stiffness.any()
+    # Along the line between the regions as far away on either side.
+    row, column = scene.mesh.pixels.T
+    apart = np.hypot(*(scene.mesh.pixels - scene.mesh.pixels[scene.vertex]).T)
+    change = np.linalg.norm(motion.field[-1], axis=1) / np.linalg.norm(even.field[-1], axis=1)
+    ring = (apart > 12) & (apart < 20)
+    stiff = log[row, column] > log.max() - 0.1
+    assert change[ring & stiff].mean() > 1.2 * change[ring & (log[row, column] < log.min() + 0.1)].mean()
 
 
 def _rays(scene: Scene) -> tuple[np.ndarray, np.ndarray]:

@@ -110,6 +110,23 @@ def test_a_ramp_reaches_the_force_at_release(scene: Scene, motion: PressedMotion
     assert ramp.peak < motion.peak
 
 
+def test_a_hold_rises_holds_and_falls(scene: Scene) -> None:
+    hold = simulate_motion(with_settings(scene, profile="hold"), THETA, ONSET, ONSET + 6)
+    np.testing.assert_allclose(hold.force[ONSET : ONSET + 7] / THETA[2], [0, 0.5, 1, 1, 1, 0.5, 0], atol=1e-9)
+
+
+def test_a_patch_shares_the_force(scene: Scene, motion: PressedMotion) -> None:
+    wide = with_settings(scene, patch_radius=4.0)
+    window = cut_window(wide, 12, None)
+    assert window.shares.sum() == pytest.approx(1)
+    assert not window.held[window.pressed].any()
+    pressed = simulate_motion(wide, THETA, ONSET, RELEASE)
+    assert pressed.peak < 0.6 * motion.peak
+    # Before any spring pulls, the vertex in the middle has its share of the acceleration.
+    first, alone = (np.linalg.norm(item.response[0]) for item in (pressed, motion))
+    assert first == pytest.approx(window.shares.max() * alone, rel=0.1)
+
+
 @pytest.mark.parametrize("share", [0.25, 0.625, 1.0])
 def test_a_late_force_is_the_same_motion_later(scene: Scene, motion: PressedMotion, share: float) -> None:
     delay = share / 25

@@ -1,0 +1,63 @@
+"""Sessions forget: what a session takes does not grow with the contacts that it has seen."""
+
+from __future__ import annotations
+
+import dataclasses
+import gc
+from pathlib import Path
+
+import pytest
+
+from data.prepared import PreparedFrame
+from data.synthetic.clip import make_clip
+from data.synthetic.settings import SceneSettings
+from data.synthetic.source import open_synthetic
+from estimators.contract import Chosen, ClipInfo
+from estimators.open import EstimatorOptions, open_estimator
+
+MEMORY = Path("/proc/self/statm")
+LARGEST = 5.0
+"""Growth that the allocator's own unevenness may explain [MB]; 3 MB a contact were once lost."""
+
+
+def taken() -> float:
+    """Resident memory of this process [MB]."""
+    gc.collect()
+    return int(MEMORY.read_text().split()[1]) * 4096 / 1e6
+
+
+def later(frame: PreparedFrame, by: int, fps: float) -> PreparedFrame:
+    """The same frame, so many frames later."""
+    source = frame.frame
+    start = frame.track_start + by if frame.track_start >= 0 else -1
+    moved = dataclasses.replace(
+        source, index=source.index + by, number=source.number + by, time_s=source.time_s + by / fps
+    )
+    return dataclasses.replace(frame, frame=moved, track_start=start)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not MEMORY.exists(), reason="memory is read from Linux' /proc")
+@pytest.mark.parametrize(
+    ("options", "contacts"),
+    [
+        (EstimatorOptions("network"), 100),
+        (EstimatorOptions("network", Path("models/weights/gan.onnx")), 100),
+        (EstimatorOptions("direct", onset="stamp"), 15),
+    ],
+    ids=["network", "gan.onnx", "direct"],
+)
+def test_memory_is_flat_over_many_contacts(options: EstimatorOptions, contacts: int) -> None:
+    """One session, the same press again and again; the first tenth fills caches."""
+    estimator = open_estimator(options)
+    scene = SceneSettings(width=214, height=120, depth_noise=0.001, frames=20, press_seconds=(0.3, 0.3))
+    clip = open_synthetic(make_clip(scene, 5), estimator.preparation(Chosen()))
+    frames, info = list(clip), ClipInfo.of(clip)
+    session, told, settled = estimator.start(info), 0, 0.0
+    for contact in range(contacts):
+        for frame in frames:
+            told += sum(item.estimate is not None for item in session.push(later(frame, contact * len(frames), 25.0)))
+        if contact == contacts // 10:
+            settled = taken()
+    assert told >= contacts - 1  # the last one is told by `finish`
+    assert taken() - settled < LARGEST

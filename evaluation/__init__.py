@@ -3,7 +3,8 @@
 paper        `train.py test`: table 2, figure 3 and whether training collapsed
 recovery     synthetic clips with known truth against the best that is possible; benchmark: its door
 calibration  a trained posterior's standard deviations made to hold, and its export; a door of its own
-next_depth   the picture some frames ahead by physics alone, against truth; a door of its own
+next_depth   the picture some frames ahead by physics and by a trained generator, against truth; a door of its own
+watched      a synthetic clip beside its noise-free truth; generated: what a trained generator makes of it
 beside_truth estimates of synthetic clips beside their truth; a door of its own
 real         real clips, judged on what was kept back from the fit; a door of its own
 ablations    the contact posterior with fewer of a contact's frames; a door of its own

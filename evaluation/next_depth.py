@@ -1,11 +1,16 @@
-"""How well θ predicts the picture: depth some frames ahead, made by physics alone, against noise-free truth.
+"""How well θ predicts the picture: depth some frames ahead, by physics alone and by a trained generator, against truth.
 
-    python -m evaluation.next_depth [--suite noisy] [--clips 30] [--seed N] [--horizon 4]
+    python -m evaluation.next_depth [--suite noisy] [--clips 30] [--seed N] [--horizon 4] [--checkpoint FILE]
 
 The last depth map is carried along by the rollout of θ (`models.carried_depth`), as the GAN's decoder physics starts
-from it: once with the true θ, once with what the network says in that very frame. Compared are the pixels within reach
-of the contact whose depth changes by more than twice its noise. The rivals copy the last map, or the mean of all maps
-so far. When the tool lets go is taken as seen later; the estimates don't know it.
+from it: once with the true θ, once with what the network says in that very frame. Compared with noise-free truth are
+the pixels within reach of the contact whose depth changes by more than twice its noise. The rivals copy the last map,
+or the mean of all maps so far. When the tool lets go is taken as seen later; the estimates don't know it.
+
+Of a checkpoint of `train.py fit` the same is said: the last map carried by what its own head says, and the picture that
+its decoder makes. A second table moves θ: from the true one to the farthest corner of the box, by which the generated
+picture and the simulated one (the clip's own integrator, rendered without noise) each change over the horizon.
+Correlated are these differences, over the pixels that move with either θ.
 """
 
 from __future__ import annotations
@@ -16,43 +21,39 @@ if __name__ == "__main__":
     enter_door()  # before the slow imports
 
 import argparse
-import dataclasses
+import functools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 import torch
 from rich.console import Console
 
 from data.command_line import path_option, progress_bars, say, whole_number
-from data.contact.film import window_around
-from data.contact.interaction import Interaction
-from data.labels import TISSUE
-from data.prepared import PreparedFrame
-from data.synthetic.clip import draw_press, synthetic_clip
-from data.synthetic.scene import Scene, SceneError
-from data.synthetic.source import open_synthetic
-from data.synthetic.truth import PressedMotion
-from estimators.contract import ClipInfo
+from data.synthetic.scene import SceneError
 from estimators.estimate import FrameEstimate
 from estimators.onset import STAMP
 from estimators.open import EstimatorOptions
 from estimators.worker_pool import WorkerLost, run_tasks
+from evaluation.generated import TrainedGenerator, carried_ahead
 from evaluation.recovery.bounds import MECHANICS
 from evaluation.recovery.estimators import opened
-from evaluation.recovery.evaluate import PREPARE, observed_contacts
 from evaluation.recovery.suites import LARGEST_SEED, SPLITS, SUITES, suite_clip_seed
 from evaluation.tables import to_markdown
-from models.carried_depth import carried
+from evaluation.watched import WatchedClip, watch
+from models.checkpoint import CheckpointError
 from models.onnx_session import SHIPPED, ModelFileError, open_model
-from physics.msd.batch import MeshBatch, PressBatch
+from models.records import farthest_corner
 
 NOISES = 2.0
 """Pixels count whose depth changes by more than so many times its noise."""
-FIRST = 2
-"""Frames after the onset from which on the network says something."""
-RIVALS = ("last map copied", "mean map copied", "carried by the true θ", "carried by the network's θ")
-"""What the depth some frames ahead is taken to be."""
+FEWEST = 3
+"""Pixels of a clip that a correlation is worth."""
+COPIES = ("last map copied", "mean map copied")
+CARRIED = ("carried by the true θ", "carried by the network's θ")
+GENERATED = ("carried by its own θ", "generated")
+"""What the depth some frames ahead is taken to be; the last two are a trained generator's."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,8 @@ class NextDepthTask:
     horizon: int
     """Frames ahead."""
     network: EstimatorOptions
+    checkpoint: Path | None = None
+    """Of a trained generator, to be judged as well."""
 
 
 @dataclass(frozen=True)
@@ -75,71 +78,77 @@ class NextDepthErrors:
     pixels: int
     """Pixels that count, of all its frames."""
     total: np.ndarray
-    """Sum of their absolute errors, by RIVALS, shape [4] [scene units]."""
+    """Sum of their absolute errors, by COPIES, CARRIED and, of a trained generator, GENERATED [scene units]."""
+    turned: np.ndarray = field(default_factory=lambda: np.empty((2, 0)))
+    """How much further the depth of the pixels that move changes with the true θ than with another: generated, and
+    simulated, shape [2, P] [scene units]."""
+
+
+@functools.lru_cache(maxsize=1)
+def trained(checkpoint: Path) -> TrainedGenerator:
+    """The generator, opened once a process."""
+    return TrainedGenerator(checkpoint)
 
 
 def next_depth_errors(task: NextDepthTask) -> NextDepthErrors:
     """Errors of one clip; no pixels where it has no contact whose onset was seen."""
-    suite = SUITES[task.suite]
-    try:
-        scene, motion = draw_press(suite.truth_settings(task.index), task.seed)
-    except SceneError:
-        return NextDepthErrors(0, np.zeros(len(RIVALS)))
-    settings = suite.settings(task.index)
-    quiet = dataclasses.replace(settings, depth_noise=0.0, scale_flicker=0.0, depth_bits=16)
-    (frames, info), (truth, _) = (
-        _observed(dataclasses.replace(scene, settings=chosen), motion, task.seed) for chosen in (settings, quiet)
-    )
-    contact = observed_contacts(frames, info).get(motion.onset_frame)
-    if contact is None:
-        return NextDepthErrors(0, np.zeros(len(RIVALS)))
-    session = opened(task.network).start(info)
+    generator = None if task.checkpoint is None else trained(task.checkpoint)
+    total = np.zeros(len(COPIES + CARRIED) + (0 if generator is None else len(GENERATED)))
+    clip = watch(task.suite, task.index, task.seed)
+    if clip is None:
+        return NextDepthErrors(0, total)
+    session, frames = opened(task.network).start(clip.info), clip.frames
     said = [item for frame in frames for item in session.push(frame) if isinstance(item, FrameEstimate)]
     estimates = {item.frame: item.estimate.theta for item in said if item.estimate is not None}
-    pixels, total = 0, np.zeros(len(RIVALS))
-    for now in range(motion.onset_frame + FIRST, len(frames) - task.horizon):
+    pixels = 0
+    for now in clip.instants(task.horizon):
         theta = estimates.get(frames[now].frame.number)
-        since = (now - motion.onset_frame) / settings.fps
-        if theta is None or since + task.horizon / settings.fps > MECHANICS.seconds:
+        if theta is None:
             continue
-        made = [
-            frames[now].depth,
-            np.mean([frame.depth for frame in frames[: now + 1]], axis=0),
-            *(
-                ahead(contact, frames[now].depth, since, task.horizon / settings.fps, by)
-                for by in (motion.theta, theta)
-            ),
-        ]
-        later = truth[now + task.horizon].depth
-        counted = moving(contact, frames, now, task.horizon, truth)
-        pixels += int(counted.sum())
-        total += [np.abs(depth - later)[counted].sum() for depth in made]
-    return NextDepthErrors(pixels, total)
+        by = [clip.motion.theta, theta]
+        if generator is not None:
+            by.append(generator.estimate(clip, now))
+        made = copies(clip, now)
+        made += [carried_ahead(clip, now, task.horizon, each, MECHANICS) for each in by]
+        if generator is not None:
+            made.append(generator.picture(clip, now, by[-1]))
+        counted, errors = absolute_errors(clip, now, task.horizon, made)
+        pixels, total = pixels + counted, total + errors
+    if generator is None:
+        return NextDepthErrors(pixels, total)
+    return NextDepthErrors(pixels, total, turned(clip, generator))
 
 
-def ahead(contact: Interaction, depth: np.ndarray, since: float, seconds: float, theta: np.ndarray) -> np.ndarray:
-    """A depth map [h, w] seen some time after the onset, carried so many seconds ahead by θ [3]."""
-    steps = np.rint(np.array([[since, since + seconds]]) / MECHANICS.time_step).astype(np.int64)
-    sheet = MeshBatch.from_meshes([contact.mesh]), PressBatch.of([contact.load])
-    given = torch.from_numpy(depth)[None, None], torch.tensor(theta[None], dtype=torch.float32)
-    with torch.no_grad():
-        return carried(*given, *sheet, torch.from_numpy(steps), MECHANICS)[0, 0].numpy()
+def copies(clip: WatchedClip, now: int) -> list[np.ndarray]:
+    """COPIES, in that order, shape [h, w] each."""
+    return [clip.frames[now].depth, np.mean([frame.depth for frame in clip.frames[: now + 1]], axis=0)]
 
 
-def moving(
-    contact: Interaction, frames: Sequence[PreparedFrame], now: int, horizon: int, truth: Sequence[PreparedFrame]
-) -> np.ndarray:
-    """Tissue near the contact, seen in both frames, whose depth truly changes by more than NOISES, [h, w], bool."""
-    here, then = truth[now], truth[now + horizon]
-    near = np.zeros(here.depth.shape, bool)
-    near[window_around(contact.mesh.pixels[contact.vertex])] = True
-    seen = (frames[now].labels == TISSUE) & (then.labels == TISSUE) & (frames[now].depth > 0) & (then.depth > 0)
-    return near & seen & (np.abs(then.depth - here.depth) > NOISES * contact.noise)
+def absolute_errors(clip: WatchedClip, now: int, horizon: int, made: Sequence[np.ndarray]) -> tuple[int, np.ndarray]:
+    """How many pixels count, and the sums of their absolute errors in each of the maps made of them, shape [len]."""
+    later = clip.truth[now + horizon].depth
+    moved = np.abs(later - clip.truth[now].depth) > NOISES * clip.contact.noise
+    counted = clip.tissue(now, horizon, clip.truth) & moved
+    return int(counted.sum()), np.array([np.abs(depth - later)[counted].sum() for depth in made])
 
 
-def _observed(scene: Scene, motion: PressedMotion, seed: int) -> tuple[list[PreparedFrame], ClipInfo]:
-    clip = open_synthetic(synthetic_clip(scene, motion, seed), PREPARE)
-    return list(clip), ClipInfo.of(clip)
+def turned(clip: WatchedClip, generator: TrainedGenerator) -> np.ndarray:
+    """`NextDepthErrors.turned` of the farthest corner of the box; empty where that can't be simulated."""
+    horizon, head = generator.horizon, generator.generator.head
+    theta = torch.tensor(clip.motion.theta[None])
+    corner = farthest_corner(theta, head.lower.double(), head.upper.double())[0].numpy()
+    try:
+        other = clip.truth_at(corner)
+    except SceneError:
+        return np.empty((2, 0))
+    pairs = []
+    for now in clip.instants(horizon):
+        changes = [truth[now + horizon].depth - truth[now].depth for truth in (clip.truth, other)]
+        tissue = clip.tissue(now, horizon, clip.truth) & clip.tissue(now, horizon, other)
+        moved = np.max(np.abs(changes), axis=0) > NOISES * clip.contact.noise
+        pictures = [generator.picture(clip, now, each) for each in (clip.motion.theta, corner)]
+        pairs.append([np.subtract(*both)[tissue & moved] for both in (pictures, changes)])
+    return np.concatenate(pairs, axis=1) if pairs else np.empty((2, 0))
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -154,38 +163,59 @@ def main(arguments: list[str] | None = None) -> int:
     add(
         "--model", type=path_option, default=SHIPPED, metavar="FILE", help="network (default: the one that comes along)"
     )
+    text = "trained generator, a checkpoint of train.py fit, to be judged as well"
+    add("--checkpoint", type=path_option, metavar="FILE", help=text)
     add("--workers", type=whole_number(0), default=2, metavar="N", help="processes; 0 = in this one (%(default)s)")
     options = parser.parse_args(arguments)
     network = EstimatorOptions("network", model=options.model, onset=STAMP, threads=1)
+    seed_of = functools.partial(suite_clip_seed, options.split, options.seed)
     tasks = [
-        NextDepthTask(suite, index, suite_clip_seed(options.split, options.seed, index), options.horizon, network)
+        NextDepthTask(suite, index, seed_of(index), options.horizon, network, options.checkpoint)
         for suite in options.suite
         for index in range(options.clips)
     ]
     console = Console(stderr=True)
     try:
         open_model(options.model, 1)
+        if options.checkpoint is not None:
+            require_horizon(options.checkpoint, options.horizon)
         with progress_bars(console) as progress:
             run = run_tasks(next_depth_errors, tasks, options.workers, ordered=True)
             found = list(progress.track(run, len(tasks), description="clips"))
-    except (ModelFileError, WorkerLost) as error:
+    except (CheckpointError, ModelFileError, WorkerLost) as error:
         say(console, str(error), "red")
         return 1
     except KeyboardInterrupt:
         return INTERRUPTED
-    columns = ("suite", "clips", "pixels", *RIVALS, "true θ / better copy", "network's / better copy")
+    names = COPIES + CARRIED + (() if options.checkpoint is None else GENERATED)
+    columns = ("suite", "clips", "pixels", *names, *(f"{name} / better copy" for name in names[len(COPIES) :]))
     places = range(0, len(found), options.clips)
-    rows = [_row(suite, found[at : at + options.clips]) for suite, at in zip(options.suite, places, strict=True)]
+    rows = {suite: found[at : at + options.clips] for suite, at in zip(options.suite, places, strict=True)}
     print(f"Depth {options.horizon} frames ahead: mean absolute errors [scene units] of pixels that move")
-    print(to_markdown(columns, rows))
+    print(to_markdown(columns, [_row(suite, errors) for suite, errors in rows.items()]))
+    if options.checkpoint is not None:
+        print("\nθ moved to the farthest corner of the box: generated against simulated change of the picture")
+        columns = ("suite", "clips", "pixels", "correlation", "median of clips", "slope")
+        print(to_markdown(columns, [_turned_row(suite, errors) for suite, errors in rows.items()]))
     return 0
+
+
+def require_horizon(checkpoint: Path, horizon: int) -> None:
+    """Refuse a generator that predicts other frames.
+
+    Raises:
+        CheckpointError: it does, or can't be used at all.
+    """
+    trained_for = trained(checkpoint).horizon
+    if trained_for != horizon:
+        raise CheckpointError(f"{checkpoint} predicts {trained_for} frames ahead; give --horizon {trained_for}.")
 
 
 def _row(suite: str, errors: Sequence[NextDepthErrors]) -> list[str]:
     used = [item for item in errors if item.pixels]
     pixels = sum(item.pixels for item in used)
-    mean = np.sum([item.total for item in used], axis=0) / max(pixels, 1)
-    ratios = mean[2:] / max(float(mean[:2].min()), 1e-12)
+    mean = np.sum([item.total for item in errors], axis=0) / max(pixels, 1)
+    ratios = mean[len(COPIES) :] / max(float(mean[: len(COPIES)].min()), 1e-12)
     return [
         suite,
         str(len(used)),
@@ -193,6 +223,18 @@ def _row(suite: str, errors: Sequence[NextDepthErrors]) -> list[str]:
         *(f"{value:.5f}" for value in mean),
         *(f"{value:.2f}" for value in ratios),
     ]
+
+
+def _turned_row(suite: str, errors: Sequence[NextDepthErrors]) -> list[str]:
+    """Over all pixels, the median of the clips' own, and the generated change a unit of the simulated one."""
+    used = [item.turned for item in errors if item.turned.shape[1] >= FEWEST]
+    if not used:
+        return [suite, "0", "0", "", "", ""]
+    generated, simulated = every = np.concatenate(used, axis=1)
+    own = [np.corrcoef(each)[0, 1] for each in used]
+    slope = (generated * simulated).sum() / np.square(simulated).sum()
+    numbers = np.corrcoef(every)[0, 1], np.median(own), slope
+    return [suite, str(len(used)), str(every.shape[1]), *(f"{value:.2f}" for value in numbers)]
 
 
 if __name__ == "__main__":

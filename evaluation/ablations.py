@@ -1,14 +1,19 @@
-"""What an observation is worth: contact posteriors trained on fewer of the frames after the onset, all equally long.
+"""What an observation is worth, and what the system's parts are: the same training without them, row by row.
 
     python -m evaluation.ablations --output runs/ablations --weights runs/contact/posterior.pt [--rows K=4 final …]
+    python -m evaluation.ablations --output runs/terms --clips CLIPS [--rows full no-gan …] [--seeds 3]
 
-Every row trains a new network by the `fine` stage of `estimators.network.training` on the same fits; only what is seen
-of a motion differs, in the features as in the likelihood. It is judged on held-out contacts with Gaussian noise against
-the bound of their whole first second, so that all rows are divided by the same number. Writes what
-`evaluation.benchmark` writes, with the row as estimator; finished rows are kept in DIR, and the same command continues.
+With --weights: contact posteriors trained on fewer of the frames after the onset, all equally long. Every row trains a
+new network by the `fine` stage of `estimators.network.training` on the same fits; only what is seen of a motion
+differs, in the features as in the likelihood. It is judged on held-out contacts with Gaussian noise against the bound
+of their whole first second, so that all rows are divided by the same number. Writes what `evaluation.benchmark` writes,
+with the row as estimator; finished rows are kept in DIR, and the same command continues.
 
 The row `supervised` has the same network, contacts and steps, but descends the negative log density of the true log θ:
 what training without labels could reach at best. Nothing else here trains on a true θ, and nothing is shipped from it.
+
+With --clips, a folder of python -m data.synthetic: generators trained without one term of the loss, the picture or the
+carried map (`evaluation.terms`). Writes table.csv, and prints it; trained and judged ones are kept in DIR as well.
 """
 
 from __future__ import annotations
@@ -43,11 +48,13 @@ from estimators.network.training import (
     make_contacts,
 )
 from estimators.worker_pool import WorkerLost
+from evaluation import terms
 from evaluation.recovery.evaluate import Recovery
 from evaluation.recovery.output import finish
 from evaluation.recovery.scores import Bound
-from evaluation.recovery.store import RecoveryStore
+from evaluation.recovery.store import RecoveryStore, replace_text
 from evaluation.recovery.suites import CLEAN_NOISE
+from evaluation.tables import to_cell, to_csv, to_markdown
 from models.checkpoint import CheckpointError, load_posterior
 from models.posterior import ContactPosterior
 from physics.identifiability import fisher_information
@@ -204,32 +211,77 @@ def build_parser() -> argparse.ArgumentParser:
         prog="python -m evaluation.ablations",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog="rows:\n"
-        + "\n".join(f"  {name:12s}{what}" for name, what in ROWS.items())
+        epilog="rows with --weights:\n"
+        + "\n".join(f"  {name:20s}{what}" for name, what in ROWS.items())
+        + "\n\nrows with --clips:\n"
+        + "\n".join(f"  {name:20s}{what}" for name, (what, _) in terms.ROWS.items())
         + "\n\nExit status: 0 done; 1 failed; 2 wrong usage; 130 interrupted.",
     )
     add = parser.add_argument
     text = "posterior.pt of estimators.network.training, from whose estimates the fits begin"
     add("--output", type=path_option, required=True, metavar="DIR", help="folder of the results")
-    add("--weights", type=path_option, required=True, metavar="FILE", help=text)
-    add("--rows", nargs="+", action="extend", choices=list(ROWS), metavar="ROW", help="rows (default: all)")
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument("--weights", type=path_option, metavar="FILE", help=text)
+    text = "clips with truth that generators are trained on"
+    source.add_argument("--clips", type=path_option, metavar="DIR", help=text)
+    known = [*ROWS, *terms.ROWS]
+    add("--rows", nargs="+", action="extend", choices=known, metavar="ROW", help="rows (default: all there are)")
     numbers = (
         ("workers", 2, 0, "processes that make the contacts; 0 = in this one"),
-        ("seed", 0, 0, "another seed gives other contacts"),
-        ("contacts", 4000, 1, "simulated contacts to train on"),
-        ("held-out", 600, 1, "simulated contacts to judge on"),
-        ("steps", 3000, LEAST_STEPS, "steps of every row's training"),
+        ("seed", 0, 0, "another seed gives other contacts, or judged clips"),
+        ("contacts", 4000, 1, "simulated contacts to train on, with --weights"),
+        ("seeds", 3, 1, "trainings of every row, with --clips"),
     )
     for name, default, least, text in numbers:
         kind = whole_number(least)
         add(f"--{name}", type=kind, default=default, metavar="N", help=f"{text} (default %(default)s)")
+    text = "simulated contacts, or clips of each suite, to judge on (default 600, or 15)"
+    add("--held-out", type=whole_number(1), metavar="N", help=text)
+    text = "steps of every row's training (default 3000, or 50)"
+    add("--steps", type=whole_number(LEAST_STEPS), metavar="N", help=text)
     return parser
+
+
+def compare_terms(options: argparse.Namespace, console: Console) -> int:
+    """Train and judge generators, and print what their parts are worth; returns the exit status."""
+    found, status = {}, 0
+    asked = options.rows, options.seeds, options.clips, options.steps, options.held_out, options.seed, options.output
+    try:
+        for row, seed, judged in terms.measure(*asked):
+            found[row, seed] = judged
+            say(console, f"{row}, seed {seed}: done")
+    except KeyboardInterrupt:
+        say(console, "Interrupted; finished rows are kept, and the same command continues.", "yellow")
+        status = INTERRUPTED
+    except (CheckpointError, OutputError, TrainingError) as error:
+        say(console, f"{error} Finished rows are kept.", "red")
+        status = 1
+    rows = terms.table(found)
+    if not rows:
+        return status
+    print(to_markdown(terms.COLUMNS, [[to_cell(row.get(name), ".3g") for name in terms.COLUMNS] for row in rows]))
+    try:
+        replace_text(options.output / "table.csv", to_csv(rows, terms.COLUMNS, ".4g"))
+    except OutputError as error:
+        say(console, str(error), "red")
+        return 1
+    return status
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the ablations that the command line asks for; returns the exit status."""
     console, parser = Console(stderr=True), build_parser()
     options = parser.parse_args(arguments)
+    family, held_out, steps = (ROWS, 600, 3000) if options.clips is None else (terms.ROWS, 15, 50)
+    options.held_out, options.steps = options.held_out or held_out, options.steps or steps
+    strange = [name for name in options.rows or () if name not in family]
+    if strange:
+        parser.error(f"{strange[0]} is no row with {'--weights' if options.clips is None else '--clips'}; see --help.")
+    options.rows = [name for name in family if options.rows is None or name in options.rows]
+    if options.clips is not None:
+        if not options.clips.is_dir():
+            parser.error(f"{options.clips} is not a folder; give clips of python -m data.synthetic as --clips.")
+        return compare_terms(options, console)
     if not options.weights.is_file():
         parser.error(f"{options.weights} is not a file; give posterior.pt of estimators.network.training as --weights.")
     wanted = {name: getattr(options, name) for name in ("seed", "contacts", "held_out", "steps")}
@@ -238,7 +290,7 @@ def main(arguments: list[str] | None = None) -> int:
     except OutputError as error:
         say(console, str(error), "red")
         return 2
-    rows = [name for name in ROWS if options.rows is None or name in options.rows]
+    rows = options.rows
     left = [name for name in rows if (SUITE, 0, name) not in store.done]
     status = 0
     try:

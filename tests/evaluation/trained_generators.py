@@ -30,7 +30,8 @@ def write_checkpoint(path: Path, decoder: Literal["direct", "residual", "physics
     )
     load_posterior(module.generator_ab.posterior, SHIPPED)
     with torch.no_grad():
-        module.generator_ab.decoder.output.weight.zero_()
+        for parameter in module.generator_ab.decoder.output.parameters():
+            parameter.zero_()
     configuration = yaml.safe_dump({"data": {"samples": {"horizon": 4}}})
     written = {"state_dict": module.state_dict(), "hyper_parameters": dict(module.hparams)}
     torch.save(written | {"configuration": configuration}, path)

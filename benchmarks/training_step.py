@@ -66,6 +66,7 @@ def measure(config: Path, root: Path) -> list[str]:
         "trainer.enable_model_summary": False,
         "data.root": root,
         "data.cache": FOLDER / "cache",
+        "data.depth.source": "stored",
         "data.loading.fractions": "[0.5, 0.25, 0.25]",
         "tracking": False,
     }

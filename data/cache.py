@@ -43,8 +43,13 @@ NOT_STORED = (("depth", "threads"), ("depth", "device"), ("geometry", "force_dir
 """Settings that a prepared clip does not depend on: where a model runs, and what samples make of the geometry."""
 
 
-def cache_key(path: Path, settings: PrepareSettings) -> str:
+def cache_key(path: Path, settings: PrepareSettings, following: Iterable[Path] = ()) -> str:
     """Digest of a clip's files (name, size, time of change), the settings, the models and the code version.
+
+    Args:
+        path: frame folder or video file.
+        settings: how it is prepared.
+        following: frame folders that carry the first one on.
 
     Raises:
         InputError: a model or a camera can't be found.
@@ -53,7 +58,7 @@ def cache_key(path: Path, settings: PrepareSettings) -> str:
     for group, name in NOT_STORED:
         fields[group].pop(name)
     document = {
-        "files": _file_states(path),
+        "files": [state for each in (path, *following) for state in _file_states(each)],
         "settings": fields,
         "camera": repr(clip_camera(path, settings.layout)),
         "models": [_model_state(model, reading) for model, reading in require_models(settings)],

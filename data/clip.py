@@ -11,7 +11,7 @@ import dataclasses
 import math
 import time
 from collections import defaultdict
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -145,9 +145,14 @@ class ClipStream:
             labels = None if labels is None else self._undistortion.labels(labels)
         with self._timed("geometry"):
             known = labels if labels is not None else np.zeros(depth.shape, np.uint8)
-            grid_depth, grid_labels = resize_depth(depth, known, shape)
-            depth_error = depth_error or self._beyond_scale(grid_depth)
-            z = nothing if depth_error else normalise(grid_depth, self.scale, self.settings.depth.bits)
+            if self.settings.depth.rounded == "picture":
+                depth_error = depth_error or self._beyond_scale(depth)
+                depth = np.zeros_like(depth) if depth_error else self._rounded(depth)
+                z, grid_labels = resize_depth(depth, known, shape)
+            else:
+                grid_depth, grid_labels = resize_depth(depth, known, shape)
+                depth_error = depth_error or self._beyond_scale(grid_depth)
+                z = nothing if depth_error else self._rounded(grid_depth)
             if labels is None:
                 return PreparedFrame(frame, "no_mask", mask_error, z, grid_labels)
             return self._judge(PreparedFrame(frame, "ok", "", z, grid_labels, labels), depth_error)
@@ -162,6 +167,9 @@ class ClipStream:
                 return self._depth(frame), ""
         except InputError as error:
             return nothing, str(error)
+
+    def _rounded(self, depth: np.ndarray) -> np.ndarray:
+        return normalise(depth, self.scale, self.settings.depth.bits)
 
     def _beyond_scale(self, depth: np.ndarray) -> str:
         """Complaint about depth of which most would be cut off at z = 1: a flat wall that looks like tissue."""
@@ -199,6 +207,7 @@ def prepare(
     settings: PrepareSettings,
     cache_dir: Path | str,
     track: Callable[[ClipStream], Iterable[PreparedFrame]] = iter,
+    following: Sequence[Path] = (),
 ) -> PreparedClip:
     """Prepare a clip once: from the cache where nothing that it depends on has changed, else frame by frame.
 
@@ -210,12 +219,13 @@ def prepare(
         settings: how to prepare it.
         cache_dir: folder of the cache; made where it does not exist.
         track: gives the stream's frames one by one and may count them, as a progress bar does.
+        following: frame folders that carry the first one on.
 
     Raises:
         InputError: the clip can't be prepared, or the cache can't be written.
     """
-    path, source = Path(path), open_source(path, settings.layout)
-    entry = CacheEntry(Path(cache_dir), source.name, cache_key(path, settings))
+    path, source = Path(path), open_source(path, settings.layout, following)
+    entry = CacheEntry(Path(cache_dir), source.name, cache_key(path, settings, following))
     found = entry.load(path)
     if found is not None:
         return found

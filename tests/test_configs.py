@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
+from typing import Any
 
 import pytest
+import yaml
 
 import train
 from physics.mechanics import Mechanics
@@ -59,7 +62,108 @@ def test_paper_configuration_is_the_paper_s(load):
     geometry = data.preparation.geometry
     assert (geometry.height, geometry.width, geometry.max_edge, geometry.keep) == (120, 214, 0.05, 1.0)
     assert (geometry.force_direction, geometry.displacement) == ("normal", "redetected")
+    assert geometry.contact == "nearest"
     periodic = next(c for c in cli.trainer.checkpoint_callbacks if c.filename.startswith("epoch"))
     assert periodic._every_n_epochs == 10
     best = next(c for c in cli.trainer.checkpoint_callbacks if c.filename == "best")
     assert (best.monitor, best.mode) == ("val/physics", "min")
+
+
+STATED = {
+    "trainer.max_epochs": 100,
+    "model.width": 64,
+    "model.residual_blocks": 9,
+    "model.decoder": "direct",
+    "model.learning_rate": 2e-4,
+    "model.betas": [0.5, 0.999],
+    "model.weights.gan": 1.0,
+    "model.weights.cycle": 10.0,
+    "model.weights.identity": 1.0,
+    "model.weights.physics": 2.0,
+    "model.bounds.stiffness": [0.0, 1.0],
+    "model.bounds.damping": [0.0, 1.0],
+    "model.bounds.force": [-10.0, 0.0],
+    "model.bounds.initial": [5.34, 0.127, None],  # of a force none is given
+    "model.mechanics.mass": 0.001,
+    "model.mechanics.time_step": 0.005,
+    "model.mechanics.steps": 200,
+    "model.mechanics.load_steps": 50,
+    "model.mechanics.scheme": "euler",
+    "model.mechanics.damping": "explicit",
+    "data.samples.observation": "final",
+    "data.loading.batch_size": 2,
+    "data.loading.fractions": [0.7, 0.2, 0.1],
+    "data.masks": "annotation",
+    "data.classes.tool": ["grasper"],
+    "data.classes.tissue": ["gallbladder"],
+    "data.classes.tolerance": 5,
+    "data.depth.source": "depthpro",
+    "data.depth.bits": 8,
+    "data.depth.rounded": "picture",
+    "data.geometry.height": 120,
+    "data.geometry.width": 214,
+    "data.geometry.max_edge": 0.05,
+    "data.geometry.smoothing": 0.0,
+    "data.geometry.keep": 1.0,
+    "data.geometry.contact": "nearest",
+    "data.geometry.two_pass": True,
+    "data.geometry.displacement": "redetected",
+    "data.geometry.rigid_motion": "keep",
+}
+"""What Bini 2026 states, by the fields of paper.yaml."""
+OURS = {"seed_everything", "trainer.default_root_dir", "trainer.accelerator", "trainer.devices", "data.root"}
+"""Fields that say where and on what to run."""
+IN_CODE = {"resizing", "holes", "depth", "discriminator", "no contact"}
+"""Departures that no field can undo."""
+HEADINGS = ("Departures in fields", "Departures in the code", "What the paper leaves open")
+
+
+def leaves(settings: dict[str, Any], above: str = "") -> dict[str, Any]:
+    """Values of nested mappings by their dotted names; `videos` is one value."""
+    found: dict[str, Any] = {}
+    for name, value in settings.items():
+        nested = isinstance(value, dict) and name != "videos"
+        found |= leaves(value, f"{above}{name}.") if nested else {f"{above}{name}": value}
+    return found
+
+
+def listed(head: list[str]) -> dict[str, set[str]]:
+    """Names in the lists of a file's head, by heading."""
+    names: dict[str, set[str]] = {}
+    current: set[str] = set()
+    for line in head:
+        heading = next((each for each in HEADINGS if line.startswith(f"# {each}")), None)
+        entry = re.fullmatch(r"#   (\S+(?: \S+)*)  +\S.*", line)
+        if heading is not None:
+            names[heading] = current = set()
+        elif entry is not None:
+            current.add(entry[1])
+    return names
+
+
+def test_the_head_of_paper_yaml_lists_what_differs_from_the_paper():
+    text = (CHECKOUT / "configs" / "paper.yaml").read_text(encoding="utf-8")
+    head = [line for line in text.splitlines() if line.startswith("#")]
+    fields, code, left_open = (listed(head)[heading] for heading in HEADINGS)
+    values = leaves(yaml.safe_load(text))
+    assert values.keys() == STATED.keys() | left_open | OURS
+    assert not left_open & STATED.keys()
+    assert fields == {name for name, stated in STATED.items() if values[name] != stated}
+    assert code == IN_CODE
+    body = text[text.index("seed_everything") :]
+    for mark, names in (("departure", fields), ("open", left_open)):
+        marked = set(re.findall(rf"^ *(\w+):[^#\n]*# {mark}\b", body, re.MULTILINE))
+        assert marked == {name.split(".")[-1] for name in names}
+
+
+def test_lists_and_fields_are_read_as_they_stand():
+    """What the comparison above goes by."""
+    head = [
+        "# Departures in fields; more:",
+        "#   a.b   why",
+        "#   c d    why",
+        "#       more",
+        "# Departures in the code:",
+    ]
+    assert listed(head) == {"Departures in fields": {"a.b", "c d"}, "Departures in the code": set()}
+    assert leaves({"a": {"b": 1, "videos": {"train": []}}, "c": 2}) == {"a.b": 1, "a.videos": {"train": []}, "c": 2}

@@ -105,6 +105,10 @@ class GeometrySettings:
     contact [grid pixels]; 0 leaves it as it is (paper). Noisy or rounded depth asks for 3 to 6."""
     keep: float = 1.0
     """Share of the mesh's vertices that decimation keeps; the paper names 0.3 and used 1."""
+    contact: Literal["touching", "nearest"] = "touching"
+    """Which frames are in contact, and where. touching: those whose masks touch or whose clouds are close, where the
+    outlines touch. nearest (paper): all that show tool and tissue, at the closest pair over all points (equation 4), so
+    that the tool's coming and going counts, too."""
     contact_pixels: float = 2.0
     """Masks at most this far apart touch [grid pixels]; neighbours are 1 apart, 0 switches the criterion off."""
     contact_distance: float = 0.02
@@ -161,7 +165,7 @@ class FrameGeometry:
     pixel: tuple[int, int]
     """Grid pixel (u, v) of b*."""
     touching: bool
-    """Whether the masks touch; otherwise the clouds are within the contact distance."""
+    """Whether the masks touch."""
     noise: float = math.nan
     """Standard deviation of the tissue's depth about its smoothed surface [scene units]; not a number without
     `GeometrySettings.smoothing`."""
@@ -176,9 +180,10 @@ def frame_geometry(
 ) -> FrameGeometry:
     """Contact and mesh of one frame.
 
-    A frame is in contact when the masks touch or the clouds are close. Monocular depth of a shiny tool is often wrong
-    and its outline seldom, so where the masks touch only pixels along the touching outline can form the contact pair:
-    the contact then lies where the tool is seen to touch, whatever the depth of the rest of the tool.
+    With `contact` touching a frame is in contact when the masks touch or the clouds are close. Monocular depth of a
+    shiny tool is often wrong and its outline seldom, so where the masks touch only pixels along the touching outline
+    can form the contact pair: the contact then lies where the tool is seen to touch, whatever the depth of the rest of
+    the tool. With nearest, the paper's, the closest pair over all points counts, however far apart it is.
 
     Args:
         depth: z, shape [h, w] [scene units], 0 = invalid.
@@ -200,9 +205,10 @@ def frame_geometry(
     sheet = back_project(resting, camera)
     points = np.where(tissue[..., None], sheet, back_project(depth, camera))
     touching = _touching(tool, tissue, settings.contact_pixels)
-    if not touching:
+    outlined = touching and settings.contact == "touching"
+    if not touching and settings.contact == "touching":
         points = np.where(tool[..., None], back_project(tool_depth(depth, tool), camera), points)
-    pair = _outline_pair(points, tool, tissue, settings) if touching else _cloud_pair(points, tool, tissue, settings)
+    pair = _outline_pair(points, tool, tissue, settings) if outlined else _cloud_pair(points, tool, tissue, settings)
     (tool_row, tool_column), (row, column) = pair
     mesh = grid_mesh(sheet, surface, occluder=tool & ~surface, max_edge=settings.max_edge, keep=settings.keep)
     if len(mesh.vertices) == 0:
@@ -288,13 +294,13 @@ def _outline_pair(
 def _cloud_pair(
     points: np.ndarray, tool: np.ndarray, tissue: np.ndarray, settings: GeometrySettings
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels (row, column) of g* and b* among all; they must be within the contact distance."""
+    """Pixels (row, column) of g* and b* among all; only `contact` nearest lets them be beyond the contact distance."""
     valid = points[..., 2] > 0
     tool_pixels, tissue_pixels = np.argwhere(tool & valid), np.argwhere(tissue & valid)
     if len(tool_pixels) == 0:
-        raise GeometryStatus("bad_depth", "The tool has no depth and its mask doesn't touch the tissue's.")
+        raise GeometryStatus("bad_depth", "The tool has no depth, and its outline does not tell where it touches.")
     contact = find_contact(points[tuple(tool_pixels.T)], points[tuple(tissue_pixels.T)], two_pass=settings.two_pass)
-    if contact.distance > settings.contact_distance:
+    if settings.contact == "touching" and contact.distance > settings.contact_distance:
         detail = f"The tool is {contact.distance:.3g} from the tissue, more than {settings.contact_distance:g}."
         raise GeometryStatus("no_contact", detail, contact.distance)
     return tool_pixels[contact.tool_index], tissue_pixels[contact.tissue_index]

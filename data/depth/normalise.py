@@ -59,6 +59,8 @@ class DepthSettings:
     """Frames used for it, evenly spaced."""
     bits: Literal[8, 16] = 16
     """Quantisation of normalised depth (the paper stores 8 bits, 0.4 % of the range)."""
+    rounded: Literal["grid", "picture"] = "grid"
+    """What is rounded to so many bits: the grid's depth, or the picture's before it is resized (paper)."""
     threads: int = 0
     """Threads of the depth model; 0 leaves it to onnxruntime."""
     device: Literal["cpu", "cuda"] = "cpu"

@@ -87,29 +87,30 @@ class FrameSource(ABC):
 
 
 class FrameFolder(FrameSource):
-    """Images of one folder: those that match the layout, else all images in natural order."""
+    """Images of one folder: those that match the layout, else all images in natural order.
 
-    def __init__(self, path: Path, layout: ClipLayout) -> None:
+    Other folders may carry it on; camera, frame rate and depth scale are the first one's.
+    """
+
+    def __init__(self, path: Path, layout: ClipLayout, following: Sequence[Path] = ()) -> None:
         self.path = path
         self.name = path.resolve().name
         self.warnings = []
-        self.files = frame_files(path, layout)
-        if not self.files:
-            raise InputError(
-                f"{printable(path)} holds no frame images ({layout.image}); give a folder of frames or a video file."
-            )
+        self.fps = float(read_clip_file(path).get("fps", layout.fps))
+        self.files: list[tuple[int, Path]] = []
+        self._times: list[float] = []
+        for folder in (path, *following):
+            files = frame_files(folder, layout)
+            if not files:
+                raise InputError(
+                    f"{printable(folder)} holds no frame images ({layout.image}); give a folder of frames or a video "
+                    "file."
+                )
+            begin = self._times[-1] + 1 / self.fps if self._times else None
+            self._times += _folder_times(folder, files, self.fps, begin)
+            self.files += files
         _check_numbers(self.files)
-        description = read_clip_file(path)
-        self.fps = float(description.get("fps", layout.fps))
         self.length = len(self.files)
-        times = description.get("times")
-        if times is None:
-            times = [(number - self.files[0][0]) / self.fps for number, _ in self.files]
-        elif len(times) != self.length:
-            raise InputError(
-                f"{path} has {self.length} frames while its clip.json gives {len(times)} times; make them agree."
-            )
-        self._times = times
         self.size = self._first_size()
 
     def _first_size(self) -> tuple[int, int]:
@@ -248,6 +249,22 @@ def _picture_size(path: Path, image: np.ndarray) -> tuple[int, int]:
     return width, height
 
 
+def _folder_times(folder: Path, files: Sequence[tuple[int, Path]], fps: float, begin: float | None) -> Sequence[float]:
+    """Time stamps of a folder's frames [s], from `begin` on where other frames come before.
+
+    Raises:
+        InputError: its clip.json gives times of other frames.
+    """
+    times = read_clip_file(folder).get("times")
+    if times is None:
+        times = [(number - files[0][0]) / fps for number, _ in files]
+    elif len(times) != len(files):
+        raise InputError(
+            f"{folder} has {len(files)} frames while its clip.json gives {len(times)} times; make them agree."
+        )
+    return times if begin is None else [begin + time_s - times[0] for time_s in times]
+
+
 def _check_numbers(files: Sequence[tuple[int, Path]]) -> None:
     """Raise an InputError where sorted frame numbers repeat or are too large to count with."""
     for (number, file), (following, other) in pairwise(files):
@@ -257,8 +274,8 @@ def _check_numbers(files: Sequence[tuple[int, Path]]) -> None:
         raise InputError(f"{printable(files[-1][1])} has a frame number above {LARGEST_NUMBER}; rename the file.")
 
 
-def open_source(path: Path | str, layout: ClipLayout) -> FrameSource:
-    """Open a clip: `camera:0`, a folder of frames, or a video file.
+def open_source(path: Path | str, layout: ClipLayout, following: Sequence[Path] = ()) -> FrameSource:
+    """Open a clip: `camera:0`, a folder of frames and those that carry it on, or a video file.
 
     Raises:
         InputError: the path does not exist or holds no frame.
@@ -268,7 +285,7 @@ def open_source(path: Path | str, layout: ClipLayout) -> FrameSource:
         return LiveCamera(str(path), layout.fps)
     try:
         if path.is_dir():
-            return FrameFolder(path, layout)
+            return FrameFolder(path, layout, following)
         return VideoFile(path, layout.fps)
     except OSError as error:
         raise InputError(f"{printable(path)} can't be opened ({error.strerror}); check the path.") from error

@@ -2,7 +2,8 @@
 
 `python -m data.synthetic --output DIR --clips N` writes DIR/videoNN/videoNN_00000/ with each frame's picture, masks and
 depth, with clip.json (frame rate, camera, times), truth.json and truth.npz, and beside that folder a video of the clip.
-Every clip is a video of its own, so that a split by video works. No training reads the truth.
+Every clip is a video of its own, so that a split by video works; with --presses a video has several folders, each with
+its own truth. No training reads the truth.
 """
 
 from __future__ import annotations
@@ -53,6 +54,12 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--first", type=whole_number(0), default=1, help="number of the first video (default %(default)s)"
     )
+    parser.add_argument(
+        "--presses",
+        type=whole_number(1),
+        default=1,
+        help="folders of a video, each with a scene, parameters and press of its own (default %(default)s)",
+    )
     sizes = ", ".join(f"{name} ({width}x{height})" for name, (width, height) in SIZES.items())
     parser.add_argument(
         "--size", type=picture_size, default="full", help=f"picture: {sizes} or WIDTHxHEIGHT (default %(default)s)"
@@ -98,8 +105,8 @@ def main(arguments: list[str] | None = None) -> int:
     """Write the clips that the command line asks for; returns the exit status: 0 done, 1 failed, 2 wrong usage."""
     console = Console(stderr=True)
     options = vars(build_parser().parse_args(arguments))
-    output, clips, seed, first, (width, height), overwrite = (
-        options.pop(name) for name in ("output", "clips", "seed", "first", "size", "overwrite")
+    output, clips, seed, first, presses, (width, height), overwrite = (
+        options.pop(name) for name in ("output", "clips", "seed", "first", "presses", "size", "overwrite")
     )
     knobs: dict[str, Any] = {name: tuple(end) if isinstance(end, list) else end for name, end in options.items()}
     try:
@@ -110,7 +117,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         output.mkdir(parents=True, exist_ok=True)
         with progress_bars(console) as progress:
-            task = progress.add_task("clips", total=clips * settings.frames)
+            task = progress.add_task("clips", total=clips * presses * settings.frames)
             for index in range(clips):
                 progress.update(task, description=f"clip {index + 1} of {clips}")
                 write_clip(
@@ -118,6 +125,7 @@ def main(arguments: list[str] | None = None) -> int:
                     first + index,
                     settings,
                     clip_seed(seed, index),
+                    presses=presses,
                     overwrite=overwrite,
                     advance=functools.partial(progress.advance, task),
                 )

@@ -10,9 +10,11 @@ others complete), 2 wrong usage.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+import contextlib
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -26,9 +28,10 @@ from data.masks.class_table import CLASSES
 from data.masks.sources import MaskClasses, MaskError, color_distance, mask_file, read_mask
 from data.settings import PrepareSettings
 from data.source.frames import Frame, discover, open_source
-from data.source.layout import ClipLayout, InputError, load_layout
+from data.source.layout import ClipLayout, InputError, frame_files, load_layout, read_clip_file
 from data.training.preparation import prepare_all
 from data.training.samples import SampleSettings, list_frames
+from data.training.splits import video_of
 from physics.doors import plain
 
 BORDER = ((255, 255, 255), (0, 0, 0))
@@ -50,6 +53,38 @@ def list_clips(root: Path | str, layout: ClipLayout) -> list[Path]:
     return folders or found
 
 
+def join_folders(paths: Iterable[Path], layout: ClipLayout) -> dict[Path, tuple[Path, ...]]:
+    """Clips by their first folder, each with the folders that carry it on.
+
+    Such folders are of one video, say the same in `clip.json`, and their frame numbers follow on: CholecSeg8k cuts a
+    video every 80 frames, and contact does not end there.
+
+    Args:
+        paths: what `list_clips` found.
+        layout: how the clips' files are named.
+    """
+    clips: dict[Path, tuple[Path, ...]] = {}
+    first, end = Path(), (None, None)
+    for path in paths:
+        begin, last, described = _extent(path, layout)
+        if begin is not None and end == (begin - 1, described) and video_of(path) == video_of(first):
+            clips[first] += (path,)
+        else:
+            first, clips[path] = path, ()
+        end = last, described
+    return clips
+
+
+def _extent(path: Path, layout: ClipLayout) -> tuple[int | None, int | None, dict[str, Any] | None]:
+    """First and last frame number of a folder and what else its `clip.json` says; none of what can't be read."""
+    with contextlib.suppress(OSError, InputError):
+        described = {name: value for name, value in read_clip_file(path).items() if name != "times"}
+        numbers = [number for number, _ in frame_files(path, layout)]
+        if numbers:
+            return numbers[0], numbers[-1], described
+    return None, None, None
+
+
 @dataclass(frozen=True)
 class ClipCheck:
     """What a clip's files hold."""
@@ -62,7 +97,9 @@ class ClipCheck:
     """One sentence each."""
 
 
-def check_clip(path: Path, layout: ClipLayout, classes: MaskClasses, *, masks: bool = True) -> ClipCheck:
+def check_clip(
+    path: Path, layout: ClipLayout, classes: MaskClasses, *, masks: bool = True, following: Sequence[Path] = ()
+) -> ClipCheck:
     """Read every frame and mask of a clip and tell what is wrong.
 
     Args:
@@ -70,11 +107,12 @@ def check_clip(path: Path, layout: ClipLayout, classes: MaskClasses, *, masks: b
         layout: how its files are named.
         classes: the tolerance with which colours are read.
         masks: whether annotation masks are expected.
+        following: frame folders that carry the first one on.
 
     Raises:
         InputError: the clip can't be opened.
     """
-    source = open_source(path, layout)
+    source = open_source(path, layout, following)
     shares, problems = [], []
     for frame in source:
         if frame.image is None:
@@ -158,12 +196,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     checks: dict[Path, ClipCheck] = {}
     failures: dict[Path, str] = {}
     annotated = options.masks in ("auto", "annotation")
-    for path in paths:
+    found = join_folders(paths, layout)
+    for path, following in found.items():
         try:
-            checks[path] = check_clip(path, layout, settings.classes, masks=annotated)
+            checks[path] = check_clip(path, layout, settings.classes, masks=annotated, following=following)
         except InputError as error:
             failures[path] = str(error)
-    clips, failed = prepare_all(list(checks), settings, options.cache)
+    clips, failed = prepare_all({path: found[path] for path in checks}, settings, options.cache)
     failures |= failed
     if clips:
         print_table(clips, checks, console)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,10 +21,10 @@ from data.depth.normalise import MOST_THREADS
 from data.settings import NUMBERS, PREPROCESSING_VERSION, PrepareSettings
 from data.source.layout import ClipLayout, InputError, load_layout
 from data.training.batches import SampleDataset, collate
-from data.training.cholecseg8k import list_clips
+from data.training.cholecseg8k import join_folders, list_clips
 from data.training.preparation import prepare_all
 from data.training.samples import SampleSettings, list_frames, make_interaction
-from data.training.splits import FRACTIONS, SPLITS, Place, split_samples
+from data.training.splits import FRACTIONS, SPLITS, NamedVideos, Place, split_samples
 from physics.fields import fits
 from physics.mechanics import Bounds, require_stable
 
@@ -44,6 +44,8 @@ class LoadingSettings:
     """Processes that load samples; 0 loads in the training process."""
     fractions: tuple[float, float, float] = FRACTIONS
     """Share of videos for train, val and test."""
+    videos: NamedVideos = field(default_factory=NamedVideos)
+    """Videos or folders of each split by name, instead of by share."""
     seed: int = 0
     """Draws the split and the order of the samples."""
 
@@ -125,9 +127,14 @@ class ClipDataModule(LightningDataModule):
             self.left_out += reasons
         if not found:
             raise InputError(self._nothing_found())
-        places, warning = split_samples(self.clips, found, self.samples, self.loading.fractions, self.loading.seed)
+        loading = self.loading
+        places, warning = split_samples(
+            self.clips, found, self.samples, loading.fractions, loading.seed, loading.videos
+        )
         if warning:
             rank_zero_warn(f"{self.root} {warning}")
+        if not places["train"]:
+            raise InputError(f"{self.root} has no sample in the videos named to train on; name others.")
         self._require_stable(places["train"])
         self.places = places
         rank_zero_info(self.summary())
@@ -195,14 +202,32 @@ class ClipDataModule(LightningDataModule):
     def _load(self, *, show: bool) -> list[PreparedClip]:
         """All prepared clips, from the cache where they are there."""
         if not self.clips:
-            paths = list_clips(self.root, self.preparation.layout)
-            clips, failures = prepare_all(paths, self.preparation, self.cache, show=show)
+            clips, failures = prepare_all(self._found(), self.preparation, self.cache, show=show)
             if not clips:
                 raise InputError(next(iter(failures.values())))
             for path, reason in failures.items():
                 rank_zero_warn(f"{path.name} is left out: {reason}")
+            guessed = [clip.name for clip in clips if clip.sources["depth"] == "photometric"]
+            if guessed and self.preparation.depth.source == "auto":
+                rank_zero_warn(
+                    f"{self.root} has no stored depth in {len(guessed)} of {len(clips)} clips ({guessed[0]} first), so "
+                    "their depth is the photometric model's, which is made from shading; give --data.depth.source (and "
+                    "--data.depth.model) for a depth network."
+                )
             self.clips = clips
         return self.clips
+
+    def _found(self) -> dict[Path, tuple[Path, ...]]:
+        """Clips to prepare, each with the folders that carry it on; none reaches into another split."""
+        layout = self.preparation.layout
+        paths = list_clips(self.root, layout)
+        if not self.loading.videos:
+            return join_folders(paths, layout)
+        try:
+            divided = self.loading.videos.divide(paths)
+        except ValueError as error:
+            raise InputError(f"{self.root}: data.loading.videos names what is not there: {error}") from error
+        return {first: rest for own in divided.values() for first, rest in join_folders(own, layout).items()}
 
     def _require_stable(self, places: Sequence[Place]) -> None:
         """Check the box on the training meshes."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from rich.console import Console
@@ -18,12 +18,12 @@ from physics.doors import plain
 
 
 def prepare_all(
-    paths: Sequence[Path], settings: PrepareSettings, cache_dir: Path, *, show: bool = True
+    found: Mapping[Path, Sequence[Path]], settings: PrepareSettings, cache_dir: Path, *, show: bool = True
 ) -> tuple[list[PreparedClip], dict[Path, str]]:
     """Prepare clips, or read them from the cache.
 
     Args:
-        paths: frame folders or video files.
+        found: frame folders or video files, each with the folders that carry it on.
         settings: how to prepare them.
         cache_dir: folder of the cache.
         show: whether to draw a progress bar on standard error.
@@ -38,10 +38,10 @@ def prepare_all(
         def track(stream: ClipStream) -> Iterable[PreparedFrame]:
             return bar.track(stream, stream.source.length, task_id=task)
 
-        for number, path in enumerate(paths, start=1):
-            bar.reset(task, description=f"preparing {plain(path.name)} ({number}/{len(paths)})")
+        for number, (path, following) in enumerate(found.items(), start=1):
+            bar.reset(task, description=f"preparing {plain(path.name)} ({number}/{len(found)})")
             try:
-                clip = prepare(path, settings, cache_dir, track)
+                clip = prepare(path, settings, cache_dir, track, following)
                 bar.update(task, total=len(clip), completed=len(clip))
                 clips.append(clip)
             except Exception as error:

@@ -41,6 +41,10 @@ class SampleSettings:
     is noise. More need observation trajectory."""
     min_deformation: float = 0.0
     """Samples whose observed motion, less the rigid motion, is shorter are left out [scene units]; 0 keeps all."""
+    min_clip_deformation: float = 0.0
+    """Clips are left out whose contact moves less than this from frame to frame, less the rigid motion, root mean
+    square over their pairs [scene units]: there the camera moves and nothing deforms (Bini 2026, section 3.1, which
+    does not say how it chose its clips); 0 keeps all."""
     onset_within: int | None = None
     """A trajectory's frame is a sample where its onset is less than this many frames back; none = the window, farther
     back than which no network can see. One that is told the contact's motion beside the window can have more."""
@@ -65,8 +69,9 @@ class SampleSettings:
             raise ValueError(f"film needs observation trajectory, not {self.observation}; choose that, or film false.")
         if self.onset_within is not None and self.onset_within < 1:
             raise ValueError(f"onset_within is {self.onset_within}; give at least 1, or leave it out.")
-        if not (math.isfinite(self.min_deformation) and self.min_deformation >= 0):
-            raise ValueError(f"min_deformation is {self.min_deformation}; give a length of at least 0.")
+        for name in ("min_deformation", "min_clip_deformation"):
+            if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
+                raise ValueError(f"{name} is {getattr(self, name)}; give a length of at least 0.")
 
 
 @dataclass(frozen=True)
@@ -98,7 +103,12 @@ def list_frames(clip: PreparedClip, settings: SampleSettings) -> tuple[list[int]
     judge = _judge_run if settings.observation == "trajectory" else _judge_pair
     reasons = [judge(clip, frame, settings) for frame in range(len(clip))]
     kept = [frame for frame, reason in enumerate(reasons) if not reason]
-    return kept, Counter(filter(None, reasons))
+    left_out = Counter(filter(None, reasons))
+    if kept and settings.min_clip_deformation > 0:
+        squares = np.square(_deformations(clip, settings)[kept]).sum(axis=1)
+        if not np.sqrt(np.nanmean(squares)) >= settings.min_clip_deformation:
+            return [], left_out + Counter({"clip hardly deforms": len(kept)})
+    return kept, left_out
 
 
 def make_sample(clip: PreparedClip, frame: int, settings: SampleSettings) -> Sample:
@@ -176,10 +186,14 @@ def _judge_pair(clip: PreparedClip, frame: int, settings: SampleSettings) -> str
         return "next frame not in contact"
     if not (np.isfinite(clip.displacement[frame]).all() and np.isfinite(clip.backward[frame + 1]).all()):
         return "contact not followed"
-    motion = clip.displacement[frame]
-    if settings.geometry.rigid_motion == "keep":
-        motion = motion - np.nan_to_num(clip.rigid[frame])
+    motion = _deformations(clip, settings)[frame]
     return "rigid motion" if np.linalg.norm(motion) < settings.min_deformation else ""
+
+
+def _deformations(clip: PreparedClip, settings: SampleSettings) -> np.ndarray:
+    """Observed motion of the contact to the next frame, less the rigid motion, shape [F, 3]."""
+    rigid = np.nan_to_num(clip.rigid) if settings.geometry.rigid_motion == "keep" else 0.0
+    return clip.displacement - rigid
 
 
 def _judge_run(clip: PreparedClip, frame: int, settings: SampleSettings) -> str:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterable, Sequence
-from itertools import islice
+from dataclasses import astuple, dataclass
+from itertools import combinations, islice
 from pathlib import Path
 from typing import TypeVar
 
@@ -22,6 +23,52 @@ LEAST_VIDEOS = 3
 Item = TypeVar("Item")
 Place = tuple[int, int]
 """A sample: index of its clip, index of its frame."""
+
+
+@dataclass(frozen=True)
+class NamedVideos:
+    """Which videos are in which split; a name is a video's (video01) or one of its folders' (video01_00080).
+
+    What is not named is left out, so that the names also say which clips were curated (Bini 2026, section 3.1).
+    """
+
+    train: tuple[str, ...] = ()
+    """To learn from; empty where none are named."""
+    val: tuple[str, ...] = ()
+    """To choose the best checkpoint by."""
+    test: tuple[str, ...] = ()
+    """To evaluate on."""
+
+    def __post_init__(self) -> None:
+        given = astuple(self)
+        if any(given) and not self.train:
+            raise ValueError("videos.train is empty while others are named; name videos to train on.")
+        for (first, some), (second, others) in combinations(zip(SPLITS, given, strict=True), 2):
+            shared = {name.split("_")[0] for name in some} & {name.split("_")[0] for name in others}
+            if shared:
+                raise ValueError(
+                    f"videos.{first} and videos.{second} both name {', '.join(sorted(shared))}; one video belongs to "
+                    "one split, or the same patient is in both."
+                )
+
+    def __bool__(self) -> bool:
+        return bool(self.train)
+
+    def divide(self, clips: Sequence[Path]) -> dict[str, list[Path]]:
+        """Clips of each split, in their order.
+
+        Raises:
+            ValueError: a name is none of the clips'.
+        """
+        unknown = {name for names in astuple(self) for name in names}
+        unknown -= {name for clip in clips for name in (clip.name, video_of(clip))}
+        if unknown:
+            raise ValueError(f"no clip is of {', '.join(sorted(unknown))}; name videos or folders that are there.")
+        return {split: [clip for clip in clips if self.holds(split, clip)] for split in SPLITS}
+
+    def holds(self, split: str, clip: Path) -> bool:
+        """Whether a clip belongs to a split."""
+        return not {clip.name, video_of(clip)}.isdisjoint(getattr(self, split))
 
 
 def video_of(clip: Path) -> str:
@@ -68,12 +115,15 @@ def split_samples(
     settings: SampleSettings,
     fractions: Sequence[float],
     seed: int,
+    named: NamedVideos = NamedVideos(),
 ) -> tuple[dict[str, list[Place]], str]:
-    """Samples of each split: by video, or in time where there are fewer than three videos with samples.
+    """Samples of each split: as named, else by video, or in time where there are fewer than three videos with samples.
 
     Returns:
         The samples of each split, and what to warn of (it follows the data set's name), or an empty string.
     """
+    if named:
+        return {split: [place for place in found if named.holds(split, clips[place[0]].path)] for split in SPLITS}, ""
     videos = [video_of(clips[clip].path) for clip, _ in found]
     count = len(set(videos))
     if count >= LEAST_VIDEOS:

@@ -17,7 +17,7 @@ def test_even_an_unforeseen_error_costs_only_its_own_clip(tmp_path, monkeypatch)
         return prepare(path, *rest)
 
     monkeypatch.setattr(preparation, "prepare", fails_on_one)
-    clips, failures = prepare_all([bad, good], SETTINGS, tmp_path / "cache", show=False)
+    clips, failures = prepare_all({bad: (), good: ()}, SETTINGS, tmp_path / "cache", show=False)
     assert [clip.name for clip in clips] == ["good"]
     assert failures == {
         bad: "unexpected OverflowError (Python int too large to convert); report it with the clip's files."
@@ -27,6 +27,6 @@ def test_even_an_unforeseen_error_costs_only_its_own_clip(tmp_path, monkeypatch)
 def test_a_refused_clip_is_told_in_its_own_sentence(tmp_path):
     folder = write_clip(tmp_path / "bad", frames=3)
     (folder / "clip.json").write_text("{")
-    clips, failures = prepare_all([folder], SETTINGS, tmp_path / "cache", show=False)
+    clips, failures = prepare_all({folder: ()}, SETTINGS, tmp_path / "cache", show=False)
     assert clips == []
     assert failures[folder].startswith(f"{folder / 'clip.json'} is not a clip description")

@@ -1,0 +1,320 @@
+"""What paper.yaml asks of a data set in CholecSeg8k's layout: named videos, joined folders, all pairs, what deforms."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from data.clip import ClipStream, prepare
+from data.contact.geometry import GeometryStatus, frame_geometry
+from data.depth.normalise import DepthSettings, normalise, resize_depth
+from data.labels import TISSUE, TOOL
+from data.masks.sources import MaskClasses, open_masks
+from data.source.camera import Camera, back_project
+from data.source.frames import open_source
+from data.source.layout import ClipLayout, InputError
+from data.training.cholecseg8k import join_folders, list_clips, main
+from data.training.datamodule import ClipDataModule, LoadingSettings
+from data.training.samples import SampleSettings, list_frames, make_interaction
+from data.training.splits import NamedVideos
+from tests.data.clips import EDGE, GRID, HEIGHT, SETTINGS, WIDTH, write_clip
+
+NEAREST = replace(GRID, contact="nearest", min_tool_pixels=1, displacement="redetected")
+LAYOUT = ClipLayout()
+
+
+def write_video(root: Path, number: int, starts: tuple[int, ...], frames: int = 4, **options) -> list[Path]:
+    """Folders of one video in contact throughout, each named by its first frame."""
+    name = f"video{number:02d}"
+    everywhere = tuple(range(frames))
+    return [
+        write_clip(root / name / f"{name}_{start:05d}", everywhere, frames, first=start, **options) for start in starts
+    ]
+
+
+def module(root: Path, *, depth: DepthSettings | None = None, **options) -> ClipDataModule:
+    loading = {name: options.pop(name) for name in ("videos", "batch_size") if name in options}
+    return ClipDataModule(
+        str(root / "data"),
+        cache=str(root / "cache"),
+        samples=SampleSettings(geometry=NEAREST, **options),
+        loading=LoadingSettings(**loading),
+        geometry=NEAREST,
+        **({} if depth is None else {"depth": depth}),
+    )
+
+
+# --- folders that follow on ------------------------------------------------------------------------------------------
+
+
+def test_folders_of_one_video_whose_numbers_follow_on_are_one_clip(tmp_path):
+    first, second, apart = write_video(tmp_path, 1, (80, 84, 100))
+    other = write_video(tmp_path, 2, (104,))[0]
+    assert join_folders(list_clips(tmp_path, LAYOUT), LAYOUT) == {first: (second,), apart: (), other: ()}
+
+
+def test_folders_that_say_otherwise_of_their_camera_stay_apart(tmp_path):
+    first, second = write_video(tmp_path, 1, (0, 4))
+    described = json.loads((second / "clip.json").read_text())
+    (second / "clip.json").write_text(json.dumps(described | {"depth_scale": 2.0}))
+    assert join_folders([first, second], LAYOUT) == {first: (), second: ()}
+    (second / "clip.json").write_text("{")  # it fails by itself
+    assert join_folders([first, second], LAYOUT) == {first: (), second: ()}
+
+
+def test_contact_goes_on_across_joined_folders(tmp_path):
+    first, second = write_video(tmp_path, 1, (80, 84))
+    source = open_source(first, LAYOUT, (second,))
+    assert [frame.number for frame in source] == list(range(80, 88))
+    assert [frame.time_s for frame in source] == pytest.approx([0.04 * index for index in range(8)])
+    assert source.warnings == []
+    joined = prepare(first, SETTINGS, tmp_path / "cache", following=(second,))
+    alone = prepare(first, SETTINGS, tmp_path / "cache")
+    assert (len(joined), len(alone)) == (8, 4)
+    assert joined.consecutive.tolist() == [True] * 7 + [False]
+    assert list_frames(joined, SampleSettings(geometry=GRID))[0] == list(range(7))
+    assert list_frames(alone, SampleSettings(geometry=GRID))[0] == [0, 1, 2]
+
+
+def test_joined_folders_keep_their_time_stamps_and_are_known_by_all_their_files(tmp_path):
+    first, second = write_video(tmp_path, 1, (0, 4))
+    for folder, times in ((first, [0, 0.03, 0.08, 0.12]), (second, [7.0, 7.05, 7.08, 7.12])):
+        described = json.loads((folder / "clip.json").read_text())
+        (folder / "clip.json").write_text(json.dumps(described | {"times": times}))
+    assert join_folders([first, second], LAYOUT) == {first: (second,)}
+    joined = prepare(first, SETTINGS, tmp_path / "cache", following=(second,))
+    assert joined.times.tolist() == pytest.approx([0, 0.03, 0.08, 0.12, 0.16, 0.21, 0.24, 0.28])
+    cv2.imwrite(str(second / "frame_5_endo.png"), np.full((HEIGHT, WIDTH, 3), 90, np.uint8))
+    again = prepare(first, SETTINGS, tmp_path / "cache", following=(second,))
+    assert again.folder != joined.folder
+
+
+def test_joined_folders_have_one_depth_scale(tmp_path):
+    """The second folder lies farther away: by itself it would be scaled down to the same depth."""
+    near, far = write_video(tmp_path, 1, (0, 4), recede=0.0)
+    for folder in (near, far):
+        described = json.loads((folder / "clip.json").read_text())
+        del described["depth_scale"]
+        (folder / "clip.json").write_text(json.dumps(described))
+    for file in far.glob("*_depth.png"):
+        stored = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+        cv2.imwrite(str(file), (stored * 1.5).astype(np.uint16))
+    joined = prepare(near, SETTINGS, tmp_path / "cache", following=(far,))
+    apart = prepare(far, SETTINGS, tmp_path / "cache")
+    assert joined.depth(7).mean() / joined.depth(0).mean() == pytest.approx(1.5, rel=1e-3)
+    assert apart.depth(3).mean() / joined.depth(7).mean() == pytest.approx(1.0, abs=0.01)
+    assert joined.depth(0).mean() == pytest.approx(joined.depth(7).mean() / 1.5, rel=1e-3)
+
+
+def test_the_door_joins_them_too(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "120")
+    write_video(tmp_path / "data", 1, (80, 84))
+    assert main(["data", "--depth", "stored", "--cache", "cache"]) == 0
+    out = capsys.readouterr().out
+    assert "1 clips" in out
+    assert "8 ok" in out
+    assert "video01_00084" not in out
+
+
+# --- named videos ----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def ten_videos(tmp_path_factory):
+    """Ten videos of two folders each that follow on, as CholecSeg8k's."""
+    root = tmp_path_factory.mktemp("ten")
+    for number in range(1, 11):
+        write_video(root / "data", number, (80, 83), frames=3)
+    return root
+
+
+def set_up(data: ClipDataModule) -> dict[str, set[str]]:
+    """Names of the clips of each split's samples."""
+    data.prepare_data()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        data.setup("fit")
+    return {split: {data.clips[clip].name for clip, _ in places} for split, places in data.places.items()}
+
+
+def test_videos_of_each_split_are_named(ten_videos):
+    names = [f"video{number:02d}" for number in range(1, 11)]
+    named = NamedVideos(tuple(names[:7]), tuple(names[7:9]), tuple(names[9:]))
+    data = module(ten_videos, videos=named)
+    found = set_up(data)
+    assert found == {
+        "train": {f"{name}_00080" for name in names[:7]},
+        "val": {f"{name}_00080" for name in names[7:9]},
+        "test": {"video10_00080"},
+    }
+    assert {split: len(places) for split, places in data.places.items()} == {"train": 35, "val": 10, "test": 5}
+
+
+def test_folders_can_be_named_and_what_is_not_named_is_left_out(ten_videos):
+    named = NamedVideos(("video01_00083", "video02"), ("video03",), ("video04_00080", "video04_00083"))
+    data = module(ten_videos, videos=named)
+    assert set_up(data) == {
+        "train": {"video01_00083", "video02_00080"},
+        "val": {"video03_00080"},
+        "test": {"video04_00080"},
+    }
+    assert {clip.name: len(clip) for clip in data.clips}["video01_00083"] == 3
+    assert {clip.name: len(clip) for clip in data.clips}["video04_00080"] == 6
+    with pytest.raises(InputError, match=r"no clip is of video77; name"):
+        module(ten_videos, videos=NamedVideos(("video01", "video77"))).prepare_data()
+
+
+def test_no_video_is_in_two_splits():
+    with pytest.raises(ValueError, match=r"videos\.train and videos\.test both name video01"):
+        NamedVideos(("video01_00080",), ("video02",), ("video01_00160",))
+    with pytest.raises(ValueError, match=r"videos\.train is empty"):
+        NamedVideos((), ("video02",))
+    assert not NamedVideos()
+
+
+def test_named_videos_without_a_sample_to_train_on_are_refused(tmp_path):
+    write_video(tmp_path / "data", 1, (0,))
+    write_clip(tmp_path / "data" / "video02" / "video02_00000", contact=(), frames=3)
+    data = module(tmp_path, videos=NamedVideos(("video02",), ("video01",)))
+    data.prepare_data()
+    with pytest.raises(InputError, match="no sample in the videos named to train on"):
+        data.setup("fit")
+
+
+# --- contact pair and release ----------------------------------------------------------------------------------------
+
+CAMERA = Camera(100.0, 100.0, 63.5, 47.5, 128, 96)
+
+
+def hovering(gap: int, lift: float) -> tuple[np.ndarray, np.ndarray]:
+    """A tool beside tissue, `gap` columns away and `lift` nearer to the camera, above one bump of the tissue."""
+    depth, labels = np.full((HEIGHT, WIDTH), 0.6), np.zeros((HEIGHT, WIDTH), np.uint8)
+    labels[:, :EDGE] = TISSUE
+    labels[40:56, EDGE + gap :] = TOOL
+    depth[labels == TOOL] -= lift
+    depth[20:24, EDGE - 8 : EDGE] = 0.6 - lift
+    return depth.astype(np.float32), labels
+
+
+def test_the_nearest_pair_is_the_closest_of_all_points_at_any_distance():
+    depth, labels = hovering(gap=6, lift=0.2)
+    with pytest.raises(GeometryStatus, match=r"The tool is .* from the tissue"):
+        frame_geometry(depth, labels, CAMERA, GRID)
+    found = frame_geometry(depth, labels, CAMERA, NEAREST)
+    points = back_project(depth, CAMERA).astype(np.float64)
+    tool, tissue = points[labels == TOOL], points[labels == TISSUE]
+    apart = np.linalg.norm(tool[:, None] - tissue[None], axis=2)
+    assert found.distance == pytest.approx(apart.min(), rel=1e-5)
+    closest = tissue[np.unravel_index(apart.argmin(), apart.shape)[1]]
+    np.testing.assert_allclose(found.tissue_point, closest, atol=1e-6)
+    assert found.touching is False
+
+
+def test_where_the_outlines_touch_the_nearest_pair_may_lie_elsewhere():
+    """The tool touches flat tissue beside it in the picture, and in space it is nearer to a bump farther up."""
+    depth, labels = hovering(gap=0, lift=0.2)
+    beside, nearest = (frame_geometry(depth, labels, CAMERA, settings) for settings in (GRID, NEAREST))
+    assert beside.touching
+    assert nearest.touching
+    assert 40 <= beside.pixel[1] < 56
+    assert nearest.pixel[1] == 23
+    assert nearest.distance < beside.distance
+
+
+def test_a_tool_that_has_let_go_gives_pairs_as_long_as_it_is_seen(tmp_path):
+    """It touches in frames 2 and 3, hovers in 4 to 6 and is gone from 7 on."""
+    folder = write_clip(tmp_path / "video01" / "video01_00000", contact=(2, 3, 4, 5, 6), frames=9)
+    for index in (4, 5, 6):
+        file = str(folder / f"frame_{index}_endo_color_mask.png")
+        mask = cv2.imread(file)
+        mask[:, EDGE : EDGE + 8 * (index - 3)] = 0  # the tool draws back
+        cv2.imwrite(file, mask)
+    near, far = (prepare(folder, replace(SETTINGS, geometry=g), tmp_path / "cache") for g in (GRID, NEAREST))
+    assert list_frames(near, SampleSettings(geometry=GRID))[0] == [2]
+    frames, left_out = list_frames(far, SampleSettings(geometry=NEAREST))
+    assert frames == [2, 3, 4, 5]
+    assert left_out == {"no_tool": 4, "next frame not in contact": 1}
+    released = make_interaction(far, 4, SampleSettings(geometry=NEAREST))
+    points = [frame.contact.tissue_point for frame in ClipStream(
+        open_source(folder, LAYOUT), replace(SETTINGS, geometry=NEAREST)
+    ) if frame.in_contact]  # fmt: skip
+    np.testing.assert_allclose(released.moved[0], points[3] - points[2], atol=1e-6)
+
+
+def test_the_real_clip_s_contact_pairs(real_data):
+    """The grasper holds on in frames 149 to 159: all ten pairs count either way, and eight of them agree."""
+    folder = real_data / "cholecseg8k" / "video01" / "video01_00080"
+    size = {"height": 120, "width": 214, "displacement": "redetected"}
+    source, layout = open_source(folder, LAYOUT), LAYOUT
+    masks = open_masks("annotation", layout, MaskClasses(), folder)
+    camera = Camera.from_field_of_view(60.0, 214, 120)
+    pixels = {"touching": [], "nearest": []}
+    for frame in source:
+        if frame.number < 149:
+            continue
+        shape = frame.picture.shape[:2]
+        # Stands in for a depth network's map, which has no depth stored beside it here: the tissue's own slope.
+        flat = np.full(shape, 0.5, np.float32) + np.linspace(0, 0.1, shape[0], dtype=np.float32)[:, None]
+        depth, labels = resize_depth(flat, masks(frame), (120, 214))
+        for contact, found in pixels.items():
+            found.append(frame_geometry(depth, labels, camera, replace(GRID, contact=contact, **size)).pixel)
+    assert len(pixels["touching"]) == len(pixels["nearest"]) == 11
+
+
+# --- curation, rounding, depth that was forgotten --------------------------------------------------------------------
+
+
+def test_clips_that_hardly_deform_are_left_out(tmp_path):
+    """One video recedes by 0.002 a frame under the tool, the other does not move at all."""
+    write_video(tmp_path / "data", 1, (0,))
+    write_video(tmp_path / "data", 2, (0,), recede=0.0)
+    data = module(tmp_path, min_clip_deformation=0.001)
+    data.prepare_data()
+    with pytest.warns(UserWarning, match="samples of 1 video"):
+        data.setup("fit")
+    assert {data.clips[clip].name for places in data.places.values() for clip, _ in places} == {"video01_00000"}
+    assert data.left_out["clip hardly deforms"] == 3
+    with pytest.raises(ValueError, match="min_clip_deformation is -1"):
+        SampleSettings(min_clip_deformation=-1)
+
+
+@pytest.mark.parametrize("rounded", ["grid", "picture"])
+def test_depth_is_rounded_before_or_after_it_is_resized(tmp_path, rounded: str):
+    folder = write_clip(tmp_path / "clip", frames=2)
+    settings = replace(SETTINGS, depth=DepthSettings(source="stored", bits=8, rounded=rounded))
+    prepared = next(iter(ClipStream(open_source(folder, LAYOUT), settings)))
+    stored = cv2.imread(str(folder / "frame_0_endo_depth.png"), cv2.IMREAD_UNCHANGED).astype(np.float32) / 65535
+    labels = np.where(np.arange(WIDTH) < EDGE, TISSUE, 0).astype(np.uint8)[None].repeat(HEIGHT, 0)
+    if rounded == "picture":
+        expected = resize_depth(normalise(stored, 1.0, 8), labels, (48, 64))[0]
+    else:
+        expected = normalise(resize_depth(stored, labels, (48, 64))[0], 1.0, 8)
+    np.testing.assert_allclose(prepared.depth, expected, atol=1e-6)
+    on_a_level = np.abs(prepared.depth * 255 - np.rint(prepared.depth * 255)).max() < 1e-3
+    assert on_a_level == (rounded == "grid")  # a mean of two levels lies between them
+
+
+def test_depth_beyond_the_scale_is_refused_before_it_is_rounded(tmp_path):
+    folder = write_clip(tmp_path / "clip", contact=(0, 1), frames=2)
+    settings = replace(SETTINGS, depth=DepthSettings(source="stored", bits=8, rounded="picture", scale=0.1))
+    prepared = next(iter(ClipStream(open_source(folder, LAYOUT), settings)))
+    assert prepared.status == "bad_depth"
+    assert "Half of the depth lies beyond" in prepared.detail
+    assert not prepared.depth.any()
+
+
+def test_without_stored_depth_training_says_whose_depth_it_takes(tmp_path):
+    (folder,) = write_video(tmp_path / "data", 1, (0,))
+    for file in folder.glob("*_depth.png"):
+        file.unlink()
+    with pytest.warns(UserWarning, match=r"no stored depth in 1 of 1 clips.*shading; give --data\.depth\.source"):
+        module(tmp_path).prepare_data()
+    with pytest.raises(InputError, match=r"depthpro needs a model file.*depth\.model"):
+        module(tmp_path, depth=DepthSettings(source="depthpro")).prepare_data()

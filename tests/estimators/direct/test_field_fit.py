@@ -10,11 +10,12 @@ import pytest
 from data.contact.film import REACH
 from data.contact.interaction import Interaction
 from estimators.direct.field import FieldProblem
-from estimators.direct.field_fit import NARROW, STARTS, field_starts, fit_field
-from estimators.direct.problem import APART
+from estimators.direct.field_fit import ENOUGH, NARROW, ROUND, STARTS, field_starts, first_draws, fit_field
+from estimators.direct.problem import APART, Optimum
+from estimators.direct.sampling import sample_posterior
 from estimators.estimate import Estimate
-from physics.identifiability import covariance
-from physics.mechanics import Bounds
+from physics.identifiability import box_information, covariance
+from physics.mechanics import RECOMMENDED, Bounds
 from tests.estimators.direct.test_field import (
     LARGER,
     MECHANICS,
@@ -127,6 +128,39 @@ def test_delays_are_found_as_well(name: str, delays: tuple[float, float]) -> Non
     # Who knows the instants knows more.
     known = fit(contact_of(theta, 0.0, 0.0))
     assert (estimate.log_sd > known.log_sd).all()
+
+
+@pytest.mark.parametrize(("seen", "known"), [(1.9, 0.5), (1.6, 0.35), (1.0, 0.1)])
+def test_the_first_draws_reach_a_long_tail_towards_firm_tissue(seen: float, known: float) -> None:
+    """Inertia over scale is seen with an even error, both ratios exactly: the posterior by quadrature.
+
+    Args:
+        seen: of inertia over scale, over that in tissue in the middle of the box.
+        known: its standard deviation.
+    """
+    box, ratio = RECOMMENDED.log_box, 0.02
+    middle, prior = box.mean(axis=0), box_information(box)
+    mix = np.array([[1.0, -1.0, 0.0], [0.0, -1.0, 1.0]]) / ratio
+
+    def likelihoods(logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        apart = logs - middle
+        left = (np.exp(-apart[:, 0]) - seen) / known
+        values = -0.5 * (left**2 + np.square(apart @ mix.T).sum(axis=1))[:, None]
+        return values, values
+
+    best = middle - np.log(seen)
+    slopes = np.vstack([[-seen / known, 0.0, 0.0], mix])
+    start = first_draws([Optimum(best, 0.0, slopes.T @ slopes)], 1.0, prior)
+    none = np.empty((0, 3))
+    draws = sample_posterior(likelihoods, box, start, (none, likelihoods(none)), ROUND, ENOUGH)
+    half = 0.5 * (box[1] - box[0]).min()
+    scales = np.linspace(-half, half, 20_001)
+    weights = np.exp(-0.5 * np.square((np.exp(-scales) - seen) / known))
+    weights /= weights.sum()
+    mean = weights @ scales
+    sd = np.sqrt(weights @ np.square(scales - mean))
+    assert (draws.mean[0] - middle[0] - mean) / sd == pytest.approx(0, abs=0.12)
+    assert np.sqrt(draws.covariance[0, 0]) == pytest.approx(sd, rel=0.1)
 
 
 @pytest.mark.slow

@@ -106,6 +106,8 @@ paper: $(INSTALLED)
 	$(PRESSES) --seed 33 --first 10 --presses 15
 	$(REPRODUCE) --ckpt_path last
 	$(subst fit,test,$(REPRODUCE)) --ckpt_path best
+	$(BIN)/python -m evaluation.paper.recovered $(PAPER)/training/evaluation $(PAPER)/clips
+	$(BIN)/python -m evaluation.paper.readings
 
 clean:
 	rm -rf .venv runs build *.egg-info

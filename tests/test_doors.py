@@ -25,6 +25,8 @@ DOORS = {
     "evaluation.ablations": ["-m", "evaluation.ablations"],
     "evaluation.beside_truth": ["-m", "evaluation.beside_truth"],
     "evaluation.next_depth": ["-m", "evaluation.next_depth"],
+    "evaluation.paper.readings": ["-m", "evaluation.paper.readings"],
+    "evaluation.paper.recovered": ["-m", "evaluation.paper.recovered"],
     "evaluation.real.__main__": ["-m", "evaluation.real"],
     "benchmarks.automatic_masks": ["-m", "benchmarks.automatic_masks"],
     "benchmarks.fem": ["-m", "benchmarks.fem"],

@@ -24,9 +24,10 @@ from data.source.frames import discover, open_source
 from data.source.layout import ClipLayout
 from data.synthetic import clip as clips
 from data.synthetic.__main__ import field_help, main, picture_size
-from data.synthetic.clip import MARKER, SyntheticClip, clip_seed, make_clip, write_clip
+from data.synthetic.clip import MARKER, SyntheticClip, clip_seed, folder_start, make_clip, write_clip
 from data.synthetic.files import open_video
 from data.synthetic.settings import SceneSettings
+from data.training.cholecseg8k import join_folders, list_clips
 
 SMALL = SceneSettings(
     width=108,
@@ -65,6 +66,25 @@ def test_errors_of_observation_leave_the_truth_alone() -> None:
     np.testing.assert_array_equal(clean.motion.response, noisy.motion.response)
     np.testing.assert_array_equal(clean.images, noisy.images)
     assert noisy.camera.fx == pytest.approx(1.2 * noisy.scene.camera.fx)
+
+
+def test_a_video_of_several_presses_has_a_folder_and_a_truth_each(tmp_path: Path, written: Path) -> None:
+    first = write_clip(tmp_path, 7, SMALL, 11, presses=3)
+    folders = sorted(path for path in first.parent.iterdir() if path.is_dir())
+    assert [folder.name for folder in folders] == ["video07_00000", "video07_00080", "video07_00160"]
+    assert first == folders[0]
+    assert (first / "frame_9_endo.png").read_bytes() == (written / "frame_9_endo.png").read_bytes()
+    numbers = [source.files[0][0] for source in (open_source(folder, ClipLayout()) for folder in folders)]
+    assert numbers == [0, 80, 160]
+    truths = [json.loads((folder / "truth.json").read_text(encoding="utf-8")) for folder in folders]
+    assert len({truth["theta"]["stiffness"] for truth in truths}) == 3
+    assert join_folders(list_clips(tmp_path, ClipLayout()), ClipLayout()) == dict.fromkeys(folders, ())
+    before = (folders[2] / "truth.npz").stat().st_mtime_ns
+    assert write_clip(tmp_path, 7, SMALL, 11, presses=3) == first
+    assert (folders[2] / "truth.npz").stat().st_mtime_ns == before
+    with pytest.raises(FileExistsError, match="made with other settings"):
+        write_clip(tmp_path, 7, SMALL, 11, presses=2)
+    assert [folder_start(frames, 1) for frames in (14, 79, 80, 200)] == [80, 80, 160, 240]  # never adjacent
 
 
 def test_files_have_cholecseg8ks_names_and_colors(written: Path, clip: SyntheticClip) -> None:

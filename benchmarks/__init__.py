@@ -6,6 +6,7 @@ fem                 a body at rest, its tangents and its adjoint against element
 training_step       where the time of a training step goes
 physics_plots       the pictures of docs/physics.md
 observation_bounds  what each kind of observation can tell about θ
+following           following tissue points: time a frame, and error where the motion is known
 tracking_errors     errors of tracked contacts, for the direct estimator's error model
 automatic_masks     automatic masks against annotation
 photometric_depth   photometric depth against stereo depth and truth

@@ -30,6 +30,7 @@ DOORS = {
     "evaluation.real.__main__": ["-m", "evaluation.real"],
     "benchmarks.automatic_masks": ["-m", "benchmarks.automatic_masks"],
     "benchmarks.fem": ["-m", "benchmarks.fem"],
+    "benchmarks.following": ["-m", "benchmarks.following"],
     "benchmarks.inference": ["-m", "benchmarks.inference"],
     "benchmarks.observation_bounds": ["-m", "benchmarks.observation_bounds"],
     "benchmarks.photometric_depth": ["-m", "benchmarks.photometric_depth"],

@@ -1,6 +1,8 @@
 """Hundreds of tissue points followed over a clip, in pixels of its pictures.
 
-following   a grid of points, from the first picture on; background: the camera's own motion taken off
+following    a grid of points, from the first picture on
+linking      where the places of one picture are in another one
+background   the camera's own motion taken off
 """
 
 from physics.lazy import exported

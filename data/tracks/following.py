@@ -1,7 +1,8 @@
-"""Follows a grid of tissue points through a clip by dense optical flow, checked forwards and backwards.
+"""Follows a grid of tissue points through a clip, in its pictures' plane, with the noise of every point.
 
-Dense inverse search flow (Kroeger 2016, OpenCV's DIS), its finest scale half the picture's; the check is Kalal 2010's.
-A point that is lost stays lost: what comes back from under a tool need not be the same tissue.
+Every picture is linked to the one before (`data.tracks.linking`), and every few pictures to the first one: errors don't
+add up while its tissue is in view, and a point that an instrument hid is found again where the motion of its
+neighbours, the way back, and the first picture's pattern all say so.
 """
 
 from __future__ import annotations
@@ -9,27 +10,41 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from data.tracks.linking import Linker, resemblance
+
 SPACING = 8
 """Of the grid of points [px]."""
 MARGIN = 5.0
 """No point begins nearer to the tool [px]."""
-TOUCHED = 3.0
+TOUCHED = 3
 """A point that comes nearer to the tool is lost: it may be the tool's [px]."""
 BORDER = 3
 """And one that comes nearer to the picture's edge [px]."""
-CHECK = 1.5
+CHECK = 2.5
 """Largest distance to where flow and backward flow return a point [px]."""
+RELINKED = 3
+"""Every so many pictures are linked to the first one [frames]."""
+FOUND = 4.0
+"""A link to the first picture counts where it ends so near to where the point is expected [px]."""
+ALIKE = 0.8
+"""And where the patterns around the point resemble each other so much."""
+NOISE, RETURNED = 0.1, 0.8
+"""Standard deviation of a link by axis: √(NOISE² + (RETURNED · distance to where the way back ends)²) [px]."""
 WIDEST = 854
 """Wider or higher pictures are shrunk to this before their points are followed, which would take too long [px]."""
 DARK = 20
 """Of 255: where no channel is brighter there is no picture, outside an endoscope's round field."""
 RIM = 15
 """Width of the square by which the picture's field is shrunk [px]."""
+REACHES = ((2, 1.0), (8, 1e-2), (32, 1e-4))
+"""Standard deviations [points] and weights of the kernels by which seen neighbours tell the motion of a lost point."""
 
 
 def lit_field(picture: np.ndarray) -> np.ndarray:
     """Where an RGB picture [H, W, 3] shows anything, away from its edge, bool [H, W]."""
-    return cv2.erode((picture.max(axis=2) > DARK).astype(np.uint8), np.ones((RIM, RIM), np.uint8)) > 0
+    red, green, blue = cv2.split(picture)
+    brightest = cv2.max(cv2.max(red, green), blue)
+    return cv2.erode((brightest > DARK).astype(np.uint8), np.ones((RIM, RIM), np.uint8)) > 0
 
 
 def tool_distance(tool: np.ndarray) -> np.ndarray:
@@ -47,46 +62,79 @@ class PointFollower:
     """
 
     def __init__(self, picture: np.ndarray, tool: np.ndarray, spacing: int = SPACING) -> None:
-        self._flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
         picture, tool = shrunk(picture, tool)
-        self._gray = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
-        self._lit = lit_field(picture)
-        height, width = self._gray.shape
+        self._rest = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
+        height, width = self._rest.shape
         rows, columns = np.mgrid[spacing : height - spacing : spacing, spacing : width - spacing : spacing]
-        away = tool_distance(tool)
-        places = np.column_stack([columns.ravel(), rows.ravel()])
-        at = places[:, 1], places[:, 0]
-        places = places[(away[at] > MARGIN) & self._lit[at]]
+        away, lit = tool_distance(tool), lit_field(picture)
+        self._grid = (away[rows, columns] > MARGIN) & lit[rows, columns]
+        rows, columns = rows[self._grid], columns[self._grid]
         self.spacing = spacing
-        self.points = places.astype(np.float32)
+        self.points = np.column_stack([columns, rows]).astype(np.float32)
         """Where they are in the first picture, shape [N, 2] (column, row) [px]."""
-        self.distance = away[places[:, 1], places[:, 0]]
+        self.distance = away[rows, columns]
         """From the tool there, shape [N] [px]."""
         self.place = self.points.copy()
         """Where they are now, or were last seen, shape [N, 2] [px]."""
-        self.followed = np.ones(len(places), bool)
-        """Which are still followed, shape [N]."""
+        self.followed = np.ones(len(self.points), bool)
+        """Which are seen, shape [N]."""
+        self.noise = np.zeros(len(self.points))
+        """Standard deviation of their places by axis, or of where they were last seen, shape [N] [px]."""
+        self._linker, self._count = Linker(self._rest.shape), 0
+        self._first = self._before = self._linker.half(self._rest)
 
     @property
     def moved(self) -> np.ndarray:
-        """Displacement since the first picture, shape [N, 2] [px]; not a number where a point is lost."""
+        """Displacement since the first picture, shape [N, 2] [px]; not a number where a point is not seen."""
         return np.where(self.followed[:, None], self.place - self.points, np.nan).astype(np.float64)
 
     def step(self, picture: np.ndarray, tool: np.ndarray) -> None:
         """Follow the points into the next picture, with its tool's mask."""
         picture, tool = shrunk(picture, tool)
-        before, self._gray = self._gray, cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
-        there = self._flow.calc(before, self._gray, None)  # ty: ignore[no-matching-overload]  no first guess
-        back = self._flow.calc(self._gray, before, None)  # ty: ignore[no-matching-overload]  no first guess
-        step = _sampled(there, self.place)
-        place = self.place + step
-        height, width = self._gray.shape
-        inside = (place > BORDER).all(axis=1) & (place < [width - 1 - BORDER, height - 1 - BORDER]).all(axis=1)
-        returned = np.linalg.norm(step + _sampled(back, place), axis=1)
-        column, row = np.clip(place, 0, [width - 1, height - 1]).astype(int).T
-        tissue = (tool_distance(tool)[row, column] > TOUCHED) & self._lit[row, column]
-        self.followed &= inside & (returned < CHECK) & tissue
-        self.place = np.where(self.followed[:, None], place, self.place).astype(np.float32)
+        gray, tissue = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), _tissue(picture, tool)
+        before, self._before = self._before, self._linker.half(gray)
+        place, returned = self._linker.link(before, self._before, self.place)
+        self.followed &= (returned < CHECK) & _within(tissue, place)
+        self._see(place, self.followed, np.square(self.noise) + _variance(returned))
+        self._count += 1
+        if self._count % RELINKED == 0 and self.followed.any():
+            self._relink(gray, tissue)
+
+    def _relink(self, gray: np.ndarray, tissue: np.ndarray) -> None:
+        """Link the first picture to this one: against drift, and to find lost points again."""
+        around = self._filled()
+        place, returned = self._linker.link(self._first, self._before, self.points, self._guess(around))
+        expected = np.where(self.followed[:, None], self.place, self.points + around[self._grid])
+        good = (returned < CHECK) & (np.linalg.norm(place - expected, axis=1) < FOUND) & _within(tissue, place)
+        good &= resemblance(self._rest, gray, self.points, place) > ALIKE
+        self.followed = self.followed | good
+        self._see(place, good, _variance(returned))
+
+    def _see(self, place: np.ndarray, seen: np.ndarray, variance: np.ndarray) -> None:
+        self.place = np.where(seen[:, None], place, self.place).astype(np.float32)
+        self.noise = np.where(seen, np.sqrt(variance), self.noise)
+
+    def _filled(self) -> np.ndarray:
+        """Motion of the whole grid, of what is not seen by its neighbours, float32 [rows, columns, 2] [px]."""
+        weight = np.zeros(self._grid.shape, np.float32)
+        weight[self._grid] = self.followed
+        motion = np.zeros((*self._grid.shape, 3), np.float32)
+        motion[self._grid, :2] = np.where(self.followed[:, None], self.place - self.points, 0)
+        motion[..., 2] = weight
+        total = np.zeros_like(motion)
+        for reach, share in REACHES:
+            total += share * cv2.GaussianBlur(motion, (0, 0), reach)
+        return total[..., :2] / np.maximum(total[..., 2:], np.finfo(np.float32).tiny)
+
+    def _guess(self, motion: np.ndarray) -> np.ndarray:
+        """Flow of the halved pictures from the grid's motion, float32 [H/2, W/2, 2]."""
+        shares = self._linker.shares
+        columns, rows = (
+            (((np.arange(count) + 0.5) * share - 0.5) / self.spacing - 1).astype(np.float32)
+            for count, share in zip(self._linker.size, shares, strict=True)
+        )
+        maps = np.meshgrid(columns, rows)
+        return cv2.remap(motion, maps[0], maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) / shares
 
 
 def shrunk(picture: np.ndarray, tool: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -100,9 +148,23 @@ def shrunk(picture: np.ndarray, tool: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return cv2.resize(picture, size, interpolation=cv2.INTER_AREA), small
 
 
-def _sampled(field: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Bilinear values of a field [H, W, 2] at places [N, 2] (column, row)."""
-    if not len(places):
-        return np.zeros((0, 2), np.float32)
-    columns, rows = (np.ascontiguousarray(places[:, [axis]], np.float32) for axis in (0, 1))
-    return cv2.remap(field, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).reshape(-1, 2)
+def _tissue(picture: np.ndarray, tool: np.ndarray) -> np.ndarray:
+    """Where a followed point may be, bool [H, W]: lit, away from the tool and from the picture's edge."""
+    offsets = np.arange(-TOUCHED, TOUCHED + 1)
+    disc = (np.hypot(*np.meshgrid(offsets, offsets)) <= TOUCHED).astype(np.uint8)
+    found = lit_field(picture) & (cv2.dilate(tool.astype(np.uint8), disc) == 0)
+    inner = np.zeros_like(found)
+    inside = slice(BORDER + 1, -BORDER - 1)
+    inner[inside, inside] = found[inside, inside]
+    return inner
+
+
+def _within(tissue: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Which places [N, 2] are on it, bool [N]."""
+    height, width = tissue.shape
+    column, row = np.clip(place, 0, [width - 1, height - 1]).astype(int).T
+    return tissue[row, column]
+
+
+def _variance(returned: np.ndarray) -> np.ndarray:
+    return NOISE**2 + np.square(RETURNED * returned)

@@ -8,7 +8,18 @@ import cv2
 import numpy as np
 import pytest
 
-from data.tracks.following import BORDER, MARGIN, RIM, SPACING, TOUCHED, PointFollower, lit_field, tool_distance
+from data.tracks.following import (
+    BORDER,
+    MARGIN,
+    NOISE,
+    RELINKED,
+    RIM,
+    SPACING,
+    TOUCHED,
+    PointFollower,
+    lit_field,
+    tool_distance,
+)
 
 HEIGHT, WIDTH = 128, 176
 NO_TOOL = np.zeros((HEIGHT, WIDTH), bool)
@@ -92,7 +103,7 @@ def test_a_shift_is_followed() -> None:
 
 @pytest.mark.parametrize("frames", [1, 4])
 def test_a_smooth_motion_is_followed(frames: int) -> None:
-    """Half-resolution flow errs by a tenth of a pixel, towards whole pixels, so that errors of frames add up."""
+    """Half-resolution flow errs by a tenth of a pixel, so that errors of frames add up."""
     picture = texture(1)
     follower = PointFollower(picture, NO_TOOL)
     for share in np.arange(1, frames + 1) / frames:
@@ -101,21 +112,71 @@ def test_a_smooth_motion_is_followed(frames: int) -> None:
     assert np.linalg.norm(expected, axis=1).max() > 5
     off = np.linalg.norm(follower.moved - expected, axis=1)[follower.followed]
     assert follower.followed.mean() > 0.9
-    assert np.median(off) < 0.1 * frames
-    assert np.quantile(off, 0.95) < (0.3 if frames == 1 else 0.5)
+    assert np.median(off) < 0.15 * frames
+    assert np.quantile(off, 0.95) < (0.4 if frames == 1 else 0.6)
 
 
-def test_points_under_the_tool_are_lost_and_stay_lost() -> None:
+def test_points_under_the_tool_are_lost_until_the_first_picture_tells_where_they_are() -> None:
     picture = texture(2)
     follower = PointFollower(picture, NO_TOOL)
     columns = follower.points[:, 0]
     follower.step(picture, left_of(81))
-    np.testing.assert_array_equal(follower.followed, columns - 80 > TOUCHED)
-    assert np.isnan(follower.moved[columns <= 80]).all()
-    np.testing.assert_allclose(follower.moved[columns > 88], 0, atol=0.05)
+    seen = columns - 80 > TOUCHED
+    for _ in range(RELINKED - 2):
+        np.testing.assert_array_equal(follower.followed, seen)
+        assert np.isnan(follower.moved[columns <= 80]).all()
+        np.testing.assert_allclose(follower.moved[columns > 88], 0, atol=0.05)
+        np.testing.assert_array_equal(follower.place[columns <= 80], follower.points[columns <= 80])
+        follower.step(picture, NO_TOOL)
     follower.step(picture, NO_TOOL)
-    np.testing.assert_array_equal(follower.followed, columns - 80 > TOUCHED)
-    np.testing.assert_array_equal(follower.place[columns <= 80], follower.points[columns <= 80])
+    assert follower.followed.all()
+    np.testing.assert_allclose(follower.moved, 0, atol=0.05)
+
+
+def test_a_point_behind_the_tool_is_found_where_its_neighbours_went() -> None:
+    """A shift under a tool that passes."""
+    picture = texture(6)
+    follower = PointFollower(picture, NO_TOOL)
+    hidden = np.hypot(*(follower.points - [96, 64]).T) < 24
+    for index in range(1, RELINKED + 1):
+        tool = np.hypot(*np.meshgrid(np.arange(WIDTH) - 96, np.arange(HEIGHT) - 64)) < 30
+        now = warped(picture, shift(2.0 * index, -index))
+        now[tool] = 30
+        if index < RELINKED:
+            follower.step(now, tool)
+            assert not follower.followed[hidden].any()
+        else:
+            follower.step(warped(picture, shift(2.0 * index, -index)), NO_TOOL)
+    assert follower.followed[hidden].mean() > 0.9
+    expected = np.broadcast_to([2.0 * RELINKED, -RELINKED], follower.points.shape)
+    off = np.linalg.norm(follower.moved - expected, axis=1)[hidden & follower.followed]
+    assert np.median(off) < 0.3
+
+
+def test_another_tissue_is_not_taken_for_a_lost_point() -> None:
+    """What appears behind the tool has another pattern."""
+    picture, other = texture(2), texture(7)
+    follower = PointFollower(picture, NO_TOOL)
+    changed = np.where(left_of(81)[..., None], other, picture)
+    follower.step(picture, left_of(81))
+    for _ in range(RELINKED - 1):
+        follower.step(changed, NO_TOOL)
+    assert follower.followed[follower.points[:, 0] <= 72].mean() < 0.05
+
+
+def test_links_to_the_first_picture_keep_errors_from_adding_up() -> None:
+    """There and back by half pixels twenty times; noise told is that of the last links alone."""
+    picture = texture(8)
+    follower = PointFollower(picture, NO_TOOL)
+    for index in range(1, 4 * RELINKED + 1):
+        follower.step(warped(picture, shift(1.5 * np.sin(index), 0.7 * np.cos(index))), NO_TOOL)
+    last = 4 * RELINKED
+    expected = [1.5 * np.sin(last), 0.7 * np.cos(last)]
+    off = (follower.moved - expected)[follower.followed]
+    assert np.sqrt(np.square(off).mean()) < 0.12
+    assert np.median(follower.noise) < 2 * NOISE
+    follower.step(picture, NO_TOOL)
+    assert np.median(follower.noise) > np.sqrt(2) * NOISE
 
 
 def test_points_that_leave_the_picture_are_lost() -> None:
@@ -138,7 +199,7 @@ def test_what_flow_back_does_not_return_is_lost() -> None:
     follower = PointFollower(picture, NO_TOOL)
     follower.step(other, NO_TOOL)
     columns = follower.points[:, 0]
-    assert follower.followed[columns < WIDTH / 2 - 16].mean() < 0.5
+    assert follower.followed[columns < WIDTH / 2 - 16].mean() < 0.6
     assert follower.followed[columns > WIDTH / 2 + 16].all()
 
 

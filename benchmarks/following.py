@@ -1,0 +1,83 @@
+"""How long following tissue points takes a frame, and how far off it is where the motion is known.
+
+    python -m benchmarks.following
+
+Smoothed noise of 854x480 is pulled by 40 px within 25 frames: motion dies away over 60 px around the middle. Errors are
+of the points that move by more than 10 px, in the last frame; their share of the told noise is told, too.
+"""
+
+from __future__ import annotations
+
+from physics.doors import enter_door, run_door
+
+if __name__ == "__main__":
+    enter_door()  # before the slow imports
+
+import cv2
+import numpy as np
+
+from benchmarks.shared import command_line, machine, print_table, timed
+from data.tracks.following import PointFollower
+
+WIDTH, HEIGHT, FRAMES = 854, 480, 25
+PULL, DECAY = np.array([30.0, -26.0]), 60.0
+FAR = 10.0
+"""Points that move farther count [px]."""
+THREADS = (1, 2)
+
+
+def motion(places: np.ndarray, share: float) -> np.ndarray:
+    """How far places [..., 2] (column, row) have moved [px]."""
+    away = np.linalg.norm(places - [WIDTH / 2, HEIGHT / 2], axis=-1, keepdims=True)
+    return share * PULL * np.exp((DECAY - np.hypot(away, DECAY)) / DECAY)
+
+
+def pictures(seed: int) -> list[np.ndarray]:
+    """The clip, RGB; its grey values have a noise of 2 of 255."""
+    random = np.random.default_rng(seed)
+    smooth = cv2.GaussianBlur(random.normal(size=(HEIGHT, WIDTH, 3)), (0, 0), 3)
+    rest = 130 + 30 * smooth / smooth.std()
+    here = np.stack(np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT)), axis=-1).astype(np.float64)
+    found = []
+    for share in np.linspace(0, 1, FRAMES):
+        source = here
+        for _ in range(30):  # which place came here
+            source = here - motion(source, share)
+        maps = source.astype(np.float32)
+        moved = cv2.remap(rest, maps[..., 0], maps[..., 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
+        found.append(np.clip(moved + random.normal(0, 2, moved.shape), 0, 255).astype(np.uint8))
+    return found
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Print the table; returns the exit status."""
+    command_line(__doc__).parse_args(arguments)
+    clip, tool = pictures(0), np.zeros((HEIGHT, WIDTH), bool)
+    print(f"{WIDTH}x{HEIGHT}, {FRAMES - 1} frames ({machine()})\n")
+    rows = []
+    for threads in THREADS:
+        cv2.setNumThreads(threads)
+        follower = PointFollower(clip[0], tool)
+        times = [timed(follower.step, picture, tool)[1] for picture in clip[1:]]
+        true = motion(follower.points.astype(np.float64), 1.0)
+        far = np.linalg.norm(true, axis=1) > FAR
+        off = (follower.moved - true)[far & follower.followed]
+        told = follower.noise[far & follower.followed]
+        length = np.linalg.norm(off, axis=1)
+        rows.append(
+            [
+                threads,
+                len(follower.points),
+                *(f"{value:.1f}" for value in (np.mean(times), np.median(times), np.min(times))),
+                f"{follower.followed[far].mean():.1%}",
+                *(f"{value:.2f}" for value in (np.median(length), np.quantile(length, 0.95))),
+                f"{np.sqrt(np.square(off).mean()) / np.sqrt(np.square(told).mean()):.2f}",
+            ]
+        )
+    names = ("threads", "points", "mean [ms a frame]", "median", "least", "followed", "median error [px]", "95 %")
+    print_table((*names, "error over told noise"), rows)
+    return 0
+
+
+if __name__ == "__main__":
+    run_door(main)

@@ -13,7 +13,7 @@ import torch
 from data.contact.interaction import Interaction
 from evaluation.paper.baselines import fit_constant_theta, no_motion_errors, simulate_contacts
 from evaluation.paper.collapse import as_told, conclude, spread_of
-from evaluation.paper.motion import motion_row, settle
+from evaluation.paper.motion import median_share, motion_row, settle
 from evaluation.paper.statistics import Statistics, compare, describe, format_number, summarise
 from models.records import with_reference_tissue
 from physics.mechanics import PARAMETERS, REFERENCE_DAMPING, REFERENCE_STIFFNESS, Bounds, Mechanics
@@ -134,6 +134,8 @@ def analyse(
         PREDICTED: (theta, settle(predicted, load_steps, mechanics)),
     }
     motion = {name: motion_row(settling, own, contacts, mechanics) for name, (own, settling) in simulated.items()}
+    for name, trajectories in ((REFERENCE, reference), (PREDICTED, predicted)):
+        motion[name]["median of highest peak"] = median_share(trajectories)
     settling = {name: frames[["clip", "frame"]].join(settling) for name, (_, settling) in simulated.items()}
 
     seen = [(one.observation.times.tobytes(), one.moved.tobytes()) for one in contacts]

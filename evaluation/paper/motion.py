@@ -57,6 +57,18 @@ def settle(trajectories: np.ndarray, load_steps: np.ndarray, mechanics: Mechanic
     )
 
 
+def median_share(trajectories: np.ndarray) -> float:
+    """How high the median displacement rises, as a share of the highest peak of all (Bini 2026, figure 3b).
+
+    Args:
+        trajectories: as in `settle`; those that aren't finite are left out.
+    """
+    distance = np.linalg.norm(np.asarray(trajectories, dtype=float), axis=2)
+    distance = distance[np.isfinite(distance).all(axis=1)]
+    peak = distance.max(initial=0.0)
+    return float(np.median(distance, axis=0).max() / peak) if peak > 0 else np.nan
+
+
 def amplification(theta: np.ndarray, contacts: Sequence[Interaction], mechanics: Mechanics) -> np.ndarray:
     """How much a trajectory answers to a minute change of F, shape [n]; about 1 where the motion is regular.
 

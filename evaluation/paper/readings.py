@@ -28,7 +28,7 @@ import numpy as np
 from data.command_line import whole_number
 from data.synthetic.scene import Scene, draw_scene
 from data.synthetic.settings import SceneSettings
-from evaluation.paper.motion import settle
+from evaluation.paper.motion import median_share, settle
 from evaluation.paper.statistics import format_number
 from evaluation.tables import to_markdown
 from physics.load import Press, held
@@ -136,7 +136,6 @@ def measure(reading: Reading, scenes: Sequence[Scene], theta: np.ndarray) -> dic
     tissue = np.broadcast_to([REFERENCE_STIFFNESS, REFERENCE_DAMPING], (len(theta), 2))
     paths, others = (motions(reading, scenes, each) for each in (theta, np.column_stack([tissue, theta[:, 2]])))
     found = settle(paths, np.full(len(paths), mechanics.load_steps), mechanics)
-    distance = np.linalg.norm(paths, axis=2)
     after = float(found["settling_time_s"].median())
     reference = _root_mean_square(others[:, -1])
     values = (
@@ -146,7 +145,7 @@ def measure(reading: Reading, scenes: Sequence[Scene], theta: np.ndarray) -> dic
         reading.direction,
         reading.damping,
         float(found["peak"].median()),
-        float(np.median(distance, axis=0).max() / distance.max()),
+        median_share(paths),
         f"{(found['state'] == 'settled').sum()} of {len(paths)}",
         after,
         after + mechanics.load_steps * mechanics.time_step,

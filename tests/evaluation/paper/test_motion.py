@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from evaluation.paper.motion import amplification, motion_row, settle
+from evaluation.paper.motion import amplification, median_share, motion_row, settle
 from physics.mechanics import Mechanics
 from tests.evaluation.simple_contacts import MECHANICS as SHORT
 from tests.evaluation.simple_contacts import contact
@@ -35,6 +35,13 @@ def test_an_oscillation_settles_after_its_last_excursion():
     distance[:50] = 1.0
     distance[[60, 80]] = 0.06, 0.2  # index 80 is the time 0.81 s: the band is entered for good at 0.82 s
     assert _settle(distance)["settling_time_s"] == pytest.approx(0.32)
+
+
+def test_the_median_s_top_is_a_share_of_the_highest_peak():
+    rising = np.minimum(MECHANICS.times, 0.5)[None, :, None] * np.array([0.2, 0.6, 1.0])[:, None, None]
+    paths = np.concatenate([rising, np.full((1, 200, 1), np.nan)]) * np.array([0.6, 0.8, 0.0])
+    assert median_share(paths) == pytest.approx(0.6)
+    assert np.isnan(median_share(np.zeros((2, 200, 3))))
 
 
 def test_distance_is_the_vectors_length():

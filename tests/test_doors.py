@@ -24,6 +24,7 @@ DOORS = {
     "evaluation.calibration": ["-m", "evaluation.calibration"],
     "evaluation.ablations": ["-m", "evaluation.ablations"],
     "evaluation.beside_truth": ["-m", "evaluation.beside_truth"],
+    "evaluation.foreign.__main__": ["-m", "evaluation.foreign"],
     "evaluation.next_depth": ["-m", "evaluation.next_depth"],
     "evaluation.paper.readings": ["-m", "evaluation.paper.readings"],
     "evaluation.paper.recovered": ["-m", "evaluation.paper.recovered"],

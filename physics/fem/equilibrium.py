@@ -20,12 +20,12 @@ from physics.load import Grip, Load
 
 TOLERANCE = 1e-10
 """Largest force out of balance, over the largest sum of the elements' forces at a node."""
-_ITERATIONS = 60
+_ITERATIONS = 30
 _ARMIJO = 1e-4
 _SHORTEST = 2.0**-12
 _FORCING = 1e-3
 """Accuracy of a Newton step that is solved iteratively: the outer iteration squares it away."""
-_HALVINGS = 8
+_HALVINGS = 6
 
 
 class NoEquilibrium(ValueError):
@@ -196,12 +196,12 @@ def find_equilibrium(
         motion: where those are, from rest, shape [N, 3] [m]; the others' entries don't count; None = at rest.
         forces: on the nodes, shape [N, 3] [N]; None = none.
         start: displacement to begin at, shape [N, 3] [m]; None = rest.
-        steps: load steps, in which the motion goes from `start` to what is given; the forces grow with it from rest,
-            and act in full from a `start`.
+        steps: load steps, in which the motion goes from that at `start`, and the forces from those that hold the body
+            there, to what is given.
 
     Raises:
         ValueError: shapes that don't fit, numbers that are not finite, nothing held.
-        NoEquilibrium: none found, even with steps 2⁸ times smaller.
+        NoEquilibrium: none found, even with steps 2⁶ times smaller.
     """
     shape = solid.rest.shape
     motion = np.zeros(shape) if motion is None else np.asarray(motion, np.float64)
@@ -216,11 +216,12 @@ def find_equilibrium(
         raise ValueError("nothing is held, so nothing keeps the body in place; hold some nodes.")
     if np.size(material.young) not in (1, len(solid.elements)):
         raise ValueError(f"there are {np.size(material.young)} Young's moduli; give one, or {len(solid.elements)}.")
+    resting = _resting(solid, material, begun)
     displacement, iterations = begun, 0
     done, step, halvings = 0.0, 1.0 / steps, 0
     while done < 1:
         aim = 1.0 if done + step > 1 - 1e-9 else done + step
-        energy = Energy(solid, material, forces if start is not None else aim * forces)
+        energy = Energy(solid, material, resting + aim * (forces - resting))
         goal = np.where(held, begun + aim * (motion - begun), displacement)
         try:
             displacement, count = settle(energy, displacement, goal, held)
@@ -231,6 +232,12 @@ def find_equilibrium(
             continue
         done, iterations = aim, iterations + count
     return Equilibrium(energy, displacement, held, iterations)
+
+
+def _resting(solid: Solid, material: Material, displacement: np.ndarray) -> np.ndarray:
+    """Forces that hold a body as it is, shape [N, 3] [N]."""
+    none = Energy(solid, material, np.zeros_like(displacement))
+    return -none.out_of_balance(none.response(displacement), displacement)[0]
 
 
 def settle(

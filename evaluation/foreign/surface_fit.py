@@ -1,0 +1,243 @@
+"""The force on a body whose deformed surface is seen as points, its material known.
+
+Frank 2010, section VI, with the residual linearised instead of differentiated numerically: points are matched with the
+closest place of the simulated surface; their distance along its normal is explained by forces on the nodes where
+something pulls, each its even share of a force and a normal part of its own; both are repeated until nothing changes.
+Widths of noise and parts are those that the data make most likely (expectation maximisation; Bishop 2006, section
+9.3.4).
+
+What is seen depends on force over Young's modulus alone, so one fit answers for both.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from physics.fem import Equilibrium, Material, NoEquilibrium, Solid, find_equilibrium
+
+CANDIDATES = 16
+"""Triangles whose centres are closest to a point, among which is the closest."""
+STRAIN = 0.4
+"""By how much a step of the fit may strain an element: beyond, its matches are others and its prediction is off."""
+FREE = 100.0
+"""Prior standard deviation of the even share's force over that of what a node adds."""
+ROUNDS = 60
+FAR = 0.002
+"""How far a step may move a node until the derivatives are taken anew, where they change [m]."""
+CLOSE = 0.02
+"""Change of the total force over its standard deviation, below which the fit is done."""
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceFit:
+    """What a frame's points say; the total force's distribution is normal."""
+
+    rest: Equilibrium
+    """The body as fitted."""
+    nodal: np.ndarray
+    """Force on every pulled node, shape [G, 3] [N]."""
+    force: np.ndarray
+    """Mean of the total force, shape [3] [N]."""
+    covariance: np.ndarray
+    """Of it, shape [3, 3] [N²]."""
+    noise: float
+    """Standard deviation of the points along the surface's normal [m]."""
+    slopes: np.ndarray
+    """Displacement per component of every pulled node's force, shape [N, 3, 3G] [m/N]."""
+
+    def along(self, direction: np.ndarray) -> tuple[float, float]:
+        """Size along a known direction [3], given that the force has no other part: mean and standard deviation [N]."""
+        unit = direction / np.linalg.norm(direction)
+        weighted = np.linalg.solve(self.covariance, unit)
+        precision = float(unit @ weighted)
+        return float(weighted @ self.force) / precision, precision**-0.5
+
+    @property
+    def magnitude(self) -> tuple[float, float]:
+        """Size of the total force: mean and standard deviation [N]."""
+        size = float(np.linalg.norm(self.force))
+        return size, float(np.sqrt(self.force @ self.covariance @ self.force)) / size
+
+
+def fit_surface(
+    body: Solid,
+    material: Material,
+    held: np.ndarray,
+    motion: np.ndarray,
+    pulled: np.ndarray,
+    points: np.ndarray,
+    before: SurfaceFit | None = None,
+) -> SurfaceFit:
+    """Fit the forces that pull a body into the shape of its points.
+
+    Args:
+        body: at rest.
+        material: of which it is.
+        held: which components are prescribed, shape [N, 3], bool.
+        motion: where those are, from rest, shape [N, 3] [m].
+        pulled: nodes on which something may pull, shape [G].
+        points: of the deformed surface, shape [P, 3] [m].
+        before: the fit of the frame before, to begin at.
+
+    Raises:
+        NoEquilibrium: a shape on the way could not be found.
+    """
+    force = np.zeros(3) if before is None else before.force
+    nodal = np.tile(force / len(pulled), (len(pulled), 1))
+    rest = _pulled(body, material, held, motion, pulled, nodal, None if before is None else before.rest.displacement)
+    rest, nodal = _evenly(rest, nodal, pulled, points)
+    noise = float(np.sqrt(np.mean(_residuals(rest, points, np.zeros((*rest.displacement.shape, 1)))[0] ** 2)))
+    prior = float(np.linalg.norm(nodal.mean(axis=0))) / 10
+    slopes = before.slopes if before is not None and material.law == "linear" else _slopes(rest, pulled)
+    # An even share of a force of which nothing is known, and what every node adds to it.
+    summed = np.tile(np.eye(3), (len(pulled), 1))
+    parts = np.hstack([FREE / len(pulled) * summed, np.eye(3 * len(pulled))])
+    trust, covariance = STRAIN, np.eye(3)
+    for _ in range(ROUNDS):
+        residual, jacobian = _residuals(rest, points, slopes)
+        found = _posterior(jacobian @ parts, residual + jacobian @ nodal.ravel(), noise, prior)
+        mean, spread, noise, prior = found
+        to_force = summed.T @ parts
+        covariance = to_force @ spread @ to_force.T
+        change = parts @ mean - nodal.ravel()
+        moved = slopes @ change
+        farthest = float(np.abs(moved).max())
+        share = min(1.0, trust / _strain(body, moved))
+        following = nodal + share * change.reshape(-1, 3)
+        try:
+            rest = _pulled(body, material, held, motion, pulled, following, rest.displacement + share * moved)
+        except NoEquilibrium:
+            trust /= 2
+            if trust < STRAIN / 100:
+                raise
+            continue
+        step, nodal = (following - nodal).sum(axis=0), following
+        if share == 1 and (np.abs(step) < CLOSE * np.sqrt(np.diag(covariance))).all():
+            break
+        if farthest > FAR and material.law != "linear":
+            slopes = _slopes(rest, pulled)
+    return SurfaceFit(rest, nodal, nodal.sum(axis=0), covariance, noise, slopes)
+
+
+def _evenly(
+    rest: Equilibrium, nodal: np.ndarray, pulled: np.ndarray, points: np.ndarray
+) -> tuple[Equilibrium, np.ndarray]:
+    """One force, shared out evenly, that brings the body close to its points, and where it rests then."""
+    energy, held, trust = rest.energy, rest.held, STRAIN
+    motion = np.where(held, rest.displacement, 0.0)
+    for _ in range(ROUNDS):
+        pulls = np.zeros((*rest.displacement.shape, 3))
+        pulls[pulled] = np.eye(3) / len(pulled)
+        slopes = rest.moved_by(pulls)
+        residual, jacobian = _residuals(rest, points, slopes)
+        change = np.linalg.lstsq(jacobian, residual, rcond=None)[0]
+        farthest = float(np.abs(slopes @ change).max())
+        share = min(1.0, trust / _strain(energy.solid, slopes @ change))
+        following, begin = nodal + share * change / len(pulled), rest.displacement + share * (slopes @ change)
+        try:
+            rest = _pulled(energy.solid, energy.material, held, motion, pulled, following, begin)
+        except NoEquilibrium:
+            trust /= 2
+            if trust < STRAIN / 100:
+                raise
+            continue
+        nodal = following
+        if farthest < FAR / 10:
+            break
+    return rest, nodal
+
+
+def _pulled(body, material, held, motion, pulled, nodal, start) -> Equilibrium:
+    forces = np.zeros_like(body.rest)
+    forces[pulled] = nodal
+    return find_equilibrium(body, material, held, motion=motion, forces=forces, start=start)
+
+
+def _strain(body: Solid, moved: np.ndarray) -> float:
+    """Largest change of a deformation gradient's entries."""
+    return float(np.abs(body.deformation(moved) - np.eye(3)).max())
+
+
+def _slopes(rest: Equilibrium, pulled: np.ndarray) -> np.ndarray:
+    """Displacement per component of every pulled node's force, shape [N, 3, 3G] [m/N]."""
+    forces = np.zeros((*rest.displacement.shape, len(pulled), 3))
+    for axis in range(3):
+        forces[pulled, axis, np.arange(len(pulled)), axis] = 1
+    return rest.moved_by(forces.reshape(*rest.displacement.shape, -1))
+
+
+def _residuals(rest: Equilibrium, points: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distance of points from the surface along its normal [P] [m]; less derivatives by the forces, [P, U] [m/N]."""
+    body = rest.energy.solid
+    faces = body.faces
+    corners = (body.rest + rest.displacement)[faces]
+    _, near = KDTree(corners.mean(axis=1)).query(points, k=CANDIDATES)
+    shares = closest(points[:, None], corners[near])
+    places = np.einsum("pck,pckx->pcx", shares, corners[near])
+    best = np.square(points[:, None] - places).sum(-1).argmin(axis=1)
+    rows = np.arange(len(points))
+    face, share, place = near[rows, best], shares[rows, best], places[rows, best]
+    one, two, three = corners[face].transpose(1, 0, 2)
+    normal = np.cross(two - one, three - one)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    residual = ((points - place) * normal).sum(axis=1)
+    weighted = (share[:, :, None] * normal[:, None, :]).reshape(len(points), 9)
+    at = (3 * faces[face][:, :, None] + np.arange(3)).reshape(len(points), 9)
+    flat = slopes.reshape(-1, slopes.shape[-1])
+    return residual, np.einsum("pk,pku->pu", weighted, flat[at])
+
+
+def closest(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Barycentric coordinates of the place of a triangle that is closest to a point (Ericson 2005, section 5.1.5).
+
+    Args:
+        points: shape [..., 3].
+        triangles: corners, shape [..., 3, 3].
+
+    Returns:
+        shape [..., 3].
+    """
+    one, two, three = np.moveaxis(triangles, -2, 0)
+    first, second = two - one, three - one
+    normal = np.cross(first, second)
+    square = np.square(normal).sum(-1)
+    beyond = points - one
+    v = (np.cross(beyond, second) * normal).sum(-1) / square
+    w = (np.cross(first, beyond) * normal).sum(-1) / square
+    inner = np.stack([1 - v - w, v, w], axis=-1)
+    found, distance = inner, np.where((inner >= 0).all(-1), -1.0, np.inf)
+    for start, end in ((0, 1), (1, 2), (2, 0)):
+        origin, side = triangles[..., start, :], triangles[..., end, :] - triangles[..., start, :]
+        along = np.clip(((points - origin) * side).sum(-1) / np.square(side).sum(-1), 0, 1)
+        apart = np.square(points - origin - along[..., None] * side).sum(-1)
+        edge = np.zeros(inner.shape)
+        edge[..., start], edge[..., end] = 1 - along, along
+        nearer = apart < distance
+        found, distance = np.where(nearer[..., None], edge, found), np.where(nearer, apart, distance)
+    return found
+
+
+def _posterior(
+    jacobian: np.ndarray, seen: np.ndarray, noise: float, prior: float
+) -> tuple[np.ndarray, np.ndarray, float, float]:
+    """Mean and covariance of the nodal forces, and the widths of noise and prior, by expectation maximisation."""
+    left, sizes, right = np.linalg.svd(jacobian, full_matrices=False)
+    projected, outside = left.T @ seen, float(np.sum(seen**2) - np.sum((left.T @ seen) ** 2))
+    for _ in range(200):
+        variance = 1 / (sizes**2 / noise**2 + 1 / prior**2)
+        mean = variance * sizes * projected / noise**2
+        missing = jacobian.shape[1] - len(sizes)
+        left_over = max(outside, 0.0) + float(np.sum((projected - sizes * mean) ** 2 + sizes**2 * variance))
+        following = np.sqrt(left_over / len(seen))
+        prior = float(np.sqrt((np.sum(mean**2 + variance) + missing * prior**2) / jacobian.shape[1]))
+        done = abs(following / noise - 1) < 1e-4
+        noise = float(following)
+        if done:
+            break
+    spread = (right.T * variance) @ right
+    if jacobian.shape[1] > len(sizes):  # fewer points than unknowns
+        spread += prior**2 * (np.eye(jacobian.shape[1]) - right.T @ right)
+    return right.T @ mean, spread, noise, prior

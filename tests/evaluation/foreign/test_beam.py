@@ -1,0 +1,92 @@
+"""Ringing measured, a standard linear solid found again, and another mass predicted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data.source.layout import InputError
+from evaluation.foreign import beam
+from evaluation.foreign.beam import Ringing, fit_solid, judge_beams, modal_rates, read_ringing, ringing_of, tip_mass
+from physics.fem import Relaxation
+from tests.evaluation.foreign.pulls import write_beam
+
+SOLID = 2.2e5, Relaxation(0.3, 0.04)
+
+
+def test_frequency_and_decay_are_measured_beside_a_creep(tmp_path: Path) -> None:
+    found = read_ringing(write_beam(tmp_path / "beam_load52_V2_a.csv", 4.3, 1.5))
+    assert found.mass == 0.052
+    assert found.frequency == pytest.approx(4.3, rel=1e-3)
+    assert found.decay == pytest.approx(1.5, rel=0.01)
+    assert found.residual < 1e-3
+
+
+def test_the_names_tell_the_mass() -> None:
+    names = {"beam_gravity_V2_a.csv": 0.0, "beam_load52_V2_b.csv": 0.052, "beam_load101_V2_a.csv": 0.101}
+    assert {name: tip_mass(Path(name)) for name in names} == names
+    with pytest.raises(InputError, match="the name tells no load"):
+        tip_mass(Path("beam_V2.csv"))
+
+
+def test_a_beams_rate_is_close_to_bernoullis(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a mass, and with one far heavier than the beam, a spring 3 E I/L³; shear makes both softer."""
+    monkeypatch.setattr(beam, "CELLS", (6, 2, 2))
+    light, heavy = modal_rates([0.0, 10.0])
+    width, length = 0.03, 0.1
+    assert light == pytest.approx(3.516**2 * width**2 / 12 / (1070 * length**4), rel=0.15)
+    assert heavy == pytest.approx(3 * width**4 / 12 / length**3 / (10 + 0.236 * 1070 * width**2 * length), rel=0.15)
+
+
+def test_a_standard_linear_solid_rings_as_its_modulus_says() -> None:
+    """Small loss: ω² = rate·E(1 + γω²τ²/(1 + ω²τ²)), decay = ω/2 × loss over storage."""
+    small = 2e5, Relaxation(0.01, 0.03)
+    frequency, decay = ringing_of(small, 0.008)
+    turn = 2 * np.pi * frequency
+    share = (turn * 0.03) ** 2 / (1 + (turn * 0.03) ** 2)
+    assert turn**2 == pytest.approx(0.008 * 2e5 * (1 + 0.01 * share), rel=1e-4)
+    assert decay == pytest.approx(turn / 2 * 0.01 * turn * 0.03 / (1 + (turn * 0.03) ** 2), rel=0.01)
+
+
+def test_the_solid_is_found_and_the_kept_run_predicted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(beam, "CELLS", (4, 1, 1))
+    masses = (0.0, 0.052, 0.101)
+    rates = dict(zip(masses, modal_rates(masses), strict=True))
+    runs = {f"{mass}": Ringing(mass, *ringing_of(SOLID, rate), 0.0) for mass, rate in rates.items()}
+    young, relaxation = fit_solid([runs["0.0"], runs["0.052"]], rates)
+    assert young == pytest.approx(SOLID[0], rel=1e-3)
+    assert relaxation.ratio == pytest.approx(SOLID[1].ratio, rel=0.01)
+    found = judge_beams(runs)
+    assert abs(found["0.101"]["frequency error"]) < 1e-3
+    assert abs(found["0.101"]["decay error"]) < 0.01
+    assert "predicted frequency (Hz)" not in found["0.052"]
+    alone = judge_beams({"0.101": runs["0.101"]})
+    assert alone["0.101"]["predicted from"] == "the fit that comes along"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [("t,a\n1,x\n", "no table of numbers"), ("t,a\n1,2\n", "has shape"), (None, "no table")],
+)
+def test_other_tables_are_refused(text: str | None, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "beam_gravity.csv"
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(InputError, match=said):
+        read_ringing(path)
+
+
+def test_a_beam_at_rest_does_not_ring(tmp_path: Path) -> None:
+    path = tmp_path / "beam_gravity.csv"
+    np.savetxt(path, np.ones((100, 19)), delimiter=",", header="t", comments="")
+    with pytest.raises(InputError, match="ends where it began"):
+        read_ringing(path)
+
+
+@pytest.mark.slow
+def test_the_real_beams_stiffness_is_the_published_one(real_data: Path) -> None:
+    runs = {path.name: read_ringing(path) for path in sorted((real_data / "silicone_beam").glob("beam_*.csv"))}
+    found = judge_beams(runs)["beam, fitted together"]
+    assert abs(found["E / published - 1"]) < 0.15

@@ -1,0 +1,58 @@
+"""Files of pulled livers: what is read, what is refused, and a frame of the real ones."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data.source.layout import InputError
+from evaluation.foreign.liver import HELD, MESH, judge_pull, read_gmsh, read_pull
+from tests.evaluation.foreign.pulls import FORCES, write_mesh, write_pull
+
+
+def test_a_mesh_is_read_as_it_was_written(tmp_path: Path) -> None:
+    nodes, tetrahedra = write_mesh(tmp_path)
+    found = read_gmsh(tmp_path / MESH)
+    np.testing.assert_array_equal(found[0], nodes)
+    np.testing.assert_array_equal(found[1], tetrahedra)
+
+
+def test_a_sequence_is_read_with_what_lies_beside_it(tmp_path: Path) -> None:
+    pull = read_pull(write_pull(tmp_path, "neohookean"))
+    assert pull.material.law == "neo_hookean"
+    np.testing.assert_array_equal(pull.force, FORCES["neohookean"])
+    assert [len(points) for points in pull.points] == [200, 200]
+    assert np.isclose(pull.body.rest[pull.pulled, 0], 0.08).all()
+    np.testing.assert_allclose(pull.motion, 0, atol=1e-8)
+
+
+def test_what_is_missing_or_broken_is_named(tmp_path: Path) -> None:
+    path = write_pull(tmp_path, "linear")
+    other = path.rename(tmp_path / "plastic_s1.npz")
+    with pytest.raises(InputError, match="tells no law"):
+        read_pull(other)
+    other.rename(path)
+    (tmp_path / "linear_broken.npz").write_bytes(b"PK\x03\x04")
+    with pytest.raises(InputError):
+        read_pull(tmp_path / "linear_broken.npz")
+    np.savez(tmp_path / "linear_empty.npz", pc=np.zeros((1, 4)))
+    with pytest.raises(InputError, match="lacks positions, true_forces, force_vertices"):
+        read_pull(tmp_path / "linear_empty.npz")
+    (tmp_path / MESH).write_text("$Nodes\n1\n1 0 0\n")
+    with pytest.raises(InputError, match="no text mesh of Gmsh's format 2"):
+        read_pull(path)
+    (tmp_path / HELD).unlink()
+    with pytest.raises(InputError, match=f"no {HELD} beside it"):
+        read_pull(path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["linear_s1", "neohookean_s2"])
+def test_force_and_modulus_of_a_real_sequences_first_frame(name: str, real_data: Path) -> None:
+    found = judge_pull(real_data / "fem_liver" / f"{name}.npz", frames=1)
+    assert found["force error, median where above 1 N"] < 1e-3
+    assert abs(found["E error, median"]) < 1e-3
+    assert found["force error, median where above 1 N with 0.6 mm of noise added"] < 0.1
+    assert abs(found["E error, median with 0.6 mm of noise added"]) < 0.15

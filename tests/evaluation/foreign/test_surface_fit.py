@@ -1,0 +1,62 @@
+"""Closest places of triangles by brute force, and forces found again."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from evaluation.foreign.liver import judge_pull, read_pull
+from evaluation.foreign.surface_fit import closest, fit_surface
+from tests.evaluation.foreign.pulls import FORCES, write_pull
+
+
+def test_the_closest_place_of_a_triangle_is_the_closest() -> None:
+    generator = np.random.default_rng(0)
+    points, triangles = generator.normal(size=(40, 3)), generator.normal(size=(40, 3, 3))
+    found = closest(points, triangles)
+    assert (found > -1e-12).all()
+    np.testing.assert_allclose(found.sum(axis=1), 1)
+    fine = np.array([[i, j, 60 - i - j] for i, j in itertools.product(range(61), repeat=2) if i + j <= 60]) / 60
+    others = np.linalg.norm(np.einsum("sk,pkx->psx", fine, triangles) - points[:, None], axis=2).min(axis=1)
+    own = np.linalg.norm(np.einsum("pk,pkx->px", found, triangles) - points, axis=1)
+    assert (own <= others + 1e-12).all()
+    np.testing.assert_allclose(own, others, atol=0.05)
+
+
+@pytest.mark.parametrize("law", list(FORCES))
+def test_the_force_is_found_from_rest(law: str, tmp_path: Path) -> None:
+    pull = read_pull(write_pull(tmp_path, law))
+    fit = fit_surface(pull.body, pull.material, pull.held, pull.motion[0], pull.pulled, pull.points[0])
+    np.testing.assert_allclose(fit.force, pull.force[0], rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(fit.nodal.sum(axis=0), fit.force)
+    assert fit.along(pull.force[0])[0] == pytest.approx(np.linalg.norm(pull.force[0]), rel=1e-4)
+
+
+@pytest.mark.slow
+def test_intervals_hold_under_noise(tmp_path: Path) -> None:
+    """Of 30 draws of a millimetre's noise, 90 % intervals of the force's size hold about as many as they say."""
+    pull = read_pull(write_pull(tmp_path, "linear"))
+    arguments = pull.body, pull.material, pull.held, pull.motion[0], pull.pulled
+    fit, scores = fit_surface(*arguments, pull.points[0]), []
+    for seed in range(30):
+        noise = 1e-3 * np.random.default_rng(seed).normal(size=pull.points[0].shape)
+        again = fit_surface(*arguments, pull.points[0] + noise, fit)
+        size, spread = again.magnitude
+        scores.append((size - np.linalg.norm(pull.force[0])) / spread)
+        assert again.noise == pytest.approx(1e-3, rel=0.2)
+    assert 0.7 < np.std(scores) < 1.4
+    assert np.mean(np.abs(scores) < 1.645) >= 0.8
+
+
+def test_a_sequence_is_judged(tmp_path: Path) -> None:
+    found = judge_pull(write_pull(tmp_path, "linear"))
+    assert found["law"] == "linear"
+    assert found["frames"] == 2
+    assert found["force error, median where above 1 N"] < 1e-4
+    assert abs(found["E error, median"]) < 1e-4
+    assert found["E (Pa), median"] == pytest.approx(20e3, rel=1e-4)
+    assert found["noise found (m), median with 0.6 mm of noise added"] == pytest.approx(6e-4, rel=0.25)
+    assert found["force error, median where above 1 N with 0.6 mm of noise added"] < 0.1

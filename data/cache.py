@@ -121,6 +121,8 @@ class PreparedClip:
     status: np.ndarray
     contact: np.ndarray
     """Whether a frame is in contact, shape [F]."""
+    seen_out: np.ndarray
+    """Whether a frame was seen out of contact, shape [F]."""
     times: np.ndarray
     usable: np.ndarray
     """Whether a frame has depth, shape [F]."""
@@ -249,6 +251,7 @@ def _row(prepared: PreparedFrame) -> dict[str, Any]:
     return {
         "status": prepared.status,
         "contact": prepared.in_contact,
+        "seen_out": prepared.seen_out,
         "times": prepared.frame.time_s,
         "usable": prepared.has_depth,
         "consecutive": prepared.consecutive,

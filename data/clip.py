@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from data.cache import CacheEntry, PreparedClip, cache_key
+from data.contact.evidence import ContactEvidence
 from data.contact.geometry import GeometryStatus, frame_geometry
 from data.contact.motion import ContactMotion
 from data.depth.normalise import estimate_scale, normalise, open_depth, resize_depth
@@ -108,7 +109,7 @@ class ClipStream:
             InputError: the segmentation model fails on the clip's pictures.
         """
         self._masks.reset()
-        motion = ContactMotion(self.camera, self.source.size, self.settings)
+        motion, evidence = ContactMotion(self.camera, self.source.size, self.settings), ContactEvidence()
         held: list[PreparedFrame] = []
         frames = iter(self.source)
         while True:
@@ -117,6 +118,8 @@ class ClipStream:
             if frame is None:
                 break
             held.append(self._prepare(frame))
+            with self._timed("contact"):
+                evidence.judge(held[-1])
             if len(held) > 1:
                 with self._timed("tracking"):
                     motion.link(*held[-2:])

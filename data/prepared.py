@@ -38,6 +38,9 @@ class PreparedFrame:
     """Label map at the image's size, or None where there is no image or no mask."""
     geometry: FrameGeometry | None = None
     """Contact and mesh where the status is `ok`."""
+    contact_probability: float = math.nan
+    """Of contact, by whether tissue moves with the tool (`data.contact.evidence`); not a number where outlines and
+    depth say already that there is none."""
     distance: float = math.nan
     """Distance of tool and tissue [scene units]; not a number where it was not measured."""
     displacement: np.ndarray = field(default_factory=_unknown)
@@ -57,6 +60,16 @@ class PreparedFrame:
     def in_contact(self) -> bool:
         """Whether the tool touches the tissue."""
         return self.geometry is not None
+
+    @property
+    def hovers(self) -> bool:
+        """Whether the tool is at tissue in the picture, which does not move with it."""
+        return not self.in_contact and math.isfinite(self.contact_probability)
+
+    @property
+    def seen_out(self) -> bool:
+        """Whether contact was seen not to be there in this very frame; that a tool hovers is known some frames late."""
+        return self.status in SEEN_OUT and not self.hovers
 
     @property
     def contact(self) -> FrameGeometry:

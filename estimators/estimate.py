@@ -176,6 +176,8 @@ class FrameEstimate:
     ok, and from an estimator of whole runs only."""
     contact: bool | None = None
     """Whether tool and tissue touch; None where that could not be decided."""
+    contact_probability: float | None = None
+    """Of contact, by whether tissue moves with the tool; None where outlines and depth show that there is none."""
     contact_distance: float | None = None
     """Distance between the nearest tool and tissue points [scene units]."""
     contact_u: float | None = None

@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from data.contact.geometry import force_direction
-from data.prepared import SEEN_OUT, PreparedFrame
+from data.prepared import PreparedFrame
 from data.windows import FrameWindow
 from estimators.contract import ClipInfo, Said
 from estimators.estimate import Estimate, InteractionEstimate
@@ -67,7 +67,8 @@ class GanSession(RunSession):
         super().__init__(clip, estimator.mechanics)
         self.estimator = estimator
         self._window = FrameWindow(estimator.model.window)
-        self._statuses = deque[str](maxlen=estimator.model.window)
+        self._seen = deque[tuple[bool, bool]](maxlen=estimator.model.window)
+        """Of the window's frames: whether they were seen out of contact, and in contact."""
         self._onset: PreparedFrame | None = None
         self._held: tuple[PreparedFrame, np.ndarray | None] | None = None
         self._log_sum, self._count = np.zeros(3), 0
@@ -94,7 +95,7 @@ class GanSession(RunSession):
         self, current: PreparedFrame, depth: np.ndarray | None, following: PreparedFrame | None
     ) -> Iterator[Said]:
         yield from self._ended(self._runs.push(current))
-        self._statuses.append(current.status)
+        self._seen.append((current.seen_out, current.in_contact))
         if current.track_start == current.frame.index:
             self._onset = current
         onset = self._onset if self._onset and current.track_start == self._onset.frame.index else None
@@ -109,20 +110,21 @@ class GanSession(RunSession):
             yield frame_estimate(
                 current,
                 self.clip,
-                Estimate(theta, told_verdict=_verdict(self._statuses)),
+                Estimate(theta, told_verdict=_verdict(self._seen)),
                 lengths=lengths,
                 arrow=force_arrow(theta, contact, self.clip, self.estimator.bounds, direction),
             )
         else:
             yield frame_estimate(current, self.clip)
         if not current.consecutive:
-            self._statuses.clear()
+            self._seen.clear()
 
     def _ended(self, run: Run | None) -> Iterator[InteractionEstimate]:
         """The mean of log |θ| over a run's frames in contact."""
         if run is None:
             return
-        if run.builder is None:
+        if run.builder is None or run.passed:
+            self._log_sum, self._count = np.zeros(3), 0
             yield run.estimate(detail=run.unseen)
             return
         theta = np.exp(self._log_sum / self._count) * SIGNS
@@ -176,9 +178,9 @@ class GanSession(RunSession):
         return length(path[-1]), None if observed is None else length(observed)
 
 
-def _verdict(statuses: deque[str]) -> str:
+def _verdict(seen: deque[tuple[bool, bool]]) -> str:
     """Whether a window of consecutive frames shows contact begin, without which θ is undetermined."""
-    begins = any(before in SEEN_OUT and after == "ok" for before, after in pairwise(statuses))
+    begins = any(out and touching for (out, _), (_, touching) in pairwise(seen))
     return "onset_in_view" if begins else "undetermined"
 
 

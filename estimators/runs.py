@@ -10,6 +10,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from data.contact.evidence import SURE
 from data.contact.geometry import FrameGeometry
 from data.contact.interaction import ContactFrame, Horizon, Interaction, InteractionBuilder
 from data.contact.tissue_points import grid_to_picture
@@ -22,6 +23,8 @@ from physics.mechanics import Bounds, Mechanics
 NO_ONSET = (
     "The onset of the contact was not seen, and without it the rest shape and the beginning of the load are unknown."
 )
+PASSED = "No contact: the instrument moves, and the tissue beside it does not move with it."
+OUTLINES_ALONE = "Contact by outlines alone: nothing has moved yet that would tell whether tissue moves with the tool."
 NOT_SHOWN = "No displacement: the onset of contact was not seen, or lies beyond the model's horizon."
 NOT_FOLLOWED = "The tissue at the contact could not be followed after its onset."
 FULL_ARROW = 0.3
@@ -37,12 +40,27 @@ class Run:
         """Of its first frame: index in the clip, number, time stamp [s], and what is wrong with the contact."""
         self.last = frame.index
         """Index of the last frame in contact."""
+        self.contact = math.nan
+        """Largest probability of contact so far."""
+        self.hovered = False
+        """Whether the tool was found to hover within it or right after it."""
         self.builder: InteractionBuilder | None = None
         """What is seen of it; None where its onset was not."""
+        self.note(first)
         contact = first.geometry
         if contact is not None and first.track_start == frame.index:
             found = contact.mesh, contact.vertex, contact.normal, contact.noise
             self.builder = InteractionBuilder(*found, contact_frame(first), clip.geometry, seconds, clip.size)
+
+    def note(self, current: PreparedFrame) -> None:
+        """What a frame within the run or right after it tells of whether there was contact."""
+        self.contact = float(np.fmax(self.contact, current.contact_probability))
+        self.hovered |= current.hovers
+
+    @property
+    def passed(self) -> bool:
+        """Whether the tool only passed over the tissue: it hovered, and nothing ever spoke for contact."""
+        return self.hovered and not self.contact >= SURE
 
     def add(self, current: PreparedFrame) -> None:
         """A frame of the run, in contact or followed after it."""
@@ -58,7 +76,9 @@ class Run:
 
     @property
     def unseen(self) -> str:
-        """Why nothing can be estimated of a run that has no observation."""
+        """Why nothing can be estimated of a run that has no observation, or of none."""
+        if self.passed:
+            return PASSED
         if self.builder is None:
             return self.detail or NO_ONSET
         return f"{self.detail} {NOT_FOLLOWED}".strip()
@@ -81,6 +101,8 @@ class RunTracker:
         """The next frame; gives a run that has ended before it."""
         run = self.current
         if run is not None:
+            if frame.frame.index - run.last <= self._clip.bridge_frames + 1:
+                run.note(frame)
             if self._belongs(frame, run):
                 run.add(frame)
                 return None
@@ -144,6 +166,9 @@ class RunSession:
         if run is None:
             return
         recorder, self._grip = self._grip, None
+        if run.passed:
+            yield run.estimate(detail=run.unseen)
+            return
         said = self._pressed(run)
         if recorder is not None and said.verdict in ("", "undetermined"):
             said = self._gripped(said, recorder, run.builder is None)
@@ -186,9 +211,14 @@ class RunSession:
 
 def contact_frame(frame: PreparedFrame) -> ContactFrame:
     """What a prepared frame tells about its run of contact."""
-    out = frame.status in SEEN_OUT
     return ContactFrame(
-        frame.frame.time_s, frame.in_contact, out, frame.consecutive, frame.track_position, frame.depth, frame.labels
+        frame.frame.time_s,
+        frame.in_contact,
+        frame.seen_out,
+        frame.consecutive,
+        frame.track_position,
+        frame.depth,
+        frame.labels,
     )
 
 
@@ -213,6 +243,7 @@ def frame_estimate(
         arrow: the force as it is drawn.
     """
     frame, contact = prepared.frame, prepared.geometry
+    untold = contact is not None and prepared.track_start < 0 and prepared.contact_probability < SURE
     missing = NOT_SHOWN if contact is not None and lengths[0] is None and not whole else ""
     u, v = None, None
     if contact is not None:
@@ -221,10 +252,13 @@ def frame_estimate(
         frame.number,
         frame.time_s,
         prepared.status,
-        detail=f"{prepared.detail or missing} {doubts}".strip(),
+        detail=" ".join(filter(None, (prepared.detail or missing, OUTLINES_ALONE if untold else "", doubts))),
         estimate=estimate,
         verdict=verdict if estimate is None else estimate.verdict,
         contact=True if contact is not None else False if prepared.status in SEEN_OUT else None,
+        contact_probability=float(prepared.contact_probability)
+        if math.isfinite(prepared.contact_probability)
+        else None,
         contact_distance=float(prepared.distance) if math.isfinite(prepared.distance) else None,
         contact_u=u,
         contact_v=v,

@@ -2,6 +2,7 @@
 
 geometry       depth and labels to clouds, contact pair, mesh and normal; outlines: their doubtful rims
 surface        smooth tissue behind noisy depth, and the noise; rest_depth: its shape before it was touched
+evidence       whether tissue moves with the tool, frame by frame; coupling: how likely what was seen is if it does
 motion         the contact's motion from frame to frame and since its onset
 tracking       tissue points followed by optical flow; template: found again by their look
 tissue_points  places in a picture as points in space; refinement: where a young contact presses

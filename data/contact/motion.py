@@ -27,7 +27,7 @@ from data.contact.tissue_points import (
     rigid_motion,
 )
 from data.contact.tracking import TissueTracker
-from data.prepared import SEEN_OUT, PreparedFrame
+from data.prepared import PreparedFrame
 from data.settings import PrepareSettings
 from data.source.camera import Camera
 
@@ -145,7 +145,7 @@ class ContactMotion:
         elif missing > self.bridge_frames:
             self.settle()
             self._refused = self._dented(after)
-            self._run = self._begin(after) if before.status in SEEN_OUT and not self._refused else None
+            self._run = self._begin(after) if before.seen_out and not self._refused else None
             self._left.clear()
 
     def _note_return(self, run: ContactRun, latest: PreparedFrame) -> None:

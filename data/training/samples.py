@@ -16,7 +16,6 @@ import numpy as np
 from data.cache import PreparedClip
 from data.contact.geometry import GeometrySettings, force_direction
 from data.contact.interaction import ContactFrame, Interaction, InteractionBuilder
-from data.prepared import SEEN_OUT
 from data.windows import future_indices, window_indices
 from physics.fields import require_choices
 from physics.load import Press, held
@@ -152,7 +151,7 @@ def builder_of(
         return ContactFrame(
             float(clip.times[index]),
             bool(clip.contact[index]),
-            clip.status[index] in SEEN_OUT,
+            bool(clip.seen_out[index]),
             bool(clip.consecutive[index]),
             clip.track_position[index],
             clip.depth(index) if filmed else None,

@@ -1,0 +1,288 @@
+"""Contact by evidence: does the tissue beside the tool's tip move with the tool, against the background?
+
+Outlines that touch in a picture say little: a tool that passes over tissue touches it there, too. From one picture
+to a later one, points in the tool's tip, beside it and far from it are followed (pyramidal Lucas and Kanade, Bouguet
+2001, in windows so small that they don't mix tool and tissue; the check is Kalal 2010's), and `data.contact.coupling`
+weighs what they say. A two-state hidden Markov chain adds it up over the frames.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from data.contact.coupling import Beside, log_ratio
+from data.labels import TOOL
+from data.prepared import PreparedFrame
+from data.tracks.following import lit_field, shrunk, tool_distance
+
+PRIOR = 0.7
+"""Probability that a tool whose outline touches tissue touches it, before anything has moved."""
+THRESHOLD = 0.5
+"""Below this probability a tool hovers."""
+WAY, LONGEST = 5.0, 10
+"""Frames are compared with one and the same until the tool has gone so far [px], or for so many frames: what parallax
+adds goes to and fro with the camera."""
+CHANGE = 0.03
+"""Share by which the probability returns to PRIOR in a frame: contacts begin and end."""
+STRONGEST = 5.0
+"""What one frame says counts for so much at most [logarithm of odds]."""
+SURE = 0.9
+"""Below this probability it is outlines that say that a tool touches: nothing has moved that would tell."""
+HOVERS = "The tissue beside the tool does not move with it, so it hovers (probability of contact {:.2f})."
+
+SPACING = 8
+"""Of the tissue's points [px]."""
+GUARD = 8.0
+"""Points nearer to the tool's mask may be the tool's own, or be followed by its edge [px]."""
+RING = 100.0
+"""Points nearer than this beyond the guard band are beside the tool, others are the background [px]."""
+TIP = 96.0
+"""Part of a tool that may touch: this far back from the end which is farthest from where it enters [px]."""
+LEAST_TOOL = 60
+"""Parts of a mask with fewer pixels are no tool."""
+TOOL_POINTS, BACKGROUND_POINTS = 150, 300
+"""Points that are followed in a tip, and in the background, at most."""
+FEWEST_TOOL, FEWEST_BACKGROUND = 8, 30
+"""Fewer say nothing of their motion."""
+WINDOW, NARROW = 15, 11
+"""Width of the windows that are compared, in tissue and in the tool [px]."""
+LEVELS = 3
+"""Of the pyramid, beyond the picture itself: motion up to some 50 px."""
+TEXTURE = 1e-3
+"""Least eigenvalue of a window's gradients; below it the window is too smooth to be followed."""
+RETURNED = 1.0
+"""Largest distance to where following backwards takes a point [px]."""
+ASTRAY = 3.0
+"""Points that move otherwise by more standard deviations are no background."""
+BLOCK = 64
+"""Width of the squares whose points share what the background's motion leaves [px]."""
+LEAST_NOISE = 0.1
+"""Of following, by axis [px]."""
+FITS = 6
+"""Rounds of robust fits."""
+MEDIAN_LENGTH = 1.1774
+"""Median length of a plane normal vector of unit standard deviation by axis."""
+SPREAD = 0.35
+"""A tip moves as one where half of its points are within this share of their common motion, or within 1 px."""
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A picture at most `data.tracks.following.WIDEST` wide and high, as it is compared with the next."""
+
+    grey: np.ndarray
+    """uint8 [H, W]."""
+    tool: np.ndarray
+    """Mask of the tool, bool [H, W]."""
+    lit: np.ndarray
+    """Where the picture shows anything, bool [H, W]."""
+    away: np.ndarray
+    """Distance from the tool, [H, W] [px]."""
+
+
+class ContactEvidence:
+    """One clip's probability of contact, frame by frame; a frame's is made of it and the frames before."""
+
+    def __init__(self) -> None:
+        self._reference: View | None = None
+        """The frame that frames are compared with until the tool has gone far enough."""
+        self._age = 0
+        """Frames since then."""
+        self._odds = _log_odds(PRIOR)
+        """Of contact, by what was seen up to then."""
+        self._number = -1
+        """Of the frame that was judged last."""
+        self._apart = self._came = False
+        """Whether the tool was apart from tissue in that frame, and before the contact under way began."""
+
+    def judge(self, prepared: PreparedFrame) -> None:
+        """Decide a frame whose outlines touch: its probability, and `no_contact` where the tool hovers."""
+        number = prepared.frame.number
+        follows = number - self._number == 1
+        if not (prepared.in_contact and follows):
+            # What was known of an earlier contact, or of one before a gap, counts no more.
+            self._reference, self._odds, self._age = None, _log_odds(PRIOR), 0
+        if self._reference is None:
+            self._came = self._apart and follows
+        self._number, self._apart = number, prepared.status == "no_contact"
+        if not prepared.in_contact:
+            return
+        picture, labels = prepared.view
+        probability = self.push(picture, labels == TOOL)
+        # A tool that was seen apart, and then at the tissue, has met it; a narrow dent hardly moves its surroundings.
+        probability = prepared.contact_probability = max(probability, PRIOR if self._came else 0.0)
+        if probability < THRESHOLD:
+            prepared.status, prepared.detail, prepared.geometry = "no_contact", HOVERS.format(probability), None
+
+    def push(self, picture: np.ndarray, tool: np.ndarray) -> float:
+        """Probability of contact in the next frame, whose tool is at tissue in the picture.
+
+        Args:
+            picture: uint8 [H, W, 3] RGB.
+            tool: its mask of the tool, bool [H, W].
+        """
+        picture, tool = shrunk(picture, tool)
+        view = View(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), tool, lit_field(picture), tool_distance(tool))
+        share = 1 / (1 + math.exp(-self._odds))
+        self._odds = _log_odds(share + CHANGE * (PRIOR - share))
+        tips = [] if self._reference is None else seen_beside(self._reference, view)
+        odds = self._odds + float(np.clip(_said(tips), -STRONGEST, STRONGEST))
+        self._age += 1
+        if not tips or self._age == LONGEST or max(np.linalg.norm(tip.tool) for tip in tips) > WAY:
+            self._reference, self._odds, self._age = view, odds, 0
+        return 1 / (1 + math.exp(-odds))
+
+
+def _log_odds(probability: float) -> float:
+    return math.log(probability / (1 - probability))
+
+
+def _said(tips: list[Beside]) -> float:
+    """The logarithm of the likelihood ratio that any of the tips says which move most; the others say little."""
+    way = [float(np.linalg.norm(tip.tool)) for tip in tips]
+    return max((log_ratio(tip) for tip, length in zip(tips, way, strict=True) if length >= max(way) / 2), default=0.0)
+
+
+def seen_beside(before: View, after: View) -> list[Beside]:
+    """How every tool's tip and the tissue beside it moved from one picture to a later one.
+
+    Returns:
+        One a tool whose motion is known; none where the background's isn't.
+    """
+    tips = _tips(before)
+    if not tips:
+        return []
+    height, width = before.grey.shape
+    row, column = (
+        part.ravel() for part in np.mgrid[SPACING : height - SPACING : SPACING, SPACING : width - SPACING : SPACING]
+    )
+    usable = (before.away[row, column] > GUARD) & before.lit[row, column]
+    places = np.column_stack([column, row])[usable]
+    distance = before.away[places[:, 1], places[:, 0]] - GUARD
+    far = np.flatnonzero(distance > RING)
+    far = far[:: max(1, len(far) // BACKGROUND_POINTS)]
+    # Every point is beside the tip that it is nearest to, or a shaft.
+    owner = _nearest(places, tips, before)
+    owner[distance > RING] = -1
+    used = np.union1d(far, np.flatnonzero(owner >= 0))
+    places, distance, owner = places[used], distance[used], owner[used]
+    step, followed = _followed(before, after, places, WINDOW)
+    background = _background(places[followed & (owner < 0)], step[followed & (owner < 0)])
+    if background is None:
+        return []
+    affine, noise, background_sd = background
+    there = np.rint(places + step).astype(int).clip(0, [width - 1, height - 1])
+    followed &= after.away[there[:, 1], there[:, 0]] > GUARD / 2
+    moved = step - _terms(places) @ affine
+    found = []
+    for index, tip in enumerate(tips):
+        motion = _tool_motion(before, after, tip, affine)
+        if motion is not None:
+            beside = followed & (owner == index)
+            found.append(Beside(moved[beside], distance[beside], SPACING, *motion, noise, background_sd))
+    return found
+
+
+def _nearest(places: np.ndarray, tips: list[np.ndarray], view: View) -> np.ndarray:
+    """Index of the tip in which the tool's pixel lies that is nearest to a place, shape [N]; -1 for a shaft."""
+    owner = np.full(view.tool.shape, -1)
+    for index, tip in enumerate(tips):
+        owner[tip[:, 1], tip[:, 0]] = index
+    label = cv2.distanceTransformWithLabels(
+        (~view.tool).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
+    )[1]
+    by_label = np.full(label.max() + 1, -1)
+    by_label[label[view.tool]] = owner[view.tool]
+    return by_label[label[places[:, 1], places[:, 0]]]
+
+
+def _background(places: np.ndarray, step: np.ndarray) -> tuple[np.ndarray, float, float] | None:
+    """Affine motion of most of some points [3, 2], the points' own noise about it, and its error, alike nearby [px]."""
+    if len(places) < FEWEST_BACKGROUND:
+        return None
+    terms, kept = _terms(places), np.ones(len(places), bool)
+    for _ in range(FITS):
+        affine = np.linalg.lstsq(terms[kept], step[kept], rcond=None)[0]
+        left = step - terms @ affine
+        length = np.linalg.norm(left, axis=1)
+        kept = length < ASTRAY * max(np.median(length[kept]) / MEDIAN_LENGTH, LEAST_NOISE)
+    # Moving tissue that is no background shall not count for all of it.
+    scale = ASTRAY * max(np.median(length) / MEDIAN_LENGTH, LEAST_NOISE)
+    left = left.clip(-scale, scale)
+    _, block, count = np.unique(places // BLOCK, axis=0, return_inverse=True, return_counts=True)
+    block = block.ravel()
+    shared = np.column_stack([np.bincount(block, weights=part) for part in left.T]) / count[:, None]
+    own = np.linalg.norm((left - shared[block])[count[block] >= 3], axis=1)
+    noise = float(np.median(own)) / MEDIAN_LENGTH if len(own) else 0.0
+    error = math.sqrt(np.mean(np.square(shared)))
+    return affine, max(noise, LEAST_NOISE), max(error, LEAST_NOISE / 2)
+
+
+def _tips(view: View) -> list[np.ndarray]:
+    """Places (column, row) in the free end of every tool, [P, 2] each; in all of a tool that enters nowhere."""
+    edge = cv2.dilate((~view.lit).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    edge[[0, 1, 2, -3, -2, -1]] = edge[:, [0, 1, 2, -3, -2, -1]] = True
+    count, number, stats, _ = cv2.connectedComponentsWithStats(view.tool.astype(np.uint8))
+    tips = []
+    for index in range(1, count):
+        if stats[index, cv2.CC_STAT_AREA] < LEAST_TOOL:
+            continue
+        part = np.argwhere(number == index)
+        entry = part[edge[part[:, 0], part[:, 1]]]
+        if len(entry):
+            away = np.linalg.norm(part - entry.mean(axis=0), axis=1)
+            part = part[away > away.max() - TIP]
+        tips.append(part[:, ::-1])
+    return tips
+
+
+def _tool_motion(before: View, after: View, tip: np.ndarray, affine: np.ndarray) -> tuple[np.ndarray, float] | None:
+    """Displacement of a tip [P, 2] less the background's there [2], and its spread [px]; None where it isn't known."""
+    places = tip[:: max(1, len(tip) // TOOL_POINTS)]
+    step, followed = _followed(before, after, places, NARROW)
+    moved = (step - _terms(places) @ affine)[followed]
+    if len(moved) < FEWEST_TOOL:
+        return None
+    middle = np.median(moved, axis=0)
+    for _ in range(FITS):
+        off = np.linalg.norm(moved - middle, axis=1)
+        middle = np.median(moved[off <= max(2 * np.median(off), LEAST_NOISE)], axis=0)
+    spread = float(np.median(np.linalg.norm(moved - middle, axis=1)))
+    if spread > max(SPREAD * np.linalg.norm(middle), 1.0):
+        return None
+    return middle, spread / MEDIAN_LENGTH
+
+
+def _terms(places: np.ndarray) -> np.ndarray:
+    """Of an affine motion, shape [N, 3]."""
+    return np.column_stack([places, np.ones(len(places))]).astype(np.float64)
+
+
+def _followed(before: View, after: View, places: np.ndarray, window: int) -> tuple[np.ndarray, np.ndarray]:
+    """Displacements of places [N, 2] (column, row) from one picture to the other, and which of them are known [N]."""
+    if not len(places):
+        return np.zeros((0, 2)), np.zeros(0, bool)
+
+    def moved(one: np.ndarray, two: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        there, found, _ = cv2.calcOpticalFlowPyrLK(
+            one,
+            two,
+            points,
+            points.copy(),
+            winSize=(window, window),
+            maxLevel=LEVELS,
+            criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03),
+            minEigThreshold=TEXTURE,
+        )
+        return there, found
+
+    start = np.ascontiguousarray(places[:, None], np.float32)
+    there, found = moved(before.grey, after.grey, start)
+    back, returned = moved(after.grey, before.grey, there)
+    known = (found.ravel() > 0) & (returned.ravel() > 0)
+    known &= np.linalg.norm((back - start)[:, 0], axis=1) < RETURNED
+    return (there - start)[:, 0].astype(np.float64), known

@@ -1,0 +1,98 @@
+"""What one step tells of contact, against closed forms and a brute-force twin, and what a mask's leak doesn't fake."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from data.contact import coupling as module
+from data.contact.coupling import FEWEST, Beside, log_ratio
+
+WAY = np.array([3.0, -1.0])
+
+
+def ring(coupling: float = 0.0, reach: float = 80.0, *, tool: np.ndarray = WAY, leak: float = 0.0) -> Beside:
+    """Points on a grid around a tip, with noise of 0.1 px; those nearer than `leak` move as the tool does."""
+    column, row = np.meshgrid(np.arange(-108.0, 109, 8), np.arange(-108.0, 109, 8))
+    distance = np.hypot(column, row).ravel() - 8
+    distance = distance[(distance > 0) & (distance < 100)]
+    share = np.where(distance < leak, 1.0, coupling * np.exp(-distance / reach))
+    noise = np.random.default_rng(0).normal(0, 0.1, (len(distance), 2))
+    return Beside(share[:, None] * tool + noise, distance, 8.0, tool, 0.05, 0.1, 0.1)
+
+
+@pytest.mark.parametrize("coupling", [0.5, 0.7, 1.0])
+@pytest.mark.parametrize("reach", [30.0, 60.0, 200.0])
+def test_tissue_that_moves_with_the_tool_is_told_from_tissue_that_does_not(coupling: float, reach: float) -> None:
+    assert log_ratio(ring(coupling, reach)) > 3
+    assert log_ratio(ring()) < -3
+
+
+def test_a_tool_that_does_not_move_tells_nothing() -> None:
+    still = ring(tool=np.zeros(2))
+    assert abs(log_ratio(still)) < 1
+    # Nor one that moves no farther than the background's motion is known.
+    assert abs(log_ratio(dataclasses.replace(ring(tool=WAY / 10), background_sd=1.0))) < 0.5
+
+
+def test_too_few_points_tell_nothing() -> None:
+    few = ring()
+    few = dataclasses.replace(few, moved=few.moved[: FEWEST - 1], distance=few.distance[: FEWEST - 1])
+    assert log_ratio(few) == 0.0
+
+
+@pytest.mark.parametrize("leak", [8.0, 16.0, 24.0])
+def test_tool_pixels_that_a_mask_leaves_to_the_tissue_do_not_fake_contact(leak: float) -> None:
+    leaky = ring(leak=leak)
+    assert (np.linalg.norm(leaky.moved - WAY, axis=1) < 0.5).sum() > 4
+    assert log_ratio(leaky) < -3
+
+
+def test_tissue_that_all_moves_alike_is_an_error_of_the_background() -> None:
+    """The same motion of all points beside the tool, of the size of the background's error, speaks for nothing."""
+    still = ring()
+    carried = dataclasses.replace(still, moved=still.moved + np.array([0.5, 0.0]), background_sd=0.5)
+    assert log_ratio(carried) < 0
+    assert log_ratio(dataclasses.replace(ring(1.0), background_sd=0.5)) > 3
+
+
+def test_it_is_the_ratio_of_marginal_likelihoods(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A brute-force twin: every sum written out."""
+    monkeypatch.setattr(module, "REACH", (50.0, 90.0))
+    monkeypatch.setattr(module, "COUPLING", (0.5, 1.0))
+    seen = ring(0.6)
+    seen = dataclasses.replace(seen, moved=seen.moved[:20], distance=seen.distance[:20], tool_sd=0.3)
+    weight = (seen.spacing / module.ALIKE) ** 2
+    own = seen.noise**2 + seen.background_sd**2
+
+    def density(off: np.ndarray, variance: float) -> float:
+        return math.exp(-(off[0] ** 2 + off[1] ** 2) / (2 * variance)) / (2 * math.pi * variance)
+
+    axis = [-1.8, -0.9, 0.0, 0.9, 1.8]
+    gauss = [math.exp(-value * value / 2) for value in axis]
+    held, apart = 0.0, 0.0
+    for one, first in zip(axis, gauss, strict=True):
+        for two, second in zip(axis, gauss, strict=True):
+            error = seen.background_sd * np.array([one, two])
+            prior, tool = first * second / sum(gauss) ** 2, seen.tool - error
+            way = float(tool @ tool)
+            still = []
+            for moved in seen.moved - error:
+                leaked = density(moved - tool, own + seen.tool_sd**2 + module.TOOL_SPREAD**2 * way)
+                plain = (1 - module.LEAKED - module.ASTRAY) * density(moved, own)
+                still.append(plain + module.LEAKED * leaked + module.ASTRAY * density(moved, 4 * (own + way)))
+            apart += prior * math.exp(weight * sum(map(math.log, still)))
+            for three, third in zip(axis, gauss, strict=True):
+                longer = 1 + three * seen.tool_sd / math.sqrt(way)
+                for reach in (50.0, 90.0):
+                    for coupling in (0.5, 1.0):
+                        total = 0.0
+                        for moved, distance, other in zip(seen.moved - error, seen.distance, still, strict=True):
+                            share = coupling * math.exp(-distance / reach) * longer
+                            found = density(moved - share * tool, own + (module.HELD_SPREAD * share) ** 2 * way)
+                            total += math.log(module.HELD * found + (1 - module.HELD) * other)
+                        held += prior * third / sum(gauss) / 4 * math.exp(weight * total)
+    assert log_ratio(seen) == pytest.approx(math.log(held / apart), abs=1e-9)

@@ -5,9 +5,9 @@
     python -m evaluation.real --pressed FOLDER --wrench CSV --output OUT
 
 --data runs every known clip under a folder (docs/real.md). A pulled clip shows tissue that an instrument holds and
-moves: a sheet is fitted to the first half of its frames and judged on the second. A pressed one is a folder with
-`depth/` and a table of the force. Writes table.csv (clip, measure, value), figures/ and report.html. Not a medical
-device.
+moves: a sheet is fitted to the first half of its frames and judged on the second; `contact_frame_N` is the probability
+that tissue moves with the instrument. A pressed one is a folder with `depth/` and a table of the force. Writes
+table.csv (clip, measure, value), figures/ and report.html. Not a medical device.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ from evaluation.page import as_png, render_page
 from evaluation.real.figures import draw_press, draw_pull
 from evaluation.real.pressed import evaluate_press
 from evaluation.real.pulled import PulledClip, evaluate_pull
+from evaluation.real.touching import contact_measures
 from evaluation.tables import to_csv, to_markdown
 from physics.doors import INTERRUPTED, plain
 from physics.files import replacing
@@ -49,8 +50,9 @@ KNOWN = {
 """Pulled clips, below the data's folder."""
 PRESSED = "pressed_membrane"
 
-Found = tuple[Mapping[str, object], bytes]
-"""Measures by name, and a figure."""
+Measures = dict[str, object]
+Task = Callable[[Measures], bytes]
+"""Fills in what is measured, by name, as far as it comes, and gives a figure."""
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -76,16 +78,16 @@ def build_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def tasks_of(options: argparse.Namespace) -> dict[str, Callable[[], Found]]:
+def tasks_of(options: argparse.Namespace) -> dict[str, Task]:
     """What to do, by the clip's name."""
-    tasks: dict[str, Callable[[], Found]] = {}
+    tasks: dict[str, Task] = {}
 
-    def add(name: str, task: Callable[[], Found]) -> None:
+    def add(name: str, task: Task) -> None:
         same = sum(other == name or other.startswith(f"{name} (") for other in tasks)
         tasks[f"{name} ({same + 1})" if same else name] = task
 
     def pull(name: str, clip: PulledClip) -> None:
-        add(name, lambda: _pulled(clip))
+        add(name, lambda measures: _pulled(clip, measures))
 
     if options.data is not None:
         for name, clip in KNOWN.items():
@@ -94,24 +96,28 @@ def tasks_of(options: argparse.Namespace) -> dict[str, Callable[[], Found]]:
                 pull(name, dataclasses.replace(clip, frames=frames, masks=masks))
         folder = options.data / PRESSED
         for wrench in sorted(folder.glob("wrench_*.csv")):
-            add(f"{PRESSED}, {wrench.stem}", lambda wrench=wrench: _pressed(folder, wrench))
+            add(f"{PRESSED}, {wrench.stem}", lambda measures, wrench=wrench: _pressed(folder, wrench, measures))
     if options.pulled:
         frames, masks = options.pulled[0], options.pulled[1] if len(options.pulled) > 1 else None
         part = options.start, options.stop
         pull(frames.resolve().name, PulledClip(frames, masks, options.tool_value, options.camera, *part))
     if options.pressed is not None:
-        add(options.pressed.resolve().name, lambda: _pressed(options.pressed, options.wrench))
+        add(options.pressed.resolve().name, lambda measures: _pressed(options.pressed, options.wrench, measures))
     return tasks
 
 
-def _pulled(clip: PulledClip) -> Found:
+def _pulled(clip: PulledClip, measures: Measures) -> bytes:
+    # Of an instrument that only passes over tissue nothing else can be said.
+    measures |= contact_measures(clip)
     found = evaluate_pull(clip)
-    return found.measures, as_png(draw_pull(found))
+    measures |= found.measures
+    return as_png(draw_pull(found))
 
 
-def _pressed(folder: Path, wrench: Path) -> Found:
+def _pressed(folder: Path, wrench: Path, measures: Measures) -> bytes:
     found = evaluate_press(folder, wrench)
-    return found.measures, as_png(draw_press(found))
+    measures |= found.measures
+    return as_png(draw_press(found))
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -133,11 +139,12 @@ def main(arguments: list[str] | None = None) -> int:
         with progress_bars(console) as progress:
             bar = progress.add_task("clips", total=len(tasks))
             for name, task in tasks.items():
+                measures: Measures = {"status": ""}
                 try:
-                    measures, figure = task()
+                    figure = task(measures)
                     figures[f"{len(figures) + 1}.png"] = figure
                 except (InputError, NothingMoves) as error:
-                    measures = {"status": str(error)}
+                    measures["status"] = str(error)
                     say(console, f"{name}: {error}", "red")
                     status = 1
                 rows += [{"clip": name, "measure": measure, "value": value} for measure, value in measures.items()]

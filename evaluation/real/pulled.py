@@ -164,7 +164,7 @@ def follow_clip(clip: PulledClip) -> Follow:
     follower: PointFollower | None = None
     frames, unreadable = [], []
     first = picture = np.zeros((0, 0, 3), np.uint8)
-    for number, current, tool in _views(clip):
+    for number, current, tool in read_views(clip):
         if isinstance(tool, str) or current is None:
             unreadable.append(f"frame {number}: {tool}")
             continue
@@ -187,7 +187,7 @@ def follow_clip(clip: PulledClip) -> Follow:
     return Follow(follower.points, follower.spacing, follower.distance, frames, (first, picture), unreadable)
 
 
-def _views(clip: PulledClip) -> Iterator[tuple[int, np.ndarray | None, np.ndarray | str]]:
+def read_views(clip: PulledClip) -> Iterator[tuple[int, np.ndarray | None, np.ndarray | str]]:
     """Number of a frame, its RGB picture, and its mask of the tool; or no picture and why it can't be used."""
     source = open_source(clip.frames, ClipLayout())
     tools = _stored_tools(clip) if clip.masks is not None else _found_tools(clip.frames)

@@ -109,7 +109,8 @@ class ClipStream:
             InputError: the segmentation model fails on the clip's pictures.
         """
         self._masks.reset()
-        motion, evidence = ContactMotion(self.camera, self.source.size, self.settings), ContactEvidence()
+        motion = ContactMotion(self.camera, self.source.size, self.settings)
+        evidence = ContactEvidence() if self.settings.geometry.contact == "touching" else None
         held: list[PreparedFrame] = []
         frames = iter(self.source)
         while True:
@@ -118,8 +119,9 @@ class ClipStream:
             if frame is None:
                 break
             held.append(self._prepare(frame))
-            with self._timed("contact"):
-                evidence.judge(held[-1])
+            if evidence is not None:
+                with self._timed("contact"):
+                    evidence.judge(held[-1])
             if len(held) > 1:
                 with self._timed("tracking"):
                     motion.link(*held[-2:])

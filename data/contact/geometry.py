@@ -107,8 +107,8 @@ class GeometrySettings:
     """Share of the mesh's vertices that decimation keeps; the paper names 0.3 and used 1."""
     contact: Literal["touching", "nearest"] = "touching"
     """Which frames are in contact, and where. touching: those whose masks touch or whose clouds are close, where the
-    outlines touch. nearest (paper): all that show tool and tissue, at the closest pair over all points (equation 4), so
-    that the tool's coming and going counts, too."""
+    outlines touch, unless the tool is seen to hover (`data.contact.evidence`). nearest (paper): all that show tool and
+    tissue, at the closest pair over all points (equation 4), so that the tool's coming and going counts, too."""
     contact_pixels: float = 2.0
     """Masks at most this far apart touch [grid pixels]; neighbours are 1 apart, 0 switches the criterion off."""
     contact_distance: float = 0.02

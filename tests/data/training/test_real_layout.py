@@ -247,6 +247,13 @@ def test_a_tool_that_has_let_go_gives_pairs_as_long_as_it_is_seen(tmp_path):
     np.testing.assert_allclose(released.moved[0], points[3] - points[2], atol=1e-6)
 
 
+@pytest.mark.parametrize(("settings", "judged"), [(GRID, 2), (NEAREST, 0)])
+def test_whether_a_tool_hovers_is_not_asked_where_all_pairs_count(tmp_path, settings: GeometrySettings, judged: int):
+    folder = write_clip(tmp_path / "video01" / "video01_00000", contact=(1, 2), frames=4)
+    stream = ClipStream(open_source(folder, LAYOUT), replace(SETTINGS, geometry=settings))
+    assert sum(np.isfinite(frame.contact_probability) for frame in stream) == judged
+
+
 @pytest.mark.slow
 def test_on_the_real_clip_all_ten_pairs_that_show_the_tool_count(real_data, tmp_path):
     """The grasper holds on in frames 149 to 159; by photometric depth the closest points are on the outlines, too."""

@@ -132,9 +132,9 @@ def split_samples(
         return {split: [place for place, video in by_video if video in names] for split, names in chosen.items()}, ""
     parts = split_in_time(_units(clips, found, settings), fractions)
     places = {split: [place for unit in part for place in unit] for split, part in parts.items()}
-    named = "1 video" if count == 1 else f"{count} videos"
+    counted = "1 video" if count == 1 else f"{count} videos"
     warning = (
-        f"has samples of {named}, fewer than {LEAST_VIDEOS}: it is split in time, so the splits show the same "
+        f"has samples of {counted}, fewer than {LEAST_VIDEOS}: it is split in time, so the splits show the same "
         "patient and neighbouring frames, and their errors look too good."
     )
     if not places["val"]:

@@ -110,7 +110,8 @@ class ClipStream:
         """
         self._masks.reset()
         motion = ContactMotion(self.camera, self.source.size, self.settings)
-        evidence = ContactEvidence() if self.settings.geometry.contact == "touching" else None
+        touch = self.settings.geometry.contact_distance or math.inf
+        evidence = ContactEvidence(touch) if self.settings.geometry.contact == "touching" else None
         held: list[PreparedFrame] = []
         frames = iter(self.source)
         while True:

@@ -119,7 +119,12 @@ def _number_lines(estimate: FrameEstimate) -> list[tuple[str, str]]:
         ("displacement, observed", estimate.observed_displacement),
     )
     found = [(names.get(symbol, symbol), told) for symbol, told in numbers(estimate.verdict, estimate.values)]
-    return found + [(name, f"{value:.2g}") for name, value in moved if value is not None]
+    likely = (
+        []
+        if estimate.contact_probability is None
+        else [("contact, probability", f"{estimate.contact_probability:.2f}")]
+    )
+    return found + [(name, f"{value:.2g}") for name, value in moved if value is not None] + likely
 
 
 def _notes(estimate: FrameEstimate) -> list[str]:

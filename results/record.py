@@ -154,7 +154,7 @@ def warnings_of(
     if sources["masks"] == "automatic":
         found.append(
             "automatic masks take all lit tissue, so an instrument touches it in the picture whenever it is seen: "
-            "contact here means in view, not pressing"
+            "contact here means in view, until the instrument has moved and tissue did not move with it"
         )
     for status in PERSISTENT:
         hit = [frame for frame in frames if frame.status == status]

@@ -85,9 +85,15 @@ class View:
 
 
 class ContactEvidence:
-    """One clip's probability of contact, frame by frame; a frame's is made of it and the frames before."""
+    """One clip's probability of contact, frame by frame; a frame's is made of it and the frames before.
 
-    def __init__(self) -> None:
+    Args:
+        near: no farther from tissue in depth, a tool that was apart from it and then at it in the picture has come to
+            it [scene units].
+    """
+
+    def __init__(self, near: float = math.inf) -> None:
+        self._near = near
         self._reference: View | None = None
         """The frame that frames are compared with until the tool has gone far enough."""
         self._age = 0
@@ -97,7 +103,7 @@ class ContactEvidence:
         self._number = -1
         """Of the frame that was judged last."""
         self._apart = self._came = False
-        """Whether the tool was apart from tissue in that frame, and before the contact under way began."""
+        """Whether the tool was apart from tissue in that frame, and whether it was seen to come to it."""
 
     def judge(self, prepared: PreparedFrame) -> None:
         """Decide a frame whose outlines touch: its probability, and `no_contact` where the tool hovers."""
@@ -107,13 +113,13 @@ class ContactEvidence:
             # What was known of an earlier contact, or of one before a gap, counts no more.
             self._reference, self._odds, self._age = None, _log_odds(PRIOR), 0
         if self._reference is None:
-            self._came = self._apart and follows
+            self._came = self._apart and follows and not prepared.distance > self._near
         self._number, self._apart = number, prepared.status == "no_contact"
         if not prepared.in_contact:
             return
         picture, labels = prepared.view
         probability = self.push(picture, labels == TOOL)
-        # A tool that was seen apart, and then at the tissue, has met it; a narrow dent hardly moves its surroundings.
+        # A tool that was seen to come to the tissue has met it: a narrow dent hardly moves what is around it.
         probability = prepared.contact_probability = max(probability, PRIOR if self._came else 0.0)
         if probability < THRESHOLD:
             prepared.status, prepared.detail, prepared.geometry = "no_contact", HOVERS.format(probability), None

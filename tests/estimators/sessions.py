@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -54,6 +55,8 @@ class State:
     """Whether tissue would be at rest if contact began here."""
     moved: tuple[float, float, float] | None = None
     """How far from rest the followed tissue is [scene units]; None where it is lost."""
+    probability: float = math.nan
+    """Of contact, by whether tissue moves with the tool."""
 
 
 class _Linked(ContactMotion):
@@ -89,6 +92,7 @@ def linked(states: Sequence[State], geometry: FrameGeometry, bridge_frames: int 
                 LABELS,
                 LABELS if seen else None,
                 geometry if state.status == "ok" else None,
+                contact_probability=state.probability,
             )
         )
         if index:

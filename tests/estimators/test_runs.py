@@ -11,7 +11,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as some
 
 from data.prepared import SEEN_OUT, STATUSES, PreparedFrame
-from estimators.runs import NO_ONSET, NOT_FOLLOWED, Run, RunTracker
+from estimators.runs import NO_ONSET, NOT_FOLLOWED, OUTLINES_ALONE, PASSED, Run, RunTracker, frame_estimate
 from physics.mechanics import Mechanics
 from tests.estimators.sessions import State, clip_info, linked, prepared_frame, touched
 from tests.physics.sheets import sheet
@@ -113,6 +113,39 @@ def test_why_nothing_is_known_of_a_run() -> None:
     assert unseen.unseen == NO_ONSET
     assert unfollowed.unseen == f"{unfollowed.detail} {NOT_FOLLOWED}".strip()
     assert len(unfollowed.builder.build(Mechanics()).observation) == 0
+
+
+def judged(*probabilities: float) -> list[PreparedFrame]:
+    """A clip whose tool is at tissue in the picture and hovers where the probability of contact is below a half."""
+    states = [State("ok" if each >= 0.5 else "no_contact", probability=each) for each in probabilities]
+    return linked(states, CONTACT)
+
+
+def test_a_run_whose_tool_hovers_was_none_unless_tissue_ever_moved_with_it() -> None:
+    passing, released, unknown = judged(0.7, 0.1, 0.0), judged(0.7, 0.95, 0.6, 0.2), judged(0.7, 0.8, 0.7)
+    (run,) = tracked_runs(passing, 2)
+    assert (run.passed, run.unseen, run.estimate().load_s) == (True, PASSED, None)
+    for frames in (released, unknown):
+        (run,) = tracked_runs(frames, 2)
+        assert (run.passed, run.unseen) == (False, NO_ONSET)
+    # A tool that hovers long after another run says nothing of it.
+    assert [run.passed for run in tracked_runs(judged(0.7, *[math.nan] * 4, 0.7, 0.1), 2)] == [False, True]
+
+
+def test_contact_after_hovering_has_no_onset() -> None:
+    """When tissue began to follow the tool is known some frames late, and what it was like at rest is not."""
+    (_, held) = tracked_runs(judged(math.nan, 0.7, *[0.1] * 4, 0.8, 0.99), 2)
+    assert (held.index, held.builder) == (6, None)
+    assert tracked_runs(linked(clip_of("nnoo"), CONTACT), 2)[0].builder is not None
+
+
+def test_frames_say_how_contact_is_known() -> None:
+    outlines, told, hovers, out = (
+        frame_estimate(frame, clip_info(), whole=True) for frame in judged(0.7, 0.95, 0.2, math.nan)
+    )
+    assert [item.contact for item in (outlines, told, hovers, out)] == [True, True, False, False]
+    assert [item.contact_probability for item in (outlines, told, hovers, out)] == [0.7, 0.95, 0.2, None]
+    assert (outlines.detail, told.detail) == (OUTLINES_ALONE, "")
 
 
 def test_a_run_keeps_what_was_seen_of_it() -> None:

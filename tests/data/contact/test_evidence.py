@@ -134,8 +134,19 @@ def test_what_was_known_before_an_interruption_counts_no_more(between: str) -> N
     assert (after.status, after.contact_probability) == ("ok", pytest.approx(PRIOR))
     later = prepared(5, views[5])
     evidence.judge(later)
-    # A tool that was seen apart from the tissue and then at it has met it.
     assert later.status == ("ok" if between == "no_contact" else "no_contact")
+
+
+@pytest.mark.parametrize(("distance", "expected"), [(0.004, "ok"), (math.nan, "ok"), (0.03, "no_contact")])
+def test_a_tool_that_was_seen_to_come_to_the_tissue_has_met_it(distance: float, expected: str) -> None:
+    """Where depth doesn't say that it only passes in front of it."""
+    evidence = ContactEvidence(near=0.02)
+    frames = [prepared(number, view) for number, view in enumerate(drawn(line((3, 1), 4)))]
+    frames[0] = prepared(0, (frames[0].frame.picture, frames[0].picture_labels == TOOL), status="no_contact")
+    for frame in frames:
+        frame.distance = distance
+        evidence.judge(frame)
+    assert [frame.status for frame in frames[2:]] == [expected] * 2
 
 
 def test_frames_without_contact_have_no_probability() -> None:

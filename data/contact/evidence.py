@@ -88,8 +88,8 @@ class ContactEvidence:
     """One clip's probability of contact, frame by frame; a frame's is made of it and the frames before.
 
     Args:
-        near: no farther from tissue in depth, a tool that was apart from it and then at it in the picture has come to
-            it [scene units].
+        near: no farther from tissue in depth, a tool that was apart from it and then is at it in the picture has come
+            to it [scene units].
     """
 
     def __init__(self, near: float = math.inf) -> None:
@@ -103,24 +103,29 @@ class ContactEvidence:
         self._number = -1
         """Of the frame that was judged last."""
         self._apart = self._came = False
-        """Whether the tool was apart from tissue in that frame, and whether it was seen to come to it."""
+        """Whether the tool was apart from tissue in that frame, and right before the contact under way began."""
 
     def judge(self, prepared: PreparedFrame) -> None:
         """Decide a frame whose outlines touch: its probability, and `no_contact` where the tool hovers."""
         number = prepared.frame.number
         follows = number - self._number == 1
+        apart = prepared.status == "no_contact"
         if not (prepared.in_contact and follows):
             # What was known of an earlier contact, or of one before a gap, counts no more.
-            self._reference, self._odds, self._age = None, _log_odds(PRIOR), 0
-        if self._reference is None:
-            self._came = self._apart and follows and not prepared.distance > self._near
-        self._number, self._apart = number, prepared.status == "no_contact"
+            self._reference, self._odds, self._age, self._came = None, _log_odds(PRIOR), 0, False
+        if prepared.in_contact and self._apart and follows:
+            self._came = True
+        self._number, self._apart = number, apart
+        if apart and prepared.visible:
+            picture, labels = prepared.view
+            self._reference = _view(picture, labels == TOOL)
         if not prepared.in_contact:
             return
         picture, labels = prepared.view
         probability = self.push(picture, labels == TOOL)
         # A tool that was seen to come to the tissue has met it: a narrow dent hardly moves what is around it.
-        probability = prepared.contact_probability = max(probability, PRIOR if self._came else 0.0)
+        met = self._came and not prepared.distance > self._near
+        probability = prepared.contact_probability = max(probability, PRIOR if met else 0.0)
         if probability < THRESHOLD:
             prepared.status, prepared.detail, prepared.geometry = "no_contact", HOVERS.format(probability), None
 
@@ -131,8 +136,7 @@ class ContactEvidence:
             picture: uint8 [H, W, 3] RGB.
             tool: its mask of the tool, bool [H, W].
         """
-        picture, tool = shrunk(picture, tool)
-        view = View(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), tool, lit_field(picture), tool_distance(tool))
+        view = _view(picture, tool)
         share = 1 / (1 + math.exp(-self._odds))
         self._odds = _log_odds(share + CHANGE * (PRIOR - share))
         tips = [] if self._reference is None else seen_beside(self._reference, view)
@@ -141,6 +145,11 @@ class ContactEvidence:
         if not tips or self._age == LONGEST or max(np.linalg.norm(tip.tool) for tip in tips) > WAY:
             self._reference, self._odds, self._age = view, odds, 0
         return 1 / (1 + math.exp(-odds))
+
+
+def _view(picture: np.ndarray, tool: np.ndarray) -> View:
+    picture, tool = shrunk(picture, tool)
+    return View(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), tool, lit_field(picture), tool_distance(tool))
 
 
 def _log_odds(probability: float) -> float:

@@ -14,12 +14,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from physics.fem import Equilibrium, Material, NoEquilibrium, Solid, find_equilibrium
+from physics.fem.surface import nearest
 
-CANDIDATES = 16
-"""Triangles whose centres are closest to a point, among which is the closest."""
 STRAIN = 0.4
 """By how much a step of the fit may strain an element: beyond, its matches are others and its prediction is off."""
 FREE = 100.0
@@ -174,12 +172,8 @@ def _residuals(rest: Equilibrium, points: np.ndarray, slopes: np.ndarray) -> tup
     body = rest.energy.solid
     faces = body.faces
     corners = (body.rest + rest.displacement)[faces]
-    _, near = KDTree(corners.mean(axis=1)).query(points, k=CANDIDATES)
-    shares = closest(points[:, None], corners[near])
-    places = np.einsum("pck,pckx->pcx", shares, corners[near])
-    best = np.square(points[:, None] - places).sum(-1).argmin(axis=1)
-    rows = np.arange(len(points))
-    face, share, place = near[rows, best], shares[rows, best], places[rows, best]
+    face, share = nearest(points, corners)
+    place = np.einsum("pk,pkx->px", share, corners[face])
     one, two, three = corners[face].transpose(1, 0, 2)
     normal = np.cross(two - one, three - one)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
@@ -188,36 +182,6 @@ def _residuals(rest: Equilibrium, points: np.ndarray, slopes: np.ndarray) -> tup
     at = (3 * faces[face][:, :, None] + np.arange(3)).reshape(len(points), 9)
     flat = slopes.reshape(-1, slopes.shape[-1])
     return residual, np.einsum("pk,pku->pu", weighted, flat[at])
-
-
-def closest(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Barycentric coordinates of the place of a triangle that is closest to a point (Ericson 2005, section 5.1.5).
-
-    Args:
-        points: shape [..., 3].
-        triangles: corners, shape [..., 3, 3].
-
-    Returns:
-        shape [..., 3].
-    """
-    one, two, three = np.moveaxis(triangles, -2, 0)
-    first, second = two - one, three - one
-    normal = np.cross(first, second)
-    square = np.square(normal).sum(-1)
-    beyond = points - one
-    v = (np.cross(beyond, second) * normal).sum(-1) / square
-    w = (np.cross(first, beyond) * normal).sum(-1) / square
-    inner = np.stack([1 - v - w, v, w], axis=-1)
-    found, distance = inner, np.where((inner >= 0).all(-1), -1.0, np.inf)
-    for start, end in ((0, 1), (1, 2), (2, 0)):
-        origin, side = triangles[..., start, :], triangles[..., end, :] - triangles[..., start, :]
-        along = np.clip(((points - origin) * side).sum(-1) / np.square(side).sum(-1), 0, 1)
-        apart = np.square(points - origin - along[..., None] * side).sum(-1)
-        edge = np.zeros(inner.shape)
-        edge[..., start], edge[..., end] = 1 - along, along
-        nearer = apart < distance
-        found, distance = np.where(nearer[..., None], edge, found), np.where(nearer, apart, distance)
-    return found
 
 
 def _posterior(

@@ -2,7 +2,8 @@
 
 laws           energy, stress and tangent of the materials; polar: rotations of deformation gradients
 solid          nodes and elements, linear or quadratic, and the sums over them
-lattice        tetrahedra that fill the cells of a grid
+lattice        tetrahedra that fill the cells of a grid; meshing: of what an incomplete surface encloses
+surface        places on triangles that are closest to points
 equilibrium    rest under forces and prescribed displacements; derivatives by (E, ν), elements' E and forces
 dynamics       implicit time steps: mass-proportional damping, standard linear solid
 linear_system  symmetric sparse systems, factorised or iterated
@@ -15,6 +16,7 @@ __getattr__ = exported(
         "physics.fem.laws": ("LAWS", "Material"),
         "physics.fem.solid": ("Solid", "make_solid"),
         "physics.fem.lattice": ("box", "fill_cells"),
+        "physics.fem.meshing": ("Meshed", "NoBody", "mesh_surface"),
         "physics.fem.equilibrium": ("Equilibrium", "NoEquilibrium", "find_equilibrium"),
         "physics.fem.dynamics": ("Inertia", "Motion", "Relaxation", "simulate"),
     }

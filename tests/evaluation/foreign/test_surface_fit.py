@@ -1,29 +1,15 @@
-"""Closest places of triangles by brute force, and forces found again."""
+"""Forces found again from points of the surface."""
 
 from __future__ import annotations
 
-import itertools
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from evaluation.foreign.liver import judge_pull, read_pull
-from evaluation.foreign.surface_fit import closest, fit_surface
+from evaluation.foreign.surface_fit import fit_surface
 from tests.evaluation.foreign.pulls import FORCES, write_pull
-
-
-def test_the_closest_place_of_a_triangle_is_the_closest() -> None:
-    generator = np.random.default_rng(0)
-    points, triangles = generator.normal(size=(40, 3)), generator.normal(size=(40, 3, 3))
-    found = closest(points, triangles)
-    assert (found > -1e-12).all()
-    np.testing.assert_allclose(found.sum(axis=1), 1)
-    fine = np.array([[i, j, 60 - i - j] for i, j in itertools.product(range(61), repeat=2) if i + j <= 60]) / 60
-    others = np.linalg.norm(np.einsum("sk,pkx->psx", fine, triangles) - points[:, None], axis=2).min(axis=1)
-    own = np.linalg.norm(np.einsum("pk,pkx->px", found, triangles) - points, axis=1)
-    assert (own <= others + 1e-12).all()
-    np.testing.assert_allclose(own, others, atol=0.05)
 
 
 @pytest.mark.parametrize("law", list(FORCES))

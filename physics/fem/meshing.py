@@ -1,0 +1,198 @@
+"""Tetrahedra from an incomplete surface, as Frank 2010 (section IV-A) and Spillmann 2006 make them.
+
+Cells of a grid whose centre lies inside are filled with five tetrahedra each, and the nodes of their surface are drawn
+to the triangles as far as no element becomes bad. Inside is what most of six rays along the axes say, by how often they
+cross the surface: no orientation is needed, and a hole or an inner wall misleads only the rays through it. An open
+sheet, as one camera sees it, is given a thickness, half of it on either side.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import label
+
+from physics.fem.lattice import fill_cells
+from physics.fem.solid import FACES, qualities
+from physics.fem.surface import nearest
+
+WORST = 0.1
+"""Lowest quality of an element that drawing leaves (`qualities`; a lattice's are 0.35 to 0.71)."""
+ROUNDS = 30
+SHARE = 0.5
+"""Of the way to the surface that a node goes in a round."""
+MOST_SAMPLES = 24
+"""Rows of samples on a triangle, at most, among which the closest is looked for."""
+_OFF = np.array([3.1e-4, 1.7e-4, 2.3e-4])
+"""Of the rays from the cells' centres, in cells: on the grid they would meet edges."""
+_CHUNK = 4_000_000
+
+
+class NoBody(ValueError):
+    """A surface that no body can be made from; the message says why, and what to do."""
+
+
+@dataclass(frozen=True, eq=False)
+class Meshed:
+    """Tetrahedra, and what was odd about the surface."""
+
+    nodes: np.ndarray
+    """Shape [N, 3] [m]."""
+    tetrahedra: np.ndarray
+    """Corners, shape [E, 4], of positive volume."""
+    notes: tuple[str, ...]
+    """Sentences on what was repaired or left out."""
+    off: float
+    """Root mean square distance of the body's surface nodes from the triangles [m]."""
+
+
+def mesh_surface(
+    vertices: np.ndarray, triangles: np.ndarray, *, cells: int = 16, thickness: float | None = None
+) -> Meshed:
+    """Fill a surface.
+
+    Args:
+        vertices: shape [V, 3] [m].
+        triangles: indices of their corners, shape [F, 3]; in any order, with holes, edges of more than two triangles,
+            or of one side only. Where closed parts overlap counts as outside.
+        cells: of the grid along the surface's longest side.
+        thickness: of an open sheet [m]; None = the surface encloses the body.
+
+    Raises:
+        NoBody: shapes that don't fit, no area, nothing enclosed, a thickness that the grid can't show.
+    """
+    vertices, triangles = _checked(vertices, triangles)
+    corners = vertices[triangles]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    spacing = float((high - low).max()) / cells
+    whole = area > 1e-9 * spacing**2
+    notes = _oddities(triangles[whole])
+    if not whole.all():
+        notes.append(f"{np.count_nonzero(~whole)} triangles without area were left out.")
+    corners = corners[whole]
+    if not len(corners):
+        raise NoBody("the surface has no triangle with an area; give one that has.")
+    if thickness is not None and not thickness >= 2 * spacing:
+        raise NoBody(f"a thickness of {thickness:g} m is less than two cells of {spacing:g} m; give more of either.")
+    margin = spacing * (1.5 + (0 if thickness is None else thickness / spacing / 2))
+    origin = low - margin
+    shape = np.ceil((high + margin - origin) / spacing).astype(int)
+    centres = origin + spacing * (np.moveaxis(np.indices(shape), 0, -1) + 0.5)
+    samples = int(np.clip(np.ceil(2 * np.sqrt(area.max()) / spacing), 1, MOST_SAMPLES))
+    if thickness is None:
+        inside = _enclosed(corners, centres)
+        if not inside.any():
+            raise NoBody("the surface encloses nothing; give a thickness if it is an open sheet, or more cells.")
+    else:
+        inside = (_distance(centres.reshape(-1, 3), corners, samples)[0] < thickness / 2).reshape(shape)
+    parts, count = label(inside)
+    if count > 1:
+        sizes = np.bincount(parts.ravel())[1:]
+        inside = parts == 1 + int(np.argmax(sizes))
+        notes.append(f"{sizes.sum() - sizes.max()} of {sizes.sum()} cells hang apart and were left out.")
+    places, tetrahedra = fill_cells(inside)
+    nodes = origin + spacing * places
+    nodes, off = _drawn(nodes, tetrahedra, corners, samples, 0.0 if thickness is None else thickness / 2)
+    return Meshed(nodes, tetrahedra, tuple(notes), off)
+
+
+def _checked(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    vertices, triangles = np.asarray(vertices, np.float64), np.asarray(triangles)
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or not np.isfinite(vertices).all():
+        raise NoBody(f"vertices of shape {vertices.shape} are no finite places; give [V, 3] in metres.")
+    if triangles.ndim != 2 or triangles.shape[1] != 3 or not len(triangles) or triangles.dtype.kind not in "iu":
+        raise NoBody(f"triangles of shape {triangles.shape} are none; give [F, 3] indices of vertices.")
+    if triangles.min() < 0 or triangles.max() >= len(vertices):
+        raise NoBody(f"triangles name vertices {triangles.min()} to {triangles.max()} of {len(vertices)}; give others.")
+    return vertices, triangles.astype(np.int64)
+
+
+def _oddities(triangles: np.ndarray) -> list[str]:
+    """What is odd about the edges."""
+    edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    _, shared = np.unique(edges, axis=0, return_counts=True)
+    _, either = np.unique(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=0, return_counts=True)
+    counts = {
+        "edges belong to one triangle only: holes, or a sheet": np.count_nonzero(shared == 1),
+        "edges belong to more than two triangles": np.count_nonzero(shared > 2),
+        "edges are run through twice the same way: the triangles face both sides": np.count_nonzero(either > 1),
+    }
+    return [f"{count} {what}." for what, count in counts.items() if count]
+
+
+def _enclosed(corners: np.ndarray, centres: np.ndarray) -> np.ndarray:
+    """Which cells more than half of six rays call inside, shape [I, J, K], bool."""
+    votes = np.zeros(centres.shape[:3], np.int64)
+    spacing = float(centres[1, 0, 0, 0] - centres[0, 0, 0, 0])
+    for axis in range(3):
+        one, two = (axis + 1) % 3, (axis + 2) % 3
+        order = (axis, one, two)
+        grid = np.transpose(centres, (*order, 3))  # along the rays first
+        flat = grid[0].reshape(-1, 3)[:, [one, two]] + spacing * _OFF[[one, two]]
+        depth = grid[:, 0, 0, axis]
+        first, second, third = (corners[:, corner][:, [one, two]] for corner in range(3))
+        square = _cross(second - first, third - first)
+        upright = np.abs(square) > 1e-12 * spacing**2
+        below, hits = np.zeros((len(depth), len(flat)), np.int64), np.zeros(len(flat), np.int64)
+        step = max(1, _CHUNK // len(corners))
+        for begin in range(0, len(flat), step):
+            ray = flat[begin : begin + step, None]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                v = _cross(ray - first, third - first) / square
+                w = _cross(second - first, ray - first) / square
+                at, face = np.nonzero((v >= 0) & (w >= 0) & (v + w <= 1) & upright)
+            share, other = v[at, face], w[at, face]
+            heights = corners[face, 0, axis] * (1 - share - other)
+            heights += corners[face, 1, axis] * share + corners[face, 2, axis] * other
+            np.add.at(below.T, at + begin, heights[:, None] < depth)
+            np.add.at(hits, at + begin, 1)
+        found = (below % 2) + ((hits - below) % 2)
+        votes += np.transpose(found.reshape(grid.shape[:3]), np.argsort(order))
+    return votes > 3
+
+
+def _distance(points: np.ndarray, corners: np.ndarray, samples: int) -> tuple[np.ndarray, np.ndarray]:
+    """Of points from the triangles [P], and the closest places [P, 3]."""
+    face, share = nearest(points, corners, samples)
+    places = np.einsum("pk,pkx->px", share, corners[face])
+    return np.linalg.norm(points - places, axis=1), places
+
+
+def _drawn(
+    nodes: np.ndarray, tetrahedra: np.ndarray, corners: np.ndarray, samples: int, away: float
+) -> tuple[np.ndarray, float]:
+    """Nodes with those of the body's surface drawn to a distance from the triangles, inner ones to their neighbours."""
+    faces = tetrahedra[:, FACES].reshape(-1, 3)
+    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    outer = np.unique(faces[first[count == 1]])
+    rim = np.zeros(len(nodes), bool)
+    rim[outer] = True
+    pairs = np.concatenate([tetrahedra[:, [a, b]] for a in range(4) for b in range(4) if a != b])
+    pairs = np.unique(pairs, axis=0)
+    neighbours = np.bincount(pairs[:, 0], minlength=len(nodes))
+
+    def goals(now: np.ndarray) -> np.ndarray:
+        distance, place = _distance(now[outer], corners, samples)
+        along = (now[outer] - place) / np.maximum(distance, 1e-12)[:, None]
+        return place + away * along
+
+    for _ in range(ROUNDS):
+        sums = [np.bincount(pairs[:, 0], nodes[pairs[:, 1], axis], minlength=len(nodes)) for axis in range(3)]
+        aim = np.stack(sums, axis=1) / neighbours[:, None]
+        aim[outer] = goals(nodes)
+        step = SHARE * (aim - nodes)
+        for _ in range(12):  # an element that becomes bad takes its nodes' steps back by half, in the end all of it
+            bad = qualities(nodes + step, tetrahedra) < WORST
+            if not bad.any():
+                break
+            step[np.unique(tetrahedra[bad])] /= 2
+        else:
+            step[:] = 0
+        nodes = nodes + step
+    return nodes, float(np.sqrt(np.mean(np.square(goals(nodes) - nodes[outer]).sum(axis=1))))
+
+
+def _cross(one: np.ndarray, two: np.ndarray) -> np.ndarray:
+    return one[..., 0] * two[..., 1] - one[..., 1] * two[..., 0]

@@ -1,0 +1,60 @@
+"""Places on a surface of triangles that are closest to points."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import KDTree
+
+CANDIDATES = 16
+"""Samples of the surface closest to a point, on whose triangles the closest place is looked for."""
+
+
+def closest(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Barycentric coordinates of the place of a triangle that is closest to a point (Ericson 2005, section 5.1.5).
+
+    Args:
+        points: shape [..., 3].
+        triangles: corners, shape [..., 3, 3]; not flat.
+
+    Returns:
+        shape [..., 3].
+    """
+    one, two, three = np.moveaxis(triangles, -2, 0)
+    first, second = two - one, three - one
+    normal = np.cross(first, second)
+    square = np.square(normal).sum(-1)
+    beyond = points - one
+    v = (np.cross(beyond, second) * normal).sum(-1) / square
+    w = (np.cross(first, beyond) * normal).sum(-1) / square
+    inner = np.stack([1 - v - w, v, w], axis=-1)
+    found, distance = inner, np.where((inner >= 0).all(-1), -1.0, np.inf)
+    for start, end in ((0, 1), (1, 2), (2, 0)):
+        origin, side = triangles[..., start, :], triangles[..., end, :] - triangles[..., start, :]
+        along = np.clip(((points - origin) * side).sum(-1) / np.square(side).sum(-1), 0, 1)
+        apart = np.square(points - origin - along[..., None] * side).sum(-1)
+        edge = np.zeros(inner.shape)
+        edge[..., start], edge[..., end] = 1 - along, along
+        nearer = apart < distance
+        found, distance = np.where(nearer[..., None], edge, found), np.where(nearer, apart, distance)
+    return found
+
+
+def nearest(points: np.ndarray, triangles: np.ndarray, samples: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    """Which triangle each point is closest to, shape [P], and where on it, as barycentric coordinates [P, 3].
+
+    Args:
+        points: shape [P, 3].
+        triangles: corners, shape [F, 3, 3].
+        samples: rows of samples on each triangle, at whose closest ones is looked: 1 = the centre, which does where
+            triangles are alike in size.
+    """
+    rows = [[i + 1 / 3, j + 1 / 3, samples - i - j - 2 / 3] for i in range(samples) for j in range(samples - i)]
+    seeds = np.einsum("sk,fkx->fsx", np.array(rows) / samples, triangles).reshape(-1, 3)
+    count = min(CANDIDATES, len(seeds))
+    _, near = KDTree(seeds).query(points, k=count)
+    near = near.reshape(len(points), count) // len(rows)
+    shares = closest(points[:, None], triangles[near])
+    places = np.einsum("pck,pckx->pcx", shares, triangles[near])
+    best = np.square(points[:, None] - places).sum(-1).argmin(axis=1)
+    index = np.arange(len(points))
+    return near[index, best], shares[index, best]

@@ -11,6 +11,7 @@ What is seen depends on force over Young's modulus alone, so one fit answers for
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +23,7 @@ STRAIN = 0.4
 """By how much a step of the fit may strain an element: beyond, its matches are others and its prediction is off."""
 FREE = 100.0
 """Prior standard deviation of the even share's force over that of what a node adds."""
-ROUNDS = 60
+ROUNDS = 30
 FAR = 0.002
 """How far a step may move a node until the derivatives are taken anew, where they change [m]."""
 CLOSE = 0.02
@@ -85,11 +86,16 @@ def fit_surface(
     """
     force = np.zeros(3) if before is None else before.force
     nodal = np.tile(force / len(pulled), (len(pulled), 1))
-    rest = _pulled(body, material, held, motion, pulled, nodal, None if before is None else before.rest.displacement)
-    rest, nodal = _evenly(rest, nodal, pulled, points)
+    forces = np.zeros_like(body.rest)
+    forces[pulled] = nodal
+    start = None if before is None else before.rest.displacement
+    rest = find_equilibrium(body, material, held, motion=motion, forces=forces, start=start)
+    constant = material.law == "linear"
+    slopes = before.slopes if before is not None and constant else _slopes(rest, pulled) if constant else None
+    rest, nodal = _evenly(rest, nodal, pulled, points, slopes)
     noise = float(np.sqrt(np.mean(_residuals(rest, points, np.zeros((*rest.displacement.shape, 1)))[0] ** 2)))
     prior = float(np.linalg.norm(nodal.mean(axis=0))) / 10
-    slopes = before.slopes if before is not None and material.law == "linear" else _slopes(rest, pulled)
+    slopes = _slopes(rest, pulled) if slopes is None else slopes
     # An even share of a force of which nothing is known, and what every node adds to it.
     summed = np.tile(np.eye(3), (len(pulled), 1))
     parts = np.hstack([FREE / len(pulled) * summed, np.eye(3 * len(pulled))])
@@ -106,7 +112,7 @@ def fit_surface(
         share = min(1.0, trust / _strain(body, moved))
         following = nodal + share * change.reshape(-1, 3)
         try:
-            rest = _pulled(body, material, held, motion, pulled, following, rest.displacement + share * moved)
+            rest = _follow(rest, pulled, following, share * moved)
         except NoEquilibrium:
             trust /= 2
             if trust < STRAIN / 100:
@@ -115,28 +121,29 @@ def fit_surface(
         step, nodal = (following - nodal).sum(axis=0), following
         if share == 1 and (np.abs(step) < CLOSE * np.sqrt(np.diag(covariance))).all():
             break
-        if farthest > FAR and material.law != "linear":
+        if farthest > FAR and not constant:
             slopes = _slopes(rest, pulled)
     return SurfaceFit(rest, nodal, nodal.sum(axis=0), covariance, noise, slopes)
 
 
 def _evenly(
-    rest: Equilibrium, nodal: np.ndarray, pulled: np.ndarray, points: np.ndarray
+    rest: Equilibrium, nodal: np.ndarray, pulled: np.ndarray, points: np.ndarray, slopes: np.ndarray | None
 ) -> tuple[Equilibrium, np.ndarray]:
     """One force, shared out evenly, that brings the body close to its points, and where it rests then."""
-    energy, held, trust = rest.energy, rest.held, STRAIN
-    motion = np.where(held, rest.displacement, 0.0)
+    trust = STRAIN
+    pulls = np.zeros((*rest.displacement.shape, 3))
+    pulls[pulled] = np.eye(3) / len(pulled)
+    known = None if slopes is None else slopes @ np.tile(np.eye(3) / len(pulled), (len(pulled), 1))
     for _ in range(ROUNDS):
-        pulls = np.zeros((*rest.displacement.shape, 3))
-        pulls[pulled] = np.eye(3) / len(pulled)
-        slopes = rest.moved_by(pulls)
-        residual, jacobian = _residuals(rest, points, slopes)
+        even = rest.moved_by(pulls) if known is None else known
+        residual, jacobian = _residuals(rest, points, even)
         change = np.linalg.lstsq(jacobian, residual, rcond=None)[0]
-        farthest = float(np.abs(slopes @ change).max())
-        share = min(1.0, trust / _strain(energy.solid, slopes @ change))
-        following, begin = nodal + share * change / len(pulled), rest.displacement + share * (slopes @ change)
+        moved = even @ change
+        farthest = float(np.abs(moved).max())
+        share = min(1.0, trust / _strain(rest.energy.solid, moved))
+        following = nodal + share * change / len(pulled)
         try:
-            rest = _pulled(energy.solid, energy.material, held, motion, pulled, following, begin)
+            rest = _follow(rest, pulled, following, share * moved)
         except NoEquilibrium:
             trust /= 2
             if trust < STRAIN / 100:
@@ -148,10 +155,15 @@ def _evenly(
     return rest, nodal
 
 
-def _pulled(body, material, held, motion, pulled, nodal, start) -> Equilibrium:
-    forces = np.zeros_like(body.rest)
+def _follow(rest: Equilibrium, pulled: np.ndarray, nodal: np.ndarray, moved: np.ndarray) -> Equilibrium:
+    """Where a body rests under other forces [G, 3], given the linear prediction of how it moves [N, 3]."""
+    energy, displacement = rest.energy, rest.displacement + moved
+    forces = np.zeros_like(displacement)
     forces[pulled] = nodal
-    return find_equilibrium(body, material, held, motion=motion, forces=forces, start=start)
+    if energy.material.law == "linear":  # the prediction is exact
+        return Equilibrium(dataclasses.replace(energy, forces=forces), displacement, rest.held, 0)
+    motion = np.where(rest.held, rest.displacement, 0.0)
+    return find_equilibrium(energy.solid, energy.material, rest.held, motion=motion, forces=forces, start=displacement)
 
 
 def _strain(body: Solid, moved: np.ndarray) -> float:

@@ -103,7 +103,7 @@ REPRODUCE := $(BIN)/python train.py fit -c configs/paper.yaml --data.root $(PAPE
 paper: $(INSTALLED)
 	$(PRESSES) --seed 31 --clips 7
 	$(PRESSES) --seed 32 --first 8 --clips 2
-	$(PRESSES) --seed 33 --first 10 --presses 15
+	$(PRESSES) --seed 33 --first 10 --presses 17
 	$(REPRODUCE) --ckpt_path last
 	$(subst fit,test,$(REPRODUCE)) --ckpt_path best
 	$(BIN)/python -m evaluation.paper.recovered $(PAPER)/training/evaluation $(PAPER)/clips

@@ -102,10 +102,10 @@ def fit_surface(
     trust, covariance = STRAIN, np.eye(3)
     for _ in range(ROUNDS):
         residual, jacobian = _residuals(rest, points, slopes)
-        found = _posterior(jacobian @ parts, residual + jacobian @ nodal.ravel(), noise, prior)
-        mean, spread, noise, prior = found
-        to_force = summed.T @ parts
-        covariance = to_force @ spread @ to_force.T
+        seen = residual + jacobian @ nodal.ravel()
+        mean, root, noise, prior = _posterior(jacobian @ parts, seen, noise, prior)
+        spread = summed.T @ parts @ root
+        covariance = spread @ spread.T
         change = parts @ mean - nodal.ravel()
         moved = slopes @ change
         farthest = float(np.abs(moved).max())
@@ -199,7 +199,7 @@ def _residuals(rest: Equilibrium, points: np.ndarray, slopes: np.ndarray) -> tup
 def _posterior(
     jacobian: np.ndarray, seen: np.ndarray, noise: float, prior: float
 ) -> tuple[np.ndarray, np.ndarray, float, float]:
-    """Mean and covariance of the nodal forces, and the widths of noise and prior, by expectation maximisation."""
+    """Mean of the unknowns, a root of their covariance, widths of noise and prior, by expectation maximisation."""
     left, sizes, right = np.linalg.svd(jacobian, full_matrices=False)
     projected, outside = left.T @ seen, float(np.sum(seen**2) - np.sum((left.T @ seen) ** 2))
     for _ in range(200):
@@ -213,7 +213,7 @@ def _posterior(
         noise = float(following)
         if done:
             break
-    spread = (right.T * variance) @ right
+    root = right.T * np.sqrt(variance)
     if jacobian.shape[1] > len(sizes):  # fewer points than unknowns
-        spread += prior**2 * (np.eye(jacobian.shape[1]) - right.T @ right)
-    return right.T @ mean, spread, noise, prior
+        root = np.hstack([root, prior * (np.eye(jacobian.shape[1]) - right.T @ right)])
+    return right.T @ mean, root, noise, prior

@@ -15,7 +15,7 @@ __getattr__ = exported(
     {
         "physics.fem.laws": ("LAWS", "Material"),
         "physics.fem.solid": ("Solid", "make_solid"),
-        "physics.fem.lattice": ("box", "fill_cells"),
+        "physics.fem.lattice": ("box",),
         "physics.fem.meshing": ("Meshed", "NoBody", "mesh_surface"),
         "physics.fem.equilibrium": ("Equilibrium", "NoEquilibrium", "find_equilibrium"),
         "physics.fem.dynamics": ("Inertia", "Motion", "Relaxation", "simulate"),

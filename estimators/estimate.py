@@ -222,6 +222,12 @@ class GripEstimate:
     """At the grip over that of the last frame, shape [T]."""
     force_sd: np.ndarray
     """Its standard deviation, shape [T]."""
+    reaction_over_stiffness: float
+    """What holds the tissue in the last frame over a spring's stiffness [px]: times depth over focal length F/k_s."""
+    reaction_over_stiffness_low: float
+    """Lower end of its 90 % interval."""
+    reaction_over_stiffness_high: float
+    """Upper end."""
 
     @property
     def explained(self) -> bool:

@@ -96,6 +96,8 @@ def equilibrium(
     displacement = np.zeros((count, motion.shape[1]))
     displacement[gripped] = motion
     free = matrix[~gripped]
-    factors = splu(free[:, ~gripped].tocsc())
+    # Symmetric and positive: no pivoting, and an ordering that keeps the symmetry.
+    symmetric = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+    factors = splu(free[:, ~gripped].tocsc(), **symmetric)
     displacement[~gripped] = factors.solve(-(free[:, gripped] @ np.asarray(motion, np.float64)))
     return Equilibrium(displacement, springs, matrix, gripped, factors)

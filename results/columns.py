@@ -40,6 +40,10 @@ GRIP = {
     "unless only that is determined",
     "foundation_over_stiffness_low": "lower end of its 90 % interval",
     "foundation_over_stiffness_high": "upper end of its 90 % interval",
+    "reaction_over_stiffness": "what holds the tissue in the last frame over a spring's stiffness, px of such a "
+    "picture; times depth over focal length it is F/k_s",
+    "reaction_over_stiffness_low": "lower end of its 90 % interval",
+    "reaction_over_stiffness_high": "upper end of its 90 % interval",
     "skill": "of that sheet in frames that were not fitted: 1 - error / motion; unless foundation, detail says it",
 }
 """Columns of what the motion around an instrument tells, where nothing is determined by the contact's own."""

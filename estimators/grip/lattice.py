@@ -15,6 +15,23 @@ LEVEL = 0.1
 """Standard deviation of the mean log stiffness: with the foundation's it would only be a unit."""
 
 
+def continued(points: np.ndarray, spacing: int, beyond: int) -> np.ndarray:
+    """Nodes of the sheet, shape [M, 2] [px]: the points [N, 2], and behind them what is not seen.
+
+    Tissue goes on behind the instrument and beyond the picture's edges; a sheet with a hole there, or that ends there,
+    is pulled along with too little force.
+
+    Args:
+        beyond: how far it goes on beyond the points, in their spacings.
+    """
+    cells = np.rint(points / spacing).astype(np.int64)
+    low, high = cells.min(axis=0) - beyond, cells.max(axis=0) + beyond
+    hidden = np.ones(high - low + 1, bool)
+    hidden[tuple((cells - low).T)] = False
+    offset = points[0] - cells[0] * spacing
+    return np.concatenate([points, (np.argwhere(hidden) + low) * spacing + offset])
+
+
 def lattice_springs(points: np.ndarray, spacing: int) -> np.ndarray:
     """Pairs of neighbours on a square grid, diagonals included, shape [S, 2]; points [N, 2] (column, row) [px]."""
     cells = np.rint(points / spacing).astype(np.int64)
@@ -50,37 +67,39 @@ def uniform(count: int) -> Fields:
     return Fields(csr_array((count, 1)), ones, np.array([np.log(TYPICAL_ANCHOR)]), np.array([[SPREAD**-2]]))
 
 
-def knotted(points: np.ndarray, spacing: int, roughness: float) -> Fields:
-    """Both fields bilinear between knots.
+def knotted(nodes: np.ndarray, count: int, spacing: int, roughness: float) -> Fields:
+    """Both fields bilinear between knots, which span the points; beyond these as at their edge.
 
     Args:
-        points: nodes, shape [N, 2] [px].
+        nodes: shape [N, 2] [px].
+        count: so many of them, the first ones, are points.
         spacing: of the points [px].
         roughness: standard deviation of the difference between neighbouring knots.
     """
+    points = nodes[:count]
     low, extent = points.min(axis=0), np.maximum(np.ptp(points, axis=0), spacing)
     shape = np.maximum(np.rint(extent / (KNOT * spacing)).astype(int), 1) + 1
-    weights = _bilinear((points - low) / extent * (shape - 1), shape)
-    count = int(np.prod(shape))
-    number = np.arange(count).reshape(shape)
+    weights = _bilinear(np.clip((nodes - low) / extent, 0, 1) * (shape - 1), shape)
+    knots = int(np.prod(shape))
+    number = np.arange(knots).reshape(shape)
     pairs = np.concatenate(
         [
             np.column_stack([number[1:].ravel(), number[:-1].ravel()]),
             np.column_stack([number[:, 1:].ravel(), number[:, :-1].ravel()]),
         ]
     )
-    difference = np.zeros((len(pairs), count))
+    difference = np.zeros((len(pairs), knots))
     rows = np.arange(len(pairs))
     difference[rows, pairs[:, 0]], difference[rows, pairs[:, 1]] = 1, -1
-    smooth, level = difference.T @ difference / roughness**2, np.full((count, count), count**-2.0)
+    smooth, level = difference.T @ difference / roughness**2, np.full((knots, knots), knots**-2.0)
     nothing = np.zeros(weights.shape)
-    precision = np.zeros((2 * count, 2 * count))
-    precision[:count, :count] = smooth + level / LEVEL**2
-    precision[count:, count:] = smooth + level / SPREAD**2
+    precision = np.zeros((2 * knots, 2 * knots))
+    precision[:knots, :knots] = smooth + level / LEVEL**2
+    precision[knots:, knots:] = smooth + level / SPREAD**2
     return Fields(
         csr_array(np.hstack([weights.toarray(), nothing])),
         csr_array(np.hstack([nothing, weights.toarray()])),
-        np.repeat([0.0, np.log(TYPICAL_ANCHOR)], count),
+        np.repeat([0.0, np.log(TYPICAL_ANCHOR)], knots),
         precision,
     )
 

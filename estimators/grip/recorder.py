@@ -56,10 +56,10 @@ class GripRecorder:
         if not frame.in_contact:
             return
         self._seen += 1
-        moved = without_background(follower.points, follower.moved, follower.distance).astype(np.float32)
-        grip = GripFrame(moved, follower.followed & (follower.distance < DRIVEN))
-        if not grip.tells:
+        moved, gripped = follower.moved, follower.followed & (follower.distance < DRIVEN)
+        if not GripFrame(without_background(follower.points, moved, follower.distance), gripped).tells:
             return
+        grip = GripFrame(moved.astype(np.float32), gripped)
         self._count += 1
         if self._count % self._every:
             return
@@ -68,7 +68,7 @@ class GripRecorder:
             self._kept, self._every = self._kept[1::2], 2 * self._every
 
     def estimate(self) -> GripEstimate:
-        """A sheet's one number from the first half of the motion, judged on the second.
+        """A sheet's one number, judged on the second half of the motion by what the first half tells.
 
         Raises:
             NoEstimate: too little moves, or too few points are seen.
@@ -80,18 +80,29 @@ class GripRecorder:
                 f"{LEAST_MOTION:g} px and enough of it is seen; {2 * LEAST_FRAMES} are needed."
             )
         spacing, frames = self._follower.spacing, [item.frame for item in kept]
-        fit = fit_sheet(points, spacing, frames[:half], field=False)
+        # Whether the tissue moves with the instrument is judged by what moves against far tissue; how, with the
+        # background's motion found beside the sheet's, because far tissue is pulled along, too.
+        distance = self._follower.distance
+        against = [
+            dataclasses.replace(frame, moved=without_background(points, frame.moved, distance)) for frame in frames
+        ]
+        judged = fit_sheet(points, spacing, against[:half], field=False)
+        fit = fit_sheet(points, spacing, frames, field=False, background=True)
         log, sd = fit.mean_log_anchor
         force, force_sd = fit.relative_force(frames)
+        pull, pull_sd = fit.log_force(frames[-1])
         return GripEstimate(
             foundation_over_stiffness=float(np.exp(log)),
             foundation_over_stiffness_low=float(np.exp(log - NINETY * sd)),
             foundation_over_stiffness_high=float(np.exp(log + NINETY * sd)),
-            skill=_mean_skill(fit, frames[half:]),
-            rival=_rival_skill(points, spacing, self._follower.distance, frames),
+            skill=_mean_skill(judged, against[half:]),
+            rival=_rival_skill(points, spacing, distance, against),
             times=np.array([item.time_s for item in kept]),
             force=force,
             force_sd=force_sd,
+            reaction_over_stiffness=float(np.exp(pull)),
+            reaction_over_stiffness_low=float(np.exp(pull - NINETY * pull_sd)),
+            reaction_over_stiffness_high=float(np.exp(pull + NINETY * pull_sd)),
         )
 
 

@@ -17,11 +17,13 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.sparse import csr_array
 
-from estimators.grip.lattice import KNOT, Fields, knotted, lattice_springs, uniform
+from estimators.grip.lattice import KNOT, Fields, continued, knotted, lattice_springs, uniform
 from physics.sheet import Equilibrium, equilibrium
 
 ROUGHNESS = (1.0, 3.0, 10.0)
 """Candidates of the standard deviation between neighbouring knots; besides them one number for all."""
+BEYOND = 5
+"""How far a sheet of one number goes on beyond the points, in their spacings; fields, untold there, end with them."""
 MOST_FRAMES = 8
 """So many frames, evenly spread, are fitted: the motion grows steadily, and its neighbours say the same."""
 LEAST_MOTION = 1.0
@@ -36,6 +38,8 @@ LARGEST = 20.0
 """Numbers stay so near to their prior mean, where exponentials are finite."""
 DRAWS = 32
 """Of the posterior, for the force's standard deviation."""
+HIDDEN = 0.1
+"""Relative standard deviation of the force on the foundation of tissue that is not seen."""
 TINY = 1e-12
 """Added to a covariance's diagonal so that rounding doesn't make it indefinite."""
 RADIUS = 2.1459660262893474
@@ -75,10 +79,12 @@ class GripFrame:
 
 @dataclass(frozen=True, eq=False)
 class SheetFit:
-    """A fitted sheet; N nodes, P numbers."""
+    """A fitted sheet; N points, P numbers."""
 
+    count: int
+    """N. The sheet's first nodes are the points, those behind them are not seen."""
     springs: np.ndarray
-    """Shape [S, 2]."""
+    """Pairs of nodes, shape [S, 2]."""
     fields: Fields
     """What the numbers mean."""
     numbers: np.ndarray
@@ -87,22 +93,24 @@ class SheetFit:
     """Theirs, shape [P, P]."""
     roughness: float
     """Chosen standard deviation between neighbouring knots; 0 = one number for all."""
+    terms: np.ndarray | None
+    """Of the background's affine motion at every point, shape [N, 3]; None where it is at rest."""
     error: tuple[float, float]
     """Standard deviation by axis of predictions, as a share of the grip's motion and of a point's own: the sheet is
     linear, so that its error grows with the pull. Measured on frames that were not fitted."""
 
     @property
     def log_stiffness(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of every node relative to the mean, and its standard deviation, shape [N] each."""
-        return self._field(self.fields.stiffness)
+        """At every point relative to the mean, and its standard deviation, shape [N] each."""
+        return self._field(self.fields.stiffness[: self.count])
 
     @property
     def log_anchor(self) -> tuple[np.ndarray, np.ndarray]:
-        """Foundation over the stiffness of the springs there of every node, and its standard deviation, shape [N] each.
+        """Foundation over the stiffness of the springs at every point, and its standard deviation, shape [N] each.
 
         Motion dies away over √(3/it) spacings of the points: with diagonals every node has springs worth three.
         """
-        return self._field(self.fields.anchor - self.fields.stiffness)
+        return self._field((self.fields.anchor - self.fields.stiffness)[: self.count])
 
     def _field(self, basis: csr_array) -> tuple[np.ndarray, np.ndarray]:
         spread = ((basis @ self.covariance) * basis.toarray()).sum(axis=1)
@@ -110,15 +118,19 @@ class SheetFit:
 
     @property
     def mean_log_anchor(self) -> tuple[float, float]:
-        """Mean of `log_anchor` over all nodes, and its standard deviation."""
-        row = (self.fields.anchor - self.fields.stiffness).mean(axis=0)
+        """Mean of `log_anchor` over all points, and its standard deviation."""
+        row = (self.fields.anchor - self.fields.stiffness)[: self.count].mean(axis=0)
         return float(row @ self.numbers), float(np.sqrt(max(row @ self.covariance @ row, 0.0)))
 
     def predict(self, frame: GripFrame) -> tuple[np.ndarray, np.ndarray]:
-        """Displacement of every node [N, 2] where the grip is, and its standard deviation by axis [N] [px]."""
-        moved = solve(self.springs, self.fields, self.numbers, frame).displacement
+        """Displacement of every point [N, 2] with the grip, background aside, and its standard deviation [N] [px]."""
+        moved = self.explained(frame)[0].displacement[: self.count]
         grip, own = self.error
         return moved, np.sqrt(grip**2 * frame.pull**2 + own**2 * np.square(moved).sum(axis=1))
+
+    def explained(self, frame: GripFrame) -> tuple[Equilibrium, np.ndarray]:
+        """The sheet at rest under a frame's grip, and how far the background carries every point, shape [N, 2] [px]."""
+        return solve(self.springs, self.fields, self.numbers, frame, self.terms)
 
     def relative_force(self, frames: Sequence[GripFrame]) -> tuple[np.ndarray, np.ndarray]:
         """What holds the gripped tissue in every frame over what holds it in the last, and its standard deviation.
@@ -131,19 +143,36 @@ class SheetFit:
         if same.sum() < LEAST_GRIPPED:
             return np.full(len(frames), np.nan), np.full(len(frames), np.nan)
         frames = [dataclasses.replace(frame, gripped=same) for frame in frames]
-        factor = np.linalg.cholesky(self.covariance + TINY * np.eye(len(self.numbers)))
-        random = np.random.default_rng(0).standard_normal((DRAWS, len(self.numbers)))
-        if len(self.numbers) == 1:
-            random = np.array([[1.0], [-1.0]])  # which have its standard deviation, and are fewer
-        drawn = [_along_last(_forces(self, self.numbers + factor @ row, frames))[0] for row in random]
+        drawn = [_along_last(_forces(self, numbers, frames))[0] for numbers in self._draws()]
         ratio, across = _along_last(_forces(self, self.numbers, frames))
         left = self.error[1] * np.hypot(ratio * (1 - ratio), across)
         return ratio, np.hypot(np.std(drawn, axis=0), left)
 
+    def log_force(self, frame: GripFrame) -> tuple[float, float]:
+        """Log of what holds the gripped tissue over the springs' mean stiffness, and its standard deviation [px].
+
+        Tissue behind the instrument is not seen: the share of the force that it takes, on its foundation, counts as
+        known to HIDDEN of itself.
+        """
+        found = self.explained(frame)[0]
+        force = found.reaction.sum(axis=0)
+        anchor = _moduli(self.springs, self.fields, self.numbers)[1]
+        hidden = (anchor[:, None] * found.displacement)[self.count :].sum(axis=0) @ force / (force @ force)
+        drawn = [np.log(np.linalg.norm(_forces(self, numbers, [frame])[0])) for numbers in self._draws()]
+        return float(np.log(np.linalg.norm(force))), float(np.hypot(np.std(drawn), HIDDEN * hidden))
+
+    def _draws(self) -> np.ndarray:
+        """Numbers from their posterior, shape [DRAWS, P]; of one number the two that have its standard deviation."""
+        if len(self.numbers) == 1:
+            return self.numbers + np.sqrt(self.covariance) * np.array([[1.0], [-1.0]])
+        factor = np.linalg.cholesky(self.covariance + TINY * np.eye(len(self.numbers)))
+        return self.numbers + np.random.default_rng(0).standard_normal((DRAWS, len(self.numbers))) @ factor.T
+
 
 def _forces(fit: SheetFit, numbers: np.ndarray, frames: Sequence[GripFrame]) -> np.ndarray:
     """What holds the gripped tissue in every frame, shape [T, 2] [unit of stiffness × px]."""
-    return np.array([solve(fit.springs, fit.fields, numbers, frame).reaction.sum(axis=0) for frame in frames])
+    found = [solve(fit.springs, fit.fields, numbers, frame, fit.terms)[0] for frame in frames]
+    return np.array([item.reaction.sum(axis=0) for item in found])
 
 
 def _along_last(forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -152,46 +181,59 @@ def _along_last(forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return forces @ last, forces @ np.array([-last[1], last[0]])
 
 
-def fit_sheet(points: np.ndarray, spacing: int, frames: Sequence[GripFrame], field: bool = True) -> SheetFit:
+def fit_sheet(
+    points: np.ndarray, spacing: int, frames: Sequence[GripFrame], field: bool = True, background: bool = False
+) -> SheetFit:
     """Fit a sheet to some frames of a grip, in their order in time.
 
     Args:
         points: places at rest, on a square grid, shape [N, 2] [px].
         spacing: of the grid [px].
-        frames: of which those that show no motion don't count.
+        frames: of which those that show no motion don't count; with a background all do.
         field: whether stiffness and foundation may vary over the sheet; else one number explains all.
+        background: whether the foundation moves affinely, in every frame in its own way: a camera's motion, breathing.
+            It is found with the sheet, because far points, too, are pulled along.
 
     Raises:
         NothingMoves: fewer than LEAST_FRAMES frames move, or too few points are seen.
     """
-    moving = [frame for frame in frames if frame.tells]
+    # With the background's motion on top it can't be seen which frames move.
+    moving = [frame for frame in frames if background or frame.tells]
     if len(moving) < LEAST_FRAMES:
         raise NothingMoves(
             f"In {len(moving)} of {len(frames)} frames the tissue moves by more than {LEAST_MOTION:g} px, with "
             f"{LEAST_GRIPPED} points seen at the instrument and {LEAST_AROUND} around it; {LEAST_FRAMES} are needed."
         )
-    springs = lattice_springs(points, spacing)
+    nodes = continued(points, spacing, 0 if field else BEYOND)
+    springs, terms = lattice_springs(nodes, spacing), _affine(points) if background else None
     later = len(moving) // 2
     early, late = _spread(moving[:-later]), moving[-later:]
-    plain = uniform(len(points))
-    candidates = {0.0: plain} | ({rough: knotted(points, spacing, rough) for rough in ROUGHNESS} if field else {})
+    plain = uniform(len(nodes))
+    candidates = {0.0: plain} | (
+        {rough: knotted(nodes, len(points), spacing, rough) for rough in ROUGHNESS} if field else {}
+    )
     found: dict[float, np.ndarray] = {}
     for rough, fields in candidates.items():
         start = _started(fields, found[0.0][0] if found else float(plain.mean[0]))
-        found[rough] = _likeliest(springs, fields, early, start)
-    errors = {rough: _relative_error(springs, candidates[rough], found[rough], late) for rough in found}
+        found[rough] = _likeliest(springs, fields, early, start, terms)
+    errors = {rough: _relative_error(springs, candidates[rough], found[rough], late, terms) for rough in found}
     best = min(errors, key=lambda rough: errors[rough])
     fields = candidates[best]
-    error = _discrepancy(springs, fields, found[best], late)
+    error = _discrepancy(springs, fields, found[best], late, terms)
     used = _spread(moving)
-    numbers = _likeliest(springs, fields, used, found[best])
-    return SheetFit(springs, fields, numbers, _covariance(springs, fields, numbers, used), best, error)
+    numbers = _likeliest(springs, fields, used, found[best], terms)
+    covariance = _covariance(springs, fields, numbers, used, terms)
+    return SheetFit(len(points), springs, fields, numbers, covariance, best, terms, error)
 
 
 def skill(fit: SheetFit, frame: GripFrame) -> float:
-    """1 - error / motion of the points around the grip, root mean squares: 0 as if nothing moved, 1 = exact."""
-    off = solve(fit.springs, fit.fields, fit.numbers, frame).displacement - frame.moved
-    return 1 - length(off[frame.around]) / length(frame.moved[frame.around])
+    """1 - error / motion of the points around the grip, root mean squares: 0 as if nothing moved, 1 = exact.
+
+    Both without the background's motion.
+    """
+    found, carried = fit.explained(frame)
+    moved = (frame.moved - carried)[frame.around]
+    return 1 - length(found.displacement[: fit.count][frame.around] - moved) / length(moved)
 
 
 def length(vectors: np.ndarray) -> float:
@@ -199,10 +241,41 @@ def length(vectors: np.ndarray) -> float:
     return float(np.sqrt(np.square(vectors).sum(axis=1).mean()))
 
 
-def solve(springs: np.ndarray, fields: Fields, numbers: np.ndarray, frame: GripFrame) -> Equilibrium:
-    """The sheet at rest under a frame's grip."""
-    stiffness, anchor = _moduli(springs, fields, numbers)
-    return equilibrium(springs, stiffness, anchor, frame.gripped, frame.moved[frame.gripped])
+def solve(
+    springs: np.ndarray, fields: Fields, numbers: np.ndarray, frame: GripFrame, terms: np.ndarray | None
+) -> tuple[Equilibrium, np.ndarray]:
+    """The sheet at rest under a frame's grip, and how far the background carries every point, shape [N, 2] [px]."""
+    return _held(springs, *_moduli(springs, fields, numbers), frame, terms)[:2]
+
+
+def _held(
+    springs: np.ndarray, stiffness: np.ndarray, anchor: np.ndarray, frame: GripFrame, terms: np.ndarray | None
+) -> tuple[Equilibrium, np.ndarray, np.ndarray]:
+    """The same, and how the points around the grip follow each of the background's terms, shape [n, 3 or 0].
+
+    A foundation that moves affinely carries the whole sheet along, which changes no spring; what is left of the grip's
+    motion pulls as if the foundation stood still. The least squares of the points around say which affine motion.
+    """
+    count, around = len(frame.gripped), frame.around
+    gripped = np.zeros(len(anchor), bool)
+    gripped[:count] = frame.gripped
+    motion = frame.moved[frame.gripped]
+    if terms is None:
+        return (
+            equilibrium(springs, stiffness, anchor, gripped, motion),
+            np.zeros((count, 2)),
+            np.zeros((around.sum(), 0)),
+        )
+    found = equilibrium(springs, stiffness, anchor, gripped, np.hstack([motion, terms[frame.gripped]]))
+    pulled, tied = found.displacement[:, :2], found.displacement[:, 2:]
+    follows = (terms - tied[:count])[around]
+    affine = np.linalg.lstsq(follows, (frame.moved - pulled[:count])[around], rcond=None)[0]
+    return dataclasses.replace(found, displacement=pulled - tied @ affine), terms @ affine, follows
+
+
+def _affine(points: np.ndarray) -> np.ndarray:
+    """Terms of an affine motion at points [N, 2], each of about unit size, shape [N, 3]."""
+    return np.column_stack([(points - points.mean(axis=0)) / points.std(axis=0), np.ones(len(points))])
 
 
 def _moduli(springs: np.ndarray, fields: Fields, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -230,7 +303,9 @@ def _independent(count: int) -> float:
     return 2 * count / KNOT**2
 
 
-def _likeliest(springs: np.ndarray, fields: Fields, frames: Sequence[GripFrame], start: np.ndarray) -> np.ndarray:
+def _likeliest(
+    springs: np.ndarray, fields: Fields, frames: Sequence[GripFrame], start: np.ndarray, terms: np.ndarray | None
+) -> np.ndarray:
     """Numbers of highest posterior density, the error's size unknown in every frame."""
     ends = (fields.stiffness[springs[:, 0]] + fields.stiffness[springs[:, 1]]) / 2
 
@@ -239,10 +314,12 @@ def _likeliest(springs: np.ndarray, fields: Fields, frames: Sequence[GripFrame],
         value, gradient = 0.5 * off @ fields.precision @ off, fields.precision @ off
         stiffness, anchor = _moduli(springs, fields, numbers)
         for frame in frames:
-            found = equilibrium(springs, stiffness, anchor, frame.gripped, frame.moved[frame.gripped])
-            around = frame.around
-            error = np.where(around[:, None], found.displacement - frame.moved, 0.0)
-            size, worth = float(np.square(error).sum()), _independent(int(around.sum())) / len(frames)
+            # The background is the likeliest for these numbers: it has no slope of its own.
+            found, carried, _ = _held(springs, stiffness, anchor, frame, terms)
+            around = np.flatnonzero(frame.around)
+            error = np.zeros_like(found.displacement)
+            error[around] = found.displacement[around] - (frame.moved - carried)[around]
+            size, worth = float(np.square(error).sum()), _independent(len(around)) / len(frames)
             value += 0.5 * worth * np.log(size)
             by_stiffness, by_anchor = found.gradient(worth / size * error)
             gradient = gradient + ends.T @ (by_stiffness * stiffness) + fields.anchor.T @ (by_anchor * anchor)
@@ -252,15 +329,22 @@ def _likeliest(springs: np.ndarray, fields: Fields, frames: Sequence[GripFrame],
     return minimize(loss, start, jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": STEPS}).x
 
 
-def _covariance(springs: np.ndarray, fields: Fields, numbers: np.ndarray, frames: Sequence[GripFrame]) -> np.ndarray:
+def _covariance(
+    springs: np.ndarray, fields: Fields, numbers: np.ndarray, frames: Sequence[GripFrame], terms: np.ndarray | None
+) -> np.ndarray:
     """Of the numbers at their likeliest, by Gauss and Newton's Hessian, shape [P, P]."""
     precision = fields.precision.copy()
+    moduli = _moduli(springs, fields, numbers)
     for frame in frames:
-        found = solve(springs, fields, numbers, frame)
-        around = frame.around
-        slopes = _slopes(springs, fields, numbers, found)[around].reshape(2 * int(around.sum()), -1)
-        size = float(np.square(found.displacement - frame.moved)[around].sum())
-        precision += _independent(int(around.sum())) / len(frames) / size * (slopes.T @ slopes)
+        found, carried, follows = _held(springs, *moduli, frame, terms)
+        around = np.flatnonzero(frame.around)
+        slopes = _slopes(springs, fields, numbers, found)[around]
+        # What the background could do as well tells nothing.
+        basis = np.linalg.qr(follows)[0]
+        slopes = slopes - np.einsum("nk,kap->nap", basis, np.einsum("nk,nap->kap", basis, slopes))
+        slopes = slopes.reshape(2 * len(around), -1)
+        size = float(np.square(found.displacement[around] - (frame.moved - carried)[around]).sum())
+        precision += _independent(len(around)) / len(frames) / size * (slopes.T @ slopes)
     return np.linalg.inv(precision)
 
 
@@ -272,29 +356,35 @@ def _slopes(springs: np.ndarray, fields: Fields, numbers: np.ndarray, found: Equ
 
 
 def _errors(
-    springs: np.ndarray, fields: Fields, numbers: np.ndarray, frame: GripFrame
-) -> tuple[np.ndarray, np.ndarray]:
-    """Squared error and squared predicted motion of the points around the grip, shape [n] each [px²]."""
-    found, around = solve(springs, fields, numbers, frame).displacement, frame.around
-    return np.square(found - frame.moved)[around].sum(axis=1), np.square(found[around]).sum(axis=1)
+    springs: np.ndarray, fields: Fields, numbers: np.ndarray, frame: GripFrame, terms: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Squared error and predicted motion of the points around the grip [n], and their mean square motion [px²]."""
+    found, carried = solve(springs, fields, numbers, frame, terms)
+    around = np.flatnonzero(frame.around)
+    predicted, moved = found.displacement[around], (frame.moved - carried)[around]
+    return np.square(predicted - moved).sum(axis=1), np.square(predicted).sum(axis=1), length(moved) ** 2
 
 
-def _relative_error(springs: np.ndarray, fields: Fields, numbers: np.ndarray, frames: Sequence[GripFrame]) -> float:
+def _relative_error(
+    springs: np.ndarray,
+    fields: Fields,
+    numbers: np.ndarray,
+    frames: Sequence[GripFrame],
+    terms: np.ndarray | None,
+) -> float:
     """Mean square of error over motion."""
-    found = [
-        _errors(springs, fields, numbers, frame)[0].mean() / length(frame.moved[frame.around]) ** 2 for frame in frames
-    ]
-    return float(np.mean(found))
+    found = [_errors(springs, fields, numbers, frame, terms) for frame in frames]
+    return float(np.mean([error.mean() / motion for error, _, motion in found]))
 
 
 def _discrepancy(
-    springs: np.ndarray, fields: Fields, numbers: np.ndarray, frames: Sequence[GripFrame]
+    springs: np.ndarray, fields: Fields, numbers: np.ndarray, frames: Sequence[GripFrame], terms: np.ndarray | None
 ) -> tuple[float, float]:
     """Shares of errors with standard deviation √((share · grip's motion)² + (share · own motion)²), by axis.
 
     Their ratio is the likeliest one of normal errors; their size is such that 90 % discs hold 90 % of the points.
     """
-    pairs = [_errors(springs, fields, numbers, frame) for frame in frames]
+    pairs = [_errors(springs, fields, numbers, frame, terms)[:2] for frame in frames]
     error, motion = (np.concatenate(part) for part in zip(*pairs, strict=True))
     pull = np.repeat([frame.pull**2 for frame in frames], [len(part) for part, _ in pairs])
 

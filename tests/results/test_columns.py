@@ -118,7 +118,9 @@ def test_parameters_at_their_ranges_end_and_delays_are_told() -> None:
 
 def grip(skill: float = 0.6) -> GripEstimate:
     times = np.arange(1.0, 4.0)
-    return GripEstimate(0.02, 0.015, 0.027, skill, 0.1, times, times / 3, np.array([0.02, 0.03, 0.0]))
+    return GripEstimate(
+        0.02, 0.015, 0.027, skill, 0.1, times, times / 3, np.array([0.02, 0.03, 0.0]), 300.0, 270.0, 330.0
+    )
 
 
 def test_a_grip_is_told_where_nothing_else_is_determined() -> None:

@@ -261,7 +261,9 @@ def test_a_fit_tells_the_verdict_first_and_no_number_surer_than_it() -> None:
 
 def test_a_grip_shows_how_the_force_changes_and_names_no_other_number() -> None:
     times = np.arange(1.0, 4.0)
-    grip = GripEstimate(0.02, 0.015, 0.027, 0.6, 0.1, times, times / 3, np.array([0.02, 0.03, 0.0]))
+    grip = GripEstimate(
+        0.02, 0.015, 0.027, 0.6, 0.1, times, times / 3, np.array([0.02, 0.03, 0.0]), 300.0, 270.0, 330.0
+    )
     (axes,) = fits(dataclasses.replace(NONE, grip=grip, detail="No onset."))
     assert heading(axes).endswith("foundation over stiffness 0.015 to 0.027")
     assert to_rgb(axes.texts[0].get_color()) == pytest.approx(color_of("foundation"))

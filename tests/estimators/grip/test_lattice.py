@@ -7,7 +7,18 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from estimators.grip.lattice import KNOT, LEVEL, SPREAD, TYPICAL_ANCHOR, knotted, lattice_springs, uniform
+from estimators.grip.lattice import (
+    KNOT,
+    LEVEL,
+    SPREAD,
+    TYPICAL_ANCHOR,
+    continued,
+    knotted,
+    lattice_springs,
+    uniform,
+)
+
+BEYOND = 3
 
 
 def grid(columns: int, rows: int, spacing: int = 8) -> np.ndarray:
@@ -65,7 +76,7 @@ def test_fields_are_bilinear_between_knots() -> None:
     """What is bilinear everywhere is so in each cell; the sum of the weights is 1."""
     points, places, shape = knots(22, 15)
     assert shape == (4, 3)
-    fields = knotted(points, 8, 1.0)
+    fields = knotted(points, len(points), 8, 1.0)
     half = len(fields.mean) // 2
     assert half == len(places) == 12
 
@@ -84,7 +95,7 @@ def test_fields_are_bilinear_between_knots() -> None:
 
 def test_a_knot_counts_only_in_the_cells_around_it() -> None:
     points, places, _ = knots(22, 15)
-    weights = knotted(points, 8, 1.0).stiffness.toarray()[:, : len(places)]
+    weights = knotted(points, len(points), 8, 1.0).stiffness.toarray()[:, : len(places)]
     for knot, place in enumerate(places):
         away = np.abs(points - place) / (8 * KNOT)
         expected = np.prod(np.maximum(1 - away, 0), axis=1)
@@ -94,7 +105,7 @@ def test_a_knot_counts_only_in_the_cells_around_it() -> None:
 def test_the_prior_punishes_steps_between_knots_and_levels() -> None:
     points, places, (columns, rows) = knots(22, 15)
     roughness = 0.4
-    fields = knotted(points, 8, roughness)
+    fields = knotted(points, len(points), 8, roughness)
     half = len(places)
     np.testing.assert_allclose(fields.mean, [0.0] * half + [np.log(TYPICAL_ANCHOR)] * half)
     numbers = np.random.default_rng(0).normal(size=2 * half)
@@ -109,7 +120,26 @@ def test_the_prior_punishes_steps_between_knots_and_levels() -> None:
 
 def test_few_points_still_have_four_knots() -> None:
     points = grid(3, 1)
-    fields = knotted(points, 8, 1.0)
+    fields = knotted(points, len(points), 8, 1.0)
     assert fields.stiffness.shape == (3, 8)
     np.testing.assert_allclose(fields.anchor @ np.r_[np.zeros(4), np.ones(4)], 1)
     np.testing.assert_allclose(fields.anchor @ np.r_[np.zeros(4), 0, 0, 1, 1], [0, 0.5, 1])
+
+
+def test_a_sheet_goes_on_where_nothing_is_seen() -> None:
+    """Behind a hole and beyond the edges, every place once, the points first."""
+    whole = grid(9, 7)
+    points = whole[np.hypot(*(whole - whole[30]).T) > 17].astype(np.float64)
+    nodes = continued(points, 8, BEYOND)
+    np.testing.assert_array_equal(nodes[: len(points)], points)
+    column, row = np.meshgrid(*(8.0 * np.arange(low - BEYOND, high + BEYOND) for low, high in ((3, 12), (2, 9))))
+    assert sorted(map(tuple, nodes)) == sorted(zip(column.ravel(), row.ravel(), strict=True))
+
+
+def test_beyond_the_points_a_field_is_as_at_their_edge() -> None:
+    points, places, _ = knots(22, 15)
+    nodes = continued(points.astype(np.float64), 8, BEYOND)
+    weights = knotted(nodes, len(points), 8, 1.0).stiffness.toarray()[:, : len(places)]
+    nearest = np.clip(nodes, points.min(axis=0), points.max(axis=0))
+    value = places @ [0.3, -0.2]
+    np.testing.assert_allclose(weights @ value, nearest @ [0.3, -0.2], atol=1e-9)

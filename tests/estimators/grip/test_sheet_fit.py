@@ -7,8 +7,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from estimators.grip.lattice import Fields, knotted, lattice_springs, uniform
+from estimators.grip.lattice import Fields, continued, knotted, lattice_springs, uniform
 from estimators.grip.sheet_fit import (
+    BEYOND,
     LEAST_AROUND,
     LEAST_GRIPPED,
     MOST_FRAMES,
@@ -21,6 +22,7 @@ from estimators.grip.sheet_fit import (
     _spread,
     fit_sheet,
     length,
+    skill,
     solve,
 )
 from physics.sheet import equilibrium
@@ -41,26 +43,53 @@ def held(points: np.ndarray) -> np.ndarray:
     return (points[:, 0] <= 4 * SPACING) & (np.abs(points[:, 1] - 8.5 * SPACING) < 3 * SPACING)
 
 
+NODES = continued(grid(), SPACING, BEYOND)
+"""Of a sheet of one number: the points, and the tissue beyond them."""
+SPRINGS = lattice_springs(NODES, SPACING)
+
+
+def beyond(values: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    """Values of the points [N] carried on to all nodes, from the nearest one."""
+    cell = np.clip(nodes / SPACING - 1, 0, [COLUMNS - 1, ROWS - 1]).astype(int)
+    return values[cell[:, 1] * COLUMNS + cell[:, 0]]
+
+
+def pulled(stiffness: np.ndarray, anchor: np.ndarray, gripped: np.ndarray, motion: np.ndarray) -> np.ndarray:
+    """Displacement of the points when some are held; stiffness of the springs, anchor of the nodes."""
+    everywhere = np.append(gripped, np.zeros(len(NODES) - len(gripped), bool))
+    return equilibrium(SPRINGS, stiffness, anchor, everywhere, motion).displacement[: len(gripped)]
+
+
 def truth(
-    log_stiffness: np.ndarray, log_anchor: np.ndarray, pulls: np.ndarray, noise: float = NOISE, seed: int = 0
+    log_stiffness: np.ndarray,
+    log_anchor: np.ndarray,
+    pulls: np.ndarray,
+    noise: float = NOISE,
+    seed: int = 0,
+    goes_on: bool = False,
 ) -> list[GripFrame]:
-    """A grip that pulls and turns a little, every point's motion off by noise."""
+    """A grip that pulls and turns a little, every point's motion off by noise, on tissue that may go on beyond them."""
     points = grid()
-    springs, gripped = lattice_springs(points, SPACING), held(points)
-    stiffness = np.exp((log_stiffness[springs[:, 0]] + log_stiffness[springs[:, 1]]) / 2)
+    nodes = NODES if goes_on else points
+    springs, gripped, log = lattice_springs(nodes, SPACING), held(points), beyond(log_stiffness, nodes)
+    stiffness = np.exp((log[springs[:, 0]] + log[springs[:, 1]]) / 2)
+    everywhere = np.append(gripped, np.zeros(len(nodes) - len(points), bool))
     off = points[gripped] - points[gripped].mean(axis=0)
     generator = np.random.default_rng(seed)
     frames = []
     for pull in pulls:
         motion = pull * (np.array([1.0, 0.4]) + 0.01 * off @ np.array([[0, 1], [-1, 0]]))
-        found = equilibrium(springs, stiffness, np.exp(log_anchor), gripped, motion).displacement
+        sheet = equilibrium(springs, stiffness, np.exp(beyond(log_anchor, nodes)), everywhere, motion)
+        found = sheet.displacement[: len(points)]
         frames.append(GripFrame(found + generator.normal(0, noise, found.shape), gripped))
     return frames
 
 
-def even(log_anchor: float, pulls: np.ndarray, noise: float = NOISE, seed: int = 0) -> list[GripFrame]:
+def even(
+    log_anchor: float, pulls: np.ndarray, noise: float = NOISE, seed: int = 0, goes_on: bool = True
+) -> list[GripFrame]:
     count = COLUMNS * ROWS
-    return truth(np.zeros(count), np.full(count, log_anchor), pulls, noise, seed)
+    return truth(np.zeros(count), np.full(count, log_anchor), pulls, noise, seed, goes_on)
 
 
 def halves(contrast: float) -> np.ndarray:
@@ -103,7 +132,7 @@ def test_a_foundation_is_found_again(anchor: float) -> None:
 
 def test_one_number_is_enough_where_all_is_even() -> None:
     """With fields allowed, an even sheet stays nearly even."""
-    frames = even(np.log(0.02), np.linspace(12, 24, 6))
+    frames = even(np.log(0.02), np.linspace(12, 24, 6), goes_on=False)
     fit = fit_sheet(grid(), SPACING, frames)
     assert fit.mean_log_anchor[0] == pytest.approx(np.log(0.02), abs=0.1)
     assert np.abs(fit.log_stiffness[0]).max() < 0.3
@@ -120,7 +149,8 @@ def test_a_stiff_half_is_found_again(contrast: float) -> None:
     near = (grid()[:, 0] < 12 * SPACING) & (np.abs(grid()[:, 1] - 8.5 * SPACING) > 3 * SPACING)
     upper, lower = near & (halves(1) > 0), near & (halves(1) < 0)
     found = log[upper].mean() - log[lower].mean()
-    row = fit.fields.stiffness[upper].mean(axis=0) - fit.fields.stiffness[lower].mean(axis=0)
+    basis = fit.fields.stiffness[: fit.count]
+    row = basis[upper].mean(axis=0) - basis[lower].mean(axis=0)
     deviation = np.sqrt(row @ fit.covariance @ row)
     assert found == pytest.approx(contrast, rel=0.5)
     assert abs(found - contrast) < 1.5 * deviation < abs(contrast)
@@ -187,15 +217,15 @@ def test_forces_are_over_that_of_the_last_frame() -> None:
 def test_points_that_the_grip_loses_do_not_change_its_force() -> None:
     """Only what is seen in all frames is held; where that is too little, nothing is said."""
     points = grid()
-    springs, whole = lattice_springs(points, SPACING), held(points)
+    whole = held(points)
     fewer = whole & (np.cumsum(whole) <= 21)
 
     def frame(gripped: np.ndarray, pull: float) -> GripFrame:
         motion = np.full((whole.sum(), 2), pull)
-        values = np.ones(len(springs)), np.full(len(points), 0.05)
-        return GripFrame(equilibrium(springs, *values, whole, motion).displacement, gripped)
+        values = np.ones(len(SPRINGS)), np.full(len(NODES), 0.05)
+        return GripFrame(pulled(*values, whole, motion), gripped)
 
-    fit = SheetFit(springs, *known(np.log(0.05)), np.array([[0.3**2]]), 0.0, (0.1, 0.1))
+    fit = SheetFit(len(points), SPRINGS, *known(np.log(0.05)), np.array([[0.3**2]]), 0.0, None, (0.1, 0.1))
     frames = [frame(whole, 5.0), frame(fewer, 10.0), frame(whole, 10.0)]
     force, sd = fit.relative_force(frames)
     np.testing.assert_allclose(force, [0.5, 1, 1], rtol=1e-6)
@@ -206,13 +236,13 @@ def test_points_that_the_grip_loses_do_not_change_its_force() -> None:
 
 def test_a_force_across_the_last_one_is_uncertain() -> None:
     points = grid()
-    springs, gripped = lattice_springs(points, SPACING), held(points)
-    values = np.ones(len(springs)), np.full(len(points), 0.05)
+    gripped = held(points)
+    values = np.ones(len(SPRINGS)), np.full(len(NODES), 0.05)
     frames = [
-        GripFrame(equilibrium(springs, *values, gripped, np.tile(pull, (gripped.sum(), 1))).displacement, gripped)
+        GripFrame(pulled(*values, gripped, np.tile(pull, (gripped.sum(), 1))), gripped)
         for pull in ([6.0, 0.0], [0.0, 12.0])
     ]
-    fit = SheetFit(springs, *known(np.log(0.05)), np.zeros((1, 1)), 0.0, (0.1, 0.1))
+    fit = SheetFit(len(points), SPRINGS, *known(np.log(0.05)), np.zeros((1, 1)), 0.0, None, (0.1, 0.1))
     force, sd = fit.relative_force(frames)
     np.testing.assert_allclose(force, [0, 1], atol=1e-9)
     np.testing.assert_allclose(sd, [0.1 * 0.5, 0], atol=1e-6)
@@ -220,7 +250,7 @@ def test_a_force_across_the_last_one_is_uncertain() -> None:
 
 def known(log_anchor: float) -> tuple[Fields, np.ndarray]:
     """An even sheet as fields and their number."""
-    return uniform(COLUMNS * ROWS), np.array([log_anchor])
+    return uniform(len(NODES)), np.array([log_anchor])
 
 
 def test_lost_points_do_not_count() -> None:
@@ -246,34 +276,34 @@ def test_frames_without_motion_do_not_count() -> None:
 
 def test_the_likeliest_numbers_have_no_slope() -> None:
     """Where the optimiser stops no other number is likelier, and the density's curvature is 1 / variance."""
-    points = grid()
-    springs, frames = lattice_springs(points, SPACING), even(np.log(0.02), np.array([12.0, 24.0]), noise=0.3)
+    frames = even(np.log(0.02), np.array([12.0, 24.0]), noise=0.3)
     fields, start = known(np.log(0.02))
 
     def loss(number: float) -> float:
         off = number - fields.mean[0]
         value = 0.5 * off**2 * fields.precision[0, 0]
         for frame in frames:
-            error = (solve(springs, fields, np.array([number]), frame).displacement - frame.moved)[frame.around]
+            found = solve(SPRINGS, fields, np.array([number]), frame, None)[0].displacement[: len(frame.moved)]
+            error = (found - frame.moved)[frame.around]
             value += len(error) / 49 / len(frames) * np.log(np.square(error).sum())
         return value
 
-    found = _likeliest(springs, fields, frames, start + 0.5)
+    found = _likeliest(SPRINGS, fields, frames, start + 0.5, None)
     best = min(np.linspace(start[0] - 0.5, start[0] + 0.5, 401).tolist(), key=loss)
     assert found[0] == pytest.approx(best, abs=0.005)
     step = 0.02
     curvature = (loss(found[0] + step) - 2 * loss(found[0]) + loss(found[0] - step)) / step**2
-    assert 1 / _covariance(springs, fields, found, frames)[0, 0] == pytest.approx(curvature, rel=0.05)
+    assert 1 / _covariance(SPRINGS, fields, found, frames, None)[0, 0] == pytest.approx(curvature, rel=0.05)
 
 
 def test_deviations_of_fields_are_the_covariances() -> None:
-    points = grid()
-    fields = knotted(points, SPACING, 1.0)
+    points = len(grid())
+    fields = knotted(NODES, points, SPACING, 1.0)
     count = len(fields.mean)
     root = np.random.default_rng(0).normal(size=(count, count)) / 10
     numbers, spread = np.random.default_rng(1).normal(size=count), root @ root.T
-    fit = SheetFit(lattice_springs(points, SPACING), fields, numbers, spread, 1.0, (0.1, 0.1))
-    stiffness, anchor = fields.stiffness.toarray(), fields.anchor.toarray()
+    fit = SheetFit(points, SPRINGS, fields, numbers, spread, 1.0, None, (0.1, 0.1))
+    stiffness, anchor = fields.stiffness.toarray()[:points], fields.anchor.toarray()[:points]
     for basis, (log, sd) in ((stiffness, fit.log_stiffness), (anchor - stiffness, fit.log_anchor)):
         np.testing.assert_allclose(log, basis @ numbers)
         np.testing.assert_allclose(sd, np.sqrt(np.diag(basis @ spread @ basis.T)))
@@ -308,3 +338,32 @@ def test_too_few_points_at_the_instrument_are_a_sentence() -> None:
     ]
     with pytest.raises(NothingMoves, match="In 0 of 6 frames the tissue moves"):
         fit_sheet(grid(), SPACING, frames)
+
+
+def test_a_background_that_moves_affinely_is_told_from_the_sheet() -> None:
+    points = grid()
+    still = even(np.log(0.05), np.linspace(6, 24, 7))
+    terms = np.column_stack([points / 100, np.ones(len(points))])
+    generator = np.random.default_rng(4)
+    carried = [GripFrame(frame.moved + terms @ generator.normal(0, 5, (3, 2)), frame.gripped) for frame in still]
+    plain = fit_sheet(points, SPACING, still, field=False, background=True)
+    fit = fit_sheet(points, SPACING, carried, field=False, background=True)
+    # However the background moves, what is left is the same.
+    assert fit.mean_log_anchor == pytest.approx(plain.mean_log_anchor, rel=1e-4)
+    assert fit.mean_log_anchor[0] == pytest.approx(np.log(0.05), abs=0.1)
+    assert skill(fit, carried[-1]) == pytest.approx(skill(plain, still[-1]), abs=1e-4)
+    assert fit.log_force(carried[-1]) == pytest.approx(plain.log_force(still[-1]), abs=1e-3)
+    # Not to know whether it moves costs something.
+    alone = fit_sheet(points, SPACING, still, field=False)
+    assert plain.mean_log_anchor[1] > alone.mean_log_anchor[1]
+    assert fit_sheet(points, SPACING, carried, field=False).mean_log_anchor[0] != pytest.approx(np.log(0.05), abs=0.3)
+
+
+def test_the_force_is_what_the_foundation_holds() -> None:
+    frames = even(np.log(0.05), np.linspace(6, 24, 7), noise=0.0)
+    fit = fit_sheet(grid(), SPACING, frames, field=False)
+    log, sd = fit.log_force(frames[-1])
+    found = fit.explained(frames[-1])[0]
+    total = np.exp(fit.numbers[0]) * found.displacement.sum(axis=0)
+    assert np.exp(log) == pytest.approx(np.linalg.norm(total), rel=1e-6)
+    assert 0 < sd < 0.3

@@ -7,6 +7,9 @@ continues an interrupted run, and a later one may add suites, estimators or clip
 (see `evaluation.recovery.details`) and figures/. A clip that can't be estimated is counted and shown. In table.csv
 constant_rmse_log is the error of the best constant for exactly the clips of a row; the estimator constant, whose θ is
 the mean over another split, can't reach it.
+
+Suites of grips show tissue that a tool holds and moves, at 854x480; the session of direct is asked what they tell, and
+grips.csv has the answer (see `evaluation.recovery.grips`).
 """
 
 from __future__ import annotations
@@ -32,11 +35,12 @@ from estimators.open import EstimatorOptions
 from estimators.worker_pool import WorkerLost, run_tasks
 from evaluation.recovery.constant import constant_estimate
 from evaluation.recovery.estimators import CONSTANT, NAMES, Candidate, describe
-from evaluation.recovery.evaluate import ClipTask, evaluate_clip
-from evaluation.recovery.output import finish
+from evaluation.recovery.evaluate import ClipTask, Recovery, evaluate_clip
+from evaluation.recovery.grips import DIRECT, GripRecovery, GripTask, evaluate_grip
+from evaluation.recovery.output import finish, finish_grips
 from evaluation.recovery.scores import Bound
 from evaluation.recovery.store import RecoveryStore
-from evaluation.recovery.suites import GRID_SIZE, LARGEST_SEED, SPLITS, SUITES, suite_clip_seed
+from evaluation.recovery.suites import GRID_SIZE, GRIP_SUITES, LARGEST_SEED, SPLITS, SUITES, suite_clip_seed
 from models.onnx_session import ModelFileError
 from results.store import OutputError
 
@@ -53,13 +57,15 @@ def build_parser() -> argparse.ArgumentParser:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         epilog="suites:\n"
-        + "\n".join(f"  {suite.name:12s}{suite.reason}" for suite in SUITES.values())
+        + "\n".join(f"  {suite.name:12s}{suite.reason}" for suite in (*SUITES.values(), *GRIP_SUITES.values()))
         + "\n\nExit status: 0 done, also where clips could not be estimated; 1 nothing could be; 2 wrong usage; "
         "130 interrupted.",
     )
     add = parser.add_argument
     several: dict[str, Any] = {"nargs": "+", "action": "extend"}
-    add("--suite", **several, choices=[*SUITES, "all"], metavar="SUITE", help="suites, or all (default clean)")
+    choices = [*SUITES, *GRIP_SUITES, "all"]
+    text = "suites, or all of presses (default clean)"
+    add("--suite", **several, choices=choices, metavar="SUITE", help=text)
     add("--estimator", **several, choices=NAMES, metavar="NAME", help=f"{', '.join(NAMES)} (default direct)")
     add("--model", type=path_option, metavar="FILE", help="ONNX file of the estimator network")
     add("--gan-model", type=path_option, metavar="FILE", help="ONNX file of the estimator gan: one estimate a frame")
@@ -112,6 +118,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     options = parser.parse_args(arguments)
     chosen = options.suite or ["clean"]
     options.suite = [name for name in SUITES if "all" in chosen or name in chosen]
+    options.grips = [name for name in GRIP_SUITES if name in chosen]
     options.estimator = [name for name in NAMES if name in (options.estimator or ["direct"])]
     if options.seen is not None and "gan" in options.estimator:
         parser.error("--seen is of no use to gan, which sees single frames; leave one of the two out.")
@@ -151,7 +158,36 @@ def open_store(options: argparse.Namespace, estimators: Mapping[str, EstimatorOp
     wanted = {"seed": options.seed, "split": options.split, "seen": options.seen, "size": list(options.size)}
     wanted |= {f"suite {name}": SUITES[name].describe() for name in options.suite}
     wanted |= {f"estimator {name}": describe(estimator) for name, estimator in estimators.items()}
-    return RecoveryStore(options.output, wanted)
+    return RecoveryStore(options.output, wanted, Recovery)
+
+
+def run_grips(options: argparse.Namespace, console: Console) -> int:
+    """Do what is left of the suites of grips, and write grips.csv; returns the exit status."""
+    wanted = {"seed": options.seed, "split": options.split}
+    wanted |= {f"suite {name}": GRIP_SUITES[name].describe() for name in options.grips}
+    try:
+        store = RecoveryStore(options.output, wanted, GripRecovery)
+    except OutputError as error:
+        say(console, str(error), "red")
+        return 2
+    asked = [(name, index) for index in range(options.clips) for name in options.grips]
+    left = [pair for pair in asked if (*pair, DIRECT) not in store.done]
+    tasks = [GripTask(*pair, suite_clip_seed(options.split, options.seed, pair[1])) for pair in left]
+    status = 0
+    try:
+        with progress_bars(console) as progress:
+            bar = progress.add_task("clips", total=len(asked), completed=len(asked) - len(tasks))
+            for rows in run_tasks(evaluate_grip, tasks, options.workers):
+                store.append(rows)
+                progress.advance(bar)
+    except KeyboardInterrupt:
+        say(console, "Interrupted; finished clips are kept, and the same command continues.", "yellow")
+        status = INTERRUPTED
+    except (OutputError, WorkerLost) as error:
+        say(console, f"{error} Finished clips are kept.", "red")
+        status = 1
+    rows = [row for row in store.rows if (row.suite, row.index) in asked]
+    return finish_grips(rows, options.output, console, status)
 
 
 def measure(
@@ -184,6 +220,12 @@ def measure(
 def main(arguments: list[str] | None = None) -> int:
     """Run the benchmark that the command line asks for; returns the exit status."""
     console, options = Console(stderr=True), parse(arguments)
+    status = run_grips(options, console) if options.grips else 0
+    return status or (run_presses(options, console) if options.suite else 0)
+
+
+def run_presses(options: argparse.Namespace, console: Console) -> int:
+    """Do what is left of the suites of presses, and write their tables; returns the exit status."""
     estimators = estimators_of(options)
     try:
         store = open_store(options, estimators)

@@ -10,8 +10,9 @@ from rich.console import Console
 from rich.table import Table
 
 from data.command_line import say
-from evaluation.recovery import details, scores
+from evaluation.recovery import details, grips, scores
 from evaluation.recovery.evaluate import OK, Recovery
+from evaluation.recovery.grips import GripRecovery
 from evaluation.recovery.scores import Bound, Scores
 from evaluation.recovery.store import replace_text
 from evaluation.tables import to_cell, to_csv
@@ -45,6 +46,33 @@ def finish(rows: Sequence[Recovery], output: Path, console: Console, status: int
     if not any(row.status == OK for row in rows):
         say(console, "No clip could be estimated.", "red")
         return status or 1
+    return status
+
+
+def finish_grips(rows: Sequence[GripRecovery], output: Path, console: Console, status: int) -> int:
+    """Write and print what there is of suites of grips; returns the exit status.
+
+    Args:
+        rows: results.
+        output: folder of the results.
+        console: says what was not estimated.
+        status: exit status so far.
+    """
+    if not rows:
+        return status or 1
+    found = grips.grip_rows(rows)
+    try:
+        replace_text(output / "grips.csv", to_csv(found, grips.COLUMNS, ".6g"))
+    except OutputError as error:
+        say(console, str(error), "red")
+        return 1
+    table = Table(*grips.COLUMNS)
+    for row in found:
+        table.add_row(*(to_cell(row.get(name), ".3g") for name in grips.COLUMNS))
+    Console(stderr=True, width=None if console.is_terminal else TABLE_WIDTH).print(table)
+    for row in [row for row in rows if row.status != OK][:SHOWN_FAILURES]:
+        say(console, f"  {row.suite}, clip {row.index}: {row.status}, {row.reason}", "yellow")
+    say(console, f"written: {output}/grips.csv")
     return status
 
 

@@ -12,19 +12,21 @@ from typing import Any
 import numpy as np
 
 from evaluation.recovery.evaluate import Recovery
+from evaluation.recovery.grips import GripRecovery
 from physics.files import read_file, replacing
 from physics.provenance import code_digest
 from results.store import OutputError, writing
 
-RESULTS, RECORD = "results.jsonl", "run.json"
+RESULTS, GRIPS, RECORD = "results.jsonl", "grips.jsonl", "run.json"
 FORMAT_VERSION = 4
 
 
 class RecoveryStore:
-    """Results of one folder.
+    """Results of one folder, of one kind.
 
     Args:
         output: the folder; made when it is not there.
+        kind: of the results, `Recovery` or `GripRecovery`; each has a file of its own.
         wanted: what the results depend on, JSON-able. A later run may leave a part out or add one, but what both have
             must be the same.
 
@@ -32,8 +34,9 @@ class RecoveryStore:
         OutputError: the folder can't be used, or holds results that depend on something else.
     """
 
-    def __init__(self, output: Path, wanted: Mapping[str, Any]) -> None:
+    def __init__(self, output: Path, wanted: Mapping[str, Any], kind: type = Recovery) -> None:
         self.output = output
+        self._results = output / (RESULTS if kind is Recovery else GRIPS)
         if output.exists() and not output.is_dir():
             raise OutputError(f"{output}: is a file; give a folder as --output.")
         with writing(output):
@@ -46,11 +49,10 @@ class RecoveryStore:
                     f"{output}: holds results of another {name}; run with the same arguments or choose another "
                     "--output."
                 )
-        self._results = output / RESULTS
         with writing(output):
             if self._results.exists():
                 _cut_unfinished(self._results)
-        self.rows = read_results(self._results) if self._results.exists() else []
+        self.rows = read_results(self._results, kind) if self._results.exists() else []
         """Results in the order in which they came."""
         self.outdated = bool(self.rows) and recorded.get("code", code) != code
         """Whether earlier results come from another version of the program."""
@@ -61,7 +63,7 @@ class RecoveryStore:
         """Suite, clip and estimator of every result."""
         return {row.key for row in self.rows}
 
-    def append(self, rows: Iterable[Recovery]) -> None:
+    def append(self, rows: Iterable[Recovery | GripRecovery]) -> None:
         """Keep results that are not there yet; they are on disk when this returns."""
         done = self.done
         rows = [row for row in rows if row.key not in done]
@@ -75,7 +77,7 @@ class RecoveryStore:
     def _recorded(self) -> dict[str, Any]:
         path = self.output / RECORD
         if not path.exists():
-            if (self.output / RESULTS).exists():
+            if self._results.exists():
                 raise OutputError(f"{self.output}: holds results without {RECORD}; choose another --output.")
             return {}
         try:
@@ -87,7 +89,7 @@ class RecoveryStore:
         return record
 
 
-def _line(row: Recovery) -> str:
+def _line(row: Recovery | GripRecovery) -> str:
     """A result as JSON, which has no word for what isn't finite: that is null, and read as not a number."""
     values = {
         name: None if isinstance(value, float) and not math.isfinite(value) else value
@@ -96,14 +98,14 @@ def _line(row: Recovery) -> str:
     return json.dumps(values, default=lambda value: value.tolist(), allow_nan=False) + "\n"
 
 
-def read_results(path: Path) -> list[Recovery]:
-    """Results of a file, each once, in the order in which they came.
+def read_results(path: Path, kind: type = Recovery) -> list[Any]:
+    """Results of a file, all of one kind, each once, in the order in which they came.
 
     Raises:
         OutputError: a line is not a result.
         OSError: the file can't be read.
     """
-    found: dict[tuple[str, int, str], Recovery] = {}
+    found: dict[tuple[str, int, str], Any] = {}
     for number, line in enumerate(read_file(path).splitlines(), 1):
         try:
             known: dict[str, Any] = {
@@ -111,7 +113,7 @@ def read_results(path: Path) -> list[Recovery]:
                 for name, value in json.loads(line).items()
                 if value is not None
             }
-            row = Recovery(**known)
+            row = kind(**known)
         except (ValueError, TypeError, AttributeError, RecursionError) as error:
             raise OutputError(
                 f"{path}: line {number} is not a result; remove that line or choose another --output."

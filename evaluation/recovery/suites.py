@@ -122,6 +122,56 @@ SUITES = {suite.name: suite for suite in _ALL}
 """Suites by name, in the order of tables."""
 
 
+@dataclass(frozen=True)
+class GripSuite:
+    """Clips whose tool grips tissue or passes over it, at CholecSeg8k's size."""
+
+    name: str
+    reason: str
+    """What it stands for."""
+    changes: Mapping[str, Any]
+    """Fields of SceneSettings beside those of all."""
+
+    @property
+    def settings(self) -> SceneSettings:
+        """What its clips are drawn from."""
+        return SceneSettings(**(_GRIPS | dict(self.changes)))
+
+    def describe(self) -> dict[str, Any]:
+        """What decides the suite's clips, for the run's record."""
+        return _GRIPS | dict(self.changes)
+
+
+_GRIPS: dict[str, Any] = {
+    "action": "grip",
+    "frames": 20,
+    "onset_fraction": (0.0, 0.0),
+    "peak_displacement": (0.02, 0.05),
+    # A grip may be anywhere, not only where the wet tissue mirrors the light.
+    "max_tilt_deg": 30.0,
+    "relaxation": (0.0005, 0.002),
+    "depth_noise": 0.004,
+    "depth_noise_correlation": 8.0,
+    "depth_bias": 0.05,
+    "scale_flicker": 0.005,
+}
+"""Of all grips: in contact from the first frame, and depth as networks see it that know one picture each."""
+_ALL_GRIPS = (
+    GripSuite("retraction", "a tool that holds tissue from the first frame moves it across the line of sight", {}),
+    GripSuite(
+        "foundation",
+        "the same on tissue that is attached loosely or firmly: motion dies away over 30 to 180 px",
+        {"spread": (7.5, 45.0)},
+    ),
+    GripSuite("breathing", "the background is carried to and fro by up to 16 px", {"breathing": (1.0, 4.0)}),
+    GripSuite("regions", "stiffness changes by a factor 3 across a line that passes by the grip", {"regions": 3.0}),
+    GripSuite("hover", "a tool passes over still tissue and never touches", {"onset_fraction": (1.0, 1.0)}),
+    GripSuite("approach", "a tool passes over tissue, then grips it", {"onset_fraction": (0.3, 0.5), "frames": 32}),
+)
+GRIP_SUITES = {suite.name: suite for suite in _ALL_GRIPS}
+"""Suites of grips by name, in the order of tables."""
+
+
 def suite_clip_seed(split: str, seed: int, index: int) -> int:
     """Seed of a clip, 64 bits: a stream for each split, so that no two splits share geometry or θ at any seed.
 

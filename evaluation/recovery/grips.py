@@ -1,0 +1,239 @@
+"""Synthetic clips whose tool grips tissue, or only passes over it, against their truth.
+
+Judged are the foundation, the force, where the tissue is stiff, and whether there is contact.
+
+The very session that users run is asked (estimator `direct`). Errors of the foundation and of the force are compared
+with the Cramér–Rao bound (`evaluation.recovery.grip_bound`) of somebody who knows the sheet and how well points are
+followed in these pictures, which is measured: followed minus true place.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import map_coordinates
+from scipy.stats import spearmanr
+
+from data.labels import TOOL
+from data.prepared import PreparedFrame
+from data.synthetic.clip import draw_truth, synthetic_clip
+from data.synthetic.grip import GrippedMotion
+from data.synthetic.scene import Scene, SceneError
+from data.synthetic.source import open_synthetic
+from data.tracks.following import SPACING, PointFollower
+from estimators.contract import ClipInfo
+from estimators.estimate import NINETY, FrameEstimate, GripEstimate, InteractionEstimate
+from estimators.grip.recorder import DRIVEN
+from estimators.grip.sheet_fit import GripFrame, fit_sheet
+from estimators.open import EstimatorOptions
+from evaluation.recovery.estimators import opened
+from evaluation.recovery.evaluate import OK, PREPARE
+from evaluation.recovery.grip_bound import correlated_points, grip_bound
+from evaluation.recovery.scores import coverage, rms
+from evaluation.recovery.suites import GRIP_SUITES
+
+COLUMNS = ("suite", "quantity", "n", "rmse", "bound", "ratio", "coverage90", "value")
+DIRECT = "direct"
+"""The estimator that is asked."""
+MOVED = 5.0
+"""A stiffness field is judged where tissue moves by more than this [px]."""
+
+
+@dataclass(frozen=True)
+class GripTask:
+    """What one worker does in one go."""
+
+    suite: str
+    index: int
+    seed: int
+    """Seed of the clip."""
+
+
+@dataclass(frozen=True)
+class GripRecovery:
+    """Truth and estimate of one clip; what doesn't exist is not a number."""
+
+    suite: str
+    index: int
+    seed: int
+    status: str = OK
+    """`ok`, or why nothing is known: `no scene`, `no estimate`, `error`."""
+    reason: str = ""
+    contact_right: float = math.nan
+    """Share of the frames whose `contact` is the true one."""
+    verdict: str = ""
+    skill: float = math.nan
+    foundation: np.ndarray | None = None
+    """Log of foundation over stiffness: true, estimated, its standard deviation and bound for σ = 1 px, shape [4]."""
+    force: np.ndarray | None = None
+    """The same of the force over stiffness in the last frame."""
+    curve: np.ndarray | None = None
+    """Force over that of the last frame: true, estimated, and its standard deviation, shape [3, T]."""
+    noise: float = math.nan
+    """Effective σ of a followed point by axis in the last frame: its error times the root of how many points err alike
+    [px]."""
+    following: float = math.nan
+    """That error alone, root mean square [px]."""
+    rank: float = math.nan
+    """Rank correlation of the stiffness field with the true one where tissue moves."""
+    held: float = math.nan
+    """Share of the field's places there whose 90 % interval holds the true stiffness."""
+
+    @property
+    def key(self) -> tuple[str, int, str]:
+        """What tells it from other results of a run."""
+        return self.suite, self.index, DIRECT
+
+
+def evaluate_grip(task: GripTask) -> list[GripRecovery]:
+    """Result of one clip; what goes wrong becomes a result that says so."""
+    settings = GRIP_SUITES[task.suite].settings
+    empty = GripRecovery(task.suite, task.index, task.seed)
+    try:
+        scene, motion = draw_truth(settings, task.seed)
+    except SceneError as error:
+        return [dataclasses.replace(empty, status="no scene", reason=str(error))]
+    try:
+        if not isinstance(motion, GrippedMotion):
+            raise TypeError(f"{task.suite} draws presses.")
+        clip = open_synthetic(synthetic_clip(scene, motion, task.seed), PREPARE)
+        frames, info = list(clip), ClipInfo.of(clip)
+        session = opened(EstimatorOptions(DIRECT, threads=1)).start(info)
+        said = [item for frame in frames for item in session.push(frame)] + list(session.finish())
+        found = [item for item in said if isinstance(item, InteractionEstimate)]
+        contact = [item.contact is True for item in said if isinstance(item, FrameEstimate)]
+        right = float((np.array(contact) == motion.in_contact).mean())
+        run = next((item for item in found if item.grip is not None), None)
+        known = dataclasses.replace(empty, contact_right=right)
+        if run is None or run.grip is None:
+            return [dataclasses.replace(known, status="no estimate", reason=" ".join(item.detail for item in found))]
+        known = dataclasses.replace(known, verdict=run.verdict, skill=run.grip.skill)
+        if run.onset < motion.onset_frame:
+            return [known]
+        return [dataclasses.replace(known, **_compared(run.onset, run.grip, scene, motion, frames))]
+    except Exception as error:  # a clip that breaks something is a result, and the others go on
+        return [dataclasses.replace(empty, status="error", reason=f"{type(error).__name__}: {error}")]
+
+
+def _compared(
+    onset: int, grip: GripEstimate, scene: Scene, motion: GrippedMotion, frames: Sequence[PreparedFrame]
+) -> dict[str, object]:
+    """Fields of a `GripRecovery`: truth, estimate and bound of a run of contact that begins in a frame."""
+    cell = scene.settings.cell[0]
+    used = onset + np.rint(grip.times * scene.settings.fps).astype(int)
+    follower, gripped = _followed(frames[onset : used[-1] + 1])
+    points = follower.points.astype(np.float64)
+    true_moved = [picture_motion(scene, motion, index, points) for index in (onset, used[-1])]
+    true = true_moved[1] - true_moved[0]
+    error = follower.moved - true
+    seen = np.isfinite(error).all(axis=1)
+    size = float(np.sqrt(np.square(error[seen]).mean()))
+    alike = correlated_points(points, SPACING, error)
+    log_anchor = math.log(motion.anchor * (SPACING / cell) ** 2)
+    last = GripFrame(np.where(seen[:, None], true, np.nan), gripped[-1].gripped)
+    bounds = grip_bound(points, SPACING, last, log_anchor)
+    log, sd = _log_interval(
+        grip.foundation_over_stiffness, grip.foundation_over_stiffness_low, grip.foundation_over_stiffness_high
+    )
+    force = motion.reaction[used] / scene.spacing * cell
+    unit = force[-1] / (force[-1] @ force[-1])
+    pull = _log_interval(
+        grip.reaction_over_stiffness, grip.reaction_over_stiffness_low, grip.reaction_over_stiffness_high
+    )
+    found: dict[str, object] = {
+        "foundation": np.array([log_anchor, log, sd, bounds[0]]),
+        "force": np.array([math.log(np.linalg.norm(force[-1])), *pull, bounds[1]]),
+        "curve": np.array([force @ unit, grip.force, grip.force_sd]),
+        "noise": size * math.sqrt(alike),
+        "following": size,
+    }
+    if scene.settings.regions > 1:
+        found |= _field(points, gripped, true, scene, motion)
+    return found
+
+
+def _log_interval(value: float, low: float, high: float) -> tuple[float, float]:
+    """Logarithm and its standard deviation, of a value and the ends of its 90 % interval."""
+    return math.log(value), math.log(high / low) / (2 * NINETY)
+
+
+def picture_motion(scene: Scene, motion: GrippedMotion, frame: int, points: np.ndarray) -> np.ndarray:
+    """True displacement in the picture of tissue points [N, 2] (column, row at rest) in a frame, shape [N, 2] [px]."""
+    rest = scene.mesh.vertices.astype(np.float64)
+    moved, camera = rest + motion.field[frame], scene.camera
+    shift = [camera.fx, camera.fy] * (moved[:, :2] / moved[:, 2:] - rest[:, :2] / rest[:, 2:])
+    grid = np.zeros((*scene.mesh.grid_shape, 2))
+    grid[tuple(scene.mesh.pixels.T)] = shift
+    place = (points[:, ::-1] + 0.5) / np.array(scene.settings.cell)[::-1] - 0.5
+    return np.stack([map_coordinates(grid[..., axis], place.T, order=1, mode="nearest") for axis in (0, 1)], axis=1)
+
+
+def _followed(frames: Sequence[PreparedFrame]) -> tuple[PointFollower, list[GripFrame]]:
+    """Points followed through frames as the estimator follows them, and each frame after the first as a grip."""
+    first, *others = [(frame.view[0], frame.view[1] == TOOL) for frame in frames]
+    follower, found = PointFollower(*first), []
+    for picture, tool in others:
+        follower.step(picture, tool)
+        found.append(GripFrame(follower.moved, follower.followed & (follower.distance < DRIVEN)))
+    return follower, found
+
+
+def _field(
+    points: np.ndarray, gripped: Sequence[GripFrame], true: np.ndarray, scene: Scene, motion: GrippedMotion
+) -> dict[str, float]:
+    """How a fitted stiffness field [N] compares with the true one where tissue moves."""
+    fit = fit_sheet(points, SPACING, gripped)
+    place = (points[:, ::-1] + 0.5) / np.array(scene.settings.cell)[::-1] - 0.5
+    log = map_coordinates(motion.log_stiffness, place.T, order=1, mode="nearest")
+    moves = np.linalg.norm(true, axis=1) > MOVED
+    found = fit.log_stiffness[0]
+    # Relative to the mean where it is judged: with the foundation's a common factor is only a unit.
+    row = fit.fields.stiffness[: fit.count] - fit.fields.stiffness[: fit.count][moves].mean(axis=0)
+    spread = np.sqrt(np.maximum(((row @ fit.covariance) * row).sum(axis=1), 0))
+    off = (found - found[moves].mean()) - (log - log[moves].mean())
+    held = np.abs(off) < NINETY * spread
+    return {"rank": float(spearmanr(found[moves], log[moves]).statistic), "held": float(held[moves].mean())}
+
+
+def grip_rows(rows: Sequence[GripRecovery]) -> list[dict[str, object]]:
+    """Rows of `grips.csv`: one a suite and quantity, errors of logarithms but for the force's curve."""
+    found: list[dict[str, object]] = []
+    for suite in dict.fromkeys(row.suite for row in rows):
+        clips = [row for row in rows if row.suite == suite]
+        found += [{"suite": suite, **cells} for cells in _suite_rows(clips)]
+    return found
+
+
+def _suite_rows(clips: Sequence[GripRecovery]) -> Iterator[dict[str, object]]:
+    noise = rms(np.array([row.noise for row in clips if math.isfinite(row.noise)]))
+    for name in ("foundation", "force"):
+        told = [getattr(row, name) for row in clips if getattr(row, name) is not None]
+        if told:
+            true, log, sd, bound = np.array(told).T
+            error, least = rms(log - true), noise * rms(bound)
+            cells = {"rmse": error, "bound": least, "ratio": error / least, "coverage90": coverage(log - true, sd)}
+            yield {"quantity": f"{name} over stiffness", "n": len(told), **cells}
+    curves = [row.curve for row in clips if row.curve is not None]
+    if curves:
+        # The last frame's ratio is 1 by definition.
+        true, value, sd = np.concatenate([curve[:, :-1] for curve in curves], axis=1)
+        known = np.isfinite(value)
+        off, sd = (value - true)[known], sd[known]
+        yield {"quantity": "relative force", "n": len(off), "rmse": rms(off), "coverage90": coverage(off, sd)}
+    for name, text in (
+        ("skill", "skill, mean"),
+        ("contact_right", "frames whose contact is right"),
+        ("following", "error of following in the last frame, RMS [px]"),
+        ("noise", "the same over the root of the number of points that err alike [px]"),
+        ("rank", "rank correlation of the stiffness field, mean"),
+        ("held", "places of the stiffness field within the 90 % intervals"),
+    ):
+        values = [value for value in (getattr(row, name) for row in clips) if math.isfinite(value)]
+        if values:
+            yield {"quantity": text, "n": len(values), "value": float(np.mean(values))}
+    determined = sum(row.verdict == "foundation" for row in clips)
+    yield {"quantity": "clips whose foundation is determined", "n": len(clips), "value": determined / len(clips)}

@@ -1,0 +1,93 @@
+"""Suites of grips: what is compared, the table, and one small clip from pictures to numbers."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from data.synthetic.clip import draw_truth
+from data.synthetic.grip import GrippedMotion
+from data.synthetic.render import rest_view
+from data.synthetic.settings import SceneSettings
+from data.synthetic.surface import deformed_view
+from evaluation.recovery import grips
+from evaluation.recovery.grips import GripRecovery, GripTask, evaluate_grip, grip_rows, picture_motion
+from evaluation.recovery.suites import GRIP_SUITES
+
+SMALL = {
+    "width": 214, "height": 120, "frames": 10, "action": "grip", "onset_fraction": (0.0, 0.0), "spread": (12.0, 12.0),
+    "peak_displacement": (0.02, 0.03),
+}  # fmt: skip
+NOISE = 2.0
+
+
+def recovery(index: int, error: float, **changes) -> GripRecovery:
+    found = GripRecovery("retraction", index, 7, skill=0.8, contact_right=0.9, verdict="foundation", noise=NOISE)
+    foundation = np.array([-3.0, -3.0 + error, 0.1, 0.05])
+    curve = np.array([[0.2, 0.6, 1.0], [0.2, 0.65, 1.0], [0.01, 0.02, 0.0]])
+    return dataclasses.replace(found, foundation=foundation, force=foundation + 8.0, curve=curve, **changes)
+
+
+def test_the_table_holds_errors_against_bounds() -> None:
+    rows = [recovery(0, 0.1), recovery(1, -0.2), GripRecovery("hover", 0, 7, contact_right=1.0)]
+    table = {(row["suite"], row["quantity"]): row for row in grip_rows(rows)}
+    found = table["retraction", "foundation over stiffness"]
+    error = math.sqrt((0.1**2 + 0.2**2) / 2)
+    assert (found["n"], found["rmse"], found["bound"]) == (2, pytest.approx(error), pytest.approx(NOISE * 0.05))
+    assert found["ratio"] == pytest.approx(error / 0.1)
+    assert found["coverage90"] == 0.5  # 0.1 lies within 1.645 · 0.1, 0.2 does not
+    curve = table["retraction", "relative force"]
+    assert (curve["n"], curve["coverage90"]) == (4, 0.5)
+    assert table["retraction", "clips whose foundation is determined"]["value"] == 1
+    assert table["hover", "clips whose foundation is determined"]["value"] == 0
+    assert table["hover", "frames whose contact is right"]["value"] == 1
+    assert ("hover", "relative force") not in table
+
+
+def test_true_motion_is_that_of_the_pictures() -> None:
+    scene, motion = draw_truth(SceneSettings(**SMALL), 7401)
+    assert isinstance(motion, GrippedMotion)
+    view = deformed_view(scene, motion, 9, rest_view(scene))
+    row, column = np.mgrid[10:110:10, 10:204:10]
+    points = np.column_stack([column.ravel(), row.ravel()]).astype(np.float64)
+    moved = picture_motion(scene, motion, 9, points)
+    assert np.linalg.norm(moved, axis=1).max() > 3
+    for point, shift in zip(points, moved, strict=True):
+        at = np.rint(point + shift).astype(int)
+        came = np.array([view.rest_u[at[1], at[0]], view.rest_v[at[1], at[0]]])
+        # To within the picture's pixels, and what the motion stretches between them.
+        np.testing.assert_allclose(came, point, atol=1.2)
+
+
+def test_suites_are_drawn_from_settings_that_are_allowed() -> None:
+    for name, suite in GRIP_SUITES.items():
+        assert suite.settings.action == "grip"
+        assert (suite.settings.width, suite.settings.height) == (854, 480)
+        assert suite.name == name
+    assert GRIP_SUITES["hover"].settings.onset_fraction == (1.0, 1.0)
+
+
+def test_what_breaks_is_a_result(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object) -> None:
+        raise RuntimeError("out of tissue")
+
+    monkeypatch.setattr(grips, "synthetic_clip", broken)
+    monkeypatch.setattr(grips, "draw_truth", lambda *_: (None, None))
+    [row] = evaluate_grip(GripTask("retraction", 3, 5))
+    assert (row.key, row.status) == (("retraction", 3, "direct"), "error")
+    assert row.reason.startswith("TypeError")
+
+
+@pytest.mark.slow
+def test_a_retraction_is_told_by_the_session_of_users() -> None:
+    [row] = evaluate_grip(GripTask("retraction", 0, 7401))
+    assert row.status == "ok"
+    assert row.contact_right > 0.9
+    assert row.verdict == "foundation"
+    assert row.foundation is not None
+    assert abs(row.foundation[1] - row.foundation[0]) < 0.7
+    assert row.skill > 0.6
+    assert 0 < row.following < 1.5

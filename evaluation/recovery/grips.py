@@ -228,7 +228,7 @@ def _suite_rows(clips: Sequence[GripRecovery]) -> Iterator[dict[str, object]]:
         ("skill", "skill, mean"),
         ("contact_right", "frames whose contact is right"),
         ("following", "error of following in the last frame, RMS [px]"),
-        ("noise", "the same over the root of the number of points that err alike [px]"),
+        ("noise", "the same times the root of the number of points that err alike [px]"),
         ("rank", "rank correlation of the stiffness field, mean"),
         ("held", "places of the stiffness field within the 90 % intervals"),
     ):

@@ -17,7 +17,7 @@ TIP = 80, 88
 """Column where the tool ends and row of its middle, in the first picture [px]."""
 REACH = 45.0
 """How far motion reaches from the tip [px]."""
-WAY = np.array([-6.0, 3.0])
+WAY = np.array([-7.0, 3.5])
 """Of the grip, from the first picture to the last [px]."""
 DENT = 60, 80, 12.0
 """Height and width of a press's pictures, and the standard deviation of its dent [px]."""

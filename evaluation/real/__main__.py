@@ -143,9 +143,9 @@ def main(arguments: list[str] | None = None) -> int:
                 try:
                     figure = task(measures)
                     figures[f"{len(figures) + 1}.png"] = figure
-                except (InputError, NothingMoves) as error:
-                    measures["status"] = str(error)
-                    say(console, f"{name}: {error}", "red")
+                except Exception as error:
+                    measures["status"] = _sentence(error)
+                    say(console, f"{name}: {_sentence(error)}", "red")
                     status = 1
                 rows += [{"clip": name, "measure": measure, "value": value} for measure, value in measures.items()]
                 progress.advance(bar)
@@ -165,6 +165,13 @@ def main(arguments: list[str] | None = None) -> int:
     Console().print(table)
     say(console, f"written: {options.output}/table.csv, report.html, figures/")
     return status
+
+
+def _sentence(error: Exception) -> str:
+    """Why a clip could not be judged; the others still are."""
+    if isinstance(error, (InputError, NothingMoves)):
+        return str(error)
+    return f"unexpected {type(error).__name__} ({error}); please report it with the clip."
 
 
 def _shown(value: object) -> str:

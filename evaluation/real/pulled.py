@@ -6,6 +6,8 @@ motion, root mean squares over the points of a frame: 0 = as good as saying that
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice
@@ -15,18 +17,21 @@ import cv2
 import numpy as np
 
 from data.labels import TOOL
-from data.masks.sources import MaskClasses, MaskError, open_masks
+from data.masks.sources import MaskClasses, MaskError, chosen_kind, open_masks
 from data.source.frames import Frame, open_source
 from data.source.images import read_image
 from data.source.layout import IMAGE_SUFFIXES, ClipLayout, InputError, list_folder
 from data.tracks.background import without_background
-from data.tracks.following import PointFollower, shrunk
+from data.tracks.following import MARGIN, PointFollower, shrunk
+from data.tracks.holding import held_distance
 from estimators.estimate import LEAST_SKILL, NINETY
 from estimators.grip.recorder import DRIVEN
-from estimators.grip.sheet_fit import RADIUS, GripFrame, SheetFit, fit_sheet, length
+from estimators.grip.sheet_fit import LEAST_FRAMES, RADIUS, GripFrame, NothingMoves, SheetFit, fit_sheet, skill
 
 NEARBY = 35.0
 """Nearby points began nearer to the tool than this percentile of those that are followed [%]."""
+HELD = (0.5, 0.7)
+"""Without drawn masks: shares of the largest motion above which tissue, or the instrument, may count as held."""
 OPENING = 15
 """Blobs of a stored mask that no square of this side fits into are no tool [px]."""
 
@@ -65,6 +70,8 @@ class Follow:
     """The first and the last, RGB."""
     unreadable: list[str]
     """Sentences about frames that were left out."""
+    grip: str
+    """What tells where the tissue is held: `masks` or `motion`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,13 +110,11 @@ def evaluate_pull(clip: PulledClip) -> Pull:
     for frame in late:
         nearby = _nearby(frame, follow.distance)
         for name, sheet in sheets.items():
-            moved, sd = sheet.predict(frame)
-            off = moved - frame.moved
-            for kind, used in (("all", frame.around), ("nearby", nearby)):
-                skills.setdefault(f"{kind}, {name}", []).append(1 - length(off[used]) / length(frame.moved[used]))
-            if sheet is fit:
-                inside = np.linalg.norm(off, axis=1)[frame.around] < RADIUS * sd[frame.around]
-                held.append(float(inside.mean()))
+            for kind, judged in (("all", frame), ("nearby", nearby)):
+                skills.setdefault(f"{kind}, {name}", []).append(skill(sheet, judged))
+        moved, sd = fit.predict(frame)
+        off = np.linalg.norm(moved - frame.moved, axis=1)[frame.around]
+        held.append(float((off < RADIUS * sd[frame.around]).mean()))
     found = {name: np.array(values) for name, values in skills.items()}
     used = [frame for frame in follow.frames if frame.tells]
     judged = [index for index, frame in enumerate(follow.frames, start=1) if index > half and frame.tells]
@@ -133,6 +138,7 @@ def _measures(
         "frames left out": len(follow.unreadable),
         "frames judged": len(judged),
         "points": len(follow.points),
+        "grip told by": follow.grip,
         "foundation over stiffness": float(np.exp(log)),
         "foundation over stiffness, low": float(np.exp(log - NINETY * sd)),
         "foundation over stiffness, high": float(np.exp(log + NINETY * sd)),
@@ -148,43 +154,78 @@ def _measures(
     return found
 
 
-def _nearby(frame: GripFrame, distance: np.ndarray) -> np.ndarray:
-    """Points around the grip that began close to the tool, shape [N], bool."""
-    seen = frame.around | frame.gripped
-    nearby = frame.around & (distance < np.percentile(distance[seen], NEARBY))
-    return nearby if nearby.any() else frame.around
+def _nearby(frame: GripFrame, distance: np.ndarray) -> GripFrame:
+    """The frame with those points around the grip alone that began close to the tool, or with all if none did."""
+    around = frame.around
+    nearby = around & (distance < np.percentile(distance[around | frame.gripped], NEARBY))
+    shown = frame.gripped | (nearby if nearby.any() else around)
+    return dataclasses.replace(frame, moved=np.where(shown[:, None], frame.moved, np.nan))
 
 
 def follow_clip(clip: PulledClip) -> Follow:
     """Follow the tissue's points through a clip.
 
+    Where nobody has drawn masks, the grip is where the automatic ones show an instrument, or where most motion is: what
+    predicts the later frames of the first half better from its earlier ones.
+
     Raises:
         InputError: it can't be read, has fewer than two frames, or its first frame shows no tool or no tissue.
     """
-    follower: PointFollower | None = None
-    frames, unreadable = [], []
+    drawn = clip.masks is not None or chosen_kind("auto", clip.frames, ClipLayout()) == "annotation"
+    masked: PointFollower | None = None
+    free: PointFollower | None = None
+    shown, everything, unreadable = list[np.ndarray](), list[np.ndarray](), list[str]()
     first = picture = np.zeros((0, 0, 3), np.uint8)
     for number, current, tool in read_views(clip):
         if isinstance(tool, str) or current is None:
             unreadable.append(f"frame {number}: {tool}")
             continue
         picture, tool = shrunk(current, tool)
-        if follower is None:
-            first, follower = picture, PointFollower(picture, tool)
-            if not tool.any() or not len(follower.points):
-                what = "instrument" if not tool.any() else "tissue away from the instrument"
+        if masked is None:
+            first, masked = picture, PointFollower(picture, tool)
+            free = None if drawn else PointFollower(picture, np.zeros_like(tool))
+            if (drawn and not tool.any()) or not len(masked.points):
+                what = "tissue away from the instrument" if tool.any() else "instrument"
                 raise InputError(
                     f"{clip.frames} shows no {what} where the judged part begins; choose another frame (--start)."
                 )
             continue
-        follower.step(picture, tool)
-        moved = follower.moved
-        if clip.camera:
-            moved = without_background(follower.points, moved, follower.distance)
-        frames.append(GripFrame(moved, follower.followed & (follower.distance < DRIVEN)))
-    if follower is None or not frames:
+        masked.step(picture, tool)
+        shown.append(masked.moved)
+        if free is not None:
+            free.step(picture, np.zeros_like(tool))
+            everything.append(free.moved)
+    if masked is None or not shown:
         raise InputError(f"{clip.frames} has fewer than two frames that can be used; give more of them.")
-    return Follow(follower.points, follower.spacing, follower.distance, frames, (first, picture), unreadable)
+
+    def follow(follower: PointFollower, distance: np.ndarray, moved: list[np.ndarray], grip: str) -> Follow:
+        """Of the points that are not held themselves."""
+        used = distance > MARGIN
+        points, away = follower.points[used], distance[used]
+        frames = []
+        for motion in (item[used] for item in moved):
+            motion = without_background(points, motion, away) if clip.camera else motion
+            frames.append(GripFrame(motion, np.isfinite(motion).all(axis=1) & (away < DRIVEN)))
+        return Follow(points, follower.spacing, away, frames, (first, picture), unreadable, grip)
+
+    found = [follow(masked, masked.distance, shown, "masks")]
+    if free is not None:
+        moved = everything[max(len(everything) // 2 - 1, 0)]
+        aways = [held_distance(free.points, free.spacing, moved, share) for share in HELD]
+        found += [follow(free, away, everything, "motion") for away in aways if np.isfinite(away).all()]
+    return found[0] if len(found) == 1 else max(found, key=_expected_skill)
+
+
+def _expected_skill(follow: Follow) -> float:
+    """Of one number in the later part of the first half, fitted to its earlier one; -∞ where too little moves."""
+    moving = [frame for frame in follow.frames[: len(follow.frames) // 2] if frame.tells]
+    early = moving[: max((len(moving) + 1) // 2, LEAST_FRAMES)]
+    try:
+        fit = fit_sheet(follow.points, follow.spacing, early, field=False)
+    except NothingMoves:
+        return -math.inf
+    # One number hardly fits noise: of a short clip the same frames must do.
+    return float(np.mean([skill(fit, frame) for frame in moving[len(early) :] or early]))
 
 
 def read_views(clip: PulledClip) -> Iterator[tuple[int, np.ndarray | None, np.ndarray | str]]:

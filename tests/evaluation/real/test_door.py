@@ -105,6 +105,20 @@ def test_a_clip_where_nothing_moves_is_a_sentence_and_the_other_is_judged(
     assert "Traceback" not in told
 
 
+def test_what_nobody_expected_of_a_clip_is_a_sentence_and_the_other_is_judged(
+    inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    def fail(*_: object) -> None:
+        raise ZeroDivisionError("of something")
+
+    monkeypatch.setattr("evaluation.real.__main__.evaluate_pull", fail)
+    assert main([*pulled(inputs, "pull"), *pressed(inputs), "--output", str(tmp_path)]) == 1
+    found = rows(tmp_path)
+    assert found["frames"] == {"status": "unexpected ZeroDivisionError (of something); please report it with the clip."}
+    assert found["press"]["status"] == "ok"
+    assert "frames: unexpected ZeroDivisionError" in capsys.readouterr().err
+
+
 def test_a_clip_that_can_t_be_read_is_a_sentence(inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     assert main([*pressed(inputs, "no.csv"), "--output", str(tmp_path)]) == 1
     assert "no.csv is no table of forces" in rows(tmp_path)["press"]["status"]

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from data.source.layout import InputError
+from data.tracks.following import MARGIN
 from estimators.grip.sheet_fit import GripFrame, NothingMoves
-from evaluation.real.pulled import DRIVEN, Pull, PulledClip, _nearby, evaluate_pull, follow_clip
+from evaluation.real.pulled import DRIVEN, Pull, PulledClip, _expected_skill, _nearby, evaluate_pull, follow_clip
 from tests.evaluation.real_clips import tissue_motion, tool_mask, write, write_pull
 from tests.inference_inputs import write_clip
 
@@ -107,7 +108,8 @@ def test_nearby_are_the_nearest_third_of_the_points_that_are_seen() -> None:
     moved = np.ones((120, 2))
     moved[distance >= 100] = np.nan
     nearby = _nearby(GripFrame(moved, distance < 10), distance)
-    np.testing.assert_array_equal(nearby, (distance >= 10) & (distance < 35))
+    np.testing.assert_array_equal(nearby.around, (distance >= 10) & (distance < 35))
+    np.testing.assert_array_equal(nearby.gripped, distance < 10)
 
 
 def test_the_cameras_motion_is_taken_off(tmp_path: Path) -> None:
@@ -213,8 +215,8 @@ def test_no_frames_are_a_sentence(own: PulledClip, tmp_path: Path) -> None:
 
 
 def test_nothing_to_fit_is_a_sentence(own: PulledClip) -> None:
-    """Of three frames after the first, one is in the first half, and moves little as yet."""
-    with pytest.raises(NothingMoves, match="In 0 of 1 frames the tissue moves"):
+    """Of three frames after the first, one is in the first half, which is too few."""
+    with pytest.raises(NothingMoves, match="In 1 of 1 frames the tissue moves"):
         evaluate_pull(own)
 
 
@@ -238,3 +240,21 @@ def test_a_real_clip_is_predicted(real_data: Path) -> None:
     assert told["skill of nearby, field, mean"] >= 0.74
     assert told["skill of all, field, mean"] >= 0.67
     assert 0.80 <= told["points within the 90 % bands"] <= 0.98
+
+
+def test_without_masks_the_grip_is_told_by_the_automatic_ones_or_by_motion(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The better of both; where the automatic masks show nothing, most motion is at the tool's tip."""
+    folders = write_pull(tmp_path, np.linspace(0, 2, 9))
+    drawn = follow_clip(PulledClip(*folders))
+    chosen = follow_clip(PulledClip(folders[0]))
+    assert drawn.grip == "masks"
+    assert _expected_skill(chosen) > 0.8 * _expected_skill(drawn) > 0.4
+    monkeypatch.setattr("evaluation.real.pulled._found_tools", lambda _: lambda _: np.zeros((176, 240), bool))
+    follow = follow_clip(PulledClip(folders[0]))
+    assert follow.grip == "motion"
+    middle = follow.points[follow.frames[-1].gripped].mean(axis=0)
+    assert np.linalg.norm(middle - [80, 88]) < 40
+    assert follow.distance.min() > MARGIN
+    assert follow.frames[-1].tells

@@ -78,6 +78,11 @@ def _parser() -> argparse.ArgumentParser:
     add("--smoothing", type=pixels, metavar="PIXELS", help=text)
     noise = real_number(f"a noise above the simulator's own error; give {LEAST_SIGMA:g} or more", LEAST_SIGMA)
     add("--noise", type=noise, metavar="X", help="of direct: noise of the depth [scene units] (default: as measured)")
+    text = (
+        "table of a force that was measured in a part of the clip (columns time_s, force_N): tells it in newtons for "
+        "all of a run whose relative force is determined, in forces.csv"
+    )
+    add("--known-force", type=path_option, metavar="CSV", help=text)
     add("--no-overlay", dest="overlay", action="store_false", help="leave the overlay video out")
     add("--version", action="version", version=f"palpate {program_version()}")
     return parser

@@ -7,6 +7,7 @@ direct          the simulator fitted to every run of contact
 grip            a sheet fitted to tissue that an instrument holds and moves, for runs without an onset
 runs            runs of contact, frame by frame, and what all sessions share
 onset           unknown beginnings of a press; oblique: presses aslant to the line of sight
+known_force     a force measured in a part of a motion, which tells it for the rest
 model_settings  an exported network's preparation, and what both networks' estimators share
 worker_pool     many tasks in a few processes
 """

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from estimators.estimate import REPORTED, SYMBOLS, GripEstimate, InteractionEstimate
+from estimators.estimate import NINETY, REPORTED, SYMBOLS, GripEstimate, InteractionEstimate
+from estimators.known_force import KnownForce, predict_force
 from physics.mechanics import PARAMETERS
 
 ESTIMATED = {
@@ -83,6 +84,15 @@ INTERACTIONS: dict[str, str] = {
     "detail": "sentence about the status, or about an estimate that can't be trusted",
 }
 """Columns of `interactions.csv`, in order."""
+FORCES: dict[str, str] = {
+    "onset_frame": "number of the run's first frame in contact",
+    "time_s": "s",
+    "force_N": "predicted by the one factor between the known force and the relative force of the run",
+    "force_N_low": "lower end of its 90 % interval",
+    "force_N_high": "upper end of its 90 % interval",
+    "known_N": "what --known-force gives there; empty where nothing",
+}
+"""Columns of `forces.csv`, in order; written with --known-force."""
 
 
 def row(columns: Mapping[str, str], values: Mapping[str, Any]) -> list[str]:
@@ -109,6 +119,30 @@ def interaction_values(run: InteractionEstimate) -> dict[str, Any]:
     if told is not None:
         found |= {"status": "ok", "verdict": told.verdict, "determined": ";".join(told.determined)}
     return found
+
+
+def force_rows(run: InteractionEstimate, known: KnownForce) -> list[dict[str, Any]]:
+    """The force of a run over time by column of FORCES; none where no relative force is determined.
+
+    Raises:
+        NoEstimate: the known force tells nothing of this run.
+    """
+    told = run.told
+    if not isinstance(told, GripEstimate) or "relative_force" not in told.determined:
+        return []
+    times = run.onset_time_s + told.times
+    curve = predict_force(known.at(times), told.force, told.force_sd)
+    return [
+        {
+            "onset_frame": run.onset_frame,
+            "time_s": float(time),
+            "force_N": float(force),
+            "force_N_low": float(force - NINETY * sd),
+            "force_N_high": float(force + NINETY * sd),
+            "known_N": float(measured),
+        }
+        for time, force, sd, measured in zip(times, curve.force, curve.sd, curve.known, strict=True)
+    ]
 
 
 def cell(value: float | int | bool | str | None, *, decimals: int | None = None) -> str:

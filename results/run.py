@@ -25,11 +25,12 @@ from data.source.images import printable
 from data.source.layout import ClipLayout, load_layout
 from estimators.contract import Chosen, ClipInfo, Said
 from estimators.estimate import FrameEstimate
+from estimators.known_force import read_forces
 from estimators.model_settings import check_sources
 from estimators.open import EstimatorOptions, open_estimator
 from physics.doors import INTERRUPTED, plain
 from results.record import build_record, depends_on, describe, fingerprint_of, model_of
-from results.store import OVERLAY, PROGRAM, WRITTEN, ResultStore, is_up_to_date, read_record
+from results.store import FORCES, OVERLAY, PROGRAM, WRITTEN, ResultStore, file_sha256, is_up_to_date, read_record
 from results.writer import ClipResults
 
 WORDS = {
@@ -69,6 +70,7 @@ class Batch:
     def __init__(self, options: argparse.Namespace, console: Console) -> None:
         self.options, self.console = options, console
         cv2.setNumThreads(options.threads or -1)
+        self.known = None if options.known_force is None else read_forces(options.known_force)
         self.estimator = open_estimator(
             EstimatorOptions(
                 options.estimator,
@@ -87,19 +89,23 @@ class Batch:
         self.settings = self.estimator.preparation(chosen)
         check_sources(self.settings)
         self.store = ResultStore(options.output)
-        self.files = [name for name in WRITTEN if options.overlay or name != OVERLAY]
+        wanted = {OVERLAY: options.overlay, FORCES: self.known is not None}
+        self.files = [name for name in WRITTEN if wanted.get(name, True)]
 
     def process(self, path: Path, progress: Progress, place: str) -> Outcome:
         """Estimate every frame and every run of contact of a clip and write the results; arguments as of `attempt`."""
         source = open_source(path, self.settings.layout)
         folder = self.store.folder(source.name, path)
         causes = depends_on(path, self.settings, self.estimator)
+        if self.known is not None:
+            causes["known_force"] = file_sha256(self.options.known_force)
         if is_up_to_date(folder, fingerprint_of(causes), self.files, overwrite=self.options.overwrite):
             say(self.console, f"{source.name}: up to date in {folder}; --overwrite computes it again")
             return Outcome(source.name, UP_TO_DATE, str(folder), counts_of(read_record(folder)))
         task = progress.add_task(f"{place} {plain(source.name)[:36]}", total=source.length or None)
         try:
-            with ClipResults(folder, source.size, source.fps, overlay=self.options.overlay) as results:
+            written = ClipResults(folder, source.size, source.fps, overlay=self.options.overlay, known=self.known)
+            with written as results:
                 clip, started = ClipStream(source, self.settings), time.perf_counter()
                 session = self.estimator.start(ClipInfo.of(clip))
                 frames: deque[PreparedFrame] = deque()

@@ -18,9 +18,9 @@ from typing import Any
 from physics.files import read_file
 
 TABLE, OVERLAY, SUMMARY, RECORD = "parameters.csv", "overlay.mp4", "summary.png", "run.json"
-INTERACTIONS, FIT = "interactions.csv", "fit.png"
+INTERACTIONS, FIT, FORCES = "interactions.csv", "fit.png", "forces.csv"
 """Files of a clip's folder. The record is written last: a folder that has it is complete."""
-WRITTEN = (TABLE, INTERACTIONS, OVERLAY, SUMMARY, FIT, RECORD)
+WRITTEN = (TABLE, INTERACTIONS, FORCES, OVERLAY, SUMMARY, FIT, RECORD)
 """All that is ever written into a clip's folder, in the order in which it gets there; any other file is a user's."""
 MARKER = ".unfinished-results"
 """Tells a hidden folder of ours from a user's."""

@@ -7,11 +7,13 @@ import time
 from collections import Counter, defaultdict
 from collections.abc import Mapping
 from contextlib import ExitStack, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from data.prepared import PreparedFrame
-from estimators.estimate import FrameEstimate, InteractionEstimate
+from estimators.estimate import FrameEstimate, InteractionEstimate, NoEstimate
+from estimators.known_force import KnownForce
 from results import columns, store
 from results.overlay import draw_overlay, open_video
 from results.plots import MOST_PANELS, draw_fits, draw_summary, write_figure
@@ -29,13 +31,22 @@ class ClipResults:
         size: width and height of the source frames [px].
         fps: frames a second of the overlay.
         overlay: whether to write the overlay video.
+        known: force that was measured in a part of the clip.
 
     Raises:
         OutputError: the output folder is full or can't be written (also from the methods).
     """
 
-    def __init__(self, folder: Path, size: tuple[int, int], fps: float, *, overlay: bool = True) -> None:
-        self.folder, self._size = folder, size
+    def __init__(
+        self,
+        folder: Path,
+        size: tuple[int, int],
+        fps: float,
+        *,
+        overlay: bool = True,
+        known: KnownForce | None = None,
+    ) -> None:
+        self.folder, self._size, self._known = folder, size, known
         self.estimates: list[FrameEstimate] = []
         self.seconds: dict[str, float] = defaultdict(float)
         """Time spent so far on the `overlay` [s]."""
@@ -49,6 +60,7 @@ class ClipResults:
                 self._partial = store.partial_folder(folder)
                 self._rows = self._open_table(store.TABLE, columns.FRAMES)
                 self._runs = self._open_table(store.INTERACTIONS, columns.INTERACTIONS)
+                self._forces = None if known is None else self._open_table(store.FORCES, columns.FORCES)
                 self._video = open_video(self._partial / store.OVERLAY, size, fps) if overlay else None
                 if self._video is not None:
                     self._open.callback(self._video.close)
@@ -83,12 +95,20 @@ class ClipResults:
         self.seconds["overlay"] += time.perf_counter() - start
 
     def add(self, run: InteractionEstimate) -> None:
-        """Append a run of contact."""
+        """Append a run of contact, and its force in newtons where some of it is known."""
+        forces: list[dict[str, Any]] = []
+        if self._known is not None:
+            try:
+                forces = columns.force_rows(run, self._known)
+            except NoEstimate as reason:
+                run = replace(run, detail=f"{run.detail} {reason}".strip())
         self.counts[state(run)] += 1
         shown = [*self.drawn, run]
         self.drawn = sorted(shown, key=lambda item: item.simulated is None and not item.verdict)[:MOST_PANELS]
         with writing(self.folder.parent):
             self._runs.writerow(columns.row(columns.INTERACTIONS, columns.interaction_values(run)))
+            if self._forces is not None:
+                self._forces.writerows(columns.row(columns.FORCES, values) for values in forces)
 
     def finish(self, record: Mapping[str, Any], *, title: str, subtitle: str) -> None:
         """Write the pictures and the record (as JSON), and move everything to its final place."""

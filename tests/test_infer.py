@@ -501,6 +501,14 @@ def test_what_is_wrong_with_a_contact_is_told_beside_the_reason_for_no_estimate(
     assert row["detail"] == f"{FRAYED.format(share=0.25)} {reason}"
 
 
+def test_a_table_of_forces_that_can_t_be_used_is_wrong_usage(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    (tmp_path / "clip").mkdir()
+    given = [str(tmp_path / "clip"), "--output", str(tmp_path / "out"), "--known-force", str(tmp_path / "no.csv")]
+    assert infer.main(given) == 2
+    assert "no.csv is no table of forces" in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "out").exists()
+
+
 def test_wrong_usage(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     (tmp_path / "empty").mkdir()
     for options, told in (

@@ -8,7 +8,6 @@ frame, which looks the same, so that τ counts as determined only where it is we
 from __future__ import annotations
 
 import csv
-import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +17,7 @@ import numpy as np
 from data.source.images import read_image
 from data.source.layout import InputError, list_folder
 from estimators.estimate import NINETY
+from estimators.known_force import predict_force
 from physics.identifiability import LIMIT
 
 UNIT = 0.05
@@ -75,36 +75,27 @@ def evaluate_press(folder: Path, wrench: Path) -> Press:
     fitted = KNOWN if min(len(force), len(dent)) > KNOWN[1] else DEVELOPED
     if not dent[slice(*fitted)].any():
         raise InputError(f"{folder} shows no dent in frames {fitted[0]} to {fitted[1] - 1}, whose force is known.")
-    factor, variance, left = fit_factor(dent[slice(*fitted)], force[slice(*fitted)])
-    predicted, sd = factor * dent, np.sqrt(variance * dent**2 + left**2)
+    known = np.full(len(dent), np.nan)
+    known[slice(*fitted)] = force[slice(*fitted)]
+    curve = predict_force(known, dent, np.zeros(len(dent)))
+    predicted, sd, factor = curve.force, curve.sd, curve.factor
     judged = slice(fitted[1], min(len(force), len(dent), LAST))
     error = force[judged] - predicted[judged]
     time, time_sd = damping_time(dent, force, fitted)
-    known = bool(time > 0 and time_sd / time < LIMIT)
+    told = bool(time > 0 and time_sd / time < LIMIT)
     measures: dict[str, object] = {
         "status": "ok",
         "frames fitted": f"{fitted[0]} to {fitted[1] - 1}",
         "frames judged": f"{judged.start} to {judged.stop - 1}",
         "force over dent [N/mm]": factor,
-        "force over dent, low [N/mm]": factor - NINETY * math.sqrt(variance),
-        "force over dent, high [N/mm]": factor + NINETY * math.sqrt(variance),
+        "force over dent, low [N/mm]": factor - NINETY * curve.factor_sd,
+        "force over dent, high [N/mm]": factor + NINETY * curve.factor_sd,
         "RMS error of the force [N]": float(np.sqrt(np.square(error).mean())),
         "RMS of the force [N]": float(np.sqrt(np.square(force[judged]).mean())),
         "frames within the 90 % intervals": float((np.abs(error) < NINETY * sd[judged]).mean()),
-        "damping time": "determined" if known else "not determined",
+        "damping time": "determined" if told else "not determined",
     }
     return Press(measures, dent, force, predicted, sd, fitted)
-
-
-def fit_factor(dent: np.ndarray, force: np.ndarray) -> tuple[float, float, float]:
-    """Force over dent by least squares, its variance, and the standard deviation of what is left [N].
-
-    What is left changes slowly, so that the variance counts half of the frames.
-    """
-    square = float(dent @ dent)
-    factor = float(force @ dent) / square
-    left = float(np.square(force - factor * dent).sum()) / max(len(dent) - 1, 1)
-    return factor, 2 * left / square, math.sqrt(left)
 
 
 def damping_time(dent: np.ndarray, force: np.ndarray, fitted: tuple[int, int]) -> tuple[float, float]:

@@ -185,7 +185,7 @@ def follow_clip(clip: PulledClip) -> Follow:
             first, masked = picture, PointFollower(picture, tool)
             free = None if drawn else PointFollower(picture, np.zeros_like(tool))
             if (drawn and not tool.any()) or not len(masked.points):
-                what = "tissue away from the instrument" if tool.any() else "instrument"
+                what = "instrument" if drawn and not tool.any() else "tissue away from the instrument"
                 raise InputError(
                     f"{clip.frames} shows no {what} where the judged part begins; choose another frame (--start)."
                 )

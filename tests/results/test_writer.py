@@ -13,7 +13,9 @@ import pytest
 
 from data.prepared import PreparedFrame
 from data.source.frames import Frame
-from results.columns import FRAMES, INTERACTIONS
+from estimators.estimate import GripEstimate
+from estimators.known_force import KnownForce
+from results.columns import FORCES, FRAMES, INTERACTIONS
 from results.plots import MOST_PANELS
 from results.store import PROGRAM, OutputError, is_up_to_date, own_files, partial_folder, read_record
 from results.verdicts import state
@@ -62,6 +64,30 @@ def test_a_clip_without_frames_and_contact_has_the_tables_heads(tmp_path: Path) 
     for name, columns in (("parameters.csv", FRAMES), ("interactions.csv", INTERACTIONS)):
         with (tmp_path / "clip" / name).open(encoding="utf-8", newline="") as stream:
             assert list(csv.reader(stream)) == [list(columns)]
+
+
+@pytest.mark.usefixtures("blank_pictures")
+def test_a_known_force_tells_that_of_all_frames_in_newtons(tmp_path: Path) -> None:
+    """The force is 3 N at the end of a run that begins at 0.5 s; half of it is measured, and all of it told."""
+    times = np.linspace(0.1, 0.8, 8)
+    grip = GripEstimate(0.02, 0.015, 0.027, 0.6, 0.1, times, times / 0.8, np.zeros(8))
+    run = dataclasses.replace(NONE, onset_time_s=0.5, grip=grip)
+    late = dataclasses.replace(run, onset_time_s=5.0)
+    known = KnownForce(np.array([0.5, 0.9]), np.array([0.0, 1.5]))
+    with ClipResults(tmp_path / "clip", SIZE, 25.0, overlay=False, known=known) as output:
+        for item in (run, NONE, late):
+            output.add(item)
+        output.finish({"program": PROGRAM}, title="clip", subtitle="")
+    found = rows(tmp_path / "clip" / "forces.csv")
+    assert tuple(found[0]) == tuple(FORCES)
+    assert [float(row["time_s"]) for row in found] == pytest.approx(0.5 + times)
+    assert [float(row["force_N"]) for row in found] == pytest.approx(3 * times / 0.8)
+    assert [row["known_N"] != "" for row in found] == [True] * 4 + [False] * 4
+    assert all(float(row["force_N_low"]) <= float(row["force_N"]) <= float(row["force_N_high"]) for row in found)
+    said = [row["detail"] for row in rows(tmp_path / "clip" / "interactions.csv")]
+    assert "force" not in said[0]
+    assert said[2].endswith("The force is known in 0 frames that move; 3 are needed to tell the others'.")
+    assert "forces.csv" in own_files(tmp_path / "clip")
 
 
 @pytest.mark.usefixtures("blank_pictures")

@@ -13,7 +13,6 @@ from evaluation.real.pressed import (
     damping_time,
     deepest_dent,
     evaluate_press,
-    fit_factor,
     measured_force,
 )
 from physics.identifiability import LIMIT
@@ -63,16 +62,6 @@ def test_force_is_above_its_mean_at_rest(tmp_path: Path) -> None:
     np.testing.assert_allclose(measured_force(write_wrench(tmp_path / "b.csv", -force)), force, atol=1e-12)
     late = np.where(np.arange(70) < 20, 5.0, force)  # before the rest
     np.testing.assert_allclose(measured_force(write_wrench(tmp_path / "c.csv", late)), late, atol=1e-12)
-
-
-def test_the_factor_is_that_of_least_squares() -> None:
-    dent = np.array([1.0, 2.0, 3.0])
-    factor, variance, left = fit_factor(dent, np.array([2.0, 4.0, 7.0]))
-    assert factor == pytest.approx(31 / 14)
-    squares = (2 - 31 / 14) ** 2 + (4 - 62 / 14) ** 2 + (7 - 93 / 14) ** 2
-    assert left == pytest.approx(np.sqrt(squares / 2))
-    assert variance == pytest.approx(2 * squares / 2 / 14)  # half of the frames count
-    assert fit_factor(dent, 0.3 * dent) == pytest.approx((0.3, 0, 0), abs=1e-12)
 
 
 def test_damping_is_found_again_from_many_cycles() -> None:

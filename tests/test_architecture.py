@@ -34,7 +34,7 @@ FENCES = {
     "lightning": ("train.py", "models/module.py", "data/training/datamodule.py"),
     "lightning.pytorch.loggers": ("train.py",),
     "mlflow": ("train.py",),
-    "cv2": ("data/", "results/", "evaluation/", "benchmarks/"),
+    "cv2": ("data/", "results/", "evaluation/"),
     "matplotlib": ("results/plots.py", "evaluation/", "benchmarks/"),
     "pandas": ("evaluation/",),
     "scipy.stats": ("estimators/direct/", "evaluation/", "benchmarks/"),

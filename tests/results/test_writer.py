@@ -70,7 +70,7 @@ def test_a_clip_without_frames_and_contact_has_the_tables_heads(tmp_path: Path) 
 def test_a_known_force_tells_that_of_all_frames_in_newtons(tmp_path: Path) -> None:
     """The force is 3 N at the end of a run that begins at 0.5 s; half of it is measured, and all of it told."""
     times = np.linspace(0.1, 0.8, 8)
-    grip = GripEstimate(0.02, 0.015, 0.027, 0.6, 0.1, times, times / 0.8, np.zeros(8))
+    grip = GripEstimate(0.02, 0.015, 0.027, 0.6, 0.1, times, times / 0.8, np.zeros(8), 20.0, 18.0, 22.0)
     run = dataclasses.replace(NONE, onset_time_s=0.5, grip=grip)
     late = dataclasses.replace(run, onset_time_s=5.0)
     known = KnownForce(np.array([0.5, 0.9]), np.array([0.0, 1.5]))

@@ -236,17 +236,22 @@ class GripEstimate:
 
     @property
     def verdict(self) -> str:
-        """`foundation` or `undetermined`."""
-        return "foundation" if self.determined else "undetermined"
+        """`foundation`, `relative_force` or `undetermined`."""
+        if "foundation_over_stiffness" in self.determined:
+            return "foundation"
+        return "relative_force" if self.determined else "undetermined"
 
     @property
     def determined(self) -> tuple[str, ...]:
         """Names of what is determined."""
         width = math.log(self.foundation_over_stiffness_high / self.foundation_over_stiffness_low) / (2 * NINETY)
-        if not self.explained or not width < LIMIT:
+        if not self.explained:
             return ()
-        known = np.isfinite(self.force).all() and self.force_sd.max() < LIMIT
-        return ("foundation_over_stiffness", *(("relative_force",) if known else ()))
+        known = {
+            "foundation_over_stiffness": width < LIMIT,
+            "relative_force": np.isfinite(self.force).all() and self.force_sd.max() < LIMIT,
+        }
+        return tuple(name for name, sure in known.items() if sure)
 
 
 @dataclass(frozen=True, eq=False)

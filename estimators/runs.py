@@ -197,7 +197,7 @@ class RunSession:
             elsewhere = f", gripped elsewhere {found.rival:.2f}" if math.isfinite(found.rival) else ""
             told = f"A sheet gripped by the instrument doesn't explain the motion (skill {found.skill:.2f}{elsewhere})."
         elif found is not None and not found.determined:
-            told = "A gripped sheet explains the motion, but its foundation is hardly known."
+            told = "A gripped sheet explains the motion, but neither its foundation nor its force over time is known."
         return dataclasses.replace(said, grip=found, detail=f"{said.detail} {told}".strip())
 
     def _whole(self, contact: Interaction) -> tuple[Estimate, tuple[np.ndarray, np.ndarray], str]:

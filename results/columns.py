@@ -32,13 +32,14 @@ UNITS = {
 }
 """Units of the results; nothing that estimates knows of others."""
 VERDICT = {
-    "verdict": "determined, ratios (only k_s/k_d and F/k_d), foundation (only that over stiffness), undetermined; "
+    "verdict": "determined, ratios (only k_s/k_d and F/k_d), foundation (only that over stiffness, and "
+    "relative forces), relative_force (only that), undetermined; "
     "onset_in_view: the model doesn't tell",
     "determined": "which parameters and ratios are determined, joined by ; (relative_force: its curve is in fit.png)",
 }
 GRIP = {
     "foundation_over_stiffness": "of a node over a spring's, nodes 8 px apart in a picture at most 854 px wide; empty "
-    "unless only that is determined",
+    "unless verdict is foundation",
     "foundation_over_stiffness_low": "lower end of its 90 % interval",
     "foundation_over_stiffness_high": "upper end of its 90 % interval",
     "reaction_over_stiffness": "what holds the tissue in the last frame over a spring's stiffness, px of such a "
@@ -115,7 +116,8 @@ def interaction_values(run: InteractionEstimate) -> dict[str, Any]:
         found |= vars(estimate) | estimate.numbers() | delays
         found |= {"explanation": estimate.explanation if told is estimate else "", "at_bound": " ".join(stuck)}
     if isinstance(told, GripEstimate):
-        found |= {name: getattr(told, name) for name in GRIP} | {"frames": len(told.times)}
+        known = GRIP if told.verdict == "foundation" else ("skill",)  # the force leans on the foundation
+        found |= {name: getattr(told, name) for name in known} | {"frames": len(told.times)}
     if told is not None:
         found |= {"status": "ok", "verdict": told.verdict, "determined": ";".join(told.determined)}
     return found

@@ -203,9 +203,11 @@ def _told_of_run(run: InteractionEstimate | None) -> tuple[str, str, str]:
         return "no contact was found", "", "no_estimate"
     place, estimate = f"contact from frame {run.onset_frame} ({run.onset_time_s:.3f} s)", run.estimate
     if isinstance(grip := run.told, GripEstimate):
-        low, high = (digits(getattr(grip, f"foundation_over_stiffness_{end}"), 2) for end in ("low", "high"))
         sentence = f"Skill {grip.skill:.2f} in frames that were not fitted (1: exact). No k_s, k_d or |F|."
-        heading = f"{grip.verdict}: {place}, foundation over stiffness {low} to {high}"
+        heading = f"{in_words(grip.verdict)}: {place}"
+        if grip.verdict == "foundation":
+            low, high = (digits(getattr(grip, f"foundation_over_stiffness_{end}"), 2) for end in ("low", "high"))
+            heading += f", foundation over stiffness {low} to {high}"
         return heading, f"{sentence} {run.detail}", grip.verdict
     if estimate is None:
         return f"no estimate: {place}", run.detail, "no_estimate"

@@ -566,16 +566,15 @@ def test_an_interruption_while_pictures_are_drawn_leaves_nothing_half_written(
 def test_real_clip_directly(real_data: Path, tmp_path: Path) -> None:
     """Judged: the grasper holds the gallbladder from frame 149 on, and pulls aslant.
 
-    Of a press ten noisy frames tell nothing; the motion around the grip tells how firmly the tissue is attached.
+    Of a press ten noisy frames tell nothing; the motion around the grip tells how the force changes. How firmly the
+    tissue is attached is not known under a camera that moves: far tissue may be pulled along, or carried.
     """
     arguments = [str(real_data / "cholecseg8k"), "--output", str(tmp_path), "--estimator", "direct", "--onset", "stamp"]
     assert infer.main(arguments) == 0
     (row,) = runs(tmp_path / "video01_00080")
     assert 149 <= int(row["onset_frame"]) <= 151
-    assert row["verdict"] == "foundation"
-    assert not {"stiffness", "damping", "force"} & set(row["determined"].split(";"))
-    low, value, high = (float(row[f"foundation_over_stiffness{end}"]) for end in ("_low", "", "_high"))
-    assert 0.001 < low < value < high < 0.01
+    assert (row["verdict"], row["determined"]) == ("relative_force", "relative_force")
+    assert row["foundation_over_stiffness"] == row["reaction_over_stiffness"] == ""
     assert float(row["skill"]) > 0.4
     assert "to the line of sight, so its dent may hide its own bottom; intervals are widened" in row["detail"]
     assert "lies at the end of the stiffness's admissible range" in row["detail"]

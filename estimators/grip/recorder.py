@@ -88,9 +88,8 @@ class GripRecorder:
         ]
         judged = fit_sheet(points, spacing, against[:half], field=False)
         fit = fit_sheet(points, spacing, frames, field=False, background=True)
-        log, sd = fit.mean_log_anchor
+        (log, sd), (pull, pull_sd) = fit.mean_log_anchor, fit.log_force(frames[-1])
         force, force_sd = fit.relative_force(frames)
-        pull, pull_sd = fit.log_force(frames[-1])
         return GripEstimate(
             foundation_over_stiffness=float(np.exp(log)),
             foundation_over_stiffness_low=float(np.exp(log - NINETY * sd)),

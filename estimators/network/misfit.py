@@ -96,7 +96,9 @@ class _Dent:
         # Pixels that are never hidden; taken together they show the same tissue all the time, more or less.
         own = patches.own()
         clear = np.isfinite(self._change).all(axis=0) & (own >= 0)
-        self._shown, self.observed = own[clear], self._change[:, clear].mean(axis=1)
+        self._shown, self.observed = own[clear], np.full(len(film.times), np.nan)
+        if clear.any():
+            self.observed = self._change[:, clear].mean(axis=1)
         frames = np.unique(np.linspace(0, len(film.times) - 1, MOST_FRAMES).round().astype(int))
         self.few, self._change = film.times[frames], self._change[frames]
 

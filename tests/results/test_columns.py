@@ -130,6 +130,10 @@ def test_a_grip_is_told_where_nothing_else_is_determined() -> None:
     assert found["verdict"] == "foundation"
     assert found["determined"] == "foundation_over_stiffness;relative_force"
     assert found["force"] == found["stiffness"] == ""
+    wide = dataclasses.replace(grip(), foundation_over_stiffness_high=0.2)
+    vague = of_run(InteractionEstimate(0, 5, 0.0, grip=wide))
+    assert (vague["verdict"], vague["determined"], vague["skill"]) == ("relative_force", "relative_force", "0.6")
+    assert vague["foundation_over_stiffness"] == vague["reaction_over_stiffness"] == ""
     unexplained = of_run(InteractionEstimate(0, 5, 0.0, grip=grip(0.2)))
     assert (unexplained["verdict"], unexplained["status"], unexplained["skill"]) == ("", "no_estimate", "")
 

@@ -272,6 +272,9 @@ def test_a_grip_shows_how_the_force_changes_and_names_no_other_number() -> None:
     )
     np.testing.assert_allclose(curve(axes, "force along that of the last frame"), (times, times / 3))
     assert extent(axes.collections[0]).y1 == pytest.approx(1.0)
+    wide = dataclasses.replace(grip, foundation_over_stiffness_high=0.2)
+    (axes,) = fits(dataclasses.replace(NONE, grip=wide))
+    assert heading(axes) == "relative force: contact from frame 1 (0.000 s)"
 
 
 def test_a_contact_without_estimate_says_why_without_axes() -> None:

@@ -103,29 +103,33 @@ class Decoder(nn.Module):
     Upsampling resizes to a given size before a 3×3 convolution, so that odd sizes are met exactly.
     Instance norm takes the level and the spread of a depth map away before the decoder sees it, and the tiled θ can't
     bring them back. `residual` therefore adds the layers' answer to the current frame, in logit space, and `physics` to
-    what the rollout of θ makes of that (`models.carried_depth`).
+    what the rollout of θ makes of that (`models.carried_depth`), which is where it begins. Its layers aren't told θ as
+    well: they would undo a part of what the rollout says that θ changes.
     """
 
     def __init__(self, width: int, residual_blocks: int, kind: Literal["direct", "residual", "physics"]) -> None:
         super().__init__()
         self.kind = kind
         channels = 4 * width
+        told = 0 if kind == "physics" else 3
         # No instance norm here: it would subtract a tiled constant, and θ would never reach the picture.
-        self.condition = nn.Sequential(nn.Conv2d(channels + 3, channels, 1), nn.ReLU())
+        self.condition = nn.Sequential(nn.Conv2d(channels + told, channels, 1), nn.ReLU())
         self.blocks = nn.Sequential(*(ResidualBlock(channels) for _ in range(residual_blocks)))
         self.up_half = normalised_block(nn.Conv2d(channels, 2 * width, 3, padding=1, padding_mode="reflect"))
         self.up_full = normalised_block(nn.Conv2d(2 * width, width, 3, padding=1, padding_mode="reflect"))
         self.output = nn.Conv2d(width, 1, 7, padding=3, padding_mode="reflect")
         if kind != "direct":
             with torch.no_grad():
-                self.output.weight.mul_(0.1)  # start near the current frame, with a slope in θ
+                self.output.weight.mul_(0.1 if told else 0.0)  # start near the current frame, with a slope in tiled θ
                 self.output.get_parameter("bias").zero_()
 
     def forward(self, features: Tensor, scaled_theta: Tensor, current: Tensor) -> Tensor:
         """Features [B, 4·width, h, w], θ in [0, 1] [B, 3], current depth [B, 1, H, W] → the next, in (0, 1)."""
         size = (current.shape[2], current.shape[3])
-        tiled = scaled_theta[:, :, None, None].expand(-1, -1, *features.shape[2:])
-        hidden = self.blocks(self.condition(torch.cat([features, tiled], dim=1)))
+        if self.kind != "physics":
+            tiled = scaled_theta[:, :, None, None].expand(-1, -1, *features.shape[2:])
+            features = torch.cat([features, tiled], dim=1)
+        hidden = self.blocks(self.condition(features))
         hidden = self.up_half(functional.interpolate(hidden, size=(size[0] // 2, size[1] // 2)))
         hidden = self.up_full(functional.interpolate(hidden, size=size))
         change = self.output(hidden)

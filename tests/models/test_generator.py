@@ -88,6 +88,19 @@ def test_a_residual_decoder_starts_near_the_current_frame_and_theta_still_reache
     assert depth.grad.isfinite().all()
 
 
+def test_a_decoder_of_physics_starts_as_the_carried_map_and_leaves_theta_to_the_rollout():
+    torch.manual_seed(0)
+    generator = Generator(width=4, residual_blocks=1, decoder="physics")
+    depth, carried = 0.2 + 0.6 * torch.rand(2, 2, 1, 32, 40)
+    theta = torch.tensor([[0.5, 0.1, -1.0], [0.9, 0.01, -5.0]])
+    assert torch.allclose(generator.generate(depth, theta, carried), carried, atol=1e-6)
+    with torch.no_grad():
+        generator.decoder.output.weight.normal_()
+    grown = generator.generate(depth, theta, carried)
+    assert (grown - carried).abs().max() > 0.01
+    assert torch.equal(grown, generator.generate(depth, theta.flip(0), carried))
+
+
 def test_the_decoder_is_conditioned_on_theta_s_place_in_the_box():
     bounds = Bounds(stiffness=(0.2, 0.6), force=(-0.3, 0.1), initial=(0.4, 0.1, -0.1))
     generator, seen = Generator(**SMALL, bounds=bounds), []

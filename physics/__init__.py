@@ -10,7 +10,8 @@ sheet            a gripped sheet at rest: the quasi-static limit
 fem              soft bodies of tetrahedra: laws, rest, motion, exact derivatives
 msd              mass–spring–damper sheets, with a numpy door and a torch door
 jit              compiled loops; lazy: package faces; provenance: digest of the code
-files            whole files or none, and reading that ends; fields: values of settings; doors: how programs end
+files            whole files or none, and reading that ends; ownership: which of them may be replaced
+fields           values of settings; doors: how programs end
 """
 
 from physics.lazy import exported

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from physics.files import read_file
+from physics.ownership import ForeignFile
 
 TABLE, OVERLAY, SUMMARY, RECORD = "parameters.csv", "overlay.mp4", "summary.png", "run.json"
 INTERACTIONS, FIT, FORCES = "interactions.csv", "fit.png", "forces.csv"
@@ -40,10 +41,12 @@ def writing(folder: Path) -> Generator[None]:
     """Turn a file-system error met while writing into one sentence.
 
     Raises:
-        OutputError: the folder is full, read-only, or otherwise not writable.
+        OutputError: the folder is full, read-only, otherwise not writable, or a user's file is in the way.
     """
     try:
         yield
+    except ForeignFile as error:
+        raise OutputError(str(error)) from error
     except OSError as error:
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             problem = "the output folder is full; free some space"

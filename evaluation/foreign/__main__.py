@@ -27,7 +27,7 @@ from evaluation.foreign.beam import Ringing, judge_beams, read_ringing
 from evaluation.foreign.liver import MATERIALS, judge_pull
 from evaluation.tables import to_csv
 from physics.doors import INTERRUPTED
-from physics.files import replacing
+from physics.ownership import replacing_own
 from results.store import OutputError, writing
 
 COLUMNS = ("file", "measure", "value")
@@ -106,7 +106,7 @@ def main(arguments: list[str] | None = None) -> int:
 def _write(output: Path, rows: list[dict[str, object]]) -> None:
     with writing(output):
         output.mkdir(parents=True, exist_ok=True)
-        with replacing(output / "table.csv") as partial:
+        with replacing_own(output / "table.csv") as partial:
             partial.write_text(to_csv(rows, COLUMNS, ".6g"), encoding="utf-8")
 
 

@@ -17,10 +17,14 @@ from evaluation.paper.collapse import as_told
 from evaluation.paper.figures import draw_response, draw_theta
 from evaluation.paper.statistics import Statistics, format_number
 from evaluation.tables import to_markdown
-from physics.files import replacing
 from physics.mechanics import PARAMETERS, Bounds, Mechanics
+from physics.ownership import ForeignFile, replacing_own
 from results.record import versions
 
+FILES = (
+    *("figure3.png", "theta.png", "table2.md", "table2.csv", "collapse.md", "collapse.csv"),
+    *("settling.csv", "per_frame.csv", "report.html", "evaluation.json"),
+)
 FORMAT_VERSION = 2
 """Version of `evaluation.json`."""
 ERRORS = {
@@ -67,14 +71,13 @@ def write_evaluation(
         training: training contacts that the constant θ is fitted on.
         mechanics: constants of the rollout that made the trajectories.
         bounds: admissible box of θ.
-        output: folder, created if needed; files of an earlier evaluation are replaced one by one.
+        output: folder, created if needed; files of an earlier evaluation are replaced one by one, a user's never.
 
     Returns:
-        Paths by name: table2.md, table2.csv, collapse.md, collapse.csv, settling.csv, figure3.png, theta.png,
-        per_frame.csv, report.html, evaluation.json.
+        Paths by name: all of FILES.
 
     Raises:
-        EvaluationError: there are no records, or the folder can't be written.
+        EvaluationError: there are no records, the folder can't be written, or holds a user's file of such a name.
     """
     try:
         found = analyse(records, training, mechanics, bounds)
@@ -100,9 +103,11 @@ def write_evaluation(
     try:
         output.mkdir(parents=True, exist_ok=True)
         for name, content in (figures | {name: text.encode() for name, text in texts.items()}).items():
-            with replacing(output / name) as partial:
+            with replacing_own(output / name) as partial:
                 partial.write_bytes(content)
-        return {name: output / name for name in (*figures, *texts)}
+        return {name: output / name for name in FILES}
+    except ForeignFile as error:
+        raise EvaluationError(str(error)) from error
     except OSError as error:
         raise EvaluationError(
             f"{output}: the evaluation can't be written ({error.strerror}); choose a folder that is "

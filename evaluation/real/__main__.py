@@ -37,10 +37,11 @@ from evaluation.real.pulled import PulledClip, evaluate_pull
 from evaluation.real.touching import contact_measures
 from evaluation.tables import to_csv, to_markdown
 from physics.doors import INTERRUPTED, plain
-from physics.files import replacing
+from physics.ownership import replacing_own, require_own
 from results.store import OutputError, writing
 
 COLUMNS = ("clip", "measure", "value")
+TEXTS = ("table.csv", "report.html")
 TITLE = "Real clips, judged on what was kept back"
 KNOWN = {
     "recover_tissue": PulledClip(Path("recover_tissue/img_left"), Path("recover_tissue/tool_mask")),
@@ -132,6 +133,13 @@ def main(arguments: list[str] | None = None) -> int:
     if not tasks:
         where = "" if options.data is None else f"; {options.data} holds none of {', '.join([*KNOWN, PRESSED])}"
         parser.error(f"there is nothing to judge{where}. Give --data, --pulled or --pressed.")
+    try:
+        with writing(options.output):  # before the long work
+            numbers = range(1, len(tasks) + 1)
+            require_own(*(options.output / name for name in (*TEXTS, *(f"figures/{n}.png" for n in numbers))))
+    except OutputError as error:
+        say(console, str(error), "red")
+        return 2
     rows: list[dict[str, object]] = []
     figures: dict[str, bytes] = {}
     status = 0
@@ -188,13 +196,13 @@ def write(output: Path, rows: list[dict[str, object]], figures: Mapping[str, byt
     shown = "\n".join(f"![Figure {name}]({name})\n" for name in figures)
     told = "> **Not a medical device.** Lengths in pixels; forces in newtons only where some were measured.\n"
     page = render_page(TITLE, f"# {TITLE}\n\n{told}\n{shown}\n{table}\n", figures)
-    texts = {"table.csv": to_csv(rows, COLUMNS, ".6g"), "report.html": page}
+    texts = dict(zip(TEXTS, (to_csv(rows, COLUMNS, ".6g"), page), strict=True))
     with writing(output):
         (output / "figures").mkdir(parents=True, exist_ok=True)
         for name, content in (
             {f"figures/{n}": c for n, c in figures.items()} | {n: t.encode() for n, t in texts.items()}
         ).items():
-            with replacing(output / name) as partial:
+            with replacing_own(output / name) as partial:
                 partial.write_bytes(content)
 
 

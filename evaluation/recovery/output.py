@@ -16,6 +16,7 @@ from evaluation.recovery.grips import GripRecovery
 from evaluation.recovery.scores import Bound, Scores
 from evaluation.recovery.store import replace_text
 from evaluation.tables import to_cell, to_csv
+from physics.ownership import replacing_own
 from results.store import OutputError, writing
 
 SHOWN_FAILURES = 8
@@ -91,7 +92,8 @@ def write_results(output: Path, judged: Sequence[Scores]) -> list[dict[str, obje
     with writing(output):
         (output / "figures").mkdir(exist_ok=True)
         for name, figure in figures(judged):
-            figure.savefig(output / "figures" / name)
+            with replacing_own(output / "figures" / name) as partial:
+                figure.savefig(partial)
     return rows
 
 

@@ -14,11 +14,14 @@ import numpy as np
 from evaluation.recovery.evaluate import Recovery
 from evaluation.recovery.grips import GripRecovery
 from physics.files import read_file, replacing
+from physics.ownership import replacing_own
 from physics.provenance import code_digest
 from results.store import OutputError, writing
 
 RESULTS, GRIPS, RECORD = "results.jsonl", "grips.jsonl", "run.json"
 FORMAT_VERSION = 4
+BEGINNING = b'{"suite": "'
+"""Of every line of results."""
 
 
 class RecoveryStore:
@@ -56,7 +59,8 @@ class RecoveryStore:
         """Results in the order in which they came."""
         self.outdated = bool(self.rows) and recorded.get("code", code) != code
         """Whether earlier results come from another version of the program."""
-        replace_text(output / RECORD, json.dumps({"code": code, **recorded, **wanted}, indent=2) + "\n")
+        with writing(output), replacing(output / RECORD) as partial:
+            partial.write_text(json.dumps({"code": code, **recorded, **wanted}, indent=2) + "\n", encoding="utf-8")
 
     @property
     def done(self) -> set[tuple[str, int, str]]:
@@ -84,7 +88,7 @@ class RecoveryStore:
             record = json.loads(read_file(path))
         except (OSError, ValueError, RecursionError) as error:
             raise OutputError(f"{path}: is not readable; remove the folder or choose another --output.") from error
-        if not isinstance(record, dict) or "seed" not in record:
+        if not isinstance(record, dict) or not {"code", "format", "seed"} <= set(record):
             raise OutputError(f"{path}: belongs to something else; choose another --output.")
         return record
 
@@ -123,10 +127,11 @@ def read_results(path: Path, kind: type = Recovery) -> list[Any]:
 
 
 def _cut_unfinished(path: Path) -> None:
-    """Remove a last line that a killed run left without its end."""
-    data = path.read_bytes()
+    """Remove a last line that a killed run left without its end; one that doesn't begin as ours do stays."""
+    data = read_file(path)
     complete = data.rfind(b"\n") + 1
-    if complete < len(data):
+    cut = data[complete:]
+    if cut and BEGINNING.startswith(cut[: len(BEGINNING)]):
         os.truncate(path, complete)
 
 
@@ -134,7 +139,7 @@ def replace_text(path: Path, text: str) -> None:
     """Write a text file, whole or not at all.
 
     Raises:
-        OutputError: it can't be written.
+        OutputError: it can't be written, or a user's file is there.
     """
-    with writing(path.parent), replacing(path) as partial:
+    with writing(path.parent), replacing_own(path) as partial:
         partial.write_text(text, encoding="utf-8")

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from evaluation.real.__main__ import COLUMNS, KNOWN, build_parser, main, tasks_of, write
+from physics.ownership import LIST
 from tests.evaluation.real_clips import ramp, write_press, write_pull, write_wrench
 
 FACTOR = 0.35
@@ -66,7 +67,7 @@ def test_two_clips_are_judged(inputs: Path, tmp_path: Path, capsys: pytest.Captu
         assert picture.std() > 10
         assert f"data:image/png;base64,{base64.b64encode(content).decode()}" in page
     assert 'src="1.png"' not in page
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["figures", "report.html", "table.csv"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [LIST, "figures", "report.html", "table.csv"]
     told = capsys.readouterr()
     assert f"written: {tmp_path}/table.csv, report.html, figures/" in told.err
     assert "force over dent" in told.out
@@ -98,7 +99,7 @@ def test_a_clip_where_nothing_moves_is_a_sentence_and_the_other_is_judged(
     assert all(0.5 < float(found["frames"][name]) < 0.9 for name in contact)
     assert found["frames"]["status"].startswith(sentence)
     assert float(found["press"]["force over dent [N/mm]"]) == pytest.approx(FACTOR, rel=0.01)
-    assert [path.name for path in (tmp_path / "figures").iterdir()] == ["1.png"]
+    assert [path.name for path in (tmp_path / "figures").glob("*.png")] == ["1.png"]
     assert sentence in (tmp_path / "report.html").read_text(encoding="utf-8")
     told = capsys.readouterr().err
     assert told.count(f"frames: {sentence}") == 1
@@ -151,7 +152,7 @@ def test_known_clips_are_found_below_a_folder(inputs: Path, tmp_path: Path) -> N
     assert float(found["recover_tissue"]["skill of nearby, field, mean"]) > 0.8
     judged = [found[f"pressed_membrane, wrench_{known}"]["frames judged"] for known in (73, 90)]
     assert judged == ["67 to 72", "73 to 89"]
-    assert len(list((tmp_path / "out" / "figures").iterdir())) == 3
+    assert len(list((tmp_path / "out" / "figures").glob("*.png"))) == 3
 
 
 @pytest.mark.parametrize(
@@ -186,6 +187,23 @@ def test_an_output_that_can_t_be_written_is_a_sentence(
     told = capsys.readouterr().err
     assert "choose another --output" in told
     assert "written:" not in told
+
+
+@pytest.mark.parametrize("name", ["table.csv", "report.html", "figures/1.png"])
+def test_a_user_s_file_in_the_output_is_named_before_the_work_and_stays(
+    inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture, name: str
+) -> None:
+    path = tmp_path / "out" / name
+    path.parent.mkdir(parents=True)
+    path.write_text("precious")
+    command = [*pressed(inputs), "--output", str(tmp_path / "out")]
+    assert main(command) == 2
+    said = f"{path} is not as this program wrote it; move it away or choose another place."
+    assert said in " ".join(capsys.readouterr().err.replace("\n", "").split()).replace("- ", "-")
+    assert [each for each in (tmp_path / "out").rglob("*") if each.is_file()] == [path]
+    assert path.read_text() == "precious"
+    path.unlink()
+    assert main(command) == main(command) == 0  # its own are replaced
 
 
 def test_names_and_numbers_are_written_as_they_are(tmp_path: Path) -> None:

@@ -4,7 +4,10 @@ import json
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
+from evaluation.recovery.output import write_results
+from evaluation.recovery.scores import score_all
 from evaluation.recovery.store import RESULTS, RecoveryStore, read_results
 from results.store import OutputError
 from tests.evaluation.recovery_cases import recovery
@@ -81,6 +84,25 @@ def test_another_version_of_the_program_is_noticed(tmp_path, monkeypatch):
     assert RecoveryStore(tmp_path, WANTED).outdated
 
 
+def test_a_line_that_is_none_of_ours_is_not_cut_off(tmp_path):
+    RecoveryStore(tmp_path, WANTED).append([recovery(0)])
+    for content in ("mine", (tmp_path / RESULTS).read_text() + "mine"):
+        (tmp_path / RESULTS).write_text(content)
+        with pytest.raises(OutputError, match=r"results\.jsonl: line \d is not a result"):
+            RecoveryStore(tmp_path, WANTED)
+        assert (tmp_path / RESULTS).read_text() == content
+
+
+@pytest.mark.parametrize("name", ["table.csv", "details.csv", "figures/bias.png"])
+def test_a_user_s_file_among_the_tables_stays(tmp_path, name, monkeypatch):
+    monkeypatch.setattr("evaluation.recovery.figures.figures", lambda scores: [("bias.png", Figure((1, 1)))])
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / name).write_text("precious")
+    with pytest.raises(OutputError, match=rf"{name} is not as this program wrote it; move it away"):
+        write_results(tmp_path, score_all([recovery(0)]))
+    assert (tmp_path / name).read_text() == "precious"
+
+
 @pytest.mark.parametrize("name", ["run.json", "results.jsonl"])
 def test_damaged_files_are_named(tmp_path, name):
     RecoveryStore(tmp_path, WANTED).append([recovery(0)])
@@ -89,10 +111,12 @@ def test_damaged_files_are_named(tmp_path, name):
         RecoveryStore(tmp_path, WANTED)
 
 
-def test_a_folder_of_something_else_is_refused(tmp_path):
-    (tmp_path / "run.json").write_text("[]")
+@pytest.mark.parametrize("content", ["[]", '{"seed": 0}'])
+def test_a_folder_of_something_else_is_refused(tmp_path, content):
+    (tmp_path / "run.json").write_text(content)
     with pytest.raises(OutputError, match="belongs to something else"):
         RecoveryStore(tmp_path, WANTED)
+    assert (tmp_path / "run.json").read_text() == content
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match="is a file"):
         RecoveryStore(tmp_path / "file", WANTED)

@@ -9,9 +9,10 @@ interval over resamples of clips and seeds that both have.
 from __future__ import annotations
 
 import json
-import shutil
+import os
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -28,7 +29,7 @@ from evaluation.recovery.suites import suite_clip_seed
 from evaluation.watched import WatchedClip, watch
 from physics.files import read_file
 from physics.mechanics import PARAMETERS
-from results.store import OutputError
+from results.store import OutputError, writing
 
 ROOT = Path(__file__).resolve().parents[1]
 CONFIGURATION = "configs/smoke.yaml"
@@ -83,13 +84,26 @@ def train(row: str, seed: int, clips: Path, steps: int, output: Path) -> Path:
     """Train a row's generator, unless that is done; returns its checkpoint.
 
     Raises:
+        OutputError: the folder can't be written, or something else is in its place.
         TrainingError: it did not succeed.
     """
     folder = folder_of(output, row, seed)
     checkpoint = folder / "checkpoints" / "last.ckpt"
     if checkpoint.is_file():
         return checkpoint
-    shutil.rmtree(folder, ignore_errors=True)  # of a training that was interrupted
+    if os.path.lexists(folder):
+        raise OutputError(f"{folder}: holds no finished training; move it away or choose another --output.")
+    with writing(output):
+        output.mkdir(parents=True, exist_ok=True)
+        # A name that is nobody else's: what an interruption leaves in it can be removed.
+        with tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=output, ignore_cleanup_errors=True) as partial:
+            _train(row, seed, clips, steps, output, Path(partial) / folder.name)
+            os.rename(Path(partial) / folder.name, folder)
+    return checkpoint
+
+
+def _train(row: str, seed: int, clips: Path, steps: int, output: Path, folder: Path) -> None:
+    """Train a row's generator in a folder that is not there yet."""
     options = {
         "-c": CONFIGURATION,
         "--seed_everything": seed,
@@ -106,10 +120,9 @@ def train(row: str, seed: int, clips: Path, steps: int, output: Path) -> Path:
     }
     command = [sys.executable, "train.py", "fit", *(str(part) for option in options.items() for part in option)]
     done = subprocess.run([*command, *ROWS[row][1]], cwd=ROOT, capture_output=True, text=True, errors="replace")
-    if done.returncode or not checkpoint.is_file():
+    if done.returncode or not (folder / "checkpoints" / "last.ckpt").is_file():
         reason = (done.stderr.strip().splitlines() or ["it wrote no checkpoint"])[-1]
         raise TrainingError(f"{row}, seed {seed}: the training failed ({reason}).")
-    return checkpoint
 
 
 def judge(generator: TrainedGenerator, suite: str, clips: Sequence[WatchedClip]) -> Judged:

@@ -79,6 +79,30 @@ def test_a_training_that_fails_says_its_last_sentence(tmp_path: Path, monkeypatc
         train("no-picture", 1, tmp_path, 7, tmp_path)
 
 
+def test_a_user_s_folder_of_a_row_s_name_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """So does one that was made meanwhile, and nothing of a training that fails is left."""
+    folder = terms.folder_of(tmp_path, "full", 0)
+    (folder / "photos").mkdir(parents=True)
+    (folder / "photos" / "1.jpg").write_text("precious")
+    with pytest.raises(OutputError, match=r"full-0: holds no finished training; move it away or choose another"):
+        train("full", 0, tmp_path, 7, tmp_path)
+    output = tmp_path / "out"
+
+    def trained(command: list[str], **_: object) -> subprocess.CompletedProcess:
+        made = Path(command[command.index("--trainer.default_root_dir") + 1]) / "checkpoints" / "last.ckpt"
+        made.parent.mkdir(parents=True)
+        made.touch()
+        (output / "full-0").mkdir()
+        (output / "full-0" / "mine").write_text("precious")
+        return subprocess.CompletedProcess(command, 0, "", "")
+
+    monkeypatch.setattr(terms.subprocess, "run", trained)
+    with pytest.raises(OutputError, match="Directory not empty"):
+        train("full", 0, tmp_path, 7, output)
+    assert [path.name for path in output.iterdir()] == ["full-0"]
+    assert (output / "full-0" / "mine").read_text() == (folder / "photos" / "1.jpg").read_text() == "precious"
+
+
 def test_what_is_trained_and_judged_is_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:

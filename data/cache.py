@@ -39,6 +39,10 @@ HASHED_BYTES = 64 * 2**20
 """Models up to this size are known by their content, larger ones by size and time of change."""
 STALE_SECONDS = 86400.0
 """Unfinished folders untouched for longer are left over from a killed process."""
+MARKER = ".unfinished-clip"
+"""Tells a hidden folder of ours from a user's."""
+OWN = re.compile(r"(clip|\d+)\.npz")
+"""Names of an entry's files."""
 NOT_STORED = (("depth", "threads"), ("depth", "device"), ("geometry", "force_direction"))
 """Settings that a prepared clip does not depend on: where a model runs, and what samples make of the geometry."""
 
@@ -191,7 +195,7 @@ class CacheEntry:
                 _require_whole(_frame_file(self.folder, index), "labels")
             if {len(column) for column in columns.values()} == {len(clip)}:
                 return clip
-        shutil.rmtree(self.folder, ignore_errors=True)
+        _remove(self.folder)
         return None
 
     def write(self, frames: Iterable[PreparedFrame], sources: dict[str, str], size: tuple[int, int]) -> None:
@@ -202,7 +206,7 @@ class CacheEntry:
             sources, size: see `PreparedClip`.
 
         Raises:
-            InputError: the cache can't be written (full, read-only).
+            InputError: the cache can't be written (full, read-only), or something else is in the clip's place.
         """
         columns: dict[str, Any] = defaultdict(list)
         try:
@@ -211,6 +215,7 @@ class CacheEntry:
             with tempfile.TemporaryDirectory(prefix=".tmp-", dir=self.cache_dir) as temporary:
                 folder = Path(temporary, self.folder.name)
                 folder.mkdir()
+                Path(temporary, MARKER).touch()
                 for index, prepared in enumerate(frames):
                     mesh = {} if prepared.geometry is None else vars(prepared.geometry.mesh)
                     np.savez(_frame_file(folder, index), depth=prepared.depth, labels=prepared.labels, **mesh)
@@ -219,13 +224,25 @@ class CacheEntry:
                 np.savez(folder / "clip.npz", sources=json.dumps(sources), size=size, **columns)
                 try:
                     os.rename(folder, self.folder)
-                except OSError:
+                except OSError as error:
                     # Another process has finished the same entry first; it is the same, so ours goes.
-                    if not self.folder.is_dir():
-                        raise
+                    if not (self.folder / "clip.npz").is_file():
+                        if not os.path.lexists(self.folder):
+                            raise
+                        told = "holds files of something else; move it away or change the cache"
+                        raise InputError(f"{self.folder} {told}.") from error
         except OSError as error:
             why = error.strerror or error
             raise InputError(f"{self.cache_dir} can't be written ({why}); free space or change the cache.") from error
+
+
+def _remove(folder: Path) -> None:
+    """Remove an entry's files, and the folder if nothing else is in it."""
+    with contextlib.suppress(OSError):
+        for path in folder.iterdir():
+            if OWN.fullmatch(path.name) and (path.is_symlink() or not path.is_dir()):
+                path.unlink()
+        folder.rmdir()
 
 
 def _frame_file(folder: Path, index: int) -> Path:
@@ -270,6 +287,14 @@ def remove_stale(cache_dir: Path) -> None:
     """Remove unfinished folders that nobody has written to for a day."""
     for folder in cache_dir.glob(".tmp-*"):
         with contextlib.suppress(FileNotFoundError):  # another process may be removing it as well
-            newest = max(entry.stat().st_mtime for entry in (folder, *folder.rglob("*")))
-            if time.time() - newest > STALE_SECONDS:
+            if not (folder / MARKER).is_file() or time.time() - _newest(folder) <= STALE_SECONDS:
+                continue
+            for entry in folder.iterdir():
+                if entry.is_dir():
+                    _remove(entry)
+            if {entry.name for entry in folder.iterdir()} == {MARKER}:  # else a user's file is in it
                 shutil.rmtree(folder, ignore_errors=True)
+
+
+def _newest(folder: Path) -> float:
+    return max(entry.stat().st_mtime for entry in (folder, *folder.rglob("*")))

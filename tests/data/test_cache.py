@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data.cache import CacheEntry, cache_key
+from data.cache import MARKER, CacheEntry, cache_key
 from data.clip import ClipStream, prepare
 from data.depth.normalise import DepthSettings
 from data.prepared import PreparedFrame
@@ -96,14 +96,31 @@ def test_interrupted_preparation_leaves_nothing_and_can_go_on(tmp_path):
 
 def test_leftovers_of_a_killed_process_are_removed_after_a_day(tmp_path):
     folder, cache = write_clip(tmp_path / "clip", frames=3), tmp_path / "cache"
-    for name, age in ((".tmp-old", 90_000), (".tmp-young", 60)):
-        (cache / name).mkdir(parents=True)
-        (cache / name / "depth.npy").write_bytes(b"half")
+    for name, age in ((".tmp-old", 90_000), (".tmp-young", 60), (".tmp-mine", 90_000), (".tmp-with-mine", 90_000)):
+        half = cache / name / "entry" / "0.npz"
+        half.parent.mkdir(parents=True)
+        half.write_bytes(b"half")
+        if name != ".tmp-mine":
+            (cache / name / MARKER).touch()
+        if name == ".tmp-with-mine":
+            (half.parent / "notes.txt").write_text("precious")
         stamp = time.time() - age
-        for path in (cache / name / "depth.npy", cache / name):
+        for path in (*(cache / name).rglob("*"), cache / name):
             os.utime(path, (stamp, stamp))
     clip = prepare(folder, SETTINGS, cache)
-    assert entries(cache) == {".tmp-young", clip.folder.name}
+    assert entries(cache) == {".tmp-young", ".tmp-mine", ".tmp-with-mine", clip.folder.name}
+    assert (cache / ".tmp-mine" / "entry" / "0.npz").read_bytes() == b"half"
+    assert (cache / ".tmp-with-mine" / "entry" / "notes.txt").read_text() == "precious"
+
+
+def test_a_user_s_file_in_a_damaged_entry_stays(tmp_path):
+    folder, cache = write_clip(tmp_path / "clip", frames=3), tmp_path / "cache"
+    entry = prepare(folder, SETTINGS, cache).folder
+    (entry / "clip.npz").write_bytes(b"cut")
+    (entry / "notes.txt").write_text("precious")
+    with pytest.raises(InputError, match=rf"{entry} holds files of something else; move it away"):
+        prepare(folder, SETTINGS, cache)
+    assert (entry / "notes.txt").read_text() == "precious"
 
 
 def test_a_damaged_entry_is_prepared_again(tmp_path):

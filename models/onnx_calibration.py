@@ -15,7 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from models.calibration import LOG_DAMPING, Calibration, Widths
-from models.onnx_export import PARITY_TOLERANCE, ParityError, to_onnx
+from models.onnx_export import PARITY_TOLERANCE, ParityError, require_own_model, to_onnx
 from models.onnx_session import CONTACT, INPUT, LOG_COVARIANCE, LOG_MEAN, METADATA_KEY, PosteriorModel
 from physics.files import replacing
 
@@ -62,6 +62,7 @@ def calibrate(source: Path, output: Path, calibration: Calibration) -> float:
     Raises:
         ModelFileError: the file is no exported posterior.
         ValueError: it is calibrated already.
+        ForeignFile: another file than an exported network is at `output`.
         ParityError: the difference is over 1e-5.
     """
     plain = PosteriorModel(source)
@@ -75,6 +76,7 @@ def calibrate(source: Path, output: Path, calibration: Calibration) -> float:
     _append(model.graph, to_onnx(widening, {CONTACT: contact, LOG_MEAN: mean, "own": own}, (LOG_COVARIANCE,)))
     document = plain.metadata | {"calibration": asdict(calibration)}
     onnx.helper.set_model_props(model, {METADATA_KEY: json.dumps(document, ensure_ascii=False, sort_keys=True)})
+    require_own_model(output)
     output.parent.mkdir(parents=True, exist_ok=True)
     with replacing(output) as partial:
         onnx.save(model, partial, format="protobuf")

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 import platform
 import warnings
 from collections.abc import Sequence
@@ -36,7 +37,8 @@ from models.onnx_session import (
     PosteriorModel,
 )
 from models.posterior import ContactPosterior
-from physics.files import replacing
+from physics.files import read_file, replacing
+from physics.ownership import ForeignFile
 
 OPSET = 18
 PARITY_BATCHES = (1, 2, 7)
@@ -119,6 +121,7 @@ def export(
         where nothing is known, relative to numbers above 1.
 
     Raises:
+        ForeignFile: another file than such a one is there.
         ParityError: the difference is over 1e-5.
     """
     versions = {package.__name__: package.__version__ for package in (torch, onnx, onnxruntime)}
@@ -138,6 +141,7 @@ def export(
     model = to_onnx(exported, exported.examples(2, window), exported.kind.outputs)
     text = json.dumps(document | metadata, ensure_ascii=False, sort_keys=True)
     onnx.helper.set_model_props(model, {METADATA_KEY: text})
+    require_own_model(output)
     output.parent.mkdir(parents=True, exist_ok=True)
     with replacing(output) as partial:
         onnx.save(model, partial, format="protobuf")
@@ -148,6 +152,22 @@ def export(
                 f"{PARITY_TOLERANCE:g}; nothing was written to {output}."
             )
     return difference
+
+
+def require_own_model(path: Path) -> None:
+    """Refuse to replace a file that is no exported network.
+
+    Raises:
+        ForeignFile: it is none.
+    """
+    if not os.path.lexists(path):
+        return
+    try:
+        found = onnx.load_model_from_string(read_file(path)).metadata_props
+    except Exception as error:  # by where a file is damaged, protobuf or onnx gives up
+        raise ForeignFile(path) from error
+    if METADATA_KEY not in {entry.key for entry in found} or path.is_symlink():
+        raise ForeignFile(path)
 
 
 def parity(network: _Parameters | _Posterior, model: ExportedModel, window: tuple[int, int, int]) -> float:

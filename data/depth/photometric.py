@@ -17,6 +17,7 @@ if __name__ == "__main__":
 
 import argparse
 import math
+import os
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +26,11 @@ import onnx
 from onnx.inliner import inline_local_functions
 from onnxscript import FLOAT, opset18, script
 
-from physics.files import replacing
+from physics.files import read_file, replacing
+from physics.ownership import ForeignFile
 
 op: Any = opset18
+PRODUCER = "palpate"
 SHIPPED = Path(__file__).with_name("photometric.onnx")
 CHANNELS = onnx.numpy_helper.from_array(np.array([[[[0.7]], [[0.3]], [[0]]]], np.float32))
 """Weights of the linear channels. Blood absorbs green and blue, so red varies least with albedo; green helps where red
@@ -118,16 +121,30 @@ def build_photometric(field_of_view_deg: float = 60.0) -> onnx.ModelProto:
         return depth  # noqa: RET504  the name is the output's
 
     types = {"input_types": [FLOAT[1, 3, "height", "width"]], "output_types": [FLOAT[1, "height", "width"]]}
-    model = inline_local_functions(photometric_depth.to_model_proto(**types, ir_version=9, producer_name="palpate"))
+    model = inline_local_functions(photometric_depth.to_model_proto(**types, ir_version=9, producer_name=PRODUCER))
     onnx.checker.check_model(model, full_check=True)
     return model
 
 
 def write_photometric(path: Path, field_of_view_deg: float = 60.0) -> None:
-    """Write the model to a file (under a temporary name first)."""
+    """Write the model to a file (under a temporary name first).
+
+    Raises:
+        ForeignFile: another file than such a model is there.
+    """
+    if os.path.lexists(path) and not _is_own(path):
+        raise ForeignFile(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as partial:
         onnx.save(build_photometric(field_of_view_deg), str(partial))
+
+
+def _is_own(path: Path) -> bool:
+    try:
+        model = onnx.load_model_from_string(read_file(path))
+    except Exception:  # by where a file is damaged, protobuf or onnx gives up
+        return False
+    return model.producer_name == PRODUCER and not path.is_symlink()
 
 
 def main() -> None:

@@ -12,11 +12,13 @@ import onnx
 import pytest
 import torch
 
+from data.depth.photometric import build_photometric
 from models.generator import Generator
-from models.onnx_export import PARITY_TOLERANCE, ParityError, _Posterior, export, parity
+from models.onnx_export import PARITY_TOLERANCE, ParityError, _Posterior, export, parity, require_own_model
 from models.onnx_session import METADATA_KEY, ModelFileError, ParameterModel, PosteriorModel
 from models.posterior import ContactPosterior
 from physics.mechanics import Bounds
+from physics.ownership import ForeignFile
 
 SIZE = (24, 40)
 METADATA = {"input": {"window": 1, "height": 24, "width": 40}}
@@ -81,6 +83,21 @@ def test_a_file_that_differs_from_torch_is_never_left(tmp_path, monkeypatch):
     with pytest.raises(ParityError, match=r"differs from torch by 0\.01"):
         export(Generator(width=4, residual_blocks=0), tmp_path / "parameters.onnx", METADATA)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("content", [b"precious", b"", build_photometric().SerializeToString()])
+def test_another_file_is_never_replaced(tmp_path, content):
+    """The last is a network of another kind; one that was exported may be replaced."""
+    path = tmp_path / "out.onnx"
+    path.write_bytes(content)
+    with pytest.raises(ForeignFile, match=r"out\.onnx is not as this program wrote it; move it away"):
+        require_own_model(path)
+    assert path.read_bytes() == content
+
+
+def test_an_exported_file_may_be_replaced(exported, tmp_path):
+    require_own_model(exported[1])
+    require_own_model(tmp_path / "none.onnx")
 
 
 def test_a_file_tells_no_paths_of_the_machine_that_wrote_it(exported):

@@ -11,6 +11,7 @@ import onnxruntime
 import pytest
 
 from data.depth.photometric import DARKEST, SHIPPED, build_photometric, write_photometric
+from physics.ownership import ForeignFile
 
 HEIGHT, WIDTH = 240, 428
 HALF = math.tan(math.radians(30))
@@ -162,8 +163,19 @@ def test_the_door_writes_a_model_for_another_endoscope(tmp_path):
     assert "Traceback" not in wrong.stderr
 
 
+@pytest.mark.parametrize("content", [b"precious", b""])
+def test_another_file_is_never_replaced(tmp_path, content):
+    path = tmp_path / "x.onnx"
+    path.write_bytes(content)
+    with pytest.raises(ForeignFile, match=r"x\.onnx is not as this program wrote it; move it away"):
+        write_photometric(path)
+    assert path.read_bytes() == content
+
+
 def test_writing_replaces_the_file_at_once(tmp_path):
     path = tmp_path / "x.onnx"
-    path.write_bytes(b"old")
+    write_photometric(path, 90.0)
+    old = path.read_bytes()
     write_photometric(path)
+    assert path.read_bytes() != old
     assert path.read_bytes() == build_photometric().SerializeToString()

@@ -46,12 +46,13 @@ from data.source.layout import InputError, read_mapping
 from data.training.datamodule import ClipDataModule
 from evaluation.paper.analysis import EvaluationError
 from evaluation.paper.figures import draw_next_depth
-from evaluation.paper.report import write_evaluation
+from evaluation.paper.report import FILES, write_evaluation
 from models.checkpoint import CheckpointError, read_checkpoint, require_same_model, require_same_weights
 from models.module import PhysicsInformedGAN, TrainingDiverged
 from models.onnx_export import ParityError, export
 from physics.fields import sound
 from physics.mechanics import Bounds, Mechanics, UnstableConfiguration
+from physics.ownership import ForeignFile, replacing_own, require_own
 
 CHECKPOINTS: dict[str, dict[str, Any]] = {
     "best": {"monitor": "val/physics"},
@@ -112,7 +113,8 @@ class RunRecord(SaveConfigCallback):
         real, predicted = (picture.detach().float().cpu().numpy() for picture in pl_module.sample)
         path = Path(trainer.default_root_dir) / "samples" / f"next_depth_epoch_{trainer.current_epoch:03d}.png"
         path.parent.mkdir(parents=True, exist_ok=True)
-        draw_next_depth(real, predicted).savefig(path)
+        with contextlib.suppress(ForeignFile), replacing_own(path) as partial:  # a user's picture stays
+            draw_next_depth(real, predicted).savefig(partial)
         log_artifact(trainer, path, "samples")
 
     def on_exception(self, trainer: Trainer, pl_module: LightningModule, exception: BaseException) -> None:
@@ -238,11 +240,16 @@ class TrainCLI(LightningCLI):
         config.trainer.callbacks = [*given, *checkpoints, *bars]
         return super().instantiate_trainer(**kwargs)
 
+    def before_test(self) -> None:
+        """Refuse at once to replace a user's files by the evaluation's."""
+        config = self.config[self.subcommand]  # ty: ignore[invalid-argument-type]  a command is required
+        require_own(*(evaluation_folder(config.trainer.default_root_dir) / name for name in FILES))
+
     def after_test(self) -> None:
         """Write the paper's table 2 and figure 3, the collapse check and the baselines."""
         if not self.trainer.is_global_zero:
             return
-        folder = Path(self.trainer.default_root_dir) / "evaluation"
+        folder = evaluation_folder(self.trainer.default_root_dir)
         contacts = self.datamodule.interactions("train", TRAIN_CONTACTS)
         files = write_evaluation(self.model.test_records, contacts, self.model.mechanics, self.model.bounds, folder)
         for name, path in files.items():
@@ -260,6 +267,11 @@ def contact_features(observation: str, smoothing: float, film: bool) -> int:
 def checkpoint_folder(run_folder: str | os.PathLike[str] | None) -> str:
     """Where a run keeps its checkpoints."""
     return str(Path(run_folder or ".") / "checkpoints")
+
+
+def evaluation_folder(run_folder: str | os.PathLike[str] | None) -> Path:
+    """Where `test` writes."""
+    return Path(run_folder or ".") / "evaluation"
 
 
 def holds_training(checkpoints: Path) -> bool:
@@ -334,7 +346,7 @@ def main(arguments: list[str] | None = None) -> int:
     except (UsageError, CheckpointError, UnstableConfiguration, MisconfigurationException) as error:
         print(plain(f"train.py: {error}"), file=sys.stderr)
         return 2
-    except (InputError, TrainingDiverged, ParityError, EvaluationError) as error:
+    except (InputError, TrainingDiverged, ParityError, EvaluationError, ForeignFile) as error:
         print(plain(f"train.py: {error}"), file=sys.stderr)
         return 1
     except OSError as error:

@@ -134,6 +134,27 @@ def test_validate_and_test_write_the_evaluation(trained: Path, config: Path, cap
         assert (trained / "evaluation" / name).stat().st_size > 0
 
 
+def test_a_user_s_file_where_test_or_export_write_stays(trained: Path, config: Path, tmp_path: Path, capsys):
+    table, notes = tmp_path / "run" / "evaluation" / "table2.csv", tmp_path / "notes.onnx"
+    table.parent.mkdir(parents=True)
+    for path in (table, notes):
+        path.write_text("precious")
+    given = ["-c", str(config), "--ckpt_path", str(trained / "checkpoints" / "best.ckpt")]
+    assert train.main(["test", *given, f"--trainer.default_root_dir={tmp_path / 'run'}"]) == 1
+    assert f"train.py: {table} is not as this program wrote it; move it away" in capsys.readouterr().err
+    assert train.main(["export", *given, f"--output={notes}"]) == 1
+    assert f"train.py: {notes} is not as this program wrote it; move it away" in capsys.readouterr().err
+    assert table.read_text() == notes.read_text() == "precious"
+
+
+def test_a_user_s_sample_picture_stays(config: Path, tmp_path: Path):
+    picture = tmp_path / "run" / "samples" / "next_depth_epoch_000.png"
+    picture.parent.mkdir(parents=True)
+    picture.write_text("precious")
+    assert train.main(["fit", "-c", str(config), f"--trainer.default_root_dir={tmp_path / 'run'}"]) == 0
+    assert picture.read_text() == "precious"
+
+
 def test_export_writes_a_model_that_inference_opens(trained: Path, config: Path, capsys):
     output = trained / "out" / "parameters.onnx"
     assert train.main(["export", "-c", str(config), "--ckpt_path", "last", "--output", str(output)]) == 0

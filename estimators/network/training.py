@@ -54,8 +54,9 @@ from estimators.worker_pool import WorkerLost, run_tasks
 from models.evidence import box_prior, covering, preconditioned
 from models.expected_bound import bound_loss
 from models.posterior import ContactPosterior
-from physics.files import replacing
+from physics.files import read_file
 from physics.likelihood import Likelihood, Linearised
+from physics.ownership import ForeignFile, replacing_own, require_own
 from physics.provenance import code_digest
 
 WEIGHTS, LOG, PREPARED = "posterior.pt", "training.jsonl", "prepared.pt"
@@ -286,13 +287,15 @@ def train(options: argparse.Namespace) -> None:
     """Train and save.
 
     Raises:
-        OSError: the output folder can't be written.
+        OSError: the output folder can't be written, or a user's file is in the way.
         TrainingError: there is nothing to train on.
         WorkerLost: a process was killed.
     """
     options.output.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(max(1, (os.cpu_count() or 1) // 2))
     start = time.time()
+    require_own(options.output / WEIGHTS, options.output / PREPARED)
+    _require_log(options.output / LOG)
     with progress_bars(Console()) as progress, (options.output / LOG).open("a") as log:
         posterior = ContactPosterior(KINDS[options.observation], torch.tensor(BOUNDS.log_box))
 
@@ -319,10 +322,22 @@ def train(options: argparse.Namespace) -> None:
             stage("fine", posterior, lambda _: fine_loss(posterior, next(drawn)), options.fine_steps, FINE_RATE)
             bound = posterior.expected_bound
             stage("bound", bound, lambda _: expected_loss(posterior, next(drawn)), options.bound_steps, FINE_RATE)
-    with replacing(options.output / WEIGHTS) as weights:
+    with replacing_own(options.output / WEIGHTS) as weights:
         torch.save(posterior.state_dict(), weights)
+    require_own(kept)
     kept.unlink(missing_ok=True)
     print(f"{options.output}/{WEIGHTS} written after {(time.time() - start) / 3600:.2f} h")
+
+
+def _require_log(path: Path) -> None:
+    """Raise a ForeignFile where something else than such a log is in its place; ours grows with every training."""
+    if os.path.lexists(path):
+        try:
+            ours = all("stage" in json.loads(line) for line in read_file(path).splitlines())
+        except (OSError, ValueError, TypeError, RecursionError):
+            ours = False
+        if not ours or path.is_symlink():
+            raise ForeignFile(path)
 
 
 def _trainer(options: argparse.Namespace, progress: Progress) -> Trainer:
@@ -351,7 +366,7 @@ def _keep_prepared(path: Path, options: argparse.Namespace, posterior: ContactPo
         parts |= {
             f"films.{field.name}": torch.from_numpy(getattr(films, field.name)) for field in dataclasses.fields(Films)
         }
-    with replacing(path) as partial:
+    with replacing_own(path) as partial:
         torch.save({"by": _prepared_by(options), "posterior": posterior.state_dict(), "fits": parts}, partial)
 
 

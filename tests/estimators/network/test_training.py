@@ -35,6 +35,7 @@ from estimators.network.training import (
 )
 from estimators.worker_pool import WorkerLost
 from physics.identifiability import LIMIT, bounds
+from physics.ownership import LIST
 
 
 @pytest.fixture(scope="module")
@@ -260,7 +261,7 @@ def test_a_training_leaves_its_weights_and_its_record(
 ) -> None:
     assert short(tmp_path / "out", observation) == 0
     assert made == MADE[observation]
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["posterior.pt", "training.jsonl"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [LIST, "posterior.pt", "training.jsonl"]
     assert stages(tmp_path / "out") == steps_of("rough", "fine", "bound")
     weights = torch.load(tmp_path / "out" / "posterior.pt", weights_only=True)
     assert all(torch.isfinite(value).all() for value in weights.values())
@@ -287,7 +288,7 @@ def test_a_training_that_was_interrupted_after_its_fits_goes_on_from_them(
         patch.setattr(contact_training, "expected_loss", interrupt)
         assert short(parts, observation) == INTERRUPTED
     assert "The same command goes on, after its fits if made." in " ".join(capsys.readouterr().err.split())
-    assert sorted(path.name for path in parts.iterdir()) == [PREPARED, "training.jsonl"]
+    assert sorted(path.name for path in parts.iterdir()) == [LIST, PREPARED, "training.jsonl"]
     assert made == MADE[observation]
     assert short(parts, observation) == 0
     assert made == MADE[observation]  # and no others
@@ -299,7 +300,7 @@ def test_a_training_that_was_interrupted_after_its_fits_goes_on_from_them(
         assert torch.equal(values, found[name]), name
 
 
-def test_fits_of_another_training_or_broken_ones_are_made_anew(
+def test_fits_of_another_training_are_made_anew(
     made: list[tuple[float, bool]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as patch:
@@ -309,7 +310,10 @@ def test_fits_of_another_training_or_broken_ones_are_made_anew(
         assert len(made) == 2  # of another seed
         (tmp_path / PREPARED).write_bytes((tmp_path / PREPARED).read_bytes()[:1000])
         assert short(tmp_path, "contact", "--seed", "1") == 1
-        assert len(made) == 3  # cut short
+        assert len(made) == 2  # not as it was written: it is named and stays
+        (tmp_path / PREPARED).unlink()
+        assert short(tmp_path, "contact", "--seed", "1") == 1
+        assert len(made) == 3
         patch.setattr(contact_training, "code_digest", lambda: "other")
         assert short(tmp_path, "contact", "--seed", "1") == 1
         assert len(made) == 4  # of another version
@@ -317,6 +321,17 @@ def test_fits_of_another_training_or_broken_ones_are_made_anew(
     assert short(tmp_path, "contact", "--seed", "1") == 0
     assert len(made) == 4
     assert stages(tmp_path) == steps_of("rough", "rough", "rough", "rough", "fine", "bound")
+
+
+@pytest.mark.parametrize("name", [PREPARED, "training.jsonl"])
+@pytest.mark.parametrize("content", ["precious", "[1]", "{}"])
+def test_a_user_s_file_is_named_and_stays(
+    tmp_path: Path, capsys: pytest.CaptureFixture, name: str, content: str
+) -> None:
+    (tmp_path / name).write_text(content)
+    assert short(tmp_path) == 1
+    assert f"{name} is not as this program wrote it" in " ".join(capsys.readouterr().err.split())
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {name: content}
 
 
 def test_a_finished_training_is_not_written_over(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:

@@ -1,0 +1,232 @@
+"""Whatever the order of runs, settings, interruptions and foreign files, of whichever doors: what is a user's stays."""
+
+from __future__ import annotations
+
+import functools
+import os
+import random
+import subprocess
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import nullcontext, suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from matplotlib.figure import Figure
+
+import infer
+import train
+from data.clip import prepare
+from data.depth.photometric import write_photometric
+from data.source.layout import InputError
+from data.synthetic import __main__ as synthetic
+from data.synthetic import clip as synthetic_clips
+from evaluation import terms
+from evaluation.foreign import __main__ as foreign
+from evaluation.real import __main__ as real
+from evaluation.recovery import figures
+from evaluation.recovery.output import write_results
+from evaluation.recovery.scores import score_all
+from evaluation.recovery.store import RecoveryStore
+from physics.files import replacing
+from physics.ownership import ForeignFile
+from results.store import OutputError
+from tests.data.clips import SETTINGS
+from tests.data.clips import write_clip as write_tiny
+from tests.data.synthetic.test_clip import quick_frames, quick_truth
+from tests.evaluation.recovery_cases import recovery
+from tests.inference_inputs import write_clip, write_model
+
+Run = Callable[[random.Random, Path], object]
+EVENTS = 12
+"""Of every sequence; more than half of them are runs."""
+ROW = "full-0"
+PLACES = {
+    "draw": (
+        "video01/notes.txt",
+        "video01/synthetic.json",
+        *(f"video01/video01_00000/{n}" for n in ("truth.json", "x")),
+    ),
+    "estimate": ("clip/parameters.csv", "clip/run.json", "clip/notes.txt", ".clip.partial-1/notes.txt"),
+    "judge_press": ("table.csv", "report.html", "figures/1.png", "figures/notes.txt"),
+    "judge_foreign": ("table.csv", "notes.txt"),
+    "benchmark": ("table.csv", "details.csv", "figures/errors.png", "results.jsonl", "run.json"),
+    "train_network": ("checkpoints/best.ckpt", "checkpoints/last.ckpt", "checkpoints/notes.txt"),
+    "train_row": (f"{ROW}/notes.txt", f"{ROW}/photos/1.jpg", f"{ROW}/judged.json", f".{ROW}-1/notes.txt"),
+    "write_depth": ("depth.onnx", "notes.txt"),
+    "keep_prepared": (".tmp-mine/notes.txt", ".tmp-mine/entry/0.npz", "notes.txt"),
+}
+"""Names by which a user may have something where a door writes."""
+KEPT = ("synthetic.json", ".npz", ".ckpt", ".mp4")
+"""Ends of the names of our own files that no user edits in between: what is known by its name alone."""
+
+
+@pytest.fixture
+def inputs(tmp_path: Path) -> Path:
+    write_clip(tmp_path / "clips" / "clip", 4, 2)
+    write_tiny(tmp_path / "tiny", frames=2)
+    (tmp_path / "foreign").mkdir()
+    (tmp_path / "foreign" / "linear_a.npz").touch()
+    for name, slope in (("first", 0.1), ("second", 0.2)):
+        write_model(tmp_path / f"{name}.onnx", slope=(slope, 0.0, 0.0))
+    settings = {
+        "trainer": {"max_epochs": 1, "accelerator": "cpu", "devices": 1, "enable_model_summary": False},
+        "tracking": False,
+        "model": {"width": 4, "residual_blocks": 1, "mechanics": {"steps": 40, "load_steps": 10}},
+        "data": {"root": str(tmp_path / "clips"), "geometry": {"height": 40, "width": 56}},
+    }
+    (tmp_path / "tiny.yaml").write_text(yaml.safe_dump(settings))
+    return tmp_path
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch, blank_pictures: None) -> None:
+    """The doors decide and write as ever, but what takes long is not computed."""
+    patch = monkeypatch.setattr
+    patch(synthetic, "clip_seed", lambda seed, index: seed + index)
+    patch(synthetic_clips, "draw_truth", lambda settings, seed: (settings, 0))
+    patch(synthetic_clips, "observe", quick_frames)
+    patch(synthetic_clips, "write_truth", quick_truth)
+    patch(synthetic_clips, "open_video", lambda path, settings: nullcontext(lambda image: path.write_bytes(b"v")))
+    patch(real, "_pressed", lambda folder, wrench, measures: measures.update({"frames": 1}) or os.urandom(8))
+    patch(foreign, "judge_pull", lambda path: {"frames": random.random()})
+    patch(figures, "figures", lambda scores: [("errors.png", Figure((1, 1)))])
+
+    @functools.wraps(train.RunTrainer.fit)  # whose arguments are options
+    def fit(trainer: Any, *_: object, **__: object) -> None:
+        folder = Path(trainer.default_root_dir)
+        (folder / "checkpoints").mkdir(parents=True, exist_ok=True)
+        for name in ("best.ckpt", "last.ckpt"):
+            with replacing(folder / "checkpoints" / name) as partial:
+                partial.write_bytes(b"trained")
+
+    patch(train.RunTrainer, "fit", fit)
+
+    def training(command: list[str], **_: object) -> subprocess.CompletedProcess:
+        folder = Path(command[command.index("--trainer.default_root_dir") + 1])
+        (folder / "checkpoints").mkdir(parents=True)
+        with replacing(folder / "checkpoints" / "last.ckpt") as partial:
+            partial.write_bytes(b"trained")
+        return subprocess.CompletedProcess(command, 0, "", "")
+
+    patch(terms.subprocess, "run", training)
+
+
+def runs_of(inputs: Path) -> dict[str, Run]:
+    """Doors by name; each writes into one folder, whatever else is in it."""
+
+    def draw(chance: random.Random, out: Path) -> object:
+        asked = ["--overwrite"] if chance.random() < 0.5 else []
+        size = ["--size", "small", "--frames", "20", "--press-seconds", "0.2", "0.3"]
+        return synthetic.main(["--output", str(out), *size, "--seed", str(chance.randrange(2)), *asked])
+
+    def estimate(chance: random.Random, out: Path) -> object:
+        asked = ["--overwrite"] if chance.random() < 0.5 else []
+        model = str(inputs / f"{chance.choice(('first', 'second'))}.onnx")
+        arguments = [str(inputs / "clips"), "--output", str(out), "--model", model, "--no-overlay", *asked]
+        return infer.main(arguments)
+
+    def judge_press(chance: random.Random, out: Path) -> object:
+        return real.main(["--pressed", str(inputs), "--wrench", str(inputs / "w.csv"), "--output", str(out)])
+
+    def judge_foreign(chance: random.Random, out: Path) -> object:
+        return foreign.main(["--data", str(inputs / "foreign"), "--output", str(out)])
+
+    def benchmark(chance: random.Random, out: Path) -> object:
+        store = RecoveryStore(out, {"seed": 0})
+        store.append([recovery(chance.randrange(9))])
+        return write_results(out, score_all(store.rows))
+
+    def train_network(chance: random.Random, out: Path) -> object:
+        return train.main(["fit", "-c", str(inputs / "tiny.yaml"), f"--trainer.default_root_dir={out}"])
+
+    def train_row(chance: random.Random, out: Path) -> object:
+        return terms.train("full", 0, inputs / "clips", 5, out)
+
+    def write_depth(chance: random.Random, out: Path) -> object:
+        return write_photometric(out / "depth.onnx", chance.choice((60.0, 90.0)))
+
+    def keep_prepared(chance: random.Random, out: Path) -> object:
+        return prepare(inputs / "tiny", SETTINGS, out)
+
+    every = (draw, estimate, judge_press, judge_foreign, benchmark, train_network, train_row, write_depth)
+    return {run.__name__: run for run in (*every, keep_prepared)}
+
+
+def put(chance: random.Random, out: Path, places: Sequence[str]) -> Path:
+    """A user's own file, by a name that a door would give one of its own."""
+    path = out / chance.choice(places)
+    return path if not os.path.lexists(path) else out / f"mine{chance.random()}.txt"
+
+
+def edit(chance: random.Random, out: Path, places: Sequence[str]) -> Path:
+    """A user's change of what a door has written."""
+    found = [path for path in out.rglob("*") if path.is_file() and not path.name.startswith(".")]
+    found = [path for path in sorted(found) if not path.name.endswith(KEPT)]
+    return chance.choice(found) if found else put(chance, out, places)
+
+
+def interrupting(step: int | None) -> Iterator[None]:
+    """The next `step` changes of names on the disk go well, and then Ctrl-C is pressed."""
+    while step is None or step > 0:
+        step = None if step is None else step - 1
+        yield
+    raise KeyboardInterrupt
+
+
+@pytest.mark.usefixtures("quick")
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("door", PLACES)
+def test_no_order_of_runs_interruptions_and_foreign_files_changes_a_user_s_file(
+    door: str, seed: int, inputs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of one door mostly, in a folder that others use as well."""
+    chance, out, doors = random.Random(f"{door} {seed}"), inputs / "out", runs_of(inputs)
+    theirs: dict[Path, bytes] = {}
+    steps = interrupting(None)
+    for name in ("replace", "rename"):
+        real_one = getattr(os, name)
+        # Before it and after it.
+        monkeypatch.setattr(
+            os, name, lambda *paths, move=real_one, **told: (next(steps, 0), move(*paths, **told), next(steps, 0))
+        )
+    for _ in range(EVENTS):
+        kind = chance.choice([door] * 6 + [chance.choice([*doors])] * 2 + ["put"] * 3 + ["edit"] * 2)
+        if kind in doors:
+            steps = interrupting(chance.choice((None, None, *range(6))))
+            with suppress(KeyboardInterrupt, SystemExit, OutputError, ForeignFile, InputError):
+                doors[kind](chance, out)
+            steps = interrupting(None)
+        else:
+            path = (put if kind == "put" else edit)(chance, out, PLACES[door])
+            with suppress(FileExistsError, NotADirectoryError):  # a file of theirs is where a folder would be
+                path.parent.mkdir(parents=True, exist_ok=True)
+                theirs[path] = f"mine, {chance.random()}".encode()
+                path.write_bytes(theirs[path])
+                for each in (path, path.parent):
+                    os.utime(each, (0, 0))
+        found = {path: path.read_bytes() if path.is_file() else None for path in theirs}
+        assert found == theirs, kind
+
+
+@pytest.mark.usefixtures("quick")
+def test_these_doors_write_where_nothing_is_in_the_way(inputs: Path) -> None:
+    """Else the sequences above would show nothing."""
+    written: dict[str, set[str]] = {}
+    for name, run in runs_of(inputs).items():
+        for _ in range(2):  # what is their own is never in their way
+            run(random.Random(1), inputs / name)
+        written[name] = {path.name for path in (inputs / name).rglob("*") if path.is_file()}
+    expected = {
+        "draw": {"synthetic.json", "truth.json", "frame_0_endo.png"},
+        "estimate": {"run.json", "parameters.csv", "summary.png"},
+        "judge_press": {"table.csv", "report.html", "1.png"},
+        "judge_foreign": {"table.csv"},
+        "benchmark": {"table.csv", "details.csv", "errors.png", "results.jsonl", "run.json"},
+        "train_network": {"last.ckpt", "best.ckpt"},
+        "train_row": {"last.ckpt"},
+        "write_depth": {"depth.onnx"},
+        "keep_prepared": {"clip.npz", "0.npz"},
+    }
+    assert {name: expected[name] & found for name, found in written.items()} == expected

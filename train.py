@@ -38,6 +38,7 @@ from lightning.pytorch.loggers import CSVLogger, MLFlowLogger
 from lightning.pytorch.utilities import disable_possible_user_warnings
 from lightning.pytorch.utilities.exceptions import MisconfigurationException
 from mlflow import MlflowClient
+from mlflow.exceptions import MlflowException
 
 from data.contact.features import FEATURES
 from data.contact.film_features import FILM_FEATURES
@@ -295,7 +296,7 @@ def _require_database(path: Path) -> None:
     """Refuse a file in place of the tracking database that is none, which would be a traceback or minutes of trying.
 
     Raises:
-        InputError: no database, a damaged one, or one of another program or version.
+        InputError: no database, a damaged or locked one, or one of another program or version.
     """
     if not os.path.lexists(path):
         return
@@ -304,6 +305,8 @@ def _require_database(path: Path) -> None:
             raise sqlite3.DatabaseError("not a file")
         with contextlib.closing(sqlite3.connect(path)) as database:
             [[found]] = database.execute("pragma quick_check(1)").fetchall()
+            database.execute("begin immediate")  # refused while another program keeps it locked
+            database.rollback()
         if found != "ok":
             raise sqlite3.DatabaseError(found)
         MlflowClient(f"sqlite:///{path}").search_experiments(max_results=1)
@@ -348,6 +351,12 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     except (InputError, TrainingDiverged, ParityError, EvaluationError, ForeignFile) as error:
         print(plain(f"train.py: {error}"), file=sys.stderr)
+        return 1
+    except MlflowException as error:  # locked or lost in the middle
+        told = " ".join(str(error).split())[:200]
+        print(
+            plain(f"train.py: tracking failed ({told}); go on with --ckpt_path last --tracking false."), file=sys.stderr
+        )
         return 1
     except OSError as error:
         if error.strerror is None:  # not the file system's

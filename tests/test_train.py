@@ -16,6 +16,8 @@ from pathlib import Path
 import pytest
 import torch
 import yaml
+from mlflow import MlflowClient
+from mlflow.exceptions import MlflowException
 
 import train
 from data.contact.features import FEATURES
@@ -383,6 +385,25 @@ def test_a_damaged_tracking_database_gets_a_sentence_at_once(config: Path, tmp_p
     assert f"{tmp_path / 'mlflow.db'} can't be used (" in said
     assert said.endswith("); move it away, or add --tracking false.")
     assert not (tmp_path / "run" / "checkpoints").exists()
+
+
+@pytest.mark.parametrize("kind", ["immediate", "exclusive"])
+def test_a_locked_tracking_database_gets_a_sentence(config: Path, tmp_path: Path, capsys, kind: str):
+    MlflowClient(f"sqlite:///{tmp_path / 'mlflow.db'}").search_experiments()
+    with contextlib.closing(sqlite3.connect(tmp_path / "mlflow.db", isolation_level=None)) as database:
+        database.execute(f"begin {kind}")
+        said = refused(capsys, "fit", "-c", config, "--tracking=true", f"--trainer.default_root_dir={tmp_path / 'run'}")
+        assert f"{tmp_path / 'mlflow.db'} can't be used (database is locked); move it away, or add" in said
+
+
+def test_tracking_that_fails_in_the_middle_gets_a_sentence(config: Path, tmp_path: Path, capsys, monkeypatch):
+    def fail(*_: object, **__: object) -> None:
+        raise MlflowException("(sqlite3.OperationalError) database is locked\n[SQL: INSERT]")
+
+    monkeypatch.setattr(train.RunRecord, "on_save_checkpoint", fail)
+    assert train.main(["fit", "-c", str(config), f"--trainer.default_root_dir={tmp_path / 'run'}"]) == 1
+    told = "train.py: tracking failed ((sqlite3.OperationalError) database is locked [SQL: INSERT]); go on with --ckpt_path"
+    assert told in capsys.readouterr().err
 
 
 def test_a_bad_checkpoint_gets_a_sentence(trained: Path, config: Path, tmp_path: Path, capsys):

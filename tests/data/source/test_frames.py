@@ -360,6 +360,31 @@ def test_a_video_that_declares_more_than_anybody_takes_is_not_decoded(tmp_path, 
         open_source(path, LAYOUT)
 
 
+def test_a_video_s_header_is_not_believed(tmp_path):
+    """One that declares 100,000 pixels a side: the pictures' own size counts, and without one there is none."""
+    declared = struct.pack("<II", 100_000, 100_000)
+    for name, code, size in (("m.avi", "MJPG", (64, 48)), ("r.avi", "I420", None)):
+        content = make_video(tmp_path / name, 3, code).read_bytes()
+        assert content.count(struct.pack("<II", 64, 48)) == 2
+        (tmp_path / name).write_bytes(content.replace(struct.pack("<II", 64, 48), declared))
+        if size is None:
+            with pytest.raises(InputError, match=rf"{name} holds no frame that can be decoded; copy it again"):
+                open_source(tmp_path / name, LAYOUT)
+        else:
+            source = open_source(tmp_path / name, LAYOUT)
+            assert (source.size, [frame.error for frame in source]) == (size, [""] * 3)
+
+
+def test_a_video_whose_pictures_declare_more_than_anybody_takes_holds_none(tmp_path):
+    path = make_video(tmp_path / "v.avi", 3, "MJPG")
+    content, place = bytearray(path.read_bytes()), 0
+    while (place := content.find(b"\xff\xc0", place + 1)) > 0:
+        content[place + 5 : place + 9] = struct.pack(">HH", 65_500, 65_500)
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"v\.avi (holds no frame that can be decoded|can't be opened)"):
+        open_source(path, LAYOUT)
+
+
 @pytest.mark.parametrize(
     ("text", "told"),
     [

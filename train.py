@@ -62,6 +62,8 @@ CHECKPOINTS: dict[str, dict[str, Any]] = {
 }
 """When to save what, by file name (Bini 2026, section 3.5). `save_last` would follow the best checkpoint only, so last
 is its own; it comes last because it holds the others' state."""
+LONGEST_LOCK = 5.0
+"""Another program may keep the tracking database locked for so long [s]."""
 FEWEST_PROCESSES = 2
 """Processes that may train together however few cores there are."""
 TRAIN_CONTACTS = 8
@@ -303,7 +305,7 @@ def _require_database(path: Path) -> None:
     try:
         if not path.is_file():
             raise sqlite3.DatabaseError("not a file")
-        with contextlib.closing(sqlite3.connect(path)) as database:
+        with contextlib.closing(sqlite3.connect(path, timeout=LONGEST_LOCK)) as database:
             [[found]] = database.execute("pragma quick_check(1)").fetchall()
             database.execute("begin immediate")  # refused while another program keeps it locked
             database.rollback()
@@ -354,9 +356,8 @@ def main(arguments: list[str] | None = None) -> int:
         return 1
     except MlflowException as error:  # locked or lost in the middle
         told = " ".join(str(error).split())[:200]
-        print(
-            plain(f"train.py: tracking failed ({told}); go on with --ckpt_path last --tracking false."), file=sys.stderr
-        )
+        advice = "go on with --ckpt_path last --tracking false"
+        print(plain(f"train.py: tracking failed ({told}); {advice}."), file=sys.stderr)
         return 1
     except OSError as error:
         if error.strerror is None:  # not the file system's

@@ -388,7 +388,8 @@ def test_a_damaged_tracking_database_gets_a_sentence_at_once(config: Path, tmp_p
 
 
 @pytest.mark.parametrize("kind", ["immediate", "exclusive"])
-def test_a_locked_tracking_database_gets_a_sentence(config: Path, tmp_path: Path, capsys, kind: str):
+def test_a_locked_tracking_database_gets_a_sentence(config: Path, tmp_path: Path, capsys, monkeypatch, kind: str):
+    monkeypatch.setattr(train, "LONGEST_LOCK", 0.1)
     MlflowClient(f"sqlite:///{tmp_path / 'mlflow.db'}").search_experiments()
     with contextlib.closing(sqlite3.connect(tmp_path / "mlflow.db", isolation_level=None)) as database:
         database.execute(f"begin {kind}")
@@ -402,7 +403,7 @@ def test_tracking_that_fails_in_the_middle_gets_a_sentence(config: Path, tmp_pat
 
     monkeypatch.setattr(train.RunRecord, "on_save_checkpoint", fail)
     assert train.main(["fit", "-c", str(config), f"--trainer.default_root_dir={tmp_path / 'run'}"]) == 1
-    told = "train.py: tracking failed ((sqlite3.OperationalError) database is locked [SQL: INSERT]); go on with --ckpt_path"
+    told = "train.py: tracking failed ((sqlite3.OperationalError) database is locked [SQL: INSERT]); go on with "
     assert told in capsys.readouterr().err
 
 

@@ -6,7 +6,6 @@ frames whose force is known tell the factor, and how far off it is; no length is
 
 from __future__ import annotations
 
-import csv
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from data.source.layout import InputError
+from data.source.table import read_columns
 from estimators.estimate import NoEstimate
 
 COLUMNS = ("time_s", "force_N")
@@ -58,12 +58,7 @@ def read_forces(path: Path) -> KnownForce:
         InputError: it can't be read, is too short, its times don't rise, or it holds something that is no number.
     """
     give = f"give a CSV file with the columns {', '.join(COLUMNS)}"
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = [[float(row[name]) for name in COLUMNS] for row in csv.DictReader(file)]
-    except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
-        raise InputError(f"{path} is no table of forces ({error}); {give}.") from error
-    found = np.array(rows, dtype=np.float64).reshape(-1, len(COLUMNS))
+    found = read_columns(path, COLUMNS, "table of forces")
     if len(found) < LEAST_KNOWN:
         raise InputError(f"{path} has {len(found)} rows; {give}, and {LEAST_KNOWN} rows or more.")
     if not np.isfinite(found).all():

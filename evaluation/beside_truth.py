@@ -15,6 +15,7 @@ if __name__ == "__main__":
 
 import argparse
 import csv
+import io
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -26,8 +27,10 @@ from rich.table import Table
 from rich.text import Text
 
 from data.command_line import path_option, say
+from data.source.table import MOST_BYTES
 from estimators.estimate import COMBINATIONS, REPORTED, SYMBOLS
 from physics.doors import plain
+from physics.files import read_file
 from physics.mechanics import PARAMETERS
 from results.store import INTERACTIONS, RECORD
 
@@ -54,16 +57,16 @@ def read_results(folder: Path) -> tuple[str, dict[str, str], dict[str, float]]:
         NoTruth: they are no results, of no synthetic clip, or have no such run.
     """
     try:
-        record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+        record = json.loads(read_file(folder / RECORD, MOST_BYTES))
         clip, fps = Path(record["input"]["path"]), float(record["input"]["fps"])
-        with (folder / INTERACTIONS).open(newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        text = io.StringIO(read_file(folder / INTERACTIONS, MOST_BYTES).decode("utf-8"), newline="")
+        rows = list(csv.DictReader(text))
+    except (OSError, ValueError, KeyError, TypeError, RecursionError, csv.Error) as error:
         raise NoTruth(f"{folder} holds no results of infer.py ({error}); give the folder of one clip.") from error
     try:
-        truth = json.loads((clip / "truth.json").read_text(encoding="utf-8"))
+        truth = json.loads(read_file(clip / "truth.json", MOST_BYTES))
         values, onset = true_values(truth["theta"]), float(truth["onset_s"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise NoTruth(f"{clip} has no truth ({error}); give results of a frame folder of data.synthetic.") from error
     for row in rows:
         if row["status"] == "ok" and abs(float(row["onset_time_s"]) - onset) * fps <= SAME_ONSET:

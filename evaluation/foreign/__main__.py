@@ -27,6 +27,7 @@ from evaluation.foreign.beam import Ringing, judge_beams, read_ringing
 from evaluation.foreign.liver import MATERIALS, judge_pull
 from evaluation.tables import to_csv
 from physics.doors import INTERRUPTED
+from physics.files import all_below
 from physics.ownership import replacing_own
 from results.store import OutputError, writing
 
@@ -50,8 +51,9 @@ def main(arguments: list[str] | None = None) -> int:
     """Judge what lies under a folder; returns the exit status."""
     parser, console = build_parser(), Console(stderr=True)
     options: Any = parser.parse_args(arguments)
-    pulls = sorted(path for name in MATERIALS for path in options.data.rglob(f"{name}*.npz"))
-    beams = sorted(options.data.rglob("beam_*.csv"))
+    found = all_below(options.data) if options.data.is_dir() else []
+    pulls = [path for path in found if path.name.startswith(tuple(MATERIALS)) and path.suffix == ".npz"]
+    beams = [path for path in found if path.name.startswith("beam_") and path.suffix == ".csv"]
     if not pulls and not beams:
         parser.error(f"{options.data} holds none of linear*.npz, neohookean*.npz, beam_*.csv; give --data that does.")
     rows: list[dict[str, object]] = []

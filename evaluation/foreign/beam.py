@@ -7,6 +7,7 @@ Other masses are then predicted.
 
 from __future__ import annotations
 
+import io
 import re
 import warnings
 from collections.abc import Mapping, Sequence
@@ -19,8 +20,12 @@ from scipy.sparse import diags_array
 from scipy.sparse.linalg import eigsh
 
 from data.source.layout import InputError
+from data.source.table import MOST_BYTES, MOST_TOLD
+from physics.doors import plain
 from physics.fem import Material, Relaxation, box, make_solid
 from physics.fem.laws import respond
+from physics.fields import LARGEST
+from physics.files import read_file
 
 LENGTHS = (0.1, 0.03, 0.03)
 """[m]."""
@@ -71,10 +76,12 @@ def read_ringing(path: Path) -> Ringing:
     mass = tip_mass(path)
     try:
         with warnings.catch_warnings(action="error", category=UserWarning):  # a table without rows
-            table = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
+            text = io.StringIO(read_file(path, MOST_BYTES).decode("utf-8-sig"))
+            table = np.loadtxt(text, delimiter=",", skiprows=1, ndmin=2)
     except (OSError, ValueError, UserWarning) as error:
-        raise InputError(f"{path.name} is no table of numbers ({error}); give times and markers by columns.") from error
-    if table.shape[1] < 1 + 3 * TIP or len(table) < 50 or not np.isfinite(table).all():
+        told = getattr(error, "strerror", None) or plain(str(error))[:MOST_TOLD]
+        raise InputError(f"{path.name} is no table of numbers ({told}); give times and markers by columns.") from error
+    if table.shape[1] < 1 + 3 * TIP or len(table) < 50 or not (np.abs(table) <= LARGEST).all():
         raise InputError(f"{path.name} has shape {table.shape}; give times and three markers at least, 50 rows.")
     times, height = table[:, 0], table[:, 1 + VERTICAL : 1 + 3 * TIP : 3].mean(axis=1)
     fall = height - np.median(height[-50:])

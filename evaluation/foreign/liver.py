@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import io
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
-from zipfile import BadZipFile
+from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 
 from data.source.layout import InputError
+from data.source.table import MOST_TOLD
 from evaluation.foreign.surface_fit import SurfaceFit, fit_surface
+from physics.doors import plain
 from physics.fem import Material, NoEquilibrium, Solid, make_solid
+from physics.files import read_file
 
 MATERIALS = {"linear": Material("linear", 20e3, 0.45), "neohookean": Material("neo_hookean", 4500.0, 0.49)}
 """By the beginning of a file's name. The second is what the data say of themselves; the first is the one at which all
 nodes of the three sequences at hand are in balance (ν to 1e-4, E to 4e-4)."""
 MESH, HELD = "liver.msh", "dirichlet-vertices.npy"
+MOST_BYTES = 2**30
+"""Of a file, packed or not."""
 NEEDED = ("positions", "true_forces", "force_vertices", "pc")
 ANNOUNCED = 6e-4
 """Noise that the data announce [m]; the points at hand lie on the surface to 1e-7 m, so it is added to some frames."""
@@ -55,7 +62,7 @@ def read_gmsh(path: Path) -> tuple[np.ndarray, np.ndarray]:
         InputError: another format, or no tetrahedra.
     """
     try:
-        lines = path.read_text(encoding="ascii").splitlines()
+        lines = read_file(path, MOST_BYTES).decode("ascii").splitlines()
         parts = {}
         for name in ("Nodes", "Elements"):
             begin = lines.index(f"${name}") + 2
@@ -68,6 +75,17 @@ def read_gmsh(path: Path) -> tuple[np.ndarray, np.ndarray]:
     if not cells:
         raise InputError(f"{path.name} holds no tetrahedra; mesh the volume.")
     return nodes, np.array(cells)
+
+
+def _arrays(path: Path) -> dict[str, np.ndarray]:
+    """The arrays of an NPZ file that unpacks to no more than MOST_BYTES, by name."""
+    content = io.BytesIO(read_file(path, MOST_BYTES))
+    with ZipFile(content) as file:
+        if sum(entry.file_size for entry in file.infolist()) > MOST_BYTES:
+            raise ValueError(f"it unpacks to more than {MOST_BYTES / 2**20:.0f} MB")
+    content.seek(0)
+    with np.load(content, allow_pickle=False) as stored:
+        return dict(stored)
 
 
 def read_pull(path: Path) -> Pull:
@@ -83,11 +101,11 @@ def read_pull(path: Path) -> Pull:
         if not (path.parent / name).is_file():
             raise InputError(f"{path.name} has no {name} beside it; put it there.")
     try:
-        stored = np.load(path, allow_pickle=False)
-        data = {name: stored[name] for name in stored.files}
-        vertices = np.load(path.parent / HELD, allow_pickle=False)
-    except (OSError, ValueError, EOFError, BadZipFile) as error:
-        raise InputError(f"{path.name} or {HELD} can't be read ({error}); copy it anew.") from error
+        data = _arrays(path)
+        vertices = np.load(io.BytesIO(read_file(path.parent / HELD, MOST_BYTES)), allow_pickle=False)
+    except (OSError, ValueError, EOFError, BadZipFile, MemoryError, zlib.error, NotImplementedError) as error:
+        told = getattr(error, "strerror", None) or plain(str(error))[:MOST_TOLD]
+        raise InputError(f"{path.name} or {HELD} can't be read ({told}); copy it anew.") from error
     missing = [name for name in NEEDED if name not in data]
     if missing:
         raise InputError(f"{path.name} lacks {', '.join(missing)}; it is no sequence of the liver.")

@@ -16,6 +16,7 @@ if __name__ == "__main__":
     enter_door()  # before the slow imports
 
 import argparse
+import io
 import json
 from pathlib import Path
 
@@ -25,10 +26,13 @@ from rich.console import Console
 from scipy import stats
 
 from data.command_line import path_option, say
+from data.source.table import MOST_BYTES, MOST_TOLD
 from estimators.estimate import COMBINATIONS, REPORTED
 from evaluation.beside_truth import true_values
 from evaluation.paper.statistics import format_number
 from evaluation.tables import to_markdown
+from physics.doors import plain
+from physics.files import read_file
 from physics.mechanics import PARAMETERS
 
 LEAST = 1e-9
@@ -43,9 +47,13 @@ def read_contacts(evaluation: Path, clips: Path) -> pd.DataFrame:
         ValueError: no such evaluation, or a clip without truth; one sentence.
     """
     try:
-        frames = pd.read_csv(evaluation / "per_frame.csv")[["clip", *PARAMETERS]]
+        text = io.BytesIO(read_file(evaluation / "per_frame.csv", MOST_BYTES))
+        frames = pd.read_csv(text, dtype={"clip": str, **dict.fromkeys(PARAMETERS, float)})[["clip", *PARAMETERS]]
+        if not len(frames) or not frames["clip"].notna().all():
+            raise ValueError("a row without a clip, or none")
     except (OSError, ValueError, KeyError) as error:
-        raise ValueError(f"{evaluation} holds no per_frame.csv of train.py test ({error}); test a network.") from error
+        told = plain(str(error))[:MOST_TOLD]
+        raise ValueError(f"{evaluation} holds no per_frame.csv of train.py test ({told}); test a network.") from error
     magnitudes = np.maximum(frames[list(PARAMETERS)].abs().to_numpy(), LEAST)
     for name in REPORTED:
         frames[name] = np.prod(magnitudes ** np.array(COMBINATIONS[name]), axis=1)
@@ -53,9 +61,10 @@ def read_contacts(evaluation: Path, clips: Path) -> pd.DataFrame:
     for clip in frames["clip"].unique():
         file = clips / clip.rpartition("_")[0] / clip / "truth.json"
         try:
-            truths[clip] = true_values(json.loads(file.read_text(encoding="utf-8"))["theta"])
-        except (OSError, ValueError, KeyError) as error:
-            raise ValueError(f"{file} is no truth of data.synthetic ({error}); give the clips' folder.") from error
+            truths[clip] = true_values(json.loads(read_file(file, MOST_BYTES))["theta"])
+        except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+            told = plain(str(error))[:MOST_TOLD]
+            raise ValueError(f"{file} is no truth of data.synthetic ({told}); give the clips' folder.") from error
     return frames.join(pd.DataFrame.from_dict(truths, orient="index").add_prefix("true_"), on="clip")
 
 

@@ -7,7 +7,6 @@ frame, which looks the same, so that τ counts as determined only where it is we
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +15,7 @@ import numpy as np
 
 from data.source.images import read_image
 from data.source.layout import InputError, list_folder
+from data.source.table import read_columns
 from estimators.estimate import NINETY
 from estimators.known_force import predict_force
 from physics.identifiability import LIMIT
@@ -150,14 +150,9 @@ def measured_force(wrench: Path) -> np.ndarray:
     Raises:
         InputError: the table can't be read, or lacks a column or the frames at rest.
     """
-    try:
-        with wrench.open(newline="", encoding="utf-8") as file:
-            rows = [[float(row[name]) for name in FORCES] for row in csv.DictReader(file)]
-    except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
-        raise InputError(f"{wrench} is no table of forces ({error}); give columns {', '.join(FORCES)}.") from error
-    if len(rows) < REST.stop:
-        raise InputError(f"{wrench} has {len(rows)} rows; {REST.stop} or more are needed, one a frame.")
-    force = np.array(rows)
+    force = read_columns(wrench, FORCES, "table of forces")
+    if len(force) < REST.stop:
+        raise InputError(f"{wrench} has {len(force)} rows; {REST.stop} or more are needed, one a frame.")
     if not np.isfinite(force).all():
         raise InputError(f"{wrench} holds a force that is no number; leave such rows out of the file's end.")
     return np.linalg.norm(force - force[REST].mean(axis=0), axis=1)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -80,6 +82,7 @@ def test_a_table_is_read(tmp_path: Path) -> None:
         ("time_s,force_N\n0,1\n1,x\n2,1\n", "is no table of forces"),
         ("time_s,force_N\n0,1\n1,1\n", "has 2 rows; .*3 rows or more"),
         ("time_s,force_N\n0,1\n1,nan\n2,1\n", "holds a value that is not finite; leave such rows out"),
+        ("time_s,force_N\n0,1\n1,1e300\n2,1\n", "holds a number beyond ±1e\\+15; correct the file"),
         ("time_s,force_N\n0,1\n2,1\n1,1\n", "a time that is not after the one before; sort its rows by time_s"),
     ],
 )
@@ -89,3 +92,26 @@ def test_a_table_that_can_t_be_used_is_a_sentence(tmp_path: Path, text: str | No
         file.write_text(text)
     with pytest.raises(InputError, match=told):
         read_forces(file)
+
+
+@pytest.mark.parametrize(
+    ("make", "told"),
+    [
+        (lambda path: path.write_bytes(bytes(range(128, 256))), "'utf-8' codec can't decode byte"),
+        (os.mkfifo, "no file but a pipe or a device"),
+        (lambda path: path.symlink_to("/dev/zero"), "no file but a pipe or a device"),
+        (lambda path: path.symlink_to(path.name), "Too many levels of symbolic links"),
+        (Path.mkdir, "Is a directory"),
+        (lambda path: (path.touch(), os.truncate(path, 6 * 2**30)), "larger than 65536 kB"),
+        (lambda path: path.write_text(f'time_s,force_N\n"{"x" * 200_000}",1\n'), "field larger than field limit"),
+        (lambda path: path.write_text(f"time_s,force_N\n{'x' * 100_000},1\n"), "could not convert string to float"),
+    ],
+)
+def test_what_is_no_table_is_told_in_a_short_sentence(tmp_path: Path, make: Callable, told: str) -> None:
+    file = tmp_path / "forces.csv"
+    make(file)
+    with pytest.raises(
+        InputError, match=rf"^{file} is no table of forces \(.*{told}.*\); give a CSV file with"
+    ) as caught:
+        read_forces(file)
+    assert len(str(caught.value)) < len(str(file)) + 300

@@ -170,7 +170,9 @@ def test_pictures_of_two_sizes_are_a_sentence(tmp_path: Path) -> None:
 def test_a_table_that_is_none_is_a_sentence(tmp_path: Path, table: str) -> None:
     wrench = tmp_path / "wrench.csv"
     wrench.write_text(table, encoding="latin-1")
-    with pytest.raises(InputError, match=r"wrench.csv is no table of forces \(.+\); give columns Fx_N, Fy_N, Fz_N"):
+    with pytest.raises(
+        InputError, match=r"wrench.csv is no table of forces \(.+\); give a CSV file with the columns Fx_N, Fy_N, Fz_N"
+    ):
         measured_force(wrench)
 
 

@@ -1,0 +1,44 @@
+"""Columns of numbers from a CSV file of whatever content."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from data.source.images import printable
+from data.source.layout import InputError
+from physics.doors import plain
+from physics.fields import LARGEST
+from physics.files import read_file
+
+MOST_BYTES = 2**26
+"""Larger tables are not read; an hour of a sensor's 1000 rows a second has fewer."""
+MOST_TOLD = 120
+"""Letters of a reason in a sentence."""
+
+
+def read_columns(path: Path, columns: Sequence[str], what: str) -> np.ndarray:
+    """Columns of a table with a head, shape [rows, columns]; they need not be finite.
+
+    Args:
+        columns: their names; others are left out.
+        what: table it is to be, for the sentence.
+
+    Raises:
+        InputError: it can't be read, lacks a column, or holds something that is no number or beyond all use.
+    """
+    give = f"give a CSV file with the columns {', '.join(columns)}"
+    try:
+        text = io.StringIO(read_file(path, MOST_BYTES).decode("utf-8-sig"), newline="")
+        found = [[float(row[name]) for name in columns] for row in csv.DictReader(text)]
+    except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
+        told = getattr(error, "strerror", None) or plain(str(error))[:MOST_TOLD]
+        raise InputError(f"{printable(path)} is no {what} ({told}); {give}.") from error
+    table = np.array(found, dtype=np.float64).reshape(-1, len(columns))
+    if (np.abs(table[np.isfinite(table)]) > LARGEST).any():
+        raise InputError(f"{printable(path)} holds a number beyond ±{LARGEST:g}; correct the file.")
+    return table

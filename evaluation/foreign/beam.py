@@ -83,6 +83,8 @@ def read_ringing(path: Path) -> Ringing:
         raise InputError(f"{path.name} is no table of numbers ({told}); give times and markers by columns.") from error
     if table.shape[1] < 1 + 3 * TIP or len(table) < 50 or not (np.abs(table) <= LARGEST).all():
         raise InputError(f"{path.name} has shape {table.shape}; give times and three markers at least, 50 rows.")
+    if not (np.diff(table[:, 0]) > 0).all():
+        raise InputError(f"{path.name} holds a time that is not after the one before; sort its rows by time.")
     times, height = table[:, 0], table[:, 1 + VERTICAL : 1 + 3 * TIP : 3].mean(axis=1)
     fall = height - np.median(height[-50:])
     begun = np.flatnonzero(np.abs(fall) < np.abs(fall[0]) / 2)
@@ -103,7 +105,7 @@ def read_ringing(path: Path) -> Ringing:
     size = float(np.abs(fall[0]))
     scales = [size, size, 1.0, 1.0, size, size, 1.0]
     low, high = [-np.inf, -np.inf, 0.0, 0.1, -np.inf, -np.inf, 0.2], [np.inf, np.inf, 50, 40, np.inf, np.inf, 20.0]
-    guess = [fall[0], 0.0, 2.0, start, 0.0, 0.0, 1.0]
+    guess = [fall[0], 0.0, 2.0, float(np.clip(start, 0.2, 39.0)), 0.0, 0.0, 1.0]
     found = least_squares(lambda values: model(values) - fall, guess, x_scale=scales, bounds=(low, high))
     residual = float(np.sqrt(np.mean(found.fun**2))) / size
     return Ringing(mass, float(found.x[3]), float(found.x[2]), residual)

@@ -110,16 +110,32 @@ def read_pull(path: Path) -> Pull:
     if missing:
         raise InputError(f"{path.name} lacks {', '.join(missing)}; it is no sequence of the liver.")
     nodes, tetrahedra = read_gmsh(path.parent / MESH)
+    for name, values in {**{name: data[name] for name in NEEDED}, HELD: vertices}.items():
+        if values.dtype.kind not in "iuf" or not (values.ndim and values.size) or not np.isfinite(values).all():
+            raise InputError(f"{path.name}: {name} holds something else than finite numbers; copy it anew.")
+    # Where the tool holds; `force_vertices` is a margin around it, without force.
+    pulled = data.get("tool_vertices", data["force_vertices"])
+    for name, values in {"tool_vertices": pulled, HELD: vertices}.items():
+        if values.ndim != 1 or values.dtype.kind not in "iuf" or not np.isin(values, np.arange(len(nodes))).all():
+            raise InputError(f"{path.name}: {name} are no numbers of the {len(nodes)} nodes of {MESH}; copy it anew.")
+    if data["pc"].ndim != 2 or data["pc"].shape[1] != 4:
+        raise InputError(f"{path.name}: pc has shape {data['pc'].shape}; give a frame's number and a place a row.")
     frames = len(data["positions"])
     if data["positions"].shape != (frames, *nodes.shape) or data["true_forces"].shape != (frames, 3):
         raise InputError(f"{path.name}: {data['positions'].shape} places don't fit {len(nodes)} nodes of {MESH}.")
     held = np.zeros(nodes.shape, bool)
-    held[vertices] = True
-    # Where the tool holds; `force_vertices` is a margin around it, without force.
-    pulled = data.get("tool_vertices", data["force_vertices"]).astype(np.int64)
+    held[vertices.astype(np.int64)] = True
     points = [data["pc"][data["pc"][:, 0] == frame, 1:].astype(np.float64) for frame in range(frames)]
     motion = np.where(held, data["positions"].astype(np.float64) - nodes, 0.0)
-    return Pull(make_solid(nodes, tetrahedra), MATERIALS[law], held, pulled, motion, points, data["true_forces"])
+    return Pull(
+        make_solid(nodes, tetrahedra),
+        MATERIALS[law],
+        held,
+        pulled.astype(np.int64),
+        motion,
+        points,
+        data["true_forces"],
+    )
 
 
 @dataclass(frozen=True)

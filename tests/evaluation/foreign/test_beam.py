@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -78,9 +79,30 @@ def test_other_tables_are_refused(text: str | None, said: str, tmp_path: Path) -
         read_ringing(path)
 
 
+@pytest.mark.parametrize("rate", [0.0, -0.01, 1e-12])
+def test_times_that_stand_still_or_run_backwards_are_told(rate: float, tmp_path: Path) -> None:
+    path = write_beam(tmp_path / "beam_gravity.csv", 4.3, 1.5)
+    table = np.loadtxt(path, delimiter=",", skiprows=1)
+    table[:, 0] = rate * np.arange(len(table))
+    np.savetxt(path, table, delimiter=",", header="t", comments="")
+    if rate > 0:  # far beyond what the fit looks for
+        assert read_ringing(path).frequency <= 40
+        return
+    with pytest.raises(InputError, match=r"beam_gravity.csv holds a time that is not after the one before; sort"):
+        read_ringing(path)
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero")])
+def test_a_pipe_and_a_device_are_not_read(tmp_path: Path, make) -> None:
+    make(tmp_path / "beam_gravity.csv")
+    with pytest.raises(InputError, match=r"beam_gravity.csv is no table of numbers \(no file but a pipe or a device\)"):
+        read_ringing(tmp_path / "beam_gravity.csv")
+
+
 def test_a_beam_at_rest_does_not_ring(tmp_path: Path) -> None:
     path = tmp_path / "beam_gravity.csv"
-    np.savetxt(path, np.ones((100, 19)), delimiter=",", header="t", comments="")
+    table = np.column_stack([np.arange(100), np.ones((100, 18))])
+    np.savetxt(path, table, delimiter=",", header="t", comments="")
     with pytest.raises(InputError, match="ends where it began"):
         read_ringing(path)
 

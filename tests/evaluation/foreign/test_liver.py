@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -45,6 +46,37 @@ def test_what_is_missing_or_broken_is_named(tmp_path: Path) -> None:
         read_pull(path)
     (tmp_path / HELD).unlink()
     with pytest.raises(InputError, match=f"no {HELD} beside it"):
+        read_pull(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"positions": np.float64(3)}, "positions holds something else than finite numbers"),
+        ({"positions": np.full((2, 112, 3), np.nan)}, "positions holds something else than finite numbers"),
+        ({"positions": np.array(["a"])}, "positions holds something else than finite numbers"),
+        ({"true_forces": np.zeros((3, 3))}, "don't fit 112 nodes"),
+        ({"tool_vertices": np.array([112])}, "tool_vertices are no numbers of the 112 nodes"),
+        ({"tool_vertices": np.array([np.nan])}, "tool_vertices are no numbers of the 112 nodes"),
+        ({"pc": np.zeros((5, 3))}, r"pc has shape \(5, 3\)"),
+        ({"positions": np.zeros((400, 1000, 1000), np.float32)}, "it unpacks to more than 1024 MB"),
+    ],
+)
+def test_a_sequence_that_does_not_fit_is_a_sentence(tmp_path: Path, change: dict, told: str) -> None:
+    path = write_pull(tmp_path, "linear")
+    with np.load(path) as stored:
+        arrays = dict(stored)
+    np.savez_compressed(path, **arrays | change)
+    with pytest.raises(InputError, match=rf"^linear_s1.npz.*{told}"):
+        read_pull(path)
+
+
+@pytest.mark.parametrize("name", ["linear_s1.npz", HELD, MESH])
+def test_a_pipe_is_not_waited_for(tmp_path: Path, name: str) -> None:
+    path = write_pull(tmp_path, "linear")
+    (tmp_path / name).unlink()
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(InputError, match=f"{name}.*(no file but a pipe|beside it; put it there)"):
         read_pull(path)
 
 

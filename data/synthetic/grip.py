@@ -15,7 +15,7 @@ import numpy as np
 from scipy.sparse import coo_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
 
-from data.synthetic.scene import Scene, SceneError
+from data.synthetic.scene import Scene, SceneError, require_room
 from data.synthetic.settings import SceneSettings
 from data.synthetic.truth import Motion
 
@@ -62,7 +62,7 @@ def draw_grip(scene: Scene, generator: np.random.Generator) -> GrippedMotion:
     """Draw tissue and the tool's way, and integrate.
 
     Raises:
-        SceneError: the tool has no room for a way as long as is wanted.
+        SceneError: the tool has no room for a way as long as is wanted, or the clip is too long.
     """
     settings = scene.settings
     onset = round(generator.uniform(*settings.onset_fraction) * settings.frames)
@@ -74,6 +74,7 @@ def draw_grip(scene: Scene, generator: np.random.Generator) -> GrippedMotion:
     log_stiffness = _draw_regions(scene, generator)
     inner = (slice(BEYOND, -BEYOND), slice(BEYOND, -BEYOND))
     times = np.arange(settings.frames) / settings.fps
+    require_room(2 * settings.frames * math.prod(scene.mesh.grid_shape))
     moved, reaction = np.zeros((settings.frames, *scene.mesh.grid_shape, 2)), np.zeros((settings.frames, 2))
     if onset < settings.frames - 1:
         steps = SUBSTEPS * (settings.frames - 1 - onset)

@@ -26,6 +26,21 @@ class SceneError(ValueError):
     """The settings leave no scene to draw; the message is a sentence that says what to change."""
 
 
+MOST_BYTES = 2**30
+"""Of a clip's motion."""
+
+
+def require_room(values: int) -> None:
+    """Refuse a motion of more numbers than memory should hold, before it is integrated.
+
+    Raises:
+        SceneError: it is too long.
+    """
+    if 8 * values > MOST_BYTES:
+        told = f"takes {8 * values / 2**30:.1f} GB, more than {MOST_BYTES / 2**30:g}"
+        raise SceneError(f"The motion of all frames {told}; give fewer --frames, or a smaller grid.")
+
+
 @dataclass(frozen=True)
 class Sheet:
     """Undeformed tissue surface z(x, y) over the rays (x, y, 1)."""

@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 from scipy.ndimage import gaussian_filter
 from scipy.sparse import csr_array
 
-from data.synthetic.scene import Scene, SceneError, crop_mesh
+from data.synthetic.scene import Scene, SceneError, crop_mesh, require_room
 from data.synthetic.settings import SceneSettings
 from physics.load import Press
 
@@ -319,6 +319,7 @@ def _solve(
     settings = scene.settings
     count = len(window.vertices)
     state = np.zeros(6 * count)
+    require_room(len(coarse) * count * 3)
     displaced, response = np.zeros((len(coarse), count, 3)), np.zeros((len(fine), 3))
     end = max(coarse[-1], fine[-1])
     for start, stop, pressed in ((0.0, min(load, end), True), (load, end, False)):

@@ -311,6 +311,15 @@ def test_bad_usage_gets_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "can't be written" in " ".join(message.split())
 
 
+@pytest.mark.parametrize("action", ["press", "grip"])
+def test_a_clip_that_no_memory_holds_gets_a_sentence(
+    tmp_path: Path, capsys: pytest.CaptureFixture, action: str
+) -> None:
+    assert main(["--output", str(tmp_path), "--size", "small", "--frames", "1000000", "--action", action]) == 1
+    assert "GB, more than 1; give fewer --frames" in " ".join(capsys.readouterr().err.split())
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_sizes() -> None:
     assert picture_size("full") == (854, 480)
     assert picture_size("640x360") == (640, 360)

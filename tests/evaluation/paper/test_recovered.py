@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -56,3 +58,33 @@ def test_the_door_prints_five_quantities_and_says_what_is_missing(tmp_path, caps
     for folders, told in (((evaluation, clips), "video10_00080"), ((tmp_path / "no", clips), "holds no per_frame.csv")):
         assert main([str(folder) for folder in folders]) == 1
         assert told in capsys.readouterr().err.replace("\n", "")
+
+
+def row_of_a_clip(path: Path) -> None:
+    path.write_text("clip,stiffness,damping,force\nvideo01_00000,2,3,4\n")
+
+
+@pytest.mark.parametrize(
+    ("table", "truth", "told"),
+    [
+        (os.mkfifo, "{}", "holds no per_frame.csv of train.py test ([Errno 22] no file but a pipe or a device"),
+        (lambda path: path.write_bytes(bytes(range(128, 256))), "{}", "holds no per_frame.csv of train.py test"),
+        (lambda path: path.write_text("clip,stiffness\n"), "{}", "holds no per_frame.csv of train.py test"),
+        (lambda path: path.write_text("clip,stiffness,damping,force\n"), "{}", "a row without a clip, or none"),
+        (lambda path: path.write_text("clip,stiffness,damping,force\n1,2,x,4\n"), "{}", "holds no per_frame.csv"),
+        (row_of_a_clip, "[" * 100_000, "truth.json is no truth of data.synthetic (maximum recursion"),
+        (row_of_a_clip, "[]", "truth.json is no truth of data.synthetic"),
+        (row_of_a_clip, '{"theta": {"foundation": 1}}', "truth.json is no truth of data.synthetic ('stiffness')"),
+    ],
+)
+def test_what_can_t_be_compared_is_a_sentence(
+    tmp_path: Path, capsys: pytest.CaptureFixture, table: Callable, truth: str, told: str
+) -> None:
+    clip = tmp_path / "clips" / "video01" / "video01_00000"
+    clip.mkdir(parents=True)
+    (clip / "truth.json").write_text(truth)
+    table(tmp_path / "per_frame.csv")
+    assert main([str(tmp_path), str(tmp_path / "clips")]) == 1
+    said = " ".join(capsys.readouterr().err.split())
+    assert told.replace(" ", "") in said.replace(" ", "")
+    assert "Traceback" not in said

@@ -8,6 +8,7 @@ likelihood       how well a θ explains an observation, and its derivatives
 identifiability  what a motion can tell about θ: information, bounds, verdict
 sheet            a gripped sheet at rest: the quasi-static limit
 fem              soft bodies of tetrahedra: laws, rest, motion, exact derivatives
+pbd              extended position-based dynamics: particles that constraints join, fields of stiffness, adjoint
 msd              mass–spring–damper sheets, with a numpy door and a torch door
 jit              compiled loops; lazy: package faces; provenance: digest of the code
 files            whole files or none, and reading that ends; ownership: which of them may be replaced

@@ -1,0 +1,20 @@
+"""Extended position-based dynamics of sheets and bodies (Liang 2024, equations 1 to 3), differentiable in stiffness.
+
+body               particles and what joins them: distances, volumes of tetrahedra, shapes of neighbourhoods
+constraints        their values and gradients in plain numpy; reference: time steps with them (read these two)
+stiffness          fields over particles, and what they make of every constraint
+simulation         the door: time steps under a grip, batched over states and fields, and their exact adjoint
+potential          elastic energy, its gradient, and its second derivatives along a direction
+constraint_kernel  compiled values, gradients and second derivatives; sweep_kernel, potential_kernel: loops over them
+"""
+
+from physics.lazy import exported
+
+__getattr__ = exported(
+    {
+        "physics.pbd.body": ("Body", "make_body"),
+        "physics.pbd.stiffness": ("Stiffness",),
+        "physics.pbd.simulation": ("Motion", "Stepping", "simulate"),
+        "physics.pbd.potential": ("Potential",),
+    }
+)

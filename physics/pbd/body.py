@@ -1,0 +1,164 @@
+"""Particles and the constraints that join them, in one list that every solver walks along."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import csr_array
+
+NORM_GUARD = 1e-18
+"""Added under square roots [m²]: lengths of zero have a gradient, and shapes at rest one of zero."""
+_FLAT = 1e-6
+"""Neighbourhoods whose second principal extent is below this share of the first lie on a line: without a rotation."""
+
+
+class Layout(NamedTuple):
+    """What compiled loops read; K constraints with M members in all: distances first, then volumes, then shapes."""
+
+    starts: np.ndarray
+    """First member of every constraint and the total, shape [K + 1], int64."""
+    members: np.ndarray
+    """Particles of the constraints, one after the other, shape [M], int64."""
+    rest: np.ndarray
+    """Lengths [m] and volumes [m³] at rest, 0 for shapes, shape [K]."""
+    offsets: np.ndarray
+    """Rest positions of a shape's members from their mean, 0 for others, shape [M, 3] [m]."""
+    firsts: np.ndarray
+    """Where volumes and shapes begin, shape [2], int64."""
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A sheet or a body of N particles; made by `make_body`."""
+
+    rest: np.ndarray
+    """Positions at rest, shape [N, 3], float64 [m]."""
+    mass: np.ndarray
+    """Of the particles, shape [N] [kg]."""
+    pinned: np.ndarray
+    """Which never move, shape [N], bool."""
+    edges: np.ndarray
+    """Pairs that keep their distance, shape [E, 2]."""
+    tetrahedra: np.ndarray
+    """Fours that keep their volume, shape [V, 4]; none for a sheet."""
+    faces: np.ndarray
+    """Triangles of the surface, shape [F, 3]."""
+    layout: Layout
+
+    @property
+    def count(self) -> int:
+        """N."""
+        return len(self.rest)
+
+    @cached_property
+    def surface(self) -> np.ndarray:
+        """Particles of the surface, shape [n]: all of a sheet's."""
+        return np.unique(self.faces)
+
+    @cached_property
+    def averages(self) -> csr_array:
+        """Mean over every constraint's particles (Liang 2024, section II-A), shape [K, N]."""
+        starts, members = self.layout.starts, self.layout.members
+        share = np.repeat(1 / np.diff(starts), np.diff(starts))
+        return csr_array((share, members, starts), shape=(len(starts) - 1, self.count))
+
+    @property
+    def kinds(self) -> tuple[slice, slice, slice]:
+        """Which of the constraints are distances, volumes and shapes."""
+        volumes, shapes = self.layout.firsts.tolist()
+        return slice(0, volumes), slice(volumes, shapes), slice(shapes, len(self.layout.rest))
+
+    def inverse_mass(self, gripped: np.ndarray) -> np.ndarray:
+        """1/m, and 0 for what is pinned or gripped, shape [N] [1/kg].
+
+        Args:
+            gripped: particles, shape [G].
+        """
+        inverse = np.where(self.pinned, 0.0, 1 / self.mass)
+        inverse[gripped] = 0.0
+        return inverse
+
+    def holding(self, pinned: np.ndarray) -> Body:
+        """The same with other particles pinned, shape [N], bool."""
+        return dataclasses.replace(self, pinned=np.asarray(pinned, bool))
+
+
+def make_body(
+    rest: np.ndarray,
+    faces: np.ndarray,
+    tetrahedra: np.ndarray | None = None,
+    *,
+    pinned: np.ndarray | None = None,
+    mass: float | np.ndarray = 1.0,
+) -> Body:
+    """Join particles: a distance an edge, a volume a tetrahedron, a shape a particle and its neighbours.
+
+    The paper doesn't say which neighbours form a shape: here those along edges. Neighbourhoods on a line have none.
+
+    Args:
+        rest: positions at rest, shape [N, 3] [m].
+        faces: triangles of a sheet, or of a body's surface, shape [F, 3].
+        tetrahedra: of a body, shape [V, 4]; None = a sheet.
+        pinned: which particles never move, shape [N], bool; None = none.
+        mass: of the particles, one or shape [N] [kg].
+
+    Raises:
+        ValueError: shapes that don't fit, indices of no particle, numbers that are not finite, masses or edges of zero.
+    """
+    rest = np.ascontiguousarray(rest, np.float64)
+    if rest.ndim != 2 or rest.shape[1] != 3 or not np.isfinite(rest).all():
+        raise ValueError(f"rest has shape {rest.shape}; give finite positions, [N, 3].")
+    count = len(rest)
+    fours = np.empty((0, 4), np.int64) if tetrahedra is None else np.asarray(tetrahedra, np.int64)
+    triangles = np.asarray(faces, np.int64)
+    for name, cells, width in (("faces", triangles, 3), ("tetrahedra", fours, 4)):
+        if cells.ndim != 2 or cells.shape[1] != width or cells.min(initial=0) < 0 or cells.max(initial=-1) >= count:
+            raise ValueError(f"{name} has shape {cells.shape}; give [·, {width}], indices of the {count} particles.")
+    held = np.zeros(count, bool) if pinned is None else np.asarray(pinned, bool)
+    weight = np.asarray(mass, np.float64)
+    if held.shape != (count,) or weight.shape not in ((), (count,)):
+        raise ValueError(f"pinned has shape {held.shape} and mass {weight.shape}; give one entry a particle, {count}.")
+    if not (np.isfinite(weight).all() and (weight > 0).all()):
+        raise ValueError("mass holds a number that is not positive.")
+    edges = _edges(triangles, fours)
+    lengths = np.linalg.norm(rest[edges[:, 0]] - rest[edges[:, 1]], axis=1)
+    if not (lengths > 0).all():
+        raise ValueError("two particles that an edge joins lie in one place; merge them.")
+    layout = _layout(rest, edges, fours, lengths)
+    return Body(rest, np.broadcast_to(weight, count).copy(), held, edges, fours, triangles, layout)
+
+
+def _edges(triangles: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
+    """Pairs of particles that some triangle or tetrahedron joins, each once, shape [E, 2]."""
+    of_triangles = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    of_tetrahedra = tetrahedra[:, [0, 1, 0, 2, 0, 3, 1, 2, 1, 3, 2, 3]].reshape(-1, 2)
+    return np.unique(np.sort(np.concatenate([of_triangles, of_tetrahedra]), axis=1), axis=0)
+
+
+def _layout(rest: np.ndarray, edges: np.ndarray, tetrahedra: np.ndarray, lengths: np.ndarray) -> Layout:
+    one, two, three, four = rest[tetrahedra].transpose(1, 0, 2)
+    volumes = (np.cross(two - one, three - one) * (four - one)).sum(axis=1) / 6
+    both = np.concatenate([edges, edges[:, ::-1]])
+    both = both[np.lexsort((both[:, 1], both[:, 0]))]
+    neighbours = np.split(both[:, 1], np.searchsorted(both[:, 0], np.arange(1, len(rest))))
+    shapes, offsets = [], []
+    for particle, near in enumerate(neighbours):
+        members = np.array([particle, *near])
+        offset = rest[members] - rest[members].mean(axis=0)
+        extent = np.linalg.svd(offset, compute_uv=False)
+        if len(near) >= 2 and extent[1] > _FLAT * extent[0]:
+            shapes.append(members)
+            offsets.append(offset)
+    sizes = [2] * len(edges) + [4] * len(tetrahedra) + [len(shape) for shape in shapes]
+    plain = 2 * len(edges) + 4 * len(tetrahedra)
+    return Layout(
+        starts=np.cumsum([0, *sizes]),
+        members=np.concatenate([edges.ravel(), tetrahedra.ravel(), *shapes]).astype(np.int64),
+        rest=np.concatenate([lengths, volumes, np.zeros(len(shapes))]),
+        offsets=np.concatenate([np.zeros((plain, 3)), *offsets]),
+        firsts=np.array([len(edges), len(edges) + len(tetrahedra)]),
+    )

@@ -1,0 +1,58 @@
+"""Stiffness that differs from particle to particle, and what it makes of every constraint."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from physics.pbd.body import Body
+
+
+class Stiffness(NamedTuple):
+    """Fields over N particles, B of each or one for all (Liang 2024, section II-A), or derivatives by them.
+
+    Weights of the energy ½ k C²: only k Δt²/m moves anything, so with m = 1 and Δt = 1 these numbers are shares of a
+    particle's own inertia.
+    """
+
+    distance: np.ndarray
+    """Of distances, shape [B, N] or [N] [N/m]."""
+    shape: np.ndarray
+    """Of shapes, likewise [N/m]."""
+    volume: float | np.ndarray = 1e10
+    """Of volumes, one for all, or of a derivative shape [B] [N/m⁵]."""
+
+
+def spread(body: Body, fields: Stiffness) -> np.ndarray:
+    """k of every constraint: the mean over its particles, shape [B, K], B = 1 for fields without that axis.
+
+    Raises:
+        ValueError: shapes that don't fit, numbers that are negative or not finite.
+    """
+    distance, shape = (np.atleast_2d(np.asarray(field, np.float64)) for field in fields[:2])
+    for name, field in (("distance", distance), ("shape", shape)):
+        if field.ndim != 2 or field.shape[1] != body.count:
+            raise ValueError(f"stiffness of {name} has shape {field.shape}; give one number a particle, {body.count}.")
+        if not (np.isfinite(field).all() and (field >= 0).all()):
+            raise ValueError(f"stiffness of {name} holds a number that is negative or not finite.")
+    if len(distance) != len(shape):
+        raise ValueError(f"there are {len(distance)} fields of distance and {len(shape)} of shape; give as many.")
+    if not (np.isfinite(fields.volume) and np.ndim(fields.volume) == 0 and fields.volume >= 0):
+        raise ValueError(f"stiffness of volume is {fields.volume}; give one number, 0 or more.")
+    found = np.empty((len(distance), len(body.layout.rest)))
+    distances, volumes, shapes = body.kinds
+    found[:, distances] = (body.averages[distances] @ distance.T).T
+    found[:, volumes] = fields.volume
+    found[:, shapes] = (body.averages[shapes] @ shape.T).T
+    return found
+
+
+def gather(body: Body, slopes: np.ndarray) -> Stiffness:
+    """Derivatives by the fields [B, N] from those by every constraint's k [B, K]: the transpose of `spread`."""
+    distances, volumes, shapes = body.kinds
+    return Stiffness(
+        (body.averages[distances].T @ slopes[:, distances].T).T,
+        (body.averages[shapes].T @ slopes[:, shapes].T).T,
+        slopes[:, volumes].sum(axis=1),
+    )

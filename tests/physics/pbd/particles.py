@@ -1,0 +1,31 @@
+"""Sheets and blocks of particles."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from physics.fem.lattice import box
+from physics.pbd.body import Body, make_body
+
+
+def sheet(rows: int, columns: int, spacing: float = 0.005, *, mass: float = 1.0, pinned_rows: int = 0) -> Body:
+    """In the plane z = 0, row 0 at y = 0; its first rows pinned."""
+    at = np.arange(rows * columns).reshape(rows, columns)
+    places = np.stack([*np.meshgrid(np.arange(columns), np.arange(rows)), np.zeros((rows, columns))], axis=-1)
+    one, two, three, four = at[:-1, :-1], at[:-1, 1:], at[1:, :-1], at[1:, 1:]
+    odd = (np.add.outer(np.arange(rows - 1), np.arange(columns - 1)) % 2 == 1)[..., None]
+    first = np.where(odd, np.stack([one, three, four], -1), np.stack([one, three, two], -1))
+    second = np.where(odd, np.stack([one, four, two], -1), np.stack([two, three, four], -1))
+    faces = np.concatenate([first.reshape(-1, 3), second.reshape(-1, 3)])
+    pinned = np.arange(rows * columns) < pinned_rows * columns
+    return make_body(spacing * places.reshape(-1, 3), faces, pinned=pinned, mass=mass)
+
+
+def block(cells: tuple[int, int, int] = (2, 2, 2), spacing: float = 0.005, *, seed: int | None = None) -> Body:
+    """Tetrahedra that fill a box; of masses that differ with a seed."""
+    nodes, tetrahedra = box((spacing * cells[0], spacing * cells[1], spacing * cells[2]), cells)
+    fours = np.sort(tetrahedra, axis=1)
+    faces = np.concatenate([np.delete(fours, corner, axis=1) for corner in range(4)])
+    unique, counts = np.unique(faces, axis=0, return_counts=True)
+    mass = 1.0 if seed is None else np.random.default_rng(seed).uniform(0.5, 2.0, len(nodes))
+    return make_body(nodes, unique[counts == 1], tetrahedra, mass=mass)

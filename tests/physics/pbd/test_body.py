@@ -1,0 +1,71 @@
+"""What joins the particles of sheets and blocks, and bad input."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from physics.pbd.body import make_body
+from tests.physics.pbd.particles import block, sheet
+
+
+def test_a_sheet_has_an_edge_once_and_a_shape_a_particle():
+    body = sheet(4, 5)
+    assert len(body.edges) == 4 * 4 + 3 * 5 + 3 * 4  # along, across, one diagonal a cell
+    assert [kind.stop - kind.start for kind in body.kinds] == [len(body.edges), 0, 20]
+    lengths = np.linalg.norm(body.rest[body.edges[:, 0]] - body.rest[body.edges[:, 1]], axis=1)
+    np.testing.assert_allclose(body.layout.rest[body.kinds[0]], lengths, rtol=1e-14)
+    assert set(np.round(lengths / 0.005, 6)) == {1.0, round(2**0.5, 6)}
+    members = np.split(body.layout.members, body.layout.starts[1:-1])[body.kinds[2]]
+    assert [shape[0] for shape in members] == list(range(20))
+    for particle, shape in enumerate(members):
+        near = body.edges[(body.edges == particle).any(axis=1)]
+        assert set(shape) == set(near.ravel())
+    np.testing.assert_array_equal(body.surface, np.arange(20))
+
+
+def test_a_block_keeps_the_volume_of_all_its_tetrahedra():
+    body = block((2, 3, 2))
+    assert body.layout.rest[body.kinds[1]].sum() == pytest.approx(12 * 0.005**3, rel=1e-12)
+    assert len(body.tetrahedra) == 5 * 12
+    inner = ((body.rest > 0) & (body.rest < np.array([2, 3, 2]) * 0.005)).all(axis=1)
+    np.testing.assert_array_equal(body.surface, np.flatnonzero(~inner))
+
+
+def test_means_are_over_the_particles_of_a_constraint():
+    body = block((1, 1, 1))
+    field = np.random.default_rng(1).normal(size=body.count)
+    starts, members = body.layout.starts, body.layout.members
+    expected = [field[members[one:two]].mean() for one, two in itertools.pairwise(starts)]
+    np.testing.assert_allclose(body.averages @ field, expected, rtol=1e-13)
+
+
+def test_neighbours_on_a_line_form_no_shape():
+    body = make_body(np.diag([1.0, 2.0, 3.0]) @ np.ones((3, 3)) * [1, 0, 0], np.array([[0, 1, 2]]))
+    assert [kind.stop - kind.start for kind in body.kinds] == [3, 0, 0]
+
+
+def test_what_is_pinned_or_gripped_has_no_inverse_mass():
+    body = block((1, 1, 1), seed=2)
+    pinned = body.holding(np.arange(8) < 2)
+    expected = 1 / body.mass
+    expected[[0, 1, 5]] = 0
+    np.testing.assert_array_equal(pinned.inverse_mass(np.array([5])), expected)
+    np.testing.assert_array_equal(body.inverse_mass(np.array([], int)), 1 / body.mass)
+
+
+@pytest.mark.parametrize(("changed", "sentence"), [
+    ({"rest": np.zeros((3, 2))}, "rest has shape (3, 2)"),
+    ({"rest": np.full((3, 3), np.nan)}, "give finite positions"),
+    ({"rest": np.zeros((3, 3))}, "lie in one place"),
+    ({"faces": np.array([[0, 1, 3]])}, "faces has shape"),
+    ({"tetrahedra": np.array([[0, 1, 2]])}, "tetrahedra has shape"),
+    ({"pinned": np.zeros(2, bool)}, "pinned has shape (2,)"),
+    ({"mass": 0.0}, "mass holds a number that is not positive"),
+])  # fmt: skip
+def test_bad_input_is_said(changed, sentence):
+    given = {"rest": np.eye(3), "faces": np.array([[0, 1, 2]])} | changed
+    with pytest.raises(ValueError, match=sentence.replace("(", r"\(").replace(")", r"\)")):
+        make_body(**given)

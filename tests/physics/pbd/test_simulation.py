@@ -1,0 +1,225 @@
+"""Time steps and their adjoint: against the plain version, finite differences, conservation laws and a minimum."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from physics.load import Grip
+from physics.pbd.body import Body
+from physics.pbd.potential import Potential
+from physics.pbd.reference import steps
+from physics.pbd.simulation import Stepping, simulate
+from physics.pbd.stiffness import Stiffness, spread
+from tests.physics.pbd.particles import block, sheet
+
+BODIES = {"sheet": sheet(5, 4, pinned_rows=1), "block": block((2, 2, 1), seed=1)}
+STEPPINGS = {
+    "positions only": Stepping(iterations=5),
+    "with velocities": Stepping(time_step=0.5, iterations=5, keep=0.9, acceleration=(0.0, 0.0, -2e-4)),
+}
+
+
+def fields_of(body: Body, seed: int = 0) -> Stiffness:
+    random = np.random.default_rng(seed)
+    return Stiffness(random.uniform(0.5, 3.0, body.count), random.uniform(0.2, 1.0, body.count))
+
+
+def grip_of(body: Body, count: int = 10, size: float = 1.0) -> Grip:
+    """Two corners pulled and lifted over some steps."""
+    ramp = np.linspace(0.1, 1.0, count)[:, None, None]
+    path = np.array([[0.004, 0.006, 0.005], [0.004, 0.006, 0.003]])
+    return Grip(np.array([body.count - 1, body.count - 2]), size * ramp * path)
+
+
+@pytest.mark.parametrize("stepping", STEPPINGS)
+@pytest.mark.parametrize("name", BODIES)
+def test_compiled_steps_equal_plain_ones(name, stepping):
+    body, how, grip = BODIES[name], STEPPINGS[stepping], grip_of(BODIES[name])
+    speed = 1e-3 * np.random.default_rng(2).normal(size=body.rest.shape)
+    expected = steps(
+        body, spread(body, fields_of(body))[0], body.rest, speed, grip.vertices, body.rest[grip.vertices] +
+        grip.displacement, time_step=how.time_step, iterations=how.iterations, keep=how.keep,
+        acceleration=np.array(how.acceleration),
+    )  # fmt: skip
+    found = simulate(body, fields_of(body), grip, how, speed=speed)
+    np.testing.assert_allclose(found.positions[0, 1:], np.stack(list(expected)), atol=1e-14)
+    np.testing.assert_allclose(found.positions[0, -1, grip.vertices], body.rest[grip.vertices] + grip.displacement[-1])
+    assert (found.positions[0, :, body.pinned] == body.rest[body.pinned][:, None]).all()
+
+
+@pytest.mark.parametrize("stepping", STEPPINGS)
+@pytest.mark.parametrize("name", BODIES)
+def test_gradient_of_ten_steps_equals_finite_differences(name, stepping):
+    body, how, grip, fields = BODIES[name], STEPPINGS[stepping], grip_of(BODIES[name]), fields_of(BODIES[name])
+    random = np.random.default_rng(3)
+    still = {"start": body.rest + 3e-4 * random.normal(size=body.rest.shape), "speed": np.zeros_like(body.rest)}
+    motion = simulate(body, fields, grip, how, **still)
+    weights = random.normal(size=motion.positions.shape)
+    slopes = motion.gradient(weights)
+
+    def value(changed: Stiffness, **states: np.ndarray) -> float:
+        return float((weights * simulate(body, changed, grip, how, **{**still, **states}).positions).sum())
+
+    for which in ("distance", "shape"):
+        central = np.empty(body.count)
+        for particle in range(body.count):
+            up, down = (getattr(fields, which).copy() for _ in range(2))
+            up[particle] += 1e-5
+            down[particle] -= 1e-5
+            central[particle] = (value(fields._replace(**{which: up})) - value(fields._replace(**{which: down}))) / 2e-5
+        found = getattr(slopes.stiffness, which)[0]
+        np.testing.assert_allclose(found, central, rtol=1e-6, atol=1e-7 * np.abs(central).max())
+    if name == "block":
+        stiffer, softer = (value(fields._replace(volume=share * 1e10)) for share in (1.001, 0.999))
+        assert slopes.stiffness.volume[0] == pytest.approx((stiffer - softer) / 2e7, rel=1e-5)
+    for which, by in (("start", slopes.start), ("speed", slopes.speed)):
+        for particle in (0, body.count // 2, body.count - 1):
+            step = np.zeros_like(body.rest)
+            step[particle, 1] = 1e-7
+            up, down = (value(fields, **{which: still[which] + sign * step}) for sign in (1, -1))
+            assert by[0, particle, 1] == pytest.approx((up - down) / 2e-7, rel=1e-5, abs=1e-6)
+
+
+def test_a_stiffness_of_zero_has_a_gradient():
+    body, how, grip = BODIES["sheet"], STEPPINGS["positions only"], grip_of(BODIES["sheet"], 2)
+    fields = Stiffness(np.ones(body.count), np.zeros(body.count))
+    motion = simulate(body, fields, grip, how)
+    weights = np.random.default_rng(4).normal(size=motion.positions.shape)
+    more = simulate(body, fields._replace(shape=np.full(body.count, 1e-6)), grip, how)
+    ahead = (weights * (more.positions - motion.positions)).sum() / 1e-6
+    assert motion.gradient(weights).stiffness.shape.sum() == pytest.approx(ahead, rel=1e-4)
+
+
+def test_a_batch_is_its_members():
+    body, how = BODIES["sheet"], STEPPINGS["with velocities"]
+    grips = [grip_of(body, 3, size) for size in (1.0, 0.5)]
+    fields = [fields_of(body, seed) for seed in (0, 1)]
+    starts = body.rest + 1e-4 * np.random.default_rng(5).normal(size=(2, *body.rest.shape))
+    joined = Stiffness(*(np.stack([getattr(field, which) for field in fields]) for which in ("distance", "shape")))
+    motion = simulate(body, joined, grips, how, start=starts)
+    weights = np.random.default_rng(6).normal(size=motion.positions.shape)
+    slopes = motion.gradient(weights)
+    for index in range(2):
+        alone = simulate(body, fields[index], grips[index], how, start=starts[index])
+        np.testing.assert_array_equal(motion.positions[index], alone.positions[0])
+        expected = alone.gradient(weights[index : index + 1])
+        np.testing.assert_allclose(slopes.stiffness.distance[index], expected.stiffness.distance[0], rtol=1e-12)
+        np.testing.assert_allclose(slopes.start[index], expected.start[0], rtol=1e-9, atol=1e-12)
+    one_for_all = simulate(body, fields[0], grips, how, start=starts)
+    np.testing.assert_array_equal(one_for_all.positions[0], motion.positions[0])
+
+
+def tumbling(time_step: float, seconds: float = 0.5) -> tuple[np.ndarray, np.ndarray]:
+    """Momentum and angular momentum of a free block, turning and trembling, after every step."""
+    body = BODIES["block"]
+    random = np.random.default_rng(7)
+    turning = np.cross([2.0, -1.0, 3.0], body.rest - body.rest.mean(axis=0))
+    speed = turning + np.array([0.01, 0.02, -0.01]) + 2e-3 * random.normal(size=turning.shape)
+    how = Stepping(time_step=time_step, iterations=20, keep=1.0)
+    fields = Stiffness(np.full(body.count, 200.0), np.full(body.count, 50.0), 1e12)
+    path = simulate(body, fields, round(seconds / time_step), how, speed=speed).positions[0]
+    now, moving = path[1:], np.diff(path, axis=0) / time_step
+    mass = body.mass[:, None]
+    begun = (mass * speed).sum(axis=0), np.cross(body.rest, mass * speed).sum(axis=0)
+    found = (mass * moving).sum(axis=1), np.cross(now, mass * moving).sum(axis=1)
+    return np.concatenate([begun[0][None], found[0]]), np.concatenate([begun[1][None], found[1]])
+
+
+def test_a_free_body_keeps_its_momentum():
+    momentum, _ = tumbling(0.01)
+    np.testing.assert_allclose(momentum, np.broadcast_to(momentum[0], momentum.shape), rtol=1e-11)
+
+
+def test_a_free_body_keeps_its_angular_momentum_to_first_order_in_time():
+    """Implicit Euler's own error, which the sweeps add nothing to: halved with the step."""
+    apart = []
+    for time_step in (0.01, 0.005, 0.0025):
+        turning = tumbling(time_step)[1]
+        apart.append(np.linalg.norm(turning - turning[0], axis=1).max() / np.linalg.norm(turning[0]))
+    assert apart[0] < 0.05
+    assert [apart[0] / apart[1], apart[1] / apart[2]] == pytest.approx([2.0, 2.0], rel=0.15)
+
+
+def hanging(iterations: int) -> tuple[np.ndarray, float]:
+    """A sheet in its plane, its first row pinned, after one step of its weight; and what the last sweep changed."""
+    body = sheet(8, 6, pinned_rows=1)
+    fields = Stiffness(np.full(body.count, 5.0), np.full(body.count, 0.5))
+    how = Stepping(iterations=iterations, acceleration=(0.0, 1e-3, 0.0))
+    motion = simulate(body, fields, 1, how)
+    return motion.positions[0, -1], float(motion.last[0, 0])
+
+
+def test_a_hanging_sheet_converges_under_iteration():
+    settled, rest = hanging(600)
+    assert rest < 1e-14
+    found = {count: hanging(count) for count in (10, 20, 40, 80)}
+    apart = [np.abs(points - settled).max() for points, _ in found.values()]
+    changes = [change for _, change in found.values()]
+    for errors in (apart, changes):
+        logs = np.log(errors)
+        assert (np.diff(logs) < 0).all()
+        # Linear convergence: twice the sweeps square the error's factor.
+        assert (logs[3] - logs[2]) / (logs[2] - logs[1]) == pytest.approx(2, rel=0.25)
+    assert apart[3] < 1e-3 * apart[0]
+
+
+def test_a_hanging_sheet_comes_to_rest_where_its_energy_is_smallest():
+    """To second order in the step: every sweep takes gradients where it is, g Δt² away from where it ends."""
+    body = sheet(5, 4, pinned_rows=1)
+    fields, weight = fields_of(body), np.array([0.0, 3e-4, 0.0])
+    energy, free = Potential(body, spread(body, fields)[0]), ~body.pinned
+
+    def value(moved: np.ndarray) -> tuple[float, np.ndarray]:
+        points = body.rest.copy()
+        points[free] += 1e-3 * moved.reshape(-1, 3)
+        elastic, slope = energy.slope(points)
+        below = (body.mass[free, None] * weight * points[free]).sum()
+        return 1e6 * (elastic - below), 1e3 * (slope[free] - body.mass[free, None] * weight).ravel()
+
+    best = minimize(value, np.zeros(3 * free.sum()), jac=True, options={"gtol": 1e-9, "maxiter": 2000})
+    expected = body.rest[free] + 1e-3 * best.x.reshape(-1, 3)
+    apart = []
+    for time_step in (0.5, 0.25):
+        how = Stepping(time_step=time_step, iterations=10, acceleration=tuple(weight))
+        settled = simulate(body, fields, round(200 / time_step**2), how).positions[0, -1, free]
+        apart.append(np.abs(settled - expected).max() / np.abs(expected - body.rest[free]).max())
+    assert apart[1] < 0.02
+    assert apart[0] / apart[1] == pytest.approx(4, rel=0.2)
+
+
+def test_a_stiffer_sheet_follows_its_grip_further():
+    body = BODIES["sheet"]
+    moved = []
+    for share in (0.1, 1.0, 10.0):
+        fields = Stiffness(np.full(body.count, share), np.full(body.count, share))
+        points = simulate(body, fields, grip_of(body), Stepping()).positions[0, -1]
+        moved.append(np.linalg.norm(points - body.rest, axis=1).mean())
+    assert moved == sorted(moved)
+
+
+@pytest.mark.parametrize(("changed", "sentence"), [
+    ({"start": np.zeros((3, 3))}, "start has shape"),
+    ({"speed": np.full((20, 3), np.inf)}, "speed holds a number that is not finite"),
+    ({"grips": Grip(np.array([99]), np.zeros((2, 1, 3)))}, "a particle that doesn't exist"),
+    ({"grips": [Grip(np.array([1]), np.zeros((2, 1, 3))), Grip(np.array([2]), np.zeros((2, 1, 3)))]}, "grips alike"),
+    ({"start": np.zeros((3, 20, 3)), "grips": [Grip(np.array([1]), np.zeros((2, 1, 3)))] * 2}, "as many of each"),
+])  # fmt: skip
+def test_bad_input_is_said(changed, sentence):
+    body = BODIES["sheet"]
+    given = {"grips": 2, **changed}
+    with pytest.raises(ValueError, match=sentence):
+        simulate(body, fields_of(body), given.pop("grips"), Stepping(), **given)
+    with pytest.raises(ValueError, match="by_positions has shape"):
+        simulate(body, fields_of(body), 2, Stepping()).gradient(np.zeros(3))
+
+
+@pytest.mark.parametrize(("name", "value"), [
+    ("time_step", 0.0), ("iterations", 0), ("keep", 1.5), ("acceleration", (0.0, np.nan, 0.0)),
+])  # fmt: skip
+def test_steps_out_of_range_are_refused(name, value):
+    with pytest.raises(ValueError, match=f"{name} is"):
+        dataclasses.replace(Stepping(), **{name: value})

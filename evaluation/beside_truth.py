@@ -60,7 +60,8 @@ def read_results(folder: Path) -> tuple[str, dict[str, str], dict[str, float]]:
         record = json.loads(read_file(folder / RECORD, MOST_BYTES))
         clip, fps = Path(record["input"]["path"]), float(record["input"]["fps"])
         text = io.StringIO(read_file(folder / INTERACTIONS, MOST_BYTES).decode("utf-8"), newline="")
-        rows = list(csv.DictReader(text))
+        rows = [row for row in csv.DictReader(text) if row["status"] == "ok"]
+        onsets = [float(row["onset_time_s"]) for row in rows]
     except (OSError, ValueError, KeyError, TypeError, RecursionError, csv.Error) as error:
         raise NoTruth(f"{folder} holds no results of infer.py ({error}); give the folder of one clip.") from error
     try:
@@ -68,8 +69,8 @@ def read_results(folder: Path) -> tuple[str, dict[str, str], dict[str, float]]:
         values, onset = true_values(truth["theta"]), float(truth["onset_s"])
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise NoTruth(f"{clip} has no truth ({error}); give results of a frame folder of data.synthetic.") from error
-    for row in rows:
-        if row["status"] == "ok" and abs(float(row["onset_time_s"]) - onset) * fps <= SAME_ONSET:
+    for row, begun in zip(rows, onsets, strict=True):
+        if abs(begun - onset) * fps <= SAME_ONSET:
             return clip.name, row, values
     raise NoTruth(f"{folder} has no estimate of a run of contact that begins at {onset:.2f} s, where it truly does.")
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import json
+import os
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -87,3 +89,26 @@ def test_what_can_t_be_shown_is_said_in_a_sentence(results: Path, capsys: pytest
     assert "has no truth" in " ".join(capsys.readouterr().err.split())
     assert main([str(results.parent)]) == 1
     assert "holds no results of infer.py" in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize("name", ["run.json", "interactions.csv"])
+@pytest.mark.parametrize(
+    "make",
+    [
+        os.mkfifo,
+        lambda path: path.symlink_to("/dev/zero"),
+        lambda path: path.write_text("[" * 100_000 + "\n1\n"),
+        lambda path: path.write_text("status,onset_time_s\nok,soon\n"),
+        lambda path: path.write_bytes(b"\xff\xfe\x00" * 99),
+    ],
+    ids=["pipe", "device", "deep", "text", "binary"],
+)
+def test_results_that_are_none_are_one_sentence(
+    results: Path, capsys: pytest.CaptureFixture, name: str, make: Callable
+) -> None:
+    (results / name).unlink(missing_ok=True)
+    make(results / name)
+    assert main([str(results)]) == 1
+    told = " ".join(capsys.readouterr().err.split())
+    assert "of infer.py" in told
+    assert "Traceback" not in told

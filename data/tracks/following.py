@@ -18,6 +18,9 @@ MARGIN = 5.0
 """No point begins nearer to the tool [px]."""
 TOUCHED = 3
 """A point that comes nearer to the tool is lost: it may be the tool's [px]."""
+EDGED, DRAGGED = 12, 5.0
+"""One that comes nearer to the tool is followed by a window that holds the tool's edge, which drags it along or holds
+it back: so far (standard deviation by axis, on top of a link's) [px]."""
 BORDER = 3
 """And one that comes nearer to the picture's edge [px]."""
 CHECK = 2.5
@@ -68,12 +71,16 @@ class PointFollower:
         rows, columns = np.mgrid[spacing : height - spacing : spacing, spacing : width - spacing : spacing]
         away, lit = tool_distance(tool), lit_field(picture)
         self._grid = (away[rows, columns] > MARGIN) & lit[rows, columns]
+        rows_all, columns_all = rows, columns
         rows, columns = rows[self._grid], columns[self._grid]
         self.spacing = spacing
         self.points = np.column_stack([columns, rows]).astype(np.float32)
         """Where they are in the first picture, shape [N, 2] (column, row) [px]."""
         self.distance = away[rows, columns]
         """From the tool there, shape [N] [px]."""
+        near = away[rows_all, columns_all] <= MARGIN
+        self.hidden = np.column_stack([columns_all[near], rows_all[near]]).astype(np.float64)
+        """Places of the grid that the tool hides there, shape [H, 2] [px]."""
         self.place = self.points.copy()
         """Where they are now, or were last seen, shape [N, 2] [px]."""
         self.followed = np.ones(len(self.points), bool)
@@ -91,16 +98,16 @@ class PointFollower:
     def step(self, picture: np.ndarray, tool: np.ndarray) -> None:
         """Follow the points into the next picture, with its tool's mask."""
         picture, tool = shrunk(picture, tool)
-        gray, tissue = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), _tissue(picture, tool)
+        gray, tissue, edge = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), _tissue(picture, tool), _beside(tool)
         before, self._before = self._before, self._linker.half(gray)
         place, returned = self._linker.link(before, self._before, self.place)
         self.followed &= (returned < CHECK) & _within(tissue, place)
-        self._see(place, self.followed, np.square(self.noise) + _variance(returned))
+        self._see(place, self.followed, np.square(self.noise) + _variance(returned, _within(edge, place)))
         self._count += 1
         if self._count % RELINKED == 0 and self.followed.any():
-            self._relink(gray, tissue)
+            self._relink(gray, tissue, edge)
 
-    def _relink(self, gray: np.ndarray, tissue: np.ndarray) -> None:
+    def _relink(self, gray: np.ndarray, tissue: np.ndarray, edge: np.ndarray) -> None:
         """Link the first picture to this one: against drift, and to find lost points again."""
         around = self._filled()
         place, returned = self._linker.link(self._first, self._before, self.points, self._guess(around))
@@ -108,7 +115,7 @@ class PointFollower:
         good = (returned < CHECK) & (np.linalg.norm(place - expected, axis=1) < FOUND) & _within(tissue, place)
         good &= resemblance(self._rest, gray, self.points, place) > ALIKE
         self.followed = self.followed | good
-        self._see(place, good, _variance(returned))
+        self._see(place, good, _variance(returned, _within(edge, place) | (self.distance < EDGED)))
 
     def _see(self, place: np.ndarray, seen: np.ndarray, variance: np.ndarray) -> None:
         self.place = np.where(seen[:, None], place, self.place).astype(np.float32)
@@ -159,12 +166,19 @@ def _tissue(picture: np.ndarray, tool: np.ndarray) -> np.ndarray:
     return inner
 
 
-def _within(tissue: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Which places [N, 2] are on it, bool [N]."""
-    height, width = tissue.shape
+def _beside(tool: np.ndarray) -> np.ndarray:
+    """Where a window holds the tool's edge, bool [H, W]."""
+    # A square costs a tenth of a disc.
+    return cv2.dilate(tool.astype(np.uint8), np.ones((2 * EDGED + 1, 2 * EDGED + 1), np.uint8)) > 0
+
+
+def _within(part: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Which places [N, 2] are in a part [H, W] of the picture, bool [N]."""
+    height, width = part.shape
     column, row = np.clip(place, 0, [width - 1, height - 1]).astype(int).T
-    return tissue[row, column]
+    return part[row, column]
 
 
-def _variance(returned: np.ndarray) -> np.ndarray:
-    return NOISE**2 + np.square(RETURNED * returned)
+def _variance(returned: np.ndarray, edge: np.ndarray) -> np.ndarray:
+    """Of links by axis [N] [px²], by how far their way back ends [N] [px] and which lie at the tool's edge [N]."""
+    return NOISE**2 + np.square(RETURNED * returned) + np.square(DRAGGED * edge)

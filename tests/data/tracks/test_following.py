@@ -10,6 +10,8 @@ import pytest
 
 from data.tracks.following import (
     BORDER,
+    DRAGGED,
+    EDGED,
     MARGIN,
     NOISE,
     RELINKED,
@@ -177,6 +179,18 @@ def test_links_to_the_first_picture_keep_errors_from_adding_up() -> None:
     assert np.median(follower.noise) < 2 * NOISE
     follower.step(picture, NO_TOOL)
     assert np.median(follower.noise) > np.sqrt(2) * NOISE
+
+
+def test_points_whose_window_holds_the_tools_edge_are_noisy() -> None:
+    tool = left_of(40)
+    follower = PointFollower(texture(), tool)
+    follower.step(texture(), tool)
+    beside = follower.distance < EDGED
+    assert beside.any()
+    assert follower.followed.all()
+    assert (follower.noise[beside] >= DRAGGED).all()
+    assert (follower.noise[~beside & (follower.distance > EDGED + 2)] < 2 * NOISE).all()
+    assert sorted(set(follower.hidden[:, 0])) == [8, 16, 24, 32, 40]
 
 
 def test_points_that_leave_the_picture_are_lost() -> None:

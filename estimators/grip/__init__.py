@@ -3,6 +3,8 @@
 lattice      the points as a sheet's nodes, and coarse knots for fields over it
 recorder     a run of contact without an onset, gathered frame by frame
 sheet_fit    stiffness and foundation as fields, and how well they predict
+foundation_fit  one foundation and the force, with the grip's motion unknown
+alike        how many points err alike
 """
 
 from physics.lazy import exported

@@ -17,15 +17,16 @@ from data.prepared import PreparedFrame
 from data.tracks.background import without_background
 from data.tracks.following import PointFollower
 from estimators.estimate import NINETY, GripEstimate, NoEstimate
+from estimators.grip.foundation_fit import NoSheet, SeenFrame, fit_foundation
 from estimators.grip.sheet_fit import LEAST_FRAMES, LEAST_MOTION, GripFrame, SheetFit, fit_sheet, skill
 
 DRIVEN = 24.0
 """Points that began nearer to the tool move with it [px]."""
+MODEL_ERROR = 0.43, 0.68
+"""Standard deviations of log foundation and of log force besides what residuals tell, where the grip's motion is taken
+from points beside the instrument, which err alike. Root mean square errors of such fits on twelve drawn clips."""
 ELSEWHERE = 100.0
 """Tissue that began farther from the tool may be taken as another grip, to compare [px]."""
-MODEL_ERROR = 0.43, 0.68
-"""Standard deviations of log foundation and of log force besides what residuals tell: points followed beside an
-instrument err alike. Root mean square errors on twelve clips of known truth (docs/real.md)."""
 MOST_KEPT = 32
 """Frames that are kept, evenly spread over those so far that tell anything: memory does not grow with the run."""
 
@@ -34,6 +35,8 @@ MOST_KEPT = 32
 class _Kept:
     time_s: float
     frame: GripFrame
+    noise: np.ndarray
+    """Of its points, shape [N] [px]."""
 
 
 class GripRecorder:
@@ -66,7 +69,7 @@ class GripRecorder:
         self._count += 1
         if self._count % self._every:
             return
-        self._kept.append(_Kept(frame.frame.time_s - self._start, grip))
+        self._kept.append(_Kept(frame.frame.time_s - self._start, grip, follower.noise))
         if len(self._kept) > MOST_KEPT:
             self._kept, self._every = self._kept[1::2], 2 * self._every
 
@@ -90,23 +93,39 @@ class GripRecorder:
             dataclasses.replace(frame, moved=without_background(points, frame.moved, distance)) for frame in frames
         ]
         judged = fit_sheet(points, spacing, against[:half], field=False)
-        fit = fit_sheet(points, spacing, frames, field=False, background=True)
-        (log, sd), (pull, pull_sd) = fit.mean_log_anchor, fit.log_force(frames[-1])
-        sd, pull_sd = np.hypot([sd, pull_sd], MODEL_ERROR)
-        force, force_sd = fit.relative_force(frames)
+        anchor, wide, pull, pull_wide, force, force_sd = self._determined(frames)
         return GripEstimate(
-            foundation_over_stiffness=float(np.exp(log)),
-            foundation_over_stiffness_low=float(np.exp(log - NINETY * sd)),
-            foundation_over_stiffness_high=float(np.exp(log + NINETY * sd)),
+            foundation_over_stiffness=float(np.exp(anchor)),
+            foundation_over_stiffness_low=float(np.exp(anchor - wide)),
+            foundation_over_stiffness_high=float(np.exp(anchor + wide)),
             skill=_mean_skill(judged, against[half:]),
             rival=_rival_skill(points, spacing, distance, against),
             times=np.array([item.time_s for item in kept]),
             force=force,
             force_sd=force_sd,
             reaction_over_stiffness=float(np.exp(pull)),
-            reaction_over_stiffness_low=float(np.exp(pull - NINETY * pull_sd)),
-            reaction_over_stiffness_high=float(np.exp(pull + NINETY * pull_sd)),
+            reaction_over_stiffness_low=float(np.exp(pull - pull_wide)),
+            reaction_over_stiffness_high=float(np.exp(pull + pull_wide)),
         )
+
+    def _determined(self, frames: Sequence[GripFrame]) -> tuple[float, float, float, float, np.ndarray, np.ndarray]:
+        """Log foundation, half its 90 % interval, the same of the force, and the force's course with its deviation.
+
+        Points at the tool are followed badly. Where a sheet explains the others to within their noise, the grip's own
+        motion is not taken from them; where it does not, unknown forces would explain too much, and it is.
+        """
+        follower = self._follower
+        seen = [SeenFrame(item.frame.moved, item.noise) for item in self._kept]
+        points = follower.points.astype(np.float64)
+        try:
+            fit = fit_foundation(points, follower.distance, follower.hidden, follower.spacing, seen)
+        except NoSheet:
+            held = fit_sheet(points, follower.spacing, frames, field=False, background=True)
+            (anchor, sd), (pull, pull_sd) = held.mean_log_anchor, held.log_force(frames[-1])
+            sd, pull_sd = np.hypot([sd, pull_sd], MODEL_ERROR)
+            return anchor, NINETY * sd, pull, NINETY * pull_sd, *held.relative_force(frames)
+        sd, pull_sd = fit.log_anchor_sd, fit.log_force_sd
+        return fit.log_anchor, NINETY * sd, fit.log_force, NINETY * pull_sd, fit.force, fit.force_sd
 
 
 def _mean_skill(fit: SheetFit, frames: Sequence[GripFrame]) -> float:

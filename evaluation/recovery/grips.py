@@ -27,18 +27,21 @@ from data.synthetic.source import open_synthetic
 from data.tracks.following import SPACING, PointFollower
 from estimators.contract import ClipInfo
 from estimators.estimate import NINETY, FrameEstimate, GripEstimate, InteractionEstimate
+from estimators.grip.alike import correlated_points
 from estimators.grip.recorder import DRIVEN
 from estimators.grip.sheet_fit import GripFrame, fit_sheet
 from estimators.open import EstimatorOptions
 from evaluation.recovery.estimators import opened
 from evaluation.recovery.evaluate import OK, PREPARE
-from evaluation.recovery.grip_bound import correlated_points, grip_bound
+from evaluation.recovery.grip_bound import grip_bound
 from evaluation.recovery.scores import coverage, rms
 from evaluation.recovery.suites import GRIP_SUITES
 
 COLUMNS = ("suite", "quantity", "n", "rmse", "bound", "ratio", "coverage90", "value")
 DIRECT = "direct"
 """The estimator that is asked."""
+STIRRED = 1.0
+"""Tool or tissue moves where either has gone so far since the frame before [px]."""
 MOVED = 5.0
 """A stiffness field is judged where tissue moves by more than this [px]."""
 
@@ -64,7 +67,7 @@ class GripRecovery:
     """`ok`, or why nothing is known: `no scene`, `no estimate`, `error`."""
     reason: str = ""
     contact_right: float = math.nan
-    """Share of the frames whose `contact` is the true one."""
+    """Share of the frames in which something moves whose `contact` is the true one."""
     verdict: str = ""
     skill: float = math.nan
     foundation: np.ndarray | None = None
@@ -106,7 +109,8 @@ def evaluate_grip(task: GripTask) -> list[GripRecovery]:
         said = [item for frame in frames for item in session.push(frame)] + list(session.finish())
         found = [item for item in said if isinstance(item, InteractionEstimate)]
         contact = [item.contact is True for item in said if isinstance(item, FrameEstimate)]
-        right = float((np.array(contact) == motion.in_contact).mean())
+        moves = moving_frames(scene, motion)
+        right = float((np.array(contact) == motion.in_contact)[moves].mean()) if moves.any() else math.nan
         run = next((item for item in found if item.grip is not None), None)
         known = dataclasses.replace(empty, contact_right=right)
         if run is None or run.grip is None:
@@ -117,6 +121,16 @@ def evaluate_grip(task: GripTask) -> list[GripRecovery]:
         return [dataclasses.replace(known, **_compared(run.onset, run.grip, scene, motion, frames))]
     except Exception as error:  # a clip that breaks something is a result, and the others go on
         return [dataclasses.replace(empty, status="error", reason=f"{type(error).__name__}: {error}")]
+
+
+def moving_frames(scene: Scene, motion: GrippedMotion) -> np.ndarray:
+    """Frames in which the tool or the tissue it holds moves, shape [F], bool: in others nothing tells of contact."""
+    camera, vertex = scene.camera, scene.mesh.vertices[scene.vertex]
+    held = vertex[:2] + motion.contact[:, :2]
+    place = held / (vertex[2] + motion.contact[:, 2:]) * [camera.fx, camera.fy]
+    tip = place + motion.course * scene.settings.cell
+    steps = np.maximum(*(np.linalg.norm(np.diff(way, axis=0), axis=1) for way in (place, tip)))
+    return np.append(False, steps > STIRRED)
 
 
 def _compared(
@@ -226,7 +240,7 @@ def _suite_rows(clips: Sequence[GripRecovery]) -> Iterator[dict[str, object]]:
         yield {"quantity": "relative force", "n": len(off), "rmse": rms(off), "coverage90": coverage(off, sd)}
     for name, text in (
         ("skill", "skill, mean"),
-        ("contact_right", "frames whose contact is right"),
+        ("contact_right", "moving frames whose contact is right"),
         ("following", "error of following in the last frame, RMS [px]"),
         ("noise", "the same times the root of the number of points that err alike [px]"),
         ("rank", "rank correlation of the stiffness field, mean"),

@@ -1,14 +1,13 @@
-"""The bound of a grip against brute force, and how many points err alike."""
+"""The bound of a grip against brute force."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter
 
 from estimators.grip.lattice import continued, lattice_springs
 from estimators.grip.sheet_fit import BEYOND, GripFrame
-from evaluation.recovery.grip_bound import correlated_points, grip_bound
+from evaluation.recovery.grip_bound import grip_bound
 from physics.sheet import Equilibrium, equilibrium
 
 SPACING, COLUMNS, ROWS, LOG = 8, 9, 8, np.log(0.2)
@@ -45,16 +44,3 @@ def test_the_bound_is_that_of_all_unknowns_at_once() -> None:
     expected = np.sqrt(covariance[0, 0]), np.sqrt((by_force @ covariance @ by_force.T)[0, 0])
     frame = GripFrame(seen(true).reshape(-1, 2), gripped)
     assert grip_bound(points, SPACING, frame, LOG) == pytest.approx(expected, rel=1e-4)
-
-
-@pytest.mark.parametrize("width", [0.0, 1.0, 2.0])
-def test_points_that_err_alike_count_as_one(width: float) -> None:
-    """White noise that a Gaussian blurs is alike over 4 π width² points."""
-    points = grid(80, 60)
-    white = np.random.default_rng(1).standard_normal((2, 60, 80))
-    errors = np.stack([gaussian_filter(field, width) if width else field for field in white]).reshape(2, -1).T
-    lost = errors.copy()
-    lost[::7] = np.nan
-    expected = max(4 * np.pi * width**2, 1.0)
-    for given in (errors, lost):
-        assert correlated_points(points, SPACING, given) == pytest.approx(expected, rel=0.35)

@@ -14,7 +14,7 @@ from data.synthetic.render import rest_view
 from data.synthetic.settings import SceneSettings
 from data.synthetic.surface import deformed_view
 from evaluation.recovery import grips
-from evaluation.recovery.grips import GripRecovery, GripTask, evaluate_grip, grip_rows, picture_motion
+from evaluation.recovery.grips import GripRecovery, GripTask, evaluate_grip, grip_rows, moving_frames, picture_motion
 from evaluation.recovery.suites import GRIP_SUITES
 
 SMALL = {
@@ -43,7 +43,7 @@ def test_the_table_holds_errors_against_bounds() -> None:
     assert (curve["n"], curve["coverage90"]) == (4, 0.5)
     assert table["retraction", "clips whose foundation is determined"]["value"] == 1
     assert table["hover", "clips whose foundation is determined"]["value"] == 0
-    assert table["hover", "frames whose contact is right"]["value"] == 1
+    assert table["hover", "moving frames whose contact is right"]["value"] == 1
     assert ("hover", "relative force") not in table
 
 
@@ -60,6 +60,20 @@ def test_true_motion_is_that_of_the_pictures() -> None:
         came = np.array([view.rest_u[at[1], at[0]], view.rest_v[at[1], at[0]]])
         # To within the picture's pixels, and what the motion stretches between them.
         np.testing.assert_allclose(came, point, atol=1.2)
+
+
+def test_contact_is_judged_where_tool_or_tissue_moves() -> None:
+    scene, motion = draw_truth(SceneSettings(**SMALL), 7401)
+    assert isinstance(motion, GrippedMotion)
+    moves = moving_frames(scene, motion)
+    place = scene.mesh.pixels[scene.vertex][None, ::-1].astype(np.float64)
+    ways = [picture_motion(scene, motion, index, place)[0] for index in range(10)]
+    steps = np.linalg.norm(np.diff(ways, axis=0), axis=1)
+    assert moves.tolist() == [False, *(steps > 1.0)]
+    assert 2 < moves.sum() < 10
+    hovers, passing = draw_truth(SceneSettings(**(SMALL | {"onset_fraction": (1.0, 1.0)})), 7401)
+    assert isinstance(passing, GrippedMotion)
+    assert moving_frames(hovers, passing)[1:].all()
 
 
 def test_suites_are_drawn_from_settings_that_are_allowed() -> None:

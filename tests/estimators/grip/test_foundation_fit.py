@@ -1,0 +1,80 @@
+"""A sheet whose grip is not seen well: foundation and force are found again all the same, or it is said why not."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from estimators.grip.foundation_fit import SIZE, FoundationFit, NoSheet, SeenFrame, fit_foundation
+from physics.endless_sheet import response
+
+SPACING, NOISE = 8, 0.1
+ANCHOR = 0.05
+PULLS = np.linspace(10.0, 40.0, 4)
+
+
+def grid() -> tuple[np.ndarray, np.ndarray]:
+    """Places of a grid [px] and their distances from a tool that comes from above."""
+    row, column = np.mgrid[1:41, 1:61]
+    places = SPACING * np.column_stack([column.ravel(), row.ravel()]).astype(np.float64)
+    outside = np.maximum(np.abs(places - [240, 80]) - [12, 80], 0)
+    return places, np.linalg.norm(outside, axis=1)
+
+
+def seen(dragged: float = 0.0, seed: int = 0, background: float = 0.0, anchor: float = ANCHOR) -> list[SeenFrame]:
+    """Two nodes at the tool's tip are pulled; points within 12 px of the tool are off, as told."""
+    places, distance = grid()
+    points, away = places[distance > 5], distance[distance > 5]
+    answer, generator = response(anchor, SIZE), np.random.default_rng(seed)
+    frames = []
+    for pull in PULLS:
+        moved = np.zeros_like(points)
+        for node in ((30, 20), (31, 20)):
+            apart = np.rint(points / SPACING).astype(int) - node
+            moved += np.outer(answer[tuple(apart.T)] / answer[0, 0], [0.3 * pull, 0.5 * pull])
+        moved += background * pull * (points / 400 - 0.5)
+        near = (away < 12)[:, None]
+        moved += NOISE * generator.normal(size=moved.shape) + np.where(near, [0.0, dragged * pull], 0.0)
+        frames.append(SeenFrame(moved, np.where(near[:, 0] & (dragged > 0), dragged * pull, NOISE)))
+    return frames
+
+
+def fitted(frames: list[SeenFrame]) -> FoundationFit:
+    places, distance = grid()
+    hidden = distance <= 5
+    return fit_foundation(places[~hidden], distance[~hidden], places[hidden], SPACING, frames)
+
+
+def true_log_force() -> float:
+    """Of both nodes, by axis 0.3 and 0.5 of the pull over what a node gives way."""
+    return math.log(2 * math.hypot(0.3, 0.5) * PULLS[-1] / response(ANCHOR, SIZE)[0, 0])
+
+
+@pytest.mark.parametrize(("dragged", "background"), [(0.0, 0.0), (0.3, 0.0), (0.3, 0.3)])
+def test_a_grip_whose_points_err_does_not_bias_what_is_told(dragged: float, background: float) -> None:
+    found = fitted(seen(dragged, background=background))
+    off = found.log_anchor - math.log(ANCHOR), found.log_force - true_log_force()
+    assert np.abs(off).max() < 0.1
+    assert abs(off[0]) < 2 * found.log_anchor_sd < 0.3
+    assert abs(off[1]) < 2 * found.log_force_sd < 0.5
+    np.testing.assert_allclose(found.force, PULLS / PULLS[-1], atol=0.05)
+    assert (found.force[-1], found.force_sd[-1]) == pytest.approx((1.0, 0.0))
+
+
+def test_motion_that_is_no_sheets_is_refused() -> None:
+    places, distance = grid()
+    points = places[distance > 5]
+    wave = np.sin(points / 30)
+    frames = [SeenFrame(frame.moved + pull / 20 * wave, frame.noise) for frame, pull in zip(seen(), PULLS, strict=True)]
+    with pytest.raises(NoSheet, match="px off besides their noise"):
+        fitted(frames)
+
+
+def test_a_tool_that_hides_too_much_is_refused() -> None:
+    places, distance = grid()
+    hidden = distance <= 80
+    frames = [SeenFrame(np.ones((int((~hidden).sum()), 2)), np.full(int((~hidden).sum()), NOISE))]
+    with pytest.raises(NoSheet, match=r"from 1 to 400"):
+        fit_foundation(places[~hidden], distance[~hidden] - 80, places[hidden], SPACING, frames)

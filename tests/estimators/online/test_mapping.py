@@ -1,0 +1,88 @@
+"""Residual mapping: it finds a known deformation, and its adjoint equals finite differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.sparse import csr_array, eye_array
+
+from estimators.online.mapping import Mapping, map_residual
+from estimators.online.matching import Chamfer, Tracks
+from physics.pbd.potential import Potential
+from tests.physics.pbd.particles import block, sheet
+
+
+def energy_of(body, stiffness=0.3) -> Potential:
+    weights = np.full(len(body.layout.rest), stiffness)
+    weights[body.kinds[1]] = 0.0
+    return Potential(body, weights)
+
+
+def sunk(points: np.ndarray) -> np.ndarray:
+    """A smooth dent of 1.5 mm."""
+    apart = points[:, :2] - points[:, :2].mean(axis=0)
+    return points + 1.5e-3 * np.exp(-((apart / 0.012) ** 2).sum(axis=1))[:, None] * [0, 0, 1]
+
+
+@pytest.mark.parametrize("match", ["chamfer", "tracks", "both"])
+def test_a_known_deformation_is_found(match):
+    body = sheet(12, 12)
+    truth = sunk(body.rest)
+    chamfer, tracks = Chamfer(truth, body.surface), Tracks(eye_array(body.count).tocsr(), truth)
+    matches = {"chamfer": [chamfer], "tracks": [tracks], "both": [chamfer, tracks]}[match]
+    found = map_residual(body.rest, matches, energy_of(body, 0.01), body.pinned, Mapping())
+    assert (np.diff(found.values) <= 1e-15).all()
+    error = np.linalg.norm(found.deformation - (truth - body.rest), axis=1).max()
+    assert error < {"chamfer": 0.1, "tracks": 0.1, "both": 0.05}[match] * 1.5e-3
+
+
+def test_particles_below_the_surface_follow_by_the_energy():
+    body = block((4, 4, 2))
+    top = np.flatnonzero(np.isclose(body.rest[:, 2], body.rest[:, 2].max()))
+    truth = body.rest[top] + [0, 0, 1e-3]
+    found = map_residual(body.rest, [Chamfer(truth, top)], energy_of(body, 0.3), body.pinned, Mapping(200))
+    moved = found.deformation[:, 2]
+    assert moved[top] == pytest.approx(1e-3, abs=2e-4)
+    middle = np.isclose(body.rest[:, 2], 0.005)
+    assert moved[middle].mean() > 0.4e-3
+    without = map_residual(body.rest, [Chamfer(truth, top)], energy_of(body, 0.0), body.pinned, Mapping(200))
+    assert np.abs(without.deformation[middle]).max() == 0
+
+
+def test_what_is_held_stays():
+    body = sheet(8, 8, pinned_rows=2)
+    found = map_residual(body.rest, [Chamfer(sunk(body.rest), body.surface)], energy_of(body), body.pinned, Mapping())
+    assert np.abs(found.deformation[body.pinned]).max() == 0
+    assert np.abs(found.deformation).max() > 1e-4
+
+
+@pytest.mark.parametrize("pinned_rows", [0, 1])
+def test_the_adjoint_equals_finite_differences(pinned_rows):
+    """Of free particles; the cloud is dense, so that a step of the difference changes no pair."""
+    body, random = sheet(6, 6, pinned_rows=pinned_rows), np.random.default_rng(0)
+    state = body.rest + 3e-4 * random.normal(size=body.rest.shape)
+    cloud = sunk(body.rest)
+    places = csr_array((np.ones(5), (np.arange(5), [7, 14, 15, 22, 30])), shape=(5, body.count))
+    observed = cloud[[7, 14, 15, 22, 30]] + 2e-4
+    observed[2] = np.nan
+    matches = [Chamfer(cloud, body.surface), Tracks(places, observed)]
+    how, weights = Mapping(), random.normal(size=state.shape)
+    energy = energy_of(body)
+    found = map_residual(state, matches, energy, body.pinned, how).pulled_back(weights)
+    for particle in range(body.count):
+        if body.pinned[particle]:
+            continue
+        for axis in (0, 2):
+            step = np.zeros_like(state)
+            step[particle, axis] = 1e-8
+            up, down = (
+                (weights * map_residual(state + sign * step, matches, energy, body.pinned, how).deformation).sum()
+                for sign in (1, -1)
+            )
+            assert found[particle, axis] == pytest.approx((up - down) / 2e-8, rel=1e-4, abs=1e-5)
+
+
+@pytest.mark.parametrize(("name", "value"), [("steps", 0), ("rate", 0.0), ("rate", np.inf)])
+def test_a_mapping_out_of_range_is_refused(name, value):
+    with pytest.raises(ValueError, match=f"{name} is"):
+        Mapping(**{name: value})

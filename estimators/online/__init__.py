@@ -1,7 +1,10 @@
-"""Parts of the online estimator (Liang 2024): what takes a simulated state to what was seen, and its derivative.
+"""Parts of the online estimator (Liang 2024): a simulated state is taken to what was seen, and its stiffness to fit.
 
-matching  how far particles are from what was seen: Chamfer distance to a cloud, followed points
-mapping   the residual deformation that takes a state to what was seen, and its adjoint
+matching   how far particles are from what was seen: Chamfer distance to a cloud, followed points
+mapping    the residual deformation that takes a state to what was seen, and its adjoint
+objective  gap, history and smoothness, with their slopes by the fields of stiffness
+bounds     sigmoid bounds on the fields; adam: the optimiser
+session    one clip's state and field, frame by frame: PBD, PBD-RM, PBD-RM-ON
 """
 
 from physics.lazy import exported
@@ -10,5 +13,8 @@ __getattr__ = exported(
     {
         "estimators.online.matching": ("Chamfer", "Tracks"),
         "estimators.online.mapping": ("Mapping", "Residual", "map_residual"),
+        "estimators.online.bounds": ("Bounds",),
+        "estimators.online.objective": ("Objective", "Weights"),
+        "estimators.online.session": ("Method", "Session"),
     }
 )

@@ -1,0 +1,173 @@
+"""What fields of stiffness are optimised for: gap, history and smoothness (Liang 2024, equations 7 to 9)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from estimators.online.bounds import Bounds
+from estimators.online.mapping import Mapping, Residual, map_residual
+from estimators.online.matching import Match
+from physics.load import Grip
+from physics.pbd.body import Body
+from physics.pbd.potential import Potential
+from physics.pbd.simulation import Motion, Stepping, simulate
+from physics.pbd.stiffness import Stiffness
+
+
+@dataclass(frozen=True)
+class Weights:
+    """What the terms count; the paper adds them up as they are, in units that it doesn't give.
+
+    Raises:
+        ValueError: a weight that is negative.
+    """
+
+    gap: float = 1.0
+    """Of ‖Δ‖ in mean edges."""
+    history: float = 1.0
+    """Of the sum over snapshots of how far each moves, likewise."""
+    smoothness: float = 1.0
+    """Of the mean difference between neighbours, in shares of the bounds."""
+
+    def __post_init__(self) -> None:
+        """Check ranges."""
+        for name in ("gap", "history", "smoothness"):
+            value = getattr(self, name)
+            if not (value >= 0 and math.isfinite(value)):
+                raise ValueError(f"the weight of {name} is {value}; give 0 or more.")
+
+
+class Terms(NamedTuple):
+    """The objective's terms, weighted; their sum is what is optimised."""
+
+    gap: float
+    history: float
+    smoothness: float
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """The objective at one field, and what was found on the way; N particles."""
+
+    simulated: np.ndarray
+    """x, the state one step on, shape [N, 3] [m]."""
+    residual: Residual
+    """Δ, from there to what was seen."""
+    terms: Terms
+    slopes: Stiffness
+    """Derivatives of the terms' sum by the fields, shape [N]; by that of volumes 0, which is fixed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Objective:
+    """A gripped body, how it is stepped and mapped, and what its terms count.
+
+    Raises:
+        ValueError: an elastic stiffness that is negative.
+    """
+
+    body: Body
+    gripped: np.ndarray
+    """Particles that are moved, shape [G]: the same in all frames."""
+    stepping: Stepping = field(default_factory=Stepping)
+    mapping: Mapping = field(default_factory=Mapping)
+    elastic: float = 0.3
+    """k⁰ of the mapping, of distances and shapes; volumes have none, whose 10¹⁰ a rate of 50 can't bear."""
+    weights: Weights = field(default_factory=Weights)
+    bounds: Bounds = field(default_factory=Bounds)
+
+    def __post_init__(self) -> None:
+        """Check the range."""
+        if not (self.elastic >= 0 and math.isfinite(self.elastic)):
+            raise ValueError(f"elastic is {self.elastic}; give 0 or more.")
+
+    @cached_property
+    def _edge(self) -> float:
+        """Mean length of edges [m], the unit of lengths here: weights then don't depend on the unit of the clip."""
+        return float(self.body.layout.rest[self.body.kinds[0]].mean())
+
+    @cached_property
+    def _held(self) -> np.ndarray:
+        held = self.body.pinned.copy()
+        held[self.gripped] = True
+        return held
+
+    @cached_property
+    def _differences(self) -> csr_array:
+        """Of neighbours' stiffness, a row for every pair within every face or tetrahedron, shape [pairs, N]."""
+        cells = self.body.tetrahedra if len(self.body.tetrahedra) else self.body.faces
+        first, second = np.triu_indices(cells.shape[1], 1)
+        pairs = np.stack([cells[:, first].ravel(), cells[:, second].ravel()], axis=1)
+        count = len(pairs)
+        signs = np.tile([1.0, -1.0], count)
+        return csr_array((signs, pairs.ravel(), 2 * np.arange(count + 1)), shape=(count, self.body.count))
+
+    def stepped(self, fields: Stiffness, starts: np.ndarray, places: np.ndarray) -> Motion:
+        """Step states on under the grip.
+
+        Args:
+            fields: stiffness, shape [N].
+            starts: states, shape [B, N, 3] or [N, 3] [m].
+            places: where gripped particles are after each step, shape [B, T, G, 3] or [T, G, 3] [m].
+        """
+        paths = places[None] if places.ndim == 3 else places
+        grips = [Grip(self.gripped, path - self.body.rest[self.gripped]) for path in paths]
+        return simulate(self.body, fields, grips, self.stepping, start=starts)
+
+    def mapped(self, points: np.ndarray, matches: Sequence[Match]) -> Residual:
+        """Residual deformation of a state [N, 3]: by k⁰, so that what different fields leave can be compared."""
+        weights = np.full(len(self.body.layout.rest), self.elastic)
+        weights[self.body.kinds[1]] = 0.0
+        return map_residual(points, matches, Potential(self.body, weights), self._held, self.mapping)
+
+    def evaluate(
+        self,
+        fields: Stiffness,
+        start: np.ndarray,
+        places: np.ndarray,
+        matches: Sequence[Match],
+        snapshots: Sequence[np.ndarray],
+    ) -> Evaluation:
+        """Step on and map, and so the snapshots, whose grip stays where it was: they should stay as they are.
+
+        Args:
+            fields: stiffness, shape [N].
+            start: the state before, shape [N, 3] [m].
+            places: where gripped particles now are, shape [G, 3] [m].
+            matches: what was seen, one at least.
+            snapshots: earlier states, mapped, each [N, 3] [m].
+        """
+        states = np.stack([start, *snapshots])
+        places = np.stack([places, *(state[self.gripped] for state in snapshots)])[:, None]
+        motion = self.stepped(fields, states, places)
+        ends = motion.positions[:, 1]
+        residual = self.mapped(ends[0], matches)
+        gap, by_gap = _norm(residual.deformation, self.weights.gap / self._edge)
+        pulls = np.zeros_like(motion.positions)
+        pulls[0, 1] = residual.pulled_back(by_gap)
+        history = 0.0
+        for index, state in enumerate(snapshots, start=1):
+            moved, pulls[index, 1] = _norm(ends[index] - state, self.weights.history / self._edge)
+            history += moved
+        found = motion.gradient(pulls).stiffness
+        smoothness, by_distance, by_shape = 0.0, found.distance.sum(axis=0), found.shape.sum(axis=0)
+        bounds = self.bounds.distance, self.bounds.shape
+        for values, out, bound in zip(fields[:2], (by_distance, by_shape), bounds, strict=True):
+            apart, share = self._differences @ values, self.weights.smoothness / (bound * self._differences.shape[0])
+            smoothness += share * float(np.abs(apart).sum())
+            out += share * (self._differences.T @ np.sign(apart))
+        slopes = Stiffness(by_distance, by_shape, 0.0)
+        return Evaluation(ends[0], residual, Terms(gap, history, smoothness), slopes)
+
+
+def _norm(values: np.ndarray, weight: float) -> tuple[float, np.ndarray]:
+    """Weighted norm of values [N, 3] and its derivatives by them, 0 where all are."""
+    size = float(np.linalg.norm(values))
+    return weight * size, values * (weight / size if size > 0 else 0.0)

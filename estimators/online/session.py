@@ -1,0 +1,105 @@
+"""One clip's state and field, frame by frame (Liang 2024, algorithm 1): step, map, optimise."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from estimators.online.adam import Adam
+from estimators.online.matching import Match
+from estimators.online.objective import Objective, Terms
+from physics.fields import require_choices
+from physics.pbd.stiffness import Stiffness
+
+SNAPSHOTS, WINDOW = 4, 20
+"""How many earlier states should stay at rest, and of how many frames (Liang 2024, section II-C)."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """Which parts of the step run.
+
+    Raises:
+        ValueError: another name.
+    """
+
+    name: Literal["PBD", "PBD-RM", "PBD-RM-ON"] = "PBD-RM-ON"
+    """Simulation alone; with states that are mapped to what is seen; with stiffness that is optimised, too."""
+    rate: float = 0.1
+    """Of Adam, by the logits of the fields (Liang 2024, section III-B)."""
+
+    def __post_init__(self) -> None:
+        """Check the name."""
+        require_choices(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """What a frame told; N particles."""
+
+    positions: np.ndarray
+    """The state, mapped where the method maps, shape [N, 3] [m]."""
+    fields: Stiffness
+    """After this frame's step, shape [N]."""
+    gap: float | None
+    """‖Δ‖ [m]; None = nothing was mapped."""
+    terms: Terms | None
+    """Of the objective before the step; None = nothing was optimised."""
+
+
+class Session:
+    """A body that is followed; begins at rest with the fields given."""
+
+    def __init__(self, objective: Objective, fields: Stiffness, method: Method) -> None:
+        """Begin a clip.
+
+        Args:
+            objective: body, grip and settings.
+            fields: stiffness to begin with, shape [N], inside the bounds where they are optimised.
+            method: which parts run.
+
+        Raises:
+            ValueError: fields on the bounds or outside.
+        """
+        self.objective, self.method, self.fields = objective, method, fields
+        self.positions = objective.body.rest.copy()
+        self._past: deque[np.ndarray] = deque(maxlen=WINDOW)
+        self._adam = Adam(method.rate)
+        self._logits = objective.bounds.logits(fields) if method.name == "PBD-RM-ON" else None
+
+    def step(self, places: np.ndarray, matches: Sequence[Match]) -> Frame:
+        """Take a frame in; one that shows nothing is simulated alone.
+
+        Args:
+            places: where gripped particles are, shape [G, 3] [m].
+            matches: its cloud, its followed points, both or none.
+        """
+        gap, terms = None, None
+        if self._logits is not None and matches:
+            found = self.objective.evaluate(self.fields, self.positions, places, matches, self._snapshots())
+            simulated, residual, terms = found.simulated, found.residual, found.terms
+            slopes = self.objective.bounds.by_logits(self.fields, found.slopes)
+            self._logits = self._adam.step(self._logits, slopes)
+            self.fields = self.objective.bounds.fields(self._logits, float(self.fields.volume))
+        else:
+            simulated = self.objective.stepped(self.fields, self.positions, places[None]).positions[0, 1]
+            residual = self.objective.mapped(simulated, matches) if matches and self.method.name != "PBD" else None
+        self.positions = simulated
+        if residual is not None:
+            self.positions = simulated + residual.deformation
+            gap = float(np.linalg.norm(residual.deformation))
+            self._past.append(self.positions)
+        return Frame(self.positions, self.fields, gap, terms)
+
+    def ahead(self, places: np.ndarray) -> np.ndarray:
+        """States that a path of the grip [T, G, 3] [m] would lead to, shape [T, N, 3] [m], by the field as it is."""
+        return self.objective.stepped(self.fields, self.positions, places).positions[0, 1:]
+
+    def _snapshots(self) -> list[np.ndarray]:
+        """Evenly out of the window, its ends included, where the paper draws uniformly: runs can be repeated."""
+        chosen = np.linspace(0, len(self._past) - 1, min(SNAPSHOTS, len(self._past)))
+        return [self._past[index] for index in chosen.round().astype(int)]

@@ -34,6 +34,7 @@ DOORS = {
     "benchmarks.following": ["-m", "benchmarks.following"],
     "benchmarks.inference": ["-m", "benchmarks.inference"],
     "benchmarks.observation_bounds": ["-m", "benchmarks.observation_bounds"],
+    "benchmarks.online": ["-m", "benchmarks.online"],
     "benchmarks.photometric_depth": ["-m", "benchmarks.photometric_depth"],
     "benchmarks.physics_plots": ["-m", "benchmarks.physics_plots"],
     "benchmarks.rollout": ["-m", "benchmarks.rollout"],

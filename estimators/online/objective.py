@@ -31,8 +31,9 @@ class Weights:
 
     gap: float = 1.0
     """Of ‖Δ‖ in mean edges."""
-    history: float = 1.0
-    """Of the sum over snapshots of how far each moves, likewise."""
+    history: float = 0.1
+    """Of the sum over snapshots of how far each moves, likewise. Not 1: tissue that is pulled isn't at rest, and soft
+    fields keep it so."""
     smoothness: float = 1.0
     """Of the mean difference between neighbours, in shares of the bounds."""
 

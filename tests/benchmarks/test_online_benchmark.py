@@ -1,0 +1,45 @@
+"""The benchmark of the online estimator judges every method on the same truth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks import online
+from estimators.online.objective import Weights
+from physics.pbd.stiffness import Stiffness
+
+
+@pytest.fixture
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in {"ROWS": 7, "COLUMNS": 6, "POINTS": 400, "FOLLOWED": 40, "HORIZON": 3}.items():
+        monkeypatch.setattr(online, name, value)
+
+
+def test_the_truth_flows_down_its_energy(small: None) -> None:
+    """It holds what is pinned, follows the grip, and settles under one that stands still."""
+    body = online.sheet()
+    field = np.full(body.count, 2.0)
+    grip = np.array([body.count - 1])
+    path = np.array([[0.0, 0.004, 0.0]] * 60)
+    states = online.simulated(body, grip, Stiffness(field, np.full(body.count, 0.01)), path)
+    np.testing.assert_allclose(states[:, grip[0]] - body.rest[grip[0]], path, atol=1e-15)
+    assert (states[:, body.pinned] == body.rest[body.pinned]).all()
+    speed = np.abs(np.diff(states, axis=0)).max(axis=(1, 2))
+    assert speed[-1] < 0.05 * speed[0]  # it settles
+
+
+def test_every_method_gets_a_row(small: None) -> None:
+    scene = online.make_scene(12)
+    assert scene.clouds.shape == (12, 400, 3)
+    assert scene.moving().any()
+    found = list(online.rows(scene, ["k1"], ["tracks", "both"], 3, Weights()))
+    assert [row[1:3] for row in found] == [
+        ["", "PBD"],
+        ["tracks", "PBD-RM"],
+        ["tracks", "PBD-RM-ON"],
+        ["both", "PBD-RM"],
+        ["both", "PBD-RM-ON"],
+    ]
+    assert {len(row) for row in found} == {len(online.COLUMNS_SHOWN)}
+    assert [row[6] != "" for row in found] == [False, False, True, False, True]

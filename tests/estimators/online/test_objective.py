@@ -1,0 +1,93 @@
+"""The objective's terms against their definitions, and its slopes against finite differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.sparse import eye_array
+
+from estimators.online.matching import Chamfer, Tracks
+from estimators.online.objective import Objective, Weights
+from physics.pbd.body import Body
+from physics.pbd.simulation import Stepping, simulate
+from physics.pbd.stiffness import Stiffness
+from tests.physics.pbd.particles import block, sheet
+
+BODIES = {"sheet": sheet(6, 5, pinned_rows=1), "block": block((2, 2, 1))}
+WEIGHTS = Weights(gap=1.0, history=0.7, smoothness=0.5)
+
+
+def setting(body: Body, kinds: str = "both"):
+    """Objective, field, start, grip, matches and snapshots of a body whose last two particles are pulled."""
+    random = np.random.default_rng(0)
+    objective = Objective(body, np.array([body.count - 1, body.count - 2]), Stepping(iterations=8), weights=WEIGHTS)
+    fields = Stiffness(random.uniform(0.5, 3, body.count), random.uniform(0.005, 0.015, body.count), 1e10)
+    start, *snapshots = body.rest + 2e-4 * random.normal(size=(4, *body.rest.shape))
+    places = body.rest[objective.gripped] + [0.001, 0.003, 0.002]
+    share = np.clip(body.rest[:, 1:2] / body.rest[:, 1].max(), 0, 1)
+    seen = body.rest + share**2 * [0.001, 0.002, 0.002]
+    matches = [Chamfer(seen, body.surface), Tracks(eye_array(body.count).tocsr()[::3], seen[::3])]
+    chosen = {"both": matches, "chamfer": matches[:1], "tracks": matches[1:]}[kinds]
+    return objective, fields, start, places, chosen, snapshots
+
+
+@pytest.mark.parametrize("kinds", ["both", "chamfer", "tracks"])
+@pytest.mark.parametrize("name", BODIES)
+def test_slopes_equal_finite_differences(name, kinds):
+    """Along directions that leave the order of neighbours' stiffness as it is, where the smoothness has a slope."""
+    objective, fields, *rest = setting(BODIES[name], kinds)
+    slopes = objective.evaluate(fields, *rest).slopes
+    random, step = np.random.default_rng(1), 1e-6
+    for of in ("distance", "shape"):
+        field = getattr(fields, of)
+        for direction in random.normal(size=(3, len(field))) * field.mean():
+            up, down = (
+                sum(objective.evaluate(fields._replace(**{of: field + sign * step * direction}), *rest).terms)
+                for sign in (1, -1)
+            )
+            assert (getattr(slopes, of) * direction).sum() == pytest.approx((up - down) / (2 * step), rel=1e-4)
+
+
+def test_slopes_of_single_particles_equal_finite_differences():
+    objective, fields, *rest = setting(BODIES["sheet"])
+    slopes = objective.evaluate(fields, *rest).slopes.distance
+    for particle in range(0, len(slopes), 4):
+        step = 1e-5 * (np.arange(len(slopes)) == particle)
+        up, down = (
+            sum(objective.evaluate(fields._replace(distance=fields.distance + sign * step), *rest).terms)
+            for sign in (1, -1)
+        )
+        assert slopes[particle] == pytest.approx((up - down) / 2e-5, rel=1e-4, abs=1e-4 * np.abs(slopes).max())
+
+
+def test_terms_are_as_defined():
+    body = BODIES["sheet"]
+    objective, fields, start, places, matches, snapshots = setting(body)
+    found = objective.evaluate(fields, start, places, matches, snapshots)
+    edge = np.linalg.norm(body.rest[body.edges[:, 0]] - body.rest[body.edges[:, 1]], axis=1).mean()
+    assert found.terms.gap == pytest.approx(np.linalg.norm(found.residual.deformation) / edge)
+    moved = 0.0
+    for state in snapshots:  # one at a time, with the grip left where it was
+        held = body.holding(body.pinned | np.isin(np.arange(body.count), objective.gripped))
+        after = simulate(held, fields, 1, objective.stepping, start=state).positions[0, 1]
+        moved += np.linalg.norm(after - state)
+    assert found.terms.history == pytest.approx(0.7 * moved / edge)
+    apart = [
+        abs(field[face[one]] - field[face[other]]) / bound
+        for field, bound in ((fields.distance, 10.0), (fields.shape, 0.02))
+        for face in body.faces
+        for one, other in ((0, 1), (0, 2), (1, 2))
+    ]
+    assert found.terms.smoothness == pytest.approx(0.5 * sum(apart) / (3 * len(body.faces)))
+
+
+def test_without_snapshots_nothing_is_history():
+    objective, fields, start, places, matches, _ = setting(BODIES["sheet"])
+    assert objective.evaluate(fields, start, places, matches, []).terms.history == 0
+
+
+def test_values_out_of_range_are_refused():
+    with pytest.raises(ValueError, match="the weight of history is -1"):
+        Weights(history=-1)
+    with pytest.raises(ValueError, match="elastic is nan"):
+        Objective(BODIES["sheet"], np.array([3]), elastic=float("nan"))

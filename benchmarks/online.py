@@ -53,6 +53,8 @@ COLUMNS_SHOWN = (
     "future gap [mm]",
     "less than PBD's",
     "off [mm]",
+    "gap now [mm]",
+    "gap + history + smoothness",
     "rank correlation",
     "median k, stiff / soft",
     "step [ms], median",
@@ -160,30 +162,61 @@ def make_scene(frames: int) -> Scene:
     return Scene(body, gripped, distance, truth, clouds, places, tracks)
 
 
+@dataclass(frozen=True)
+class Judgement:
+    """What one method did on one scene; None = that it doesn't do."""
+
+    future: float
+    """Mean future gap [m]."""
+    off: float
+    """Mean distance of predicted particles to the true ones [m]."""
+    seconds: float
+    """Median time of a step [s]."""
+    now: float | None
+    """Mean gap of the frames themselves [m]."""
+    terms: np.ndarray | None
+    """Of the objective, their mean over frames, shape [3]."""
+    rank: float | None
+    """Spearman's correlation of the field with truth."""
+    ratio: float | None
+    """Median stiffness of the stiff half over that of the soft one."""
+
+
 def judged(
     scene: Scene, start: tuple[float, float], kind: str, method: Method, every: int, weights: Weights
-) -> list[float]:
-    """Follow the sheet: mean future gap [m], mean distance ahead [m], field's rank correlation and ratio, time [s]."""
+) -> Judgement:
+    """Follow the sheet, and predict from every so many frames."""
     body = scene.body
     fields = Stiffness(*(np.full(body.count, value) for value in start))
     session = Session(Objective(body, scene.gripped, weights=weights), fields, method)
-    gaps, off, spent = [], [], []
+    future, off, spent, now, terms = [], [], [], [], []
     for frame in range(len(scene.truth) - HORIZON):
         begun = time.perf_counter()
-        session.step(scene.truth[frame, scene.gripped], scene.matches(frame, kind))
+        told = session.step(scene.truth[frame, scene.gripped], scene.matches(frame, kind))
         spent.append(time.perf_counter() - begun)
+        now += [] if told.gap is None else [told.gap]
+        terms += [] if told.terms is None else [told.terms]
         if frame % every == every - 1:
             later = range(frame + 1, frame + 1 + HORIZON)
             ahead = session.ahead(scene.truth[later][:, scene.gripped])
             for state, at in zip(ahead, later, strict=True):
                 residual = session.objective.mapped(state, scene.matches(at, "both"))
-                gaps.append(np.linalg.norm(residual.deformation))
+                future.append(np.linalg.norm(residual.deformation))
                 off.append(np.linalg.norm(state - scene.truth[at], axis=1).mean())
-    moving, found = scene.moving(), session.fields.distance
-    stiff = scene.distance > SOFT
-    rank = spearmanr(found[moving], scene.distance[moving]).statistic if np.ptp(found[moving]) > 0 else np.nan
-    ratio = np.median(found[moving & stiff]) / np.median(found[moving & ~stiff])
-    return [float(np.mean(gaps)), float(np.mean(off)), float(rank), float(ratio), float(np.median(spent))]
+    rank, ratio = None, None
+    if terms:
+        moving, stiff, found = scene.moving(), scene.distance > SOFT, session.fields.distance
+        rank = float(spearmanr(found[moving], scene.distance[moving]).statistic)
+        ratio = float(np.median(found[moving & stiff]) / np.median(found[moving & ~stiff]))
+    return Judgement(
+        float(np.mean(future)),
+        float(np.mean(off)),
+        float(np.median(spent)),
+        float(np.mean(now)) if now else None,
+        np.mean(terms, axis=0) if terms else None,
+        rank,
+        ratio,
+    )
 
 
 def rows(
@@ -196,20 +229,21 @@ def rows(
             for method in METHODS:
                 if method == "PBD" and plain is not None:
                     continue  # it sees nothing
-                gap, off, rank, ratio, spent = judged(scene, STARTS[name], kind, Method(method), every, weights)
-                plain = gap if plain is None else plain
-                optimised = method == "PBD-RM-ON"
+                found = judged(scene, STARTS[name], kind, Method(method), every, weights)
+                plain = found.future if plain is None else plain
                 yield [
                     name,
                     "" if method == "PBD" else kind,
                     method,
-                    f"{1e3 * gap:.2f}",
-                    f"{1 - gap / plain:.0%}",
-                    f"{1e3 * off:.2f}",
-                    f"{rank:.2f}" if optimised else "",
-                    f"{ratio:.2f}" if optimised else "",
-                    f"{1e3 * spent:.0f}",
-                    f"{PAPER / spent:.1f}",
+                    f"{1e3 * found.future:.1f}",
+                    f"{1 - found.future / plain:.0%}",
+                    f"{1e3 * found.off:.2f}",
+                    "" if found.now is None else f"{1e3 * found.now:.1f}",
+                    "" if found.terms is None else " + ".join(f"{term:.2f}" for term in found.terms),
+                    "" if found.rank is None else f"{found.rank:.2f}",
+                    "" if found.ratio is None else f"{found.ratio:.2f}",
+                    f"{1e3 * found.seconds:.0f}",
+                    f"{PAPER / found.seconds:.1f}",
                 ]
 
 

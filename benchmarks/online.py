@@ -219,6 +219,14 @@ def judged(
     )
 
 
+def floor(scene: Scene, every: int) -> float:
+    """Mean gap of the true states [m]: what is predicted can't be expected to have less."""
+    objective = Objective(scene.body, scene.gripped)
+    frames = range(every - 1, len(scene.truth), every)
+    gaps = [objective.mapped(scene.truth[frame], scene.matches(frame, "both")).deformation for frame in frames]
+    return float(np.mean([np.linalg.norm(gap) for gap in gaps]))
+
+
 def rows(
     scene: Scene, starts: Sequence[str], kinds: Sequence[str], every: int, weights: Weights
 ) -> Iterator[list[str]]:
@@ -263,7 +271,8 @@ def main(arguments: list[str] | None = None) -> int:
         parser.error(f"--frames is {options.frames}; give --every and the horizon's {HORIZON} together at least.")
     weights = Weights(options.gap, options.history, options.smoothness)
     scene = make_scene(options.frames)
-    print(f"{scene.body.count} particles, {scene.moving().sum()} of them move; {machine()}; {weights}\n")
+    print(f"{scene.body.count} particles, {scene.moving().sum()} of them move; {machine()}; {weights}")
+    print(f"Gap of the truth itself, which noise leaves: {1e3 * floor(scene, options.every):.1f} mm\n")
     print_table(COLUMNS_SHOWN, rows(scene, options.starts, options.match, options.every, weights))
     return 0
 

@@ -220,7 +220,7 @@ def judged(
 
 
 def floor(scene: Scene, every: int) -> float:
-    """Mean gap of the true states [m]: what is predicted can't be expected to have less."""
+    """Mean gap of the true states [m], which k⁰ pulls back to rest, and sampled clouds and noise draw aside."""
     objective = Objective(scene.body, scene.gripped)
     frames = range(every - 1, len(scene.truth), every)
     gaps = [objective.mapped(scene.truth[frame], scene.matches(frame, "both")).deformation for frame in frames]
@@ -272,7 +272,8 @@ def main(arguments: list[str] | None = None) -> int:
     weights = Weights(options.gap, options.history, options.smoothness)
     scene = make_scene(options.frames)
     print(f"{scene.body.count} particles, {scene.moving().sum()} of them move; {machine()}; {weights}")
-    print(f"Gap of the truth itself, which noise leaves: {1e3 * floor(scene, options.every):.1f} mm\n")
+    own = floor(scene, options.every)
+    print(f"Gap of the truth itself, by k⁰, the cloud's sampling and noise: {1e3 * own:.1f} mm\n")
     print_table(COLUMNS_SHOWN, rows(scene, options.starts, options.match, options.every, weights))
     return 0
 

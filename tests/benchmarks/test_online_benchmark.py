@@ -29,7 +29,7 @@ def test_the_truth_flows_down_its_energy(small: None) -> None:
     assert speed[-1] < 0.05 * speed[0]  # it settles
 
 
-def test_the_truth_has_the_gap_that_noise_leaves(small: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_truth_has_a_gap_that_noise_widens(small: None, monkeypatch: pytest.MonkeyPatch) -> None:
     noisy = online.floor(online.make_scene(6), 3)
     monkeypatch.setattr(online, "NOISE", 0.0)
     assert 0 < online.floor(online.make_scene(6), 3) < noisy

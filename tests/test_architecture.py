@@ -202,6 +202,7 @@ def test_nothing_that_a_light_door_can_reach_imports_training_libraries(door: st
     assert heavy == []
 
 
+@pytest.mark.slow
 def test_inference_runs_where_torch_cannot_be_imported(tmp_path: Path) -> None:
     """Whole runs, fit included, with every training library made impossible to import, in a process of its own."""
     scene = SceneSettings(width=214, height=120, frames=16, onset_fraction=(0.2, 0.2), depth_noise=0.0005)

@@ -69,6 +69,7 @@ def test_the_last_line_is_the_guarded_run(door: str) -> None:
     assert re.search(r'\n\nif __name__ == "__main__":\n    run_door\(main\b[^\n]*\)\n\Z', modules()[door].read_text())
 
 
+@pytest.mark.slow
 def test_a_batch_works_on_whatever_becomes_of_its_output(tmp_path: Path) -> None:
     """An ASCII-only terminal, and a full device."""
     write_clip(tmp_path / "clips" / "vidéo 肝臓", 4, 2)

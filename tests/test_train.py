@@ -179,6 +179,7 @@ def refused(capsys, *arguments: object) -> str:
     return said[0]
 
 
+@pytest.mark.slow
 def test_head_posterior_starts_pretrained_and_resumes_without_the_file(
     config: Path, told: Path, tmp_path: Path, capsys
 ):

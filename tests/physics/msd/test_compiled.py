@@ -113,6 +113,7 @@ def test_cone_equals_whole_mesh_to_round_off(kind):
             np.testing.assert_allclose(cone, whole[:, : len(chosen)], atol=1e-15 * np.abs(whole).max() * 70)
 
 
+@pytest.mark.slow
 def test_every_row_length_gives_the_same(monkeypatch):
     mesh = sheet(30, 60)
     arguments = ((0.7, 0.05, -0.1), mesh, pressed(mesh, 15 * 60 + 30, 20, 60, DIRECTION), Mechanics())

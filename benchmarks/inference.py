@@ -16,10 +16,10 @@ if __name__ == "__main__":
     enter_door()  # before the slow imports
 
 import json
-import shutil
 from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -42,7 +42,6 @@ from models.onnx_export import export
 from models.onnx_session import ParameterModel, PosteriorModel, open_model
 from physics.mechanics import RECOMMENDED
 
-FOLDER = Path("runs/bench/inference")
 SIZE = 120, 214
 """Height and width of the networks' input."""
 RUNS, FRAMES = 20, 32
@@ -58,19 +57,19 @@ SIZES = (GRID_SIZE, (854, 480))
 """Width and height of their pictures [px]."""
 
 
-def exported(name: str) -> Path:
-    """The ONNX file of a configuration's encoder and head, with random weights."""
+def exported(name: str, folder: Path) -> Path:
+    """Write the ONNX file of a configuration's encoder and head, with random weights, into a folder."""
     settings = NETWORKS[name]
     torch.manual_seed(0)
-    file = FOLDER / f"{Path(name).stem}.onnx"
+    file = folder / f"{Path(name).stem}.onnx"
     size = {"window": settings["channels"], "height": SIZE[0], "width": SIZE[1]}
     export(Generator(**settings), file, {"input": size})
     return file
 
 
-def encoder_and_head(name: str, threads: int | None) -> float:
+def encoder_and_head(file: Path, threads: int | None) -> float:
     """Median time of one frame [ms]."""
-    model, generator = open_model(exported(name), threads), np.random.default_rng(0)
+    model, generator = open_model(file, threads), np.random.default_rng(0)
     window = generator.random((1, model.window, *SIZE), dtype=np.float32)
     if isinstance(model, PosteriorModel):
         contact = np.zeros((1, FEATURES), np.float32)
@@ -101,13 +100,12 @@ def one_contact(size: tuple[int, int], onset: str) -> tuple[float, float, float]
     return float(median[0]), float(median[1]), float(np.max(found, axis=0)[0])
 
 
-def stages(clip: Path, source: str, estimator: str) -> dict[str, float]:
-    """Time by stage of `infer.py` on a clip [ms a frame].
+def stages(clip: Path, output: Path, estimator: str) -> dict[str, float]:
+    """Time by stage of `infer.py` on a clip, whose results go to `output` [ms a frame].
 
     Raises:
         RuntimeError: it failed.
     """
-    output = FOLDER / "results" / source / estimator
     with redirect_stdout(StringIO()), redirect_stderr(StringIO()):
         status = infer([str(clip), "--estimator", estimator, "--output", str(output)])
     if status != 0:
@@ -119,11 +117,18 @@ def stages(clip: Path, source: str, estimator: str) -> dict[str, float]:
 def main(arguments: list[str] | None = None) -> int:
     """Print both tables; returns the exit status."""
     command_line(__doc__).parse_args(arguments)
-    shutil.rmtree(FOLDER, ignore_errors=True)
-    FOLDER.mkdir(parents=True)
+    with TemporaryDirectory() as folder:
+        _measure(Path(folder))
+    return 0
+
+
+def _measure(folder: Path) -> None:
     title = f"ms a frame ({machine()}; the paper: 1.67 for encoder and head, 921 for depth, on a GPU)"
     print(f"Encoder and head, {SIZE[1]}x{SIZE[0]}, {title}\n")
-    rows = ([name, *(f"{encoder_and_head(name, threads):.1f}" for threads in (1, None))] for name in NETWORKS)
+    files = {name: exported(name, folder) for name in NETWORKS}
+    rows = (
+        [name, *(f"{encoder_and_head(file, threads):.1f}" for threads in (1, None))] for name, file in files.items()
+    )
     print_table(("configuration", "1 thread", "all threads"), rows)
     print("\nOne contact by the network that ships, 1 thread [ms]\n")
     told = ("pictures", "--onset", "median", "of it vector and network", "longest")
@@ -132,11 +137,11 @@ def main(arguments: list[str] | None = None) -> int:
         told, (("x".join(map(str, size)), onset, *(f"{t:.1f}" for t in times)) for size, onset, times in measured)
     )
     print()
-    make_clips(["--output", str(FOLDER / "clips"), "--clips", "1", "--frames", str(FRAMES), "--seed", "1"])
-    folder = next(path.parent for path in (FOLDER / "clips").rglob("clip.json"))
+    make_clips(["--output", str(folder / "clips"), "--clips", "1", "--frames", str(FRAMES), "--seed", "1"])
+    frames = next(path.parent for path in (folder / "clips").rglob("clip.json"))
     found = {
-        (source, estimator): stages(path, source, estimator)
-        for source, path in (("frames", folder), ("video", folder.with_name(f"{folder.name}.mp4")))
+        (source, estimator): stages(path, folder / "results" / source / estimator, estimator)
+        for source, path in (("frames", frames), ("video", frames.with_name(f"{frames.name}.mp4")))
         for estimator in ESTIMATORS
     }
     names = list(dict.fromkeys(stage for times in found.values() for stage in times))
@@ -145,7 +150,6 @@ def main(arguments: list[str] | None = None) -> int:
         ("source", "estimator", *names),
         ((*key, *(f"{times[name]:.1f}" if name in times else "" for name in names)) for key, times in found.items()),
     )
-    return 0
 
 
 if __name__ == "__main__":

@@ -14,8 +14,8 @@ from physics.doors import enter_door, run_door
 if __name__ == "__main__":
     enter_door()  # before the slow imports
 
-import shutil
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from unittest.mock import patch
 
 import numpy as np
@@ -28,14 +28,13 @@ from models.module import PhysicsInformedGAN
 from train import main as train
 
 PAPER_STEPS = 415
-FOLDER = Path("runs/bench/training_step")
 CONFIGURATIONS = tuple(Path("configs", f"{name}.yaml") for name in ("paper", "recommended", "smoke"))
 STEPS = 5
 COLUMNS = ("configuration", "a step", "of it physics", f"{PAPER_STEPS} steps (the paper's epoch)")
 
 
-def measure(config: Path, root: Path) -> list[str]:
-    """Train a few steps of a configuration on the clips of `root` and return its row of the table.
+def measure(config: Path, folder: Path) -> list[str]:
+    """Train a few steps of a configuration on the clips of `folder` and return its row of the table.
 
     Raises:
         RuntimeError: the training ended without the steps that were asked for.
@@ -56,7 +55,7 @@ def measure(config: Path, root: Path) -> list[str]:
         steps.append(elapsed - gradients[-1])  # less what the measurement itself added
 
     arguments = {
-        "trainer.default_root_dir": FOLDER / config.stem,
+        "trainer.default_root_dir": folder / config.stem,
         "trainer.accelerator": "cpu",
         "trainer.max_epochs": 1000,
         "trainer.max_steps": 3 * (STEPS + 1),  # Lightning counts three optimisers
@@ -64,13 +63,12 @@ def measure(config: Path, root: Path) -> list[str]:
         "trainer.limit_val_batches": 0,
         "trainer.enable_progress_bar": False,
         "trainer.enable_model_summary": False,
-        "data.root": root,
-        "data.cache": FOLDER / "cache",
+        "data.root": folder / "clips",
+        "data.cache": folder / "cache",
         "data.depth.source": "stored",
         "data.loading.fractions": "[0.5, 0.25, 0.25]",
         "tracking": False,
     }
-    shutil.rmtree(FOLDER / config.stem, ignore_errors=True)
     with (
         patch.object(PhysicsInformedGAN, "training_step", timed_step),
         patch.object(PhysicsInformedGAN, "_physics", timed_physics),
@@ -85,10 +83,10 @@ def measure(config: Path, root: Path) -> list[str]:
 def main() -> None:
     """Measure and print the table."""
     command_line(__doc__).parse_args()
-    root = FOLDER / "clips"
-    make_clips(["--output", str(root), "--clips", "4", "--frames", "32", "--seed", "1"])
-    print(f"medians of {STEPS} steps; {machine()}\n")
-    print_table(COLUMNS, [measure(config, root) for config in CONFIGURATIONS])
+    with TemporaryDirectory() as folder:
+        make_clips(["--output", str(Path(folder, "clips")), "--clips", "4", "--frames", "32", "--seed", "1"])
+        print(f"medians of {STEPS} steps; {machine()}\n")
+        print_table(COLUMNS, [measure(config, Path(folder)) for config in CONFIGURATIONS])
 
 
 if __name__ == "__main__":

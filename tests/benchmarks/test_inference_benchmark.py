@@ -16,18 +16,18 @@ from tests.test_architecture import ROOT
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(inference, "FOLDER", tmp_path)
+def few_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(inference, "RUNS", 2)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NETWORKS)
-def test_networks_are_as_large_as_configured(name: str) -> None:
+def test_networks_are_as_large_as_configured(name: str, tmp_path: Path) -> None:
+    file = exported(name, tmp_path)
     configured = yaml.safe_load((ROOT / "configs" / name).read_text())
-    assert open_model(exported(name)).window == configured["data"].get("samples", {}).get("window", 1)
+    assert open_model(file).window == configured["data"].get("samples", {}).get("window", 1)
     assert configured["model"]["width"] == 64
-    assert 0.1 < encoder_and_head(name, 1) < 10_000
+    assert 0.1 < encoder_and_head(file, 1) < 10_000
 
 
 def test_a_contact_is_timed_whole(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -38,6 +38,6 @@ def test_a_contact_is_timed_whole(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_stages_are_those_of_the_record(tmp_path: Path) -> None:
     clip = write_clip(tmp_path / "clips", 1, SceneSettings(width=214, height=120, frames=16), seed=1)
-    times = stages(clip, "frames", "network")
+    times = stages(clip, tmp_path / "results", "network")
     assert {"decode", "depth", "geometry", "overlay", "total"} <= set(times)
     assert sum(value for name, value in times.items() if name != "total") <= times["total"] * 1.01

@@ -9,12 +9,12 @@ The first exports what `estimators.network.training` wrote. The second calibrate
 `train.py export` wrote, by results of the benchmark with that file.
 
 Errors are taken to have standard deviations scale · sd^power · σ^noise · (k_d/√k_s)^damping, with sd the network's own,
-σ the observation's as it is told it, and the damping ratio as it estimates it; the exponents are the likeliest ones for
-normal errors, the scale is then set so that the 90 % intervals hold the truth in 90 % of the validation results
-(conformal prediction, Vovk's quantile, with a normalised score). Both come from the same results and several suites
-observe the same clips, so the guarantee is not exact. It is done once for whole contacts, once for those whose release
-has not been seen (--pressed), and for a network that is told how well the instants are known, once for those whose
-aren't (--between).
+σ the observation's as it is told it, and the damping ratio as it estimates it, and a factor that is quadratic in the
+logarithms of the first two (`models.calibration.Widths`); the coefficients are the likeliest for normal errors, the
+scale is then set so that the 90 % intervals hold the truth in 90 % of the validation results (conformal prediction,
+Vovk's quantile, with a normalised score). Both come from the same results and several suites observe the same clips, so
+the guarantee is not exact. It is done once for whole contacts, once for those whose release has not been seen
+(--pressed), and for a network that is told how well the instants are known, once for those whose aren't (--between).
 Truth of validation clips serves this and nothing else; no weight of the network changes.
 """
 
@@ -29,7 +29,7 @@ import argparse
 import dataclasses
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -48,7 +48,7 @@ from estimators.network.fits import BOUNDS, MECHANICS, SCENES
 from estimators.onset import BETWEEN, STAMP
 from evaluation.recovery.evaluate import OK, PREPARE, Recovery
 from evaluation.recovery.store import RECORD, RESULTS, read_results
-from models.calibration import LOG_DAMPING, Calibration, Widths
+from models.calibration import LOG_DAMPING, Calibration, Pair, Triple, Widths
 from models.checkpoint import load_posterior, posterior_features
 from models.onnx_calibration import calibrate
 from models.onnx_export import export
@@ -76,12 +76,35 @@ def fit_widths_of(rows: Sequence[Recovery]) -> Widths:
     estimates, truths = (np.log(np.abs([getattr(row, name) for row in rows])) for name in ("estimate", "theta"))
     deviations = np.sqrt(np.diagonal([row.covariance for row in rows], axis1=1, axis2=2))
     noise = np.array([row.noise / REFERENCE_SPACING for row in rows])
-    found = []
+    scales, exponents, squares, lowest, highest = [], [], [], [], []
     for error, deviation in zip((estimates - truths).T, deviations.T, strict=True):
         known = np.stack([np.log(deviation), np.log(noise), estimates @ LOG_DAMPING], axis=1)
-        exponents = fit_exponents(error, known)
-        found.append((conformal_scale(error, np.exp(known @ exponents)), *exponents))
-    return Widths(*(tuple(map(float, values)) for values in zip(*found, strict=True)))  # ty: ignore[invalid-argument-type]  three each
+        bent = known[:, :2]
+        lowest.append(bent.min(axis=0))
+        highest.append(bent.max(axis=0))
+        columns = np.column_stack([known, np.square(bent - (lowest[-1] + highest[-1]) / 2)])
+        coefficients = fit_exponents(error, columns)
+        scales.append(conformal_scale(error, np.exp(columns @ coefficients)))
+        exponents.append(coefficients[:3])
+        squares.append(coefficients[3:])
+    return Widths(
+        _triple(scales),
+        *map(_triple, np.transpose(exponents)),
+        squares=_pair(squares),
+        lowest=_pair(lowest),
+        highest=_pair(highest),
+    )
+
+
+def _pair(values: Sequence[np.ndarray]) -> Pair:
+    """Of arrays [2], one a parameter."""
+    first, second = map(_triple, np.transpose(values))
+    return first, second
+
+
+def _triple(values: Iterable[float]) -> Triple:
+    first, second, third = map(float, values)
+    return first, second, third
 
 
 def fit_exponents(errors: np.ndarray, known: np.ndarray) -> np.ndarray:

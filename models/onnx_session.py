@@ -153,7 +153,7 @@ class PosteriorModel(ExportedModel):
             raise ModelFileError(
                 f"{self.path} gives its verdicts by standard deviations, as an earlier version did; export it again."
             )
-        plain = {name: list(values) for name, values in asdict(Widths()).items()}
+        plain = json.loads(json.dumps(asdict(Widths())))
         self.calibrated = plain | told != plain
         """Whether its standard deviations are more than the network's own."""
 

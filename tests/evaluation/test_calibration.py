@@ -87,6 +87,33 @@ def test_overconfident_estimates_become_calibrated_at_any_width() -> None:
         assert narrow < 0.88 < 0.92 < wide
 
 
+def test_a_noise_between_two_others_may_be_the_worst() -> None:
+    """As that of rounding: errors that are three times as large there only."""
+    generator = np.random.default_rng(1)
+    noise = generator.choice([0.4, 0.6, 1.5], 2400)
+    factor = np.where(noise == 0.6, 3.0, 1.0)
+    errors = generator.normal(size=(2400, 3)) * 0.1 * factor[:, None]
+    rows = [
+        recovery(
+            index,
+            estimator="network",
+            estimate=off_by(errors[index]),
+            covariance=np.diag(np.full(3, 0.01)),
+            noise=noise[index] * REFERENCE_SPACING,
+        )
+        for index in range(len(errors))
+    ]
+    found = fit_widths_of(rows)
+    assert (found.lowest[1], found.highest[1]) == (pytest.approx([np.log(0.4)] * 3), pytest.approx([np.log(1.5)] * 3))
+    middle = np.log(0.4 * 1.5) / 2
+    for level, factors in ((0.4, 1), (0.6, 3), (1.5, 1)):
+        log = np.log(level)
+        widths = 0.1 ** np.array(found.power) * found.scale
+        widths *= np.exp(log * np.array(found.noise) + (log - middle) ** 2 * np.array(found.squares[1]))
+        widths *= RATIO ** np.array(found.damping)
+        np.testing.assert_allclose(widths, 0.1 * factors, rtol=0.15)
+
+
 def test_too_few_clips_are_refused() -> None:
     with pytest.raises(ValueError, match="needs 100"):
         fit_widths_of([recovery(index, estimator="network") for index in range(99)])

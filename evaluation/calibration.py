@@ -9,8 +9,8 @@ The first exports what `estimators.network.training` wrote. The second calibrate
 `train.py export` wrote, by results of the benchmark with that file.
 
 Errors are taken to have standard deviations scale · sd^power · σ^noise · (k_d/√k_s)^damping, with sd the network's own,
-σ the observation's as it is told it, and the damping ratio as it estimates it, and a factor that is quadratic in the
-logarithms of the first two (`models.calibration.Widths`); the coefficients are the likeliest for normal errors, the
+σ the observation's as it is told it, and the damping ratio as it estimates it, and a factor that is quadratic in log σ
+(`models.calibration.Widths`); the coefficients are the likeliest ones for normal errors, the
 scale is then set so that the 90 % intervals hold the truth in 90 % of the validation results (conformal prediction,
 Vovk's quantile, with a normalised score). Both come from the same results and several suites observe the same clips, so
 the guarantee is not exact. It is done once for whole contacts, once for those whose release has not been seen
@@ -29,7 +29,7 @@ import argparse
 import dataclasses
 import math
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -48,7 +48,7 @@ from estimators.network.fits import BOUNDS, MECHANICS, SCENES
 from estimators.onset import BETWEEN, STAMP
 from evaluation.recovery.evaluate import OK, PREPARE, Recovery
 from evaluation.recovery.store import RECORD, RESULTS, read_results
-from models.calibration import LOG_DAMPING, Calibration, Pair, Triple, Widths
+from models.calibration import LOG_DAMPING, Calibration, Widths
 from models.checkpoint import load_posterior, posterior_features
 from models.onnx_calibration import calibrate
 from models.onnx_export import export
@@ -60,6 +60,8 @@ LEVEL = 0.9
 """Share of truths that the calibrated intervals hold."""
 LEAST_SPREAD = 0.1
 """Of a column of logarithms that can have a coefficient; the noise of one suite has none."""
+MIDDLE = 0.05, 0.95
+"""Quantiles of log σ between which widths may bend."""
 LEAST_CLIPS = 100
 """Fewer validation estimates say too little about a 90 % quantile."""
 
@@ -75,36 +77,16 @@ def fit_widths_of(rows: Sequence[Recovery]) -> Widths:
         raise ValueError(f"{len(rows)} validation estimates; calibration needs {LEAST_CLIPS} or more.")
     estimates, truths = (np.log(np.abs([getattr(row, name) for row in rows])) for name in ("estimate", "theta"))
     deviations = np.sqrt(np.diagonal([row.covariance for row in rows], axis1=1, axis2=2))
-    noise = np.array([row.noise / REFERENCE_SPACING for row in rows])
-    scales, exponents, squares, lowest, highest = [], [], [], [], []
+    noise = np.log([row.noise / REFERENCE_SPACING for row in rows])
+    lowest, highest = (float(end) for end in np.quantile(noise, MIDDLE))
+    distance = np.clip(noise, lowest, highest) - (lowest + highest) / 2
+    found = []
     for error, deviation in zip((estimates - truths).T, deviations.T, strict=True):
-        known = np.stack([np.log(deviation), np.log(noise), estimates @ LOG_DAMPING], axis=1)
-        bent = known[:, :2]
-        lowest.append(bent.min(axis=0))
-        highest.append(bent.max(axis=0))
-        columns = np.column_stack([known, np.square(bent - (lowest[-1] + highest[-1]) / 2)])
-        coefficients = fit_exponents(error, columns)
-        scales.append(conformal_scale(error, np.exp(columns @ coefficients)))
-        exponents.append(coefficients[:3])
-        squares.append(coefficients[3:])
-    return Widths(
-        _triple(scales),
-        *map(_triple, np.transpose(exponents)),
-        squares=_pair(squares),
-        lowest=_pair(lowest),
-        highest=_pair(highest),
-    )
-
-
-def _pair(values: Sequence[np.ndarray]) -> Pair:
-    """Of arrays [2], one a parameter."""
-    first, second = map(_triple, np.transpose(values))
-    return first, second
-
-
-def _triple(values: Iterable[float]) -> Triple:
-    first, second, third = map(float, values)
-    return first, second, third
+        known = np.stack([np.log(deviation), noise, estimates @ LOG_DAMPING, distance**2], axis=1)
+        exponents = fit_exponents(error, known)
+        found.append((conformal_scale(error, np.exp(known @ exponents)), *exponents))
+    columns = (tuple(map(float, values)) for values in zip(*found, strict=True))
+    return Widths(*columns, middle_range=(lowest, highest))  # ty: ignore[invalid-argument-type]  three each
 
 
 def fit_exponents(errors: np.ndarray, known: np.ndarray) -> np.ndarray:

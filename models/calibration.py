@@ -6,22 +6,19 @@ from dataclasses import dataclass
 
 Triple = tuple[float, float, float]
 """One number for each of (log k_s, log k_d, log |F|)."""
-Pair = tuple[Triple, Triple]
-"""One for each of log sd and log σ."""
-NOTHING: Pair = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
 LOG_DAMPING: Triple = (-0.5, 1.0, 0.0)
 """Shares of these in the logarithm of the damping ratio ζ = k_d/(2√(k_s·m)), less its constant."""
 
 
 @dataclass(frozen=True)
 class Widths:
-    """Calibrated standard deviations of log θ: scale · sd^power · σ^noise · (k_d/√k_s)^damping · exp(curvature).
+    """Calibrated standard deviations of log θ: scale · sd^power · σ^noise · (k_d/√k_s)^damping · exp(bend · distance²).
 
     The default leaves them as they are.
 
     Networks are surest where they should be least so: their own error hardly shrinks with the posterior's width. A
-    power below 1 widens narrow intervals more than wide ones. The curvature is a sum of squares: rounded depth lies
-    between clean and noisy depth and is worse than both, very wide posteriors are cut by the admissible box.
+    power below 1 widens narrow intervals more than wide ones. The distance is that of log σ from the middle of a
+    range: rounded depth lies between clean and noisy depth and is worse than both.
     """
 
     scale: Triple = (1.0, 1.0, 1.0)
@@ -31,13 +28,11 @@ class Widths:
     damping: Triple = (0.0, 0.0, 0.0)
     """Exponents of the damping ratio as the network estimates it, but for its constant factor: tissue that creeps has
     posteriors unlike a normal distribution."""
-    squares: Pair = NOTHING
-    """Coefficients of the squared distances of log sd and log σ from the middle of their ranges. (Not of the damping
-    ratio: its estimate holds the error, whose size such a square would seem to know.)"""
-    lowest: Pair = NOTHING
-    """Where the ranges begin: the least among the clips that it was fitted to. Squares don't grow beyond."""
-    highest: Pair = NOTHING
-    """Where they end."""
+    bend: Triple = (0.0, 0.0, 0.0)
+    """Coefficients of the squared distance of log σ from the middle of `middle_range`."""
+    middle_range: tuple[float, float] = (0.0, 0.0)
+    """Of log σ among the clips that it was fitted to, but for their lowest and highest twentieth. The distance doesn't
+    grow beyond."""
 
 
 @dataclass(frozen=True)

@@ -115,11 +115,9 @@ def _sum_of(contact: Tensor, features: Sequence[int]) -> Tensor:
 
 def _widened(widths: Widths, log_sd: Tensor, log_noise: Tensor, log_damping: Tensor) -> Tensor:
     """Factors [B, 3] of standard deviations [B, 3], from these, σ and damping ratios [B, 1], all in logarithms."""
-    scale, power, noise, damping = (
-        torch.tensor(values) for values in (widths.scale, widths.power, widths.noise, widths.damping)
+    scale, power, noise, damping, bend = (
+        torch.tensor(values) for values in (widths.scale, widths.power, widths.noise, widths.damping, widths.bend)
     )
-    linear = (power - 1) * log_sd + noise * log_noise + damping * log_damping
-    known = torch.stack([log_sd, log_noise.expand_as(log_sd)], dim=1)
-    squares, lowest, highest = (torch.tensor(values) for values in (widths.squares, widths.lowest, widths.highest))
-    curvature = squares * torch.square(torch.clamp(known, lowest, highest) - (lowest + highest) / 2)
-    return scale * torch.exp(linear + curvature.sum(dim=1))
+    lowest, highest = widths.middle_range
+    distance = torch.clamp(log_noise, lowest, highest) - (lowest + highest) / 2
+    return scale * torch.exp((power - 1) * log_sd + noise * log_noise + damping * log_damping + bend * distance**2)

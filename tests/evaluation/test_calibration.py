@@ -104,13 +104,11 @@ def test_a_noise_between_two_others_may_be_the_worst() -> None:
         for index in range(len(errors))
     ]
     found = fit_widths_of(rows)
-    assert (found.lowest[1], found.highest[1]) == (pytest.approx([np.log(0.4)] * 3), pytest.approx([np.log(1.5)] * 3))
-    middle = np.log(0.4 * 1.5) / 2
+    assert found.middle_range == (pytest.approx(np.log(0.4)), pytest.approx(np.log(1.5)))
     for level, factors in ((0.4, 1), (0.6, 3), (1.5, 1)):
         log = np.log(level)
-        widths = 0.1 ** np.array(found.power) * found.scale
-        widths *= np.exp(log * np.array(found.noise) + (log - middle) ** 2 * np.array(found.squares[1]))
-        widths *= RATIO ** np.array(found.damping)
+        widths = 0.1 ** np.array(found.power) * found.scale * RATIO ** np.array(found.damping)
+        widths *= np.exp(log * np.array(found.noise) + (log - np.log(0.4 * 1.5) / 2) ** 2 * np.array(found.bend))
         np.testing.assert_allclose(widths, 0.1 * factors, rtol=0.15)
 
 

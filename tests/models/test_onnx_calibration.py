@@ -75,20 +75,15 @@ def test_standard_deviations_are_widened_by_what_was_seen(plain: Path, tmp_path:
     np.testing.assert_allclose(correlations(covariance), correlations(own), atol=1e-4)
 
 
-def test_squares_count_within_their_ranges_only(plain: Path, tmp_path: Path) -> None:
-    squares = (0.1, 0.2, -0.1), (0.05, 0.0, 0.02)
-    lowest, highest = ((-1.0, -2.0, -1.5), (-0.5,) * 3), ((0.0, -0.5, 1.0), (0.7,) * 3)
-    bent = Widths(squares=squares, lowest=lowest, highest=highest)
+def test_widths_bend_within_a_range_of_noise_only(plain: Path, tmp_path: Path) -> None:
+    bent = Widths(bend=(0.1, 0.2, -0.1), middle_range=(-0.5, 0.7))
     calibrate(plain, tmp_path / "contact.onnx", Calibration(bent, noise_features=(8,)))
     contact = np.random.default_rng(0).normal(size=(9, 10)).astype(np.float32)
     own, covariance = (PosteriorModel(path)(contact)[1] for path in (plain, tmp_path / "contact.onnx"))
-    known = np.log(deviations(own)), contact[:, 8:9]
-    logs = np.zeros((9, 3))
-    for value, square, least, most in zip(known, *(np.array(rows) for rows in (squares, lowest, highest)), strict=True):
-        inside = np.minimum(np.maximum(value, least), most)
-        assert np.any(inside != value)
-        logs += square * (inside - (least + most) / 2) ** 2
-    np.testing.assert_allclose(deviations(covariance), deviations(own) * np.exp(logs), rtol=1e-4)
+    inside = np.minimum(np.maximum(contact[:, 8:9], -0.5), 0.7)
+    assert 0 < np.mean(inside == contact[:, 8:9]) < 1
+    factors = np.exp(np.array(bent.bend) * (inside - 0.1) ** 2)
+    np.testing.assert_allclose(deviations(covariance), deviations(own) * factors, rtol=1e-4)
 
 
 def test_presses_of_unknown_instants_are_never_surer_than_others(plain: Path, tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from data.contact.interaction import Interaction
+from estimators.grip.stiffness_field import StiffnessField
 from physics.identifiability import LIMIT, bounds, combination_bounds, covariance, describe, verdict
 from physics.mechanics import PARAMETERS
 
@@ -228,6 +229,8 @@ class GripEstimate:
     """Lower end of its 90 % interval."""
     reaction_over_stiffness_high: float
     """Upper end."""
+    stiffness: StiffnessField | None = None
+    """Where the tissue is stiffer, if it is attached alike everywhere; None where that could not be fitted."""
 
     @property
     def explained(self) -> bool:
@@ -239,7 +242,7 @@ class GripEstimate:
         """`foundation`, `relative_force` or `undetermined`."""
         if "foundation_over_stiffness" in self.determined:
             return "foundation"
-        return "relative_force" if self.determined else "undetermined"
+        return "relative_force" if "relative_force" in self.determined else "undetermined"
 
     @property
     def determined(self) -> tuple[str, ...]:
@@ -250,6 +253,7 @@ class GripEstimate:
         known = {
             "foundation_over_stiffness": width < LIMIT,
             "relative_force": np.isfinite(self.force).all() and self.force_sd.max() < LIMIT,
+            "stiffness_ratios": self.stiffness is not None and self.stiffness.tells,
         }
         return tuple(name for name, sure in known.items() if sure)
 

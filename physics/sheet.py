@@ -56,13 +56,12 @@ class Equilibrium:
         """
         nodes, axes = self.displacement.shape
         one, two = self.springs.T
+        number, ends = np.arange(len(one)), np.repeat([1.0, -1.0], len(one))
+        pulls = coo_array((ends, (np.r_[one, two], np.r_[number, number])), (nodes, len(one))).tocsr()
         found = np.zeros((nodes, axes, anchor.shape[1]))
         for axis in range(axes):
             moved = self.displacement[:, axis]
-            force = stiffness * (moved[one] - moved[two])[:, None]
-            load = anchor * moved[:, None]
-            np.add.at(load, one, force)
-            np.subtract.at(load, two, force)
+            load = anchor * moved[:, None] + pulls @ (stiffness * (moved[one] - moved[two])[:, None])
             found[~self.gripped, axis] = -self.factors.solve(load[~self.gripped])
         return found
 

@@ -35,7 +35,8 @@ VERDICT = {
     "verdict": "determined, ratios (only k_s/k_d and F/k_d), foundation (only that over stiffness, and "
     "relative forces), relative_force (only that), undetermined; "
     "onset_in_view: the model doesn't tell",
-    "determined": "which parameters and ratios are determined, joined by ; (relative_force: its curve is in fit.png)",
+    "determined": "which parameters and ratios are determined, joined by ; (in fit.png: the curve of "
+    "relative_force, the map of stiffness_ratios)",
 }
 GRIP = {
     "foundation_over_stiffness": "of a node over a spring's, nodes 8 px apart in a picture at most 854 px wide; empty "

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from estimators.estimate import NINETY, FrameEstimate, GripEstimate, InteractionEstimate
+from estimators.grip.stiffness_field import StiffnessField
 from results.columns import UNITS
 from results.verdicts import COLORS, FAR, digits, in_words, is_far, numbers, state
 
@@ -35,6 +36,8 @@ PANELS = {
 NOTICE = "palpate: research software, not a medical device."
 MOST_PANELS = 12
 """Runs of contact that are drawn."""
+MAP_STEP, MAP_RANGE = 4, 3.0
+"""Of maps of stiffness: side of their squares [px], and the largest ratio that has a colour of its own."""
 
 
 def draw_summary(estimates: Sequence[FrameEstimate], *, title: str, subtitle: str = "") -> Figure:
@@ -78,8 +81,12 @@ def draw_fits(runs: Sequence[InteractionEstimate], counts: Counter[str], title: 
     panels = list(runs) or [None]
     words = [_told_of_run(run) for run in panels]
     motions = [run is not None and (run.simulated is not None or isinstance(run.told, GripEstimate)) for run in panels]
+    mapped = [
+        run is not None and isinstance(run.told, GripEstimate) and run.told.stiffness is not None for run in panels
+    ]
     heights = [
-        0.9 + 0.2 * len(_lines(text)) + 2.8 * motion for (_, text, _), motion in zip(words, motions, strict=True)
+        0.9 + 0.2 * len(_lines(text)) + 2.8 * motion + 1.2 * field
+        for (_, text, _), motion, field in zip(words, motions, mapped, strict=True)
     ]
     figure, rows = _figure(heights, title, told)
     for axes, words_of, run in zip(rows, words, panels, strict=True):
@@ -245,13 +252,40 @@ def _draw_motion(axes: Axes, run: InteractionEstimate | None) -> None:
 
 
 def _draw_grip(axes: Axes, grip: GripEstimate) -> None:
-    """Force at the grip over time, over that of the last frame."""
+    """Force at the grip over time, over that of the last frame; and where the tissue is stiffer, on the picture."""
+    if grip.stiffness is not None:
+        whole, axes = axes, axes.inset_axes((0, 0, 0.52, 1))
+        whole.set_axis_off()
+        _draw_stiffness(whole.inset_axes((0.54, 0, 0.42, 1)), grip.stiffness)
     low, high = grip.force - NINETY * grip.force_sd, grip.force + NINETY * grip.force_sd
     axes.fill_between(grip.times, low, high, color=SIMULATED, alpha=0.25, lw=0, label="90 % interval")
     axes.plot(grip.times, grip.force, "o-", ms=4, lw=1.5, color=SIMULATED, label="force along that of the last frame")
     axes.set(xlabel="time since the first frame in contact [s]", ylabel="force at the grip\nover the last one [1]")
     axes.legend(loc="upper left", framealpha=0.85, fontsize=10)
     axes.grid(color=GRID, lw=0.8)
+
+
+def _draw_stiffness(axes: Axes, field: StiffnessField) -> None:
+    """Stiffness over that of the tissue that moves, drawn on the run's first picture where it is known."""
+    from matplotlib.colors import LogNorm
+
+    height, width = field.picture.shape[:2]
+    rows, columns = np.mgrid[MAP_STEP // 2 : height : MAP_STEP, MAP_STEP // 2 : width : MAP_STEP]
+    places = np.column_stack([columns.ravel(), rows.ravel()]).astype(np.float64)
+    known = field.known(places).reshape(rows.shape)
+    ratio = np.exp(field.at(places)[0]).reshape(rows.shape)
+    axes.imshow(field.picture, extent=(0, width, height, 0))
+    place: dict[str, Any] = {"extent": (0, columns.shape[1] * MAP_STEP, rows.shape[0] * MAP_STEP, 0)}
+    axes.imshow(np.where(known, np.nan, 0.35), cmap="gray", vmin=0, vmax=1, alpha=0.6, **place)
+    shown = np.where(known, ratio, np.nan)
+    drawn = axes.imshow(shown, cmap="coolwarm", norm=LogNorm(1 / MAP_RANGE, MAP_RANGE), alpha=0.65, **place)
+    ends = np.array([1 / MAP_RANGE, 0.5, 1, 2, MAP_RANGE])
+    bar = axes.figure.colorbar(drawn, cax=axes.inset_axes((1.02, 0, 0.03, 1)), ticks=ends, extend="both")
+    bar.set_ticklabels([f"×{digits(end, 2)}" for end in ends])
+    bar.minorticks_off()
+    axes.set(xticks=[], yticks=[], xlim=(0, width), ylim=(height, 0))
+    told = "stiffness over the mean of what moves, if attached\nalike everywhere; darkened: unknown"
+    axes.set_title(told if known.any() else "stiffness: unknown everywhere", loc="left", fontsize=10, color=INK)
 
 
 def _column(estimates: Sequence[FrameEstimate], attribute: str) -> np.ndarray:

@@ -4,6 +4,7 @@ lattice      the points as a sheet's nodes, and coarse knots for fields over it
 recorder     a run of contact without an onset, gathered frame by frame
 sheet_fit    stiffness and foundation as fields, and how well they predict
 foundation_fit  one foundation and the force, with the grip's motion unknown
+stiffness_field, stiffness_fit  where it is stiffer, with the grip's motion unknown
 alike        how many points err alike
 """
 

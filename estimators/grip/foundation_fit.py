@@ -162,7 +162,7 @@ class _Problem:
             factor = cho_factor((rows * root).T @ (rows * root) + precision, check_finite=False)
             found = cho_solve(factor, (rows * root).T @ (moved * root), check_finite=False)
             squares = np.square(moved - rows @ found).sum(axis=1)
-            scale = _error_scale(squares, told, weights, scale)
+            scale = error_scale(squares, told, weights, scale)
             weights = (FREEDOM + 2) / (FREEDOM + squares / (told + scale))
             if np.abs(weights - before).max() < CONVERGED:
                 break
@@ -277,7 +277,7 @@ def _along_last(forces: np.ndarray) -> tuple[float, np.ndarray]:
     return length, forces @ forces[-1] / length**2
 
 
-def _error_scale(squares: np.ndarray, told: np.ndarray, weights: np.ndarray, scale: float) -> float:
+def error_scale(squares: np.ndarray, told: np.ndarray, weights: np.ndarray, scale: float) -> float:
     """Likeliest variance by axis of weighted errors besides the told one, from a value on [px²].
 
     Args:

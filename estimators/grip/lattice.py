@@ -79,19 +79,9 @@ def knotted(nodes: np.ndarray, count: int, spacing: int, roughness: float) -> Fi
     points = nodes[:count]
     low, extent = points.min(axis=0), np.maximum(np.ptp(points, axis=0), spacing)
     shape = np.maximum(np.rint(extent / (KNOT * spacing)).astype(int), 1) + 1
-    weights = _bilinear(np.clip((nodes - low) / extent, 0, 1) * (shape - 1), shape)
+    weights = bilinear(np.clip((nodes - low) / extent, 0, 1) * (shape - 1), shape)
     knots = int(np.prod(shape))
-    number = np.arange(knots).reshape(shape)
-    pairs = np.concatenate(
-        [
-            np.column_stack([number[1:].ravel(), number[:-1].ravel()]),
-            np.column_stack([number[:, 1:].ravel(), number[:, :-1].ravel()]),
-        ]
-    )
-    difference = np.zeros((len(pairs), knots))
-    rows = np.arange(len(pairs))
-    difference[rows, pairs[:, 0]], difference[rows, pairs[:, 1]] = 1, -1
-    smooth, level = difference.T @ difference / roughness**2, np.full((knots, knots), knots**-2.0)
+    smooth, level = smoothness(shape) / roughness**2, np.full((knots, knots), knots**-2.0)
     nothing = np.zeros(weights.shape)
     precision = np.zeros((2 * knots, 2 * knots))
     precision[:knots, :knots] = smooth + level / LEVEL**2
@@ -104,7 +94,22 @@ def knotted(nodes: np.ndarray, count: int, spacing: int, roughness: float) -> Fi
     )
 
 
-def _bilinear(places: np.ndarray, shape: np.ndarray) -> csr_array:
+def smoothness(shape: np.ndarray) -> np.ndarray:
+    """Sum of the squared differences between neighbours on a grid of K knots, as a matrix [K, K]."""
+    number = np.arange(int(np.prod(shape))).reshape(tuple(shape))
+    pairs = np.concatenate(
+        [
+            np.column_stack([number[1:].ravel(), number[:-1].ravel()]),
+            np.column_stack([number[:, 1:].ravel(), number[:, :-1].ravel()]),
+        ]
+    )
+    difference = np.zeros((len(pairs), number.size))
+    rows = np.arange(len(pairs))
+    difference[rows, pairs[:, 0]], difference[rows, pairs[:, 1]] = 1, -1
+    return difference.T @ difference
+
+
+def bilinear(places: np.ndarray, shape: np.ndarray) -> csr_array:
     """Weights of the knots of a grid at places [N, 2] in its units, shape [N, product of shape]."""
     corner = np.clip(places.astype(int), 0, np.maximum(shape - 2, 0))
     share = places - corner

@@ -15,10 +15,12 @@ import numpy as np
 from data.labels import TOOL
 from data.prepared import PreparedFrame
 from data.tracks.background import without_background
-from data.tracks.following import PointFollower
+from data.tracks.following import PointFollower, shrunk
 from estimators.estimate import NINETY, GripEstimate, NoEstimate
 from estimators.grip.foundation_fit import NoSheet, SeenFrame, fit_foundation
 from estimators.grip.sheet_fit import LEAST_FRAMES, LEAST_MOTION, GripFrame, SheetFit, fit_sheet, skill
+from estimators.grip.stiffness_field import StiffnessField
+from estimators.grip.stiffness_fit import fit_stiffness
 
 DRIVEN = 24.0
 """Points that began nearer to the tool move with it [px]."""
@@ -49,6 +51,7 @@ class GripRecorder:
     def __init__(self, first: PreparedFrame) -> None:
         picture, labels = first.view
         self._follower = PointFollower(picture, labels == TOOL)
+        self._picture = shrunk(picture, labels == TOOL)[0]
         self._start, self._kept, self._every = first.frame.time_s, list[_Kept](), 1
         self._seen, self._count = 0, 0
 
@@ -94,7 +97,7 @@ class GripRecorder:
         ]
         judged = fit_sheet(points, spacing, against[:half], field=False)
         anchor, wide, pull, pull_wide, force, force_sd = self._determined(frames)
-        return GripEstimate(
+        found = GripEstimate(
             foundation_over_stiffness=float(np.exp(anchor)),
             foundation_over_stiffness_low=float(np.exp(anchor - wide)),
             foundation_over_stiffness_high=float(np.exp(anchor + wide)),
@@ -107,6 +110,16 @@ class GripRecorder:
             reaction_over_stiffness_low=float(np.exp(pull - pull_wide)),
             reaction_over_stiffness_high=float(np.exp(pull + pull_wide)),
         )
+        return dataclasses.replace(found, stiffness=self._stiffness()) if found.explained else found
+
+    def _stiffness(self) -> StiffnessField | None:
+        """Where the tissue is stiffer, by the last frame; None where no sheet can be fitted."""
+        follower, last = self._follower, self._kept[-1]
+        points, seen = follower.points.astype(np.float64), SeenFrame(last.frame.moved.astype(np.float64), last.noise)
+        try:
+            return fit_stiffness(points, follower.distance, follower.hidden, follower.spacing, seen, self._picture)
+        except NoSheet:
+            return None
 
     def _determined(self, frames: Sequence[GripFrame]) -> tuple[float, float, float, float, np.ndarray, np.ndarray]:
         """Log foundation, half its 90 % interval, the same of the force, and the force's course with its deviation.

@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 
 from estimators.estimate import FrameEstimate, GripEstimate, InteractionEstimate
+from estimators.grip.stiffness_field import StiffnessField
 from physics.load import held
 from results.columns import UNITS
 from results.plots import MOST_PANELS, NOTICE, OBSERVED, draw_fits, draw_summary, write_figure
@@ -275,6 +276,35 @@ def test_a_grip_shows_how_the_force_changes_and_names_no_other_number() -> None:
     wide = dataclasses.replace(grip, foundation_over_stiffness_high=0.2)
     (axes,) = fits(dataclasses.replace(NONE, grip=wide))
     assert heading(axes) == "relative force: contact from frame 1 (0.000 s)"
+
+
+def test_stiffness_is_drawn_on_the_picture_only_where_it_is_known() -> None:
+    # Two columns of knots, 100 px apart: the left one is known.
+    log = np.log([0.5, 0.5, 2.0, 2.0])
+    known = np.diag([0.01, 0.01, 4.0, 4.0])
+    low, extent, moving = np.array([50.0, 20.0]), np.array([100.0, 60.0]), np.array([[50.0, 20.0], [150.0, 20.0]])
+    picture = np.zeros((100, 200, 3), np.uint8)
+    field = StiffnessField((2, 2), low, extent, log, known, 9 * np.eye(4), 0.0, moving[:1], 0.0, picture)
+    times = np.arange(1.0, 4.0)
+    grip = GripEstimate(
+        0.02, 0.015, 0.027, 0.6, 0.1, times, times / 3, np.zeros(3), 300.0, 270.0, 330.0, stiffness=field
+    )
+    (axes,) = fits(dataclasses.replace(NONE, grip=grip))
+    shown, curve_axes = sorted(axes.child_axes, key=lambda item: not item.images)
+    np.testing.assert_array_equal(shown.images[0].get_array(), picture)
+    ratio = np.ma.filled(shown.images[2].get_array(), np.nan)
+    assert ratio.shape == (25, 50)
+    np.testing.assert_allclose(
+        ratio[5:20, 13], 1.0, atol=0.15
+    )  # the mean is that of tissue that moves, which is the left column
+    assert np.isnan(ratio[:, :12]).all()  # beyond the knots
+    assert np.isnan(ratio[:, 30:]).all()
+    assert not np.isnan(shown.images[1].get_array()[:, 45]).any()
+    assert shown.get_title("left").endswith("darkened: unknown")
+    assert curve_axes.lines
+    assert "stiffness_ratios" in grip.determined
+    off = dataclasses.replace(grip, stiffness=dataclasses.replace(field, excess=0.3))
+    assert "stiffness_ratios" not in off.determined
 
 
 def test_a_contact_without_estimate_says_why_without_axes() -> None:

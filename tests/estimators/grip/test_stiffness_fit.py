@@ -1,0 +1,114 @@
+"""A sheet that is stiffer on one side of a line: where, is found again, and intervals say how well."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from data.synthetic.grip import lattice_matrix
+from estimators.grip import stiffness_fit
+from estimators.grip.foundation_fit import NoSheet, SeenFrame
+from estimators.grip.stiffness_field import StiffnessField
+from estimators.grip.stiffness_fit import _Problem, fit_stiffness
+from physics.sheet import equilibrium
+
+SPACING, NOISE, FACTOR, ANCHOR = 8, 0.1, 3.0, 0.1
+ROWS, COLUMNS, BEYOND = 36, 44, 16
+PICTURE = np.zeros((ROWS * SPACING, COLUMNS * SPACING, 3), np.uint8)
+
+
+def scene(pull: float, seed: int = 0, factor: float = FACTOR) -> tuple[np.ndarray, ...]:
+    """Points, distances, hidden places, and a frame's motion: a tool from above pulls what is under its tip."""
+    row, column = np.mgrid[: ROWS + 2 * BEYOND, : COLUMNS + 2 * BEYOND] - BEYOND
+    places = SPACING * np.column_stack([column.ravel(), row.ravel()]).astype(np.float64)
+    log = np.where(places[:, 0] > 190, math.log(factor), 0.0)
+    matrix = lattice_matrix(log.reshape(row.shape), ANCHOR).tocoo()
+    upper = matrix.row < matrix.col
+    springs = np.column_stack([matrix.row[upper], matrix.col[upper]])
+    gripped = np.linalg.norm(places - [176, 120], axis=1) < 12
+    motion = np.tile([0.6 * pull, 0.8 * pull], (int(gripped.sum()), 1))
+    moved = equilibrium(springs, -matrix.data[upper], np.full(len(log), ANCHOR), gripped, motion).displacement
+    inside = ((places >= 0) & (places < [COLUMNS * SPACING, ROWS * SPACING])).all(axis=1)
+    apart = np.linalg.norm(np.maximum(np.abs(places - [176, 60]) - [12, 60], 0), axis=1)
+    shown, under = inside & (apart > 5), inside & (apart <= 5)
+    noise = NOISE * np.random.default_rng(seed).standard_normal((int(shown.sum()), 2))
+    return places[shown], apart[shown], places[under], moved[shown] + noise
+
+
+def fitted(pull: float = 40.0, **changes) -> tuple[StiffnessField, np.ndarray, np.ndarray]:
+    points, distance, hidden, moved = scene(pull, **changes)
+    frame = SeenFrame(moved, np.full(len(points), NOISE))
+    return fit_stiffness(points, distance, hidden, SPACING, frame, PICTURE), points, moved
+
+
+def test_a_stiffer_side_is_found_with_intervals_that_hold(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Errors are drawn for every point on its own here, and don't grow with the motion.
+    monkeypatch.setattr(stiffness_fit, "ALIKE", 1.0)
+    monkeypatch.setattr(stiffness_fit, "STRAINED", 0.0)
+    field, points, moved = fitted()
+    moves = np.linalg.norm(moved, axis=1) > 5
+    log, sd = field.at(points[moves])
+    far = np.abs(points[moves, 0] - 190) > 32  # the field is bilinear between knots 32 px apart
+    stiff = points[moves, 0] > 190
+    contrast = log[stiff & far].mean() - log[~stiff & far].mean()
+    assert 0.7 < contrast / math.log(FACTOR) < 1.1
+    truth = math.log(FACTOR) * (field.moving[:, 0] > 190)
+    held = np.abs(log - math.log(FACTOR) * stiff + truth.mean()) < 1.645 * sd
+    assert held.mean() > 0.85
+    assert field.excess < 0.03
+
+
+def test_a_sheet_that_is_alike_everywhere_is_told_so() -> None:
+    field, points, moved = fitted(factor=1.0)
+    log, sd = field.at(points[np.linalg.norm(moved, axis=1) > 5])
+    assert np.abs(log).max() < 0.3
+    assert (np.abs(log) < 1.645 * sd).mean() > 0.9
+
+
+def test_nothing_is_known_where_nothing_moves() -> None:
+    field, points, moved = fitted()
+    far = np.linalg.norm(moved, axis=1)
+    assert field.known(points[far > 5]).mean() > 0.9
+    assert field.known(points[far < 0.5]).mean() < 0.1
+    # As sure as before anything was seen, and no surer.
+    weak = dataclasses.replace(field, covariance=field.expected)
+    assert not weak.known(points).any()
+
+
+def test_a_field_is_bilinear_between_its_knots_and_less_sure_there() -> None:
+    field = fitted()[0]
+    knots = field.knots.reshape(*field.shape, 2)
+    one, two, middle = knots[3, 4], knots[4, 4], (knots[3, 4] + knots[4, 4]) / 2
+    log, sd = field.at(np.array([one, two, middle]))
+    assert log[2] == pytest.approx((log[0] + log[1]) / 2)
+    assert sd[2] > field.roughness / 2  # a random walk's, half-way between its known ends
+    assert sd[2] > sd[:2].max()
+    assert field.at(field.moving)[0].mean() == pytest.approx(0, abs=1e-9)
+
+
+def test_the_gradient_is_that_of_the_loss() -> None:
+    points, distance, hidden, moved = scene(40.0)
+    problem = _Problem(points, distance, hidden, SPACING, SeenFrame(moved, np.full(len(points), NOISE)))
+    numbers = problem.mean + 0.1 * np.random.default_rng(1).standard_normal(len(problem.mean))
+    state = None
+    for _ in range(8):  # weights and the errors' size come to rest
+        state = problem.at(numbers, state)
+    assert state is not None
+    way = np.random.default_rng(2).standard_normal(len(numbers))
+    more, less = (problem.at(numbers + step * way, state).loss for step in (1e-4, -1e-4))
+    # But for the work of the forces, whose prior is so wide that its slope is left out.
+    assert state.gradient @ way == pytest.approx((more - less) / 2e-4, rel=0.05)
+
+
+def test_what_tells_nothing_is_refused() -> None:
+    points, distance, hidden, moved = scene(40.0)
+    still = SeenFrame(0.01 * moved, np.full(len(points), NOISE))
+    with pytest.raises(NoSheet, match="50 are needed"):
+        fit_stiffness(points, distance, hidden, SPACING, still, PICTURE)
+    with pytest.raises(NoSheet, match="moves by more than 5 px"):
+        fit_stiffness(points, distance, hidden, SPACING, SeenFrame(0.1 * moved, still.noise), PICTURE)
+    with pytest.raises(NoSheet, match="may act on 0 places"):
+        fit_stiffness(points, distance + 100, hidden[:0], SPACING, SeenFrame(moved, still.noise), PICTURE)

@@ -85,6 +85,8 @@ class GripRecovery:
     """That error alone, root mean square [px]."""
     rank: float = math.nan
     """Rank correlation of the stiffness field with the true one where tissue moves."""
+    rank_most: float = math.nan
+    """That of regions told apart exactly, in any order within each: √(3p(1 - p)) if a share p lies in one of two."""
     held: float = math.nan
     """Share of the field's knots there whose 90 % interval holds the true stiffness."""
     held_between: float = math.nan
@@ -217,8 +219,10 @@ def _field(
         return log, truth, float(held.mean()) if len(places) else math.nan
 
     log, truth, held_between = off(points[moves])
+    stiffer = float((truth > (motion.log_stiffness.max() + motion.log_stiffness.min()) / 2).mean())
     return {
         "rank": float(spearmanr(log, truth).statistic),
+        "rank_most": math.sqrt(3 * stiffer * (1 - stiffer)),
         "held": off(at_knots)[2],
         "held_between": held_between,
         "knots": len(at_knots),
@@ -262,6 +266,7 @@ def _suite_rows(clips: Sequence[GripRecovery]) -> Iterator[dict[str, object]]:
         ("following", "error of following in the last frame, RMS [px]"),
         ("noise", "the same times the root of the number of points that err alike [px]"),
         ("rank", "rank correlation of the stiffness field, mean"),
+        ("rank_most", "that of regions told apart exactly, in any order within each"),
         ("held_between", "points of the stiffness field within the 90 % intervals"),
     ):
         values = [value for value in (getattr(row, name) for row in clips) if math.isfinite(value)]

@@ -13,6 +13,7 @@ from data.synthetic.grip import GrippedMotion
 from data.synthetic.render import rest_view
 from data.synthetic.settings import SceneSettings
 from data.synthetic.surface import deformed_view
+from estimators.grip.stiffness_field import StiffnessField
 from evaluation.recovery import grips
 from evaluation.recovery.grips import GripRecovery, GripTask, evaluate_grip, grip_rows, moving_frames, picture_motion
 from evaluation.recovery.suites import GRIP_SUITES
@@ -45,6 +46,33 @@ def test_the_table_holds_errors_against_bounds() -> None:
     assert table["hover", "clips whose foundation is determined"]["value"] == 0
     assert table["hover", "moving frames whose contact is right"]["value"] == 1
     assert ("hover", "relative force") not in table
+
+
+def test_a_stiffness_field_is_compared_where_tissue_moves() -> None:
+    scene, motion = draw_truth(SceneSettings(**(SMALL | {"regions": 3.0})), 7401)
+    assert isinstance(motion, GrippedMotion)
+    row, column = np.mgrid[8:112:8, 8:206:8]
+    points = np.column_stack([column.ravel(), row.ravel()]).astype(np.float64)
+    true = 5 * picture_motion(scene, motion, 9, points)  # of a picture five times as wide, say
+    moves = np.linalg.norm(true, axis=1) > 5
+    shape, low, extent = (25, 13), points.min(axis=0), np.ptp(points, axis=0)
+    log = grips._true_log(points, scene, motion)
+    # Knots lie at the points, columns outside: the truth itself, and all but a knot of what moves known exactly.
+    knots = log.reshape(row.shape).T.ravel()
+    sure = 1e-4 * np.eye(len(knots))
+    picture = np.zeros((120, 214, 3), np.uint8)
+    field = StiffnessField(shape, low, extent, knots, sure, 9 * sure, 0.0, points[moves], 0.0, picture)
+    found = grips._field(field, points, true, scene, motion)
+    assert (found["rank"], found["held"], found["knots"]) == (pytest.approx(1), 1, moves.sum())
+    share = (log[moves] > 0.5 * (motion.log_stiffness.max() + motion.log_stiffness.min())).mean()
+    assert found["rank_most"] == pytest.approx(math.sqrt(3 * share * (1 - share)))
+    off = knots.copy()
+    place = np.flatnonzero(moves.reshape(row.shape).T.ravel())[0]
+    off[place] += 1.0
+    told = grips._field(dataclasses.replace(field, log_stiffness=off), points, true, scene, motion)
+    # The others are off, too, because their mean is.
+    assert told["rank"] < 1
+    assert told["held"] <= 1 - 1 / moves.sum()
 
 
 def test_true_motion_is_that_of_the_pictures() -> None:

@@ -88,8 +88,8 @@ def fit_surface(
     nodal = np.tile(force / len(pulled), (len(pulled), 1))
     forces = np.zeros_like(body.rest)
     forces[pulled] = nodal
-    start = None if before is None else before.rest.displacement
-    rest = find_equilibrium(body, material, held, motion=motion, forces=forces, start=start)
+    start, near = (None, None) if before is None else (before.rest.displacement, before.rest.solver)
+    rest = find_equilibrium(body, material, held, motion=motion, forces=forces, start=start, near=near)
     constant = material.law == "linear"
     slopes = before.slopes if before is not None and constant else _slopes(rest, pulled) if constant else None
     rest, nodal = _evenly(rest, nodal, pulled, points, slopes)
@@ -163,7 +163,9 @@ def _follow(rest: Equilibrium, pulled: np.ndarray, nodal: np.ndarray, moved: np.
     if energy.material.law == "linear":  # the prediction is exact
         return Equilibrium(dataclasses.replace(energy, forces=forces), displacement, rest.held, 0)
     motion = np.where(rest.held, rest.displacement, 0.0)
-    return find_equilibrium(energy.solid, energy.material, rest.held, motion=motion, forces=forces, start=displacement)
+    return find_equilibrium(
+        energy.solid, energy.material, rest.held, motion=motion, forces=forces, start=displacement, near=rest.solver
+    )
 
 
 def _strain(body: Solid, moved: np.ndarray) -> float:

@@ -125,14 +125,17 @@ def simulate(
     gripped = applied(load, nodes, 0)[0]
     free = ~(held | gripped)
 
-    def pulls(acting: np.ndarray, at: np.ndarray, speed: np.ndarray) -> np.ndarray:
-        """Forces that accelerate every node [N, 3]."""
-        stress = _response(solid, material, at).stress if branch is None else branch.total(at)
-        return acting - solid.forces(stress) - damping * _times(mass, speed)
+    def state(acting: np.ndarray, at: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, tuple[float, float]]:
+        """Forces that accelerate every node [N, 3], and the energies of motion and of the law."""
+        response = _response(solid, material, at)
+        stress = response.stress if branch is None else response.stress + branch.added(at)
+        momentum = _times(mass, speed)
+        energies = float((speed * momentum).sum()) / 2, float((solid.weights * response.energy).sum())
+        return acting - solid.forces(stress) - damping * momentum, energies
 
-    acting = constant
-    balance = pulls(acting, now, velocity)
-    energies, system = [_energies(solid, material, mass, now, velocity)], None
+    acting, system, near = constant, None, None
+    balance, energy_now = state(acting, now, velocity)
+    energies = [energy_now]
     moved, reactions, damped, work = [now], [], [0.0], [0.0]
     for index in range(load.steps):
         _, motion, pressed = applied(load, nodes, index, force)
@@ -146,20 +149,21 @@ def simulate(
         if material.law == "linear" and system is None:
             inside = free.ravel()
             system = LinearSystem(energy.matrix(energy.response(now, tangent=True))[inside][:, inside].tocsr())
-        after, _ = settle(energy, now, np.where(gripped, motion, now), ~free, system)
+        after, _, near = settle(energy, now, np.where(gripped, motion, now), ~free, system, near)
         if branch is not None:
             branch.advance(after)
         path, old = after - now, velocity
         if inertia is not None:
             velocity = 2 / step * path - old
-        past_balance, balance = balance, pulls(acting, after, velocity)
+        past_balance = balance
+        balance, energy_now = state(acting, after, velocity)
         mean = np.where(free, 0.0, _times(mass, (velocity - old) / step) - (past_balance + balance) / 2)
         damped.append(damped[-1] + damping / step * float((path * _times(mass, path)).sum()))
         work.append(work[-1] + float((path * ((before + acting) / 2 + mean)).sum()))
         reactions.append(mean if inertia is not None else np.where(free, 0.0, -balance))
         now = after
         moved.append(now)
-        energies.append(_energies(solid, material, mass, now, velocity))
+        energies.append(energy_now)
     kinetic, elastic = np.array(energies).T
     times = step * np.arange(load.steps + 1)
     return Motion(
@@ -200,12 +204,11 @@ class _Branch:
         self.extra = self.left * self.extra + self.gain * (stress - self.stress)
         self.stress = stress
 
-    def total(self, displacement: np.ndarray) -> np.ndarray:
-        """First Piola–Kirchhoff stress of law and branch, shape [E, Q, 3, 3] [Pa]."""
-        added = self.extra
-        if self.material.law != "linear":
-            added = np.matmul(self.solid.deformation(displacement), added)
-        return _response(self.solid, self.material, displacement).stress + added
+    def added(self, displacement: np.ndarray) -> np.ndarray:
+        """First Piola–Kirchhoff stress of the branch, shape [E, Q, 3, 3] [Pa]."""
+        if self.material.law == "linear":
+            return self.extra
+        return np.matmul(self.solid.deformation(displacement), self.extra)
 
     def _law_stress(self, displacement: np.ndarray) -> np.ndarray:
         stress = _response(self.solid, self.material, displacement).stress
@@ -216,13 +219,6 @@ class _Branch:
 
 def _response(solid: Solid, material: Material, displacement: np.ndarray) -> Response:
     return Energy(solid, material, np.zeros_like(displacement)).response(displacement)
-
-
-def _energies(
-    solid: Solid, material: Material, mass: csr_array, displacement: np.ndarray, velocity: np.ndarray
-) -> tuple[float, float]:
-    elastic = float((solid.weights * _response(solid, material, displacement).energy).sum())
-    return float((velocity * _times(mass, velocity)).sum()) / 2, elastic
 
 
 def _times(mass: csr_array, values: np.ndarray) -> np.ndarray:

@@ -69,10 +69,10 @@ class Energy:
                 slope = slope + stretched.reshape(slope.shape)
         return Response(energy, stress, slope)
 
-    def value(self, displacement: np.ndarray) -> tuple[float, float]:
+    def value(self, response: Response, displacement: np.ndarray) -> tuple[float, float]:
         """The energy, infinite where the law isn't defined, and what rounding may make of it [J]."""
         solid = self.solid
-        elastic = float((solid.weights * self.response(displacement).energy).sum())
+        elastic = float((solid.weights * response.energy).sum())
         flat = displacement.ravel()
         inertia = 0.0 if self.quadratic is None else 0.5 * float(flat @ (self.quadratic @ flat))
         outer = float((self.forces * displacement).sum())
@@ -108,6 +108,8 @@ class Equilibrium:
     """Which components are prescribed, shape [N, 3], bool."""
     iterations: int
     """Newton steps that it took, over all load steps."""
+    near: LinearSystem | None = None
+    """Of a state close by, whose factors help."""
 
     @property
     def material(self) -> Material:
@@ -131,7 +133,12 @@ class Equilibrium:
     @cached_property
     def _system(self) -> LinearSystem:
         free = ~self.held.ravel()
-        return LinearSystem(self._matrix[free][:, free].tocsr())
+        return LinearSystem(self._matrix[free][:, free].tocsr(), self.near)
+
+    @property
+    def solver(self) -> LinearSystem | None:
+        """What helps to solve for states close by: this state's system where it was needed, else what helped here."""
+        return self.__dict__.get("_system", self.near)
 
     def moved_by(self, forces: np.ndarray) -> np.ndarray:
         """Derivatives of the displacement along K directions of the nodal forces, [N, 3, K] → [N, 3, K] [m/N]."""
@@ -186,6 +193,7 @@ def find_equilibrium(
     forces: np.ndarray | None = None,
     start: np.ndarray | None = None,
     steps: int = 1,
+    near: LinearSystem | None = None,
 ) -> Equilibrium:
     """Where a body comes to rest.
 
@@ -198,6 +206,8 @@ def find_equilibrium(
         start: displacement to begin at, shape [N, 3] [m]; None = rest.
         steps: load steps, in which the motion goes from that at `start`, and the forces from those that hold the body
             there, to what is given.
+        near: `Equilibrium.solver` of a state close by with the same components held, which saves time and changes
+            nothing else.
 
     Raises:
         ValueError: shapes that don't fit, numbers that are not finite, nothing held.
@@ -224,14 +234,14 @@ def find_equilibrium(
         energy = Energy(solid, material, resting + aim * (forces - resting))
         goal = np.where(held, begun + aim * (motion - begun), displacement)
         try:
-            displacement, count = settle(energy, displacement, goal, held)
+            displacement, count, near = settle(energy, displacement, goal, held, near=near)
         except NoEquilibrium:
             step, halvings = step / 2, halvings + 1
             if halvings > _HALVINGS:
                 raise
             continue
         done, iterations = aim, iterations + count
-    return Equilibrium(energy, displacement, held, iterations)
+    return Equilibrium(energy, displacement, held, iterations, near)
 
 
 def _resting(solid: Solid, material: Material, displacement: np.ndarray) -> np.ndarray:
@@ -246,7 +256,8 @@ def settle(
     goal: np.ndarray,
     held: np.ndarray,
     system: LinearSystem | None = None,
-) -> tuple[np.ndarray, int]:
+    near: LinearSystem | None = None,
+) -> tuple[np.ndarray, int, LinearSystem | None]:
     """Newton's method with a line search, the prescribed components first moved to their goal along with the rest.
 
     Args:
@@ -255,9 +266,10 @@ def settle(
         goal: where the prescribed components go, shape [N, 3].
         held: which are prescribed, shape [N, 3], bool.
         system: the matrix of the free components where it is known not to change (law `linear`); None = assembled anew.
+        near: that of a state close by, whose factors help.
 
     Returns:
-        displacement, shape [N, 3], and how many steps it took.
+        displacement, shape [N, 3], how many steps it took, and the last system solved.
 
     Raises:
         NoEquilibrium: it doesn't converge.
@@ -266,8 +278,8 @@ def settle(
     jump = np.where(held, goal - displacement, 0.0)
     moving = bool(jump.any())
     balanced = np.inf
+    response = energy.response(displacement, tangent=system is None or moving)
     for iteration in range(_ITERATIONS):
-        response = energy.response(displacement, tangent=system is None or moving)
         force, size = energy.out_of_balance(response, displacement)
         if not np.isfinite(size):
             raise NoEquilibrium(
@@ -276,7 +288,7 @@ def settle(
         left = float(np.abs(force[~held]).max(initial=0.0))
         relative = left / size if size > 0 else 0.0
         if not moving and relative <= TOLERANCE:
-            return displacement, iteration
+            return displacement, iteration, near
         right = force.ravel()
         matrix = energy.matrix(response) if response.tangent is not None else None
         if moving and matrix is not None:
@@ -285,9 +297,14 @@ def settle(
             inner = matrix[free][:, free].tocsr()
         path = np.zeros(displacement.size)
         accuracy = max(_FORCING * min(1.0, relative), 1e-13)
-        value, rounding = energy.value(displacement)
+        value, rounding = energy.value(response, displacement)
         for shift in (0.0, 1e-4, 1e-2, 1.0):
-            solver = system or LinearSystem((inner + diags_array(shift * np.abs(inner.diagonal()))).tocsr())
+            if system is not None:
+                solver = system
+            elif shift == 0:
+                solver = LinearSystem(inner, near)
+            else:
+                solver = LinearSystem((inner + diags_array(shift * np.abs(inner.diagonal()))).tocsr())
             try:
                 path[free] = solver.solve(right[free], accuracy)
             except RuntimeError as error:
@@ -297,22 +314,28 @@ def settle(
             slope = -float(right[free] @ path[free])
             if slope < 0 or system is not None:
                 break
-        whole = path.reshape(-1, 3) + jump
+        near = solver
+        whole = path.reshape(-1, 3) + (jump if moving else 0.0)
         if moving:  # the potential of another boundary can't be compared
-            displacement, moving, jump = displacement + whole, False, np.zeros_like(jump)
-            if not np.isfinite(energy.value(displacement)[0]):
+            displacement, moving = displacement + whole, False
+            response = energy.response(displacement, tangent=system is None)
+            if not np.isfinite(energy.value(response, displacement)[0]):
                 raise NoEquilibrium("the load step turns an element inside out; give smaller ones.")
             continue
         length = 1.0
-        while not energy.value(displacement + length * whole)[0] <= value + _ARMIJO * length * slope + rounding:
+        while True:
+            trial = displacement + length * whole
+            response = energy.response(trial, tangent=system is None)
+            if energy.value(response, trial)[0] <= value + _ARMIJO * length * slope + rounding:
+                break
             length /= 2
             if length < _SHORTEST:
                 if relative <= 1e3 * TOLERANCE:  # as far as rounding lets it
-                    return displacement, iteration
+                    return displacement, iteration, near
                 raise NoEquilibrium("the line search ends nowhere; give smaller load steps.")
-        displacement = displacement + length * whole
+        displacement = trial
         if length == 1.0 and balanced <= 1e2 * TOLERANCE and relative >= balanced / 2:
-            return displacement, iteration + 1  # rounding: it comes no closer
+            return displacement, iteration + 1, near  # rounding: it comes no closer
         balanced = relative
     raise NoEquilibrium(f"no equilibrium within {_ITERATIONS} Newton steps; give smaller load steps.")
 

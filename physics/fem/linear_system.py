@@ -11,13 +11,30 @@ from scipy.sparse.linalg import LinearOperator, SuperLU, cg, splu
 DIRECT = 10_000
 """Unknowns up to which the matrix is factorised at once: filling-in grows with their square, iterations don't."""
 _ITERATIONS = 3000
+_CLOSE = 12
+"""Iterations with the factors of a matrix close by, above which this one's own are cheaper."""
+_FEW = 3
+"""Right-hand sides up to which they are worth trying."""
 
 
 class LinearSystem:
-    """A symmetric matrix to be solved with, shape [U, U]."""
+    """A symmetric matrix to be solved with, shape [U, U].
 
-    def __init__(self, matrix: csr_array) -> None:
+    Args:
+        matrix: of the system.
+        near: a system much like it, as of the Newton step or the frame before: factors that it has, or was given,
+            precondition this one.
+    """
+
+    def __init__(self, matrix: csr_array, near: LinearSystem | None = None) -> None:
         self.matrix = matrix
+        self.borrowed = None if near is None or near.matrix.shape != matrix.shape else near.known
+        """Factors of another matrix close by."""
+
+    @property
+    def known(self) -> SuperLU | None:
+        """Its factors where they were needed, else those that it has borrowed."""
+        return self.factors if "factors" in self.__dict__ else self.borrowed
 
     def solve(self, right: np.ndarray, tolerance: float = 1e-11) -> np.ndarray:
         """Solutions for right-hand sides [U] or [U, K].
@@ -29,11 +46,16 @@ class LinearSystem:
         Raises:
             RuntimeError: the matrix is singular: nothing holds the body.
         """
-        if len(right) > DIRECT and "factors" not in self.__dict__:
-            columns = [self._iterate(column, tolerance) for column in right.reshape(len(right), -1).T]
-            found = [column for column in columns if column is not None]
-            if len(found) == len(columns):
-                return np.stack(found, axis=1).reshape(right.shape)
+        columns = np.atleast_2d(right.T)
+        if "factors" not in self.__dict__:
+            found = None
+            if self.borrowed is not None and len(columns) <= _FEW:
+                borrowed = LinearOperator(self.matrix.shape, self.borrowed.solve)
+                found = self._all_iterated(columns, tolerance, borrowed, _CLOSE)
+            if found is None and len(right) > DIRECT and self._diagonal is not None:
+                found = self._all_iterated(columns, tolerance, self._diagonal, _ITERATIONS)
+            if found is not None:
+                return found.reshape(right.shape)
         return self.factors.solve(right)
 
     @cached_property
@@ -42,16 +64,23 @@ class LinearSystem:
         return splu(self.matrix.T, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
 
     @cached_property
-    def _preconditioner(self) -> LinearOperator | None:
+    def _diagonal(self) -> LinearOperator | None:
         diagonal = self.matrix.diagonal()
         if not (diagonal > 0).all():
             return None
         scale = 1 / diagonal
         return LinearOperator(self.matrix.shape, lambda values: scale * values.ravel())
 
-    def _iterate(self, right: np.ndarray, tolerance: float) -> np.ndarray | None:
-        """Conjugate gradients, or None where they don't converge, as with an indefinite matrix."""
-        if self._preconditioner is None:
-            return None
-        found, failed = cg(self.matrix, right, rtol=tolerance, maxiter=_ITERATIONS, M=self._preconditioner)
-        return None if failed else found
+    def _all_iterated(
+        self, columns: np.ndarray, tolerance: float, preconditioner: LinearOperator, most: int
+    ) -> np.ndarray | None:
+        """Conjugate gradients for right-hand sides [K, U], solutions [U, K]; None where they don't converge, as with an
+        indefinite matrix.
+        """
+        solved = []
+        for column in columns:
+            found, failed = cg(self.matrix, column, rtol=tolerance, maxiter=most, M=preconditioner)
+            if failed:
+                return None
+            solved.append(found)
+        return np.stack(solved, axis=1)

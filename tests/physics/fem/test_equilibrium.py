@@ -205,6 +205,25 @@ def test_large_systems_are_iterated_to_the_same(monkeypatch: pytest.MonkeyPatch)
         np.testing.assert_allclose(one, two, atol=1e-8)
 
 
+def test_factors_of_a_state_close_by_save_a_factorisation(monkeypatch: pytest.MonkeyPatch) -> None:
+    body = block(3, seed=0)
+    arguments = body, Material("neo_hookean", 20.0, 0.3), clamped(body)
+    before = find_equilibrium(*arguments, forces=pulled(body))
+    before.tangents()
+    alone = find_equilibrium(*arguments, forces=1.02 * pulled(body), start=before.displacement)
+    made: list[int] = []
+    factorise = linear_system.splu
+    monkeypatch.setattr(linear_system, "splu", lambda *given, **how: made.append(1) or factorise(*given, **how))
+    helped = find_equilibrium(*arguments, forces=1.02 * pulled(body), start=before.displacement, near=before.solver)
+    np.testing.assert_allclose(helped.displacement, alone.displacement, atol=1e-10)
+    assert not made
+    # Of a state far off they are no help, and its own are made.
+    far = find_equilibrium(*arguments, forces=-8 * pulled(body), near=before.solver)
+    assert made
+    expected = find_equilibrium(*arguments, forces=-8 * pulled(body))
+    np.testing.assert_allclose(far.displacement, expected.displacement, atol=1e-9)
+
+
 def test_what_has_no_answer_is_refused() -> None:
     body, material = block(1), Material("neo_hookean", 10.0, 0.3)
     held = clamped(body)

@@ -10,7 +10,16 @@ import pytest
 
 from data.source.layout import InputError
 from evaluation.foreign import beam
-from evaluation.foreign.beam import Ringing, fit_solid, judge_beams, modal_rates, read_ringing, ringing_of, tip_mass
+from evaluation.foreign.beam import (
+    Ringing,
+    fit_solid,
+    judge_beams,
+    mesh_rates,
+    modal_rates,
+    read_ringing,
+    ringing_of,
+    tip_mass,
+)
 from physics.fem import Relaxation
 from tests.evaluation.foreign.pulls import write_beam
 
@@ -27,6 +36,7 @@ def test_frequency_and_decay_are_measured_beside_a_creep(tmp_path: Path) -> None
 
 def test_the_names_tell_the_mass() -> None:
     names = {"beam_gravity_V2_a.csv": 0.0, "beam_load52_V2_b.csv": 0.052, "beam_load101_V2_a.csv": 0.101}
+    names |= {"beam_V2_Load_101.5_a.csv": 0.1015, "beam_load101g_V2.csv": 0.101}
     assert {name: tip_mass(Path(name)) for name in names} == names
     with pytest.raises(InputError, match="the name tells no load"):
         tip_mass(Path("beam_V2.csv"))
@@ -34,11 +44,20 @@ def test_the_names_tell_the_mass() -> None:
 
 def test_a_beams_rate_is_close_to_bernoullis(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without a mass, and with one far heavier than the beam, a spring 3 E I/L³; shear makes both softer."""
-    monkeypatch.setattr(beam, "CELLS", (6, 2, 2))
+    monkeypatch.setattr(beam, "MESHES", ((4, 1, 1), (8, 2, 2)))
     light, heavy = modal_rates([0.0, 10.0])
     width, length = 0.03, 0.1
     assert light == pytest.approx(3.516**2 * width**2 / 12 / (1070 * length**4), rel=0.15)
     assert heavy == pytest.approx(3 * width**4 / 12 / length**3 / (10 + 0.236 * 1070 * width**2 * length), rel=0.15)
+
+
+def test_rates_extrapolated_from_two_meshes_are_those_of_a_finer_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(beam, "MESHES", ((8, 2, 2), (12, 3, 3)))
+    finer = mesh_rates([0.0, 0.101], (16, 4, 4))
+    coarse = mesh_rates([0.0, 0.101], (12, 3, 3))
+    left = modal_rates([0.0, 0.101]) - finer
+    assert ((coarse - finer) / -left < 1.1).all()  # from 12 to 16 cells less than from 16 to none: 7/9 at second order
+    np.testing.assert_allclose((coarse - finer) / -left, 7 / 9, atol=0.15)
 
 
 def test_a_standard_linear_solid_rings_as_its_modulus_says() -> None:
@@ -52,7 +71,7 @@ def test_a_standard_linear_solid_rings_as_its_modulus_says() -> None:
 
 
 def test_the_solid_is_found_and_the_kept_run_predicted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(beam, "CELLS", (4, 1, 1))
+    monkeypatch.setattr(beam, "MESHES", ((2, 1, 1), (4, 2, 2)))
     masses = (0.0, 0.052, 0.101)
     rates = dict(zip(masses, modal_rates(masses), strict=True))
     runs = {f"{mass}": Ringing(mass, *ringing_of(SOLID, rate), 0.0) for mass, rate in rates.items()}

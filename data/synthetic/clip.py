@@ -21,6 +21,7 @@ from data.synthetic.grip import GrippedMotion, draw_grip
 from data.synthetic.render import Renderer
 from data.synthetic.scene import Scene, draw_scene
 from data.synthetic.settings import SceneSettings
+from data.synthetic.slab import SlabMotion, draw_slab
 from data.synthetic.truth import Motion, PressedMotion, draw_motion
 from physics.files import all_below, read_file
 
@@ -49,7 +50,7 @@ class SyntheticClip:
     """Observed z, shape [F, H, W], float32 [scene units], 0 = invalid."""
 
 
-def draw_truth(settings: SceneSettings, seed: int) -> tuple[Scene, PressedMotion | GrippedMotion]:
+def draw_truth(settings: SceneSettings, seed: int) -> tuple[Scene, PressedMotion | GrippedMotion | SlabMotion]:
     """Scene and true motion of a clip, without its pictures.
 
     Geometry, motion, looks and errors of observation have a random stream each, so that changing the errors leaves the
@@ -58,14 +59,16 @@ def draw_truth(settings: SceneSettings, seed: int) -> tuple[Scene, PressedMotion
     Raises:
         SceneError: the settings leave nothing to draw.
     """
-    if settings.action == "press":
+    if settings.tissue == "sheet" and settings.action == "press":
         return draw_press(settings, seed)
     scene = draw_scene(settings, np.random.default_rng([seed, 0]))
+    if settings.tissue == "slab":
+        return scene, draw_slab(scene, np.random.default_rng([seed, 1]))
     return scene, draw_grip(scene, np.random.default_rng([seed, 1]))
 
 
 def draw_press(settings: SceneSettings, seed: int) -> tuple[Scene, PressedMotion]:
-    """The same of a press.
+    """The same of a press on a sheet.
 
     Raises:
         SceneError: the settings leave nothing to draw.

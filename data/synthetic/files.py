@@ -17,7 +17,16 @@ from data.synthetic.errors import reported_camera
 from data.synthetic.grip import SUBSTEPS, GrippedMotion
 from data.synthetic.scene import Scene
 from data.synthetic.settings import SceneSettings
-from data.synthetic.truth import ABSOLUTE_TOLERANCE, RELATIVE_TOLERANCE, PressedMotion, damping_ratio, regime_of
+from data.synthetic.slab import LAW, PressedSlab, SlabMotion
+from data.synthetic.slab import SUBSTEPS as SLAB_SUBSTEPS
+from data.synthetic.truth import (
+    ABSOLUTE_TOLERANCE,
+    RELATIVE_TOLERANCE,
+    Motion,
+    PressedMotion,
+    damping_ratio,
+    regime_of,
+)
 from physics.mechanics import PARAMETERS
 
 UNITS = {
@@ -43,8 +52,14 @@ GRIP_ARRAYS = {
     "reaction": "what holds the tissue over k_s at the frames' times, along the picture's axes [F, 2] [scene units]",
     "course": "the tool's tip from the contact vertex in the picture, columns and rows [F, 2] [grid px]",
 }
+SLAB_FORCE = {"force": "signed force at each frame's time, just after it [F]"}
+SLAB_REACTION = {
+    "reaction": "what holds the tissue at the frames' times, along the picture's axes [F, 2]",
+    "course": GRIP_ARRAYS["course"],
+}
 INTEGRATOR = f"DOP853 (scipy), relative tolerance {RELATIVE_TOLERANCE:g}, absolute {ABSOLUTE_TOLERANCE:g}"
 GRIP_INTEGRATOR = f"BDF2, {SUBSTEPS} steps a frame"
+SLAB_INTEGRATOR = f"finite elements ({LAW}), trapezoidal rule, {SLAB_SUBSTEPS} steps a frame"
 FASTEST_COMPRESSION = [cv2.IMWRITE_PNG_COMPRESSION, 1]
 
 
@@ -62,7 +77,7 @@ def write_frame(folder: Path, number: int, image: np.ndarray, labels: np.ndarray
     _write_png(stem, "_depth", stored_depth)
 
 
-def write_truth(folder: Path, scene: Scene, motion: PressedMotion | GrippedMotion, seed: int) -> None:
+def write_truth(folder: Path, scene: Scene, motion: PressedMotion | GrippedMotion | SlabMotion, seed: int) -> None:
     """Write clip.json (what a user may know) and truth.json and truth.npz (what no training may read)."""
     settings, mesh = scene.settings, scene.mesh
     clip = {
@@ -71,7 +86,7 @@ def write_truth(folder: Path, scene: Scene, motion: PressedMotion | GrippedMotio
         "depth_scale": 1.0,
         "times": motion.times.tolist(),
     }
-    names = PRESS_ARRAYS if isinstance(motion, PressedMotion) else GRIP_ARRAYS
+    own, names = _own_entries(scene, motion)
     np.savez(
         folder / "truth.npz",
         trajectory=motion.contact,
@@ -85,15 +100,22 @@ def write_truth(folder: Path, scene: Scene, motion: PressedMotion | GrippedMotio
         field=motion.field.astype(np.float16),
         **{name: getattr(motion, name) for name in names},
     )
-    for name, content in (("truth.json", _truth_entries(scene, motion, seed)), ("clip.json", clip)):
+    truth = _truth_entries(scene, motion, seed, own, names)
+    for name, content in (("truth.json", truth), ("clip.json", clip)):
         (folder / name).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
-def _truth_entries(scene: Scene, motion: PressedMotion | GrippedMotion, seed: int) -> dict:
+def _own_entries(scene: Scene, motion: PressedMotion | GrippedMotion | SlabMotion) -> tuple[dict, dict[str, str]]:
+    """What is told of one kind of motion alone, and its arrays."""
     if isinstance(motion, PressedMotion):
-        own, arrays = _press_entries(scene, motion), PRESS_ARRAYS
-    else:
-        own, arrays = _grip_entries(motion), GRIP_ARRAYS
+        return _press_entries(scene, motion), PRESS_ARRAYS
+    if isinstance(motion, GrippedMotion):
+        return _grip_entries(motion), GRIP_ARRAYS
+    known = {"slab": dataclasses.asdict(motion.tissue), "peak_displacement": motion.peak, "integrator": SLAB_INTEGRATOR}
+    return known, SLAB_FORCE if isinstance(motion, PressedSlab) else SLAB_REACTION
+
+
+def _truth_entries(scene: Scene, motion: Motion, seed: int, own: dict, arrays: dict[str, str]) -> dict:
     return {
         "seed": seed,
         "action": scene.settings.action,

@@ -68,7 +68,7 @@ def draw_grip(scene: Scene, generator: np.random.Generator) -> GrippedMotion:
     onset = round(generator.uniform(*settings.onset_fraction) * settings.frames)
     spread = math.exp(generator.uniform(*np.log(settings.spread)))
     relaxation = math.exp(generator.uniform(*np.log(settings.relaxation)))
-    way, course = _draw_way(scene, generator), _draw_course(onset, settings, generator)
+    way, course = draw_way(scene, generator), draw_course(onset, settings, generator)
     # Neighbours on both diagonals: every node has springs worth three in the picture's plane.
     anchor = 3 / spread**2
     log_stiffness = _draw_regions(scene, generator)
@@ -97,10 +97,13 @@ def draw_grip(scene: Scene, generator: np.random.Generator) -> GrippedMotion:
     )
 
 
-def _draw_way(scene: Scene, generator: np.random.Generator) -> Callable[[np.ndarray], np.ndarray]:
+def draw_way(scene: Scene, generator: np.random.Generator) -> Callable[[np.ndarray], np.ndarray]:
     """Where the tool has moved tissue at shares of its time in contact, a function of [S] that gives [S, 2] [grid px].
 
     From rest, across the line of sight, slowly at both ends.
+
+    Raises:
+        SceneError: it would leave the picture.
     """
     settings = scene.settings
     size = np.array([settings.grid_width, settings.grid_height])
@@ -127,7 +130,7 @@ def _draw_way(scene: Scene, generator: np.random.Generator) -> Callable[[np.ndar
     return way
 
 
-def _draw_course(onset: int, settings: SceneSettings, generator: np.random.Generator) -> np.ndarray:
+def draw_course(onset: int, settings: SceneSettings, generator: np.random.Generator) -> np.ndarray:
     """The tip's way before it touches, shape [F, 2] [grid px]: it comes in an arc, or passes if it never touches."""
     angle, bend = generator.uniform(0, 2 * np.pi), generator.uniform(-0.5, 0.5)
     far = generator.uniform(*PASSES) * np.array([math.cos(angle), math.sin(angle)])

@@ -57,6 +57,27 @@ class SceneSettings:
     """Stiffness of gripped tissue on one side of a line that passes by the grip over that on the other."""
     breathing: Range = (0.0, 0.0)
     """How far all tissue of a grip is carried to and fro in the background, drawn uniformly [grid px]."""
+    tissue: Literal["sheet", "slab"] = "sheet"
+    """What lies beneath the surface: a sheet of springs, which is what estimators fit, or a soft slab of finite
+    elements, for which stiffness, damping, force, regime, delays, spread, relaxation, regions and breathing mean
+    nothing: its force is the one that reaches a draw from peak_displacement if the slab were linear."""
+    slab_young: Range = (60.0, 600.0)
+    """E of a slab, drawn log-uniformly [force/scene unit²]."""
+    slab_poisson: float = 0.45
+    """ν of a slab."""
+    slab_density: float = 1500.0
+    """Density of a slab [mass/scene unit³]."""
+    slab_thickness: Range = (0.05, 0.08)
+    """Of a slab, drawn log-uniformly [scene units]."""
+    slab_damping: Range = (10.0, 300.0)
+    """Force per momentum of a slab, proportional to mass, drawn log-uniformly; (0, 0) is none [1/s]."""
+    slab_branch: Range = (0.0, 0.0)
+    """Stiffness of a relaxing branch over the slow one's (standard linear solid), drawn log-uniformly; (0, 0) is
+    none."""
+    slab_branch_time: Range = (0.05, 0.3)
+    """Time in which it relaxes, drawn log-uniformly [s]."""
+    slab_inclusion: float = 1.0
+    """E of a ball inside a slab over that around; 1 is none."""
     patch_radius: float = 0.0
     """A press acts on the vertices nearer than this, as 1 - (r/R)² [grid px]; 0 = on the contact vertex alone."""
     profile: Literal["step", "ramp", "hold"] = "step"
@@ -146,6 +167,14 @@ _LIMITS = {
     "relaxation": (1e-4, 10),
     "regions": (1, 100),
     "breathing": (0, 20),
+    "slab_young": (1e-6, math.inf),
+    "slab_poisson": (0, 0.49),
+    "slab_density": (1e-9, math.inf),
+    "slab_thickness": (0.005, 0.3),
+    "slab_damping": (0, 1e6),
+    "slab_branch": (0, 100),
+    "slab_branch_time": (1e-3, 100),
+    "slab_inclusion": (0.01, 100),
     "patch_radius": (0, 20),
     "press_seconds": (1e-6, math.inf),
     "onset_fraction": (0, 1),

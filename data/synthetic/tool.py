@@ -13,6 +13,7 @@ import numpy as np
 
 from data.synthetic.grip import GrippedMotion
 from data.synthetic.scene import Scene
+from data.synthetic.slab import GrippedSlab
 from data.synthetic.surface import View
 from data.synthetic.truth import Motion
 
@@ -65,7 +66,7 @@ def tip_offset(scene: Scene, motion: Motion, frame: int) -> np.ndarray:
 
     A tool that presses draws back along its entry, out of the organ.
     """
-    if isinstance(motion, GrippedMotion):
+    if isinstance(motion, GrippedMotion | GrippedSlab):
         return motion.course[frame]
     if motion.in_contact[frame]:
         return np.zeros(2)

@@ -150,7 +150,7 @@ def draw_motion(scene: Scene, generator: np.random.Generator) -> PressedMotion:
     """
     settings = scene.settings
     low, high = settings.peak_displacement
-    onset, release = _draw_contact_frames(settings, generator)
+    onset, release = draw_contact_frames(settings, generator)
     variation = _stiffness_field(settings, generator)
     # Streams of their own: θ and the frames of contact don't depend on the delays.
     ranges = settings.onset_delay, settings.release_delay
@@ -206,7 +206,7 @@ def simulate_motion(
     contact[onset:] = frames[:, window.contact]
     force = np.zeros(settings.frames)
     pressed = (after > -ROUNDING) & (after < load - ROUNDING)
-    force[onset:][pressed] = theta[2] * _profile(settings, after[pressed], load)
+    force[onset:][pressed] = theta[2] * force_profile(settings, after[pressed], load)
     return PressedMotion(
         theta=theta,
         onset_frame=onset,
@@ -222,7 +222,12 @@ def simulate_motion(
     )
 
 
-def _draw_contact_frames(settings: SceneSettings, generator: np.random.Generator) -> tuple[int, int]:
+def draw_contact_frames(settings: SceneSettings, generator: np.random.Generator) -> tuple[int, int]:
+    """First frame in contact, and the first after it.
+
+    Raises:
+        SceneError: the clip is too short for them.
+    """
     onset = max(1, round(generator.uniform(*settings.onset_fraction) * settings.frames))
     load = max(1, round(generator.uniform(*settings.press_seconds) * settings.fps))
     if onset + load > settings.frames - 2:
@@ -242,7 +247,7 @@ def _stiffness_field(settings: SceneSettings, generator: np.random.Generator) ->
     return np.exp(settings.stiffness_variation * smooth / smooth.std())
 
 
-def _profile(settings: SceneSettings, time: np.ndarray, load: float) -> np.ndarray:
+def force_profile(settings: SceneSettings, time: np.ndarray, load: float) -> np.ndarray:
     """Force at a time since its start as a share of F, for times within the load."""
     if settings.profile == "hold":
         return np.clip(np.minimum(time, load - time) / (load / 3), 0.0, 1.0)
@@ -361,7 +366,7 @@ def _rate(settings: SceneSettings, window: Window, theta: np.ndarray, direction:
         if settings.nonlinearity:
             tension *= 1 + settings.nonlinearity * np.square(elongation / STIFFENING_LENGTH)
         forces = -(transposed @ ((tension / length)[:, None] * (window.edges + stretch))) - damping * velocity
-        forces[window.pressed] += force * _profile(settings, np.asarray(time), load) * push
+        forces[window.pressed] += force * force_profile(settings, np.asarray(time), load) * push
         return np.stack((velocity * moving, forces * moving / settings.mass)).ravel()
 
     return rate

@@ -1,0 +1,264 @@
+"""True motion of a soft slab beneath the surface, pressed or held and moved by a tool: a truth that no estimator fits.
+
+Finite elements (`physics.fem`) of neo-Hookean material with inertia, held at the bottom and all around; some slabs have
+a stiffer ball inside. What resists is damping proportional to mass, or a standard linear solid. Lengths are scene
+units, and forces those of the other truths: E is a force over an area in them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import RectBivariateSpline
+
+from data.synthetic.grip import draw_course, draw_way
+from data.synthetic.scene import Scene, SceneError, require_room
+from data.synthetic.settings import SceneSettings
+from data.synthetic.truth import Motion, draw_contact_frames, force_profile
+from physics.fem import Inertia, Material, NoEquilibrium, Relaxation, Solid, box, find_equilibrium, make_solid, simulate
+from physics.load import Grip, Load, Press
+
+LAW = "neo_hookean"
+SUBSTEPS = 2
+"""Time steps a frame."""
+CELLS = (10, 10, 4)
+"""Along columns, rows and depth."""
+WIDE = 72 / 214
+"""From the contact to the slab's sides, as a share of the picture's width."""
+CROWDED = 3.6
+"""How much the cells crowd around the contact: nodes lie at sinh(CROWDED s)/sinh(CROWDED), s even from -1 to 1."""
+GROWTH = 1.5
+"""Thickness of a layer over that of the one above it."""
+GRIPPED = 4.5
+"""Radius of the tissue between the jaws, around the contact [grid px]."""
+BALL = (0.018, 0.03)
+"""Radius of an inclusion, drawn uniformly [scene units]."""
+
+
+@dataclass(frozen=True)
+class SlabTissue:
+    """What a slab is made of."""
+
+    young: float
+    """E outside the inclusion, slowly (where there is a relaxing branch) [force/scene unit²]."""
+    poisson: float
+    """ν."""
+    density: float
+    """[mass/scene unit³]."""
+    thickness: float
+    """[scene units]."""
+    damping: float
+    """Force per momentum, proportional to mass; 0 = none [1/s]."""
+    branch: float
+    """γ, stiffness of the relaxing branch over the slow one's; 0 = none."""
+    branch_time: float
+    """τ [s]."""
+    inclusion: float
+    """E of a ball inside over that around; 1 = none."""
+
+
+@dataclass(frozen=True)
+class SlabMotion(Motion):
+    """What truly happened in a clip whose tissue is a slab."""
+
+    tissue: SlabTissue
+
+    @property
+    def peak(self) -> float:
+        """Largest displacement of the contact vertex at the frames' times [scene units]."""
+        return float(np.linalg.norm(self.contact, axis=1).max())
+
+
+@dataclass(frozen=True)
+class PressedSlab(SlabMotion):
+    """The tool presses with a force."""
+
+    force: np.ndarray
+    """Signed force at the frames' times, just after them, shape [F]."""
+
+
+@dataclass(frozen=True)
+class GrippedSlab(SlabMotion):
+    """The tool holds tissue from its first frame in contact to the clip's end."""
+
+    course: np.ndarray
+    """The tip from where the contact vertex is, in the picture, shape [F, 2] [grid px]; 0 in contact."""
+    reaction: np.ndarray
+    """What holds the gripped tissue, along the picture's axes, shape [F, 2]."""
+
+
+@dataclass(frozen=True)
+class _Body:
+    """A slab's elements; N nodes."""
+
+    solid: Solid
+    held: np.ndarray
+    """Components that don't move, shape [N, 3], bool."""
+    top: np.ndarray
+    """Nodes of the surface, by column and row, shape [C, R]."""
+    columns: np.ndarray
+    """Where their columns are, shape [C] [grid px]."""
+    rows: np.ndarray
+    """Where their rows are, shape [R] [grid px]."""
+
+    def near(self, place: tuple[float, float], radius: float) -> tuple[np.ndarray, np.ndarray]:
+        """Nodes of the surface closer than that to a column and row [grid px], the closest first, and how far."""
+        apart = np.hypot(self.columns[:, None] - place[0], self.rows - place[1]).ravel()
+        chosen = np.argsort(apart, kind="stable")
+        chosen = chosen[: max(int((apart < radius).sum()), 1)]
+        return self.top.ravel()[chosen], apart[chosen]
+
+
+def draw_tissue(settings: SceneSettings, generator: np.random.Generator) -> SlabTissue:
+    """What a slab is made of, numbers over a factor log-uniformly."""
+
+    def between(ends: tuple[float, float]) -> float:
+        return math.exp(generator.uniform(*np.log(ends))) if ends[0] > 0 else float(generator.uniform(*ends))
+
+    return SlabTissue(
+        young=between(settings.slab_young),
+        poisson=settings.slab_poisson,
+        density=settings.slab_density,
+        thickness=between(settings.slab_thickness),
+        damping=between(settings.slab_damping),
+        branch=between(settings.slab_branch),
+        branch_time=between(settings.slab_branch_time),
+        inclusion=settings.slab_inclusion,
+    )
+
+
+def draw_slab(scene: Scene, generator: np.random.Generator) -> PressedSlab | GrippedSlab:
+    """Draw a slab and what the tool does to it, and integrate.
+
+    Raises:
+        SceneError: the surface bends too much for a slab below it, the tool has no room, the clip is too long, or
+            elements turn inside out.
+    """
+    tissue = draw_tissue(scene.settings, generator)
+    body = _build(scene, tissue)
+    material = _material(body, scene, tissue, generator)
+    try:
+        draw = _press if scene.settings.action == "press" else _pull
+        return draw(scene, body, material, tissue, generator)
+    except NoEquilibrium as error:
+        raise SceneError(f"The slab can't be followed: {error} Or choose a smaller scene.peak_displacement.") from error
+
+
+def _build(scene: Scene, tissue: SlabTissue) -> _Body:
+    """The slab under the surface around the contact, its sides along the contact's normal."""
+    places, tetrahedra = box((1.0, 1.0, 1.0), CELLS)
+    row, column = scene.mesh.pixels[scene.vertex]
+    wide = WIDE * scene.settings.grid_width
+    offset = [wide * np.sinh(CROWDED * (2 * share - 1)) / math.sinh(CROWDED) for share in places[:, :2].T]
+    pixel = np.stack([column + offset[0], row + offset[1]])
+    camera = scene.grid_camera
+    x, y = (pixel[0] - camera.cx) / camera.fx, (pixel[1] - camera.cy) / camera.fy
+    depth = scene.sheet.depth(x, y)
+    layer = np.rint(places[:, 2] * CELLS[2])
+    below = tissue.thickness * (GROWTH**layer - 1) / (GROWTH ** CELLS[2] - 1)
+    nodes = np.stack([x * depth, y * depth, depth], axis=1) - below[:, None] * scene.direction
+    try:
+        solid = make_solid(nodes, tetrahedra)
+    except ValueError as error:
+        told = "choose a smaller scene.curvature, scene.relief or scene.slab_thickness"
+        raise SceneError(f"Below this surface a slab folds ({error}); {told}.") from error
+    side = (places[:, :2] == 0).any(axis=1) | (places[:, :2] == 1).any(axis=1)
+    held = side | (places[:, 2] == 1)
+    if scene.settings.action == "press":  # beyond its outline the organ is attached
+        held |= scene.outline.level(*pixel) <= 0
+    index = np.flatnonzero(places[:, 2] == 0).reshape(CELLS[0] + 1, CELLS[1] + 1)
+    return _Body(solid, np.repeat(held[:, None], 3, axis=1), index, pixel[0, index[:, 0]], pixel[1, index[0]])
+
+
+def _material(body: _Body, scene: Scene, tissue: SlabTissue, generator: np.random.Generator) -> Material:
+    """With a ball of other stiffness beneath and beside the contact, where one is wanted."""
+    radius, angle = generator.uniform(*BALL), generator.uniform(0, 2 * np.pi)
+    aside = generator.uniform(0.3, 1.2) * radius
+    if tissue.inclusion == 1:
+        return Material(LAW, tissue.young, tissue.poisson)
+    # Its top reaches to an eighth of the thickness.
+    deep = min(radius + tissue.thickness / 8, tissue.thickness)
+    middle = scene.mesh.vertices[scene.vertex] - deep * scene.direction
+    middle = middle + aside * np.array([math.cos(angle), math.sin(angle), 0.0])
+    centre = body.solid.rest[body.solid.elements].mean(axis=1)
+    inside = np.linalg.norm(centre - middle, axis=1) < radius
+    return Material(LAW, tissue.young * np.where(inside, tissue.inclusion, 1.0), tissue.poisson)
+
+
+def _follow(
+    scene: Scene, body: _Body, material: Material, tissue: SlabTissue, load: Load, onset: int, force: float = 0.0
+) -> tuple[dict, np.ndarray]:
+    """Fields of a `Motion` but the release, and the reactions of every step [T, N, 3]."""
+    settings = scene.settings
+    row, column = scene.mesh.pixels.T
+    shown = np.flatnonzero(
+        (column > body.columns[0]) & (column < body.columns[-1]) & (row > body.rows[0]) & (row < body.rows[-1])
+    )
+    require_room(settings.frames * (len(shown) + load.steps // settings.frames * len(body.solid.rest)) * 3)
+    relaxation = Relaxation(tissue.branch, tissue.branch_time) if tissue.branch else None
+    inertia = Inertia(tissue.density, tissue.damping)
+    step = 1 / (settings.fps * SUBSTEPS)
+    found = simulate(body.solid, material, body.held, load, step, inertia=inertia, force=force, relaxation=relaxation)
+    surface = found.displacement[::SUBSTEPS][:, body.top]
+    field = np.zeros((settings.frames, len(shown), 3), np.float32)
+    row, column = scene.mesh.pixels[shown].T
+    for index, moved in enumerate(surface):
+        for axis in range(3):
+            # As the elements are, linear: smoother ones overshoot where cells grow from one to the next.
+            between = RectBivariateSpline(body.columns, body.rows, moved[..., axis], kx=1, ky=1)
+            field[onset + index, :, axis] = between.ev(column, row)
+    contact = field[:, np.searchsorted(shown, scene.vertex)].astype(np.float64)
+    times = np.arange(settings.frames) / settings.fps
+    known = {"onset_frame": onset, "times": times, "contact": contact, "moving": shown, "field": field}
+    return {**known, "tissue": tissue}, found.reaction
+
+
+def _press(
+    scene: Scene, body: _Body, material: Material, tissue: SlabTissue, generator: np.random.Generator
+) -> PressedSlab:
+    settings = scene.settings
+    onset, release = draw_contact_frames(settings, generator)
+    wanted = generator.uniform(*settings.peak_displacement)
+    row, column = scene.mesh.pixels[scene.vertex]
+    nodes, apart = body.near((column, row), settings.patch_radius)
+    weights = 1 - np.square(apart / max(settings.patch_radius, 1.0))
+    weights /= weights.sum()
+    load = (release - onset) / settings.fps
+    time = np.arange(1, SUBSTEPS * (settings.frames - 1 - onset) + 1) / (settings.fps * SUBSTEPS)
+    pressed = time < load + 1e-9
+    factor = np.where(pressed, force_profile(settings, time, load), 0.0)
+    # The force that would sink it as far in the end, if it were linear.
+    unit = np.zeros_like(body.solid.rest)
+    unit[nodes] = weights[:, None] * scene.direction
+    linear = Material("linear", material.young, material.poisson)
+    soft = find_equilibrium(body.solid, linear, body.held, forces=unit).displacement[nodes[0]] @ scene.direction
+    force = -wanted / float(soft)
+    press = Press(nodes, weights, scene.direction, factor)
+    known, _ = _follow(scene, body, material, tissue, press, onset, force)
+    at = np.zeros(settings.frames)
+    after = known["times"] - known["times"][onset]
+    loaded = (after > -1e-9) & (after < load - 1e-9)
+    at[loaded] = force * force_profile(settings, after[loaded], load)
+    return PressedSlab(**known, release_frame=release, force=at)
+
+
+def _pull(
+    scene: Scene, body: _Body, material: Material, tissue: SlabTissue, generator: np.random.Generator
+) -> GrippedSlab:
+    settings = scene.settings
+    onset = round(generator.uniform(*settings.onset_fraction) * settings.frames)
+    way, course = draw_way(scene, generator), draw_course(onset, settings, generator)
+    row, column = scene.mesh.pixels[scene.vertex]
+    nodes, _ = body.near((column, row), GRIPPED)
+    steps = SUBSTEPS * (settings.frames - 1 - onset)
+    if steps < 1:
+        raise SceneError("The tool never holds the slab; give a smaller scene.onset_fraction.")
+    path = way(np.arange(1, steps + 1) / steps) * scene.spacing
+    moved = np.concatenate([path, np.zeros((steps, 1))], axis=1)
+    grip = Grip(nodes, np.repeat(moved[:, None], len(nodes), axis=1))
+    known, reaction = _follow(scene, body, material, tissue, grip, onset)
+    holding = np.zeros((settings.frames, 2))
+    holding[onset + 1 :] = reaction[SUBSTEPS - 1 :: SUBSTEPS, nodes, :2].sum(axis=1)
+    return GrippedSlab(**known, release_frame=settings.frames, course=course, reaction=holding)

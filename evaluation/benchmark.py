@@ -9,7 +9,8 @@ constant_rmse_log is the error of the best constant for exactly the clips of a r
 the mean over another split, can't reach it.
 
 Suites of grips show tissue that a tool holds and moves, at 854x480; the session of direct is asked what they tell, and
-grips.csv has the answer (see `evaluation.recovery.grips`).
+grips.csv has the answer (see `evaluation.recovery.grips`). The suite fem shows soft solids, whose truth is no θ; what
+estimates mean then is in slabs.csv (see `evaluation.recovery.slabs`).
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ if __name__ == "__main__":
 
 import argparse
 import itertools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from rich.console import Console
@@ -37,10 +38,19 @@ from evaluation.recovery.constant import constant_estimate
 from evaluation.recovery.estimators import CONSTANT, NAMES, Candidate, describe
 from evaluation.recovery.evaluate import ClipTask, Recovery, evaluate_clip
 from evaluation.recovery.grips import DIRECT, GripRecovery, GripTask, evaluate_grip
-from evaluation.recovery.output import finish, finish_grips
+from evaluation.recovery.output import finish, finish_grips, finish_slabs
 from evaluation.recovery.scores import Bound
+from evaluation.recovery.slabs import SlabRecovery, SlabTask, asked, evaluate_slab
 from evaluation.recovery.store import RecoveryStore
-from evaluation.recovery.suites import GRID_SIZE, GRIP_SUITES, LARGEST_SEED, SPLITS, SUITES, suite_clip_seed
+from evaluation.recovery.suites import (
+    GRID_SIZE,
+    GRIP_SUITES,
+    LARGEST_SEED,
+    SLAB_SUITES,
+    SPLITS,
+    SUITES,
+    suite_clip_seed,
+)
 from models.onnx_session import ModelFileError
 from results.store import OutputError
 
@@ -57,13 +67,16 @@ def build_parser() -> argparse.ArgumentParser:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         epilog="suites:\n"
-        + "\n".join(f"  {suite.name:12s}{suite.reason}" for suite in (*SUITES.values(), *GRIP_SUITES.values()))
+        + "\n".join(
+            f"  {suite.name:12s}{suite.reason}"
+            for suite in (*SUITES.values(), *GRIP_SUITES.values(), *SLAB_SUITES.values())
+        )
         + "\n\nExit status: 0 done, also where clips could not be estimated; 1 nothing could be; 2 wrong usage; "
         "130 interrupted.",
     )
     add = parser.add_argument
     several: dict[str, Any] = {"nargs": "+", "action": "extend"}
-    choices = [*SUITES, *GRIP_SUITES, "all"]
+    choices = [*SUITES, *GRIP_SUITES, *SLAB_SUITES, "all"]
     text = "suites, or all of presses (default clean)"
     add("--suite", **several, choices=choices, metavar="SUITE", help=text)
     add("--estimator", **several, choices=NAMES, metavar="NAME", help=f"{', '.join(NAMES)} (default direct)")
@@ -119,7 +132,12 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     chosen = options.suite or ["clean"]
     options.suite = [name for name in SUITES if "all" in chosen or name in chosen]
     options.grips = [name for name in GRIP_SUITES if name in chosen]
+    options.slabs = [name for name in SLAB_SUITES if name in chosen]
     options.estimator = [name for name in NAMES if name in (options.estimator or ["direct"])]
+    if options.slabs and CONSTANT in options.estimator:
+        parser.error(
+            "--estimator constant is of no use to the suite fem, which has no true θ; leave one of the two out."
+        )
     if options.seen is not None and "gan" in options.estimator:
         parser.error("--seen is of no use to gan, which sees single frames; leave one of the two out.")
     options.models = {"network": options.model, "gan": options.gan_model}
@@ -173,21 +191,58 @@ def run_grips(options: argparse.Namespace, console: Console) -> int:
     asked = [(name, index) for index in range(options.clips) for name in options.grips]
     left = [pair for pair in asked if (*pair, DIRECT) not in store.done]
     tasks = [GripTask(*pair, suite_clip_seed(options.split, options.seed, pair[1])) for pair in left]
-    status = 0
+    status = _append_all(evaluate_grip, tasks, len(asked), store, options.workers, console)
+    rows = [row for row in store.rows if (row.suite, row.index) in asked]
+    return finish_grips(rows, options.output, console, status)
+
+
+def run_slabs(options: argparse.Namespace, console: Console) -> int:
+    """Do what is left of the suites of slabs, and write slabs.csv; returns the exit status."""
+    estimators = estimators_of(options)
+    wanted = {"seed": options.seed, "split": options.split, "seen": options.seen}
+    try:
+        wanted |= {f"suite {name}": SLAB_SUITES[name].describe() for name in options.slabs}
+        wanted |= {f"estimator {name}": describe(estimator) for name, estimator in estimators.items()}
+        store = RecoveryStore(options.output, wanted, SlabRecovery)
+    except (ModelFileError, OutputError) as error:
+        say(console, str(error), "red")
+        return 2
+    tasks, total = [], options.clips * len(options.slabs)
+    for index, suite in itertools.product(range(options.clips), options.slabs):
+        left = {
+            name: estimators[name]
+            for name in asked(suite, index, [*estimators])
+            if (suite, index, name) not in store.done
+        }
+        if left:
+            tasks.append(SlabTask(suite, index, suite_clip_seed(options.split, options.seed, index), left))
+    status = _append_all(evaluate_slab, tasks, total, store, options.workers, console)
+    rows = [row for row in store.rows if row.suite in options.slabs and row.index < options.clips]
+    return finish_slabs([row for row in rows if row.estimator in estimators], options.output, console, status)
+
+
+def _append_all(
+    work: Callable[[Any], list[Any]],
+    tasks: Sequence[Any],
+    total: int,
+    store: RecoveryStore,
+    workers: int,
+    console: Console,
+) -> int:
+    """Do tasks and keep their results as they come; returns the exit status."""
     try:
         with progress_bars(console) as progress:
-            bar = progress.add_task("clips", total=len(asked), completed=len(asked) - len(tasks))
-            for rows in run_tasks(evaluate_grip, tasks, options.workers):
+            bar = progress.add_task("clips", total=total, completed=total - len(tasks))
+            for rows in run_tasks(work, tasks, workers):
                 store.append(rows)
                 progress.advance(bar)
     except KeyboardInterrupt:
         say(console, "Interrupted; finished clips are kept, and the same command continues.", "yellow")
-        status = INTERRUPTED
+        return INTERRUPTED
     except (OutputError, WorkerLost) as error:
         say(console, f"{error} Finished clips are kept.", "red")
-        status = 1
-    rows = [row for row in store.rows if (row.suite, row.index) in asked]
-    return finish_grips(rows, options.output, console, status)
+        return 1
+    return 0
 
 
 def measure(
@@ -221,6 +276,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the benchmark that the command line asks for; returns the exit status."""
     console, options = Console(stderr=True), parse(arguments)
     status = run_grips(options, console) if options.grips else 0
+    status = status or (run_slabs(options, console) if options.slabs else 0)
     return status or (run_presses(options, console) if options.suite else 0)
 
 

@@ -28,6 +28,7 @@ from data.synthetic.truth import PressedMotion
 from estimators.contract import ClipInfo
 from estimators.estimate import Estimate, InteractionEstimate
 from estimators.oblique import is_oblique
+from estimators.open import EstimatorOptions
 from estimators.runs import RunTracker
 from evaluation.recovery.bounds import MECHANICS, contact_information, field_information
 from evaluation.recovery.estimators import Candidate, opened
@@ -142,7 +143,7 @@ def _evaluate_suite(task: ClipTask, suite: str, candidates: Mapping[str, Candida
     known["information"] = contact_information(contact, scene, motion)
     known["field_information"] = field_information(contact, scene, motion)
     return [
-        Recovery(**known, estimator=name, **_estimate(candidate, frames, info, onset))
+        Recovery(**known, estimator=name, **estimated(candidate, frames, info, onset))
         for name, candidate in candidates.items()
     ]
 
@@ -172,18 +173,26 @@ def tracking_errors(contact: Interaction, scene: Scene, motion: PressedMotion) -
     return (contact.moved - motion.contact[frames]) @ scene.direction
 
 
-def _estimate(candidate: Candidate, frames: Sequence[PreparedFrame], clip: ClipInfo, onset: int) -> dict[str, Any]:
+def interactions(
+    candidate: EstimatorOptions, frames: Sequence[PreparedFrame], clip: ClipInfo
+) -> list[InteractionEstimate]:
+    """What the session that users run says of every run of contact."""
+    session = opened(candidate).start(clip)
+    said = [item for frame in frames for item in session.push(frame)] + list(session.finish())
+    return [item for item in said if isinstance(item, InteractionEstimate)]
+
+
+def estimated(candidate: Candidate, frames: Sequence[PreparedFrame], clip: ClipInfo, onset: int) -> dict[str, Any]:
     """Fields of a `Recovery`: what is estimated of the run of contact that begins in a frame, or why nothing is."""
     start = time.perf_counter()
     if isinstance(candidate, Estimate):
         found = candidate
     else:
         try:
-            session = opened(candidate).start(clip)
-            said = [item for frame in frames for item in session.push(frame)] + list(session.finish())
+            said = interactions(candidate, frames, clip)
         except Exception as error:  # an estimator that breaks on a clip is a result, and the others go on
             return {"status": "error", "reason": f"{type(error).__name__}: {error}"}
-        run = next((item for item in said if isinstance(item, InteractionEstimate) and item.onset == onset), None)
+        run = next((item for item in said if item.onset == onset), None)
         if run is None or run.estimate is None:
             return {"status": "no estimate", "reason": "it doesn't see this contact." if run is None else run.detail}
         found = run.estimate

@@ -158,12 +158,12 @@ def _compared(
     log_anchor = math.log(motion.anchor * (SPACING / cell) ** 2)
     last = GripFrame(np.where(seen[:, None], true, np.nan), gripped[-1].gripped)
     bounds = grip_bound(points, SPACING, last, log_anchor)
-    log, sd = _log_interval(
+    log, sd = log_interval(
         grip.foundation_over_stiffness, grip.foundation_over_stiffness_low, grip.foundation_over_stiffness_high
     )
     force = motion.reaction[used] / scene.spacing * cell
     unit = force[-1] / (force[-1] @ force[-1])
-    pull = _log_interval(
+    pull = log_interval(
         grip.reaction_over_stiffness, grip.reaction_over_stiffness_low, grip.reaction_over_stiffness_high
     )
     found: dict[str, object] = {
@@ -178,7 +178,7 @@ def _compared(
     return found
 
 
-def _log_interval(value: float, low: float, high: float) -> tuple[float, float]:
+def log_interval(value: float, low: float, high: float) -> tuple[float, float]:
     """Logarithm and its standard deviation, of a value and the ends of its 90 % interval."""
     return math.log(value), math.log(high / low) / (2 * NINETY)
 

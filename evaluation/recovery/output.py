@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
 
 from data.command_line import say
-from evaluation.recovery import details, grips, scores
+from evaluation.recovery import details, grips, scores, slabs
 from evaluation.recovery.evaluate import OK, Recovery
 from evaluation.recovery.grips import GripRecovery
 from evaluation.recovery.scores import Bound, Scores
+from evaluation.recovery.slabs import SlabRecovery
 from evaluation.recovery.store import replace_text
 from evaluation.tables import to_cell, to_csv
 from physics.ownership import replacing_own
@@ -59,21 +60,36 @@ def finish_grips(rows: Sequence[GripRecovery], output: Path, console: Console, s
         console: says what was not estimated.
         status: exit status so far.
     """
+    return _finish_table(rows, grips.grip_rows(rows), grips.COLUMNS, output / "grips.csv", console, status)
+
+
+def finish_slabs(rows: Sequence[SlabRecovery], output: Path, console: Console, status: int) -> int:
+    """The same of suites of slabs."""
+    return _finish_table(rows, slabs.slab_rows(rows), slabs.COLUMNS, output / "slabs.csv", console, status)
+
+
+def _finish_table(
+    rows: Sequence[GripRecovery | SlabRecovery],
+    cells: Sequence[Mapping[str, object]],
+    columns: Sequence[str],
+    path: Path,
+    console: Console,
+    status: int,
+) -> int:
     if not rows:
         return status or 1
-    found = grips.grip_rows(rows)
     try:
-        replace_text(output / "grips.csv", to_csv(found, grips.COLUMNS, ".6g"))
+        replace_text(path, to_csv(cells, columns, ".6g"))
     except OutputError as error:
         say(console, str(error), "red")
         return 1
-    table = Table(*grips.COLUMNS)
-    for row in found:
-        table.add_row(*(to_cell(row.get(name), ".3g") for name in grips.COLUMNS))
+    table = Table(*columns)
+    for row in cells:
+        table.add_row(*(to_cell(row.get(name), ".3g") for name in columns))
     Console(stderr=True, width=None if console.is_terminal else TABLE_WIDTH).print(table)
     for row in [row for row in rows if row.status != OK][:SHOWN_FAILURES]:
         say(console, f"  {row.suite}, clip {row.index}: {row.status}, {row.reason}", "yellow")
-    say(console, f"written: {output}/grips.csv")
+    say(console, f"written: {path}")
     return status
 
 

@@ -13,12 +13,16 @@ import numpy as np
 
 from evaluation.recovery.evaluate import Recovery
 from evaluation.recovery.grips import GripRecovery
+from evaluation.recovery.slabs import SlabRecovery
 from physics.files import read_file, replacing
 from physics.ownership import replacing_own
 from physics.provenance import code_digest
 from results.store import OutputError, writing
 
-RESULTS, GRIPS, RECORD = "results.jsonl", "grips.jsonl", "run.json"
+RESULTS = "results.jsonl"
+FILES: dict[type, str] = {Recovery: RESULTS, GripRecovery: "grips.jsonl", SlabRecovery: "slabs.jsonl"}
+"""By the kind of results."""
+RECORD = "run.json"
 FORMAT_VERSION = 4
 BEGINNING = b'{"suite": "'
 """Of every line of results."""
@@ -29,7 +33,7 @@ class RecoveryStore:
 
     Args:
         output: the folder; made when it is not there.
-        kind: of the results, `Recovery` or `GripRecovery`; each has a file of its own.
+        kind: of the results, one of `FILES`; each has a file of its own.
         wanted: what the results depend on, JSON-able. A later run may leave a part out or add one, but what both have
             must be the same.
 
@@ -39,7 +43,7 @@ class RecoveryStore:
 
     def __init__(self, output: Path, wanted: Mapping[str, Any], kind: type = Recovery) -> None:
         self.output = output
-        self._results = output / (RESULTS if kind is Recovery else GRIPS)
+        self._results = output / FILES[kind]
         if output.exists() and not output.is_dir():
             raise OutputError(f"{output}: is a file; give a folder as --output.")
         with writing(output):
@@ -67,7 +71,7 @@ class RecoveryStore:
         """Suite, clip and estimator of every result."""
         return {row.key for row in self.rows}
 
-    def append(self, rows: Iterable[Recovery | GripRecovery]) -> None:
+    def append(self, rows: Iterable[Recovery | GripRecovery | SlabRecovery]) -> None:
         """Keep results that are not there yet; they are on disk when this returns."""
         done = self.done
         rows = [row for row in rows if row.key not in done]
@@ -93,7 +97,7 @@ class RecoveryStore:
         return record
 
 
-def _line(row: Recovery | GripRecovery) -> str:
+def _line(row: Recovery | GripRecovery | SlabRecovery) -> str:
     """A result as JSON, which has no word for what isn't finite: that is null, and read as not a number."""
     values = {
         name: None if isinstance(value, float) and not math.isfinite(value) else value

@@ -172,6 +172,57 @@ GRIP_SUITES = {suite.name: suite for suite in _ALL_GRIPS}
 """Suites of grips by name, in the order of tables."""
 
 
+@dataclass(frozen=True)
+class SlabSuite:
+    """Clips whose tissue is a slab of finite elements: of three clips two are pressed and one is pulled."""
+
+    name: str
+    reason: str
+    """What it stands for."""
+
+    def settings(self, index: int) -> SceneSettings:
+        """What clip `index` is drawn from.
+
+        Two of three are presses, at the network's size, the third is a pull at CholecSeg8k's; threes of damping
+        proportional to mass and of a standard linear solid take turns, and sixes without and with an inclusion.
+        """
+        act = _SLAB_PULLS if index % 3 == 2 else _SLAB_PRESSES
+        viscosity = _RELAXING if index // 3 % 2 else {}
+        return SceneSettings(**act, **viscosity, slab_inclusion=STIFF if index // 6 % 2 else 1.0)
+
+    def describe(self) -> dict[str, Any]:
+        """What decides the suite's clips, for the run's record."""
+        return {"presses": _SLAB_PRESSES, "pulls": _SLAB_PULLS, "relaxing": _RELAXING, "inclusion": STIFF}
+
+
+STIFF = 4.0
+"""Of inclusions, over the tissue around."""
+_RELAXING: dict[str, Any] = {"slab_damping": (0.0, 0.0), "slab_branch": (0.5, 2.0), "slab_branch_time": (0.05, 0.3)}
+_SLAB_PRESSES: dict[str, Any] = {
+    "tissue": "slab",
+    "width": GRID_SIZE[0],
+    "height": GRID_SIZE[1],
+    "patch_radius": 3.5,
+    "peak_displacement": (0.02, 0.045),
+    "depth_noise": CLEAN_NOISE,
+}
+"""Observed as in the suite `clean`."""
+_SLAB_PULLS: dict[str, Any] = {name: value for name, value in _GRIPS.items() if name != "relaxation"} | {
+    "tissue": "slab",
+    "peak_displacement": (0.01, 0.03),
+}
+"""Observed as in the suites of grips."""
+_ALL_SLABS = (
+    SlabSuite(
+        "fem",
+        "a soft neo-Hookean slab, some with a stiffer ball inside, pressed or pulled, damped or relaxing: the truth is "
+        "no estimator's model",
+    ),
+)
+SLAB_SUITES = {suite.name: suite for suite in _ALL_SLABS}
+"""Suites of slabs by name."""
+
+
 def suite_clip_seed(split: str, seed: int, index: int) -> int:
     """Seed of a clip, 64 bits: a stream for each split, so that no two splits share geometry or θ at any seed.
 

@@ -1,0 +1,120 @@
+"""The suite of slabs: which clips it has, what is compared, and one press and one pull from pictures to numbers."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data.synthetic import slab
+from estimators.open import EstimatorOptions
+from evaluation.recovery import slabs
+from evaluation.recovery.slabs import SlabRecovery, SlabTask, asked, evaluate_slab, slab_rows
+from evaluation.recovery.store import FILES, RecoveryStore, read_results
+from evaluation.recovery.suites import SLAB_SUITES
+
+YOUNG = np.array([80.0, 120.0, 200.0, 300.0, 500.0, 550.0])
+DENSITY, DAMPING = 1500.0, 40.0
+
+
+def press(index: int, estimate: tuple[float, float, float] | None, **changes) -> SlabRecovery:
+    tissue = np.array([YOUNG[index], 0.45, DENSITY, 0.06, DAMPING * (1 + index), 0.0, 0.1, 1.0 + 3 * (index % 2)])
+    theta = None if estimate is None else np.array(estimate)
+    found = SlabRecovery("fem", index, "direct", 7, "press", tissue=tissue, force=0.1 + 0.02 * index, estimate=theta)
+    return dataclasses.replace(found, **{"warned": False, "verdict": "determined", **changes})
+
+
+def pull(index: int, quotient: float, **changes) -> SlabRecovery:
+    found = press(index, None, action="grip", reaction=np.array([quotient, 0.1]), verdict="foundation")
+    curve = np.array([[0.2, 0.6, 1.0], [0.2, 0.8, 1.0], [0.01, 0.02, 0.0]])
+    return dataclasses.replace(found, curve=curve, **changes)
+
+
+def table(rows: list[SlabRecovery]) -> dict[tuple[str, str], dict[str, object]]:
+    return {(str(row["clips"]), str(row["quantity"])): row for row in slab_rows(rows)}
+
+
+def test_two_of_three_are_pressed_and_damping_and_inclusions_take_turns() -> None:
+    settings = [SLAB_SUITES["fem"].settings(index) for index in range(12)]
+    assert [item.action for item in settings] == ["press", "press", "grip"] * 4
+    assert [item.slab_damping == (0.0, 0.0) for item in settings] == [False] * 3 + [True] * 3 + [False] * 3 + [True] * 3
+    assert all((item.slab_branch[0] > 0) == (item.slab_damping == (0.0, 0.0)) for item in settings)
+    assert [item.slab_inclusion for item in settings] == [1.0] * 6 + [4.0] * 6
+    assert {item.width for item in settings if item.action == "press"} == {214}
+    assert asked("fem", 0, ["network", "direct"]) == ["network", "direct"]
+    assert asked("fem", 2, ["network", "direct"]) == ["direct"]
+
+
+def test_proportional_estimates_have_rank_one_and_no_scatter() -> None:
+    rows = []
+    for index, young in enumerate(YOUNG):
+        alpha = DAMPING * (1 + index)
+        stiffness = young / 600
+        # k_d/k_s follows αρ/E up to a constant, but for the last clip, whose is 1.3 times as large.
+        viscosity = 1e-4 * alpha * DENSITY / young * stiffness * (1.3 if index == 5 else 1.0)
+        rows.append(press(index, (stiffness, viscosity, -(0.1 + 0.02 * index) / 5), warned=index == 5))
+    found = table(rows)
+    assert found["pressed", "rank of k_s and E"]["value"] == pytest.approx(1)
+    assert found["pressed", "scatter of k_s over E"]["value"] == pytest.approx(0, abs=1e-12)
+    assert found["pressed", "rank of F/k_s and F/E"]["value"] == pytest.approx(1)
+    assert found["pressed", "k_d/k_s within 25%"]["value"] == pytest.approx(5 / 6)
+    assert found["pressed", "explained"]["value"] == pytest.approx(5 / 6)
+    assert found["pressed, explained", "k_d/k_s within 25%"]["n"] == 5
+    assert found["pressed, explained", "k_d/k_s within 25%"]["value"] == 1
+    assert found["pressed", "k_s/E with an inclusion over without"]["value"] == pytest.approx(1)
+    over = [row.estimate[1] / row.tissue[4] / 0.001 for row in rows if row.estimate is not None]
+    assert found["pressed", "k_d over αm"]["value"] == pytest.approx(np.median(over))
+    assert ("pulled", "estimated") not in found
+
+
+def test_what_was_not_estimated_counts_as_such() -> None:
+    rows = [press(0, None, status="no estimate", warned=None, verdict=""), press(1, (0.5, 0.1, -0.1))]
+    rows.append(SlabRecovery("fem", 3, "direct", 7, "press", status="no scene", reason="none."))
+    found = table(rows)
+    assert (found["pressed", "estimated"]["n"], found["pressed", "estimated"]["value"]) == (3, pytest.approx(1 / 3))
+    assert ("pressed", "rank of k_s and E") not in found  # of one clip there is none
+
+
+def test_pulls_are_compared_by_force_over_stiffness() -> None:
+    rows = [pull(index, 3 * (0.1 + 0.02 * index) / young) for index, young in enumerate(YOUNG)]
+    found = table(rows)
+    assert found["pulled", "rank of F/k_s and F/E"]["value"] == pytest.approx(1)
+    assert found["pulled", "scatter of F/k_s over F/E"]["value"] == pytest.approx(0, abs=1e-12)
+    assert found["pulled", "relative force, off"]["value"] == pytest.approx(math.sqrt(0.5 * 0.2**2))
+    assert found["pulled", "relative force, held"]["value"] == 0.5
+
+
+def test_results_survive_the_file(tmp_path: Path) -> None:
+    rows = press(0, (0.5, 0.1, -0.1)), pull(1, 0.01)
+    RecoveryStore(tmp_path, {"seed": 0}, SlabRecovery).append(rows)
+    for again, row in zip(read_results(tmp_path / FILES[SlabRecovery], SlabRecovery), rows, strict=True):
+        for name, value in vars(row).items():
+            np.testing.assert_array_equal(getattr(again, name), value)
+
+
+@pytest.mark.slow
+def test_a_press_and_a_pull_from_pictures_to_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(slab, "CELLS", (6, 6, 3))
+    suite = SLAB_SUITES["fem"]
+    options = {"direct": EstimatorOptions("direct", onset="stamp", threads=1)}
+    [pressed] = evaluate_slab(SlabTask("fem", 0, 7, options))
+    assert pressed.status == "ok"
+    assert pressed.estimate is not None
+    assert pressed.force > 0
+    low, high = suite.settings(0).slab_young
+    assert pressed.tissue is not None
+    assert low <= pressed.tissue[0] <= high
+    [pulled] = evaluate_slab(SlabTask("fem", 2, 7, options))
+    assert pulled.status == "ok"
+    assert pulled.reaction is not None
+    assert pulled.curve[0, -1] == pytest.approx(1)
+
+    def nothing(*_: object) -> None:
+        raise slabs.SceneError("nothing to draw.")
+
+    monkeypatch.setattr(slabs, "draw_truth", nothing)
+    [failed] = evaluate_slab(SlabTask("fem", 0, 7, options))
+    assert (failed.status, failed.reason) == ("no scene", "nothing to draw.")

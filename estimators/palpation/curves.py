@@ -1,0 +1,117 @@
+"""Tables of measured forces: probes, indentations that are held, grasps. Units are those of such tables, mm and N."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from data.source.images import printable
+from data.source.layout import InputError
+from data.source.table import read_columns
+
+PROBES = ("probe", "contact_x", "contact_y", "contact_z", "depth_mm", "fn_N")
+HOLD = ("t_s", "force_N", "displacement_mm")
+GRASP = ("force_N", "gripper_width_m")
+LEAST = 4
+"""Rows of a curve, below which nothing is fitted to it."""
+DEEPEST, SHALLOWEST = 100.0, -1.0
+"""Depths beyond are slips of the pen of whoever recorded them, and are left out [mm]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Probe:
+    """Force at growing depths under one place; D of them."""
+
+    name: str
+    """Its number in the table."""
+    place: np.ndarray
+    """Where the surface was touched, shape [3] [mm]."""
+    depth: np.ndarray
+    """Along the surface's normal, rising, shape [D] [mm]."""
+    force: np.ndarray
+    """Along the surface's normal, positive where tissue pushes back, shape [D] [N]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Hold:
+    """An indentation that is driven to a depth and held there; T samples."""
+
+    times: np.ndarray
+    """Rising, shape [T] [s]."""
+    force: np.ndarray
+    """Less that before the motion begins, shape [T] [N]."""
+    depth: np.ndarray
+    """Shape [T] [mm]."""
+
+    @property
+    def held(self) -> np.ndarray:
+        """Which samples belong to the hold: from the first to the last within 2 % of the largest depth, shape [T]."""
+        near = np.flatnonzero(self.depth >= 0.98 * self.depth.max())
+        within = np.zeros(len(self.depth), bool)
+        within[near[0] : near[-1] + 1] = True
+        return within
+
+
+@dataclass(frozen=True, eq=False)
+class Grasp:
+    """Two jaws that close on an object; T samples."""
+
+    force: np.ndarray
+    """Shape [T] [N]."""
+    width: np.ndarray
+    """Between the jaws, shape [T] [mm]."""
+
+
+def read_probes(path: Path) -> list[Probe]:
+    """Read a table of probes with the columns PROBES; probes of fewer than LEAST usable rows are left out.
+
+    Raises:
+        InputError: it can't be read, or holds no probe.
+    """
+    table = read_columns(path, PROBES, "table of probes")
+    depth = table[:, 4]
+    table = table[np.isfinite(table).all(axis=1) & (depth > SHALLOWEST) & (depth < DEEPEST)]
+    found = []
+    for number in np.unique(table[:, 0]):
+        rows = table[table[:, 0] == number]
+        rows = rows[np.argsort(rows[:, 4], kind="stable")]
+        if len(rows) >= LEAST and np.ptp(rows[:, 4]) > 0:
+            found.append(Probe(f"{number:g}", rows[0, 1:4], rows[:, 4], rows[:, 5]))
+    if not found:
+        raise InputError(f"{printable(path)} holds no probe of {LEAST} depths; give a table that does.")
+    return found
+
+
+def read_hold(path: Path) -> Hold:
+    """Read an indentation with the columns HOLD.
+
+    Raises:
+        InputError: it can't be read, times don't rise, nothing moves, or nothing is held.
+    """
+    table = read_columns(path, HOLD, "table of an indentation")
+    table = table[np.isfinite(table).all(axis=1)]
+    if len(table) < 4 * LEAST or not (np.diff(table[:, 0]) > 0).all():
+        raise InputError(f"{printable(path)} has too few rows, or times that don't rise; give {4 * LEAST} in order.")
+    times, force, depth = table.T
+    moving = np.flatnonzero(depth - depth[0] > 0.01 * np.ptp(depth))
+    if not len(moving):
+        raise InputError(f"{printable(path)} shows no indentation: displacement_mm never grows; give one that does.")
+    found = Hold(times, force - np.median(force[: max(moving[0], 1)]), depth - depth[0])
+    if found.held.sum() < 2 * LEAST:
+        raise InputError(f"{printable(path)} holds its depth for {int(found.held.sum())} samples; give a longer hold.")
+    return found
+
+
+def read_grasp(path: Path) -> Grasp:
+    """Read a grasp with the columns GRASP, frame by frame.
+
+    Raises:
+        InputError: it can't be read, or is too short.
+    """
+    table = read_columns(path, GRASP, "table of a grasp")
+    table = table[np.isfinite(table).all(axis=1)]
+    if len(table) < LEAST:
+        raise InputError(f"{printable(path)} has {len(table)} rows of numbers; give {LEAST} or more.")
+    return Grasp(table[:, 0], 1000 * table[:, 1])

@@ -7,6 +7,7 @@ next_depth   the picture some frames ahead by physics and by a trained generator
 watched      a synthetic clip beside its noise-free truth; generated: what a trained generator makes of it
 beside_truth estimates of synthetic clips beside their truth; a door of its own
 real         real clips, judged on what was kept back from the fit; a door of its own
+palpation    measured forces on tissue, judged on what was kept back; a door of its own
 foreign      the finite elements on other people's data; a door of its own
 ablations    the contact posterior with fewer of a contact's frames, the system without its parts; a door of its own
 terms        the latter: generators trained without one term of the loss, the picture or the carried map

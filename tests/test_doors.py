@@ -26,6 +26,7 @@ DOORS = {
     "evaluation.beside_truth": ["-m", "evaluation.beside_truth"],
     "evaluation.foreign.__main__": ["-m", "evaluation.foreign"],
     "evaluation.next_depth": ["-m", "evaluation.next_depth"],
+    "evaluation.palpation.__main__": ["-m", "evaluation.palpation"],
     "evaluation.paper.readings": ["-m", "evaluation.paper.readings"],
     "evaluation.paper.recovered": ["-m", "evaluation.paper.recovered"],
     "evaluation.real.__main__": ["-m", "evaluation.real"],

@@ -11,6 +11,7 @@ from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 from matplotlib.figure import Figure
@@ -22,8 +23,10 @@ from data.depth.photometric import write_photometric
 from data.source.layout import InputError
 from data.synthetic import __main__ as synthetic
 from data.synthetic import clip as synthetic_clips
+from estimators.palpation import Grasp
 from evaluation import terms
 from evaluation.foreign import __main__ as foreign
+from evaluation.palpation import __main__ as palpation
 from evaluation.real import __main__ as real
 from evaluation.recovery import figures
 from evaluation.recovery.output import write_results
@@ -51,6 +54,7 @@ PLACES = {
     "estimate": ("clip/parameters.csv", "clip/run.json", "clip/notes.txt", ".clip.partial-1/notes.txt"),
     "judge_press": ("table.csv", "report.html", "figures/1.png", "figures/notes.txt"),
     "judge_foreign": ("table.csv", "notes.txt"),
+    "judge_palpation": ("table.csv", "notes.txt"),
     "benchmark": ("table.csv", "details.csv", "figures/errors.png", "results.jsonl", "run.json"),
     "train_network": ("checkpoints/best.ckpt", "checkpoints/last.ckpt", "checkpoints/notes.txt"),
     "train_row": (f"{ROW}/notes.txt", f"{ROW}/photos/1.jpg", f"{ROW}/judged.json", f".{ROW}-1/notes.txt"),
@@ -68,6 +72,8 @@ def inputs(tmp_path: Path) -> Path:
     write_tiny(tmp_path / "tiny", frames=2)
     (tmp_path / "foreign").mkdir()
     (tmp_path / "foreign" / "linear_a.npz").touch()
+    (tmp_path / "forces").mkdir()
+    (tmp_path / "forces" / "grasp.csv").write_text("force_N,gripper_width_m\n")
     for name, slope in (("first", 0.1), ("second", 0.2)):
         write_model(tmp_path / f"{name}.onnx", slope=(slope, 0.0, 0.0))
     settings = {
@@ -91,6 +97,7 @@ def quick(monkeypatch: pytest.MonkeyPatch, blank_pictures: None) -> None:
     patch(synthetic_clips, "open_video", lambda path, settings: nullcontext(lambda image: path.write_bytes(b"v")))
     patch(real, "_pressed", lambda folder, wrench, measures: measures.update({"frames": 1}) or os.urandom(8))
     patch(foreign, "judge_pull", lambda path: {"frames": random.random()})
+    patch(palpation, "read_grasp", lambda path: Grasp(np.linspace(0, 9, 19), random.random() - np.arange(19)))
     patch(figures, "figures", lambda scores: [("errors.png", Figure((1, 1)))])
 
     @functools.wraps(train.RunTrainer.fit)  # whose arguments are options
@@ -133,6 +140,9 @@ def runs_of(inputs: Path) -> dict[str, Run]:
     def judge_foreign(chance: random.Random, out: Path) -> object:
         return foreign.main(["--data", str(inputs / "foreign"), "--output", str(out)])
 
+    def judge_palpation(chance: random.Random, out: Path) -> object:
+        return palpation.main(["--data", str(inputs / "forces"), "--output", str(out)])
+
     def benchmark(chance: random.Random, out: Path) -> object:
         store = RecoveryStore(out, {"seed": 0})
         store.append([recovery(chance.randrange(9))])
@@ -150,8 +160,8 @@ def runs_of(inputs: Path) -> dict[str, Run]:
     def keep_prepared(chance: random.Random, out: Path) -> object:
         return prepare(inputs / "tiny", SETTINGS, out)
 
-    every = (draw, estimate, judge_press, judge_foreign, benchmark, train_network, train_row, write_depth)
-    return {run.__name__: run for run in (*every, keep_prepared)}
+    every = (draw, estimate, judge_press, judge_foreign, judge_palpation, benchmark, train_network, train_row)
+    return {run.__name__: run for run in (*every, write_depth, keep_prepared)}
 
 
 def put(chance: random.Random, out: Path, places: Sequence[str]) -> Path:
@@ -223,6 +233,7 @@ def test_these_doors_write_where_nothing_is_in_the_way(inputs: Path) -> None:
         "estimate": {"run.json", "parameters.csv", "summary.png"},
         "judge_press": {"table.csv", "report.html", "1.png"},
         "judge_foreign": {"table.csv"},
+        "judge_palpation": {"table.csv"},
         "benchmark": {"table.csv", "details.csv", "errors.png", "results.jsonl", "run.json"},
         "train_network": {"last.ckpt", "best.ckpt"},
         "train_row": {"last.ckpt"},

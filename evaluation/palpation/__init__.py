@@ -1,0 +1,7 @@
+"""Measured forces on tissue and objects, judged on what was kept back from the fits.
+
+probing     force at probes that were left out
+relaxation  the second half of a hold
+grasping    objects grasped several times, and whether they rank as their names say
+__main__    the door
+"""

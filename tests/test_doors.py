@@ -14,6 +14,7 @@ from tests.inference_inputs import write_clip, write_model
 from tests.test_architecture import ROOT, modules
 
 DOORS = {
+    "calibrate": ["calibrate.py"],
     "infer": ["infer.py"],
     "train": ["train.py"],
     "data.synthetic.__main__": ["-m", "data.synthetic"],
@@ -27,6 +28,7 @@ DOORS = {
     "evaluation.foreign.__main__": ["-m", "evaluation.foreign"],
     "evaluation.next_depth": ["-m", "evaluation.next_depth"],
     "evaluation.palpation.__main__": ["-m", "evaluation.palpation"],
+    "evaluation.palpation.frank": ["-m", "evaluation.palpation.frank"],
     "evaluation.paper.readings": ["-m", "evaluation.paper.readings"],
     "evaluation.paper.recovered": ["-m", "evaluation.paper.recovered"],
     "evaluation.real.__main__": ["-m", "evaluation.real"],

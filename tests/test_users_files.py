@@ -23,7 +23,7 @@ from data.depth.photometric import write_photometric
 from data.source.layout import InputError
 from data.synthetic import __main__ as synthetic
 from data.synthetic import clip as synthetic_clips
-from estimators.palpation import Grasp
+from estimators.palpation.curves import Grasp
 from evaluation import terms
 from evaluation.foreign import __main__ as foreign
 from evaluation.palpation import __main__ as palpation

@@ -5,16 +5,23 @@ indentation one force–depth curve: a modulus where the indenter is stated, a s
 region      the curves of many probes, and what a probe elsewhere on the same tissue will feel
 relaxation  how a force falls while the depth is held: standard linear solids
 grasp       stiffness of an object between two jaws
+skin        a scanned surface on coarser tetrahedra, and the closest places on it
+registration depth points laid onto a surface (ICP)
+material_fit Young's modulus and Poisson's ratio from forces and deformed surfaces
+scene       the file that names a surface and what was pressed on it
 """
 
 from physics.lazy import exported
 
 __getattr__ = exported(
     {
-        "estimators.palpation.curves": ("Grasp", "Hold", "Probe", "read_grasp", "read_hold", "read_probes"),
-        "estimators.palpation.indentation": ("Indenter", "Indentation", "fit_indentation"),
-        "estimators.palpation.region": ("Region", "fit_region"),
-        "estimators.palpation.relaxation": ("Viscoelastic", "fit_relaxation"),
+        "estimators.palpation.curves": ("Hold", "Probe", "read_grasp", "read_hold", "read_probes"),
+        "estimators.palpation.indentation": ("Indenter", "fit_indentation"),
+        "estimators.palpation.region": ("fit_region",),
+        "estimators.palpation.relaxation": ("fit_relaxation",),
         "estimators.palpation.grasp": ("GraspSlope", "fit_grasp"),
+        "estimators.palpation.skin": ("Skin", "cover"),
+        "estimators.palpation.material_fit": ("FitSettings", "Palpation", "fit_material"),
+        "estimators.palpation.scene": ("read_scene",),
     }
 )

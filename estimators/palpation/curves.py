@@ -9,11 +9,14 @@ import numpy as np
 
 from data.source.images import printable
 from data.source.layout import InputError
-from data.source.table import read_columns
+from data.source.table import MOST_BYTES, read_columns
+from physics.files import read_file
 
 PROBES = ("probe", "contact_x", "contact_y", "contact_z", "depth_mm", "fn_N")
 HOLD = ("t_s", "force_N", "displacement_mm")
 GRASP = ("force_N", "gripper_width_m")
+KINDS = (PROBES, HOLD, GRASP)
+"""Columns by which a table is known."""
 LEAST = 4
 """Rows of a curve, below which nothing is fitted to it."""
 DEEPEST, SHALLOWEST = 100.0, -1.0
@@ -62,6 +65,16 @@ class Grasp:
     """Shape [T] [N]."""
     width: np.ndarray
     """Between the jaws, shape [T] [mm]."""
+
+
+def kind_of(path: Path) -> tuple[str, ...] | None:
+    """Which of KINDS a table is, by its head; None = none of them, or no file that can be read."""
+    try:
+        head = read_file(path, MOST_BYTES).partition(b"\n")[0]
+    except OSError:
+        return None
+    columns = {name.strip().strip('"') for name in head.decode("utf-8-sig", "replace").split(",")}
+    return next((kind for kind in KINDS if columns >= set(kind)), None)
 
 
 def read_probes(path: Path) -> list[Probe]:

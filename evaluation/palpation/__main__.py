@@ -26,7 +26,7 @@ from rich.console import Console
 from data.command_line import path_option, progress_bars, say
 from data.source.layout import InputError
 from estimators.palpation import GraspSlope, fit_grasp, read_grasp, read_hold, read_probes
-from estimators.palpation.curves import GRASP, HOLD, PROBES
+from estimators.palpation.curves import HOLD, KINDS, PROBES, kind_of
 from evaluation.palpation.grasping import GraspName, judge_grasps
 from evaluation.palpation.probing import judge_probing
 from evaluation.palpation.relaxation import judge_relaxation
@@ -37,7 +37,6 @@ from physics.ownership import replacing_own, require_own
 from results.store import OutputError, writing
 
 COLUMNS = ("file", "measure", "value")
-KINDS = {"probing": PROBES, "relaxation": HOLD, "grasp": GRASP}
 SUMMARISED = {
     "probing": (
         "that over the mean stiffness's, random fifths",
@@ -62,19 +61,6 @@ def build_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def kind_of(path: Path) -> str | None:
-    """Which of KINDS a table is, by its head; None = none of them, or no file that can be read."""
-    try:
-        if not path.is_file():
-            return None
-        with path.open("rb") as file:
-            head = file.readline(4096)
-    except OSError:
-        return None
-    columns = {name.strip().strip('"') for name in head.decode("utf-8-sig", "replace").split(",")}
-    return next((kind for kind, needed in KINDS.items() if columns >= set(needed)), None)
-
-
 def main(arguments: list[str] | None = None) -> int:
     """Judge what lies under a folder; returns the exit status."""
     parser, console = build_parser(), Console(stderr=True)
@@ -83,7 +69,7 @@ def main(arguments: list[str] | None = None) -> int:
     kinds = {path: kind_of(path) for path in below if path.suffix.lower() == ".csv"}
     files = {path: kind for path, kind in kinds.items() if kind is not None}
     if not files:
-        wanted = "; ".join(", ".join(columns) for columns in KINDS.values())
+        wanted = "; ".join(", ".join(columns) for columns in KINDS)
         parser.error(f"{options.data} holds no CSV file with the columns of any of: {wanted}. Give --data that does.")
     try:
         with writing(options.output):
@@ -95,10 +81,10 @@ def main(arguments: list[str] | None = None) -> int:
     slopes: dict[GraspName, list[GraspSlope]] = defaultdict(list)
     status = 0
 
-    def judge(path: Path, kind: str) -> dict[str, object]:
-        if kind == "probing":
+    def judge(path: Path, kind: tuple[str, ...]) -> dict[str, object]:
+        if kind == PROBES:
             return judge_probing(read_probes(path))
-        if kind == "relaxation":
+        if kind == HOLD:
             return judge_relaxation(read_hold(path))
         slope = fit_grasp(read_grasp(path))
         slopes[GraspName.of(path.stem)].append(slope)

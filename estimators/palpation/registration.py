@@ -1,0 +1,66 @@
+"""Rigid alignment of depth points with a surface (ICP).
+
+Besl & McKay 1992 with the distance along the normal instead of between points (Chen & Medioni 1992), and the farthest
+pairs left out, as Frank 2010 (section VI-A) has it after Rusinkiewicz & Levoy 2001: where a tool deforms the object, it
+does not fit the surface at rest.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from estimators.palpation.skin import Match
+
+KEPT = 0.7
+"""Share of the pairs, those closest, that align."""
+ROUNDS = 50
+STILL = 1e-7
+"""Step of a point over the cloud's size, below which nothing changes any more."""
+
+
+def placed(pose: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Points [P, 3] under a pose [4, 4]."""
+    return points @ pose[:3, :3].T + pose[:3, 3]
+
+
+def turned(pose: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """A pose [4, 4] after a small motion: rotation vector [rad] and shift [m] about the origin, shape [6]."""
+    change = np.eye(4)
+    change[:3, :3] = Rotation.from_rotvec(step[:3]).as_matrix()
+    change[:3, 3] = step[3:]
+    return change @ pose
+
+
+def register(
+    points: np.ndarray, vertices: np.ndarray, triangles: np.ndarray, pose: np.ndarray, kept: float = KEPT
+) -> np.ndarray:
+    """Pose that lays points onto a surface.
+
+    Args:
+        points: in the sensor's frame, shape [P, 3] [m].
+        vertices: of the surface, shape [V, 3] [m].
+        triangles: shape [F, 3].
+        pose: to begin at: where the sensor was, as the tool that carries it says, shape [4, 4].
+        kept: share of the pairs that align.
+
+    Returns:
+        shape [4, 4].
+    """
+    found = np.asarray(pose, np.float64)
+    size = float(np.ptp(points, axis=0).max())
+    for _ in range(ROUNDS):
+        seen = placed(found, points)
+        match = Match.of(seen, vertices, triangles)
+        near = match.apart <= np.quantile(match.apart, kept)
+        centre = seen[near].mean(axis=0)
+        # Turned about the middle, and in units of the cloud's size, the six unknowns weigh alike.
+        jacobian = np.hstack([np.cross((seen[near] - centre) / size, match.normal[near]), match.normal[near]])
+        # A motion that the surface doesn't show, as within a plane, is left out.
+        step = np.linalg.lstsq(jacobian, -match.distance[near], rcond=1e-3)[0]
+        there, back = np.eye(4), np.eye(4)
+        there[:3, 3], back[:3, 3] = -centre, centre
+        found = back @ turned(there @ found, step / [size, size, size, 1, 1, 1])
+        if np.abs(step).max() < STILL * size:
+            break
+    return found

@@ -1,0 +1,163 @@
+"""The file that `calibrate.py palpation` reads: a surface at rest, how it is held, and what was pressed on it."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from data.source.images import printable
+from data.source.layout import InputError, from_mapping, read_mapping
+from data.source.table import read_columns
+from estimators.palpation.material_fit import FitSettings, Palpation
+from estimators.palpation.skin import Skin, cover
+from physics.fem import NoBody, make_solid, mesh_surface
+from physics.fields import LARGEST
+from physics.files import read_file
+
+MOST_BYTES = 2**26
+"""Of a surface's file."""
+Row = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class SceneFile:
+    """Fields of the file.
+
+    Raises:
+        ValueError: numbers that can't be.
+    """
+
+    surface: str
+    """The surface at rest, an .obj file beside this one [m]."""
+    held_axis: Literal["x", "y", "z"]
+    """Along which `held_below` counts."""
+    held_below: float
+    """What lies lower stands still, as on a table [m]."""
+    palpations: tuple[dict[str, Any], ...]
+    """Each with the fields of `PalpationFile`."""
+    cells: int = 8
+    """Of the mesh along the surface's longest side."""
+    thickness: float | None = None
+    """Of an open surface [m]; none = it encloses the body."""
+    law: Literal["linear", "corotational", "neo_hookean", "stable_neo_hookean"] = "corotational"
+    """The material's."""
+    young: float = 1e4
+    """E to begin at [Pa]."""
+    poisson: float = 0.3
+    """ν to begin at."""
+
+    def __post_init__(self) -> None:
+        if not 2 <= self.cells <= 64:
+            raise ValueError(f"cells is {self.cells}; give 2 to 64.")
+        if not self.young > 0 or not 0 <= self.poisson < 0.5:
+            raise ValueError("young is to be positive, poisson from 0 to below 0.5.")
+        if not self.palpations:
+            raise ValueError("palpations is empty; give one at least.")
+
+
+@dataclass(frozen=True)
+class PalpationFile:
+    """Fields of a palpation; the rest is `Palpation`'s."""
+
+    force: tuple[float, float, float]
+    contact: tuple[float, float, float]
+    points: str
+    """CSV file beside this one, with columns x, y, z [m], in the sensor's frame."""
+    pose: tuple[Row, Row, Row, Row] = ((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1))
+    tool_radius: float = 0.015
+    hole: float = 0.02
+    pose_shift: float = 0.005
+    pose_turn: float = 0.03
+
+    def __post_init__(self) -> None:
+        turn = np.array(self.pose)[:3, :3]
+        if np.abs(turn @ turn.T - np.eye(3)).max() > 1e-3 or np.linalg.det(turn) < 0:
+            raise ValueError("pose is no rotation and shift; give the rows of a rigid 4 × 4 matrix.")
+        if min(self.tool_radius, self.hole, self.pose_shift, self.pose_turn) <= 0:
+            raise ValueError("tool_radius, hole, pose_shift and pose_turn are to be positive.")
+        if not any(self.force):
+            raise ValueError("force is zero; give what the tool pressed with.")
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What a scene's file says, read."""
+
+    skin: Skin
+    held: np.ndarray
+    """Which components of the nodes are fixed, shape [N, 3], bool."""
+    palpations: list[Palpation]
+    settings: FitSettings
+    notes: tuple[str, ...]
+    """What was odd about the surface."""
+
+
+def read_scene(path: Path) -> Scene:
+    """Read a scene.
+
+    Raises:
+        InputError: it, or a file that it names, can't be read or can't be.
+    """
+    scene = from_mapping(SceneFile, read_mapping(path, "a palpation scene"), printable(path))
+    palpations = []
+    for number, values in enumerate(scene.palpations, start=1):
+        where = f"{printable(path)}, palpation {number}"
+        each = from_mapping(PalpationFile, values, where)
+        points = read_columns(path.parent / each.points, ("x", "y", "z"), "table of points")
+        palpations.append(
+            Palpation(
+                np.array(each.force),
+                np.array(each.contact),
+                points[np.isfinite(points).all(axis=1)],
+                np.array(each.pose, np.float64),
+                each.tool_radius,
+                each.hole,
+                each.pose_shift,
+                each.pose_turn,
+            )
+        )
+    vertices, triangles = read_obj(path.parent / scene.surface)
+    try:
+        meshed = mesh_surface(vertices, triangles, cells=scene.cells, thickness=scene.thickness)
+    except NoBody as error:
+        raise InputError(f"{printable(path.parent / scene.surface)}: {error}") from error
+    body = make_solid(meshed.nodes, meshed.tetrahedra, order=2)
+    low = body.rest[:, "xyz".index(scene.held_axis)]
+    held = np.repeat((low <= scene.held_below)[:, None], 3, axis=1)
+    if held.sum() < 9:
+        raise InputError(
+            f"{printable(path)}: {int(held.sum() / 3)} nodes lie below held_below; give more, the lowest is at "
+            f"{low.min():.4g} m."
+        )
+    settings = FitSettings(scene.law, scene.young, scene.poisson)
+    return Scene(cover(body, vertices, triangles), held, palpations, settings, meshed.notes)
+
+
+def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices [V, 3] and triangles [F, 3] of a Wavefront file; faces of more corners are fanned out.
+
+    Raises:
+        InputError: it can't be read, or holds no triangle.
+    """
+    vertices, triangles = [], []
+    try:
+        for line in read_file(path, MOST_BYTES).decode("utf-8-sig").splitlines():
+            kind, *parts = line.split() or [""]
+            if kind == "v":
+                vertices.append([float(part) for part in parts[:3]])
+            elif kind == "f":
+                corners = [int(part.split("/")[0]) for part in parts]
+                corners = [index - 1 if index > 0 else len(vertices) + index for index in corners]
+                triangles += [[corners[0], *pair] for pair in itertools.pairwise(corners[1:])]
+        places = np.array(vertices, np.float64).reshape(-1, 3)
+        faces = np.array(triangles, np.int64).reshape(-1, 3)
+    except (OSError, ValueError) as error:
+        told = getattr(error, "strerror", None) or "a line is not as it should be"
+        raise InputError(f"{printable(path)} is no .obj surface ({told}); give lines v x y z and f i j k.") from error
+    if not len(faces) or faces.min() < 0 or faces.max() >= len(places) or not (np.abs(places) <= LARGEST).all():
+        raise InputError(f"{printable(path)} holds no triangles of its own finite vertices; give lines v and f.")
+    return places, faces

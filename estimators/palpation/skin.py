@@ -1,0 +1,130 @@
+"""A body's surface as it was scanned, carried by coarser tetrahedra (Frank 2010, section IV-A).
+
+Vertices move as the shape functions of the element that they lie in, or closest to, say; forces on them reach the nodes
+by the same shares, so that both do the same work.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.spatial import KDTree
+
+from physics.fem import Solid
+from physics.fem.solid import EDGES
+from physics.fem.surface import nearest
+
+CANDIDATES = 24
+"""Elements with the closest centres, among which a vertex finds its own."""
+
+
+@dataclass(frozen=True, eq=False)
+class Skin:
+    """V vertices and F triangles on a body of N nodes; made by `cover`."""
+
+    body: Solid
+    vertices: np.ndarray
+    """At rest, shape [V, 3] [m]."""
+    triangles: np.ndarray
+    """Indices of corners, anticlockwise seen from outside, shape [F, 3]."""
+    shares: csr_array
+    """Of the nodes' displacements in a vertex's, shape [V, N]; rows add up to 1."""
+
+    @cached_property
+    def areas(self) -> np.ndarray:
+        """A third of the triangles around every vertex at rest, shape [V] [m²]."""
+        one, two, three = self.vertices[self.triangles].transpose(1, 0, 2)
+        area = np.linalg.norm(np.cross(two - one, three - one), axis=1) / 6
+        return np.bincount(self.triangles.ravel(), np.repeat(area, 3), minlength=len(self.vertices))
+
+    def moved(self, displacement: np.ndarray) -> np.ndarray:
+        """Vertices where the nodes are displaced [N, 3], shape [V, 3] [m]."""
+        return self.vertices + self.shares @ displacement
+
+    def pressed(self, place: np.ndarray, radius: float, force: np.ndarray) -> np.ndarray:
+        """Nodal forces of a force that is spread as 1 - (r/R)² around a place, as `Press.on_patch` spreads it.
+
+        Args:
+            place: on the surface at rest, shape [3] [m].
+            radius: R [m].
+            force: shape [3] [N].
+
+        Returns:
+            shape [N, 3] [N].
+
+        Raises:
+            ValueError: fewer than three vertices lie within the radius.
+        """
+        near = np.linalg.norm(self.vertices - place, axis=1) / radius
+        weights = self.areas * np.maximum(1 - near**2, 0.0)
+        if np.count_nonzero(weights) < 3:
+            raise ValueError(
+                f"{np.count_nonzero(weights)} vertices lie within {radius:g} m of the contact {np.round(place, 4)}; "
+                "give a contact on the surface, a wider tool or a finer surface."
+            )
+        return (self.shares.T @ (weights / weights.sum()))[:, None] * force
+
+
+def cover(body: Solid, vertices: np.ndarray, triangles: np.ndarray) -> Skin:
+    """Couple a surface to a body that fills it.
+
+    Args:
+        body: linear or quadratic.
+        vertices: shape [V, 3] [m].
+        triangles: shape [F, 3]; turned over where they face inwards as a whole.
+    """
+    corners = body.rest[body.elements[:, :4]]
+    _, near = KDTree(corners.mean(axis=1)).query(vertices, k=min(CANDIDATES, len(corners)))
+    near = near.reshape(len(vertices), -1)
+    edges = corners[:, 1:] - corners[:, :1]
+    inner = np.einsum("vkj,vkji->vki", vertices[:, None] - corners[near, 0], np.linalg.inv(edges)[near])
+    shares = np.concatenate([1 - inner.sum(axis=2, keepdims=True), inner], axis=2)
+    best = shares.min(axis=2).argmax(axis=1)  # inside, or the least way out
+    rows = np.arange(len(vertices))
+    element, place = near[rows, best], shares[rows, best]
+    values = _shapes(place) if body.elements.shape[1] == 10 else place
+    nodes = body.elements[element]
+    index = np.repeat(rows, nodes.shape[1]), nodes.ravel()
+    matrix = csr_array((values.ravel(), index), shape=(len(vertices), len(body.rest)))
+    one, two, three = vertices[triangles].transpose(1, 0, 2)
+    volume = float(np.einsum("fi,fi->f", one, np.cross(two, three)).sum())
+    return Skin(body, vertices, triangles if volume >= 0 else triangles[:, ::-1], matrix)
+
+
+def _shapes(place: np.ndarray) -> np.ndarray:
+    """Quadratic shape functions at barycentric places [V, 4], shape [V, 10]."""
+    return np.concatenate([place * (2 * place - 1), 4 * place[:, EDGES[:, 0]] * place[:, EDGES[:, 1]]], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Match:
+    """The closest places of a surface to P points."""
+
+    face: np.ndarray
+    """Triangle, shape [P]."""
+    shares: np.ndarray
+    """Barycentric, shape [P, 3]."""
+    normal: np.ndarray
+    """Of the triangle, outwards, shape [P, 3]."""
+    distance: np.ndarray
+    """Of the points along the normal, positive outside, shape [P] [m]."""
+    apart: np.ndarray
+    """Of the points from the places, shape [P] [m]."""
+
+    @classmethod
+    def of(cls, points: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) -> Match:
+        """Match points [P, 3] with triangles [F, 3] of vertices [V, 3]."""
+        corners = vertices[triangles]
+        face, shares = nearest(points, corners)
+        one, two, three = corners[face].transpose(1, 0, 2)
+        normal = np.cross(two - one, three - one)
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        beyond = points - np.einsum("pk,pkx->px", shares, corners[face])
+        return cls(face, shares, normal, (beyond * normal).sum(axis=1), np.linalg.norm(beyond, axis=1))
+
+    def at(self, triangles: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Values of the vertices [V, …] at the matched places, shape [P, …]."""
+        return np.einsum("pk,pk...->p...", self.shares, values[triangles[self.face]])

@@ -1,0 +1,233 @@
+"""The experiments of Frank 2010 (section VIII-A) on palpations with known truth.
+
+    python -m evaluation.palpation.frank --output OUT [--quick]
+
+A ball and a slab of neo-Hookean tissue on a finer mesh are pressed and seen from one side by two sensors; E and ν are
+fitted by the co-rotational law, from starts a factor of thirty off, by Gauss–Newton and by the paper's numeric descent.
+Writes table.csv (file, measure, value) and the paper's figures: error_mask.png (4), six_forces.png (5) and
+error_surface.png (the error over E and ν).
+"""
+
+from __future__ import annotations
+
+from physics.doors import enter_door, run_door
+
+if __name__ == "__main__":
+    enter_door()  # before the slow imports
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from rich.console import Console
+
+from data.command_line import path_option, say
+from estimators.palpation import FitSettings, Palpation, Skin, fit_material
+from estimators.palpation.material_fit import descend, surface_error
+from estimators.palpation.registration import placed
+from evaluation.page import as_png
+from evaluation.palpation.synthetic import BODIES, SENSORS, Body, observe, press
+from evaluation.tables import to_csv
+from physics.fem import Equilibrium, Material, find_equilibrium
+from physics.ownership import replacing_own, require_own
+from results.store import OutputError, writing
+
+COLUMNS = ("file", "measure", "value")
+FIGURES = ("error_mask.png", "six_forces.png", "error_surface.png")
+YOUNG, POISSON = 1e4, 0.42
+"""The truth [Pa]."""
+PLACES = ((0.1, 0.5), (0.4, 2.5), (0.4, 4.6))
+"""Where is pressed, as `Body.contact` takes it."""
+FORCES = {"ball": 0.8, "slab": 1.0}
+"""With what [N]."""
+SIX = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+"""Forces of the paper's figure 5 [N]."""
+CELLS, TRUE_CELLS = {"ball": 7, "slab": 8}, {"ball": 9, "slab": 10}
+STARTS = (30.0, 1 / 30)
+
+Row = dict[str, object]
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """Command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m evaluation.palpation.frank",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog="Exit status: 0 done; 1 the results could not be written; 2 wrong usage; 130 interrupted.",
+    )
+    parser.add_argument("--output", type=path_option, required=True, metavar="OUT", help="folder of the results")
+    parser.add_argument("--quick", action="store_true", help="one body, one sensor, coarse: to see that it works")
+    return parser
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the experiments; returns the exit status."""
+    parser, console = build_parser(), Console(stderr=True)
+    options: Any = parser.parse_args(arguments)
+    try:
+        with writing(options.output):
+            require_own(*(options.output / name for name in ("table.csv", *FIGURES)))
+    except OutputError as error:
+        say(console, str(error), "red")
+        return 2
+    rows: list[Row] = []
+    try:
+        for name in ("slab",) if options.quick else BODIES:
+            coarse = options.quick
+            truths = [_truth(name, FORCES[name], place, coarse) for place in PLACES[: 1 if coarse else None]]
+            skin, held = BODIES[name].skin(4 if coarse else CELLS[name], BODIES[name].size / 24)
+            for sensor in ("stereo",) if coarse else SENSORS:
+                seen = [observe(*truth, sensor, number) for number, truth in enumerate(truths)]
+                _starts(f"{name}, {sensor}", skin, held, seen, rows)
+                _write(options.output, rows, {})
+                say(console, f"{name}, {sensor}: fitted")
+        name = "slab" if options.quick else "ball"
+        figures = _paper(BODIES[name], name, options.quick, rows)
+        _write(options.output, rows, figures)
+    except OutputError as error:
+        say(console, str(error), "red")
+        return 1
+    for row in rows:
+        value = row["value"]
+        print(f"{row['file']}: {row['measure']}: {f'{value:.4g}' if isinstance(value, float) else value}")
+    say(console, f"written: {options.output}")
+    return 0
+
+
+def _truth(
+    name: str, force: float, place: tuple[float, float], coarse: bool
+) -> tuple[Skin, Equilibrium, np.ndarray, np.ndarray]:
+    return press(BODIES[name], YOUNG, POISSON, force, place, 5 if coarse else TRUE_CELLS[name])
+
+
+def _starts(label: str, skin: Skin, held: np.ndarray, seen: Sequence[Palpation], rows: list[Row]) -> None:
+    """Fits from either side of the truth."""
+    for start in STARTS:
+        fit = fit_material(skin, held, seen, FitSettings(young=YOUNG * start))
+        measures = {
+            "E / truth - 1": fit.young / YOUNG - 1,
+            "E, standard deviation of its logarithm": fit.young_sd,
+            "ν - truth": fit.poisson - POISSON,
+            "ν, standard deviation": fit.poisson_sd,
+            "verdict": fit.verdict,
+            "equilibria a palpation": fit.solves / len(seen),
+        }
+        named = f"{label}, {len(seen)} palpations, start E × {start:.3g}"
+        rows.extend({"file": named, "measure": measure, "value": value} for measure, value in measures.items())
+
+
+def _paper(body: Body, name: str, coarse: bool, rows: list[Row]) -> dict[str, bytes]:
+    """The paper's figures, and its descent beside Gauss–Newton."""
+    skin, held = body.skin(4 if coarse else CELLS[name], body.size / 24)
+    truth = _truth(name, FORCES[name], PLACES[0], coarse)
+    seen = observe(*truth, "stereo", 0)
+    settings = FitSettings(young=YOUNG / 30)
+    exact = fit_material(skin, held, [seen], settings)
+    numeric = descend(skin, held, [seen], settings, most=40 if coarse else 400)
+    near = abs(numeric.young / exact.young - 1) < 0.05
+    measures: dict[str, object] = {
+        "Gauss–Newton: E / truth - 1": exact.young / YOUNG - 1,
+        "Gauss–Newton: ν - truth": exact.poisson - POISSON,
+        "Gauss–Newton: equilibria": exact.solves,
+        "descent: E / truth - 1": numeric.young / YOUNG - 1,
+        "descent: ν - truth": numeric.poisson - POISSON,
+        "descent: equilibria": numeric.solves,
+        "descent: arrived within 5 % of Gauss–Newton's E": "yes" if near else "no",
+        "equilibria, descent / Gauss–Newton": numeric.solves / exact.solves,
+    }
+    found = []
+    for number, force in enumerate(SIX[:2] if coarse else SIX):
+        each = observe(*_truth(name, force, PLACES[0], coarse), "stereo", 10 + number)
+        found.append(fit_material(skin, held, [each], FitSettings(young=YOUNG / 30)))
+    values = np.array([fit.young for fit in found])
+    measures |= {
+        "six forces: E, standard deviation / mean": float(values.std(ddof=1) / values.mean()),
+        "six forces: E, mean / truth - 1": float(values.mean() / YOUNG - 1),
+    }
+    rows.extend(
+        {"file": f"{name}, stereo, one palpation", "measure": key, "value": each} for key, each in measures.items()
+    )
+    errors = []
+    for young in (exact.young, exact.young / 2):
+        forces = skin.pressed(seen.contact, seen.tool_radius, seen.force)
+        rest = find_equilibrium(skin.body, Material("corotational", young, exact.poisson), held, forces=forces)
+        errors.append(1000 * np.sqrt(surface_error(skin, rest, seen, exact.poses[0])))
+    youngs = YOUNG * np.geomspace(0.4, 2.5, 3 if coarse else 7)
+    ratios = np.linspace(0.1, 0.47, 2 if coarse else 5)
+    surface = _error_surface(skin, held, seen, exact.poses[0], youngs, ratios)
+    figures = [_draw_masks(placed(exact.poses[0], seen.points), errors)]
+    figures += [_draw_six(SIX[: len(found)], values, [fit.young_sd for fit in found])]
+    figures += [_draw_surface(youngs, ratios, surface, (exact.young, exact.poisson))]
+    return dict(zip(FIGURES, map(as_png, figures), strict=True))
+
+
+def _error_surface(
+    skin: Skin, held: np.ndarray, seen: Palpation, pose: np.ndarray, youngs: np.ndarray, ratios: np.ndarray
+) -> np.ndarray:
+    """Root mean square surface error [mm], shape [ν, E]."""
+    forces = skin.pressed(seen.contact, seen.tool_radius, seen.force)
+    found = np.zeros((len(ratios), len(youngs)))
+    for row, poisson in enumerate(ratios):
+        start = None
+        for column in range(len(youngs))[::-1]:  # stiff ones first: they are close to rest
+            material = Material("corotational", float(youngs[column]), float(poisson))
+            rest = find_equilibrium(skin.body, material, held, forces=forces, start=start)
+            start = rest.displacement
+            found[row, column] = 1000 * np.sqrt(np.nanmean(surface_error(skin, rest, seen, pose)))
+    return found
+
+
+def _draw_masks(points: np.ndarray, errors: Sequence[np.ndarray]) -> Figure:
+    figure = Figure(figsize=(10, 4.6), layout="constrained")
+    for number, (title, error) in enumerate(zip(("as fitted", "half as stiff"), errors, strict=True)):
+        axes = figure.add_subplot(1, 2, number + 1)
+        masked = np.isnan(error)
+        axes.scatter(*1000 * points[masked, :2].T, s=6, color="0.85", label="masked: the tool's hole")
+        drawn = axes.scatter(*1000 * points[~masked, :2].T, s=6, c=error[~masked], cmap="inferno", vmin=0, vmax=2)
+        axes.set(title=title, xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
+        axes.legend(loc="upper right", fontsize=8)
+    figure.colorbar(drawn, ax=figure.axes, label="distance from the simulated surface [mm]")
+    return figure
+
+
+def _draw_six(forces: Sequence[float], values: np.ndarray, sds: Sequence[float]) -> Figure:
+    figure = Figure(figsize=(6, 4), layout="constrained")
+    axes = figure.add_subplot()
+    axes.errorbar(forces, values / 1000, yerr=1.645 * np.array(sds) * values / 1000, fmt="o", capsize=3, label="90 %")
+    axes.axhline(YOUNG / 1000, color="0.5", linestyle="--", label="truth")
+    axes.axhline(values.mean() / 1000, color="C1", label="mean")
+    axes.set(xlabel="force [N]", ylabel="Young's modulus [kPa]", ylim=(0, 2 * YOUNG / 1000))
+    axes.legend()
+    return figure
+
+
+def _draw_surface(youngs: np.ndarray, ratios: np.ndarray, errors: np.ndarray, best: tuple[float, float]) -> Figure:
+    figure = Figure(figsize=(6.5, 4.4), layout="constrained")
+    axes = figure.add_subplot()
+    drawn = axes.contourf(youngs / 1000, ratios, errors, levels=14, cmap="viridis")
+    axes.plot(YOUNG / 1000, POISSON, "w*", markersize=14, label="truth")
+    axes.plot(best[0] / 1000, best[1], "rx", markersize=10, label="fit")
+    axes.set(xscale="log", xlabel="Young's modulus [kPa]", ylabel="Poisson's ratio")
+    axes.set_xticks([4, 6, 10, 16, 25], ["4", "6", "10", "16", "25"])
+    axes.minorticks_off()
+    axes.legend(loc="lower right")
+    figure.colorbar(drawn, label="surface error, rms [mm]")
+    return figure
+
+
+def _write(output: Path, rows: list[Row], figures: dict[str, bytes]) -> None:
+    with writing(output):
+        output.mkdir(parents=True, exist_ok=True)
+        with replacing_own(output / "table.csv") as partial:
+            partial.write_text(to_csv(rows, COLUMNS, ".6g"), encoding="utf-8")
+        for name, content in figures.items():
+            with replacing_own(output / name) as partial:
+                partial.write_bytes(content)
+
+
+if __name__ == "__main__":
+    run_door(main)

@@ -1,0 +1,142 @@
+"""Palpations with known truth: another mesh and law than the fit's, a partial view, noise, and a pose that is off."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from estimators.palpation import Palpation, Skin, cover
+from physics.fem import Equilibrium, Material, box, find_equilibrium, make_solid, mesh_surface
+
+SENSORS = {"stereo": 0.0003, "time of flight": 0.001}
+"""Noise along the line of sight [m]."""
+POSE_SHIFT, POSE_TURN = 0.002, 0.01
+"""By how much the tool's pose is off, standard deviations [m, rad]."""
+TOOL = 0.015
+"""Radius of the tool [m]."""
+HELD = 0.12
+"""Of the height, below which a body is held."""
+
+
+@dataclass(frozen=True)
+class Body:
+    """Shape of what is palpated, and where its supports are."""
+
+    shape: str
+    """ball or slab."""
+    size: float
+    """Diameter, or longest side [m]."""
+    height: float
+    """[m]."""
+
+    def surface(self, spacing: float) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices and triangles of the scanned surface, spaced so [m]."""
+        if self.shape == "ball":
+            vertices, triangles = sphere(max(1, round(np.log2(self.size / 2 / spacing))))
+            return vertices * self.size / 2 + [0, 0, self.size / 2], triangles
+        counts = [max(1, round(side / spacing)) for side in (self.size, self.size, self.height)]
+        nodes, tetrahedra = box((self.size, self.size, self.height), (counts[0], counts[1], counts[2]))
+        faces = make_solid(nodes, tetrahedra).faces
+        used, which = np.unique(faces, return_inverse=True)
+        return nodes[used] - [self.size / 2, self.size / 2, 0], which.reshape(-1, 3)
+
+    def skin(self, cells: int, spacing: float) -> tuple[Skin, np.ndarray]:
+        """The surface on quadratic tetrahedra, and which of their nodes' components are held, those below HELD."""
+        vertices, triangles = self.surface(spacing)
+        if self.shape == "ball":
+            meshed = mesh_surface(vertices, triangles, cells=cells)
+            nodes, tetrahedra = meshed.nodes, meshed.tetrahedra
+        else:
+            high = max(2, round(cells * self.height / self.size))
+            nodes, tetrahedra = box((self.size, self.size, self.height), (cells, cells, high))
+            nodes = nodes - [self.size / 2, self.size / 2, 0]
+        body = make_solid(nodes, tetrahedra, order=2)
+        low = HELD * self.height  # nodes are drawn to the base only nearly
+        return cover(body, vertices, triangles), np.repeat(body.rest[:, 2:] <= low, 3, axis=1)
+
+    def contact(self, along: float, around: float) -> tuple[np.ndarray, np.ndarray]:
+        """A place on the upper surface, `along` of the radius or half side off the middle, and the outward normal."""
+        way = np.array([np.cos(around), np.sin(around), 0.0])
+        if self.shape == "slab":
+            return along * self.size / 2 * way + [0, 0, self.height], np.array([0.0, 0.0, 1.0])
+        normal = along * way + [0, 0, np.sqrt(1 - along**2)]
+        return self.size / 2 * normal + [0, 0, self.size / 2], normal
+
+
+BODIES = {"ball": Body("ball", 0.1, 0.1), "slab": Body("slab", 0.09, 0.03)}
+
+
+def sphere(halvings: int) -> tuple[np.ndarray, np.ndarray]:
+    """Unit sphere: an octahedron whose triangles are divided by four that often; vertices [V, 3], triangles [F, 3]."""
+    vertices = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], np.float64)
+    triangles = np.array([[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]])
+    for _ in range(halvings):
+        pairs = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+        edges, which = np.unique(pairs, axis=0, return_inverse=True)
+        middle = len(vertices) + which.reshape(-1, 3)
+        vertices = np.concatenate([vertices, (vertices[edges[:, 0]] + vertices[edges[:, 1]]) / 2])
+        vertices /= np.linalg.norm(vertices, axis=1, keepdims=True)
+        one, two, three = triangles.T
+        ab, bc, ca = middle.T
+        triangles = np.concatenate(
+            [np.stack(each, axis=1) for each in ((one, ab, ca), (ab, two, bc), (ca, bc, three), (ab, bc, ca))]
+        )
+    return vertices, triangles
+
+
+def press(
+    body: Body,
+    young: float,
+    poisson: float,
+    force: float,
+    place: tuple[float, float],
+    cells: int,
+    law: str = "neo_hookean",
+) -> tuple[Skin, Equilibrium, np.ndarray, np.ndarray]:
+    """The truth: a body under a force along its normal; skin, rest, force [3] and contact [3].
+
+    Args:
+        body: what is pressed.
+        young, poisson: of it.
+        force: [N].
+        place: as `Body.contact` takes it.
+        cells: of its mesh.
+        law: of `physics.fem.LAWS`.
+    """
+    skin, held = body.skin(cells, body.size / 26)
+    contact, normal = body.contact(*place)
+    vector = -force * normal
+    forces = skin.pressed(contact, TOOL, vector)
+    return skin, find_equilibrium(skin.body, Material(law, young, poisson), held, forces=forces), vector, contact
+
+
+def observe(
+    skin: Skin, rest: Equilibrium, force: np.ndarray, contact: np.ndarray, sensor: str, seed: int, count: int = 1500
+) -> Palpation:
+    """What a sensor beside the tool sees: points that face it, off by its noise, and its pose as it is believed.
+
+    The tool hides what is within its radius of the contact.
+    """
+    chance = np.random.default_rng(seed)
+    vertices = skin.moved(rest.displacement)
+    corners = vertices[skin.triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    areas = np.linalg.norm(normals, axis=1)
+    direction = np.array([0.5, 0.3, 1.0]) / np.linalg.norm([0.5, 0.3, 1.0])
+    facing = np.maximum(normals @ direction, 0) * (normals @ direction > 0.25 * areas)
+    faces = chance.choice(len(facing), count, p=facing / facing.sum())
+    shares = chance.dirichlet([1, 1, 1], count)
+    points = np.einsum("pk,pkx->px", shares, corners[faces])
+    at_rest = np.einsum("pk,pkx->px", shares, skin.vertices[skin.triangles[faces]])
+    points = points[np.linalg.norm(at_rest - contact, axis=1) > TOOL]
+    points = points + chance.normal(0, SENSORS[sensor], len(points))[:, None] * direction
+    true = np.eye(4)
+    true[:3, :3] = Rotation.align_vectors([-direction], [[0, 0, 1.0]])[0].as_matrix()
+    true[:3, 3] = 0.3 * direction
+    believed = np.eye(4)
+    believed[:3, :3] = Rotation.from_rotvec(chance.normal(0, POSE_TURN, 3)).as_matrix()
+    believed[:3, 3] = chance.normal(0, POSE_SHIFT, 3)
+    seen = (points - true[:3, 3]) @ true[:3, :3]
+    return Palpation(force, contact, seen, believed @ true, TOOL, 1.1 * TOOL)

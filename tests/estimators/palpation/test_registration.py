@@ -1,0 +1,27 @@
+"""A cloud finds its way back to the surface it was seen on."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from estimators.palpation.registration import placed, register
+from evaluation.palpation.synthetic import sphere
+
+
+def test_a_pose_is_found_though_a_part_is_dented() -> None:
+    vertices, triangles = sphere(3)
+    vertices = vertices * [1.0, 0.7, 0.5]
+    chance = np.random.default_rng(0)
+    points = vertices[triangles].mean(axis=1)
+    points = points[points[:, 2] > -0.2]
+    points[points[:, 2] > 0.45] -= [0, 0, 0.05]  # pressed in
+    true = np.eye(4)
+    true[:3, :3] = Rotation.from_rotvec([0.3, -0.2, 0.5]).as_matrix()
+    true[:3, 3] = [0.1, 0.2, -0.1]
+    off = np.eye(4)
+    off[:3, :3] = Rotation.from_rotvec([0.05, 0.04, -0.03]).as_matrix()
+    off[:3, 3] = [0.02, -0.02, 0.03]
+    seen = placed(np.linalg.inv(true), points) + chance.normal(0, 1e-4, points.shape)
+    found = register(seen, vertices, triangles, off @ true)
+    np.testing.assert_allclose(found, true, atol=2e-3)

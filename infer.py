@@ -1,6 +1,6 @@
 """Tissue stiffness, damping and tool force from laparoscopic video: of every frame, and of every run of contact.
 
-    python infer.py INPUT... --output DIR [--estimator network|gan|direct] [--model parameters.onnx]
+    python infer.py INPUT... --output DIR [--estimator network|gan|direct|online] [--model parameters.onnx]
 
 Exit status: 0 all clips done, 1 some failed (named; the others are complete), 2 wrong usage, 130 interrupted (finished
 clips stay, and the same command continues).
@@ -55,11 +55,14 @@ def _parser() -> argparse.ArgumentParser:
     add("--debug", action="store_true", help="stop at the first failure with its traceback")
     text = (
         "network: a posterior for every frame; gan: the parameter network of train.py; direct: the simulator fitted to "
-        "every run of contact, without a network (default: what --model is for, else network)"
+        "every run of contact, without a network; online: stiffness place by place, relative, of tissue that an "
+        "instrument drives, frame by frame (default: what --model is for, else network)"
     )
     add("--estimator", choices=NAMES, help=text)
     text = "file from train.py export (default: the network that comes along)"
     add("--model", type=path_option, metavar="FILE", help=text)
+    text = "YAML file of online (default: as configs/online.yaml, which says what they mean)"
+    add("--settings", type=path_option, metavar="FILE", help=text)
     text = (
         "when a press begins: between frames, up to a frame's time from the first frame in contact (default, as in "
         "real videos), or at that frame's time stamp (as in data.synthetic's clips)"

@@ -1,4 +1,4 @@
-"""From prepared frames to estimates of θ: three estimators behind one contract.
+"""From prepared frames to estimates of θ, or of a field of stiffness: four estimators behind one contract.
 
 contract        Estimator and Session: opened once, a session a clip; open: an estimator by its name
 estimate        what is told of a frame, of a run of contact, and of θ
@@ -6,7 +6,7 @@ network         a posterior for every frame; gan: the parameter network of the g
 direct          the simulator fitted to every run of contact
 grip            a sheet fitted to tissue that an instrument holds and moves, for runs without an onset
 palpation       measured forces: curves, regions, relaxation, grasps
-online          residual mapping of particles to what is seen: parts of an estimator to come, behind no door yet
+online          stiffness place by place, of particles that are mapped to what every frame shows
 runs            runs of contact, frame by frame, and what all sessions share
 onset           unknown beginnings of a press; oblique: presses aslant to the line of sight
 known_force     a force measured in a part of a motion, which tells it for the rest
@@ -24,5 +24,6 @@ __getattr__ = exported(
         "estimators.network.estimator": ("NetworkEstimator",),
         "estimators.gan": ("GanEstimator",),
         "estimators.direct.estimator": ("DirectEstimator",),
+        "estimators.online.estimator": ("OnlineEstimator",),
     }
 )

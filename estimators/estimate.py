@@ -156,6 +156,45 @@ class Estimate:
 
 
 @dataclass(frozen=True, eq=False)
+class StiffnessField:
+    """Stiffness over a sheet of tissue that an instrument drives, in one frame; N particles.
+
+    Stiffness counts in m/Δt², a particle's mass over the square of a frame's time: it compares places within a run of
+    contact, not clips, and no force follows from it.
+    """
+
+    onset_frame: int
+    """Number of the frame in which the run began, and where the sheet is taken to be at rest."""
+    rest: np.ndarray
+    """Particles there, shape [N, 3] [scene units]."""
+    faces: np.ndarray
+    """Triangles, shape [F, 3]."""
+    positions: np.ndarray
+    """Particles now, without the background's motion, shape [N, 3] [scene units]."""
+    pixels: np.ndarray
+    """Where they are in the picture, with it, shape [N, 2] [px of the source frame]."""
+    distance: np.ndarray
+    """Stiffness against stretch along the surface, shape [N] [m/Δt²]."""
+    shape: np.ndarray
+    """Against changes of a neighbourhood's shape, likewise."""
+    known: np.ndarray
+    """Where the motion so far tells something of it, shape [N], bool."""
+    gap: float | None
+    """Norm of the deformation by which the simulation missed what the frame shows [scene units]; None = nothing."""
+
+    def numbers(self) -> dict[str, float]:
+        """Columns of a frame: quantiles over what is known, and how much that is."""
+        found = {"field_known": float(self.known.mean())}
+        if self.gap is not None:
+            found["gap"] = self.gap
+        for name, values in (("distance_stiffness", self.distance), ("shape_stiffness", self.shape)):
+            if self.known.any():
+                low, middle, high = np.quantile(values[self.known], (0.1, 0.5, 0.9)).tolist()
+                found |= {f"{name}_low": low, name: middle, f"{name}_high": high}
+        return found
+
+
+@dataclass(frozen=True, eq=False)
 class FrameEstimate:
     """One frame: its status, its contact, and its parameters or the reason why there are none.
 
@@ -192,11 +231,14 @@ class FrameEstimate:
     arrow: np.ndarray | None = None
     """Tail and tip (u, v) of the force that acts on the contact point, shape [2, 2] [px of the source frame]; None
     without force."""
+    field: StiffnessField | None = None
+    """Stiffness over the tissue, from an estimator that finds it place by place."""
 
     @functools.cached_property
     def values(self) -> dict[str, Any]:
-        """Everything by name, the estimate's numbers included; what is not known is missing or None."""
-        return {**vars(self), **({} if self.estimate is None else self.estimate.numbers()), "verdict": self.verdict}
+        """Everything by name, the numbers of estimate and field included; what is not known is missing or None."""
+        told = {} if self.estimate is None else self.estimate.numbers()
+        return {**vars(self), **told, **({} if self.field is None else self.field.numbers()), "verdict": self.verdict}
 
 
 @dataclass(frozen=True, eq=False)

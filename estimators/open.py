@@ -10,10 +10,14 @@ from estimators.contract import Estimator
 from estimators.direct.estimator import FIELD, DirectEstimator
 from estimators.gan import GanEstimator
 from estimators.network.estimator import NetworkEstimator
+from estimators.online.estimator import OnlineEstimator
+from estimators.online.settings import OnlineSettings, load_settings
 from estimators.onset import BETWEEN, STAMP
 from models.onnx_session import SHIPPED, ModelFileError, PosteriorModel, open_model
 
-NAMES = ("network", "gan", "direct")
+OF_THETA = ("network", "gan", "direct")
+"""Those that tell stiffness, damping and force of a press."""
+NAMES = (*OF_THETA, "online")
 
 
 @dataclass(frozen=True)
@@ -32,6 +36,8 @@ class EstimatorOptions:
     """σ that `direct` is told [scene units]; None = the clip's own estimate."""
     horizon: Horizon = None
     """How much of a whole contact `network` and `direct` look at."""
+    settings: Path | None = None
+    """YAML file of `online`, as `configs/online.yaml`; None = its defaults, which are the same."""
     threads: int | None = None
     """CPU threads of a model; None leaves the choice to ONNX Runtime."""
 
@@ -43,6 +49,10 @@ def open_estimator(options: EstimatorOptions) -> Estimator:
         ModelFileError: the model's file can't be used, or not with these options.
         ValueError: options that don't belong together.
     """
+    if options.name == "online":
+        return _open_online(options)
+    if options.settings is not None:
+        raise ValueError(f"--settings {options.settings} is for --estimator online; leave it out.")
     if options.name == "direct":
         if options.model is not None:
             raise ValueError(f"--estimator direct needs no network; leave --model {options.model} out.")
@@ -65,3 +75,10 @@ def open_estimator(options: EstimatorOptions) -> Estimator:
     if options.horizon is not None:
         raise ModelFileError(f"{model.path} sees single frames; leave the horizon {options.horizon} out.")
     return GanEstimator(model)
+
+
+def _open_online(options: EstimatorOptions) -> OnlineEstimator:
+    for name in ("model", "onset", "observation", "noise", "horizon"):
+        if getattr(options, name) is not None:
+            raise ValueError(f"--{name} is not for --estimator online; leave it out.")
+    return OnlineEstimator(OnlineSettings() if options.settings is None else load_settings(options.settings))

@@ -6,7 +6,7 @@ columns   the columns of parameters.csv and interactions.csv, and their rows
 record    run.json: hashes, versions, settings, warnings
 verdicts  what is said first, and no number surer than it is
 plots     summary.png and fit.png
-overlay   the video
+overlay   the video; field_overlay: stiffness on it; field_file: stiffness in fields.npz
 """
 
 from physics.lazy import exported

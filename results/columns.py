@@ -29,6 +29,10 @@ UNITS = {
     "force": "scene units (normalised), not N",
     "displacement": "scene units: depth divided by the clip's one fixed scale",
     "time": "s",
+    "distance_stiffness": "relative: a particle's mass over the square of a frame's time, not N/m; compares places "
+    "within a run of contact, not clips",
+    "shape_stiffness": "likewise, not comparable with distance_stiffness",
+    "gap": "scene units",
 }
 """Units of the results; nothing that estimates knows of others."""
 VERDICT = {
@@ -50,6 +54,19 @@ GRIP = {
     "skill": "of that sheet in frames that were not fitted: 1 - error / motion; unless foundation, detail says it",
 }
 """Columns of what the motion around an instrument tells, where nothing is determined by the contact's own."""
+FIELD = {
+    column: text
+    for name, what in (("distance_stiffness", "stretch"), ("shape_stiffness", "bending"))
+    for column, text in (
+        (name, f"against {what}, the median over tissue where it is known, {UNITS[name]}; all of it in fields.npz"),
+        (f"{name}_low", "its 10 % quantile over that tissue, not an interval"),
+        (f"{name}_high", "its 90 % quantile over that tissue, not an interval"),
+    )
+} | {
+    "field_known": "share of the particles whose stiffness is known: the tissue there has stretched",
+    "gap": "norm of the deformation by which the simulated particles missed what the frame shows, scene units",
+}
+"""Columns of a frame's field of stiffness; empty from estimators without one."""
 FRAMES: dict[str, str] = {
     "frame": "number of the frame in its source",
     "time_s": "s",
@@ -61,6 +78,7 @@ FRAMES: dict[str, str] = {
     "contact_v": "px of the source frame, row",
     "simulated_displacement": "scene units",
     "observed_displacement": "scene units",
+    **FIELD,
     "status": "ok, or why the frame has no parameters",
     **VERDICT,
     "detail": "sentences about the status, or about what can't be trusted",

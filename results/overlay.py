@@ -15,8 +15,9 @@ import cv2
 import numpy as np
 
 from data.labels import TISSUE, TOOL
-from estimators.estimate import FrameEstimate
+from estimators.estimate import FrameEstimate, StiffnessField
 from results.columns import UNITS
+from results.field_overlay import RANGE, draw_field
 from results.verdicts import COLORS, FAR, MEANINGS, Color, in_words, is_far, numbers, state
 
 try:
@@ -57,6 +58,8 @@ def draw_overlay(
     """
     width, height = canvas_size(size)
     canvas = np.zeros((height, width, 3), np.uint8) if image is None else cv2.resize(image, (width, height))
+    if image is not None and estimate.field is not None:
+        draw_field(canvas, estimate.field, width / size[0], labels)
     if image is not None and labels is not None:
         _outline(canvas, labels == TISSUE, _TISSUE_COLOR)
         _outline(canvas, labels == TOOL, _TOOL_COLOR)
@@ -132,10 +135,21 @@ def _notes(estimate: FrameEstimate) -> list[str]:
     told = [MEANINGS[estimate.verdict]] if estimate.verdict else []
     told += [f"The simulated displacement is {FAR}."] if is_far(estimate) else []
     told += [estimate.detail] if estimate.detail else []
+    if estimate.field is not None:
+        told.append(_told_of_field(estimate.field))
     if estimate.estimate is None:
         return told
     unsure = estimate.verdict != "determined" and "stiffness_low" in estimate.values
     return [*told, f"{'Ranges are 90 % intervals. ' if unsure else ''}Unit: {UNITS['stiffness']}."]
+
+
+def _told_of_field(field: StiffnessField) -> str:
+    if not field.known.any():
+        return "No tissue has stretched so far: its stiffness isn't known."
+    return (
+        f"Stiffness against stretch, small picture: against bending. Red {RANGE:g} times the median, blue a "
+        f"{RANGE:g}th, relative units; unknown where nothing is coloured."
+    )
 
 
 def _footer(canvas: np.ndarray, estimate: FrameEstimate) -> None:

@@ -34,6 +34,10 @@ UNCALIBRATED = (
     "the model's uncertainty was never calibrated: its standard deviations are the network's own, and its 90 % "
     "intervals hold the truth less often than that"
 )
+UNDRIVEN = (
+    "in no frame does tissue stretch with an instrument that holds or pushes it, so that no stiffness is known; "
+    "the online estimator needs a clip whose tool drives the tissue"
+)
 PERSISTENT = ("unreadable", "no_mask", "bad_depth")
 """Statuses that mean a broken input, not an empty scene."""
 
@@ -114,7 +118,10 @@ def build_record(
         "estimator": causes["estimator"],
         "units": columns.UNITS,
         "columns": {TABLE: columns.FRAMES, INTERACTIONS: columns.INTERACTIONS},
-        "warnings": warnings_of(source, frames, model, clip.sources),
+        "warnings": [
+            *warnings_of(source, frames, model, clip.sources),
+            *([] if results.fields or causes["estimator"]["name"] != "online" else [UNDRIVEN]),
+        ],
         "timings_s": {stage: round(value, 4) for stage, value in seconds.items()},
         "overlay_encoder": results.encoder,
         "versions": versions(),

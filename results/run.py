@@ -30,7 +30,17 @@ from estimators.model_settings import check_sources
 from estimators.open import EstimatorOptions, open_estimator
 from physics.doors import INTERRUPTED, plain
 from results.record import build_record, depends_on, describe, fingerprint_of, model_of
-from results.store import FORCES, OVERLAY, PROGRAM, WRITTEN, ResultStore, file_sha256, is_up_to_date, read_record
+from results.store import (
+    FIELDS,
+    FORCES,
+    OVERLAY,
+    PROGRAM,
+    WRITTEN,
+    ResultStore,
+    file_sha256,
+    is_up_to_date,
+    read_record,
+)
 from results.writer import ClipResults
 
 WORDS = {
@@ -78,18 +88,22 @@ class Batch:
                 options.onset,
                 options.observation,
                 options.noise,
+                settings=options.settings,
                 threads=options.threads or None,
             )
         )
-        if options.smoothing is not None and self.estimator.name != "direct":
-            raise ValueError("--smoothing is for --estimator direct; a network's preparation is as it was trained.")
+        if options.smoothing is not None and self.estimator.name not in ("direct", "online"):
+            raise ValueError(
+                "--smoothing is for --estimator direct and online; a network's preparation is as it was trained."
+            )
         depth = {"source": options.depth, "model": options.depth_model, "preset": options.depth_preset}
         depth = {name: value for name, value in depth.items() if value is not None} | {"threads": options.threads}
         chosen = Chosen(_chosen_layout(options), options.masks, depth, options.smoothing)
         self.settings = self.estimator.preparation(chosen)
         check_sources(self.settings)
         self.store = ResultStore(options.output)
-        wanted = {OVERLAY: options.overlay, FORCES: self.known is not None}
+        self.fields = self.estimator.name == "online"
+        wanted = {OVERLAY: options.overlay, FORCES: self.known is not None, FIELDS: self.fields}
         self.files = [name for name in WRITTEN if wanted.get(name, True)]
 
     def process(self, path: Path, progress: Progress, place: str) -> Outcome:
@@ -104,7 +118,8 @@ class Batch:
             return Outcome(source.name, UP_TO_DATE, str(folder), counts_of(read_record(folder)))
         task = progress.add_task(f"{place} {plain(source.name)[:36]}", total=source.length or None)
         try:
-            written = ClipResults(folder, source.size, source.fps, overlay=self.options.overlay, known=self.known)
+            told = {"overlay": self.options.overlay, "known": self.known, "fields": self.fields}
+            written = ClipResults(folder, source.size, source.fps, **told)
             with written as results:
                 clip, started = ClipStream(source, self.settings), time.perf_counter()
                 session = self.estimator.start(ClipInfo.of(clip))

@@ -19,9 +19,9 @@ from physics.files import read_file
 from physics.ownership import ForeignFile
 
 TABLE, OVERLAY, SUMMARY, RECORD = "parameters.csv", "overlay.mp4", "summary.png", "run.json"
-INTERACTIONS, FIT, FORCES = "interactions.csv", "fit.png", "forces.csv"
+INTERACTIONS, FIT, FORCES, FIELDS = "interactions.csv", "fit.png", "forces.csv", "fields.npz"
 """Files of a clip's folder. The record is written last: a folder that has it is complete."""
-WRITTEN = (TABLE, INTERACTIONS, FORCES, OVERLAY, SUMMARY, FIT, RECORD)
+WRITTEN = (TABLE, INTERACTIONS, FORCES, FIELDS, OVERLAY, SUMMARY, FIT, RECORD)
 """All that is ever written into a clip's folder, in the order in which it gets there; any other file is a user's."""
 MARKER = ".unfinished-results"
 """Tells a hidden folder of ours from a user's."""

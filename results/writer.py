@@ -15,6 +15,7 @@ from data.prepared import PreparedFrame
 from estimators.estimate import FrameEstimate, InteractionEstimate, NoEstimate
 from estimators.known_force import KnownForce
 from results import columns, store
+from results.field_file import FieldFile
 from results.overlay import draw_overlay, open_video
 from results.plots import MOST_PANELS, draw_fits, draw_summary, write_figure
 from results.store import writing
@@ -32,6 +33,7 @@ class ClipResults:
         fps: frames a second of the overlay.
         overlay: whether to write the overlay video.
         known: force that was measured in a part of the clip.
+        fields: whether the estimator gives fields of stiffness.
 
     Raises:
         OutputError: the output folder is full or can't be written (also from the methods).
@@ -45,6 +47,7 @@ class ClipResults:
         *,
         overlay: bool = True,
         known: KnownForce | None = None,
+        fields: bool = False,
     ) -> None:
         self.folder, self._size, self._known = folder, size, known
         self.estimates: list[FrameEstimate] = []
@@ -54,6 +57,8 @@ class ClipResults:
         """Number of runs of contact by verdict."""
         self.drawn: list[InteractionEstimate] = []
         """Those for the picture, with a motion first."""
+        self.fields = 0
+        """Number of frames whose stiffness is known somewhere."""
         self._open = ExitStack()
         try:
             with writing(folder.parent):
@@ -61,6 +66,9 @@ class ClipResults:
                 self._rows = self._open_table(store.TABLE, columns.FRAMES)
                 self._runs = self._open_table(store.INTERACTIONS, columns.INTERACTIONS)
                 self._forces = None if known is None else self._open_table(store.FORCES, columns.FORCES)
+                self._fields = FieldFile(self._partial / store.FIELDS) if fields else None
+                if self._fields is not None:
+                    self._open.callback(self._fields.close)
                 self._video = open_video(self._partial / store.OVERLAY, size, fps) if overlay else None
                 if self._video is not None:
                     self._open.callback(self._video.close)
@@ -86,9 +94,12 @@ class ClipResults:
     def write(self, prepared: PreparedFrame, estimate: FrameEstimate) -> None:
         """Append one frame: its row, and its picture where there is an overlay."""
         start = time.perf_counter()
-        self.estimates.append(estimate)
+        self.estimates.append(replace(estimate, field=None))  # memory must not grow with the clip
         with writing(self.folder.parent):
             self._rows.writerow(columns.row(columns.FRAMES, estimate.values))
+            if self._fields is not None and estimate.field is not None:
+                self._fields.write(estimate.frame, estimate.field)
+                self.fields += bool(estimate.field.known.any())
             if self._video is not None:
                 picture = draw_overlay(prepared.frame.image, self._size, prepared.picture_labels, estimate)
                 self._video.write(picture)

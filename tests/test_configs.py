@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from pathlib import Path
 from typing import Any
@@ -10,12 +11,15 @@ import pytest
 import yaml
 
 import train
+from estimators.online.settings import OnlineSettings, load_settings
 from physics.mechanics import Mechanics
 
 # Lightning warns of arguments given from Python beside pytest's own on the command line.
 pytestmark = pytest.mark.filterwarnings("ignore:LightningCLI's args parameter")
 CHECKOUT = Path(__file__).resolve().parents[1]
-SHIPPED = sorted((CHECKOUT / "configs").glob("*.yaml"))
+ONLINE = CHECKOUT / "configs" / "online.yaml"
+"""No experiment of train.py: settings of an estimator."""
+SHIPPED = [path for path in sorted((CHECKOUT / "configs").glob("*.yaml")) if path != ONLINE]
 
 
 @pytest.fixture
@@ -34,6 +38,12 @@ def load(monkeypatch, tmp_path):
 
 def test_the_three_configurations_are_shipped():
     assert [path.stem for path in SHIPPED] == ["paper", "recommended", "smoke"]
+
+
+def test_the_online_estimator_s_file_holds_every_setting_with_its_default():
+    values, settings = yaml.safe_load(ONLINE.read_text(encoding="utf-8")), OnlineSettings()
+    assert load_settings(ONLINE) == settings
+    assert leaves(values).keys() == leaves(dataclasses.asdict(settings)).keys()
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)

@@ -1,10 +1,12 @@
-"""Parts of the online estimator (Liang 2024): a simulated state is taken to what was seen, and its stiffness to fit.
+"""The online estimator (Liang 2024): a simulated state is taken to what was seen, and its stiffness to fit.
 
 matching   how far particles are from what was seen: Chamfer distance to a cloud, followed points
 mapping    the residual deformation that takes a state to what was seen, and its adjoint
 objective  gap, history and smoothness, with their slopes by the fields of stiffness
 bounds     sigmoid bounds on the fields; adam: the optimiser
 session    one clip's state and field, frame by frame: PBD, PBD-RM, PBD-RM-ON
+surface    particles of the tissue in a frame; driven: these under an instrument that is followed
+estimator  the door: a sheet for every run of contact; settings: as configs/online.yaml holds them
 """
 
 from physics.lazy import exported
@@ -16,5 +18,7 @@ __getattr__ = exported(
         "estimators.online.bounds": ("Bounds",),
         "estimators.online.objective": ("Objective", "Weights"),
         "estimators.online.session": ("Method", "Session"),
+        "estimators.online.settings": ("OnlineSettings", "load_settings"),
+        "estimators.online.estimator": ("OnlineEstimator",),
     }
 )

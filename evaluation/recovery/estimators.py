@@ -7,12 +7,11 @@ from typing import Any
 
 from estimators.contract import Estimator
 from estimators.estimate import Estimate
-from estimators.open import NAMES as OPENED
-from estimators.open import EstimatorOptions, open_estimator
+from estimators.open import OF_THETA, EstimatorOptions, open_estimator
 from models.onnx_session import ModelFileError, PosteriorModel
 
 CONSTANT = "constant"
-NAMES = (*sorted(OPENED), CONSTANT)
+NAMES = (*sorted(OF_THETA), CONSTANT)
 """Estimators in the order of tables."""
 GRID = (120, 214)
 """Height and width of the clips' depth [px]."""

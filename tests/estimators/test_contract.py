@@ -26,7 +26,7 @@ from data.synthetic.settings import SceneSettings
 from data.synthetic.source import SyntheticSource, _Depth, _Masks, open_synthetic
 from estimators.contract import Estimator, Said
 from estimators.direct.estimator import WHOLE
-from estimators.estimate import Estimate, FrameEstimate, InteractionEstimate
+from estimators.estimate import Estimate, FrameEstimate, InteractionEstimate, StiffnessField
 from estimators.network.fits import BOUNDS, MECHANICS
 from estimators.open import NAMES, EstimatorOptions, open_estimator
 from results.columns import INTERACTIONS, interaction_values
@@ -46,6 +46,8 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, EstimatorOption
     folder = tmp_path_factory.mktemp("models")
     common = {"geometry": dataclasses.asdict(clip_info().geometry), "observation": "trajectory"}
     write_model(folder / "gan.onnx", metadata(3, **common))
+    coarse = folder / "online.yaml"
+    coarse.write_text("particles: 60\nstrain: 0.002\n")  # a press across the line of sight moves little
     document = metadata(3, **common, bounds=dataclasses.asdict(BOUNDS), mechanics=dataclasses.asdict(MECHANICS))
     write_posterior(folder / "depth.onnx", document, FEATURES)
     write_posterior(folder / "film.onnx", document, FEATURES + FILM_FEATURES)
@@ -55,6 +57,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, EstimatorOption
         "network with film": EstimatorOptions(model=folder / "film.onnx"),
         "gan": EstimatorOptions("gan", folder / "gan.onnx"),
         "direct": EstimatorOptions("direct", onset="stamp"),
+        "online": EstimatorOptions("online", settings=coarse),
     }
 
 
@@ -67,7 +70,8 @@ def estimator(request: pytest.FixtureRequest, files: dict[str, EstimatorOptions]
 @pytest.fixture(scope="module", params=ESTIMATORS)
 def prompt(request: pytest.FixtureRequest, files: dict[str, EstimatorOptions]) -> Estimator:
     """Each in turn, for presses that begin at their time stamp, which takes a network a fifth of the time."""
-    return open_estimator(dataclasses.replace(files[request.param], onset="stamp"))
+    onset = None if request.param == "online" else "stamp"
+    return open_estimator(dataclasses.replace(files[request.param], onset=onset))
 
 
 @pytest.fixture(scope="module")
@@ -121,9 +125,31 @@ def test_sessions_side_by_side_say_what_they_say_alone(
         frames, runs = sorted_out(heard)
         assert exactly([*frames, *runs]) == exactly(expected)
     # Estimates depend on the frame rate and on the clip, so that mixed sessions would be noticed.
+    if estimator.name == "online":
+        first, second = (fields_of(expected)[-1] for expected in alone)
+        assert not np.allclose(np.median(first.distance), np.median(second.distance), rtol=1e-4)
+        return
     first, second = (sorted_out(expected)[1][0] for expected in alone)
     assert first.estimate is not None
     assert not np.allclose(first.estimate.theta, second.estimate.theta, rtol=1e-3)
+
+
+def fields_of(said: Iterable[Said]) -> list[StiffnessField]:
+    """Fields of stiffness of the frames that have one."""
+    return [item.field for item in said if isinstance(item, FrameEstimate) and item.field is not None]
+
+
+def test_fields_are_the_online_estimator_s_alone(estimator: Estimator, alone: list[list[Said]]) -> None:
+    for said in alone:
+        fields = fields_of(said)
+        assert (fields != []) == (estimator.name == "online")
+        for field in fields:
+            count = len(field.rest)
+            assert field.positions.shape == (count, 3)
+            assert field.pixels.shape == (count, 2)
+            assert field.faces.max() < count
+            assert ((field.distance > 0) & (field.distance < 10)).all()
+            assert ((field.shape > 0) & (field.shape < 0.02)).all()
 
 
 def test_a_stream_is_told_once_and_in_order(clips: list[list[PreparedFrame]], alone: list[list[Said]]) -> None:
@@ -149,15 +175,16 @@ def test_every_estimate_has_its_verdict_its_covariance_and_its_words(
     said = [item for clip in alone for item in clip]
     estimates = [item.estimate for item in said if item.estimate is not None]
     of_frames = [item for item in said if isinstance(item, FrameEstimate) and item.estimate is not None]
-    assert (of_frames == []) == (estimator.name == "direct")
-    assert estimates
+    assert (of_frames == []) == (estimator.name in ("direct", "online"))
+    assert (estimates == []) == (estimator.name == "online")
     for found in estimates:
         require_complete(estimator, found)
     for item in said:
         if isinstance(item, FrameEstimate) and item.status == "ok":
-            verdicts = {"direct": ("",)}.get(estimator.name, ("onset_in_view", "determined", "ratios", "undetermined"))
+            of_each = ("onset_in_view", "determined", "ratios", "undetermined")
+            verdicts = ("",) if estimator.name in ("direct", "online") else of_each
             assert item.verdict in verdicts
-            assert item.estimate is not None or item.detail
+            assert item.estimate is not None or item.field is not None or item.detail
             assert item.detail == WHOLE or estimator.name != "direct"
         elif isinstance(item, FrameEstimate):
             assert (item.estimate, item.verdict) == (None, "")

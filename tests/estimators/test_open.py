@@ -23,3 +23,17 @@ def test_direct_alone_is_told_what_to_compare() -> None:
     for name in ("network", "gan"):
         with pytest.raises(ValueError, match="--observation is for --estimator direct; leave it out"):
             open_estimator(EstimatorOptions(name, observation="field"))
+
+
+def test_online_alone_takes_settings_and_nothing_else(tmp_path) -> None:
+    path = tmp_path / "online.yaml"
+    path.write_text("particles: 90\nmethod: {name: PBD-RM}\n")
+    usual = open_estimator(EstimatorOptions("online")).described
+    chosen = open_estimator(EstimatorOptions("online", settings=path)).described
+    assert chosen == usual | {"particles": 90, "method": {"name": "PBD-RM", "rate": 0.1}}
+    for name in ("network", "direct"):
+        with pytest.raises(ValueError, match=r"online\.yaml is for --estimator online; leave it out"):
+            open_estimator(EstimatorOptions(name, settings=path))
+    for told in ({"model": path}, {"onset": "stamp"}, {"observation": "field"}, {"noise": 0.1}, {"horizon": 3}):
+        with pytest.raises(ValueError, match=f"--{next(iter(told))} is not for --estimator online; leave it out"):
+            open_estimator(EstimatorOptions("online", **told))

@@ -1,0 +1,145 @@
+"""Tissue that an instrument drives, stepped on by what is followed of it in every frame."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from estimators.online.matching import Chamfer, Match, Tracks
+from estimators.online.objective import Objective
+from estimators.online.session import Frame, Session
+from estimators.online.settings import OnlineSettings
+from estimators.online.surface import Surface
+from physics.pbd.stiffness import Stiffness
+
+LEAST_GRIPPED = 3
+"""Fewer points followed near the instrument don't tell how it moves the tissue."""
+NEIGHBOURS = 6
+"""Followed points that tell how a gripped particle moves."""
+
+
+class DrivenTissue:
+    """A sheet under an instrument; P followed points, N particles.
+
+    Args:
+        surface: the sheet in the picture where following began.
+        points: places of the followed points there, shape [P, 2] [px].
+        distance: theirs from the tool there, shape [P] [px].
+        settings: how.
+    """
+
+    def __init__(self, surface: Surface, points: np.ndarray, distance: np.ndarray, settings: OnlineSettings) -> None:
+        self.surface, self.settings = surface, settings
+        body = surface.body
+        objective = Objective(
+            body,
+            surface.gripped,
+            settings.stepping,
+            settings.mapping,
+            settings.elastic,
+            settings.weights,
+            settings.bounds,
+        )
+        begun = Stiffness(np.full(body.count, settings.start.distance), np.full(body.count, settings.start.shape))
+        self.session = Session(objective, begun, settings.method)
+        inside, shares = surface.places(points)
+        around = distance[inside] >= surface.reach
+        self.around = inside[around]
+        """Followed points on the sheet that the instrument doesn't move itself: what is compared, shape [Q]."""
+        self._shares = shares[np.flatnonzero(around)]
+        self._resting = surface.project(self._shares @ body.rest)
+        self._driving = np.flatnonzero(distance < surface.reach)
+        self._points = np.asarray(points, np.float64)
+        self._places = body.rest[surface.gripped]
+        first, second = body.edges.T
+        self._moving = np.zeros(body.count, bool)
+        self._fixed = body.pinned.copy()
+        self._fixed[surface.gripped] = True
+        self._edges = first, second
+
+    @property
+    def known(self) -> np.ndarray:
+        """Particles whose stiffness the motion so far tells something of, shape [N], bool."""
+        return self._moving & ~self._fixed
+
+    def gripped_places(self, moved: np.ndarray, nearer: float = 0.0) -> np.ndarray | None:
+        """Where the gripped particles are, shape [G, 3] [scene units]; None where too few points near them are seen.
+
+        Args:
+            moved: displacement of the followed points, shape [P, 2] [px]; not seen = NaN.
+            nearer: how far the tissue there has come nearer to the camera than at rest [scene units].
+        """
+        seen = self._driving[np.isfinite(moved[self._driving]).all(axis=1)]
+        if len(seen) < LEAST_GRIPPED:
+            return None
+        surface = self.surface
+        pixels = surface.pixels[surface.gripped]
+        count = min(NEIGHBOURS, len(seen))
+        away, near = KDTree(self._points[seen]).query(pixels, k=count)
+        weight = 1 / (np.square(away.reshape(-1, count)) + 1)  # px: a point in the very place doesn't count for all
+        motion = (weight[..., None] * moved[seen][near.reshape(-1, count)]).sum(axis=1) / weight.sum(axis=1)[:, None]
+        return surface.lift(pixels + motion, surface.body.rest[surface.gripped, 2] - nearer)
+
+    def step(self, moved: np.ndarray, cloud: np.ndarray | None = None, seen: np.ndarray | None = None) -> Frame:
+        """Take a frame in; where the instrument's tissue isn't seen it stays where it was, and nothing is learnt.
+
+        Args:
+            moved: displacement of the followed points since rest, shape [P, 2] [px]; not seen = NaN.
+            cloud: points of the tissue, shape [m, 3] [scene units], where clouds are compared.
+            seen: particles that no tool hides, shape [n]; with the cloud.
+        """
+        nearer = 0.0 if cloud is None else self._nearer(moved, cloud)
+        places = self.gripped_places(moved, nearer)
+        matches: list[Match] = []
+        if places is not None:
+            self._places = places
+            if self.settings.match != "chamfer":
+                matches += self._tracks(moved)
+            if cloud is not None and seen is not None and len(cloud) and len(seen):
+                matches.append(Chamfer(cloud, seen))
+        told = self.session.step(self._places, matches)
+        first, second = self._edges
+        lengths = np.linalg.norm(told.positions[first] - told.positions[second], axis=1)
+        rest = self.surface.body.layout.rest[self.surface.body.kinds[0]]
+        strained = np.abs(lengths / rest - 1) > self.settings.strain
+        if matches:
+            self._moving[first[strained]] = self._moving[second[strained]] = True
+        return told
+
+    def ahead(self, moved: np.ndarray) -> np.ndarray:
+        """Predicted displacement of the points `around` under a path of the instrument alone, shape [T, Q, 2] [px].
+
+        Args:
+            moved: displacement of the followed points in T frames to come, shape [T, P, 2] [px]; only those near the
+                instrument are looked at.
+        """
+        path, places = [], self._places
+        for motion in moved:
+            found = self.gripped_places(motion)
+            places = places if found is None else found
+            path.append(places)
+        return self.shown(self.session.ahead(np.stack(path)))
+
+    def shown(self, states: np.ndarray) -> np.ndarray:
+        """Displacement of the points `around` in states [T, N, 3], shape [T, Q, 2] [px]."""
+        return np.stack([self.surface.project(self._shares @ state) - self._resting for state in states])
+
+    def _tracks(self, moved: np.ndarray) -> list[Match]:
+        """Followed points at the depth that the sheet has there: across the line of sight they are known, along it not.
+
+        Depth from one picture is off by far more than the motion.
+        """
+        places = self._resting + moved[self.around]
+        if not np.isfinite(places).all(axis=1).any():
+            return []
+        depth = (self._shares @ self.session.positions)[:, 2]
+        return [Tracks(self._shares, self.surface.lift(places, depth))]
+
+    def _nearer(self, moved: np.ndarray, cloud: np.ndarray) -> float:
+        """How much nearer to the camera than at rest the cloud is around the instrument, the median [scene units]."""
+        seen = self._driving[np.isfinite(moved[self._driving]).all(axis=1)]
+        if len(seen) == 0 or len(cloud) == 0:
+            return 0.0
+        rest = self.surface.body.rest[:, 2][KDTree(self.surface.pixels).query(self._points[seen])[1]]
+        now = cloud[:, 2][KDTree(self.surface.project(cloud)).query(self._points[seen] + moved[seen])[1]]
+        return float(np.median(rest - now))

@@ -1,0 +1,186 @@
+"""The online estimator (Liang 2024): a field of stiffness of tissue that an instrument drives, frame by frame.
+
+A run of contact begins a sheet of particles at rest, its end ends it. How the instrument moves the tissue is taken from
+what is followed beside it; all other tissue is simulated, mapped to what the frame shows, and its stiffness changed by
+one step. θ, a force and a unit are not told: displacements don't determine them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Iterator
+
+import numpy as np
+
+from data.contact.geometry import GeometrySettings
+from data.contact.tissue_points import grid_to_picture
+from data.depth.normalise import DepthSettings
+from data.labels import TISSUE, TOOL
+from data.prepared import PreparedFrame
+from data.settings import PrepareSettings
+from data.source.camera import back_project
+from data.tracks.background import without_background
+from data.tracks.following import PointFollower
+from estimators.contract import Chosen, ClipInfo, Said
+from estimators.direct.estimator import SMOOTHING
+from estimators.estimate import InteractionEstimate, NoEstimate, StiffnessField
+from estimators.online.driven import DrivenTissue
+from estimators.online.settings import OnlineSettings
+from estimators.online.surface import make_surface
+from estimators.runs import Run, RunSession, frame_estimate
+from physics.mechanics import Mechanics
+
+FIELD_ALONE = "This estimator tells relative stiffness place by place (fields.npz), not k_s, k_d or F."
+UNDRIVEN = "Not enough tissue moved with the instrument to tell its stiffness anywhere."
+
+
+class OnlineEstimator:
+    """Follows tissue that an instrument drives; needs no network and no onset.
+
+    Args:
+        settings: how.
+    """
+
+    name = "online"
+
+    def __init__(self, settings: OnlineSettings) -> None:
+        self.settings = settings
+        self.described = {"name": self.name, **dataclasses.asdict(settings)}
+        """All that the fields depend on beside the clip."""
+
+    def preparation(self, chosen: Chosen) -> PrepareSettings:
+        """Smoothed tissue, and otherwise what the user chooses."""
+        smoothing = SMOOTHING if chosen.smoothing is None else chosen.smoothing
+        return PrepareSettings(
+            depth=DepthSettings(**chosen.depth),
+            geometry=GeometrySettings(smoothing=smoothing, rigid_motion="subtract"),
+            masks=chosen.masks or "auto",
+            layout=chosen.layout,
+        )
+
+    def start(self, clip: ClipInfo) -> OnlineSession:
+        """Open a session."""
+        return OnlineSession(self, clip)
+
+
+class OnlineSession(RunSession):
+    """One clip: a field for every frame in contact, and a sentence for every run."""
+
+    def __init__(self, estimator: OnlineEstimator, clip: ClipInfo) -> None:
+        super().__init__(clip, Mechanics())
+        self._settings = estimator.settings
+        self._driven: _Followed | None = None
+        self._reason, self._begun = "", -1
+
+    def push(self, frame: PreparedFrame) -> Iterator[Said]:
+        """The next frame."""
+        yield from self._ended(self._runs.push(frame))
+        start = time.perf_counter()
+        field = self._field(frame)
+        self.seconds["online"] += time.perf_counter() - start
+        doubts = "" if field is not None or not frame.in_contact else self._reason
+        yield dataclasses.replace(frame_estimate(frame, self.clip, doubts=doubts, whole=True), field=field)
+
+    def _field(self, frame: PreparedFrame) -> StiffnessField | None:
+        """Stiffness in a frame of the run under way; None where there is none, or the frame shows nothing."""
+        run = self._runs.current
+        if run is None:
+            self._driven, self._begun = None, -1
+            return None
+        if run.index != self._begun:
+            self._begun, self._driven, self._reason = run.index, None, ""
+            try:
+                self._driven = _Followed(frame, self.clip, self._settings)
+            except NoEstimate as reason:
+                self._reason = str(reason)
+        elif self._driven is not None and frame.frame.index - run.last <= self.clip.bridge_frames:
+            if not frame.visible:
+                return None
+            self._driven.step(frame)
+        else:
+            return None
+        return None if self._driven is None else self._driven.field()
+
+    def _pressed(self, run: Run) -> InteractionEstimate:
+        """What was seen of a run, and what its field comes to in a sentence."""
+        contact = None if run.builder is None else run.builder.build(self.mechanics, self.horizon)
+        if contact is not None and len(contact.observation) == 0:
+            contact = None
+        told = self._reason
+        if self._driven is not None:
+            told = "" if self._driven.field().known.any() else UNDRIVEN
+        return run.estimate(interaction=contact, detail=" ".join(filter(None, (run.detail, told, FIELD_ALONE))))
+
+
+class _Followed:
+    """One run's tissue with the points that are followed on it; begins in a frame with picture and labels.
+
+    Raises:
+        NoEstimate: no sheet can be made of it.
+    """
+
+    def __init__(self, first: PreparedFrame, clip: ClipInfo, settings: OnlineSettings) -> None:
+        if not first.visible:
+            raise NoEstimate(f"Frame {first.frame.number} has no picture with masks to begin with.")
+        self._number, self._clip, self._settings = first.frame.number, clip, settings
+        picture, labels = first.view
+        surface = make_surface(first, clip.camera, clip.geometry, settings.particles)
+        self._follower = PointFollower(picture, labels == TOOL)
+        self._driven = DrivenTissue(surface, self._follower.points, self._follower.distance, settings)
+        self._background = np.zeros_like(surface.pixels)
+        self._gap: float | None = None
+
+    def step(self, frame: PreparedFrame) -> None:
+        """Follow the tissue into a frame, and take it in."""
+        picture, labels = frame.view
+        follower = self._follower
+        follower.step(picture, labels == TOOL)
+        moved = follower.moved
+        if self._settings.background == "subtract":
+            still = without_background(follower.points, moved, follower.distance)
+            self._background = _continued(follower.points, moved - still, self._driven.surface.pixels)
+            moved = still
+        cloud, seen = (None, None) if self._settings.match == "tracks" else self._cloud(frame)
+        self._gap = self._driven.step(moved, cloud, seen).gap
+
+    def field(self) -> StiffnessField:
+        """As it is now."""
+        surface, session = self._driven.surface, self._driven.session
+        size = surface.camera.height, surface.camera.width
+        pixels = surface.project(session.positions) + self._background
+        return StiffnessField(
+            self._number,
+            surface.body.rest,
+            surface.body.faces,
+            session.positions,
+            grid_to_picture(pixels, size, self._clip.size),
+            session.fields.distance,
+            session.fields.shape,
+            self._driven.known,
+            self._gap,
+        )
+
+    def _cloud(self, frame: PreparedFrame) -> tuple[np.ndarray, np.ndarray]:
+        """The frame's tissue, shape [m, 3] [scene units], evenly thinned out, and the particles that no tool hides."""
+        height, width = frame.depth.shape
+        tissue = (frame.labels == TISSUE) & (frame.depth > 0)
+        cloud = back_project(frame.depth, self._clip.camera.scaled(width, height))[tissue]
+        some = np.linspace(0, len(cloud) - 1, min(len(cloud), self._settings.points)).round().astype(int)
+        surface, size = self._driven.surface, frame.labels.shape
+        pixels = grid_to_picture(
+            surface.project(self._driven.session.positions),
+            (surface.camera.height, surface.camera.width),
+            (width, height),
+        )
+        column, row = np.clip(pixels.round().astype(int), 0, (size[1] - 1, size[0] - 1)).T
+        return cloud[some], np.flatnonzero(frame.labels[row, column] == TISSUE)
+
+
+def _continued(points: np.ndarray, motion: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """An affine motion that is known at some points [P, 2], not a number elsewhere, at places [N, 2]."""
+    known = np.isfinite(motion).all(axis=1)
+    terms, there = (np.column_stack([where, np.ones(len(where))]) for where in (points, places))
+    if not known.any():
+        return np.zeros_like(places)
+    return there @ np.linalg.lstsq(terms[known], motion[known], rcond=None)[0]

@@ -1,0 +1,106 @@
+"""Everything that the online estimator can be told; `configs/online.yaml` holds the same with the reasons."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal, get_type_hints
+
+from data.source.layout import from_mapping, read_mapping
+from estimators.online.bounds import Bounds
+from estimators.online.mapping import Mapping
+from estimators.online.objective import Objective, Weights
+from estimators.online.session import Method
+from physics.fields import require_choices
+from physics.pbd.simulation import Stepping
+
+LEAST_PARTICLES, MOST_PARTICLES = 30, 10_000
+
+
+@dataclass(frozen=True)
+class Start:
+    """Stiffness to begin with, the same everywhere.
+
+    Raises:
+        ValueError: a stiffness that is not positive.
+    """
+
+    distance: float = 1.0
+    """Of distances [m/Δt²]: the paper's second start."""
+    shape: float = 0.01
+    """Of shapes, likewise: the paper's 0.1 lies outside its own bound of 0.02."""
+
+    def __post_init__(self) -> None:
+        """Check ranges."""
+        for name in ("distance", "shape"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"the start of {name} is {getattr(self, name)}; give a positive number.")
+
+
+@dataclass(frozen=True)
+class OnlineSettings:
+    """How tissue that an instrument drives is followed, and its stiffness found.
+
+    Raises:
+        ValueError: a value out of range, or two that don't belong together.
+    """
+
+    particles: int = 600
+    """About so many make up the surface (Liang 2024, section III)."""
+    match: Literal["tracks", "chamfer", "both"] = "tracks"
+    """What a frame shows: followed points across the line of sight, the cloud of its depth, or both."""
+    points: int = 9000
+    """At most so many of a cloud (Liang 2024, section III)."""
+    background: Literal["subtract", "keep"] = "subtract"
+    """Whether the affine motion of the tissue farthest from the instrument, a moving camera's, is taken off."""
+    strain: float = 0.03
+    """Stiffness is known where an edge was once longer or shorter than at rest by more than this share."""
+    start: Start = field(default_factory=Start)
+    """Stiffness to begin with."""
+    method: Method = field(default_factory=Method)
+    """Which parts of the step run, and how fast stiffness is changed."""
+    bounds: Bounds = field(default_factory=Bounds)
+    """Largest stiffness."""
+    stepping: Stepping = field(default_factory=Stepping)
+    """How time steps are taken; a frame is one."""
+    mapping: Mapping = field(default_factory=Mapping)
+    """How the residual deformation is searched."""
+    elastic: float = Objective.elastic
+    """k⁰ of the mapping, as `Objective` has it."""
+    weights: Weights = field(default_factory=Weights)
+    """What the terms of the objective count."""
+
+    def __post_init__(self) -> None:
+        """Check ranges."""
+        require_choices(self)
+        if not LEAST_PARTICLES <= self.particles <= MOST_PARTICLES:
+            raise ValueError(f"particles is {self.particles}; give {LEAST_PARTICLES} to {MOST_PARTICLES}.")
+        if self.points < 1:
+            raise ValueError(f"points is {self.points}; give 1 at least.")
+        for name in ("strain", "elastic"):
+            value = getattr(self, name)
+            if not (value >= 0 and math.isfinite(value)):
+                raise ValueError(f"{name} is {value}; give 0 or more.")
+        for name in ("distance", "shape"):
+            begun, bound = getattr(self.start, name), getattr(self.bounds, name)
+            if not begun < bound:
+                raise ValueError(f"the start of {name} is {begun:g}, its bound {bound:g}; begin inside.")
+        if self.match != "tracks" and self.background == "subtract":
+            raise ValueError(
+                f"match {self.match} compares clouds, which show the camera's motion, too; give background keep."
+            )
+
+
+def load_settings(path: Path) -> OnlineSettings:
+    """Settings of a YAML file; what it leaves out keeps its default.
+
+    Raises:
+        InputError: unreadable file, an unknown key, or an impossible value.
+    """
+    values = read_mapping(path, "a file of settings")
+    for name, kind in get_type_hints(OnlineSettings).items():
+        if dataclasses.is_dataclass(kind):
+            values[name] = from_mapping(kind, values.get(name, {}), f"{path}, {name},")
+    return from_mapping(OnlineSettings, values, str(path))

@@ -1,0 +1,44 @@
+"""`fields.npz`: stiffness over the tissue in every frame, written frame by frame, so that memory doesn't grow."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from estimators.estimate import StiffnessField
+
+
+class FieldFile:
+    """A file that `numpy.load` reads frame by frame.
+
+    Of every run of contact `run_R/rest` and `run_R/faces`, R its first frame's number; of every frame `frame_K/run`
+    (R), `frame_K/positions`, `pixels`, `distance`, `shape` and `known`, as `StiffnessField` has them, reals as float32.
+
+    Args:
+        path: the file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._file = zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED)
+        self._run: int | None = None
+
+    def write(self, frame: int, field: StiffnessField) -> None:
+        """Append a frame, by its number."""
+        if field.onset_frame != self._run:
+            self._run = field.onset_frame
+            self._add(f"run_{self._run}/rest", field.rest.astype(np.float32))
+            self._add(f"run_{self._run}/faces", field.faces.astype(np.int32))
+        self._add(f"frame_{frame}/run", np.array(field.onset_frame))
+        for name in ("positions", "pixels", "distance", "shape"):
+            self._add(f"frame_{frame}/{name}", getattr(field, name).astype(np.float32))
+        self._add(f"frame_{frame}/known", field.known)
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._file.close()
+
+    def _add(self, name: str, values: np.ndarray) -> None:
+        with self._file.open(f"{name}.npy", "w") as entry:
+            np.lib.format.write_array(entry, values, allow_pickle=False)

@@ -1,0 +1,62 @@
+"""A field of stiffness drawn on the video: red stiff, blue soft, nothing where it isn't known."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from data.labels import TOOL
+from estimators.estimate import StiffnessField
+
+OPACITY = 0.55
+RANGE = 4.0
+"""Colours end at this many times the median, and at one over it."""
+INSET = 0.3
+"""Width of the picture of shapes, as a share of the canvas'."""
+STIFF, MIDDLE, SOFT = (np.array(color, float) for color in ((214, 40, 40), (245, 240, 235), (37, 99, 235)))
+
+
+def draw_field(canvas: np.ndarray, field: StiffnessField, factor: float, labels: np.ndarray | None = None) -> None:
+    """Paint stiffness against stretch on an RGB canvas in place, and that of shapes on a small copy at its right.
+
+    Each over its median where it is known, on a logarithmic scale from 1/RANGE to RANGE.
+
+    Args:
+        canvas: uint8, shape [H, W, 3].
+        factor: pixels of the canvas a pixel of the source frame.
+        labels: label map of any resolution: what an instrument hides isn't painted; None = all is.
+    """
+    known = field.known[field.faces].all(axis=1)
+    if not known.any():
+        return
+    height, width = canvas.shape[:2]
+    inset = cv2.resize(canvas, (round(INSET * width), round(INSET * height)), interpolation=cv2.INTER_AREA)
+    places = (field.pixels + 0.5) * factor
+    for picture, share, values in ((canvas, 1.0, field.distance), (inset, INSET, field.shape)):
+        painted = _painted(picture, share * places, field.faces[known], values, float(np.median(values[field.known])))
+        if labels is not None:
+            size = picture.shape[1], picture.shape[0]
+            tool = cv2.resize((labels == TOOL).astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+            painted[tool] = picture[tool]
+        picture[:] = painted
+    margin = max(6, round(0.02 * width))
+    rows, columns = slice(margin, margin + inset.shape[0]), slice(width - margin - inset.shape[1], width - margin)
+    canvas[rows, columns] = inset
+    cv2.rectangle(canvas, (columns.start, rows.start), (columns.stop, rows.stop), (203, 213, 225), 1)
+
+
+def _painted(
+    canvas: np.ndarray, places: np.ndarray, faces: np.ndarray, values: np.ndarray, middle: float
+) -> np.ndarray:
+    """A copy of the canvas with faces [F, 3] between places [N, 2] coloured by their values [N] over the middle one."""
+    logs = np.log(values[faces].mean(axis=1) / middle) / np.log(RANGE)
+    painted = canvas.copy()
+    for corners, color in zip(places[faces], colors(logs), strict=True):
+        cv2.fillConvexPoly(painted, np.round(corners).astype(np.int32), color.tolist())
+    return cv2.addWeighted(painted, OPACITY, canvas, 1 - OPACITY, 0)
+
+
+def colors(logs: np.ndarray) -> np.ndarray:
+    """RGB of relative stiffness from -1 (soft, blue) to 1 (stiff, red), beyond that as at the ends, shape [F, 3]."""
+    share = np.clip(logs, -1, 1)[:, None]
+    return np.where(share > 0, MIDDLE + share * (STIFF - MIDDLE), MIDDLE - share * (SOFT - MIDDLE))

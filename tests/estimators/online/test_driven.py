@@ -1,0 +1,186 @@
+"""Tissue under an instrument: what is gripped, pinned and compared, what motion is taken from followed points."""
+
+from __future__ import annotations
+
+import dataclasses
+import gc
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from data.contact.geometry import GeometrySettings
+from data.labels import OTHER, TISSUE, TOOL
+from data.prepared import PreparedFrame
+from data.source.camera import Camera
+from data.source.frames import Frame
+from estimators.estimate import NoEstimate
+from estimators.online.driven import DrivenTissue
+from estimators.online.session import Method
+from estimators.online.settings import OnlineSettings
+from estimators.online.surface import Surface, make_surface
+
+WIDTH, HEIGHT, DEPTH = 240, 160, 0.5
+CAMERA = Camera.from_field_of_view(60.0, WIDTH, HEIGHT)
+GEOMETRY = GeometrySettings(height=80, width=120, smoothing=0.0)
+SETTINGS = OnlineSettings(particles=120)
+PER_PIXEL = DEPTH / CAMERA.fx
+"""Length of a pixel at that depth [scene units]."""
+
+
+def first_frame(tissue: bool = True, tool: bool = True) -> PreparedFrame:
+    """Flat tissue across the line of sight, an instrument from the left up to a third of the picture."""
+    labels = np.full((HEIGHT, WIDTH), TISSUE if tissue else OTHER, np.uint8)
+    if tool:
+        labels[60:100, :80] = TOOL
+    grid = labels[::2, ::2]
+    picture = np.full((HEIGHT, WIDTH, 3), 128, np.uint8)
+    depth = np.full(grid.shape, DEPTH, np.float32)
+    return PreparedFrame(Frame(0, 7, 0.0, picture), "ok", "", depth, grid, labels)
+
+
+@pytest.fixture(scope="module")
+def surface() -> Surface:
+    return make_surface(first_frame(), CAMERA, GEOMETRY, SETTINGS.particles)
+
+
+def grid_points() -> tuple[np.ndarray, np.ndarray]:
+    """Places to follow [P, 2] and their distances from the instrument [P] [px]."""
+    points = np.stack(np.meshgrid(np.arange(12, 232, 8), np.arange(12, 152, 8)), axis=-1).reshape(-1, 2).astype(float)
+    away = np.hypot(np.maximum(points[:, 0] - 79, 0), np.maximum(np.abs(points[:, 1] - 79.5) - 19.5, 0))
+    return points[away > 5], away[away > 5]
+
+
+POINTS, AWAY = grid_points()
+
+
+def pulled(share: float) -> np.ndarray:
+    """Displacement [P, 2] [px] that dies away from the instrument."""
+    return share * np.array([-8.0, 4.0]) * np.exp(-AWAY / 40)[:, None]
+
+
+def driven(surface: Surface, **settings) -> DrivenTissue:
+    return DrivenTissue(surface, POINTS, AWAY, dataclasses.replace(SETTINGS, **settings))
+
+
+def test_about_as_many_particles_as_asked_lie_on_the_tissue(surface: Surface) -> None:
+    rest = surface.body.rest
+    assert 0.8 * SETTINGS.particles < len(rest) < 1.3 * SETTINGS.particles
+    np.testing.assert_allclose(rest[:, 2], DEPTH)
+    np.testing.assert_allclose(surface.project(rest), surface.pixels, atol=1e-3)
+    np.testing.assert_allclose(surface.lift(surface.pixels, rest[:, 2]), rest, atol=1e-5)
+
+
+def test_the_edge_is_pinned_and_what_is_near_the_tool_gripped(surface: Surface) -> None:
+    pixels, pinned = surface.pixels, surface.body.pinned
+    gripped = np.isin(np.arange(len(pixels)), surface.gripped)
+    away = np.hypot(np.maximum(pixels[:, 0] - 79, 0), np.maximum(np.abs(pixels[:, 1] - 79.5) - 19.5, 0))
+    assert gripped.any()
+    assert not (pinned & gripped).any()
+    assert away[gripped].max() < surface.reach + 2
+    assert away[~gripped].min() > surface.reach - 2
+    right = pixels[:, 0] > pixels[:, 0].max() - 1
+    assert pinned[right].all()
+    inner = (pixels > 30).all(axis=1) & (pixels[:, 0] < WIDTH - 30) & (pixels[:, 1] < HEIGHT - 30)
+    assert not pinned[inner].any()
+
+
+def test_places_are_shares_that_bring_a_point_back(surface: Surface) -> None:
+    points = np.array([[150.3, 40.7], [200.0, 120.5], [20.0, 80.0], [500.0, 80.0]])
+    inside, shares = surface.places(points)
+    np.testing.assert_array_equal(inside, [0, 1])  # behind the tool and outside there is no sheet
+    np.testing.assert_allclose(shares.sum(axis=1), 1)
+    np.testing.assert_allclose(shares @ surface.pixels, points[:2], atol=1e-9)
+    assert shares.data.min() > -1e-9
+
+
+def test_gripped_particles_move_as_the_tissue_beside_the_tool(surface: Surface) -> None:
+    tissue = driven(surface)
+    shift = np.array([3.0, -2.0])
+    places = tissue.gripped_places(np.tile(shift, (len(POINTS), 1)))
+    rest = surface.body.rest[surface.gripped]
+    assert places is not None
+    np.testing.assert_allclose(places - rest, np.broadcast_to([*(shift * PER_PIXEL), 0], rest.shape), atol=1e-6)
+    hidden = np.tile(shift, (len(POINTS), 1))
+    hidden[surface.reach > AWAY] = np.nan
+    assert tissue.gripped_places(hidden) is None
+
+
+def test_nothing_is_known_where_nothing_moves(surface: Surface) -> None:
+    tissue = driven(surface)
+    for _ in range(3):
+        told = tissue.step(np.zeros_like(POINTS))
+    np.testing.assert_allclose(told.positions, surface.body.rest, atol=1e-9)
+    assert not tissue.known.any()
+
+
+def test_a_frame_without_the_grip_is_not_learnt_from(surface: Surface) -> None:
+    tissue = driven(surface)
+    tissue.step(pulled(0.5))
+    before = tissue.session.fields
+    told = tissue.step(np.full_like(POINTS, np.nan))
+    assert told.gap is None
+    assert tissue.session.fields is before
+
+
+def test_states_follow_what_is_seen_and_stretched_tissue_is_known(surface: Surface) -> None:
+    tissue = driven(surface, method=Method("PBD-RM"))
+    for share in np.linspace(0.1, 1, 10):
+        tissue.step(pulled(share))
+    moved = pulled(1.0)[tissue.around]
+    off = tissue.shown(tissue.session.positions[None])[0] - moved
+    assert np.linalg.norm(off) < 0.25 * np.linalg.norm(moved)
+    known = tissue.known
+    assert known.any()
+    assert not known[surface.body.pinned].any()
+    assert not known[surface.gripped].any()
+    far = surface.pixels[:, 0] > 200
+    assert not known[far].any()
+
+
+def test_predictions_look_at_the_grip_alone(surface: Surface) -> None:
+    tissue = driven(surface)
+    for share in np.linspace(0.1, 0.5, 5):
+        tissue.step(pulled(share))
+    path = np.stack([pulled(share) for share in np.linspace(0.6, 1, 5)])
+    blind = path.copy()
+    blind[:, surface.reach <= AWAY] = np.nan
+    ahead = tissue.ahead(path)
+    np.testing.assert_array_equal(ahead, tissue.ahead(blind))
+    since = tissue.shown(tissue.session.positions[None])[0]
+    moved, error = path[-1][tissue.around] - since, path[-1][tissue.around] - ahead[-1]
+    assert np.linalg.norm(error) < 0.7 * np.linalg.norm(moved)
+
+
+def test_a_cloud_tells_how_far_gripped_tissue_has_come_nearer(surface: Surface) -> None:
+    tissue = driven(surface, match="both", background="keep")
+    nearer = 0.02
+    flat = surface.lift(surface.pixels, np.full(len(surface.pixels), DEPTH - nearer))
+    told = tissue.step(np.zeros_like(POINTS), flat, np.arange(len(flat)))
+    np.testing.assert_allclose(told.positions[surface.gripped, 2], DEPTH - nearer, atol=1e-6)
+    free = ~surface.body.pinned
+    free[surface.gripped] = False
+    assert told.positions[free, 2].mean() < DEPTH - 0.3 * nearer
+
+
+@pytest.mark.parametrize(("frame", "sentence"), [(first_frame(tool=False), "no instrument"), (first_frame(False), "7")])
+def test_a_frame_without_tool_or_tissue_is_a_sentence(frame: PreparedFrame, sentence: str) -> None:
+    with pytest.raises(NoEstimate, match=sentence):
+        make_surface(frame, CAMERA, GEOMETRY, 100)
+
+
+def test_memory_does_not_grow_with_the_frames(surface: Surface) -> None:
+    """Mapped states are kept for a window of 20; 34 more frames would be 34 states."""
+    tissue = driven(surface, method=Method("PBD-RM"), mapping=dataclasses.replace(SETTINGS.mapping, steps=1))
+    for index in range(25):
+        tissue.step(pulled(index % 5 / 5))
+    tracemalloc.start()
+    for index in range(60):
+        tissue.step(pulled(index % 5 / 5))
+        if index == 25:
+            gc.collect()
+            before = tracemalloc.get_traced_memory()[0]
+    gc.collect()
+    grown = tracemalloc.get_traced_memory()[0] - before
+    tracemalloc.stop()
+    assert grown < 10 * surface.body.rest.nbytes

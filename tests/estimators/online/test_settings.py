@@ -1,0 +1,57 @@
+"""Settings of the online estimator: what a file may say, and what can't be used is a sentence that names it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from data.source.layout import InputError
+from estimators.online.bounds import Bounds
+from estimators.online.session import Method
+from estimators.online.settings import OnlineSettings, load_settings
+
+
+@pytest.fixture
+def told(tmp_path: Path):
+    """`told(text)`: settings of such a file."""
+
+    def load(text: str) -> OnlineSettings:
+        path = tmp_path / "online.yaml"
+        path.write_text(text)
+        return load_settings(path)
+
+    return load
+
+
+def test_what_a_file_leaves_out_keeps_its_default(told) -> None:
+    assert told("{}") == OnlineSettings()
+    found = told("bounds: {distance: 5.0}\nmethod: {name: PBD}\nbackground: keep\nmatch: both\n")
+    expected = OnlineSettings(bounds=Bounds(5.0), method=Method("PBD"), background="keep", match="both")
+    assert found == expected
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("speed: 1", "online.yaml has the unknown key 'speed'"),
+        ("weights: {gap: 1, colour: 2}", "online.yaml, weights, has the unknown key 'colour'"),
+        ("weights: {gap: -1}", "online.yaml, weights, can't be used: the weight of gap is -1"),
+        ("weights: 3", "online.yaml, weights, is not a mapping"),
+        ("particles: many", "online.yaml gives particles 'many'; give a whole number"),
+        ("particles: 3", "particles is 3; give 30 to 10000"),
+        ("points: 0", "points is 0; give 1 at least"),
+        ("strain: -0.1", "strain is -0.1; give 0 or more"),
+        ("match: colours", "online.yaml gives match 'colours'; give one of tracks, chamfer, both"),
+        ("match: both", "match both compares clouds, which show the camera's motion, too; give background keep"),
+        ("start: {distance: 12.0}", "the start of distance is 12, its bound 10; begin inside"),
+        ("start: {shape: 0.0}", "the start of shape is 0.0; give a positive number"),
+        ("method: {name: DiffCloud}", "online.yaml, method, gives name 'DiffCloud'"),
+        ("- 1", "is not a file of settings; write a mapping"),
+        ("a: !!python/object/apply:os.getcwd []", "is not a file of settings"),
+    ],
+)
+def test_what_can_t_be_used_is_a_sentence(told, text: str, sentence: str) -> None:
+    with pytest.raises(InputError) as caught:
+        told(text)
+    assert sentence in str(caught.value)

@@ -1,0 +1,102 @@
+"""Fields of stiffness in a file: every frame as it was said, and no memory that grows with them."""
+
+from __future__ import annotations
+
+import dataclasses
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+
+from data.labels import TOOL
+from estimators.estimate import FrameEstimate, StiffnessField
+from results.columns import FIELD, FRAMES, row
+from results.field_file import FieldFile
+from results.field_overlay import MIDDLE, OPACITY, SOFT, STIFF, colors, draw_field
+from results.writer import ClipResults
+from tests.results.test_writer import FRAME, SIZE
+
+REST = np.array([[0, 0, 1], [1, 0, 1], [0, 1, 1], [1, 1, 1]], float)
+FIELD_SEEN = StiffnessField(
+    onset_frame=3,
+    rest=REST,
+    faces=np.array([[0, 1, 2], [1, 3, 2]]),
+    positions=REST + 0.5,
+    pixels=np.array([[4, 4], [44, 4], [4, 34], [44, 34]], float),
+    distance=np.array([4.0, 4.0, 4.0, 64.0]),
+    shape=np.full(4, 0.01),
+    known=np.array([True, True, True, False]),
+    gap=0.25,
+)
+SAID = FrameEstimate(5, 0.2, "ok", field=FIELD_SEEN)
+
+
+def test_a_file_holds_every_frame_and_every_run_once(tmp_path: Path) -> None:
+    file = FieldFile(tmp_path / "fields.npz")
+    second = dataclasses.replace(FIELD_SEEN, onset_frame=9, distance=2 * FIELD_SEEN.distance)
+    for number, field in ((5, FIELD_SEEN), (6, FIELD_SEEN), (9, second)):
+        file.write(number, field)
+    file.close()
+    with np.load(tmp_path / "fields.npz", allow_pickle=False) as found:
+        runs = [f"run_{run}/{name}" for run in (3, 9) for name in ("rest", "faces")]
+        names = ("run", "positions", "pixels", "distance", "shape", "known")
+        assert sorted(found.files) == sorted([*runs, *(f"frame_{n}/{name}" for n in (5, 6, 9) for name in names)])
+        assert found["frame_9/run"] == 9
+        np.testing.assert_array_equal(found["frame_9/distance"], second.distance)
+        np.testing.assert_array_equal(found["frame_5/positions"], FIELD_SEEN.positions)
+        np.testing.assert_array_equal(found["frame_5/known"], FIELD_SEEN.known)
+        np.testing.assert_array_equal(found["run_3/faces"], FIELD_SEEN.faces)
+
+
+def test_columns_tell_quantiles_where_it_is_known() -> None:
+    cells = dict(zip(FRAMES, row(FRAMES, SAID.values), strict=True))
+    assert {name: cells[name] for name in FIELD} == {
+        "distance_stiffness": "4",
+        "distance_stiffness_low": "4",
+        "distance_stiffness_high": "4",
+        "shape_stiffness": "0.01",
+        "shape_stiffness_low": "0.01",
+        "shape_stiffness_high": "0.01",
+        "field_known": "0.75",
+        "gap": "0.25",
+    }
+    nothing = dataclasses.replace(FIELD_SEEN, known=np.zeros(4, bool), gap=None)
+    assert nothing.numbers() == {"field_known": 0.0}
+    assert "relative" in FRAMES["distance_stiffness"]
+
+
+def test_results_keep_no_field_of_a_frame(tmp_path: Path) -> None:
+    """2,000 frames of a sheet of 600 particles take less memory than thirty of their fields."""
+    count, frames = 600, 2000
+    positions = np.random.default_rng(0).normal(size=(count, 3))
+    faces = np.arange(count).reshape(-1, 3)
+    one = StiffnessField(
+        0, positions, faces, positions, positions[:, :2], positions[:, 0], positions[:, 1], positions[:, 2] > 0, 0.1
+    )
+    size = sum(value.nbytes for value in vars(one).values() if isinstance(value, np.ndarray))
+    with ClipResults(tmp_path / "clip", SIZE, 25.0, overlay=False, fields=True) as output:
+        tracemalloc.start()
+        for number in range(frames):
+            # Arrays of their own, as a session gives them.
+            field = dataclasses.replace(one, positions=positions.copy(), distance=positions[:, 0].copy())
+            output.write(FRAME, FrameEstimate(number, number / 25, "ok", field=field))
+            if number == frames // 10:
+                before = tracemalloc.get_traced_memory()[0]
+        grown = tracemalloc.get_traced_memory()[0] - before
+        tracemalloc.stop()
+    assert output.fields == frames
+    assert grown < 0.1 * frames * size
+
+
+def test_stiff_is_red_and_soft_is_blue() -> None:
+    np.testing.assert_array_equal(colors(np.array([-3.0, -1.0, 0.0, 1.0, 3.0])), [SOFT, SOFT, MIDDLE, STIFF, STIFF])
+
+
+def test_only_what_is_known_is_painted_and_no_tool() -> None:
+    canvas, labels = np.full((40, 50, 3), 100, np.uint8), np.zeros((40, 50), np.uint8)
+    labels[:, :10] = TOOL
+    draw_field(canvas, FIELD_SEEN, 1.0, labels)
+    blend = np.round(OPACITY * MIDDLE + (1 - OPACITY) * 100)
+    np.testing.assert_allclose(canvas[20, 14], blend, atol=1)
+    np.testing.assert_array_equal(canvas[20, 5], [100] * 3)  # the tool
+    np.testing.assert_array_equal(canvas[32, 40], [100] * 3)  # the corner that isn't known

@@ -1,12 +1,14 @@
 """What can be said on real clips, judged on what was kept back from the fit.
 
     python -m evaluation.real --data DIR --output OUT
-    python -m evaluation.real --pulled FRAMES [MASKS] [--tool-value N] [--camera] [--start A --stop B] --output OUT
+    python -m evaluation.real --pulled FRAMES [MASKS] [--tool-value N] [--camera] [--start A --stop B]
+        [--estimator sheet|online] --output OUT
     python -m evaluation.real --pressed FOLDER --wrench CSV --output OUT
 
 --data runs every known clip under a folder (docs/real.md). A pulled clip shows tissue that an instrument holds and
 moves: a sheet is fitted to the first half of its frames and judged on the second; `contact_frame_N` is the probability
-that tissue moves with the instrument. A pressed one is a folder with `depth/` and a table of the force. Writes
+that tissue moves with the instrument. With `--estimator online` it is predicted ten frames ahead instead, by stiffness
+place by place and by a sheet of one number. A pressed one is a folder with `depth/` and a table of the force. Writes
 table.csv (clip, measure, value), figures/ and report.html. Not a medical device.
 """
 
@@ -30,8 +32,10 @@ from rich.text import Text
 from data.command_line import path_option, progress_bars, say, whole_number
 from data.source.layout import InputError
 from estimators.grip.sheet_fit import NothingMoves
+from estimators.online.settings import OnlineSettings
 from evaluation.page import as_png, render_page
-from evaluation.real.figures import draw_press, draw_pull
+from evaluation.real.figures import draw_prediction, draw_press, draw_pull
+from evaluation.real.predicted import evaluate_prediction
 from evaluation.real.pressed import evaluate_press
 from evaluation.real.pulled import PulledClip, evaluate_pull
 from evaluation.real.touching import contact_measures
@@ -73,6 +77,8 @@ def build_parser() -> argparse.ArgumentParser:
     text = "first frame, where the tissue counts as at rest (default 0)"
     add("--start", type=whole_number(0), default=0, metavar="A", help=text)
     add("--stop", type=whole_number(1), metavar="B", help="frame behind the last one (default: all)")
+    text = "of pulled clips: sheet (default), fitted to the first half, or online, ahead from frames 3, 4 and 5"
+    add("--estimator", choices=("sheet", "online"), default="sheet", help=text)
     add("--pressed", type=path_option, metavar="FOLDER", help="a press with depth")
     add("--wrench", type=path_option, metavar="CSV", help="its force, one row a frame")
     add("--output", type=path_option, required=True, metavar="OUT", help="folder of the results")
@@ -88,7 +94,8 @@ def tasks_of(options: argparse.Namespace) -> dict[str, Task]:
         tasks[f"{name} ({same + 1})" if same else name] = task
 
     def pull(name: str, clip: PulledClip) -> None:
-        add(name, lambda measures: _pulled(clip, measures))
+        judge = _predicted if options.estimator == "online" else _pulled
+        add(name, lambda measures: judge(clip, measures))
 
     if options.data is not None:
         for name, clip in KNOWN.items():
@@ -113,6 +120,12 @@ def _pulled(clip: PulledClip, measures: Measures) -> bytes:
     found = evaluate_pull(clip)
     measures |= found.measures
     return as_png(draw_pull(found))
+
+
+def _predicted(clip: PulledClip, measures: Measures) -> bytes:
+    found = evaluate_prediction(clip, OnlineSettings())
+    measures |= found.measures
+    return as_png(draw_prediction(found))
 
 
 def _pressed(folder: Path, wrench: Path, measures: Measures) -> bytes:

@@ -108,7 +108,7 @@ def evaluate_pull(clip: PulledClip) -> Pull:
     skills: dict[str, list[float]] = {}
     held = []
     for frame in late:
-        nearby = _nearby(frame, follow.distance)
+        nearby = nearby_frame(frame, follow.distance)
         for name, sheet in sheets.items():
             for kind, judged in (("all", frame), ("nearby", nearby)):
                 skills.setdefault(f"{kind}, {name}", []).append(skill(sheet, judged))
@@ -154,7 +154,7 @@ def _measures(
     return found
 
 
-def _nearby(frame: GripFrame, distance: np.ndarray) -> GripFrame:
+def nearby_frame(frame: GripFrame, distance: np.ndarray) -> GripFrame:
     """The frame with those points around the grip alone that began close to the tool, or with all if none did."""
     around = frame.around
     nearby = around & (distance < np.percentile(distance[around | frame.gripped], NEARBY))

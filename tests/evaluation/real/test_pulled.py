@@ -12,7 +12,7 @@ import pytest
 from data.source.layout import InputError
 from data.tracks.following import MARGIN
 from estimators.grip.sheet_fit import GripFrame, NothingMoves
-from evaluation.real.pulled import DRIVEN, Pull, PulledClip, _expected_skill, _nearby, evaluate_pull, follow_clip
+from evaluation.real.pulled import DRIVEN, Pull, PulledClip, _expected_skill, evaluate_pull, follow_clip, nearby_frame
 from tests.evaluation.real_clips import tissue_motion, tool_mask, write, write_pull
 from tests.inference_inputs import write_clip
 
@@ -107,7 +107,7 @@ def test_nearby_are_the_nearest_third_of_the_points_that_are_seen() -> None:
     distance = np.arange(120.0)[::-1]
     moved = np.ones((120, 2))
     moved[distance >= 100] = np.nan
-    nearby = _nearby(GripFrame(moved, distance < 10), distance)
+    nearby = nearby_frame(GripFrame(moved, distance < 10), distance)
     np.testing.assert_array_equal(nearby.around, (distance >= 10) & (distance < 35))
     np.testing.assert_array_equal(nearby.gripped, distance < 10)
 

@@ -1,0 +1,182 @@
+"""Gripped tissue predicted some frames ahead: the online estimator beside a sheet of one number.
+
+Both see the frames up to one, and of the later ones the tissue at the instrument alone. Skill is 1 - error / motion
+since that frame, root mean squares over the points that are followed in both and that the instrument doesn't hold:
+0 = as good as saying that nothing moves on, 1 = exact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from data.depth.normalise import estimate_scale, normalise, open_depth, resize_depth
+from data.labels import OTHER, TISSUE, TOOL
+from data.prepared import PreparedFrame
+from data.source.camera import Camera
+from data.source.frames import Frame, open_source
+from data.source.layout import ClipLayout, InputError
+from data.tracks.following import lit_field
+from estimators.contract import Chosen
+from estimators.estimate import NoEstimate
+from estimators.grip.lattice import lattice_springs
+from estimators.grip.sheet_fit import LEAST_MOTION, GripFrame, NothingMoves, length
+from estimators.online.driven import DrivenTissue
+from estimators.online.estimator import OnlineEstimator
+from estimators.online.settings import OnlineSettings
+from estimators.online.surface import Surface, make_surface
+from evaluation.real.pulled import Follow, PulledClip, follow_clip, nearby_frame, read_views
+from physics.sheet import equilibrium
+
+FROM, AHEAD = (3, 4, 5), 10
+"""Predicted is from these frames after the first, so many frames on (Liang 2024, section III: its horizon)."""
+RATIOS = np.geomspace(1e-4, 1, 17)
+"""Of foundation to springs that a sheet of one number is tried with."""
+LEAST_POINTS = 20
+"""Fewer points that are followed in both frames judge nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """What is said of a clip."""
+
+    measures: dict[str, object]
+    """Numbers and words by name."""
+    follow: Follow
+    points: np.ndarray
+    """Judged points of the last prediction where they begin, in the first picture, shape [Q, 2] [px]."""
+    seen: np.ndarray
+    """Their displacement since then, shape [Q, 2] [px]."""
+    expected: np.ndarray
+    """As the online estimator predicted it, likewise."""
+    fields: tuple[np.ndarray, np.ndarray, np.ndarray]
+    """Places of the particles in the first picture [N, 2] [px], their stiffness against stretch [N] by then, and where
+    that is known [N]."""
+
+
+def evaluate_prediction(clip: PulledClip, settings: OnlineSettings) -> Prediction:
+    """Follow, step on frame by frame, predict, and judge.
+
+    Raises:
+        InputError: the clip can't be read, is too short, or shows no tool or no tissue with depth.
+        NothingMoves: no sheet can be fitted to the frames that both see.
+    """
+    follow = follow_clip(clip)
+    if follow.grip != "masks":
+        raise InputError(f"{clip.frames}: no mask shows where an instrument holds the tissue; give masks of the tool.")
+    if len(follow.frames) < min(FROM) + AHEAD:
+        raise InputError(f"{clip.frames} has fewer than {min(FROM) + AHEAD + 1} usable frames; give more of them.")
+    tissue = DrivenTissue(first_surface(clip, settings), follow.points, follow.distance, settings)
+    measures: dict[str, object] = {"status": "ok", "estimator": "online", "particles": tissue.surface.body.count}
+    skills: dict[str, list[float]] = {"online": [], "sheet": [], "sheet from rest": []}
+    judged = seen = expected = np.empty((0, 2))
+    for index, frame in enumerate(follow.frames[: max(FROM)], start=1):
+        tissue.step(frame.moved)
+        if index not in FROM or index + AHEAD > len(follow.frames):
+            continue
+        later = follow.frames[index : index + AHEAD]
+        around, now, then = tissue.around, frame.moved, later[-1].moved
+        used = _judged(around, frame, later[-1])
+        chosen = around[used]
+        if len(chosen) < LEAST_POINTS:
+            measures[f"points from frame {index}"] = len(chosen)
+            continue
+        since = then[chosen] - now[chosen]
+        held = tissue.shown(tissue.session.positions[None])[0]
+        ahead = tissue.ahead(np.stack([item.moved for item in later]))[-1]
+        ratio = sheet_ratio(follow, follow.frames[:index])
+        resting, pulled = (sheet_motion(follow, each, ratio)[chosen] for each in (frame, later[-1]))
+        judged, seen, expected = follow.points[chosen], since, (ahead - held)[used]
+        found = {
+            "online": expected,
+            "sheet": pulled - resting,
+            # Its displacement from rest as it is, less what is seen by now.
+            "sheet from rest": pulled - now[chosen],
+        }
+        measures[f"points from frame {index}"] = len(chosen)
+        measures[f"motion since frame {index} [px]"] = length(since)
+        measures[f"foundation over stiffness by frame {index}"] = ratio
+        for name, motion in found.items():
+            skills[name].append(1 - length(motion - since) / length(since))
+            measures[f"skill from frame {index}, {name}"] = skills[name][-1]
+    if not skills["online"]:
+        raise InputError(f"{clip.frames}: fewer than {LEAST_POINTS} points are followed {AHEAD} frames on.")
+    measures |= {f"skill of {name}, mean": float(np.mean(values)) for name, values in skills.items()}
+    measures["known particles"] = float(tissue.known.mean())
+    fields = tissue.surface.pixels, tissue.session.fields.distance, tissue.known
+    return Prediction(measures, follow, judged, seen, expected, fields)
+
+
+def sheet_ratio(follow: Follow, frames: Sequence[GripFrame]) -> float:
+    """Foundation over spring stiffness, of RATIOS, with which a sheet explains some frames best near the tool.
+
+    Least mean of error over motion of the nearest third of the points, in frames where these move: docs/real.md.
+
+    Raises:
+        NothingMoves: they do in none.
+    """
+    shown = [(frame, nearby_frame(frame, follow.distance)) for frame in frames]
+    shown = [(frame, near) for frame, near in shown if near.gripped.any() and _moves(near)]
+    if not shown:
+        raise NothingMoves(f"In none of {len(frames)} frames the tissue near the tool moves by {LEAST_MOTION:g} px.")
+
+    def off(ratio: float) -> float:
+        errors = [
+            length((sheet_motion(follow, frame, ratio) - frame.moved)[near.around]) / length(frame.moved[near.around])
+            for frame, near in shown
+        ]
+        return float(np.mean(errors))
+
+    return float(min(RATIOS, key=off))
+
+
+def _moves(frame: GripFrame) -> bool:
+    return bool(frame.around.any()) and length(frame.moved[frame.around]) > LEAST_MOTION
+
+
+def sheet_motion(follow: Follow, frame: GripFrame, ratio: float) -> np.ndarray:
+    """Displacement [P, 2] [px] of a sheet of one number whose gripped points move as in a frame.
+
+    It is made of the points that are seen; elsewhere not a number.
+    """
+    seen = np.isfinite(frame.moved).all(axis=1)
+    springs = lattice_springs(follow.points[seen].astype(int), follow.spacing)
+    gripped, count = frame.gripped[seen], int(seen.sum())
+    found = np.full(frame.moved.shape, np.nan)
+    anchor = np.full(count, ratio)
+    found[seen] = equilibrium(springs, np.ones(len(springs)), anchor, gripped, frame.moved[frame.gripped]).displacement
+    return found
+
+
+def _judged(around: np.ndarray, now: GripFrame, then: GripFrame) -> np.ndarray:
+    """Which of some points [Q] are seen in two frames and gripped in neither, shape [Q], bool."""
+    return (now.around & then.around)[around]
+
+
+def first_surface(clip: PulledClip, settings: OnlineSettings) -> Surface:
+    """The sheet of the first frame that can be used, its depth as the estimator would have it.
+
+    Raises:
+        InputError: no such frame, no depth, or no tissue with depth beside the tool.
+    """
+    source = open_source(clip.frames, ClipLayout())
+    prepare = OnlineEstimator(settings).preparation(Chosen())
+    opened = open_depth(prepare.depth, prepare.layout, source)
+    scale, focal = estimate_scale(source, opened, prepare.depth)
+    for number, picture, tool in read_views(clip):
+        if picture is None or isinstance(tool, str):
+            continue
+        labels = np.where(tool, TOOL, np.where(lit_field(picture), TISSUE, OTHER)).astype(np.uint8)
+        frame, geometry = Frame(0, number, 0.0, picture), prepare.geometry
+        depth, grid = resize_depth(opened(frame), labels, (geometry.height, geometry.width))
+        height, width = labels.shape
+        known = Camera.from_field_of_view(prepare.depth.field_of_view_deg, width, height)
+        camera = known if focal is None else Camera.from_focal(focal, width, height)
+        prepared = PreparedFrame(frame, "ok", "", normalise(depth, scale, prepare.depth.bits), grid, labels)
+        try:
+            return make_surface(prepared, camera, geometry, settings.particles)
+        except NoEstimate as error:
+            raise InputError(f"{clip.frames}: {error}") from error
+    raise InputError(f"{clip.frames} has no frame that can be used; give others.")

@@ -1,0 +1,113 @@
+"""Drawn tissue predicted ahead: by what, from what, and how it is judged."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data.source.layout import InputError
+from estimators.grip.sheet_fit import GripFrame, NothingMoves
+from estimators.online.settings import OnlineSettings
+from evaluation.real.__main__ import main
+from evaluation.real.predicted import (
+    AHEAD,
+    RATIOS,
+    Prediction,
+    evaluate_prediction,
+    first_surface,
+    sheet_motion,
+    sheet_ratio,
+)
+from evaluation.real.pulled import Follow, PulledClip
+from tests.evaluation.real_clips import SIZE, tool_mask, write_pull
+
+SETTINGS = OnlineSettings(particles=200)
+SPACING = 8
+
+
+@pytest.fixture(scope="module")
+def clip(tmp_path_factory: pytest.TempPathFactory) -> PulledClip:
+    """Fourteen frames: one prediction, from the third after the first."""
+    return PulledClip(*write_pull(tmp_path_factory.mktemp("pulled"), np.linspace(0, 1.5, 14)))
+
+
+@pytest.fixture(scope="module")
+def found(clip: PulledClip) -> Prediction:
+    return evaluate_prediction(clip, SETTINGS)
+
+
+def square() -> Follow:
+    """Points on a grid beside a tool at the left."""
+    points = SPACING * np.stack(np.meshgrid(np.arange(1, 15), np.arange(1, 12)), axis=-1).reshape(-1, 2).astype(float)
+    pictures = np.zeros((1, 1, 3), np.uint8), np.zeros((1, 1, 3), np.uint8)
+    return Follow(points, SPACING, points[:, 0], [], pictures, [], "masks")
+
+
+def pulled(follow: Follow, way: float) -> GripFrame:
+    """The tool's points moved, the others unknown as yet."""
+    gripped = follow.distance < 24
+    return GripFrame(np.where(gripped[:, None], [way, 0.5 * way], 0.0), gripped)
+
+
+def test_a_sheet_s_ratio_is_found_from_its_own_motion() -> None:
+    follow = square()
+    for ratio in RATIOS[[4, 8, 12]]:
+        frames = []
+        for way in (0.1, 6.0, 9.0):  # in the first nothing moves to speak of
+            frame = pulled(follow, way)
+            frames.append(GripFrame(sheet_motion(follow, frame, ratio), frame.gripped))
+        assert sheet_ratio(follow, frames) == ratio
+    with pytest.raises(NothingMoves, match="In none of 1 frames"):
+        sheet_ratio(follow, [pulled(follow, 0.1)])
+
+
+def test_a_sheet_leaves_out_what_is_not_seen() -> None:
+    follow = square()
+    frame = pulled(follow, 8.0)
+    frame.moved[-3:] = np.nan
+    moved = sheet_motion(follow, frame, 1.0)
+    assert np.isnan(moved[-3:]).all()
+    np.testing.assert_allclose(moved[frame.gripped], frame.moved[frame.gripped])
+    lengths = np.linalg.norm(moved[:-3], axis=1)
+    assert lengths[follow.distance[:-3] > 100].max() < 0.3 * lengths.max()
+
+
+def test_the_first_frame_s_sheet_lies_on_its_tissue(clip: PulledClip) -> None:
+    surface = first_surface(clip, SETTINGS)
+    assert 0.7 * SETTINGS.particles < surface.body.count < 1.3 * SETTINGS.particles
+    column, row = np.clip(surface.pixels.round().astype(int), 0, np.array(SIZE) - 1).T
+    assert not tool_mask(0)[row, column].any()
+    assert len(surface.gripped) > 3
+
+
+def test_skill_is_one_less_error_over_motion_since(found: Prediction) -> None:
+    told = found.measures
+    assert (told["status"], told["estimator"]) == ("ok", "online")
+    assert told["points from frame 3"] == len(found.points) > 100
+    motion = np.sqrt(np.square(found.seen).sum(axis=1).mean())
+    error = np.sqrt(np.square(found.seen - found.expected).sum(axis=1).mean())
+    assert told["motion since frame 3 [px]"] == pytest.approx(motion)
+    assert told["skill from frame 3, online"] == pytest.approx(1 - error / motion)
+    assert told["skill of online, mean"] == told["skill from frame 3, online"]
+    assert told["skill from frame 3, online"] > 0.2
+    assert told["skill from frame 3, sheet"] > 0.3
+    assert not any("frame 4" in name for name in told)  # there are no ten frames after it
+
+
+def test_what_can_t_be_predicted_is_a_sentence(clip: PulledClip) -> None:
+    short = PulledClip(clip.frames, clip.masks, stop=AHEAD + 3)
+    with pytest.raises(InputError, match=r"fewer than 14 usable frames; give more of them"):
+        evaluate_prediction(short, SETTINGS)
+    with pytest.raises(InputError, match="no mask shows where an instrument holds the tissue"):
+        evaluate_prediction(PulledClip(clip.frames), SETTINGS)
+
+
+def test_the_door_writes_skill_and_a_picture(clip: PulledClip, tmp_path: Path) -> None:
+    told = ["--pulled", str(clip.frames), str(clip.masks), "--estimator", "online", "--output", str(tmp_path)]
+    assert main(told) == 0
+    table = (tmp_path / "table.csv").read_text(encoding="utf-8")
+    assert 'frames,"skill from frame 3, online",' in table
+    assert 'frames,"skill of sheet from rest, mean",' in table
+    assert len((tmp_path / "figures" / "1.png").read_bytes()) > 10_000

@@ -14,6 +14,7 @@ from data.contact.tissue_points import grid_to_picture
 from data.labels import TISSUE, TOOL
 from data.prepared import PreparedFrame
 from data.source.camera import Camera, back_project
+from data.tracks.background import FAR
 from data.tracks.following import shrunk, tool_distance
 from estimators.estimate import NoEstimate
 from estimators.grip.recorder import DRIVEN
@@ -29,7 +30,7 @@ class Surface:
     """A sheet of N particles, and the picture that it was seen in."""
 
     body: Body
-    """At rest, in coordinates of the camera [scene units]; pinned where the tissue's edge isn't hidden by a tool."""
+    """At rest, in coordinates of the camera [scene units]; pinned at the tissue's edge, far from any tool."""
     gripped: np.ndarray
     """Particles that an instrument moves, shape [G]."""
     pixels: np.ndarray
@@ -81,8 +82,9 @@ class Surface:
 def make_surface(frame: PreparedFrame, camera: Camera, geometry: GeometrySettings, particles: int) -> Surface:
     """Mesh the tissue of a frame with about so many particles (Liang 2024, section III), evenly over the picture.
 
-    Gripped are those near a tool, pinned those at the tissue's edge elsewhere: what lies beyond isn't seen, and at the
-    picture's border mostly far from what moves.
+    Gripped are those near a tool, pinned those at the tissue's edge that lie as far from any tool as what counts as
+    background (`data.tracks.background`). The edge near a tool is mostly the picture's border, across which tissue
+    moves.
 
     Args:
         frame: with picture, labels and depth.
@@ -113,8 +115,10 @@ def make_surface(frame: PreparedFrame, camera: Camera, geometry: GeometrySetting
     pixels = grid_to_picture(mesh.pixels[:, ::-1], mesh.grid_shape, size)
     column, row = np.clip(pixels.round().astype(int), 0, np.array(size) - 1).T
     reach = max(DRIVEN, size[0] / mesh.grid_shape[1] / np.sqrt(keep))  # a row of particles at least
-    driven = tool_distance(instrument)[row, column] < reach
+    away = tool_distance(instrument)[row, column]
+    driven = away < reach
     if not driven.any():
         raise NoEstimate(f"No tissue lies within {reach:.0f} px of the instrument in frame {frame.frame.number}.")
-    body = make_body(mesh.vertices, mesh.triangles, pinned=mesh.rim & ~driven)
+    background = ~driven & (away > np.percentile(away, FAR))
+    body = make_body(mesh.vertices, mesh.triangles, pinned=mesh.rim & background)
     return Surface(body, np.flatnonzero(driven), pixels, camera.scaled(*size), reach)

@@ -71,7 +71,7 @@ def test_about_as_many_particles_as_asked_lie_on_the_tissue(surface: Surface) ->
     np.testing.assert_allclose(surface.lift(surface.pixels, rest[:, 2]), rest, atol=1e-5)
 
 
-def test_the_edge_is_pinned_and_what_is_near_the_tool_gripped(surface: Surface) -> None:
+def test_the_far_edge_is_pinned_and_what_is_near_the_tool_gripped(surface: Surface) -> None:
     pixels, pinned = surface.pixels, surface.body.pinned
     gripped = np.isin(np.arange(len(pixels)), surface.gripped)
     away = np.hypot(np.maximum(pixels[:, 0] - 79, 0), np.maximum(np.abs(pixels[:, 1] - 79.5) - 19.5, 0))
@@ -81,6 +81,10 @@ def test_the_edge_is_pinned_and_what_is_near_the_tool_gripped(surface: Surface) 
     assert away[~gripped].min() > surface.reach - 2
     right = pixels[:, 0] > pixels[:, 0].max() - 1
     assert pinned[right].all()
+    assert away[pinned].min() >= np.percentile(away, 60) - 2  # the picture's border beside the tool is free
+    border = (pixels[:, 1] < pixels[:, 1].min() + 1) & (pixels[:, 0] < 100)
+    assert border.any()
+    assert not pinned[border].any()
     inner = (pixels > 30).all(axis=1) & (pixels[:, 0] < WIDTH - 30) & (pixels[:, 1] < HEIGHT - 30)
     assert not pinned[inner].any()
 

@@ -156,7 +156,7 @@ class Estimate:
 
 
 @dataclass(frozen=True, eq=False)
-class StiffnessField:
+class ParticleField:
     """Stiffness over a sheet of tissue that an instrument drives, in one frame; N particles.
 
     Stiffness counts in m/Δt², a particle's mass over the square of a frame's time: it compares places within a run of
@@ -231,7 +231,7 @@ class FrameEstimate:
     arrow: np.ndarray | None = None
     """Tail and tip (u, v) of the force that acts on the contact point, shape [2, 2] [px of the source frame]; None
     without force."""
-    field: StiffnessField | None = None
+    field: ParticleField | None = None
     """Stiffness over the tissue, from an estimator that finds it place by place."""
 
     @functools.cached_property

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from estimators.estimate import StiffnessField
+from estimators.estimate import ParticleField
 
 
 class FieldFile:
     """A file that `numpy.load` reads frame by frame.
 
     Of every run of contact `run_R/rest` and `run_R/faces`, R its first frame's number; of every frame `frame_K/run`
-    (R), `frame_K/positions`, `pixels`, `distance`, `shape` and `known`, as `StiffnessField` has them, reals as float32.
+    (R), `frame_K/positions`, `pixels`, `distance`, `shape` and `known`, as `ParticleField` has them, reals as float32.
 
     Args:
         path: the file.
@@ -24,7 +24,7 @@ class FieldFile:
         self._file = zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED)
         self._run: int | None = None
 
-    def write(self, frame: int, field: StiffnessField) -> None:
+    def write(self, frame: int, field: ParticleField) -> None:
         """Append a frame, by its number."""
         if field.onset_frame != self._run:
             self._run = field.onset_frame

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from data.labels import TOOL
-from estimators.estimate import StiffnessField
+from estimators.estimate import ParticleField
 
 OPACITY = 0.55
 RANGE = 4.0
@@ -16,7 +16,7 @@ INSET = 0.3
 STIFF, MIDDLE, SOFT = (np.array(color, float) for color in ((214, 40, 40), (245, 240, 235), (37, 99, 235)))
 
 
-def draw_field(canvas: np.ndarray, field: StiffnessField, factor: float, labels: np.ndarray | None = None) -> None:
+def draw_field(canvas: np.ndarray, field: ParticleField, factor: float, labels: np.ndarray | None = None) -> None:
     """Paint stiffness against stretch on an RGB canvas in place, and that of shapes on a small copy at its right.
 
     Each over its median where it is known, on a logarithmic scale from 1/RANGE to RANGE.

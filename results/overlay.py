@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from data.labels import TISSUE, TOOL
-from estimators.estimate import FrameEstimate, StiffnessField
+from estimators.estimate import FrameEstimate, ParticleField
 from results.columns import UNITS
 from results.field_overlay import RANGE, draw_field
 from results.verdicts import COLORS, FAR, MEANINGS, Color, in_words, is_far, numbers, state
@@ -143,7 +143,7 @@ def _notes(estimate: FrameEstimate) -> list[str]:
     return [*told, f"{'Ranges are 90 % intervals. ' if unsure else ''}Unit: {UNITS['stiffness']}."]
 
 
-def _told_of_field(field: StiffnessField) -> str:
+def _told_of_field(field: ParticleField) -> str:
     if not field.known.any():
         return "No tissue has stretched so far: its stiffness isn't known."
     return (

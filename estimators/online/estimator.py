@@ -24,7 +24,7 @@ from data.tracks.background import without_background
 from data.tracks.following import PointFollower
 from estimators.contract import Chosen, ClipInfo, Said
 from estimators.direct.estimator import SMOOTHING
-from estimators.estimate import InteractionEstimate, NoEstimate, StiffnessField
+from estimators.estimate import InteractionEstimate, NoEstimate, ParticleField
 from estimators.online.driven import DrivenTissue
 from estimators.online.settings import OnlineSettings
 from estimators.online.surface import make_surface
@@ -82,7 +82,7 @@ class OnlineSession(RunSession):
         doubts = "" if field is not None or not frame.in_contact else self._reason
         yield dataclasses.replace(frame_estimate(frame, self.clip, doubts=doubts, whole=True), field=field)
 
-    def _field(self, frame: PreparedFrame) -> StiffnessField | None:
+    def _field(self, frame: PreparedFrame) -> ParticleField | None:
         """Stiffness in a frame of the run under way; None where there is none, or the frame shows nothing."""
         run = self._runs.current
         if run is None:
@@ -144,12 +144,12 @@ class _Followed:
         cloud, seen = (None, None) if self._settings.match == "tracks" else self._cloud(frame)
         self._gap = self._driven.step(moved, cloud, seen).gap
 
-    def field(self) -> StiffnessField:
+    def field(self) -> ParticleField:
         """As it is now."""
         surface, session = self._driven.surface, self._driven.session
         size = surface.camera.height, surface.camera.width
         pixels = surface.project(session.positions) + self._background
-        return StiffnessField(
+        return ParticleField(
             self._number,
             surface.body.rest,
             surface.body.faces,

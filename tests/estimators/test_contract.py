@@ -26,7 +26,7 @@ from data.synthetic.settings import SceneSettings
 from data.synthetic.source import SyntheticSource, _Depth, _Masks, open_synthetic
 from estimators.contract import Estimator, Said
 from estimators.direct.estimator import WHOLE
-from estimators.estimate import Estimate, FrameEstimate, InteractionEstimate, StiffnessField
+from estimators.estimate import Estimate, FrameEstimate, InteractionEstimate, ParticleField
 from estimators.network.fits import BOUNDS, MECHANICS
 from estimators.open import NAMES, EstimatorOptions, open_estimator
 from results.columns import INTERACTIONS, interaction_values
@@ -134,7 +134,7 @@ def test_sessions_side_by_side_say_what_they_say_alone(
     assert not np.allclose(first.estimate.theta, second.estimate.theta, rtol=1e-3)
 
 
-def fields_of(said: Iterable[Said]) -> list[StiffnessField]:
+def fields_of(said: Iterable[Said]) -> list[ParticleField]:
     """Fields of stiffness of the frames that have one."""
     return [item.field for item in said if isinstance(item, FrameEstimate) and item.field is not None]
 

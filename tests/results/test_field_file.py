@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from data.labels import TOOL
-from estimators.estimate import FrameEstimate, StiffnessField
+from estimators.estimate import FrameEstimate, ParticleField
 from results.columns import FIELD, FRAMES, row
 from results.field_file import FieldFile
 from results.field_overlay import MIDDLE, OPACITY, SOFT, STIFF, colors, draw_field
@@ -17,7 +17,7 @@ from results.writer import ClipResults
 from tests.results.test_writer import FRAME, SIZE
 
 REST = np.array([[0, 0, 1], [1, 0, 1], [0, 1, 1], [1, 1, 1]], float)
-FIELD_SEEN = StiffnessField(
+FIELD_SEEN = ParticleField(
     onset_frame=3,
     rest=REST,
     faces=np.array([[0, 1, 2], [1, 3, 2]]),
@@ -70,7 +70,7 @@ def test_results_keep_no_field_of_a_frame(tmp_path: Path) -> None:
     count, frames = 600, 2000
     positions = np.random.default_rng(0).normal(size=(count, 3))
     faces = np.arange(count).reshape(-1, 3)
-    one = StiffnessField(
+    one = ParticleField(
         0, positions, faces, positions, positions[:, :2], positions[:, 0], positions[:, 1], positions[:, 2] > 0, 0.1
     )
     size = sum(value.nbytes for value in vars(one).values() if isinstance(value, np.ndarray))

@@ -279,10 +279,11 @@ def _draw_stiffness(axes: Axes, field: StiffnessField) -> None:
     axes.imshow(np.where(known, np.nan, 0.35), cmap="gray", vmin=0, vmax=1, alpha=0.6, **place)
     shown = np.where(known, ratio, np.nan)
     drawn = axes.imshow(shown, cmap="coolwarm", norm=LogNorm(1 / MAP_RANGE, MAP_RANGE), alpha=0.65, **place)
-    ends = np.array([1 / MAP_RANGE, 0.5, 1, 2, MAP_RANGE])
-    bar = axes.figure.colorbar(drawn, cax=axes.inset_axes((1.02, 0, 0.03, 1)), ticks=ends, extend="both")
-    bar.set_ticklabels([f"×{digits(end, 2)}" for end in ends])
-    bar.minorticks_off()
+    if known.any():
+        ends = np.array([1 / MAP_RANGE, 0.5, 1, 2, MAP_RANGE])
+        bar = axes.figure.colorbar(drawn, cax=axes.inset_axes((1.02, 0, 0.03, 1)), ticks=ends, extend="both")
+        bar.set_ticklabels([f"×{digits(end, 2)}" for end in ends])
+        bar.minorticks_off()
     axes.set(xticks=[], yticks=[], xlim=(0, width), ylim=(height, 0))
     told = "stiffness over the mean of what moves, if attached\nalike everywhere; darkened: unknown"
     axes.set_title(told if known.any() else "stiffness: unknown everywhere", loc="left", fontsize=10, color=INK)

@@ -31,7 +31,7 @@ CROWDED = 3.6
 """How much the cells crowd around the contact: nodes lie at sinh(CROWDED s)/sinh(CROWDED), s even from -1 to 1."""
 GROWTH = 1.5
 """Thickness of a layer over that of the one above it."""
-GRIPPED = 4.5
+GRIPPED = 8.5
 """Radius of the tissue between the jaws, around the contact [grid px]."""
 BALL = (0.018, 0.03)
 """Radius of an inclusion, drawn uniformly [scene units]."""

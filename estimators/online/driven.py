@@ -102,7 +102,7 @@ class DrivenTissue:
         lengths = np.linalg.norm(told.positions[first] - told.positions[second], axis=1)
         rest = self.surface.body.layout.rest[self.surface.body.kinds[0]]
         strained = np.abs(lengths / rest - 1) > self.settings.strain
-        if matches:
+        if told.terms is not None:  # stiffness was learnt from it
             self._moving[first[strained]] = self._moving[second[strained]] = True
         return told
 

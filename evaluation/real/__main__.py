@@ -2,7 +2,7 @@
 
     python -m evaluation.real --data DIR --output OUT
     python -m evaluation.real --pulled FRAMES [MASKS] [--tool-value N] [--camera] [--start A --stop B]
-        [--estimator sheet|online] --output OUT
+        [--estimator sheet|online] [--settings YAML] --output OUT
     python -m evaluation.real --pressed FOLDER --wrench CSV --output OUT
 
 --data runs every known clip under a folder (docs/real.md). A pulled clip shows tissue that an instrument holds and
@@ -32,7 +32,7 @@ from rich.text import Text
 from data.command_line import path_option, progress_bars, say, whole_number
 from data.source.layout import InputError
 from estimators.grip.sheet_fit import NothingMoves
-from estimators.online.settings import OnlineSettings
+from estimators.online.settings import OnlineSettings, load_settings
 from evaluation.page import as_png, render_page
 from evaluation.real.figures import draw_prediction, draw_press, draw_pull
 from evaluation.real.predicted import evaluate_prediction
@@ -79,6 +79,8 @@ def build_parser() -> argparse.ArgumentParser:
     add("--stop", type=whole_number(1), metavar="B", help="frame behind the last one (default: all)")
     text = "of pulled clips: sheet (default), fitted to the first half, or online, ahead from frames 3, 4 and 5"
     add("--estimator", choices=("sheet", "online"), default="sheet", help=text)
+    text = "of online (default: as configs/online.yaml)"
+    add("--settings", type=path_option, metavar="YAML", help=text)
     add("--pressed", type=path_option, metavar="FOLDER", help="a press with depth")
     add("--wrench", type=path_option, metavar="CSV", help="its force, one row a frame")
     add("--output", type=path_option, required=True, metavar="OUT", help="folder of the results")
@@ -86,16 +88,23 @@ def build_parser() -> argparse.ArgumentParser:
 
 
 def tasks_of(options: argparse.Namespace) -> dict[str, Task]:
-    """What to do, by the clip's name."""
+    """What to do, by the clip's name.
+
+    Raises:
+        InputError: settings that can't be used.
+    """
     tasks: dict[str, Task] = {}
+    online = OnlineSettings() if options.settings is None else load_settings(options.settings)
 
     def add(name: str, task: Task) -> None:
         same = sum(other == name or other.startswith(f"{name} (") for other in tasks)
         tasks[f"{name} ({same + 1})" if same else name] = task
 
     def pull(name: str, clip: PulledClip) -> None:
-        judge = _predicted if options.estimator == "online" else _pulled
-        add(name, lambda measures: judge(clip, measures))
+        if options.estimator == "online":
+            add(name, lambda measures: _predicted(clip, online, measures))
+        else:
+            add(name, lambda measures: _pulled(clip, measures))
 
     if options.data is not None:
         for name, clip in KNOWN.items():
@@ -122,8 +131,8 @@ def _pulled(clip: PulledClip, measures: Measures) -> bytes:
     return as_png(draw_pull(found))
 
 
-def _predicted(clip: PulledClip, measures: Measures) -> bytes:
-    found = evaluate_prediction(clip, OnlineSettings())
+def _predicted(clip: PulledClip, settings: OnlineSettings, measures: Measures) -> bytes:
+    found = evaluate_prediction(clip, settings)
     measures |= found.measures
     return as_png(draw_prediction(found))
 
@@ -142,7 +151,13 @@ def main(arguments: list[str] | None = None) -> int:
         parser.error("--pulled takes the frames and their masks; leave the rest out.")
     if (options.pressed is None) != (options.wrench is None):
         parser.error("--pressed and --wrench belong together; give both.")
-    tasks = tasks_of(options)
+    if options.settings is not None and options.estimator != "online":
+        parser.error(f"--settings {options.settings} is for --estimator online; leave it out.")
+    try:
+        tasks = tasks_of(options)
+    except InputError as error:
+        say(console, str(error), "red")
+        return 2
     if not tasks:
         where = "" if options.data is None else f"; {options.data} holds none of {', '.join([*KNOWN, PRESSED])}"
         parser.error(f"there is nothing to judge{where}. Give --data, --pulled or --pressed.")

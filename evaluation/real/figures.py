@@ -60,7 +60,7 @@ def draw_prediction(found: Prediction) -> Figure:
     some = (np.rint(found.points / found.follow.spacing).astype(int) % ARROWS == 0).all(axis=1)
     for motion, colour in ((found.seen, SEEN), (found.expected, EXPECTED)):
         told = {"angles": "xy", "scale_units": "xy", "scale": 1, "width": 0.003, "color": colour}
-        axes[0].quiver(*found.points[some].T, *motion[some].T, **told)
+        axes[0].quiver(*found.begun[some].T, *motion[some].T, **told)
     places, stiffness, known = found.fields
     axes[1].imshow(cv2.cvtColor(first, cv2.COLOR_RGB2GRAY), cmap="gray", alpha=0.6)
     axes[1].axis("off")

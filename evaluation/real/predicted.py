@@ -46,7 +46,9 @@ class Prediction:
     """Numbers and words by name."""
     follow: Follow
     points: np.ndarray
-    """Judged points of the last prediction where they begin, in the first picture, shape [Q, 2] [px]."""
+    """Judged points of the last prediction in the first picture, shape [Q, 2] [px]."""
+    begun: np.ndarray
+    """Where they were in the frame from which is predicted, likewise."""
     seen: np.ndarray
     """Their displacement since then, shape [Q, 2] [px]."""
     expected: np.ndarray
@@ -71,7 +73,7 @@ def evaluate_prediction(clip: PulledClip, settings: OnlineSettings) -> Predictio
     tissue = DrivenTissue(first_surface(clip, settings), follow.points, follow.distance, settings)
     measures: dict[str, object] = {"status": "ok", "estimator": "online", "particles": tissue.surface.body.count}
     skills: dict[str, list[float]] = {"online": [], "sheet": [], "sheet from rest": []}
-    judged = seen = expected = np.empty((0, 2))
+    judged = begun = seen = expected = np.empty((0, 2))
     for index, frame in enumerate(follow.frames[: max(FROM)], start=1):
         tissue.step(frame.moved)
         if index not in FROM or index + AHEAD > len(follow.frames):
@@ -89,6 +91,7 @@ def evaluate_prediction(clip: PulledClip, settings: OnlineSettings) -> Predictio
         ratio = sheet_ratio(follow, follow.frames[:index])
         resting, pulled = (sheet_motion(follow, each, ratio)[chosen] for each in (frame, later[-1]))
         judged, seen, expected = follow.points[chosen], since, (ahead - held)[used]
+        begun = judged + now[chosen]
         found = {
             "online": expected,
             "sheet": pulled - resting,
@@ -106,7 +109,7 @@ def evaluate_prediction(clip: PulledClip, settings: OnlineSettings) -> Predictio
     measures |= {f"skill of {name}, mean": float(np.mean(values)) for name, values in skills.items()}
     measures["known particles"] = float(tissue.known.mean())
     fields = tissue.surface.pixels, tissue.session.fields.distance, tissue.known
-    return Prediction(measures, follow, judged, seen, expected, fields)
+    return Prediction(measures, follow, judged, begun, seen, expected, fields)
 
 
 def sheet_ratio(follow: Follow, frames: Sequence[GripFrame]) -> float:

@@ -128,7 +128,7 @@ def test_a_frame_without_the_grip_is_not_learnt_from(surface: Surface) -> None:
 
 
 def test_states_follow_what_is_seen_and_stretched_tissue_is_known(surface: Surface) -> None:
-    tissue = driven(surface, method=Method("PBD-RM"))
+    tissue = driven(surface)
     for share in np.linspace(0.1, 1, 10):
         tissue.step(pulled(share))
     moved = pulled(1.0)[tissue.around]
@@ -140,6 +140,15 @@ def test_states_follow_what_is_seen_and_stretched_tissue_is_known(surface: Surfa
     assert not known[surface.gripped].any()
     far = surface.pixels[:, 0] > 200
     assert not known[far].any()
+
+
+@pytest.mark.parametrize("name", ["PBD", "PBD-RM"])
+def test_methods_that_learn_nothing_know_nothing(surface: Surface, name: str) -> None:
+    tissue = driven(surface, method=Method(name))
+    for share in (0.5, 1.0):
+        tissue.step(pulled(share))
+    assert not tissue.known.any()
+    np.testing.assert_array_equal(tissue.session.fields.distance, SETTINGS.start.distance)
 
 
 def test_predictions_look_at_the_grip_alone(surface: Surface) -> None:

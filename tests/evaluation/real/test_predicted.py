@@ -105,9 +105,33 @@ def test_what_can_t_be_predicted_is_a_sentence(clip: PulledClip) -> None:
 
 
 def test_the_door_writes_skill_and_a_picture(clip: PulledClip, tmp_path: Path) -> None:
-    told = ["--pulled", str(clip.frames), str(clip.masks), "--estimator", "online", "--output", str(tmp_path)]
+    (tmp_path / "online.yaml").write_text("particles: 200\nmethod: {name: PBD}\n")
+    told = ["--settings", str(tmp_path / "online.yaml")]
+    told += ["--pulled", str(clip.frames), str(clip.masks), "--estimator", "online", "--output", str(tmp_path)]
     assert main(told) == 0
     table = (tmp_path / "table.csv").read_text(encoding="utf-8")
     assert 'frames,"skill from frame 3, online",' in table
+    assert "frames,known particles,0\n" in table.replace("\r", "")  # PBD sees nothing
     assert 'frames,"skill of sheet from rest, mean",' in table
     assert len((tmp_path / "figures" / "1.png").read_bytes()) > 10_000
+
+
+def test_settings_that_can_t_be_used_end_in_a_sentence(
+    clip: PulledClip, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    (tmp_path / "online.yaml").write_text("speed: 1\n")
+    told = [
+        "--pulled",
+        str(clip.frames),
+        "--settings",
+        str(tmp_path / "online.yaml"),
+        "--output",
+        str(tmp_path / "out"),
+    ]
+    assert main([*told, "--estimator", "online"]) == 2
+    assert "has the unknown key 'speed'" in " ".join(capsys.readouterr().err.split())
+    with pytest.raises(SystemExit) as ended:
+        main(told)
+    assert ended.value.code == 2
+    assert "is for --estimator online; leave it out" in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "out").exists()

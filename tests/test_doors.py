@@ -16,6 +16,7 @@ from tests.test_architecture import ROOT, modules
 DOORS = {
     "calibrate": ["calibrate.py"],
     "infer": ["infer.py"],
+    "plan": ["plan.py"],
     "train": ["train.py"],
     "data.synthetic.__main__": ["-m", "data.synthetic"],
     "data.cholecseg8k": ["-m", "data.cholecseg8k"],
@@ -40,6 +41,7 @@ DOORS = {
     "benchmarks.online": ["-m", "benchmarks.online"],
     "benchmarks.photometric_depth": ["-m", "benchmarks.photometric_depth"],
     "benchmarks.physics_plots": ["-m", "benchmarks.physics_plots"],
+    "benchmarks.planning": ["-m", "benchmarks.planning"],
     "benchmarks.rollout": ["-m", "benchmarks.rollout"],
     "benchmarks.tracking_errors": ["-m", "benchmarks.tracking_errors"],
     "benchmarks.training_step": ["-m", "benchmarks.training_step"],

@@ -19,9 +19,8 @@ __getattr__ = exported(
         "estimators.palpation.indentation": ("Indenter", "fit_indentation"),
         "estimators.palpation.region": ("fit_region",),
         "estimators.palpation.relaxation": ("fit_relaxation",),
-        "estimators.palpation.grasp": ("GraspSlope", "fit_grasp"),
+        "estimators.palpation.grasp": ("fit_grasp",),
         "estimators.palpation.skin": ("Skin", "cover"),
         "estimators.palpation.material_fit": ("FitSettings", "Palpation", "fit_material"),
-        "estimators.palpation.scene": ("read_scene",),
     }
 )

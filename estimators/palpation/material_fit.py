@@ -342,7 +342,10 @@ def descend(
     starts: list[np.ndarray] = [np.zeros_like(skin.body.rest) for _ in palpations]
 
     def simulated(at: np.ndarray) -> tuple[float, list[Equilibrium], list[np.ndarray]]:
-        rests = bench.rest(float(np.exp(at[0])), float(at[1]), starts)
+        try:
+            rests = bench.rest(float(np.exp(at[0])), float(at[1]), starts)
+        except NoEquilibrium:
+            return np.inf, [], []
         total, aligned = 0.0, []
         for which, (rest, each) in enumerate(zip(rests, palpations, strict=True)):
             vertices = skin.moved(rest.displacement)
@@ -352,21 +355,24 @@ def descend(
 
     values[0] = np.log(bench.softest(settings.young, float(values[1])))
     error, rests, aligned = simulated(values)
+    while not np.isfinite(error):  # too soft to bear the force
+        if bench.solves >= most:
+            raise NoEquilibrium("the body bears the forces at no stiffness that was tried; give a stiffer start.")
+        values[0] += np.log(4)
+        error, rests, aligned = simulated(values)
     length, steps = 0.5, 0
     while bench.solves < most:
         steps += 1
         starts, poses = [rest.displacement for rest in rests], aligned
         sides = [np.array([0.01, 0.0]), np.array([0.0, 0.01 if values[1] < 0.48 else -0.01])]
         gradient = np.array([(simulated(values + side)[0] - error) / side.sum() for side in sides])
+        gradient[~np.isfinite(gradient)] = 0.0  # where nothing rests there is nothing to learn
         direction = -gradient / max(float(np.abs(gradient).max()), 1e-300)
         fell = False
         while bench.solves < most and length > 1e-4:
             aim = values + length * direction
             aim[1] = np.clip(aim[1], *POISSON)
-            try:
-                found = simulated(aim)
-            except NoEquilibrium:
-                found = (np.inf, rests, aligned)
+            found = simulated(aim)
             if found[0] < error:
                 fell = True
                 break

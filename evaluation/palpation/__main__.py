@@ -25,8 +25,9 @@ from rich.console import Console
 
 from data.command_line import path_option, progress_bars, say
 from data.source.layout import InputError
-from estimators.palpation import GraspSlope, fit_grasp, read_grasp, read_hold, read_probes
+from estimators.palpation import fit_grasp, read_grasp, read_hold, read_probes
 from estimators.palpation.curves import HOLD, KINDS, PROBES, kind_of
+from estimators.palpation.grasp import GraspSlope
 from evaluation.palpation.grasping import GraspName, judge_grasps
 from evaluation.palpation.probing import judge_probing
 from evaluation.palpation.relaxation import judge_relaxation

@@ -127,7 +127,7 @@ def _paper(body: Body, name: str, coarse: bool, rows: list[Row]) -> dict[str, by
     seen = observe(*truth, "stereo", 0)
     settings = FitSettings(young=YOUNG / 30)
     exact = fit_material(skin, held, [seen], settings)
-    numeric = descend(skin, held, [seen], settings, most=40 if coarse else 400)
+    numeric = descend(skin, held, [seen], settings, most=40 if coarse else 300)
     near = abs(numeric.young / exact.young - 1) < 0.05
     measures: dict[str, object] = {
         "Gauss–Newton: E / truth - 1": exact.young / YOUNG - 1,

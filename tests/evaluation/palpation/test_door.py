@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estimators.palpation import GraspSlope
+from estimators.palpation.grasp import GraspSlope
 from evaluation.palpation import __main__ as door
 from evaluation.palpation.grasping import GraspName, judge_grasps
 from tests.estimators.palpation.test_region import probes

@@ -1,0 +1,118 @@
+"""Presses on a block of tissue, simulated once, cached for that block, and generalised by a Gaussian kernel.
+
+Frank 2010, section VII: segments through an object at evenly spread places and directions, their costs for fine
+lengths, and between them the kernel smoother of equation 4, over place and direction; along the length linear. A block
+is the same seen from behind, so only presses from one side are kept. The file's name is a digest of all that the costs
+depend on: another scene with the same block finds it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from physics.ownership import replacing_own
+from planning.press import MOST_FORCE, STEPS, simulate_press
+from planning.scene import SoftObject
+
+PLACES = 9
+"""Along the width, ends included."""
+ANGLES = np.radians([-60.0, -30.0, 0.0, 30.0, 60.0])
+"""From a face's inward normal."""
+LENGTHS = 41
+WIDTH = 0.45
+"""h of equation 4, over the spacing of places and of angles."""
+VERSION = 1
+"""Of what is in a file."""
+
+
+@dataclass(frozen=True, eq=False)
+class CostTable:
+    """K presses of L lengths on a block."""
+
+    places: np.ndarray
+    """Where it is touched, in the block's frame, y ≤ 0, shape [K, 2] [m]."""
+    angles: np.ndarray
+    """Shape [K] [rad]."""
+    lengths: np.ndarray
+    """Shape [L] [m]."""
+    work: np.ndarray
+    """Shape [K, L] [J]."""
+    spacing: float
+    """Of the places [m]."""
+
+    def cost(self, places: np.ndarray, angles: np.ndarray, lengths: np.ndarray) -> np.ndarray:
+        """Work of other presses, shape [M] [J].
+
+        Args:
+            places: in the block's frame, shape [M, 2] [m].
+            angles: of the tip's way there, shape [M] [rad].
+            lengths: shape [M] [m].
+        """
+        places, angles = mirrored(places, angles)
+        apart = np.linalg.norm(places[:, None] - self.places, axis=2) / (WIDTH * self.spacing)
+        turned = np.angle(np.exp(1j * (angles[:, None] - self.angles))) / (WIDTH * float(np.diff(ANGLES)[0]))
+        squared = apart**2 + turned**2
+        weights = np.exp(-(squared - squared.min(axis=1, keepdims=True)) / 2)  # far from all: the closest
+        curves = weights @ self.work / weights.sum(axis=1, keepdims=True)
+        at = np.clip(lengths / self.lengths[-1], 0, 1) * (len(self.lengths) - 1)
+        low = np.minimum(at.astype(int), len(self.lengths) - 2)
+        rows = np.arange(len(at))
+        return curves[rows, low] * (low + 1 - at) + curves[rows, low + 1] * (at - low)
+
+
+def mirrored(places: np.ndarray, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same presses seen from the side from which they come with y ≤ 0."""
+    behind = places[:, 1] > 0
+    return np.where(behind[:, None], places * [1, -1], places), np.where(behind, -angles, angles)
+
+
+def grid_of(kind: SoftObject) -> tuple[np.ndarray, np.ndarray]:
+    """Places [K, 2] and angles [K] of a block's presses: on its front, and on its two ends."""
+    width, thickness = kind.size[:2]
+    front = [[x, -thickness / 2] for x in np.linspace(-width / 2, width / 2, PLACES)]
+    ends = [([-width / 2, 0.0], 0.0), ([width / 2, 0.0], np.pi)]
+    found = [(place, np.pi / 2 + angle) for place in front for angle in ANGLES]
+    found += [(place, inward + angle) for place, inward in ends for angle in ANGLES]
+    return np.array([place for place, _ in found]), np.array([angle for _, angle in found])
+
+
+def digest(kind: SoftObject, radius: float) -> str:
+    """Of all that a table depends on."""
+    told = [VERSION, PLACES, ANGLES.tolist(), LENGTHS, STEPS, MOST_FORCE, radius, asdict(kind)]
+    return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def open_table(
+    kind: SoftObject, radius: float, cache: Path, told: Callable[[int, int], None] = lambda done, of: None
+) -> tuple[CostTable, int]:
+    """A block's table from the cache, or simulated and kept there; and how many presses were simulated.
+
+    Args:
+        kind: the block.
+        radius: of the tip [m].
+        cache: folder.
+        told: is given how many presses are done, of how many.
+    """
+    path = cache / f"presses-{digest(kind, radius)}.npz"
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return CostTable(file["places"], file["angles"], file["lengths"], file["work"], float(file["spacing"])), 0
+    except (OSError, ValueError, KeyError, EOFError):
+        pass
+    places, angles = grid_of(kind)
+    lengths = np.linspace(0, kind.longest, LENGTHS)
+    work = np.zeros((len(places), LENGTHS))
+    for row, (place, angle) in enumerate(zip(places, angles, strict=True)):
+        work[row] = simulate_press(kind, radius, place, float(angle)).work_at(lengths)
+        told(row + 1, len(places))
+    table = CostTable(places, angles, lengths, work, kind.size[0] / (PLACES - 1))
+    cache.mkdir(parents=True, exist_ok=True)
+    with replacing_own(path) as partial, partial.open("wb") as file:
+        np.savez(file, places=places, angles=angles, lengths=lengths, work=work, spacing=table.spacing)
+    return table, len(places)

@@ -1,0 +1,184 @@
+"""A probabilistic road map over places of the tip, and the cheapest way through it.
+
+Kavraki 1996 and A* (Hart 1968), with the cost of Frank 2010's equation 5, α·deformation + (1 - α)·way; the way that is
+left in a straight line is the heuristic. Afterwards places are left out as long as that is cheaper.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from planning.cost_table import CostTable
+from planning.scene import Placed, PlanScene
+
+NODES, NEIGHBOURS = 300, 10
+MILLI = 1000.0
+
+
+class Blocked(ValueError):
+    """There is no way; the message says why."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A way; P places."""
+
+    places: np.ndarray
+    """From start to goal, shape [P, 2] [m]."""
+    deformation: float
+    """[mJ]."""
+    way: float
+    """[mm]."""
+    cost: float
+    """α·deformation + (1 - α)·way."""
+
+
+@dataclass(frozen=True, eq=False)
+class Presses:
+    """M lines that meet one piece of tissue."""
+
+    kind: str
+    piece: Placed
+    lines: np.ndarray
+    """Which, shape [M]."""
+    places: np.ndarray
+    """Where the tissue is touched, in the block's frame, shape [M, 2] [m]."""
+    angles: np.ndarray
+    """Of the ways there, shape [M] [rad]."""
+    lengths: np.ndarray
+    """How far each presses, shape [M] [m]."""
+
+
+class EdgeCosts:
+    """Costs of straight lines in a scene."""
+
+    def __init__(self, scene: PlanScene, tables: Mapping[str, CostTable]) -> None:
+        self.scene, self.tables = scene, tables
+        self.crossings = 0
+        """Lines through tissue whose cost was asked for."""
+
+    def deformation(self, starts: np.ndarray, ends: np.ndarray) -> np.ndarray:
+        """Work on tissue along lines [K, 2] → [K, 2], infinite through obstacles, shape [K] [mJ]."""
+        total = np.zeros(len(starts))
+        for obstacle in self.scene.obstacles:
+            total[np.isfinite(obstacle.met(starts, ends, self.scene.tip_radius))] = np.inf
+        for found in self.presses(starts, ends):
+            self.crossings += len(found.lines)
+            total[found.lines] += MILLI * self.tables[found.kind].cost(found.places, found.angles, found.lengths)
+        return total
+
+    def presses(self, starts: np.ndarray, ends: np.ndarray) -> Iterator[Presses]:
+        """What lines [K, 2] → [K, 2] press, for every piece of tissue that any of them meets.
+
+        A line that leaves the tissue behind it has pushed it as far as it goes.
+        """
+        lengths = np.linalg.norm(ends - starts, axis=1)
+        for kind, piece in self.scene.tissue:
+            gone = piece.met(starts, ends, self.scene.tip_radius)
+            which = np.flatnonzero(np.isfinite(gone))
+            if not len(which):
+                continue
+            way = (ends[which] - starts[which]) / lengths[which, None]
+            tip = piece.inside_frame(starts[which] + gone[which, None] * way)
+            place = np.clip(tip, -np.array(piece.half), piece.half)
+            turn = np.arctan2(way[:, 1], way[:, 0]) - np.radians(piece.degrees)
+            through = piece.clearance(ends[which]) >= self.scene.tip_radius
+            longest = self.tables[kind].lengths[-1]
+            yield Presses(kind, piece, which, place, turn, np.where(through, longest, lengths[which] - gone[which]))
+
+    def plan(self, places: np.ndarray) -> Plan:
+        """What a way costs, its places [P, 2] given."""
+        deformation = self.deformation(places[:-1], places[1:])
+        way = MILLI * np.linalg.norm(np.diff(places, axis=0), axis=1)
+        cost = _weighed(self.scene.alpha, deformation, way)
+        return Plan(places, float(deformation.sum()), float(way.sum()), float(cost.sum()))
+
+
+def _weighed(alpha: float, deformation: np.ndarray, way: np.ndarray) -> np.ndarray:
+    """Equation 5, infinite through obstacles also where α is 0."""
+    open_ways = np.isfinite(deformation)
+    return np.where(open_ways, alpha * np.where(open_ways, deformation, 0) + (1 - alpha) * way, np.inf)
+
+
+def find_plan(costs: EdgeCosts, seed: int = 0, nodes: int = NODES) -> Plan:
+    """The cheapest way found.
+
+    Args:
+        costs: of the scene's lines.
+        seed: of the places that are drawn.
+        nodes: how many are.
+
+    Raises:
+        Blocked: start or goal lie in tissue or an obstacle or outside, or no line leads there.
+    """
+    scene = costs.scene
+    solid = [piece for _, piece in scene.tissue] + scene.obstacles
+
+    def is_free(points: np.ndarray) -> np.ndarray:
+        within = ((points >= scene.area[0]) & (points <= scene.area[1])).all(axis=1)
+        for piece in solid:
+            within = within & (piece.clearance(points) >= scene.tip_radius)
+        return np.asarray(within)
+
+    for name, place in (("start", scene.start), ("goal", scene.goal)):
+        if not is_free(place[None])[0]:
+            raise Blocked(f"the {name} {place.tolist()} is blocked: the tip would touch something there; move it.")
+    drawn = np.random.default_rng(seed).uniform(scene.area[0], scene.area[1], (4 * nodes, 2))
+    places = np.concatenate([[scene.start, scene.goal], drawn[is_free(drawn)][:nodes]])
+    count = min(NEIGHBOURS + 1, len(places))
+    _, near = KDTree(places).query(places, k=count)
+    pairs = np.stack([np.repeat(np.arange(len(places)), count - 1), near[:, 1:].ravel()], axis=1)
+    one, two = np.unique(np.sort(np.concatenate([pairs, [[0, 1]]]), axis=1), axis=0).T
+    starts, ends = np.take(places, one, axis=0), np.take(places, two, axis=0)
+    way = MILLI * np.linalg.norm(ends - starts, axis=1)
+    cost = _weighed(scene.alpha, costs.deformation(starts, ends), way)
+    edges: list[list[tuple[int, float]]] = [[] for _ in places]
+    for first, last, price in zip(one.tolist(), two.tolist(), cost.tolist(), strict=True):
+        if np.isfinite(price):
+            edges[first].append((last, price))
+            edges[last].append((first, price))
+    left = (1 - scene.alpha) * MILLI * np.linalg.norm(places - scene.goal, axis=1)
+    chain = _shortest(edges, left.tolist())
+    if chain is None:
+        raise Blocked("the goal can't be reached: obstacles close every way to it; move it or open one.")
+    return _shortened(costs, places[chain])
+
+
+def _shortest(edges: list[list[tuple[int, float]]], left: list[float]) -> list[int] | None:
+    """A* from node 0 to node 1; None = there is no way."""
+    best, before = {0: 0.0}, {0: 0}
+    waiting = [(left[0], 0)]
+    done: set[int] = set()
+    while waiting:
+        _, node = heapq.heappop(waiting)
+        if node == 1:
+            chain = [1]
+            while chain[-1] != 0:
+                chain.append(before[chain[-1]])
+            return chain[::-1]
+        if node in done:
+            continue
+        done.add(node)
+        for other, price in edges[node]:
+            total = best[node] + price
+            if total < best.get(other, np.inf):
+                best[other], before[other] = total, node
+                heapq.heappush(waiting, (total + left[other], other))
+    return None
+
+
+def _shortened(costs: EdgeCosts, places: np.ndarray) -> Plan:
+    """The way with places left out where that is cheaper."""
+    found = costs.plan(places)
+    while len(found.places) > 2:
+        others = [costs.plan(np.delete(found.places, i, axis=0)) for i in range(1, len(found.places) - 1)]
+        better = min(others, key=lambda plan: plan.cost)
+        if not better.cost < found.cost:
+            break
+        found = better
+    return found

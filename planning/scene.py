@@ -1,0 +1,208 @@
+"""A plane that an instrument's tip moves in, with tissue that gives way and obstacles that don't.
+
+The tip is a disc. Tissue is upright blocks, such as folds or curtains; the plane cuts them at the tip's height.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from data.source.images import printable
+from data.source.layout import InputError, from_mapping, read_mapping
+
+Side = Literal["bottom", "top", "left", "right"]
+Pair = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class SoftObject:
+    """A block of tissue: what its table of costs depends on, its place aside.
+
+    Raises:
+        ValueError: numbers that can't be, nothing held.
+    """
+
+    size: tuple[float, float, float]
+    """Width, thickness and height [m]."""
+    young: float
+    """E [Pa]."""
+    poisson: float = 0.45
+    held: tuple[Side, ...] = ("top",)
+    """Sides that don't move."""
+    tip_height: float | None = None
+    """Of the plane over the block's foot [m]; none = half of its height."""
+    longest: float = 0.04
+    """How far the tissue is pushed along until it lets the tip by [m], 10 cm at most."""
+    cells: tuple[int, int, int] = (6, 1, 5)
+    """Of the mesh along width, thickness and height, of quadratic elements."""
+    law: Literal["linear", "corotational", "neo_hookean", "stable_neo_hookean"] = "corotational"
+
+    def __post_init__(self) -> None:
+        if min(self.size) <= 0 or not self.young > 0 or not 0 <= self.poisson < 0.5:
+            raise ValueError("size and young are to be positive, poisson from 0 to below 0.5.")
+        if not self.held or not 0 < self.longest <= 0.1 or not all(1 <= count <= 40 for count in self.cells):
+            raise ValueError("held names one side at least, longest is from 0 to 0.1 m, cells are 1 to 40.")
+        if self.tip_height is not None and not 0 < self.tip_height < self.size[2]:
+            raise ValueError("tip_height lies between 0 and the height.")
+
+    @property
+    def height(self) -> float:
+        """Of the plane over the foot [m]."""
+        return self.size[2] / 2 if self.tip_height is None else self.tip_height
+
+
+@dataclass(frozen=True)
+class Placed:
+    """Where a block stands in the plane."""
+
+    centre: Pair
+    """[m]."""
+    degrees: float
+    """By how much its width is turned from the x axis, anticlockwise."""
+    half: Pair
+    """Half of its width and thickness [m]."""
+
+    def inside_frame(self, points: np.ndarray) -> np.ndarray:
+        """Points of the plane [..., 2] in the block's frame."""
+        return (points - self.centre) @ self._axes
+
+    def outside_frame(self, points: np.ndarray) -> np.ndarray:
+        """The other way round."""
+        return points @ self._axes.T + self.centre
+
+    def clearance(self, points: np.ndarray) -> np.ndarray:
+        """Distance of points [..., 2] of the plane from the block, negative within, shape [...] [m]."""
+        beyond = np.abs(self.inside_frame(points)) - self.half
+        return np.linalg.norm(np.maximum(beyond, 0), axis=-1) + np.minimum(beyond.max(axis=-1), 0)
+
+    def met(self, starts: np.ndarray, ends: np.ndarray, radius: float) -> np.ndarray:
+        """How far a disc goes on straight lines until it touches, shape [K] [m]; infinite where it never does.
+
+        Steps of the distance that is left (sphere tracing, Hart 1996).
+
+        Args:
+            starts, ends: of the lines, shape [K, 2] [m].
+            radius: of the disc [m].
+        """
+        lengths = np.linalg.norm(ends - starts, axis=1)
+        ways = (ends - starts) / np.maximum(lengths, 1e-12)[:, None]
+        gone, touched = np.zeros(len(starts)), np.full(len(starts), np.inf)
+        open_lines = np.arange(len(starts))
+        for _ in range(MOST_STEPS):
+            left = self.clearance(starts[open_lines] + gone[open_lines, None] * ways[open_lines]) - radius
+            there = left < TOUCH
+            touched[open_lines[there]] = gone[open_lines[there]]
+            gone[open_lines] += np.maximum(left, TOUCH)
+            open_lines = open_lines[~there & (gone[open_lines] <= lengths[open_lines])]
+            if not len(open_lines):
+                break
+        return touched
+
+    @property
+    def _axes(self) -> np.ndarray:
+        turn = np.radians(self.degrees)
+        return np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+
+
+TOUCH = 1e-5
+"""Distance that counts as contact [m]."""
+MOST_STEPS = 400
+
+
+@dataclass(frozen=True)
+class PlanFile:
+    """Fields of a scene's file.
+
+    Raises:
+        ValueError: numbers that can't be.
+    """
+
+    area: tuple[Pair, Pair]
+    """Lower left and upper right corner of the plane's part that may be used [m]."""
+    start: Pair
+    goal: Pair
+    """Of the tip [m]."""
+    objects: dict[str, dict[str, Any]]
+    """Kinds of tissue by name, with the fields of `SoftObject`."""
+    tissue: tuple[dict[str, Any], ...]
+    """Pieces of it: `kind`, `centre` [m], `degrees`."""
+    obstacles: tuple[dict[str, Any], ...] = ()
+    """What never gives way: `centre`, `size` (width, thickness) [m], `degrees`."""
+    tip_radius: float = 0.005
+    """[m]."""
+    alpha: float = 0.5
+    """α: cost is α·deformation [mJ] + (1 - α)·way [mm]."""
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.alpha <= 1:
+            raise ValueError(f"alpha is {self.alpha:g}; give 0 (the shortest way) to 1.")
+        if not self.tip_radius > 0 or self.area[0][0] >= self.area[1][0] or self.area[0][1] >= self.area[1][1]:
+            raise ValueError("tip_radius is to be positive, and area's first corner below and left of its second.")
+
+
+@dataclass(frozen=True)
+class PieceFile:
+    """A piece of tissue in the file."""
+
+    kind: str
+    centre: Pair
+    degrees: float = 0.0
+
+
+@dataclass(frozen=True)
+class ObstacleFile:
+    """An obstacle in the file."""
+
+    centre: Pair
+    size: Pair
+    degrees: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class PlanScene:
+    """A scene, read."""
+
+    area: np.ndarray
+    """Corners, shape [2, 2] [m]."""
+    start: np.ndarray
+    goal: np.ndarray
+    """Shape [2] each [m]."""
+    kinds: dict[str, SoftObject]
+    tissue: list[tuple[str, Placed]]
+    """Kind and place of every piece."""
+    obstacles: list[Placed]
+    tip_radius: float
+    """[m]."""
+    alpha: float
+
+
+def read_plan_scene(path: Path) -> PlanScene:
+    """Read a scene.
+
+    Raises:
+        InputError: it can't be read, or can't be.
+    """
+    where = printable(path)
+    file = from_mapping(PlanFile, read_mapping(path, "a scene to plan in"), where)
+    kinds = {}
+    for name, values in file.objects.items():
+        kinds[name] = from_mapping(SoftObject, values, f"{where}, object {name}")
+    tissue = []
+    for number, values in enumerate(file.tissue, start=1):
+        piece = from_mapping(PieceFile, values, f"{where}, tissue {number}")
+        if piece.kind not in kinds:
+            raise InputError(f"{where}, tissue {number}: there is no object '{piece.kind}'; objects has {list(kinds)}.")
+        width, thickness, _ = kinds[piece.kind].size
+        tissue.append((piece.kind, Placed(piece.centre, piece.degrees, (width / 2, thickness / 2))))
+    obstacles = []
+    for number, values in enumerate(file.obstacles, start=1):
+        each = from_mapping(ObstacleFile, values, f"{where}, obstacle {number}")
+        if min(each.size) <= 0:
+            raise InputError(f"{where}, obstacle {number}: its size is not positive; give width and thickness in m.")
+        obstacles.append(Placed(each.centre, each.degrees, (each.size[0] / 2, each.size[1] / 2)))
+    places = np.array(file.area), np.array(file.start), np.array(file.goal)
+    return PlanScene(*places, kinds, tissue, obstacles, file.tip_radius, file.alpha)

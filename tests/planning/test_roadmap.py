@@ -1,0 +1,78 @@
+"""Ways through scenes whose costs are known."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+
+from planning import Blocked, CostTable, find_plan, read_plan_scene
+from planning.cost_table import grid_of, mirrored
+from planning.roadmap import EdgeCosts, _shortest
+from planning.scene import Placed, PlanScene
+from tests.planning.test_scene import SHIPPED
+
+
+def even_table(scene: PlanScene, work: float) -> CostTable:
+    """Every press does the same work in the end, growing with its length."""
+    kind = scene.kinds["curtain"]
+    places, angles = grid_of(kind)
+    lengths = np.linspace(0, kind.longest, 41)
+    return CostTable(places, angles, lengths, np.tile(work * lengths / kind.longest, (len(places), 1)), 0.0045)
+
+
+def costs(work: float, **changed: object) -> EdgeCosts:
+    scene = dataclasses.replace(read_plan_scene(SHIPPED), **changed)
+    return EdgeCosts(scene, {"curtain": even_table(scene, work)})
+
+
+def test_without_alpha_the_shortest_way_is_taken() -> None:
+    found = find_plan(costs(1.0, alpha=0.0))
+    assert found.places.tolist() == [[0.025, -0.04], [0.025, 0.04]]
+    assert found.way == pytest.approx(80)
+    assert found.cost == pytest.approx(80)
+
+
+def test_dear_tissue_is_passed_in_the_gap_and_cheap_tissue_pushed_through() -> None:
+    dear, cheap = find_plan(costs(0.1)), find_plan(costs(0.001))
+    assert dear.deformation == 0
+    crossing = np.interp(0, dear.places[:, 1], dear.places[:, 0])
+    assert abs(crossing) < 0.004
+    assert dear.cost < costs(0.1).plan(np.array([[0.025, -0.04], [0.025, 0.04]])).cost
+    assert cheap.deformation == pytest.approx(1.0)
+    assert len(cheap.places) == 2
+
+
+def test_a_blocked_goal_is_said() -> None:
+    with pytest.raises(Blocked, match=r"the goal .* is blocked"):
+        find_plan(costs(1.0, goal=np.array([0.03, 0.0])))
+    walls = [Placed((0.0, 0.02), 0.0, (0.06, 0.001))]
+    with pytest.raises(Blocked, match="can't be reached"):
+        find_plan(costs(1.0, obstacles=walls))
+
+
+def test_a_star_finds_what_trying_all_finds() -> None:
+    chance = np.random.default_rng(0)
+    places = chance.uniform(size=(7, 2))
+    apart = np.linalg.norm(places[:, None] - places, axis=2)
+    price = apart * chance.uniform(1, 3, apart.shape)
+    price = (price + price.T) / 2
+    edges = [[(j, price[i, j]) for j in range(7) if j != i] for i in range(7)]
+    chain = _shortest(edges, np.linalg.norm(places - places[1], axis=1).tolist())
+    best = price.copy()  # Floyd & Warshall
+    for middle in range(7):
+        best = np.minimum(best, best[:, middle : middle + 1] + best[middle])
+    assert chain is not None
+    assert sum(price[a, b] for a, b in itertools.pairwise(chain)) == pytest.approx(best[0, 1])
+
+
+def test_the_smoother_gives_its_samples_back_and_lengths_in_between() -> None:
+    scene = read_plan_scene(SHIPPED)
+    table = even_table(scene, 2.0)
+    got = table.cost(np.array([[0.001, -0.0025], [0.001, 0.0025]]), np.array([1.6, -1.6]), np.array([0.01, 0.015]))
+    np.testing.assert_allclose(got, [1.0, 1.5])
+    places, angles = mirrored(np.array([[0.1, 0.2], [0.1, -0.2]]), np.array([0.3, 0.3]))
+    assert places.tolist() == [[0.1, -0.2], [0.1, -0.2]]
+    assert angles.tolist() == [-0.3, 0.3]

@@ -1,0 +1,54 @@
+"""The planner's door."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+import plan
+from planning import cost_table
+from planning.press import PressCurve, blocked_out
+from planning.scene import SoftObject
+from tests.planning.test_scene import SHIPPED
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    def press(kind: SoftObject, radius: float, place: np.ndarray, angle: float) -> PressCurve:
+        skin = blocked_out(kind, radius)[0]
+        lengths = np.array([0, kind.longest])
+        return PressCurve(lengths, lengths, 5 * lengths, skin, np.zeros_like(skin.vertices))
+
+    monkeypatch.setattr(cost_table, "simulate_press", press)
+    monkeypatch.setattr(plan, "simulate_press", press)
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_plan_is_written_and_the_cache_used_by_another_scene(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["--cache", str(tmp_path / "presses")]
+    assert plan.main([str(SHIPPED), "--output", str(tmp_path / "a"), *arguments]) == 0
+    other = yaml.safe_load(SHIPPED.read_text()) | {"start": [0.03, -0.03]}
+    (tmp_path / "other.yaml").write_text(yaml.safe_dump(other))
+    assert plan.main([str(tmp_path / "other.yaml"), "--output", str(tmp_path / "b"), *arguments, "--alpha", "0"]) == 0
+    said = capsys.readouterr().err
+    assert said.count("presses simulated") == 1
+    assert said.count("found in the cache") == 1
+    first, second = (json.loads((tmp_path / name / "plan.json").read_text()) for name in "ab")
+    assert first["plan"]["cost"] < first["shortest"]["cost"]
+    assert second["plan"]["places"] == second["shortest"]["places"] == [[0.03, -0.03], [0.025, 0.04]]
+    assert (tmp_path / "a" / "plan.png").stat().st_size > 10_000
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_blocked_goal_is_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    blocked = yaml.safe_load(SHIPPED.read_text()) | {"goal": [0.03, 0.0]}
+    (tmp_path / "scene.yaml").write_text(yaml.safe_dump(blocked))
+    assert plan.main([str(tmp_path / "scene.yaml"), "--output", str(tmp_path / "out")]) == 1
+    assert "is blocked" in capsys.readouterr().err
+    assert not (tmp_path / "out" / "plan.json").exists()

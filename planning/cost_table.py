@@ -25,7 +25,7 @@ PLACES = 9
 ANGLES = np.radians([-60.0, -30.0, 0.0, 30.0, 60.0])
 """From a face's inward normal."""
 LENGTHS = 41
-WIDTH = 0.45
+WIDTH = 0.35
 """h of equation 4, over the spacing of places and of angles."""
 VERSION = 1
 """Of what is in a file."""

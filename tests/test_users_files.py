@@ -16,6 +16,7 @@ import pytest
 import yaml
 from matplotlib.figure import Figure
 
+import calibrate
 import infer
 import train
 from data.clip import prepare
@@ -55,6 +56,7 @@ PLACES = {
     "judge_press": ("table.csv", "report.html", "figures/1.png", "figures/notes.txt"),
     "judge_foreign": ("table.csv", "notes.txt"),
     "judge_palpation": ("table.csv", "notes.txt"),
+    "calibrate_curves": ("curves.csv", "notes.txt"),
     "benchmark": ("table.csv", "details.csv", "figures/errors.png", "results.jsonl", "run.json"),
     "train_network": ("checkpoints/best.ckpt", "checkpoints/last.ckpt", "checkpoints/notes.txt"),
     "train_row": (f"{ROW}/notes.txt", f"{ROW}/photos/1.jpg", f"{ROW}/judged.json", f".{ROW}-1/notes.txt"),
@@ -72,6 +74,8 @@ def inputs(tmp_path: Path) -> Path:
     write_tiny(tmp_path / "tiny", frames=2)
     (tmp_path / "foreign").mkdir()
     (tmp_path / "foreign" / "linear_a.npz").touch()
+    rows = [f"1,0,0,0,{depth},{depth}" for depth in range(5)]
+    (tmp_path / "probes.csv").write_text("\n".join(["probe,contact_x,contact_y,contact_z,depth_mm,fn_N", *rows]))
     (tmp_path / "forces").mkdir()
     (tmp_path / "forces" / "grasp.csv").write_text("force_N,gripper_width_m\n")
     for name, slope in (("first", 0.1), ("second", 0.2)):
@@ -143,6 +147,10 @@ def runs_of(inputs: Path) -> dict[str, Run]:
     def judge_palpation(chance: random.Random, out: Path) -> object:
         return palpation.main(["--data", str(inputs / "forces"), "--output", str(out)])
 
+    def calibrate_curves(chance: random.Random, out: Path) -> object:
+        size = ["--indenter", "sphere", "--size", str(1 + chance.random())]
+        return calibrate.main(["curves", str(inputs / "probes.csv"), *size, "--output", str(out)])
+
     def benchmark(chance: random.Random, out: Path) -> object:
         store = RecoveryStore(out, {"seed": 0})
         store.append([recovery(chance.randrange(9))])
@@ -161,7 +169,7 @@ def runs_of(inputs: Path) -> dict[str, Run]:
         return prepare(inputs / "tiny", SETTINGS, out)
 
     every = (draw, estimate, judge_press, judge_foreign, judge_palpation, benchmark, train_network, train_row)
-    return {run.__name__: run for run in (*every, write_depth, keep_prepared)}
+    return {run.__name__: run for run in (*every, calibrate_curves, write_depth, keep_prepared)}
 
 
 def put(chance: random.Random, out: Path, places: Sequence[str]) -> Path:
@@ -234,6 +242,7 @@ def test_these_doors_write_where_nothing_is_in_the_way(inputs: Path) -> None:
         "judge_press": {"table.csv", "report.html", "1.png"},
         "judge_foreign": {"table.csv"},
         "judge_palpation": {"table.csv"},
+        "calibrate_curves": {"curves.csv"},
         "benchmark": {"table.csv", "details.csv", "errors.png", "results.jsonl", "run.json"},
         "train_network": {"last.ckpt", "best.ckpt"},
         "train_row": {"last.ckpt"},

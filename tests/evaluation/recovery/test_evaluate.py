@@ -189,7 +189,7 @@ class Telling:
 def told(monkeypatch, estimator) -> Recovery:
     """What becomes of an estimator's answer about a contact that began in frame 3."""
     monkeypatch.setattr(recovery, "opened", lambda _: estimator)
-    return Recovery("clean", 0, "direct", 0, "critical", **recovery._estimate(DIRECT, [], clip_info(), 3))
+    return Recovery("clean", 0, "direct", 0, "critical", **recovery.estimated(DIRECT, [], clip_info(), 3))
 
 
 NOT_FINITE = Estimate(np.array([np.nan, 0.1, -0.1]))

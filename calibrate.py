@@ -31,6 +31,7 @@ from rich.console import Console
 
 from data.command_line import path_option, real_number, say
 from data.source.layout import InputError
+from estimators.estimate import NINETY
 from estimators.palpation import Indenter, fit_indentation, fit_material, fit_relaxation, read_hold, read_probes
 from estimators.palpation.curves import HOLD, kind_of
 from estimators.palpation.material_fit import descend, surface_error
@@ -39,7 +40,6 @@ from physics.fem import NoEquilibrium
 from physics.ownership import replacing_own, require_own
 from results.store import OutputError, writing
 
-Z90 = 1.645
 CURVES = ("file", "curve", "quantity", "value", "low", "high", "unit")
 
 
@@ -112,7 +112,7 @@ def _palpation(path: Path, optimizer: str, output: Path, console: Console) -> in
         "source": f"{len(scene.palpations)} palpations of {path.name}",
     }
     if np.isfinite(found.covariance).all():
-        half = Z90 * found.young_sd
+        half = NINETY * found.young_sd
         record |= {
             "young_low_pa": found.young * np.exp(-half),
             "young_high_pa": found.young * np.exp(half),

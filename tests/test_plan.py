@@ -5,26 +5,19 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 import yaml
 
 import plan
 from planning import cost_table
-from planning.press import PressCurve, blocked_out
-from planning.scene import SoftObject
+from tests.planning.cases import quick_press
 from tests.planning.test_scene import SHIPPED
 
 
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    def press(kind: SoftObject, radius: float, place: np.ndarray, angle: float) -> PressCurve:
-        skin = blocked_out(kind, radius)[0]
-        lengths = np.array([0, kind.longest])
-        return PressCurve(lengths, lengths, 5 * lengths, skin, np.zeros_like(skin.vertices))
-
-    monkeypatch.setattr(cost_table, "simulate_press", press)
-    monkeypatch.setattr(plan, "simulate_press", press)
+    monkeypatch.setattr(cost_table, "simulate_press", quick_press)
+    monkeypatch.setattr(plan, "simulate_press", quick_press)
 
 
 @pytest.mark.usefixtures("quick")

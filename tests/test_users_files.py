@@ -9,6 +9,7 @@ import subprocess
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext, suppress
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from matplotlib.figure import Figure
 
 import calibrate
 import infer
+import plan
 import train
 from data.clip import prepare
 from data.depth.photometric import write_photometric
@@ -35,12 +37,15 @@ from evaluation.recovery.scores import score_all
 from evaluation.recovery.store import RecoveryStore
 from physics.files import replacing
 from physics.ownership import ForeignFile
+from planning import cost_table
 from results.store import OutputError
 from tests.data.clips import SETTINGS
 from tests.data.clips import write_clip as write_tiny
 from tests.data.synthetic.test_clip import quick_frames, quick_truth
 from tests.evaluation.recovery_cases import recovery
 from tests.inference_inputs import write_clip, write_model
+from tests.planning.cases import quick_press
+from tests.planning.test_scene import SHIPPED
 
 Run = Callable[[random.Random, Path], object]
 EVENTS = 12
@@ -57,6 +62,8 @@ PLACES = {
     "judge_foreign": ("table.csv", "notes.txt"),
     "judge_palpation": ("table.csv", "notes.txt"),
     "calibrate_curves": ("curves.csv", "notes.txt"),
+    "calibrate_palpation": ("calibration.json", "errors.csv", "notes.txt"),
+    "plan_way": ("plan.json", "plan.png", "presses/notes.txt"),
     "benchmark": ("table.csv", "details.csv", "figures/errors.png", "results.jsonl", "run.json"),
     "train_network": ("checkpoints/best.ckpt", "checkpoints/last.ckpt", "checkpoints/notes.txt"),
     "train_row": (f"{ROW}/notes.txt", f"{ROW}/photos/1.jpg", f"{ROW}/judged.json", f".{ROW}-1/notes.txt"),
@@ -102,6 +109,13 @@ def quick(monkeypatch: pytest.MonkeyPatch, blank_pictures: None) -> None:
     patch(real, "_pressed", lambda folder, wrench, measures: measures.update({"frames": 1}) or os.urandom(8))
     patch(foreign, "judge_pull", lambda path: {"frames": random.random()})
     patch(palpation, "read_grasp", lambda path: Grasp(np.linspace(0, 9, 19), random.random() - np.arange(19)))
+    patch(cost_table, "simulate_press", quick_press)
+    patch(plan, "simulate_press", quick_press)
+    tissue = SimpleNamespace(
+        notes=[], skin=None, held=None, palpations=[], settings=SimpleNamespace(law="corotational")
+    )
+    patch(calibrate, "read_scene", lambda path: SimpleNamespace(**tissue))
+    patch(calibrate, "fit_material", lambda *arguments, told: quick_material())
     patch(figures, "figures", lambda scores: [("errors.png", Figure((1, 1)))])
 
     @functools.wraps(train.RunTrainer.fit)  # whose arguments are options
@@ -122,6 +136,15 @@ def quick(monkeypatch: pytest.MonkeyPatch, blank_pictures: None) -> None:
         return subprocess.CompletedProcess(command, 0, "", "")
 
     patch(terms.subprocess, "run", training)
+
+
+def quick_material() -> SimpleNamespace:
+    """Of no palpations."""
+    unknown, found = (
+        np.full((2, 2), np.nan),
+        {"young": 1e4 * random.random(), "poisson": 0.4, "noise": 0.0, "solves": 0},
+    )
+    return SimpleNamespace(**found, covariance=unknown, poses=[], rests=[])
 
 
 def runs_of(inputs: Path) -> dict[str, Run]:
@@ -151,6 +174,12 @@ def runs_of(inputs: Path) -> dict[str, Run]:
         size = ["--indenter", "sphere", "--size", str(1 + chance.random())]
         return calibrate.main(["curves", str(inputs / "probes.csv"), *size, "--output", str(out)])
 
+    def calibrate_palpation(chance: random.Random, out: Path) -> object:
+        return calibrate.main(["palpation", "scene.yaml", "--output", str(out)])
+
+    def plan_way(chance: random.Random, out: Path) -> object:
+        return plan.main([str(SHIPPED), "--alpha", str(chance.random()), "--output", str(out)])
+
     def benchmark(chance: random.Random, out: Path) -> object:
         store = RecoveryStore(out, {"seed": 0})
         store.append([recovery(chance.randrange(9))])
@@ -169,7 +198,8 @@ def runs_of(inputs: Path) -> dict[str, Run]:
         return prepare(inputs / "tiny", SETTINGS, out)
 
     every = (draw, estimate, judge_press, judge_foreign, judge_palpation, benchmark, train_network, train_row)
-    return {run.__name__: run for run in (*every, calibrate_curves, write_depth, keep_prepared)}
+    measured = (calibrate_curves, calibrate_palpation, plan_way)
+    return {run.__name__: run for run in (*every, *measured, write_depth, keep_prepared)}
 
 
 def put(chance: random.Random, out: Path, places: Sequence[str]) -> Path:
@@ -243,6 +273,8 @@ def test_these_doors_write_where_nothing_is_in_the_way(inputs: Path) -> None:
         "judge_foreign": {"table.csv"},
         "judge_palpation": {"table.csv"},
         "calibrate_curves": {"curves.csv"},
+        "calibrate_palpation": {"calibration.json", "errors.csv"},
+        "plan_way": {"plan.json", "plan.png"},
         "benchmark": {"table.csv", "details.csv", "errors.png", "results.jsonl", "run.json"},
         "train_network": {"last.ckpt", "best.ckpt"},
         "train_row": {"last.ckpt"},

@@ -11,6 +11,7 @@ palpation    measured forces on tissue, judged on what was kept back; a door of 
 foreign      the finite elements on other people's data; a door of its own
 ablations    the contact posterior with fewer of a contact's frames, the system without its parts; a door of its own
 terms        the latter: generators trained without one term of the loss, the picture or the carried map
+file_table   what every file of a folder gives, as table.csv
 tables       rows as CSV and as Markdown; page: Markdown and figures as one HTML page
 """
 

@@ -111,10 +111,9 @@ def quick(monkeypatch: pytest.MonkeyPatch, blank_pictures: None) -> None:
     patch(palpation, "read_grasp", lambda path: Grasp(np.linspace(0, 9, 19), random.random() - np.arange(19)))
     patch(cost_table, "simulate_press", quick_press)
     patch(plan, "simulate_press", quick_press)
-    tissue = SimpleNamespace(
-        notes=[], skin=None, held=None, palpations=[], settings=SimpleNamespace(law="corotational")
-    )
-    patch(calibrate, "read_scene", lambda path: SimpleNamespace(**tissue))
+    settings = SimpleNamespace(law="corotational")
+    tissue = SimpleNamespace(notes=[], skin=None, held=None, palpations=[], settings=settings)
+    patch(calibrate, "read_scene", lambda path: tissue)
     patch(calibrate, "fit_material", lambda *arguments, told: quick_material())
     patch(figures, "figures", lambda scores: [("errors.png", Figure((1, 1)))])
 

@@ -18,7 +18,8 @@ import argparse
 from data.command_line import path_option, real_number, whole_number
 from data.depth.normalise import MOST_THREADS
 from data.depth.preset import preset_names
-from estimators.direct.estimator import LEAST_SIGMA, OBSERVATIONS, SMOOTHING
+from estimators.contract import SMOOTHING
+from estimators.direct.estimator import LEAST_SIGMA, OBSERVATIONS
 from estimators.onset import ONSETS
 from estimators.open import NAMES
 from results.record import program_version
@@ -74,8 +75,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     add("--observation", choices=OBSERVATIONS, help=text)
     text = (
-        "of direct: smooth the tissue's resting shape over this many grid pixels, which also measures the depth's "
-        f"noise (default: {SMOOTHING:g})"
+        "of direct and online: smooth the tissue's resting shape over this many grid pixels, which also measures the "
+        f"depth's noise (default: {SMOOTHING:g})"
     )
     pixels = real_number("a width in pixels; give 0 or more", 0.0)
     add("--smoothing", type=pixels, metavar="PIXELS", help=text)

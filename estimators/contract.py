@@ -8,11 +8,15 @@ from typing import Any, Protocol
 
 from data.clip import ClipStream
 from data.contact.geometry import GeometrySettings
+from data.depth.normalise import DepthSettings
 from data.prepared import PreparedFrame
 from data.settings import PrepareSettings
 from data.source.camera import Camera
 from data.source.layout import ClipLayout
 from estimators.estimate import FrameEstimate, InteractionEstimate
+
+SMOOTHING = 4.0
+"""Default width over which the resting shape is smoothed, where no model tells [grid px]."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +31,16 @@ class Chosen:
     """Fields of `DepthSettings`."""
     smoothing: float | None = None
     """Width over which the resting shape is smoothed [grid px]; None = the estimator's."""
+
+    def without_model(self) -> PrepareSettings:
+        """Of estimators that no model's file tells how: smoothed tissue, the camera's motion taken off."""
+        smoothing = SMOOTHING if self.smoothing is None else self.smoothing
+        return PrepareSettings(
+            depth=DepthSettings(**self.depth),
+            geometry=GeometrySettings(smoothing=smoothing, rigid_motion="subtract"),
+            masks=self.masks or "auto",
+            layout=self.layout,
+        )
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import Literal
 
 ROOT = Path(__file__).resolve().parents[1]
 """Folder that holds the project's packages: the checkout, or where they are installed."""
-PACKAGES = ("data", "estimators", "evaluation", "models", "physics", "results")
+PACKAGES = ("data", "estimators", "evaluation", "models", "physics", "planning", "results")
 NOT_PREPARATION = ("data/synthetic/", "data/training/")
 """What a prepared clip does not depend on."""
 KINDS = ("*.py", "*.yaml", "*.onnx")

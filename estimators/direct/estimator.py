@@ -16,9 +16,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from data.contact.geometry import GeometrySettings
 from data.contact.interaction import Horizon, Interaction
-from data.depth.normalise import DepthSettings
 from data.prepared import PreparedFrame
 from data.settings import PrepareSettings
 from estimators.contract import Chosen, ClipInfo, Said
@@ -37,8 +35,6 @@ from physics.msd.simulation import simulate
 LEAST_SIGMA = 3e-5
 """A smaller σ is refused [scene units]: that is the fitted simulator's own error (docs/identifiability.md), which would
 be taken for motion of the tissue."""
-SMOOTHING = 4.0
-"""Default width over which the resting shape is smoothed [grid px]."""
 WHOLE = "This estimator fits whole runs of contact: see interactions.csv."
 CONTACT, FIELD = "contact", "field"
 OBSERVATIONS = (FIELD, CONTACT)
@@ -91,13 +87,7 @@ class DirectEstimator:
 
     def preparation(self, chosen: Chosen) -> PrepareSettings:
         """Smoothed tissue, the camera's motion taken off, and otherwise what the user chooses."""
-        smoothing = SMOOTHING if chosen.smoothing is None else chosen.smoothing
-        return PrepareSettings(
-            depth=DepthSettings(**chosen.depth),
-            geometry=GeometrySettings(smoothing=smoothing, rigid_motion="subtract"),
-            masks=chosen.masks or "auto",
-            layout=chosen.layout,
-        )
+        return chosen.without_model()
 
     def start(self, clip: ClipInfo) -> DirectSession:
         """Open a session."""

@@ -13,9 +13,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from data.contact.geometry import GeometrySettings
 from data.contact.tissue_points import grid_to_picture
-from data.depth.normalise import DepthSettings
 from data.labels import TISSUE, TOOL
 from data.prepared import PreparedFrame
 from data.settings import PrepareSettings
@@ -23,7 +21,6 @@ from data.source.camera import back_project
 from data.tracks.background import without_background
 from data.tracks.following import PointFollower
 from estimators.contract import Chosen, ClipInfo, Said
-from estimators.direct.estimator import SMOOTHING
 from estimators.estimate import InteractionEstimate, NoEstimate, ParticleField
 from estimators.online.driven import DrivenTissue
 from estimators.online.settings import OnlineSettings
@@ -51,13 +48,7 @@ class OnlineEstimator:
 
     def preparation(self, chosen: Chosen) -> PrepareSettings:
         """Smoothed tissue, and otherwise what the user chooses."""
-        smoothing = SMOOTHING if chosen.smoothing is None else chosen.smoothing
-        return PrepareSettings(
-            depth=DepthSettings(**chosen.depth),
-            geometry=GeometrySettings(smoothing=smoothing, rigid_motion="subtract"),
-            masks=chosen.masks or "auto",
-            layout=chosen.layout,
-        )
+        return chosen.without_model()
 
     def start(self, clip: ClipInfo) -> OnlineSession:
         """Open a session."""

@@ -57,12 +57,10 @@ class FileTable:
         """
         try:
             measures = work()
-        except (InputError, ValueError) as error:
-            measures, self.status = {"status": str(error)}, 1
         except Exception as error:  # of one file; the others' answers must not be lost
-            measures, self.status = {"status": f"failed ({type(error).__name__}: {error})"}, 1
-        if "status" in measures:
-            say(self._console, f"{name}: {measures['status']}", "red")
+            told = str(error) if isinstance(error, ValueError) else f"failed ({type(error).__name__}: {error})"
+            measures, self.status = {"status": told}, 1
+            say(self._console, told if isinstance(error, InputError) else f"{name}: {told}", "red")
         self.add(name, measures)
 
     def add(self, name: str, measures: Mapping[str, object]) -> None:

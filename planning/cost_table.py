@@ -16,7 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from physics.ownership import replacing_own
+from physics.ownership import replacing_own, require_own
+from physics.provenance import code_digest
 from planning.press import MOST_FORCE, STEPS, simulate_press
 from planning.scene import SoftObject
 
@@ -84,7 +85,7 @@ def grid_of(kind: SoftObject) -> tuple[np.ndarray, np.ndarray]:
 
 def digest(kind: SoftObject, radius: float) -> str:
     """Of all that a table depends on."""
-    told = [VERSION, PLACES, ANGLES.tolist(), LENGTHS, STEPS, MOST_FORCE, radius, asdict(kind)]
+    told = [VERSION, code_digest("kernels"), PLACES, ANGLES.tolist(), LENGTHS, STEPS, MOST_FORCE, radius, asdict(kind)]
     return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:16]
 
 
@@ -98,13 +99,15 @@ def open_table(
         radius: of the tip [m].
         cache: folder.
         told: is given how many presses are done, of how many.
+
+    Raises:
+        ForeignFile: a table that is damaged or not this program's lies in the cache.
     """
     path = cache / f"presses-{digest(kind, radius)}.npz"
-    try:
+    require_own(path)  # before minutes of simulation; and what is our own is whole
+    if path.exists():
         with np.load(path, allow_pickle=False) as file:
             return CostTable(file["places"], file["angles"], file["lengths"], file["work"], float(file["spacing"])), 0
-    except (OSError, ValueError, KeyError, EOFError):
-        pass
     places, angles = grid_of(kind)
     lengths = np.linspace(0, kind.longest, LENGTHS)
     work = np.zeros((len(places), LENGTHS))

@@ -12,6 +12,7 @@ import numpy as np
 
 from data.source.layout import InputError
 from data.source.table import MOST_TOLD
+from estimators.estimate import NINETY
 from evaluation.foreign.surface_fit import SurfaceFit, fit_surface
 from physics.doors import plain
 from physics.fem import Material, NoEquilibrium, Solid, make_solid
@@ -28,8 +29,6 @@ ANNOUNCED = 6e-4
 """Noise that the data announce [m]; the points at hand lie on the surface to 1e-7 m, so it is added to some frames."""
 NOISY_EVERY = 10
 """Of how many frames one is fitted again with that noise."""
-WIDE = 1.6449
-"""Half a 90 % interval, in standard deviations."""
 ROUNDING = {"linear": 5e-6, "neo_hookean": 8e-7}
 """Standard deviation of the true solutions from exact ones, as they show in a fit's force over the force: on points
 without noise this is all that is left, and it is alike in neighbouring frames."""
@@ -169,10 +168,10 @@ def answer(fit: SurfaceFit, material: Material, force: np.ndarray) -> Answer:
     return Answer(
         true,
         float(np.linalg.norm(fit.force - force)) / true,
-        abs(size - true) <= WIDE * wide,
+        abs(size - true) <= NINETY * wide,
         young,
-        abs(np.log(along / true)) <= WIDE * narrow / along,
-        WIDE * wide / size,
+        abs(np.log(along / true)) <= NINETY * narrow / along,
+        NINETY * wide / size,
         fit.noise,
     )
 

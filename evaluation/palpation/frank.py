@@ -25,17 +25,17 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from data.command_line import path_option, say
+from estimators.estimate import NINETY
 from estimators.palpation import FitSettings, Palpation, Skin, fit_material
 from estimators.palpation.material_fit import descend, surface_error
 from estimators.palpation.registration import placed
+from evaluation.file_table import FileTable
 from evaluation.page import as_png
 from evaluation.palpation.synthetic import BODIES, SENSORS, Body, observe, press
-from evaluation.tables import to_csv
 from physics.fem import Equilibrium, Material, find_equilibrium
 from physics.ownership import replacing_own, require_own
 from results.store import OutputError, writing
 
-COLUMNS = ("file", "measure", "value")
 FIGURES = ("error_mask.png", "six_forces.png", "error_surface.png")
 YOUNG, POISSON = 1e4, 0.42
 """The truth [Pa]."""
@@ -47,8 +47,6 @@ SIX = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 """Forces of the paper's figure 5 [N]."""
 CELLS, TRUE_CELLS = {"ball": 7, "slab": 8}, {"ball": 9, "slab": 10}
 STARTS = (30.0, 1 / 30)
-
-Row = dict[str, object]
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -70,31 +68,22 @@ def main(arguments: list[str] | None = None) -> int:
     options: Any = parser.parse_args(arguments)
     try:
         with writing(options.output):
-            require_own(*(options.output / name for name in ("table.csv", *FIGURES)))
-    except OutputError as error:
-        say(console, str(error), "red")
-        return 2
-    rows: list[Row] = []
-    try:
+            require_own(*(options.output / name for name in FIGURES))
+        table = FileTable(options.output, console)
         for name in ("slab",) if options.quick else BODIES:
             coarse = options.quick
             truths = [_truth(name, FORCES[name], place, coarse) for place in PLACES[: 1 if coarse else None]]
             skin, held = BODIES[name].skin(4 if coarse else CELLS[name], BODIES[name].size / 24)
             for sensor in ("stereo",) if coarse else SENSORS:
                 seen = [observe(*truth, sensor, number) for number, truth in enumerate(truths)]
-                _starts(f"{name}, {sensor}", skin, held, seen, rows)
-                _write(options.output, rows, {})
+                _starts(f"{name}, {sensor}", skin, held, seen, table)
                 say(console, f"{name}, {sensor}: fitted")
         name = "slab" if options.quick else "ball"
-        figures = _paper(BODIES[name], name, options.quick, rows)
-        _write(options.output, rows, figures)
+        _write(options.output, _paper(BODIES[name], name, options.quick, table))
     except OutputError as error:
         say(console, str(error), "red")
         return 1
-    for row in rows:
-        value = row["value"]
-        print(f"{row['file']}: {row['measure']}: {f'{value:.4g}' if isinstance(value, float) else value}")
-    say(console, f"written: {options.output}")
+    table.show()
     return 0
 
 
@@ -104,7 +93,7 @@ def _truth(
     return press(BODIES[name], YOUNG, POISSON, force, place, 5 if coarse else TRUE_CELLS[name])
 
 
-def _starts(label: str, skin: Skin, held: np.ndarray, seen: Sequence[Palpation], rows: list[Row]) -> None:
+def _starts(label: str, skin: Skin, held: np.ndarray, seen: Sequence[Palpation], table: FileTable) -> None:
     """Fits from either side of the truth."""
     for start in STARTS:
         fit = fit_material(skin, held, seen, FitSettings(young=YOUNG * start))
@@ -116,11 +105,10 @@ def _starts(label: str, skin: Skin, held: np.ndarray, seen: Sequence[Palpation],
             "verdict": fit.verdict,
             "equilibria a palpation": fit.solves / len(seen),
         }
-        named = f"{label}, {len(seen)} palpations, start E × {start:.3g}"
-        rows.extend({"file": named, "measure": measure, "value": value} for measure, value in measures.items())
+        table.add(f"{label}, {len(seen)} palpations, start E × {start:.3g}", measures)
 
 
-def _paper(body: Body, name: str, coarse: bool, rows: list[Row]) -> dict[str, bytes]:
+def _paper(body: Body, name: str, coarse: bool, table: FileTable) -> dict[str, bytes]:
     """The paper's figures, and its descent beside Gauss–Newton."""
     skin, held = body.skin(4 if coarse else CELLS[name], body.size / 24)
     truth = _truth(name, FORCES[name], PLACES[0], coarse)
@@ -148,9 +136,7 @@ def _paper(body: Body, name: str, coarse: bool, rows: list[Row]) -> dict[str, by
         "six forces: E, standard deviation / mean": float(values.std(ddof=1) / values.mean()),
         "six forces: E, mean / truth - 1": float(values.mean() / YOUNG - 1),
     }
-    rows.extend(
-        {"file": f"{name}, stereo, one palpation", "measure": key, "value": each} for key, each in measures.items()
-    )
+    table.add(f"{name}, stereo, one palpation", measures)
     errors = []
     for young in (exact.young, exact.young / 2):
         forces = skin.pressed(seen.contact, seen.tool_radius, seen.force)
@@ -197,7 +183,7 @@ def _draw_masks(points: np.ndarray, errors: Sequence[np.ndarray]) -> Figure:
 def _draw_six(forces: Sequence[float], values: np.ndarray, sds: Sequence[float]) -> Figure:
     figure = Figure(figsize=(6, 4), layout="constrained")
     axes = figure.add_subplot()
-    axes.errorbar(forces, values / 1000, yerr=1.645 * np.array(sds) * values / 1000, fmt="o", capsize=3, label="90 %")
+    axes.errorbar(forces, values / 1000, yerr=NINETY * np.array(sds) * values / 1000, fmt="o", capsize=3, label="90 %")
     axes.axhline(YOUNG / 1000, color="0.5", linestyle="--", label="truth")
     axes.axhline(values.mean() / 1000, color="C1", label="mean")
     axes.set(xlabel="force [N]", ylabel="Young's modulus [kPa]", ylim=(0, 2 * YOUNG / 1000))
@@ -219,11 +205,9 @@ def _draw_surface(youngs: np.ndarray, ratios: np.ndarray, errors: np.ndarray, be
     return figure
 
 
-def _write(output: Path, rows: list[Row], figures: dict[str, bytes]) -> None:
+def _write(output: Path, figures: dict[str, bytes]) -> None:
     with writing(output):
         output.mkdir(parents=True, exist_ok=True)
-        with replacing_own(output / "table.csv") as partial:
-            partial.write_text(to_csv(rows, COLUMNS, ".6g"), encoding="utf-8")
         for name, content in figures.items():
             with replacing_own(output / name) as partial:
                 partial.write_bytes(content)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from estimators.estimate import NINETY
 from estimators.palpation import Hold, fit_relaxation
-
-Z90 = 1.645
 
 
 def judge_relaxation(hold: Hold) -> dict[str, object]:
@@ -26,7 +25,7 @@ def judge_relaxation(hold: Hold) -> dict[str, object]:
         found |= {
             f"{name}second half off, rms / peak": float(np.sqrt(np.mean(np.square(missed)))) / peak,
             f"{name}second half off, largest / peak": float(np.abs(missed).max()) / peak,
-            f"{name}coverage of 90 % intervals": float(np.mean(np.abs(missed) <= Z90 * fit.forecast_sd)),
+            f"{name}coverage of 90 % intervals": float(np.mean(np.abs(missed) <= NINETY * fit.forecast_sd)),
         }
     whole = fit_relaxation(hold)
     return found | {"force that remains in the end / at once": whole.relaxed_share}

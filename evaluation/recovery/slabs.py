@@ -31,7 +31,7 @@ from scipy.stats import spearmanr
 
 from data.synthetic.clip import draw_truth, synthetic_clip
 from data.synthetic.scene import Scene, SceneError
-from data.synthetic.slab import GrippedSlab, PressedSlab, SlabMotion
+from data.synthetic.slab import GrippedSlab, PressedSlab, SlabMotion, SlabTissue
 from data.synthetic.source import open_synthetic
 from estimators.contract import ClipInfo
 from estimators.estimate import NINETY, GripEstimate
@@ -184,7 +184,7 @@ def _groups(rows: Sequence[SlabRecovery]) -> dict[str, list[SlabRecovery]]:
 
 
 def _relaxes(row: SlabRecovery) -> bool:
-    return row.tissue is not None and row.tissue[5] > 0
+    return row.tissue is not None and SlabTissue(*row.tissue).branch > 0
 
 
 def _compared(rows: Sequence[SlabRecovery], all_rows: Sequence[SlabRecovery] | None) -> Iterator[dict[str, object]]:
@@ -200,8 +200,8 @@ def _compared(rows: Sequence[SlabRecovery], all_rows: Sequence[SlabRecovery] | N
             yield {"quantity": "something determined", "n": len(told), "value": known / len(told)}
     if len(told) < LEAST:
         return
-    tissue = np.array([row.tissue for row in told])
-    young, density, damping, inclusion = tissue[:, 0], tissue[:, 2], tissue[:, 4], tissue[:, 7]
+    tissue: Any = SlabTissue(*np.transpose([row.tissue for row in told]))  # arrays, shape [n] each
+    young, damping = tissue.young, tissue.damping
     force = np.array([row.force for row in told])
     if told[0].reaction is not None:
         yield from _related(
@@ -220,11 +220,11 @@ def _compared(rows: Sequence[SlabRecovery], all_rows: Sequence[SlabRecovery] | N
             "value": float(np.median(viscosity / damping / MECHANICS.mass)),
         }
         yield from _related("k_d", viscosity, "α", damping)
-        yield from _related("k_d/k_s", viscosity / stiffness, "αρ/E", damping * density / young)
-        off = np.log(viscosity / stiffness) - np.log(damping * density / young)
+        yield from _related("k_d/k_s", viscosity / stiffness, "αρ/E", damping * tissue.density / young)
+        off = np.log(viscosity / stiffness) - np.log(damping * tissue.density / young)
         close = np.abs(np.expm1(off - np.median(off))) <= CLOSE
         yield {"quantity": f"k_d/k_s within {CLOSE:.0%}", "n": len(told), "value": float(close.mean())}
-    stiff = inclusion != 1
+    stiff = tissue.inclusion != 1
     if stiff.any() and not stiff.all():
         quotient = np.log(stiffness / young)
         value = float(np.exp(np.median(quotient[stiff]) - np.median(quotient[~stiff])))

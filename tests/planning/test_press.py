@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from physics.ownership import ForeignFile
 from planning import cost_table, open_table, simulate_press
 from planning.press import PressCurve, blocked_out
 from planning.scene import SoftObject
+from tests.planning.cases import quick_press
 
 KIND = SoftObject((0.02, 0.01, 0.02), 3000.0, 0.4, ("top", "bottom"), longest=0.004, cells=(2, 1, 2))
 
@@ -43,3 +45,15 @@ def test_a_table_is_simulated_once(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert open_table(KIND, 0.005, tmp_path)[1] > 0
     cost = first.cost(first.places[:1], first.angles[:1], np.array([KIND.longest]))
     assert cost == pytest.approx(first.work[0, -1], rel=0.01)
+
+
+def test_a_damaged_table_is_told_before_anything_is_simulated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cost_table, "simulate_press", quick_press)
+    open_table(KIND, 0.004, tmp_path)
+    (kept,) = tmp_path.glob("presses-*.npz")
+    whole = kept.read_bytes()
+    kept.write_bytes(whole[: len(whole) // 2])
+    monkeypatch.setattr(cost_table, "simulate_press", lambda *_: pytest.fail("simulated"))
+    with pytest.raises(ForeignFile, match=r"presses-.*\.npz is not as this program wrote it; move it away"):
+        open_table(KIND, 0.004, tmp_path)
+    assert kept.read_bytes() == whole[: len(whole) // 2]

@@ -16,10 +16,11 @@ if __name__ == "__main__":
 import argparse
 
 from data.command_line import path_option, real_number, whole_number
+from data.contact.interaction import OBSERVATIONS
 from data.depth.normalise import MOST_THREADS
 from data.depth.preset import preset_names
 from estimators.contract import SMOOTHING
-from estimators.direct.estimator import LEAST_SIGMA, OBSERVATIONS
+from estimators.direct.estimator import LEAST_SIGMA
 from estimators.onset import ONSETS
 from estimators.open import NAMES
 from results.record import program_version
@@ -70,8 +71,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     add("--onset", choices=ONSETS, help=text)
     text = (
-        "of direct: the depth of all visible tissue around the contact (field, default), or the motion of the one "
-        "point that the tool touched first (contact)"
+        "of direct and network: the depth of all visible tissue around the contact (field, default), or the motion of "
+        "the one point that the tool touched first (contact)"
     )
     add("--observation", choices=OBSERVATIONS, help=text)
     text = (

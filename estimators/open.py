@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from data.contact.interaction import Horizon
+from data.contact.interaction import FIELD, Horizon
 from estimators.contract import Estimator
-from estimators.direct.estimator import FIELD, DirectEstimator
+from estimators.direct.estimator import DirectEstimator
 from estimators.gan import GanEstimator
 from estimators.network.estimator import NetworkEstimator
 from estimators.online.estimator import OnlineEstimator
@@ -31,7 +31,7 @@ class EstimatorOptions:
     onset: str | None = None
     """When a press begins, one of `estimators.onset.ONSETS`; None = between frames, as in real videos."""
     observation: str | None = None
-    """What `direct` compares, one of `estimators.direct.estimator.OBSERVATIONS`; None = its default."""
+    """What `direct` and `network` look at, one of `data.contact.interaction.OBSERVATIONS`; None = the whole dent."""
     noise: float | None = None
     """σ that `direct` is told [scene units]; None = the clip's own estimate."""
     horizon: Horizon = None
@@ -53,13 +53,11 @@ def open_estimator(options: EstimatorOptions) -> Estimator:
         return _open_online(options)
     if options.settings is not None:
         raise ValueError(f"--settings {options.settings} is for --estimator online; leave it out.")
+    seen = options.observation or FIELD
     if options.name == "direct":
         if options.model is not None:
             raise ValueError(f"--estimator direct needs no network; leave --model {options.model} out.")
-        seen = options.observation or FIELD
         return DirectEstimator(options.onset or BETWEEN, seen, options.horizon, options.noise)
-    if options.observation is not None:
-        raise ValueError("--observation is for --estimator direct; leave it out.")
     if options.noise is not None:
         raise ValueError("--noise is for --estimator direct; leave it out.")
     if options.name == "gan" and options.model is None:
@@ -69,11 +67,13 @@ def open_estimator(options: EstimatorOptions) -> Estimator:
     if options.name not in (None, kind):
         raise ModelFileError(f"{model.path} is of the estimator {kind}; give --estimator {kind}, or leave it out.")
     if isinstance(model, PosteriorModel):
-        return NetworkEstimator(model, options.onset or BETWEEN, options.horizon)
+        return NetworkEstimator(model, options.onset or BETWEEN, options.horizon, seen)
     if options.onset not in (None, STAMP):
         raise ModelFileError(f"{model.path} knows nothing of when a press begins; leave --onset {options.onset} out.")
     if options.horizon is not None:
         raise ModelFileError(f"{model.path} sees single frames; leave the horizon {options.horizon} out.")
+    if options.observation is not None:
+        raise ValueError(f"{model.path} sees single frames; leave --observation {options.observation} out.")
     return GanEstimator(model)
 
 

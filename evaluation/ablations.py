@@ -32,9 +32,9 @@ from rich.console import Console
 
 from data.command_line import path_option, progress_bars, say, whole_number
 from data.contact.features import FEATURES, SLOTS, join_features
+from data.contact.interaction import CONTACT
 from data.synthetic.contacts import SimulatedContact
 from data.synthetic.truth import damping_ratio, regime_of
-from estimators.direct.estimator import CONTACT
 from estimators.network.draws import Drawn, draw_observed
 from estimators.network.fits import BOUNDS, MECHANICS, Fits, motion_slopes, observed_exactly
 from estimators.network.training import (

@@ -28,9 +28,9 @@ from typing import Any
 from rich.console import Console
 
 from data.command_line import path_option, progress_bars, real_number, say, whole_number
-from data.contact.interaction import PRESS
+from data.contact.interaction import FIELD, OBSERVATIONS, PRESS
 from data.depth.normalise import MOST_THREADS
-from estimators.direct.estimator import FIELD, LEAST_SIGMA, OBSERVATIONS
+from estimators.direct.estimator import LEAST_SIGMA
 from estimators.onset import ONSETS, STAMP
 from estimators.open import EstimatorOptions
 from estimators.worker_pool import WorkerLost, run_tasks
@@ -93,7 +93,7 @@ def build_parser() -> argparse.ArgumentParser:
     add("--seen", type=_seen, metavar="N", help=text)
     text = "when direct and network take a press to begin: at a frame's stamp (default, as in most suites) or between"
     add("--onset", choices=ONSETS, default=STAMP, help=text)
-    text = "what direct compares (default: its own choice)"
+    text = "what direct and network look at: the whole dent (field, default), or the point that was touched (contact)"
     add("--observation", choices=OBSERVATIONS, help=text)
     text = (
         "Cramér–Rao bound that errors are compared with: of the film of the whole dent (default), or of the contact's "
@@ -157,7 +157,7 @@ def estimators_of(options: argparse.Namespace) -> dict[str, EstimatorOptions]:
             model=options.models.get(name),
             onset=None if name == "gan" else options.onset,
             noise=options.noise if name == "direct" else None,
-            observation=options.observation if name == "direct" else None,
+            observation=None if name == "gan" else options.observation,
             horizon=options.seen,
             threads=1,
         )

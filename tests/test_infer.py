@@ -521,7 +521,6 @@ def test_wrong_usage(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
         (["--estimator", "gan"], "--estimator gan needs a trained generator; give the file of train.py export"),
         (["--smoothing", "2"], "--smoothing is for --estimator direct"),
         (["--noise", "0.01"], "--noise is for --estimator direct; leave it out."),
-        (["--observation", "contact"], "--observation is for --estimator direct; leave it out."),
     ):
         assert infer.main([str(tmp_path / "empty"), "--output", str(tmp_path / "out"), *options]) == 2
         assert told in flat(capsys.readouterr().err)

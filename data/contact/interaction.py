@@ -23,6 +23,9 @@ from physics.observation import Observation
 PRESS = "press"
 Horizon = int | Literal["press"] | None
 """How much of a contact's motion counts: so many frames after its onset, those under the tool, or all."""
+FIELD, CONTACT = "field", "contact"
+OBSERVATIONS = (FIELD, CONTACT)
+"""What of a contact is looked at: the depth of all tissue around it, or the motion of the point that was touched."""
 SAME_INSTANT = 1e-6
 """Times nearer to each other than this are one [s]."""
 

@@ -16,7 +16,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from data.contact.interaction import Horizon, Interaction
+from data.contact.interaction import FIELD, OBSERVATIONS, Horizon, Interaction
 from data.prepared import PreparedFrame
 from data.settings import PrepareSettings
 from estimators.contract import Chosen, ClipInfo, Said
@@ -36,8 +36,6 @@ LEAST_SIGMA = 3e-5
 """A smaller σ is refused [scene units]: that is the fitted simulator's own error (docs/identifiability.md), which would
 be taken for motion of the tissue."""
 WHOLE = "This estimator fits whole runs of contact: see interactions.csv."
-CONTACT, FIELD = "contact", "field"
-OBSERVATIONS = (FIELD, CONTACT)
 """The depth of all visible tissue around the contact, or the motion of the one point that the tool touched first."""
 LEAST_OBSERVATIONS = 3
 """Frames after the onset in which the tissue was followed."""
@@ -51,7 +49,7 @@ class DirectEstimator:
 
     Args:
         onset: when a press begins, one of `estimators.onset.ONSETS`.
-        observation: what is compared, one of OBSERVATIONS.
+        observation: what is compared, one of `data.contact.interaction.OBSERVATIONS`.
         horizon: how much of a contact is looked at.
         noise: σ of every observed coordinate [scene units], at least LEAST_SIGMA; None = the clip's own depth noise.
         mechanics: integrator of the fitted model.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import time
 from collections.abc import Iterator
@@ -10,7 +11,7 @@ import numpy as np
 
 from data.contact.features import FEATURES, contact_features
 from data.contact.film_features import FILM_FEATURES, dent_features, told_noise
-from data.contact.interaction import Horizon, Interaction, InteractionBuilder
+from data.contact.interaction import FIELD, Horizon, Interaction, InteractionBuilder
 from data.prepared import PreparedFrame
 from data.windows import FrameWindow
 from estimators.contract import ClipInfo, Said
@@ -43,6 +44,8 @@ class NetworkEstimator(ModelEstimator):
         model: the exported network.
         onset: when a press begins, one of `estimators.onset.ONSETS`.
         horizon: how much of a whole contact is looked at.
+        observation: what of it, one of `data.contact.interaction.OBSERVATIONS`. By the contact's point alone the
+            network is told of no dent, and depth windows are blank.
 
     Raises:
         ModelFileError: its metadata can't be used.
@@ -51,10 +54,10 @@ class NetworkEstimator(ModelEstimator):
     name = "network"
     model: PosteriorModel
 
-    def __init__(self, model: PosteriorModel, onset: str, horizon: Horizon = None) -> None:
+    def __init__(self, model: PosteriorModel, onset: str, horizon: Horizon = None, observation: str = FIELD) -> None:
         super().__init__(model)
-        self.onset, self.horizon = onset, horizon
-        self.described = {"name": self.name, "onset": onset, "horizon": horizon}
+        self.onset, self.horizon, self.observation = onset, horizon, observation
+        self.described = {"name": self.name, "onset": onset, "observation": observation, "horizon": horizon}
         """What is not in the model's file."""
         self.sees_film = model.inputs[CONTACT] == (FEATURES + FILM_FEATURES,)
         """Whether it is told of the whole dent, and of how well the instants of the press are known."""
@@ -78,6 +81,8 @@ class NetworkEstimator(ModelEstimator):
         """
         if not (math.isfinite(contact.noise) and contact.noise > 0):
             raise NoEstimate(NO_NOISE)
+        if self.observation != FIELD:
+            contact = dataclasses.replace(contact, film=None)
         load, (shortest, longest) = contact.load_seconds, self.press_seconds
         if not shortest - ROUNDING <= load <= longest + ROUNDING:
             contact = contact.observed(contact.observation.times <= min(load, longest) + ROUNDING)
@@ -136,6 +141,8 @@ class NetworkSession(RunSession):
             ModelFileError: the network gives a number that is not finite.
         """
         depth = self._window.push(frame) if self.estimator.model.takes_depth else None
+        if depth is not None and self.estimator.observation != FIELD:
+            depth = np.zeros_like(depth)  # as where no pixel has a depth
         ended = self._runs.push(frame)
         run = self._runs.current
         yield from self._ended(ended)

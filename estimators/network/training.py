@@ -43,11 +43,10 @@ from torch import Tensor, nn
 from data.command_line import path_option, progress_bars, say, whole_number
 from data.contact.features import FEATURES, contact_features, contact_surroundings
 from data.contact.film_features import FILM_FEATURES, film_features
-from data.contact.interaction import Interaction
+from data.contact.interaction import CONTACT, FIELD, Interaction
 from data.synthetic.contacts import SimulatedContact, draw_contacts
 from data.synthetic.settings import SceneSettings
 from data.synthetic.truth import REGIMES
-from estimators.direct.estimator import CONTACT, FIELD
 from estimators.network.draws import NOISE, Drawn, draw_observed
 from estimators.network.fits import BOUNDS, EXPLAINED, FRAME, MECHANICS, SCENES, Films, Fits, fit_film, fit_motion
 from estimators.worker_pool import WorkerLost, run_tasks

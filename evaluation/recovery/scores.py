@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimators.direct.estimator import FIELD
+from data.contact.interaction import FIELD
 from estimators.estimate import NINETY
 from estimators.onset import STAMP
 from evaluation.recovery.bounds import known

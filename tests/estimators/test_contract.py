@@ -223,6 +223,19 @@ def test_a_network_that_takes_depth_looks_at_it(
         assert first is None or not np.allclose(first.theta, second.theta, rtol=1e-6)
 
 
+def test_by_the_point_alone_no_depth_counts(files: dict[str, EstimatorOptions], frames: list[PreparedFrame]) -> None:
+    estimator = open_estimator(dataclasses.replace(files["network with depth"], observation="contact"))
+    dark = [dataclasses.replace(frame, depth=0.5 * frame.depth) for frame in frames]
+    estimates = 0
+    for said in zip(said_of(estimator, frames), said_of(estimator, dark), strict=True):
+        first, second = (item.estimate for item in said)
+        assert (first is None) == (second is None)
+        if first is not None:
+            np.testing.assert_array_equal(first.theta, second.theta)
+            estimates += 1
+    assert estimates > 1
+
+
 def test_nothing_of_a_clip_stays_with_the_estimator(estimator: Estimator, clips: list[list[PreparedFrame]]) -> None:
     before, held = dict(vars(estimator)), reachable(estimator)
     said_of(estimator, clips[0])

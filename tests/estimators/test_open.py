@@ -3,6 +3,7 @@
 import pytest
 
 from estimators.open import EstimatorOptions, open_estimator
+from tests.inference_inputs import write_model
 
 
 @pytest.mark.parametrize("name", ["network", "direct"])
@@ -13,16 +14,19 @@ def test_what_an_estimator_is_opened_with_is_in_its_description(name: str) -> No
     assert open_estimator(EstimatorOptions(name, onset="stamp")).described == usual | {"onset": "stamp"}
 
 
-def test_direct_alone_is_told_what_to_compare() -> None:
-    usual = open_estimator(EstimatorOptions("direct"))
-    point = open_estimator(EstimatorOptions("direct", observation="contact"))
+@pytest.mark.parametrize("name", ["direct", "network"])
+def test_what_is_looked_at_can_be_chosen(name: str) -> None:
+    usual = open_estimator(EstimatorOptions(name))
+    point = open_estimator(EstimatorOptions(name, observation="contact"))
     assert usual.observation == usual.described["observation"] == "field"
     assert point.observation == "contact"
     assert point.described == usual.described | {"observation": "contact"}
-    assert "observation" not in open_estimator(EstimatorOptions("network")).described
-    for name in ("network", "gan"):
-        with pytest.raises(ValueError, match="--observation is for --estimator direct; leave it out"):
-            open_estimator(EstimatorOptions(name, observation="field"))
+
+
+def test_a_network_of_single_frames_has_no_choice_of_what_to_look_at(tmp_path) -> None:
+    options = EstimatorOptions("gan", write_model(tmp_path / "gan.onnx"), observation="contact")
+    with pytest.raises(ValueError, match="sees single frames; leave --observation contact out"):
+        open_estimator(options)
 
 
 def test_online_alone_takes_settings_and_nothing_else(tmp_path) -> None:

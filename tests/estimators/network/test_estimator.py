@@ -10,7 +10,7 @@ import pytest
 
 from data.contact.features import FEATURES, contact_features, contact_spacing
 from data.contact.film_features import FILM_FEATURES, film_features
-from data.contact.interaction import Interaction, InteractionBuilder
+from data.contact.interaction import CONTACT, FIELD, Interaction, InteractionBuilder
 from data.contact.motion import FRAYED, LOST
 from data.prepared import PreparedFrame
 from data.synthetic.clip import SyntheticClip
@@ -291,6 +291,15 @@ def test_frames_of_an_oblique_press_say_so(
     assert all(detail.endswith(told) for detail in details[onset + 2 : release])
     assert not any(told in detail for detail in details[: onset + 2] + details[release:])
     assert run.detail.endswith(told)
+
+
+def test_by_the_point_alone_the_network_is_told_of_no_dent(
+    film_posterior, contact: Interaction, filmed: Interaction
+) -> None:
+    point, dent = (NetworkEstimator(film_posterior, STAMP, observation=seen) for seen in (CONTACT, FIELD))
+    expected = estimated(dent, contact)
+    np.testing.assert_array_equal(estimated(point, point.told(filmed)).theta, expected.theta)
+    assert not np.allclose(estimated(dent, dent.told(filmed)).theta, expected.theta, rtol=1e-6)
 
 
 def test_a_network_that_is_told_of_the_dent_is_told_how_well_the_instants_are_known(

@@ -5,6 +5,7 @@ recovery     synthetic clips with known truth against the best that is possible;
 calibration  a trained posterior's standard deviations made to hold, and its export; a door of its own
 next_depth   the picture some frames ahead by physics and by a trained generator, against truth; a door of its own
 watched      a synthetic clip beside its noise-free truth; generated: what a trained generator makes of it
+colour_bound what colours could tell beside depth, which no estimator looks at; a door of its own
 beside_truth estimates of synthetic clips beside their truth; a door of its own
 real         real clips, judged on what was kept back from the fit; a door of its own
 palpation    measured forces on tissue, judged on what was kept back; a door of its own

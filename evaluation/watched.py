@@ -65,9 +65,17 @@ class WatchedClip:
         Raises:
             SceneError: that motion can't be integrated.
         """
+        return _observed(_quiet(self.scene), self.motion_at(theta), self.seed)[0]
+
+    def motion_at(self, theta: np.ndarray) -> PressedMotion:
+        """How the tissue would truly have moved.
+
+        Raises:
+            SceneError: that can't be integrated.
+        """
         motion = self.motion
         instants = motion.onset_frame, motion.release_frame, None, motion.delay, motion.release_delay
-        return _observed(_quiet(self.scene), simulate_motion(self.scene, theta, *instants), self.seed)[0]
+        return simulate_motion(self.scene, theta, *instants)
 
 
 def watch(suite: str, index: int, seed: int) -> WatchedClip | None:

@@ -26,6 +26,7 @@ DOORS = {
     "evaluation.calibration": ["-m", "evaluation.calibration"],
     "evaluation.ablations": ["-m", "evaluation.ablations"],
     "evaluation.beside_truth": ["-m", "evaluation.beside_truth"],
+    "evaluation.colour_bound": ["-m", "evaluation.colour_bound"],
     "evaluation.foreign.__main__": ["-m", "evaluation.foreign"],
     "evaluation.next_depth": ["-m", "evaluation.next_depth"],
     "evaluation.palpation.__main__": ["-m", "evaluation.palpation"],

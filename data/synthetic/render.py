@@ -54,6 +54,11 @@ class Renderer:
             RGB picture, shape [H, W, 3], uint8; grey class codes of `data.masks.class_table`, shape [H, W], uint8; true
             z, shape [H, W], float32 [scene units], 0 outside the endoscope's circle.
         """
+        picture, labels, depth = self.exact(index)
+        return self._digitised(picture), labels, depth
+
+    def exact(self, index: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The same without noise, the picture in sRGB before it is rounded, shape [H, W, 3], float32 in [0, 1]."""
         view = deformed_view(self.scene, self.motion, index, self.rest)
         labels, light, depth = self.rest_labels.copy(), self.rest_light.copy(), view.depth.copy()
         if view.region[0].stop > 0:
@@ -68,7 +73,8 @@ class Renderer:
         light[tool.rows, tool.columns] = tool.light * np.square(EXPOSURE_DISTANCE / tool.depth)[:, None]
         if self.outside is not None:
             labels[self.outside], depth[self.outside], light[self.outside] = GREY["background"], 0, 0
-        return self._expose(light), labels, depth
+        blurred = cv2.GaussianBlur(light.astype(np.float32), (0, 0), 0.15 * self.scene.settings.cell[0] + 0.05)
+        return encode_srgb(np.clip(blurred, 0, 1)), labels, depth
 
     def _tissue_light(self, view: View, region: tuple[slice, slice]) -> np.ndarray:
         """Linear light of the tissue over a region, shape [h, w, 3]."""
@@ -114,10 +120,8 @@ class Renderer:
         speckle = self.albedo[..., 0][fat] / self.albedo[..., 0][fat].mean()
         light[fat] = np.array(FAT_ALBEDO) * (shade * (0.5 + 0.5 * speckle))[:, None]
 
-    def _expose(self, light: np.ndarray) -> np.ndarray:
-        """Linear light to a noisy 8-bit sRGB picture."""
-        blurred = cv2.GaussianBlur(light.astype(np.float32), (0, 0), 0.15 * self.scene.settings.cell[0] + 0.05)
-        picture = encode_srgb(np.clip(blurred, 0, 1))
+    def _digitised(self, picture: np.ndarray) -> np.ndarray:
+        """An exact picture with the camera's noise, in 8 bits."""
         if self.scene.settings.image_noise > 0:
             noise = self.noise.standard_normal(picture.shape, dtype=np.float32)
             picture = picture + self.scene.settings.image_noise * noise

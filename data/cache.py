@@ -31,7 +31,7 @@ from data.prepared import PreparedFrame
 from data.settings import PrepareSettings
 from data.source.camera import clip_camera
 from data.source.layout import InputError
-from physics.files import all_below
+from physics.files import all_below, file_sha256
 from physics.mesh import Mesh
 from physics.provenance import code_digest
 
@@ -91,7 +91,7 @@ def require_models(settings: PrepareSettings) -> list[tuple[Path, str]]:
     segmentation = mask_model(settings.masks)
     if segmentation is not None:
         beside = segmentation.with_suffix(".yaml")
-        models.append((segmentation, beside.read_text(encoding="utf-8") if isfile(beside) else ""))
+        models.append((segmentation, file_sha256(beside) if isfile(beside) else ""))
     return models
 
 
@@ -101,7 +101,7 @@ def _model_state(model: Path, reading: str) -> list[Any]:
     if state.st_size > HASHED_BYTES:
         return [reading, state.st_size, state.st_mtime_ns]
     # A fresh checkout changes the time of the models that come with it, so what is small goes by its content.
-    return [reading, hashlib.sha256(model.read_bytes()).hexdigest()]
+    return [reading, file_sha256(model)]
 
 
 @dataclass(eq=False)

@@ -27,9 +27,10 @@ from rich.table import Table
 from rich.text import Text
 
 from data.command_line import path_option, say
-from data.source.table import MOST_BYTES
+from data.source.table import MOST_BYTES, reason
 from estimators.estimate import COMBINATIONS, REPORTED, SYMBOLS
 from physics.doors import plain
+from physics.fields import LARGEST
 from physics.files import read_file
 from physics.mechanics import PARAMETERS
 from results.store import INTERACTIONS, RECORD
@@ -45,8 +46,15 @@ class NoTruth(ValueError):
 
 
 def true_values(theta: Mapping[str, float]) -> dict[str, float]:
-    """Every REPORTED combination of the true k_s, k_d and signed F."""
-    magnitudes = np.abs([theta[name] for name in PARAMETERS])
+    """Every REPORTED combination of the true k_s, k_d and signed F.
+
+    Raises:
+        KeyError, TypeError: a number is missing, or there are none.
+        ValueError: one is 0, infinite or no number.
+    """
+    magnitudes = np.abs([float(theta[name]) for name in PARAMETERS])
+    if not ((magnitudes > 0) & (magnitudes <= LARGEST)).all():
+        raise ValueError("theta is to be finite numbers other than 0")
     return {name: float(np.prod(magnitudes ** np.array(COMBINATIONS[name]))) for name in REPORTED}
 
 
@@ -63,12 +71,16 @@ def read_results(folder: Path) -> tuple[str, dict[str, str], dict[str, float]]:
         rows = [row for row in csv.DictReader(text) if row["status"] == "ok"]
         onsets = [float(row["onset_time_s"]) for row in rows]
     except (OSError, ValueError, KeyError, TypeError, RecursionError, csv.Error) as error:
-        raise NoTruth(f"{folder} holds no results of infer.py ({error}); give the folder of one clip.") from error
+        raise NoTruth(
+            f"{folder} holds no results of infer.py ({reason(error)}); give the folder of one clip."
+        ) from error
     try:
         truth = json.loads(read_file(clip / "truth.json", MOST_BYTES))
         values, onset = true_values(truth["theta"]), float(truth["onset_s"])
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        raise NoTruth(f"{clip} has no truth ({error}); give results of a frame folder of data.synthetic.") from error
+        raise NoTruth(
+            f"{clip} has no truth ({reason(error)}); give results of a frame folder of data.synthetic."
+        ) from error
     for row, begun in zip(rows, onsets, strict=True):
         if abs(begun - onset) * fps <= SAME_ONSET:
             return clip.name, row, values

@@ -161,11 +161,12 @@ def results_of(path: Path, settings: Mapping[str, Any]) -> list[Judged] | None:
         return None
     try:
         kept = json.loads(read_file(path))
-        if kept["settings"] != dict(settings):
-            raise OutputError(f"{path}: is of other settings; run with the same arguments or choose another --output.")
-        return [Judged(**suite) for suite in kept["suites"]]
-    except (OSError, KeyError, TypeError, json.JSONDecodeError) as error:
+        same, judged = kept["settings"] == dict(settings), [Judged(**suite) for suite in kept["suites"]]
+    except (OSError, KeyError, TypeError, ValueError, RecursionError) as error:
         raise OutputError(f"{path}: is not readable; remove it.") from error
+    if not same:
+        raise OutputError(f"{path}: is of other settings; run with the same arguments or choose another --output.")
+    return judged
 
 
 def measure(

@@ -31,6 +31,7 @@ from models.onnx_session import (
     FORMAT_VERSION,
     INPUT,
     METADATA_KEY,
+    MOST_BYTES,
     POSTERIOR,
     ExportedModel,
     ParameterModel,
@@ -163,7 +164,7 @@ def require_own_model(path: Path) -> None:
     if not os.path.lexists(path):
         return
     try:
-        found = onnx.load_model_from_string(read_file(path)).metadata_props
+        found = onnx.load_model_from_string(read_file(path, MOST_BYTES)).metadata_props
     except Exception as error:  # by where a file is damaged, protobuf or onnx gives up
         raise ForeignFile(path) from error
     if METADATA_KEY not in {entry.key for entry in found} or path.is_symlink():

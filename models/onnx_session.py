@@ -20,11 +20,14 @@ import onnxruntime
 
 from models.calibration import Widths
 from physics.fields import fits
+from physics.files import read_file
 
 SHIPPED = Path(__file__).resolve().parent / "weights" / "contact.onnx"
 """The contact posterior that comes with the program; its card lies beside it."""
 METADATA_KEY = "palpate"
 """Key of the custom metadata entry that holds everything inference needs, as one JSON document."""
+MOST_BYTES = 2**30
+"""Of a file; no network of ours has so many, and an ONNX file can't have more than twice that."""
 FORMAT_VERSION = 1
 """Version of that document's layout; raised when a reader of the old layout would misread the new one."""
 POSTERIOR = "posterior"
@@ -199,7 +202,7 @@ def _open_session(path: Path, threads: int | None) -> tuple[onnxruntime.Inferenc
     available = onnxruntime.get_available_providers()
     providers = [name for name in ("CUDAExecutionProvider", "CPUExecutionProvider") if name in available]
     try:
-        content = path.read_bytes()
+        content = read_file(path, MOST_BYTES)
         return (
             onnxruntime.InferenceSession(content, options, providers=providers),
             hashlib.sha256(content).hexdigest(),

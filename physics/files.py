@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import os
 import stat
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+MOST_BYTES = 2**24
+"""Files that describe something are smaller; an hour's time stamps are."""
 
-def read_file(path: Path, most: int | None = None) -> bytes:
+
+def read_file(path: Path, most: int = MOST_BYTES) -> bytes:
     """Content of a file.
 
     Args:
@@ -19,12 +23,28 @@ def read_file(path: Path, most: int | None = None) -> bytes:
     Raises:
         OSError: it can't be read, is larger, or is a pipe, which would be waited for, or a device, which has no end.
     """
+    state = _require_file(path)
+    if stat.S_ISREG(state.st_mode) and state.st_size > most:
+        raise OSError(errno.EFBIG, f"larger than {most // 1024} kB", str(path))
+    return path.read_bytes()
+
+
+def file_sha256(path: Path) -> str:
+    """SHA-256 of a file's content, which is never in memory as a whole.
+
+    Raises:
+        OSError: it can't be read, or is a pipe or a device.
+    """
+    _require_file(path)
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _require_file(path: Path) -> os.stat_result:
     state = path.stat()
     if not (stat.S_ISREG(state.st_mode) or stat.S_ISDIR(state.st_mode)):
         raise OSError(errno.EINVAL, "no file but a pipe or a device", str(path))
-    if most is not None and stat.S_ISREG(state.st_mode) and state.st_size > most:
-        raise OSError(errno.EFBIG, f"larger than {most // 1024} kB", str(path))
-    return path.read_bytes()
+    return state
 
 
 def all_below(folder: Path) -> list[Path]:

@@ -6,14 +6,13 @@ A hidden list in every folder tells them by their hashes.
 from __future__ import annotations
 
 import errno
-import hashlib
 import json
 import os
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 
-from physics.files import read_file, replacing
+from physics.files import file_sha256, read_file, replacing
 
 LIST = ".written-by-palpate.json"
 """Of what this program wrote in its folder: two hashes by name, the earlier file's and the one that took its place."""
@@ -36,7 +35,7 @@ def require_own(*paths: Path) -> None:
         ForeignFile: something is there that is not as this program wrote it.
     """
     for path in paths:
-        if os.path.lexists(path) and (path.is_symlink() or not set(_digests(path)) & set(_written(path.parent, path))):
+        if os.path.lexists(path) and (path.is_symlink() or not _is_listed(path)):
             raise ForeignFile(path)
 
 
@@ -58,14 +57,15 @@ def replacing_own(path: Path) -> Generator[Path]:
             listed.write_text(json.dumps({"program": "palpate", "files": files}, indent=1) + "\n", encoding="utf-8")
 
 
-def _written(folder: Path, path: Path) -> list[str]:
-    found = _list_of(folder).get(path.name, [])
-    return [digest for digest in found if isinstance(digest, str)] if isinstance(found, list) else []
+def _is_listed(path: Path) -> bool:
+    """Whether a file is as the list beside it has it; one that has no entry, whatever its size, is not read."""
+    found = _list_of(path.parent).get(path.name)
+    return isinstance(found, list) and any(digest in found for digest in _digests(path))
 
 
 def _digests(path: Path) -> list[str]:
     """Hash of a file; none where there is no file."""
-    return [hashlib.sha256(read_file(path)).hexdigest()] if path.is_file() else []
+    return [file_sha256(path)] if path.is_file() else []
 
 
 def _list_of(folder: Path) -> dict[str, list[str]]:

@@ -21,10 +21,10 @@ from data.source.frames import FrameSource
 from estimators.contract import Estimator
 from estimators.estimate import FrameEstimate
 from models.onnx_session import ExportedModel, PosteriorModel
-from physics.files import all_below
+from physics.files import all_below, file_sha256
 from physics.provenance import code_digest
 from results import columns
-from results.store import INTERACTIONS, PROGRAM, TABLE, WRITTEN, file_sha256, own_files
+from results.store import INTERACTIONS, PROGRAM, TABLE, WRITTEN, own_files
 from results.writer import ClipResults
 
 FORMAT_VERSION = 1

@@ -29,6 +29,7 @@ from estimators.known_force import read_forces
 from estimators.model_settings import check_sources
 from estimators.open import EstimatorOptions, open_estimator
 from physics.doors import INTERRUPTED, plain
+from physics.files import file_sha256
 from results.record import build_record, depends_on, describe, fingerprint_of, model_of
 from results.store import (
     FIELDS,
@@ -37,7 +38,6 @@ from results.store import (
     PROGRAM,
     WRITTEN,
     ResultStore,
-    file_sha256,
     is_up_to_date,
     read_record,
 )

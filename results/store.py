@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from physics.files import read_file
+from physics.files import file_sha256, read_file
 from physics.ownership import ForeignFile
 
 TABLE, OVERLAY, SUMMARY, RECORD = "parameters.csv", "overlay.mp4", "summary.png", "run.json"
@@ -170,12 +170,6 @@ def write_record(folder: Path, record: Mapping[str, Any]) -> None:
     (folder / RECORD).write_bytes((document + "\n").encode("utf-8", "backslashreplace"))
 
 
-def file_sha256(path: Path) -> str:
-    """SHA-256 of a file's content."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
 def own_files(folder: Path) -> list[str]:
     """Names of the files that the folder's record says this program wrote, its own last; none without a record."""
     files = read_record(folder).get("files")
@@ -247,7 +241,9 @@ def _discard(partial: Path) -> None:
 def _is_as_recorded(path: Path) -> bool:
     """Whether a file is as the record beside it has it."""
     recorded = read_record(path.parent).get("files", {}).get(path.name)
-    return path.is_file() and (path.name == RECORD or file_sha256(path) == recorded)
+    if not path.is_file():
+        return False
+    return path.name == RECORD or (recorded is not None and file_sha256(path) == recorded)
 
 
 def _require_untouched(folder: Path, names: Iterable[str]) -> None:

@@ -6,7 +6,6 @@ under the key `masks`. They name the channels that are tool and tissue; docs/mas
 
 from __future__ import annotations
 
-import hashlib
 import json
 from dataclasses import dataclass
 from os.path import isfile
@@ -24,6 +23,7 @@ from data.source.camera import MOST_SIDE
 from data.source.frames import Frame
 from data.source.layout import InputError, from_mapping, read_mapping
 from physics.fields import require_choices
+from physics.files import file_sha256
 
 METADATA_KEY = "masks"
 
@@ -86,7 +86,7 @@ class OnnxMasks:
         self._network = PictureNetwork(path)
         self.path, self.settings = path, read_settings(path, self._network.metadata)
         self._fixed = self._network.fixed_size(self.settings.axes.upper())
-        self.identity = f"onnx:{hashlib.sha256(path.read_bytes()).hexdigest()}:{self.settings}"
+        self.identity = f"onnx:{file_sha256(path)}:{self.settings}"
 
     def reset(self) -> None:
         """Nothing is remembered from frame to frame."""

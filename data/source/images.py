@@ -12,12 +12,15 @@ import numpy as np
 
 from data.source.layout import InputError
 from physics.doors import plain
+from physics.files import read_file
 
 # The environment's level is read when OpenCV is first imported, which may have been elsewhere.
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 
 MOST_PIXELS = 2**25
 """Larger pictures are not unpacked; those of 8K have fewer."""
+MOST_BYTES = 8 * MOST_PIXELS
+"""No picture's file is larger: four channels of 16 bits, not packed."""
 LONGEST = 600
 """Letters of a path in a sentence."""
 _MOST = f"{MOST_PIXELS / 1e6:.0f} million pixels; store it smaller"
@@ -36,7 +39,7 @@ def read_image(path: Path, flags: int = cv2.IMREAD_COLOR_RGB, most: float = MOST
     try:
         if path.exists() and not path.is_file():  # a pipe would be waited for, a device has no end
             raise InputError(f"{printable(path)} is no file; put the picture itself there.")
-        content = path.read_bytes()
+        content = read_file(path, MOST_BYTES)
     except OSError as error:
         raise InputError(f"{printable(path)} can't be read ({error.strerror}); check the file.") from error
     if not content:

@@ -21,6 +21,19 @@ MOST_TOLD = 120
 """Letters of a reason in a sentence."""
 
 
+def reason(error: Exception) -> str:
+    """Why a file can't be read, in a few words that don't repeat its content."""
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror
+    if isinstance(error, UnicodeError):
+        return "it is no text"
+    if isinstance(error, KeyError):
+        return f"there is no {plain(str(error))[:MOST_TOLD]}"
+    if isinstance(error, (TypeError, AttributeError, RecursionError)):
+        return "it is built otherwise"
+    return plain(str(error))[:MOST_TOLD]
+
+
 def read_columns(path: Path, columns: Sequence[str], what: str) -> np.ndarray:
     """Columns of a table with a head, shape [rows, columns]; they need not be finite.
 
@@ -34,10 +47,10 @@ def read_columns(path: Path, columns: Sequence[str], what: str) -> np.ndarray:
     give = f"give a CSV file with the columns {', '.join(columns)}"
     try:
         text = io.StringIO(read_file(path, MOST_BYTES).decode("utf-8-sig"), newline="")
-        found = [[float(row[name]) for name in columns] for row in csv.DictReader(text)]
-    except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
-        told = getattr(error, "strerror", None) or plain(str(error))[:MOST_TOLD]
-        raise InputError(f"{printable(path)} is no {what} ({told}); {give}.") from error
+        rows = csv.DictReader(text, restval="")  # of a row that ends early
+        found = [[float(row[name]) for name in columns] for row in rows]
+    except (OSError, ValueError, KeyError, csv.Error) as error:
+        raise InputError(f"{printable(path)} is no {what} ({reason(error)}); {give}.") from error
     table = np.array(found, dtype=np.float64).reshape(-1, len(columns))
     if (np.abs(table[np.isfinite(table)]) > LARGEST).any():
         raise InputError(f"{printable(path)} holds a number beyond ±{LARGEST:g}; correct the file.")

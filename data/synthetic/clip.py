@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import json
 import os
 import secrets
@@ -23,7 +22,7 @@ from data.synthetic.scene import Scene, draw_scene
 from data.synthetic.settings import SceneSettings
 from data.synthetic.slab import SlabMotion, draw_slab
 from data.synthetic.truth import Motion, PressedMotion, draw_motion
-from physics.files import all_below, read_file
+from physics.files import all_below, file_sha256, read_file
 
 MARKER = "synthetic.json"
 """File of a clip's videoNN that tells which files this program wrote there, each with its hash."""
@@ -224,7 +223,7 @@ def _content(folder: Path) -> dict[str, str]:
     for path in all_below(folder):
         name = path.relative_to(folder).as_posix()
         if path.is_file() and not path.is_symlink():
-            content[name] = hashlib.sha256(path.read_bytes()).hexdigest()
+            content[name] = file_sha256(path)
         elif path.is_symlink() or not path.is_dir() or not any(path.iterdir()):
             content[name] = ""
     return content

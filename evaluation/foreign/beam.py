@@ -20,8 +20,7 @@ from scipy.sparse import diags_array
 from scipy.sparse.linalg import eigsh
 
 from data.source.layout import InputError
-from data.source.table import MOST_BYTES, MOST_TOLD
-from physics.doors import plain
+from data.source.table import MOST_BYTES, reason
 from physics.fem import Material, Relaxation, box, make_solid
 from physics.fem.laws import respond
 from physics.fields import LARGEST
@@ -80,7 +79,7 @@ def read_ringing(path: Path) -> Ringing:
             text = io.StringIO(read_file(path, MOST_BYTES).decode("utf-8-sig"))
             table = np.loadtxt(text, delimiter=",", skiprows=1, ndmin=2)
     except (OSError, ValueError, UserWarning) as error:
-        told = getattr(error, "strerror", None) or plain(str(error))[:MOST_TOLD]
+        told = reason(error)
         raise InputError(f"{path.name} is no table of numbers ({told}); give times and markers by columns.") from error
     if table.shape[1] < 1 + 3 * TIP or len(table) < 50 or not (np.abs(table) <= LARGEST).all():
         raise InputError(f"{path.name} has shape {table.shape}; give times and three markers at least, 50 rows.")

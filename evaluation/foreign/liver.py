@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import io
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
-from zipfile import BadZipFile, ZipFile
+from zipfile import ZipFile
 
 import numpy as np
 
 from data.source.layout import InputError
-from data.source.table import MOST_TOLD
+from data.source.table import reason
 from estimators.estimate import NINETY
 from evaluation.foreign.surface_fit import SurfaceFit, fit_surface
-from physics.doors import plain
 from physics.fem import Material, NoEquilibrium, Solid, make_solid
 from physics.files import read_file
 
@@ -70,7 +68,8 @@ def read_gmsh(path: Path) -> tuple[np.ndarray, np.ndarray]:
         order = {int(row[0]): index for index, row in enumerate(parts["Nodes"])}
         cells = [[order[int(node)] for node in row[-4:]] for row in parts["Elements"] if row[1] == "4"]
     except (OSError, ValueError, IndexError, KeyError) as error:
-        raise InputError(f"{path.name} is no text mesh of Gmsh's format 2 ({error!r}); export it as that.") from error
+        told = reason(error) if isinstance(error, (OSError, UnicodeError)) else "its sections are not as announced"
+        raise InputError(f"{path.name} is no text mesh of Gmsh's format 2 ({told}); export it as that.") from error
     if not cells:
         raise InputError(f"{path.name} holds no tetrahedra; mesh the volume.")
     return nodes, np.array(cells)
@@ -102,9 +101,8 @@ def read_pull(path: Path) -> Pull:
     try:
         data = _arrays(path)
         vertices = np.load(io.BytesIO(read_file(path.parent / HELD, MOST_BYTES)), allow_pickle=False)
-    except (OSError, ValueError, EOFError, BadZipFile, MemoryError, zlib.error, NotImplementedError) as error:
-        told = getattr(error, "strerror", None) or plain(str(error))[:MOST_TOLD]
-        raise InputError(f"{path.name} or {HELD} can't be read ({told}); copy it anew.") from error
+    except Exception as error:  # by where a file is damaged, readers of zip files, headers or arrays give up
+        raise InputError(f"{path.name} or {HELD} can't be read ({reason(error)}); copy it anew.") from error
     missing = [name for name in NEEDED if name not in data]
     if missing:
         raise InputError(f"{path.name} lacks {', '.join(missing)}; it is no sequence of the liver.")

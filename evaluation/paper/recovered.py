@@ -26,12 +26,12 @@ from rich.console import Console
 from scipy import stats
 
 from data.command_line import path_option, say
-from data.source.table import MOST_BYTES, MOST_TOLD
+from data.source.table import MOST_BYTES, reason
 from estimators.estimate import COMBINATIONS, REPORTED
 from evaluation.beside_truth import true_values
 from evaluation.paper.statistics import format_number
 from evaluation.tables import to_markdown
-from physics.doors import plain
+from physics.fields import LARGEST
 from physics.files import read_file
 from physics.mechanics import PARAMETERS
 
@@ -51,9 +51,11 @@ def read_contacts(evaluation: Path, clips: Path) -> pd.DataFrame:
         frames = pd.read_csv(text, dtype={"clip": str, **dict.fromkeys(PARAMETERS, float)})[["clip", *PARAMETERS]]
         if not len(frames) or not frames["clip"].notna().all():
             raise ValueError("a row without a clip, or none")
+        if not (frames[list(PARAMETERS)].abs() <= LARGEST).all(axis=None):
+            raise ValueError(f"an estimate that is no number up to {LARGEST:g}")
     except (OSError, ValueError, KeyError) as error:
-        told = plain(str(error))[:MOST_TOLD]
-        raise ValueError(f"{evaluation} holds no per_frame.csv of train.py test ({told}); test a network.") from error
+        told = f"holds no per_frame.csv of train.py test ({reason(error)}); test a network"
+        raise ValueError(f"{evaluation} {told}.") from error
     magnitudes = np.maximum(frames[list(PARAMETERS)].abs().to_numpy(), LEAST)
     for name in REPORTED:
         frames[name] = np.prod(magnitudes ** np.array(COMBINATIONS[name]), axis=1)
@@ -63,8 +65,8 @@ def read_contacts(evaluation: Path, clips: Path) -> pd.DataFrame:
         try:
             truths[clip] = true_values(json.loads(read_file(file, MOST_BYTES))["theta"])
         except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-            told = plain(str(error))[:MOST_TOLD]
-            raise ValueError(f"{file} is no truth of data.synthetic ({told}); give the clips' folder.") from error
+            told = f"is no truth of data.synthetic ({reason(error)}); give the clips' folder"
+            raise ValueError(f"{file} {told}.") from error
     return frames.join(pd.DataFrame.from_dict(truths, orient="index").add_prefix("true_"), on="clip")
 
 

@@ -24,6 +24,8 @@ FILES: dict[type, str] = {Recovery: RESULTS, GripRecovery: "grips.jsonl", SlabRe
 """By the kind of results."""
 RECORD = "run.json"
 FORMAT_VERSION = 4
+MOST_BYTES = 2**27
+"""Of a file of results; tens of thousands are smaller."""
 BEGINNING = b'{"suite": "'
 """Of every line of results."""
 
@@ -114,7 +116,7 @@ def read_results(path: Path, kind: type = Recovery) -> list[Any]:
         OSError: the file can't be read.
     """
     found: dict[tuple[str, int, str], Any] = {}
-    for number, line in enumerate(read_file(path).splitlines(), 1):
+    for number, line in enumerate(read_file(path, MOST_BYTES).splitlines(), 1):
         try:
             known: dict[str, Any] = {
                 name: np.array(value) if isinstance(value, list) else value
@@ -122,17 +124,17 @@ def read_results(path: Path, kind: type = Recovery) -> list[Any]:
                 if value is not None
             }
             row = kind(**known)
+            found.setdefault(row.key, row)
         except (ValueError, TypeError, AttributeError, RecursionError) as error:
             raise OutputError(
                 f"{path}: line {number} is not a result; remove that line or choose another --output."
             ) from error
-        found.setdefault(row.key, row)
     return list(found.values())
 
 
 def _cut_unfinished(path: Path) -> None:
     """Remove a last line that a killed run left without its end; one that doesn't begin as ours do stays."""
-    data = read_file(path)
+    data = read_file(path, MOST_BYTES)
     complete = data.rfind(b"\n") + 1
     cut = data[complete:]
     if cut and BEGINNING.startswith(cut[: len(BEGINNING)]):

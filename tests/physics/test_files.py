@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from physics.files import all_below, read_file, replacing
+from physics.files import all_below, file_sha256, read_file, replacing
 
 
 @pytest.fixture
@@ -51,6 +51,22 @@ def test_only_a_file_of_a_reasonable_size_is_read(tmp_path, make, told):
         read_file(tmp_path / "it", 2048)
     (tmp_path / "file").write_bytes(b"x" * 2048)
     assert read_file(tmp_path / "file", 2048) == b"x" * 2048
+
+
+def test_a_hash_is_that_of_the_content_and_waits_for_nothing(tmp_path):
+    (tmp_path / "file").write_bytes(b"abc")
+    # FIPS 180-2, appendix B.1.
+    assert file_sha256(tmp_path / "file") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(OSError, match="no file but a pipe"):
+        file_sha256(tmp_path / "pipe")
+
+
+def test_what_no_one_bounds_is_bounded(tmp_path):
+    with (tmp_path / "file").open("wb") as file:
+        file.truncate(12 * 2**30)
+    with pytest.raises(OSError, match="larger than 16384 kB"):
+        read_file(tmp_path / "file")
 
 
 @pytest.mark.parametrize("name", ["d", "a folder whose path gets too long"])

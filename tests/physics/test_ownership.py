@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from physics import ownership
 from physics.ownership import LIST, ForeignFile, replacing_own, require_own
 
 
@@ -110,4 +111,20 @@ def test_a_list_that_was_changed_owns_nothing(tmp_path: Path, listed: object) ->
     (tmp_path / LIST).write_text(json.dumps({"program": "palpate", "files": {"a": listed}}))
     (tmp_path / "a").write_text("mine")
     with pytest.raises(ForeignFile):
+        write(tmp_path / "a", "own")
+
+
+def test_a_huge_file_that_is_none_of_ours_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of 12 GB and in no list, or listed and larger than memory: its hash alone, in pieces."""
+    with (tmp_path / "a").open("wb") as file:
+        file.truncate(12 * 2**30)
+    monkeypatch.setattr(ownership, "file_sha256", lambda path: pytest.fail("it was read"))
+    with pytest.raises(ForeignFile):
+        require_own(tmp_path / "a")
+
+
+def test_a_huge_list_is_none_of_ours(tmp_path: Path) -> None:
+    with (tmp_path / LIST).open("wb") as file:
+        file.truncate(12 * 2**30)
+    with pytest.raises(ForeignFile, match=LIST):
         write(tmp_path / "a", "own")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from data.source.layout import InputError
-from data.source.table import read_columns
+from data.source.table import read_columns, reason
 
 
 def test_columns_come_in_the_order_that_is_asked_for(tmp_path: Path) -> None:
@@ -28,3 +28,24 @@ def test_a_number_beyond_all_use_is_told(tmp_path: Path, row: str) -> None:
     (tmp_path / "a.csv").write_text(f"a\n{row}\n")
     with pytest.raises(InputError, match=r"a\.csv holds a number beyond ±1e\+15; correct the file\."):
         read_columns(tmp_path / "a.csv", ("a",), "table")
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        (b"a,b\n1,2\n3\n", "could not convert string to float: ''"),
+        (b"a,c\n1,2\n", "there is no 'b'"),
+        (b"\xff\xfe\x00" * 99, "it is no text"),
+        (b"a,b\n" + b"9" * 200_000 + b",1\n", "field larger than field limit (131072)"),
+    ],
+)
+def test_what_is_wrong_is_told_in_a_few_words(tmp_path: Path, content: bytes, told: str) -> None:
+    (tmp_path / "a.csv").write_bytes(content)
+    with pytest.raises(InputError) as refused:
+        read_columns(tmp_path / "a.csv", ("a", "b"), "table")
+    assert str(refused.value).endswith(f"a.csv is no table ({told}); give a CSV file with the columns a, b.")
+
+
+@pytest.mark.parametrize("error", [TypeError("'NoneType'"), RecursionError(), AttributeError("x")])
+def test_what_python_says_of_itself_is_not_told(error: Exception) -> None:
+    assert reason(error) == "it is built otherwise"

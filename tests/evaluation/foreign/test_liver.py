@@ -71,6 +71,30 @@ def test_a_sequence_that_does_not_fit_is_a_sentence(tmp_path: Path, change: dict
         read_pull(path)
 
 
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        (b"\xff" * 5000, "it is no text"),
+        (b"x" * 5_000_000, "its sections are not as announced"),
+        (b"$Nodes\n1\n1e308 0 0 0\n$Elements\n0\n", "its sections are not as announced"),
+    ],
+)
+def test_a_mesh_that_is_none_is_a_sentence_without_its_content(tmp_path: Path, content: bytes, told: str) -> None:
+    (tmp_path / MESH).write_bytes(content)
+    with pytest.raises(InputError) as refused:
+        read_gmsh(tmp_path / MESH)
+    assert str(refused.value) == f"{MESH} is no text mesh of Gmsh's format 2 ({told}); export it as that."
+
+
+def test_a_header_that_numpy_does_not_understand_is_a_sentence(tmp_path: Path) -> None:
+    """Its tokenizer, which reads headers of the first versions, has errors of its own."""
+    path = write_pull(tmp_path, "linear")
+    content = (tmp_path / HELD).read_bytes()
+    (tmp_path / HELD).write_bytes(content.replace(b"(", b"["))
+    with pytest.raises(InputError, match=f"linear_s1.npz or {HELD} can't be read"):
+        read_pull(path)
+
+
 @pytest.mark.parametrize("name", ["linear_s1.npz", HELD, MESH])
 def test_a_pipe_is_not_waited_for(tmp_path: Path, name: str) -> None:
     path = write_pull(tmp_path, "linear")

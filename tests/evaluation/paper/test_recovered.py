@@ -67,14 +67,22 @@ def row_of_a_clip(path: Path) -> None:
 @pytest.mark.parametrize(
     ("table", "truth", "told"),
     [
-        (os.mkfifo, "{}", "holds no per_frame.csv of train.py test ([Errno 22] no file but a pipe or a device"),
+        (os.mkfifo, "{}", "holds no per_frame.csv of train.py test (no file but a pipe or a device"),
         (lambda path: path.write_bytes(bytes(range(128, 256))), "{}", "holds no per_frame.csv of train.py test"),
         (lambda path: path.write_text("clip,stiffness\n"), "{}", "holds no per_frame.csv of train.py test"),
         (lambda path: path.write_text("clip,stiffness,damping,force\n"), "{}", "a row without a clip, or none"),
         (lambda path: path.write_text("clip,stiffness,damping,force\n1,2,x,4\n"), "{}", "holds no per_frame.csv"),
-        (row_of_a_clip, "[" * 100_000, "truth.json is no truth of data.synthetic (maximum recursion"),
-        (row_of_a_clip, "[]", "truth.json is no truth of data.synthetic"),
-        (row_of_a_clip, '{"theta": {"foundation": 1}}', "truth.json is no truth of data.synthetic ('stiffness')"),
+        (row_of_a_clip, "[" * 100_000, "truth.json is no truth of data.synthetic (it is built otherwise)"),
+        (row_of_a_clip, "null", "truth.json is no truth of data.synthetic (it is built otherwise)"),
+        (row_of_a_clip, '{"theta": {"stiffness": 1, "damping": 1, "force": 0}}', "finite numbers other than 0"),
+        (row_of_a_clip, '{"theta": {"stiffness": "a", "damping": 1, "force": 1}}', "truth.json is no truth"),
+        (lambda path: path.write_text("clip,stiffness,damping,force\na,1e308,2,4\n"), "{}", "no number up to 1e+15"),
+        (lambda path: path.write_text("clip,stiffness,damping,force\na,nan,2,4\n"), "{}", "no number up to 1e+15"),
+        (
+            row_of_a_clip,
+            '{"theta": {"foundation": 1}}',
+            "truth.json is no truth of data.synthetic (there is no 'stiffness')",
+        ),
     ],
 )
 def test_what_can_t_be_compared_is_a_sentence(

@@ -24,6 +24,7 @@ from rich.progress import (
 from rich.text import Text
 
 from physics.doors import plain
+from physics.fields import LARGEST
 
 TOLD_SECONDS = 30.0
 """Time between two lines of progress where the output is no terminal [s]."""
@@ -63,7 +64,7 @@ def whole_number(least: int, most: int = LARGEST_NUMBER) -> Callable[[str], int]
 
 
 def real_number(wanted: str, least: float) -> Callable[[str], float]:
-    """Type of an option that takes finite numbers from `least` on; `wanted` says in words what it is not otherwise.
+    """Type of an option that takes numbers from `least` to LARGEST; `wanted` says in words what it is not otherwise.
 
     The type raises ArgumentTypeError, as argparse wants it.
     """
@@ -73,7 +74,7 @@ def real_number(wanted: str, least: float) -> Callable[[str], float]:
             value = float(text)
         except ValueError:
             value = math.nan
-        if not least <= value < math.inf:
+        if not least <= value <= LARGEST:
             raise argparse.ArgumentTypeError(f"'{text}' is not {wanted}")
         return value
 
@@ -115,9 +116,11 @@ class ToldProgress(Progress):
             return
         self._said = time.monotonic()
         task = next(task for task in self.tasks if task.id == task_id)
-        total, left = "?" if task.total is None else f"{task.total:g}", TimeRemainingColumn().render(task)
-        rate = Rate().render(task)
-        self.console.print(f"{task.description}: {task.completed:g} of {total}, {rate}, {left} left", markup=False)
+        total = "?" if task.total is None else f"{task.total:g}"
+        told = [f"{task.description}: {task.completed:g} of {total}", str(Rate().render(task))]
+        if task.time_remaining is not None:
+            told.append(f"{TimeRemainingColumn().render(task)} left")
+        self.console.print(", ".join(filter(None, told)), markup=False)  # neither is known from one step
 
 
 def progress_bars(console: Console, *, disable: bool = False) -> Progress:

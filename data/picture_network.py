@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -120,5 +121,6 @@ def network_input(
 
 
 def _first_line(error: Exception) -> str:
-    """First line of an error, short enough for a sentence."""
-    return str(error).strip().split("\n")[0][:200]
+    """First line of an error, short enough for a sentence, without the code and the path before onnxruntime's."""
+    line = (str(error).strip() or type(error).__name__).split("\n")[0]
+    return re.sub(r"^\[ONNXRuntimeError\] : \d+ : \w+ : (Load model from .* failed:)?", "", line)[:200].rstrip(". ")

@@ -18,6 +18,7 @@ from typing import Any
 from data.clip import ClipStream
 from data.settings import PREPROCESSING_VERSION, PrepareSettings
 from data.source.frames import FrameSource
+from data.source.images import MOST_BYTES
 from estimators.contract import Estimator
 from estimators.estimate import FrameEstimate
 from models.onnx_session import ExportedModel, PosteriorModel
@@ -180,6 +181,8 @@ def warnings_of(
 def sha256_of(path: Path) -> str:
     """SHA-256 of a file, or of a folder's files with their names; hidden ones and our own results don't count.
 
+    Of a folder's files that are too large to be pictures, size and time of change count instead of the content.
+
     Raises:
         OSError: a file can't be read.
     """
@@ -191,7 +194,9 @@ def sha256_of(path: Path) -> str:
         relative = file.relative_to(path)
         own = file.name in WRITTEN and file.name in own_files(file.parent)
         if not own and file.is_file() and not any(part.startswith(".") for part in relative.parts):
-            digest.update(f"{relative.as_posix()}\0{sha256_of(file)}\n".encode("utf-8", "surrogatepass"))
+            state = file.stat()
+            content = f"{state.st_size} {state.st_mtime_ns}" if state.st_size > MOST_BYTES else sha256_of(file)
+            digest.update(f"{relative.as_posix()}\0{content}\n".encode("utf-8", "surrogatepass"))
     return digest.hexdigest()
 
 

@@ -32,6 +32,8 @@ FASTEST = 1000.0
 """A stored frame rate above this is a container's default, not a camera's [1/s]."""
 LARGEST_NUMBER = 2**53
 """Frame numbers below this are exact as floating-point numbers too."""
+MOST_FOLDERS = 10_000
+"""Of a search for clips, which takes a millisecond a folder; the largest data sets have hundreds."""
 LEAST_SIDE, MOST_ASPECT = 32, 4
 """Smallest picture [px] and longest side over shortest; on smaller or longer ones OpenCV's optical flow crashes."""
 
@@ -315,7 +317,12 @@ def discover(inputs: list[Path], layout: ClipLayout) -> list[Path]:
 
 
 def _search(top: Path, layout: ClipLayout) -> list[Path]:
-    """Clips in a folder and below, in natural order."""
+    """Clips in a folder and below, in natural order.
+
+    Raises:
+        InputError: there is no end of folders.
+        OSError: the folder can't be listed.
+    """
     found: list[Path] = []
     seen: set[tuple[int, int]] = set()  # links may lead in circles
     left = [top]
@@ -330,6 +337,9 @@ def _search(top: Path, layout: ClipLayout) -> list[Path]:
             if place in seen or (folder / RESULT_FILE).is_file():
                 continue
             seen.add(place)
+            if len(seen) > MOST_FOLDERS:
+                told = f"holds more than {MOST_FOLDERS} folders, links followed; give those of the clips"
+                raise InputError(f"{printable(top)} {told}.")
             if frame_files(folder, layout):
                 found.append(folder)
                 continue

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+import threading
+from collections.abc import Generator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 # Decoder messages about broken files would bury our own sentence.
@@ -21,8 +24,12 @@ MOST_PIXELS = 2**25
 """Larger pictures are not unpacked; those of 8K have fewer."""
 MOST_BYTES = 8 * MOST_PIXELS
 """No picture's file is larger: four channels of 16 bits, not packed."""
+MOST_BESIDE = 2**20
+"""What a picture's file may hold beside its pixels [bytes]; packed, they are no more than their number."""
 LONGEST = 600
 """Letters of a path in a sentence."""
+_ONE_AT_A_TIME = threading.Lock()
+"""Else one thread would keep what another has put in descriptor 2's place."""
 _MOST = f"{MOST_PIXELS / 1e6:.0f} million pixels; store it smaller"
 
 
@@ -50,16 +57,33 @@ def read_image(path: Path, flags: int = cv2.IMREAD_COLOR_RGB, most: float = MOST
             told = f"is {width}x{height}, far larger than its picture; store it at that size"
             raise InputError(f"{printable(path)} {told}.")
         require_pixels(path, width, height)
+        if len(content) > 8 * width * height + MOST_BESIDE:
+            raise InputError(f"{printable(path)} is far larger than a picture of {width}x{height}; store it anew.")
     image = None
-    if not _truncated(content):  # whose decoder would also print a message of its own
+    if not _truncated(content):
         try:
-            image = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
+            with _silence():
+                image = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
         except cv2.error as error:
             if "MAX_IMAGE" in str(error):
                 raise InputError(f"{printable(path)} is more than {_MOST}.") from error
     if image is None:
         raise InputError(f"{printable(path)} can't be decoded as an image (truncated or damaged); copy it again.")
     return image
+
+
+@contextmanager
+def _silence() -> Generator[None]:
+    """Keep descriptor 2 from what libpng prints there by itself; our sentence says that a file is damaged."""
+    with _ONE_AT_A_TIME, ExitStack() as after:
+        with suppress(OSError):  # closed by the shell
+            kept = os.dup(2)
+            after.callback(os.close, kept)
+            after.callback(os.dup2, kept, 2)
+            nothing = os.open(os.devnull, os.O_WRONLY)
+            after.callback(os.close, nothing)
+            os.dup2(nothing, 2)
+        yield
 
 
 def require_pixels(path: Path, width: int, height: int) -> None:

@@ -71,9 +71,11 @@ class ClipLayout:
     """Camera file (YAML or JSON) beside the layout file, else relative to the clip's folder."""
 
     def __post_init__(self) -> None:
-        for name in ("image", "color_mask", "class_mask", "label_mask", "depth"):
+        for name in ("image", "color_mask", "class_mask", "label_mask", "depth", "camera"):
             pattern = getattr(self, name)
-            if pattern is not None and pattern.count("{number}") != 1:
+            if pattern is not None and "\0" in pattern:
+                raise ValueError(f"layout.{name} holds a NUL, which no file's name does; leave it out.")
+            if name != "camera" and pattern is not None and pattern.count("{number}") != 1:
                 raise ValueError(f"layout.{name} is '{pattern}'; write {{number}} once where the frame's digits stand.")
         for name in ("fps", "depth_factor"):
             if not 0 < getattr(self, name) < math.inf:

@@ -29,10 +29,10 @@ def test_whole_numbers_have_ends(text: str, said: str) -> None:
         whole_number(3, 9)("x")
 
 
-@pytest.mark.parametrize("text", ["x", "nan", "inf", "-inf", "0.4"])
+@pytest.mark.parametrize("text", ["x", "nan", "inf", "-inf", "0.4", "1e308"])
 def test_real_numbers_are_finite_and_have_a_lower_end(text: str) -> None:
     width = real_number("a width; give 0.5 or more", 0.5)
-    assert [width("0.5"), width("1e300")] == [0.5, 1e300]
+    assert [width("0.5"), width("1e15")] == [0.5, 1e15]
     with pytest.raises(argparse.ArgumentTypeError, match=f"'{text}' is not a width; give 0.5 or more"):
         width(text)
 
@@ -54,3 +54,13 @@ def test_without_a_terminal_progress_is_told_now_and_then(monkeypatch: pytest.Mo
     told = [line for line in text.getvalue().splitlines() if " of 40, " in line]
     assert [line.split(",")[0] for line in told] == [f"clips [of many]: {done} of 40" for done in (3, 6)]
     assert all("it/s" in line and "left" in line for line in told)
+
+
+def test_what_one_step_does_not_tell_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    text, clock = io.StringIO(), [1000.0]
+    monkeypatch.setattr("time.monotonic", lambda: clock[0])
+    with progress_bars(Console(file=text, width=200)) as bars:
+        job = bars.add_task("a slow clip", total=6)
+        clock[0] += 40
+        bars.update(job, completed=4)
+    assert text.getvalue().splitlines()[0] == "a slow clip: 4 of 6"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
@@ -22,6 +23,7 @@ from estimators.model_settings import preparation_settings
 from estimators.open import EstimatorOptions, open_estimator
 from models.calibration import Calibration, Widths
 from models.onnx_session import ParameterModel, PosteriorModel
+from results import record as recording
 from results.record import (
     UNCALIBRATED,
     build_record,
@@ -196,6 +198,21 @@ def test_hash_of_a_folder_follows_names_and_contents(tmp_path: Path) -> None:
     assert sha256_of(tmp_path / "clip") != second
     (tmp_path / "clip" / "out" / "run.json").write_bytes(b"{}")  # then nothing tells whose the files are
     assert len({first, second, sha256_of(tmp_path / "clip")}) == 3
+
+
+def test_a_file_that_is_too_large_for_a_picture_counts_by_size_and_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing reads it, and hashing 12 GB would take longer than the clip."""
+    (tmp_path / "1.png").write_bytes(b"x")
+    with (tmp_path / "2.png").open("wb") as file:
+        file.truncate(12 * 2**30)
+    opened = []
+    monkeypatch.setattr(recording, "file_sha256", lambda path: opened.append(path.name) or "0")
+    first = sha256_of(tmp_path)
+    assert opened == ["1.png"]
+    os.utime(tmp_path / "2.png", (1, 1))
+    assert sha256_of(tmp_path) != first
 
 
 def test_folders_in_a_clip_may_nest_as_deeply_as_the_disk_allows(tmp_path: Path, nested: Callable) -> None:

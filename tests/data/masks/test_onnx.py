@@ -166,7 +166,9 @@ def test_files_that_are_no_models(tmp_path):
     with pytest.raises(InputError, match=r"absent\.onnx does not exist; check the path"):
         mask_model(str(tmp_path / "absent.onnx"))
     (tmp_path / "text.onnx").write_text("hello")
-    with pytest.raises(InputError, match="can't be opened as an ONNX model"):
+    with pytest.raises(
+        InputError, match=r"can't be opened as an ONNX model \(Protobuf parsing failed\); export or download it again\."
+    ):
         OnnxMasks(tmp_path / "text.onnx")
 
 

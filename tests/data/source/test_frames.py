@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 import pytest
 
+from data.source import frames
 from data.source.camera import load_camera
 from data.source.frames import FrameFolder, VideoFile, discover, open_source
 from data.source.images import read_image
@@ -226,6 +227,18 @@ def test_discover_finds_clips_at_any_depth_in_natural_order(tmp_path):
     (tmp_path / "circle").symlink_to(tmp_path)
     found = [path.relative_to(tmp_path).as_posix() for path in discover([tmp_path], LAYOUT)]
     assert found == ["raw/a.avi", "video9/video9_00000", "video9/video9_00080", "video10/video10_00000"]
+
+
+def test_a_search_that_has_no_end_is_a_sentence(tmp_path, monkeypatch):
+    """As of a link to `/`; the clips before it are no answer."""
+    monkeypatch.setattr(frames, "MOST_FOLDERS", 20)
+    for index in range(19):
+        (tmp_path / "many" / f"{index}").mkdir(parents=True)
+    make_folder(tmp_path / "many" / "0", (1, 2))
+    assert discover([tmp_path / "many"], LAYOUT) == [tmp_path / "many" / "0"]
+    (tmp_path / "many" / "elsewhere").symlink_to(tmp_path)
+    with pytest.raises(InputError, match=r"many holds more than 20 folders, links followed; give those of the clips\."):
+        discover([tmp_path / "many"], LAYOUT)
 
 
 def test_discover_follows_a_layout_with_subfolders(tmp_path):

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import zlib
+
 import cv2
 import numpy as np
 import pytest
@@ -29,3 +32,58 @@ def test_channels_come_as_rgb(tmp_path):
     path = tmp_path / "red.png"
     path.write_bytes(cv2.imencode(".png", np.full((2, 2, 3), (0, 0, 200), np.uint8))[1].tobytes())
     assert read_image(path)[0, 0].tolist() == [200, 0, 0]
+
+
+def chunk(kind: bytes, content: bytes) -> bytes:
+    return len(content).to_bytes(4, "big") + kind + content + zlib.crc32(kind + content).to_bytes(4, "big")
+
+
+def png(width: int, height: int, kind: int, rows: bytes, *more: bytes, woven: int = 0) -> bytes:
+    """A picture of 8 bits whose chunks are sound by themselves."""
+    head = width.to_bytes(4, "big") + height.to_bytes(4, "big") + bytes((8, kind, 0, 0, woven))
+    chunks = (chunk(b"IHDR", head), *more, chunk(b"IDAT", zlib.compress(rows)), chunk(b"IEND", b""))
+    return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
+
+
+ROWS = (b"\0" + b"\x55" * 192) * 48
+"""64x48, without a filter."""
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        png(64, 48, 2, ROWS[:500]),
+        png(64, 48, 2, ROWS, woven=1),
+        png(64, 48, 3, ROWS),
+        png(0, 0, 2, ROWS),
+        png(2**24, 1, 2, ROWS),
+        png(64, 48, 2, ROWS)[:-30] + b"abcd" + png(64, 48, 2, ROWS)[-26:],
+    ],
+    ids=["short", "interlaced", "palette", "empty", "wide", "checksum"],
+)
+def test_a_decoder_says_nothing_of_its_own(tmp_path, capfd, content):
+    (tmp_path / "1.png").write_bytes(content)
+    with pytest.raises(InputError, match=r"1\.png can't be decoded as an image"):
+        read_image(tmp_path / "1.png")
+    os.write(2, b"and what comes after it is seen")
+    assert capfd.readouterr().err == "and what comes after it is seen"
+
+
+def test_a_text_that_unpacks_to_far_more_is_no_part_of_the_picture(tmp_path, capfd):
+    bomb = chunk(b"zTXt", b"k\0\0" + zlib.compress(b"A" * 30_000_000, 9))
+    (tmp_path / "1.png").write_bytes(png(64, 48, 2, ROWS, bomb))
+    assert (read_image(tmp_path / "1.png") == 0x55).all()
+    assert capfd.readouterr().err == ""
+
+
+def test_pixels_that_unpack_to_more_than_the_picture_are_not_unpacked(tmp_path):
+    (tmp_path / "1.png").write_bytes(png(64, 48, 2, os.urandom(2**21)))
+    with pytest.raises(InputError, match=r"1\.png is far larger than a picture of 64x48; store it anew\."):
+        read_image(tmp_path / "1.png")
+
+
+def test_a_file_that_no_picture_has_is_not_read(tmp_path):
+    with (tmp_path / "1.png").open("wb") as file:
+        file.truncate(12 * 2**30)
+    with pytest.raises(InputError, match=r"1\.png can't be read \(larger than 262144 kB\); check the file\."):
+        read_image(tmp_path / "1.png")

@@ -65,6 +65,8 @@ def test_companion_of_a_plain_image_lies_beside_it():
     ("values", "message"),
     [
         ({"image": "frame.png"}, "write {number} once"),
+        ({"color_mask": "a\0/{number}.png"}, "layout.color_mask holds a NUL"),
+        ({"camera": "a\0b"}, "layout.camera holds a NUL"),
         ({"fps": 0.0}, "positive number"),
         ({"depth_factor": float("nan")}, "positive number"),
         ({"label_mask": "m/{number}.png"}, "needs layout.tool_values"),

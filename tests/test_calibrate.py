@@ -83,6 +83,15 @@ def test_bad_scenes_are_a_sentence(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize("rows", ["", "0,0,0\n" * 11, "nan,0,0\n" * 50])
+def test_a_surface_of_no_points_is_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str], rows: str) -> None:
+    scene = write_scene(tmp_path)
+    (tmp_path / "seen.csv").write_text(f"x,y,z\n{rows}")
+    assert calibrate.main(["palpation", str(scene), "--output", str(tmp_path / "out")]) == 1
+    told = capsys.readouterr().err
+    assert f"seen.csv holds {len(rows) // 6 if rows[:1] == '0' else 0} points; give the surface as it was seen" in told
+
+
 def test_an_indenter_needs_its_size(tmp_path: Path) -> None:
     with pytest.raises(SystemExit, match="2"):
         calibrate.main(["curves", "a.csv", "--indenter", "sphere", "--output", str(tmp_path)])

@@ -20,6 +20,8 @@ from physics.files import read_file
 
 MOST_BYTES = 2**26
 """Of a surface's file."""
+FEWEST = 12
+"""Points of a surface that is fitted, by three numbers, and moved, by six."""
 Row = tuple[float, float, float, float]
 
 
@@ -108,11 +110,15 @@ def read_scene(path: Path) -> Scene:
         where = f"{printable(path)}, palpation {number}"
         each = from_mapping(PalpationFile, values, where)
         points = read_columns(path.parent / each.points, ("x", "y", "z"), "table of points")
+        points = points[np.isfinite(points).all(axis=1)]
+        if len(points) < FEWEST:
+            told = f"holds {len(points)} points; give the surface as it was seen under the force, {FEWEST} at least"
+            raise InputError(f"{printable(path.parent / each.points)} {told}.")
         palpations.append(
             Palpation(
                 np.array(each.force),
                 np.array(each.contact),
-                points[np.isfinite(points).all(axis=1)],
+                points,
                 np.array(each.pose, np.float64),
                 each.tool_radius,
                 each.hole,

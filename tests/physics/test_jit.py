@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import textwrap
+import tomllib
 import warnings
 from pathlib import Path
 
@@ -34,6 +35,12 @@ def run(code: str, **environment: str) -> subprocess.CompletedProcess:
         text=True,
         timeout=120,
     )
+
+
+def test_numba_is_installed_with_the_program():
+    """Without it a clip takes thirty times as long."""
+    needed = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
+    assert [name for name in needed if name.startswith("numba")]
 
 
 def test_without_numba_everything_works_and_says_once_that_it_is_slower():

@@ -61,6 +61,7 @@ def steps(
     iterations: int,
     keep: float,
     acceleration: np.ndarray,
+    foundation: float = 0.0,
 ) -> Iterator[np.ndarray]:
     """Positions after each step, shape [N, 3] [m].
 
@@ -75,13 +76,18 @@ def steps(
         iterations: sweeps a step.
         keep: share of the velocity that a step begins with.
         acceleration: of all free particles, shape [3] [m/s²].
+        foundation: what holds every particle to its rest [N/m].
     """
-    inverse_mass = body.inverse_mass(gripped)
-    free = (inverse_mass > 0)[:, None]
+    free = (body.inverse_mass(gripped) > 0)[:, None]
+    # ½ m|x - a|²/Δt² + ½ f|x - r|² is, but for a constant, ½ (m + f Δt²)|x - b|²/Δt², b the mean of a and r so weighted.
+    back = foundation * time_step**2 / (body.mass + foundation * time_step**2)
+    inverse_mass = body.inverse_mass(gripped) * (1 - back)
+    back = np.where(free, back[:, None], 0.0)
     positions = start.copy()
     for places in path:
         before = positions.copy()
         positions += np.where(free, time_step * keep * speed + time_step**2 * acceleration, 0.0)
+        positions += back * (body.rest - positions)
         positions[gripped] = places
         multipliers = np.zeros(len(body.layout.rest))
         for _ in range(iterations):

@@ -33,6 +33,8 @@ class Stepping:
     """Share of the velocity that a step begins with: 1 is XPBD, 0 the paper's, whose state is positions alone."""
     acceleration: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Of all free particles: gravity [m/s²]."""
+    foundation: float = 0.0
+    """Stiffness that holds every particle to its rest [N/m]: tissue lies on other tissue. The paper has none."""
 
     def __post_init__(self) -> None:
         """Check ranges."""
@@ -42,6 +44,8 @@ class Stepping:
             raise ValueError(f"iterations is {self.iterations}; give 1 at least.")
         if not 0 <= self.keep <= 1:
             raise ValueError(f"keep is {self.keep}; give a share from 0 to 1.")
+        if not (self.foundation >= 0 and math.isfinite(self.foundation)):
+            raise ValueError(f"foundation is {self.foundation}; give 0 or more.")
         if len(self.acceleration) != 3 or not all(map(math.isfinite, self.acceleration)):
             raise ValueError(f"acceleration is {self.acceleration}; give three finite numbers.")
 
@@ -127,10 +131,12 @@ def simulate(
     )
     positions = np.empty((batch, path.shape[1] + 1, body.count, 3))
     positions[:, 0] = begun
-    numbers = (float(stepping.time_step), float(stepping.keep))
+    foundation = float(stepping.foundation * stepping.time_step**2)
+    numbers = (float(stepping.time_step), float(stepping.keep), foundation)
     acceleration = np.asarray(stepping.acceleration, np.float64)
     inverse_mass = body.inverse_mass(gripped)
-    arguments = (weight, inverse_mass, moving, gripped, path, numbers, acceleration, stepping.iterations)
+    inverse_mass /= 1 + inverse_mass * foundation
+    arguments = (weight, inverse_mass, body.rest, moving, gripped, path, numbers, acceleration, stepping.iterations)
     if not COMPILED:
         say_slow()
     last = sweep_forward(body.layout, *arguments, unturned(body, batch), positions)

@@ -12,14 +12,19 @@ from physics.pbd.constraint_kernel import bent, evaluated
 
 
 @inlined
-def _begun(before, speed, inverse_mass, numbers, acceleration, gripped, places, points):
-    """Where a step's sweeps begin: free particles carried on, gripped ones placed; written to `points` [N, 3]."""
-    time_step, keep = numbers
+def _begun(before, speed, inverse_mass, rest, numbers, acceleration, gripped, places, points):
+    """Where a step's sweeps begin: free particles carried on, gripped ones placed; written to `points` [N, 3].
+
+    The foundation is part of the inertia: both are squares of one particle's way, whose sum is one such square.
+    """
+    time_step, keep, foundation = numbers
     for particle in range(points.shape[0]):
         free = 1.0 if inverse_mass[particle] > 0 else 0.0
+        back = foundation * inverse_mass[particle]
         for axis in range(3):
             carried = time_step * keep * speed[particle, axis] + time_step * time_step * acceleration[axis]
-            points[particle, axis] = before[particle, axis] + free * carried
+            ahead = before[particle, axis] + free * carried
+            points[particle, axis] = ahead + back * (rest[particle, axis] - ahead)
     for index in range(gripped.shape[0]):
         for axis in range(3):
             points[gripped[index], axis] = places[index, axis]
@@ -45,17 +50,20 @@ def _pushed(layout, inverse_mass, slope, index, step, points):
 
 
 @kernel
-def sweep_forward(layout, weight, inverse_mass, speed, gripped, path, numbers, acceleration, iterations, turn, motion):
+def sweep_forward(
+    layout, weight, inverse_mass, rest, speed, gripped, path, numbers, acceleration, iterations, turn, motion
+):
     """Step B bodies on.
 
     Args:
         layout: a `Layout`.
         weight: k Δt² of every constraint, [B, K].
-        inverse_mass: [N].
+        inverse_mass: of a particle with its foundation, 1/(m + f Δt²), [N].
+        rest: where the foundation pulls to, [N, 3].
         speed: velocities at the start, [B, N, 3].
         gripped: particles, [G].
         path: where they are after each step, [B, T, G, 3].
-        numbers: Δt, share of the velocity that is kept.
+        numbers: Δt, share of the velocity that is kept, f Δt².
         acceleration: [3].
         iterations: sweeps a step.
         turn: quaternions of the shapes to begin at, [B, P, 4]; used up.
@@ -73,7 +81,7 @@ def sweep_forward(layout, weight, inverse_mass, speed, gripped, path, numbers, a
         now[:] = speed[b]
         for t in range(steps):
             points, before = motion[b, t + 1], motion[b, t]
-            _begun(before, now, inverse_mass, numbers, acceleration, gripped, path[b, t], points)
+            _begun(before, now, inverse_mass, rest, numbers, acceleration, gripped, path[b, t], points)
             multipliers[:] = 0
             for _ in range(iterations):
                 last[b, t] = 0.0
@@ -94,7 +102,7 @@ def sweep_forward(layout, weight, inverse_mass, speed, gripped, path, numbers, a
 
 @kernel
 def sweep_adjoint(
-    layout, weight, inverse_mass, speed, gripped, path, numbers, acceleration, iterations, turn, motion, pulls, slopes
+    layout, weight, inverse_mass, rest, speed, gripped, path, numbers, acceleration, iterations, turn, motion, pulls, slopes
 ):
     """Go back through `sweep_forward` and gather the derivatives of Σ pulls·motion.
 
@@ -129,7 +137,7 @@ def sweep_adjoint(
                         before[particle, axis] = moved / numbers[0]
             else:
                 before[:] = speed[b]
-            _begun(motion[b, t], before, inverse_mass, numbers, acceleration, gripped, path[b, t], points)
+            _begun(motion[b, t], before, inverse_mass, rest, numbers, acceleration, gripped, path[b, t], points)
             multipliers[:] = 0
             for sweep in range(iterations):
                 if sweep > 0:
@@ -186,7 +194,8 @@ def sweep_adjoint(
                     pull[gripped[index], axis] = 0.0
             for particle in range(count):
                 free = 1.0 if inverse_mass[particle] > 0 else 0.0
+                left = 1.0 - numbers[2] * inverse_mass[particle]  # the rest of its way is the foundation's
                 for axis in range(3):
-                    pulls[b, t, particle, axis] += pull[particle, axis]
-                    by_speed[b, particle, axis] = free * numbers[0] * numbers[1] * pull[particle, axis]
+                    pulls[b, t, particle, axis] += left * pull[particle, axis]
+                    by_speed[b, particle, axis] = free * left * numbers[0] * numbers[1] * pull[particle, axis]
     return by_speed

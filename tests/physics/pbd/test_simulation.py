@@ -20,6 +20,7 @@ BODIES = {"sheet": sheet(5, 4, pinned_rows=1), "block": block((2, 2, 1), seed=1)
 STEPPINGS = {
     "positions only": Stepping(iterations=5),
     "with velocities": Stepping(time_step=0.5, iterations=5, keep=0.9, acceleration=(0.0, 0.0, -2e-4)),
+    "on a foundation": Stepping(time_step=0.7, iterations=5, keep=0.5, foundation=0.8),
 }
 
 
@@ -43,7 +44,7 @@ def test_compiled_steps_equal_plain_ones(name, stepping):
     expected = steps(
         body, spread(body, fields_of(body))[0], body.rest, speed, grip.vertices, body.rest[grip.vertices] +
         grip.displacement, time_step=how.time_step, iterations=how.iterations, keep=how.keep,
-        acceleration=np.array(how.acceleration),
+        acceleration=np.array(how.acceleration), foundation=how.foundation,
     )  # fmt: skip
     found = simulate(body, fields_of(body), grip, how, speed=speed)
     np.testing.assert_allclose(found.positions[0, 1:], np.stack(list(expected)), atol=1e-14)
@@ -82,6 +83,19 @@ def test_gradient_of_ten_steps_equals_finite_differences(name, stepping):
             step[particle, 1] = 1e-7
             up, down = (value(fields, **{which: still[which] + sign * step}) for sign in (1, -1))
             assert by[0, particle, 1] == pytest.approx((up - down) / 2e-7, rel=1e-5, abs=1e-6)
+
+
+def test_loose_particles_go_back_to_their_rest_on_a_foundation():
+    body = BODIES["block"]
+    how = Stepping(time_step=0.5, foundation=3.0)
+    away = body.rest + 0.01 * np.random.default_rng(8).normal(size=body.rest.shape)
+    loose = Stiffness(np.zeros(body.count), np.zeros(body.count), 0.0)
+    motion = simulate(body, loose, 4, how, start=away)
+    # Implicit Euler of m Δx/Δt² = -f x, no velocity kept.
+    left = (1 / (1 + 3.0 * 0.5**2 / body.mass)) ** np.arange(5)[:, None]
+    np.testing.assert_allclose(motion.positions[0] - body.rest, left[..., None] * (away - body.rest), atol=1e-15)
+    with pytest.raises(ValueError, match="foundation is -1"):
+        Stepping(foundation=-1.0)
 
 
 def test_a_stiffness_of_zero_has_a_gradient():

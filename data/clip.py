@@ -33,11 +33,11 @@ from data.source.layout import InputError
 
 @dataclass(frozen=True)
 class ClipInputs:
-    """Where labels, depth and camera of a clip come from when they lie in no file."""
+    """Where labels, depth and camera of a clip come from when they lie in no file; None = as the settings say."""
 
-    masks: MaskSource
-    depth: DepthSource
-    camera: Camera
+    masks: MaskSource | None = None
+    depth: DepthSource | None = None
+    camera: Camera | None = None
 
 
 class ClipStream:
@@ -60,12 +60,10 @@ class ClipStream:
         self.source, self.settings = source, settings
         self.seconds: dict[str, float] = defaultdict(float)
         """Time spent so far by stage [s]."""
-        if inputs is None:
-            self._masks = open_masks(settings.masks, settings.layout, settings.classes, source.path)
-            self._depth = open_depth(settings.depth, settings.layout, source)
-            camera = clip_camera(source.path, settings.layout)
-        else:
-            self._masks, self._depth, camera = inputs.masks, inputs.depth, inputs.camera
+        given = ClipInputs() if inputs is None else inputs
+        self._masks = given.masks or open_masks(settings.masks, settings.layout, settings.classes, source.path)
+        self._depth = given.depth or open_depth(settings.depth, settings.layout, source)
+        camera = given.camera or clip_camera(source.path, settings.layout)
         self.metric = self._depth.metric
         """Whether `scale` is in metres."""
         self._scale_error = ""
@@ -119,7 +117,7 @@ class ClipStream:
                 frame = next(frames, None)
             if frame is None:
                 break
-            held.append(self._prepare(frame))
+            held.append(self.prepared(frame))
             if evidence is not None:
                 with self._timed("contact"):
                     evidence.judge(held[-1])
@@ -132,8 +130,12 @@ class ClipStream:
         motion.settle()
         yield from held
 
-    def _prepare(self, frame: Frame) -> PreparedFrame:
-        """Everything about a frame that needs no other frame."""
+    def prepared(self, frame: Frame) -> PreparedFrame:
+        """Everything about a frame that needs no other frame.
+
+        Raises:
+            InputError: the segmentation model fails on the clip's pictures.
+        """
         shape = (self.settings.geometry.height, self.settings.geometry.width)
         nothing, unlabelled = np.zeros(shape, np.float32), np.zeros(shape, np.uint8)
         if frame.image is None:

@@ -7,15 +7,13 @@ since that frame, root mean squares over the points that are followed in both an
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from data.depth.normalise import estimate_scale, normalise, open_depth, resize_depth
+from data.clip import ClipInputs, ClipStream
 from data.labels import OTHER, TISSUE, TOOL
-from data.prepared import PreparedFrame
-from data.source.camera import Camera
 from data.source.frames import Frame, open_source
 from data.source.layout import ClipLayout, InputError
 from data.tracks.following import lit_field
@@ -158,28 +156,37 @@ def _judged(around: np.ndarray, now: GripFrame, then: GripFrame) -> np.ndarray:
     return (now.around & then.around)[around]
 
 
+class _DrawnMasks:
+    """The clip's tools as its judged frames have them, tissue elsewhere where the picture shows anything."""
+
+    identity = "drawn"
+
+    def __init__(self, tools: Mapping[int, np.ndarray]) -> None:
+        self._tools = tools
+
+    def __call__(self, frame: Frame) -> np.ndarray:
+        """Label map of one of them."""
+        return np.where(self._tools[frame.number], TOOL, np.where(lit_field(frame.picture), TISSUE, OTHER)).astype("u1")
+
+    def reset(self) -> None:
+        """There is nothing to forget."""
+
+
 def first_surface(clip: PulledClip, settings: OnlineSettings) -> Surface:
-    """The sheet of the first frame that can be used, its depth as the estimator would have it.
+    """The sheet of the first frame that can be used, prepared as the estimator's are but for its masks.
 
     Raises:
         InputError: no such frame, no depth, or no tissue with depth beside the tool.
     """
-    source = open_source(clip.frames, ClipLayout())
-    prepare = OnlineEstimator(settings).preparation(Chosen())
-    opened = open_depth(prepare.depth, prepare.layout, source)
-    scale, focal = estimate_scale(source, opened, prepare.depth)
+    chosen = OnlineEstimator(settings).preparation(Chosen())
     for number, picture, tool in read_views(clip):
         if picture is None or isinstance(tool, str):
             continue
-        labels = np.where(tool, TOOL, np.where(lit_field(picture), TISSUE, OTHER)).astype(np.uint8)
-        frame, geometry = Frame(0, number, 0.0, picture), prepare.geometry
-        depth, grid = resize_depth(opened(frame), labels, (geometry.height, geometry.width))
-        height, width = labels.shape
-        known = Camera.from_field_of_view(prepare.depth.field_of_view_deg, width, height)
-        camera = known if focal is None else Camera.from_focal(focal, width, height)
-        prepared = PreparedFrame(frame, "ok", "", normalise(depth, scale, prepare.depth.bits), grid, labels)
+        source = open_source(clip.frames, ClipLayout())
+        stream = ClipStream(source, chosen, ClipInputs(masks=_DrawnMasks({number: tool})))
+        frame = stream.prepared(next(frame for frame in source if frame.number == number))
         try:
-            return make_surface(prepared, camera, geometry, settings.particles)
+            return make_surface(frame, stream.picture_camera, chosen.geometry, settings.particles)
         except NoEstimate as error:
-            raise InputError(f"{clip.frames}: {error}") from error
+            raise InputError(f"{clip.frames}: {frame.detail or error}") from error
     raise InputError(f"{clip.frames} has no frame that can be used; give others.")

@@ -56,6 +56,9 @@ def build_parser() -> argparse.ArgumentParser:
     palpation.add_argument("scene", type=path_option, metavar="SCENE.yaml", help="see docs/palpation.md")
     text = "gauss-newton: exact derivatives (default); gradient: the paper's numeric descent"
     palpation.add_argument("--optimizer", choices=("gauss-newton", "gradient"), default="gauss-newton", help=text)
+    text = "of the sheet that the tissue's surface is on video, told to infer.py --calibration"
+    thickness = real_number("a positive number", 1e-6)
+    palpation.add_argument("--sheet-thickness", type=thickness, metavar="MM", help=text)
     curves = doors.add_parser("curves", help="forces over depth or time")
     curves.add_argument("files", nargs="+", type=path_option, metavar="FILE", help="tables")
     curves.add_argument("--indenter", choices=("sphere", "flat", "cone"), help="its shape (default: unknown)")
@@ -86,13 +89,13 @@ def main(arguments: list[str] | None = None) -> int:
             require_own(*(options.output / name for name in names))
         if options.what == "curves":
             return _curves(options.files, indenter, options.output, console)
-        return _palpation(options.scene, options.optimizer, options.output, console)
+        return _palpation(options.scene, options.optimizer, options.sheet_thickness, options.output, console)
     except (InputError, OutputError) as error:
         say(console, str(error), "red")
         return 1
 
 
-def _palpation(path: Path, optimizer: str, output: Path, console: Console) -> int:
+def _palpation(path: Path, optimizer: str, thickness: float | None, output: Path, console: Console) -> int:
     scene = read_scene(path)
     for note in scene.notes:
         say(console, f"surface: {note}", "yellow")
@@ -111,6 +114,8 @@ def _palpation(path: Path, optimizer: str, output: Path, console: Console) -> in
         "poses": [pose.tolist() for pose in found.poses],
         "source": f"{len(scene.palpations)} palpations of {path.name}",
     }
+    if thickness is not None:
+        record["thickness_m"] = thickness / 1000
     if np.isfinite(found.covariance).all():
         half = NINETY * found.young_sd
         record |= {

@@ -88,6 +88,11 @@ def _parser() -> argparse.ArgumentParser:
         "all of a run whose relative force is determined, in forces.csv"
     )
     add("--known-force", type=path_option, metavar="CSV", help=text)
+    text = (
+        "YAML file of what is known in newtons: a force, a stiffness, or what calibrate.py palpation wrote, and "
+        "measured forces to compare with (docs/newtons.md); tells k_s, k_d and F in physical units (calibrated.csv)"
+    )
+    add("--calibration", type=path_option, metavar="FILE", help=text)
     add("--no-overlay", dest="overlay", action="store_false", help="leave the overlay video out")
     add("--version", action="version", version=f"palpate {program_version()}")
     return parser

@@ -10,6 +10,8 @@ online          stiffness place by place, of particles that are mapped to what e
 runs            runs of contact, frame by frame, and what all sessions share
 onset           unknown beginnings of a press; oblique: presses aslant to the line of sight
 known_force     a force measured in a part of a motion, which tells it for the rest
+force_scale     newtons for scene units by a known force or stiffness; calibration_file: what says so
+dent            what a press that no tool shows is told by
 model_settings  an exported network's preparation, and what both networks' estimators share
 worker_pool     many tasks in a few processes
 """

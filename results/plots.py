@@ -16,6 +16,8 @@ import numpy as np
 
 from estimators.estimate import NINETY, FrameEstimate, GripEstimate, InteractionEstimate
 from estimators.grip.stiffness_field import StiffnessField
+from estimators.known_force import KnownForce
+from results.calibrated import Curve
 from results.columns import UNITS
 from results.verdicts import COLORS, FAR, digits, in_words, is_far, numbers, state
 
@@ -92,6 +94,34 @@ def draw_fits(runs: Sequence[InteractionEstimate], counts: Counter[str], title: 
     for axes, words_of, run in zip(rows, words, panels, strict=True):
         _head(axes, *words_of)
         _draw_motion(axes, run)
+    return figure
+
+
+def draw_comparison(measured: KnownForce, curves: Sequence[Curve], known: KnownForce | None, title: str) -> Figure:
+    """Draw measured forces beside estimated ones over time.
+
+    Args:
+        measured: all that was measured.
+        curves: estimated.
+        known: those that told the scale.
+        title: name of the clip.
+    """
+    unit = curves[0].unit if curves else "N"
+    told = "Measured forces beside estimates." if curves else "No force was estimated where forces were measured."
+    figure, (axes,) = _figure([4.5], title, told)
+    axes.plot(measured.times, measured.force, color=OBSERVED, label="measured [N]")
+    if known is not None:
+        axes.plot(known.times, known.force, color=RELEASE, linewidth=4, alpha=0.4, label="which told the scale")
+    beside = axes if unit == "N" else axes.twinx()
+    for index, curve in enumerate(curves):
+        name = f"estimated [{curve.unit}]" if not index else None
+        beside.plot(curve.times, curve.force, color=SIMULATED, label=name)
+        if np.isfinite(curve.low).all():
+            beside.fill_between(curve.times, curve.low, curve.high, color=SIMULATED, alpha=0.15, linewidth=0)
+    axes.set(xlabel="time [s]", ylabel="force [N]")
+    if beside is not axes:
+        beside.set_ylabel(f"estimated force [{unit}]", color=SIMULATED)
+    figure.legend(loc="outside upper right", ncols=3, frameon=False)
     return figure
 
 

@@ -115,6 +115,7 @@ def build_record(
         "statuses": Counter(frame.status for frame in frames),
         "verdicts": Counter(frame.verdict for frame in frames if frame.verdict),
         "contacts": results.counts,
+        "calibration": None if results.calibration is None else results.calibration.record(),
         "model": network,
         "estimator": causes["estimator"],
         "units": columns.UNITS,
@@ -122,6 +123,7 @@ def build_record(
         "warnings": [
             *warnings_of(source, frames, model, clip.sources),
             *([] if results.fields or causes["estimator"]["name"] != "online" else [UNDRIVEN]),
+            *([results.calibration.reason] if results.calibration and results.calibration.reason else []),
         ],
         "timings_s": {stage: round(value, 4) for stage, value in seconds.items()},
         "overlay_encoder": results.encoder,

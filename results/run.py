@@ -23,6 +23,7 @@ from data.source.camera import load_camera
 from data.source.frames import discover, open_source
 from data.source.images import printable
 from data.source.layout import ClipLayout, load_layout
+from estimators.calibration_file import Calibration, read_calibration
 from estimators.contract import Chosen, ClipInfo, Said
 from estimators.estimate import FrameEstimate
 from estimators.known_force import read_forces
@@ -30,8 +31,12 @@ from estimators.model_settings import check_sources
 from estimators.open import EstimatorOptions, open_estimator
 from physics.doors import INTERRUPTED, plain
 from physics.files import file_sha256
+from results.calibrated import ClipCalibration, carried_from, comparison_sentence
 from results.record import build_record, depends_on, describe, fingerprint_of, model_of
 from results.store import (
+    CALIBRATED,
+    COMPARED,
+    COMPARISON,
     FIELDS,
     FORCES,
     OVERLAY,
@@ -81,6 +86,9 @@ class Batch:
         self.options, self.console = options, console
         cv2.setNumThreads(options.threads or -1)
         self.known = None if options.known_force is None else read_forces(options.known_force)
+        self.calibration = None if options.calibration is None else read_calibration(options.calibration)
+        self.carried: Path | None = None
+        """Folder of the results of the clip with the known force, once it is done."""
         self.estimator = open_estimator(
             EstimatorOptions(
                 options.estimator,
@@ -96,6 +104,12 @@ class Batch:
             raise ValueError(
                 "--smoothing is for --estimator direct and online; a network's preparation is as it was trained."
             )
+        if self.calibration is not None and self.estimator.name == "online":
+            raise ValueError("--calibration is for estimators of forces; --estimator online knows none, leave it out.")
+        if self.calibration is not None and self.known is not None:
+            raise ValueError(
+                "--known-force and --calibration both tell newtons; give known forces in the latter's file."
+            )
         depth = {"source": options.depth, "model": options.depth_model, "preset": options.depth_preset}
         depth = {name: value for name, value in depth.items() if value is not None} | {"threads": options.threads}
         chosen = Chosen(_chosen_layout(options), options.masks, depth, options.smoothing)
@@ -103,8 +117,6 @@ class Batch:
         check_sources(self.settings)
         self.store = ResultStore(options.output)
         self.fields = self.estimator.name == "online"
-        wanted = {OVERLAY: options.overlay, FORCES: self.known is not None, FIELDS: self.fields}
-        self.files = [name for name in WRITTEN if wanted.get(name, True)]
 
     def process(self, path: Path, progress: Progress, place: str) -> Outcome:
         """Estimate every frame and every run of contact of a clip and write the results; arguments as of `attempt`."""
@@ -113,12 +125,16 @@ class Batch:
         causes = depends_on(path, self.settings, self.estimator)
         if self.known is not None:
             causes["known_force"] = file_sha256(self.options.known_force)
-        if is_up_to_date(folder, fingerprint_of(causes), self.files, overwrite=self.options.overwrite):
+        newtons = None if self.calibration is None else self._newtons(self.calibration, path, causes)
+        if is_up_to_date(folder, fingerprint_of(causes), self._files(newtons), overwrite=self.options.overwrite):
+            if self._has_known_force(path):
+                self.carried = folder
             say(self.console, f"{source.name}: up to date in {folder}; --overwrite computes it again")
             return Outcome(source.name, UP_TO_DATE, str(folder), counts_of(read_record(folder)))
         task = progress.add_task(f"{place} {plain(source.name)[:36]}", total=source.length or None)
         try:
-            told = {"overlay": self.options.overlay, "known": self.known, "fields": self.fields}
+            known = self.known if newtons is None else newtons.known
+            told = {"overlay": self.options.overlay, "known": known, "calibration": newtons, "fields": self.fields}
             written = ClipResults(folder, source.size, source.fps, **told)
             with written as results:
                 clip, started = ClipStream(source, self.settings), time.perf_counter()
@@ -129,13 +145,21 @@ class Batch:
                     _write(results, frames, session.push(frame))
                     progress.advance(task)
                 _write(results, frames, session.finish())
+                if self.calibration is not None:
+                    stored = clip.sources["depth"] == "stored"
+                    results.calibrate(self.calibration.length(clip.scale, clip.metric, stored))
                 seconds = {**clip.seconds, **session.seconds, **results.seconds}
                 seconds["total"] = time.perf_counter() - started + clip.seconds["scale"]
                 record = build_record(clip, causes, model_of(self.estimator), results, seconds)
                 results.finish(record, title=source.name, subtitle=describe(record))
         finally:
             progress.remove_task(task)
-        for warning in record["warnings"]:
+        if self._has_known_force(path):
+            self.carried = folder
+        told = (
+            [] if newtons is None or newtons.measured is None else [comparison_sentence(newtons.record()["comparison"])]
+        )
+        for warning in [*record["warnings"], *told]:
             say(self.console, f"{source.name}: {warning}")
         return Outcome(source.name, DONE, str(folder), counts_of(record))
 
@@ -148,7 +172,52 @@ class Batch:
                 found |= dict.fromkeys(discover([given], self.settings.layout))
             except ValueError as error:
                 failed.append(self._failure(given, error))
-        return list(found), failed
+        return self._ordered(list(found)), failed
+
+    def _ordered(self, paths: list[Path]) -> list[Path]:
+        """The clips, that with the known force first.
+
+        Raises:
+            ValueError: it is not among them, or nobody says which it is.
+        """
+        if self.calibration is None or not self.calibration.leans_on_a_clip:
+            return paths
+        name = self.calibration.fields.clip
+        if name is None and len(paths) > 1:
+            raise ValueError(
+                f"{self.calibration.path} tells of a force in one clip, and there are {len(paths)}; name that as clip."
+            )
+        home = [path for path in paths if self._is_home(path)]
+        if paths and len(home) != 1:
+            raise ValueError(
+                f"{self.calibration.path} names the clip {name}, and {len(home)} of the inputs' clips are called that; "
+                "give it among the inputs, under a name of its own."
+            )
+        return home + [path for path in paths if path not in home]
+
+    def _is_home(self, path: Path) -> bool:
+        """Whether what was measured belongs to this clip."""
+        return self.calibration is not None and self.calibration.fields.clip in (None, path.name)
+
+    def _has_known_force(self, path: Path) -> bool:
+        return self.calibration is not None and self.calibration.of_one_clip and self._is_home(path)
+
+    def _newtons(self, calibration: Calibration, path: Path, causes: dict[str, Any]) -> ClipCalibration:
+        """What says a clip in newtons; what that depends on is added to the causes of its results."""
+        causes["calibration"] = [file_sha256(file) for file in calibration.files]
+        if self._is_home(path) or not calibration.of_one_clip:
+            return ClipCalibration(calibration, self._is_home(path))
+        record = {} if self.carried is None else read_record(self.carried)
+        causes["calibrated_by"] = record.get("fingerprint")
+        return ClipCalibration(calibration, False, carried_from(record))
+
+    def _files(self, newtons: ClipCalibration | None) -> list[str]:
+        """Names of what is written for a clip."""
+        compared = newtons is not None and newtons.measured is not None
+        known = self.known if newtons is None else newtons.known
+        wanted = {OVERLAY: self.options.overlay, FORCES: known is not None, FIELDS: self.fields}
+        wanted |= {CALIBRATED: newtons is not None, COMPARED: compared, COMPARISON: compared}
+        return [name for name in WRITTEN if wanted.get(name, True)]
 
     def attempt(self, path: Path, progress: Progress, place: str) -> Outcome:
         """Process a clip; whatever goes wrong with it is said in one sentence, and the batch goes on.

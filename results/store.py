@@ -20,8 +20,11 @@ from physics.ownership import ForeignFile
 
 TABLE, OVERLAY, SUMMARY, RECORD = "parameters.csv", "overlay.mp4", "summary.png", "run.json"
 INTERACTIONS, FIT, FORCES, FIELDS = "interactions.csv", "fit.png", "forces.csv", "fields.npz"
+CALIBRATED, COMPARED, COMPARISON = "calibrated.csv", "compared.csv", "compared.png"
 """Files of a clip's folder. The record is written last: a folder that has it is complete."""
-WRITTEN = (TABLE, INTERACTIONS, FORCES, FIELDS, OVERLAY, SUMMARY, FIT, RECORD)
+WRITTEN = (
+    TABLE, INTERACTIONS, FORCES, FIELDS, CALIBRATED, COMPARED, OVERLAY, SUMMARY, FIT, COMPARISON, RECORD
+)  # fmt: skip
 """All that is ever written into a clip's folder, in the order in which it gets there; any other file is a user's."""
 MARKER = ".unfinished-results"
 """Tells a hidden folder of ours from a user's."""

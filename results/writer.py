@@ -13,11 +13,13 @@ from typing import Any
 
 from data.prepared import PreparedFrame
 from estimators.estimate import FrameEstimate, InteractionEstimate, NoEstimate
+from estimators.force_scale import ClipLength
 from estimators.known_force import KnownForce
 from results import columns, store
+from results.calibrated import CALIBRATED, COMPARED, ClipCalibration
 from results.field_file import FieldFile
 from results.overlay import draw_overlay, open_video
-from results.plots import MOST_PANELS, draw_fits, draw_summary, write_figure
+from results.plots import MOST_PANELS, draw_comparison, draw_fits, draw_summary, write_figure
 from results.store import writing
 from results.verdicts import in_words, state
 
@@ -33,6 +35,7 @@ class ClipResults:
         fps: frames a second of the overlay.
         overlay: whether to write the overlay video.
         known: force that was measured in a part of the clip.
+        calibration: gathers what the clip tells in newtons.
         fields: whether the estimator gives fields of stiffness.
 
     Raises:
@@ -47,9 +50,11 @@ class ClipResults:
         *,
         overlay: bool = True,
         known: KnownForce | None = None,
+        calibration: ClipCalibration | None = None,
         fields: bool = False,
     ) -> None:
         self.folder, self._size, self._known = folder, size, known
+        self.calibration = calibration
         self.estimates: list[FrameEstimate] = []
         self.seconds: dict[str, float] = defaultdict(float)
         """Time spent so far on the `overlay` [s]."""
@@ -94,6 +99,8 @@ class ClipResults:
     def write(self, prepared: PreparedFrame, estimate: FrameEstimate) -> None:
         """Append one frame: its row, and its picture where there is an overlay."""
         start = time.perf_counter()
+        if self.calibration is not None:
+            self.calibration.see(prepared)
         self.estimates.append(replace(estimate, field=None))  # memory must not grow with the clip
         with writing(self.folder.parent):
             self._rows.writerow(columns.row(columns.FRAMES, estimate.values))
@@ -113,6 +120,8 @@ class ClipResults:
                 forces = columns.force_rows(run, self._known)
             except NoEstimate as reason:
                 run = replace(run, detail=f"{run.detail} {reason}".strip())
+        if self.calibration is not None:
+            self.calibration.add(run)
         self.counts[state(run)] += 1
         shown = [*self.drawn, run]
         self.drawn = sorted(shown, key=lambda item: item.simulated is None and not item.verdict)[:MOST_PANELS]
@@ -120,6 +129,11 @@ class ClipResults:
             self._runs.writerow(columns.row(columns.INTERACTIONS, columns.interaction_values(run)))
             if self._forces is not None:
                 self._forces.writerows(columns.row(columns.FORCES, values) for values in forces)
+
+    def calibrate(self, length: ClipLength) -> None:
+        """Say in newtons what was added, once all of it has been."""
+        if self.calibration is not None:
+            self.calibration.conclude(length)
 
     def finish(self, record: Mapping[str, Any], *, title: str, subtitle: str) -> None:
         """Write the pictures and the record (as JSON), and move everything to its final place."""
@@ -129,12 +143,26 @@ class ClipResults:
             told = f"{subtitle} · runs of contact: {runs or 'none'}"
             write_figure(self._partial / store.SUMMARY, draw_summary(self.estimates, title=title, subtitle=told))
             write_figure(self._partial / store.FIT, draw_fits(self.drawn, self.counts, title))
+            if self.calibration is not None:
+                self._write_newtons(self.calibration, title)
             store.write_record(self._partial, record)
             store.publish(self._partial, self.folder)
 
-    def _open_table(self, name: str, header: Mapping[str, str]) -> Any:
-        """A CSV file with its head written."""
+    def _write_newtons(self, calibration: ClipCalibration, title: str) -> None:
+        tables = [(store.CALIBRATED, CALIBRATED, calibration.rows)]
+        if calibration.measured is not None:
+            tables.append((store.COMPARED, COMPARED, calibration.compared_rows()))
+            figure = draw_comparison(calibration.measured, calibration.curves, calibration.known, title)
+            write_figure(self._partial / store.COMPARISON, figure)
+        for name, header, rows in tables:
+            with ExitStack() as opened:
+                table = self._open_table(name, header, opened)
+                table.writerows(columns.row(header, values) for values in rows)
+
+    def _open_table(self, name: str, header: Mapping[str, str], opened: ExitStack | None = None) -> Any:
+        """A CSV file with its head written, open as long as `opened`, or all of the clip's."""
         path = self._partial / name
-        rows = csv.writer(self._open.enter_context(path.open("w", encoding="utf-8", errors="replace", newline="")))
+        opened = self._open if opened is None else opened
+        rows = csv.writer(opened.enter_context(path.open("w", encoding="utf-8", errors="replace", newline="")))
         rows.writerow(header)
         return rows

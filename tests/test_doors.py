@@ -38,6 +38,7 @@ DOORS = {
     "benchmarks.fem": ["-m", "benchmarks.fem"],
     "benchmarks.following": ["-m", "benchmarks.following"],
     "benchmarks.inference": ["-m", "benchmarks.inference"],
+    "benchmarks.newtons": ["-m", "benchmarks.newtons"],
     "benchmarks.observation_bounds": ["-m", "benchmarks.observation_bounds"],
     "benchmarks.online": ["-m", "benchmarks.online"],
     "benchmarks.photometric_depth": ["-m", "benchmarks.photometric_depth"],

@@ -589,3 +589,46 @@ def test_real_clip(real_data: Path, tmp_path: Path) -> None:
     assert sorted(status) == list(range(80, 160))
     assert {status[number] for number in range(80, 149)} == {"no_tool"}
     assert sum(status[number] == "ok" for number in range(149, 160)) >= 9
+
+
+def test_a_known_force_of_one_clip_tells_newtons_in_all(synthetic: Path, tmp_path: Path) -> None:
+    """Two copies of a clip whose press is known in the first: the second says the same, but is less sure."""
+    for name in ("one", "other"):
+        shutil.copytree(synthetic / "video01_00000", tmp_path / name)
+    truth = json.loads((synthetic / "video01_00000" / "truth.json").read_text(encoding="utf-8"))
+    known = f"clip: one\nforce_N: 2.0\nforce_sd_N: 0.02\nforce_time_s: {truth['onset_s'] + 0.1}\n"
+    (tmp_path / "known.yaml").write_text(known)
+    given = [str(tmp_path / "other"), str(tmp_path / "one"), "--estimator", "direct", "--onset", "stamp"]
+    given += ["--no-overlay", "--output", str(tmp_path / "out"), "--calibration", str(tmp_path / "known.yaml")]
+    assert infer.main(given) == 0
+    (one,), (other,) = (rows(tmp_path / "out" / name, "calibrated.csv") for name in ("one", "other"))
+    assert (float(one["force"]), float(other["force"])) == pytest.approx((2.0, 2.0), rel=1e-6)
+    widths = [np.log(float(row["force_high"]) / float(row["force_low"])) for row in (one, other)]
+    assert widths[0] == pytest.approx(2 * NINETY * 0.01, rel=1e-3)
+    assert widths[1] > widths[0]
+    (found,) = runs(tmp_path / "out" / "one")
+    assert float(one["stiffness"]) == pytest.approx(2.0 / float(found["force"]) * float(found["stiffness"]), rel=1e-4)
+    assert one["force_unit"].startswith("N, by known force of 2 N at frame")
+    record = json.loads((tmp_path / "out" / "other" / "run.json").read_text(encoding="utf-8"))
+    assert record["calibration"]["scale"]["source"] in other["force_unit"]
+    written = (tmp_path / "out" / "other" / "run.json").stat().st_mtime_ns
+    assert infer.main(given) == 0  # up to date
+    assert (tmp_path / "out" / "other" / "run.json").stat().st_mtime_ns == written
+
+
+@pytest.mark.parametrize(
+    ("known", "options", "told"),
+    [
+        ("force_N: 2.0", (), "known.yaml can't be used: force_N and force_time_s belong together"),
+        ("force_N: 2.0\nforce_time_s: 1.0", (), "tells of a force in one clip, and there are 2; name that as clip."),
+        ("clip: absent\nforce_N: 2.0\nforce_time_s: 1.0", (), "names the clip absent, and 0 of the inputs' clips are called"),
+        ("stiffness: 2.0", ("--estimator", "online"), "--estimator online knows none, leave it out."),
+    ],
+)
+def test_a_calibration_that_can_t_be_used_is_wrong_usage(
+    known: str, options: tuple[str, ...], told: str, inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    (tmp_path / "known.yaml").write_text(known)
+    given = [str(inputs / "clips"), "--output", str(tmp_path / "out"), "--calibration", str(tmp_path / "known.yaml")]
+    assert infer.main([*given, *options]) == 2
+    assert told in flat(capsys.readouterr().err)

@@ -1,0 +1,208 @@
+"""Forces in newtons of synthetic clips, of which the force of one is known, through infer.py --calibration.
+
+    python -m benchmarks.newtons --clips DIR --output OUT [--known NAME] [--onset stamp|between]
+
+DIR holds clips of data.synthetic, whose truth is taken to be 25 N a unit of force; the known force is off by a draw of
+2 %. Runs infer.py into OUT/results, and writes table.csv (file, measure, value): how far the forces of the other clips
+are off in calibrated.csv, whether their 90 % intervals hold, and the same with each clip's force known in turn.
+"""
+
+from __future__ import annotations
+
+from physics.doors import enter_door, run_door
+
+if __name__ == "__main__":
+    enter_door()  # before the slow imports
+
+import argparse
+import csv
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from rich.console import Console
+
+import infer
+from data.command_line import path_option, say
+from data.source.layout import InputError, read_mapping
+from estimators.estimate import NINETY, NoEstimate
+from estimators.force_scale import MASS, ClipLength, PressedRun, scale_by_force
+from estimators.onset import ONSETS, STAMP
+from evaluation.file_table import FileTable
+from physics.files import all_below
+from physics.ownership import replacing_own
+from results.store import CALIBRATED, INTERACTIONS, OutputError, writing
+
+NEWTONS = 25.0
+"""A unit of force."""
+MEASURED = 0.02
+"""Standard deviation of the logarithm of a measured force."""
+SAME = ClipLength(1.0, stored=True)
+NEAR = 0.2
+"""Error of a force that is wanted, where it is determined."""
+INTO = 0.25
+"""Of the press, at which its force is known."""
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Of a clip."""
+
+    folder: Path
+    force: float
+    """[N]."""
+    known_time: float
+    """A time within the press [s]."""
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """Command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.newtons",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog="Exit status: 0 done; 1 something could not be; 2 wrong usage; 130 interrupted.",
+    )
+    parser.add_argument("--clips", type=path_option, required=True, metavar="DIR", help="clips of data.synthetic")
+    parser.add_argument("--output", type=path_option, required=True, metavar="OUT", help="folder of the results")
+    text = "clip whose force is known (default: the first)"
+    parser.add_argument("--known", metavar="NAME", help=text)
+    parser.add_argument("--onset", choices=ONSETS, default=STAMP, help="as of infer.py (default: stamp)")
+    return parser
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run infer.py on the clips and judge it; returns the exit status."""
+    parser, console = build_parser(), Console(stderr=True)
+    options: Any = parser.parse_args(arguments)
+    try:
+        truths = read_truths(options.clips)
+        name = options.known or next(iter(truths), "")
+        if name not in truths or len(truths) < 3:
+            parser.error(
+                f"{options.clips} holds {len(truths)} presses with truth, or not '{name}'; give three or more."
+            )
+        table = FileTable(options.output, console)
+        path = _write_known(options.output, truths[name])
+        folders = [str(truth.folder) for truth in truths.values()]
+        given = ["--output", str(options.output / "results"), "--onset", options.onset, "--masks", "annotation"]
+        status = infer.main([*folders, *given, "--no-overlay", "--calibration", str(path)])
+        if status not in (0, 1):
+            return status
+        judge(options.output / "results", truths, name, table)
+    except (InputError, OutputError) as error:
+        say(console, str(error), "red")
+        return 1
+    table.show()
+    return status
+
+
+def read_truths(folder: Path) -> dict[str, Truth]:
+    """Presses under a folder by their clips' names, in order."""
+    found = {}
+    for path in sorted(all_below(folder)) if folder.is_dir() else []:
+        if path.name == "truth.json":
+            truth = read_mapping(path, "a synthetic clip's truth")
+            if truth.get("action") == "press" and "theta" in truth:
+                middle = (1 - INTO) * truth["onset_s"] + INTO * truth["release_s"]
+                force = NEWTONS * abs(truth["theta"]["force"])
+                found[path.parent.name] = Truth(path.parent, force, middle)
+    return found
+
+
+def measured_force(truth: Truth) -> float:
+    """What a sensor that is off by MEASURED says [N]; the same whenever it is asked."""
+    draw = np.random.default_rng(round(1e6 * truth.force)).normal()
+    return truth.force * math.exp(MEASURED * draw)
+
+
+def _write_known(output: Path, truth: Truth) -> Path:
+    force = measured_force(truth)
+    told = {
+        "clip": truth.folder.name,
+        "force_N": force,
+        "force_sd_N": MEASURED * force,
+        "force_time_s": truth.known_time,
+    }
+    with writing(output):
+        output.mkdir(parents=True, exist_ok=True)
+        with replacing_own(output / "calibration.yaml") as partial:
+            partial.write_text(yaml.safe_dump(told), encoding="utf-8")
+    return output / "calibration.yaml"
+
+
+def judge(results: Path, truths: dict[str, Truth], known: str, table: FileTable) -> None:
+    """Add what calibrated.csv is worth, and what it would be with every clip's force known in turn."""
+    of_door, runs = [], {}
+    for name, truth in truths.items():
+        row, run = _row(results / name / CALIBRATED), _run(results / name / INTERACTIONS)
+        if run is not None:
+            runs[name] = run
+        if name == known or row is None or not row["force"]:
+            continue
+        value, low, high = (float(row[f"force{end}"]) for end in ("", "_low", "_high"))
+        sure = "force" in row["determined"].split(";")
+        of_door.append((math.log(value / truth.force), low <= truth.force <= high, sure))
+        measures = {"force / truth - 1": value / truth.force - 1, "within the 90 % interval": of_door[-1][1]}
+        table.add(name, measures | {"determined": sure})
+    table.add(f"others, the force of {known} known", _summary(of_door))
+    in_turn = []
+    for name, run in runs.items():
+        try:
+            scale = scale_by_force([run], [(run.onset_frame, measured_force(truths[name]), MEASURED)], MASS, name)
+        except NoEstimate:
+            continue
+        scale = scale.elsewhere(SAME, SAME)
+        for other, truth in truths.items():
+            if other == name or other not in runs:
+                continue
+            told = scale.of(runs[other], SAME)
+            off = float(told.logs[2]) - math.log(truth.force)
+            spread = told.log_sd
+            inside = spread is not None and abs(off) < NINETY * spread[2]
+            in_turn.append((off, inside, "force" in told.determined))
+    table.add("others, each clip's force known in turn", _summary(in_turn))
+
+
+def _summary(found: list[tuple[float, bool, bool]]) -> dict[str, object]:
+    sure = [(off, inside) for off, inside, determined in found if determined]
+    told: dict[str, object] = {"forces": len(found), "determined": len(sure)}
+    if sure:
+        off, inside = (np.array(column) for column in zip(*sure, strict=True))
+        error = np.abs(np.expm1(off))
+        told |= {
+            "determined: median error": float(np.median(error)),
+            f"determined: within {NEAR:.0%}": float((error < NEAR).mean()),
+            "determined: 90 % intervals hold": float(inside.mean()),
+        }
+    if found:
+        told["all: 90 % intervals hold"] = float(np.mean([inside for _, inside, _ in found]))
+    return told
+
+
+def _row(path: Path) -> dict[str, str] | None:
+    """The one run of contact of a clip's table."""
+    if not path.is_file():
+        return None
+    with path.open(encoding="utf-8", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    return rows[0] if len(rows) == 1 else None
+
+
+def _run(path: Path) -> PressedRun | None:
+    """A clip's press as interactions.csv has it: each parameter's error, as if they were independent."""
+    row = _row(path)
+    if row is None or not row["force_low"] or row["verdict"] == "undetermined":
+        return None
+    names = ("stiffness", "damping", "force")
+    logs = np.log([float(row[name]) for name in names])
+    widths = [math.log(float(row[f"{name}_high"]) / float(row[f"{name}_low"])) / (2 * NINETY) for name in names]
+    spread, begin = np.diag(np.square(widths)), float(row["onset_time_s"])
+    return PressedRun(int(row["onset_frame"]), begin, begin, logs, spread, spread, True)
+
+
+if __name__ == "__main__":
+    run_door(main)

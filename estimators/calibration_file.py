@@ -1,0 +1,262 @@
+"""The file of `infer.py --calibration`: what is known in newtons, and what was measured to compare with.
+
+Two kinds are read: this program's own (fields of `CalibrationFile`), and calibration.json of `calibrate.py palpation`
+with a sheet's thickness in it.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from data.source.images import printable
+from data.source.layout import InputError, from_mapping, read_mapping
+from estimators.estimate import NINETY, NoEstimate
+from estimators.force_scale import (
+    MASS,
+    SHEET,
+    STIFFNESS,
+    ClipLength,
+    ForceScale,
+    PressedRun,
+    measured_presses,
+    scale_by_force,
+    scale_by_stiffness,
+)
+from estimators.known_force import LEAST_KNOWN, KnownForce, read_forces
+from physics.fields import fits
+from physics.files import read_file
+
+MOST_BYTES = 2**24
+"""Of a file of palpations."""
+REFERENCES = ("force_N", "known_s", "stiffness", "palpation")
+"""Fields of which one at most tells newtons."""
+
+
+@dataclass(frozen=True)
+class CalibrationFile:
+    """Fields of the file.
+
+    Raises:
+        ValueError: fields that don't belong together, or numbers that can't be.
+    """
+
+    force_N: float | None = None
+    """A known force, its magnitude [N]."""
+    force_sd_N: float = 0.0
+    """Its standard deviation [N]."""
+    force_time_s: float | None = None
+    """When it acted: in the run of contact under way then, in the clip's time [s]."""
+    measured: str | None = None
+    """Measured forces, a CSV file beside this one with the columns time_s (in the clip's time) and force_N."""
+    known_s: tuple[float, float] | None = None
+    """The part of `measured` that tells the scale [s]; the rest is compared. None = all of it is compared only."""
+    rest_s: tuple[float, float] | None = None
+    """When nothing presses, in a clip that shows no tool [s]: the deepest dent against it tells the force then."""
+    stiffness: float | None = None
+    """Stiffness k_s of the tissue's sheet of springs, at all contacts."""
+    stiffness_sd: float = 0.0
+    """Its standard deviation."""
+    stiffness_unit: Literal["N/m", "N/scene unit"] = "N/m"
+    palpation: str | None = None
+    """calibration.json or curves.csv of calibrate.py, beside this file: E, of which k_s is three quarters, times
+    `thickness_m`."""
+    thickness_m: float | None = None
+    """Of the sheet that the tissue's surface is [m]."""
+    thickness_sd_m: float = 0.0
+    """Its standard deviation [m]."""
+    alike: Literal["mass", "stiffness"] = MASS
+    """What contacts have in common where a force is known: the mass of a vertex, as the simulator has it, or the
+    tissue's stiffness."""
+    clip: str | None = None
+    """Folder or file name of the clip in which the force is known, where there are several."""
+    metres_per_depth: float | None = None
+    """Length of a unit of the clips' depth [m]; none = as metric depth has it, else not known."""
+    metres_per_depth_sd: float = 0.0
+    """Its standard deviation [m]."""
+
+    def __post_init__(self) -> None:
+        given = [name for name in REFERENCES if getattr(self, name) is not None]
+        if len(given) > 1:
+            raise ValueError(f"{' and '.join(given)} each tell newtons; give one.")
+        if not given and self.measured is None:
+            raise ValueError(f"nothing is known; give one of {', '.join(REFERENCES)}, or measured.")
+        if (self.force_N is None) != (self.force_time_s is None):
+            raise ValueError("force_N and force_time_s belong together; give both.")
+        if (self.known_s or self.rest_s) is not None and self.measured is None:
+            raise ValueError("known_s and rest_s are parts of measured; give that.")
+        if self.rest_s is not None and self.known_s is None:
+            raise ValueError("rest_s needs known_s, whose dents tell the scale.")
+        if (self.palpation is None) != (self.thickness_m is None):
+            raise ValueError("palpation and thickness_m belong together; give both.")
+        if self.alike == STIFFNESS and given and given[0] not in ("force_N", "known_s"):
+            raise ValueError(f"alike is for a known force; leave it out beside {given[0]}.")
+        if self.clip is not None and given and given[0] not in ("force_N", "known_s"):
+            raise ValueError(f"clip names that of a known force; leave it out beside {given[0]}.")
+        for name in ("force_N", "stiffness", "thickness_m", "metres_per_depth"):
+            if getattr(self, name) is not None and not getattr(self, name) > 0:
+                raise ValueError(f"{name} is {getattr(self, name)}; give a positive number.")
+        for name in ("force_sd_N", "stiffness_sd", "thickness_sd_m", "metres_per_depth_sd"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"{name} is {getattr(self, name)}; give 0 or more.")
+        for name in ("known_s", "rest_s"):
+            part = getattr(self, name)
+            if part is not None and not part[0] < part[1]:
+                raise ValueError(f"{name} is {list(part)}; give a beginning before an end.")
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """What is known in newtons, read."""
+
+    fields: CalibrationFile
+    path: Path
+    files: tuple[Path, ...]
+    """It and those that it names."""
+    measured: KnownForce | None
+    young: tuple[float, float] | None
+    """E of the palpations [Pa] and the standard deviation of its logarithm."""
+
+    @property
+    def of_one_clip(self) -> bool:
+        """Whether a force tells the scale, which acted in one clip."""
+        return self.fields.force_N is not None or self.fields.known_s is not None
+
+    @property
+    def leans_on_a_clip(self) -> bool:
+        """Whether some of it belongs to one clip alone."""
+        return self.of_one_clip or self.measured is not None
+
+    @property
+    def tells(self) -> bool:
+        """Whether anything tells newtons."""
+        return self.of_one_clip or self.fields.stiffness is not None or self.young is not None
+
+    @property
+    def known(self) -> KnownForce | None:
+        """The measured forces that tell the scale."""
+        if self.measured is None or self.fields.known_s is None:
+            return None
+        low, high = self.fields.known_s
+        some = (low <= self.measured.times) & (self.measured.times <= high)
+        return KnownForce(self.measured.times[some], self.measured.force[some])
+
+    def length(self, scale: float, metric: bool, stored: bool) -> ClipLength:
+        """What a scene unit of a clip is.
+
+        Args:
+            scale: depth that is one.
+            metric: whether that is in metres.
+            stored: whether depth comes from files.
+        """
+        stated, sd = self.fields.metres_per_depth, self.fields.metres_per_depth_sd
+        if stated is not None:
+            return ClipLength(scale, scale * stated, sd / stated, stored)
+        return ClipLength(scale, scale if metric else None, 0.0, stored)
+
+    def scale(self, runs: Sequence[PressedRun], length: ClipLength) -> ForceScale:
+        """The scale of a clip from its own runs, or from the tissue's stiffness.
+
+        Raises:
+            NoEstimate: why there is none.
+        """
+        given = self.fields
+        if given.force_N is not None and given.force_time_s is not None:
+            at = np.array([given.force_time_s])
+            here = [run for run in runs if run.pressing(at)[0]]
+            if not here:
+                raise NoEstimate(
+                    f"Nothing is told in newtons: no press was estimated in contact at {given.force_time_s:g} s, when "
+                    "the force is known."
+                )
+            frame, log_sd = here[0].onset_frame, given.force_sd_N / given.force_N
+            source = f"known force of {given.force_N:g} N at frame {frame}"
+            return scale_by_force(runs, [(frame, given.force_N, log_sd)], given.alike, source)
+        if given.known_s is not None and self.measured is not None:
+            forces = measured_presses(runs, self.measured, given.known_s)
+            if not forces:
+                raise NoEstimate(
+                    f"Nothing is told in newtons: in no run of contact with an estimate {LEAST_KNOWN} or more forces "
+                    "are known."
+                )
+            frames = ", ".join(str(frame) for frame, *_ in forces)
+            return scale_by_force(runs, forces, given.alike, f"forces measured at frame {frames}")
+        if given.stiffness is not None:
+            source = f"known stiffness of {given.stiffness:g} {given.stiffness_unit}"
+            log_sd, metric = given.stiffness_sd / given.stiffness, given.stiffness_unit == "N/m"
+            return scale_by_stiffness(given.stiffness, log_sd, metric, length, source)
+        if self.young is None or given.thickness_m is None:
+            raise NoEstimate("Nothing that the file holds tells newtons.")
+        young, young_sd = self.young
+        log_sd = math.hypot(young_sd, given.thickness_sd_m / given.thickness_m)
+        source = f"palpation, E = {young:.4g} Pa, in a sheet of {1000 * given.thickness_m:g} mm"
+        return scale_by_stiffness(SHEET * young * given.thickness_m, log_sd, True, length, source)
+
+
+def read_calibration(path: Path) -> Calibration:
+    """Read a file of what is known in newtons.
+
+    Raises:
+        InputError: it, or a file that it names, can't be read or can't be.
+    """
+    values = read_mapping(path, "a calibration")
+    if "young_pa" in values:
+        if "thickness_m" not in values:
+            raise InputError(
+                f"{printable(path)} holds no thickness_m, without which E tells no stiffness of a sheet; give "
+                "calibrate.py palpation --sheet-thickness, or a YAML file with palpation and thickness_m."
+            )
+        values = {"palpation": path.name, "thickness_m": values["thickness_m"]}
+    given = from_mapping(CalibrationFile, values, printable(path))
+    files, measured, young = [path], None, None
+    if given.measured is not None:
+        files.append(path.parent / given.measured)
+        measured = read_forces(files[-1])
+    if given.palpation is not None:
+        files.append(path.parent / given.palpation)
+        young = _palpated(files[-1])
+    return Calibration(given, path, tuple(dict.fromkeys(files)), measured, young)
+
+
+def _palpated(path: Path) -> tuple[float, float]:
+    """E [Pa] and the standard deviation of its logarithm from what calibrate.py wrote."""
+    if path.suffix.lower() == ".csv":
+        return _of_curves(path)
+    values = read_mapping(path, "a palpation's calibration.json")
+    return _interval(values, path)
+
+
+def _interval(values: Mapping[str, Any], path: Path) -> tuple[float, float]:
+    names = ("young_pa", "young_low_pa", "young_high_pa")
+    if not all(fits(values.get(name), float) and values[name] > 0 for name in names):
+        raise InputError(
+            f"{printable(path)} holds no E with an interval ({', '.join(names)}); give calibration.json of "
+            "calibrate.py palpation --optimizer gauss-newton."
+        )
+    young, low, high = (float(values[name]) for name in names)
+    return young, abs(math.log(high / low)) / (2 * NINETY)
+
+
+def _of_curves(path: Path) -> tuple[float, float]:
+    """Mean of log E over probes of one piece of tissue, and how well that is known."""
+    give = "give curves.csv of calibrate.py curves --indenter … --size …"
+    try:
+        text = io.StringIO(read_file(path, MOST_BYTES).decode("utf-8-sig"), newline="")
+        rows = [row for row in csv.DictReader(text) if row["unit"] == "kPa"]
+        found = np.array([[float(row[name]) for name in ("value", "low", "high")] for row in rows]).reshape(-1, 3)
+    except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
+        raise InputError(f"{printable(path)} is no table of calibrate.py; {give}.") from error
+    if not len(found) or not (np.isfinite(found) & (found > 0)).all():
+        raise InputError(f"{printable(path)} holds no modulus in kPa, or one that can't be; {give}.")
+    logs = np.log(1000 * found)
+    own = (logs[:, 2] - logs[:, 1]) / (2 * NINETY)
+    # Between places tissue differs by more than a curve's own error, and so may the place in the picture.
+    apart = float(logs[:, 0].std(ddof=1)) if len(logs) > 1 else 0.0
+    return float(np.exp(logs[:, 0].mean())), math.hypot(apart, float(np.sqrt(np.mean(own**2))))

@@ -1,0 +1,288 @@
+"""Newtons of one clip: calibrated.csv, a row a run of contact, and what was measured beside what is estimated."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from data.prepared import PreparedFrame
+from estimators.calibration_file import Calibration
+from estimators.dent import DentRecorder
+from estimators.estimate import NINETY, GripEstimate, InteractionEstimate, NoEstimate
+from estimators.force_scale import ClipLength, ForceScale, Physical, PressedRun
+from estimators.known_force import KnownForce, predict_force
+from physics.mechanics import PARAMETERS
+
+CALIBRATED: dict[str, str] = {
+    "onset_frame": "number of the run's first frame in contact",
+    "onset_time_s": "s",
+    **{
+        column: text
+        for name, symbol in zip(PARAMETERS, ("k_s", "k_d", "|F|"), strict=True)
+        for column, text in (
+            (name, f"{symbol} in {name}_unit"),
+            (f"{name}_sd", f"standard deviation of {symbol}; empty: the estimator gives none"),
+            (f"{name}_low", f"lower end of the 90 % interval of {symbol}"),
+            (f"{name}_high", f"upper end of the 90 % interval of {symbol}"),
+            (f"{name}_unit", "unit, and what it was calibrated by"),
+        )
+    },
+    "determined": "which of them are determined, joined by ;",
+    "detail": "why there are no numbers",
+}
+"""Columns of `calibrated.csv`, in order; written with --calibration."""
+COMPARED: dict[str, str] = {
+    "onset_frame": "number of the first frame of the run, or of the press that no tool shows",
+    "time_s": "s",
+    "measured_N": "measured force",
+    "estimated": "estimated force, in estimated_unit",
+    "estimated_low": "lower end of its 90 % interval; empty: not known",
+    "estimated_high": "upper end of its 90 % interval",
+    "estimated_unit": "N, or scene units where nothing tells newtons",
+    "known": "1 where the measured force told the scale, and nothing is to be learnt from the comparison",
+}
+"""Columns of `compared.csv`, in order; written where forces were measured."""
+NEWTONS, NORMALISED = "N", "scene units"
+LEAST_COMPARED = 3
+"""Forces, of which scale and correlation are told."""
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """An estimated force over time beside the measured one; T instants."""
+
+    onset_frame: int
+    times: np.ndarray
+    """Shape [T] [s]."""
+    force: np.ndarray
+    """Shape [T], in `unit`."""
+    low: np.ndarray
+    """Shape [T]; not a number where it isn't known."""
+    high: np.ndarray
+    """Likewise."""
+    unit: str
+    """NEWTONS or NORMALISED."""
+
+
+@dataclass
+class ClipCalibration:
+    """Gathers what a clip tells, and says it in newtons.
+
+    Args:
+        calibration: what is known.
+        home: whether what was measured, or is known of a force, belongs to this clip.
+        carried: the scale of another clip and its length, where the force is known there; or why there is none.
+    """
+
+    calibration: Calibration
+    home: bool = True
+    carried: tuple[ForceScale, ClipLength] | str | None = None
+    scale: ForceScale | None = None
+    """Of this clip, once it has been concluded."""
+    length: ClipLength | None = None
+    """Likewise."""
+    rows: list[dict[str, Any]] = field(default_factory=list)
+    """Of calibrated.csv, likewise."""
+    curves: list[Curve] = field(default_factory=list)
+    """Estimated forces where some were measured, likewise."""
+    reason: str = ""
+    """Why there is no scale."""
+
+    def __post_init__(self) -> None:
+        self._runs: list[tuple[int, float, PressedRun | None]] = []
+        self._grips: list[tuple[int, np.ndarray, np.ndarray, np.ndarray]] = []
+        rest = self.calibration.fields.rest_s
+        self._dents = DentRecorder(rest) if self.home and rest is not None else None
+
+    @property
+    def known(self) -> KnownForce | None:
+        """Forces that tell the scale of this clip's grips."""
+        return self.calibration.known if self.home else None
+
+    @property
+    def measured(self) -> KnownForce | None:
+        """Forces to compare with."""
+        return self.calibration.measured if self.home else None
+
+    def see(self, prepared: PreparedFrame) -> None:
+        """The next frame."""
+        if self._dents is not None:
+            self._dents.see(prepared.frame.number, prepared.frame.time_s, prepared.depth)
+
+    def add(self, run: InteractionEstimate) -> None:
+        """The next run of contact."""
+        self._runs.append((run.onset_frame, run.onset_time_s, PressedRun.of(run)))
+        told = run.told
+        if self.known is not None and isinstance(told, GripEstimate) and "relative_force" in told.determined:
+            self._grips.append((run.onset_frame, run.onset_time_s + told.times, told.force, told.force_sd))
+
+    def conclude(self, length: ClipLength) -> None:
+        """Say all in newtons, after the last run of contact."""
+        self.length = length
+        pressed = [run for *_, run in self._runs if run is not None]
+        try:
+            self.scale = self._found(pressed, length)
+        except NoEstimate as reason:
+            self.reason = str(reason)
+        for frame, time_s, run in self._runs:
+            values = {"onset_frame": frame, "onset_time_s": time_s}
+            if run is None:
+                values["detail"] = "No press was estimated in this run of contact."
+            elif self.scale is None:
+                values["detail"] = self.reason
+            elif not run.explained:
+                values["detail"] = "The model does not explain the motion."
+            else:
+                values |= physical_values(self.scale.of(run, length), self.scale.source)
+            self.rows.append(values)
+        if self.measured is not None:
+            self.curves = self._compared(pressed, length, self.measured)
+
+    def _found(self, pressed: Sequence[PressedRun], length: ClipLength) -> ForceScale | None:
+        if self.home or not self.calibration.of_one_clip:
+            return self.calibration.scale(pressed, length) if self.calibration.tells else None
+        if not isinstance(self.carried, tuple):
+            raise NoEstimate(
+                self.carried or "Nothing is told in newtons: the clip with the known force has no results."
+            )
+        scale, here = self.carried
+        return scale.elsewhere(here, length)
+
+    def _compared(self, pressed: Sequence[PressedRun], length: ClipLength, measured: KnownForce) -> list[Curve]:
+        found = []
+        for run in pressed:
+            times = measured.times[run.pressing(measured.times)]
+            if len(times) and run.explained:
+                found.append(_press_curve(run, times, self.scale, length))
+        known = self.known
+        shown = list(self._grips)
+        if self._dents is not None and self._dents.times and not any(item is not None for *_, item in self._runs):
+            depths = np.array(self._dents.depths)
+            shown.append((self._dents.frames[0], np.array(self._dents.times), depths, np.zeros(len(depths))))
+        for frame, times, force, sd in shown:
+            if known is None:
+                continue
+            try:
+                curve = predict_force(known.at(times), force, sd)
+            except NoEstimate as reason:
+                self.reason = str(reason)
+                continue
+            ends = curve.force - NINETY * curve.sd, curve.force + NINETY * curve.sd
+            found.append(Curve(frame, times, curve.force, *ends, NEWTONS))
+        return found
+
+    def compared_rows(self) -> list[dict[str, Any]]:
+        """Estimated forces beside measured ones by column of COMPARED."""
+        if self.measured is None:
+            return []
+        span = self.calibration.fields.known_s or (math.inf, -math.inf)
+        found = []
+        for curve in self.curves:
+            for time, measured, force, low, high in zip(
+                curve.times, self.measured.at(curve.times), curve.force, curve.low, curve.high, strict=True
+            ):
+                values = {"onset_frame": curve.onset_frame, "time_s": float(time), "measured_N": float(measured)}
+                values |= {"estimated": float(force), "estimated_low": float(low), "estimated_high": float(high)}
+                found.append(values | {"estimated_unit": curve.unit, "known": bool(span[0] <= time <= span[1])})
+        return found
+
+    def record(self) -> dict[str, Any]:
+        """What run.json keeps: where newtons come from, and how well estimates agree with what was measured."""
+        found: dict[str, Any] = {"files": [str(path.resolve()) for path in self.calibration.files]}
+        if self.scale is not None and self.length is not None:
+            told = self.scale
+            found["scale"] = {
+                "log_newtons": told.log,
+                "variance": told.variance,
+                "alike": told.alike,
+                "source": told.source,
+                "metric": told.metric,
+            }
+            found["length"] = vars(self.length).copy()
+        if self.reason:
+            found["reason"] = self.reason
+        if self.measured is not None:
+            found["comparison"] = agreement(self.compared_rows())
+        return found
+
+
+def carried_from(record: dict[str, Any]) -> tuple[ForceScale, ClipLength] | str:
+    """Scale and length that the record of another clip holds, or why there is none."""
+    told = record.get("calibration") or {}
+    if "scale" not in told:
+        return str(told.get("reason", ""))
+    scale = told["scale"]
+    return (
+        ForceScale(
+            scale["log_newtons"], scale["variance"], scale["alike"], scale["source"], {}, metric=scale["metric"]
+        ),
+        ClipLength(**told["length"]),
+    )
+
+
+def physical_values(told: Physical, source: str) -> dict[str, Any]:
+    """Numbers of a run by column of CALIBRATED; uncertainties that nobody knows are missing."""
+    per = "m" if told.metric else "scene unit"
+    units = dict(zip(PARAMETERS, (f"N/{per}", f"N·s/{per}", "N"), strict=True))
+    spread = told.log_sd
+    found: dict[str, Any] = {"determined": ";".join(told.determined)}
+    for index, name in enumerate(PARAMETERS):
+        value = math.exp(told.logs[index])
+        found |= {name: value, f"{name}_unit": f"{units[name]}, by {source}"}
+        if spread is not None:
+            log_sd = float(spread[index])
+            found[f"{name}_sd"] = value * math.exp(log_sd**2 / 2) * math.sqrt(math.expm1(log_sd**2))
+            found[f"{name}_low"] = value * math.exp(-NINETY * log_sd)
+            found[f"{name}_high"] = value * math.exp(NINETY * log_sd)
+    return found
+
+
+def _press_curve(run: PressedRun, times: np.ndarray, scale: ForceScale | None, length: ClipLength) -> Curve:
+    """A press's force, constant while it acts."""
+    unknown = np.full(len(times), np.nan)
+    if scale is None:
+        return Curve(run.onset_frame, times, np.full(len(times), math.exp(run.logs[2])), unknown, unknown, NORMALISED)
+    told = scale.of(run, length)
+    force, spread = math.exp(told.logs[2]), told.log_sd
+    ends = (unknown, unknown)
+    if spread is not None:
+        ends = tuple(np.full(len(times), force * math.exp(sign * NINETY * spread[2])) for sign in (-1, 1))
+    return Curve(run.onset_frame, times, np.full(len(times), force), *ends, NEWTONS)
+
+
+def agreement(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Scale, correlation and error of estimated forces against measured ones that did not tell the scale."""
+    some = [row for row in rows if not row["known"] and math.isfinite(row["measured_N"])]
+    found: dict[str, Any] = {"forces": len(some)}
+    if len(some) < LEAST_COMPARED or len({row["estimated_unit"] for row in some}) > 1:
+        return found
+    names = ("measured_N", "estimated", "estimated_low", "estimated_high")
+    measured, estimated, low, high = np.array([[row[name] for name in names] for row in some]).T
+    if estimated.any():
+        found["measured_over_estimated"] = float(measured @ estimated / (estimated @ estimated))
+    if np.ptp(measured) > 0 and np.ptp(estimated) > 1e-9 * np.abs(estimated).max():
+        found["correlation"] = float(np.corrcoef(measured, estimated)[0, 1])
+    if some[0]["estimated_unit"] == NEWTONS:
+        found["rms_error_N"] = float(np.sqrt(np.square(measured - estimated).mean()))
+        found["rms_measured_N"] = float(np.sqrt(np.square(measured).mean()))
+        if np.isfinite(low).all():
+            found["within_90_percent_intervals"] = float(((low <= measured) & (measured <= high)).mean())
+    return found
+
+
+def comparison_sentence(found: dict[str, Any]) -> str:
+    """The same in words."""
+    told = [f"{found['forces']} measured forces beside estimates"]
+    for name, text in (
+        ("measured_over_estimated", "measured over estimated {:.3g}"),
+        ("correlation", "correlation {:.2f}"),
+        ("rms_error_N", "RMS error {:.3g} N"),
+        ("within_90_percent_intervals", "{:.0%} within 90 % intervals"),
+    ):
+        if name in found:
+            told.append(text.format(found[name]))
+    return ", ".join(told)

@@ -1,0 +1,136 @@
+"""Files of what is known in newtons: what they tell, and what is wrong with them in one sentence."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from data.source.layout import InputError
+from estimators.calibration_file import Calibration, read_calibration
+from estimators.estimate import NINETY, NoEstimate
+from estimators.force_scale import MASS, SHEET, STIFFNESS
+from tests.estimators.test_force_scale import KNOWN, METRIC, OTHER, UNKNOWN
+
+FORCE = {"force_N": 4.0, "force_sd_N": 0.2, "force_time_s": 0.5}
+
+
+def read(folder: Path, **fields: Any) -> Calibration:
+    (folder / "known.yaml").write_text(yaml.safe_dump(fields))
+    return read_calibration(folder / "known.yaml")
+
+
+def write_forces(folder: Path) -> None:
+    rows = [f"{time:.2f},{3.0 if time < 1 else 5.0}" for time in np.arange(0, 3, 0.1)]
+    (folder / "forces.csv").write_text("\n".join(["time_s,force_N", *rows]))
+
+
+def test_a_known_force_belongs_to_the_contact_of_its_time(tmp_path: Path) -> None:
+    calibration = read(tmp_path, **FORCE)
+    scale = calibration.scale([OTHER, KNOWN], UNKNOWN)
+    assert (scale.used, scale.alike, scale.source) == ({10: 1.0}, MASS, "known force of 4 N at frame 10")
+    assert math.exp(scale.log) == pytest.approx(20.0)
+    assert calibration.of_one_clip
+    with pytest.raises(NoEstimate, match=r"no press was estimated in contact at 0.5 s"):
+        calibration.scale([OTHER], UNKNOWN)
+
+
+def test_measured_forces_tell_the_scale_where_they_are_known(tmp_path: Path) -> None:
+    write_forces(tmp_path)
+    calibration = read(tmp_path, measured="forces.csv", known_s=[0.0, 1.2], alike="stiffness")
+    scale = calibration.scale([KNOWN, OTHER], UNKNOWN)
+    assert (scale.alike, scale.source) == (STIFFNESS, "forces measured at frame 10")
+    assert math.exp(scale.log) == pytest.approx(3.0 * 0.5 / 0.2)
+    assert calibration.known is not None
+    assert calibration.known.times.max() == pytest.approx(1.2)
+    assert calibration.files == (tmp_path / "known.yaml", tmp_path / "forces.csv")
+    with pytest.raises(NoEstimate, match="3 or more forces are known"):
+        calibration.scale([OTHER], UNKNOWN)
+    alone = read(tmp_path, measured="forces.csv")
+    assert (alone.tells, alone.leans_on_a_clip, alone.known) == (False, True, None)
+
+
+def test_a_known_stiffness_has_its_unit(tmp_path: Path) -> None:
+    scene = read(tmp_path, stiffness=16.0, stiffness_sd=1.6, stiffness_unit="N/scene unit").scale([], UNKNOWN)
+    assert (math.exp(scene.log), scene.variance) == pytest.approx((16.0, 0.01))
+    metric = read(tmp_path, stiffness=80.0).scale([], METRIC)
+    assert math.exp(metric.log) == pytest.approx(80 * 0.2)
+    assert metric.source == "known stiffness of 80 N/m"
+
+
+def test_palpations_tell_the_stiffness_of_a_sheet(tmp_path: Path) -> None:
+    """10 kPa, to 10 % (one standard deviation), in 4 mm that are known to 5 %."""
+    half = math.exp(0.1 * NINETY)
+    found = {"young_pa": 1e4, "young_low_pa": 1e4 / half, "young_high_pa": 1e4 * half}
+    (tmp_path / "calibration.json").write_text(json.dumps(found))
+    calibration = read(tmp_path, palpation="calibration.json", thickness_m=0.004, thickness_sd_m=0.0002)
+    scale = calibration.scale([], METRIC)
+    assert math.exp(scale.log) == pytest.approx(SHEET * 1e4 * 0.004 * 0.2)
+    assert scale.variance == pytest.approx(0.1**2 + 0.05**2)
+    assert scale.source == "palpation, E = 1e+04 Pa, in a sheet of 4 mm"
+    (tmp_path / "sheet.json").write_text(json.dumps({**found, "thickness_m": 0.004, "verdict": "young"}))
+    whole = read_calibration(tmp_path / "sheet.json").scale([], METRIC)
+    assert (whole.log, whole.variance) == pytest.approx((scale.log, 0.01))
+    with pytest.raises(InputError, match="holds no thickness_m"):
+        read_calibration(tmp_path / "calibration.json")
+
+
+def test_moduli_of_curves_differ_from_place_to_place(tmp_path: Path) -> None:
+    rows = ["file,curve,quantity,value,low,high,unit"]
+    rows += [f"a,{i},E,{value},{value / 1.1},{value * 1.1},kPa" for i, value in enumerate((8.0, 10.0, 12.5))]
+    (tmp_path / "curves.csv").write_text("\n".join([*rows, "a,hold,relaxation time,1,,,s"]))
+    young = read(tmp_path, palpation="curves.csv", thickness_m=0.004).young
+    assert young is not None
+    own = math.log(1.21) / (2 * NINETY)
+    assert young == pytest.approx((1e4, math.hypot(math.log(1.25), own)))
+    (tmp_path / "curves.csv").write_text("\n".join([rows[0], "a,1,stiffness,0.3,0.2,0.4,N/mm"]))
+    with pytest.raises(InputError, match="holds no modulus in kPa, or one that can"):
+        read(tmp_path, palpation="curves.csv", thickness_m=0.004)
+
+
+def test_a_stated_length_goes_before_the_depth_s_own(tmp_path: Path) -> None:
+    stated = read(tmp_path, **FORCE, metres_per_depth=0.1, metres_per_depth_sd=0.01).length(2.0, True, False)
+    assert (stated.metres, stated.log_sd) == pytest.approx((0.2, 0.1))
+    bare = read(tmp_path, **FORCE)
+    assert bare.length(2.0, True, False).metres == 2.0
+    assert bare.length(2.0, False, True).metres is None
+
+
+@pytest.mark.parametrize(
+    ("fields", "told"),
+    [
+        ({}, "nothing is known; give one of force_N, known_s, stiffness, palpation, or measured."),
+        ({**FORCE, "stiffness": 3.0}, "force_N and stiffness each tell newtons; give one."),
+        ({"force_N": 4.0}, "force_N and force_time_s belong together; give both."),
+        ({**FORCE, "force_N": -1.0}, "force_N is -1.0; give a positive number."),
+        ({**FORCE, "force_sd_N": -1.0}, "force_sd_N is -1.0; give 0 or more."),
+        ({**FORCE, "known_s": [0, 1]}, "force_N and known_s each tell newtons; give one."),
+        ({"known_s": [0, 1]}, "known_s and rest_s are parts of measured; give that."),
+        ({"measured": "forces.csv", "known_s": [1, 1]}, "known_s is [1, 1]; give a beginning before an end."),
+        ({"measured": "forces.csv", "rest_s": [0, 1]}, "rest_s needs known_s, whose dents tell the scale."),
+        ({"palpation": "a.json"}, "palpation and thickness_m belong together; give both."),
+        ({"stiffness": 3.0, "alike": "stiffness"}, "alike is for a known force; leave it out beside stiffness."),
+        ({"stiffness": 3.0, "clip": "a"}, "clip names that of a known force; leave it out beside stiffness."),
+        ({"stiffness": 3.0, "stiffness_unit": "kN"}, "stiffness_unit"),
+        ({"newtons": 3.0}, "has the unknown key 'newtons'"),
+        ({"measured": "no.csv"}, "no.csv is no table of forces"),
+        ({"palpation": "no.json", "thickness_m": 0.1}, "no.json can't be read as a palpation's calibration.json"),
+        ({"palpation": "no.csv", "thickness_m": 0.1}, "no.csv is no table of calibrate.py"),
+    ],
+)
+def test_what_is_wrong_is_said_in_a_sentence(tmp_path: Path, fields: dict[str, Any], told: str) -> None:
+    with pytest.raises(InputError) as error:
+        read(tmp_path, **fields)
+    assert told in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_the_numeric_descent_s_file_knows_no_interval(tmp_path: Path) -> None:
+    (tmp_path / "calibration.json").write_text(json.dumps({"young_pa": 1e4, "thickness_m": 0.004}))
+    with pytest.raises(InputError, match="holds no E with an interval"):
+        read_calibration(tmp_path / "calibration.json")

@@ -1,0 +1,164 @@
+"""Newtons by one scale: closed forms, and intervals that hold as often as they say."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from estimators.estimate import NoEstimate
+from estimators.force_scale import (
+    MASS,
+    SHEET,
+    STIFFNESS,
+    ClipLength,
+    ForceScale,
+    PressedRun,
+    measured_presses,
+    scale_by_force,
+    scale_by_stiffness,
+)
+from estimators.known_force import KnownForce
+from tests.estimators.estimates import GOOD, NONE
+
+UNKNOWN = ClipLength(1.0)
+METRIC = ClipLength(0.2, 0.2)
+SPREAD = np.array([[0.04, 0.01, 0.02], [0.01, 0.02, 0.0], [0.02, 0.0, 0.03]])
+
+
+def run(frame: int, theta: tuple[float, float, float], spread: np.ndarray | None = SPREAD, **changes) -> PressedRun:
+    logs = np.log(np.abs(theta))
+    return dataclasses.replace(
+        PressedRun(frame, 0.04 * frame, 0.04 * frame + 0.4, logs, spread, spread, True), **changes
+    )
+
+
+KNOWN, OTHER = run(10, (0.5, 0.1, -0.2)), run(40, (0.8, 0.05, -0.05))
+
+
+def test_what_is_kept_of_a_run_is_its_estimate_and_when_it_pressed() -> None:
+    kept = PressedRun.of(GOOD)
+    assert kept is not None
+    assert np.exp(kept.logs) == pytest.approx([0.5, 0.06, 0.1])
+    np.testing.assert_allclose(kept.expected, kept.covariance, rtol=1e-12)
+    assert (kept.begin, kept.end, kept.explained) == (0.28, pytest.approx(0.44), True)
+    assert kept.pressing(np.array([0.27, 0.28, 0.43, 0.44])).tolist() == [False, True, True, False]
+    assert PressedRun.of(NONE) is None
+
+
+def test_one_known_force_tells_the_other_contacts_by_the_mass_that_they_share() -> None:
+    """0.2 units are 4 N, so every unit is 20 N, and 16 N/m are 0.8 units where a unit of length is a metre."""
+    scale = scale_by_force([KNOWN, OTHER], [(10, 4.0, 0.05)], MASS, "a force")
+    told = scale.of(OTHER, UNKNOWN)
+    assert np.exp(told.logs) == pytest.approx([16.0, 1.0, 1.0])
+    np.testing.assert_allclose(told.covariance, SPREAD + 0.05**2 + SPREAD[2, 2], rtol=1e-12)
+    assert told.determined == ("stiffness", "damping", "force")
+    own = scale.of(KNOWN, UNKNOWN)
+    assert np.exp(own.logs[2]) == pytest.approx(4.0)
+    assert own.covariance is not None
+    assert own.covariance[2, 2] == pytest.approx(0.05**2)  # of the measured force alone
+    ratio = SPREAD[0, 0] + SPREAD[2, 2] - 2 * SPREAD[0, 2]  # k_s = F·(k_s/F)
+    assert own.covariance[0, 0] == pytest.approx(ratio + 0.05**2)
+    metric = scale.of(OTHER, METRIC)
+    assert np.exp(metric.logs) == pytest.approx([16 / 0.2, 1 / 0.2, 1.0])
+    assert (metric.metric, told.metric) == (True, False)
+
+
+def test_a_shared_stiffness_tells_forces_where_only_ratios_are_known() -> None:
+    """k_s and F are known together only: to a factor e each, to a tenth over each other."""
+    loose = np.ones((3, 3)) + np.diag([0.0, 0.0, 0.01])
+    known, other = (dataclasses.replace(each, covariance=loose, expected=loose) for each in (KNOWN, OTHER))
+    with pytest.raises(NoEstimate, match="force of the run at frame 10, whose force is known, is not determined"):
+        scale_by_force([known, other], [(10, 4.0, 0.0)], MASS, "a force")
+    told = scale_by_force([known, other], [(10, 4.0, 0.0)], STIFFNESS, "a force").of(other, UNKNOWN)
+    assert np.exp(told.logs[:1]) == pytest.approx(4.0 * 0.5 / 0.2)  # N per scene unit, as at the known contact
+    assert np.exp(told.logs[2]) == pytest.approx(4.0 * (0.05 / 0.8) / (0.2 / 0.5))
+    assert told.covariance is not None
+    assert told.covariance[2, 2] == pytest.approx(0.02)
+    assert told.determined == ("stiffness", "damping", "force")
+
+
+def test_several_known_forces_count_by_how_well_they_are_known() -> None:
+    exact, loose = run(10, (1, 1, -1), 0.01 * np.eye(3)), run(20, (1, 1, -1), 0.04 * np.eye(3))
+    scale = scale_by_force([exact, loose], [(10, 2.0, 0.0), (20, 4.0, 0.0)], MASS, "forces")
+    assert scale.used == pytest.approx({10: 0.8, 20: 0.2})
+    assert scale.log == pytest.approx(0.8 * math.log(2) + 0.2 * math.log(4))
+    assert scale.variance == pytest.approx(0.008)
+    assert scale_by_force([exact], [(10, 2.0, 0.0), (99, 9.0, 0.0)], MASS, "").used == {10: 1.0}
+
+
+def test_a_stiffness_in_newtons_a_metre_needs_a_length_and_carries_its_error_once() -> None:
+    with pytest.raises(NoEstimate, match="give metres_per_depth"):
+        scale_by_stiffness(80.0, 0.1, True, UNKNOWN, "a stiffness")
+    length = ClipLength(0.2, 0.2, log_sd=0.3)
+    told = scale_by_stiffness(80.0, 0.1, True, length, "a stiffness").of(OTHER, length)
+    assert np.exp(told.logs) == pytest.approx([80.0, 80 * 0.05 / 0.8, 80 * 0.2 * 0.05 / 0.8])
+    assert told.covariance is not None
+    assert told.covariance[0, 0] == pytest.approx(0.1**2)  # as it was given, whatever the length
+    over = SPREAD[0, 0] + SPREAD[2, 2] - 2 * SPREAD[0, 2]
+    assert told.covariance[2, 2] == pytest.approx(0.1**2 + over + 0.3**2)
+    here = scale_by_stiffness(16.0, 0.1, False, UNKNOWN, "a stiffness").of(OTHER, UNKNOWN)
+    assert np.exp(here.logs[[0, 2]]) == pytest.approx([16.0, 1.0])
+
+
+def test_another_clip_s_scene_unit_may_be_longer() -> None:
+    scale = ForceScale(math.log(3.0), 0.01, MASS, "a force", {10: 1.0})
+    assert math.exp(scale.elsewhere(METRIC, ClipLength(1.0, 0.6)).log) == pytest.approx(9.0)
+    stored = ClipLength(2.0, stored=True), ClipLength(1.0, stored=True)
+    assert math.exp(scale.elsewhere(*stored).log) == pytest.approx(1.5)
+    assert scale.elsewhere(*stored).used == {}
+    with pytest.raises(NoEstimate, match="give metres_per_depth"):
+        scale.elsewhere(UNKNOWN, stored[0])
+
+
+def test_a_run_that_the_model_does_not_explain_or_that_has_no_estimate_tells_no_scale() -> None:
+    with pytest.raises(NoEstimate, match="does not explain the motion of the run at frame 10"):
+        scale_by_force([dataclasses.replace(KNOWN, explained=False)], [(10, 1.0, 0.0)], MASS, "")
+    with pytest.raises(NoEstimate, match="no press was estimated"):
+        scale_by_force([OTHER], [(10, 1.0, 0.0)], MASS, "")
+
+
+def test_an_estimator_without_uncertainty_gives_numbers_alone() -> None:
+    bare = run(10, (0.5, 0.1, -0.2), None)
+    told = scale_by_force([bare], [(10, 4.0, 0.1)], MASS, "").of(bare, UNKNOWN)
+    assert np.exp(told.logs) == pytest.approx([10.0, 2.0, 4.0])
+    assert (told.log_sd, told.determined) == (None, ())
+
+
+def test_measured_forces_of_a_run_are_its_mean_within_what_is_known() -> None:
+    times = np.arange(0, 2, 0.05)
+    force = np.where(times < 1, -3.0, -5.0) + 0.1 * (-1.0) ** np.arange(len(times))
+    (found,) = measured_presses([KNOWN, OTHER], KnownForce(times, force), (0.0, 1.5))
+    assert found[:2] == (10, pytest.approx(3.0, abs=0.03))
+    assert 0 < found[2] < 0.03
+    assert measured_presses([KNOWN], KnownForce(times, force), (0.7, 1.5)) == []  # two forces are too few
+
+
+def test_intervals_of_forces_hold_as_often_as_they_say() -> None:
+    chance = np.random.default_rng(3)
+    inside = 0
+    for _ in range(400):
+        off = chance.multivariate_normal(np.zeros(3), SPREAD, 2)
+        known = dataclasses.replace(KNOWN, logs=KNOWN.logs + off[0])
+        other = dataclasses.replace(OTHER, logs=OTHER.logs + off[1])
+        measured = 4.0 * math.exp(chance.normal(0, 0.05))
+        told = scale_by_force([known, other], [(10, measured, 0.05)], MASS, "").of(other, UNKNOWN)
+        assert told.log_sd is not None
+        inside += abs(told.logs[2] - math.log(1.0)) < 1.645 * told.log_sd[2]
+    assert inside / 400 == pytest.approx(0.9, abs=0.04)
+
+
+def test_a_sheet_of_the_mesh_s_springs_is_four_thirds_of_their_stiffness_stiff() -> None:
+    """Two sides and a diagonal a square: energy of strains in all directions against that of an isotropic sheet."""
+    ways = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
+
+    def energy(strain: np.ndarray) -> float:
+        return sum(0.5 * ((way @ strain @ way) / np.linalg.norm(way)) ** 2 for way in ways)
+
+    angles = np.linspace(0, 2 * np.pi, 64, endpoint=False)
+    turns = [np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]) for a in angles]
+    area = energy(np.eye(2)) / 2  # W = 2K e² of e·1
+    shear = np.mean([energy(turn @ np.diag([1.0, -1.0]) @ turn.T) for turn in turns]) / 2  # W = 2μ e²
+    assert pytest.approx(4 * area * shear / (area + shear)) == 1 / SHEET

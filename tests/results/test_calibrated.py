@@ -1,0 +1,193 @@
+"""Newtons of a clip: rows by known forces, curves beside measured ones, and their agreement."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from data.prepared import PreparedFrame
+from data.source.frames import Frame
+from estimators.calibration_file import read_calibration
+from estimators.estimate import GripEstimate
+from estimators.force_scale import ClipLength
+from results.calibrated import (
+    CALIBRATED,
+    COMPARED,
+    NEWTONS,
+    NORMALISED,
+    ClipCalibration,
+    agreement,
+    carried_from,
+    comparison_sentence,
+)
+from results.plots import draw_comparison
+from results.store import own_files
+from results.writer import ClipResults
+from tests.estimators.estimates import GOOD, NONE
+
+UNKNOWN, METRIC = ClipLength(1.0), ClipLength(0.5, 0.5)
+LATER = dataclasses.replace(GOOD, onset=30, onset_frame=30, onset_time_s=1.2)
+
+
+def calibrated(folder: Path, **fields: Any) -> ClipCalibration:
+    (folder / "known.yaml").write_text(yaml.safe_dump(fields))
+    return ClipCalibration(read_calibration(folder / "known.yaml"))
+
+
+def write_forces(folder: Path, force: np.ndarray, interval: float = 0.02) -> None:
+    rows = [f"{interval * i:.4f},{value}" for i, value in enumerate(force)]
+    (folder / "forces.csv").write_text("\n".join(["time_s,force_N", *rows]))
+
+
+def test_every_run_has_a_row_with_its_unit_and_source(tmp_path: Path) -> None:
+    """0.1 units are 2 N at frame 7: k_s of 0.5 is 10 N over half a metre."""
+    told = calibrated(tmp_path, force_N=2.0, force_sd_N=0.1, force_time_s=0.3)
+    for run in (NONE, GOOD, LATER):
+        told.add(run)
+    told.conclude(METRIC)
+    none, known, later = told.rows
+    assert none["detail"] == "No press was estimated in this run of contact."
+    assert (known["force"], known["stiffness"], known["damping"]) == pytest.approx((2.0, 20.0, 2.4))
+    assert known["stiffness_unit"] == "N/m, by known force of 2 N at frame 7"
+    assert known["force_unit"] == "N, by known force of 2 N at frame 7"
+    log_sd = math.sqrt(0.0025 + 0.0025 + 0.05**2)  # own, the known contact's, and the sensor's
+    assert later["force_high"] / later["force"] == pytest.approx(math.exp(1.6449 * log_sd), rel=1e-4)
+    assert known["force_high"] / known["force"] == pytest.approx(math.exp(1.6449 * 0.05), rel=1e-4)
+    assert later["determined"] == "stiffness;damping;force"
+    assert set(later) <= set(CALIBRATED)
+
+
+def test_without_a_known_contact_the_rows_say_why(tmp_path: Path) -> None:
+    told = calibrated(tmp_path, force_N=2.0, force_time_s=9.0)
+    told.add(GOOD)
+    told.conclude(UNKNOWN)
+    assert "no press was estimated in contact at 9 s" in told.rows[0]["detail"]
+    assert told.record()["reason"] == told.rows[0]["detail"]
+    assert carried_from({"calibration": told.record()}) == told.reason
+    far = ClipCalibration(told.calibration, home=False, carried=told.reason)
+    far.add(LATER)
+    far.conclude(UNKNOWN)
+    assert far.rows[0]["detail"] == told.reason
+
+
+def test_another_clip_gets_the_scale_of_the_one_with_the_known_force(tmp_path: Path) -> None:
+    home = calibrated(tmp_path, force_N=2.0, force_time_s=0.3)
+    home.add(GOOD)
+    home.conclude(ClipLength(1.0, stored=True))
+    away = ClipCalibration(home.calibration, home=False, carried=carried_from({"calibration": home.record()}))
+    away.add(GOOD)  # the same frame of another clip is another contact
+    away.conclude(ClipLength(2.0, stored=True))
+    assert away.rows[0]["force"] == pytest.approx(4.0)
+    assert away.rows[0]["force_high"] / 4.0 == pytest.approx(math.exp(1.6449 * math.sqrt(0.005)), rel=1e-4)
+    lost = ClipCalibration(home.calibration, home=False, carried=carried_from({}))
+    lost.add(GOOD)
+    lost.conclude(UNKNOWN)
+    assert lost.rows[0]["detail"] == "Nothing is told in newtons: the clip with the known force has no results."
+
+
+def test_measured_forces_beside_estimated_ones(tmp_path: Path) -> None:
+    """The sensor says 2 N at the first contact, which tells the scale, and 2.5 N at the second, where 2 N are found."""
+    times = np.arange(100) * 0.02
+    write_forces(tmp_path, np.where(times < 1, 2.0, 2.5))
+    told = calibrated(tmp_path, measured="forces.csv", known_s=[0.0, 1.0])
+    told.add(GOOD)
+    told.add(LATER)
+    told.conclude(UNKNOWN)
+    rows = told.compared_rows()
+    assert {row["onset_frame"]: row["known"] for row in rows} == {7: True, 30: False}
+    assert all(row["estimated"] == pytest.approx(2.0) and row["estimated_unit"] == NEWTONS for row in rows)
+    found = told.record()["comparison"]
+    assert found["forces"] == 8
+    assert (found["measured_over_estimated"], found["rms_error_N"]) == pytest.approx((1.25, 0.5))
+    assert found["within_90_percent_intervals"] == 0.0
+    assert "correlation" not in found  # nothing changes
+    assert comparison_sentence(found) == (
+        "8 measured forces beside estimates, measured over estimated 1.25, RMS error 0.5 N, 0% within 90 % intervals"
+    )
+
+
+def test_without_newtons_the_factor_and_the_correlation_are_told(tmp_path: Path) -> None:
+    times = np.arange(100) * 0.02
+    write_forces(tmp_path, np.where(times < 1, 2.0, 4.0))
+    told = calibrated(tmp_path, measured="forces.csv")
+    double = dataclasses.replace(LATER, estimate=dataclasses.replace(GOOD.estimate, theta=np.array([0.5, 0.06, -0.2])))
+    told.add(GOOD)
+    told.add(double)
+    told.conclude(UNKNOWN)
+    assert {row["estimated_unit"] for row in told.compared_rows()} == {NORMALISED}
+    found = told.record()["comparison"]
+    assert (found["measured_over_estimated"], found["correlation"]) == pytest.approx((20.0, 1.0))
+    assert "rms_error_N" not in found
+    assert told.rows[0].get("force") is None
+
+
+def test_a_press_that_no_tool_shows_is_told_by_its_dent(tmp_path: Path) -> None:
+    """The dent is a hundredth of a scene unit a newton; the second second is known, the third is told."""
+    rows, columns = np.mgrid[:60, :80]
+    shape = np.exp(-((rows - 30) ** 2 + (columns - 40) ** 2) / (2 * 12.0**2))
+    force = np.concatenate([np.zeros(25), np.linspace(0.2, 4, 25), np.linspace(4, 1, 25)])
+    write_forces(tmp_path, force, 0.04)
+    told = calibrated(tmp_path, measured="forces.csv", known_s=[1.0, 1.99], rest_s=[0.0, 0.97])
+    for index, value in enumerate(force):
+        depth = (0.6 - 0.01 * value * shape).astype(np.float32)
+        frame = Frame(index, index, 0.04 * index, np.zeros((4, 4, 3), np.uint8))
+        told.see(PreparedFrame(frame, "no_tool", "", depth, np.zeros(shape.shape, np.uint8)))
+    told.conclude(UNKNOWN)
+    (curve,) = told.curves
+    assert (curve.onset_frame, curve.unit) == (25, NEWTONS)
+    np.testing.assert_allclose(curve.force, force[25:], atol=0.02)
+    assert told.record()["comparison"]["rms_error_N"] < 0.01
+
+
+def test_a_grip_s_force_is_told_by_the_known_part(tmp_path: Path) -> None:
+    times = np.linspace(0.1, 0.8, 8)
+    grip = GripEstimate(0.02, 0.015, 0.027, 0.6, 0.1, times, times / 0.8, np.zeros(8), 20.0, 18.0, 22.0)
+    write_forces(tmp_path, 3 * np.arange(60) * 0.02 / 0.8)
+    told = calibrated(tmp_path, measured="forces.csv", known_s=[0.0, 0.4])
+    told.add(dataclasses.replace(NONE, onset_time_s=0.0, grip=grip))
+    told.conclude(UNKNOWN)
+    assert told.curves[0].force == pytest.approx(3 * times / 0.8)
+
+
+@pytest.mark.usefixtures("blank_pictures")
+def test_the_tables_are_written_and_are_the_program_s_own(tmp_path: Path) -> None:
+    write_forces(tmp_path, np.full(100, 2.0))
+    told = calibrated(tmp_path, measured="forces.csv", known_s=[0.0, 1.0])
+    with ClipResults(tmp_path / "clip", (64, 48), 25.0, overlay=False, known=told.known, calibration=told) as output:
+        output.add(GOOD)
+        output.calibrate(UNKNOWN)
+        output.finish({"program": "infer.py"}, title="clip", subtitle="")
+    for name, columns, count in (("calibrated.csv", CALIBRATED, 1), ("compared.csv", COMPARED, 8)):
+        with (tmp_path / "clip" / name).open(newline="") as stream:
+            rows = list(csv.DictReader(stream))
+        assert tuple(rows[0]) == tuple(columns)
+        assert len(rows) == count
+        assert name in own_files(tmp_path / "clip")
+    assert (tmp_path / "clip" / "compared.png").is_file()
+
+
+def test_agreement_needs_some_forces_of_one_unit() -> None:
+    row = {"measured_N": 1.0, "estimated": 2.0, "estimated_low": 1.0, "estimated_high": 3.0, "known": False}
+    assert agreement([{**row, "estimated_unit": NEWTONS}] * 2) == {"forces": 2}
+    mixed = [{**row, "estimated_unit": unit} for unit in (NEWTONS, NEWTONS, NORMALISED)]
+    assert agreement(mixed) == {"forces": 3}
+    assert agreement([{**row, "estimated_unit": NEWTONS, "known": True}] * 4) == {"forces": 0}
+
+
+def test_the_picture_shows_both(tmp_path: Path) -> None:
+    times = np.arange(100) * 0.02
+    write_forces(tmp_path, np.where(times < 1, 2.0, 4.0))
+    for fields, axes in (({"known_s": [0.0, 1.0]}, 1), ({}, 2)):
+        told = calibrated(tmp_path, measured="forces.csv", **fields)
+        told.add(GOOD)
+        told.conclude(UNKNOWN)
+        assert told.measured is not None
+        figure = draw_comparison(told.measured, told.curves, told.known, "clip")
+        assert len(figure.axes) == axes

@@ -621,7 +621,11 @@ def test_a_known_force_of_one_clip_tells_newtons_in_all(synthetic: Path, tmp_pat
     [
         ("force_N: 2.0", (), "known.yaml can't be used: force_N and force_time_s belong together"),
         ("force_N: 2.0\nforce_time_s: 1.0", (), "tells of a force in one clip, and there are 2; name that as clip."),
-        ("clip: absent\nforce_N: 2.0\nforce_time_s: 1.0", (), "names the clip absent, and 0 of the inputs' clips are called"),
+        (
+            "clip: absent\nforce_N: 2.0\nforce_time_s: 1.0",
+            (),
+            "names the clip absent, and 0 of the inputs' clips are called",
+        ),
         ("stiffness: 2.0", ("--estimator", "online"), "--estimator online knows none, leave it out."),
     ],
 )

@@ -137,7 +137,10 @@ class _Bench:
         each = self.palpations[which]
         seen, vertices = placed(pose, each.points), self.skin.moved(rest.displacement)
         match = Match.of(seen, vertices, self.skin.triangles)
-        away = np.linalg.norm(match.at(self.skin.triangles, self.skin.vertices) - each.contact, axis=1) > each.hole
+        place = match.at(self.skin.triangles, self.skin.vertices)
+        away = np.linalg.norm(place - each.contact, axis=1) > each.hole
+        # Noise carries points around a sharp edge one way only, which looks like a dent.
+        away &= self.skin.from_creases(place) > OUTLIER * self.noise
         # Beyond a rim the closest place lies aside, not below.
         facing = np.abs(match.distance) >= 0.5 * match.apart
         return seen, match, away & (facing | (match.apart < OUTLIER * self.noise))
@@ -269,9 +272,11 @@ class _System:
         return np.concatenate(blocks), np.concatenate(sinks), np.concatenate(places)
 
     def _prior(self) -> tuple[np.ndarray, np.ndarray]:
-        """Precision [U] and how far the unknowns are from their prior means [U]."""
-        span = POISSON[1] - POISSON[0]
-        precision, off = [0.0, 12 / span**2], [0.0, self.poisson - sum(POISSON) / 2]
+        """Precision [U] and how far the unknowns are from their prior means [U].
+
+        ν is as likely anywhere in its range: a normal prior would draw it to the middle, and with it raise E.
+        """
+        precision, off = [0.0, 0.0], [0.0, 0.0]
         for pose, each in zip(self.poses, self.bench.palpations, strict=True):
             gone = pose @ np.linalg.inv(each.pose)
             turn = np.array([gone[2, 1] - gone[1, 2], gone[0, 2] - gone[2, 0], gone[1, 0] - gone[0, 1]]) / 2
@@ -298,7 +303,9 @@ class _System:
         """Of (log E, ν): the sensor's noise, and displacements that mesh and law have wrong by `model_error`."""
         jacobian, sinks, places = self.linearised()
         weight = self.weight[:, None] / self.noise**2
-        inverse = np.linalg.inv(jacobian.T @ (weight * jacobian) + np.diag(self._prior()[0]))
+        precision = self._prior()[0]
+        precision[1] = 12 / (POISSON[1] - POISSON[0]) ** 2  # nor can ν be farther off than its range lets it
+        inverse = np.linalg.inv(jacobian.T @ (weight * jacobian) + np.diag(precision))
         gain = inverse[:2] @ (weight * jacobian).T
         # Beyond so many points sums over pairs gain nothing: errors are alike among neighbours.
         some = np.unique(np.linspace(0, len(sinks) - 1, min(len(sinks), 800)).astype(int))

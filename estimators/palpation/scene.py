@@ -128,19 +128,23 @@ def read_scene(path: Path) -> Scene:
         )
     vertices, triangles = read_obj(path.parent / scene.surface)
     try:
-        meshed = mesh_surface(vertices, triangles, cells=scene.cells, thickness=scene.thickness)
+        floor = "xyz".index(scene.held_axis), scene.held_below
+        meshed = mesh_surface(vertices, triangles, cells=scene.cells, thickness=scene.thickness, floor=floor)
     except NoBody as error:
         raise InputError(f"{printable(path.parent / scene.surface)}: {error}") from error
     body = make_solid(meshed.nodes, meshed.tetrahedra, order=2)
-    low = body.rest[:, "xyz".index(scene.held_axis)]
-    held = np.repeat((low <= scene.held_below)[:, None], 3, axis=1)
+    low = body.rest[:, floor[0]]
+    # Nodes at a body's own base are drawn to it only nearly.
+    slack = 1e-9 if low.min() >= scene.held_below - 1e-9 else 0.0
+    held = np.repeat((low <= scene.held_below + slack)[:, None], 3, axis=1)
     if held.sum() < 9:
         raise InputError(
             f"{printable(path)}: {int(held.sum() / 3)} nodes lie below held_below; give more, the lowest is at "
             f"{low.min():.4g} m."
         )
     settings = FitSettings(scene.law, scene.young, scene.poisson)
-    return Scene(cover(body, vertices, triangles), held, palpations, settings, meshed.notes)
+    still = vertices[:, floor[0]] <= scene.held_below + slack
+    return Scene(cover(body, vertices, triangles, still), held, palpations, settings, meshed.notes)
 
 
 def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:

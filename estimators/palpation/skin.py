@@ -17,6 +17,10 @@ from physics.fem import Solid
 from physics.fem.solid import EDGES
 from physics.fem.surface import nearest
 
+SHARP = 0.8
+"""Cosine of the angle between triangles below which their edge is sharp."""
+SAMPLES = 8
+"""Places on a sharp edge to which distances are measured."""
 CANDIDATES = 24
 """Elements with the closest centres, among which a vertex finds its own."""
 
@@ -39,6 +43,31 @@ class Skin:
         one, two, three = self.vertices[self.triangles].transpose(1, 0, 2)
         area = np.linalg.norm(np.cross(two - one, three - one), axis=1) / 6
         return np.bincount(self.triangles.ravel(), np.repeat(area, 3), minlength=len(self.vertices))
+
+    @cached_property
+    def _creases(self) -> KDTree | None:
+        """Places along the sharp edges at rest and along the rims of holes; None where there are none."""
+        edges = np.sort(self.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+        faces = np.repeat(np.arange(len(self.triangles)), 3)
+        order = np.lexsort(edges.T)
+        edges, faces = edges[order], faces[order]
+        one, two, three = self.vertices[self.triangles].transpose(1, 0, 2)
+        normals = np.cross(two - one, three - one)
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+        same = (edges[1:] == edges[:-1]).all(axis=1)
+        flat = same & ((normals[faces[1:]] * normals[faces[:-1]]).sum(axis=1) > SHARP)
+        smooth = np.zeros(len(edges), bool)
+        smooth[1:] |= flat
+        smooth[:-1] |= flat
+        ends = self.vertices[np.unique(edges[~smooth], axis=0)]
+        if not len(ends):
+            return None
+        along = (np.arange(SAMPLES) + 0.5)[:, None, None] / SAMPLES
+        return KDTree((ends[:, 0] + along * (ends[:, 1] - ends[:, 0])).reshape(-1, 3))
+
+    def from_creases(self, places: np.ndarray) -> np.ndarray:
+        """Distance of places at rest [P, 3] from the closest sharp edge or rim, shape [P] [m]."""
+        return np.full(len(places), np.inf) if self._creases is None else self._creases.query(places)[0]
 
     def moved(self, displacement: np.ndarray) -> np.ndarray:
         """Vertices where the nodes are displaced [N, 3], shape [V, 3] [m]."""
@@ -68,13 +97,14 @@ class Skin:
         return (self.shares.T @ (weights / weights.sum()))[:, None] * force
 
 
-def cover(body: Solid, vertices: np.ndarray, triangles: np.ndarray) -> Skin:
+def cover(body: Solid, vertices: np.ndarray, triangles: np.ndarray, held: np.ndarray | None = None) -> Skin:
     """Couple a surface to a body that fills it.
 
     Args:
         body: linear or quadratic.
         vertices: shape [V, 3] [m].
         triangles: shape [F, 3]; turned over where they face inwards as a whole.
+        held: vertices that stand still, as those below a floor where the body is cut off, shape [V], bool.
     """
     corners = body.rest[body.elements[:, :4]]
     _, near = KDTree(corners.mean(axis=1)).query(vertices, k=min(CANDIDATES, len(corners)))
@@ -87,6 +117,8 @@ def cover(body: Solid, vertices: np.ndarray, triangles: np.ndarray) -> Skin:
     element, place = near[rows, best], shares[rows, best]
     values = _shapes(place) if body.elements.shape[1] == 10 else place
     nodes = body.elements[element]
+    if held is not None:
+        values = np.where(held[:, None], 0.0, values)
     index = np.repeat(rows, nodes.shape[1]), nodes.ravel()
     matrix = csr_array((values.ravel(), index), shape=(len(vertices), len(body.rest)))
     one, two, three = vertices[triangles].transpose(1, 0, 2)

@@ -17,7 +17,7 @@ POSE_SHIFT, POSE_TURN = 0.002, 0.01
 TOOL = 0.015
 """Radius of the tool [m]."""
 HELD = 0.12
-"""Of the height, below which a body is held."""
+"""Of the height, below which a ball is held; a slab is by its base."""
 
 
 @dataclass(frozen=True)
@@ -43,18 +43,19 @@ class Body:
         return nodes[used] - [self.size / 2, self.size / 2, 0], which.reshape(-1, 3)
 
     def skin(self, cells: int, spacing: float) -> tuple[Skin, np.ndarray]:
-        """The surface on quadratic tetrahedra, and which of their nodes' components are held, those below HELD."""
+        """The surface on quadratic tetrahedra, and which of their nodes' components are held, those at the bottom."""
         vertices, triangles = self.surface(spacing)
         if self.shape == "ball":
-            meshed = mesh_surface(vertices, triangles, cells=cells)
+            meshed = mesh_surface(vertices, triangles, cells=cells, floor=(2, HELD * self.height))
             nodes, tetrahedra = meshed.nodes, meshed.tetrahedra
         else:
             high = max(2, round(cells * self.height / self.size))
             nodes, tetrahedra = box((self.size, self.size, self.height), (cells, cells, high))
             nodes = nodes - [self.size / 2, self.size / 2, 0]
         body = make_solid(nodes, tetrahedra, order=2)
-        low = HELD * self.height  # nodes are drawn to the base only nearly
-        return cover(body, vertices, triangles), np.repeat(body.rest[:, 2:] <= low, 3, axis=1)
+        floor = float(body.rest[:, 2].min())
+        held = np.repeat(body.rest[:, 2:] <= floor + 1e-9, 3, axis=1)
+        return cover(body, vertices, triangles, vertices[:, 2] <= floor), held
 
     def contact(self, along: float, around: float) -> tuple[np.ndarray, np.ndarray]:
         """A place on the upper surface, `along` of the radius or half side off the middle, and the outward normal."""

@@ -17,7 +17,7 @@ from physics.fem.lattice import fill_cells
 from physics.fem.solid import FACES, qualities
 from physics.fem.surface import nearest
 
-WORST = 0.1
+WORST = 0.05
 """Lowest quality of an element that drawing leaves (`qualities`; a lattice's are 0.35 to 0.71)."""
 ROUNDS = 30
 SHARE = 0.5
@@ -48,7 +48,12 @@ class Meshed:
 
 
 def mesh_surface(
-    vertices: np.ndarray, triangles: np.ndarray, *, cells: int = 16, thickness: float | None = None
+    vertices: np.ndarray,
+    triangles: np.ndarray,
+    *,
+    cells: int = 16,
+    thickness: float | None = None,
+    floor: tuple[int, float] | None = None,
 ) -> Meshed:
     """Fill a surface.
 
@@ -58,9 +63,12 @@ def mesh_surface(
             or of one side only. Where closed parts overlap counts as outside.
         cells: of the grid along the surface's longest side.
         thickness: of an open sheet [m]; None = the surface encloses the body.
+        floor: axis, and the place on it below which the body is cut off, as where it is held: nodes lie on that plane
+            whatever the grid, so that the support doesn't depend on it.
 
     Raises:
-        NoBody: shapes that don't fit, no area, nothing enclosed, a thickness that the grid can't show.
+        NoBody: shapes that don't fit, no area, nothing enclosed, a thickness that the grid can't show, a floor above
+            all of it.
     """
     vertices, triangles = _checked(vertices, triangles)
     corners = vertices[triangles]
@@ -76,25 +84,31 @@ def mesh_surface(
         raise NoBody("the surface has no triangle with an area; give one that has.")
     if thickness is not None and not thickness >= 2 * spacing:
         raise NoBody(f"a thickness of {thickness:g} m is less than two cells of {spacing:g} m; give more of either.")
-    margin = spacing * (1.5 + (0 if thickness is None else thickness / spacing / 2))
-    origin = low - margin
-    shape = np.ceil((high + margin - origin) / spacing).astype(int)
-    centres = origin + spacing * (np.moveaxis(np.indices(shape), 0, -1) + 0.5)
+    thick = 0.0 if thickness is None else thickness / 2
+    low, high = low - thick, high + thick
+    if floor is not None and floor[1] > low[floor[0]]:
+        if not floor[1] < high[floor[0]] - spacing / 2:
+            raise NoBody(f"all of the surface lies below the floor at {floor[1]:g} m; give a lower one, or more cells.")
+        low[floor[0]] = floor[1]
+    origin, sides, shape = _grid(low, high, spacing)
+    centres = origin + sides * (np.moveaxis(np.indices(shape), 0, -1) + 0.5)
     samples = int(np.clip(np.ceil(2 * np.sqrt(area.max()) / spacing), 1, MOST_SAMPLES))
     if thickness is None:
         inside = _enclosed(corners, centres)
         if not inside.any():
             raise NoBody("the surface encloses nothing; give a thickness if it is an open sheet, or more cells.")
     else:
-        inside = (_distance(centres.reshape(-1, 3), corners, samples)[0] < thickness / 2).reshape(shape)
+        inside = (_distance(centres.reshape(-1, 3), corners, samples)[0] < thick).reshape(shape)
+    if floor is not None:
+        inside &= centres[..., floor[0]] > floor[1]
     parts, count = label(inside)
     if count > 1:
         sizes = np.bincount(parts.ravel())[1:]
         inside = parts == 1 + int(np.argmax(sizes))
         notes.append(f"{sizes.sum() - sizes.max()} of {sizes.sum()} cells hang apart and were left out.")
     places, tetrahedra = fill_cells(inside)
-    nodes = origin + spacing * places
-    nodes, off = _drawn(nodes, tetrahedra, corners, samples, 0.0 if thickness is None else thickness / 2)
+    nodes = origin + sides * places
+    nodes, off = _drawn(nodes, tetrahedra, corners, samples, thick, floor)
     return Meshed(nodes, tetrahedra, tuple(notes), off)
 
 
@@ -122,19 +136,33 @@ def _oddities(triangles: np.ndarray) -> list[str]:
     return [f"{count} {what}." for what, count in counts.items() if count]
 
 
+def _grid(low: np.ndarray, high: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Origin [3] and sides [3] of the cells, and their numbers [3], one more on either side of a box than fill it.
+
+    The box's faces are cells' faces, so that a body with flat sides along the axes loses and gains nothing: where a
+    face goes through the cells' middle, it is rounding that says which of them are inside. A box thinner than half a
+    cell lies in the middle of one.
+    """
+    span = high - low
+    count = np.maximum(np.round(span / spacing), 1)
+    sides = np.where(span < spacing / 2, spacing, span / count)
+    origin = (low + high) / 2 - sides * (count / 2 + 1)
+    return origin, sides, count.astype(int) + 2
+
+
 def _enclosed(corners: np.ndarray, centres: np.ndarray) -> np.ndarray:
     """Which cells more than half of six rays call inside, shape [I, J, K], bool."""
     votes = np.zeros(centres.shape[:3], np.int64)
-    spacing = float(centres[1, 0, 0, 0] - centres[0, 0, 0, 0])
+    sides = centres[1, 1, 1] - centres[0, 0, 0]
     for axis in range(3):
         one, two = (axis + 1) % 3, (axis + 2) % 3
         order = (axis, one, two)
         grid = np.transpose(centres, (*order, 3))  # along the rays first
-        flat = grid[0].reshape(-1, 3)[:, [one, two]] + spacing * _OFF[[one, two]]
+        flat = grid[0].reshape(-1, 3)[:, [one, two]] + (sides * _OFF)[[one, two]]
         depth = grid[:, 0, 0, axis]
         first, second, third = (corners[:, corner][:, [one, two]] for corner in range(3))
         square = _cross(second - first, third - first)
-        upright = np.abs(square) > 1e-12 * spacing**2
+        upright = np.abs(square) > 1e-12 * sides[one] * sides[two]
         below, hits = np.zeros((len(depth), len(flat)), np.int64), np.zeros(len(flat), np.int64)
         step = max(1, _CHUNK // len(corners))
         for begin in range(0, len(flat), step):
@@ -161,14 +189,20 @@ def _distance(points: np.ndarray, corners: np.ndarray, samples: int) -> tuple[np
 
 
 def _drawn(
-    nodes: np.ndarray, tetrahedra: np.ndarray, corners: np.ndarray, samples: int, away: float
+    nodes: np.ndarray,
+    tetrahedra: np.ndarray,
+    corners: np.ndarray,
+    samples: int,
+    away: float,
+    floor: tuple[int, float] | None,
 ) -> tuple[np.ndarray, float]:
     """Nodes with those of the body's surface drawn to a distance from the triangles, inner ones to their neighbours."""
     faces = tetrahedra[:, FACES].reshape(-1, 3)
     _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
-    outer = np.unique(faces[first[count == 1]])
-    rim = np.zeros(len(nodes), bool)
-    rim[outer] = True
+    bare = faces[first[count == 1]]
+    axis, height = (0, -np.inf) if floor is None else floor
+    grounded = np.abs(nodes[:, axis] - height) < 1e-9 * np.ptp(nodes)
+    outer = np.unique(bare[~grounded[bare].all(axis=1)])
     pairs = np.concatenate([tetrahedra[:, [a, b]] for a in range(4) for b in range(4) if a != b])
     pairs = np.unique(pairs, axis=0)
     neighbours = np.bincount(pairs[:, 0], minlength=len(nodes))
@@ -179,9 +213,10 @@ def _drawn(
         return place + away * along
 
     for _ in range(ROUNDS):
-        sums = [np.bincount(pairs[:, 0], nodes[pairs[:, 1], axis], minlength=len(nodes)) for axis in range(3)]
+        sums = [np.bincount(pairs[:, 0], nodes[pairs[:, 1], one], minlength=len(nodes)) for one in range(3)]
         aim = np.stack(sums, axis=1) / neighbours[:, None]
         aim[outer] = goals(nodes)
+        aim[grounded, axis] = nodes[grounded, axis]
         step = SHARE * (aim - nodes)
         for _ in range(12):  # an element that becomes bad takes its nodes' steps back by half, in the end all of it
             bad = qualities(nodes + step, tetrahedra) < WORST
@@ -191,7 +226,8 @@ def _drawn(
         else:
             step[:] = 0
         nodes = nodes + step
-    return nodes, float(np.sqrt(np.mean(np.square(goals(nodes) - nodes[outer]).sum(axis=1))))
+    apart = np.square(goals(nodes) - nodes[outer]).sum(axis=1)[~grounded[outer]]
+    return nodes, float(np.sqrt(apart.mean()))
 
 
 def _cross(one: np.ndarray, two: np.ndarray) -> np.ndarray:

@@ -4,16 +4,20 @@ The trapezoidal rule, which is Newmark's with β = 1/4 and γ = 1/2 (Newmark 195
 where the law is linear, and then its energy balance holds to rounding. A standard linear solid adds to the law a
 branch that relaxes, Q̇ + Q/τ = γ Ṡ with S the law's second Piola–Kirchhoff stress (Simo 1987; of law `linear` the stress
 itself), integrated exactly for a stress that changes linearly within the step.
+
+Derivatives along directions in the parameters are those of the discrete motion, exact: each time step is a smooth
+equation, so one solve with its matrix at the solution carries them on (implicit function theorem).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import csr_array
 
-from physics.fem.equilibrium import Energy, applied, settle
+from physics.fem.equilibrium import TOLERANCE, Energy, applied, settle
 from physics.fem.laws import Material, Response
 from physics.fem.linear_system import LinearSystem
 from physics.fem.solid import Solid
@@ -59,6 +63,30 @@ class Inertia:
 
 
 @dataclass(frozen=True, eq=False)
+class Direction:
+    """A way to change what a motion depends on: the derivative of each by one parameter; T steps, N nodes."""
+
+    young: float = 0.0
+    """Of log E, of every element alike."""
+    damping: float = 0.0
+    """Of Rayleigh's α [1/s]."""
+    ratio: float = 0.0
+    """Of a standard linear solid's γ."""
+    time: float = 0.0
+    """Of its τ [s]."""
+    pattern: np.ndarray | None = None
+    """Of the nodal forces of a step is this, shape [N, 3] [N], times `course`; None = none."""
+    course: np.ndarray | None = None
+    """Shape [T]."""
+
+    def forces(self, step: int, nodes: int) -> np.ndarray:
+        """Derivative of the nodal forces in a step, shape [nodes, 3] [N]."""
+        if self.pattern is None or self.course is None:
+            return np.zeros((nodes, 3))
+        return self.course[step] * self.pattern
+
+
+@dataclass(frozen=True, eq=False)
 class Motion:
     """A body's motion; T steps, N nodes. Index 0 is the beginning."""
 
@@ -79,6 +107,8 @@ class Motion:
     """What mass-proportional damping has taken so far, shape [T + 1] [J]."""
     work: np.ndarray
     """Of loads, own forces and reactions so far, shape [T + 1] [J]."""
+    slopes: np.ndarray
+    """Derivatives of the displacement along D directions, shape [T + 1, N, 3, D] [m]."""
 
 
 def simulate(
@@ -93,6 +123,8 @@ def simulate(
     forces: np.ndarray | None = None,
     relaxation: Relaxation | None = None,
     start: np.ndarray | None = None,
+    directions: Sequence[Direction] = (),
+    tolerance: float = TOLERANCE,
 ) -> Motion:
     """Follow a body under a load, from rest or from another displacement that is let go.
 
@@ -107,13 +139,17 @@ def simulate(
         forces: constant ones on the nodes, as its weight, shape [N, 3] [N].
         relaxation: of a standard linear solid.
         start: displacement at the beginning, shape [N, 3] [m], fully relaxed; None = rest.
+        directions: along which derivatives are wanted; the start doesn't change along them.
+        tolerance: of the balance of forces, as `equilibrium.TOLERANCE`: a looser one saves time.
 
     Raises:
-        ValueError: a step that is not positive.
+        ValueError: a step that is not positive; a start together with directions.
         NoEquilibrium: a time step without a solution; take smaller ones.
     """
     if not step > 0:
         raise ValueError(f"a time step of {step:g} s; give a positive one.")
+    if directions and start is not None:
+        raise ValueError("a start and directions; derivatives are of motions from rest.")
     nodes = len(solid.rest)
     constant = np.zeros((nodes, 3)) if forces is None else forces
     now = np.zeros((nodes, 3)) if start is None else np.array(start, np.float64)
@@ -124,6 +160,7 @@ def simulate(
     branch = None if relaxation is None else _Branch(solid, material, relaxation, step, now)
     gripped = applied(load, nodes, 0)[0]
     free = ~(held | gripped)
+    tangent = _Tangent(solid, material, directions, free, mass, damping, step, relaxation) if directions else None
 
     def state(acting: np.ndarray, at: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, tuple[float, float]]:
         """Forces that accelerate every node [N, 3], and the energies of motion and of the law."""
@@ -149,7 +186,9 @@ def simulate(
         if material.law == "linear" and system is None:
             inside = free.ravel()
             system = LinearSystem(energy.matrix(energy.response(now, tangent=True))[inside][:, inside].tocsr())
-        after, _, near = settle(energy, now, np.where(gripped, motion, now), ~free, system, near)
+        after, _, near = settle(energy, now, np.where(gripped, motion, now), ~free, system, near, tolerance)
+        if tangent is not None:
+            tangent.advance(index, energy, now, velocity, after, branch, system or near)
         if branch is not None:
             branch.advance(after)
         path, old = after - now, velocity
@@ -166,8 +205,17 @@ def simulate(
         energies.append(energy_now)
     kinetic, elastic = np.array(energies).T
     times = step * np.arange(load.steps + 1)
+    slopes = np.zeros((len(times), nodes, 3, 0)) if tangent is None else np.stack(tangent.moved)
     return Motion(
-        material, times, np.stack(moved), np.stack(reactions), kinetic, elastic, np.array(damped), np.array(work)
+        material,
+        times,
+        np.stack(moved),
+        np.stack(reactions),
+        kinetic,
+        elastic,
+        np.array(damped),
+        np.array(work),
+        slopes,
     )
 
 
@@ -183,6 +231,10 @@ class _Branch:
         """Of the branch's stress after a time step."""
         self.gain = -relaxation.ratio * np.expm1(-share) / share
         """Stress of the branch per change of the law's within a time step."""
+        self.by_time = self.left * share / relaxation.time, (self.gain - relaxation.ratio * self.left) / relaxation.time
+        """Derivatives of both by τ [1/s]."""
+        self.by_ratio = self.gain / relaxation.ratio
+        """Derivative of `gain` by γ."""
         self.stress = self._law_stress(displacement)
         """The law's S, shape [E, Q, 3, 3] [Pa]."""
         self.extra = np.zeros_like(self.stress)
@@ -217,9 +269,119 @@ class _Branch:
         return np.linalg.solve(self.solid.deformation(displacement), stress)
 
 
+class _Tangent:
+    """Derivatives of a motion along D directions, carried on step by step; names as in `simulate`."""
+
+    def __init__(
+        self,
+        solid: Solid,
+        material: Material,
+        directions: Sequence[Direction],
+        free: np.ndarray,
+        mass: csr_array,
+        damping: float,
+        step: float,
+        relaxation: Relaxation | None,
+    ) -> None:
+        nodes = len(solid.rest)
+        self.solid, self.material, self.directions, self.free = solid, material, directions, free
+        self.mass, self.damping, self.step = mass, damping, step
+        self.young = np.array([item.young for item in directions])
+        self.by_damping = np.array([item.damping for item in directions])
+        self.ratio = np.array([item.ratio for item in directions])
+        self.time = np.array([item.time for item in directions])
+        if relaxation is None and (self.ratio.any() or self.time.any()):
+            raise ValueError("a direction changes a relaxation that there is none of; give one.")
+        none = np.zeros((nodes, 3, len(directions)))
+        self.moved = [none]
+        """Of the displacement, one [N, 3, D] a step so far."""
+        self.velocity, self.balance = none, none
+        shape = (*solid.weights.shape, 3, 3, len(directions))
+        self.stress, self.extra = np.zeros(shape), np.zeros(shape)
+        """Of the branch's `stress` and `extra`, shape [E, Q, 3, 3, D]."""
+
+    def advance(
+        self,
+        index: int,
+        energy: Energy,
+        now: np.ndarray,
+        velocity: np.ndarray,
+        after: np.ndarray,
+        branch: _Branch | None,
+        near: LinearSystem | None,
+    ) -> None:
+        """Over a time step that ends at the displacement `after` [N, 3]; the branch is still at its beginning."""
+        solid, step, mass = self.solid, self.step, self.mass
+        inert = energy.quadratic is not None
+        acting = np.stack([item.forces(index, len(now)) for item in self.directions], axis=-1)
+        outer = acting
+        if inert:
+            past = 4 / step**2 * (self.moved[-1] + step * self.velocity)
+            past = past + self.damping * (2 / step * self.moved[-1] + self.velocity)
+            past = past + self.by_damping * (2 / step * (now - after) + velocity)[..., None]
+            outer = acting + self.balance + _times(mass, past)
+        gradient = solid.deformation(after)
+        response = law = energy.response(after, tangent=True)
+        if branch is not None:
+            law = Energy(solid, self.material, np.zeros_like(now)).response(after, tangent=True)
+        explicit = energy.scale * self.young * law.stress[..., None]
+        if branch is not None:
+            left, gain = branch.by_time[0] * self.time, branch.by_time[1] * self.time + branch.by_ratio * self.ratio
+            change = gain * law.stress[..., None]
+            history = left * branch.extra[..., None] + branch.left * self.extra
+            history = history - gain * branch.stress[..., None] - branch.gain * self.stress
+            explicit = explicit + change + self._pulled(gradient, history)
+        right = (outer - self._forces(explicit)).reshape(-1, len(self.directions))
+        inside = self.free.ravel()
+        system = LinearSystem(energy.matrix(response)[inside][:, inside].tocsr(), near)
+        flat = np.zeros_like(right)
+        flat[inside] = system.solve(np.ascontiguousarray(right[inside]))
+        moved = flat.reshape(*now.shape, -1)
+        strained = self._deformation(moved)
+        assert law.tangent is not None
+        slope = np.matmul(law.tangent, strained.reshape(*strained.shape[:2], 9, -1)).reshape(strained.shape)
+        slope = slope + self.young * law.stress[..., None]
+        total = slope
+        if branch is not None:
+            stress, by_law = law.stress, slope
+            if self.material.law != "linear":
+                stress = np.linalg.solve(gradient, law.stress)
+                by_law = self._pulled(np.linalg.inv(gradient), slope - np.einsum("eqijd,eqjk->eqikd", strained, stress))
+            extra = branch.left * branch.extra + branch.gain * (stress - branch.stress)
+            slopes = left * branch.extra[..., None] + branch.left * self.extra
+            slopes = slopes + gain * (stress - branch.stress)[..., None] + branch.gain * (by_law - self.stress)
+            self.stress, self.extra = by_law, slopes
+            total = slope + self._pulled(gradient, slopes)
+            if self.material.law != "linear":
+                total = total + np.einsum("eqijd,eqjk->eqikd", strained, extra)
+        self.balance = acting - self._forces(total)
+        if inert:
+            speed = 2 / step * (after - now) - velocity
+            self.velocity = 2 / step * (moved - self.moved[-1]) - self.velocity
+            drag = self.damping * self.velocity + self.by_damping * speed[..., None]
+            self.balance = self.balance - _times(mass, drag)
+        self.moved.append(moved)
+
+    def _pulled(self, gradient: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """F times second Piola–Kirchhoff stresses [E, Q, 3, 3, D]; of law `linear` these themselves."""
+        if self.material.law == "linear":
+            return values
+        return np.matmul(gradient, values.reshape(*values.shape[:3], -1)).reshape(values.shape)
+
+    def _forces(self, stress: np.ndarray) -> np.ndarray:
+        """Nodal forces of stresses [E, Q, 3, 3, D], shape [N, 3, D]."""
+        return np.stack([self.solid.forces(part) for part in np.moveaxis(stress, -1, 0)], axis=-1)
+
+    def _deformation(self, moved: np.ndarray) -> np.ndarray:
+        """Of displacements [N, 3, D], shape [E, Q, 3, 3, D]."""
+        parts = [self.solid.deformation(part) - np.eye(3) for part in np.moveaxis(moved, -1, 0)]
+        return np.stack(parts, axis=-1)
+
+
 def _response(solid: Solid, material: Material, displacement: np.ndarray) -> Response:
     return Energy(solid, material, np.zeros_like(displacement)).response(displacement)
 
 
 def _times(mass: csr_array, values: np.ndarray) -> np.ndarray:
-    return (mass @ values.ravel()).reshape(values.shape)
+    """Mass times values [N, 3] or [N, 3, D]."""
+    return (mass @ values.reshape(mass.shape[0], -1)).reshape(values.shape)

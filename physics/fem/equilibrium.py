@@ -257,6 +257,7 @@ def settle(
     held: np.ndarray,
     system: LinearSystem | None = None,
     near: LinearSystem | None = None,
+    tolerance: float = TOLERANCE,
 ) -> tuple[np.ndarray, int, LinearSystem | None]:
     """Newton's method with a line search, the prescribed components first moved to their goal along with the rest.
 
@@ -267,6 +268,7 @@ def settle(
         held: which are prescribed, shape [N, 3], bool.
         system: the matrix of the free components where it is known not to change (law `linear`); None = assembled anew.
         near: that of a state close by, whose factors help.
+        tolerance: as TOLERANCE.
 
     Returns:
         displacement, shape [N, 3], how many steps it took, and the last system solved.
@@ -287,7 +289,7 @@ def settle(
             )
         left = float(np.abs(force[~held]).max(initial=0.0))
         relative = left / size if size > 0 else 0.0
-        if not moving and relative <= TOLERANCE:
+        if not moving and relative <= tolerance:
             return displacement, iteration, near
         right = force.ravel()
         matrix = energy.matrix(response) if response.tangent is not None else None
@@ -330,11 +332,11 @@ def settle(
                 break
             length /= 2
             if length < _SHORTEST:
-                if relative <= 1e3 * TOLERANCE:  # as far as rounding lets it
+                if relative <= 1e3 * tolerance:  # as far as rounding lets it
                     return displacement, iteration, near
                 raise NoEquilibrium("the line search ends nowhere; give smaller load steps.")
         displacement = trial
-        if length == 1.0 and balanced <= 1e2 * TOLERANCE and relative >= balanced / 2:
+        if length == 1.0 and balanced <= 1e2 * tolerance and relative >= balanced / 2:
             return displacement, iteration + 1, near  # rounding: it comes no closer
         balanced = relative
     raise NoEquilibrium(f"no equilibrium within {_ITERATIONS} Newton steps; give smaller load steps.")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from physics.fem.dynamics import Inertia, Motion, Relaxation, simulate
+from physics.fem.dynamics import Direction, Inertia, Motion, Relaxation, simulate
 from physics.fem.equilibrium import find_equilibrium
 from physics.fem.lattice import box
 from physics.fem.laws import LAWS, Material
@@ -131,3 +131,55 @@ def test_bad_numbers_are_refused() -> None:
     ):
         with pytest.raises(ValueError, match="positive"):
             make()
+
+
+DIRECTIONS = ("young", "damping", "force", "ratio", "time", "course")
+
+
+def pressed(law: str, logs: np.ndarray, relaxing: bool, directions: bool) -> Motion:
+    """A small block under a press that moves it by a tenth, by log E, log α, log F, log γ, log τ and the load's end."""
+    body = block()
+    young, damping, force, ratio, time = np.exp(logs[:5]) * (2e4, 4.0, 4000.0, 0.8, 0.03)
+    top = np.flatnonzero(np.isclose(body.rest[:, 2], body.rest[:, 2].max()))
+    factor = np.array([1, 1, 1, 1, 0.5 + logs[5], 0, 0, 0])
+    load = Press(top, np.full(len(top), 1 / len(top)), np.array([0.6, 0, -0.8]), factor)
+    pattern = np.zeros_like(body.rest)
+    pattern[top] = force / len(top) * load.direction
+    along = [Direction(young=1.0), Direction(damping=damping), Direction(pattern=pattern, course=factor)]
+    along += [Direction(ratio=ratio), Direction(time=time)] if relaxing else []
+    along += [Direction(pattern=pattern, course=np.eye(8)[4])]
+    return simulate(
+        body,
+        Material(law, young, 0.4),
+        clamped(body),
+        load,
+        0.01,
+        inertia=Inertia(DENSITY, damping),
+        force=force,
+        relaxation=Relaxation(ratio, time) if relaxing else None,
+        directions=along if directions else (),
+    )
+
+
+@pytest.mark.parametrize("relaxing", [False, True])
+@pytest.mark.parametrize("law", LAWS)
+def test_derivatives_of_a_motion_equal_finite_differences(law: str, relaxing: bool) -> None:
+    found = pressed(law, np.zeros(6), relaxing, True)
+    assert np.abs(found.displacement).max() > 0.1
+    chosen = range(6) if relaxing else (0, 1, 2, 5)
+    for index, parameter in enumerate(chosen):
+        step = 1e-4 * np.eye(6)[parameter]
+        more, less = (pressed(law, sign * step, relaxing, False).displacement for sign in (1, -1))
+        slope = (more - less) / 2e-4
+        off = np.abs(found.slopes[..., index] - slope).max() / np.abs(slope).max()
+        assert off < 1e-6, DIRECTIONS[parameter]
+
+
+def test_directions_need_rest_and_what_they_change() -> None:
+    body = block()
+    grip = Grip(np.array([0]), np.zeros((2, 1, 3)))
+    told = (body, Material("linear", YOUNG, 0.3), clamped(body), grip, 0.01)
+    with pytest.raises(ValueError, match="from rest"):
+        simulate(*told, inertia=None, start=np.zeros_like(body.rest), directions=[Direction(young=1.0)])
+    with pytest.raises(ValueError, match="relaxation that there is none of"):
+        simulate(*told, inertia=None, directions=[Direction(ratio=1.0)])

@@ -1,0 +1,154 @@
+"""A slab beneath an open surface that one camera sees: its elements crowd where an instrument presses.
+
+How thick tissue is can't be seen, so it is told. The slab lies under the grid mesh around a vertex, its sides along the
+contact's normal; it is held at the bottom, at its sides, and beyond the tissue's edge. Tissue that an instrument hides
+goes on beneath it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.spatial import KDTree
+
+from physics.fem.lattice import box
+from physics.fem.meshing import NoBody
+from physics.fem.solid import Solid, make_solid
+from physics.mesh import Mesh
+
+CELLS = (10, 10, 3)
+"""Along columns, rows and depth: 1,500 tetrahedra."""
+WIDE = 0.28
+"""From the contact to the slab's sides, as a share of the grid's width."""
+CROWDED = 3.0
+"""How much the cells crowd around the contact: nodes lie at sinh(CROWDED s)/sinh(CROWDED), s even from -1 to 1."""
+GROWTH = 1.6
+"""Thickness of a layer over that of the one above it."""
+DEGREE = 3
+"""Of the polynomial in columns and rows by which depth goes on where none is seen."""
+NEAREST = 4
+"""Vertices that tell the rest of a node's depth."""
+BESIDE = 1.0
+"""A node farther from all vertices lies beside the mesh [grid px]."""
+SAMPLES = 41
+"""Of a patch along a side, to share it out over nodes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Slab:
+    """Elements beneath a surface; N nodes, C columns and R rows of them on top."""
+
+    solid: Solid
+    """Lengths in scene units."""
+    held: np.ndarray
+    """Components that don't move, shape [N, 3], bool."""
+    top: np.ndarray
+    """Nodes of the surface, by column and row, shape [C, R]."""
+    columns: np.ndarray
+    """Where their columns are, shape [C] [grid px]."""
+    rows: np.ndarray
+    """Where their rows are, shape [R] [grid px]."""
+    place: tuple[float, float]
+    """Column and row of the contact [grid px]."""
+
+    def patch(self, radius: float) -> np.ndarray:
+        """Share of every node in a force that is spread as 1 - (r/R)² around the contact, shape [N], sum 1.
+
+        Args:
+            radius: R [grid px].
+        """
+        way = np.linspace(-radius, radius, SAMPLES)
+        across, down = np.meshgrid(self.place[0] + way, self.place[1] + way, indexing="ij")
+        apart = np.hypot(across - self.place[0], down - self.place[1])
+        pressure = np.maximum(1 - np.square(apart / radius), 0.0).ravel()
+        shares = pressure @ self.between(np.column_stack([down.ravel(), across.ravel()]))
+        return shares / shares.sum()
+
+    def between(self, pixels: np.ndarray) -> csr_array:
+        """Weights of the nodes in what places of the surface do, as linear as the elements, shape [V, N].
+
+        Args:
+            pixels: row and column of each within the slab, shape [V, 2] [grid px].
+        """
+        found = []
+        for grid, at in ((self.columns, pixels[:, 1]), (self.rows, pixels[:, 0])):
+            cell = np.clip(np.searchsorted(grid, at, side="right") - 1, 0, len(grid) - 2)
+            found.append((cell, (at - grid[cell]) / (grid[cell + 1] - grid[cell])))
+        (column, right), (row, down) = found
+        nodes, weights = [], []
+        for step, share in ((0, 1 - right), (1, right)):
+            nodes += [self.top[column + step, row], self.top[column + step, row + 1]]
+            weights += [share * (1 - down), share * down]
+        places = np.tile(np.arange(len(pixels)), 4)
+        flat = np.concatenate(weights), (places, np.concatenate(nodes))
+        return csr_array(flat, shape=(len(pixels), len(self.solid.rest)))
+
+
+def slab_beneath(
+    mesh: Mesh, vertex: int, normal: np.ndarray, thickness: float, cells: tuple[int, int, int] = CELLS
+) -> Slab:
+    """The slab under a surface around a vertex.
+
+    Args:
+        mesh: tissue at rest.
+        vertex: of it, where an instrument presses.
+        normal: of the surface there, towards the camera, shape [3].
+        thickness: [scene units].
+        cells: along columns, rows and depth, the first two even, so that a node lies at the vertex.
+
+    Raises:
+        NoBody: a thickness that is not positive, or a surface under which a slab folds.
+    """
+    if not (math.isfinite(thickness) and thickness > 0):
+        raise NoBody(f"a thickness of {thickness:g}; give a positive one.")
+    places, tetrahedra = box((1.0, 1.0, 1.0), cells)
+    row, column = mesh.pixels[vertex].astype(np.float64)
+    wide = WIDE * mesh.grid_shape[1]
+    middle = np.array([row, column])
+    pixels = middle + wide * np.sinh(CROWDED * (2 * places[:, 1::-1] - 1)) / math.sinh(CROWDED)
+    depth, beside = _depth(mesh, pixels, middle, wide)
+    surface = np.column_stack([_rays(mesh, pixels) * depth[:, None], depth])
+    layer = np.rint(places[:, 2] * cells[2])
+    below = thickness * (GROWTH**layer - 1) / (GROWTH ** cells[2] - 1)
+    try:
+        solid = make_solid(surface - below[:, None] * np.asarray(normal, np.float64), tetrahedra)
+    except ValueError as error:
+        raise NoBody(f"below this surface a slab of {thickness:g} folds ({error}); give a smaller one.") from error
+    side = (places[:, :2] == 0).any(axis=1) | (places[:, :2] == 1).any(axis=1)
+    held = np.repeat((side | (places[:, 2] == 1) | beside)[:, None], 3, axis=1)
+    top = np.flatnonzero(places[:, 2] == 0).reshape(cells[0] + 1, cells[1] + 1)
+    return Slab(solid, held, top, pixels[top[:, 0], 1], pixels[top[0], 0], (column, row))
+
+
+def _rays(mesh: Mesh, pixels: np.ndarray) -> np.ndarray:
+    """(x, y)/z of the camera that the mesh's own vertices imply, at rows and columns [P, 2], shape [P, 2]."""
+    rays = mesh.vertices[:, :2].astype(np.float64) / mesh.vertices[:, 2:]
+    found = []
+    for axis in (0, 1):
+        slope, start = np.polyfit(mesh.pixels[:, 1 - axis], rays[:, axis], 1)
+        found.append(start + slope * pixels[:, 1 - axis])
+    return np.stack(found, axis=1)
+
+
+def _depth(mesh: Mesh, pixels: np.ndarray, middle: np.ndarray, wide: float) -> tuple[np.ndarray, np.ndarray]:
+    """Depth at rows and columns [P, 2], and which of them lie beyond the tissue's edge, shape [P] each."""
+    known = mesh.pixels.astype(np.float64)
+
+    def terms(places: np.ndarray) -> np.ndarray:
+        down, across = ((places - middle) / wide).T
+        powers = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]
+        return np.stack([down**i * across**j for i, j in powers], axis=1)
+
+    depth = mesh.vertices[:, 2].astype(np.float64)
+    fitted = np.linalg.lstsq(terms(known), depth, rcond=None)[0]
+    left = depth - terms(known) @ fitted
+    # Far beyond the mesh a polynomial means nothing; tissue there is held anyway.
+    low, high = known.min(axis=0), known.max(axis=0)
+    apart, nearest = KDTree(known).query(pixels, k=NEAREST)
+    weights = 1 / np.maximum(apart, 1e-3) ** 2
+    weights /= weights.sum(axis=1, keepdims=True)
+    found = terms(np.clip(pixels, low, high)) @ fitted + (weights * left[nearest]).sum(axis=1)
+    return found, (apart[:, 0] > BESIDE) & mesh.rim[nearest[:, 0]]

@@ -1,0 +1,101 @@
+"""A slab beneath a surface: where its nodes lie, what is held, how a force and a displacement are shared out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from physics.fem import NoBody
+from physics.fem.slab import slab_beneath
+from physics.mesh import Mesh, grid_mesh
+
+SIDE, FOCAL = 81, 100.0
+PIXELS = np.stack(np.meshgrid(np.arange(SIDE), np.arange(SIDE), indexing="ij"), axis=-1)
+NORMAL = np.array([0.0, 0.0, -1.0])
+THICKNESS = 0.06
+
+
+def surface(depth: np.ndarray, seen: np.ndarray | None = None, occluder: np.ndarray | None = None) -> Mesh:
+    rays = (PIXELS[..., ::-1] - SIDE / 2) / FOCAL
+    points = np.concatenate([rays * depth[..., None], depth[..., None]], axis=-1)
+    return grid_mesh(points, np.ones((SIDE, SIDE), bool) if seen is None else seen, occluder=occluder)
+
+
+def middle(mesh: Mesh) -> int:
+    return int(np.flatnonzero((mesh.pixels == SIDE // 2).all(axis=1))[0])
+
+
+def bowl() -> np.ndarray:
+    down, across = (PIXELS[..., axis] - SIDE / 2 for axis in (0, 1))
+    return 0.5 + 2e-5 * (down**2 + across * down)
+
+
+def test_a_slab_lies_under_its_surface_with_the_contact_in_the_middle() -> None:
+    mesh = surface(bowl())
+    vertex = middle(mesh)
+    slab = slab_beneath(mesh, vertex, NORMAL, THICKNESS)
+    rest, top = slab.solid.rest, slab.top
+    np.testing.assert_allclose(rest[top[5, 5]], mesh.vertices[vertex], atol=1e-7)
+    rows, columns = slab.rows, slab.columns
+    expected = 0.5 + 2e-5 * ((rows - SIDE / 2) ** 2 + (columns[:, None] - SIDE / 2) * (rows - SIDE / 2))
+    np.testing.assert_allclose(rest[top, 2], expected, atol=3e-5)
+    np.testing.assert_allclose(rest[top, 0], (columns[:, None] - SIDE / 2) / FOCAL * rest[top, 2], atol=1e-6)
+    assert rest[:, 2].max() - rest[top, 2].max() == pytest.approx(THICKNESS, rel=1e-6)
+    # Along the normal it is as thick everywhere, and filled once.
+    area = np.diff(rest[top, 0], axis=0)[:, :-1] * np.diff(rest[top, 1], axis=1)[:-1]
+    assert slab.solid.volumes.sum() == pytest.approx(THICKNESS * area.sum(), rel=0.01)
+    held = slab.held.all(axis=1)
+    assert held[top[[0, -1]]].all()
+    assert held[top[:, [0, -1]]].all()
+    assert not held[top[1:-1, 1:-1]].any()
+    assert held.sum() == 11 * 11 + 3 * 40  # the bottom, and the sides above it
+
+
+def test_what_lies_beyond_the_tissues_edge_is_held_and_what_a_tool_hides_is_not() -> None:
+    seen = PIXELS[..., 1] < SIDE // 2 + 8
+    edge = surface(bowl(), seen)
+    slab = slab_beneath(edge, middle(edge), NORMAL, THICKNESS)
+    inner = slab.held.all(axis=1)[slab.top][1:-1, 1:-1]
+    beyond = slab.columns[1:-1] > SIDE // 2 + 9
+    assert beyond.any()
+    np.testing.assert_array_equal(inner, np.broadcast_to(beyond[:, None], inner.shape))
+    hidden = surface(bowl(), seen, occluder=~seen)
+    slab = slab_beneath(hidden, middle(hidden), NORMAL, THICKNESS)
+    assert not slab.held.all(axis=1)[slab.top][1:-1, 1:-1].any()
+    # Its surface goes on smoothly.
+    rows, columns = slab.rows, slab.columns[-3]
+    expected = 0.5 + 2e-5 * ((rows - SIDE / 2) ** 2 + (columns - SIDE / 2) * (rows - SIDE / 2))
+    np.testing.assert_allclose(slab.solid.rest[slab.top[-3], 2], expected, atol=5e-4)
+
+
+def test_a_force_is_shared_out_whole_and_without_a_moment() -> None:
+    mesh = surface(np.full((SIDE, SIDE), 0.5))
+    slab = slab_beneath(mesh, middle(mesh), NORMAL, THICKNESS)
+    shares = slab.patch(5.0)
+    assert shares.sum() == pytest.approx(1)
+    assert (shares >= 0).all()
+    assert set(np.flatnonzero(shares)) <= set(slab.top.ravel())
+    places = slab.solid.rest - mesh.vertices[middle(mesh)]
+    np.testing.assert_allclose(shares @ places[:, :2], 0, atol=1e-9)
+    # ∫ r² (1 - r²/R²) over the disc, over the force, is R²/3; tents of the nodes add to it, so it is more.
+    spread = float(shares @ np.square(places[:, :2]).sum(axis=1)) / (0.5 / FOCAL) ** 2
+    assert 25 / 3 < spread < 25
+
+
+def test_places_between_nodes_move_as_linear_elements_do() -> None:
+    mesh = surface(bowl())
+    slab = slab_beneath(mesh, middle(mesh), NORMAL, THICKNESS)
+    pixels = np.array([[40.0, 40.0], [37.3, 45.1], [50.9, 33.2]])
+    weights = slab.between(pixels)
+    field = np.zeros(len(slab.solid.rest))
+    field[slab.top] = 3 + 2 * slab.columns[:, None] - slab.rows
+    np.testing.assert_allclose(weights @ field, 3 + 2 * pixels[:, 1] - pixels[:, 0])
+
+
+def test_a_slab_that_is_no_body_is_refused_in_a_sentence() -> None:
+    mesh = surface(bowl())
+    for thickness in (0.0, -1.0, float("nan"), float("inf")):
+        with pytest.raises(NoBody, match="give a positive one"):
+            slab_beneath(mesh, middle(mesh), NORMAL, thickness)
+    with pytest.raises(NoBody, match=r"a slab of 0\.06 folds"):
+        slab_beneath(mesh, middle(mesh), np.array([1.0, 0.0, 0.0]), THICKNESS)

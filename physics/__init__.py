@@ -21,7 +21,7 @@ from physics.lazy import exported
 __getattr__ = exported(
     {
         "physics.mesh": ("Mesh", "contact_normal", "grid_mesh", "nearest_vertex"),
-        "physics.load": ("Grip", "Press", "held", "ramped"),
+        "physics.load": ("Grip", "Press", "PressShape", "held", "ramped"),
         "physics.observation": ("Observation",),
         "physics.likelihood": ("Likelihood",),
         "physics.mechanics": ("Bounds", "Mechanics"),

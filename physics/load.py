@@ -47,16 +47,32 @@ class Press:
         return cls(np.array([vertex], np.int64), np.ones(1), np.asarray(direction), np.asarray(factor, np.float64))
 
     @classmethod
-    def on_patch(cls, mesh: Mesh, vertex: int, radius: float, direction: np.ndarray, factor: np.ndarray) -> Press:
-        """Spread smoothly, as 1 - (r/R)², over the vertices less than `radius` grid pixels from a vertex.
+    def on_patch(
+        cls,
+        mesh: Mesh,
+        vertex: int,
+        radius: float,
+        direction: np.ndarray,
+        factor: np.ndarray,
+        offset: tuple[float, float] = (0.0, 0.0),
+    ) -> Press:
+        """Spread smoothly, as 1 - (r/R)², over the vertices less than `radius` grid pixels from a place.
+
+        Args:
+            mesh, vertex: the place is a vertex of a mesh,
+            offset: or so many rows and columns beside it [grid pixels].
+            radius: R [grid pixels]. Where no vertex is so near, the nearest one bears the whole force.
+            direction, factor: as of `Press`.
 
         Raises:
             ValueError: the radius is not positive.
         """
         if not radius > 0:
             raise ValueError(f"radius is {radius}; give a positive number of grid pixels.")
-        apart = np.linalg.norm(mesh.pixels - mesh.pixels[vertex], axis=1)
+        apart = np.linalg.norm(mesh.pixels - mesh.pixels[vertex] - np.asarray(offset, np.float64), axis=1)
         near = np.flatnonzero(apart < radius)
+        if not len(near):
+            return cls.at(int(np.argmin(apart)), direction, factor)
         near = near[np.argsort(apart[near], kind="stable")]
         weights = 1 - np.square(apart[near] / radius)
         return cls(near, weights / weights.sum(), np.asarray(direction), np.asarray(factor, np.float64))
@@ -119,10 +135,68 @@ def held(steps_loaded: float, steps: int) -> np.ndarray:
     return np.clip(steps_loaded - np.arange(steps), 0.0, 1.0)
 
 
-def ramped(rise: int, hold: int, fall: int, steps: int) -> np.ndarray:
-    """A load that rises, holds and falls, each over so many steps, at the middle of every step, shape [steps]."""
-    corners = np.cumsum([0, rise, hold, fall])
-    return np.interp(np.arange(steps) + 0.5, corners, [0.0, 1.0, 1.0, 0.0], right=0.0)
+def ramped(rise: float, hold: float, fall: float, steps: int) -> np.ndarray:
+    """A load that rises, holds and falls, each over so many steps, its mean over every step, shape [steps].
+
+    It never falls where `hold` is infinite. Where `hold` is negative it begins to fall before it has risen, as fast as
+    it would otherwise: the difference of two ramps.
+    """
+    at = np.arange(steps + 1.0)
+    return np.diff(_ramp_integral(at, rise) - _ramp_integral(at - (rise + hold), fall))
+
+
+def _ramp_integral(time: np.ndarray, rise: float) -> np.ndarray:
+    """Integral up to a time, any shape, of what is 0 before 0 and rises to 1 over `rise`."""
+    time = np.maximum(time, 0.0)
+    return np.where(time < rise, np.square(time) / (2 * rise) if rise > 0 else 0.0, time - rise / 2)
+
+
+@dataclass(frozen=True)
+class PressShape:
+    """Over which patch a press acts, which way, and how its force comes and goes.
+
+    As it stands, a step along the normal on one vertex.
+    """
+
+    radius: float = 0.0
+    """R of `Press.on_patch` [grid pixels]; 0 = on one vertex."""
+    offset: tuple[float, float] = (0.0, 0.0)
+    """Of the patch's middle from the contact vertex, rows and columns [grid pixels]."""
+    rise: float = 0.0
+    """How long the force takes to rise to F [s]."""
+    fall: float = 0.0
+    """How long it takes to fall from F to nothing, before the load's end [s]."""
+    lean: tuple[float, float] = (0.0, 0.0)
+    """Of the direction along which a positive F acts: its part along the surface, towards the picture's right and
+    towards its lower side, over that along the normal."""
+
+    def leaning(self, normal: np.ndarray) -> np.ndarray:
+        """Unit vector along which a positive F acts, of a normal [3] that is not the picture's x axis, shape [3]."""
+        normal = np.asarray(normal, np.float64)
+        right = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
+        right /= np.linalg.norm(right)
+        # The normal points towards the camera, against z.
+        found = normal + self.lean[0] * right + self.lean[1] * np.cross(right, normal)
+        return found / np.linalg.norm(found)
+
+    def factor(self, seconds: float, time_step: float, steps: int) -> np.ndarray:
+        """Share of F in each step, shape [steps]; arguments as of `press`."""
+        rise, fall = self.rise / time_step, self.fall / time_step
+        return ramped(rise, seconds / time_step - rise - fall, fall, steps)
+
+    def press(self, mesh: Mesh, vertex: int, normal: np.ndarray, seconds: float, time_step: float, steps: int) -> Press:
+        """The load of this shape.
+
+        Args:
+            mesh, vertex: as of `Press.on_patch`.
+            normal: of the surface, shape [3].
+            seconds: time under load; infinite where it does not end.
+            time_step, steps: of the simulation [s].
+        """
+        direction, factor = self.leaning(normal), self.factor(seconds, time_step, steps)
+        if not self.radius:
+            return Press.at(vertex, direction, factor)
+        return Press.on_patch(mesh, vertex, self.radius, direction, factor, self.offset)
 
 
 def _require_vertices(vertices: np.ndarray) -> None:

@@ -144,6 +144,7 @@ def _press_entries(scene: Scene, motion: PressedMotion) -> dict:
         "force_delay_s": motion.delay,
         "release_delay_s": motion.release_delay,
         "force_profile": scene.settings.profile,
+        "force_shape": dataclasses.asdict(motion.shape),
         "peak_displacement": motion.peak,
         "integrator": INTEGRATOR,
     }

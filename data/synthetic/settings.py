@@ -78,11 +78,17 @@ class SceneSettings:
     """Time in which it relaxes, drawn log-uniformly [s]."""
     slab_inclusion: float = 1.0
     """E of a ball inside a slab over that around; 1 is none."""
-    patch_radius: float = 0.0
-    """A press acts on the vertices nearer than this, as 1 - (r/R)² [grid px]; 0 = on the contact vertex alone."""
+    patch_radius: Range = (0.0, 0.0)
+    """A press acts on the vertices nearer than this, as 1 - (r/R)², R drawn uniformly [grid px]; 0 = on the contact
+    vertex alone."""
+    force_tilt_deg: Range = (0.0, 0.0)
+    """Angle between the force of a press and the normal of the tissue, drawn uniformly, to any side [degrees]."""
     profile: Literal["step", "ramp", "hold"] = "step"
-    """Force while in contact: constant, rising linearly from 0 to F at release, or rising, holding and falling, a third
-    of the time each."""
+    """Force while in contact: constant, rising linearly from 0 to F at release, or rising, holding and falling."""
+    rise: Range = (1 / 3, 1 / 3)
+    """Share of the time in contact over which a force that holds rises, drawn uniformly."""
+    fall: Range = (1 / 3, 1 / 3)
+    """Share over which it falls; with the share of its rise at most 1."""
     press_seconds: Range = (0.25, 0.5)
     """Time in contact [s], rounded to whole frames."""
     onset_fraction: Range = (0.15, 0.25)
@@ -141,6 +147,11 @@ class SceneSettings:
                 f"scene.width x scene.height is {self.width}x{self.height}; give at least the grid's size, "
                 f"{self.grid_width}x{self.grid_height}."
             )
+        if self.rise[1] + self.fall[1] > 1:
+            raise ValueError(
+                f"scene.rise ends at {self.rise[1]:g} and scene.fall at {self.fall[1]:g}; give shares that add up "
+                "to 1 at most."
+            )
         if self.depth_bits not in (8, 16):
             raise ValueError(f"scene.depth_bits is {self.depth_bits}; give 8 or 16.")
 
@@ -176,6 +187,9 @@ _LIMITS = {
     "slab_branch_time": (1e-3, 100),
     "slab_inclusion": (0.01, 100),
     "patch_radius": (0, 20),
+    "force_tilt_deg": (0, 60),
+    "rise": (0, 1),
+    "fall": (0, 1),
     "press_seconds": (1e-6, math.inf),
     "onset_fraction": (0, 1),
     "onset_delay": (0, 1),

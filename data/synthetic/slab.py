@@ -16,7 +16,7 @@ from scipy.interpolate import RectBivariateSpline
 from data.synthetic.grip import draw_course, draw_way
 from data.synthetic.scene import Scene, SceneError, require_room
 from data.synthetic.settings import SceneSettings
-from data.synthetic.truth import Motion, draw_contact_frames, force_profile
+from data.synthetic.truth import Motion, draw_contact_frames, draw_shape, force_factor
 from physics.fem import Inertia, Material, NoEquilibrium, Relaxation, Solid, box, find_equilibrium, make_solid, simulate
 from physics.load import Grip, Load, Press
 
@@ -222,25 +222,27 @@ def _press(
     onset, release = draw_contact_frames(settings, generator)
     wanted = generator.uniform(*settings.peak_displacement)
     row, column = scene.mesh.pixels[scene.vertex]
-    nodes, apart = body.near((column, row), settings.patch_radius)
-    weights = 1 - np.square(apart / max(settings.patch_radius, 1.0))
-    weights /= weights.sum()
     load = (release - onset) / settings.fps
+    shape = draw_shape(settings, load, generator.spawn(1)[0])
+    direction = shape.leaning(scene.direction)
+    nodes, apart = body.near((column, row), shape.radius)
+    weights = 1 - np.square(apart / max(shape.radius, 1.0))
+    weights /= weights.sum()
     time = np.arange(1, SUBSTEPS * (settings.frames - 1 - onset) + 1) / (settings.fps * SUBSTEPS)
     pressed = time < load + 1e-9
-    factor = np.where(pressed, force_profile(settings, time, load), 0.0)
+    factor = np.where(pressed, force_factor(shape, time, load), 0.0)
     # The force that would sink it as far in the end, if it were linear.
     unit = np.zeros_like(body.solid.rest)
-    unit[nodes] = weights[:, None] * scene.direction
+    unit[nodes] = weights[:, None] * direction
     linear = Material("linear", material.young, material.poisson)
     soft = find_equilibrium(body.solid, linear, body.held, forces=unit).displacement[nodes[0]] @ scene.direction
     force = -wanted / float(soft)
-    press = Press(nodes, weights, scene.direction, factor)
+    press = Press(nodes, weights, direction, factor)
     known, _ = _follow(scene, body, material, tissue, press, onset, force)
     at = np.zeros(settings.frames)
     after = known["times"] - known["times"][onset]
     loaded = (after > -1e-9) & (after < load - 1e-9)
-    at[loaded] = force * force_profile(settings, after[loaded], load)
+    at[loaded] = force * force_factor(shape, after[loaded], load)
     return PressedSlab(**known, release_frame=release, force=at)
 
 

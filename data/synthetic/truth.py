@@ -18,7 +18,7 @@ from scipy.sparse import csr_array
 
 from data.synthetic.scene import Scene, SceneError, crop_mesh, require_room
 from data.synthetic.settings import SceneSettings
-from physics.load import Press
+from physics.load import Press, PressShape
 
 SAMPLE_STEP = 0.005
 """Time between samples of the stored response [s], Bini 2026's Δt."""
@@ -76,6 +76,8 @@ class PressedMotion(Motion):
     [R, 3]."""
     force: np.ndarray
     """Signed force at the frames' times, just after them, shape [F]."""
+    shape: PressShape
+    """Over which patch it acts, which way, and how it comes and goes."""
 
     @property
     def load_seconds(self) -> float:
@@ -157,13 +159,15 @@ def draw_motion(scene: Scene, generator: np.random.Generator) -> PressedMotion:
     delays = [
         float(stream.uniform(*share)) / settings.fps for stream, share in zip(generator.spawn(2), ranges, strict=True)
     ]
+    loaded = (release - onset) / settings.fps
+    shape = draw_shape(settings, loaded + delays[1] - delays[0], generator.spawn(1)[0])
     peaks = []
     for _ in range(60):
         theta = draw_theta(settings, generator)
-        peak = _peak_under_load(scene, theta, (release - onset) / settings.fps, variation)
+        peak = _peak_under_load(scene, theta, loaded, variation, shape)
         peaks.append(peak)
         if low <= peak <= high:
-            return simulate_motion(scene, theta, onset, release, variation, *delays)
+            return simulate_motion(scene, theta, onset, release, variation, *delays, shape)
     raise SceneError(
         f"scene.force {settings.force} moves the contact by {min(peaks):.2g} to {max(peaks):.2g}, outside "
         f"scene.peak_displacement [{low:g}, {high:g}]; change one of them."
@@ -178,6 +182,7 @@ def simulate_motion(
     variation: np.ndarray | None = None,
     delay: float = 0.0,
     release_delay: float = 0.0,
+    shape: PressShape | None = None,
 ) -> PressedMotion:
     """Integrate the sheet from rest through press and release.
 
@@ -188,6 +193,7 @@ def simulate_motion(
         variation: relative stiffness over the grid, shape [h, w]; None is 1 everywhere.
         delay, release_delay: from those frames' time stamps to the start and the end of the force [s], at most a frame
             interval each.
+        shape: of the press; None = in the middle of what the settings allow, along the normal.
 
     Raises:
         SceneError: the force ends before it starts.
@@ -197,16 +203,17 @@ def simulate_motion(
     load = (release - onset) / settings.fps + release_delay - delay
     if load <= 0:
         raise SceneError("The force ends before it starts; give a longer scene.press_seconds.")
+    shape = shape or middle_shape(settings, load)
     after = times[onset:] - times[onset] - delay  # since the start of the force
     fine = SAMPLE_STEP * np.arange(1, math.floor(after[-1] / SAMPLE_STEP + 1e-9) + 1)
-    window, frames, response = _integrate(scene, theta, load, after, fine, variation)
+    window, frames, response = _integrate(scene, theta, load, after, fine, variation, shape)
     field = np.zeros((settings.frames, len(window.vertices), 3), np.float32)
     field[onset:] = frames
     contact = np.zeros((settings.frames, 3))
     contact[onset:] = frames[:, window.contact]
     force = np.zeros(settings.frames)
     pressed = (after > -ROUNDING) & (after < load - ROUNDING)
-    force[onset:][pressed] = theta[2] * force_profile(settings, after[pressed], load)
+    force[onset:][pressed] = theta[2] * force_factor(shape, after[pressed], load)
     return PressedMotion(
         theta=theta,
         onset_frame=onset,
@@ -217,6 +224,7 @@ def simulate_motion(
         contact=contact,
         response=response,
         force=force,
+        shape=shape,
         moving=window.vertices,
         field=field,
     )
@@ -247,17 +255,44 @@ def _stiffness_field(settings: SceneSettings, generator: np.random.Generator) ->
     return np.exp(settings.stiffness_variation * smooth / smooth.std())
 
 
-def force_profile(settings: SceneSettings, time: np.ndarray, load: float) -> np.ndarray:
-    """Force at a time since its start as a share of F, for times within the load."""
+def draw_shape(settings: SceneSettings, load: float, generator: np.random.Generator) -> PressShape:
+    """How a force acts that lasts so long [s], drawn as the settings say."""
+    radius, tilt, rise, fall = (
+        float(generator.uniform(*ends))
+        for ends in (settings.patch_radius, settings.force_tilt_deg, settings.rise, settings.fall)
+    )
+    angle = generator.uniform(0, 2 * math.pi)
+    lean = math.tan(math.radians(tilt))
+    rise, fall = _course(settings, load, rise, fall)
+    return PressShape(radius, (0.0, 0.0), rise, fall, (lean * math.cos(angle), lean * math.sin(angle)))
+
+
+def middle_shape(settings: SceneSettings, load: float) -> PressShape:
+    """The same in the middle of each range, along the normal."""
+    radius, rise, fall = (sum(ends) / 2 for ends in (settings.patch_radius, settings.rise, settings.fall))
+    return PressShape(radius, (0.0, 0.0), *_course(settings, load, rise, fall))
+
+
+def _course(settings: SceneSettings, load: float, rise: float, fall: float) -> tuple[float, float]:
+    """How long a force rises and falls that lasts so long [s], from the shares of one that holds [s]."""
     if settings.profile == "hold":
-        return np.clip(np.minimum(time, load - time) / (load / 3), 0.0, 1.0)
-    return np.ones_like(time) if settings.profile == "step" else time / load
+        return rise * load, fall * load
+    return (load if settings.profile == "ramp" else 0.0), 0.0
 
 
-def _peak_under_load(scene: Scene, theta: np.ndarray, load: float, variation: np.ndarray | None) -> float:
+def force_factor(shape: PressShape, time: np.ndarray, load: float) -> np.ndarray:
+    """Force at a time since its start as a share of F, for times within the load, whose end is `load` [s]."""
+    risen = np.clip(time / shape.rise, 0.0, 1.0) if shape.rise else np.ones_like(time)
+    left = np.clip((load - time) / shape.fall, 0.0, 1.0) if shape.fall else np.ones_like(time)
+    return np.minimum(risen, left)
+
+
+def _peak_under_load(
+    scene: Scene, theta: np.ndarray, load: float, variation: np.ndarray | None, shape: PressShape
+) -> float:
     """Largest contact displacement until release [scene units]; after it the tissue only swings back."""
     times = np.linspace(0, load, 33)[1:]
-    _, _, response = _integrate(scene, theta, load, times[-1:], times, variation)
+    _, _, response = _integrate(scene, theta, load, times[-1:], times, variation, shape)
     return float(np.linalg.norm(response, axis=1).max())
 
 
@@ -269,7 +304,7 @@ def _reach(scene: Scene, theta: np.ndarray, duration: float) -> int:
     return math.ceil(min(wave, diffusion)) + 8
 
 
-def cut_window(scene: Scene, radius: int, variation: np.ndarray | None) -> Window:
+def cut_window(scene: Scene, radius: int, variation: np.ndarray | None, shape: PressShape | None = None) -> Window:
     """Vertices within `radius` grid px of the contact and the springs among them; the cut border is held."""
     mesh, vertices, cut = crop_mesh(scene.mesh, scene.vertex, radius)
     count = np.arange(len(mesh.springs))
@@ -282,8 +317,8 @@ def cut_window(scene: Scene, radius: int, variation: np.ndarray | None) -> Windo
         relative = variation[tuple(mesh.pixels.T)][mesh.springs].mean(axis=1)
     contact = int(np.searchsorted(vertices, scene.vertex))
     pressed, shares = np.array([contact]), np.ones(1)
-    if scene.settings.patch_radius:
-        press = Press.on_patch(mesh, contact, scene.settings.patch_radius, scene.direction, np.ones(1))
+    if shape is not None and shape.radius:
+        press = Press.on_patch(mesh, contact, shape.radius, scene.direction, np.ones(1))
         pressed, shares = press.vertices, press.weights
     held = mesh.rim.copy()
     held[pressed] = False
@@ -292,7 +327,13 @@ def cut_window(scene: Scene, radius: int, variation: np.ndarray | None) -> Windo
 
 
 def _integrate(
-    scene: Scene, theta: np.ndarray, load: float, coarse: np.ndarray, fine: np.ndarray, variation: np.ndarray | None
+    scene: Scene,
+    theta: np.ndarray,
+    load: float,
+    coarse: np.ndarray,
+    fine: np.ndarray,
+    variation: np.ndarray | None,
+    shape: PressShape,
 ) -> tuple[Window, np.ndarray, np.ndarray]:
     """Window, all its displacements at the coarse times [C, M, 3], and the contact's at the fine times [R, 3].
 
@@ -302,8 +343,8 @@ def _integrate(
     radius = _reach(scene, theta, max(coarse[-1], fine[-1]))
     largest = max(scene.mesh.grid_shape)
     while True:
-        window = cut_window(scene, radius, variation)
-        displaced, response = _solve(scene, window, theta, load, coarse, fine)
+        window = cut_window(scene, radius, variation, shape)
+        displaced, response = _solve(scene, window, theta, load, coarse, fine, shape)
         leak = np.abs(_next_to_cut(window, displaced)).max(initial=0)
         if leak <= WINDOW_LEAK or radius >= largest:
             return window, displaced, response
@@ -318,7 +359,13 @@ def _next_to_cut(window: Window, displaced: np.ndarray) -> np.ndarray:
 
 
 def _solve(
-    scene: Scene, window: Window, theta: np.ndarray, load: float, coarse: np.ndarray, fine: np.ndarray
+    scene: Scene,
+    window: Window,
+    theta: np.ndarray,
+    load: float,
+    coarse: np.ndarray,
+    fine: np.ndarray,
+    shape: PressShape,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Integrate press and release one after the other: the force jumps between them."""
     settings = scene.settings
@@ -332,7 +379,8 @@ def _solve(
             continue
         times = np.unique(np.concatenate((coarse, fine, [stop])))
         times = times[(times > start) & (times <= stop)]
-        rate = _rate(settings, window, theta, scene.direction if pressed else np.zeros(3), load)
+        direction = shape.leaning(scene.direction) if pressed else np.zeros(3)
+        rate = _rate(settings, window, theta, direction, load, shape)
         solution = solve_ivp(
             rate, (start, stop), state, "DOP853", times, rtol=RELATIVE_TOLERANCE, atol=ABSOLUTE_TOLERANCE
         )
@@ -346,7 +394,14 @@ def _solve(
     return displaced, response
 
 
-def _rate(settings: SceneSettings, window: Window, theta: np.ndarray, direction: np.ndarray, load: float):
+def _rate(
+    settings: SceneSettings,
+    window: Window,
+    theta: np.ndarray,
+    direction: np.ndarray,
+    load: float,
+    shape: PressShape,
+):
     """Right-hand side of the equations of motion for the state (displacement, velocity), flattened."""
     stiffness, damping, force = theta
     transposed = window.difference.T.tocsr()
@@ -366,7 +421,7 @@ def _rate(settings: SceneSettings, window: Window, theta: np.ndarray, direction:
         if settings.nonlinearity:
             tension *= 1 + settings.nonlinearity * np.square(elongation / STIFFENING_LENGTH)
         forces = -(transposed @ ((tension / length)[:, None] * (window.edges + stretch))) - damping * velocity
-        forces[window.pressed] += force * force_profile(settings, np.asarray(time), load) * push
+        forces[window.pressed] += force * force_factor(shape, np.asarray(time), load) * push
         return np.stack((velocity * moving, forces * moving / settings.mass)).ravel()
 
     return rate

@@ -117,6 +117,19 @@ _ALL = (
         {"depth_noise": CLEAN_NOISE},
         truth={"onset_delay": (0.0, 1.0), "release_delay": (0.0, 1.0)},
     ),
+    Suite(
+        "patch",
+        "pressed on a patch of 2 to 5 grid px, up to 20 degrees aslant to the tissue, by a force that rises, holds and "
+        "falls: a round tip, a hand",
+        {"depth_noise": CLEAN_NOISE},
+        truth={
+            "patch_radius": (2.0, 5.0),
+            "force_tilt_deg": (0.0, 20.0),
+            "profile": "hold",
+            "rise": (0.1, 0.45),
+            "fall": (0.1, 0.45),
+        },
+    ),
 )
 SUITES = {suite.name: suite for suite in _ALL}
 """Suites by name, in the order of tables."""
@@ -202,7 +215,7 @@ _SLAB_PRESSES: dict[str, Any] = {
     "tissue": "slab",
     "width": GRID_SIZE[0],
     "height": GRID_SIZE[1],
-    "patch_radius": 3.5,
+    "patch_radius": (3.5, 3.5),
     "peak_displacement": (0.02, 0.045),
     "depth_noise": CLEAN_NOISE,
 }

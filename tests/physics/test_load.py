@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from physics.load import Grip, Press, held, ramped
+from physics.load import Grip, Press, PressShape, held, ramped
 from tests.physics.sheets import sheet
 
 Z = np.array([0.0, 0.0, -1.0])
@@ -51,9 +51,46 @@ def test_held_loads_share_their_last_step():
     np.testing.assert_allclose(held(9, 3), [1, 1, 1])
 
 
-def test_ramps_count_at_the_middle_of_each_step():
+def test_ramps_count_with_their_mean_over_each_step():
     np.testing.assert_allclose(ramped(2, 1, 4, 9), [0.25, 0.75, 1, 0.875, 0.625, 0.375, 0.125, 0, 0])
     np.testing.assert_allclose(ramped(0, 2, 0, 4), held(2, 4))
+    np.testing.assert_allclose(ramped(0, 2.25, 0, 5), held(2.25, 5))
+    np.testing.assert_allclose(ramped(0, np.inf, 3, 5), np.ones(5))
+
+
+@pytest.mark.parametrize(("rise", "hold", "fall"), [(1.3, 2.4, 3.1), (0.4, 0.2, 0.3), (4.5, -2.0, 5.5)])
+def test_a_ramp_between_steps_is_the_mean_of_many_values(rise: float, hold: float, fall: float):
+    middles = (np.arange(100_000) + 0.5) / 10_000
+    fine = np.clip(middles / rise, 0, 1) - np.clip((middles - rise - hold) / fall, 0, 1)
+    np.testing.assert_allclose(ramped(rise, hold, fall, 10), fine.reshape(10, -1).mean(axis=1), atol=1e-6)
+
+
+def test_a_patch_beside_a_vertex_and_one_between_vertices():
+    mesh = sheet(15, 15)
+    middle = 7 * 15 + 7
+    beside = Press.on_patch(mesh, middle, 2.0, Z, np.ones(4), (0.0, 0.5))
+    np.testing.assert_allclose(beside.weights[:2], beside.weights[0])
+    np.testing.assert_array_equal(np.sort(beside.vertices[:2]), [middle, middle + 1])
+    assert beside.weights @ mesh.pixels[beside.vertices] == pytest.approx([7.0, 7.5])
+    np.testing.assert_array_equal(Press.on_patch(mesh, middle, 0.3, Z, np.ones(4), (0.4, 0.0)).vertices, [middle])
+
+
+def test_a_shape_is_a_step_on_a_vertex_along_the_normal_as_it_stands():
+    mesh = sheet(9, 9)
+    load = PressShape().press(mesh, 40, Z, 0.0225, 0.01, 5)
+    assert load.vertices.tolist() == [40]
+    np.testing.assert_allclose(load.factor, held(2.25, 5))
+    np.testing.assert_allclose(load.direction, Z)
+
+
+def test_a_shape_holds_its_patch_its_course_and_its_lean():
+    mesh = sheet(9, 9)
+    shape = PressShape(2.5, (1.0, 0.0), 0.02, 0.03, (0.3, 0.4))
+    load = shape.press(mesh, 40, Z, 0.1, 0.01, 12)
+    np.testing.assert_allclose(load.factor, ramped(2, 5, 3, 12))
+    assert load.weights @ mesh.pixels[load.vertices] == pytest.approx([5.0, 4.0])
+    # x is the picture's right, y its lower side, and the camera looks along z.
+    np.testing.assert_allclose(load.direction, np.array([0.3, 0.4, -1]) / np.sqrt(1.25), rtol=1e-12)
 
 
 @pytest.mark.parametrize(

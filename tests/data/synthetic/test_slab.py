@@ -16,7 +16,7 @@ from data.synthetic.settings import SceneSettings
 from data.synthetic.slab import GrippedSlab, PressedSlab, SlabMotion
 
 PRESS = SceneSettings(
-    width=107, height=60, grid_width=107, grid_height=60, frames=24, tissue="slab", patch_radius=3.5,
+    width=107, height=60, grid_width=107, grid_height=60, frames=24, tissue="slab", patch_radius=(3.5, 3.5),
     peak_displacement=(1e-4, 1e-4), press_seconds=(0.6, 0.6), slab_young=(600.0, 600.0), slab_damping=(60.0, 60.0),
 )  # fmt: skip
 """So small a dent that the law is linear, and so much damping that it comes to rest."""

@@ -18,11 +18,12 @@ from data.synthetic.truth import (
     cut_window,
     damping_ratio,
     draw_motion,
+    draw_shape,
     draw_theta,
     regime_of,
     simulate_motion,
 )
-from physics.load import Press, held
+from physics.load import Press, PressShape, held
 from physics.mechanics import Mechanics
 from physics.msd.simulation import simulate
 
@@ -116,8 +117,8 @@ def test_a_hold_rises_holds_and_falls(scene: Scene) -> None:
 
 
 def test_a_patch_shares_the_force(scene: Scene, motion: PressedMotion) -> None:
-    wide = with_settings(scene, patch_radius=4.0)
-    window = cut_window(wide, 12, None)
+    wide = with_settings(scene, patch_radius=(4.0, 4.0))
+    window = cut_window(wide, 12, None, PressShape(4.0))
     assert window.shares.sum() == pytest.approx(1)
     assert not window.held[window.pressed].any()
     pressed = simulate_motion(wide, THETA, ONSET, RELEASE)
@@ -125,6 +126,29 @@ def test_a_patch_shares_the_force(scene: Scene, motion: PressedMotion) -> None:
     # Before any spring pulls, the vertex in the middle has its share of the acceleration.
     first, alone = (np.linalg.norm(item.response[0]) for item in (pressed, motion))
     assert first == pytest.approx(window.shares.max() * alone, rel=0.1)
+
+
+def test_a_force_that_leans_moves_tissue_to_its_side(scene: Scene, motion: PressedMotion) -> None:
+    """A sheet answers all directions alike, but for what holds its rim."""
+    lean = 0.5
+    leaning = simulate_motion(scene, THETA, ONSET, RELEASE, shape=PressShape(lean=(lean, 0.0)))
+    straight, aside = motion.response[20], leaning.response[20]
+    assert aside @ scene.direction == pytest.approx(straight @ scene.direction / np.hypot(1, lean), rel=0.05)
+    right = np.array([1.0, 0.0, 0.0]) - scene.direction[0] * scene.direction
+    assert aside @ right / (aside @ scene.direction) == pytest.approx(lean, rel=0.1)
+
+
+def test_a_drawn_shape_lies_in_its_ranges(scene: Scene) -> None:
+    ends = {"patch_radius": (2.0, 3.0), "force_tilt_deg": (5.0, 9.0), "rise": (0.1, 0.2), "fall": (0.3, 0.4)}
+    settings = with_settings(scene, profile="hold", **ends).settings
+    shapes = [draw_shape(settings, 0.5, np.random.default_rng(seed)) for seed in range(50)]
+    for shape in shapes:
+        assert 2 <= shape.radius <= 3
+        assert 5 <= np.degrees(np.arctan(np.hypot(*shape.lean))) <= 9
+        assert 0.05 <= shape.rise <= 0.1
+        assert 0.15 <= shape.fall <= 0.2
+    assert np.ptp([shape.radius for shape in shapes]) > 0.8
+    assert min(shape.lean[0] for shape in shapes) < 0 < max(shape.lean[1] for shape in shapes)
 
 
 @pytest.mark.parametrize("share", [0.25, 0.625, 1.0])

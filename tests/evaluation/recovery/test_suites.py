@@ -10,7 +10,10 @@ from data.synthetic.scene import draw_scene
 from evaluation.recovery.suites import FITTED_ON, GRID_SIZE, REGIMES, SPLITS, SUITES, suite_clip_seed
 
 NAMES = ["clean", "8bit", "noisy", "flicker", "mask-error", "focal-error", "occlusion", "mismatch"]
-NAMES += ["oblique", "late-onset"]
+NAMES += ["oblique", "late-onset", "patch"]
+
+PATCH = {"patch_radius": (2.0, 5.0), "force_tilt_deg": (0.0, 20.0), "profile": "hold"}
+PATCH |= {"rise": (0.1, 0.45), "fall": (0.1, 0.45)}
 
 
 def test_suites_are_those_that_were_agreed():
@@ -31,6 +34,7 @@ def test_suites_are_those_that_were_agreed():
         ("mismatch", {"stiffness_variation": 0.3}),
         ("oblique", {"max_tilt_deg": 30.0}),
         ("late-onset", {"onset_delay": (0.0, 1.0), "release_delay": (0.0, 1.0)}),
+        ("patch", PATCH),
     ],
 )
 def test_each_suite_has_one_error(name, changed):

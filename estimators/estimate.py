@@ -14,6 +14,7 @@ import numpy as np
 from data.contact.interaction import Interaction
 from estimators.grip.stiffness_field import StiffnessField
 from physics.identifiability import LIMIT, bounds, combination_bounds, covariance, describe, verdict
+from physics.load import PressShape
 from physics.mechanics import PARAMETERS
 
 NINETY = 1.6448536269514722
@@ -76,6 +77,8 @@ class Estimate:
     """Share of what was seen that lies so far from the model that it counted less; None where all counts alike."""
     modes: int = 1
     """Tissues far apart that explain the motion about as well; mean and covariance are those of all of them."""
+    shape: PressShape | None = None
+    """Patch, direction and course of the press where they were fitted; None = taken to be a step on one vertex."""
     view_angle: float | None = None
     """Angle between the contact's direction and the line of sight [degrees] (see estimators.oblique); None = not
     known."""
@@ -149,6 +152,13 @@ class Estimate:
                 found[f"{name}_sd"] = float(value * np.exp(log_sd**2 / 2) * np.sqrt(np.expm1(log_sd**2)))
                 found[f"{name}_low"] = float(value * np.exp(-NINETY * log_sd))
                 found[f"{name}_high"] = float(value * np.exp(NINETY * log_sd))
+        if self.shape is not None:
+            found |= {
+                "press_radius": self.shape.radius,
+                "press_lean_deg": math.degrees(math.atan(math.hypot(*self.shape.lean))),
+                "press_rise_s": self.shape.rise,
+                "press_fall_s": self.shape.fall,
+            }
         if self.information is not None:
             limits = bounds(self.information)
             found |= {f"{name}_bound": float(limit) for name, limit in zip(PARAMETERS, limits, strict=True)}

@@ -91,6 +91,11 @@ INTERACTIONS: dict[str, str] = {
     "load_s": "s from the onset to the release; empty: the onset or the release was not seen",
     "delay_s": "s from the onset frame to the beginning of the press, as fitted; empty: taken to be 0, or no estimate",
     "release_delay_s": "s from the first frame after contact to the end of the press; empty: the same, or not seen",
+    "press_radius": "R of the patch that is pressed, by 1 - (r/R)², as fitted, grid pixels; this and "
+    "the next three empty: a step on one point along the normal explains the motion, or no estimate",
+    "press_lean_deg": "angle between the force and the tissue's normal",
+    "press_rise_s": "s in which the force rises to F",
+    "press_fall_s": "s in which it falls from F to nothing; 0 where no release was seen",
     **ESTIMATED,
     **GRIP,
     **VERDICT,

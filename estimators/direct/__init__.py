@@ -2,6 +2,7 @@
 
 estimator    the settings, the session, and the fit from start to verdict
 motion       how vertices move under a press that began and ended at its time stamps, or near them
+patch        the same under a press on a patch, in any direction, whose force rises and falls
 problem      one followed point by least squares from several starts; contact_fit: from there to an estimate
 field        the whole dent by least squares; field_fit: from there to an estimate
 sampling     mean and covariance of the posterior by importance sampling

@@ -1,7 +1,8 @@
 """The direct estimator: θ of one contact from its motion through the simulator, without a trained network.
 
 The strongest classical rival of a network (docs/identifiability.md). Levenberg–Marquardt with a trust region finds what
-explains the film of a dent best (`estimators.direct.field`), or the motion of its one followed point
+explains the film of a dent best (`estimators.direct.field`), as a step on a vertex or as a press of any shape
+(`estimators.direct.patch`), or the motion of its one followed point
 (`estimators.direct.problem`), in φ = (log k_s, log k_d, log |F|) and, where the instants are not known, in the delays
 of the press (`estimators.direct.motion`). Around these optima the posterior is sampled (`estimators.direct.sampling`),
 with a uniform prior on the box of these: mean and covariance of φ are the estimate.
@@ -21,8 +22,7 @@ from data.prepared import PreparedFrame
 from data.settings import PrepareSettings
 from estimators.contract import Chosen, ClipInfo, Said
 from estimators.direct.contact_fit import fit_contact
-from estimators.direct.field import FieldProblem
-from estimators.direct.field_fit import fit_field
+from estimators.direct.field_fit import fit_press
 from estimators.direct.problem import ContactProblem
 from estimators.estimate import Estimate, NoEstimate
 from estimators.oblique import remark
@@ -112,10 +112,10 @@ class DirectSession(RunSession):
     def fit(self, contact: Interaction) -> Estimate:
         """Fit θ to one contact.
 
-        By the film of its dent where there is one and it is asked for. Where the beginning of the press isn't known its
-        delay is fitted as well, and the information is what there would be if it were known. Where the contact is
-        pressed aslant to the line of sight its uncertainty is widened (`estimators.oblique`), because what it was
-        fitted to may not be the bottom of the dent.
+        By the film of its dent where there is one and it is asked for; then the press may be of any shape, too. Where
+        the beginning of the press isn't known its delay is fitted as well, and the information is what there would be
+        if it were known. Where the contact is pressed aslant to the line of sight its uncertainty is widened
+        (`estimators.oblique`), because what it was fitted to may not be the bottom of the dent.
 
         Raises:
             NoEstimate: fewer than three observations, or no noise level.
@@ -130,7 +130,7 @@ class DirectSession(RunSession):
             )
         film = contact.film
         if estimator.observation == FIELD and film is not None and len(film.times) >= LEAST_OBSERVATIONS:
-            return fit_field(FieldProblem(contact, self.mechanics, self._within, estimator.noise), estimator.log_box)
+            return fit_press(contact, self.mechanics, self._within, estimator.noise, estimator.log_box)
         problem = ContactProblem(contact, self.mechanics, noise, self._within)
         return fit_contact(problem, problem.motion.box(estimator.log_box))
 
@@ -149,7 +149,11 @@ def simulated_motion(contact: Interaction, found: Estimate, mechanics: Mechanics
     steps = contact.steps + math.ceil(max(-delay, 0.0) / mechanics.time_step)
     loaded = (contact.load_seconds + release - delay) / mechanics.time_step if contact.released else math.inf
     press = dataclasses.replace(contact.load, factor=held(loaded, steps))
-    path = simulate(found.theta, contact.mesh, press, mechanics) @ np.asarray(contact.direction, np.float64)
+    if found.shape is not None:
+        seconds, step = loaded * mechanics.time_step, mechanics.time_step
+        press = found.shape.press(contact.mesh, contact.vertex, contact.direction, seconds, step, steps)
+    moved = simulate(found.theta, contact.mesh, press, mechanics, watch=np.array([contact.vertex]))[:, 0]
+    path = moved @ np.asarray(contact.direction, np.float64)
     began = delay + mechanics.time_step * np.arange(steps + 1)
     times = np.linspace(0, contact.steps * mechanics.time_step, steps + 1)
     return times, np.interp(times, began, np.concatenate([[0.0], path]))

@@ -43,20 +43,26 @@ class FieldProblem:
         mechanics: of the fits.
         within: as of `PressMotion`.
         noise: σ of every pixel in every frame [scene units]; None = as the film says.
+        kind: of motion: what is fitted of the press.
 
     Raises:
         ValueError: the contact has no film.
     """
 
     def __init__(
-        self, contact: Interaction, mechanics: Mechanics, within: float = 0.0, noise: float | None = None
+        self,
+        contact: Interaction,
+        mechanics: Mechanics,
+        within: float = 0.0,
+        noise: float | None = None,
+        kind: type[PressMotion] = PressMotion,
     ) -> None:
         if contact.film is None or not len(contact.film.times):
             raise ValueError("the contact has no film; gather it with frames that have depth and labels.")
         film = contact.film if noise is None else dataclasses.replace(contact.film, noise=FilmNoise(noise, 0.0))
         self.contact, self.film = contact, film
         self.patches = Patches(contact.mesh, contact.vertex, film.size)
-        self.motion = PressMotion(contact, mechanics, self.patches.vertices, film.times, within)
+        self.motion = kind(contact, mechanics, self.patches.vertices, film.times, within)
         self.observed = film.change.reshape(len(film.times), -1).astype(np.float64)
         """Shape [N, P] [scene units]."""
         self._smooth = smooth_errors(film.noise.total)
@@ -158,6 +164,11 @@ class FieldProblem:
         """
         change = self.patches.shown(self.patches.sunk(moved), self.covering)
         return change + self._turning @ (logs - self._looked_at)
+
+    @property
+    def counted(self) -> float:
+        """How many independent values of pixels that move were seen, by the last look."""
+        return float((self.seen & self.moving).sum()) / self.film.noise.alike_in_time
 
     def misfit(self, logs: np.ndarray) -> float:
         """Root mean square of the residuals of pixels that move, in standard deviations; outliers count in full."""

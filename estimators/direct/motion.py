@@ -15,7 +15,7 @@ import numpy as np
 
 from data.contact.interaction import Interaction
 from physics.identifiability import log_jacobian
-from physics.load import Press, held
+from physics.load import Press, PressShape, held
 from physics.mechanics import Mechanics, theta_of
 from physics.msd.simulation import is_chaotic, simulate, simulate_sensitivities
 
@@ -54,15 +54,22 @@ class PressMotion:
         self.longest = int(self.steps.max()) + 1 + math.ceil(within / mechanics.time_step)
         """Steps of a simulation: the press may have begun earlier."""
 
+    @property
+    def delays(self) -> slice:
+        """Which of the parameters are delays, those after φ: none, that of the beginning, or both."""
+        return slice(3, 3 if not self.within else 4 + self.contact.released)
+
     def box(self, tissue: np.ndarray) -> np.ndarray:
         """Lower and upper ends of all parameters, shape [2, D], from those of φ [2, 3]."""
-        if not self.within:
-            return tissue
-        return np.hstack([tissue, np.tile([[-1.0], [1.0]], 2 if self.contact.released else 1)])
+        return np.hstack([tissue, np.tile([[-1.0], [1.0]], self.delays.stop - 3)])
 
     def theta(self, logs: np.ndarray) -> np.ndarray:
         """θ = [k_s, k_d, F], shape [3]."""
         return theta_of(logs[:3])
+
+    def shape(self, logs: np.ndarray) -> PressShape | None:
+        """Patch, direction and course of the force of all parameters [D]; None = a step on the contact vertex."""
+        return None
 
     def load(self, logs: np.ndarray, time_step: float, steps: int, longer: float = 0.0) -> Press:
         """The load of all parameters.
@@ -72,11 +79,14 @@ class PressMotion:
             time_step, steps: of the simulation [s].
             longer: than the parameters say the load lasts [s].
         """
-        loaded = math.inf
-        if self.contact.released:
-            delayed = self.within * (logs[4] - logs[3]) if self.within else 0.0
-            loaded = self.contact.load_seconds + delayed + longer
-        return dataclasses.replace(self.contact.load, factor=held(loaded / time_step, steps))
+        return dataclasses.replace(self.contact.load, factor=held(self.loaded(logs, longer) / time_step, steps))
+
+    def loaded(self, logs: np.ndarray, longer: float = 0.0) -> float:
+        """Time under load for all parameters [D], and `longer`; infinite where no release was seen [s]."""
+        if not self.contact.released:
+            return math.inf
+        delayed = self.within * (logs[4] - logs[3]) if self.within else 0.0
+        return self.contact.load_seconds + delayed + longer
 
     def since(self, logs: np.ndarray) -> np.ndarray:
         """The instants since the beginning of the press, shape [N] [s]."""
@@ -96,9 +106,10 @@ class PressMotion:
         slopes = log_jacobian(slopes, theta)
         if is_chaotic(path, slopes):
             slopes = np.zeros_like(slopes)
+        others = self._others(logs, path)
         if not self.within:
-            return path[self.steps], slopes[self.steps]
-        curves = [path[..., None], slopes]
+            return path[self.steps], np.concatenate([slopes, others], axis=-1)[self.steps]
+        curves = [path[..., None], slopes, others]
         if self.contact.released:
             longer = LATER * step
             later = self._path(logs, self.mechanics, self.longest, np.float64, longer)
@@ -107,11 +118,16 @@ class PressMotion:
         found, rate = between_steps(np.concatenate(curves, axis=-1), step, since)
         velocity = rate[..., :1] * (since > 0)[:, None, None, None]
         # A later beginning moves all of the motion, and shortens the load.
-        by_duration = found[..., 4:]
+        last = 4 + others.shape[-1]
+        by_duration = found[..., last:]
         delayed = -velocity - by_duration if self.contact.released else -velocity
         return found[..., 0], np.concatenate(
-            [found[..., 1:4], self.within * delayed, self.within * by_duration], axis=-1
+            [found[..., 1:4], self.within * delayed, self.within * by_duration, found[..., 4:last]], axis=-1
         )
+
+    def _others(self, logs: np.ndarray, path: np.ndarray) -> np.ndarray:
+        """Derivatives of a trajectory [T, M, 3] by all parameters beside φ and the delays, shape [T, M, 3, D']."""
+        return np.empty((*path.shape, 0))
 
     def finer(self, logs: np.ndarray) -> np.ndarray:
         """The displacements with a quarter of the time step, shape [N, M, 3]: what the steps' own error is."""
@@ -130,11 +146,15 @@ class PressMotion:
 
     def quick(self, logs: np.ndarray) -> np.ndarray:
         """The displacements in single precision and a wider window, with the time step of `at`, shape [N, M, 3]."""
-        mechanics = dataclasses.replace(self.mechanics, window_error=max(self.mechanics.window_error, QUICK_ERROR))
+        mechanics = self.quick_mechanics()
         path = self._path(logs, mechanics, self.longest, np.float32)
         if not self.within:
             return path[self.steps].astype(np.float64)
         return between_steps(path, mechanics.time_step, self.since(logs))[0]
+
+    def quick_mechanics(self) -> Mechanics:
+        """The simulator with a wider window."""
+        return dataclasses.replace(self.mechanics, window_error=max(self.mechanics.window_error, QUICK_ERROR))
 
     def coarse_path(self, logs: np.ndarray) -> tuple[np.ndarray, int]:
         """Displacements after every coarse step since the press began [T, M, 3], and how many steps one of them is."""
@@ -177,12 +197,13 @@ def between_steps(values: np.ndarray, time_step: float, times: np.ndarray) -> tu
     return found, rates
 
 
-def about_tissue(information: np.ndarray, prior: np.ndarray) -> np.ndarray:
+def about_tissue(information: np.ndarray, prior: np.ndarray, kept: int = 3) -> np.ndarray:
     """Information of (log k_s, log k_d, log |F|) alone, shape [3, 3], where other parameters are unknown.
 
     Args:
         information: of all parameters, those three first, shape [D, D].
         prior: of all parameters; only that of the others counts, shape [D, D].
+        kept: of so many parameters instead of three.
     """
-    others = information[3:, 3:] + prior[3:, 3:]
-    return information[:3, :3] - information[:3, 3:] @ np.linalg.solve(others, information[3:, :3])
+    others = information[kept:, kept:] + prior[kept:, kept:]
+    return information[:kept, :kept] - information[:kept, kept:] @ np.linalg.solve(others, information[kept:, :kept])

@@ -43,13 +43,21 @@ class ContactProblem(Likelihood):
         mechanics: of the fits.
         noise: σ of every observed coordinate [scene units].
         within: as of `PressMotion`: delays of the press are parameters beside φ where it is above 0.
+        kind: of motion: what is fitted of the press.
     """
 
-    def __init__(self, contact: Interaction, mechanics: Mechanics, noise: float, within: float = 0.0) -> None:
+    def __init__(
+        self,
+        contact: Interaction,
+        mechanics: Mechanics,
+        noise: float,
+        within: float = 0.0,
+        kind: type[PressMotion] = PressMotion,
+    ) -> None:
         observation = dataclasses.replace(contact.observation, noise=np.full(3, noise))
         super().__init__(contact.mesh, contact.load, observation, mechanics)
         vertices = np.array([contact.vertex])
-        self.motion = PressMotion(contact, mechanics, vertices, observation.times, within)
+        self.motion = kind(contact, mechanics, vertices, observation.times, within)
         self.contact, self.sigma = contact, noise
         self.moved = observation.displacement[0].astype(np.float64)
         """Observed displacement, shape [N, 3]."""

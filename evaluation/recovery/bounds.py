@@ -1,7 +1,8 @@
 """What a contact could have told at best: Fisher information at the truth, of its point and of its whole dent.
 
 All on the true mesh and at the true instants, with two delays of the press as further parameters
-(`estimators.direct.motion`): whoever knows the instants leaves these out, whoever doesn't pays for them.
+(`estimators.direct.motion`): whoever knows the instants leaves these out, whoever doesn't pays for them. Where the
+press is no step on a vertex, nobody knows its patch, its direction, its rise and its fall (`estimators.direct.patch`).
 """
 
 from __future__ import annotations
@@ -16,11 +17,13 @@ from data.synthetic.scene import Scene
 from data.synthetic.truth import PressedMotion
 from estimators.direct.estimator import FITTED, LEAST_OBSERVATIONS
 from estimators.direct.field import FieldProblem
-from estimators.direct.motion import about_tissue
+from estimators.direct.motion import PressMotion, about_tissue
+from estimators.direct.patch import PatchMotion
 from estimators.direct.problem import ContactProblem
 from estimators.onset import BETWEEN
 from physics.identifiability import box_information
-from physics.load import Press, held
+from physics.load import Press, PressShape, held
+from physics.mechanics import RECOMMENDED
 
 MECHANICS = FITTED
 """Simulator of the bounds."""
@@ -35,7 +38,8 @@ def contact_information(contact: Interaction, scene: Scene, motion: PressedMotio
         contact: as observed; it must begin in the true onset's frame.
     """
     truth, logs, within = _truth(contact, scene, motion)
-    return _squared(ContactProblem(truth, MECHANICS, 1.0, within).information(logs))
+    problem = ContactProblem(truth, MECHANICS, 1.0, within, _kind(motion))
+    return _squared(_of_tissue(problem, logs, motion, contact.noise**2))
 
 
 def field_information(contact: Interaction, scene: Scene, motion: PressedMotion) -> np.ndarray | None:
@@ -45,9 +49,10 @@ def field_information(contact: Interaction, scene: Scene, motion: PressedMotion)
         return None
     truth, logs, within = _truth(contact, scene, motion)
     offset = scene.mesh.pixels[scene.vertex] - contact.mesh.pixels[contact.vertex]
-    problem = FieldProblem(dataclasses.replace(truth, film=_recentred(film, offset)), MECHANICS, within)
-    problem.look(logs)
-    return _squared(problem.information(logs))
+    recentred = dataclasses.replace(truth, film=_recentred(film, offset))
+    problem = FieldProblem(recentred, MECHANICS, within, kind=_kind(motion))
+    problem.look(_all(problem, logs, motion))
+    return _squared(_of_tissue(problem, logs, motion))
 
 
 def known(information: np.ndarray, onset: str) -> np.ndarray:
@@ -71,6 +76,33 @@ def _truth(contact: Interaction, scene: Scene, motion: PressedMotion) -> tuple[I
     delays = np.array([motion.delay, motion.release_delay])[: 1 + contact.released] / within
     logs = np.concatenate([np.log(np.abs(motion.theta)), delays])
     return dataclasses.replace(contact, mesh=scene.mesh, load=press, time_step=step, film=None), logs, within
+
+
+def _kind(motion: PressedMotion) -> type[PressMotion]:
+    """What is unknown of a press."""
+    return PressMotion if motion.shape == PressShape() else PatchMotion
+
+
+def _all(problem: ContactProblem | FieldProblem, logs: np.ndarray, motion: PressedMotion) -> np.ndarray:
+    """True parameters of a problem, from φ and the delays."""
+    press = problem.motion
+    return press.parameters(logs, motion.shape) if isinstance(press, PatchMotion) else logs
+
+
+def _of_tissue(
+    problem: ContactProblem | FieldProblem, logs: np.ndarray, motion: PressedMotion, unit: float = 1.0
+) -> np.ndarray:
+    """Information of log θ and the delays at the truth, shape [5, 5] ([4, 4]), the press's shape being unknown.
+
+    Args:
+        problem: of the truth, with its
+        logs: φ and delays.
+        motion: the truth.
+        unit: how much information counts as 1 in the problem, about: what is expected of a shape counts beside it.
+    """
+    information = problem.information(_all(problem, logs, motion))
+    prior = unit * box_information(problem.motion.box(RECOMMENDED.log_box))
+    return about_tissue(information, prior, len(logs))
 
 
 def _recentred(film: DentFilm, offset: np.ndarray) -> DentFilm:

@@ -15,11 +15,12 @@ from data.synthetic.clip import draw_press
 from data.synthetic.scene import Scene
 from data.synthetic.settings import SceneSettings
 from data.synthetic.truth import PressedMotion
+from estimators.direct.patch import PatchMotion
 from estimators.onset import BETWEEN, STAMP
 from evaluation.recovery.bounds import MECHANICS, contact_information, field_information, known
-from physics.identifiability import bounds, fisher_information
-from physics.load import Press, held
-from physics.mechanics import theta_of
+from physics.identifiability import bounds, box_information, fisher_information
+from physics.load import Press, PressShape, held
+from physics.mechanics import RECOMMENDED, theta_of
 from physics.mesh import contact_normal
 from physics.msd.simulation import simulate
 from physics.observation import Observation
@@ -210,3 +211,19 @@ def test_unknown_instants_never_tell_more(found: tuple[np.ndarray, np.ndarray]) 
         less = known(information, STAMP) - known(information, BETWEEN)
         assert np.linalg.eigvalsh(less).min() > -1e-9 * np.abs(information).max()
     assert (bounds(known(found[1], BETWEEN)) > bounds(known(found[1], STAMP))).all()
+
+
+def test_who_does_not_know_the_shape_of_a_press_knows_less_of_its_tissue() -> None:
+    """Against the same press whose shape is known, and a brute-force derivative by its parameters."""
+    scene, motion = truth()
+    shape = PressShape(2.5, (0.0, 0.0), 0.03, 0.04, (0.1, 0.05))
+    pressed = dataclasses.replace(motion, shape=shape)
+    found = contact_information(contact_of(), scene, pressed)
+    within = 1 / SETTINGS.fps
+    contact = dataclasses.replace(contact_of(), mesh=scene.mesh)
+    watch = PatchMotion(contact, MECHANICS, np.array([scene.vertex]), contact.observation.times, within)
+    logs = np.concatenate([np.log(np.abs(motion.theta)), np.array([motion.delay, motion.release_delay]) / within])
+    slopes = watch.at(watch.parameters(logs, shape))[1].reshape(-1, 12)
+    information = slopes.T @ slopes + SIGMA**2 * box_information(watch.box(RECOMMENDED.log_box)) * ([0] * 5 + [1] * 7)
+    np.testing.assert_allclose(np.linalg.inv(found), np.linalg.inv(information)[:5, :5], rtol=1e-4)
+    assert (bounds(found) > 1.02 * bounds(slopes[:, :5].T @ slopes[:, :5])).all()

@@ -1,0 +1,74 @@
+"""How vertices move under a press on a patch, in any direction, whose force rises, holds and falls.
+
+Beside φ and the delays (`estimators.direct.motion`) the parameters are the patch's radius, as a logarithm, where its
+middle lies beside the contact vertex, over which share of the time under load the force rises, and over which share of
+the rest it falls (no fall where no release was seen: then the first share is of the time that was seen). `PressShape`
+says what they mean.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from estimators.direct.motion import PressMotion
+from physics.load import Press, PressShape
+
+RADII = (1.0, 8.0)
+"""Of patches [grid pixels]: at the least it is one vertex, and dents are seen as far as 7."""
+ASTRAY = 2.5
+"""Largest distance of a patch's middle from the contact vertex along an axis [grid pixels]."""
+MOST_LEAN = 0.85
+"""Largest share of the force along the surface to that along the normal, along an axis: 40 degrees."""
+STEPS = np.array([0.02, 0.05, 0.05, 0.02, 0.02, 0.02, 0.02])
+"""Differences that give the derivatives by these parameters: small against the bounds, large against rounding."""
+
+
+class PatchMotion(PressMotion):
+    """Displacements under a press of any shape; parameters D: φ, the delays, then log R, row, column, lean to the
+    right, lean downwards, rise, fall."""
+
+    def box(self, tissue: np.ndarray) -> np.ndarray:
+        """As of `PressMotion`, with the shape's parameters behind."""
+        ends = [np.log(RADII), *2 * [(-ASTRAY, ASTRAY)], *2 * [(-MOST_LEAN, MOST_LEAN)], (0.0, 1.0)]
+        if self.contact.released:
+            ends.append((0.0, 1.0))
+        return np.hstack([super().box(tissue), np.array(ends).T])
+
+    def shape(self, logs: np.ndarray, longer: float = 0.0) -> PressShape:
+        """The shape of all parameters [D]; `longer` as of `load`."""
+        radius, row, column, right, down, *shares = logs[self.delays.stop :].tolist()
+        seconds = self._seconds(logs, longer)
+        rise, fall = (*shares, 0.0)[:2]
+        rise, fall = rise * seconds, fall * (1 - rise) * seconds
+        return PressShape(math.exp(radius), (row, column), rise, fall, (right, down))
+
+    def parameters(self, logs: np.ndarray, shape: PressShape) -> np.ndarray:
+        """All parameters [D] from φ and the delays, and a shape."""
+        seconds = self._seconds(logs)
+        courses = [shape.rise / seconds, shape.fall / (seconds - shape.rise)][: 1 + self.contact.released]
+        return np.concatenate([logs, [math.log(shape.radius)], shape.offset, shape.lean, courses])
+
+    def _seconds(self, logs: np.ndarray, longer: float = 0.0) -> float:
+        """What the shares of rise and fall are of [s]."""
+        return self.loaded(logs, longer) if self.contact.released else float(self.times[-1])
+
+    def load(self, logs: np.ndarray, time_step: float, steps: int, longer: float = 0.0) -> Press:
+        """As of `PressMotion`."""
+        contact, seconds = self.contact, self.loaded(logs, longer)
+        shape = self.shape(logs, longer)
+        return shape.press(contact.mesh, contact.vertex, contact.direction, seconds, time_step, steps)
+
+    def _others(self, logs: np.ndarray, path: np.ndarray) -> np.ndarray:
+        """By the shape's parameters, differences towards the middle of their range."""
+        box = self.box(np.zeros((2, 3)))[:, self.delays.stop :]
+        mechanics = self.quick_mechanics()
+        here, found = self._path(logs, mechanics, self.longest, np.float32), []
+        for index, (size, middle) in enumerate(zip(STEPS, box.mean(axis=0), strict=False), self.delays.stop):
+            changed = np.array(logs, np.float64)
+            size = size if logs[index] < middle else -size
+            changed[index] += size
+            there = self._path(changed, mechanics, self.longest, np.float32)
+            found.append((there - here) / size)
+        return np.stack(found, axis=-1).astype(path.dtype)

@@ -1,0 +1,151 @@
+"""Presses of any shape: what their parameters mean, derivatives by them, and when they take the place of a step."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from data.contact.film import DentFilm, FilmNoise
+from data.contact.interaction import Interaction
+from data.contact.patches import Patches
+from estimators.direct.field_fit import fit_press
+from estimators.direct.motion import PressMotion
+from estimators.direct.patch import PatchMotion
+from physics.load import Press, PressShape
+from physics.mechanics import RECOMMENDED
+from physics.msd.simulation import simulate
+from tests.estimators.direct.test_field import (
+    FRAME,
+    LOAD,
+    MECHANICS,
+    MESH,
+    REGIMES,
+    SIDE,
+    SIGMA,
+    SIZE,
+    THETA,
+    TIMES,
+    WITHIN,
+    contact_of,
+    logs_of,
+)
+
+SHAPE = PressShape(2.7, (0.6, -0.4), 0.05, 0.07, (0.1, -0.2))
+CONTACT = contact_of()
+
+
+def motion_of(within: float = 0.0, contact: Interaction = CONTACT) -> PatchMotion:
+    vertices = contact.vertex + np.array([0, 1, -1, 35, 72])
+    return PatchMotion(contact, MECHANICS, vertices, TIMES, within)
+
+
+def pressed(shape: PressShape, seconds: float = LOAD, theta=THETA, watch: np.ndarray | None = None) -> np.ndarray:
+    """Motion at TIMES under a load of a shape, shape [N, M, 3]."""
+    motion = motion_of()
+    load = shape.press(MESH, CONTACT.vertex, CONTACT.direction, seconds, MECHANICS.time_step, MECHANICS.steps)
+    watch = motion.vertices if watch is None else watch
+    path = simulate(np.array(theta), MESH, load, MECHANICS, watch=watch, dtype=np.float64)
+    return path[np.rint(TIMES / MECHANICS.time_step).astype(int) - 1]
+
+
+def film_of(shape: PressShape, theta=THETA) -> Interaction:
+    """A contact whose film is exactly that of a press of a shape."""
+    patches = Patches(MESH, CONTACT.vertex, SIZE)
+    moved = pressed(shape, theta=theta, watch=patches.vertices)
+    change = patches.shown(patches.sunk(moved), patches.covering(moved)).reshape(-1, SIDE, SIDE)
+    film = DentFilm(TIMES, change.astype(np.float32), FilmNoise(SIGMA, 0.0), SIZE)
+    return dataclasses.replace(CONTACT, film=film)
+
+
+@pytest.mark.parametrize("delays", [(), (0.3, -0.2)])
+def test_a_shape_survives_its_parameters(delays: tuple[float, ...]) -> None:
+    motion = motion_of(WITHIN if delays else 0.0)
+    logs = motion.parameters(logs_of(THETA, *delays), SHAPE)
+    assert motion.box(RECOMMENDED.log_box).shape == (2, len(logs))
+    found = motion.shape(logs)
+    np.testing.assert_allclose(
+        np.hstack([*dataclasses.astuple(found)]), np.hstack([*dataclasses.astuple(SHAPE)]), rtol=1e-12
+    )
+    seconds = LOAD + WITHIN * (delays[1] - delays[0]) if delays else LOAD
+    assert motion.loaded(logs) == pytest.approx(seconds)
+
+
+def test_the_smallest_shape_moves_as_a_step_on_a_vertex() -> None:
+    motion = motion_of()
+    plain = PressMotion(CONTACT, MECHANICS, motion.vertices, TIMES)
+    values = motion.parameters(logs_of(), PressShape(1.0))
+    np.testing.assert_allclose(motion.at(values)[0], plain.at(logs_of())[0], atol=1e-12)
+    np.testing.assert_allclose(motion.at(values)[1][..., :3], plain.at(logs_of())[1], atol=1e-12)
+
+
+def test_the_motion_is_that_of_the_shapes_load() -> None:
+    motion = motion_of()
+    np.testing.assert_allclose(motion.at(motion.parameters(logs_of(), SHAPE))[0], pressed(SHAPE), atol=1e-9)
+
+
+def test_a_delayed_press_of_a_shape_is_the_same_later() -> None:
+    """Both delays of half a frame, which is a whole number of steps."""
+    motion, delay = motion_of(WITHIN), 0.5
+    found = motion.at(motion.parameters(logs_of(THETA, delay, delay), SHAPE))[0]
+    load = SHAPE.press(MESH, CONTACT.vertex, CONTACT.direction, LOAD, MECHANICS.time_step, MECHANICS.steps)
+    path = simulate(np.array(THETA), MESH, load, MECHANICS, watch=motion.vertices, dtype=np.float64)
+    since = np.rint((TIMES - delay * FRAME) / MECHANICS.time_step).astype(int) - 1
+    np.testing.assert_allclose(found, path[since], atol=1e-7)
+
+
+@pytest.mark.parametrize("delays", [(), (0.31, -0.22)])
+def test_derivatives_are_those_of_the_motion(delays: tuple[float, ...]) -> None:
+    motion = motion_of(WITHIN if delays else 0.0)
+    values = motion.parameters(logs_of(THETA, *delays), SHAPE)
+    slopes = motion.at(values)[1]
+    assert slopes.shape == (len(TIMES), len(motion.vertices), 3, len(values))
+    for column in range(len(values)):
+        step = (1e-4 if column < 3 else 0.02) * np.eye(len(values))[column]
+        wanted = (motion.at(values + step)[0] - motion.at(values - step)[0]) / (2 * step[column])
+        # Differences to one side, by steps of the size of a vertex's share of a patch.
+        np.testing.assert_allclose(slopes[..., column], wanted, atol=0.12 * np.abs(wanted).max())
+
+
+def test_without_a_release_there_is_no_fall() -> None:
+    motion = motion_of(contact=contact_of(released=False))
+    values = motion.parameters(logs_of(), PressShape(2.0, rise=0.1))
+    assert len(values) == 9 == motion.box(RECOMMENDED.log_box).shape[1]
+    load = motion.load(values, MECHANICS.time_step, MECHANICS.steps)
+    rise = round(0.1 / MECHANICS.time_step)
+    np.testing.assert_allclose(load.factor[:rise], (np.arange(rise) + 0.5) / rise)
+    assert (load.factor[rise:] == 1).all()
+    assert motion.at(values)[1].shape[-1] == 9
+
+
+def test_a_step_is_fitted_as_one() -> None:
+    found = fit_press(contact_of(REGIMES["under-damped"]), MECHANICS, 0.0, None, RECOMMENDED.log_box)
+    assert found.shape is None
+    assert "press_radius" not in found.numbers()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["under-damped", "over-damped"])
+def test_a_press_of_any_shape_is_found_with_its_tissue(name: str) -> None:
+    theta = REGIMES[name]
+    found = fit_press(film_of(SHAPE, theta), MECHANICS, 0.0, None, RECOMMENDED.log_box)
+    assert found.shape is not None
+    assert found.misfit < 0.3
+    assert (np.abs(np.log(found.theta / theta)) < 0.5 * found.log_sd).all()
+    assert found.shape.radius == pytest.approx(SHAPE.radius, rel=0.03)
+    np.testing.assert_allclose(found.shape.offset, SHAPE.offset, atol=0.05)
+    np.testing.assert_allclose(found.shape.lean, SHAPE.lean, atol=0.05)
+    np.testing.assert_allclose([found.shape.rise, found.shape.fall], [SHAPE.rise, SHAPE.fall], atol=0.01)
+    numbers = found.numbers()
+    assert numbers["press_lean_deg"] == pytest.approx(12.6, abs=2.5)
+    assert numbers["press_radius"] == found.shape.radius
+
+
+def test_a_press_without_a_shape_is_what_it_was() -> None:
+    """The load of a plain motion keeps what the contact says."""
+    motion = PressMotion(CONTACT, MECHANICS, np.array([CONTACT.vertex]), TIMES)
+    assert motion.shape(logs_of()) is None
+    load = motion.load(logs_of(), MECHANICS.time_step, MECHANICS.steps)
+    assert isinstance(load, Press)
+    np.testing.assert_allclose(load.factor, CONTACT.load.factor)

@@ -79,7 +79,7 @@ $(MODEL)/posterior.pt: | $(INSTALLED)
 # The recommended system on pictures of two sizes with three kinds of noise, its networks an eighth as wide as the paper's.
 GAN := runs/gan
 TRAIN := $(BIN)/python train.py fit -c configs/recommended.yaml --data.root $(GAN)/clips --data.cache $(GAN)/cache \
-	--trainer.default_root_dir $(GAN)/training --model.width 8 --model.residual_blocks 2 --trainer.max_epochs 2
+	--trainer.default_root_dir $(GAN)/training --model.width 8 --model.residual_blocks 2 --trainer.max_epochs 1
 DRAW := $(BIN)/python -m data.synthetic --output $(GAN)/clips
 gan: $(INSTALLED)
 	$(DRAW) --seed 21 --clips 30 --size small

@@ -38,15 +38,19 @@ PANELS = {
 NOTICE = "palpate: research software, not a medical device."
 MOST_PANELS = 12
 """Runs of contact that are drawn."""
+NO_RUNS: Counter[str] = Counter()
 MAP_STEP, MAP_RANGE = 4, 3.0
 """Of maps of stiffness: side of their squares [px], and the largest ratio that has a colour of its own."""
 
 
-def draw_summary(estimates: Sequence[FrameEstimate], *, title: str, subtitle: str = "") -> Figure:
+def draw_summary(
+    estimates: Sequence[FrameEstimate], runs: Counter[str] = NO_RUNS, *, title: str, subtitle: str = ""
+) -> Figure:
     """Draw a clip's verdicts, parameters and displacements over time, or verdicts alone where frames have no estimate.
 
     Args:
         estimates: one a frame, in order.
+        runs: runs of contact by `state`; they are the heading where no frame has an estimate.
         title: name of the clip.
         subtitle: what made the numbers.
     """
@@ -57,7 +61,7 @@ def draw_summary(estimates: Sequence[FrameEstimate], *, title: str, subtitle: st
     interval = max(float(np.median(np.diff(times))), 1e-3) if len(times) > 1 else 0.04
     edges = np.append(times, times[-1] + interval) if len(times) else np.array([0.0, 1.0])
     _draw_states(strip, edges, estimates, below=0.5 if estimated else 4.5)
-    _head(strip, *_told(estimates))
+    _head(strip, *_told(estimates, NO_RUNS if estimated else runs))
     if estimated:
         for axes, (name, (label, color)) in zip(panels, PANELS.items(), strict=False):
             _draw_parameter(axes, times, estimates, name, color)
@@ -197,13 +201,16 @@ def _draw_states(axes: Axes, edges: np.ndarray, estimates: Sequence[FrameEstimat
     axes.legend(handles=axes.collections, ncols=6, frameon=False, fontsize=10, **place)
 
 
-def _told(estimates: Sequence[FrameEstimate]) -> tuple[str, str, str]:
-    """Heading of a clip, sentences about it, and the verdict of all its frames in contact where they have one."""
+def _told(estimates: Sequence[FrameEstimate], runs: Counter[str]) -> tuple[str, str, str]:
+    """Heading of a clip, sentences about it, and the one verdict of its runs of contact or frames in contact."""
     touching = [estimate for estimate in estimates if estimate.status == "ok"]
     counts = Counter(map(state, touching))
     found = ", ".join(f"{in_words(name)} on {counts[name]}" for name in COLORS if counts[name] and name != "ok")
     among = f"{len(touching)} frames in contact" if touching else "no frame is in contact"
     heading = f"{found} of {among}" if found else among
+    if runs:
+        found = ", ".join(f"{in_words(name)} on {runs[name]}" for name in COLORS if runs[name])
+        heading, counts = f"{found} of {runs.total()} runs of contact; {among}", runs
     far, remarks = sum(map(is_far, touching)), [row for row in touching or estimates if row.detail]
     told = [f"The simulated displacement is {FAR} on {far} of these frames (×)."] if far else []
     if remarks:

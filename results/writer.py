@@ -141,7 +141,8 @@ class ClipResults:
             self._open.close()
             runs = ", ".join(f"{count} {in_words(name)}" for name, count in self.counts.items())
             told = f"{subtitle} · runs of contact: {runs or 'none'}"
-            write_figure(self._partial / store.SUMMARY, draw_summary(self.estimates, title=title, subtitle=told))
+            summary = draw_summary(self.estimates, self.counts, title=title, subtitle=told)
+            write_figure(self._partial / store.SUMMARY, summary)
             write_figure(self._partial / store.FIT, draw_fits(self.drawn, self.counts, title))
             if self.calibration is not None:
                 self._write_newtons(self.calibration, title)

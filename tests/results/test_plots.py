@@ -20,7 +20,7 @@ from estimators.estimate import FrameEstimate, GripEstimate, InteractionEstimate
 from estimators.grip.stiffness_field import StiffnessField
 from physics.load import held
 from results.columns import UNITS
-from results.plots import MOST_PANELS, NOTICE, OBSERVED, draw_fits, draw_summary, write_figure
+from results.plots import INK, MOST_PANELS, NOTICE, OBSERVED, draw_fits, draw_summary, write_figure
 from results.verdicts import COLORS, state
 from tests.estimators.estimates import CONTACT, ESTIMATE, GOOD, LOAD_STEPS, MECHANICS, NONE, frame_in_contact
 
@@ -169,6 +169,29 @@ def test_where_only_whole_runs_are_estimated_no_frame_seems_to_have_a_verdict() 
     rows = [dataclasses.replace(row, estimate=None, verdict="") for row in clip(10, 4)]
     (strip,) = draw_summary(rows, title="clip").axes
     assert (heading(strip), legend(strip)) == ("6 frames in contact", ["in contact: 6", "no tool: 4"])
+
+
+@pytest.mark.parametrize(
+    ("runs", "told", "color"),
+    [
+        ({"undetermined": 2}, "undetermined on 2 of 2 runs of contact; 6 frames in contact", "undetermined"),
+        ({"determined": 1}, "determined on 1 of 1 runs of contact; 6 frames in contact", "determined"),
+        (
+            {"no_estimate": 1, "determined": 2},
+            "determined on 2, no estimate on 1 of 3 runs of contact; 6 frames in contact",
+            None,
+        ),
+    ],
+)
+def test_where_only_whole_runs_are_estimated_their_verdicts_are_the_heading(
+    runs: dict[str, int], told: str, color: str | None
+) -> None:
+    rows = [dataclasses.replace(row, estimate=None, verdict="") for row in clip(10, 4)]
+    (strip,) = draw_summary(rows, Counter(runs), title="clip").axes
+    assert heading(strip) == told
+    assert to_rgb(strip.texts[0].get_color()) == pytest.approx(to_rgb(INK) if color is None else color_of(color))
+    # Frames' own verdicts come first where they have some.
+    assert heading(draw_summary(clip(), Counter(runs), title="clip").axes[0]).startswith("undetermined on 10 of 10")
 
 
 def texts(figure: Figure) -> list[str]:

@@ -5,6 +5,7 @@ The tip is a disc. Tissue is upright blocks, such as folds or curtains; the plan
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -13,9 +14,14 @@ import numpy as np
 
 from data.source.images import printable
 from data.source.layout import InputError, from_mapping, read_mapping
+from estimators.palpation.scene import YOUNG
 
 Side = Literal["bottom", "top", "left", "right"]
 Pair = tuple[float, float]
+SIZES = (1e-4, 10.0)
+"""Of a block of tissue [m]."""
+MOST_CELLS = 4000
+"""Of its mesh, all together; ten times less is the default."""
 
 
 @dataclass(frozen=True)
@@ -42,10 +48,14 @@ class SoftObject:
     law: Literal["linear", "corotational", "neo_hookean", "stable_neo_hookean"] = "corotational"
 
     def __post_init__(self) -> None:
-        if min(self.size) <= 0 or not self.young > 0 or not 0 <= self.poisson < 0.5:
-            raise ValueError("size and young are to be positive, poisson from 0 to below 0.5.")
-        if not self.held or not 0 < self.longest <= 0.1 or not all(1 <= count <= 40 for count in self.cells):
-            raise ValueError("held names one side at least, longest is from 0 to 0.1 m, cells are 1 to 40.")
+        if not all(SIZES[0] <= size <= SIZES[1] for size in self.size):
+            raise ValueError(f"size is to be {SIZES[0]:g} to {SIZES[1]:g} m.")
+        if not YOUNG[0] <= self.young <= YOUNG[1] or not 0 <= self.poisson < 0.5:
+            raise ValueError(f"young is to be {YOUNG[0]:g} to {YOUNG[1]:g} Pa, poisson from 0 to below 0.5.")
+        if not self.held or not 0 < self.longest <= 0.1:
+            raise ValueError("held names one side at least, longest is from 0 to 0.1 m.")
+        if min(self.cells) < 1 or math.prod(self.cells) > MOST_CELLS:
+            raise ValueError(f"cells are to be positive, and their product {MOST_CELLS} at most.")
         if self.tip_height is not None and not 0 < self.tip_height < self.size[2]:
             raise ValueError("tip_height lies between 0 and the height.")
 

@@ -70,7 +70,11 @@ def test_curves_say_what_their_numbers_are(tmp_path: Path) -> None:
         ({"surface": "none.obj"}, "none.obj is no .obj surface"),
         ({"cells": "many"}, "gives cells 'many'"),
         ({"held_below": -1.0}, "0 nodes lie below held_below"),
-        ({"palpations": [{"force": [0, 0, 0], "contact": [0, 0, 0.1], "points": "seen.csv"}]}, "force is zero"),
+        ({"palpations": [{"force": [0, 0, 0], "contact": [0, 0, 0.1], "points": "seen.csv"}]}, "force is to be"),
+        ({"palpations": [{"force": [1e15, 0, 0], "contact": [0, 0, 0.1], "points": "seen.csv"}]}, "1e-06 to 10000 N"),
+        ({"cells": 64}, "cells is 64; give 2 to 24"),
+        ({"young": 1e-300}, "young is to be 1 to 1e+12 Pa"),
+        ({"held_below": 1e15}, "all nodes lie below held_below, so that nothing can move"),
         ({"extra": 1}, "unknown key 'extra'"),
     ],
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -20,6 +21,10 @@ from physics.files import read_file
 
 MOST_BYTES = 2**26
 """Of a surface's file."""
+MOST_CELLS = 24
+"""Along the longest side; unknowns grow with their cube."""
+YOUNG, FORCES = (1.0, 1e12), (1e-6, 1e4)
+"""What there is of Young's moduli [Pa], and of forces that a hand or an instrument presses with [N]."""
 FEWEST = 12
 """Points of a surface that is fitted, by three numbers, and moved, by six."""
 Row = tuple[float, float, float, float]
@@ -53,10 +58,10 @@ class SceneFile:
     """ν to begin at."""
 
     def __post_init__(self) -> None:
-        if not 2 <= self.cells <= 64:
-            raise ValueError(f"cells is {self.cells}; give 2 to 64.")
-        if not self.young > 0 or not 0 <= self.poisson < 0.5:
-            raise ValueError("young is to be positive, poisson from 0 to below 0.5.")
+        if not 2 <= self.cells <= MOST_CELLS:
+            raise ValueError(f"cells is {self.cells}; give 2 to {MOST_CELLS}.")
+        if not YOUNG[0] <= self.young <= YOUNG[1] or not 0 <= self.poisson < 0.5:
+            raise ValueError(f"young is to be {YOUNG[0]:g} to {YOUNG[1]:g} Pa, poisson from 0 to below 0.5.")
         if not self.palpations:
             raise ValueError("palpations is empty; give one at least.")
 
@@ -81,8 +86,8 @@ class PalpationFile:
             raise ValueError("pose is no rotation and shift; give the rows of a rigid 4 × 4 matrix.")
         if min(self.tool_radius, self.hole, self.pose_shift, self.pose_turn) <= 0:
             raise ValueError("tool_radius, hole, pose_shift and pose_turn are to be positive.")
-        if not any(self.force):
-            raise ValueError("force is zero; give what the tool pressed with.")
+        if not FORCES[0] <= math.hypot(*self.force) <= FORCES[1]:
+            raise ValueError(f"force is to be {FORCES[0]:g} to {FORCES[1]:g} N; give what the tool pressed with.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,6 +142,11 @@ def read_scene(path: Path) -> Scene:
     # Nodes at a body's own base are drawn to it only nearly.
     slack = 1e-9 if low.min() >= scene.held_below - 1e-9 else 0.0
     held = np.repeat((low <= scene.held_below + slack)[:, None], 3, axis=1)
+    if held.all():
+        raise InputError(
+            f"{printable(path)}: all nodes lie below held_below, so that nothing can move; the highest is at "
+            f"{low.max():.4g} m."
+        )
     if held.sum() < 9:
         raise InputError(
             f"{printable(path)}: {int(held.sum() / 3)} nodes lie below held_below; give more, the lowest is at "

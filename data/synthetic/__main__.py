@@ -28,6 +28,8 @@ from data.command_line import path_option, progress_bars, say, whole_number
 from data.synthetic.clip import clip_seed, write_clip
 from data.synthetic.settings import SceneSettings
 
+MOST_PRESSES = 1000
+"""Of a video; all are drawn before the first frame is written."""
 SIZES = {"full": (854, 480), "medium": (428, 240), "small": (214, 120)}
 """Named picture sizes [px]: CholecSeg8k's, half of it, the network's input."""
 
@@ -56,7 +58,7 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--presses",
-        type=whole_number(1),
+        type=whole_number(1, MOST_PRESSES),
         default=1,
         help="folders of a video, each with a scene, parameters and press of its own (default %(default)s)",
     )

@@ -152,6 +152,16 @@ class SceneSettings:
                 f"scene.rise ends at {self.rise[1]:g} and scene.fall at {self.fall[1]:g}; give shares that add up "
                 "to 1 at most."
             )
+        if self.tissue == "sheet":
+            for name, fastest in (
+                ("stiffness", math.sqrt(self.stiffness[1] / self.mass)),
+                ("damping", self.damping[1] / self.mass),
+            ):
+                if fastest > FASTEST:
+                    raise ValueError(
+                        f"scene.{name} up to {getattr(self, name)[1]:g} with scene.mass {self.mass:g} moves at "
+                        f"{fastest:.3g}/s; give less, or more mass, for {FASTEST:g}/s at most."
+                    )
         if self.depth_bits not in (8, 16):
             raise ValueError(f"scene.depth_bits is {self.depth_bits}; give 8 or 16.")
 
@@ -161,6 +171,8 @@ class SceneSettings:
         return self.width / self.grid_width, self.height / self.grid_height
 
 
+FASTEST = 1e4
+"""Of a sheet, thirty times the defaults' rates; the truth is integrated by steps that follow them [1/s]."""
 _LIMITS = {
     "width": (64, MOST_SIDE),
     "height": (48, MOST_SIDE),
@@ -169,18 +181,18 @@ _LIMITS = {
     "frames": (8, 1e6),
     "fps": FRAME_RATES,
     "field_of_view_deg": (20, 110),
-    "stiffness": (1e-6, math.inf),
-    "damping": (1e-9, math.inf),
-    "force": (-math.inf, -1e-9),
+    "stiffness": (1e-6, 1e9),
+    "damping": (1e-9, 1e9),
+    "force": (-1e9, -1e-9),
     "mass": (1e-12, 1e12),
-    "peak_displacement": (0, math.inf),
+    "peak_displacement": (0, 10),
     "spread": (2, 1000),
     "relaxation": (1e-4, 10),
     "regions": (1, 100),
     "breathing": (0, 20),
-    "slab_young": (1e-6, math.inf),
+    "slab_young": (1e-6, 1e9),
     "slab_poisson": (0, 0.49),
-    "slab_density": (1e-9, math.inf),
+    "slab_density": (1e-9, 1e9),
     "slab_thickness": (0.005, 0.3),
     "slab_damping": (0, 1e6),
     "slab_branch": (0, 100),
@@ -190,7 +202,7 @@ _LIMITS = {
     "force_tilt_deg": (0, 60),
     "rise": (0, 1),
     "fall": (0, 1),
-    "press_seconds": (1e-6, math.inf),
+    "press_seconds": (1e-6, 1e4),
     "onset_fraction": (0, 1),
     "onset_delay": (0, 1),
     "release_delay": (0, 1),

@@ -294,7 +294,7 @@ def test_the_door_writes_clips_that_are_found(tmp_path: Path, capsys: pytest.Cap
 
 def test_bad_usage_gets_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     target = ["--output", str(tmp_path / "set")]
-    for option, value in (("--size", "huge"), ("--clips", "0"), ("--seed", "-1")):
+    for option, value in (("--size", "huge"), ("--clips", "0"), ("--seed", "-1"), ("--presses", "1000000")):
         with pytest.raises(SystemExit, match="2"):
             main([*target, option, value])
         assert option in capsys.readouterr().err

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections import deque
+
 import numpy as np
 from scipy.spatial import KDTree
 
+from estimators.online.fitting import Fit, fit_motion
 from estimators.online.matching import Chamfer, Match, Tracks
 from estimators.online.objective import Objective
 from estimators.online.session import Frame, Session
-from estimators.online.settings import OnlineSettings
+from estimators.online.settings import MOST_FITTED, OnlineSettings, Start
 from estimators.online.surface import Surface
+from physics.load import Grip
 from physics.pbd.stiffness import Stiffness
 
 LEAST_GRIPPED = 3
 """Fewer points followed near the instrument don't tell how it moves the tissue."""
 NEIGHBOURS = 6
 """Followed points that tell how a gripped particle moves."""
+PAST = MOST_FITTED
+"""Frames of the grip's way from which the motion to come is simulated: how it moved before hardly matters."""
 
 
 class DrivenTissue:
@@ -31,17 +38,10 @@ class DrivenTissue:
     def __init__(self, surface: Surface, points: np.ndarray, distance: np.ndarray, settings: OnlineSettings) -> None:
         self.surface, self.settings = surface, settings
         body = surface.body
-        objective = Objective(
-            body,
-            surface.gripped,
-            settings.stepping,
-            settings.mapping,
-            settings.elastic,
-            settings.weights,
-            settings.bounds,
-        )
-        begun = Stiffness(np.full(body.count, settings.start.distance), np.full(body.count, settings.start.shape))
-        self.session = Session(objective, begun, settings.method)
+        self.fit: Fit | None = None
+        """What was fitted to the first frames, if anything was."""
+        self._first: list[tuple[np.ndarray, np.ndarray | None, np.ndarray | None]] = []
+        self._awaited = settings.fitted
         inside, shares = surface.places(points)
         around = distance[inside] >= surface.reach
         self.around = inside[around]
@@ -50,12 +50,28 @@ class DrivenTissue:
         self._resting = surface.project(self._shares @ body.rest)
         self._driving = np.flatnonzero(distance < surface.reach)
         self._points = np.asarray(points, np.float64)
-        self._places = body.rest[surface.gripped]
-        first, second = body.edges.T
-        self._moving = np.zeros(body.count, bool)
         self._fixed = body.pinned.copy()
         self._fixed[surface.gripped] = True
-        self._edges = first, second
+        self._edges = body.edges.T
+        self._begin()
+
+    def _begin(self) -> None:
+        """At rest, by the settings as they are."""
+        settings, body = self.settings, self.surface.body
+        objective = Objective(
+            body,
+            self.surface.gripped,
+            settings.stepping,
+            settings.mapping,
+            settings.elastic,
+            settings.weights,
+            settings.bounds,
+        )
+        begun = Stiffness(np.full(body.count, settings.start.distance), np.full(body.count, settings.start.shape))
+        self.session = Session(objective, begun, settings.method)
+        self._places = body.rest[self.surface.gripped]
+        self._past: deque[np.ndarray] = deque(maxlen=PAST)
+        self._moving = np.zeros(body.count, bool)
 
     @property
     def known(self) -> np.ndarray:
@@ -83,11 +99,42 @@ class DrivenTissue:
     def step(self, moved: np.ndarray, cloud: np.ndarray | None = None, seen: np.ndarray | None = None) -> Frame:
         """Take a frame in; where the instrument's tissue isn't seen it stays where it was, and nothing is learnt.
 
+        With the last of the frames that are fitted to, what one number each says of the tissue is chosen, and all are
+        taken in once more.
+
         Args:
             moved: displacement of the followed points since rest, shape [P, 2] [px]; not seen = NaN.
             cloud: points of the tissue, shape [m, 3] [scene units], where clouds are compared.
             seen: particles that no tool hides, shape [n]; with the cloud.
         """
+        told = self._taken(moved, cloud, seen)
+        if self._awaited > 0:
+            self._awaited -= 1
+            self._first.append((moved, cloud, seen))
+            if self._awaited == 0:
+                if self._fitted():
+                    self._begin()
+                    for frame in self._first:
+                        told = self._taken(*frame)
+                self._first = []
+        return told
+
+    def _fitted(self) -> bool:
+        """Choose time step, foundation and bending by the first frames; whether these tell anything."""
+        settings = self.settings
+        way = np.stack(self._past) - self.surface.body.rest[self.surface.gripped]
+        seen = np.stack([moved[self.around] for moved, _, _ in self._first])
+        grip, stiffness = Grip(self.surface.gripped, way), settings.start.distance
+        self.fit = fit_motion(self.surface.body, grip, seen, self.shown, settings.stepping, stiffness)
+        if self.fit is None:
+            return False
+        shape = self.fit.bending * stiffness
+        bounds = dataclasses.replace(settings.bounds, shape=self.fit.bending * settings.bounds.distance)
+        stepping = self.fit.stepping(settings.stepping, stiffness)
+        self.settings = dataclasses.replace(settings, start=Start(stiffness, shape), bounds=bounds, stepping=stepping)
+        return True
+
+    def _taken(self, moved: np.ndarray, cloud: np.ndarray | None, seen: np.ndarray | None) -> Frame:
         nearer = 0.0 if cloud is None else self._nearer(moved, cloud)
         places = self.gripped_places(moved, nearer)
         matches: list[Match] = []
@@ -98,6 +145,7 @@ class DrivenTissue:
             if cloud is not None and seen is not None and len(cloud) and len(seen):
                 matches.append(Chamfer(cloud, seen))
         told = self.session.step(self._places, matches)
+        self._past.append(self._places)
         first, second = self._edges
         lengths = np.linalg.norm(told.positions[first] - told.positions[second], axis=1)
         rest = self.surface.body.layout.rest[self.surface.body.kinds[0]]
@@ -109,6 +157,9 @@ class DrivenTissue:
     def ahead(self, moved: np.ndarray) -> np.ndarray:
         """Predicted displacement of the points `around` under a path of the instrument alone, shape [T, Q, 2] [px].
 
+        What the simulation does from now on, begun at rest and led along the instrument's way so far, is added to where
+        the points are: a state that was mapped to what was seen isn't one of the model's, and would fall back.
+
         Args:
             moved: displacement of the followed points in T frames to come, shape [T, P, 2] [px]; only those near the
                 instrument are looked at.
@@ -118,7 +169,10 @@ class DrivenTissue:
             found = self.gripped_places(motion)
             places = places if found is None else found
             path.append(places)
-        return self.shown(self.session.ahead(np.stack(path)))
+        session = self.session
+        states = session.objective.stepped(session.fields, self.surface.body.rest, np.stack([*self._past, *path]))
+        simulated = self.shown(states.positions[0, len(self._past) :])
+        return self.shown(session.positions[None]) + simulated[1:] - simulated[0]
 
     def shown(self, states: np.ndarray) -> np.ndarray:
         """Displacement of the points `around` in states [T, N, 3], shape [T, Q, 2] [px]."""

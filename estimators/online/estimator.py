@@ -100,7 +100,7 @@ class OnlineSession(RunSession):
             contact = None
         told = self._reason
         if self._driven is not None:
-            told = "" if self._driven.field().known.any() else UNDRIVEN
+            told = " ".join(filter(None, (self._driven.fitted, "" if self._driven.field().known.any() else UNDRIVEN)))
         return run.estimate(interaction=contact, detail=" ".join(filter(None, (run.detail, told, FIELD_ALONE))))
 
 
@@ -134,6 +134,17 @@ class _Followed:
             moved = still
         cloud, seen = (None, None) if self._settings.match == "tracks" else self._cloud(frame)
         self._gap = self._driven.step(moved, cloud, seen).gap
+
+    @property
+    def fitted(self) -> str:
+        """What the first frames told by one number each, a sentence; empty if nothing was fitted."""
+        fit = self._driven.fit
+        if fit is None:
+            return ""
+        return (
+            f"Fitted to the first frames: steps of {fit.time_step:g}, foundation {fit.foundation:g} and bending "
+            f"{fit.bending:g} of the stiffness against stretch, which leave {fit.error:.0%} of the motion."
+        )
 
     def field(self) -> ParticleField:
         """As it is now."""

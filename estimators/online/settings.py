@@ -17,6 +17,8 @@ from physics.fields import require_choices
 from physics.pbd.simulation import Stepping
 
 LEAST_PARTICLES, MOST_PARTICLES = 30, 10_000
+MOST_FITTED = 50
+"""Frames that can be fitted to; every one is kept until then."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,9 @@ class OnlineSettings:
     """Whether the affine motion of the tissue farthest from the instrument, a moving camera's, is taken off."""
     strain: float = 0.03
     """Stiffness is known where an edge was once longer or shorter than at rest by more than this share."""
+    fitted: int = 5
+    """Time step, foundation and the stiffness of shapes are fitted to the first so many frames of a run, by simulation
+    alone; the values given here hold until then. 0 = they hold throughout."""
     start: Start = field(default_factory=Start)
     """Stiffness to begin with."""
     method: Method = field(default_factory=Method)
@@ -79,6 +84,8 @@ class OnlineSettings:
             raise ValueError(f"particles is {self.particles}; give {LEAST_PARTICLES} to {MOST_PARTICLES}.")
         if self.points < 1:
             raise ValueError(f"points is {self.points}; give 1 at least.")
+        if not 0 <= self.fitted <= MOST_FITTED:
+            raise ValueError(f"fitted is {self.fitted}; give 0 to {MOST_FITTED} frames.")
         for name in ("strain", "elastic"):
             value = getattr(self, name)
             if not (value >= 0 and math.isfinite(value)):

@@ -7,6 +7,7 @@ since that frame, root mean squares over the points that are followed in both an
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -68,14 +69,20 @@ def evaluate_prediction(clip: PulledClip, settings: OnlineSettings) -> Predictio
         raise InputError(f"{clip.frames}: no mask shows where an instrument holds the tissue; give masks of the tool.")
     if len(follow.frames) < min(FROM) + AHEAD:
         raise InputError(f"{clip.frames} has fewer than {min(FROM) + AHEAD + 1} usable frames; give more of them.")
-    tissue = DrivenTissue(first_surface(clip, settings), follow.points, follow.distance, settings)
-    measures: dict[str, object] = {"status": "ok", "estimator": "online", "particles": tissue.surface.body.count}
+    surface = first_surface(clip, settings)
+    measures: dict[str, object] = {"status": "ok", "estimator": "online", "particles": surface.body.count}
     skills: dict[str, list[float]] = {"online": [], "sheet": [], "sheet from rest": []}
     judged = begun = seen = expected = np.empty((0, 2))
-    for index, frame in enumerate(follow.frames[: max(FROM)], start=1):
-        tissue.step(frame.moved)
-        if index not in FROM or index + AHEAD > len(follow.frames):
+    tissue = DrivenTissue(surface, follow.points, follow.distance, settings)
+    for index in FROM:
+        if index + AHEAD > len(follow.frames):
             continue
+        # Anew each time: what is fitted may see the frames up to this one.
+        fitted = dataclasses.replace(settings, fitted=min(settings.fitted, index))
+        tissue = DrivenTissue(surface, follow.points, follow.distance, fitted)
+        for frame in follow.frames[:index]:
+            tissue.step(frame.moved)
+        frame = follow.frames[index - 1]
         later = follow.frames[index : index + AHEAD]
         around, now, then = tissue.around, frame.moved, later[-1].moved
         used = _judged(around, frame, later[-1])
@@ -99,6 +106,8 @@ def evaluate_prediction(clip: PulledClip, settings: OnlineSettings) -> Predictio
         measures[f"points from frame {index}"] = len(chosen)
         measures[f"motion since frame {index} [px]"] = length(since)
         measures[f"foundation over stiffness by frame {index}"] = ratio
+        if tissue.fit is not None:
+            measures |= {f"fitted {name} by frame {index}": value for name, value in tissue.fit._asdict().items()}
         for name, motion in found.items():
             skills[name].append(1 - length(motion - since) / length(since))
             measures[f"skill from frame {index}, {name}"] = skills[name][-1]
@@ -106,7 +115,7 @@ def evaluate_prediction(clip: PulledClip, settings: OnlineSettings) -> Predictio
         raise InputError(f"{clip.frames}: fewer than {LEAST_POINTS} points are followed {AHEAD} frames on.")
     measures |= {f"skill of {name}, mean": float(np.mean(values)) for name, values in skills.items()}
     measures["known particles"] = float(tissue.known.mean())
-    fields = tissue.surface.pixels, tissue.session.fields.distance, tissue.known
+    fields = surface.pixels, tissue.session.fields.distance, tissue.known
     return Prediction(measures, follow, judged, begun, seen, expected, fields)
 
 

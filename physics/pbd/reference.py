@@ -79,7 +79,7 @@ def steps(
         foundation: what holds every particle to its rest [N/m].
     """
     free = (body.inverse_mass(gripped) > 0)[:, None]
-    # ½ m|x - a|²/Δt² + ½ f|x - r|² is, but for a constant, ½ (m + f Δt²)|x - b|²/Δt², b the mean of a and r so weighted.
+    # ½ m|x - a|²/Δt² + ½ f|x - r|² is ½ (m + f Δt²)|x - b|²/Δt² and a constant, b the weighted mean.
     back = foundation * time_step**2 / (body.mass + foundation * time_step**2)
     inverse_mass = body.inverse_mass(gripped) * (1 - back)
     back = np.where(free, back[:, None], 0.0)

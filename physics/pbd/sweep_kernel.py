@@ -102,7 +102,20 @@ def sweep_forward(
 
 @kernel
 def sweep_adjoint(
-    layout, weight, inverse_mass, rest, speed, gripped, path, numbers, acceleration, iterations, turn, motion, pulls, slopes
+    layout,
+    weight,
+    inverse_mass,
+    rest,
+    speed,
+    gripped,
+    path,
+    numbers,
+    acceleration,
+    iterations,
+    turn,
+    motion,
+    pulls,
+    slopes,
 ):
     """Go back through `sweep_forward` and gather the derivatives of Σ pulls·motion.
 

@@ -23,7 +23,7 @@ from estimators.online.surface import Surface, make_surface
 WIDTH, HEIGHT, DEPTH = 240, 160, 0.5
 CAMERA = Camera.from_field_of_view(60.0, WIDTH, HEIGHT)
 GEOMETRY = GeometrySettings(height=80, width=120, smoothing=0.0)
-SETTINGS = OnlineSettings(particles=120)
+SETTINGS = OnlineSettings(particles=120, fitted=0)
 PER_PIXEL = DEPTH / CAMERA.fx
 """Length of a pixel at that depth [scene units]."""
 
@@ -165,6 +165,43 @@ def test_predictions_look_at_the_grip_alone(surface: Surface) -> None:
     assert np.linalg.norm(error) < 0.7 * np.linalg.norm(moved)
 
 
+def test_predictions_are_where_points_are_and_what_the_simulation_does_from_there(surface: Surface) -> None:
+    """A grip that stays: what the simulation still catches up with, nothing of what the mapping took it to."""
+    stepping = dataclasses.replace(SETTINGS.stepping, time_step=30.0, iterations=200, foundation=0.1)
+    tissue = driven(surface, stepping=stepping)
+    for share in np.linspace(0.2, 1, 3):
+        tissue.step(pulled(share))
+    here = tissue.shown(tissue.session.positions[None])[0]
+    ahead = tissue.ahead(np.stack([pulled(1.0)] * 3))
+    assert np.abs(here).max() > 1
+    np.testing.assert_allclose(ahead, np.broadcast_to(here, ahead.shape), atol=0.02)
+
+
+def test_what_is_fitted_to_the_first_frames_holds_from_the_first_on(surface: Surface) -> None:
+    tissue = driven(surface, fitted=3)
+    for share in (0.3, 0.6):
+        tissue.step(pulled(share))
+        assert tissue.fit is None
+    told = tissue.step(pulled(1.0))
+    fit = tissue.fit
+    assert fit is not None
+    assert fit.error < 0.5
+    again = driven(
+        surface,
+        start=tissue.settings.start,
+        bounds=tissue.settings.bounds,
+        stepping=fit.stepping(SETTINGS.stepping, SETTINGS.start.distance),
+    )
+    assert again.settings.start.shape == fit.bending * SETTINGS.start.distance
+    for share in (0.3, 0.6, 1.0):
+        expected = again.step(pulled(share))
+    np.testing.assert_array_equal(told.positions, expected.positions)
+    still = driven(surface, fitted=2)
+    for _ in range(3):
+        still.step(np.zeros_like(POINTS))
+    assert still.fit is None
+
+
 def test_a_cloud_tells_how_far_gripped_tissue_has_come_nearer(surface: Surface) -> None:
     tissue = driven(surface, match="both", background="keep")
     nearer = 0.02
@@ -183,11 +220,12 @@ def test_a_frame_without_tool_or_tissue_is_a_sentence(frame: PreparedFrame, sent
 
 
 def test_memory_does_not_grow_with_the_frames(surface: Surface) -> None:
-    """Mapped states are kept for a window of 20; 34 more frames would be 34 states."""
-    tissue = driven(surface, method=Method("PBD-RM"), mapping=dataclasses.replace(SETTINGS.mapping, steps=1))
-    for index in range(25):
-        tissue.step(pulled(index % 5 / 5))
+    """Mapped states are kept for a window of 20, the grip's way for 50; 34 more frames would be 34 states."""
+    mapping = dataclasses.replace(SETTINGS.mapping, steps=1)
+    tissue = driven(surface, method=Method("PBD-RM"), mapping=mapping)
     tracemalloc.start()
+    for index in range(60):
+        tissue.step(pulled(index % 5 / 5))
     for index in range(60):
         tissue.step(pulled(index % 5 / 5))
         if index == 25:

@@ -81,6 +81,7 @@ def test_a_run_says_that_theta_is_not_told(results: Path) -> None:
     (run,) = rows(results / "pulled", "interactions.csv")
     assert (run["onset_frame"], run["status"], run["verdict"]) == ("10", "no_estimate", "")
     assert "relative stiffness place by place (fields.npz)" in run["detail"]
+    assert "Fitted to the first frames: steps of" in run["detail"]
     record = json.loads((results / "pulled" / "run.json").read_text())
     assert "relative" in record["units"]["distance_stiffness"]
     assert record["estimator"]["particles"] == 150

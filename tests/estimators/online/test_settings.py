@@ -40,6 +40,7 @@ def test_what_a_file_leaves_out_keeps_its_default(told) -> None:
         ("weights: 3", "online.yaml, weights, is not a mapping"),
         ("particles: many", "online.yaml gives particles 'many'; give a whole number"),
         ("particles: 3", "particles is 3; give 30 to 10000"),
+        ("fitted: 51", "fitted is 51; give 0 to 50 frames"),
         ("points: 0", "points is 0; give 1 at least"),
         ("strain: -0.1", "strain is -0.1; give 0 or more"),
         ("match: colours", "online.yaml gives match 'colours'; give one of tracks, chamfer, both"),

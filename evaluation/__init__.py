@@ -8,6 +8,7 @@ watched      a synthetic clip beside its noise-free truth; generated: what a tra
 colour_bound what colours could tell beside depth, which no estimator looks at; a door of its own
 beside_truth estimates of synthetic clips beside their truth; a door of its own
 real         real clips, judged on what was kept back from the fit; a door of its own
+online       the online estimator on simulated pulls, as its paper shows it; a door of its own
 palpation    measured forces on tissue, judged on what was kept back; a door of its own
 foreign      the finite elements on other people's data; a door of its own
 ablations    the contact posterior with fewer of a contact's frames, the system without its parts; a door of its own

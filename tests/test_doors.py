@@ -29,6 +29,7 @@ DOORS = {
     "evaluation.colour_bound": ["-m", "evaluation.colour_bound"],
     "evaluation.foreign.__main__": ["-m", "evaluation.foreign"],
     "evaluation.next_depth": ["-m", "evaluation.next_depth"],
+    "evaluation.online.__main__": ["-m", "evaluation.online"],
     "evaluation.palpation.__main__": ["-m", "evaluation.palpation"],
     "evaluation.palpation.frank": ["-m", "evaluation.palpation.frank"],
     "evaluation.paper.readings": ["-m", "evaluation.paper.readings"],

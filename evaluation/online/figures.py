@@ -1,0 +1,116 @@
+"""Figures 5, 7, 8 and 9 and Table II of Liang 2024, drawn of what was run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from evaluation.online.compare import BATCH, METHODS, STARTS, Case
+from evaluation.online.sequences import Pull
+from evaluation.tables import to_markdown
+
+Cases = Mapping[tuple[str, str, str], Case]
+"""By sequence, start and method."""
+COLOURS = dict(zip(METHODS, ("#6c757d", "#f4a261", "#2a9d8f", "#1d3557"), strict=True))
+SHOWN = ("k2", "k1", "k3")
+"""Starts that are drawn, the first that was run: the paper draws k2."""
+
+
+def table(cases: Cases, sequences: list[str]) -> str:
+    """Table II: future gap; keypoints' error [mm] of every method, by sequence and start, as Markdown."""
+    columns = [(sequence, start) for sequence in sequences for start in STARTS]
+    columns = [(s, k) for s, k in columns if any((s, k, method) in cases for method in METHODS)]
+
+    def cell(sequence: str, start: str, method: str) -> str:
+        case = cases.get((sequence, start, method))
+        return "" if case is None else f"{1e3 * case.gap.mean():.1f}; {1e3 * case.keypoint.mean():.2f}"
+
+    rows = ([method, *(cell(*column, method) for column in columns)] for method in METHODS)
+    return to_markdown(("method", *(f"{sequence}, {start}" for sequence, start in columns)), rows)
+
+
+def draw_all(cases: Cases, pulls: Mapping[str, Pull]) -> dict[str, Figure]:
+    """Every figure by its name."""
+    shown = {
+        name: start for name in pulls for start in reversed(SHOWN) if any((name, start, m) in cases for m in METHODS)
+    }
+    drawn = {
+        "figure_5.png": _over_time(cases, shown, "chamfer", ("PBD", "PBD-RM")),
+        "figure_7.png": _over_time(cases, shown, "gap", METHODS),
+        "figure_8.png": _gap_maps(cases, shown, pulls),
+    }
+    if any((*key, "PBD-RM-ON") in cases for key in shown.items()):
+        drawn["figure_9.png"] = _fields(cases, shown, pulls)
+    return drawn
+
+
+def _over_time(cases: Cases, shown: Mapping[str, str], what: str, methods: tuple[str, ...]) -> Figure:
+    figure = Figure(figsize=(4 * len(shown), 3.2), dpi=100, layout="constrained")
+    for axes, (sequence, start) in zip(figure.subplots(1, len(shown), squeeze=False)[0], shown.items(), strict=True):
+        for method in methods:
+            case = cases.get((sequence, start, method))
+            if case is None:
+                continue
+            if what == "chamfer":
+                axes.plot(1 + np.arange(len(case.chamfer)), 1e6 * case.chamfer, color=COLOURS[method], label=method)
+            else:
+                axes.plot(1 + case.ahead, 1e3 * case.gap, marker="o", ms=3, color=COLOURS[method], label=method)
+        axes.set(xlabel="frame", title=f"{sequence}, {start}", yscale="log")
+        axes.set_ylabel("Chamfer distance [mm²]" if what == "chamfer" else "mean future gap ‖Δ‖ [mm]")
+        axes.legend(fontsize=8)
+    return figure
+
+
+def _places(points: np.ndarray, pull: Pull) -> np.ndarray:
+    """What the camera sees of states [N, 3], from above, shape [n, 2] [mm]."""
+    return 1e3 * points[pull.seen, :2]
+
+
+def _gap_maps(cases: Cases, shown: Mapping[str, str], pulls: Mapping[str, Pull]) -> Figure:
+    """Ten frames ahead, from the middle of the sequence on."""
+    methods = [method for method in METHODS if method != BATCH]
+    figure = Figure(figsize=(3.2 * len(methods), 2.8 * len(shown)), dpi=100, layout="constrained")
+    grid = figure.subplots(len(shown), len(methods), squeeze=False)
+    for row, (sequence, start) in zip(grid, shown.items(), strict=True):
+        own = [cases[sequence, start, m] for m in methods if (sequence, start, m) in cases]
+        most = 1e3 * max((float(case.gaps[len(case.gaps) // 2].max()) for case in own), default=1.0)
+        for axes, method in zip(row, methods, strict=True):
+            case = cases.get((sequence, start, method))
+            axes.set(aspect="equal", xticks=[], yticks=[])
+            if case is None:
+                continue
+            middle = len(case.gaps) // 2
+            told = {"c": 1e3 * case.gaps[middle][pulls[sequence].seen], "cmap": "viridis", "vmin": 0, "vmax": most}
+            drawn = axes.scatter(*_places(case.states[middle], pulls[sequence]).T, s=14, **told)
+            axes.set_title(f"{sequence}, {start}\n{method}, t = {1 + case.ahead[middle]} + 10", fontsize=9)
+        figure.colorbar(drawn, ax=row, shrink=0.8, label="‖Δ‖ of a particle [mm]")
+    return figure
+
+
+def _fields(cases: Cases, shown: Mapping[str, str], pulls: Mapping[str, Pull]) -> Figure:
+    """Distances above, shapes below, at the first, the middle and the last prediction, and the truth beside them."""
+    figure = Figure(figsize=(11, 5 * len(shown)), dpi=100, layout="constrained")
+    grid = figure.subplots(2 * len(shown), 4, squeeze=False)
+    for number, (sequence, start) in enumerate(shown.items()):
+        case, pull = cases.get((sequence, start, "PBD-RM-ON")), pulls[sequence]
+        if case is None:
+            continue
+        truth = np.log10(pull.stiffness / np.median(pull.stiffness))
+        for row, name in zip(grid[2 * number : 2 * number + 2], ("distance", "shape"), strict=True):
+            fields = np.log10(getattr(case, name))
+            picked = sorted({0, len(fields) // 2, len(fields) - 1})
+            panels = [(fields[j] - np.median(fields[j]), f"{name}, frame {1 + case.ahead[j]}") for j in picked]
+            if name == "distance":
+                panels.append((truth, "truth"))
+            most = max(0.1, *(float(np.abs(values).max()) for values, _ in panels))
+            for axes, (values, told) in zip(row, panels, strict=False):
+                drawn = axes.scatter(
+                    *_places(pull.body.rest, pull).T, c=values[pull.seen], s=14, cmap="coolwarm", vmin=-most, vmax=most
+                )
+                axes.set_title(f"{sequence}, {start}: {told}", fontsize=8)
+            for axes in row:
+                axes.set(aspect="equal", xticks=[], yticks=[], frame_on=False)
+            figure.colorbar(drawn, ax=row, shrink=0.8, label="log₁₀ over the median")
+    return figure

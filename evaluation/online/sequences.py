@@ -1,0 +1,319 @@
+"""Pulls whose truth is known: two sheets by a fine mass-spring net, two blocks by finite elements.
+
+Stand in for the paper's chicken skin and muscle (Liang 2024, section III-A: pinned at one side, pulled by a gripper).
+Sheets flow down the energy of a net of springs along rows, both diagonals and, against bending, every second node,
+without inertia; blocks are at rest in every frame. The estimator's particles lie elsewhere, and in another number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import RegularGridInterpolator
+from scipy.sparse import csr_array
+
+from estimators.online.matching import Chamfer, Match, Tracks
+from physics.fem.equilibrium import find_equilibrium
+from physics.fem.lattice import box
+from physics.fem.laws import Material
+from physics.fem.solid import make_solid
+from physics.pbd.body import Body, make_body
+
+SIDE = 0.12
+"""Of a sheet [m]."""
+BLOCK = (0.10, 0.08, 0.02)
+"""Sides of a block [m]: 2 cm thick, as the paper's."""
+FINE, FINE_CELLS = 41, (14, 11, 3)
+"""Nodes along a sheet's side; cells of a block."""
+STIFF = 3.0
+"""Of the stiff part, over the soft one."""
+DIAGONAL, BEND = 0.5, 0.05
+"""Stiffness of springs along diagonals and against bending, over that of rows."""
+DRAG = 1 / 0.005**2
+"""Of a sheet's area, over the stiffness of its soft springs [frames/m²]: 1 a particle, 5 mm apart."""
+YOUNG, POISSON = 5e3, 0.45
+"""Of the soft part of a block; only ν counts for where it is."""
+HELD = 0.012
+"""Radius of what the gripper holds [m]."""
+NOISE, FOLLOWED, KEYPOINTS = 0.2e-3, 200, 15
+"""Standard deviation of what is seen, by axis [m]; points that are followed; of these, keypoints (section III-D)."""
+
+State = Callable[[np.ndarray], np.ndarray]
+"""Displacement [m] of places at rest [P, 3], shape [P, 3]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pull:
+    """What is simulated and seen of one; N particles, T frames, m points, P followed ones."""
+
+    body: Body
+    gripped: np.ndarray
+    """Particles, shape [G]."""
+    seen: np.ndarray
+    """Particles that the camera sees, shape [n]: all of a sheet's, a block's upper side."""
+    places: np.ndarray
+    """Of the gripper, shape [T, G, 3] [m]."""
+    clouds: np.ndarray
+    """Points of the surface, shape [T, m, 3] [m]."""
+    shares: csr_array
+    """Followed points among the particles, shape [P, N]."""
+    tracks: np.ndarray
+    """Where they are seen, shape [T, P, 3] [m]."""
+    points: np.ndarray
+    """Where they truly are, at rest and in every frame, shape [T + 1, P, 3] [m]."""
+    keypoints: np.ndarray
+    """Which of these are keypoints, shape [15]."""
+    stiffness: np.ndarray
+    """True relative stiffness at the particles, shape [N]."""
+    truth: np.ndarray
+    """Where they truly are, shape [T, N, 3] [m]."""
+
+    def matches(self, frame: int, kind: str) -> list[Match]:
+        """What the estimator is given of a frame: `chamfer`, `tracks` or `both`."""
+        found: list[Match] = []
+        if kind != "tracks":
+            found.append(Chamfer(self.clouds[frame], self.seen))
+        if kind != "chamfer":
+            found.append(Tracks(self.shares, self.tracks[frame]))
+        return found
+
+    def moving(self) -> np.ndarray:
+        """Free particles with an edge whose length changes by more than a hundredth at some time, shape [N], bool."""
+        first, second = self.body.edges.T
+        lengths = np.linalg.norm(self.truth[:, first] - self.truth[:, second], axis=2)
+        strained = (np.abs(lengths / self.body.layout.rest[self.body.kinds[0]] - 1) > 0.01).any(axis=0)
+        found = np.isin(np.arange(self.body.count), self.body.edges[strained]) & ~self.body.pinned
+        found[self.gripped] = False
+        return found
+
+
+@dataclass(frozen=True)
+class Sequence:
+    """One of the four, as it is asked for."""
+
+    block: bool
+    frames: int
+    """As many by default."""
+    way: Callable[[np.ndarray], np.ndarray]
+    """Displacement of the gripper at shares of the time [S], shape [S, 3] [m]."""
+    stiff: Callable[[np.ndarray], np.ndarray]
+    """Which places at rest [P, 3] are stiff, bool [P]."""
+
+    def pull(self, particles: int, points: int, frames: int) -> Pull:
+        """Simulate and observe; always the same.
+
+        Args:
+            particles: about how many the estimator has.
+            points: of a cloud.
+            frames: how many of the sequence, from its beginning.
+        """
+        path = self.way(np.arange(1, frames + 1) / self.frames)
+        states = (_block_states if self.block else _sheet_states)(path, self.stiff)
+        body = _block_body(particles) if self.block else _sheet_body(particles)
+        random = np.random.default_rng(0)
+        top = BLOCK[2] if self.block else 0.0
+        seen = np.flatnonzero(body.rest[:, 2] > top - 1e-9)
+        gripped = np.flatnonzero(_held(body.rest, self.block))
+
+        def surface(count: int) -> np.ndarray:
+            size = BLOCK[:2] if self.block else (SIDE, SIDE)
+            return np.column_stack([random.uniform(0, 1, (count, 2)) * size, np.full(count, top)])
+
+        followed = surface(FOLLOWED)
+        true = np.stack([followed, *(followed + state(followed) for state in states)])
+        clouds = []
+        for state in states:
+            cloud = surface(points)
+            clouds.append(cloud + state(cloud) + random.normal(0, NOISE, cloud.shape))
+        return Pull(
+            body,
+            gripped,
+            seen,
+            body.rest[gripped] + path[:, None],
+            np.stack(clouds),
+            _shares(body, seen, followed),
+            true[1:] + random.normal(0, NOISE, true[1:].shape),
+            true,
+            _spread_out(true),
+            np.where(self.stiff(body.rest), STIFF, 1.0),
+            np.stack([body.rest + state(body.rest) for state in states]),
+        )
+
+
+def _held(rest: np.ndarray, block: bool) -> np.ndarray:
+    """Places that the gripper holds: around the middle of the side opposite the pins, of a block on its upper side."""
+    size = BLOCK if block else (SIDE, SIDE, 0.0)
+    return np.linalg.norm(rest - (size[0], size[1] / 2, size[2]), axis=1) < HELD
+
+
+def _grid(columns: int, rows: int, size: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Places [N, 3] of a flat grid, and the numbers of its nodes [columns, rows]."""
+    along = np.meshgrid(np.linspace(0, size[0], columns), np.linspace(0, size[1], rows), indexing="ij")
+    places = np.stack([*along, np.zeros((columns, rows))], axis=-1).reshape(-1, 3)
+    return places, np.arange(columns * rows).reshape(columns, rows)
+
+
+def _sheet_body(particles: int) -> Body:
+    """Of triangles whose diagonals alternate, pinned at x = 0."""
+    side = max(round(particles**0.5), 6)
+    rest, at = _grid(side, side, (SIDE, SIDE))
+    one, two, three, four = (part.ravel() for part in (at[:-1, :-1], at[1:, :-1], at[:-1, 1:], at[1:, 1:]))
+    odd = ((one // side + one % side) % 2 == 1)[:, None]
+    first = np.where(odd, np.column_stack([one, two, three]), np.column_stack([one, two, four]))
+    second = np.where(odd, np.column_stack([two, four, three]), np.column_stack([one, four, three]))
+    return make_body(rest, np.concatenate([first, second]), pinned=rest[:, 0] < 1e-9)
+
+
+def _block_body(particles: int) -> Body:
+    """Of cubes of five tetrahedra each, pinned at x = 0."""
+    sizes = [[max(round(side / step), 2) for side in BLOCK] for step in np.linspace(0.004, 0.03, 200)]
+    along, across, deep = min(sizes, key=lambda cells: abs(np.prod(np.array(cells) + 1) - particles))
+    rest, tetrahedra = box(BLOCK, (along, across, deep))
+    sides = tetrahedra[:, [[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]]].reshape(-1, 3)
+    _, where, counts = np.unique(np.sort(sides, axis=1), axis=0, return_index=True, return_counts=True)
+    return make_body(rest, sides[where[counts == 1]], tetrahedra, pinned=rest[:, 0] < 1e-9)
+
+
+def _interpolated(axes: tuple[np.ndarray, ...], values: np.ndarray) -> State:
+    """Displacement between the nodes of a grid of two or three axes."""
+    field = RegularGridInterpolator(axes, values, bounds_error=False, fill_value=None)
+    return lambda places: field(places[:, : len(axes)])
+
+
+def _sheet_states(path: np.ndarray, stiff: Callable[[np.ndarray], np.ndarray]) -> list[State]:
+    """Of a net that flows down its energy, in steps of Euler's well within what is stable."""
+    rest, at = _grid(FINE, FINE, (SIDE, SIDE))
+    pairs, weights = [], []
+    for right, up, weight in (
+        (1, 0, 1.0),
+        (0, 1, 1.0),
+        (1, 1, DIAGONAL),
+        (1, -1, DIAGONAL),
+        (2, 0, BEND),
+        (0, 2, BEND),
+    ):
+        here = at[: FINE - right, max(-up, 0) : FINE - max(up, 0)]
+        there = at[right:, max(up, 0) : FINE - max(-up, 0)]
+        pairs.append(np.column_stack([here.ravel(), there.ravel()]))
+        weights.append(np.full(here.size, weight))
+    first, second = np.concatenate(pairs).T
+    relative = np.where(stiff(rest), STIFF, 1.0)
+    stiffness = np.concatenate(weights) * (relative[first] + relative[second]) / 2
+    lengths = np.linalg.norm(rest[first] - rest[second], axis=1)
+    count = len(first)
+    numbers = np.arange(count)
+    ends = csr_array(
+        (np.repeat([1.0, -1.0], count), (np.r_[first, second], np.r_[numbers, numbers])), shape=(len(rest), count)
+    )
+    drag = DRAG * (SIDE / (FINE - 1)) ** 2
+    held = _held(rest, False)
+    fixed = (held | (rest[:, 0] < 1e-9))[:, None]
+    # A node's springs pull at most twice their sum as fast as it moves: half of what is stable.
+    steps = int(np.ceil(2 * float(np.bincount(np.r_[first, second], np.tile(stiffness, 2)).max()) / drag))
+    now, before, states = rest.copy(), np.zeros(3), []
+    axis = np.linspace(0, SIDE, FINE)
+    for after in path:
+        for step in range(1, steps + 1):
+            apart = now[first] - now[second]
+            length = np.linalg.norm(apart, axis=1)
+            force = ends @ ((stiffness * (1 - lengths / length))[:, None] * apart)
+            now = now - np.where(fixed, 0.0, force / (drag * steps))
+            now[held] = rest[held] + before + step / steps * (after - before)
+        before = after
+        states.append(_interpolated((axis, axis), (now - rest).reshape(FINE, FINE, 3)))
+    return states
+
+
+def _block_states(path: np.ndarray, stiff: Callable[[np.ndarray], np.ndarray]) -> list[State]:
+    """Of a neo-Hookean block, at rest in every frame."""
+    nodes, tetrahedra = box(BLOCK, FINE_CELLS)
+    solid = make_solid(nodes, tetrahedra)
+    young = YOUNG * np.where(stiff(nodes[tetrahedra].mean(axis=1)), STIFF, 1.0)
+    gripped = _held(nodes, True)
+    held = np.broadcast_to((gripped | (nodes[:, 0] < 1e-9))[:, None], nodes.shape).copy()
+    axes = tuple(np.linspace(0, side, cells + 1) for side, cells in zip(BLOCK, FINE_CELLS, strict=True))
+    found, states = None, []
+    for moved in path:
+        found = find_equilibrium(
+            solid,
+            Material("stable_neo_hookean", young, POISSON),
+            held,
+            motion=np.where(gripped[:, None], moved, 0.0),
+            start=None if found is None else found.displacement,
+            near=None if found is None else found.solver,
+        )
+        states.append(_interpolated(axes, found.displacement.reshape(*(len(axis) for axis in axes), 3)))
+    return states
+
+
+def _shares(body: Body, seen: np.ndarray, points: np.ndarray) -> csr_array:
+    """Points of the flat upper side at rest as shares of the particles of the triangle that holds each, [P, N]."""
+    faces = body.faces[np.isin(body.faces, seen).all(axis=1)]
+    corners = body.rest[faces][..., :2]
+    edges = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)
+    two = np.einsum("fij,pfj->pfi", np.linalg.inv(edges), points[:, None, :2] - corners[None, :, 0])
+    shares = np.concatenate([1 - two.sum(axis=2, keepdims=True), two], axis=2)
+    best = shares.min(axis=2).argmax(axis=1)
+    values = shares[np.arange(len(points)), best]
+    starts = 3 * np.arange(len(points) + 1)
+    return csr_array((values.ravel(), faces[best].ravel(), starts), shape=(len(points), body.count))
+
+
+def _spread_out(points: np.ndarray) -> np.ndarray:
+    """Keypoints [15] among followed ones [T + 1, P, 3]: of the half that moves most, each far from those before."""
+    moved = np.linalg.norm(points - points[0], axis=2).max(axis=0)
+    pool = np.argsort(moved)[len(moved) // 2 :]
+    chosen = [int(pool[-1])]
+    while len(chosen) < KEYPOINTS:
+        away = np.linalg.norm(points[0, pool][:, None] - points[0, chosen], axis=2).min(axis=1)
+        chosen.append(int(pool[away.argmax()]))
+    return np.array(chosen)
+
+
+def _lifted(shares: np.ndarray) -> np.ndarray:
+    """Away from the pins and up."""
+    return np.stack([0.025 * shares, 0 * shares, 0.03 * np.sin(np.pi / 2 * shares)], axis=1)
+
+
+def _swung(shares: np.ndarray) -> np.ndarray:
+    """To one side, to the other and back, lifted on the way."""
+    return np.stack(
+        [0.02 * np.sin(np.pi * shares), 0.03 * np.sin(2 * np.pi * shares), 0.025 * np.sin(np.pi * shares)], axis=1
+    )
+
+
+def _raised(shares: np.ndarray) -> np.ndarray:
+    """A block's free end up, and a little back."""
+    return np.stack([-0.004 * shares, 0 * shares, 0.025 * shares], axis=1)
+
+
+def _turned(shares: np.ndarray) -> np.ndarray:
+    """A block's free end aside and up."""
+    return np.stack([0.006 * shares, 0.015 * np.sin(np.pi * shares), 0.02 * np.sin(np.pi * shares / 2)], axis=1)
+
+
+def _inner(rest: np.ndarray) -> np.ndarray:
+    return rest[:, 0] < SIDE / 2
+
+
+def _spot(rest: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(rest[:, :2] - (0.07, 0.05), axis=1) < 0.03
+
+
+def _half(rest: np.ndarray) -> np.ndarray:
+    return rest[:, 0] < BLOCK[0] / 2
+
+
+def _side(rest: np.ndarray) -> np.ndarray:
+    return rest[:, 1] < BLOCK[1] / 2
+
+
+SEQUENCES = {
+    "thin-shell-1": Sequence(False, 60, _lifted, _inner),
+    "thin-shell-2": Sequence(False, 100, _swung, _spot),
+    "volume-1": Sequence(True, 60, _raised, _half),
+    "volume-2": Sequence(True, 60, _turned, _side),
+}
+"""The paper's four, by name."""

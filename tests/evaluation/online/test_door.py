@@ -1,0 +1,41 @@
+"""The door runs what isn't there yet, draws all that was asked for, and refuses what can't be judged."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import pytest
+
+from evaluation.online.__main__ import case_path, main
+
+SMALL = ["--sequences", "thin-shell-1", "--starts", "k2", "--frames", "14", "--every", "3"]
+SMALL += ["--particles", "64", "--points", "80", "--match", "tracks"]
+
+
+def test_a_run_goes_on_where_it_was(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    told = [*SMALL, "--output", str(tmp_path), "--methods", "PBD"]
+    assert main(told) == 0
+    path = case_path(tmp_path, ("thin-shell-1", "k2", "PBD"))
+    before = path.stat().st_mtime_ns
+    assert main([*told, "PBD-RM", "PBD-RM-ON"]) == 0
+    assert "1 of 3 cases are there already" in " ".join(capsys.readouterr().err.split())
+    assert path.stat().st_mtime_ns == before
+    with (tmp_path / "table.csv").open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == ["sequence", "start", "method", "measure", "value"]
+    assert {row["method"] for row in rows} == {"PBD", "PBD-RM", "PBD-RM-ON"}
+    assert all(float(row["value"]) > 0 for row in rows if row["measure"] == "future gap [mm]")
+    assert {each.name for each in (tmp_path / "figures").glob("*.png")} == {f"figure_{n}.png" for n in (5, 7, 8, 9)}
+    path.write_bytes(b"mine")
+    assert main(told) == 1
+    assert "is not as this program wrote it" in " ".join(capsys.readouterr().err.split())
+    assert path.read_bytes() == b"mine"
+
+
+def test_too_few_frames_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["--output", str(tmp_path / "out"), "--frames", "14"])
+    assert ended.value.code == 2
+    assert "leaves no prediction 10 frames ahead within 14 frames" in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "out").exists()

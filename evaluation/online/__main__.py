@@ -29,7 +29,7 @@ import numpy as np
 from rich.console import Console
 
 from data.command_line import path_option, progress_bars, say, whole_number
-from evaluation.online.compare import HORIZON, METHODS, STARTS, Case, run_case, summary
+from evaluation.online.compare import BATCH, HORIZON, METHODS, STARTS, Case, run_case, summary
 from evaluation.online.figures import draw_all, table
 from evaluation.online.sequences import SEQUENCES, Pull
 from evaluation.page import as_png, render_page
@@ -59,7 +59,13 @@ def build_parser() -> argparse.ArgumentParser:
     add("--output", type=path_option, required=True, metavar="OUT", help="folder of the results")
     add("--sequences", nargs="+", choices=SEQUENCES, default=list(SEQUENCES), help="which (default: all)")
     add("--starts", nargs="+", choices=STARTS, default=list(STARTS), help="stiffness to begin with (default: all)")
-    add("--methods", nargs="+", choices=METHODS, default=list(METHODS), help="which (default: all)")
+    add(
+        "--methods",
+        nargs="+",
+        choices=METHODS,
+        default=list(METHODS),
+        help=f"which (default: all; {BATCH} on sheets alone)",
+    )
     add("--match", choices=MATCHES, default="both", help="what is seen of a frame (default both; the paper: chamfer)")
     text = "of each sequence, from its beginning (default: all; 60, of thin-shell-2 100)"
     add("--frames", type=whole_number(HORIZON + 2), metavar="N", help=text)
@@ -111,7 +117,15 @@ def main(arguments: list[str] | None = None) -> int:
             f"--every {options.every} leaves no prediction {HORIZON} frames ahead within {least} frames; give fewer or "
             "more --frames."
         )
-    keys: list[Key] = [(s, k, m) for s in options.sequences for k in options.starts for m in options.methods]
+    keys: list[Key] = [
+        (sequence, start, method)
+        for sequence in options.sequences
+        for start in options.starts
+        for method in options.methods
+        if method != BATCH or not SEQUENCES[sequence].block
+    ]
+    if not keys:
+        parser.error(f"{BATCH} runs on sheets alone, as in the paper; give other --sequences or --methods.")
     settings = {"match": options.match, "particles": options.particles, "points": options.points}
     settings |= {"every": options.every, "code": code_digest()}
     prints = {

@@ -17,11 +17,12 @@ def pull(request: pytest.FixtureRequest) -> Pull:
 
 def test_the_truth_moves_as_it_is_held(pull: Pull) -> None:
     body = pull.body
-    np.testing.assert_allclose(pull.truth[:, pull.gripped], pull.places, atol=1e-12)
+    # To a hundredth of an edge: between held nodes of the truth's mesh and others it is interpolated.
+    np.testing.assert_allclose(pull.truth[:, pull.gripped], pull.places, atol=1.5e-4)
     np.testing.assert_allclose(
         pull.truth[:, body.pinned], np.broadcast_to(body.rest[body.pinned], (FRAMES, body.pinned.sum(), 3)), atol=1e-12
     )
-    assert len(pull.gripped) > 1
+    assert len(pull.gripped) > 0
     moved = np.linalg.norm(pull.truth[-1] - body.rest, axis=1)
     free = ~body.pinned
     free[pull.gripped] = False

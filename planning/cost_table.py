@@ -2,7 +2,8 @@
 
 Frank 2010, section VII: segments through an object at evenly spread places and directions, their costs for fine
 lengths, and between them the kernel smoother of equation 4, over place and direction; along the length linear. A block
-is the same seen from behind, so only presses from one side are kept. The file's name is a digest of all that the costs
+is the same seen from behind, and in a mirror where it is held alike left and right, so that half or a quarter of the
+presses tell all. The file's name is a digest of all that the costs
 depend on: another scene with the same block finds it.
 """
 
@@ -23,12 +24,12 @@ from planning.scene import SoftObject
 
 PLACES = 9
 """Along the width, ends included."""
-ANGLES = np.radians([-60.0, -30.0, 0.0, 30.0, 60.0])
+ANGLES = np.radians(np.arange(-60.0, 61.0, 15.0))
 """From a face's inward normal."""
 LENGTHS = 41
-WIDTH = 0.35
+WIDTH = 0.5
 """h of equation 4, over the spacing of places and of angles."""
-VERSION = 1
+VERSION = 2
 """Of what is in a file."""
 
 
@@ -74,13 +75,48 @@ def mirrored(places: np.ndarray, angles: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def grid_of(kind: SoftObject) -> tuple[np.ndarray, np.ndarray]:
-    """Places [K, 2] and angles [K] of a block's presses: on its front, and on its two ends."""
+    """Places [K, 2] and angles [K] of a block's presses: on its front, and on its two ends.
+
+    Of those that are each other's mirror images one is named.
+    """
     width, thickness = kind.size[:2]
     front = [[x, -thickness / 2] for x in np.linspace(-width / 2, width / 2, PLACES)]
     ends = [([-width / 2, 0.0], 0.0), ([width / 2, 0.0], np.pi)]
     found = [(place, np.pi / 2 + angle) for place in front for angle in ANGLES]
     found += [(place, inward + angle) for place, inward in ends for angle in ANGLES]
-    return np.array([place for place, _ in found]), np.array([angle for _, angle in found])
+    kept: dict[tuple[float, ...], tuple[list[float], float]] = {}
+    for place, angle in found:
+        images = {_key(*image) for image in _images(kind, np.array(place), angle)}
+        if not images & kept.keys():
+            kept[_key(np.array(place), angle)] = (place, angle)
+    return np.array([place for place, _ in kept.values()]), np.array([angle for _, angle in kept.values()])
+
+
+def completed(
+    kind: SoftObject, places: np.ndarray, angles: np.ndarray, work: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Presses with their mirror images that are touched in front or at an end, each once; shapes [K, 2], [K], [K, L]."""
+    found: dict[tuple[float, ...], tuple[np.ndarray, float, np.ndarray]] = {}
+    for place, angle, each in zip(places, angles, work, strict=True):
+        for there, way in _images(kind, place, angle):
+            if there[1] <= 0:
+                found.setdefault(_key(there, way), (there, way, each))
+    there, ways, each = zip(*found.values(), strict=True)
+    return np.array(there), np.array(ways), np.array(each)
+
+
+def _images(kind: SoftObject, place: np.ndarray, angle: float) -> list[tuple[np.ndarray, float]]:
+    """A press and those that cost the same on a block: seen from behind, and mirrored left to right."""
+    found = [(place, angle), (place * [1, -1], -angle)]
+    if ("left" in kind.held) == ("right" in kind.held):
+        found += [(there * [-1, 1], np.pi - way) for there, way in found]
+    return found
+
+
+def _key(place: np.ndarray, angle: float) -> tuple[float, ...]:
+    """The same for presses that differ by rounding."""
+    numbers = [*(place + 0.0), np.cos(angle), np.sin(angle)]
+    return tuple(round(float(number), 9) + 0.0 for number in numbers)
 
 
 def digest(kind: SoftObject, radius: float) -> str:
@@ -114,8 +150,10 @@ def open_table(
     for row, (place, angle) in enumerate(zip(places, angles, strict=True)):
         work[row] = simulate_press(kind, radius, place, float(angle)).work_at(lengths)
         told(row + 1, len(places))
+    simulated = len(places)
+    places, angles, work = completed(kind, places, angles, work)
     table = CostTable(places, angles, lengths, work, kind.size[0] / (PLACES - 1))
     cache.mkdir(parents=True, exist_ok=True)
     with replacing_own(path) as partial, partial.open("wb") as file:
         np.savez(file, places=places, angles=angles, lengths=lengths, work=work, spacing=table.spacing)
-    return table, len(places)
+    return table, simulated

@@ -32,6 +32,10 @@ FARTHEST_STEP = 10.0
 """Factor by which a step changes E at most."""
 CRUSHED = 0.3
 """Of the body's size: a start that the linear law would displace farther is made stiffer first."""
+MOST_ALIGNED = 2000
+"""Points that are aligned by ICP; the fit refines their pose by all."""
+STEP = 1e-3
+"""Of log E or ν, below which the numeric descent tries none."""
 OUTLIER = 3.0
 """Distances beyond this many standard deviations count by their size, not its square (Huber 1964)."""
 
@@ -116,7 +120,7 @@ class _Bench:
         self.forces = [skin.pressed(each.contact, each.tool_radius, each.force) for each in palpations]
         self.solves = 0
         # By ICP with the surface at rest, of which the deformed part is what fits worst.
-        self.poses = [register(each.points, skin.vertices, skin.triangles, each.pose) for each in palpations]
+        self.poses = [register(thinned(each.points), skin.vertices, skin.triangles, each.pose) for each in palpations]
         apart = [
             np.abs(Match.of(placed(pose, each.points), skin.vertices, skin.triangles).distance)
             for pose, each in zip(self.poses, palpations, strict=True)
@@ -318,6 +322,11 @@ class _System:
         return sign @ found @ sign
 
 
+def thinned(points: np.ndarray) -> np.ndarray:
+    """At most MOST_ALIGNED of some points [P, 3], evenly: a pose needs no more."""
+    return points[:: -(-len(points) // MOST_ALIGNED)]
+
+
 def surface_error(skin: Skin, rest: Equilibrium, palpation: Palpation, pose: np.ndarray) -> np.ndarray:
     """Squared distance of every point from the simulated surface, not a number where the hole masks it, shape [P] [m²].
 
@@ -339,7 +348,8 @@ def descend(
     """Frank 2010, algorithm 1: gradient descent on (log E, ν), its gradient by forward differences.
 
     The step is halved until the error falls and doubled afterwards; E in logarithms, because in pascals no step suits
-    both. It ends where a step changes the error by less than a thousandth, or at `most` simulations.
+    both. It ends where no step of STEP or more lowers the error, or at `most` simulations: close to its least value the
+    error is the sensor's noise, of which a step that matters for E changes hardly anything.
 
     Args: see `fit_material`.
     """
@@ -356,7 +366,7 @@ def descend(
         total, aligned = 0.0, []
         for which, (rest, each) in enumerate(zip(rests, palpations, strict=True)):
             vertices = skin.moved(rest.displacement)
-            aligned.append(register(each.points, vertices, skin.triangles, poses[which], kept=0.95))
+            aligned.append(register(thinned(each.points), vertices, skin.triangles, poses[which], kept=0.95))
             total += float(np.nanmean(surface_error(skin, rest, each, aligned[-1])))
         return total, rests, aligned
 
@@ -367,7 +377,7 @@ def descend(
             raise NoEquilibrium("the body bears the forces at no stiffness that was tried; give a stiffer start.")
         values[0] += np.log(4)
         error, rests, aligned = simulated(values)
-    length, steps = 0.5, 0
+    length, steps = 1.0, 0
     while bench.solves < most:
         steps += 1
         starts, poses = [rest.displacement for rest in rests], aligned
@@ -376,7 +386,7 @@ def descend(
         gradient[~np.isfinite(gradient)] = 0.0  # where nothing rests there is nothing to learn
         direction = -gradient / max(float(np.abs(gradient).max()), 1e-300)
         fell = False
-        while bench.solves < most and length > 1e-4:
+        while bench.solves < most and length > STEP:
             aim = values + length * direction
             aim[1] = np.clip(aim[1], *POISSON)
             found = simulated(aim)
@@ -386,11 +396,8 @@ def descend(
             length /= 2
         if not fell:
             break
-        gained = 1 - found[0] / error
         (error, rests, aligned), values, length = found, aim, 2 * length
         told(f"step {steps}: E {np.exp(values[0]):.4g} Pa, ν {values[1]:.3f}, {bench.solves} solves")
-        if gained < 1e-3:
-            break
     nothing = np.full((2, 2), np.nan)
     noise = float(np.sqrt(error / len(palpations)))
     return MaterialFit(

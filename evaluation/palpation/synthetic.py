@@ -114,11 +114,12 @@ def press(
 
 
 def observe(
-    skin: Skin, rest: Equilibrium, force: np.ndarray, contact: np.ndarray, sensor: str, seed: int, count: int = 1500
+    skin: Skin, rest: Equilibrium, force: np.ndarray, contact: np.ndarray, sensor: str, seed: int, count: int = 20_000
 ) -> Palpation:
     """What a sensor beside the tool sees: points that face it, off by its noise, and its pose as it is believed.
 
-    The tool hides what is within its radius of the contact.
+    The tool hides what is within its radius of the contact. A depth picture of 640 × 480 shows a body of 10 cm at 30 cm
+    in about 20,000 points.
     """
     chance = np.random.default_rng(seed)
     vertices = skin.moved(rest.displacement)

@@ -91,7 +91,7 @@ def mesh_surface(
             raise NoBody(f"all of the surface lies below the floor at {floor[1]:g} m; give a lower one, or more cells.")
         low[floor[0]] = floor[1]
     origin, sides, shape = _grid(low, high, spacing)
-    centres = origin + sides * (np.moveaxis(np.indices(shape), 0, -1) + 0.5)
+    centres = origin + sides * (np.moveaxis(np.indices(tuple(shape)), 0, -1) + 0.5)
     samples = int(np.clip(np.ceil(2 * np.sqrt(area.max()) / spacing), 1, MOST_SAMPLES))
     if thickness is None:
         inside = _enclosed(corners, centres)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from estimators.palpation import FitSettings, Palpation, Skin, fit_material
-from estimators.palpation.material_fit import descend
+from estimators.palpation.material_fit import MOST_ALIGNED, descend, thinned
 from evaluation.palpation.synthetic import BODIES, observe, press
 
 BODY = dataclasses.replace(BODIES["slab"], size=0.08)
@@ -39,11 +39,27 @@ def test_errors_of_the_model_widen_the_intervals(slab: tuple[Skin, np.ndarray, P
     assert sds[1] > 1.2 * sds[0]
 
 
+def test_noise_at_sharp_edges_does_not_look_like_a_dent(slab: tuple[Skin, np.ndarray, Palpation]) -> None:
+    """Of five draws of a millimetre the mean modulus is off by less than the spread of one; with the edges by twice."""
+    skin, held, _ = slab
+    truth = press(BODY, 1e4, 0.42, 1.0, (0.1, 0.5), 4, law="corotational")
+    found = [fit_material(skin, held, [observe(*truth, "time of flight", i, count=4000)]) for i in range(5)]
+    off = np.log([fit.young / 1e4 for fit in found])
+    assert abs(off.mean()) < found[0].young_sd
+    assert np.abs(off).max() < 3 * found[0].young_sd
+
+
+def test_a_pose_is_found_by_a_part_of_the_points() -> None:
+    points = np.arange(3.0 * (5 * MOST_ALIGNED + 1)).reshape(-1, 3)
+    assert 0.8 * MOST_ALIGNED <= len(thinned(points)) <= MOST_ALIGNED
+    np.testing.assert_array_equal(thinned(points[:7]), points[:7])
+
+
 @pytest.mark.slow
 def test_the_paper_s_descent_goes_the_same_way_with_more_solves(slab: tuple[Skin, np.ndarray, Palpation]) -> None:
     skin, held, seen = slab
     exact = fit_material(skin, held, [seen], FitSettings(young=2e4))
     numeric = descend(skin, held, [seen], FitSettings(young=2e4), most=120)
     assert abs(numeric.young / exact.young - 1) < 0.25
-    assert numeric.solves > 2 * exact.solves
+    assert numeric.solves > 5 * exact.solves
     assert np.isnan(numeric.covariance).all()

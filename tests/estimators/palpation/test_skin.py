@@ -28,6 +28,31 @@ def test_displacements_of_the_elements_own_degree_are_exact(order: int) -> None:
     assert skin.areas.sum() == pytest.approx(6)
 
 
+def test_places_know_how_far_sharp_edges_and_rims_are() -> None:
+    skin = cover(make_solid(*box((1.0, 1.0, 1.0), (1, 1, 1))), *surface(5))
+    places = np.array([[0.5, 0.5, 1.0], [0.5, 0.93, 1.0], [1.0, 0.5, 0.2], [0.0, 0.0, 0.0]])
+    np.testing.assert_allclose(skin.from_creases(places), [0.5, 0.07, 0.2, 0], atol=0.02)
+    corners, triangles = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]]), np.array([[0, 1, 2], [0, 2, 3]])
+    sheet = cover(skin.body, corners, triangles)
+    assert sheet.from_creases(np.array([[0.5, 0.5, 0.0]])) == pytest.approx(0.5, abs=0.02)  # not the diagonal
+    turn = np.linspace(0, 2 * np.pi, 40, endpoint=False)
+    ring = np.column_stack([np.cos(turn), np.sin(turn), 0 * turn])
+    tube = np.concatenate([ring, ring + np.array([0, 0, 1])])
+    around = np.arange(40), (np.arange(40) + 1) % 40
+    one, two = around
+    walls = np.column_stack([one, two, two + 40]), np.column_stack([one, two + 40, one + 40])
+    round_body = cover(skin.body, tube, np.concatenate(walls))
+    assert round_body.from_creases(np.array([[1.0, 0, 0.4]])) == pytest.approx(0.4, abs=0.1)  # its rims alone
+
+
+def test_held_vertices_stand_still_whatever_the_elements_do() -> None:
+    vertices, triangles = surface(4)
+    body = make_solid(*box((1.0, 1.0, 1.0), (2, 2, 2)))
+    skin = cover(body, vertices, triangles, vertices[:, 2] <= 0.25)
+    moved = skin.moved(np.ones_like(body.rest)) - vertices
+    np.testing.assert_allclose(moved, np.repeat(vertices[:, 2:] > 0.25, 3, axis=1), atol=1e-12)
+
+
 def test_a_press_keeps_its_force_and_its_moment() -> None:
     skin = cover(make_solid(*box((1.0, 1.0, 1.0), (2, 2, 2)), order=2), *surface(10))
     place, force = np.array([0.5, 0.5, 1.0]), np.array([1.0, 2.0, -3.0])

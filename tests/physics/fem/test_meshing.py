@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from physics.fem import box
 from physics.fem.meshing import WORST, Meshed, NoBody, mesh_surface
 from physics.fem.solid import make_solid, qualities
 
@@ -45,6 +46,38 @@ def volume(found: Meshed) -> float:
 
 
 SPHERE = 4 / 3 * np.pi
+
+
+def block(lengths: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """The surface of a block."""
+    outer = make_solid(*box(lengths, (3, 3, 3)))
+    used, which = np.unique(outer.faces, return_inverse=True)
+    return outer.rest[used], which.reshape(-1, 3)
+
+
+@pytest.mark.parametrize("lengths", [(1.0, 1.0, 1.0), (1.0, 0.73, 0.31), (0.4, 1.0, 0.15)])
+def test_flat_faces_along_the_axes_lose_and_gain_nothing(lengths: tuple[float, float, float]) -> None:
+    for cells in (3, 4):
+        found = mesh_surface(*block(lengths), cells=cells)
+        np.testing.assert_allclose(np.ptp(found.nodes, axis=0), lengths, rtol=1e-6)
+        assert volume(found) == pytest.approx(np.prod(lengths), rel=1e-6)
+        assert found.off < 1e-6
+
+
+def test_a_floor_cuts_the_body_at_its_height_whatever_the_cells() -> None:
+    """Nodes lie on the plane, and what is above it is filled."""
+    vertices, triangles = globe()
+    for cells in (5, 6):
+        found = mesh_surface(vertices, triangles, cells=cells, floor=(2, -0.37))
+        assert found.nodes[:, 2].min() == pytest.approx(-0.37)
+        on_it = np.isclose(found.nodes[:, 2], -0.37)
+        assert np.linalg.norm(found.nodes[on_it, :2], axis=1).max() == pytest.approx(np.sqrt(1 - 0.37**2), rel=0.06)
+        cap = np.pi * 0.63**2 * (3 - 0.63) / 3
+        assert volume(found) == pytest.approx(SPHERE - cap, rel=0.08)
+    whole, low = (mesh_surface(vertices, triangles, cells=5, floor=floor) for floor in (None, (2, -7.0)))
+    np.testing.assert_array_equal(whole.nodes, low.nodes)
+    with pytest.raises(NoBody, match="all of the surface lies below the floor"):
+        mesh_surface(vertices, triangles, cells=5, floor=(2, 1.5))
 
 
 @pytest.mark.slow

@@ -95,7 +95,11 @@ def grid_of(kind: SoftObject) -> tuple[np.ndarray, np.ndarray]:
 def completed(
     kind: SoftObject, places: np.ndarray, angles: np.ndarray, work: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Presses with their mirror images that are touched in front or at an end, each once; shapes [K, 2], [K], [K, L]."""
+    """Presses with their mirror images that are touched in front or at an end, each once.
+
+    Returns:
+        places, angles and work, shapes [K, 2], [K] and [K, L].
+    """
     found: dict[tuple[float, ...], tuple[np.ndarray, float, np.ndarray]] = {}
     for place, angle, each in zip(places, angles, work, strict=True):
         for there, way in _images(kind, place, angle):

@@ -21,6 +21,7 @@ import calibrate
 import infer
 import plan
 import train
+from benchmarks import newtons
 from data.clip import prepare
 from data.depth.photometric import write_photometric
 from data.source.layout import InputError
@@ -30,6 +31,7 @@ from estimators.palpation.curves import Grasp
 from evaluation import terms
 from evaluation.foreign import __main__ as foreign
 from evaluation.palpation import __main__ as palpation
+from evaluation.palpation import frank
 from evaluation.real import __main__ as real
 from evaluation.recovery import figures
 from evaluation.recovery.output import write_results
@@ -61,6 +63,8 @@ PLACES = {
     "judge_press": ("table.csv", "report.html", "figures/1.png", "figures/notes.txt"),
     "judge_foreign": ("table.csv", "notes.txt"),
     "judge_palpation": ("table.csv", "notes.txt"),
+    "judge_frank": ("table.csv", "error_mask.png", "six_forces.png", "notes.txt"),
+    "judge_newtons": ("table.csv", "calibration.yaml", "results/notes.txt"),
     "calibrate_curves": ("curves.csv", "notes.txt"),
     "calibrate_palpation": ("calibration.json", "errors.csv", "notes.txt"),
     "plan_way": ("plan.json", "plan.png", "presses/notes.txt"),
@@ -109,6 +113,13 @@ def quick(monkeypatch: pytest.MonkeyPatch, blank_pictures: None) -> None:
     patch(real, "_pressed", lambda folder, wrench, measures: measures.update({"frames": 1}) or os.urandom(8))
     patch(foreign, "judge_pull", lambda path: {"frames": random.random()})
     patch(palpation, "read_grasp", lambda path: Grasp(np.linspace(0, 9, 19), random.random() - np.arange(19)))
+    patch(frank, "_truth", lambda *arguments: ())
+    patch(frank, "observe", lambda *arguments: None)
+    patch(frank, "_starts", lambda label, skin, held, seen, table: table.add(label, {"E": random.random()}))
+    patch(frank, "_paper", lambda *arguments: {name: os.urandom(8) for name in frank.FIGURES})
+    truths = {str(number): newtons.Truth(Path(str(number)), 1 + random.random(), 0.5) for number in range(3)}
+    patch(newtons, "read_truths", lambda folder: truths)
+    patch(newtons.infer, "main", newtons_of(infer.main))
     patch(cost_table, "simulate_press", quick_press)
     patch(plan, "simulate_press", quick_press)
     settings = SimpleNamespace(law="corotational")
@@ -135,6 +146,11 @@ def quick(monkeypatch: pytest.MonkeyPatch, blank_pictures: None) -> None:
         return subprocess.CompletedProcess(command, 0, "", "")
 
     patch(terms.subprocess, "run", training)
+
+
+def newtons_of(door: Callable[[list[str]], int]) -> Callable[[list[str]], int]:
+    """The door of inference, that has nothing to do where it is given a known force."""
+    return lambda arguments: 0 if "--calibration" in arguments else door(arguments)
 
 
 def quick_material() -> SimpleNamespace:
@@ -169,6 +185,13 @@ def runs_of(inputs: Path) -> dict[str, Run]:
     def judge_palpation(chance: random.Random, out: Path) -> object:
         return palpation.main(["--data", str(inputs / "forces"), "--output", str(out)])
 
+    def judge_frank(chance: random.Random, out: Path) -> object:
+        return frank.main(["--quick", "--output", str(out)])
+
+    def judge_newtons(chance: random.Random, out: Path) -> object:
+        known = ["--known", chance.choice("012")]
+        return newtons.main(["--clips", str(inputs), *known, "--output", str(out)])
+
     def calibrate_curves(chance: random.Random, out: Path) -> object:
         size = ["--indenter", "sphere", "--size", str(1 + chance.random())]
         return calibrate.main(["curves", str(inputs / "probes.csv"), *size, "--output", str(out)])
@@ -197,7 +220,7 @@ def runs_of(inputs: Path) -> dict[str, Run]:
         return prepare(inputs / "tiny", SETTINGS, out)
 
     every = (draw, estimate, judge_press, judge_foreign, judge_palpation, benchmark, train_network, train_row)
-    measured = (calibrate_curves, calibrate_palpation, plan_way)
+    measured = (judge_frank, judge_newtons, calibrate_curves, calibrate_palpation, plan_way)
     return {run.__name__: run for run in (*every, *measured, write_depth, keep_prepared)}
 
 

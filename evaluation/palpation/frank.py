@@ -1,6 +1,6 @@
 """The experiments of Frank 2010 (section VIII-A) on palpations with known truth.
 
-    python -m evaluation.palpation.frank --output OUT [--quick]
+    python -m evaluation.palpation.frank --output OUT [--body ball|slab] [--quick]
 
 A ball and a slab of neo-Hookean tissue on a finer mesh are pressed and seen from one side by two sensors; E and ν are
 fitted by the co-rotational law, from starts a factor of thirty off, by Gauss–Newton and by the paper's numeric descent.
@@ -60,6 +60,8 @@ def build_parser() -> argparse.ArgumentParser:
         epilog="Exit status: 0 done; 1 the results could not be written; 2 wrong usage; 130 interrupted.",
     )
     parser.add_argument("--output", type=path_option, required=True, metavar="OUT", help="folder of the results")
+    text = "that alone, without the figures where it is the slab (default: both)"
+    parser.add_argument("--body", choices=tuple(BODIES), help=text)
     parser.add_argument("--quick", action="store_true", help="one body, one sensor, coarse: to see that it works")
     return parser
 
@@ -72,7 +74,7 @@ def main(arguments: list[str] | None = None) -> int:
         with writing(options.output):
             require_own(*(options.output / name for name in FIGURES))
         table = FileTable(options.output, console)
-        for name in ("slab",) if options.quick else BODIES:
+        for name in ("slab",) if options.quick else (options.body,) if options.body else BODIES:
             coarse = options.quick
             truths = [_truth(name, FORCES[name], place, coarse) for place in PLACES[: 1 if coarse else None]]
             skin, held = BODIES[name].skin(4 if coarse else CELLS[name], BODIES[name].size / 24)
@@ -80,8 +82,9 @@ def main(arguments: list[str] | None = None) -> int:
                 seen = [observe(*truth, sensor, number) for number, truth in enumerate(truths)]
                 _starts(f"{name}, {sensor}", skin, held, seen, table)
                 say(console, f"{name}, {sensor}: fitted")
-        name = "slab" if options.quick else "ball"
-        _write(options.output, _paper(BODIES[name], name, options.quick, table))
+        if options.quick or options.body != "slab":
+            name = "slab" if options.quick else "ball"
+            _write(options.output, _paper(BODIES[name], name, options.quick, table))
     except OutputError as error:
         say(console, str(error), "red")
         return 1

@@ -39,6 +39,7 @@ def test_errors_of_the_model_widen_the_intervals(slab: tuple[Skin, np.ndarray, P
     assert sds[1] > 1.2 * sds[0]
 
 
+@pytest.mark.slow
 def test_noise_at_sharp_edges_does_not_look_like_a_dent(slab: tuple[Skin, np.ndarray, Palpation]) -> None:
     """Of five draws of a millimetre the mean modulus is off by less than the spread of one; with the edges by twice."""
     skin, held, _ = slab

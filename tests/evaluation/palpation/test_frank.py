@@ -48,6 +48,7 @@ def test_fits_from_either_side_are_told_by_their_errors(tmp_path: Path, monkeypa
         assert found[label, "equilibria a palpation"] == 3
 
 
+@pytest.mark.slow
 def test_the_error_surface_is_lowest_at_the_truth() -> None:
     truth = press(BODY, YOUNG, POISSON, 1.0, (0.1, 0.5), 4, law="corotational")
     skin, held = BODY.skin(4, BODY.size / 20)

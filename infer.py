@@ -61,8 +61,14 @@ def _parser() -> argparse.ArgumentParser:
         "instrument drives, frame by frame (default: what --model is for, else network)"
     )
     add("--estimator", choices=NAMES, help=text)
-    text = "file from train.py export (default: the network that comes along)"
-    add("--model", type=path_option, metavar="FILE", help=text)
+    text = (
+        "file from train.py export (default: the network that comes along); of direct, which needs no file: fem fits a "
+        "slab of finite elements instead of a sheet of springs; stiffness is then Young's modulus"
+    )
+    add("--model", type=path_option, metavar="FILE|fem", help=text)
+    thickness = real_number("a thickness; give a positive length", 1e-6)
+    text = "of --model fem: how thick the tissue is [scene units: depth over the clip's one scale]"
+    add("--thickness", type=thickness, metavar="X", help=text)
     text = "YAML file of online (default: as configs/online.yaml, which says what they mean)"
     add("--settings", type=path_option, metavar="FILE", help=text)
     text = (

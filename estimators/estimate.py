@@ -82,6 +82,8 @@ class Estimate:
     view_angle: float | None = None
     """Angle between the contact's direction and the line of sight [degrees] (see estimators.oblique); None = not
     known."""
+    refuted: str = ""
+    """Sentence on another model that explains the motion better; empty where none is known."""
 
     @property
     def log_sd(self) -> np.ndarray:
@@ -123,7 +125,7 @@ class Estimate:
     @property
     def explained(self) -> bool:
         """Whether the model explains the motion."""
-        return not self.misfit > self.largest_misfit
+        return not self.misfit > self.largest_misfit and not self.refuted
 
     def widened(self, added: np.ndarray) -> Estimate:
         """The same with a covariance [3, 3] added to its own, and to that of its verdict."""

@@ -18,6 +18,9 @@ from models.onnx_session import SHIPPED, ModelFileError, PosteriorModel, open_mo
 OF_THETA = ("network", "gan", "direct")
 """Those that tell stiffness, damping and force of a press."""
 NAMES = (*OF_THETA, "online")
+SHEET, FEM = "sheet", "fem"
+MODELS = (SHEET, FEM)
+"""What `direct` fits: a sheet of springs, or a slab of finite elements."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +30,8 @@ class EstimatorOptions:
     name: str | None = None
     """One of NAMES; None = what the model's file is for, and without one `network`."""
     model: Path | None = None
-    """ONNX file that `train.py export` or `evaluation.calibration` wrote; None = the one that comes along."""
+    """ONNX file that `train.py export` or `evaluation.calibration` wrote; None = the one that comes along. Of `direct`
+    the name of what it fits, one of MODELS; None = the sheet."""
     onset: str | None = None
     """When a press begins, one of `estimators.onset.ONSETS`; None = between frames, as in real videos."""
     observation: str | None = None
@@ -40,6 +44,8 @@ class EstimatorOptions:
     """YAML file of `online`, as `configs/online.yaml`; None = its defaults, which are the same."""
     threads: int | None = None
     """CPU threads of a model; None leaves the choice to ONNX Runtime."""
+    thickness: float | None = None
+    """Of the tissue, for `direct` with the model FEM [scene units]."""
 
 
 def open_estimator(options: EstimatorOptions) -> Estimator:
@@ -55,9 +61,9 @@ def open_estimator(options: EstimatorOptions) -> Estimator:
         raise ValueError(f"--settings {options.settings} is for --estimator online; leave it out.")
     seen = options.observation or FIELD
     if options.name == "direct":
-        if options.model is not None:
-            raise ValueError(f"--estimator direct needs no network; leave --model {options.model} out.")
-        return DirectEstimator(options.onset or BETWEEN, seen, options.horizon, options.noise)
+        return _open_direct(options, seen)
+    if options.thickness is not None:
+        raise ValueError("--thickness is for --estimator direct --model fem; leave it out.")
     if options.noise is not None:
         raise ValueError("--noise is for --estimator direct; leave it out.")
     if options.name == "gan" and options.model is None:
@@ -77,8 +83,25 @@ def open_estimator(options: EstimatorOptions) -> Estimator:
     return GanEstimator(model)
 
 
+def _open_direct(options: EstimatorOptions, seen: str) -> DirectEstimator:
+    model = SHEET if options.model is None else str(options.model)
+    if model not in MODELS:
+        raise ValueError(f"--estimator direct needs no network; give --model fem, or leave --model {model} out.")
+    if model == FEM and options.thickness is None:
+        raise ValueError("--model fem must be told how thick the tissue is; give --thickness in scene units.")
+    if model == SHEET and options.thickness is not None:
+        raise ValueError("--thickness is for --model fem; a sheet has none, so leave it out.")
+    return DirectEstimator(
+        options.onset or BETWEEN,
+        seen,
+        options.horizon,
+        options.noise,
+        thickness=options.thickness,
+    )
+
+
 def _open_online(options: EstimatorOptions) -> OnlineEstimator:
-    for name in ("model", "onset", "observation", "noise", "horizon"):
+    for name in ("model", "thickness", "onset", "observation", "noise", "horizon"):
         if getattr(options, name) is not None:
             raise ValueError(f"--{name} is not for --estimator online; leave it out.")
     return OnlineEstimator(OnlineSettings() if options.settings is None else load_settings(options.settings))

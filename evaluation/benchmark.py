@@ -23,16 +23,17 @@ if __name__ == "__main__":
 import argparse
 import itertools
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
 from data.command_line import path_option, progress_bars, real_number, say, whole_number
-from data.contact.interaction import FIELD, OBSERVATIONS, PRESS
+from data.contact.interaction import CONTACT, FIELD, OBSERVATIONS, PRESS
 from data.depth.normalise import MOST_THREADS
 from estimators.direct.estimator import LEAST_SIGMA
 from estimators.onset import ONSETS, STAMP
-from estimators.open import EstimatorOptions
+from estimators.open import FEM, MODELS, SHEET, EstimatorOptions
 from estimators.worker_pool import WorkerLost, run_tasks
 from evaluation.recovery.constant import constant_estimate
 from evaluation.recovery.estimators import CONSTANT, NAMES, Candidate, describe
@@ -82,6 +83,11 @@ def build_parser() -> argparse.ArgumentParser:
     add("--estimator", **several, choices=NAMES, metavar="NAME", help=f"{', '.join(NAMES)} (default direct)")
     add("--model", type=path_option, metavar="FILE", help="ONNX file of the estimator network")
     add("--gan-model", type=path_option, metavar="FILE", help="ONNX file of the estimator gan: one estimate a frame")
+    text = (
+        "what direct fits to presses (default %(default)s): fem is a slab of finite elements that is told the "
+        "tissue's thickness, for the suite fem alone"
+    )
+    add("--direct-model", choices=MODELS, default=SHEET, help=text)
     noise = real_number(f"a noise above the simulator's own error; give {LEAST_SIGMA:g} or more", LEAST_SIGMA)
     add("--noise", type=noise, metavar="SIGMA", help="σ that direct is told [scene units] (default: the clip's own)")
     text = "clips of each suite, a third a regime (default %(default)s)"
@@ -140,6 +146,13 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
         )
     if options.seen is not None and "gan" in options.estimator:
         parser.error("--seen is of no use to gan, which sees single frames; leave one of the two out.")
+    if options.direct_model == FEM and (options.suite or options.grips or "direct" not in options.estimator):
+        parser.error(
+            "--direct-model fem is for --suite fem --estimator direct, whose clips tell the thickness; leave other "
+            "suites out."
+        )
+    if options.direct_model == FEM and options.observation == CONTACT:
+        parser.error("--direct-model fem is fitted to all visible tissue; leave --observation contact out.")
     options.models = {"network": options.model, "gan": options.gan_model}
     for (name, given), option in zip(options.models.items(), ("--model", "--gan-model"), strict=True):
         if name in options.estimator and given is None:
@@ -154,7 +167,7 @@ def estimators_of(options: argparse.Namespace) -> dict[str, EstimatorOptions]:
     return {
         name: EstimatorOptions(
             name,
-            model=options.models.get(name),
+            model=Path(options.direct_model) if name == "direct" else options.models.get(name),
             onset=None if name == "gan" else options.onset,
             noise=options.noise if name == "direct" else None,
             observation=None if name == "gan" else options.observation,
@@ -210,9 +223,7 @@ def run_slabs(options: argparse.Namespace, console: Console) -> int:
     tasks, total = [], options.clips * len(options.slabs)
     for index, suite in itertools.product(range(options.clips), options.slabs):
         left = {
-            name: estimators[name]
-            for name in asked(suite, index, [*estimators])
-            if (suite, index, name) not in store.done
+            name: estimators[name] for name in asked(suite, index, estimators) if (suite, index, name) not in store.done
         }
         if left:
             tasks.append(SlabTask(suite, index, suite_clip_seed(options.split, options.seed, index), left))

@@ -98,6 +98,7 @@ class Batch:
                 options.noise,
                 settings=options.settings,
                 threads=options.threads or None,
+                thickness=options.thickness,
             )
         )
         if options.smoothing is not None and self.estimator.name not in ("direct", "online"):

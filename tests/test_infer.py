@@ -513,7 +513,10 @@ def test_wrong_usage(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     (tmp_path / "empty").mkdir()
     for options, told in (
         (["--depth", "nonsense"], "infer.py: 'nonsense' is no depth preset"),
-        (["--model", "parameters.onnx"], "--estimator direct needs no network; leave --model parameters.onnx out."),
+        (
+            ["--model", "parameters.onnx"],
+            "--estimator direct needs no network; give --model fem, or leave --model parameters.onnx out.",
+        ),
     ):
         assert direct(tmp_path / "empty", tmp_path / "out", *options) == 2
         assert told in flat(capsys.readouterr().err)
@@ -525,7 +528,7 @@ def test_wrong_usage(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
         assert infer.main([str(tmp_path / "empty"), "--output", str(tmp_path / "out"), *options]) == 2
         assert told in flat(capsys.readouterr().err)
     assert not (tmp_path / "out").exists()
-    for options in (["--noise", "0"], ["--noise", "much"], ["--smoothing", "-1"], ["--smoothing", "inf"]):
+    for options in (["--noise", "0"], ["--noise", "much"], ["--smoothing", "-1"], ["--thickness", "0"]):
         with pytest.raises(SystemExit) as ended:
             direct(tmp_path, tmp_path / "out", *options)
         assert ended.value.code == 2

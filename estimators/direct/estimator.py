@@ -6,6 +6,8 @@ explains the film of a dent best (`estimators.direct.field`), as a step on a ver
 (`estimators.direct.problem`), in φ = (log k_s, log k_d, log |F|) and, where the instants are not known, in the delays
 of the press (`estimators.direct.motion`). Around these optima the posterior is sampled (`estimators.direct.sampling`),
 with a uniform prior on the box of these: mean and covariance of φ are the estimate.
+
+Where the tissue's thickness is given a slab of finite elements takes the sheet's place (`estimators.direct.slab_fit`).
 """
 
 from __future__ import annotations
@@ -24,6 +26,8 @@ from estimators.contract import Chosen, ClipInfo, Said
 from estimators.direct.contact_fit import fit_contact
 from estimators.direct.field_fit import fit_press
 from estimators.direct.problem import ContactProblem
+from estimators.direct.slab_fit import fit_slab
+from estimators.direct.slab_motion import DENSITY, LAW, POISSON, SLAB_BOUNDS
 from estimators.estimate import Estimate, NoEstimate
 from estimators.oblique import remark
 from estimators.onset import onset_error
@@ -53,10 +57,12 @@ class DirectEstimator:
         horizon: how much of a contact is looked at.
         noise: σ of every observed coordinate [scene units], at least LEAST_SIGMA; None = the clip's own depth noise.
         mechanics: integrator of the fitted model.
-        bounds: admissible box, in which the prior is uniform; F presses.
+        bounds: admissible box, in which the prior is uniform; F presses. None = RECOMMENDED, of a slab SLAB_BOUNDS.
+        thickness: of a slab of finite elements that is fitted instead of a sheet [scene units]; None = a sheet.
 
     Raises:
-        ValueError: a noise that is too small or not finite, or a box that reaches 0.
+        ValueError: a noise that is too small or not finite, a box that reaches 0, a thickness that is not positive, a
+            slab for a single followed point.
     """
 
     name = "direct"
@@ -68,15 +74,24 @@ class DirectEstimator:
         horizon: Horizon = None,
         noise: float | None = None,
         mechanics: Mechanics = FITTED,
-        bounds: Bounds = RECOMMENDED,
+        bounds: Bounds | None = None,
+        thickness: float | None = None,
     ) -> None:
         if noise is not None and not LEAST_SIGMA <= noise < math.inf:
             raise ValueError(f"noise is {noise}; give a length of {LEAST_SIGMA:g} or more, or leave it out.")
         if observation not in OBSERVATIONS:
             raise ValueError(f"observation is {observation!r}; choose {' or '.join(OBSERVATIONS)}.")
+        if thickness is not None and not 0 < thickness < math.inf:
+            raise ValueError(f"thickness is {thickness}; give a positive length in scene units.")
+        if thickness is not None and observation != FIELD:
+            raise ValueError("a slab is fitted to all visible tissue; leave --observation contact out.")
+        if bounds is None:
+            bounds = RECOMMENDED if thickness is None else SLAB_BOUNDS
         self.onset, self.observation, self.horizon = onset, observation, horizon
-        self.noise, self.mechanics, self.bounds = noise, mechanics, bounds
+        self.noise, self.mechanics, self.bounds, self.thickness = noise, mechanics, bounds, thickness
         model = {"mechanics": dataclasses.asdict(mechanics), "bounds": dataclasses.asdict(bounds)}
+        if thickness is not None:
+            model |= {"slab": {"thickness": thickness, "law": LAW, "poisson": POISSON, "density": DENSITY}}
         seen = {"onset": onset, "observation": observation, "horizon": horizon}
         self.described = {"name": self.name, **seen, "noise": noise, **model}
         """All that the fits depend on beside the clip."""
@@ -109,8 +124,8 @@ class DirectSession(RunSession):
     def _follows(self, run: Run) -> bool:
         return True
 
-    def fit(self, contact: Interaction) -> Estimate:
-        """Fit θ to one contact.
+    def fit(self, contact: Interaction) -> tuple[Estimate, tuple[np.ndarray, np.ndarray]]:
+        """Fit θ to one contact; gives the estimate and the simulated motion, as of `simulated_motion`.
 
         By the film of its dent where there is one and it is asked for; then the press may be of any shape, too. Where
         the beginning of the press isn't known its delay is fitted as well, and the information is what there would be
@@ -129,18 +144,25 @@ class DirectSession(RunSession):
                 f"The contact was followed over {count} frames after its onset; {LEAST_OBSERVATIONS} are needed."
             )
         film = contact.film
-        if estimator.observation == FIELD and film is not None and len(film.times) >= LEAST_OBSERVATIONS:
-            return fit_press(contact, self.mechanics, self._within, estimator.noise, estimator.log_box)
-        problem = ContactProblem(contact, self.mechanics, noise, self._within)
-        return fit_contact(problem, problem.motion.box(estimator.log_box))
+        filmed = film is not None and len(film.times) >= LEAST_OBSERVATIONS
+        if estimator.thickness is not None:
+            if not filmed:
+                raise NoEstimate("A slab needs the depth around the contact, and too few frames show it.")
+            return fit_slab(contact, estimator.thickness, self._within, estimator.noise)
+        if estimator.observation == FIELD and filmed:
+            found = fit_press(contact, self.mechanics, self._within, estimator.noise, estimator.log_box)
+        else:
+            problem = ContactProblem(contact, self.mechanics, noise, self._within)
+            found = fit_contact(problem, problem.motion.box(estimator.log_box))
+        return found, simulated_motion(contact, found, self.mechanics)
 
     def _whole(self, contact: Interaction) -> tuple[Estimate, tuple[np.ndarray, np.ndarray], str]:
         start = time.perf_counter()
         try:
-            found = self.fit(contact)
+            found, motion = self.fit(contact)
         finally:
             self.seconds["fit"] += time.perf_counter() - start
-        return found, simulated_motion(contact, found, self.mechanics), doubts(found, self.estimator.bounds)
+        return found, motion, doubts(found, self.estimator.bounds)
 
 
 def simulated_motion(contact: Interaction, found: Estimate, mechanics: Mechanics) -> tuple[np.ndarray, np.ndarray]:
@@ -163,7 +185,9 @@ def doubts(found: Estimate, bounds: Bounds) -> str:
     """Sentences on why an estimate can't be trusted; empty where nothing speaks against it."""
     oblique = remark(found)
     told = [oblique] if oblique else []
-    if not found.explained:
+    if found.refuted:
+        told.append(found.refuted)
+    if found.misfit > found.largest_misfit:
         told.append(
             f"The model does not explain the data: they lie {found.misfit:.2g} times the noise from it"
             # An oblique one was widened by its misfit.

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -33,36 +35,44 @@ HIDDEN = 1e6
 """Standard deviation of what isn't seen [σ]."""
 
 
-class FieldProblem:
+class FilmMotion(Protocol):
+    """How V vertices move at N instants, by D parameters: of a sheet, or of a slab beneath."""
+
+    def at(self, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Displacements [N, V, 3] and their derivatives by all parameters [N, V, 3, D]."""
+        ...
+
+    def finer(self, logs: np.ndarray) -> np.ndarray:
+        """Displacements as finer time steps have them, shape [N, V, 3]."""
+        ...
+
+
+M = TypeVar("M", bound=FilmMotion)
+
+
+class FilmProblem(Generic[M]):
     """Weighted residuals of a film and their derivatives by all parameters of a press; V vertices, P pixels, N frames.
 
     What the pixels show must be decided first (`look`).
 
     Args:
         contact: with its film.
-        mechanics: of the fits.
-        within: as of `PressMotion`.
+        motion: makes the model of some vertices [V] at some instants [N] [s].
         noise: σ of every pixel in every frame [scene units]; None = as the film says.
-        kind: of motion: what is fitted of the press.
 
     Raises:
         ValueError: the contact has no film.
     """
 
     def __init__(
-        self,
-        contact: Interaction,
-        mechanics: Mechanics,
-        within: float = 0.0,
-        noise: float | None = None,
-        kind: type[PressMotion] = PressMotion,
+        self, contact: Interaction, motion: Callable[[np.ndarray, np.ndarray], M], noise: float | None = None
     ) -> None:
         if contact.film is None or not len(contact.film.times):
             raise ValueError("the contact has no film; gather it with frames that have depth and labels.")
         film = contact.film if noise is None else dataclasses.replace(contact.film, noise=FilmNoise(noise, 0.0))
         self.contact, self.film = contact, film
         self.patches = Patches(contact.mesh, contact.vertex, film.size)
-        self.motion = kind(contact, mechanics, self.patches.vertices, film.times, within)
+        self.motion = motion(self.patches.vertices, film.times)
         self.observed = film.change.reshape(len(film.times), -1).astype(np.float64)
         """Shape [N, P] [scene units]."""
         self._smooth = smooth_errors(film.noise.total)
@@ -176,3 +186,24 @@ class FieldProblem:
         left = (self.change(self.motion.at(logs)[0] + self.offset, logs) - self.observed)[used]
         sigma = np.sqrt(self.film.noise.total**2 + self._walls[used])
         return float(np.sqrt(np.square(left / sigma).mean())) if len(left) else 0.0
+
+
+class FieldProblem(FilmProblem[PressMotion]):
+    """The same of a sheet.
+
+    Args:
+        contact, noise: as above.
+        mechanics: of the fits.
+        within: as of `PressMotion`.
+        kind: of motion: what is fitted of the press.
+    """
+
+    def __init__(
+        self,
+        contact: Interaction,
+        mechanics: Mechanics,
+        within: float = 0.0,
+        noise: float | None = None,
+        kind: type[PressMotion] = PressMotion,
+    ) -> None:
+        super().__init__(contact, lambda vertices, times: kind(contact, mechanics, vertices, times, within), noise)

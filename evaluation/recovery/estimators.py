@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import functools
+from pathlib import Path
 from typing import Any
 
 from estimators.contract import Estimator
 from estimators.estimate import Estimate
-from estimators.open import OF_THETA, EstimatorOptions, open_estimator
+from estimators.open import FEM, OF_THETA, EstimatorOptions, open_estimator
 from models.onnx_session import ModelFileError, PosteriorModel
 
 CONSTANT = "constant"
@@ -43,9 +44,12 @@ def describe(options: EstimatorOptions) -> dict[str, Any]:
     Raises:
         ModelFileError: its network can't be used.
     """
-    model = getattr(opened(options), "model", None)
+    # A slab is told of every clip how thick its tissue is, so no estimator can be opened for all.
+    solid = options.name == "direct" and options.model == Path(FEM)
+    model = None if solid else getattr(opened(options), "model", None)
     posterior = model if isinstance(model, PosteriorModel) else None
-    return {
+    told = {"fits": FEM} if solid else {}
+    return told | {
         "model_sha256": "" if model is None else model.sha256,
         "weights_sha256": "" if posterior is None else posterior.metadata.get("training", {}).get("weights_sha256", ""),
         "calibrated": None if posterior is None else posterior.calibrated,

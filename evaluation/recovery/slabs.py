@@ -1,20 +1,24 @@
 """Synthetic clips whose tissue is a slab of finite elements: what estimates mean where no estimator's model is true.
 
 A sheet of springs is fitted to pictures of neo-Hookean solids that are pressed, or held and pulled. Its k_s, k_d and F
-are in units of its own, so that ranks are compared, and factors that one common constant doesn't explain:
+are in units of its own, so that ranks are compared, and factors that one common constant doesn't explain. Where
+`direct` fits finite elements instead, told how thick the tissue is, k_s stands for E and k_d for αρ:
 
 quantity                                    of
 estimated, explained                        share of the clips with an estimate, and of these whose model check passes
 rank of k_s and E, F and F                  Spearman's, over clips
 rank of F/k_s and F/E                       the combination that a dent's depth tells
 scatter of …                                standard deviation of the logarithm of their quotient: 0 is proportional
-k_d over αm                                 median; α is the true damping per mass and m the fitted mass of a node
+k_d over αm                                 median; α is the true damping per mass and m the fitted mass of a node, of
+                                            finite elements the density
 k_d/k_s within 25 %                         of αρ/E up to one constant, the clips' median; damping by mass alone
+E, F, αρ/E, F/E: over the true, held        of finite elements: median of the quotient, and share within the 90 %
+                                            interval
 E with an inclusion                         median k_s/E with a stiff ball inside over that without
 relative force, off and held                a pull's force over that of the last frame: root mean square error, and
                                             share within the 90 % interval
 
-Pulls are asked of the estimator `direct`, which alone fits grips.
+Pulls are asked of the estimator `direct`, which alone fits grips, and by sheets.
 """
 
 from __future__ import annotations
@@ -24,6 +28,7 @@ import functools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -34,8 +39,8 @@ from data.synthetic.scene import Scene, SceneError
 from data.synthetic.slab import GrippedSlab, PressedSlab, SlabMotion, SlabTissue
 from data.synthetic.source import open_synthetic
 from estimators.contract import ClipInfo
-from estimators.estimate import NINETY, GripEstimate
-from estimators.open import EstimatorOptions
+from estimators.estimate import COMBINATIONS, NINETY, GripEstimate
+from estimators.open import FEM, SHEET, EstimatorOptions
 from evaluation.recovery.bounds import MECHANICS
 from evaluation.recovery.evaluate import OK, PREPARE, estimated, interactions
 from evaluation.recovery.grips import DIRECT, log_interval
@@ -47,7 +52,7 @@ CLOSE = 0.25
 """A ratio counts as found within this share of the true one."""
 LEAST = 4
 """Fewer clips have no rank."""
-COMPARED = ("status", "reason", "estimate", "verdict", "misfit", "warned")
+COMPARED = ("status", "reason", "estimate", "covariance", "verdict", "misfit", "warned")
 """Fields of a `Recovery` that a `SlabRecovery` has too."""
 
 
@@ -81,7 +86,11 @@ class SlabRecovery:
     force: float = math.nan
     """Size of the true force: of a press, or of the pull in the last frame that was looked at."""
     estimate: np.ndarray | None = None
-    """Of a press: [k_s, k_d, F], shape [3]."""
+    """Of a press: [k_s, k_d, F], shape [3]; of finite elements [E, αρ, F]."""
+    covariance: np.ndarray | None = None
+    """Of its logarithms, shape [3, 3]."""
+    fitted: str = SHEET
+    """What was fitted, one of `estimators.open.MODELS`."""
     verdict: str = ""
     misfit: float = math.nan
     warned: bool | None = None
@@ -98,10 +107,10 @@ class SlabRecovery:
         return self.suite, self.index, self.estimator
 
 
-def asked(suite: str, index: int, estimators: Sequence[str]) -> list[str]:
-    """Which estimators a clip is for: of a pull, the one that fits grips."""
+def asked(suite: str, index: int, estimators: Mapping[str, EstimatorOptions]) -> list[str]:
+    """Which estimators a clip is for: of a pull, the one that fits grips, by a sheet."""
     press = SLAB_SUITES[suite].settings(index).action == "press"
-    return [name for name in estimators if press or name == DIRECT]
+    return [name for name, options in estimators.items() if press or (name == DIRECT and options.model != Path(FEM))]
 
 
 def evaluate_slab(task: SlabTask) -> list[SlabRecovery]:
@@ -128,6 +137,9 @@ def evaluate_slab(task: SlabTask) -> list[SlabRecovery]:
     for name, options in task.wanted.items():
         known: dict[str, Any] = {"tissue": tissue}
         if isinstance(motion, PressedSlab):
+            if options.model == Path(FEM):
+                known["fitted"] = FEM
+                options = dataclasses.replace(options, thickness=motion.tissue.thickness)
             said = estimated(options, frames, info, motion.onset_frame)
             known |= {key: said[key] for key in COMPARED if key in said}
             known["force"] = float(np.abs(motion.force).max())
@@ -213,22 +225,42 @@ def _compared(rows: Sequence[SlabRecovery], all_rows: Sequence[SlabRecovery] | N
     yield from _related("k_s", stiffness, "E", young)
     yield from _related("F", pressed, "F", force)
     yield from _related("F/k_s", pressed / stiffness, "F/E", force / young)
+    solid = all(row.fitted == FEM for row in told)
     if (damping > 0).all():
-        yield {
-            "quantity": "k_d over αm",
-            "n": len(told),
-            "value": float(np.median(viscosity / damping / MECHANICS.mass)),
-        }
+        mass = tissue.density if solid else MECHANICS.mass
+        yield {"quantity": "k_d over αm", "n": len(told), "value": float(np.median(viscosity / damping / mass))}
         yield from _related("k_d", viscosity, "α", damping)
         yield from _related("k_d/k_s", viscosity / stiffness, "αρ/E", damping * tissue.density / young)
         off = np.log(viscosity / stiffness) - np.log(damping * tissue.density / young)
         close = np.abs(np.expm1(off - np.median(off))) <= CLOSE
         yield {"quantity": f"k_d/k_s within {CLOSE:.0%}", "n": len(told), "value": float(close.mean())}
+    if solid:
+        yield from _absolute(told, young, damping * tissue.density, force)
     stiff = tissue.inclusion != 1
     if stiff.any() and not stiff.all():
         quotient = np.log(stiffness / young)
         value = float(np.exp(np.median(quotient[stiff]) - np.median(quotient[~stiff])))
         yield {"quantity": "k_s/E with an inclusion over without", "n": int(stiff.sum()), "value": value}
+
+
+def _absolute(
+    rows: Sequence[SlabRecovery], young: np.ndarray, viscosity: np.ndarray, force: np.ndarray
+) -> Iterator[dict[str, object]]:
+    """Quotients with the truth, in its own units, and how often 90 % intervals hold it; truth of shape [n] each."""
+    names = {"stiffness": "E", "force": "F", "force_over_stiffness": "F/E"}
+    if (viscosity > 0).all():
+        names["damping_over_stiffness"] = "αρ/E"
+    with np.errstate(divide="ignore"):
+        true = np.log([young, viscosity, force]).T
+    off = np.log(np.abs([row.estimate for row in rows])) - true
+    covariances = np.array([row.covariance for row in rows])
+    for combination, name in names.items():
+        powers = np.array(COMBINATIONS[combination])
+        used = powers != 0  # there may be no damping at all
+        found = off[:, used] @ powers[used]
+        sd = np.sqrt(np.einsum("i,nij,j->n", powers, covariances, powers))
+        yield {"quantity": f"{name} over the true", "n": len(rows), "value": float(np.exp(np.median(found)))}
+        yield {"quantity": f"{name}, held", "n": len(rows), "value": float((np.abs(found) <= NINETY * sd).mean())}
 
 
 def _related(name: str, found: np.ndarray, true_name: str, true: np.ndarray) -> Iterator[dict[str, object]]:

@@ -115,6 +115,7 @@ def test_failed_clips_are_shown_and_no_error(tmp_path, monkeypatch, evaluated, c
         (("--estimator", "network"), "give its file as --model FILE"),
         (("--gan-model", "x.onnx"), "of no use without --estimator gan"),
         (("--estimator", "gan", "--seen", "5"), "--seen is of no use to gan"),
+        (("--direct-model", "fem"), "--direct-model fem is for --suite fem --estimator direct"),
     ],
 )
 def test_options_that_do_not_belong_together_are_wrong_usage(tmp_path, arguments, sentence, capsys):

@@ -92,7 +92,7 @@ def fit(contact: Interaction, within: float = 0.0, **options) -> Estimate:
     estimator = DirectEstimator(BETWEEN if within else STAMP, mechanics=MECHANICS, **options)
     session = estimator.start(clip_info(1 / (within or 0.04)))
     assert session.mechanics == MECHANICS
-    return session.fit(contact)
+    return session.fit(contact)[0]
 
 
 def expected_information(theta: tuple[float, float, float]) -> np.ndarray:

@@ -64,6 +64,14 @@ def test_doubts_name_a_misfit_and_parameters_at_their_ranges_end() -> None:
     assert told.endswith("The best fit lies at the end of the force's admissible range, 0.01 to 0.3.")
 
 
+def test_doubts_name_a_model_that_explains_more() -> None:
+    refuted = dataclasses.replace(ESTIMATE, refuted="Another explains it better.")
+    assert doubts(refuted, RECOMMENDED) == "Another explains it better."
+    assert not refuted.explained
+    assert (refuted.verdict, refuted.determined) == ("undetermined", ())
+    assert ESTIMATE.explained
+
+
 def test_doubts_name_a_press_aslant_to_the_line_of_sight_whose_uncertainties_were_widened() -> None:
     facing, aslant = (dataclasses.replace(ESTIMATE, misfit=7.0, view_angle=angle) for angle in (3.0, 12.0))
     misfit = "The model does not explain the data: they lie 7 times the noise from it"

@@ -43,8 +43,12 @@ def test_two_of_three_are_pressed_and_damping_and_inclusions_take_turns() -> Non
     assert all((item.slab_branch[0] > 0) == (item.slab_damping == (0.0, 0.0)) for item in settings)
     assert [item.slab_inclusion for item in settings] == [1.0] * 6 + [4.0] * 6
     assert {item.width for item in settings if item.action == "press"} == {214}
-    assert asked("fem", 0, ["network", "direct"]) == ["network", "direct"]
-    assert asked("fem", 2, ["network", "direct"]) == ["direct"]
+    estimators = {name: EstimatorOptions(name) for name in ("network", "direct")}
+    assert asked("fem", 0, estimators) == ["network", "direct"]
+    assert asked("fem", 2, estimators) == ["direct"]
+    solid = estimators | {"direct": EstimatorOptions("direct", Path("fem"))}
+    assert asked("fem", 0, solid) == ["network", "direct"]
+    assert asked("fem", 2, solid) == []
 
 
 def test_proportional_estimates_have_rank_one_and_no_scatter() -> None:
@@ -67,6 +71,28 @@ def test_proportional_estimates_have_rank_one_and_no_scatter() -> None:
     over = [row.estimate[1] / row.tissue[4] / 0.001 for row in rows if row.estimate is not None]
     assert found["pressed", "k_d over αm"]["value"] == pytest.approx(np.median(over))
     assert ("pulled", "estimated") not in found
+
+
+def test_finite_elements_are_compared_with_the_truth_in_its_own_units() -> None:
+    rows = []
+    for index, young in enumerate(YOUNG):
+        force, alpha = 0.1 + 0.02 * index, DAMPING * (1 + index)
+        # E is 10 % too large throughout, and F/E too small for the last clip.
+        theta = (1.1 * young, 1.1 * alpha * DENSITY, -1.1 * force * (0.5 if index == 5 else 1.0))
+        rows.append(press(index, theta, covariance=0.01 * np.eye(3), fitted="fem"))
+    found = table(rows)
+    assert found["pressed", "E over the true"]["value"] == pytest.approx(1.1)
+    assert found["pressed", "E, held"]["value"] == 1
+    assert found["pressed", "αρ/E over the true"]["value"] == pytest.approx(1)
+    assert found["pressed", "F/E, held"]["value"] == pytest.approx(5 / 6)
+    assert found["pressed", "k_d over αm"]["value"] == pytest.approx(1.1)
+    relaxing = [dataclasses.replace(row, tissue=row.tissue * np.array([1, 1, 1, 1, 0, 1, 1, 1])) for row in rows]
+    again = table([dataclasses.replace(row, tissue=row.tissue + 0.5 * np.eye(8)[5]) for row in relaxing])
+    assert again["pressed, relaxing", "F/E, held"]["value"] == pytest.approx(5 / 6)
+    assert ("pressed, relaxing", "αρ/E, held") not in again
+    assert ("pressed", "E over the true") not in table(
+        [press(index, (1 + index, 1 + index, -1 - index)) for index in range(6)]
+    )
 
 
 def test_what_was_not_estimated_counts_as_such() -> None:

@@ -1,0 +1,213 @@
+"""A film of a dent fitted by a slab of finite elements, from a grid of starts to verdict.
+
+Tissue under the tip is left out: how the tip presses there is not known, and farther away only its force counts (Saint-
+Venant's principle). Exact derivatives of the motion give gradient and Gauss–Newton matrix; the latter is corrected from
+step to step by the gradients seen (BFGS with Powell's damping; Nocedal & Wright 2006, procedure 18.2), because it takes
+the valley along which E, d and F rise together for steeper than it is. The posterior is normal around the best fit.
+
+A standard linear solid is fitted, too. Where it explains the film better than damping proportional to mass does, that
+model is refuted, however small its misfit.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+
+import numpy as np
+
+from data.contact.interaction import Interaction
+from estimators.direct.contact_fit import AT_BOUND, DELAY_AT_END, LARGEST_MISFIT
+from estimators.direct.field import FilmProblem
+from estimators.direct.motion import about_tissue
+from estimators.direct.slab_motion import SlabMotion
+from estimators.estimate import Estimate, NoEstimate
+from estimators.oblique import effective_misfit, is_oblique, view_angle
+from physics.fem import NoBody
+from physics.fem.slab import slab_beneath
+from physics.identifiability import box_information
+from physics.mechanics import theta_of
+
+BLIND = 3.0
+"""Tissue nearer to the contact isn't compared [grid px]."""
+YOUNG, DAMPING = np.log(np.geomspace(30.0, 1500.0, 5)), np.log(np.geomspace(1e4, 4e5, 3))
+"""log E and log d among whose pairs a start is looked for."""
+LARGEST_STEP = 0.7
+"""Of a parameter."""
+ROUGH, DONE = 3.0, 0.2
+"""Fall of χ²/2 to be expected of the next step, below which outliers are looked for, and the fit is done."""
+MOST_STEPS = 10
+"""With all that is seen, and again without outliers."""
+LEAST_CURVATURE = 0.2
+"""Of what the matrix says, that one step may leave of it along its way (Powell's damping)."""
+SHORTER = 4.0
+"""By so much a matrix grows where its step led uphill."""
+RELAXING = np.log([1 / 1.8, 1.0, 1 / 1.6, 0.1])
+"""Where the fit of a standard linear solid begins: log E and log |F| added to those of damping by mass, which takes the
+fast modulus for the slow one; log γ; log τ."""
+REFUTED = 10.0
+"""Fall of χ²/2 over the square of the misfit, from which on the standard linear solid is believed."""
+MODEL_ERROR = np.array([0.1, 0.1, 0.1])
+"""Standard deviations of φ besides what the noise leaves."""
+
+
+def fit_slab(
+    contact: Interaction, thickness: float, within: float = 0.0, noise: float | None = None
+) -> tuple[Estimate, tuple[np.ndarray, np.ndarray]]:
+    """Fit a film.
+
+    Args:
+        contact: with a film of three frames or more.
+        thickness: of the tissue [scene units].
+        within: as of `SlabMotion`.
+        noise: σ of every pixel in every frame [scene units]; None = as the film says.
+
+    Returns:
+        the estimate, its θ being (E, d, F) as of `estimators.direct.slab_motion`; times since the onset [s] and the
+        fitted motion of the contact along the force then [scene units], shape [N + 1] each.
+
+    Raises:
+        NoEstimate: no slab fits under the tissue, or none can be followed.
+    """
+    try:
+        slab = slab_beneath(contact.mesh, contact.vertex, contact.direction, thickness)
+    except NoBody as error:
+        raise NoEstimate(f"No slab fits under the tissue: {error}") from error
+
+    def problem_of(relaxing: bool) -> FilmProblem[SlabMotion]:
+        def motion(vertices: np.ndarray, times: np.ndarray) -> SlabMotion:
+            return SlabMotion(contact, slab, contact.mesh.pixels[vertices], times, within, relaxing)
+
+        return FilmProblem(beside, motion, noise)
+
+    beside = _beside_tip(contact)
+    problem = problem_of(False)
+    box = problem.motion.box
+    logs = slab_start(problem)
+    for outliers, enough in ((False, ROUGH), (True, DONE)):
+        problem.look(logs, outliers=outliers)
+        logs = descend(problem, logs, box, enough)
+    information, misfit = problem.information(logs), problem.misfit(logs)
+    prior = box_information(box)
+    tissue = about_tissue(information, prior) / max(1.0, misfit) ** 2
+    spread = np.linalg.inv(tissue + prior[:3, :3]) + np.diag(np.square(MODEL_ERROR))
+    at = int(np.flatnonzero(problem.patches.vertices == contact.vertex)[0])
+    path = problem.motion.at(logs)[0][:, at] @ np.asarray(contact.direction, np.float64)
+    rival = _relaxation(problem, logs, problem_of(True), REFUTED * max(1.0, misfit) ** 2)
+    found = Estimate(
+        theta=theta_of(logs[:3]),
+        covariance=spread,
+        information=information[:3, :3],
+        noise=problem.film.noise.total,
+        misfit=misfit,
+        largest_misfit=LARGEST_MISFIT,
+        at_bound=np.minimum(logs - box[0], box[1] - logs)[:3] < AT_BOUND,
+        delays=tuple((within * logs[3:]).tolist()),
+        delays_at_end=bool((np.abs(logs[3:]) > DELAY_AT_END).any()),
+        view_angle=view_angle(contact),
+        outliers=problem.outliers,
+        refuted=rival,
+    )
+    if is_oblique(found):
+        hidden = about_tissue(information / effective_misfit(found) ** 2, prior)
+        found = found.widened(np.linalg.inv(hidden + prior[:3, :3]))
+    return found, (np.append(0.0, problem.motion.times), np.append(0.0, path))
+
+
+def _relaxation(plain: FilmProblem[SlabMotion], logs: np.ndarray, other: FilmProblem[SlabMotion], better: float) -> str:
+    """A sentence where a standard linear solid explains a film better than the best fit of a slab damped by mass.
+
+    Args:
+        plain: fitted, at parameters `logs`.
+        other: of a standard linear solid.
+        better: by so much of χ²/2.
+    """
+    box = other.motion.box
+    start = np.concatenate([RELAXING, logs[3:]])
+    start[[0, 2]] += logs[[0, 2]]
+    start = np.clip(start, *box)
+    other.look(start)
+    try:
+        found = descend(other, start, box, ROUGH)
+    except NoEstimate:
+        return ""
+    moved = other.motion.at(found)[0]
+    left = plain.whitened(other.change(moved, found) - plain.observed)
+    fall = 0.5 * float(np.square(plain.residual(logs)).sum() - left @ left)
+    if not fall > better:
+        return ""
+    ratio, time = np.exp(found[[1, 3]])
+    return (
+        f"The motion relaxes: a standard linear solid (γ {ratio:.2g}, τ {time:.2g} s) explains it better than damping "
+        "proportional to mass does, so stiffness and damping are not the tissue's."
+    )
+
+
+def _beside_tip(contact: Interaction) -> Interaction:
+    """The contact with a film that doesn't show the tissue under the tip."""
+    if contact.film is None:
+        raise ValueError("the contact has no film; gather it with frames that have depth and labels.")
+    side = contact.film.change.shape[1] // 2
+    rows, columns = np.mgrid[-side : side + 1, -side : side + 1]
+    change = np.where(np.hypot(rows, columns) < BLIND, np.nan, contact.film.change)
+    return dataclasses.replace(contact, film=dataclasses.replace(contact.film, change=change))
+
+
+def slab_start(problem: FilmProblem[SlabMotion]) -> np.ndarray:
+    """Of a grid of parameters those that explain the film best if nothing strains much, with the force that suits."""
+    motion = problem.motion
+    low, high = motion.box
+    still = problem.patches.covering(np.zeros((len(motion.times), len(problem.patches.vertices), 3)))
+    best, least = np.zeros(len(low)), math.inf
+    for young, damping in itertools.product(YOUNG, DAMPING):
+        logs = np.zeros(len(low))
+        logs[:2] = young, damping
+        tried = problem.patches.shown(problem.patches.sunk(motion.linear(logs)), still)
+        seen = np.isfinite(tried) & np.isfinite(problem.observed)
+        tried, observed = np.where(seen, tried, 0.0), np.where(seen, problem.observed, 0.0)
+        along, square = float((tried * observed).sum()), float(np.square(tried).sum())
+        logs[2] = np.clip(math.log(max(along, 1e-12) / max(square, 1e-30)), low[2] + AT_BOUND, high[2] - AT_BOUND)
+        unexplained = float(np.square(math.exp(logs[2]) * tried - observed).sum())
+        if unexplained < least:
+            best, least = logs, unexplained
+    return best
+
+
+def descend(problem: FilmProblem[SlabMotion], start: np.ndarray, box: np.ndarray, enough: float) -> np.ndarray:
+    """Parameters [D] of the least χ² near a start within a box [2, D].
+
+    Args:
+        enough: fall of χ²/2 to be expected of a step, below which none is made.
+
+    Raises:
+        NoEstimate: the motion at the start can't be followed.
+    """
+
+    def at(logs: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        residual, jacobian = problem.linearise(logs)
+        return 0.5 * float(residual @ residual), jacobian.T @ residual, jacobian.T @ jacobian
+
+    logs = start
+    value, gradient, curvature = at(logs)
+    if not math.isfinite(value):
+        raise NoEstimate("The slab can't be followed where the fit begins; the dent may be too deep for it.")
+    curvature = curvature + box_information(box)
+    for _ in range(MOST_STEPS):
+        step = -np.linalg.solve(curvature, gradient)
+        step = np.clip(logs + step * min(1.0, LARGEST_STEP / np.abs(step).max()), *box) - logs
+        bent = curvature @ step
+        if -(gradient @ step + 0.5 * step @ bent) < enough:
+            break
+        tried, slope, _ = at(logs + step)
+        if not tried < value:
+            curvature = SHORTER * curvature
+            continue
+        square, change = float(step @ bent), slope - gradient
+        share = 1.0
+        if step @ change < LEAST_CURVATURE * square:
+            share = (1 - LEAST_CURVATURE) * square / (square - float(step @ change))
+        change = share * change + (1 - share) * bent
+        curvature = curvature + np.outer(change, change) / (step @ change) - np.outer(bent, bent) / square
+        logs, value, gradient = logs + step, tried, slope
+    return logs

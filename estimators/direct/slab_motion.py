@@ -1,0 +1,157 @@
+"""How places of a surface move under a press if a slab of finite elements lies beneath it, by all parameters of a fit.
+
+Parameters are φ = (log E, log d, log |F|), d = αρ being the force per velocity and volume that Rayleigh's α gives at
+the density ρ, or of a standard linear solid (log E, log γ, log |F|, log τ), E being the slow modulus; and the delays of
+the press as of `estimators.direct.motion`. A picture shows no mass: ρ is fixed, and E, d and F count in its unit, as
+those of a sheet count in the mass of a vertex.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from data.contact.interaction import Interaction
+from estimators.direct.motion import between_steps
+from physics.fem import Inertia, Material, NoEquilibrium, Relaxation, simulate
+from physics.fem.dynamics import Direction
+from physics.fem.slab import Slab
+from physics.load import Press, held
+from physics.mechanics import Bounds, theta_of
+
+LAW = "stable_neo_hookean"
+"""It can be followed, too, where elements are pressed flat on the way to the best fit."""
+POISSON = 0.45
+"""ν: soft tissue hardly changes its volume, and a dent tells little of how little."""
+DENSITY = 1500.0
+"""ρ [mass/scene unit³]."""
+PATCH = 5.0
+"""Radius of the tissue that the tip presses on, as 1 - (r/R)² [grid px]."""
+SUBSTEPS = 2
+"""Time steps a frame."""
+TOLERANCE = 1e-4
+"""Of the balance of forces in every time step: displacements are off by 3e-5 of the largest."""
+SLAB_BOUNDS = Bounds((5.0, 5e3), (500.0, 3e6), (-10.0, -1e-3), (100.0, 5e4, -0.1))
+"""Of E [force/scene unit²], d [force·s/scene unit⁴] and F."""
+RELAXING_BOX = np.log([[5.0, 0.05, 1e-3, 0.01], [5e3, 20.0, 10.0, 2.0]])
+"""Ends of φ of a standard linear solid."""
+
+
+class SlabMotion:
+    """Displacements of V places at N instants for any parameters, D of them.
+
+    Args:
+        contact: its load.
+        slab: the body beneath.
+        pixels: rows and columns of the places at rest, shape [V, 2] [grid px].
+        times: instants since the time stamp at which the press was seen to begin, rising, shape [N] [s].
+        within: the press began, and ended, at most so long before or after the time stamps [s]; 0 = at them.
+        relaxing: a standard linear solid instead of damping proportional to mass.
+    """
+
+    def __init__(
+        self,
+        contact: Interaction,
+        slab: Slab,
+        pixels: np.ndarray,
+        times: np.ndarray,
+        within: float = 0.0,
+        relaxing: bool = False,
+    ) -> None:
+        self.contact, self.slab, self.times, self.within, self.relaxing = contact, slab, times, within, relaxing
+        self.tissue = 4 if relaxing else 3
+        """Parameters before the delays."""
+        self.step = float(np.diff(times, prepend=0.0).min()) / SUBSTEPS
+        """Of the simulation [s]."""
+        self.longest = math.ceil((times[-1] + within) / self.step - 1e-6)
+        """Steps of it."""
+        self._shares = slab.patch(PATCH)
+        self._shown = slab.between(pixels)
+        self._latest: tuple[np.ndarray, tuple[np.ndarray, np.ndarray]] | None = None
+
+    @property
+    def box(self) -> np.ndarray:
+        """Lower and upper ends of all parameters, shape [2, D]."""
+        tissue = RELAXING_BOX if self.relaxing else SLAB_BOUNDS.log_box
+        if not self.within:
+            return tissue
+        return np.hstack([tissue, np.tile([[-1.0], [1.0]], 2 if self.contact.released else 1)])
+
+    def at(self, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Displacements [N, V, 3] and their derivatives by all parameters [N, V, 3, D], those of the discrete motion.
+
+        Not a number where the body can't be followed. The latest is remembered, as it takes seconds.
+        """
+        if self._latest is None or not np.array_equal(self._latest[0], logs):
+            self._latest = np.array(logs), self._at(logs)
+        return self._latest[1]
+
+    def _at(self, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        try:
+            path, slopes = self._followed(logs, LAW, True)
+        except NoEquilibrium:
+            shape = (len(self.times), self._shown.shape[0], 3)
+            return np.full(shape, np.nan), np.full((*shape, len(logs)), np.nan)
+        since = self._since(logs)
+        found, rate = between_steps(np.concatenate([path[..., None], slopes], axis=-1), self.step, since)
+        if not self.within:
+            return found[..., 0], found[..., 1:]
+        by_duration = found[..., 1 + self.tissue :]
+        delayed = -rate[..., :1] * (since > 0)[:, None, None, None]
+        if self.contact.released:  # a later beginning shortens the load
+            delayed = delayed - by_duration
+        parts = [found[..., 1 : 1 + self.tissue], self.within * delayed, self.within * by_duration]
+        return found[..., 0], np.concatenate(parts, axis=-1)
+
+    def linear(self, logs: np.ndarray) -> np.ndarray:
+        """Displacements if nothing strained much, to which F is a factor, shape [N, V, 3]."""
+        return between_steps(self._followed(logs, "linear", False)[0], self.step, self._since(logs))[0]
+
+    def finer(self, logs: np.ndarray) -> np.ndarray:
+        """The displacements of `at`: what finer steps change is less than what finer elements do, shape [N, V, 3]."""
+        return self.at(logs)[0]
+
+    def _since(self, logs: np.ndarray) -> np.ndarray:
+        """The instants since the beginning of the press, shape [N] [s]."""
+        return self.times - (self.within * logs[self.tissue] if self.within else 0.0)
+
+    def _followed(self, logs: np.ndarray, law: str, slopes: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Motion after every step [T, V, 3], and its derivatives by φ and the load's duration, if that is unknown."""
+        young, second, force = theta_of(logs[:3])
+        relaxation = Relaxation(second, math.exp(logs[3])) if self.relaxing else None
+        damping = 0.0 if self.relaxing else second / DENSITY
+        loaded = math.inf
+        if self.contact.released:
+            delayed = self.within * (logs[self.tissue + 1] - logs[self.tissue]) if self.within else 0.0
+            loaded = (self.contact.load_seconds + delayed) / self.step
+        factor = held(loaded, self.longest)
+        direction = np.asarray(self.contact.direction, np.float64)
+        nodes = np.flatnonzero(self._shares)
+        pattern = force * self._shares[:, None] * direction
+        along = [Direction(young=1.0), Direction(damping=damping), Direction(pattern=pattern, course=factor)]
+        if relaxation is not None:
+            along[1] = Direction(ratio=relaxation.ratio)
+            along.append(Direction(time=relaxation.time))
+        if self.within and self.contact.released:
+            ending = (np.arange(self.longest) == math.floor(loaded)) / self.step
+            along.append(Direction(pattern=pattern, course=ending))
+        found = simulate(
+            self.slab.solid,
+            Material(law, young, POISSON),
+            self.slab.held,
+            Press(nodes, self._shares[nodes], direction, factor),
+            self.step,
+            inertia=Inertia(DENSITY, damping),
+            force=force,
+            relaxation=relaxation,
+            directions=along if slopes else (),
+            tolerance=TOLERANCE,
+        )
+        return self._seen(found.displacement[1:]), self._seen(found.slopes[1:])
+
+    def _seen(self, values: np.ndarray) -> np.ndarray:
+        """Of nodes [T, N, ...] at the places, shape [T, V, ...]."""
+        flat = np.moveaxis(values, 1, 0).reshape(values.shape[1], -1)
+        shape = (self._shown.shape[0], values.shape[0], *values.shape[2:])
+        return np.moveaxis((self._shown @ flat).reshape(shape), 0, 1)

@@ -110,8 +110,18 @@ class FilmProblem(Generic[M]):
         self._known: tuple[np.ndarray, tuple[np.ndarray, np.ndarray]] | None = None
         self._whitener = self._whitening(np.where(np.isfinite(change), change, 0.0), weight)
 
+    def model_errors(self, sunk: np.ndarray) -> np.ndarray:
+        """Columns whose sum, with independent normal factors, is what the model itself gets wrong, shape [P, N, B].
+
+        A sheet is taken to be exact.
+
+        Args:
+            sunk: change of every pixel's depth, shape [N, P] [scene units].
+        """
+        return np.zeros((*sunk.T.shape, 0))
+
     def _whitening(self, sunk: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Whitening of every pixel's errors over time [P, N, N], smooth errors as they leave it, what they cost."""
+        """Whitening of every pixel's errors over time [P, N, N], common errors as they leave it, what they cost."""
         noise, frames = self.film.noise, len(sunk)
         new = noise.alike_in_time * noise.in_time**2 + noise.total**2 * (1 / weight - 1)
         new = np.where(self.seen, new, (HIDDEN * noise.total) ** 2).T
@@ -127,7 +137,8 @@ class FilmProblem(Generic[M]):
         whiten = np.linalg.inv(np.linalg.cholesky(covariance))
         still = whiten.sum(axis=2)  # [P, N]: what an error that stays is in every frame
         smooth = still[:, :, None] * self._smooth[:, None, :]
-        flat = smooth.reshape(-1, smooth.shape[2])
+        wrong = np.matmul(whiten, np.where(self.seen.T[..., None], self.model_errors(sunk), 0.0))
+        flat = np.concatenate([smooth, wrong], axis=2).reshape(-1, smooth.shape[2] + wrong.shape[2])
         return whiten, flat, np.linalg.cholesky(flat.T @ flat + np.eye(flat.shape[1]))
 
     def whitened(self, values: np.ndarray) -> np.ndarray:

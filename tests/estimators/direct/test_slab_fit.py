@@ -12,8 +12,8 @@ from data.contact.film import DentFilm, FilmNoise
 from data.contact.interaction import Interaction
 from data.contact.patches import Patches
 from estimators.direct import slab_fit, slab_motion
-from estimators.direct.field import FilmProblem
-from estimators.direct.slab_fit import BLIND, descend, fit_slab, slab_start
+from estimators.direct.contact_fit import LARGEST_MISFIT
+from estimators.direct.slab_fit import BLIND, MODEL_ERROR, SlabProblem, descend, fit_slab, slab_start
 from estimators.direct.slab_motion import DENSITY, PATCH, SlabMotion
 from estimators.estimate import NINETY, Estimate, NoEstimate
 from physics.fem import Inertia, Material, find_equilibrium, simulate
@@ -129,19 +129,43 @@ def test_a_fit_recovers_what_made_the_film_and_a_start_is_near(monkeypatch: pyte
     ratios = found.numbers()
     assert ratios["damping_over_stiffness"] == pytest.approx(THETA[1] / THETA[0], rel=0.1)
     assert ratios["force_over_stiffness"] == pytest.approx(-THETA[2] / THETA[0], rel=0.05)
-    problem = FilmProblem(contact, lambda vertices, times: SlabMotion(contact, slab_of(), MESH.pixels[vertices], times))
+    problem = SlabProblem(contact, lambda vertices, times: SlabMotion(contact, slab_of(), MESH.pixels[vertices], times))
     start = slab_start(problem)
     assert np.abs(start - LOGS).max() < 1.0
-    problem.look(start)
-    before = np.square(problem.residual(start)).sum()
-    assert np.square(problem.residual(descend(problem, start, problem.motion.box, 1.0))).sum() < before
+    far = LOGS + [0.5, 0.0, 0.0]
+    problem.look(far)
+    before = np.square(problem.residual(far)).sum()
+    assert np.square(problem.residual(descend(problem, far, problem.motion.box, 1.0))).sum() < before - 20
 
 
 def test_a_slab_that_relaxes_is_no_slab_damped_by_mass(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(slab_fit, "REFUTED", 1.0)  # its misfit is large as well
     found = coarsely(monkeypatch, seen(RELAXING, 2, COARSE, relaxing=True), COARSE)
+    assert found.misfit > LARGEST_MISFIT
     assert found.refuted.startswith("The motion relaxes: a standard linear solid")
     assert not found.explained
     assert (found.verdict, found.determined) == ("undetermined", ())
+
+
+def test_the_slabs_own_error_is_a_share_of_its_motion_in_rings_and_parts_of_the_time() -> None:
+    contact = dataclasses.replace(
+        contact_of(), film=DentFilm(TIMES, np.zeros((10, SIDE, SIDE), np.float32), FilmNoise(SIGMA, 0.0), SIZE)
+    )
+    problem = SlabProblem(contact, lambda vertices, times: SlabMotion(contact, slab_of(), MESH.pixels[vertices], times))
+    sunk = np.random.default_rng(1).normal(size=(10, SIDE * SIDE))
+    columns = problem.model_errors(sunk)
+    assert columns.shape == (SIDE * SIDE, 10, 12)  # three rings, early, held, released and later
+    np.testing.assert_allclose(columns.sum(axis=2), MODEL_ERROR * sunk.T)
+    assert ((columns != 0).sum(axis=2) == 1).all()
+    middle = columns[(SIDE * SIDE) // 2]
+    np.testing.assert_array_equal(np.argmax(middle != 0, axis=1), [0, 0, 1, 1, 1, 2, 2, 3, 3, 3])
+    # It costs what a scale of everything would tell, and little of what differs from pixel to pixel.
+    problem.look(LOGS)
+    moved = problem.patches.shown(problem.patches.sunk(problem.motion.at(LOGS)[0]), problem.covering)
+    told = float(np.square(problem.whitened(moved)).sum())
+    parts = len(np.unique(np.flatnonzero(np.abs(columns).sum(axis=(0, 1)))))
+    assert told < parts / MODEL_ERROR**2
+    assert told > 0.5 / MODEL_ERROR**2
 
 
 def test_tissue_under_the_tip_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:

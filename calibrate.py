@@ -99,6 +99,8 @@ def _palpation(path: Path, optimizer: str, thickness: float | None, output: Path
     scene = read_scene(path)
     for note in scene.notes:
         say(console, f"surface: {note}", "yellow")
+    with writing(output):  # before what takes minutes
+        output.mkdir(parents=True, exist_ok=True)
     fit = fit_material if optimizer == "gauss-newton" else descend
     try:
         found = fit(scene.skin, scene.held, scene.palpations, scene.settings, told=lambda line: say(console, line))

@@ -75,6 +75,9 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _plan(scene: PlanScene, output: Path, cache: Path, console: Console) -> int:
+    for folder in (output, cache):  # before what takes minutes
+        with writing(folder):
+            folder.mkdir(parents=True, exist_ok=True)
     tables = {}
     for name, kind in scene.kinds.items():
         with progress_bars(console) as progress, writing(cache):
@@ -105,7 +108,6 @@ def _plan(scene: PlanScene, output: Path, cache: Path, console: Console) -> int:
         "units": "places m, deformation mJ, way mm, cost α·deformation + (1 - α)·way",
     }
     with writing(output):
-        output.mkdir(parents=True, exist_ok=True)
         with replacing_own(output / NAMES[0]) as partial:
             partial.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
         with replacing_own(output / NAMES[1]) as partial:

@@ -51,7 +51,7 @@ from evaluation.paper.report import FILES, write_evaluation
 from models.checkpoint import CheckpointError, read_checkpoint, require_same_model, require_same_weights
 from models.module import PhysicsInformedGAN, TrainingDiverged
 from models.onnx_export import ParityError, export
-from physics.fields import sound
+from physics.fields import shown, sound
 from physics.mechanics import Bounds, Mechanics, UnstableConfiguration
 from physics.ownership import ForeignFile, replacing_own, require_own
 
@@ -66,6 +66,8 @@ LONGEST_LOCK = 5.0
 """Another program may keep the tracking database locked for so long [s]."""
 FEWEST_PROCESSES = 2
 """Processes that may train together however few cores there are."""
+LARGEST_SEED = 2**32 - 1
+"""Of numpy's global generator."""
 TRAIN_CONTACTS = 8
 """Training pairs that the constant-θ baseline of the evaluation is fitted on, at most, evenly spaced."""
 
@@ -178,6 +180,13 @@ class TrainCLI(LightningCLI):
             for field in fields(settings):
                 parser.link_arguments(f"{source}.{field.name}", f"{target}.{field.name}")
 
+    def parse_arguments(self, parser: LightningArgumentParser, args: Any) -> None:
+        """As Lightning has it, with a seed that its libraries can draw from."""
+        super().parse_arguments(parser, args)
+        seed = self.config[self.config.subcommand].seed_everything
+        if isinstance(seed, int) and not 0 <= seed <= LARGEST_SEED:
+            raise UsageError(f"seed_everything is {shown(seed)}; give 0 to {LARGEST_SEED}.")
+
     def _parse_ckpt_path(self) -> None:
         """Resolve and check `--ckpt_path`. Lightning's own version lets the checkpoint override the command line."""
         config, command = self.config[self.config.subcommand], self.config.subcommand
@@ -207,12 +216,18 @@ class TrainCLI(LightningCLI):
             )
 
     def before_instantiate_classes(self) -> None:
-        trainer = self.config[self.subcommand].trainer  # ty: ignore[invalid-argument-type]  a command is required
+        config = self.config[self.subcommand]  # ty: ignore[invalid-argument-type]  a command is required
+        trainer = config.trainer
         if str(trainer.default_root_dir) == "":
             raise UsageError("trainer.default_root_dir is empty; name the run folder.")
+        if config.data.root == "":
+            raise UsageError("data.root is empty; name the folder of the data set.")
+        if trainer.check_val_every_n_epoch is not None and trainer.check_val_every_n_epoch < 1:
+            raise UsageError(f"trainer.check_val_every_n_epoch is {trainer.check_val_every_n_epoch}; give 1 or more.")
         most, asked = max(os.cpu_count() or 1, FEWEST_PROCESSES), str(trainer.devices)
-        if asked.isdecimal() and int(asked) > most and str(trainer.accelerator) in ("cpu", "auto"):
-            raise UsageError(f"trainer.devices is {asked}; give at most {most}, one for each core here.")
+        count = int(asked) if asked.removeprefix("-").isdecimal() else 1
+        if not 1 <= count <= most and str(trainer.accelerator) in ("cpu", "auto"):
+            raise UsageError(f"trainer.devices is {asked}; give 1 to at most {most}, one for each core here.")
         if trainer.strategy == "ddp" or (trainer.strategy == "auto" and str(trainer.devices) not in ("1", "auto")):
             # Each of the three backward passes reaches a part of the parameters only.
             trainer.strategy = "ddp_find_unused_parameters_true"

@@ -19,7 +19,7 @@ import zipfile
 from collections import Counter, defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass
-from os.path import isfile
+from os.path import isdir, isfile
 from pathlib import Path
 from typing import Any
 
@@ -182,7 +182,7 @@ class CacheEntry:
 
     def load(self, path: Path) -> PreparedClip | None:
         """The prepared clip, or None where there is none; a damaged entry is removed."""
-        if not self.folder.is_dir():
+        if not isdir(self.folder):  # a name that is too long for any folder, too
             return None
         with contextlib.suppress(Exception):  # by where a file is damaged, readers of zip files or arrays give up
             _require_whole(self.folder / "clip.npz", "sources")

@@ -325,7 +325,7 @@ class PhysicsInformedGAN(LightningModule):
         if not torch.isfinite(loss):
             frames = [f"{clip} frame {int(frame)}" for clip, frame in zip(batch["clip"], batch["frame"], strict=True)]
             raise TrainingDiverged(
-                f"the loss is {float(loss)} in epoch {self.current_epoch} at {' and '.join(frames)}; lower "
+                f"the loss is {float(loss.detach())} in epoch {self.current_epoch} at {' and '.join(frames)}; lower "
                 "model.learning_rate or narrow model.bounds, and resume from the last checkpoint."
             )
         optimizer.zero_grad()

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from data.contact.interaction import Interaction
 from estimators.estimate import NINETY, FrameEstimate, GripEstimate, InteractionEstimate
 from estimators.grip.stiffness_field import StiffnessField
 from estimators.known_force import KnownForce
@@ -259,6 +260,10 @@ def _told_of_run(run: InteractionEstimate | None) -> tuple[str, str, str]:
     told = "doubtful" if doubtful else estimate.verdict
     values = ", ".join(" ".join(pair) for pair in numbers(told, estimate.numbers()))
     sentences = [run.detail]
+    if run.simulated is not None and run.interaction is not None:
+        _, far = _far(run.interaction, run.simulated, estimate.noise)
+        among = np.isfinite(run.interaction.along).sum()
+        sentences += [f"The simulated displacement is {FAR} on {far.sum()} of {among} frames (×)."] if far.any() else []
     if np.isfinite(estimate.misfit):
         sentences.append(f"Misfit {estimate.misfit:.2g} (1: it fits); {estimate.explanation}.")
     if estimate.covariance is not None and told != "determined":
@@ -277,8 +282,11 @@ def _draw_motion(axes: Axes, run: InteractionEstimate | None) -> None:
         return
     contact, estimate, (simulated_times, simulated) = run.interaction, run.estimate, run.simulated
     sign, times = np.sign(estimate.theta[2]), contact.observation.times
+    at, far = _far(contact, run.simulated, estimate.noise)
     axes.errorbar(times, sign * contact.along, estimate.noise, fmt="o", ms=5, color=OBSERVED, label="observed ± σ")
     axes.plot(simulated_times, sign * simulated, "-", lw=2, color=SIMULATED, label="simulated with the fit")
+    if far.any():
+        axes.plot(times[far], sign * at[far], "x", ms=9, mew=2, color=FAR_COLOR, label="far from the observed one")
     release = contact.load_seconds + (*estimate.delays, 0.0, 0.0)[1]
     if contact.released and release < times[-1]:
         axes.axvline(release, color=RELEASE, lw=1.5, ls="--", label=f"release, {release:.3f} s")
@@ -286,6 +294,13 @@ def _draw_motion(axes: Axes, run: InteractionEstimate | None) -> None:
     axes.set_ylabel("displacement along the force\n[scene units (normalised)]")
     axes.legend(framealpha=0.85, fontsize=10)
     axes.grid(color=GRID, lw=0.8)
+
+
+def _far(contact: Interaction, simulated: tuple[np.ndarray, np.ndarray], noise: float) -> tuple[np.ndarray, np.ndarray]:
+    """What is simulated at the observed times, and where that is FAR and off by more than twice the noise, [T] each."""
+    observed, at = contact.along, np.interp(contact.observation.times, *simulated)
+    apart = np.abs(at - 1.25 * observed) > 0.75 * np.abs(observed)  # beyond half and twice, of either sign
+    return at, apart & (np.abs(at - observed) > 2 * noise)
 
 
 def _draw_grip(axes: Axes, grip: GripEstimate) -> None:

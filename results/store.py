@@ -91,9 +91,9 @@ class ResultStore:
     def __init__(self, output: Path) -> None:
         self.output = output
         self._taken: dict[str, str] = {}
-        if output.exists() and not output.is_dir():
-            raise OutputError(f"{output}: is a file; give a folder as --output.")
         with writing(output):
+            if output.exists() and not output.is_dir():
+                raise OutputError(f"{output}: is a file; give a folder as --output.")
             output.mkdir(parents=True, exist_ok=True)
             tempfile.TemporaryFile(dir=output).close()
 

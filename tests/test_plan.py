@@ -38,6 +38,19 @@ def test_a_plan_is_written_and_the_cache_used_by_another_scene(
     assert (tmp_path / "a" / "plan.png").stat().st_size > 10_000
 
 
+@pytest.mark.parametrize("option", ["--output", "--cache"])
+@pytest.mark.parametrize("name", ["file/x", "a" * 300])
+def test_what_can_t_be_written_is_told_before_presses_are_simulated(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, option: str, name: str
+) -> None:
+    monkeypatch.setattr(cost_table, "simulate_press", lambda *_: pytest.fail("minutes are spent"))
+    (tmp_path / "file").write_text("mine")
+    places = {"--output": str(tmp_path / "out"), "--cache": str(tmp_path / "presses"), option: str(tmp_path / name)}
+    assert plan.main([str(SHIPPED), *(part for pair in places.items() for part in pair)]) == 1
+    assert "writing failed" in capsys.readouterr().err
+    assert (tmp_path / "file").read_text() == "mine"
+
+
 @pytest.mark.usefixtures("quick")
 def test_a_blocked_goal_is_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     blocked = yaml.safe_load(SHIPPED.read_text()) | {"goal": [0.03, 0.0]}

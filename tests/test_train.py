@@ -347,11 +347,29 @@ def test_a_configuration_that_is_none_is_named(config: Path, tmp_path: Path, cap
         ("data.samples.window", "window is 100000; give at least 1 frame and at most 256"),
         ("model.width", "width is 100000 and residual_blocks 1; give at most 256 and 64"),
         ("model.residual_blocks", "give at most 256 and 64"),
-        ("trainer.devices", "trainer.devices is 100000; give at most"),
+        ("trainer.devices", "trainer.devices is 100000; give 1 to at most"),
     ],
 )
 def test_a_number_that_no_machine_has_room_for_gets_a_sentence(config: Path, capsys, option: str, told: str):
     assert told in refused(capsys, "fit", "-c", config, f"--{option}", 100_000)
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "told"),
+    [
+        ("seed_everything", -1, "seed_everything is -1; give 0 to 4294967295"),
+        ("seed_everything", 2**32, "seed_everything is 4294967296; give 0 to 4294967295"),
+        ("seed_everything", "9" * 400, "seed_everything is a number beyond ±1e+15; give 0 to 4294967295"),
+        ("trainer.devices", -1, "trainer.devices is -1; give 1 to at most"),
+        ("trainer.devices", 0, "trainer.devices is 0; give 1 to at most"),
+        ("trainer.check_val_every_n_epoch", 0, "check_val_every_n_epoch is 0; give 1 or more"),
+        ("data.root", "", "data.root is empty; name the folder"),
+    ],
+)
+def test_a_value_that_lightning_would_trip_over_gets_a_sentence(
+    config: Path, capsys, option: str, value: object, told: str
+):
+    assert told in refused(capsys, "fit", "-c", config, f"--{option}={value}")
 
 
 def no_database(path: Path) -> None:

@@ -32,7 +32,7 @@ FASTEST = 1000.0
 """A stored frame rate above this is a container's default, not a camera's [1/s]."""
 LARGEST_NUMBER = 2**53
 """Frame numbers below this are exact as floating-point numbers too."""
-MOST_FOLDERS = 10_000
+MOST_FOLDERS = 5_000
 """Of a search for clips, which takes a millisecond a folder; the largest data sets have hundreds."""
 LEAST_SIDE, MOST_ASPECT = 32, 4
 """Smallest picture [px] and longest side over shortest; on smaller or longer ones OpenCV's optical flow crashes."""

@@ -46,9 +46,9 @@ class RecoveryStore:
     def __init__(self, output: Path, wanted: Mapping[str, Any], kind: type = Recovery) -> None:
         self.output = output
         self._results = output / FILES[kind]
-        if output.exists() and not output.is_dir():
-            raise OutputError(f"{output}: is a file; give a folder as --output.")
         with writing(output):
+            if output.exists() and not output.is_dir():
+                raise OutputError(f"{output}: is a file; give a folder as --output.")
             output.mkdir(parents=True, exist_ok=True)
         code, wanted = code_digest(), json.loads(json.dumps({"format": FORMAT_VERSION, **wanted}))
         recorded = self._recorded()

@@ -249,3 +249,10 @@ def test_the_loser_of_a_race_discards_its_own(tmp_path):
 def test_names_of_any_length_and_alphabet(tmp_path):
     folder = write_clip(tmp_path / ("ö" * 100), frames=3)
     assert len(prepare(folder, SETTINGS, tmp_path / "cache")) == 3
+
+
+def test_a_cache_that_no_disk_can_hold_is_a_sentence(tmp_path: Path) -> None:
+    entry = CacheEntry(tmp_path / ("a" * 300), "clip", "key")
+    assert entry.load(tmp_path) is None
+    with pytest.raises(InputError, match=r"can't be written \(File name too long\); free space or change the cache"):
+        entry.write([], {}, (1, 1))

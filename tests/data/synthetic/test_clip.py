@@ -28,6 +28,7 @@ from data.synthetic.clip import MARKER, SyntheticClip, clip_seed, folder_start, 
 from data.synthetic.files import open_video
 from data.synthetic.settings import SceneSettings
 from data.training.cholecseg8k import join_folders, list_clips
+from physics.files import file_sha256
 
 SMALL = SceneSettings(
     width=108,
@@ -207,6 +208,19 @@ def test_a_file_that_is_not_as_written_is_named_and_stays(tmp_path: Path, foreig
         write_clip(tmp_path, 1, SMALL, 2, overwrite=True)
     assert path.read_bytes() == b"precious"
     assert json.loads((tmp_path / "video01" / "video01_00000" / "truth.json").read_text(encoding="utf-8"))["seed"] == 1
+
+
+def test_a_huge_file_in_a_frame_s_place_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    frame = write_clip(tmp_path, 1, SMALL, 1) / "frame_3_endo.png"
+    with frame.open("wb") as file:
+        file.truncate(12 * 2**30)
+    read = []
+    monkeypatch.setattr(clips, "file_sha256", lambda path: read.append(path.name) or file_sha256(path))
+    with pytest.raises(FileExistsError, match="is not as data"):
+        write_clip(tmp_path, 1, SMALL, 2, overwrite=True)
+    assert read
+    assert frame.name not in read
+    assert frame.stat().st_size == 12 * 2**30
 
 
 def test_folders_behind_links_and_odd_markers_are_not_ours(tmp_path: Path) -> None:

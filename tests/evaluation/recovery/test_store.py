@@ -120,3 +120,8 @@ def test_a_folder_of_something_else_is_refused(tmp_path, content):
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match="is a file"):
         RecoveryStore(tmp_path / "file", WANTED)
+
+
+def test_a_name_that_no_folder_has_is_a_sentence(tmp_path):
+    with pytest.raises(OutputError, match=r"writing failed \(File name too long\); check the output folder or choose"):
+        RecoveryStore(tmp_path / ("a" * 300), WANTED)

@@ -24,8 +24,6 @@ MOST_PIXELS = 2**25
 """Larger pictures are not unpacked; those of 8K have fewer."""
 MOST_BYTES = 8 * MOST_PIXELS
 """No picture's file is larger: four channels of 16 bits, not packed."""
-MOST_BESIDE = 2**20
-"""What a picture's file may hold beside its pixels [bytes]; packed, they are no more than their number."""
 LONGEST = 600
 """Letters of a path in a sentence."""
 _ONE_AT_A_TIME = threading.Lock()
@@ -57,7 +55,7 @@ def read_image(path: Path, flags: int = cv2.IMREAD_COLOR_RGB, most: float = MOST
             told = f"is {width}x{height}, far larger than its picture; store it at that size"
             raise InputError(f"{printable(path)} {told}.")
         require_pixels(path, width, height)
-        if len(content) > 8 * width * height + MOST_BESIDE:
+        if _packed(content) > 9 * width * height + 2**12:  # more than four channels of 16 bits that can't be packed
             raise InputError(f"{printable(path)} is far larger than a picture of {width}x{height}; store it anew.")
     image = None
     if not _truncated(content):
@@ -94,6 +92,16 @@ def require_pixels(path: Path, width: int, height: int) -> None:
     """
     if width * height > MOST_PIXELS:
         raise InputError(f"{printable(path)} is {width}x{height}, more than {_MOST}.")
+
+
+def _packed(content: bytes) -> int:
+    """Bytes of a PNG's packed pixels."""
+    place, found = 8, 0
+    while place + 8 <= len(content):
+        size = int.from_bytes(content[place : place + 4], "big")
+        found += size if content[place + 4 : place + 8] == b"IDAT" else 0
+        place += 12 + size
+    return found
 
 
 def _truncated(content: bytes) -> bool:

@@ -62,14 +62,14 @@ def run_case(
 ) -> Case:
     """Follow a pull, and predict from every so many frames.
 
-    Every method's gap is the residual mapping by k⁰ to the cloud and to followed points, whatever it matches itself:
-    distances to a cloud don't show tissue that slides within its surface.
+    Every method's gap is the residual mapping by k⁰ to what is seen, whether it looks at that itself or not.
 
     Args:
         pull: what is simulated and seen.
         start: stiffness of distances and shapes to begin with.
         name: one of `METHODS`.
-        match: what methods map to: chamfer, tracks or both.
+        match: what is seen: chamfer (the cloud), tracks (followed points) or both. A cloud alone doesn't show tissue
+            that slides within its surface.
         every: frames from one prediction to the next.
         said: called after every frame, for progress.
         epochs: of the batch fit.
@@ -94,7 +94,11 @@ def run_case(
             ahead.append(frame)
             states = session.ahead(pull.places[frame + 1 : frame + 1 + HORIZON])
             rows.append(
-                (*_judged(pull, objective, states, frame, nearest), session.fields.distance, session.fields.shape)
+                (
+                    *_judged(pull, objective, states, frame, nearest, match),
+                    session.fields.distance,
+                    session.fields.shape,
+                )
             )
         said()
     gap, gaps, last, keypoint, distance, shape = (np.array(values) for values in zip(*rows, strict=True))
@@ -107,13 +111,13 @@ def run_case(
 
 
 def _judged(
-    pull: Pull, objective: Objective, states: np.ndarray, frame: int, nearest: np.ndarray
+    pull: Pull, objective: Objective, states: np.ndarray, frame: int, nearest: np.ndarray, match: str
 ) -> tuple[float, np.ndarray, np.ndarray, float]:
     """Gap, its map and the state at the end, and the keypoints' error, of states [10, N, 3] after a frame."""
     gaps, off = [], []
     residual = np.zeros_like(states[0])
     for at, state in enumerate(states, start=frame + 1):
-        residual = objective.mapped(state, pull.matches(at, "both")).deformation
+        residual = objective.mapped(state, pull.matches(at, match)).deformation
         gaps.append(np.linalg.norm(residual))
         moved = state[nearest] - pull.body.rest[nearest]
         true = pull.points[at + 1, pull.keypoints] - pull.points[0, pull.keypoints]

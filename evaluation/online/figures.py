@@ -57,8 +57,9 @@ def _over_time(cases: Cases, shown: Mapping[str, str], what: str, methods: tuple
                 axes.plot(1 + np.arange(len(case.chamfer)), 1e6 * case.chamfer, color=COLOURS[method], label=method)
             else:
                 axes.plot(1 + case.ahead, 1e3 * case.gap, marker="o", ms=3, color=COLOURS[method], label=method)
-        axes.set(xlabel="frame", title=f"{sequence}, {start}", yscale="log")
+        axes.set(xlabel="frame", title=f"{sequence}, {start}")
         axes.set_ylabel("Chamfer distance [mm²]" if what == "chamfer" else "mean future gap ‖Δ‖ [mm]")
+        axes.set_ylim(bottom=0)
         axes.legend(fontsize=8)
     return figure
 
@@ -72,7 +73,7 @@ def _gap_maps(cases: Cases, shown: Mapping[str, str], pulls: Mapping[str, Pull])
     """Ten frames ahead, from the middle of the sequence on."""
     methods = [method for method in METHODS if method != BATCH]
     figure = Figure(figsize=(3.2 * len(methods), 2.8 * len(shown)), dpi=100, layout="constrained")
-    grid = figure.subplots(len(shown), len(methods), squeeze=False)
+    grid, drawn = figure.subplots(len(shown), len(methods), squeeze=False), None
     for row, (sequence, start) in zip(grid, shown.items(), strict=True):
         own = [cases[sequence, start, m] for m in methods if (sequence, start, m) in cases]
         most = 1e3 * max((float(case.gaps[len(case.gaps) // 2].max()) for case in own), default=1.0)
@@ -83,16 +84,18 @@ def _gap_maps(cases: Cases, shown: Mapping[str, str], pulls: Mapping[str, Pull])
                 continue
             middle = len(case.gaps) // 2
             told = {"c": 1e3 * case.gaps[middle][pulls[sequence].seen], "cmap": "viridis", "vmin": 0, "vmax": most}
-            drawn = axes.scatter(*_places(case.states[middle], pulls[sequence]).T, s=14, **told)
+            drawn = axes.scatter(*_places(case.states[middle], pulls[sequence]).T, s=30, **told)
             axes.set_title(f"{sequence}, {start}\n{method}, t = {1 + case.ahead[middle]} + 10", fontsize=9)
-        figure.colorbar(drawn, ax=row, shrink=0.8, label="‖Δ‖ of a particle [mm]")
+        if drawn is not None and own:
+            figure.colorbar(drawn, ax=row, shrink=0.8, label="‖Δ‖ of a particle [mm]")
     return figure
 
 
 def _fields(cases: Cases, shown: Mapping[str, str], pulls: Mapping[str, Pull]) -> Figure:
     """Distances above, shapes below, at the first, the middle and the last prediction, and the truth beside them."""
-    figure = Figure(figsize=(11, 5 * len(shown)), dpi=100, layout="constrained")
-    grid = figure.subplots(2 * len(shown), 4, squeeze=False)
+    columns = 1 + min(3, max(len(case.ahead) for case in cases.values()))
+    figure = Figure(figsize=(3.2 * columns, 5 * len(shown)), dpi=100, layout="constrained")
+    grid = figure.subplots(2 * len(shown), columns, squeeze=False)
     for number, (sequence, start) in enumerate(shown.items()):
         case, pull = cases.get((sequence, start, "PBD-RM-ON")), pulls[sequence]
         if case is None:
@@ -107,7 +110,7 @@ def _fields(cases: Cases, shown: Mapping[str, str], pulls: Mapping[str, Pull]) -
             most = max(0.1, *(float(np.abs(values).max()) for values, _ in panels))
             for axes, (values, told) in zip(row, panels, strict=False):
                 drawn = axes.scatter(
-                    *_places(pull.body.rest, pull).T, c=values[pull.seen], s=14, cmap="coolwarm", vmin=-most, vmax=most
+                    *_places(pull.body.rest, pull).T, c=values[pull.seen], s=30, cmap="coolwarm", vmin=-most, vmax=most
                 )
                 axes.set_title(f"{sequence}, {start}: {told}", fontsize=8)
             for axes in row:

@@ -30,6 +30,8 @@ from data.synthetic import clip as synthetic_clips
 from estimators.palpation.curves import Grasp
 from evaluation import terms
 from evaluation.foreign import __main__ as foreign
+from evaluation.online import __main__ as online
+from evaluation.online.compare import Case
 from evaluation.palpation import __main__ as palpation
 from evaluation.palpation import frank
 from evaluation.real import __main__ as real
@@ -65,6 +67,7 @@ PLACES = {
     "judge_palpation": ("table.csv", "notes.txt"),
     "judge_frank": ("table.csv", "error_mask.png", "six_forces.png", "notes.txt"),
     "judge_newtons": ("table.csv", "calibration.yaml", "results/notes.txt"),
+    "judge_online": ("table.csv", "report.html", "figures/figure_5.png", "cases/notes.txt", "cases/x.npz"),
     "calibrate_curves": ("curves.csv", "notes.txt"),
     "calibrate_palpation": ("calibration.json", "errors.csv", "notes.txt"),
     "plan_way": ("plan.json", "plan.png", "presses/notes.txt"),
@@ -120,6 +123,12 @@ def quick(monkeypatch: pytest.MonkeyPatch, blank_pictures: None) -> None:
     truths = {str(number): newtons.Truth(Path(str(number)), 1 + random.random(), 0.5) for number in range(3)}
     patch(newtons, "read_truths", lambda folder: truths)
     patch(newtons.infer, "main", newtons_of(infer.main))
+    pull = SimpleNamespace(body=SimpleNamespace(count=9))
+    sequence = SimpleNamespace(block=False, frames=60, pull=lambda particles, points, frames: pull)
+    patch(online, "SEQUENCES", {"thin-shell-1": sequence})
+    patch(online, "run_case", lambda *arguments: Case(*(np.full(1, random.random()) for _ in range(8)), 0.5, 0.1))
+    patch(online, "draw_all", lambda cases, pulls: {"figure_5.png": Figure((1, 1))})
+    patch(online, "code_digest", lambda: "digest")
     patch(cost_table, "simulate_press", quick_press)
     patch(plan, "simulate_press", quick_press)
     settings = SimpleNamespace(law="corotational")
@@ -192,6 +201,10 @@ def runs_of(inputs: Path) -> dict[str, Run]:
         known = ["--known", chance.choice("012")]
         return newtons.main(["--clips", str(inputs), *known, "--output", str(out)])
 
+    def judge_online(chance: random.Random, out: Path) -> object:
+        asked = ["--starts", "k1", "--methods", "PBD", "--every", str(chance.choice((5, 10)))]
+        return online.main([*asked, "--output", str(out)])
+
     def calibrate_curves(chance: random.Random, out: Path) -> object:
         size = ["--indenter", "sphere", "--size", str(1 + chance.random())]
         return calibrate.main(["curves", str(inputs / "probes.csv"), *size, "--output", str(out)])
@@ -220,7 +233,7 @@ def runs_of(inputs: Path) -> dict[str, Run]:
         return prepare(inputs / "tiny", SETTINGS, out)
 
     every = (draw, estimate, judge_press, judge_foreign, judge_palpation, benchmark, train_network, train_row)
-    measured = (judge_frank, judge_newtons, calibrate_curves, calibrate_palpation, plan_way)
+    measured = (judge_frank, judge_newtons, judge_online, calibrate_curves, calibrate_palpation, plan_way)
     return {run.__name__: run for run in (*every, *measured, write_depth, keep_prepared)}
 
 
@@ -294,6 +307,7 @@ def test_these_doors_write_where_nothing_is_in_the_way(inputs: Path) -> None:
         "judge_press": {"table.csv", "report.html", "1.png"},
         "judge_foreign": {"table.csv"},
         "judge_palpation": {"table.csv"},
+        "judge_online": {"table.csv", "report.html", "figure_5.png", "thin-shell-1_k1_PBD.npz"},
         "calibrate_curves": {"curves.csv"},
         "calibrate_palpation": {"calibration.json", "errors.csv"},
         "plan_way": {"plan.json", "plan.png"},

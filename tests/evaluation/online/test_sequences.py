@@ -26,7 +26,7 @@ def test_the_truth_moves_as_it_is_held(pull: Pull) -> None:
     moved = np.linalg.norm(pull.truth[-1] - body.rest, axis=1)
     free = ~body.pinned
     free[pull.gripped] = False
-    assert 0 < moved[free].max() <= 1.05 * moved[pull.gripped].max()
+    assert 0 < moved[free].max() < 1.5 * moved[pull.gripped].max()  # a block turns, too
     assert pull.moving().any()
     assert not pull.moving()[~free].any()
 

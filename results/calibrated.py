@@ -141,6 +141,8 @@ class ClipCalibration:
             self.rows.append(values)
         if self.measured is not None:
             self.curves = self._compared(pressed, length, self.measured)
+            if any(curve.unit == NEWTONS for curve in self.curves):
+                self.reason = ""  # a dent or a grip tells newtons where no press does
 
     def _found(self, pressed: Sequence[PressedRun], length: ClipLength) -> ForceScale | None:
         if self.home or not self.calibration.of_one_clip:

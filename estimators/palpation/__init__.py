@@ -7,6 +7,7 @@ relaxation  how a force falls while the depth is held: standard linear solids
 grasp       stiffness of an object between two jaws
 skin        a scanned surface on coarser tetrahedra, and the closest places on it
 registration depth points laid onto a surface (ICP)
+views       several depth views of a body as one surface
 material_fit Young's modulus and Poisson's ratio from forces and deformed surfaces
 scene       the file that names a surface and what was pressed on it
 """

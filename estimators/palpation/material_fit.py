@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimators.palpation.registration import placed, register, turned
+from estimators.palpation.registration import placed, register, thinned, turned
 from estimators.palpation.skin import Match, Skin
 from physics.fem import Equilibrium, Material, NoEquilibrium, find_equilibrium
 
@@ -32,8 +32,6 @@ FARTHEST_STEP = 10.0
 """Factor by which a step changes E at most."""
 CRUSHED = 0.3
 """Of the body's size: a start that the linear law would displace farther is made stiffer first."""
-MOST_ALIGNED = 2000
-"""Points that are aligned by ICP; the fit refines their pose by all."""
 STEP = 1e-3
 """Of log E or ν, below which the numeric descent tries none."""
 OUTLIER = 3.0
@@ -320,11 +318,6 @@ class _System:
         found = inverse[:2, :2] + self.settings.model_error**2 * lever @ alike @ lever.T
         sign = np.diag([-1.0, 1.0])  # log E falls as the compliance grows
         return sign @ found @ sign
-
-
-def thinned(points: np.ndarray) -> np.ndarray:
-    """At most MOST_ALIGNED of some points [P, 3], evenly: a pose needs no more."""
-    return points[:: -(-len(points) // MOST_ALIGNED)]
 
 
 def surface_error(skin: Skin, rest: Equilibrium, palpation: Palpation, pose: np.ndarray) -> np.ndarray:

@@ -15,6 +15,8 @@ from estimators.palpation.skin import Match
 KEPT = 0.7
 """Share of the pairs, those closest, that align."""
 ROUNDS = 50
+MOST_ALIGNED = 2000
+"""Points that a pose needs at most."""
 STILL = 1e-7
 """Step of a point over the cloud's size, below which nothing changes any more."""
 
@@ -30,6 +32,11 @@ def turned(pose: np.ndarray, step: np.ndarray) -> np.ndarray:
     change[:3, :3] = Rotation.from_rotvec(step[:3]).as_matrix()
     change[:3, 3] = step[3:]
     return change @ pose
+
+
+def thinned(points: np.ndarray) -> np.ndarray:
+    """At most MOST_ALIGNED of some points [P, 3], evenly."""
+    return points[:: max(1, -(-len(points) // MOST_ALIGNED))]
 
 
 def register(

@@ -15,6 +15,7 @@ from data.source.layout import InputError, from_mapping, read_mapping
 from data.source.table import read_columns
 from estimators.palpation.material_fit import FitSettings, Palpation
 from estimators.palpation.skin import Skin, cover
+from estimators.palpation.views import View, join_views
 from physics.fem import NoBody, make_solid, mesh_surface
 from physics.fields import LARGEST
 from physics.files import read_file
@@ -38,14 +39,16 @@ class SceneFile:
         ValueError: numbers that can't be.
     """
 
-    surface: str
-    """The surface at rest, an .obj file beside this one [m]."""
     held_axis: Literal["x", "y", "z"]
     """Along which `held_below` counts."""
     held_below: float
     """What lies lower stands still, as on a table [m]."""
     palpations: tuple[dict[str, Any], ...]
     """Each with the fields of `PalpationFile`."""
+    surface: str | None = None
+    """The surface at rest, an .obj file beside this one [m]; none = `views` show it."""
+    views: tuple[dict[str, Any], ...] = ()
+    """Depth views of it, each with the fields of `ViewFile`; they are registered and joined."""
     cells: int = 8
     """Of the mesh along the surface's longest side."""
     thickness: float | None = None
@@ -62,8 +65,23 @@ class SceneFile:
             raise ValueError(f"cells is {self.cells}; give 2 to {MOST_CELLS}.")
         if not YOUNG[0] <= self.young <= YOUNG[1] or not 0 <= self.poisson < 0.5:
             raise ValueError(f"young is to be {YOUNG[0]:g} to {YOUNG[1]:g} Pa, poisson from 0 to below 0.5.")
+        if (self.surface is None) == (not self.views):
+            raise ValueError("surface and views both show the body at rest; give one of them.")
         if not self.palpations:
             raise ValueError("palpations is empty; give one at least.")
+
+
+@dataclass(frozen=True)
+class ViewFile:
+    """Fields of a view."""
+
+    surface: str
+    """What the sensor saw, an .obj file beside the scene, in the sensor's frame [m]."""
+    pose: tuple[Row, Row, Row, Row] = ((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1))
+    """Of the sensor as it is believed; the first view's is kept."""
+
+    def __post_init__(self) -> None:
+        _require_rigid(self.pose)
 
 
 @dataclass(frozen=True)
@@ -81,13 +99,17 @@ class PalpationFile:
     pose_turn: float = 0.03
 
     def __post_init__(self) -> None:
-        turn = np.array(self.pose)[:3, :3]
-        if np.abs(turn @ turn.T - np.eye(3)).max() > 1e-3 or np.linalg.det(turn) < 0:
-            raise ValueError("pose is no rotation and shift; give the rows of a rigid 4 × 4 matrix.")
+        _require_rigid(self.pose)
         if min(self.tool_radius, self.hole, self.pose_shift, self.pose_turn) <= 0:
             raise ValueError("tool_radius, hole, pose_shift and pose_turn are to be positive.")
         if not FORCES[0] <= math.hypot(*self.force) <= FORCES[1]:
             raise ValueError(f"force is to be {FORCES[0]:g} to {FORCES[1]:g} N; give what the tool pressed with.")
+
+
+def _require_rigid(pose: tuple[Row, Row, Row, Row]) -> None:
+    turn = np.array(pose)[:3, :3]
+    if np.abs(turn @ turn.T - np.eye(3)).max() > 1e-3 or np.linalg.det(turn) < 0:
+        raise ValueError("pose is no rotation and shift; give the rows of a rigid 4 × 4 matrix.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,12 +153,12 @@ def read_scene(path: Path) -> Scene:
                 each.pose_turn,
             )
         )
-    vertices, triangles = read_obj(path.parent / scene.surface)
+    vertices, triangles, notes = _surface(scene, path)
     try:
         floor = "xyz".index(scene.held_axis), scene.held_below
         meshed = mesh_surface(vertices, triangles, cells=scene.cells, thickness=scene.thickness, floor=floor)
     except NoBody as error:
-        raise InputError(f"{printable(path.parent / scene.surface)}: {error}") from error
+        raise InputError(f"{printable(path.parent / (scene.surface or path.name))}: {error}") from error
     body = make_solid(meshed.nodes, meshed.tetrahedra, order=2)
     low = body.rest[:, floor[0]]
     # Nodes at a body's own base are drawn to it only nearly.
@@ -154,7 +176,21 @@ def read_scene(path: Path) -> Scene:
         )
     settings = FitSettings(scene.law, scene.young, scene.poisson)
     still = vertices[:, floor[0]] <= scene.held_below + slack
-    return Scene(cover(body, vertices, triangles, still), held, palpations, settings, meshed.notes)
+    return Scene(cover(body, vertices, triangles, still), held, palpations, settings, (*notes, *meshed.notes))
+
+
+def _surface(scene: SceneFile, path: Path) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+    """Vertices [V, 3] and triangles [F, 3] of the body at rest, and what is to be said of them."""
+    if scene.surface is not None:
+        return *read_obj(path.parent / scene.surface), ()
+    given = [
+        from_mapping(ViewFile, values, f"{printable(path)}, view {number}")
+        for number, values in enumerate(scene.views, start=1)
+    ]
+    views = [View(*read_obj(path.parent / each.surface), np.array(each.pose, np.float64)) for each in given]
+    joined = join_views(views)
+    told = f"{len(views)} views were joined; where they overlap they lie {1000 * joined.apart:.2g} mm apart (rms)."
+    return joined.vertices, joined.triangles, (told,)
 
 
 def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:

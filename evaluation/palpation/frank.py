@@ -120,7 +120,7 @@ def _paper(body: Body, name: str, coarse: bool, table: FileTable) -> dict[str, b
     seen = observe(*truth, "stereo", 0)
     settings = FitSettings(young=YOUNG / 30)
     exact = fit_material(skin, held, [seen], settings)
-    numeric = descend(skin, held, [seen], settings, most=40 if coarse else MOST)
+    numeric = descend(skin, held, [seen], settings, most=MOST)
     near = abs(numeric.young / exact.young - 1) < 0.05
     measures: dict[str, object] = {
         "Gauss–Newton: E / truth - 1": exact.young / YOUNG - 1,

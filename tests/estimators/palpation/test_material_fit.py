@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from estimators.palpation import FitSettings, Palpation, Skin, fit_material
-from estimators.palpation.material_fit import MOST_ALIGNED, descend, thinned
+from estimators.palpation.material_fit import descend
+from estimators.palpation.registration import MOST_ALIGNED, thinned
 from evaluation.palpation.synthetic import BODIES, observe, press
 
 BODY = dataclasses.replace(BODIES["slab"], size=0.08)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,7 +50,7 @@ class Body:
             meshed = mesh_surface(vertices, triangles, cells=cells, floor=(2, HELD * self.height))
             nodes, tetrahedra = meshed.nodes, meshed.tetrahedra
         else:
-            high = max(2, round(cells * self.height / self.size))
+            high = max(2, math.ceil(cells * self.height / self.size))
             nodes, tetrahedra = box((self.size, self.size, self.height), (cells, cells, high))
             nodes = nodes - [self.size / 2, self.size / 2, 0]
         body = make_solid(nodes, tetrahedra, order=2)

@@ -22,7 +22,8 @@ ESTIMATED = {
     f"{name}_bound": f"Cramér–Rao bound on the sd of log {SYMBOLS[name]} (0.1: 10 %), were the onset known"
     for name in PARAMETERS
 }
-"""Columns of an estimate; k_d/k_s is in s and |F|/k_s in scene units."""
+"""Columns of an estimate; k_d/k_s is in s and |F|/k_s in scene units; of `--model fem`, where k_s is Young's modulus,
+in s/scene unit² and scene unit²."""
 UNITS = {
     "stiffness": "scene units (normalised), not N/m",
     "damping": "scene units (normalised), not N·s/m",

@@ -31,7 +31,7 @@ from physics.fem.slab import slab_beneath
 from physics.identifiability import box_information
 from physics.mechanics import theta_of
 
-BLIND = 3.0
+BLIND = 4.5
 """Tissue nearer to the contact isn't compared [grid px]."""
 YOUNG, DAMPING = np.log(np.geomspace(30.0, 1500.0, 5)), np.log(np.geomspace(1e4, 4e5, 3))
 """log E and log d among whose pairs a start is looked for."""
@@ -53,10 +53,14 @@ REFUTED = 10.0
 MODEL_ERROR = 0.15
 """Standard deviation of the slab's own error over its motion: mesh, law and tip are not the tissue's. It is the same
 within a ring around the contact and a part of the time, and independent elsewhere."""
-RINGS = 4.5, 6.5
+RINGS = 6.0, 8.0
 """Between rings [grid px]."""
 EARLY = 2.5
 """Frames after the press begins, and after it ends, that are parts of their own."""
+
+
+FIRMER = 1.5
+"""By so much log E, log d and log |F| are raised together to see whether the film tells their scale there as well."""
 
 
 class SlabProblem(FilmProblem[SlabMotion]):
@@ -113,7 +117,7 @@ def fit_slab(
     information, misfit = problem.information(logs), problem.misfit(logs)
     prior = box_information(box)
     tissue = about_tissue(information, prior) / max(1.0, misfit) ** 2
-    spread = np.linalg.inv(tissue + prior[:3, :3])
+    spread = firmer(problem, logs, box, np.linalg.inv(tissue + prior[:3, :3]))
     at = int(np.flatnonzero(problem.patches.vertices == contact.vertex)[0])
     path = problem.motion.at(logs)[0][:, at] @ np.asarray(contact.direction, np.float64)
     rival = _relaxation(problem, logs, problem_of(True), REFUTED * max(1.0, misfit) ** 2)
@@ -135,6 +139,25 @@ def fit_slab(
         hidden = about_tissue(information / effective_misfit(found) ** 2, prior)
         found = found.widened(np.linalg.inv(hidden + prior[:3, :3]))
     return found, (np.append(0.0, problem.motion.times), np.append(0.0, path))
+
+
+def firmer(problem: SlabProblem, logs: np.ndarray, box: np.ndarray, spread: np.ndarray) -> np.ndarray:
+    """The covariance [3, 3] of a fit at `logs`, wider along the common scale where firmer tissue explains as much.
+
+    The larger the scale the less inertia tells it: towards firm tissue the posterior has a tail, of which the best
+    fit's surroundings know nothing.
+    """
+    raised = np.clip(logs + FIRMER * (np.arange(len(logs)) < 3), *box)
+    step = float((raised - logs)[:3].min())
+    value, (residual, jacobian) = float(np.square(problem.residual(logs)).sum()), problem.linearise(raised)
+    if not (step > 0 and np.isfinite(residual).all()):
+        return spread
+    # At that E with the damping and the force that suit it.
+    others, gradient = jacobian[:, 1:], jacobian[:, 1:].T @ residual
+    gained = gradient @ np.linalg.solve(others.T @ others + box_information(box)[1:, 1:], gradient)
+    rise = 0.5 * (float(np.square(residual).sum()) - gained - value)
+    seen = step**2 / (2 * max(rise, 0.5 * (step / FIRMER) ** 2))
+    return spread + max(seen - float(spread.mean()), 0.0) * np.ones((3, 3))
 
 
 def _relaxation(plain: SlabProblem, logs: np.ndarray, other: SlabProblem, better: float) -> str:

@@ -26,8 +26,9 @@ POISSON = 0.45
 """ν: soft tissue hardly changes its volume, and a dent tells little of how little."""
 DENSITY = 1500.0
 """ρ [mass/scene unit³]."""
-PATCH = 5.0
-"""Radius of the tissue that the tip presses on, as 1 - (r/R)² [grid px]."""
+PATCH = 3.5
+"""Radius of the tissue that the tip presses on, as 1 - (r/R)² [grid px]; a wider one also drives what lies beside it,
+which then moves too early where tissue is viscous."""
 SUBSTEPS = 2
 """Time steps a frame."""
 TOLERANCE = 1e-4

@@ -13,7 +13,7 @@ from data.contact.interaction import Interaction
 from data.contact.patches import Patches
 from estimators.direct import slab_fit, slab_motion
 from estimators.direct.contact_fit import LARGEST_MISFIT
-from estimators.direct.slab_fit import BLIND, MODEL_ERROR, SlabProblem, descend, fit_slab, slab_start
+from estimators.direct.slab_fit import BLIND, MODEL_ERROR, SlabProblem, descend, firmer, fit_slab, slab_start
 from estimators.direct.slab_motion import DENSITY, PATCH, SlabMotion
 from estimators.estimate import NINETY, Estimate, NoEstimate
 from physics.fem import Inertia, Material, find_equilibrium, simulate
@@ -132,7 +132,7 @@ def test_a_fit_recovers_what_made_the_film_and_a_start_is_near(monkeypatch: pyte
     problem = SlabProblem(contact, lambda vertices, times: SlabMotion(contact, slab_of(), MESH.pixels[vertices], times))
     start = slab_start(problem)
     assert np.abs(start - LOGS).max() < 1.0
-    far = LOGS + [0.5, 0.0, 0.0]
+    far = LOGS + 0.5 * np.eye(3)[0]
     problem.look(far)
     before = np.square(problem.residual(far)).sum()
     assert np.square(problem.residual(descend(problem, far, problem.motion.box, 1.0))).sum() < before - 20
@@ -166,6 +166,23 @@ def test_the_slabs_own_error_is_a_share_of_its_motion_in_rings_and_parts_of_the_
     parts = len(np.unique(np.flatnonzero(np.abs(columns).sum(axis=(0, 1)))))
     assert told < parts / MODEL_ERROR**2
     assert told > 0.5 / MODEL_ERROR**2
+
+
+def test_intervals_reach_firmer_tissue_that_explains_as_much() -> None:
+    contact = dataclasses.replace(
+        contact_of(), film=DentFilm(TIMES, np.zeros((10, SIDE, SIDE), np.float32), FilmNoise(SIGMA, 0.0), SIZE)
+    )
+    problem = SlabProblem(contact, lambda vertices, times: SlabMotion(contact, slab_of(), MESH.pixels[vertices], times))
+    box, narrow = problem.motion.box, 1e-4 * np.eye(3)
+    viscous = np.log([100.0, 3e5, 0.08])
+    for logs, telling in ((viscous, False), (LOGS, True)):
+        moved = problem.motion.at(logs)[0]
+        problem.observed = problem.patches.shown(problem.patches.sunk(moved), problem.patches.covering(moved))
+        problem.look(logs)
+        wider = firmer(problem, logs, box, narrow) - narrow
+        np.testing.assert_allclose(wider, wider[0, 0])  # along the common scale alone
+        assert (math.sqrt(wider[0, 0]) < 0.5) == telling
+    assert firmer(problem, box[1], box, narrow) is narrow
 
 
 def test_tissue_under_the_tip_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:

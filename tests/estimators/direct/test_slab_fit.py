@@ -98,7 +98,7 @@ def test_slow_presses_end_where_the_body_rests() -> None:
     logs = LOGS - [0, 0, math.log(3)]
     forces = THETA[2] / 3 * slab.patch(PATCH)[:, None] * NORMAL
     rest = find_equilibrium(slab.solid, Material("stable_neo_hookean", THETA[0], 0.45), slab.held, forces=forces)
-    np.testing.assert_allclose(motion.at(logs)[0][-1, 0], rest.displacement[slab.top[2, 2]], rtol=0.01, atol=1e-5)
+    np.testing.assert_allclose(motion.at(logs)[0][-1, 0], rest.displacement[slab.top[2, 2]], rtol=0.02, atol=1e-5)
 
 
 def test_what_cannot_be_followed_is_not_a_number(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -119,6 +119,7 @@ def coarsely(monkeypatch: pytest.MonkeyPatch, contact: Interaction, cells: tuple
     return fit_slab(contact, THICKNESS)[0]
 
 
+@pytest.mark.slow
 def test_a_fit_recovers_what_made_the_film_and_a_start_is_near(monkeypatch: pytest.MonkeyPatch) -> None:
     contact = seen(LOGS, 1, COARSE)
     found = coarsely(monkeypatch, contact, COARSE)
@@ -138,6 +139,7 @@ def test_a_fit_recovers_what_made_the_film_and_a_start_is_near(monkeypatch: pyte
     assert np.square(problem.residual(descend(problem, far, problem.motion.box, 1.0))).sum() < before - 20
 
 
+@pytest.mark.slow
 def test_a_slab_that_relaxes_is_no_slab_damped_by_mass(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(slab_fit, "REFUTED", 1.0)  # its misfit is large as well
     found = coarsely(monkeypatch, seen(RELAXING, 2, COARSE, relaxing=True), COARSE)
@@ -185,6 +187,7 @@ def test_intervals_reach_firmer_tissue_that_explains_as_much() -> None:
     assert firmer(problem, box[1], box, narrow) is narrow
 
 
+@pytest.mark.slow
 def test_tissue_under_the_tip_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
     contact = seen(LOGS, 1, COARSE)
     assert contact.film is not None

@@ -11,16 +11,19 @@ import pytest
 from data.contact.film import DentFilm, FilmNoise
 from data.contact.interaction import Interaction
 from data.contact.patches import Patches
-from estimators.direct import slab_fit, slab_motion
+from estimators.direct import estimator, slab_fit, slab_motion
 from estimators.direct.contact_fit import LARGEST_MISFIT
+from estimators.direct.estimator import DirectEstimator
 from estimators.direct.slab_fit import BLIND, MODEL_ERROR, SlabProblem, descend, firmer, fit_slab, slab_start
 from estimators.direct.slab_motion import DENSITY, PATCH, SlabMotion
 from estimators.estimate import NINETY, Estimate, NoEstimate
+from estimators.onset import BETWEEN
 from physics.fem import Inertia, Material, find_equilibrium, simulate
 from physics.fem.slab import Slab, slab_beneath
 from physics.load import Press, held
 from physics.observation import Observation
 from tests.estimators.direct.test_field import FRAME, MESH, SIDE, SIGMA, SIZE
+from tests.estimators.sessions import clip_info
 
 COARSE = (4, 4, 2)
 THICKNESS = 0.05
@@ -197,6 +200,22 @@ def test_tissue_under_the_tip_does_not_count(monkeypatch: pytest.MonkeyPatch) ->
     spoiled = dataclasses.replace(contact, film=dataclasses.replace(contact.film, change=other))
     one, two = (coarsely(monkeypatch, each, COARSE) for each in (contact, spoiled))
     np.testing.assert_array_equal(one.theta, two.theta)
+
+
+def test_the_estimator_fits_a_slab_where_a_thickness_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    film = DentFilm(TIMES, np.zeros((10, SIDE, SIDE), np.float32), FilmNoise(SIGMA, 0.0), SIZE)
+    contact, asked = dataclasses.replace(contact_of(), film=film), []
+    told = Estimate(np.array(THETA), np.eye(3)), (TIMES, TIMES)
+    monkeypatch.setattr(estimator, "fit_slab", lambda *given: asked.append(given) or told)
+    session = DirectEstimator(BETWEEN, noise=0.002, thickness=THICKNESS).start(clip_info(25.0))
+    assert session.fit(contact) is told
+    assert asked == [(contact, THICKNESS, 0.04, 0.002)]
+    for blind in (contact_of(), dataclasses.replace(contact, film=film.chosen(np.arange(2)))):
+        with pytest.raises(NoEstimate, match="A slab needs the depth around the contact"):
+            session.fit(blind)
+    for wrong in ({"thickness": 0.0}, {"thickness": math.inf}, {"thickness": 0.1, "observation": "contact"}):
+        with pytest.raises(ValueError, match=r"give a positive length|leave --observation contact out"):
+            DirectEstimator(BETWEEN, **wrong)
 
 
 def test_a_slab_that_folds_is_refused_in_a_sentence() -> None:

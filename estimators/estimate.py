@@ -285,6 +285,10 @@ class GripEstimate:
     """Upper end."""
     stiffness: StiffnessField | None = None
     """Where the tissue is stiffer, if it is attached alike everywhere; None where that could not be fitted."""
+    points: np.ndarray = dataclasses.field(default_factory=lambda: np.empty((0, 2)))
+    """Followed tissue at rest, to draw a map where it is by then, shape [N, 2] [px of the map's picture]."""
+    moved: np.ndarray = dataclasses.field(default_factory=lambda: np.empty((0, 0, 2)))
+    """Its displacement at the times, not a number where it is lost, shape [T, N, 2], float32 [px]."""
 
     @property
     def explained(self) -> bool:

@@ -7,7 +7,8 @@ calibrated  a clip in newtons (--calibration), and beside measured forces
 record    run.json: hashes, versions, settings, warnings
 verdicts  what is said first, and no number surer than it is
 plots     summary.png and fit.png
-overlay   the video; field_overlay: stiffness on it; field_file: stiffness in fields.npz
+overlay   the video; field_overlay, stiffness_overlay: stiffness on it; spool: frames that wait for that
+field_file  stiffness in fields.npz
 """
 
 from physics.lazy import exported

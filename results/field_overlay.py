@@ -33,27 +33,40 @@ def draw_field(canvas: np.ndarray, field: ParticleField, factor: float, labels: 
     inset = cv2.resize(canvas, (round(INSET * width), round(INSET * height)), interpolation=cv2.INTER_AREA)
     places = (field.pixels + 0.5) * factor
     for picture, share, values in ((canvas, 1.0, field.distance), (inset, INSET, field.shape)):
-        painted = _painted(picture, share * places, field.faces[known], values, float(np.median(values[field.known])))
+        middle = float(np.median(values[field.known]))
+        colored = painted(picture, share * places, field.faces[known], values, middle)
         if labels is not None:
             size = picture.shape[1], picture.shape[0]
             tool = cv2.resize((labels == TOOL).astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
-            painted[tool] = picture[tool]
-        picture[:] = painted
+            colored[tool] = picture[tool]
+        picture[:] = colored
     margin = max(6, round(0.02 * width))
     rows, columns = slice(margin, margin + inset.shape[0]), slice(width - margin - inset.shape[1], width - margin)
     canvas[rows, columns] = inset
     cv2.rectangle(canvas, (columns.start, rows.start), (columns.stop, rows.stop), (203, 213, 225), 1)
 
 
-def _painted(
-    canvas: np.ndarray, places: np.ndarray, faces: np.ndarray, values: np.ndarray, middle: float
+def painted(
+    canvas: np.ndarray,
+    places: np.ndarray,
+    faces: np.ndarray,
+    values: np.ndarray,
+    middle: float,
+    largest: float = RANGE,
 ) -> np.ndarray:
-    """A copy of the canvas with faces [F, 3] between places [N, 2] coloured by their values [N] over the middle one."""
-    logs = np.log(values[faces].mean(axis=1) / middle) / np.log(RANGE)
-    painted = canvas.copy()
+    """A copy of the canvas with coloured triangles.
+
+    Args:
+        canvas: uint8, shape [H, W, 3].
+        places, faces: corners [N, 2] [px] and their triangles [F, 3].
+        values, middle: of the corners [N], and what is neither red nor blue.
+        largest: colours end at so many times the middle one.
+    """
+    logs = np.log(values[faces].mean(axis=1) / middle) / np.log(largest)
+    found = canvas.copy()
     for corners, color in zip(places[faces], colors(logs), strict=True):
-        cv2.fillConvexPoly(painted, np.round(corners).astype(np.int32), color.tolist())
-    return cv2.addWeighted(painted, OPACITY, canvas, 1 - OPACITY, 0)
+        cv2.fillConvexPoly(found, np.round(corners).astype(np.int32), color.tolist())
+    return cv2.addWeighted(found, OPACITY, canvas, 1 - OPACITY, 0)
 
 
 def colors(logs: np.ndarray) -> np.ndarray:

@@ -45,31 +45,53 @@ MAP_STEP, MAP_RANGE = 4, 3.0
 
 
 def draw_summary(
-    estimates: Sequence[FrameEstimate], runs: Counter[str] = NO_RUNS, *, title: str, subtitle: str = ""
+    estimates: Sequence[FrameEstimate],
+    counts: Counter[str] = NO_RUNS,
+    runs: Sequence[InteractionEstimate] = (),
+    *,
+    title: str,
+    subtitle: str = "",
 ) -> Figure:
     """Draw a clip's verdicts, parameters and displacements over time, or verdicts alone where frames have no estimate.
 
+    Below them is what the runs tell of where gripped tissue is stiffer.
+
     Args:
         estimates: one a frame, in order.
-        runs: runs of contact by `state`; they are the heading where no frame has an estimate.
+        counts: of runs of contact by `state`; they are the heading where no frame has an estimate.
+        runs: those whose maps are drawn.
         title: name of the clip.
         subtitle: what made the numbers.
     """
     estimated = any(estimate.estimate is not None for estimate in estimates)
     heights = [1.1, 2.8, 2.8, 2.8, 3.0] if estimated else [2.2]
-    figure, (strip, *panels) = _figure(heights, title, subtitle, sharex=True)
+    mapped = [
+        (run, run.told.stiffness)
+        for run in runs
+        if isinstance(run.told, GripEstimate) and run.told.stiffness is not None
+    ]
+    figure, rows = _figure([*heights, *[4.0] * len(mapped)], title, subtitle)
+    strip, *panels = rows[: len(heights)]
+    for axes in panels:
+        axes.sharex(strip)
+    for axes in rows[: len(heights) - 1]:
+        axes.tick_params(labelbottom=False)
+    for axes, (run, field) in zip(rows[len(heights) :], mapped, strict=True):
+        axes.set_axis_off()
+        axes.set_title(f"contact from frame {run.onset_frame} ({run.onset_time_s:.3f} s)", loc="left", fontsize=12)
+        _draw_stiffness(axes.inset_axes((0, 0, 0.5, 0.85)), field)
     times = _column(estimates, "time_s")
     interval = max(float(np.median(np.diff(times))), 1e-3) if len(times) > 1 else 0.04
     edges = np.append(times, times[-1] + interval) if len(times) else np.array([0.0, 1.0])
     _draw_states(strip, edges, estimates, below=0.5 if estimated else 4.5)
-    _head(strip, *_told(estimates, NO_RUNS if estimated else runs))
+    _head(strip, *_told(estimates, NO_RUNS if estimated else counts))
     if estimated:
         for axes, (name, (label, color)) in zip(panels, PANELS.items(), strict=False):
             _draw_parameter(axes, times, estimates, name, color)
             _finish(axes, label, name)
         _draw_displacements(panels[-1], times, estimates)
         _finish(panels[-1], "Displacement of the contact", "displacement")
-    figure.axes[-1].set(xlim=(edges[0], edges[-1]), xlabel="time [s]")
+    rows[len(heights) - 1].set(xlim=(edges[0], edges[-1]), xlabel="time [s]")
     return figure
 
 
@@ -143,7 +165,9 @@ def write_figure(path: Path, figure: Figure) -> None:
 
 
 def _figure(
-    heights: Sequence[float], title: str, subtitle: str, *, sharex: bool = False
+    heights: Sequence[float],
+    title: str,
+    subtitle: str,
 ) -> tuple[Figure, Sequence[Axes]]:
     """A figure with one panel of each height [inches] below the other, a title above and a footer below them."""
     from matplotlib.figure import Figure
@@ -155,7 +179,7 @@ def _figure(
     figure.suptitle("\n".join(_lines(title, 52)), x=0.01, ha="left", fontsize=18, fontweight="bold", color=INK)
     footer = "\n".join([*_lines(subtitle), NOTICE])
     figure.supxlabel(footer, x=0.01, ha="left", fontsize=10, color=MUTED, linespacing=1.4)
-    panels = figure.subplots(len(heights), height_ratios=heights, sharex=sharex, squeeze=False)
+    panels = figure.subplots(len(heights), height_ratios=heights, squeeze=False)
     return figure, list(panels[:, 0])
 
 

@@ -56,6 +56,8 @@ WORDS = {
     "give the noise": "give --noise",
 }
 """Settings and the options that they are on the command line, for messages."""
+MAPPING = ("direct", "network")
+"""Estimators that may tell where gripped tissue is stiffer when a run of contact has ended."""
 DONE, UP_TO_DATE, FAILED = "done", "up to date", "failed"
 
 
@@ -136,6 +138,7 @@ class Batch:
         try:
             known = self.known if newtons is None else newtons.known
             told = {"overlay": self.options.overlay, "known": known, "calibration": newtons, "fields": self.fields}
+            told["maps"] = self.estimator.name in MAPPING
             written = ClipResults(folder, source.size, source.fps, **told)
             with written as results:
                 clip, started = ClipStream(source, self.settings), time.perf_counter()

@@ -20,6 +20,8 @@ from results.calibrated import CALIBRATED, COMPARED, ClipCalibration
 from results.field_file import FieldFile
 from results.overlay import draw_overlay, open_video
 from results.plots import MOST_PANELS, draw_comparison, draw_fits, draw_summary, write_figure
+from results.spool import FrameSpool, Waiting
+from results.stiffness_overlay import StiffnessMap, stiffness_map
 from results.store import writing
 from results.verdicts import in_words, state
 
@@ -37,6 +39,7 @@ class ClipResults:
         known: force that was measured in a part of the clip.
         calibration: gathers what the clip tells in newtons.
         fields: whether the estimator gives fields of stiffness.
+        maps: whether it may tell a map of stiffness at the end of a run of contact; the run's frames wait for it.
 
     Raises:
         OutputError: the output folder is full or can't be written (also from the methods).
@@ -52,6 +55,7 @@ class ClipResults:
         known: KnownForce | None = None,
         calibration: ClipCalibration | None = None,
         fields: bool = False,
+        maps: bool = False,
     ) -> None:
         self.folder, self._size, self._known = folder, size, known
         self.calibration = calibration
@@ -77,6 +81,9 @@ class ClipResults:
                 self._video = open_video(self._partial / store.OVERLAY, size, fps) if overlay else None
                 if self._video is not None:
                     self._open.callback(self._video.close)
+                self._waiting = FrameSpool(self._partial) if overlay and maps else None
+                if self._waiting is not None:
+                    self._open.callback(self._waiting.close)
         except BaseException:
             self.__exit__()
             raise
@@ -107,9 +114,23 @@ class ClipResults:
             if self._fields is not None and estimate.field is not None:
                 self._fields.write(estimate.frame, estimate.field)
                 self.fields += bool(estimate.field.known.any())
-            if self._video is not None:
-                picture = draw_overlay(prepared.frame.image, self._size, prepared.picture_labels, estimate)
-                self._video.write(picture)
+            shown = Waiting(prepared.frame.image, prepared.picture_labels, estimate)
+            if self._waiting is not None and (len(self._waiting) or estimate.contact):
+                self._waiting.add(shown)
+            else:
+                self._draw(shown, None)
+        self.seconds["overlay"] += time.perf_counter() - start
+
+    def _draw(self, frame: Waiting, stiffness: StiffnessMap | None) -> None:
+        """Append a picture to the overlay, if there is one."""
+        if self._video is not None:
+            self._video.write(draw_overlay(frame.image, self._size, frame.labels, frame.estimate, stiffness))
+
+    def _draw_waiting(self, stiffness: StiffnessMap | None) -> None:
+        """Append the pictures that wait for a map, or for the news that there is none."""
+        start = time.perf_counter()
+        for frame in self._waiting.drain() if self._waiting is not None else ():
+            self._draw(frame, stiffness)
         self.seconds["overlay"] += time.perf_counter() - start
 
     def add(self, run: InteractionEstimate) -> None:
@@ -126,6 +147,7 @@ class ClipResults:
         shown = [*self.drawn, run]
         self.drawn = sorted(shown, key=lambda item: item.simulated is None and not item.verdict)[:MOST_PANELS]
         with writing(self.folder.parent):
+            self._draw_waiting(stiffness_map(run.grip, run.onset_time_s))
             self._runs.writerow(columns.row(columns.INTERACTIONS, columns.interaction_values(run)))
             if self._forces is not None:
                 self._forces.writerows(columns.row(columns.FORCES, values) for values in forces)
@@ -138,10 +160,11 @@ class ClipResults:
     def finish(self, record: Mapping[str, Any], *, title: str, subtitle: str) -> None:
         """Write the pictures and the record (as JSON), and move everything to its final place."""
         with writing(self.folder.parent):
+            self._draw_waiting(None)
             self._open.close()
             runs = ", ".join(f"{count} {in_words(name)}" for name, count in self.counts.items())
             told = f"{subtitle} · runs of contact: {runs or 'none'}"
-            summary = draw_summary(self.estimates, self.counts, title=title, subtitle=told)
+            summary = draw_summary(self.estimates, self.counts, self.drawn, title=title, subtitle=told)
             write_figure(self._partial / store.SUMMARY, summary)
             write_figure(self._partial / store.FIT, draw_fits(self.drawn, self.counts, title))
             if self.calibration is not None:

@@ -110,7 +110,10 @@ class GripRecorder:
             reaction_over_stiffness_low=float(np.exp(pull - pull_wide)),
             reaction_over_stiffness_high=float(np.exp(pull + pull_wide)),
         )
-        return dataclasses.replace(found, stiffness=self._stiffness()) if found.explained else found
+        if not found.explained:
+            return found
+        moved = np.stack([frame.moved for frame in frames])
+        return dataclasses.replace(found, stiffness=self._stiffness(), points=points, moved=moved)
 
     def _stiffness(self) -> StiffnessField | None:
         """Where the tissue is stiffer, by the last frame; None where no sheet can be fitted."""

@@ -350,6 +350,11 @@ def test_stiffness_is_drawn_on_the_picture_only_where_it_is_known() -> None:
     assert shown.get_title("left").endswith("darkened: unknown")
     assert curve_axes.lines
     assert "stiffness_ratios" in grip.determined
+    run = dataclasses.replace(NONE, grip=grip)
+    *panels, below = draw_summary(clip(), runs=[run, NONE], title="clip").axes
+    assert len(panels) == len(draw_summary(clip(), title="clip").axes)
+    (on_summary,) = below.child_axes
+    np.testing.assert_array_equal(np.ma.filled(on_summary.images[2].get_array(), np.nan), ratio)
     off = dataclasses.replace(grip, stiffness=dataclasses.replace(field, excess=0.3))
     assert "stiffness_ratios" not in off.determined
 

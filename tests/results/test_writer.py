@@ -8,9 +8,11 @@ import json
 import os
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
+from data.labels import TISSUE
 from data.prepared import PreparedFrame
 from data.source.frames import Frame
 from estimators.estimate import GripEstimate
@@ -21,6 +23,7 @@ from results.store import PROGRAM, OutputError, is_up_to_date, own_files, partia
 from results.verdicts import state
 from results.writer import ClipResults
 from tests.estimators.estimates import GOOD, NONE, frame_in_contact
+from tests.results.test_stiffness_overlay import field_of, grip_of
 
 SIZE = (64, 48)
 FRAME = PreparedFrame(
@@ -88,6 +91,33 @@ def test_a_known_force_tells_that_of_all_frames_in_newtons(tmp_path: Path) -> No
     assert "force" not in said[0]
     assert said[2].endswith("The force is known in 0 frames that move; 3 are needed to tell the others'.")
     assert "forces.csv" in own_files(tmp_path / "clip")
+
+
+@pytest.mark.usefixtures("blank_pictures")
+def test_frames_of_a_run_wait_for_its_map_of_stiffness(tmp_path: Path) -> None:
+    """Frames before and after it do not; all are in the overlay, in order, and those of the run are painted."""
+    size, grip = (192, 96), grip_of(field_of())
+    labels, image = np.full((size[1], size[0]), TISSUE, np.uint8), np.full((size[1], size[0], 3), 120, np.uint8)
+    run = dataclasses.replace(NONE, onset_time_s=2.0, grip=grip)
+    estimates = [dataclasses.replace(ESTIMATE, time_s=time, contact=2 <= time <= 3) for time in (1.5, 2.0, 3.0, 3.5)]
+
+    def shown(maps: bool) -> list[np.ndarray]:
+        folder = tmp_path / str(maps)
+        with ClipResults(folder, size, 25.0, maps=maps) as output:
+            for estimate in estimates:
+                frame = Frame(0, 5, estimate.time_s, image)
+                prepared = dataclasses.replace(FRAME, frame=frame, picture_labels=labels)
+                output.write(prepared, estimate)
+            output.add(run)
+            output.finish({"program": PROGRAM}, title="clip", subtitle="")
+        assert "overlay.mp4" in own_files(folder)
+        video = cv2.VideoCapture(str(folder / "overlay.mp4"))
+        return [video.read()[1].astype(int) for _ in estimates]
+
+    plain, mapped = shown(False), shown(True)
+    row, column = 288 // 2, 576 * 100 // 192  # the canvas is three times as large
+    changed = [np.abs(a[row:, column:] - b[row:, column:]).mean() for a, b in zip(plain, mapped, strict=True)]
+    assert [change > 10 for change in changed] == [False, True, True, False]
 
 
 @pytest.mark.usefixtures("blank_pictures")

@@ -41,7 +41,7 @@ from physics.mechanics import Mechanics
 STARTS = 3
 """Fits, begun at the candidates that explain the film best."""
 LOOKS = 2
-"""How often it is decided anew at the best fit what the pixels show."""
+"""How often it is decided anew at the best fit what the pixels show; oftener where starts need more than one."""
 REFUTED = 20.0
 """Optima whose misfit is so much larger than the best one's are out [nats]."""
 ROUND = 64
@@ -68,11 +68,14 @@ def fit_field(problem: FieldProblem, tissue: np.ndarray) -> Estimate:
     box = problem.motion.box(tissue)
     prior = box_information(box)
     found = []
-    for start in field_starts(problem, box):
-        problem.look(start)
-        found.append(find_optimum(problem, start, *box))
+    for logs in field_starts(problem, box):
+        for _ in range(problem.motion.rounds):
+            problem.look(logs)
+            optimum = find_optimum(problem, logs, *box)
+            logs = optimum.logs
+        found.append(optimum)
     optima = distinct(found)
-    for _ in range(LOOKS):
+    for _ in range(LOOKS + problem.motion.rounds - 1):
         problem.look(optima[0].logs, finer=True, outliers=True)
         optima = distinct([find_optimum(problem, optimum.logs, *box) for optimum in optima])
         optima = [optimum for optimum in optima if optimum.cost < optima[0].cost + REFUTED]
@@ -141,7 +144,7 @@ def field_starts(problem: FieldProblem, box: np.ndarray) -> np.ndarray:
     low, high = box
     motion, film = problem.motion, problem.film
     candidates = low + Sobol(len(low), rng=0).random(CANDIDATES) * (high - low)
-    candidates[:, motion.delays] = 0
+    candidates[:, motion.centred] = 0
     delays = DELAYS if motion.within else np.zeros(1)
     observed = problem.observed
     still = problem.patches.covering(np.zeros((len(film.times), len(problem.patches.vertices), 3)))

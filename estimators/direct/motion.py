@@ -43,6 +43,9 @@ class PressMotion:
         within: the press began, and ended, at most so long before or after the time stamps [s]; 0 = at them.
     """
 
+    rounds = 1
+    """How often a start looks at what pixels show, and is fitted."""
+
     def __init__(
         self, contact: Interaction, mechanics: Mechanics, vertices: np.ndarray, times: np.ndarray, within: float = 0.0
     ) -> None:
@@ -58,6 +61,11 @@ class PressMotion:
     def delays(self) -> slice:
         """Which of the parameters are delays, those after φ: none, that of the beginning, or both."""
         return slice(3, 3 if not self.within else 4 + self.contact.released)
+
+    @property
+    def centred(self) -> np.ndarray:
+        """Which of the parameters every start takes from the middle of their range, where most are near, indices."""
+        return np.arange(self.delays.start, self.delays.stop)
 
     def box(self, tissue: np.ndarray) -> np.ndarray:
         """Lower and upper ends of all parameters, shape [2, D], from those of φ [2, 3]."""

@@ -29,6 +29,15 @@ class PatchMotion(PressMotion):
     """Displacements under a press of any shape; parameters D: φ, the delays, then log R, row, column, lean to the
     right, lean downwards, rise, fall."""
 
+    rounds = 3
+    """Wide dents are deep, and from a start that is off pixels seem to show other tissue than they do."""
+
+    @property
+    def centred(self) -> np.ndarray:
+        """As of `PressMotion`; the patch's place and the lean among them."""
+        first = self.delays.stop
+        return np.concatenate([super().centred, first + np.arange(1, 5)])
+
     def box(self, tissue: np.ndarray) -> np.ndarray:
         """As of `PressMotion`, with the shape's parameters behind."""
         ends = [np.log(RADII), *2 * [(-ASTRAY, ASTRAY)], *2 * [(-MOST_LEAN, MOST_LEAN)], (0.0, 1.0)]

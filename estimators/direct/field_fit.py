@@ -83,7 +83,7 @@ def fit_field(problem: FieldProblem, tissue: np.ndarray) -> Estimate:
     scale = max(1.0, problem.misfit(best.logs)) ** 2
     spread = scale * spread
     judges = mean[None]
-    if len(optima) > 1 or (np.diag(spread)[:3] > NARROW**2).any():
+    if problem.motion.sampled and (len(optima) > 1 or (np.diag(spread)[:3] > NARROW**2).any()):
         draws = _sample(problem, optima, best, box, scale)
         if draws.effective >= TOO_FEW:
             mean, spread, judges = draws.mean, draws.covariance, draws.thinned(JUDGES)

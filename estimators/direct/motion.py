@@ -45,6 +45,8 @@ class PressMotion:
 
     rounds = 1
     """How often a start looks at what pixels show, and is fitted."""
+    sampled = True
+    """Whether some hundred draws are enough to sample the posterior of its parameters."""
 
     def __init__(
         self, contact: Interaction, mechanics: Mechanics, vertices: np.ndarray, times: np.ndarray, within: float = 0.0

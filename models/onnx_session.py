@@ -97,6 +97,7 @@ class ExportedModel:
 
         Raises:
             ValueError: an input is missing or has another shape.
+            ModelFileError: the network fails, or takes more memory than there is.
         """
         for name, shape in self.inputs.items():
             given = np.asarray(values[name]).shape
@@ -104,7 +105,10 @@ class ExportedModel:
                 expected = ", ".join(map(str, shape))
                 raise ValueError(f"{self.path}: {name} has shape {list(given)}; expected [B, {expected}].")
         feed = {name: np.ascontiguousarray(values[name], np.float32) for name in self.inputs}
-        return [np.asarray(value) for value in self._session.run(self.outputs, feed)]
+        try:
+            return [np.asarray(value) for value in self._session.run(self.outputs, feed)]
+        except Exception as error:  # ONNX Runtime's have no class of their own in common
+            raise ModelFileError(f"{self.path} can't be run; export it again with train.py export.") from error
 
     def _require(self, inputs: dict[str, tuple[int, ...]]) -> None:
         """Compare the graph's inputs and outputs with what the kind and the metadata promise."""

@@ -30,6 +30,12 @@ from tests.data.clips import write_clip
 # Lightning warns of arguments given from Python beside pytest's own on the command line.
 pytestmark = pytest.mark.filterwarnings("ignore:LightningCLI's args parameter")
 CHECKOUT = Path(__file__).resolve().parents[1]
+BILLIONS = (
+    b"model: {a: &a [x,x,x,x,x,x,x,x,x]"
+    + b"".join(b", %c: &%c [%s]" % (name, name, b",".join([b"*%c" % (name - 1)] * 9)) for name in b"bcdefghijk")
+    + b"}"
+)
+"""Three billion values in 500 bytes."""
 TERMS = ("gan", "cycle", "identity", "physics", "regularisation")
 
 
@@ -320,7 +326,8 @@ def test_a_bad_option_or_file_gets_a_sentence(config: Path, tmp_path: Path, caps
         (b"", "is not a configuration; write a mapping"),
         (b"model: " + b"[" * 5000, "nests too deeply"),
         (b"model: {width: " + b"[" * 20 + b"]" * 20 + b"}", "nests too deeply, or holds a number beyond all use"),
-        (b"model: {width: &a [*a]}", "nests too deeply, or holds a number beyond all use"),
+        (b"model: {width: &a [*a]}", "is not a configuration (its references have no end); correct the file"),
+        (BILLIONS, "is not a configuration (its references have no end); correct the file"),
         (b"model: {width: " + b"9" * 400 + b"}", "nests too deeply, or holds a number beyond all use"),
         (b"model: {width: 0x" + b"f" * 5000 + b"}", "nests too deeply, or holds a number beyond all use"),
         (b"model: {learning_rate: .inf}", "nests too deeply, or holds a number beyond all use"),

@@ -31,6 +31,8 @@ FRAME_RATES = (1e-6, 1e6)
 """Lowest and highest frame rate of a clip [1/s]."""
 LARGEST_OPENING = 1001
 """Of `mask_opening_px` [px]."""
+MOST_VALUES = 100_000
+"""Of a YAML file once its references are unfolded; without any it has fewer."""
 MOST_JSON, MOST_YAML = 2**24, 2**17
 """Size of a file that describes something [bytes]: the time stamps of hours, and what is read in seconds."""
 
@@ -141,7 +143,7 @@ def read_mapping(path: Path, meaning: str) -> dict[str, Any]:
     is_json = path.suffix.lower() == ".json"
     try:
         text = read_file(path, MOST_JSON if is_json else MOST_YAML).decode("utf-8")
-        values = json.loads(text) if is_json else yaml.safe_load(text)
+        values = json.loads(text) if is_json else _unfolded(text)
     except OSError as error:
         raise InputError(f"{path} can't be read as {meaning} ({error.strerror}); check the path.") from error
     except RecursionError as error:
@@ -152,6 +154,39 @@ def read_mapping(path: Path, meaning: str) -> dict[str, Any]:
     if not isinstance(values, dict):
         raise InputError(f"{path} is not {meaning}; write a mapping of names to values.")
     return values
+
+
+class _Loader(yaml.SafeLoader):
+    """Safe, and without mappings that merging others into them makes endless."""
+
+    def flatten_mapping(self, node: yaml.MappingNode) -> None:
+        super().flatten_mapping(node)
+        if len(node.value) > MOST_VALUES:
+            raise ValueError("its references have no end")
+
+
+def _unfolded(text: str) -> Any:
+    """Content of a YAML text.
+
+    Raises:
+        ValueError: its references unfold to more than `MOST_VALUES`, or one holds itself.
+        yaml.YAMLError, RecursionError: it is none, or nests too deeply.
+    """
+    values = yaml.load(text, _Loader)
+    if _count(values, {}) > MOST_VALUES:
+        raise ValueError("its references have no end")
+    return values
+
+
+def _count(value: Any, known: dict[int, float]) -> float:
+    """Values in a value with all references unfolded; infinite where one holds itself."""
+    if not isinstance(value, (dict, list)):
+        return 1
+    if id(value) not in known:
+        known[id(value)] = math.inf  # until all that it holds is counted
+        inner = value.values() if isinstance(value, dict) else value
+        known[id(value)] = 1 + sum(_count(each, known) for each in inner)
+    return known[id(value)]
 
 
 def read_clip_file(clip: Path) -> dict[str, Any]:

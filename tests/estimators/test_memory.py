@@ -7,15 +7,19 @@ import gc
 from pathlib import Path
 
 import pytest
+import yaml
 
 from data.prepared import PreparedFrame
 from data.synthetic.clip import make_clip
 from data.synthetic.settings import SceneSettings
 from data.synthetic.source import open_synthetic
 from estimators.contract import Chosen, ClipInfo
+from estimators.estimate import InteractionEstimate
 from estimators.open import EstimatorOptions, open_estimator
 
 MEMORY = Path("/proc/self/statm")
+PRESS = SceneSettings(width=214, height=120, depth_noise=0.001, frames=20, press_seconds=(0.3, 0.3))
+GRIP = SceneSettings(width=214, height=120, action="grip", frames=20)
 LARGEST = 5.0
 """Growth that the allocator's own unevenness may explain [MB]; 3 MB a contact were once lost."""
 
@@ -36,8 +40,31 @@ def later(frame: PreparedFrame, by: int, fps: float) -> PreparedFrame:
     return dataclasses.replace(frame, frame=moved, track_start=start)
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(not MEMORY.exists(), reason="memory is read from Linux' /proc")
+def growth(options: EstimatorOptions, scene: SceneSettings, contacts: int, apart: int = 0) -> tuple[int, float]:
+    """What a session that sees a clip again and again tells, and by how much memory has grown since a tenth of it [MB].
+
+    Args:
+        apart: frames between two of them.
+    """
+    estimator = open_estimator(options)
+    clip = open_synthetic(make_clip(scene, 5), estimator.preparation(Chosen()))
+    frames, info = list(clip), ClipInfo.of(clip)
+    session, told, settled = estimator.start(info), 0, 0.0
+    for contact in range(contacts):
+        for frame in frames:
+            said = session.push(later(frame, contact * (len(frames) + apart), 25.0))
+            told += sum(isinstance(item, InteractionEstimate) or item.estimate is not None for item in said)
+        if contact == contacts // 10:
+            settled = taken()
+    return told, taken() - settled
+
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not MEMORY.exists(), reason="memory is read from Linux' /proc"),
+]
+
+
 @pytest.mark.parametrize(
     ("options", "contacts"),
     [
@@ -49,15 +76,21 @@ def later(frame: PreparedFrame, by: int, fps: float) -> PreparedFrame:
 )
 def test_memory_is_flat_over_many_contacts(options: EstimatorOptions, contacts: int) -> None:
     """One session, the same press again and again; the first tenth fills caches."""
-    estimator = open_estimator(options)
-    scene = SceneSettings(width=214, height=120, depth_noise=0.001, frames=20, press_seconds=(0.3, 0.3))
-    clip = open_synthetic(make_clip(scene, 5), estimator.preparation(Chosen()))
-    frames, info = list(clip), ClipInfo.of(clip)
-    session, told, settled = estimator.start(info), 0, 0.0
-    for contact in range(contacts):
-        for frame in frames:
-            told += sum(item.estimate is not None for item in session.push(later(frame, contact * len(frames), 25.0)))
-        if contact == contacts // 10:
-            settled = taken()
+    told, grown = growth(options, PRESS, contacts)
     assert told >= contacts - 1  # the last one is told by `finish`
-    assert taken() - settled < LARGEST
+    assert grown < LARGEST
+
+
+def test_memory_is_flat_over_many_grips() -> None:
+    """Which are told as they end, since frames are missing between them."""
+    told, grown = growth(EstimatorOptions("direct"), dataclasses.replace(GRIP, frames=30), 30, apart=50)
+    assert told >= 29
+    assert grown < LARGEST
+
+
+def test_memory_of_the_online_estimator_is_flat_over_many_frames(tmp_path: Path) -> None:
+    """Whose session lasts as long as the clip; of few particles, since time grows with them and not what is kept."""
+    small = {"particles": 60, "mapping": {"steps": 3}, "stepping": {"iterations": 4}}
+    (tmp_path / "online.yaml").write_text(yaml.safe_dump(small))
+    _, grown = growth(EstimatorOptions("online", settings=tmp_path / "online.yaml"), GRIP, 20)
+    assert grown < LARGEST

@@ -181,3 +181,22 @@ def test_no_more_threads_are_started_than_there_are_cores(tmp_path, monkeypatch)
         ParameterModel(write_model(tmp_path / "m.onnx"), threads)
     PictureNetwork(Path(__file__).resolve().parents[2] / "data" / "depth" / "photometric.onnx", threads=1024)
     assert asked == [0, 1, 2, 2, 2]
+
+
+def test_a_network_that_fails_is_named(tmp_path):
+    """Here for want of 4 TB."""
+    path = write_model(tmp_path / "a.onnx")
+    model = onnx.load(path)
+    slices = model.graph.node[1]
+    slices.output[0] = "few"
+    model.graph.initializer.append(helper.make_tensor("many", TensorProto.INT64, [1], [10**12]))
+    model.graph.node.extend(
+        [
+            helper.make_node("ConstantOfShape", ["many"], ["huge"]),
+            helper.make_node("ReduceMean", ["huge"], ["mean"], keepdims=0),
+            helper.make_node("Add", ["few", "mean"], ["theta"]),
+        ]
+    )
+    onnx.save(model, path)
+    with pytest.raises(ModelFileError, match=r"a\.onnx can't be run; export it again with train.py export\."):
+        ParameterModel(path).run({"depth": np.zeros((1, 2, 4, 6), np.float32)})

@@ -18,13 +18,13 @@ from physics.mechanics import RECOMMENDED
 from physics.msd.simulation import simulate
 from tests.estimators.direct.test_field import (
     FRAME,
+    LARGER,
     LOAD,
     MECHANICS,
     MESH,
     REGIMES,
     SIDE,
     SIGMA,
-    SIZE,
     THETA,
     TIMES,
     WITHIN,
@@ -50,12 +50,12 @@ def pressed(shape: PressShape, seconds: float = LOAD, theta=THETA, watch: np.nda
     return path[np.rint(TIMES / MECHANICS.time_step).astype(int) - 1]
 
 
-def film_of(shape: PressShape, theta=THETA) -> Interaction:
+def film_of(shape: PressShape, theta=THETA, size: tuple[int, int] = LARGER) -> Interaction:
     """A contact whose film is exactly that of a press of a shape."""
-    patches = Patches(MESH, CONTACT.vertex, SIZE)
+    patches = Patches(MESH, CONTACT.vertex, size)
     moved = pressed(shape, theta=theta, watch=patches.vertices)
     change = patches.shown(patches.sunk(moved), patches.covering(moved)).reshape(-1, SIDE, SIDE)
-    film = DentFilm(TIMES, change.astype(np.float32), FilmNoise(SIGMA, 0.0), SIZE)
+    film = DentFilm(TIMES, change.astype(np.float32), FilmNoise(SIGMA, 0.0), size)
     return dataclasses.replace(CONTACT, film=film)
 
 

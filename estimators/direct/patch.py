@@ -29,7 +29,7 @@ class PatchMotion(PressMotion):
     """Displacements under a press of any shape; parameters D: φ, the delays, then log R, row, column, lean to the
     right, lean downwards, rise, fall."""
 
-    rounds = 3
+    rounds = 4
     """Wide dents are deep, and from a start that is off pixels seem to show other tissue than they do."""
     sampled = False
     """In ten dimensions they shrink to a few: one of ten clips got a sixth of the bound for its standard deviation, and

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 import zipfile
 from collections.abc import Mapping
 from dataclasses import fields
@@ -197,7 +198,8 @@ def _read(path: Path, writer: str) -> dict[str, Any]:
     if not zipfile.is_zipfile(path):  # not a checkpoint at all, or cut short
         raise CheckpointError(unreadable)
     try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
+        with warnings.catch_warnings(action="ignore"):  # torch's, about pickles that are none of its own
+            content = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # by where a file is damaged, readers of zip files, pickles or numbers give up
         raise CheckpointError(unreadable) from error
     if not isinstance(content, dict):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import pickle
 import zipfile
 from dataclasses import asdict
 from pathlib import Path
@@ -238,3 +240,19 @@ def test_a_pretrained_posterior_that_does_not_fit_is_refused(pretrained, checkpo
     wider[1, 2] = torch.log(torch.tensor(0.6))
     with pytest.raises(CheckpointError, match=r"upper bounds .* 1, 0\.5, 0\.3, and model\.bounds say 1, 0\.5, 0\.6"):
         load_posterior(ContactPosterior(7, wider), path)
+
+
+class Evil:
+    """Unpickled as usual, it would end the process."""
+
+    def __reduce__(self) -> tuple:
+        return os._exit, (7,)
+
+
+def test_a_pickle_that_runs_code_is_refused_and_nothing_else_is_said(tmp_path, recwarn):
+    with zipfile.ZipFile(tmp_path / "evil.ckpt", "w") as archive:
+        archive.writestr("archive/data.pkl", pickle.dumps(Evil()))
+        archive.writestr("archive/version", "3")
+    with pytest.raises(CheckpointError, match=r"evil\.ckpt is not a readable checkpoint"):
+        read_checkpoint(tmp_path / "evil.ckpt")
+    assert not recwarn

@@ -161,14 +161,14 @@ def main(arguments: list[str] | None = None) -> int:
                     )
                     write_case(case_path(options.output, key), case, prints[name])
                     found[key] = case
-        told = write_report(options.output, found, pulls, options)
+        told = write_report(options.output, {key: found[key] for key in keys}, pulls, options)
     except OutputError as error:
         say(console, str(error), "red")
         return 1
     except KeyboardInterrupt:
         say(console, "Interrupted; the cases that are finished are kept.", "yellow")
         return INTERRUPTED
-    Console().print(told, markup=False, highlight=False)
+    Console().print(told, markup=False, highlight=False, soft_wrap=True)
     say(console, f"written: {options.output}/table.csv, report.html, figures/")
     return 0
 

@@ -147,7 +147,7 @@ def summary(cases: dict[tuple[str, str, str], Case]) -> Iterator[tuple[str, str]
     for (sequence, start), row in rows.items():
         if sequence == "thin-shell-2" and {BATCH, "PBD-RM-ON"} <= set(row):
             yield f"batch fit, {start}", f"PBD-RM-ON has {row['PBD-RM-ON'] / row[BATCH]:.2f} of its gap on thin-shell-2"
-    ranks = [case.rank for (_, _, method), case in cases.items() if method == "PBD-RM-ON"]
+    ranks = {key[:2]: case.rank for key, case in cases.items() if key[2] == "PBD-RM-ON"}
     if ranks:
-        good = sum(rank > 0.7 for rank in ranks)
-        yield "rank", f"distance field against truth: {', '.join(f'{r:.2f}' for r in ranks)}; above 0.7 in {good}"
+        each = ", ".join(f"{sequence} {start} {rank:.2f}" for (sequence, start), rank in ranks.items())
+        yield "rank", f"distance field against truth: {each}; above 0.7 in {sum(r > 0.7 for r in ranks.values())}"

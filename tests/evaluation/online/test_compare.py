@@ -70,5 +70,5 @@ def test_the_paper_s_claims_are_counted() -> None:
     assert told["order"] == "PBD > PBD-RM > PBD-RM-ON in 1 of 2 cases"
     assert told["reduction"].startswith("from PBD to PBD-RM-ON by 62%")
     assert told["batch fit, k1"] == "PBD-RM-ON has 0.50 of its gap on thin-shell-2"
-    assert told["rank"].endswith("0.80, 0.50; above 0.7 in 1")
+    assert told["rank"].endswith(": thin-shell-2 k1 0.80, volume-1 k1 0.50; above 0.7 in 1")
     assert dict(summary({("volume-1", "k1", "PBD"): case_of(1.0, 0.0)})) == {}

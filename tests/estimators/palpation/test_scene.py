@@ -9,14 +9,15 @@ import pytest
 import yaml
 
 from data.source.layout import InputError
-from estimators.palpation.scene import read_scene
+from estimators.palpation.scene import FEWEST, read_scene
 from tests.estimators.palpation.test_views import RADII, views
 
 PRESS = {"force": [0, 0, -1], "contact": [0, 0, 0.045], "points": "seen.csv"}
 
 
 def write(folder: Path, **fields: object) -> Path:
-    (folder / "seen.csv").write_text("x,y,z\n0,0,0.04\n0.01,0,0.04\n")
+    rows = [f"{number / 1000},0,0.04" for number in range(FEWEST)]
+    (folder / "seen.csv").write_text("\n".join(["x,y,z", *rows]))
     scene = {"held_axis": "z", "held_below": -0.03, "cells": 6, "palpations": [PRESS]}
     (folder / "scene.yaml").write_text(yaml.safe_dump(scene | fields))
     return folder / "scene.yaml"

@@ -74,7 +74,7 @@ def test_curves_say_what_their_numbers_are(tmp_path: Path) -> None:
         ({"palpations": [{"force": [1e15, 0, 0], "contact": [0, 0, 0.1], "points": "seen.csv"}]}, "1e-06 to 10000 N"),
         ({"cells": 64}, "cells is 64; give 2 to 24"),
         ({"young": 1e-300}, "young is to be 1 to 1e+12 Pa"),
-        ({"held_below": 1e15}, "all nodes lie below held_below, so that nothing can move"),
+        ({"held_below": 1e15}, "all of the surface lies below the floor at 1e+15 m"),
         ({"extra": 1}, "unknown key 'extra'"),
     ],
 )

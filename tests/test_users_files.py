@@ -307,6 +307,8 @@ def test_these_doors_write_where_nothing_is_in_the_way(inputs: Path) -> None:
         "judge_press": {"table.csv", "report.html", "1.png"},
         "judge_foreign": {"table.csv"},
         "judge_palpation": {"table.csv"},
+        "judge_frank": {"table.csv", "error_mask.png", "six_forces.png"},
+        "judge_newtons": {"table.csv", "calibration.yaml"},
         "judge_online": {"table.csv", "report.html", "figure_5.png", "thin-shell-1_k1_PBD.npz"},
         "calibrate_curves": {"curves.csv"},
         "calibrate_palpation": {"calibration.json", "errors.csv"},

@@ -164,11 +164,6 @@ def read_scene(path: Path) -> Scene:
     # Nodes at a body's own base are drawn to it only nearly.
     slack = 1e-9 if low.min() >= scene.held_below - 1e-9 else 0.0
     held = np.repeat((low <= scene.held_below + slack)[:, None], 3, axis=1)
-    if held.all():
-        raise InputError(
-            f"{printable(path)}: all nodes lie below held_below, so that nothing can move; the highest is at "
-            f"{low.max():.4g} m."
-        )
     if held.sum() < 9:
         raise InputError(
             f"{printable(path)}: {int(held.sum() / 3)} nodes lie below held_below; give more, the lowest is at "

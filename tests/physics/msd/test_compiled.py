@@ -140,7 +140,7 @@ def test_window_error_is_kept(theta, scheme):
     seen, jacobian = simulate_sensitivities(theta, mesh, load, window, dtype=np.float64)
     assert np.abs(seen - expected).max() <= 1e-4 * np.abs(expected).max()
     scale = np.abs(expected_jacobian).max(axis=(0, 1))
-    assert (np.abs(jacobian - expected_jacobian).max(axis=(0, 1)) <= 1e-2 * scale).all()
+    assert (np.abs(jacobian - expected_jacobian).max(axis=(0, 1)) <= 1e-2 * scale + 1e-15).all()
 
 
 WIDE = sheet(64, 64)

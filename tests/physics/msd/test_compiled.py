@@ -140,7 +140,7 @@ def test_window_error_is_kept(theta, scheme):
     seen, jacobian = simulate_sensitivities(theta, mesh, load, window, dtype=np.float64)
     assert np.abs(seen - expected).max() <= 1e-4 * np.abs(expected).max()
     scale = np.abs(expected_jacobian).max(axis=(0, 1))
-    assert (np.abs(jacobian - expected_jacobian).max(axis=(0, 1)) <= 1e-2 * scale + 1e-15).all()
+    assert (np.abs(jacobian - expected_jacobian).max(axis=(0, 1)) <= 1e-2 * scale).all()
 
 
 WIDE = sheet(64, 64)
@@ -171,7 +171,8 @@ def test_window_error_is_kept_for_wide_loads_and_many_watched_vertices(theta, sc
     seen, slopes = simulate_sensitivities(theta, mesh, load, window, watch=watch, dtype=np.float64)
     assert np.abs(seen - expected).max() <= 1e-4 * np.abs(expected).max()
     scale = np.abs(expected_slopes).max(axis=(0, 1, 2))
-    assert (np.abs(slopes - expected_slopes).max(axis=(0, 1, 2)) <= 1e-2 * scale).all()
+    # What a grip holds doesn't turn with θ: rounding is all there is.
+    assert (np.abs(slopes - expected_slopes).max(axis=(0, 1, 2)) <= 1e-2 * scale + 1e-15).all()
 
 
 def test_a_window_that_ends_before_a_watched_vertex_is_not_used():

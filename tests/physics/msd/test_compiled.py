@@ -171,8 +171,9 @@ def test_window_error_is_kept_for_wide_loads_and_many_watched_vertices(theta, sc
     seen, slopes = simulate_sensitivities(theta, mesh, load, window, watch=watch, dtype=np.float64)
     assert np.abs(seen - expected).max() <= 1e-4 * np.abs(expected).max()
     scale = np.abs(expected_slopes).max(axis=(0, 1, 2))
-    # What a grip holds doesn't turn with θ: rounding is all there is.
-    assert (np.abs(slopes - expected_slopes).max(axis=(0, 1, 2)) <= 1e-2 * scale + 1e-15).all()
+    # Far from a grip on creeping tissue derivatives are as small as the rounding of the largest displacement.
+    rounding = np.finfo(np.float64).eps * np.abs(expected).max() / np.abs(theta)
+    assert (np.abs(slopes - expected_slopes).max(axis=(0, 1, 2)) <= 1e-2 * scale + rounding).all()
 
 
 def test_a_window_that_ends_before_a_watched_vertex_is_not_used():

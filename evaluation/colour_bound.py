@@ -18,7 +18,6 @@ if __name__ == "__main__":
     enter_door()  # before the slow imports
 
 import argparse
-import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -26,16 +25,15 @@ import cv2
 import numpy as np
 from rich.console import Console
 
-from data.command_line import progress_bars, say, whole_number
+from data.command_line import progress_bars, say
 from data.masks.class_table import CLASSES
 from data.synthetic.render import Renderer
 from data.synthetic.scene import SceneError
 from estimators.onset import STAMP
 from estimators.worker_pool import WorkerLost, run_tasks
 from evaluation.recovery.bounds import field_information, known
-from evaluation.recovery.suites import LARGEST_SEED, SPLITS, SUITES, suite_clip_seed
 from evaluation.tables import to_markdown
-from evaluation.watched import WatchedClip, watch
+from evaluation.watched import WatchedClip, add_clip_options, chosen_clips, watch
 from physics.identifiability import covariance, fisher_information
 
 STEP = 0.02
@@ -118,15 +116,9 @@ def _exact(clip: WatchedClip, theta: np.ndarray, frames: range) -> tuple[np.ndar
 def main(arguments: list[str] | None = None) -> int:
     """Measure and print the table; returns the exit status."""
     parser = argparse.ArgumentParser(prog="python -m evaluation.colour_bound", description=__doc__.split("\n")[0])
-    add = parser.add_argument
-    add("--suite", nargs="+", choices=list(SUITES), default=["clean", "noisy"], help="suites (default clean noisy)")
-    add("--clips", type=whole_number(1), default=12, metavar="N", help="clips of each (default %(default)s)")
-    add("--seed", type=whole_number(0, LARGEST_SEED), default=0, metavar="N", help="(default %(default)s)")
-    add("--split", choices=list(SPLITS), default="test", help="stream of seeds (default %(default)s)")
-    add("--workers", type=whole_number(0), default=2, metavar="N", help="processes; 0 = in this one (%(default)s)")
+    add_clip_options(parser, clips=12)
     options = parser.parse_args(arguments)
-    seed_of = functools.partial(suite_clip_seed, options.split, options.seed)
-    tasks = [ColourTask(suite, index, seed_of(index)) for suite in options.suite for index in range(options.clips)]
+    tasks = [ColourTask(*clip) for clip in chosen_clips(options)]
     console = Console(stderr=True)
     try:
         with progress_bars(console) as progress:

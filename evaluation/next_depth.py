@@ -39,9 +39,8 @@ from estimators.worker_pool import WorkerLost, run_tasks
 from evaluation.generated import TrainedGenerator, carried_ahead
 from evaluation.recovery.bounds import MECHANICS
 from evaluation.recovery.estimators import opened
-from evaluation.recovery.suites import LARGEST_SEED, SPLITS, SUITES, suite_clip_seed
 from evaluation.tables import to_markdown
-from evaluation.watched import WatchedClip, watch
+from evaluation.watched import WatchedClip, add_clip_options, chosen_clips, watch
 from models.checkpoint import CheckpointError
 from models.onnx_session import SHIPPED, ModelFileError, open_model
 from models.records import farthest_corner
@@ -155,25 +154,15 @@ def main(arguments: list[str] | None = None) -> int:
     """Measure and print the table; returns the exit status."""
     parser = argparse.ArgumentParser(prog="python -m evaluation.next_depth", description=__doc__.split("\n")[0])
     add = parser.add_argument
-    add("--suite", nargs="+", choices=list(SUITES), default=["clean", "noisy"], help="suites (default clean noisy)")
-    add("--clips", type=whole_number(1), default=30, metavar="N", help="clips of each (default %(default)s)")
-    add("--seed", type=whole_number(0, LARGEST_SEED), default=0, metavar="N", help="(default %(default)s)")
-    add("--split", choices=list(SPLITS), default="test", help="stream of seeds (default %(default)s)")
+    add_clip_options(parser, clips=30)
     add("--horizon", type=whole_number(1), default=4, metavar="N", help="frames ahead (default %(default)s)")
-    add(
-        "--model", type=path_option, default=SHIPPED, metavar="FILE", help="network (default: the one that comes along)"
-    )
+    text = "network (default: the one that comes along)"
+    add("--model", type=path_option, default=SHIPPED, metavar="FILE", help=text)
     text = "trained generator, a checkpoint of train.py fit, to be judged as well"
     add("--checkpoint", type=path_option, metavar="FILE", help=text)
-    add("--workers", type=whole_number(0), default=2, metavar="N", help="processes; 0 = in this one (%(default)s)")
     options = parser.parse_args(arguments)
     network = EstimatorOptions("network", model=options.model, onset=STAMP, threads=1)
-    seed_of = functools.partial(suite_clip_seed, options.split, options.seed)
-    tasks = [
-        NextDepthTask(suite, index, seed_of(index), options.horizon, network, options.checkpoint)
-        for suite in options.suite
-        for index in range(options.clips)
-    ]
+    tasks = [NextDepthTask(*clip, options.horizon, network, options.checkpoint) for clip in chosen_clips(options)]
     console = Console(stderr=True)
     try:
         open_model(options.model, 1)

@@ -15,12 +15,14 @@ from scipy.spatial import KDTree
 
 from physics.fem import Solid
 from physics.fem.solid import EDGES
-from physics.fem.surface import nearest
+from physics.fem.surface import even_shares, nearest
 
 SHARP = 0.8
 """Cosine of the angle between triangles below which their edge is sharp."""
 SAMPLES = 8
 """Places on a sharp edge to which distances are measured."""
+ROWS = 4
+"""Of places on a triangle, over which a force is spread."""
 CANDIDATES = 24
 """Elements with the closest centres, among which a vertex finds its own."""
 
@@ -36,13 +38,6 @@ class Skin:
     """Indices of corners, anticlockwise seen from outside, shape [F, 3]."""
     shares: csr_array
     """Of the nodes' displacements in a vertex's, shape [V, N]; rows add up to 1."""
-
-    @cached_property
-    def areas(self) -> np.ndarray:
-        """A third of the triangles around every vertex at rest, shape [V] [m²]."""
-        one, two, three = self.vertices[self.triangles].transpose(1, 0, 2)
-        area = np.linalg.norm(np.cross(two - one, three - one), axis=1) / 6
-        return np.bincount(self.triangles.ravel(), np.repeat(area, 3), minlength=len(self.vertices))
 
     @cached_property
     def _creases(self) -> KDTree | None:
@@ -87,13 +82,19 @@ class Skin:
         Raises:
             ValueError: fewer than three vertices lie within the radius.
         """
-        near = np.linalg.norm(self.vertices - place, axis=1) / radius
-        weights = self.areas * np.maximum(1 - near**2, 0.0)
-        if np.count_nonzero(weights) < 3:
+        within = np.count_nonzero(np.linalg.norm(self.vertices - place, axis=1) < radius)
+        if within < 3:
             raise ValueError(
-                f"{np.count_nonzero(weights)} vertices lie within {radius:g} m of the contact {np.round(place, 4)}; "
+                f"{within} vertices lie within {radius:g} m of the contact {np.round(place, 4)}; "
                 "give a contact on the surface, a wider tool or a finer surface."
             )
+        # Integrated over the triangles: sums over vertices alone would shift and widen the patch.
+        shares = even_shares(ROWS)
+        corners = self.vertices[self.triangles]
+        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        apart = np.linalg.norm(np.einsum("sk,fkx->fsx", shares, corners) - place, axis=2) / radius
+        pressure = (area[:, None] * np.maximum(1 - apart**2, 0.0)) @ shares
+        weights = np.bincount(self.triangles.ravel(), pressure.ravel(), minlength=len(self.vertices))
         return (self.shares.T @ (weights / weights.sum()))[:, None] * force
 
 

@@ -39,6 +39,12 @@ def closest(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return found
 
 
+def even_shares(rows: int) -> np.ndarray:
+    """Barycentric coordinates of places that are spread evenly over a triangle in so many rows, shape [S, 3]."""
+    places = [[i + 1 / 3, j + 1 / 3, rows - i - j - 2 / 3] for i in range(rows) for j in range(rows - i)]
+    return np.array(places) / rows
+
+
 def nearest(points: np.ndarray, triangles: np.ndarray, samples: int = 1) -> tuple[np.ndarray, np.ndarray]:
     """Which triangle each point is closest to, shape [P], and where on it, as barycentric coordinates [P, 3].
 
@@ -48,8 +54,8 @@ def nearest(points: np.ndarray, triangles: np.ndarray, samples: int = 1) -> tupl
         samples: rows of samples on each triangle, at whose closest ones is looked: 1 = the centre, which does where
             triangles are alike in size.
     """
-    rows = [[i + 1 / 3, j + 1 / 3, samples - i - j - 2 / 3] for i in range(samples) for j in range(samples - i)]
-    seeds = np.einsum("sk,fkx->fsx", np.array(rows) / samples, triangles).reshape(-1, 3)
+    rows = even_shares(samples)
+    seeds = np.einsum("sk,fkx->fsx", rows, triangles).reshape(-1, 3)
     count = min(CANDIDATES, len(seeds))
     _, near = KDTree(seeds).query(points, k=count)
     near = near.reshape(len(points), count) // len(rows)

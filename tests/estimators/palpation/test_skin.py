@@ -25,7 +25,6 @@ def test_displacements_of_the_elements_own_degree_are_exact(order: int) -> None:
 
     moved = skin.moved(field(skin.body.rest))
     np.testing.assert_allclose(moved - skin.vertices, field(skin.vertices), atol=1e-12)
-    assert skin.areas.sum() == pytest.approx(6)
 
 
 def test_places_know_how_far_sharp_edges_and_rims_are() -> None:
@@ -54,11 +53,15 @@ def test_held_vertices_stand_still_whatever_the_elements_do() -> None:
 
 
 def test_a_press_keeps_its_force_and_its_moment() -> None:
+    """Also beside the surface's vertices, and as wide as it is: of 1 - (r/R)² the mean of r² is R²/3."""
     skin = cover(make_solid(*box((1.0, 1.0, 1.0), (2, 2, 2)), order=2), *surface(10))
-    place, force = np.array([0.5, 0.5, 1.0]), np.array([1.0, 2.0, -3.0])
+    place, force = np.array([0.53, 0.46, 1.0]), np.array([1.0, 2.0, -3.0])
     forces = skin.pressed(place, 0.3, force)
     np.testing.assert_allclose(forces.sum(axis=0), force, atol=1e-12)
-    np.testing.assert_allclose(np.cross(skin.body.rest, forces).sum(axis=0), np.cross(place, force), atol=1e-2)
+    np.testing.assert_allclose(np.cross(skin.body.rest, forces).sum(axis=0), np.cross(place, force), atol=2e-3)
+    # Work on u = r², which quadratic elements hold exactly, and triangles with legs h too large by h²/3 on average.
+    work = forces[:, 2] @ np.square(skin.body.rest - place).sum(axis=1)
+    assert work == pytest.approx(-3 * (0.3**2 + 0.1**2) / 3, rel=0.01)
     with pytest.raises(ValueError, match="0 vertices lie within"):
         skin.pressed(np.array([5.0, 5, 5]), 0.3, force)
 

@@ -9,6 +9,7 @@ skin        a scanned surface on coarser tetrahedra, and the closest places on i
 registration depth points laid onto a surface (ICP)
 views       several depth views of a body as one surface
 material_fit Young's modulus and Poisson's ratio from forces and deformed surfaces
+descent     the same by the paper's numeric gradient, to compare with
 scene       the file that names a surface and what was pressed on it
 """
 

@@ -2,8 +2,8 @@
 
 The residual is the distance of a measured point from the simulated surface, along its normal, with what the tool hides
 masked. `fit_material` is Gauss–Newton with exact derivatives by (1/E, ν) and by the sensors' poses, all at once: the
-displacement is nearly linear in 1/E, so starts a factor of thirty off take two steps more. `descend` is the paper's
-algorithm 1: ICP, then a step down the error's numeric gradient.
+displacement is nearly linear in 1/E, so starts a factor of thirty off take two steps more. The paper's own descent:
+`estimators/palpation/descent.py`.
 """
 
 from __future__ import annotations
@@ -32,8 +32,6 @@ FARTHEST_STEP = 10.0
 """Factor by which a step changes E at most."""
 CRUSHED = 0.3
 """Of the body's size: a start that the linear law would displace farther is made stiffer first."""
-STEP = 1e-3
-"""Of log E or ν, below which the numeric descent tries none."""
 OUTLIER = 3.0
 """Distances beyond this many standard deviations count by their size, not its square (Huber 1964)."""
 
@@ -110,7 +108,7 @@ class MaterialFit:
         return "determined" if self.poisson_sd < KNOWN else "young"
 
 
-class _Bench:
+class Bench:
     """A body with its palpations, that counts what it simulates."""
 
     def __init__(self, skin: Skin, held: np.ndarray, palpations: Sequence[Palpation], law: str) -> None:
@@ -131,7 +129,8 @@ class _Bench:
         for forces, start in zip(self.forces, starts, strict=True):
             self.solves += 1
             material = Material(self.law, young, poisson)
-            found.append(find_equilibrium(self.skin.body, material, self.held, forces=forces, start=start))
+            body, held = self.skin.body, self.held
+            found.append(find_equilibrium(body, material, held, forces=forces, start=start))
         return found
 
     def matched(self, rest: Equilibrium, which: int, pose: np.ndarray) -> tuple[np.ndarray, Match, np.ndarray]:
@@ -140,7 +139,7 @@ class _Bench:
         seen, vertices = placed(pose, each.points), self.skin.moved(rest.displacement)
         match = Match.of(seen, vertices, self.skin.triangles)
         place = match.at(self.skin.triangles, self.skin.vertices)
-        away = np.linalg.norm(place - each.contact, axis=1) > each.hole
+        away = beside_the_tool(self.skin, match, each)
         # Noise carries points around a sharp edge one way only, which looks like a dent.
         away &= self.skin.from_creases(place) > OUTLIER * self.noise
         # Beyond a rim the closest place lies aside, not below.
@@ -153,7 +152,8 @@ class _Bench:
         farthest = 0.0
         for forces in self.forces:
             self.solves += 1
-            rest = find_equilibrium(self.skin.body, Material("linear", young, poisson), self.held, forces=forces)
+            material = Material("linear", young, poisson)
+            rest = find_equilibrium(self.skin.body, material, self.held, forces=forces)
             farthest = max(farthest, float(np.abs(rest.displacement).max()))
         return young * max(1.0, farthest / (CRUSHED * size))
 
@@ -178,7 +178,7 @@ def fit_material(
         NoEquilibrium: the body can't bear the forces at any stiffness that was tried.
         ValueError: a contact off the surface, or too few points beside the hole.
     """
-    bench = _Bench(skin, held, palpations, settings.law)
+    bench = Bench(skin, held, palpations, settings.law)
     poses = bench.poses
     poisson = float(np.clip(settings.poisson, *POISSON))
     young = bench.softest(settings.young, poisson)
@@ -218,7 +218,7 @@ def fit_material(
     return MaterialFit(young, poisson, system.covariance(), poses, rests, float(system.noise), bench.solves, steps)
 
 
-def _reached(bench: _Bench, young: float, poisson: float, starts: Sequence[np.ndarray]) -> list[Equilibrium]:
+def _reached(bench: Bench, young: float, poisson: float, starts: Sequence[np.ndarray]) -> list[Equilibrium]:
     for _ in range(5):
         try:
             return bench.rest(young, poisson, starts)
@@ -232,7 +232,7 @@ class _System:
 
     def __init__(
         self,
-        bench: _Bench,
+        bench: Bench,
         settings: FitSettings,
         rests: Sequence[Equilibrium],
         poses: Sequence[np.ndarray],
@@ -320,79 +320,16 @@ class _System:
         return sign @ found @ sign
 
 
+def beside_the_tool(skin: Skin, match: Match, palpation: Palpation) -> np.ndarray:
+    """Which matched points lie on tissue that the tool doesn't hide, shape [P], bool."""
+    place = match.at(skin.triangles, skin.vertices)
+    return np.linalg.norm(place - palpation.contact, axis=1) > palpation.hole
+
+
 def surface_error(skin: Skin, rest: Equilibrium, palpation: Palpation, pose: np.ndarray) -> np.ndarray:
     """Squared distance of every point from the simulated surface, not a number where the hole masks it, shape [P] [m²].
 
     Frank 2010, equation 3.
     """
     match = Match.of(placed(pose, palpation.points), skin.moved(rest.displacement), skin.triangles)
-    away = np.linalg.norm(match.at(skin.triangles, skin.vertices) - palpation.contact, axis=1) > palpation.hole
-    return np.where(away, np.square(match.apart), np.nan)
-
-
-def descend(
-    skin: Skin,
-    held: np.ndarray,
-    palpations: Sequence[Palpation],
-    settings: FitSettings = FitSettings(),
-    most: int = 400,
-    told: Callable[[str], None] = lambda line: None,
-) -> MaterialFit:
-    """Frank 2010, algorithm 1: gradient descent on (log E, ν), its gradient by forward differences.
-
-    The step is halved until the error falls and doubled afterwards; E in logarithms, because in pascals no step suits
-    both. It ends where no step of STEP or more lowers the error, or at `most` simulations: close to its least value the
-    error is the sensor's noise, of which a step that matters for E changes hardly anything.
-
-    Args: see `fit_material`.
-    """
-    bench = _Bench(skin, held, palpations, settings.law)
-    poses = bench.poses
-    values = np.array([np.log(settings.young), np.clip(settings.poisson, *POISSON)])
-    starts: list[np.ndarray] = [np.zeros_like(skin.body.rest) for _ in palpations]
-
-    def simulated(at: np.ndarray) -> tuple[float, list[Equilibrium], list[np.ndarray]]:
-        try:
-            rests = bench.rest(float(np.exp(at[0])), float(at[1]), starts)
-        except NoEquilibrium:
-            return np.inf, [], []
-        total, aligned = 0.0, []
-        for which, (rest, each) in enumerate(zip(rests, palpations, strict=True)):
-            vertices = skin.moved(rest.displacement)
-            aligned.append(register(thinned(each.points), vertices, skin.triangles, poses[which], kept=0.95))
-            total += float(np.nanmean(surface_error(skin, rest, each, aligned[-1])))
-        return total, rests, aligned
-
-    values[0] = np.log(bench.softest(settings.young, float(values[1])))
-    error, rests, aligned = simulated(values)
-    while not np.isfinite(error):  # too soft to bear the force
-        if bench.solves >= most:
-            raise NoEquilibrium("the body bears the forces at no stiffness that was tried; give a stiffer start.")
-        values[0] += np.log(4)
-        error, rests, aligned = simulated(values)
-    length, steps = 1.0, 0
-    while bench.solves < most:
-        steps += 1
-        starts, poses = [rest.displacement for rest in rests], aligned
-        sides = [np.array([0.01, 0.0]), np.array([0.0, 0.01 if values[1] < 0.48 else -0.01])]
-        gradient = np.array([(simulated(values + side)[0] - error) / side.sum() for side in sides])
-        gradient[~np.isfinite(gradient)] = 0.0  # where nothing rests there is nothing to learn
-        direction = -gradient / max(float(np.abs(gradient).max()), 1e-300)
-        fell = False
-        while bench.solves < most and length > STEP:
-            aim = values + length * direction
-            aim[1] = np.clip(aim[1], *POISSON)
-            found = simulated(aim)
-            if found[0] < error:
-                fell = True
-                break
-            length /= 2
-        if not fell:
-            break
-        (error, rests, aligned), values, length = found, aim, 2 * length
-        told(f"step {steps}: E {np.exp(values[0]):.4g} Pa, ν {values[1]:.3f}, {bench.solves} solves")
-    nothing = np.full((2, 2), np.nan)
-    noise = float(np.sqrt(error / len(palpations)))
-    return MaterialFit(
-        float(np.exp(values[0])), float(values[1]), nothing, list(aligned), list(rests), noise, bench.solves, steps
-    )
+    return np.where(beside_the_tool(skin, match, palpation), np.square(match.apart), np.nan)

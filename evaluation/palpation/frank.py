@@ -27,7 +27,8 @@ from rich.console import Console
 from data.command_line import path_option, say
 from estimators.estimate import NINETY
 from estimators.palpation import FitSettings, Palpation, Skin, fit_material
-from estimators.palpation.material_fit import descend, surface_error
+from estimators.palpation.descent import descend
+from estimators.palpation.material_fit import surface_error
 from estimators.palpation.registration import placed
 from evaluation.file_table import FileTable
 from evaluation.page import as_png

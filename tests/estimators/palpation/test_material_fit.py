@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from estimators.palpation import FitSettings, Palpation, Skin, fit_material
-from estimators.palpation.material_fit import descend
 from estimators.palpation.registration import MOST_ALIGNED, thinned
 from evaluation.palpation.synthetic import BODIES, observe, press
 
@@ -55,13 +54,3 @@ def test_a_pose_is_found_by_a_part_of_the_points() -> None:
     points = np.arange(3.0 * (5 * MOST_ALIGNED + 1)).reshape(-1, 3)
     assert 0.8 * MOST_ALIGNED <= len(thinned(points)) <= MOST_ALIGNED
     np.testing.assert_array_equal(thinned(points[:7]), points[:7])
-
-
-@pytest.mark.slow
-def test_the_paper_s_descent_goes_the_same_way_with_more_solves(slab: tuple[Skin, np.ndarray, Palpation]) -> None:
-    skin, held, seen = slab
-    exact = fit_material(skin, held, [seen], FitSettings(young=2e4))
-    numeric = descend(skin, held, [seen], FitSettings(young=2e4), most=120)
-    assert abs(numeric.young / exact.young - 1) < 0.25
-    assert numeric.solves > 5 * exact.solves
-    assert np.isnan(numeric.covariance).all()

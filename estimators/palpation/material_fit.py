@@ -16,6 +16,7 @@ import numpy as np
 from estimators.palpation.registration import placed, register, thinned, turned
 from estimators.palpation.skin import Match, Skin
 from physics.fem import Equilibrium, Material, NoEquilibrium, find_equilibrium
+from physics.fem.linear_system import LinearSystem
 
 POISSON = (0.0, 0.495)
 """Range of ν that is looked at; below 0 no tissue lies, above it the elements lock."""
@@ -32,6 +33,8 @@ FARTHEST_STEP = 10.0
 """Factor by which a step changes E at most."""
 CRUSHED = 0.3
 """Of the body's size: a start that the linear law would displace farther is made stiffer first."""
+FACTORED = 60_000
+"""Unknowns up to which a body's matrix is factorised for all of a fit's systems: some seconds and a gigabyte."""
 OUTLIER = 3.0
 """Distances beyond this many standard deviations count by their size, not its square (Huber 1964)."""
 
@@ -115,6 +118,8 @@ class Bench:
         self.skin, self.held, self.palpations, self.law = skin, held, palpations, law
         self.forces = [skin.pressed(each.contact, each.tool_radius, each.force) for each in palpations]
         self.solves = 0
+        self.near: LinearSystem | None = None
+        """Of a state of this body: its factors help with all others."""
         # By ICP with the surface at rest, of which the deformed part is what fits worst.
         self.poses = [register(thinned(each.points), skin.vertices, skin.triangles, each.pose) for each in palpations]
         apart = [
@@ -130,7 +135,8 @@ class Bench:
             self.solves += 1
             material = Material(self.law, young, poisson)
             body, held = self.skin.body, self.held
-            found.append(find_equilibrium(body, material, held, forces=forces, start=start))
+            found.append(find_equilibrium(body, material, held, forces=forces, start=start, near=self.near))
+            self.near = found[-1].solver
         return found
 
     def matched(self, rest: Equilibrium, which: int, pose: np.ndarray) -> tuple[np.ndarray, Match, np.ndarray]:
@@ -153,8 +159,11 @@ class Bench:
         for forces in self.forces:
             self.solves += 1
             material = Material("linear", young, poisson)
-            rest = find_equilibrium(self.skin.body, material, self.held, forces=forces)
+            rest = find_equilibrium(self.skin.body, material, self.held, forces=forces, near=self.near)
             farthest = max(farthest, float(np.abs(rest.displacement).max()))
+            if self.near is None and rest.solver is not None and rest.displacement.size < FACTORED:
+                self.near = rest.solver
+                _ = self.near.factors  # once, for all that are solved from here on
         return young * max(1.0, farthest / (CRUSHED * size))
 
 

@@ -52,7 +52,8 @@ class LinearSystem:
             if self.borrowed is not None and len(columns) <= _FEW:
                 borrowed = LinearOperator(self.matrix.shape, self.borrowed.solve)
                 found = self._all_iterated(columns, tolerance, borrowed, _CLOSE)
-            if found is None and len(right) > DIRECT and self._diagonal is not None:
+            # Where factors of such a matrix were to be had, its own are too.
+            if found is None and self.borrowed is None and len(right) > DIRECT and self._diagonal is not None:
                 found = self._all_iterated(columns, tolerance, self._diagonal, _ITERATIONS)
             if found is not None:
                 return found.reshape(right.shape)

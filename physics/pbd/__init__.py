@@ -5,7 +5,8 @@ constraints        their values and gradients in plain numpy; reference: time st
 stiffness          fields over particles, and what they make of every constraint
 simulation         the door: time steps under a grip, batched over states and fields, and their exact adjoint
 potential          elastic energy, its gradient, and its second derivatives along a direction
-constraint_kernel  compiled values, gradients and second derivatives; sweep_kernel, potential_kernel: loops over them
+constraint_kernel  compiled values, gradients and second derivatives of one constraint
+sweep_kernel       compiled time steps; adjoint_kernel: back through them; potential_kernel: the energy
 """
 
 from physics.lazy import exported

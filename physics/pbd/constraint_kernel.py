@@ -12,10 +12,26 @@ from physics.jit import inlined
 from physics.pbd.body import NORM_GUARD
 
 _TURNS = 60
+_SETTLED = 1e-19
+"""Square of half a turn after which another would be its square: below rounding."""
 
 
 @inlined
-def _less(points, first, second):
+def row(values, index):
+    """A row of values [N, 3]."""
+    return values[index, 0], values[index, 1], values[index, 2]
+
+
+@inlined
+def add(out, index, share, vector):
+    """Add a share of a vector to a row of `out` [N, 3]."""
+    out[index, 0] += share * vector[0]
+    out[index, 1] += share * vector[1]
+    out[index, 2] += share * vector[2]
+
+
+@inlined
+def less(points, first, second):
     """Difference of two rows of points [N, 3]."""
     return (
         points[first, 0] - points[second, 0],
@@ -30,12 +46,22 @@ def _cross(a, b):
 
 
 @inlined
-def _dot(a, b):
+def _sum(a, b):
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+@inlined
+def _sixth(a):
+    return a[0] / 6, a[1] / 6, a[2] / 6
+
+
+@inlined
+def dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @inlined
-def _rotation(q):
+def rotation_of(q):
     """Rows of the matrix of a unit quaternion."""
     w, x, y, z = q
     return (
@@ -51,14 +77,14 @@ def _column(matrix, index):
 
 
 @inlined
-def _turned_back(rotation, matrix):
+def turned_back(rotation, matrix):
     """Rᵀ A by columns: what is left of A beside its rotation."""
     a, b, c = _column(matrix, 0), _column(matrix, 1), _column(matrix, 2)
     x, y, z = _column(rotation, 0), _column(rotation, 1), _column(rotation, 2)
     return (
-        (_dot(x, a), _dot(x, b), _dot(x, c)),
-        (_dot(y, a), _dot(y, b), _dot(y, c)),
-        (_dot(z, a), _dot(z, b), _dot(z, c)),
+        (dot(x, a), dot(x, b), dot(x, c)),
+        (dot(y, a), dot(y, b), dot(y, c)),
+        (dot(z, a), dot(z, b), dot(z, c)),
     )
 
 
@@ -92,7 +118,7 @@ def _settled(matrix, turn, index):
     """Rotation R that makes tr(Rᵀ A) largest, from `turn[index]` on, which becomes its quaternion."""
     w, x, y, z = turn[index, 0], turn[index, 1], turn[index, 2], turn[index, 3]
     for _ in range(_TURNS):
-        left = _turned_back(_rotation((w, x, y, z)), matrix)
+        left = turned_back(rotation_of((w, x, y, z)), matrix)
         skew = _axial(left)
         spin, sound = _solved(left, skew)
         if not sound:  # far from the best: uphill, as far as Müller 2016 goes
@@ -107,19 +133,19 @@ def _settled(matrix, turn, index):
         )
         scale = 1 / np.sqrt(w * w + x * x + y * y + z * z)
         w, x, y, z = w * scale, x * scale, y * scale, z * scale
-        if a * a + b * b + c * c < 1e-26:
+        if a * a + b * b + c * c < _SETTLED:
             break
     turn[index, 0], turn[index, 1], turn[index, 2], turn[index, 3] = w, x, y, z
-    return _rotation((w, x, y, z))
+    return rotation_of((w, x, y, z))
 
 
 @inlined
-def _moments(layout, points, index):
+def _moments(starts, members, offsets, points, index):
     """Mean of a shape's points, and A = Σ (xᵢ - x̄) qᵢᵀ."""
-    first, last = layout.starts[index], layout.starts[index + 1]
+    first, last = starts[index], starts[index + 1]
     x, y, z = 0.0, 0.0, 0.0
     for m in range(first, last):
-        particle = layout.members[m]
+        particle = members[m]
         x += points[particle, 0]
         y += points[particle, 1]
         z += points[particle, 2]
@@ -127,9 +153,9 @@ def _moments(layout, points, index):
     x, y, z = x * share, y * share, z * share
     a00, a01, a02, a10, a11, a12, a20, a21, a22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for m in range(first, last):
-        particle = layout.members[m]
+        particle = members[m]
         dx, dy, dz = points[particle, 0] - x, points[particle, 1] - y, points[particle, 2] - z
-        qx, qy, qz = layout.offsets[m, 0], layout.offsets[m, 1], layout.offsets[m, 2]
+        qx, qy, qz = offsets[m, 0], offsets[m, 1], offsets[m, 2]
         a00 += dx * qx
         a01 += dx * qy
         a02 += dx * qz
@@ -143,113 +169,118 @@ def _moments(layout, points, index):
 
 
 @inlined
-def evaluated(layout, points, turn, index, slope):
-    """C of one constraint; its gradient by each member is written to `slope` [M, 3], a shape's rotation to `turn`."""
-    first = layout.starts[index]
-    if index < layout.firsts[0]:
-        x, y, z = _less(points, layout.members[first], layout.members[first + 1])
-        length = np.sqrt(x * x + y * y + z * z + NORM_GUARD)
-        x, y, z = x / length, y / length, z / length
-        slope[first, 0], slope[first, 1], slope[first, 2] = x, y, z
-        slope[first + 1, 0], slope[first + 1, 1], slope[first + 1, 2] = -x, -y, -z
-        return length - layout.rest[index]
-    if index < layout.firsts[1]:
-        one = layout.members[first]
-        b = _less(points, layout.members[first + 1], one)
-        c = _less(points, layout.members[first + 2], one)
-        d = _less(points, layout.members[first + 3], one)
-        by_b, by_c, by_d = _cross(c, d), _cross(d, b), _cross(b, c)
-        for axis in range(3):
-            slope[first + 1, axis] = by_b[axis] / 6
-            slope[first + 2, axis] = by_c[axis] / 6
-            slope[first + 3, axis] = by_d[axis] / 6
-            slope[first, axis] = -(by_b[axis] + by_c[axis] + by_d[axis]) / 6
-        return _dot(by_d, d) / 6 - layout.rest[index]
-    mean, matrix = _moments(layout, points, index)
-    r0, r1, r2 = _settled(matrix, turn, index - layout.firsts[1])
-    total = NORM_GUARD
-    for m in range(first, layout.starts[index + 1]):
-        particle = layout.members[m]
-        q = layout.offsets[m, 0], layout.offsets[m, 1], layout.offsets[m, 2]
-        x = points[particle, 0] - mean[0] - _dot(r0, q)
-        y = points[particle, 1] - mean[1] - _dot(r1, q)
-        z = points[particle, 2] - mean[2] - _dot(r2, q)
-        total += x * x + y * y + z * z
-        slope[m, 0], slope[m, 1], slope[m, 2] = x, y, z
-    value = np.sqrt(total)
-    for m in range(first, layout.starts[index + 1]):
-        slope[m, 0] /= value
-        slope[m, 1] /= value
-        slope[m, 2] /= value
-    return value
+def stretched(points, one, other, rest):
+    """C of a distance, and its gradient by the first particle; that by the other is its negative."""
+    x, y, z = less(points, one, other)
+    length = np.sqrt(x * x + y * y + z * z + NORM_GUARD)
+    return length - rest, (x / length, y / length, z / length)
 
 
 @inlined
-def bent(layout, points, turn, index, slope, value, along, out):
-    """Second derivatives of one constraint times a direction: change of its gradient along `along`.
+def stretched_bent(normal, length, apart):
+    """Change of a distance's gradient by the first particle, where that moves by `apart` more than the other."""
+    ahead = dot(normal, apart)
+    return (
+        (apart[0] - normal[0] * ahead) / length,
+        (apart[1] - normal[1] * ahead) / length,
+        (apart[2] - normal[2] * ahead) / length,
+    )
+
+
+@inlined
+def sides(points, members, first):
+    """From the first particle of a tetrahedron to the others."""
+    one = members[first]
+    return (
+        less(points, members[first + 1], one),
+        less(points, members[first + 2], one),
+        less(points, members[first + 3], one),
+    )
+
+
+@inlined
+def swelled(b, c, d, rest):
+    """C of a volume by its sides, and its gradient by the particles at their ends; that by the first is the rest."""
+    by_b, by_c, by_d = _sixth(_cross(c, d)), _sixth(_cross(d, b)), _sixth(_cross(b, c))
+    return dot(by_d, d) - rest, by_b, by_c, by_d
+
+
+@inlined
+def swelled_bent(b, c, d, db, dc, dd):
+    """Change of a volume's gradient by the ends of its sides, where these change by `db`, `dc` and `dd`."""
+    return (
+        _sixth(_sum(_cross(dc, d), _cross(c, dd))),
+        _sixth(_sum(_cross(dd, b), _cross(d, db))),
+        _sixth(_sum(_cross(db, c), _cross(b, dc))),
+    )
+
+
+@inlined
+def warped(starts, members, offsets, points, turn, shape, index, slope):
+    """C of a shape, and the moments A of its points.
+
+    Its gradient by each member is written to `slope` [M, 3], its rotation, searched from `turn[shape]` on, to that.
+    """
+    mean, matrix = _moments(starts, members, offsets, points, index)
+    r0, r1, r2 = _settled(matrix, turn, shape)
+    total = NORM_GUARD
+    for m in range(starts[index], starts[index + 1]):
+        particle = members[m]
+        q = offsets[m, 0], offsets[m, 1], offsets[m, 2]
+        x = points[particle, 0] - mean[0] - dot(r0, q)
+        y = points[particle, 1] - mean[1] - dot(r1, q)
+        z = points[particle, 2] - mean[2] - dot(r2, q)
+        total += x * x + y * y + z * z
+        slope[m, 0], slope[m, 1], slope[m, 2] = x, y, z
+    value = np.sqrt(total)
+    share = 1.0 / value
+    for m in range(starts[index], starts[index + 1]):
+        slope[m, 0] *= share
+        slope[m, 1] *= share
+        slope[m, 2] *= share
+    return value, matrix
+
+
+@inlined
+def warped_bent(starts, offsets, rotation, left, index, slope, value, along, out):
+    """Change of a shape's gradient by each member, [M, 3], where members move by `along` [M, 3].
 
     Args:
-        layout … slope: as after `evaluated` at these points.
+        starts, offsets: of the `Layout`.
+        rotation: R of the shape.
+        left: Rᵀ A.
+        index: of the constraint.
+        slope: its gradient by each member, [M, 3].
         value: its C.
         along: direction of each member, [M, 3].
         out: change of the gradient by each member, [M, 3].
     """
-    first = layout.starts[index]
-    if index < layout.firsts[0]:
-        length = value + layout.rest[index]
-        n = slope[first, 0], slope[first, 1], slope[first, 2]
-        apart = _less(along, first, first + 1)
-        ahead = _dot(n, apart)
-        for axis in range(3):
-            change = (apart[axis] - n[axis] * ahead) / length
-            out[first, axis] = change
-            out[first + 1, axis] = -change
-    elif index < layout.firsts[1]:
-        one = layout.members[first]
-        b = _less(points, layout.members[first + 1], one)
-        c = _less(points, layout.members[first + 2], one)
-        d = _less(points, layout.members[first + 3], one)
-        db, dc, dd = _less(along, first + 1, first), _less(along, first + 2, first), _less(along, first + 3, first)
-        dc_d, c_dd = _cross(dc, d), _cross(c, dd)
-        dd_b, d_db = _cross(dd, b), _cross(d, db)
-        db_c, b_dc = _cross(db, c), _cross(b, dc)
-        for axis in range(3):
-            by_b, by_c, by_d = dc_d[axis] + c_dd[axis], dd_b[axis] + d_db[axis], db_c[axis] + b_dc[axis]
-            out[first + 1, axis] = by_b / 6
-            out[first + 2, axis] = by_c / 6
-            out[first + 3, axis] = by_d / 6
-            out[first, axis] = -(by_b + by_c + by_d) / 6
-    else:
-        shape = index - layout.firsts[1]
-        rotation = _rotation((turn[shape, 0], turn[shape, 1], turn[shape, 2], turn[shape, 3]))
-        matrix = _moments(layout, points, index)[1]
-        last = layout.starts[index + 1]
-        x, y, z, ahead = 0.0, 0.0, 0.0, 0.0
-        a00, a01, a02, a10, a11, a12, a20, a21, a22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for m in range(first, last):
-            dx, dy, dz = along[m, 0], along[m, 1], along[m, 2]
-            qx, qy, qz = layout.offsets[m, 0], layout.offsets[m, 1], layout.offsets[m, 2]
-            x += dx
-            y += dy
-            z += dz
-            ahead += slope[m, 0] * dx + slope[m, 1] * dy + slope[m, 2] * dz
-            a00 += dx * qx
-            a01 += dx * qy
-            a02 += dx * qz
-            a10 += dy * qx
-            a11 += dy * qy
-            a12 += dy * qz
-            a20 += dz * qx
-            a21 += dz * qy
-            a22 += dz * qz
-        share = 1.0 / (last - first)
-        x, y, z = x * share, y * share, z * share
-        left = _turned_back(rotation, matrix)
-        moved = _turned_back(rotation, ((a00, a01, a02), (a10, a11, a12), (a20, a21, a22)))
-        spin, _ = _solved(left, _axial(moved))  # none where the rotation isn't determined
-        for m in range(first, last):
-            q = layout.offsets[m, 0], layout.offsets[m, 1], layout.offsets[m, 2]
-            swept = _cross(spin, q)
-            out[m, 0] = (along[m, 0] - x - _dot(rotation[0], swept) - slope[m, 0] * ahead) / value
-            out[m, 1] = (along[m, 1] - y - _dot(rotation[1], swept) - slope[m, 1] * ahead) / value
-            out[m, 2] = (along[m, 2] - z - _dot(rotation[2], swept) - slope[m, 2] * ahead) / value
+    first, last = starts[index], starts[index + 1]
+    x, y, z, ahead = 0.0, 0.0, 0.0, 0.0
+    a00, a01, a02, a10, a11, a12, a20, a21, a22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for m in range(first, last):
+        dx, dy, dz = along[m, 0], along[m, 1], along[m, 2]
+        qx, qy, qz = offsets[m, 0], offsets[m, 1], offsets[m, 2]
+        x += dx
+        y += dy
+        z += dz
+        ahead += slope[m, 0] * dx + slope[m, 1] * dy + slope[m, 2] * dz
+        a00 += dx * qx
+        a01 += dx * qy
+        a02 += dx * qz
+        a10 += dy * qx
+        a11 += dy * qy
+        a12 += dy * qz
+        a20 += dz * qx
+        a21 += dz * qy
+        a22 += dz * qz
+    share = 1.0 / (last - first)
+    x, y, z = x * share, y * share, z * share
+    moved = turned_back(rotation, ((a00, a01, a02), (a10, a11, a12), (a20, a21, a22)))
+    spin, _ = _solved(left, _axial(moved))  # none where the rotation isn't determined
+    over = 1.0 / value
+    for m in range(first, last):
+        swept = _cross(spin, (offsets[m, 0], offsets[m, 1], offsets[m, 2]))
+        out[m, 0] = (along[m, 0] - x - dot(rotation[0], swept) - slope[m, 0] * ahead) * over
+        out[m, 1] = (along[m, 1] - y - dot(rotation[1], swept) - slope[m, 1] * ahead) * over
+        out[m, 2] = (along[m, 2] - z - dot(rotation[2], swept) - slope[m, 2] * ahead) * over

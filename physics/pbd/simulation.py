@@ -11,10 +11,11 @@ import numpy as np
 
 from physics.jit import COMPILED, say_slow
 from physics.load import Grip
+from physics.pbd.adjoint_kernel import sweep_adjoint
 from physics.pbd.body import Body
 from physics.pbd.potential import unturned
 from physics.pbd.stiffness import Stiffness, gather, spread
-from physics.pbd.sweep_kernel import sweep_adjoint, sweep_forward
+from physics.pbd.sweep_kernel import sweep_forward
 
 
 @dataclass(frozen=True)

@@ -44,7 +44,7 @@ class Residual:
     values: np.ndarray
     """Distance and energy together before every gradient step, shape [steps] [m²]."""
     _energy: Potential
-    _path: list[tuple[np.ndarray, csr_array]]
+    _path: list[tuple[np.ndarray, list[csr_array]]]
     _rate: float
     _free: np.ndarray
 
@@ -54,8 +54,8 @@ class Residual:
         y⁺ = y - η ∇F(y) with y = x + Δ: the adjoint is (I - η H) of each step in turn, less that of Δ = y - x.
         """
         pull = np.where(self._free, by_deformation, 0.0)
-        for points, curved in reversed(self._path):
-            bent = curved @ pull + self._energy.bend(points, pull) / len(pull)
+        for points, bends in reversed(self._path):
+            bent = sum((bend @ pull for bend in bends), self._energy.bend(points, pull) / len(pull))
             pull = pull - self._rate * np.where(self._free, bent, 0.0)
             # What is held is part of the state, but doesn't move: its pull on the others' path isn't asked for.
         return pull - np.where(self._free, by_deformation, 0.0)
@@ -81,12 +81,12 @@ def map_residual(
     now, path, values = points.copy(), [], []
     for _ in range(mapping.steps):
         elastic, gradient = energy.slope(now)
-        value, gradient = elastic / len(now), gradient / len(now)
-        curved = csr_array((len(now), len(now)))
+        value, gradient, bends = elastic / len(now), gradient / len(now), []
         for match in matches:
             apart, slope, bend = match.slope(now)
-            value, gradient, curved = value + apart, gradient + slope, curved + bend
-        path.append((now, curved))
+            value, gradient = value + apart, gradient + slope
+            bends.append(bend)
+        path.append((now, bends))
         values.append(value)
         now = now - rate * np.where(free, gradient, 0.0)
     return Residual(now - points, np.array(values), energy, path, rate, free)

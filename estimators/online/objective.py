@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
@@ -136,7 +137,7 @@ class Objective:
         matches: Sequence[Match],
         snapshots: Sequence[np.ndarray],
     ) -> Evaluation:
-        """Step on and map, and so the snapshots, whose grip stays where it was: they should stay as they are.
+        """Step on and map; beside it the snapshots, whose grip stays where it was: they should stay as they are.
 
         Args:
             fields: stiffness, shape [N].
@@ -145,27 +146,37 @@ class Objective:
             matches: what was seen, one at least.
             snapshots: earlier states, mapped, each [N, 3] [m].
         """
-        states = np.stack([start, *snapshots])
-        places = np.stack([places, *(state[self.gripped] for state in snapshots)])[:, None]
-        motion = self.stepped(fields, states, places)
-        ends = motion.positions[:, 1]
-        residual = self.mapped(ends[0], matches)
-        gap, by_gap = _norm(residual.deformation, self.weights.gap / self._edge)
-        pulls = np.zeros_like(motion.positions)
-        pulls[0, 1] = residual.pulled_back(by_gap)
-        history = 0.0
-        for index, state in enumerate(snapshots, start=1):
-            moved, pulls[index, 1] = _norm(ends[index] - state, self.weights.history / self._edge)
-            history += moved
-        found = motion.gradient(pulls).stiffness
-        smoothness, by_distance, by_shape = 0.0, found.distance.sum(axis=0), found.shape.sum(axis=0)
+        with ThreadPoolExecutor(1) as beside:  # compiled loops let two run at once
+            past = beside.submit(self._history, fields, snapshots)
+            motion = self.stepped(fields, start, places[None])
+            simulated = motion.positions[0, 1]
+            residual = self.mapped(simulated, matches)
+            gap, by_gap = _norm(residual.deformation, self.weights.gap / self._edge)
+            pulls = np.zeros_like(motion.positions)
+            pulls[0, 1] = residual.pulled_back(by_gap)
+            found = motion.gradient(pulls).stiffness
+            history, (of_distance, of_shape) = past.result()
+        smoothness, by_distance, by_shape = 0.0, found.distance[0] + of_distance, found.shape[0] + of_shape
         bounds = self.bounds.distance, self.bounds.shape
         for values, out, bound in zip(fields[:2], (by_distance, by_shape), bounds, strict=True):
             apart, share = self._differences @ values, self.weights.smoothness / (bound * self._differences.shape[0])
             smoothness += share * float(np.abs(apart).sum())
             out += share * (self._differences.T @ np.sign(apart))
         slopes = Stiffness(by_distance, by_shape, 0.0)
-        return Evaluation(ends[0], residual, Terms(gap, history, smoothness), slopes)
+        return Evaluation(simulated, residual, Terms(gap, history, smoothness), slopes)
+
+    def _history(self, fields: Stiffness, snapshots: Sequence[np.ndarray]) -> tuple[float, tuple[np.ndarray, ...]]:
+        """How far snapshots [N, 3] move, and the derivatives of that by the fields of distance and shape, shape [N]."""
+        if not snapshots:
+            return 0.0, (np.zeros(self.body.count), np.zeros(self.body.count))
+        states = np.stack(snapshots)
+        motion = self.stepped(fields, states, states[:, None, self.gripped])
+        pulls, moved = np.zeros_like(motion.positions), 0.0
+        for index, state in enumerate(states):
+            way, pulls[index, 1] = _norm(motion.positions[index, 1] - state, self.weights.history / self._edge)
+            moved += way
+        found = motion.gradient(pulls).stiffness
+        return moved, (found.distance.sum(axis=0), found.shape.sum(axis=0))
 
 
 def _norm(values: np.ndarray, weight: float) -> tuple[float, np.ndarray]:

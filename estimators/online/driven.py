@@ -170,8 +170,9 @@ class DrivenTissue:
             places = places if found is None else found
             path.append(places)
         session = self.session
-        states = session.objective.stepped(session.fields, self.surface.body.rest, np.stack([*self._past, *path]))
-        simulated = self.shown(states.positions[0, len(self._past) :])
+        objective = session.objective
+        motion = objective.stepped(session.fields, self.surface.body.rest, np.stack([*self._past, *path]))
+        simulated = self.shown(objective.frames(motion.positions)[0, len(self._past) :])
         return self.shown(session.positions[None]) + simulated[1:] - simulated[0]
 
     def shown(self, states: np.ndarray) -> np.ndarray:

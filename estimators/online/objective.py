@@ -72,7 +72,7 @@ class Objective:
     """A gripped body, how it is stepped and mapped, and what its terms count.
 
     Raises:
-        ValueError: an elastic stiffness that is negative.
+        ValueError: an elastic stiffness that is negative, or no part of a frame.
     """
 
     body: Body
@@ -84,9 +84,15 @@ class Objective:
     """k⁰ of the mapping, of distances and shapes; volumes have none, whose 10¹⁰ a rate of 50 can't bear."""
     weights: Weights = field(default_factory=Weights)
     bounds: Bounds = field(default_factory=Bounds)
+    parts: int = 1
+    """Time steps a frame, along which the grip moves evenly. The paper takes one; a body that is at rest in every frame
+    needs several: what relaxes it is their number, and few sweeps in each of many come closer to rest than many sweeps
+    in one (Macklin 2019, small steps)."""
 
     def __post_init__(self) -> None:
-        """Check the range."""
+        """Check ranges."""
+        if self.parts < 1:
+            raise ValueError(f"parts is {self.parts}; give 1 at least.")
         if not (self.elastic >= 0 and math.isfinite(self.elastic)):
             raise ValueError(f"elastic is {self.elastic}; give 0 or more.")
 
@@ -117,11 +123,22 @@ class Objective:
         Args:
             fields: stiffness, shape [N].
             starts: states, shape [B, N, 3] or [N, 3] [m].
-            places: where gripped particles are after each step, shape [B, T, G, 3] or [T, G, 3] [m].
+            places: where gripped particles are in every frame, shape [B, T, G, 3] or [T, G, 3] [m].
+
+        Returns:
+            The motion, `parts` steps a frame.
         """
         paths = places[None] if places.ndim == 3 else places
-        grips = [Grip(self.gripped, path - self.body.rest[self.gripped]) for path in paths]
+        begun = np.broadcast_to(starts[..., None, self.gripped, :], (len(paths), 1, *paths.shape[2:]))
+        before = np.concatenate([begun, paths[:, :-1]], axis=1)[:, :, None]
+        shares = np.arange(1, self.parts + 1)[:, None, None] / self.parts
+        steps = before + shares * (paths[:, :, None] - before)
+        grips = [Grip(self.gripped, path.reshape(-1, *path.shape[2:]) - self.body.rest[self.gripped]) for path in steps]
         return simulate(self.body, fields, grips, self.stepping, start=starts)
+
+    def frames(self, steps: np.ndarray) -> np.ndarray:
+        """Of steps [B, T·parts + 1, N, 3], those at the start and of every frame: a view, shape [B, T + 1, N, 3]."""
+        return steps[:, :: self.parts]
 
     def mapped(self, points: np.ndarray, matches: Sequence[Match]) -> Residual:
         """Residual deformation of a state [N, 3]: by k⁰, so that what different fields leave can be compared."""
@@ -149,11 +166,11 @@ class Objective:
         with ThreadPoolExecutor(1) as beside:  # compiled loops let two run at once
             past = beside.submit(self._history, fields, snapshots)
             motion = self.stepped(fields, start, places[None])
-            simulated = motion.positions[0, 1]
+            simulated = motion.positions[0, -1]
             residual = self.mapped(simulated, matches)
             gap, by_gap = _norm(residual.deformation, self.weights.gap / self._edge)
             pulls = np.zeros_like(motion.positions)
-            pulls[0, 1] = residual.pulled_back(by_gap)
+            pulls[0, -1] = residual.pulled_back(by_gap)
             found = motion.gradient(pulls).stiffness
             history, (of_distance, of_shape) = past.result()
         smoothness, by_distance, by_shape = 0.0, found.distance[0] + of_distance, found.shape[0] + of_shape
@@ -173,7 +190,7 @@ class Objective:
         motion = self.stepped(fields, states, states[:, None, self.gripped])
         pulls, moved = np.zeros_like(motion.positions), 0.0
         for index, state in enumerate(states):
-            way, pulls[index, 1] = _norm(motion.positions[index, 1] - state, self.weights.history / self._edge)
+            way, pulls[index, -1] = _norm(motion.positions[index, -1] - state, self.weights.history / self._edge)
             moved += way
         found = motion.gradient(pulls).stiffness
         return moved, (found.distance.sum(axis=0), found.shape.sum(axis=0))

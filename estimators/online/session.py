@@ -86,7 +86,7 @@ class Session:
             self._logits = self._adam.step(self._logits, slopes)
             self.fields = self.objective.bounds.fields(self._logits, float(self.fields.volume))
         else:
-            simulated = self.objective.stepped(self.fields, self.positions, places[None]).positions[0, 1]
+            simulated = self.objective.stepped(self.fields, self.positions, places[None]).positions[0, -1]
             residual = self.objective.mapped(simulated, matches) if matches and self.method.name != "PBD" else None
         self.positions = simulated
         if residual is not None:
@@ -97,7 +97,8 @@ class Session:
 
     def ahead(self, places: np.ndarray) -> np.ndarray:
         """States that a path of the grip [T, G, 3] [m] would lead to, shape [T, N, 3] [m], by the field as it is."""
-        return self.objective.stepped(self.fields, self.positions, places).positions[0, 1:]
+        motion = self.objective.stepped(self.fields, self.positions, places)
+        return self.objective.frames(motion.positions)[0, 1:]
 
     def _snapshots(self) -> list[np.ndarray]:
         """Evenly out of the window, its ends included, where the paper draws uniformly: runs can be repeated."""

@@ -48,11 +48,12 @@ def fit_batch(
     for _ in range(epochs):
         motion = objective.stepped(fields, body.rest, places)
         pulls, total = np.zeros_like(motion.positions), 0.0
+        states, slopes_at = objective.frames(motion.positions)[0], objective.frames(pulls)[0]
         for frame, seen in enumerate(matches, start=1):
             for match in seen:
-                value, slope, _ = match.slope(motion.positions[0, frame])
+                value, slope, _ = match.slope(states[frame])
                 total += share * value
-                pulls[0, frame] += share * slope
+                slopes_at[frame] += share * slope
         left.append(total)
         found = motion.gradient(pulls).stiffness
         slopes = Stiffness(found.distance.sum(axis=0), found.shape.sum(axis=0), 0.0)

@@ -116,10 +116,10 @@ class PressMotion:
         slopes = log_jacobian(slopes, theta)
         if is_chaotic(path, slopes):
             slopes = np.zeros_like(slopes)
-        others = self._others(logs, path)
+        others = self._others(logs)
         if not self.within:
-            return path[self.steps], np.concatenate([slopes, others], axis=-1)[self.steps]
-        curves = [path[..., None], slopes, others]
+            return path[self.steps], np.concatenate([slopes[self.steps], others], axis=-1)
+        curves = [path[..., None], slopes]
         if self.contact.released:
             longer = LATER * step
             later = self._path(logs, self.mechanics, self.longest, np.float64, longer)
@@ -128,16 +128,15 @@ class PressMotion:
         found, rate = between_steps(np.concatenate(curves, axis=-1), step, since)
         velocity = rate[..., :1] * (since > 0)[:, None, None, None]
         # A later beginning moves all of the motion, and shortens the load.
-        last = 4 + others.shape[-1]
-        by_duration = found[..., last:]
+        by_duration = found[..., 4:]
         delayed = -velocity - by_duration if self.contact.released else -velocity
         return found[..., 0], np.concatenate(
-            [found[..., 1:4], self.within * delayed, self.within * by_duration, found[..., 4:last]], axis=-1
+            [found[..., 1:4], self.within * delayed, self.within * by_duration, others], axis=-1
         )
 
-    def _others(self, logs: np.ndarray, path: np.ndarray) -> np.ndarray:
-        """Derivatives of a trajectory [T, M, 3] by all parameters beside φ and the delays, shape [T, M, 3, D']."""
-        return np.empty((*path.shape, 0))
+    def _others(self, logs: np.ndarray) -> np.ndarray:
+        """Derivatives of the displacements by all parameters beside φ and the delays, shape [N, M, 3, D']."""
+        return np.empty((len(self.steps), len(self.vertices), 3, 0))
 
     def finer(self, logs: np.ndarray) -> np.ndarray:
         """The displacements with a quarter of the time step, shape [N, M, 3]: what the steps' own error is."""

@@ -72,15 +72,13 @@ class PatchMotion(PressMotion):
         shape = self.shape(logs, longer)
         return shape.press(contact.mesh, contact.vertex, contact.direction, seconds, time_step, steps)
 
-    def _others(self, logs: np.ndarray, path: np.ndarray) -> np.ndarray:
+    def _others(self, logs: np.ndarray) -> np.ndarray:
         """By the shape's parameters, differences towards the middle of their range."""
-        box = self.box(np.zeros((2, 3)))[:, self.delays.stop :]
-        mechanics = self.quick_mechanics()
-        here, found = self._path(logs, mechanics, self.longest, np.float32), []
-        for index, (size, middle) in enumerate(zip(STEPS, box.mean(axis=0), strict=False), self.delays.stop):
+        middles = self.box(np.zeros((2, 3))).mean(axis=0)
+        here, found = self.quick(logs), []
+        for index, size in enumerate(STEPS[: len(logs) - self.delays.stop], self.delays.stop):
             changed = np.array(logs, np.float64)
-            size = size if logs[index] < middle else -size
+            size = size if logs[index] < middles[index] else -size
             changed[index] += size
-            there = self._path(changed, mechanics, self.longest, np.float32)
-            found.append((there - here) / size)
-        return np.stack(found, axis=-1).astype(path.dtype)
+            found.append((self.quick(changed) - here) / size)
+        return np.stack(found, axis=-1)

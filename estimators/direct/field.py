@@ -8,6 +8,7 @@ one normal distribution, in which pixels that are far off count less, so that an
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import math
 from collections.abc import Callable
@@ -218,3 +219,9 @@ class FieldProblem(FilmProblem[PressMotion]):
         kind: type[PressMotion] = PressMotion,
     ) -> None:
         super().__init__(contact, lambda vertices, times: kind(contact, mechanics, vertices, times, within), noise)
+
+    def coarser(self) -> FieldProblem:
+        """The same with coarse time steps, to search with; it has not looked at anything of its own yet."""
+        found = copy.copy(self)
+        found.motion = self.motion.coarser()
+        return found

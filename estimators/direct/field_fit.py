@@ -38,10 +38,11 @@ from estimators.oblique import effective_misfit, is_oblique, view_angle
 from physics.identifiability import box_information
 from physics.mechanics import Mechanics
 
-STARTS = 3
-"""Fits, begun at the candidates that explain the film best."""
-LOOKS = 2
-"""How often it is decided anew at the best fit what the pixels show; oftener where starts need more than one."""
+FITS = 3
+"""Starts that are fitted to the end; where there are more, the best of them."""
+FEW = 4
+"""Evaluations of a start in a round, after which it is decided anew what the pixels show. With 8 rounds took twice as
+long, and led no farther (five validation clips of presses on patches)."""
 REFUTED = 20.0
 """Optima whose misfit is so much larger than the best one's are out [nats]."""
 ROUND = 64
@@ -65,20 +66,28 @@ def fit_field(problem: FieldProblem, tissue: np.ndarray) -> Estimate:
 
     Where the contact is pressed aslant to the line of sight its uncertainty is widened (`estimators.oblique`).
     """
+    return concluded(problem, field_optima(problem, tissue), tissue)
+
+
+def field_optima(problem: FieldProblem, tissue: np.ndarray) -> list[Optimum]:
+    """Optima of a film's fit, the best first; the problem has looked at that one. Arguments as of `fit_field`."""
     box = problem.motion.box(tissue)
-    prior = box_information(box)
     found = []
-    for logs in field_starts(problem, box):
-        for _ in range(problem.motion.rounds):
-            problem.look(logs)
-            optimum = find_optimum(problem, logs, *box)
-            logs = optimum.logs
-        found.append(optimum)
+    for logs in raced(problem.coarser(), field_starts(problem, box), box):
+        problem.look(logs)
+        found.append(find_optimum(problem, logs, *box))
     optima = distinct(found)
-    for _ in range(LOOKS + problem.motion.rounds - 1):
+    for _ in range(problem.motion.looks):
         problem.look(optima[0].logs, finer=True, outliers=True)
         optima = distinct([find_optimum(problem, optimum.logs, *box) for optimum in optima])
         optima = [optimum for optimum in optima if optimum.cost < optima[0].cost + REFUTED]
+    return optima
+
+
+def concluded(problem: FieldProblem, optima: Sequence[Optimum], tissue: np.ndarray) -> Estimate:
+    """What optima of a film's fit say: the posterior around them and its verdict; `tissue` as of `fit_field`."""
+    box = problem.motion.box(tissue)
+    prior = box_information(box)
     mean, spread, best = combine(optima, prior)
     scale = max(1.0, problem.misfit(best.logs)) ** 2
     spread = scale * spread
@@ -123,15 +132,17 @@ def fit_press(
         tissue: the box of φ, shape [2, 3].
     """
     step = FieldProblem(contact, mechanics, within, noise)
-    plain = fit_field(step, tissue)
-    excess, counted = plain.misfit**2 - 1, step.counted
-    if plain.misfit < LEAST_EXCESS or excess * math.sqrt(counted / 2) < REFUTES:
-        return plain
+    plain = field_optima(step, tissue)
+    # Whether a step is refuted shows before its posterior is sampled, which takes as long as all the rest.
+    best = combine(plain, box_information(step.motion.box(tissue)))[2]
+    misfit, counted = step.misfit(best.logs), step.counted
+    if misfit < LEAST_EXCESS or (misfit**2 - 1) * math.sqrt(counted / 2) < REFUTES:
+        return concluded(step, plain, tissue)
     patch = FieldProblem(contact, mechanics, within, noise, PatchMotion)
     shaped = fit_field(patch, tissue)
     further = patch.motion.box(tissue).shape[1] - step.motion.box(tissue).shape[1]
-    explained = counted * (plain.misfit**2 - shaped.misfit**2)
-    return shaped if explained > further * math.log(counted) else plain
+    explained = counted * (misfit**2 - shaped.misfit**2)
+    return shaped if explained > further * math.log(counted) else concluded(step, plain, tissue)
 
 
 def field_starts(problem: FieldProblem, box: np.ndarray) -> np.ndarray:
@@ -165,7 +176,30 @@ def field_starts(problem: FieldProblem, box: np.ndarray) -> np.ndarray:
         unexplained = np.square(np.exp(forces - candidate[2])[:, None, None] * tried - left).sum(axis=(1, 2))
         best = int(np.argmin(unexplained))
         misfits[index], candidate[2], candidate[motion.delays] = unexplained[best], forces[best], delays[best]
-    return apart(candidates, misfits, low, high, STARTS)
+    return apart(candidates, misfits, low, high, motion.starts)
+
+
+def raced(problem: FieldProblem, starts: np.ndarray, box: np.ndarray) -> np.ndarray:
+    """Of starts [S, D] those that lead farthest, and where to: at most FITS, by successive halving.
+
+    Every round (Jamieson & Talwalkar 2016) decides for every start anew what the pixels show, and leaves the better
+    half.
+
+    Args:
+        problem: of coarse time steps.
+        starts: as of `field_starts`; FITS of them or fewer stay as they are.
+        box: of all parameters, shape [2, D].
+    """
+    while len(starts) > FITS:
+        led = []
+        for logs in starts:
+            problem.look(logs)
+            found = find_optimum(problem, logs, *box, FEW)
+            # What comes out of sight must not seem explained.
+            led.append((found.cost - 0.5 * problem.seen.sum(), found.logs))
+        led.sort(key=lambda pair: pair[0])
+        starts = np.array([logs for _, logs in led[: len(led) // 2]])
+    return starts
 
 
 def first_draws(optima: Sequence[Optimum], scale: float, prior: np.ndarray) -> Mixture:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Self
 
 import numpy as np
 
@@ -43,8 +44,10 @@ class PressMotion:
         within: the press began, and ended, at most so long before or after the time stamps [s]; 0 = at them.
     """
 
-    rounds = 1
-    """How often a start looks at what pixels show, and is fitted."""
+    starts = 3
+    """From how many candidates the search of its parameters begins."""
+    looks = 2
+    """How often it is decided anew at the best fit what the pixels show."""
     sampled = True
     """Whether some hundred draws are enough to sample the posterior of its parameters."""
 
@@ -169,6 +172,10 @@ class PressMotion:
         """Displacements after every coarse step since the press began [T, M, 3], and how many steps one of them is."""
         mechanics, ratio = self.coarse_mechanics()
         return self._path(logs, mechanics, -(-self.longest // ratio), np.float32), ratio
+
+    def coarser(self) -> Self:
+        """The same with the coarse time step."""
+        return type(self)(self.contact, self.coarse_mechanics()[0], self.vertices, self.times, self.within)
 
     def coarse_mechanics(self) -> tuple[Mechanics, int]:
         """The simulator with a coarse time step, and how many of its own steps that is."""

@@ -155,11 +155,13 @@ class LeastSquares(Protocol):
         ...
 
 
-def find_optimum(problem: LeastSquares, start: np.ndarray, low: np.ndarray, high: np.ndarray) -> Optimum:
-    """The optimum that a fit from φ = `start` [3] within the box [3], [3] ends in."""
+def find_optimum(
+    problem: LeastSquares, start: np.ndarray, low: np.ndarray, high: np.ndarray, evaluations: int = MOST_EVALUATIONS
+) -> Optimum:
+    """The optimum that a fit from φ = `start` [3] within the box [3], [3] ends in, or how far it comes."""
     end = least_squares(
         problem.residual, start, problem.jacobian, (low, high), method="trf",
-        x_scale="jac", ftol=TOLERANCE, xtol=TOLERANCE, gtol=TOLERANCE, max_nfev=MOST_EVALUATIONS,
+        x_scale="jac", ftol=TOLERANCE, xtol=TOLERANCE, gtol=TOLERANCE, max_nfev=evaluations,
     )  # fmt: skip
     return Optimum(end.x, end.cost, fisher_information(end.jac, 1.0))
 

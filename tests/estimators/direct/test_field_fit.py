@@ -10,7 +10,7 @@ import pytest
 from data.contact.film import REACH
 from data.contact.interaction import Interaction
 from estimators.direct.field import FieldProblem
-from estimators.direct.field_fit import ENOUGH, NARROW, ROUND, STARTS, field_starts, first_draws, fit_field
+from estimators.direct.field_fit import ENOUGH, FITS, NARROW, ROUND, field_starts, first_draws, fit_field, raced
 from estimators.direct.problem import APART, Optimum
 from estimators.direct.sampling import sample_posterior
 from estimators.estimate import Estimate
@@ -48,7 +48,7 @@ def test_starts_are_the_candidates_that_explain_the_film_best() -> None:
     theta = REGIMES["critical"]
     problem = FieldProblem(contact_of(theta), MECHANICS)
     starts = field_starts(problem, BOX)
-    assert 1 <= len(starts) <= STARTS
+    assert 1 <= len(starts) <= problem.motion.starts
     assert ((starts >= BOX[0]) & (starts <= BOX[1])).all()
     for index, start in enumerate(starts):
         apart = np.abs(starts[:index] - start)[:, :2] / (BOX[1] - BOX[0])[:2]
@@ -86,6 +86,39 @@ def test_starts_are_as_good_beside_a_hole_in_the_tissue() -> None:
     change[:, REACH - 4, REACH - 4] = np.nan
     starts = field_starts(FieldProblem(with_change(contact, change), MECHANICS), BOX)
     np.testing.assert_allclose(starts[0], field_starts(FieldProblem(contact_of(), MECHANICS), BOX)[0], atol=0.1)
+
+
+class Basins:
+    """An optimum at every whole number n, of cost (3n)²/2; at `hidden` a hundred values come out of sight."""
+
+    def __init__(self, hidden: int | None = None) -> None:
+        self.hidden, self.looks, self.seen = hidden, [], np.ones(200, bool)
+
+    def look(self, logs: np.ndarray) -> None:
+        self.looks.append(float(logs[0]))
+        self.seen = np.arange(200) >= (100 if np.rint(logs[0]) == self.hidden else 0)
+
+    def residual(self, logs: np.ndarray) -> np.ndarray:
+        whole = np.rint(logs[0])
+        return np.array([logs[0] - whole, 3 * whole])
+
+    def jacobian(self, logs: np.ndarray) -> np.ndarray:
+        return np.array([[1.0], [0.0]])
+
+
+def test_of_many_starts_the_better_half_is_led_on() -> None:
+    box, starts = np.array([[-10.0], [10.0]]), np.array([[5.3], [1.2], [0.3], [7.3], [2.3], [6.3], [3.3], [4.2]])
+    problem = Basins()
+    np.testing.assert_allclose(raced(problem, starts, box), [[0.0], [1.0]], atol=1e-4)
+    np.testing.assert_allclose(problem.looks, [*starts.ravel(), 0, 1, 2, 3], atol=1e-4)
+    # Not where they explain less because less is seen.
+    np.testing.assert_allclose(raced(Basins(hidden=0), starts, box), [[1.0], [2.0]], atol=1e-4)
+
+
+def test_a_few_starts_stay_where_they_are() -> None:
+    starts, problem = np.linspace(0.1, 0.4, FITS)[:, None], Basins()
+    np.testing.assert_array_equal(raced(problem, starts, np.array([[-1.0], [1.0]])), starts)
+    assert not problem.looks
 
 
 def test_an_exact_film_gives_the_parameters_back() -> None:

@@ -95,14 +95,19 @@ class PointFollower:
         """Displacement since the first picture, shape [N, 2] [px]; not a number where a point is not seen."""
         return np.where(self.followed[:, None], self.place - self.points, np.nan).astype(np.float64)
 
+    @property
+    def expected(self) -> np.ndarray:
+        """Where the points are now, lost ones where their neighbours' motion tells, shape [N, 2] [px]."""
+        return self._expected(self._filled())
+
     def step(self, picture: np.ndarray, tool: np.ndarray) -> None:
         """Follow the points into the next picture, with its tool's mask."""
         picture, tool = shrunk(picture, tool)
         gray, tissue, edge = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), _tissue(picture, tool), _beside(tool)
         before, self._before = self._before, self._linker.half(gray)
         place, returned = self._linker.link(before, self._before, self.place)
-        self.followed &= (returned < CHECK) & _within(tissue, place)
-        self._see(place, self.followed, np.square(self.noise) + _variance(returned, _within(edge, place)))
+        self.followed &= (returned < CHECK) & values_at(tissue, place)
+        self._see(place, self.followed, np.square(self.noise) + _variance(returned, values_at(edge, place)))
         self._count += 1
         if self._count % RELINKED == 0 and self.followed.any():
             self._relink(gray, tissue, edge)
@@ -111,11 +116,15 @@ class PointFollower:
         """Link the first picture to this one: against drift, and to find lost points again."""
         around = self._filled()
         place, returned = self._linker.link(self._first, self._before, self.points, self._guess(around))
-        expected = np.where(self.followed[:, None], self.place, self.points + around[self._grid])
-        good = (returned < CHECK) & (np.linalg.norm(place - expected, axis=1) < FOUND) & _within(tissue, place)
+        off = np.linalg.norm(place - self._expected(around), axis=1)
+        good = (returned < CHECK) & (off < FOUND) & values_at(tissue, place)
         good &= resemblance(self._rest, gray, self.points, place) > ALIKE
         self.followed = self.followed | good
-        self._see(place, good, _variance(returned, _within(edge, place) | (self.distance < EDGED)))
+        self._see(place, good, _variance(returned, values_at(edge, place) | (self.distance < EDGED)))
+
+    def _expected(self, around: np.ndarray) -> np.ndarray:
+        """Places from the motion of the whole grid."""
+        return np.where(self.followed[:, None], self.place, self.points + around[self._grid])
 
     def _see(self, place: np.ndarray, seen: np.ndarray, variance: np.ndarray) -> None:
         self.place = np.where(seen[:, None], place, self.place).astype(np.float32)
@@ -172,11 +181,11 @@ def _beside(tool: np.ndarray) -> np.ndarray:
     return cv2.dilate(tool.astype(np.uint8), np.ones((2 * EDGED + 1, 2 * EDGED + 1), np.uint8)) > 0
 
 
-def _within(part: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Which places [N, 2] are in a part [H, W] of the picture, bool [N]."""
-    height, width = part.shape
+def values_at(picture: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Values of a picture or mask [H, W] at places [N, 2] (column, row) [px], outside those of its edge, shape [N]."""
+    height, width = picture.shape
     column, row = np.clip(place, 0, [width - 1, height - 1]).astype(int).T
-    return part[row, column]
+    return picture[row, column]
 
 
 def _variance(returned: np.ndarray, edge: np.ndarray) -> np.ndarray:

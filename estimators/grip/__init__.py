@@ -1,5 +1,6 @@
 """Tissue that an instrument holds and moves: its motion is given, what lies around it is explained.
 
+driver       where it is held, by its motion alone
 lattice      the points as a sheet's nodes, and coarse knots for fields over it
 recorder     a run of contact without an onset, gathered frame by frame
 sheet_fit    stiffness and foundation as fields, and how well they predict

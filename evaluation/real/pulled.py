@@ -22,16 +22,17 @@ from data.source.frames import Frame, open_source
 from data.source.images import read_image
 from data.source.layout import IMAGE_SUFFIXES, ClipLayout, InputError, list_folder
 from data.tracks.background import without_background
-from data.tracks.following import MARGIN, PointFollower, shrunk
+from data.tracks.following import MARGIN, PointFollower, shrunk, tool_distance, values_at
 from data.tracks.holding import held_distance
 from estimators.estimate import LEAST_SKILL, NINETY
+from estimators.grip.driver import find_driver
 from estimators.grip.recorder import DRIVEN
 from estimators.grip.sheet_fit import LEAST_FRAMES, RADIUS, GripFrame, NothingMoves, SheetFit, fit_sheet, skill
 
 NEARBY = 35.0
 """Nearby points began nearer to the tool than this percentile of those that are followed [%]."""
 HELD = (0.5, 0.7)
-"""Without drawn masks: shares of the largest motion above which tissue, or the instrument, may count as held."""
+"""Without drawn masks: shares of the driver's motion above which tissue, or the instrument, may count as held."""
 OPENING = 15
 """Blobs of a stored mask that no square of this side fits into are no tool [px]."""
 
@@ -165,8 +166,9 @@ def nearby_frame(frame: GripFrame, distance: np.ndarray) -> GripFrame:
 def follow_clip(clip: PulledClip) -> Follow:
     """Follow the tissue's points through a clip.
 
-    Where nobody has drawn masks, the grip is where the automatic ones show an instrument, or where most motion is: what
-    predicts the later frames of the first half better from its earlier ones.
+    Where nobody has drawn masks, the grip is where the automatic ones show an instrument, in the first frame or in the
+    last one of the first half that shows any, or where motion tells it (`find_driver`): what predicts the later frames
+    of the first half better from its earlier ones.
 
     Raises:
         InputError: it can't be read, has fewer than two frames, or its first frame shows no tool or no tissue.
@@ -175,6 +177,7 @@ def follow_clip(clip: PulledClip) -> Follow:
     masked: PointFollower | None = None
     free: PointFollower | None = None
     shown, everything, unreadable = list[np.ndarray](), list[np.ndarray](), list[str]()
+    aways: list[np.ndarray | None] = []
     first = picture = np.zeros((0, 0, 3), np.uint8)
     for number, current, tool in read_views(clip):
         if isinstance(tool, str) or current is None:
@@ -195,6 +198,7 @@ def follow_clip(clip: PulledClip) -> Follow:
         if free is not None:
             free.step(picture, np.zeros_like(tool))
             everything.append(free.moved)
+            aways.append(values_at(tool_distance(tool), masked.expected) if tool.any() else None)
     if masked is None or not shown:
         raise InputError(f"{clip.frames} has fewer than two frames that can be used; give more of them.")
 
@@ -210,9 +214,12 @@ def follow_clip(clip: PulledClip) -> Follow:
 
     found = [follow(masked, masked.distance, shown, "masks")]
     if free is not None:
-        moved = everything[max(len(everything) // 2 - 1, 0)]
-        aways = [held_distance(free.points, free.spacing, moved, share) for share in HELD]
-        found += [follow(free, away, everything, "motion") for away in aways if np.isfinite(away).all()]
+        half = max(len(everything) // 2, 1)
+        found += [follow(masked, away, shown, "masks") for away in aways[:half] if away is not None][-1:]
+        driver = find_driver(free.points, free.spacing, everything[half - 1], clip.camera)
+        if driver is not None:
+            pieces = [held_distance(free.points, free.spacing, driver.own, driver.place, share) for share in HELD]
+            found += [follow(free, away, everything, "motion") for away in pieces if np.isfinite(away).all()]
     return found[0] if len(found) == 1 else max(found, key=_expected_skill)
 
 

@@ -147,6 +147,9 @@ def test_a_point_behind_the_tool_is_found_where_its_neighbours_went() -> None:
         if index < RELINKED:
             follower.step(now, tool)
             assert not follower.followed[hidden].any()
+            # Where it was last seen is a step behind by now.
+            off = follower.expected - follower.points - [2.0 * index, -index]
+            assert np.abs(np.median(off[hidden], axis=0)).max() < 0.3
         else:
             follower.step(warped(picture, shift(2.0 * index, -index)), NO_TOOL)
     assert follower.followed[hidden].mean() > 0.9

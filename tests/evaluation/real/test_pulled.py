@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+from data.source.frames import Frame
 from data.source.layout import InputError
-from data.tracks.following import MARGIN
+from data.tracks.following import MARGIN, tool_distance, values_at
 from estimators.grip.sheet_fit import GripFrame, NothingMoves
 from evaluation.real.pulled import DRIVEN, Pull, PulledClip, _expected_skill, evaluate_pull, follow_clip, nearby_frame
 from tests.evaluation.real_clips import tissue_motion, tool_mask, write, write_pull
@@ -258,3 +260,23 @@ def test_without_masks_the_grip_is_told_by_the_automatic_ones_or_by_motion(
     assert np.linalg.norm(middle - [80, 88]) < 40
     assert follow.distance.min() > MARGIN
     assert follow.frames[-1].tells
+
+
+def test_an_instrument_that_the_masks_find_later_tells_the_grip(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In the last frame of the first half alone, when the camera has moved all of the picture besides."""
+    shares = np.linspace(0, 4, 9)
+    folders = write_pull(tmp_path, shares, (0.0, 4.0))
+
+    def found(_: Path) -> Callable[[Frame], np.ndarray]:
+        return lambda frame: tool_mask(shares[4]) if frame.index == 4 else np.zeros((176, 240), bool)
+
+    monkeypatch.setattr("evaluation.real.pulled._found_tools", found)
+    follow = follow_clip(PulledClip(folders[0], camera=True))
+    assert follow.grip == "masks"
+    # From where a point began, the tool has gone as far as the tissue that it holds; at its edge some are dragged.
+    gone = tissue_motion(follow.points.astype(float), shares[4]) + np.array([0, 4.0 * shares[4]])
+    expected = values_at(tool_distance(tool_mask(shares[4])), follow.points + gone)
+    near = expected < 40
+    assert (np.abs(follow.distance - expected)[near] <= 2).mean() > 0.9

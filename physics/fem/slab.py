@@ -1,8 +1,8 @@
 """A slab beneath an open surface that one camera sees: its elements crowd where an instrument presses.
 
 How thick tissue is can't be seen, so it is told. The slab lies under the grid mesh around a vertex, its sides along the
-contact's normal; it is held at the bottom, at its sides, and beyond the tissue's edge. Tissue that an instrument hides
-goes on beneath it.
+contact's normal; it is held at the bottom, at its sides, and, where that is wanted, beyond the tissue's edge. Tissue
+that an instrument hides goes on beneath it.
 """
 
 from __future__ import annotations
@@ -54,6 +54,14 @@ class Slab:
     place: tuple[float, float]
     """Column and row of the contact [grid px]."""
 
+    @property
+    def focal_lengths(self) -> np.ndarray:
+        """Of the camera that sees it, along columns and rows, shape [2] [grid px]."""
+        rest = self.solid.rest[self.top]
+        rays = rest[..., :2] / rest[..., 2:]
+        seen = np.array([np.ptp(self.columns), np.ptp(self.rows)])
+        return seen / np.array([rays[-1, 0, 0] - rays[0, 0, 0], rays[0, -1, 1] - rays[0, 0, 1]])
+
     def patch(self, radius: float) -> np.ndarray:
         """Share of every node in a force that is spread as 1 - (r/R)² around the contact, shape [N], sum 1.
 
@@ -88,7 +96,12 @@ class Slab:
 
 
 def slab_beneath(
-    mesh: Mesh, vertex: int, normal: np.ndarray, thickness: float, cells: tuple[int, int, int] = CELLS
+    mesh: Mesh,
+    vertex: int,
+    normal: np.ndarray,
+    thickness: float,
+    cells: tuple[int, int, int] = CELLS,
+    attached: bool = True,
 ) -> Slab:
     """The slab under a surface around a vertex.
 
@@ -98,6 +111,7 @@ def slab_beneath(
         normal: of the surface there, towards the camera, shape [3].
         thickness: [scene units].
         cells: along columns, rows and depth, the first two even, so that a node lies at the vertex.
+        attached: whether it is held beyond the tissue's edge, too.
 
     Raises:
         NoBody: a thickness that is not positive, or a surface under which a slab folds.
@@ -118,7 +132,7 @@ def slab_beneath(
     except ValueError as error:
         raise NoBody(f"below this surface a slab of {thickness:g} folds ({error}); give a smaller one.") from error
     side = (places[:, :2] == 0).any(axis=1) | (places[:, :2] == 1).any(axis=1)
-    held = np.repeat((side | (places[:, 2] == 1) | beside)[:, None], 3, axis=1)
+    held = np.repeat((side | (places[:, 2] == 1) | (beside & attached))[:, None], 3, axis=1)
     top = np.flatnonzero(places[:, 2] == 0).reshape(cells[0] + 1, cells[1] + 1)
     return Slab(solid, held, top, pixels[top[:, 0], 1], pixels[top[0], 0], (column, row))
 

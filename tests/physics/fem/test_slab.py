@@ -59,6 +59,10 @@ def test_what_lies_beyond_the_tissues_edge_is_held_and_what_a_tool_hides_is_not(
     beyond = slab.columns[1:-1] > SIDE // 2 + 9
     assert beyond.any()
     np.testing.assert_array_equal(inner, np.broadcast_to(beyond[:, None], inner.shape))
+    loose = slab_beneath(edge, middle(edge), NORMAL, THICKNESS, attached=False)
+    assert not loose.held[loose.top[1:-1, 1:-1]].any()
+    np.testing.assert_array_equal(loose.held[loose.top[0]], slab.held[slab.top[0]])
+    np.testing.assert_array_equal(loose.solid.rest, slab.solid.rest)
     hidden = surface(bowl(), seen, occluder=~seen)
     slab = slab_beneath(hidden, middle(hidden), NORMAL, THICKNESS)
     assert not slab.held.all(axis=1)[slab.top][1:-1, 1:-1].any()
@@ -66,6 +70,12 @@ def test_what_lies_beyond_the_tissues_edge_is_held_and_what_a_tool_hides_is_not(
     rows, columns = slab.rows, slab.columns[-3]
     expected = 0.5 + 2e-5 * ((rows - SIDE / 2) ** 2 + (columns - SIDE / 2) * (rows - SIDE / 2))
     np.testing.assert_allclose(slab.solid.rest[slab.top[-3], 2], expected, atol=5e-4)
+
+
+def test_the_cameras_focal_lengths_are_those_of_the_mesh() -> None:
+    mesh = surface(bowl())
+    slab = slab_beneath(mesh, middle(mesh), NORMAL, THICKNESS)
+    np.testing.assert_allclose(slab.focal_lengths, FOCAL, rtol=1e-5)
 
 
 def test_a_force_is_shared_out_whole_and_without_a_moment() -> None:

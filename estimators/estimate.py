@@ -37,6 +37,8 @@ LEAST_SKILL = 0.35
 """Of a grip's model: instruments that pass over tissue reach 0.1 to 0.3 with a whole mask, pulls 0.4 and more."""
 LEAST_LEAD = 0.1
 """Over the skill of the same model with tissue far from the instrument as its grip: any motion spreads smoothly."""
+LARGEST_SLAB_ERROR = 0.1
+"""Share of the motion around a grip; a slab that leaves more of it is refuted: drawn pulls leave 0.005 to 0.03."""
 
 
 class NoEstimate(ValueError):
@@ -283,6 +285,15 @@ class GripEstimate:
     """Lower end of its 90 % interval."""
     reaction_over_stiffness_high: float
     """Upper end."""
+    reaction_over_young: float = math.nan
+    """What holds the tissue in the last frame over E, if a slab of told thickness lies beneath; nan where none was
+    fitted [scene units²]."""
+    reaction_over_young_low: float = math.nan
+    """Lower end of its 90 % interval."""
+    reaction_over_young_high: float = math.nan
+    """Upper end."""
+    slab_error: float = 0.0
+    """What the slab does not explain of the points' motion, besides noise, over the motion."""
     stiffness: StiffnessField | None = None
     """Where the tissue is stiffer, if it is attached alike everywhere; None where that could not be fitted."""
     points: np.ndarray = dataclasses.field(default_factory=lambda: np.empty((0, 2)))
@@ -297,7 +308,9 @@ class GripEstimate:
 
     @property
     def verdict(self) -> str:
-        """`foundation`, `relative_force` or `undetermined`."""
+        """`reaction`, `foundation`, `relative_force` or `undetermined`."""
+        if "reaction_over_young" in self.determined:
+            return "reaction"
         if "foundation_over_stiffness" in self.determined:
             return "foundation"
         return "relative_force" if "relative_force" in self.determined else "undetermined"
@@ -305,15 +318,19 @@ class GripEstimate:
     @property
     def determined(self) -> tuple[str, ...]:
         """Names of what is determined."""
-        width = math.log(self.foundation_over_stiffness_high / self.foundation_over_stiffness_low) / (2 * NINETY)
         if not self.explained:
             return ()
         known = {
-            "foundation_over_stiffness": width < LIMIT,
+            "reaction_over_young": self.slab_error <= LARGEST_SLAB_ERROR and self._width("reaction_over_young") < LIMIT,
+            "foundation_over_stiffness": self._width("foundation_over_stiffness") < LIMIT,
             "relative_force": np.isfinite(self.force).all() and self.force_sd.max() < LIMIT,
             "stiffness_ratios": self.stiffness is not None and self.stiffness.tells,
         }
         return tuple(name for name, sure in known.items() if sure)
+
+    def _width(self, name: str) -> float:
+        """Standard deviation of the logarithm that a quantity's 90 % interval says."""
+        return math.log(getattr(self, f"{name}_high") / getattr(self, f"{name}_low")) / (2 * NINETY)
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ from data.contact.interaction import ContactFrame, Horizon, Interaction, Interac
 from data.contact.tissue_points import grid_to_picture
 from data.prepared import SEEN_OUT, PreparedFrame
 from estimators.contract import ClipInfo
-from estimators.estimate import Estimate, FrameEstimate, InteractionEstimate, NoEstimate
+from estimators.estimate import LARGEST_SLAB_ERROR, Estimate, FrameEstimate, InteractionEstimate, NoEstimate
 from estimators.grip.recorder import GripRecorder
 from physics.mechanics import Bounds, Mechanics
 
@@ -131,10 +131,13 @@ class RunSession:
         clip: the clip.
         mechanics: of the estimator.
         horizon: how much of a whole contact is looked at.
+        thickness: of the tissue, where a grip is to be explained by finite elements, too [scene units].
     """
 
-    def __init__(self, clip: ClipInfo, mechanics: Mechanics, horizon: Horizon = None) -> None:
-        self.clip, self.horizon = clip, horizon
+    def __init__(
+        self, clip: ClipInfo, mechanics: Mechanics, horizon: Horizon = None, thickness: float | None = None
+    ) -> None:
+        self.clip, self.horizon, self._thickness = clip, horizon, thickness
         self.mechanics = mechanics.matched(1 / clip.fps)
         """The simulator, its steps matched to the clip's frame rate."""
         self.seconds: dict[str, float] = defaultdict(float)
@@ -152,7 +155,7 @@ class RunSession:
         if run is None or not self._follows(run):
             self._grip = None
         elif run.index == frame.frame.index:
-            self._grip = GripRecorder(frame) if frame.visible else None
+            self._grip = GripRecorder(frame, self._thickness) if frame.visible else None
         elif self._grip is not None and frame.frame.index - run.last <= self.clip.bridge_frames:
             self._grip.add(frame)
         self.seconds["grip"] += time.perf_counter() - start
@@ -196,6 +199,8 @@ class RunSession:
         if found is not None and not found.explained:
             elsewhere = f", gripped elsewhere {found.rival:.2f}" if math.isfinite(found.rival) else ""
             told = f"A sheet gripped by the instrument doesn't explain the motion (skill {found.skill:.2f}{elsewhere})."
+        elif found is not None and found.slab_error > LARGEST_SLAB_ERROR:
+            told = f"A slab of this thickness leaves {found.slab_error:.0%} of the motion; F/E isn't known."
         elif found is not None and not found.determined:
             told = "A gripped sheet explains the motion, but neither its foundation nor its force over time is known."
         return dataclasses.replace(said, grip=found, detail=f"{said.detail} {told}".strip())

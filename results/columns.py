@@ -37,21 +37,25 @@ UNITS = {
 }
 """Units of the results; nothing that estimates knows of others."""
 VERDICT = {
-    "verdict": "determined, ratios (only k_s/k_d and F/k_d), foundation (only that over stiffness, and "
-    "relative forces), relative_force (only that), undetermined; "
+    "verdict": "determined, ratios (only k_s/k_d and F/k_d), reaction (only that over E, of a pull), "
+    "foundation (only that over stiffness, and relative forces), relative_force (only that), undetermined; "
     "onset_in_view: the model doesn't tell",
     "determined": "which parameters and ratios are determined, joined by ; (in fit.png: the curve of "
     "relative_force, the map of stiffness_ratios)",
 }
 GRIP = {
     "foundation_over_stiffness": "of a node over a spring's, nodes 8 px apart in a picture at most 854 px wide; empty "
-    "unless verdict is foundation",
+    "unless determined",
     "foundation_over_stiffness_low": "lower end of its 90 % interval",
     "foundation_over_stiffness_high": "upper end of its 90 % interval",
     "reaction_over_stiffness": "what holds the tissue in the last frame over a spring's stiffness, px of such a "
     "picture; times depth over focal length it is F/k_s",
     "reaction_over_stiffness_low": "lower end of its 90 % interval",
     "reaction_over_stiffness_high": "upper end of its 90 % interval",
+    "reaction_over_young": "what holds the tissue in the last frame over E, scene units²; empty unless "
+    "determined, which takes --model fem",
+    "reaction_over_young_low": "lower end of its 90 % interval",
+    "reaction_over_young_high": "upper end of its 90 % interval",
     "skill": "of that sheet in frames that were not fitted: 1 - error / motion; unless foundation, detail says it",
 }
 """Columns of what the motion around an instrument tells, where nothing is determined by the contact's own."""
@@ -141,7 +145,9 @@ def interaction_values(run: InteractionEstimate) -> dict[str, Any]:
         found |= vars(estimate) | estimate.numbers() | delays
         found |= {"explanation": estimate.explanation if told is estimate else "", "at_bound": " ".join(stuck)}
     if isinstance(told, GripEstimate):
-        known = GRIP if told.verdict == "foundation" else ("skill",)  # the force leans on the foundation
+        # The force over a spring's stiffness leans on the foundation.
+        leaning = ("reaction_over_stiffness",) if "foundation_over_stiffness" in told.determined else ()
+        known = [name for name in GRIP if name.startswith((*told.determined, *leaning, "skill"))]
         found |= {name: getattr(told, name) for name in known} | {"frames": len(told.times)}
     if told is not None:
         found |= {"status": "ok", "verdict": told.verdict, "determined": ";".join(told.determined)}

@@ -274,9 +274,10 @@ def _told_of_run(run: InteractionEstimate | None) -> tuple[str, str, str]:
     if isinstance(grip := run.told, GripEstimate):
         sentence = f"Skill {grip.skill:.2f} in frames that were not fitted (1: exact). No k_s, k_d or |F|."
         heading = f"{in_words(grip.verdict)}: {place}"
-        if grip.verdict == "foundation":
-            low, high = (digits(getattr(grip, f"foundation_over_stiffness_{end}"), 2) for end in ("low", "high"))
-            heading += f", foundation over stiffness {low} to {high}"
+        for name, words in (("reaction_over_young", "F/E"), ("foundation_over_stiffness", "foundation over stiffness")):
+            if name in grip.determined:
+                low, high = (digits(getattr(grip, f"{name}_{end}"), 2) for end in ("low", "high"))
+                heading += f", {words} {low} to {high}"
         return heading, f"{sentence} {run.detail}", grip.verdict
     if estimate is None:
         return f"no estimate: {place}", run.detail, "no_estimate"

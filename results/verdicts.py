@@ -13,6 +13,7 @@ Color = tuple[int, int, int]
 COLORS: dict[str, Color] = {
     "determined": (22, 163, 74),
     "ratios": (37, 99, 235),
+    "reaction": (20, 105, 190),
     "foundation": (8, 120, 165),
     "relative_force": (76, 90, 140),
     "onset_in_view": (129, 140, 248),
@@ -32,6 +33,7 @@ pictures; only `determined` is green."""
 MEANINGS = {
     "determined": "Stiffness, damping and force are determined.",
     "ratios": "Only k_s/k_d and |F|/k_d are determined.",
+    "reaction": "Only the force at the grip over E, and how it changes over time, are determined.",
     "foundation": "Only how firmly tissue is attached, over its stiffness, and relative forces are determined.",
     "relative_force": "Only how the force at the grip changes over time is determined.",
     "onset_in_view": "The onset was seen; the model does not tell what is determined.",

@@ -111,7 +111,7 @@ class DirectSession(RunSession):
     """One clip: a record for every frame, and a fit for every run of contact."""
 
     def __init__(self, estimator: DirectEstimator, clip: ClipInfo) -> None:
-        super().__init__(clip, estimator.mechanics, estimator.horizon)
+        super().__init__(clip, estimator.mechanics, estimator.horizon, estimator.thickness)
         self.estimator = estimator
         self._within = onset_error(estimator.onset, clip.fps)
 

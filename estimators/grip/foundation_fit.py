@@ -239,9 +239,9 @@ def fit_foundation(
     sd = 1 / np.sqrt(max(curvature / wider, SPREAD**-2))
     forces, variances = _forces(problem, log_anchor, frames)
     variances = wider * variances
-    length, along = _along_last(forces)
+    length, along = along_last(forces)
     (less, ratios_less), (more, ratios_more) = (
-        _along_last(_forces(problem, log_anchor + step, frames)[0]) for step in (-STEP, STEP)
+        along_last(_forces(problem, log_anchor + step, frames)[0]) for step in (-STEP, STEP)
     )
     bent = (np.log(more) - np.log(less)) / (2 * STEP)
     relative = (variances + along**2 * variances[-1]) / length**2
@@ -271,7 +271,7 @@ def _forces(problem: _Problem, log_anchor: float, frames: Sequence[SeenFrame]) -
     return np.array([item.loads.sum(axis=0) for item in found]), np.array([item.sum_variance for item in found])
 
 
-def _along_last(forces: np.ndarray) -> tuple[float, np.ndarray]:
+def along_last(forces: np.ndarray) -> tuple[float, np.ndarray]:
     """Length of the last of forces [T, 2], and all along it over this, shape [T]."""
     length = float(np.linalg.norm(forces[-1]))
     return length, forces @ forces[-1] / length**2

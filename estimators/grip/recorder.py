@@ -9,18 +9,23 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from data.contact.geometry import FrameGeometry
 from data.labels import TOOL
 from data.prepared import PreparedFrame
 from data.tracks.background import without_background
 from data.tracks.following import PointFollower, shrunk
 from estimators.estimate import NINETY, GripEstimate, NoEstimate
 from estimators.grip.foundation_fit import NoSheet, SeenFrame, fit_foundation
+from estimators.grip.pull_fit import fit_pull
 from estimators.grip.sheet_fit import LEAST_FRAMES, LEAST_MOTION, GripFrame, SheetFit, fit_sheet, skill
 from estimators.grip.stiffness_field import StiffnessField
 from estimators.grip.stiffness_fit import fit_stiffness
+from physics.fem import NoBody
+from physics.fem.slab import slab_beneath
 
 DRIVEN = 24.0
 """Points that began nearer to the tool move with it [px]."""
@@ -46,14 +51,17 @@ class GripRecorder:
 
     Args:
         first: its first frame, which shows pictures and labels.
+        thickness: of a slab of finite elements that is fitted beside the sheet [scene units]; None = none.
     """
 
-    def __init__(self, first: PreparedFrame) -> None:
+    def __init__(self, first: PreparedFrame, thickness: float | None = None) -> None:
         picture, labels = first.view
         self._follower = PointFollower(picture, labels == TOOL)
         self._picture = shrunk(picture, labels == TOOL)[0]
         self._start, self._kept, self._every = first.frame.time_s, list[_Kept](), 1
         self._seen, self._count = 0, 0
+        self._slab = None if thickness is None else (first.contact, thickness)
+        """Contact at rest, and how thick the tissue is there."""
 
     def add(self, frame: PreparedFrame) -> None:
         """The next frame; one without picture or labels is passed over, one out of contact only followed through."""
@@ -77,10 +85,10 @@ class GripRecorder:
             self._kept, self._every = self._kept[1::2], 2 * self._every
 
     def estimate(self) -> GripEstimate:
-        """A sheet's one number, judged on the second half of the motion by what the first half tells.
+        """A sheet's one number, judged on the second half of the motion by what the first half tells; and a slab's.
 
         Raises:
-            NoEstimate: too little moves, or too few points are seen.
+            NoEstimate: too little moves, too few points are seen, or no slab fits under the tissue.
         """
         kept, half, points = self._kept, len(self._kept) // 2, self._follower.points
         if half < LEAST_FRAMES:
@@ -113,7 +121,35 @@ class GripRecorder:
         if not found.explained:
             return found
         moved = np.stack([frame.moved for frame in frames])
-        return dataclasses.replace(found, stiffness=self._stiffness(), points=points, moved=moved)
+        pulled = {} if self._slab is None else self._pulled(*self._slab)
+        return dataclasses.replace(found, stiffness=self._stiffness(), points=points, moved=moved, **pulled)
+
+    def _pulled(self, contact: FrameGeometry, thickness: float) -> dict[str, Any]:
+        """Fields of the estimate that a slab tells, the force over time in place of the sheet's."""
+        try:
+            slab = slab_beneath(contact.mesh, contact.vertex, contact.normal, thickness, attached=False)
+        except NoBody as error:
+            raise NoEstimate(f"No slab fits under the tissue: {error}") from error
+        follower, (height, width) = self._follower, self._picture.shape[:2]
+        cell = np.array([width, height]) / contact.mesh.grid_shape[::-1]
+        fit = fit_pull(
+            slab,
+            cell,
+            follower.points,
+            follower.distance,
+            follower.spacing,
+            np.array([item.time_s for item in self._kept]),
+            [SeenFrame(item.frame.moved, item.noise) for item in self._kept],
+        )
+        wide = NINETY * fit.log_force_sd
+        return {
+            "reaction_over_young": math.exp(fit.log_force),
+            "reaction_over_young_low": math.exp(fit.log_force - wide),
+            "reaction_over_young_high": math.exp(fit.log_force + wide),
+            "slab_error": fit.error,
+            "force": fit.force,
+            "force_sd": fit.force_sd,
+        }
 
     def _stiffness(self) -> StiffnessField | None:
         """Where the tissue is stiffer, by the last frame; None where no sheet can be fitted."""

@@ -18,7 +18,7 @@ E with an inclusion                         median k_s/E with a stiff ball insid
 relative force, off and held                a pull's force over that of the last frame: root mean square error, and
                                             share within the 90 % interval
 
-Pulls are asked of the estimator `direct`, which alone fits grips, and by sheets.
+Pulls are asked of the estimator `direct`, which alone fits grips.
 """
 
 from __future__ import annotations
@@ -96,8 +96,8 @@ class SlabRecovery:
     warned: bool | None = None
     """Whether it says that the model doesn't explain the motion; None = it never says so."""
     reaction: np.ndarray | None = None
-    """Of a pull: F/k_s in the last frame that was looked at [scene units], and the standard deviation of its logarithm,
-    shape [2]."""
+    """Of a pull: F/k_s in the last frame that was looked at [scene units], of finite elements F/E [scene units²], and
+    the standard deviation of its logarithm, shape [2]."""
     curve: np.ndarray = field(default_factory=lambda: np.zeros((3, 0)))
     """Of a pull, over that of the last frame: true force, estimated, its standard deviation, shape [3, T]."""
 
@@ -108,9 +108,9 @@ class SlabRecovery:
 
 
 def asked(suite: str, index: int, estimators: Mapping[str, EstimatorOptions]) -> list[str]:
-    """Which estimators a clip is for: of a pull, the one that fits grips, by a sheet."""
+    """Which estimators a clip is for: of a pull, the one that fits grips."""
     press = SLAB_SUITES[suite].settings(index).action == "press"
-    return [name for name, options in estimators.items() if press or (name == DIRECT and options.model != Path(FEM))]
+    return [name for name in estimators if press or name == DIRECT]
 
 
 def evaluate_slab(task: SlabTask) -> list[SlabRecovery]:
@@ -136,10 +136,10 @@ def evaluate_slab(task: SlabTask) -> list[SlabRecovery]:
     found = []
     for name, options in task.wanted.items():
         known: dict[str, Any] = {"tissue": tissue}
+        if options.model == Path(FEM):
+            known["fitted"] = FEM
+            options = dataclasses.replace(options, thickness=motion.tissue.thickness)
         if isinstance(motion, PressedSlab):
-            if options.model == Path(FEM):
-                known["fitted"] = FEM
-                options = dataclasses.replace(options, thickness=motion.tissue.thickness)
             said = estimated(options, frames, info, motion.onset_frame)
             known |= {key: said[key] for key in COMPARED if key in said}
             known["force"] = float(np.abs(motion.force).max())
@@ -160,12 +160,17 @@ def _pulled(onset: int, grip: GripEstimate, motion: GrippedSlab, scene: Scene) -
     used = onset + np.rint(grip.times * scene.settings.fps).astype(int)
     true = motion.reaction[used]
     size = float(np.linalg.norm(true[-1]))
-    log, sd = log_interval(
-        grip.reaction_over_stiffness, grip.reaction_over_stiffness_low, grip.reaction_over_stiffness_high
-    )
+    if math.isnan(grip.reaction_over_young):
+        unit = scene.spacing / scene.settings.cell[0]
+        log, sd = log_interval(
+            grip.reaction_over_stiffness, grip.reaction_over_stiffness_low, grip.reaction_over_stiffness_high
+        )
+    else:
+        unit = 1.0
+        log, sd = log_interval(grip.reaction_over_young, grip.reaction_over_young_low, grip.reaction_over_young_high)
     return {
         "force": size,
-        "reaction": np.array([math.exp(log) * scene.spacing / scene.settings.cell[0], sd]),
+        "reaction": np.array([math.exp(log) * unit, sd]),
         "curve": np.array([true @ true[-1] / size**2, grip.force, grip.force_sd]),
         "verdict": grip.verdict,
         "warned": not grip.explained,
@@ -216,9 +221,12 @@ def _compared(rows: Sequence[SlabRecovery], all_rows: Sequence[SlabRecovery] | N
     young, damping = tissue.young, tissue.damping
     force = np.array([row.force for row in told])
     if told[0].reaction is not None:
-        yield from _related(
-            "F/k_s", np.stack([row.reaction for row in told if row.reaction is not None])[:, 0], "F/E", force / young
-        )
+        found, sd = np.stack([row.reaction for row in told if row.reaction is not None]).T
+        yield from _related("F/k_s", found, "F/E", force / young)
+        if told[0].fitted == FEM:
+            off = np.log(found / (force / young))
+            yield {"quantity": "F/E over the true", "n": len(told), "value": float(np.exp(np.median(off)))}
+            yield {"quantity": "F/E, held", "n": len(told), "value": float((np.abs(off) <= NINETY * sd).mean())}
         yield from _curves(told)
         return
     stiffness, viscosity, pressed = np.abs([row.estimate for row in told]).T

@@ -134,6 +134,13 @@ def test_a_grip_is_told_where_nothing_else_is_determined() -> None:
     vague = of_run(InteractionEstimate(0, 5, 0.0, grip=wide))
     assert (vague["verdict"], vague["determined"], vague["skill"]) == ("relative_force", "relative_force", "0.6")
     assert vague["foundation_over_stiffness"] == vague["reaction_over_stiffness"] == ""
+    told = {"reaction_over_young": 2e-3, "reaction_over_young_low": 1.5e-3, "reaction_over_young_high": 2.7e-3}
+    solid = of_run(InteractionEstimate(0, 5, 0.0, grip=dataclasses.replace(wide, **told)))
+    assert {name: float(solid[name]) for name in told} == told
+    assert (solid["verdict"], solid["determined"]) == ("reaction", "reaction_over_young;relative_force")
+    assert solid["foundation_over_stiffness"] == solid["reaction_over_stiffness"] == ""
+    refuted = of_run(InteractionEstimate(0, 5, 0.0, grip=dataclasses.replace(wide, slab_error=0.2, **told)))
+    assert (refuted["verdict"], refuted["reaction_over_young"]) == ("relative_force", "")
     unexplained = of_run(InteractionEstimate(0, 5, 0.0, grip=grip(0.2)))
     assert (unexplained["verdict"], unexplained["status"], unexplained["skill"]) == ("", "no_estimate", "")
 

@@ -321,6 +321,9 @@ def test_a_grip_shows_how_the_force_changes_and_names_no_other_number() -> None:
     np.testing.assert_allclose(curve(axes, "force along that of the last frame"), (times, times / 3))
     assert extent(axes.collections[0]).y1 == pytest.approx(1.0)
     wide = dataclasses.replace(grip, foundation_over_stiffness_high=0.2)
+    told = {"reaction_over_young": 2e-3, "reaction_over_young_low": 1.5e-3, "reaction_over_young_high": 2.7e-3}
+    (axes,) = fits(dataclasses.replace(NONE, grip=dataclasses.replace(wide, **told)))
+    assert heading(axes) == "reaction: contact from frame 1 (0.000 s), F/E 0.0015 to 0.0027"
     (axes,) = fits(dataclasses.replace(NONE, grip=wide))
     assert heading(axes) == "relative force: contact from frame 1 (0.000 s)"
 

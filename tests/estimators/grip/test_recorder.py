@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from types import SimpleNamespace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -15,14 +16,31 @@ from data.source.frames import Frame
 from data.tracks.background import without_background
 from estimators.estimate import LEAST_LEAD, LEAST_SKILL, NINETY, NoEstimate
 from estimators.grip import recorder as module
+from estimators.grip.pull_fit import PullFit
 from estimators.grip.recorder import GripRecorder, _mean_skill, _rival_skill
 from estimators.grip.sheet_fit import GripFrame, fit_sheet
+from physics.mesh import Mesh, grid_mesh
 
 WIDTH, HEIGHT, FPS = 320, 240, 25.0
 TIP = np.array([60.0, 120.0])
 """Middle of a tool of 40×40 px (column, row)."""
 DECAY = 40.0
 """Length over which the tissue's motion dies away [px]."""
+
+
+SIDE = 61
+"""Of the grid that the tissue's depth has [px]."""
+
+
+def dome() -> Mesh:
+    """Tissue that bends away from the camera."""
+    row, column = np.mgrid[:SIDE, :SIDE] - SIDE // 2
+    depth = 0.5 + 1e-4 * (np.square(row) + np.square(column))
+    points = np.stack([column / SIDE * depth, row / SIDE * depth, depth], axis=-1)
+    return grid_mesh(points, np.ones((SIDE, SIDE), bool))
+
+
+DOME = dome()
 
 
 def texture() -> np.ndarray:
@@ -41,7 +59,9 @@ def tool_at(place: np.ndarray) -> np.ndarray:
 
 def frame(index: int, picture: np.ndarray, labels: np.ndarray, contact: bool = True) -> PreparedFrame:
     nothing, unlabelled = np.zeros((4, 4), np.float32), np.zeros((4, 4), np.uint8)
-    touching = SimpleNamespace() if contact else None
+    middle = int(np.flatnonzero((DOME.pixels == SIDE // 2).all(axis=1))[0])
+    normal = np.array([0.0, 0.0, -1.0])
+    touching = SimpleNamespace(mesh=DOME, vertex=middle, normal=normal) if contact else None
     return PreparedFrame(
         Frame(index, index, index / FPS, picture),
         "ok",
@@ -53,12 +73,20 @@ def frame(index: int, picture: np.ndarray, labels: np.ndarray, contact: bool = T
     )
 
 
-def run(count: int, pull: float, middle: np.ndarray = TIP, follow: bool = True, decay: float = DECAY) -> GripRecorder:
+def run(
+    count: int,
+    pull: float,
+    middle: np.ndarray = TIP,
+    follow: bool = True,
+    decay: float = DECAY,
+    thickness: float | None = None,
+) -> GripRecorder:
     """A tool that moves upwards by `pull` a frame, and tissue around `middle` that does, too.
 
     Args:
         follow: whether the mask moves as well.
         decay: length over which the tissue's motion dies away [px].
+        thickness: of a slab that is fitted, too.
     """
     rest = texture()
     rows, columns = np.indices((HEIGHT, WIDTH), np.float32)
@@ -72,7 +100,7 @@ def run(count: int, pull: float, middle: np.ndarray = TIP, follow: bool = True, 
         )
         seen = frame(index, picture, tool_at(TIP - (0, moved * follow)))
         if found is None:
-            found = GripRecorder(seen)
+            found = GripRecorder(seen, thickness)
         else:
             found.add(seen)
     assert found is not None
@@ -125,6 +153,32 @@ def test_a_motion_that_spreads_from_elsewhere_is_explained_better_from_there() -
     assert skill < _rival_skill(points, 8, distance, frames) + LEAST_LEAD
     unseen = [GripFrame(np.where(distance[:, None] > 90, np.nan, frame.moved), frame.gripped) for frame in frames]
     assert _rival_skill(points, 8, distance, unseen) == -np.inf
+
+
+def test_a_slab_of_told_thickness_tells_force_over_young(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: dict[str, Any] = {}
+
+    def fits(*given: Any) -> PullFit:
+        told["given"] = given
+        return PullFit(np.zeros(2), np.zeros(2), math.log(2e-3), 0.2, given[5] / given[5][-1], 0 * given[5], 0.03)
+
+    monkeypatch.setattr(module, "fit_pull", fits)
+    found = run(12, 1.5, thickness=0.05).estimate()
+    slab, cell, points, distance, spacing, times, frames = told["given"]
+    np.testing.assert_allclose(cell, [WIDTH / SIDE, HEIGHT / SIDE])
+    assert (len(points), len(times), spacing) == (len(distance), len(frames), 8)
+    assert slab.place == (SIDE // 2, SIDE // 2)
+    assert not slab.held[slab.top[1:-1, 1:-1]].any()
+    assert found.verdict == "reaction"
+    assert found.reaction_over_young == pytest.approx(2e-3)
+    assert found.reaction_over_young_high == pytest.approx(2e-3 * math.exp(NINETY * 0.2))
+    np.testing.assert_allclose(found.force, times / times[-1])
+
+
+def test_where_no_slab_fits_nothing_is_told() -> None:
+    recorder = run(12, 1.5, thickness=math.inf)
+    with pytest.raises(NoEstimate, match=r"^No slab fits under the tissue: a thickness of inf; give a positive one"):
+        recorder._pulled(*recorder._slab)  # ty: ignore[not-iterable]  it has one
 
 
 def test_a_tool_over_still_tissue_tells_nothing() -> None:

@@ -159,10 +159,12 @@ def _depth(mesh: Mesh, pixels: np.ndarray, middle: np.ndarray, wide: float) -> t
     depth = mesh.vertices[:, 2].astype(np.float64)
     fitted = np.linalg.lstsq(terms(known), depth, rcond=None)[0]
     left = depth - terms(known) @ fitted
-    # Far beyond the mesh a polynomial means nothing; tissue there is held anyway.
+    # Far beyond the mesh a polynomial means nothing: there tissue goes on evenly.
     low, high = known.min(axis=0), known.max(axis=0)
     apart, nearest = KDTree(known).query(pixels, k=NEAREST)
     weights = 1 / np.maximum(apart, 1e-3) ** 2
     weights /= weights.sum(axis=1, keepdims=True)
     found = terms(np.clip(pixels, low, high)) @ fitted + (weights * left[nearest]).sum(axis=1)
-    return found, (apart[:, 0] > BESIDE) & mesh.rim[nearest[:, 0]]
+    beside, edge = (apart[:, 0] > BESIDE) & mesh.rim[nearest[:, 0]], nearest[:, 0]
+    plane = np.linalg.lstsq(np.column_stack([known, np.ones(len(known))]), depth, rcond=None)[0]
+    return np.where(beside, depth[edge] + (pixels - known[edge]) @ plane[:2], found), beside

@@ -10,6 +10,7 @@ observation_bounds  what each kind of observation can tell about θ
 following           following tissue points: time a frame, and error where the motion is known
 planning            the planner: costs from its table against simulated ones, a query against simulating its lines
 online              the online estimator on a pulled sheet of known stiffness: future gap, the field, time a step
+online_cost         what a step of it costs, beside the paper's, and by particles
 tracking_errors     errors of tracked contacts, for the direct estimator's error model
 automatic_masks     automatic masks against annotation
 photometric_depth   photometric depth against stereo depth and truth

@@ -1,6 +1,7 @@
 """The online estimator on a pulled sheet whose stiffness is known: future gap, the field found, time a step.
 
     python -m benchmarks.online [--starts k1 k2 k3] [--match chamfer tracks both] [--history 0.1]
+    python -m benchmarks.online --cost [--match chamfer tracks]
 
 A sheet of 600 particles, pinned along one side and gripped at the other, is stretched and swung. Its half at the pins
 is three times as stiff as the other. The truth flows down its energy in continuous time, by Runge-Kutta steps whose
@@ -29,6 +30,7 @@ from scipy.integrate import solve_ivp
 from scipy.sparse import csr_array
 from scipy.stats import spearmanr
 
+from benchmarks import online_cost
 from benchmarks.shared import command_line, machine, print_table
 from estimators.online.matching import Chamfer, Match, Tracks
 from estimators.online.objective import Objective, Weights
@@ -258,6 +260,7 @@ def rows(
 def main(arguments: list[str] | None = None) -> int:
     """Print the table; returns the exit status."""
     parser = command_line(__doc__)
+    parser.add_argument("--cost", action="store_true", help="what a step costs, by particles, in place of the pull")
     parser.add_argument("--starts", nargs="+", choices=STARTS, default=list(STARTS), help="stiffness to begin with")
     parser.add_argument("--match", nargs="+", choices=MATCHES, default=list(MATCHES), help="what is seen")
     parser.add_argument("--frames", type=int, default=60, help="of the pull")
@@ -267,6 +270,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--history", type=float, default=usual.history, help="weight of the history")
     parser.add_argument("--smoothness", type=float, default=usual.smoothness, help="weight of the smoothness")
     options = parser.parse_args(arguments)
+    if options.cost:
+        print(f"{machine()}; {online_cost.POINTS} points\n")
+        print_table(online_cost.COLUMNS, online_cost.rows(options.match))
+        return 0
     if options.frames < HORIZON + options.every or options.every < 1:
         parser.error(f"--frames is {options.frames}; give --every and the horizon's {HORIZON} together at least.")
     weights = Weights(options.gap, options.history, options.smoothness)

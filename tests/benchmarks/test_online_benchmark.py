@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks import online
+from benchmarks import online, online_cost
 from estimators.online.objective import Weights
 from physics.pbd.stiffness import Stiffness
 
@@ -50,3 +50,16 @@ def test_every_method_gets_a_row(small: None) -> None:
     shown = [dict(zip(online.COLUMNS_SHOWN, row, strict=True)) for row in found]
     assert [row["gap now [mm]"] != "" for row in shown] == [False, True, True, True, True]
     assert [row["rank correlation"] != "" for row in shown] == [False, False, True, False, True]
+
+
+def test_costs_are_those_of_steps_with_snapshots(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A sheet and a block, and a sheet of another size; CPU time is the longer thread's at least, twice it at most."""
+    monkeypatch.setattr(online_cost, "POINTS", 300)
+    monkeypatch.setattr(online_cost, "JUDGED", 150)
+    found = [dict(zip(online_cost.COLUMNS, row, strict=True)) for row in online_cost.rows(["tracks"], [40], 6)]
+    assert [row["body"] for row in found] == ["sheet", "block", "sheet"]
+    assert [row["over wall"] != "" for row in found] == [True, True, False]
+    for row in found:
+        assert (
+            0 < float(row["longer thread [ms]"]) <= float(row["CPU [ms]"]) <= 2 * float(row["longer thread [ms]"]) + 1
+        )

@@ -1,0 +1,73 @@
+"""What a step of the online estimator costs, beside the paper's: `python -m benchmarks.online --cost`.
+
+A step is a frame of PBD-RM-ON with four snapshots: one time step and 30 steps of the mapping, four snapshots stepped,
+and the adjoint of all of it. Medians over frames. A step runs in two threads; "longer thread" is the CPU time of that
+which has more to do, which is what a step takes on two cores that nothing else uses. "wall" is what it took here.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from estimators.online.objective import Objective
+from estimators.online.session import SNAPSHOTS, Method, Session
+from evaluation.online.sequences import SEQUENCES, Pull
+from physics.pbd.stiffness import Stiffness
+
+PAPER = {"thin-shell-1": 0.9, "volume-1": 2.6}
+"""Seconds a step of sheets and blocks (Liang 2024, section III)."""
+JUDGED, ALONG = 600, (300, 1200, 2500, 5000, 10_000)
+"""Particles of the paper, and others."""
+POINTS, FRAMES = 9000, 12
+START = (1.0, 0.01)
+COLUMNS = (
+    "body",
+    "particles",
+    "constraints",
+    "match",
+    "CPU [ms]",
+    "longer thread [ms]",
+    "wall [ms]",
+    "CPU a particle [µs]",
+    "paper over longer thread",
+    "over wall",
+)
+
+
+def costs(pull: Pull, match: str) -> np.ndarray:
+    """CPU time, that of the longer thread and wall-clock time of a step with four snapshots, medians [s]."""
+    fields = Stiffness(*(np.full(pull.body.count, value) for value in START))
+    session = Session(Objective(pull.body, pull.gripped), fields, Method())
+    spent = []
+    for frame, places in enumerate(pull.places):
+        matches = pull.matches(frame, match)
+        before = time.process_time(), time.thread_time(), time.perf_counter()
+        session.step(places, matches)
+        both, own, wall = np.subtract((time.process_time(), time.thread_time(), time.perf_counter()), before)
+        if frame >= SNAPSHOTS:
+            spent.append((both, max(own, both - own), wall))
+    return np.median(spent, axis=0)
+
+
+def rows(matches: Sequence[str], along: Sequence[int] = ALONG, frames: int = FRAMES) -> Iterator[list[str]]:
+    """A row for every kind of body and observation at the paper's size, then for sheets of other sizes."""
+    sizes = [(name, JUDGED) for name in PAPER] + [("thin-shell-1", particles) for particles in along]
+    for name, particles in sizes:
+        pull = SEQUENCES[name].pull(particles, POINTS, frames)
+        for match in matches:
+            both, longer, wall = costs(pull, match)
+            yield [
+                "block" if SEQUENCES[name].block else "sheet",
+                str(pull.body.count),
+                str(len(pull.body.layout.rest)),
+                match,
+                f"{1e3 * both:.0f}",
+                f"{1e3 * longer:.0f}",
+                f"{1e3 * wall:.0f}",
+                f"{1e6 * both / pull.body.count:.0f}",
+                f"{PAPER[name] / longer:.1f}" if particles == JUDGED else "",
+                f"{PAPER[name] / wall:.1f}" if particles == JUDGED else "",
+            ]

@@ -299,7 +299,7 @@ def _inner(rest: np.ndarray) -> np.ndarray:
 
 
 def _spot(rest: np.ndarray) -> np.ndarray:
-    return np.linalg.norm(rest[:, :2] - (0.07, 0.05), axis=1) < 0.03
+    return np.linalg.norm(rest[:, :2] - (0.07, 0.05), axis=1) < 0.04
 
 
 def _half(rest: np.ndarray) -> np.ndarray:

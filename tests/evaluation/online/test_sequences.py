@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import spearmanr
 
-from evaluation.online.sequences import FINE, FINE_CELLS, KEYPOINTS, NOISE, SEQUENCES, STIFF, Pull
+from evaluation.online.sequences import BLOCK, FINE, FINE_CELLS, KEYPOINTS, NOISE, SEQUENCES, SIDE, STIFF, Pull
 
 FRAMES, PARTICLES, POINTS = 8, 80, 200
 
@@ -59,3 +60,14 @@ def test_a_stiff_part_is_stretched_less() -> None:
     middle = rest[first, 0] / 2 + rest[second, 0] / 2
     stiff, soft = (strain[inner & part].mean() for part in (middle < 0.05, (middle > 0.065) & (middle < 0.1)))
     assert 0 < 1.5 * stiff < soft
+
+
+@pytest.mark.parametrize("name", SEQUENCES)
+def test_the_best_of_fields_could_be_seen_to_be_good(name: str) -> None:
+    """Distinct numbers correlate with a truth of two values, one on a share p, by √(3p(1 - p)) at most."""
+    size = BLOCK[:2] if SEQUENCES[name].block else (SIDE, SIDE)
+    places = np.random.default_rng(0).uniform(0, 1, (4000, 3)) * (*size, 0.0)
+    stiff = SEQUENCES[name].stiff(places)
+    best = spearmanr(stiff + 1e-6 * np.arange(4000), stiff).statistic
+    assert best == pytest.approx(np.sqrt(3 * stiff.mean() * (1 - stiff.mean())), abs=1e-3)
+    assert best > 0.8

@@ -15,7 +15,7 @@ from scipy.spatial import KDTree
 
 from physics.fem import Solid
 from physics.fem.solid import EDGES
-from physics.fem.surface import even_shares, nearest
+from physics.fem.surface import areas, even_shares, nearest
 
 SHARP = 0.8
 """Cosine of the angle between triangles below which their edge is sharp."""
@@ -23,6 +23,8 @@ SAMPLES = 8
 """Places on a sharp edge to which distances are measured."""
 ROWS = 4
 """Of places on a triangle, over which a force is spread."""
+BENT = 4
+"""Steps to a vertex's place in a curved element; in a straight one the first changes nothing."""
 CANDIDATES = 24
 """Elements with the closest centres, among which a vertex finds its own."""
 
@@ -91,9 +93,8 @@ class Skin:
         # Integrated over the triangles: sums over vertices alone would shift and widen the patch.
         shares = even_shares(ROWS)
         corners = self.vertices[self.triangles]
-        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
         apart = np.linalg.norm(np.einsum("sk,fkx->fsx", shares, corners) - place, axis=2) / radius
-        pressure = (area[:, None] * np.maximum(1 - apart**2, 0.0)) @ shares
+        pressure = (areas(corners)[:, None] * np.maximum(1 - apart**2, 0.0)) @ shares
         weights = np.bincount(self.triangles.ravel(), pressure.ravel(), minlength=len(self.vertices))
         return (self.shares.T @ (weights / weights.sum()))[:, None] * force
 
@@ -116,8 +117,13 @@ def cover(body: Solid, vertices: np.ndarray, triangles: np.ndarray, held: np.nda
     best = shares.min(axis=2).argmax(axis=1)  # inside, or the least way out
     rows = np.arange(len(vertices))
     element, place = near[rows, best], shares[rows, best]
-    values = _shapes(place) if body.elements.shape[1] == 10 else place
-    nodes = body.elements[element]
+    nodes, inverse = body.elements[element], np.linalg.inv(edges[element])
+    quadratic = body.elements.shape[1] == 10
+    for _ in range(BENT if quadratic else 0):  # where an element's faces are curved
+        beyond = vertices - np.einsum("vn,vni->vi", _shapes(place), body.rest[nodes])
+        change = np.einsum("vj,vji->vi", beyond, inverse)
+        place = place + np.concatenate([-change.sum(axis=1, keepdims=True), change], axis=1)
+    values = _shapes(place) if quadratic else place
     if held is not None:
         values = np.where(held[:, None], 0.0, values)
     index = np.repeat(rows, nodes.shape[1]), nodes.ravel()

@@ -3,6 +3,8 @@
 laws           energy, stress and tangent of the materials; polar: rotations of deformation gradients
 solid          nodes and elements, linear or quadratic, and the sums over them
 lattice        tetrahedra that fill the cells of a grid; meshing: of what an incomplete surface encloses
+refinement     elements divided where an instrument presses
+curved         quadratic elements whose outer faces follow a surface
 slab           beneath an open surface that one camera sees, elements crowding where an instrument presses
 surface        places on triangles that are closest to points
 equilibrium    rest under forces and prescribed displacements; derivatives by (E, ν), elements' E and forces

@@ -14,16 +14,19 @@ import numpy as np
 from scipy.ndimage import label
 
 from physics.fem.lattice import fill_cells
+from physics.fem.refinement import Longest, refine
 from physics.fem.solid import FACES, qualities
-from physics.fem.surface import nearest
+from physics.fem.surface import areas, nearest, rows_needed
 
 WORST = 0.05
 """Lowest quality of an element that drawing leaves (`qualities`; a lattice's are 0.35 to 0.71)."""
+FLAT = 0.1
+"""Quality of an outer element with all corners on the surface, below which it is left out."""
+SHED = 3
+"""How often such elements are, each time before drawing again."""
 ROUNDS = 30
 SHARE = 0.5
 """Of the way to the surface that a node goes in a round."""
-MOST_SAMPLES = 24
-"""Rows of samples on a triangle, at most, among which the closest is looked for."""
 _OFF = np.array([3.1e-4, 1.7e-4, 2.3e-4])
 """Of the rays from the cells' centres, in cells: on the grid they would meet edges."""
 _CHUNK = 4_000_000
@@ -54,6 +57,7 @@ def mesh_surface(
     cells: int = 16,
     thickness: float | None = None,
     floor: tuple[int, float] | None = None,
+    longest: Longest | None = None,
 ) -> Meshed:
     """Fill a surface.
 
@@ -65,6 +69,9 @@ def mesh_surface(
         thickness: of an open sheet [m]; None = the surface encloses the body.
         floor: axis, and the place on it below which the body is cut off, as where it is held: nodes lie on that plane
             whatever the grid, so that the support doesn't depend on it.
+        longest: what edges are divided to, as `refine` takes it, once all nodes are drawn onto the surface: elements
+            that keep some off it are left out, of which a round body of coarse straight elements is smaller, one of
+            curved elements (`physics.fem.curved`) isn't. None = some may lie off it by a tenth of a cell.
 
     Raises:
         NoBody: shapes that don't fit, no area, nothing enclosed, a thickness that the grid can't show, a floor above
@@ -72,7 +79,7 @@ def mesh_surface(
     """
     vertices, triangles = _checked(vertices, triangles)
     corners = vertices[triangles]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    area = areas(corners)
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     spacing = float((high - low).max()) / cells
     whole = area > 1e-9 * spacing**2
@@ -92,7 +99,7 @@ def mesh_surface(
         low[floor[0]] = floor[1]
     origin, sides, shape = _grid(low, high, spacing)
     centres = origin + sides * (np.moveaxis(np.indices(tuple(shape)), 0, -1) + 0.5)
-    samples = int(np.clip(np.ceil(2 * np.sqrt(area.max()) / spacing), 1, MOST_SAMPLES))
+    samples = rows_needed(corners, spacing)
     if thickness is None:
         inside = _enclosed(corners, centres)
         if not inside.any():
@@ -109,6 +116,16 @@ def mesh_surface(
     places, tetrahedra = fill_cells(inside)
     nodes = origin + sides * places
     nodes, off = _drawn(nodes, tetrahedra, corners, samples, thick, floor)
+    if longest is not None:
+        for _ in range(SHED):
+            flat = _flat(nodes, tetrahedra)
+            if not flat.any() or flat.all():
+                break
+            kept, left = np.unique(tetrahedra[~flat], return_inverse=True)
+            nodes, tetrahedra = nodes[kept], left.reshape(-1, 4)
+            nodes, off = _drawn(nodes, tetrahedra, corners, samples, thick, floor)
+        nodes, tetrahedra = refine(nodes, tetrahedra, longest)
+        nodes, off = _drawn(nodes, tetrahedra, corners, samples, thick, floor)
     return Meshed(nodes, tetrahedra, tuple(notes), off)
 
 
@@ -188,6 +205,19 @@ def _distance(points: np.ndarray, corners: np.ndarray, samples: int) -> tuple[np
     return np.linalg.norm(points - places, axis=1), places
 
 
+def _flat(nodes: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
+    """Which elements on the outside lie with all their corners on the surface and are nearly flat, shape [E], bool.
+
+    They keep their nodes from going where they belong, and without them the body is as it is to be.
+    """
+    faces = np.sort(tetrahedra[:, FACES].reshape(-1, 3), axis=1)
+    _, which, count = np.unique(faces, axis=0, return_inverse=True, return_counts=True)
+    bare = (count[which.ravel()] == 1).reshape(-1, 4)
+    outer = np.zeros(len(nodes), bool)
+    outer[tetrahedra[:, FACES][bare]] = True
+    return outer[tetrahedra].all(axis=1) & bare.any(axis=1) & (qualities(nodes, tetrahedra) < FLAT)
+
+
 def _drawn(
     nodes: np.ndarray,
     tetrahedra: np.ndarray,
@@ -207,6 +237,8 @@ def _drawn(
     pairs = np.unique(pairs, axis=0)
     neighbours = np.bincount(pairs[:, 0], minlength=len(nodes))
 
+    least = np.minimum(qualities(nodes, tetrahedra) / 2, WORST)
+
     def goals(now: np.ndarray) -> np.ndarray:
         distance, place = _distance(now[outer], corners, samples)
         along = (now[outer] - place) / np.maximum(distance, 1e-12)[:, None]
@@ -219,7 +251,7 @@ def _drawn(
         aim[grounded, axis] = nodes[grounded, axis]
         step = SHARE * (aim - nodes)
         for _ in range(12):  # an element that becomes bad takes its nodes' steps back by half, in the end all of it
-            bad = qualities(nodes + step, tetrahedra) < WORST
+            bad = qualities(nodes + step, tetrahedra) < least
             if not bad.any():
                 break
             step[np.unique(tetrahedra[bad])] /= 2

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import KDTree
 
+MOST_ROWS = 24
+"""Of samples on a triangle."""
 CANDIDATES = 16
 """Samples of the surface closest to a point, on whose triangles the closest place is looked for."""
 
@@ -43,6 +45,17 @@ def even_shares(rows: int) -> np.ndarray:
     """Barycentric coordinates of places that are spread evenly over a triangle in so many rows, shape [S, 3]."""
     places = [[i + 1 / 3, j + 1 / 3, rows - i - j - 2 / 3] for i in range(rows) for j in range(rows - i)]
     return np.array(places) / rows
+
+
+def rows_needed(triangles: np.ndarray, spacing: float) -> int:
+    """Rows of samples, as `nearest` takes them, that lie at most half a spacing apart on triangles [F, 3, 3]."""
+    return int(np.clip(np.ceil(2 * np.sqrt(areas(triangles).max()) / spacing), 1, MOST_ROWS))
+
+
+def areas(triangles: np.ndarray) -> np.ndarray:
+    """Of triangles [F, 3, 3], shape [F]."""
+    one, two, three = np.moveaxis(triangles, 1, 0)
+    return np.linalg.norm(np.cross(two - one, three - one), axis=1) / 2
 
 
 def nearest(points: np.ndarray, triangles: np.ndarray, samples: int = 1) -> tuple[np.ndarray, np.ndarray]:

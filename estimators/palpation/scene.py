@@ -17,6 +17,8 @@ from estimators.palpation.material_fit import FitSettings, Palpation
 from estimators.palpation.skin import Skin, cover
 from estimators.palpation.views import View, join_views
 from physics.fem import NoBody, make_solid, mesh_surface
+from physics.fem.curved import curve
+from physics.fem.refinement import around
 from physics.fields import LARGEST
 from physics.files import read_file
 
@@ -26,6 +28,8 @@ MOST_CELLS = 24
 """Along the longest side; unknowns grow with their cube."""
 YOUNG, FORCES = (1.0, 1e12), (1e-6, 1e4)
 """What there is of Young's moduli [Pa], and of forces that a hand or an instrument presses with [N]."""
+PRESSED = 0.6
+"""Edges of the elements where a tool presses, over its radius: E is off by less than 2 % then."""
 FEWEST = 12
 """Points of a surface that is fitted, by three numbers, and moved, by six."""
 Row = tuple[float, float, float, float]
@@ -156,22 +160,29 @@ def read_scene(path: Path) -> Scene:
     vertices, triangles, notes = _surface(scene, path)
     try:
         floor = "xyz".index(scene.held_axis), scene.held_below
-        meshed = mesh_surface(vertices, triangles, cells=scene.cells, thickness=scene.thickness, floor=floor)
+        radius = min(each.tool_radius for each in palpations)
+        crowded = around(np.array([each.contact for each in palpations]), radius, PRESSED * radius)
+        meshed = mesh_surface(
+            vertices, triangles, cells=scene.cells, thickness=scene.thickness, floor=floor, longest=crowded
+        )
     except NoBody as error:
         raise InputError(f"{printable(path.parent / (scene.surface or path.name))}: {error}") from error
     body = make_solid(meshed.nodes, meshed.tetrahedra, order=2)
     low = body.rest[:, floor[0]]
     # Nodes at a body's own base are drawn to it only nearly.
     slack = 1e-9 if low.min() >= scene.held_below - 1e-9 else 0.0
-    held = np.repeat((low <= scene.held_below + slack)[:, None], 3, axis=1)
+    still = low <= scene.held_below + slack
+    if scene.thickness is None:
+        body = curve(body, vertices[triangles], still)
+    held = np.repeat(still[:, None], 3, axis=1)
     if held.sum() < 9:
         raise InputError(
             f"{printable(path)}: {int(held.sum() / 3)} nodes lie below held_below; give more, the lowest is at "
             f"{low.min():.4g} m."
         )
     settings = FitSettings(scene.law, scene.young, scene.poisson)
-    still = vertices[:, floor[0]] <= scene.held_below + slack
-    return Scene(cover(body, vertices, triangles, still), held, palpations, settings, (*notes, *meshed.notes))
+    below = vertices[:, floor[0]] <= scene.held_below + slack
+    return Scene(cover(body, vertices, triangles, below), held, palpations, settings, (*notes, *meshed.notes))
 
 
 def _surface(scene: SceneFile, path: Path) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:

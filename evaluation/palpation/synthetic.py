@@ -10,6 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from estimators.palpation import Palpation, Skin, cover
 from physics.fem import Equilibrium, Material, box, find_equilibrium, make_solid, mesh_surface
+from physics.fem.curved import curve
+from physics.fem.refinement import Longest, around, refine
 
 SENSORS = {"stereo": 0.0003, "time of flight": 0.001}
 """Noise along the line of sight [m]."""
@@ -43,18 +45,29 @@ class Body:
         used, which = np.unique(faces, return_inverse=True)
         return nodes[used] - [self.size / 2, self.size / 2, 0], which.reshape(-1, 3)
 
-    def skin(self, cells: int, spacing: float) -> tuple[Skin, np.ndarray]:
-        """The surface on quadratic tetrahedra, and which of their nodes' components are held, those at the bottom."""
+    def skin(self, cells: int, spacing: float, longest: Longest | None = None) -> tuple[Skin, np.ndarray]:
+        """The surface on quadratic tetrahedra, and which of their nodes' components are held, those at the bottom.
+
+        Args:
+            cells: of the mesh along the longest side.
+            spacing: of the surface's vertices [m].
+            longest: what edges are divided to, as `refine` takes it.
+        """
         vertices, triangles = self.surface(spacing)
         if self.shape == "ball":
-            meshed = mesh_surface(vertices, triangles, cells=cells, floor=(2, HELD * self.height))
+            floor = 2, HELD * self.height
+            meshed = mesh_surface(vertices, triangles, cells=cells, floor=floor, longest=longest)
             nodes, tetrahedra = meshed.nodes, meshed.tetrahedra
         else:
             high = max(2, math.ceil(cells * self.height / self.size))
             nodes, tetrahedra = box((self.size, self.size, self.height), (cells, cells, high))
             nodes = nodes - [self.size / 2, self.size / 2, 0]
+            if longest is not None:
+                nodes, tetrahedra = refine(nodes, tetrahedra, longest)
         body = make_solid(nodes, tetrahedra, order=2)
         floor = float(body.rest[:, 2].min())
+        if self.shape == "ball":
+            body = curve(body, vertices[triangles], body.rest[:, 2] <= floor + 1e-9)
         held = np.repeat(body.rest[:, 2:] <= floor + 1e-9, 3, axis=1)
         return cover(body, vertices, triangles, vertices[:, 2] <= floor), held
 
@@ -96,6 +109,8 @@ def press(
     place: tuple[float, float],
     cells: int,
     law: str = "neo_hookean",
+    spacing: float | None = None,
+    edge: float | None = None,
 ) -> tuple[Skin, Equilibrium, np.ndarray, np.ndarray]:
     """The truth: a body under a force along its normal; skin, rest, force [3] and contact [3].
 
@@ -106,9 +121,12 @@ def press(
         place: as `Body.contact` takes it.
         cells: of its mesh.
         law: of `physics.fem.LAWS`.
+        spacing: of the surface's vertices; None = a 26th of the body's size [m].
+        edge: longest of an element where the tool presses; None = as the cells are [m].
     """
-    skin, held = body.skin(cells, body.size / 26)
     contact, normal = body.contact(*place)
+    longest = None if edge is None else around(contact[None], TOOL, edge)
+    skin, held = body.skin(cells, body.size / 26 if spacing is None else spacing, longest)
     vector = -force * normal
     forces = skin.pressed(contact, TOOL, vector)
     return skin, find_equilibrium(skin.body, Material(law, young, poisson), held, forces=forces), vector, contact

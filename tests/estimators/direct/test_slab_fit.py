@@ -14,7 +14,7 @@ from data.contact.patches import Patches
 from estimators.direct import estimator, slab_fit, slab_motion
 from estimators.direct.contact_fit import LARGEST_MISFIT
 from estimators.direct.estimator import DirectEstimator
-from estimators.direct.slab_fit import BLIND, MODEL_ERROR, SlabProblem, descend, firmer, fit_slab, slab_start
+from estimators.direct.slab_fit import BLIND, MODEL_ERROR, UNLIKE, SlabProblem, descend, firmer, fit_slab, slab_start
 from estimators.direct.slab_motion import DENSITY, PATCH, SlabMotion
 from estimators.estimate import NINETY, Estimate, NoEstimate
 from estimators.onset import BETWEEN
@@ -129,6 +129,10 @@ def test_a_fit_recovers_what_made_the_film_and_a_start_is_near(monkeypatch: pyte
     assert found.explained
     assert not found.refuted
     assert 0.8 < found.misfit < 1.2
+    # Besides what the film tells, tissue may not be alike throughout.
+    assert np.linalg.eigvalsh(found.covariance - UNLIKE).min() > 0
+    low, high = (found.numbers()[f"force_over_stiffness_{end}"] for end in ("low", "high"))
+    assert math.log(high / low) / (2 * NINETY) == pytest.approx(0.25, abs=0.02)
     assert (np.abs(np.log(np.abs(found.theta)) - LOGS) < 2 * NINETY * found.log_sd).all()
     ratios = found.numbers()
     assert ratios["damping_over_stiffness"] == pytest.approx(THETA[1] / THETA[0], rel=0.1)

@@ -36,6 +36,14 @@ def test_background_is_what_most_points_do(curved: float) -> None:
     np.testing.assert_allclose(terms @ least_distances(terms, camera + own), camera, atol=0.1)
 
 
+def test_an_affine_background_bears_a_fifth_at_one_side() -> None:
+    """Not so a quadratic one, which can bend there."""
+    points = grid()
+    own = np.where((points[:, :1] > 384), [30.0, 12.0], 0.0)
+    terms = background_terms(points, camera=False)
+    np.testing.assert_allclose(terms @ least_distances(terms, affine(points) + own), affine(points), atol=0.1)
+
+
 def test_least_distances_are_least() -> None:
     """No other coefficients come closer; along a line it is the median."""
     random = np.random.default_rng(0)

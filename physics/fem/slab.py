@@ -27,8 +27,9 @@ CROWDED = 3.0
 """How much the cells crowd around the contact: nodes lie at sinh(CROWDED s)/sinh(CROWDED), s even from -1 to 1."""
 GROWTH = 1.6
 """Thickness of a layer over that of the one above it."""
-DEGREE = 3
-"""Of the polynomial in columns and rows by which depth goes on where none is seen."""
+DEGREE, LOOSE_DEGREE = 3, 2
+"""Of the polynomial in columns and rows by which depth goes on where none is seen; and where that isn't held, since a
+higher one bends so far beyond the tissue's edge that a slab folds."""
 NEAREST = 4
 """Vertices that tell the rest of a node's depth."""
 BESIDE = 1.0
@@ -123,7 +124,7 @@ def slab_beneath(
     wide = WIDE * mesh.grid_shape[1]
     middle = np.array([row, column])
     pixels = middle + wide * np.sinh(CROWDED * (2 * places[:, 1::-1] - 1)) / math.sinh(CROWDED)
-    depth, beside = _depth(mesh, pixels, middle, wide)
+    depth, beside = _depth(mesh, pixels, middle, wide, DEGREE if attached else LOOSE_DEGREE)
     surface = np.column_stack([_rays(mesh, pixels) * depth[:, None], depth])
     layer = np.rint(places[:, 2] * cells[2])
     below = thickness * (GROWTH**layer - 1) / (GROWTH ** cells[2] - 1)
@@ -147,24 +148,24 @@ def _rays(mesh: Mesh, pixels: np.ndarray) -> np.ndarray:
     return np.stack(found, axis=1)
 
 
-def _depth(mesh: Mesh, pixels: np.ndarray, middle: np.ndarray, wide: float) -> tuple[np.ndarray, np.ndarray]:
+def _depth(
+    mesh: Mesh, pixels: np.ndarray, middle: np.ndarray, wide: float, degree: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Depth at rows and columns [P, 2], and which of them lie beyond the tissue's edge, shape [P] each."""
     known = mesh.pixels.astype(np.float64)
 
     def terms(places: np.ndarray) -> np.ndarray:
         down, across = ((places - middle) / wide).T
-        powers = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]
+        powers = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
         return np.stack([down**i * across**j for i, j in powers], axis=1)
 
     depth = mesh.vertices[:, 2].astype(np.float64)
     fitted = np.linalg.lstsq(terms(known), depth, rcond=None)[0]
     left = depth - terms(known) @ fitted
-    # Far beyond the mesh a polynomial means nothing: there tissue goes on evenly.
+    # Far beyond the mesh a polynomial means nothing; tissue there is held anyway.
     low, high = known.min(axis=0), known.max(axis=0)
     apart, nearest = KDTree(known).query(pixels, k=NEAREST)
     weights = 1 / np.maximum(apart, 1e-3) ** 2
     weights /= weights.sum(axis=1, keepdims=True)
     found = terms(np.clip(pixels, low, high)) @ fitted + (weights * left[nearest]).sum(axis=1)
-    beside, edge = (apart[:, 0] > BESIDE) & mesh.rim[nearest[:, 0]], nearest[:, 0]
-    plane = np.linalg.lstsq(np.column_stack([known, np.ones(len(known))]), depth, rcond=None)[0]
-    return np.where(beside, depth[edge] + (pixels - known[edge]) @ plane[:2], found), beside
+    return found, (apart[:, 0] > BESIDE) & mesh.rim[nearest[:, 0]]

@@ -23,7 +23,7 @@ if __name__ == "__main__":
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import get_args, get_type_hints
+from typing import Literal, get_args, get_type_hints
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -47,7 +47,7 @@ NOISE, POINTS, FOLLOWED = 0.2e-3, 9000, 200
 HORIZON, PAPER = 10, 0.9
 MOVES = 0.01
 MATCHES = ("chamfer", "tracks", "both")
-METHODS = get_args(get_type_hints(Method)["name"])
+METHODS, OPTIMIZERS = (get_args(get_type_hints(Method)[name]) for name in ("name", "optimizer"))
 COLUMNS_SHOWN = (
     "start",
     "match",
@@ -230,7 +230,12 @@ def floor(scene: Scene, every: int) -> float:
 
 
 def rows(
-    scene: Scene, starts: Sequence[str], kinds: Sequence[str], every: int, weights: Weights
+    scene: Scene,
+    starts: Sequence[str],
+    kinds: Sequence[str],
+    every: int,
+    weights: Weights,
+    optimizer: Literal["adam", "gauss-newton"] = "adam",
 ) -> Iterator[list[str]]:
     """What is measured, a row for every start, kind of observation and method."""
     for name in starts:
@@ -239,7 +244,7 @@ def rows(
             for method in METHODS:
                 if method == "PBD" and plain is not None:
                     continue  # it sees nothing
-                found = judged(scene, STARTS[name], kind, Method(method), every, weights)
+                found = judged(scene, STARTS[name], kind, Method(method, optimizer), every, weights)
                 plain = found.future if plain is None else plain
                 yield [
                     name,
@@ -265,6 +270,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--match", nargs="+", choices=MATCHES, default=list(MATCHES), help="what is seen")
     parser.add_argument("--frames", type=int, default=60, help="of the pull")
     parser.add_argument("--every", type=int, default=10, help="frames from one prediction to the next")
+    parser.add_argument("--optimizer", choices=OPTIMIZERS, default=OPTIMIZERS[0], help="what changes the stiffness")
     usual = Weights()
     parser.add_argument("--gap", type=float, default=usual.gap, help="weight of the gap")
     parser.add_argument("--history", type=float, default=usual.history, help="weight of the history")
@@ -281,7 +287,7 @@ def main(arguments: list[str] | None = None) -> int:
     print(f"{scene.body.count} particles, {scene.moving().sum()} of them move; {machine()}; {weights}")
     own = floor(scene, options.every)
     print(f"Gap of the truth itself, by k⁰, the cloud's sampling and noise: {1e3 * own:.1f} mm\n")
-    print_table(COLUMNS_SHOWN, rows(scene, options.starts, options.match, options.every, weights))
+    print_table(COLUMNS_SHOWN, rows(scene, options.starts, options.match, options.every, weights, options.optimizer))
     return 0
 
 

@@ -4,7 +4,7 @@ matching   how far particles are from what was seen: Chamfer distance to a cloud
 nearest    nearest neighbours on a surface, by a flat grid
 mapping    the residual deformation that takes a state to what was seen, and its adjoint
 objective  gap, history and smoothness, with their slopes by the fields of stiffness
-bounds     sigmoid bounds on the fields; adam: the optimiser
+bounds     sigmoid bounds on the fields; adam, gauss_newton: the optimisers
 session    one clip's state and field, frame by frame: PBD, PBD-RM, PBD-RM-ON
 surface    particles of the tissue in a frame; driven: these under an instrument that is followed
 fitting    time step, foundation and bending of one clip, by its first frames

@@ -60,6 +60,14 @@ class Residual:
             # What is held is part of the state, but doesn't move: its pull on the others' path isn't asked for.
         return pull - np.where(self._free, by_deformation, 0.0)
 
+    def carried(self, by_state: np.ndarray) -> np.ndarray:
+        """Change of Δ where the state changes by `by_state` [N, 3], shape [N, 3]: the transpose of `pulled_back`."""
+        change = np.where(self._free, by_state, 0.0)
+        for points, bends in self._path:
+            bent = sum((bend @ change for bend in bends), self._energy.bend(points, change) / len(change))
+            change = change - self._rate * np.where(self._free, bent, 0.0)
+        return change - np.where(self._free, by_state, 0.0)
+
 
 def map_residual(
     points: np.ndarray, matches: Sequence[Match], energy: Potential, held: np.ndarray, mapping: Mapping

@@ -108,7 +108,7 @@ class Objective:
         return held
 
     @cached_property
-    def _differences(self) -> csr_array:
+    def differences(self) -> csr_array:
         """Of neighbours' stiffness, a row for every pair within every face or tetrahedron, shape [pairs, N]."""
         cells = self.body.tetrahedra if len(self.body.tetrahedra) else self.body.faces
         first, second = np.triu_indices(cells.shape[1], 1)
@@ -176,11 +176,48 @@ class Objective:
         smoothness, by_distance, by_shape = 0.0, found.distance[0] + of_distance, found.shape[0] + of_shape
         bounds = self.bounds.distance, self.bounds.shape
         for values, out, bound in zip(fields[:2], (by_distance, by_shape), bounds, strict=True):
-            apart, share = self._differences @ values, self.weights.smoothness / (bound * self._differences.shape[0])
+            apart, share = self.differences @ values, self.weights.smoothness / (bound * self.differences.shape[0])
             smoothness += share * float(np.abs(apart).sum())
-            out += share * (self._differences.T @ np.sign(apart))
+            out += share * (self.differences.T @ np.sign(apart))
         slopes = Stiffness(by_distance, by_shape, 0.0)
         return Evaluation(simulated, residual, Terms(gap, history, smoothness), slopes)
+
+    def responses(
+        self,
+        fields: Stiffness,
+        ahead: Stiffness,
+        found: Evaluation,
+        start: np.ndarray,
+        places: np.ndarray,
+        snapshots: Sequence[np.ndarray],
+    ) -> np.ndarray:
+        """How residuals change with the fields, weighted so that half their squares are majorised as the norms are.
+
+        Args:
+            fields: stiffness that was evaluated, shape [N].
+            ahead: what it is changed to, K fields, shape [K, N].
+            found: what was evaluated.
+            start, places, snapshots: as for `evaluate`.
+
+        Returns:
+            Changes of Δ, and of the way of every snapshot, over the square root of its norm, shape [·, K].
+        """
+        count = len(ahead.distance)
+        before = np.stack([start, *snapshots])
+        grips = np.stack([places, *(state[self.gripped] for state in snapshots)])
+        now = self.stepped(fields, before, grips[:, None]).positions[:, 1]
+        parts = []
+        for index, state in enumerate(now):
+            paths = np.broadcast_to(grips[index], (count, 1, *grips[index].shape))
+            changes = self.stepped(ahead, before[index], paths).positions[:, 1] - state
+            residual, weight = state - before[index], self.weights.history
+            if index == 0:
+                residual, weight = found.residual.deformation, self.weights.gap
+                changes = np.stack([found.residual.carried(change) for change in changes])
+            size = float(np.linalg.norm(residual))
+            if size > 0:
+                parts.append(np.sqrt(weight / (self._edge * size)) * changes.reshape(count, -1))
+        return np.concatenate(parts, axis=1).T if parts else np.zeros((0, count))
 
     def _history(self, fields: Stiffness, snapshots: Sequence[np.ndarray]) -> tuple[float, tuple[np.ndarray, ...]]:
         """How far snapshots [N, 3] move, and the derivatives of that by the fields of distance and shape, shape [N]."""

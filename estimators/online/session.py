@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from estimators.online.adam import Adam
+from estimators.online.gauss_newton import GaussNewton
 from estimators.online.matching import Match
 from estimators.online.objective import Objective, Terms
 from physics.fields import require_choices
@@ -29,6 +30,8 @@ class Method:
 
     name: Literal["PBD", "PBD-RM", "PBD-RM-ON"] = "PBD-RM-ON"
     """Simulation alone; with states that are mapped to what is seen; with stiffness that is optimised, too."""
+    optimizer: Literal["adam", "gauss-newton"] = "adam"
+    """What changes the stiffness: Adam, the paper's, or damped Gauss–Newton steps of the fields at a few knots."""
     rate: float = 0.1
     """Of Adam, by the logits of the fields (Liang 2024, section III-B)."""
 
@@ -68,7 +71,7 @@ class Session:
         self.objective, self.method, self.fields = objective, method, fields
         self.positions = objective.body.rest.copy()
         self._past: deque[np.ndarray] = deque(maxlen=WINDOW)
-        self._adam = Adam(method.rate)
+        self._adam, self._newton = Adam(method.rate), GaussNewton(objective)
         self._logits = objective.bounds.logits(fields) if method.name == "PBD-RM-ON" else None
 
     def step(self, places: np.ndarray, matches: Sequence[Match]) -> Frame:
@@ -80,10 +83,14 @@ class Session:
         """
         gap, terms = None, None
         if self._logits is not None and matches:
-            found = self.objective.evaluate(self.fields, self.positions, places, matches, self._snapshots())
+            past = self._snapshots()
+            found = self.objective.evaluate(self.fields, self.positions, places, matches, past)
             simulated, residual, terms = found.simulated, found.residual, found.terms
-            slopes = self.objective.bounds.by_logits(self.fields, found.slopes)
-            self._logits = self._adam.step(self._logits, slopes)
+            if self.method.optimizer == "adam":
+                slopes = self.objective.bounds.by_logits(self.fields, found.slopes)
+                self._logits = self._adam.step(self._logits, slopes)
+            else:
+                self._logits = self._newton.step(self._logits, found, self.fields, self.positions, places, past)
             self.fields = self.objective.bounds.fields(self._logits, float(self.fields.volume))
         else:
             simulated = self.objective.stepped(self.fields, self.positions, places[None]).positions[0, -1]

@@ -43,9 +43,9 @@ def start(stiffness: float = 5.0) -> Stiffness:
     return Stiffness(np.full(BODY.count, stiffness), np.full(BODY.count, 0.01))
 
 
-def follow(method: str, states: np.ndarray) -> tuple[float, Session]:
+def follow(method: Method, states: np.ndarray) -> tuple[float, Session]:
     """Mean future gap, and the session after the last frame."""
-    session, gaps = Session(Objective(BODY, GRIPPED), start(), Method(method)), []
+    session, gaps = Session(Objective(BODY, GRIPPED), start(), method), []
 
     def seen(state):
         return [Tracks(eye_array(BODY.count).tocsr(), state)]
@@ -61,11 +61,23 @@ def follow(method: str, states: np.ndarray) -> tuple[float, Session]:
 
 def test_mapping_predicts_better_than_none_and_optimised_fields_better_still():
     states, field = truth()
-    gaps, sessions = zip(*(follow(name, states) for name in METHODS), strict=True)
+    gaps, sessions = zip(*(follow(Method(name), states) for name in METHODS), strict=True)
     assert gaps[1] < 0.9 * gaps[0]
     assert gaps[2] < 0.9 * gaps[1]
     assert (sessions[1].fields.distance == 5).all()
     found = sessions[2].fields.distance[~BODY.pinned]
+    stiff = field[~BODY.pinned] > 1
+    assert np.median(found[stiff]) > np.median(found[~stiff])
+
+
+@pytest.mark.slow
+def test_gauss_newton_predicts_better_than_the_mapping_alone():
+    states, field = truth()
+    gaps, sessions = zip(
+        *(follow(how, states) for how in (Method("PBD-RM"), Method(optimizer="gauss-newton"))), strict=True
+    )
+    assert gaps[1] < 0.9 * gaps[0]
+    found = sessions[1].fields.distance[~BODY.pinned]
     stiff = field[~BODY.pinned] > 1
     assert np.median(found[stiff]) > np.median(found[~stiff])
 

@@ -7,6 +7,7 @@ objective  gap, history and smoothness, with their slopes by the fields of stiff
 bounds     sigmoid bounds on the fields; adam, gauss_newton: the optimisers
 session    one clip's state and field, frame by frame: PBD, PBD-RM, PBD-RM-ON
 surface    particles of the tissue in a frame; driven: these under an instrument that is followed
+visibility which of these the camera sees
 fitting    time step, foundation and bending of one clip, by its first frames
 estimator  the door: a sheet for every run of contact; settings: as configs/online.yaml holds them
 """

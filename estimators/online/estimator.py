@@ -25,6 +25,7 @@ from estimators.estimate import InteractionEstimate, NoEstimate, ParticleField
 from estimators.online.driven import DrivenTissue
 from estimators.online.settings import OnlineSettings
 from estimators.online.surface import make_surface
+from estimators.online.visibility import facing, uncovered
 from estimators.runs import Run, RunSession, frame_estimate
 from physics.mechanics import Mechanics
 
@@ -164,19 +165,19 @@ class _Followed:
         )
 
     def _cloud(self, frame: PreparedFrame) -> tuple[np.ndarray, np.ndarray]:
-        """The frame's tissue, shape [m, 3] [scene units], evenly thinned out, and the particles that no tool hides."""
+        """The frame's tissue, shape [m, 3] [scene units], evenly thinned out, and particles that the camera sees."""
         height, width = frame.depth.shape
         tissue = (frame.labels == TISSUE) & (frame.depth > 0)
         cloud = back_project(frame.depth, self._clip.camera.scaled(width, height))[tissue]
         some = np.linspace(0, len(cloud) - 1, min(len(cloud), self._settings.points)).round().astype(int)
-        surface, size = self._driven.surface, frame.labels.shape
-        pixels = grid_to_picture(
-            surface.project(self._driven.session.positions),
-            (surface.camera.height, surface.camera.width),
-            (width, height),
-        )
-        column, row = np.clip(pixels.round().astype(int), 0, (size[1] - 1, size[0] - 1)).T
-        return cloud[some], np.flatnonzero(frame.labels[row, column] == TISSUE)
+        surface, states = self._driven.surface, self._driven.session.positions
+        view = surface.camera.height, surface.camera.width
+        pixels = grid_to_picture(surface.project(states), view, (width, height)).round()
+        inside = ((pixels >= 0) & (pixels < (width, height))).all(axis=1)
+        column, row = np.clip(pixels, 0, (width - 1, height - 1)).astype(int).T
+        shown = inside & (frame.labels[row, column] == TISSUE)  # and not behind a tool
+        shown &= facing(states, surface.body.rest, surface.body.faces) & uncovered(states, surface.body.faces)
+        return cloud[some], np.flatnonzero(shown)
 
 
 def _continued(points: np.ndarray, motion: np.ndarray, places: np.ndarray) -> np.ndarray:

@@ -58,7 +58,8 @@ def objective_of(pull: Pull) -> Objective:
     """How a pull's body is stepped and what its fields are optimised for: sheets by the defaults.
 
     A block's truth is at rest in every frame, which one time step a frame is far from; `BLOCK_PARTS` of `BLOCK_SWEEPS`
-    cost what one of 20 sweeps does. Smoothness counts more there, since most of its particles are not seen.
+    cost what one of 20 sweeps does and come nearer, though not near enough to show every field (docs/online.md).
+    Smoothness counts more there, since most of its particles are not seen.
     """
     if not len(pull.body.tetrahedra):
         return Objective(pull.body, pull.gripped)

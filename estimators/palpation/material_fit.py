@@ -31,7 +31,7 @@ SHORTEST = 0.01
 """Share of a step, below which none is tried."""
 FARTHEST_STEP = 10.0
 """Factor by which a step changes E at most."""
-CRUSHED = 0.1
+CRUSHED = 0.03
 """Of the body's size: a start that the linear law would displace farther is made stiffer first."""
 FACTORED = 60_000
 """Unknowns up to which a body's matrix is factorised for all of a fit's systems: some seconds and a gigabyte."""

@@ -39,9 +39,10 @@ class Patches:
         vertex: the contact.
         size: width and height of the picture that was brought to the mesh's grid [px].
         reach: rows and columns from the contact.
+        parts: of a pixel of a larger picture along an axis that may each show another patch.
     """
 
-    def __init__(self, mesh: Mesh, vertex: int, size: tuple[int, int], reach: int = REACH) -> None:
+    def __init__(self, mesh: Mesh, vertex: int, size: tuple[int, int], reach: int = REACH, parts: int = 1) -> None:
         self.size, self._side = size, 2 * reach + 1
         pixels = np.arange(-reach, reach + 1)
         reach += LARGEST_SHIFT
@@ -57,7 +58,7 @@ class Patches:
         self._slope = self._rest_slope()
         centre = mesh.pixels[vertex]
         rows, columns = (
-            footprint(int(middle) + pixels, cells, length)
+            footprint(int(middle) + pixels, cells, length, parts)
             for middle, cells, length in zip(centre, mesh.grid_shape, size[::-1], strict=True)
         )
         side, down, across = self._side, rows[0].shape[1], columns[0].shape[1]
@@ -221,18 +222,23 @@ class Patches:
         return total
 
 
-def footprint(cells: np.ndarray, count: int, pixels: int) -> tuple[np.ndarray, np.ndarray]:
+def footprint(cells: np.ndarray, count: int, pixels: int, parts: int = 1) -> tuple[np.ndarray, np.ndarray]:
     """Where along one axis the pixels lie whose mean some cells of the grid are, and their shares, shapes [C, K] each.
 
     Args:
         cells: indices, shape [C].
         count: cells of the grid.
         pixels: of the picture.
+        parts: of each of these, where a cell has more than one.
 
     Returns:
         Middles of the pixels in the grid [grid pixels]: those of an area average, as `data.depth.normalise` shrinks.
     """
     size = pixels / count
+    if size > 1 and parts > 1:
+        middles, shares = footprint(cells, count, pixels)
+        within = ((np.arange(parts) + 0.5) / parts - 0.5) / min(size, MOST_SAMPLES)
+        return (middles[:, :, None] + within).reshape(len(cells), -1), np.repeat(shares / parts, parts, axis=1)
     if size <= 1 or size > MOST_SAMPLES:
         each = 1 if size <= 1 else MOST_SAMPLES
         inside = (np.arange(each) + 0.5) / each - 0.5

@@ -60,19 +60,24 @@ class FilmProblem(Generic[M]):
         contact: with its film.
         motion: makes the model of some vertices [V] at some instants [N] [s].
         noise: σ of every pixel in every frame [scene units]; None = as the film says.
+        parts: as of `Patches`.
 
     Raises:
         ValueError: the contact has no film.
     """
 
     def __init__(
-        self, contact: Interaction, motion: Callable[[np.ndarray, np.ndarray], M], noise: float | None = None
+        self,
+        contact: Interaction,
+        motion: Callable[[np.ndarray, np.ndarray], M],
+        noise: float | None = None,
+        parts: int = 1,
     ) -> None:
         if contact.film is None or not len(contact.film.times):
             raise ValueError("the contact has no film; gather it with frames that have depth and labels.")
         film = contact.film if noise is None else dataclasses.replace(contact.film, noise=FilmNoise(noise, 0.0))
         self.contact, self.film = contact, film
-        self.patches = Patches(contact.mesh, contact.vertex, film.size)
+        self.patches = Patches(contact.mesh, contact.vertex, film.size, parts=parts)
         self.motion = motion(self.patches.vertices, film.times)
         self.observed = film.change.reshape(len(film.times), -1).astype(np.float64)
         """Shape [N, P] [scene units]."""
@@ -218,7 +223,9 @@ class FieldProblem(FilmProblem[PressMotion]):
         noise: float | None = None,
         kind: type[PressMotion] = PressMotion,
     ) -> None:
-        super().__init__(contact, lambda vertices, times: kind(contact, mechanics, vertices, times, within), noise)
+        super().__init__(
+            contact, lambda vertices, times: kind(contact, mechanics, vertices, times, within), noise, kind.parts
+        )
 
     def coarser(self) -> FieldProblem:
         """The same with coarse time steps, to search with; it has not looked at anything of its own yet."""

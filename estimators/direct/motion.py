@@ -48,6 +48,8 @@ class PressMotion:
     """From how many candidates the search of its parameters begins."""
     looks = 2
     """How often it is decided anew at the best fit what the pixels show."""
+    parts = 1
+    """Of a picture's pixels along an axis, in which they may show other tissue."""
     sampled = True
     """Whether some hundred draws are enough to sample the posterior of its parameters."""
 

@@ -113,6 +113,16 @@ def test_footprints_are_those_of_an_area_average(count: int, pixels: int) -> Non
         np.testing.assert_allclose((shares * row[np.clip(index, 0, pixels - 1)]).sum(axis=1), shrunk, atol=2e-6)
 
 
+def test_parts_of_pixels_are_those_of_a_finer_picture() -> None:
+    cells = np.arange(10, 20)
+    parts, finer = footprint(cells, 60, 120, 3), footprint(cells, 60, 360)
+    for middles, shares, wanted, even in zip(*parts, *finer, strict=True):
+        np.testing.assert_allclose(np.sort(middles[shares > 0]), np.sort(wanted[even > 0]), atol=1e-12)
+        np.testing.assert_allclose(shares[shares > 0], even[even > 0], atol=1e-12)
+    # A pixel that is the grid's shows one patch.
+    np.testing.assert_array_equal(footprint(cells, 60, 60, 3)[0], footprint(cells, 60, 60)[0])
+
+
 @pytest.mark.parametrize("pixels", [60, 47])
 def test_a_picture_no_larger_than_the_grid_has_one_sample(pixels: int) -> None:
     middles, shares = footprint(np.arange(60), 60, pixels)

@@ -285,6 +285,12 @@ class GripEstimate:
     """Lower end of its 90 % interval."""
     reaction_over_stiffness_high: float
     """Upper end."""
+    stiffness: StiffnessField | None = None
+    """Where the tissue is stiffer, if it is attached alike everywhere; None where that could not be fitted."""
+    points: np.ndarray = dataclasses.field(default_factory=lambda: np.empty((0, 2)))
+    """Followed tissue at rest, to draw a map where it is by then, shape [N, 2] [px of the map's picture]."""
+    moved: np.ndarray = dataclasses.field(default_factory=lambda: np.empty((0, 0, 2)))
+    """Its displacement at the times, not a number where it is lost, shape [T, N, 2], float32 [px]."""
     reaction_over_young: float = math.nan
     """What holds the tissue in the last frame over E, if a slab of told thickness lies beneath; nan where none was
     fitted [scene units²]."""
@@ -294,12 +300,6 @@ class GripEstimate:
     """Upper end."""
     slab_error: float = 0.0
     """What the slab does not explain of the points' motion, besides noise, over the motion."""
-    stiffness: StiffnessField | None = None
-    """Where the tissue is stiffer, if it is attached alike everywhere; None where that could not be fitted."""
-    points: np.ndarray = dataclasses.field(default_factory=lambda: np.empty((0, 2)))
-    """Followed tissue at rest, to draw a map where it is by then, shape [N, 2] [px of the map's picture]."""
-    moved: np.ndarray = dataclasses.field(default_factory=lambda: np.empty((0, 0, 2)))
-    """Its displacement at the times, not a number where it is lost, shape [T, N, 2], float32 [px]."""
 
     @property
     def explained(self) -> bool:

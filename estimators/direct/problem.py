@@ -156,12 +156,20 @@ class LeastSquares(Protocol):
 
 
 def find_optimum(
-    problem: LeastSquares, start: np.ndarray, low: np.ndarray, high: np.ndarray, evaluations: int = MOST_EVALUATIONS
+    problem: LeastSquares, start: np.ndarray, low: np.ndarray, high: np.ndarray, evaluations: int | None = None
 ) -> Optimum:
-    """The optimum that a fit from φ = `start` [3] within the box [3], [3] ends in, or how far it comes."""
+    """The optimum that a fit from φ = `start` [3] within the box [3], [3] ends in, or how far it comes.
+
+    Args:
+        problem: what is fitted.
+        start: of all parameters, shape [D].
+        low: of the box, shape [D].
+        high: likewise.
+        evaluations: after which it stops; None = MOST_EVALUATIONS.
+    """
     end = least_squares(
         problem.residual, start, problem.jacobian, (low, high), method="trf",
-        x_scale="jac", ftol=TOLERANCE, xtol=TOLERANCE, gtol=TOLERANCE, max_nfev=evaluations,
+        x_scale="jac", ftol=TOLERANCE, xtol=TOLERANCE, gtol=TOLERANCE, max_nfev=evaluations or MOST_EVALUATIONS,
     )  # fmt: skip
     return Optimum(end.x, end.cost, fisher_information(end.jac, 1.0))
 

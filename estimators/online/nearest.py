@@ -33,14 +33,24 @@ class Grid:
     """The two axes, where the cells begin along them, a cell's side, and how many cells along both."""
 
     def nearest(self, queries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Squared distance [m] and index [m] of the point nearest to each of m places [m, 3]; of equals the first."""
+        """Squared distance [m] and index [m] of the point nearest to each of m places [m, 3]; of equals the first.
+
+        Raises:
+            ValueError: a place that is not finite.
+        """
+        _require_finite(queries)
         squared, index = np.empty(len(queries)), np.empty(len(queries), np.int64)
         search(np.ascontiguousarray(queries), self.points, self.indices, self.starts, self.frame, squared, index)
         return squared, index
 
 
 def grid_of(points: np.ndarray) -> Grid:
-    """Sort points [n, 3], one at least, into cells."""
+    """Sort points [n, 3], one at least, into cells.
+
+    Raises:
+        ValueError: a point that is not finite, for which no cell can be told.
+    """
+    _require_finite(points)
     ordered, beyond = np.sort(points, axis=0), int(STRAYS * len(points))
     begin, spread = ordered[beyond], ordered[-1 - beyond] - ordered[beyond]
     first, second = (int(axis) for axis in np.argsort(-spread, kind="stable")[:2])
@@ -61,6 +71,11 @@ def gathered(points: np.ndarray, index: np.ndarray, count: int) -> tuple[np.ndar
     counts, sums = np.zeros(count), np.zeros((count, 3))
     gather(points, index, counts, sums)
     return counts, sums
+
+
+def _require_finite(points: np.ndarray) -> None:
+    if not np.isfinite(points).all():
+        raise ValueError("a point to match is not finite: what is simulated has diverged, or a depth is no number.")
 
 
 @inlined

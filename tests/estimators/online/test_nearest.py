@@ -52,3 +52,15 @@ def test_neighbours_are_those_of_brute_force(name):
 def test_a_cell_holds_about_a_point_and_strays_dont_change_that():
     for name in ("a surface", "with strays"):
         assert np.diff(grid_of(CLOUDS[name]).starts).max() < 8
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_points_that_are_not_finite_are_refused(value: float) -> None:
+    """No cell holds them."""
+    points = np.random.default_rng(0).normal(size=(20, 3))
+    broken = points.copy()
+    broken[7, 1] = value
+    with pytest.raises(ValueError, match="not finite"):
+        grid_of(broken)
+    with pytest.raises(ValueError, match="not finite"):
+        grid_of(points).nearest(broken)

@@ -205,11 +205,11 @@ class Objective:
         count = len(ahead.distance)
         before = np.stack([start, *snapshots])
         grips = np.stack([places, *(state[self.gripped] for state in snapshots)])
-        now = self.stepped(fields, before, grips[:, None]).positions[:, 1]
+        now = self.stepped(fields, before, grips[:, None]).positions[:, -1]
         parts = []
         for index, state in enumerate(now):
             paths = np.broadcast_to(grips[index], (count, 1, *grips[index].shape))
-            changes = self.stepped(ahead, before[index], paths).positions[:, 1] - state
+            changes = self.stepped(ahead, before[index], paths).positions[:, -1] - state
             residual, weight = state - before[index], self.weights.history
             if index == 0:
                 residual, weight = found.residual.deformation, self.weights.gap

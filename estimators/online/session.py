@@ -71,7 +71,7 @@ class Session:
         self.objective, self.method, self.fields = objective, method, fields
         self.positions = objective.body.rest.copy()
         self._past: deque[np.ndarray] = deque(maxlen=WINDOW)
-        self._adam, self._newton = Adam(method.rate), GaussNewton(objective)
+        self._optimizer = Adam(method.rate) if method.optimizer == "adam" else GaussNewton(objective)
         self._logits = objective.bounds.logits(fields) if method.name == "PBD-RM-ON" else None
 
     def step(self, places: np.ndarray, matches: Sequence[Match]) -> Frame:
@@ -86,11 +86,11 @@ class Session:
             past = self._snapshots()
             found = self.objective.evaluate(self.fields, self.positions, places, matches, past)
             simulated, residual, terms = found.simulated, found.residual, found.terms
-            if self.method.optimizer == "adam":
+            if isinstance(self._optimizer, Adam):
                 slopes = self.objective.bounds.by_logits(self.fields, found.slopes)
-                self._logits = self._adam.step(self._logits, slopes)
+                self._logits = self._optimizer.step(self._logits, slopes)
             else:
-                self._logits = self._newton.step(self._logits, found, self.fields, self.positions, places, past)
+                self._logits = self._optimizer.step(self._logits, found, self.fields, self.positions, places, past)
             self.fields = self.objective.bounds.fields(self._logits, float(self.fields.volume))
         else:
             simulated = self.objective.stepped(self.fields, self.positions, places[None]).positions[0, -1]

@@ -49,7 +49,7 @@ def descend(
     clouds = []
     for each, pose in zip(palpations, poses, strict=True):
         match = Match.of(placed(pose, each.points), skin.vertices, skin.triangles)
-        clouds.append(each.points[beside_the_tool(skin, match, each)])
+        clouds.append(each.points[beside_the_tool(match.at(skin.triangles, skin.vertices), each)])
 
     def simulated(at: np.ndarray, aligned: bool = True) -> tuple[float, list[Equilibrium], list[np.ndarray]]:
         try:

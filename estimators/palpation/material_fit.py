@@ -145,7 +145,7 @@ class Bench:
         seen, vertices = placed(pose, each.points), self.skin.moved(rest.displacement)
         match = Match.of(seen, vertices, self.skin.triangles)
         place = match.at(self.skin.triangles, self.skin.vertices)
-        away = beside_the_tool(self.skin, match, each)
+        away = beside_the_tool(place, each)
         # Noise carries points around a sharp edge one way only, which looks like a dent.
         away &= self.skin.from_creases(place) > OUTLIER * self.noise
         # Beyond a rim the closest place lies aside, not below.
@@ -329,9 +329,8 @@ class _System:
         return sign @ found @ sign
 
 
-def beside_the_tool(skin: Skin, match: Match, palpation: Palpation) -> np.ndarray:
-    """Which matched points lie on tissue that the tool doesn't hide, shape [P], bool."""
-    place = match.at(skin.triangles, skin.vertices)
+def beside_the_tool(place: np.ndarray, palpation: Palpation) -> np.ndarray:
+    """Which places on the surface at rest, shape [P, 3], the tool doesn't hide, shape [P], bool."""
     return np.linalg.norm(place - palpation.contact, axis=1) > palpation.hole
 
 
@@ -341,4 +340,5 @@ def surface_error(skin: Skin, rest: Equilibrium, palpation: Palpation, pose: np.
     Frank 2010, equation 3.
     """
     match = Match.of(placed(pose, palpation.points), skin.moved(rest.displacement), skin.triangles)
-    return np.where(beside_the_tool(skin, match, palpation), np.square(match.apart), np.nan)
+    away = beside_the_tool(match.at(skin.triangles, skin.vertices), palpation)
+    return np.where(away, np.square(match.apart), np.nan)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -39,9 +41,11 @@ def test_carrying_is_the_transpose_of_pulling_back(name):
     assert forth == pytest.approx(back, rel=1e-10)
 
 
-def test_responses_touch_the_terms_slopes():
-    """JᵀR, residuals weighted alike, is the gradient of gap and history."""
+@pytest.mark.parametrize("parts", [1, 3])
+def test_responses_touch_the_terms_slopes(parts):
+    """JᵀR, residuals weighted alike, is the gradient of gap and history, with several time steps a frame as well."""
     objective, fields, start, places, matches, snapshots = setting(BODIES["sheet"])
+    objective = dataclasses.replace(objective, parts=parts)
     found = objective.evaluate(fields, start, places, matches, snapshots)
     direction = np.random.default_rng(5).normal(size=objective.body.count)
     ahead = Stiffness((fields.distance + 1e-6 * direction)[None], fields.shape[None])
@@ -49,16 +53,14 @@ def test_responses_touch_the_terms_slopes():
     moved = objective.stepped(
         fields, np.stack([start, *snapshots]),
         np.stack([places, *(state[objective.gripped] for state in snapshots)])[:, None],
-    ).positions[:, 1]  # fmt: skip
+    ).positions[:, -1]  # fmt: skip
     edge = objective.body.layout.rest[objective.body.kinds[0]].mean()
     residuals = [found.residual.deformation, *(now - before for now, before in zip(moved[1:], snapshots, strict=True))]
     weights = [objective.weights.gap, *[objective.weights.history] * len(snapshots)]
     stacked = np.concatenate(
         [np.sqrt(w / (edge * np.linalg.norm(r))) * r.ravel() for w, r in zip(weights, residuals, strict=True)]
     )
-    smooth = Objective(
-        objective.body, objective.gripped, objective.stepping, weights=Weights(gap=1.0, history=0.7, smoothness=0.0)
-    )
+    smooth = dataclasses.replace(objective, weights=dataclasses.replace(objective.weights, smoothness=0.0))
     slope = smooth.evaluate(fields, start, places, matches, snapshots).slopes.distance
     assert stacked @ changes == pytest.approx(slope @ direction, rel=1e-4)
 

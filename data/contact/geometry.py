@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
@@ -146,6 +146,17 @@ class GeometrySettings:
             raise ValueError("geometry.contact_pixels and geometry.contact_distance are both 0; set one of them.")
 
 
+class RestTissue(NamedTuple):
+    """The tissue before it was touched."""
+
+    depth: np.ndarray
+    """z, shape [h, w] [scene units]."""
+    known: np.ndarray
+    """Where that is known of tissue, hidden by the tool now or not, shape [h, w], bool."""
+    beyond: np.ndarray
+    """Where something else than tissue was seen, shape [h, w], bool: there the tissue ends, whatever hides it now."""
+
+
 @dataclass(frozen=True)
 class FrameGeometry:
     """What one frame in contact gives the simulator (Bini 2026, section 3.2.2)."""
@@ -176,7 +187,7 @@ def frame_geometry(
     labels: np.ndarray,
     camera: Camera,
     settings: GeometrySettings,
-    rest: tuple[np.ndarray, np.ndarray] | None = None,
+    rest: RestTissue | None = None,
 ) -> FrameGeometry:
     """Contact and mesh of one frame.
 
@@ -189,15 +200,16 @@ def frame_geometry(
         depth: z, shape [h, w] [scene units], 0 = invalid.
         labels: label map, shape [h, w].
         camera: intrinsics of the grid.
-        rest: the tissue's depth at rest and where it is known, hidden by the tool or not, shapes [h, w]; None = as it
-            is seen. The mesh covers all of it, the contact lies on what is seen.
+        rest: the tissue at rest; None = as it is seen. The mesh covers all of it, the contact lies on what is seen.
 
     Raises:
         GeometryStatus: `no_tool`, `no_tissue`, `bad_depth` or `no_contact`, in this order.
     """
     tool, tissue = labels == TOOL, labels == TISSUE
     _require_pixels(tool, tissue, depth, settings)
-    resting, surface = (depth, tissue & (depth > 0)) if rest is None else rest
+    if rest is None:
+        rest = RestTissue(depth, tissue & (depth > 0), np.zeros_like(tissue))
+    resting, surface, beyond = rest
     noise = math.nan
     if settings.smoothing > 0:
         resting, noise = smooth_surface(resting, surface, settings.smoothing)
@@ -210,7 +222,7 @@ def frame_geometry(
         points = np.where(tool[..., None], back_project(tool_depth(depth, tool), camera), points)
     pair = _outline_pair(points, tool, tissue, settings) if outlined else _cloud_pair(points, tool, tissue, settings)
     (tool_row, tool_column), (row, column) = pair
-    mesh = grid_mesh(sheet, surface, occluder=tool & ~surface, max_edge=settings.max_edge, keep=settings.keep)
+    mesh = grid_mesh(sheet, surface, occluder=tool & ~surface & ~beyond, max_edge=settings.max_edge, keep=settings.keep)
     if len(mesh.vertices) == 0:
         raise GeometryStatus("bad_depth", "The tissue's depth is so rough that no mesh triangle is short enough.")
     tissue_point = points[row, column]

@@ -174,7 +174,7 @@ class ContactMotion:
                 rest = self._rest.at(onset)
                 resting = frame_geometry(onset.depth, onset.labels, self.camera, self.settings, rest)
                 onset.geometry = dataclasses.replace(resting, noise=noise)
-                share = frayed_share(onset.depth, onset.labels, np.where(rest[1], rest[0], 0), noise)
+                share = frayed_share(onset.depth, onset.labels, np.where(rest.known, rest.depth, 0), noise)
                 if share > FRAYED_SHARE:
                     onset.detail = FRAYED.format(share=share)
         pixel = picture_pixel(onset, self.size)

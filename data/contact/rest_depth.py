@@ -7,8 +7,9 @@ from collections import deque
 import cv2
 import numpy as np
 
-from data.contact.geometry import TISSUE, TOOL
+from data.contact.geometry import TISSUE, TOOL, RestTissue
 from data.contact.outlines import near
+from data.labels import OTHER
 from data.prepared import PreparedFrame
 
 FRAMES = 8
@@ -21,38 +22,40 @@ class RestDepth:
     """Depth of the tissue at rest, averaged over the frames before a contact that show the same view."""
 
     def __init__(self) -> None:
-        self._frames: deque[tuple[np.ndarray, np.ndarray, np.ndarray]] = deque(maxlen=FRAMES)
+        self._frames: deque[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = deque(maxlen=FRAMES)
 
     def push(self, prepared: PreparedFrame) -> None:
         """Remember a frame without contact; any other ends the rest."""
         if prepared.in_contact or not (prepared.visible and prepared.has_depth):
             self._frames.clear()
         else:
-            tissue = (prepared.labels == TISSUE) & (prepared.depth > 0)
-            self._frames.append((_grey(prepared), prepared.depth, tissue))
+            labels = prepared.labels
+            tissue, other = (labels == TISSUE) & (prepared.depth > 0), (labels == OTHER) & ~near(labels == TOOL)
+            self._frames.append((_grey(prepared), prepared.depth, tissue, other))
 
-    def at(self, onset: PreparedFrame) -> tuple[np.ndarray, np.ndarray]:
+    def at(self, onset: PreparedFrame) -> RestTissue:
         """Depth of the first frame in contact with its tissue averaged over the remembered frames.
 
         A frame is moved by the shift of the picture between the two, and by the median difference of the depths, so
         that a slowly moving camera does no harm. Beside the tool, whose frayed outline may count as tissue, the
         remembered frames alone count where they show the tissue.
 
-        Returns:
-            z [h, w] float32 [scene units], and the tissue that is seen now or was seen where the tool is now,
-            [h, w] bool: a hole in the mesh where the tool presses would change how the tissue answers.
+        Tissue is known that is seen now or was seen where the tool is now: a hole in the mesh where the tool presses
+        would change how the tissue answers. So would an edge of the tissue behind the tool that is taken for hidden.
         """
         tissue, tool = (onset.labels == TISSUE) & (onset.depth > 0), onset.labels == TOOL
         total, count = np.where(tissue, onset.depth, 0).astype(np.float64), tissue.astype(np.float64)
-        grey, beside = _grey(onset), tissue & near(tool)
-        for before, depth, valid in self._frames:
+        grey, beside, beyond = _grey(onset), tissue & near(tool), np.zeros_like(tissue)
+        for before, depth, valid, other in self._frames:
             shift, _ = cv2.phaseCorrelate(before, grey)
             if max(abs(shift[0]), abs(shift[1])) > LARGEST_SHIFT:
                 continue
             move = np.array([[1, 0, round(shift[0])], [0, 1, round(shift[1])]], np.float64)
-            size = depth.shape[::-1]
-            moved = cv2.warpAffine(depth, move, size, flags=cv2.INTER_NEAREST)
-            seen = cv2.warpAffine(valid.astype(np.uint8), move, size, flags=cv2.INTER_NEAREST) > 0
+            moved, seen, ended = (
+                cv2.warpAffine(part, move, depth.shape[::-1], flags=cv2.INTER_NEAREST)
+                for part in (depth, valid.astype(np.uint8), other.astype(np.uint8))
+            )
+            seen, beyond = seen > 0, beyond | (ended > 0)
             shared = tissue & seen
             if shared.any():
                 used = shared | (tool & seen)
@@ -62,7 +65,8 @@ class RestDepth:
         total[alone] -= onset.depth[alone]
         count[alone] -= 1
         known = count > 0
-        return np.where(known, total / np.maximum(count, 1), onset.depth).astype(np.float32), known
+        resting = np.where(known, total / np.maximum(count, 1), onset.depth).astype(np.float32)
+        return RestTissue(resting, known, beyond & ~known)
 
 
 def _grey(prepared: PreparedFrame) -> np.ndarray:

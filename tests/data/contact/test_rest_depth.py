@@ -6,9 +6,11 @@ import cv2
 import numpy as np
 import pytest
 
-from data.contact.geometry import TISSUE, TOOL
+from data.contact.geometry import TISSUE, TOOL, GeometrySettings, RestTissue, frame_geometry
 from data.contact.rest_depth import FRAMES, RestDepth
+from data.labels import OTHER
 from data.prepared import PreparedFrame
+from data.source.camera import Camera
 from data.source.frames import Frame
 
 HEIGHT, WIDTH = 60, 80
@@ -16,6 +18,8 @@ ROWS, COLUMNS = np.mgrid[:HEIGHT, :WIDTH]
 PLANE = 0.5 + 0.001 * COLUMNS + 0.0005 * ROWS
 TOOL_AREA = np.s_[10:25, 30:45]
 NOISE = 0.004
+CAMERA = Camera(fx=100.0, fy=100.0, cx=40.0, cy=30.0, width=WIDTH, height=HEIGHT)
+GRID = GeometrySettings(height=HEIGHT, width=WIDTH)
 
 
 def texture(shift: int = 0) -> np.ndarray:
@@ -42,7 +46,7 @@ def test_averaging_takes_the_noise_down_by_the_root_of_the_frames() -> None:
     rest = RestDepth()
     for index in range(FRAMES + 5):
         rest.push(frame(index, noisy(index)))
-    depth, known = rest.at(frame(FRAMES + 5, noisy(99)))
+    depth, known, _ = rest.at(frame(FRAMES + 5, noisy(99)))
     assert known.all()
     assert (depth - PLANE).std() == pytest.approx(NOISE / np.sqrt(FRAMES + 1), rel=0.05)
 
@@ -54,7 +58,7 @@ def test_a_shift_of_the_picture_is_undone() -> None:
     for index in range(4):
         rest.push(frame(index, 0.5 + step))
     moved = 0.5 + 0.02 * (COLUMNS - 2 > 40)
-    depth, known = rest.at(frame(4, moved, shift=2))
+    depth, known, _ = rest.at(frame(4, moved, shift=2))
     assert known.all()
     np.testing.assert_allclose(depth, moved, atol=1e-6)
 
@@ -64,7 +68,7 @@ def test_a_larger_shift_is_left_out() -> None:
     for index in range(4):
         rest.push(frame(index, PLANE + 0.1 * (COLUMNS > 40)))
     now = noisy(3)
-    depth, _ = rest.at(frame(4, now, shift=8))
+    depth = rest.at(frame(4, now, shift=8)).depth
     np.testing.assert_allclose(depth, now, atol=1e-6)
 
 
@@ -72,7 +76,7 @@ def test_a_change_of_the_distance_is_undone() -> None:
     rest = RestDepth()
     for index in range(4):
         rest.push(frame(index, PLANE - 0.05))
-    depth, _ = rest.at(frame(4, PLANE))
+    depth = rest.at(frame(4, PLANE)).depth
     np.testing.assert_allclose(depth, PLANE, atol=1e-6)
 
 
@@ -82,21 +86,21 @@ def test_beside_the_tool_earlier_frames_alone_count() -> None:
     beside[8:27, 28:47] = True
     onset = frame(3, np.where(beside, 0.3, PLANE), tool=True)
     rest = RestDepth()
-    assert rest.at(onset)[0][9, 29] == np.float32(0.3)  # nothing else is known
+    assert rest.at(onset).depth[9, 29] == np.float32(0.3)  # nothing else is known
     for index in range(3):
         rest.push(frame(index, PLANE))
-    np.testing.assert_allclose(rest.at(onset)[0], PLANE, atol=1e-6)
+    np.testing.assert_allclose(rest.at(onset).depth, PLANE, atol=1e-6)
 
 
 def test_tissue_behind_the_tool_is_filled() -> None:
     onset = frame(3, np.where(frame(3, PLANE, tool=True).labels == TOOL, 0.3, PLANE), tool=True)
-    unseen = RestDepth().at(onset)[1]
+    unseen = RestDepth().at(onset).known
     assert not unseen[TOOL_AREA].any()
     assert unseen.sum() == unseen.size - 15 * 15
     rest = RestDepth()
     for index in range(3):
         rest.push(frame(index, PLANE))
-    depth, known = rest.at(onset)
+    depth, known, _ = rest.at(onset)
     assert known.all()
     np.testing.assert_allclose(depth, PLANE, atol=1e-6)
 
@@ -110,4 +114,27 @@ def test_whatever_is_not_at_rest_ends_it(what: str) -> None:
         interrupting.picture_labels = None
     rest.push(interrupting)
     now = noisy(7)
-    np.testing.assert_allclose(rest.at(frame(2, now))[0], now, atol=1e-6)
+    np.testing.assert_allclose(rest.at(frame(2, now)).depth, now, atol=1e-6)
+
+
+def test_where_the_tissue_ends_behind_the_tool_is_known_once_it_was_seen() -> None:
+    """Pixels beside the tool may be the tool's, so what they show isn't known."""
+    onset = frame(3, PLANE, tool=True)
+    before = frame(0, PLANE)
+    before.labels[:15] = OTHER
+    before.labels[:8, 60:70] = TOOL
+    assert not RestDepth().at(onset).beyond.any()
+    rest = RestDepth()
+    rest.push(before)
+    depth, known, beyond = rest.at(onset)
+    expected = np.zeros_like(known)
+    expected[10:15, 30:45] = True
+    np.testing.assert_array_equal(beyond & (onset.labels == TOOL), expected)
+    assert not beyond[:10, 58:72].any()
+    assert known[15:25, 30:45].all()
+    assert not known[10:15, 30:45].any()
+    edge = frame_geometry(depth, onset.labels, CAMERA, GRID, RestTissue(depth, known, beyond)).mesh
+    hidden = frame_geometry(depth, onset.labels, CAMERA, GRID, RestTissue(depth, known, np.zeros_like(known))).mesh
+    behind = (edge.pixels[:, 0] == 15) & (edge.pixels[:, 1] >= 32) & (edge.pixels[:, 1] < 43)
+    assert edge.rim[behind].all()
+    assert not hidden.rim[behind].any()

@@ -227,6 +227,18 @@ class FieldProblem(FilmProblem[PressMotion]):
             contact, lambda vertices, times: kind(contact, mechanics, vertices, times, within), noise, kind.parts
         )
 
+    def model_errors(self, sunk: np.ndarray) -> np.ndarray:
+        """As of `FilmProblem`: dents as wholes that lie aside, or are too deep; columns of every frame, then of all."""
+        motion, (frames, pixels) = self.motion, sunk.shape
+        if not (self.patches.averages and (motion.astray or motion.uneven)):
+            return super().model_errors(sunk)
+        side = math.isqrt(pixels)
+        down, across = np.array(np.gradient(sunk.reshape(frames, side, side), axis=(1, 2)))
+        ways = [motion.astray * down, motion.astray * across, motion.uneven * sunk]
+        common = math.sqrt(0.5) * np.stack([way.reshape(frames, pixels).T for way in ways], axis=-1)
+        each = common[:, :, None] * np.eye(frames)[:, :, None]
+        return np.concatenate([each.reshape(pixels, frames, -1), common], axis=2)
+
     def coarser(self) -> FieldProblem:
         """The same with coarse time steps, to search with; it has not looked at anything of its own yet."""
         found = copy.copy(self)

@@ -50,6 +50,10 @@ class PressMotion:
     """How often it is decided anew at the best fit what the pixels show."""
     parts = 1
     """Of a picture's pixels along an axis, in which they may show other tissue."""
+    astray, uneven = 0.0, 0.0
+    """Standard deviations of a whole frame's error where a pixel of the grid is the mean of several: how far aside what
+    pixels show lies, by axis [grid pixels], and of the depth of dents, as a share. Half of each variance is the same in
+    all frames."""
     sampled = True
     """Whether some hundred draws are enough to sample the posterior of its parameters."""
 

@@ -30,8 +30,9 @@ STILL_SHARE = 0.1
 variance."""
 ROUNDED = 0.5
 """Errors that stay belong to rounding where those that are new are less than this share of them."""
-LEAST_CORRELATION = 0.05
-"""Correlations of neighbouring pixels' noise below this are chance."""
+CHANCE = 3.0
+"""Correlations of neighbouring pixels' noise below so many standard deviations of none's are chance. At 854x480 pixels
+of the grid share pixels of the picture, and 0.05 is none."""
 REST_SHARE, REST_LENGTH = 0.1, 5.0
 """Standard deviation of the rest surface's error [σ], and the distance over which it is alike [grid pixels]."""
 REST_KEPT = 0.99
@@ -110,6 +111,8 @@ class FilmRecorder:
         self._before: np.ndarray | None = None
         self._still: np.ndarray | None = None
         """`_products` of the first frame's errors."""
+        self._pairs: list[int] = []
+        """How many neighbours' products there are in it, and in every two frames' difference."""
         self._changes: list[np.ndarray] = []
         """The same of every two frames' difference."""
 
@@ -139,18 +142,25 @@ class FilmRecorder:
 
     def _measure(self, left: np.ndarray) -> None:
         """Measure the noise: errors of the far pixels [Q], and what is new since the frame before."""
-        if self._before is None:
-            self._still = self._products(left, ASTRAY * self._noise)
+        first = self._before is None
+        values, largest = (left, 1.0) if first else (left - self._before, math.sqrt(2))
+        products, pairs = self._products(values, largest * ASTRAY * self._noise)
+        self._pairs.append(pairs)
+        if first:
+            self._still = products
         else:
-            self._changes.append(self._products(left - self._before, ASTRAY * math.sqrt(2) * self._noise))
+            self._changes.append(products)
         self._before = left
 
-    def _products(self, left: np.ndarray, largest: float) -> np.ndarray:
-        """Mean square of the far pixels' values, and mean products with the lower and the right neighbours', [3]."""
+    def _products(self, left: np.ndarray, largest: float) -> tuple[np.ndarray, int]:
+        """Mean square of the far pixels' values, mean products with the lower and the right neighbours', [3]; how many
+        of the scarcer ones there are.
+        """
         picture = np.full(self._rest.shape, np.nan)
         picture[tuple(self._far.T)] = np.where(np.abs(left) <= largest, left, np.nan)
         pairs = picture * picture, picture[1:] * picture[:-1], picture[:, 1:] * picture[:, :-1]
-        return np.array([pair[np.isfinite(pair)].mean() if np.isfinite(pair).any() else 0.0 for pair in pairs])
+        known = [pair[np.isfinite(pair)] for pair in pairs]
+        return np.array([pair.mean() if len(pair) else 0.0 for pair in known]), min(map(len, known))
 
     @property
     def noise(self) -> FilmNoise:
@@ -162,12 +172,13 @@ class FilmRecorder:
         if self._still is None or not self._changes[:count]:
             return FilmNoise(self._noise, 0.0)
         changes, total = np.mean(self._changes[:count], axis=0), self._noise**2
+        first, later = self._pairs[0], sum(self._pairs[1 : count + 1])
         new = min(0.5 * changes[0], total)
         still = total - new
         if still < STILL_SHARE * new:
-            return FilmNoise(self._noise, 0.0, _alike(changes))
-        in_time = _alike(changes) if new > STILL_SHARE * still else 1.0
-        return FilmNoise(math.sqrt(new), math.sqrt(still), in_time, _alike(self._still - 0.5 * changes))
+            return FilmNoise(self._noise, 0.0, _alike(changes, later))
+        in_time = _alike(changes, later) if new > STILL_SHARE * still else 1.0
+        return FilmNoise(math.sqrt(new), math.sqrt(still), in_time, _alike(self._still - 0.5 * changes, first))
 
     def film(self, times: np.ndarray, changes: list[np.ndarray], known: int) -> DentFilm:
         """The film of some frames, its noise as measured in the first frame and so many `known` ones after it."""
@@ -182,8 +193,8 @@ def window_around(centre: np.ndarray) -> tuple[slice, slice]:
     return np.s_[row - REACH : row + REACH + 1, column - REACH : column + REACH + 1]
 
 
-def _alike(products: np.ndarray) -> float:
-    """How many pixels count as one, from mean square and products with both neighbours, shape [3].
+def _alike(products: np.ndarray, pairs: int) -> float:
+    """How many pixels count as one, from mean square and products with both neighbours, shape [3], of so many pairs.
 
     The correlation of noise that was blurred by a Gaussian falls as ρ^(k²).
     """
@@ -191,7 +202,7 @@ def _alike(products: np.ndarray) -> float:
     found = 1.0
     for product in beside if square > 0 else ():
         correlation = min(product / square, 0.999)
-        if correlation > LEAST_CORRELATION:
+        if correlation > CHANCE / math.sqrt(max(pairs, 1)):
             found *= 1 + 2 * float(np.power(correlation, np.arange(1, FARTHEST_ALIKE + 1) ** 2).sum())
     return found
 

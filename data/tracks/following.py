@@ -10,7 +10,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from data.tracks.linking import Linker, resemblance
+from data.tracks.linking import Linker, patterns, resemblance
 
 SPACING = 8
 """Of the grid of points [px]."""
@@ -31,7 +31,7 @@ FOUND = 4.0
 """A link to the first picture counts where it ends so near to where the point is expected [px]."""
 ALIKE = 0.8
 """And where the patterns around the point resemble each other so much."""
-NOISE, RETURNED = 0.1, 0.8
+NOISE, RETURNED = 0.1, 0.4
 """Standard deviation of a link by axis: √(NOISE² + (RETURNED · distance to where the way back ends)²) [px]."""
 WIDEST = 854
 """Wider or higher pictures are shrunk to this before their points are followed, which would take too long [px]."""
@@ -39,8 +39,9 @@ DARK = 20
 """Of 255: where no channel is brighter there is no picture, outside an endoscope's round field."""
 RIM = 15
 """Width of the square by which the picture's field is shrunk [px]."""
-REACHES = ((2, 1.0), (8, 1e-2), (32, 1e-4))
-"""Standard deviations [points] and weights of the kernels by which seen neighbours tell the motion of a lost point."""
+REACHES = ((2, 1.0, 1), (8, 1e-2, 4), (32, 1e-4, 16))
+"""Standard deviations [points] and weights of the kernels by which seen neighbours tell the motion of a lost point, and
+how much coarser their grids may be."""
 
 
 def lit_field(picture: np.ndarray) -> np.ndarray:
@@ -66,8 +67,8 @@ class PointFollower:
 
     def __init__(self, picture: np.ndarray, tool: np.ndarray, spacing: int = SPACING) -> None:
         picture, tool = shrunk(picture, tool)
-        self._rest = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
-        height, width = self._rest.shape
+        gray = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
+        height, width = gray.shape
         rows, columns = np.mgrid[spacing : height - spacing : spacing, spacing : width - spacing : spacing]
         away, lit = tool_distance(tool), lit_field(picture)
         self._grid = (away[rows, columns] > MARGIN) & lit[rows, columns]
@@ -87,8 +88,9 @@ class PointFollower:
         """Which are seen, shape [N]."""
         self.noise = np.zeros(len(self.points))
         """Standard deviation of their places by axis, or of where they were last seen, shape [N] [px]."""
-        self._linker, self._count = Linker(self._rest.shape), 0
-        self._first = self._before = self._linker.half(self._rest)
+        self._linker, self._count = Linker(gray.shape, self._grid), 0
+        self._first = self._before = self._linker.prepared(gray)
+        self._patterns = patterns(gray, self.points)
 
     @property
     def moved(self) -> np.ndarray:
@@ -104,8 +106,8 @@ class PointFollower:
         """Follow the points into the next picture, with its tool's mask."""
         picture, tool = shrunk(picture, tool)
         gray, tissue, edge = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), _tissue(picture, tool), _beside(tool)
-        before, self._before = self._before, self._linker.half(gray)
-        place, returned = self._linker.link(before, self._before, self.place)
+        before, self._before = self._before, self._linker.prepared(gray)
+        place, returned = self._linker.link(before, self._before, self.place, self.followed)
         self.followed &= (returned < CHECK) & values_at(tissue, place)
         self._see(place, self.followed, np.square(self.noise) + _variance(returned, values_at(edge, place)))
         self._count += 1
@@ -115,10 +117,10 @@ class PointFollower:
     def _relink(self, gray: np.ndarray, tissue: np.ndarray, edge: np.ndarray) -> None:
         """Link the first picture to this one: against drift, and to find lost points again."""
         around = self._filled()
-        place, returned = self._linker.link(self._first, self._before, self.points, self._guess(around))
+        place, returned = self._linker.refine(self._first, self._before, self.points, around[self._grid])
         off = np.linalg.norm(place - self._expected(around), axis=1)
         good = (returned < CHECK) & (off < FOUND) & values_at(tissue, place)
-        good &= resemblance(self._rest, gray, self.points, place) > ALIKE
+        good &= resemblance(self._patterns, patterns(gray, place)) > ALIKE
         self.followed = self.followed | good
         self._see(place, good, _variance(returned, values_at(edge, place) | (self.distance < EDGED)))
 
@@ -138,19 +140,12 @@ class PointFollower:
         motion[self._grid, :2] = np.where(self.followed[:, None], self.place - self.points, 0)
         motion[..., 2] = weight
         total = np.zeros_like(motion)
-        for reach, share in REACHES:
-            total += share * cv2.GaussianBlur(motion, (0, 0), reach)
+        size = motion.shape[1::-1]
+        for reach, share, coarser in REACHES:
+            small = max(size[0] // coarser, 1), max(size[1] // coarser, 1)
+            blurred = cv2.GaussianBlur(cv2.resize(motion, small, interpolation=cv2.INTER_AREA), (0, 0), reach / coarser)
+            total += share * cv2.resize(blurred, size, interpolation=cv2.INTER_LINEAR)
         return total[..., :2] / np.maximum(total[..., 2:], np.finfo(np.float32).tiny)
-
-    def _guess(self, motion: np.ndarray) -> np.ndarray:
-        """Flow of the halved pictures from the grid's motion, float32 [H/2, W/2, 2]."""
-        shares = self._linker.shares
-        columns, rows = (
-            (((np.arange(count) + 0.5) * share - 0.5) / self.spacing - 1).astype(np.float32)
-            for count, share in zip(self._linker.size, shares, strict=True)
-        )
-        maps = np.meshgrid(columns, rows)
-        return cv2.remap(motion, maps[0], maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) / shares
 
 
 def shrunk(picture: np.ndarray, tool: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

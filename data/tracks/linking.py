@@ -1,20 +1,55 @@
-"""Where the places of one picture are in another one, by dense optical flow checked forwards and backwards.
+"""Where the places of one picture are in another one, checked forwards and backwards.
 
-Dense inverse search flow (Kroeger 2016, OpenCV's DIS) of pictures of half the size, which begins at what is known
-already; the check is Kalal 2010's.
+Dense inverse search flow (Kroeger 2016, OpenCV's DIS) of pictures of a quarter of the size tells roughly where, or what
+is known already does; a few steps of Lucas and Kanade's method (1981) at the places themselves tell it exactly, in
+pictures of the whole size without their local mean, which changes with the light. The check is Kalal 2010's.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 
-STRIDE, DESCENTS = 6, 12
-"""Of DIS: distance of its patches [px], and steps of each; its finest scale is the halved picture's own."""
-BLUR = 2.0
+COARSE, LEAST = 4, 16
+"""Of DIS: how much smaller its pictures are, which it refuses below some width [px]."""
+STRIDE, DESCENTS = 5, 12
+"""Of DIS: distance of its patches [px], and steps of each; its finest scale is the small picture's own."""
+BLUR = 1.0
 """Standard deviation of the filter in place of DIS's variational refinement, which costs twice as much [px]."""
+LOCAL = 15
+"""Width of the square whose mean is taken off the picture [px]."""
+GREY = 128
+"""Of 255: what is added then."""
+WINDOW, STEPS, ENOUGH = 9, 4, 0.02
+"""Of Lucas-Kanade: width of its windows [px], its most steps, of which more follow noise, and the last one's length
+[px]. A window of 9 px costs less than one of 7."""
+ASTRAY = 3.0
+"""Steps that lead farther by axis are not believed [px]."""
+SMOOTH = 0.75
+"""Standard deviation of the filter over the motion of neighbouring places [grid spacings]."""
 REACH, STEP = 6, 3
 """Of a pattern around a point, to either side, and between its samples [px]."""
+
+
+class Prepared(NamedTuple):
+    """A picture for linking, uint8."""
+
+    exact: np.ndarray
+    """Without its local mean, shape [H, W]."""
+    rough: np.ndarray
+    """Of a quarter of the size."""
+
+
+class Links(NamedTuple):
+    """Where N places of one picture are in another one, float32."""
+
+    places: np.ndarray
+    """Shape [N, 2] [px]."""
+    returned: np.ndarray
+    """How far from where they began the way back ends, shape [N] [px]. It is not filtered: both ways would share what
+    the filter does, and tell less of how a place errs."""
 
 
 class Linker:
@@ -22,69 +57,119 @@ class Linker:
 
     Args:
         shape: of the pictures (height, width) [px].
+        grid: which places of a grid are linked, bool [rows, columns], N of them; None = the places are on no grid, and
+            their motion is not filtered.
     """
 
-    def __init__(self, shape: tuple[int, ...]) -> None:
+    def __init__(self, shape: tuple[int, ...], grid: np.ndarray | None = None) -> None:
         self._flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST)
         self._flow.setFinestScale(0)
         self._flow.setPatchStride(STRIDE)
         self._flow.setGradientDescentIterations(DESCENTS)
         self._flow.setVariationalRefinementIterations(0)
+        self._grid = grid
         height, width = shape
-        self.size = max(width // 2, 1), max(height // 2, 1)
-        """Width and height of the halved pictures [px]."""
-        self.shares = (np.array([width, height]) / self.size).astype(np.float32)
-        """Of the whole pictures over these."""
+        self._size = max(width // COARSE, LEAST), max(height // COARSE, LEAST)
+        self._shares = (np.array([width, height]) / self._size).astype(np.float32)
+        """Of the whole pictures over the small ones."""
 
-    def half(self, picture: np.ndarray) -> np.ndarray:
-        """A picture [H, W] of half the size, uint8."""
-        return cv2.resize(picture, self.size, interpolation=cv2.INTER_AREA)
+    def prepared(self, picture: np.ndarray) -> Prepared:
+        """A picture, uint8 [H, W]."""
+        mean = cv2.blur(picture, (LOCAL, LOCAL))
+        return Prepared(
+            cv2.addWeighted(picture, 1, mean, -1, GREY),
+            cv2.resize(picture, self._size, interpolation=cv2.INTER_AREA),
+        )
 
-    def link(
-        self, one: np.ndarray, other: np.ndarray, places: np.ndarray, guess: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Places of one picture in the other, and how far from them the way back ends.
+    def link(self, one: Prepared, other: Prepared, places: np.ndarray, seen: np.ndarray | None = None) -> Links:
+        """Where places of one picture are in the other.
 
         Args:
-            one, other: halved pictures.
+            one, other: the pictures.
             places: shape [N, 2] (column, row) [px].
-            guess: flow from which to begin, float32 [H/2, W/2, 2] in pixels of the halved pictures, which is written
-                over; None = none.
-
-        Returns:
-            Places there [N, 2] and distances [N] [px], float32.
+            seen: which of them count for their neighbours' motion, bool [N]; None = all.
         """
-        against = None if guess is None else -guess  # before a flow is written over its guess
-        there, back = self._found(one, other, guess), self._found(other, one, against)
-        step = self._sampled(there, places)
-        return places + step, np.linalg.norm(step + self._sampled(back, places + step), axis=1)
-
-    def _found(self, one: np.ndarray, other: np.ndarray, guess: np.ndarray | None) -> np.ndarray:
-        flow = self._flow.calc(one, other, guess)  # ty: ignore[no-matching-overload]  None is a guess
-        return cv2.GaussianBlur(flow, (0, 0), BLUR)
-
-    def _sampled(self, field: np.ndarray, places: np.ndarray) -> np.ndarray:
-        """Bilinear values of a flow at places of the whole picture [N, 2], in its pixels."""
         if not len(places):
-            return np.zeros((0, 2), np.float32)
-        at = (places + 0.5) / self.shares - 0.5
-        columns, rows = (np.ascontiguousarray(at[:, [axis]], np.float32) for axis in (0, 1))
-        values = cv2.remap(field, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        return values.reshape(-1, 2) * self.shares
+            return _no_links()
+        here = places.astype(np.float32)
+        step = self._filtered(_step(one, other, here, self._rough(one, other, here))[0], seen)
+        there = here + step
+        back = _step(other, one, there, self._rough(other, one, there))[0]
+        return Links(there, _length(step + back))
+
+    def refine(self, one: Prepared, other: Prepared, places: np.ndarray, guess: np.ndarray) -> Links:
+        """The same where the way is known to a few pixels, guess [N, 2] [px]; infinite where that is not confirmed."""
+        if not len(places):
+            return _no_links()
+        here = places.astype(np.float32)
+        step, found = _step(one, other, here, guess)
+        step = self._filtered(step, found)
+        back, returned = _step(other, one, here + step, -guess)
+        off = np.where(found & returned, _length(step + back), np.inf)
+        return Links(here + step, off.astype(np.float32))
+
+    def _rough(self, one: Prepared, other: Prepared, places: np.ndarray) -> np.ndarray:
+        """How far places move, shape [N, 2] [px], by flow of the small pictures, bilinear between its pixels."""
+        flow = self._flow.calc(one.rough, other.rough, None)  # ty: ignore[no-matching-overload]  None is a guess
+        flow = cv2.GaussianBlur(flow, (0, 0), BLUR)
+        columns, rows = np.ascontiguousarray(((places + 0.5) / self._shares - 0.5).T)[..., None]
+        values = cv2.remap(flow, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return values.reshape(-1, 2) * self._shares
+
+    def _filtered(self, step: np.ndarray, seen: np.ndarray | None) -> np.ndarray:
+        """Motion [N, 2] with that of those neighbours on the grid that are seen; by itself where there are none."""
+        if self._grid is None:
+            return step
+        field = np.zeros((*self._grid.shape, 3), np.float32)
+        field[self._grid, :2], field[self._grid, 2] = step, 1
+        if seen is not None:
+            field[self._grid] *= seen[:, None]
+        total = cv2.GaussianBlur(field, (0, 0), SMOOTH)[self._grid]
+        return np.where(total[:, 2:] > 0, total[:, :2] / np.maximum(total[:, 2:], np.finfo(np.float32).tiny), step)
 
 
-def resemblance(one: np.ndarray, other: np.ndarray, here: np.ndarray, there: np.ndarray) -> np.ndarray:
-    """Correlation of the patterns around places [N, 2] of two pictures [H, W], shape [N], from -1 to 1."""
-    if not len(here):
-        return np.zeros(0, np.float32)
+def _no_links() -> Links:
+    return Links(np.zeros((0, 2), np.float32), np.zeros(0, np.float32))
+
+
+def _length(vectors: np.ndarray) -> np.ndarray:
+    return np.hypot(*vectors.T)
+
+
+def _step(one: Prepared, other: Prepared, places: np.ndarray, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How far places [N, 2] move, near a guess [N, 2] [px], and where that is found, bool [N]; else as guessed."""
+    near = (places + guess).astype(np.float32)
+    there, found, _ = cv2.calcOpticalFlowPyrLK(
+        one.exact,
+        other.exact,
+        places,
+        near.copy(),
+        winSize=(WINDOW, WINDOW),
+        maxLevel=0,
+        criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, STEPS, ENOUGH),
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+    )
+    believed = (found[:, 0] > 0) & (np.abs(there - near).max(axis=1) < ASTRAY)
+    return np.where(believed[:, None], there, near) - places, believed
+
+
+def patterns(picture: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Patterns around places [N, 2] of a picture [H, W], float32 [N, K], without mean and of unit length.
+
+    Zero where the picture is plain.
+    """
     steps = np.arange(-REACH, REACH + 1, STEP, dtype=np.float32)
-    around = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    columns, rows = (axis.ravel() for axis in np.meshgrid(steps, steps))
+    if not len(places):
+        return np.zeros((0, len(rows)), np.float32)
+    column, row = places.astype(np.float32).T[..., None]
+    values = cv2.remap(picture, column + columns, row + rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(
+        np.float32
+    )
+    values -= values.mean(axis=1, keepdims=True)
+    return values / np.sqrt(np.maximum(np.einsum("nk,nk->n", values, values), 1))[:, None]
 
-    def pattern(picture: np.ndarray, places: np.ndarray) -> np.ndarray:
-        columns, rows = np.moveaxis((places[:, None] + around).astype(np.float32), -1, 0)
-        values = cv2.remap(picture, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        return values - values.mean(axis=1, keepdims=True, dtype=np.float32)
 
-    first, second = pattern(one, here), pattern(other, there)
-    power = np.square(first).sum(axis=1) * np.square(second).sum(axis=1)
-    return (first * second).sum(axis=1) / np.sqrt(np.maximum(power, 1))
+def resemblance(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Correlation of patterns [N, K], shape [N], from -1 to 1."""
+    return np.einsum("nk,nk->n", one, other)

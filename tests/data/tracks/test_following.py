@@ -252,6 +252,18 @@ def test_a_dark_picture_has_no_points_and_goes_on() -> None:
     assert len(follower.points) == len(follower.moved) == len(follower.followed) == 0
 
 
+@pytest.mark.parametrize("size", [(16, 18), (24, 20), (100, 30)])
+def test_small_pictures_are_followed(size: tuple[int, int]) -> None:
+    height, width = size
+    picture = texture(9, height, width)
+    follower = PointFollower(picture, np.zeros(size, bool))
+    for _ in range(RELINKED):
+        follower.step(picture, np.zeros(size, bool))
+    assert len(follower.points) == lit_field(picture)[SPACING:-SPACING:SPACING, SPACING:-SPACING:SPACING].sum()
+    assert follower.followed.all()
+    np.testing.assert_array_equal(follower.moved, 0)
+
+
 def test_wide_pictures_are_shrunk_before_their_points_are_followed() -> None:
     wide = np.repeat(np.random.default_rng(0).integers(40, 250, (300, 1708), np.uint8)[..., None], 3, axis=2)
     wide = cv2.GaussianBlur(wide, (0, 0), 3)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from data.tracks.linking import REACH, STEP, Linker, resemblance
+from data.tracks.linking import ASTRAY, GREY, LOCAL, REACH, STEP, Linker, Prepared, patterns, resemblance
 from tests.data.tracks.test_following import HEIGHT, WIDTH, shift, texture, warped
 
 PLACES = np.array([[40.0, 40.0], [88.0, 64.0], [120.0, 90.0]], np.float32)
@@ -15,31 +15,87 @@ def gray(picture: np.ndarray) -> np.ndarray:
     return picture.mean(axis=2).astype(np.uint8)
 
 
-def test_pictures_are_halved() -> None:
+def test_a_prepared_picture_has_lost_its_local_mean() -> None:
+    """Light that grows from place to place leaves nothing; a fleck as much as it differs from what is around it."""
+    bright = np.broadcast_to(np.linspace(20, 220, 855), (481, 855)).astype(np.uint8)
+    flecked = np.full((481, 855), 90, np.uint8)
+    flecked[200, 300] = 100
     linker = Linker((481, 855))
-    assert linker.half(np.zeros((481, 855), np.uint8)).shape == (240, 427)
-    np.testing.assert_allclose(linker.shares, [855 / 427, 481 / 240])
+    inside = slice(LOCAL, -LOCAL), slice(LOCAL, -LOCAL)
+    np.testing.assert_allclose(linker.prepared(bright).exact[inside], GREY, atol=1)
+    prepared = linker.prepared(flecked)
+    assert prepared.exact[200, 300] == GREY + 10
+    assert np.abs(prepared.exact.astype(int) - GREY).sum() == 10
+    assert prepared.rough.shape == (120, 213)
 
 
-@pytest.mark.parametrize("guessed", [False, True])
-def test_a_shift_is_found_there_and_back(guessed: bool) -> None:
-    """In pixels of the whole picture; a guess is in those of the halved one."""
-    one, other = texture(1), warped(texture(1), shift(6.0, -4.0))
+def prepared(linker: Linker, *pictures: np.ndarray) -> list[Prepared]:
+    return [linker.prepared(gray(picture)) for picture in pictures]
+
+
+@pytest.mark.parametrize("light", [0, 30])
+def test_a_shift_is_found_there_and_back(light: int) -> None:
+    """In whichever light."""
     linker = Linker((HEIGHT, WIDTH))
-    halves = [linker.half(gray(picture)) for picture in (one, other)]
-    guess = np.full((HEIGHT // 2, WIDTH // 2, 2), [3.0, -2.0], np.float32) if guessed else None
-    places, returned = linker.link(halves[0], halves[1], PLACES, guess)
+    one, other = prepared(linker, texture(1), warped(texture(1), shift(6.0, -4.0)) - np.uint8(light))
+    places, returned = linker.link(one, other, PLACES)
     np.testing.assert_allclose(places - PLACES, np.broadcast_to([6.0, -4.0], PLACES.shape), atol=0.25)
     assert returned.max() < 0.2
 
 
+def test_a_way_that_is_known_roughly_is_found_there_and_back() -> None:
+    linker = Linker((HEIGHT, WIDTH))
+    one, other = prepared(linker, texture(1), warped(texture(1), shift(6.0, -4.0)))
+    guess = np.broadcast_to([5.0, -3.0], PLACES.shape)
+    places, returned = linker.refine(one, other, PLACES, guess)
+    np.testing.assert_allclose(places - PLACES, np.broadcast_to([6.0, -4.0], PLACES.shape), atol=0.1)
+    assert returned.max() < 0.2
+
+
+def test_what_leads_astray_is_not_found() -> None:
+    """A guess that is wrong by more than is believed, and a surface without a pattern."""
+    linker = Linker((HEIGHT, WIDTH))
+    one, other, plain = prepared(linker, texture(1), texture(2), np.full((HEIGHT, WIDTH, 3), 90, np.uint8))
+    guess = np.zeros_like(PLACES)
+    places, returned = linker.refine(plain, plain, PLACES, guess)
+    np.testing.assert_array_equal(places, PLACES)
+    assert np.isinf(returned).all()
+    wide = np.stack(np.meshgrid(np.arange(20.0, 150, 5), np.arange(20.0, 110, 5)), axis=-1).reshape(-1, 2)
+    places, returned = linker.refine(one, other, wide, np.zeros_like(wide))
+    assert np.abs(places - wide).max() <= ASTRAY
+    assert np.isinf(returned).any()
+
+
+def test_neighbours_on_the_grid_that_are_seen_tell_a_motion_together() -> None:
+    """A patch of another picture, unseen: without its neighbours its points go somewhere."""
+    rows, columns = np.mgrid[8 : HEIGHT - 8 : 8, 8 : WIDTH - 8 : 8]
+    places = np.column_stack([columns.ravel(), rows.ravel()]).astype(np.float32)
+    now = warped(texture(1), shift(2.0, 1.0))
+    now[56:72, 80:96] = texture(3)[56:72, 80:96]
+    off = {}
+    for grid in (None, np.ones(rows.shape, bool)):
+        linker = Linker((HEIGHT, WIDTH), grid)
+        hidden = np.hypot(*(places - [88, 64]).T) < 5
+        there, _ = linker.link(*prepared(linker, texture(1), now), places, ~hidden)
+        off[grid is None] = np.linalg.norm(there - places - [2.0, 1.0], axis=1)
+    assert hidden.sum() == 1
+    assert off[False][hidden] < 0.5 < off[True][hidden]
+    assert np.median(off[False]) < np.median(off[True])
+
+
 def test_no_places_are_no_places() -> None:
     linker = Linker((HEIGHT, WIDTH))
-    halved = linker.half(gray(texture()))
-    places, returned = linker.link(halved, halved, np.zeros((0, 2), np.float32))
-    assert places.shape == (0, 2)
-    assert returned.shape == (0,)
-    assert resemblance(halved, halved, places, places).shape == (0,)
+    picture = linker.prepared(gray(texture()))
+    nowhere = np.zeros((0, 2), np.float32)
+    for places, returned in (linker.link(picture, picture, nowhere), linker.refine(picture, picture, nowhere, nowhere)):
+        assert places.shape == (0, 2)
+        assert returned.shape == (0,)
+    assert alike(gray(texture()), gray(texture()), nowhere).shape == (0,)
+
+
+def alike(one: np.ndarray, other: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """How much the same places of two pictures resemble each other."""
+    return resemblance(patterns(one, places), patterns(other, places))
 
 
 def test_resemblance_is_the_correlation_of_the_patterns() -> None:
@@ -49,11 +105,11 @@ def test_resemblance_is_the_correlation_of_the_patterns() -> None:
     for place in PLACES.astype(int):
         columns, rows = np.meshgrid(place[0] + steps, place[1] + steps)
         expected = np.corrcoef(one[rows, columns].ravel(), other[rows, columns].ravel())[0, 1]
-        assert resemblance(one, other, place[None], place[None]) == pytest.approx(expected, abs=1e-4)
-    assert resemblance(one, one // 2, PLACES, PLACES) == pytest.approx(1, abs=0.01)
-    assert resemblance(one, 255 - one, PLACES, PLACES) == pytest.approx(-1, abs=1e-5)
+        assert alike(one, other, place[None]) == pytest.approx(expected, abs=1e-4)
+    assert alike(one, one // 2, PLACES) == pytest.approx(1, abs=0.01)
+    assert alike(one, 255 - one, PLACES) == pytest.approx(-1, abs=1e-5)
 
 
 def test_a_plain_surface_resembles_nothing() -> None:
     plain = np.full((HEIGHT, WIDTH), 90, np.uint8)
-    np.testing.assert_array_equal(resemblance(plain, plain, PLACES, PLACES), 0)
+    np.testing.assert_array_equal(alike(plain, plain, PLACES), 0)

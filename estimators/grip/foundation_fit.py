@@ -110,6 +110,30 @@ class _Solved:
     """Of the errors besides the told noise, variance by axis [px²]."""
 
 
+def loaded_cells(points: np.ndarray, distance: np.ndarray, hidden: np.ndarray, spacing: int) -> np.ndarray:
+    """Places of the grid on which forces may act, as numbers of its columns and rows, shape [M, 2].
+
+    Every other one of those near the tool, as on a chessboard: the field around them is as free, at an eighth of the
+    work. Arguments as of `fit_foundation`.
+    """
+    loaded = np.rint(np.concatenate([points[distance < LOADED], hidden]) / spacing).astype(np.int64)
+    return loaded[loaded.sum(axis=1) % 2 == 0]
+
+
+def load_precision(answer: np.ndarray, loaded: np.ndarray) -> np.ndarray:
+    """Prior precision of loads on places [M, 2] and of the background's three numbers, shape [M + 3, M + 3].
+
+    Args:
+        answer: of the sheet, as `physics.endless_sheet.response` gives it.
+        loaded: as of `loaded_cells`.
+    """
+    count = len(loaded)
+    precision = np.zeros((count + 3, count + 3))
+    own = answer[tuple(np.moveaxis(loaded[:, None] - loaded, -1, 0) % SIZE)] / ENERGY
+    precision[:count, :count] = own + TINY * own.max() * np.eye(count)
+    return precision
+
+
 class _Problem:
     """What the frames have in common.
 
@@ -121,15 +145,12 @@ class _Problem:
     """
 
     def __init__(self, points: np.ndarray, distance: np.ndarray, hidden: np.ndarray, spacing: int) -> None:
-        loaded = np.rint(np.concatenate([points[distance < LOADED], hidden]) / spacing).astype(np.int64)
-        # Every other one, as on a chessboard: the field around them is as free, at an eighth of the work.
-        loaded = loaded[loaded.sum(axis=1) % 2 == 0]
+        loaded = loaded_cells(points, distance, hidden, spacing)
         cells = np.rint(points / spacing).astype(np.int64)
         self.counted = np.flatnonzero((distance < DENSE) | (cells % THIRD == 0).all(axis=1))
         """Points that count, shape [n]."""
         self._cells, self._loaded_cells = cells, loaded
         self._apart = np.moveaxis(cells[self.counted][:, None] - loaded, -1, 0) % SIZE
-        self._between = np.moveaxis(loaded[:, None] - loaded, -1, 0) % SIZE
         middle, spread = points.mean(axis=0), points.std(axis=0)
         self._terms = np.column_stack([(points - middle) / spread, np.ones(len(points))])
         self.loaded = len(loaded)
@@ -137,10 +158,8 @@ class _Problem:
     def design(self, log_anchor: float) -> tuple[np.ndarray, np.ndarray]:
         """How the points that count follow loads and background, shape [n, M + 3], and the prior precision of these."""
         answer = response(float(np.exp(log_anchor)), SIZE)
-        precision = np.zeros((self.loaded + 3, self.loaded + 3))
-        own = answer[tuple(self._between)] / ENERGY
-        precision[: self.loaded, : self.loaded] = own + TINY * own.max() * np.eye(self.loaded)
-        return np.hstack([answer[tuple(self._apart)], self._terms[self.counted]]), precision
+        design = np.hstack([answer[tuple(self._apart)], self._terms[self.counted]])
+        return design, load_precision(answer, self._loaded_cells)
 
     def solve(self, design: tuple[np.ndarray, np.ndarray], frame: SeenFrame, start: _Solved | None = None) -> _Solved:
         """The likeliest loads, background and size of errors, by weighting the points anew.

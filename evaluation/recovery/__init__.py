@@ -5,6 +5,7 @@ estimators  how each rival is opened; constant: what the rival always says that 
 evaluate    one clip by one estimator; store: finished clips, so that a run goes on where it stopped
 slabs       clips whose truth are finite elements
 grips       the same of clips whose tool grips tissue; grip_bound: what these could have told at best
+followed    how well their points were followed
 bounds      what a contact, and its whole dent, could have told at best
 scores      errors, coverage and verdicts of many; details: a row a quantity
 output      the tables and what is printed; figures: the pictures

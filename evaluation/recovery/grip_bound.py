@@ -1,50 +1,94 @@
-"""How well a grip's foundation and force could be known at best: the Cramér–Rao bound of a sheet whose points are seen
-with noise, those of the grip as well."""
+"""How well a grip's foundation and force could be known at best: the Cramér–Rao bound of an endless sheet.
+
+Known is the sheet, how well every followed point is followed and how far points err alike, in place and in time
+(`evaluation.recovery.followed`). Unknown are the foundation, the forces at the instrument, in every frame anew, and the
+background's affine motion; all but the foundation are nuisances, marginalised by their Schur complement. The forces act
+where `estimators.grip.foundation_fit` lets them act and are expected as they are there, which counts as seen: of forces
+under a long shaft the picture tells little.
+"""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 
-from estimators.grip.lattice import continued, lattice_springs
-from estimators.grip.sheet_fit import BEYOND, GripFrame
-from physics.sheet import equilibrium
+from estimators.grip.foundation_fit import SIZE, load_precision, loaded_cells
+from evaluation.recovery.followed import Following
+from physics.endless_sheet import response
+
+STEP = 0.01
+"""Of log foundation, for derivatives."""
 
 
-def grip_bound(points: np.ndarray, spacing: int, frame: GripFrame, log_anchor: float) -> tuple[float, float]:
-    """Bounds on the logarithms of foundation over stiffness and of force over stiffness, for σ = 1 px by axis.
+@dataclass(frozen=True, eq=False)
+class Whitened:
+    """What nuisances leave of n points whose errors are whitened; M places are loaded."""
 
-    Unknown are the foundation and the grip's true way. One frame counts: errors of following add up, so that the last
-    one knows of an even pull what all do.
+    triangle: np.ndarray
+    """Of the errors' covariance in the last frame, lower, shape [n, n] [px]."""
+    design: np.ndarray
+    """How points follow loads and background, whitened, shape [n, M + 3]."""
+    factor: tuple[np.ndarray, bool]
+    """Cholesky's, of the nuisances' information."""
+
+    @classmethod
+    def of(cls, covariance: np.ndarray, design: np.ndarray, expected: np.ndarray) -> Whitened:
+        """Of errors with a covariance [n, n] [px²], a design [n, M + 3] and a prior precision of the nuisances."""
+        triangle = cholesky(covariance, lower=True, overwrite_a=True, check_finite=False)
+        rows = solve_triangular(triangle, design, lower=True, check_finite=False)
+        return cls(triangle, rows, cho_factor(rows.T @ rows + expected, check_finite=False))
+
+    def explained(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The nuisances [M + 3, …] that explain values at the points [n, …] best, and what is left, whitened."""
+        right = solve_triangular(self.triangle, values.reshape(len(values), -1), lower=True, check_finite=False)
+        found = cho_solve(self.factor, self.design.T @ right, check_finite=False)
+        left = (right - self.design @ found).reshape(values.shape)
+        return found.reshape(-1, *values.shape[1:]), left
+
+    @property
+    def sum_variance(self) -> float:
+        """Of the sum of the loads by axis, in the last frame."""
+        total = np.append(np.ones(self.design.shape[1] - 3), np.zeros(3))
+        return float(total @ cho_solve(self.factor, total, check_finite=False))
+
+
+def grip_bound(
+    points: np.ndarray,
+    distance: np.ndarray,
+    hidden: np.ndarray,
+    spacing: int,
+    moved: np.ndarray,
+    following: Following,
+    log_anchor: float,
+) -> tuple[float, float]:
+    """Bounds on the logarithms of foundation over stiffness and of the last frame's force over stiffness.
 
     Args:
-        points: at rest, shape [N, 2] [px].
-        spacing: of their grid [px].
-        frame: where they truly are, and which are gripped.
+        points: places at rest of the points seen in the last frame, on a square grid, shape [n, 2] [px].
+        distance: from the tool there, shape [n] [px].
+        hidden: places of the grid that the tool hides there, shape [H, 2] [px].
+        spacing: of the grid [px].
+        moved: where they truly are since rest, shape [T, n, 2] [px].
+        following: of these points.
         log_anchor: true log of foundation over stiffness.
     """
-    nodes = continued(points, spacing, BEYOND)
-    springs = lattice_springs(nodes, spacing)
-    gripped = np.zeros(len(nodes), bool)
-    gripped[: len(points)] = frame.gripped
-    anchor = np.full(len(nodes), math.exp(log_anchor))
-    around, count = np.flatnonzero(frame.around), int(gripped.sum())
-    # Where the nodes go for a unit of motion of every gripped one.
-    unit = equilibrium(springs, np.ones(len(springs)), anchor, gripped, np.eye(count))
-    response, pull = unit.displacement[around], unit.reaction.sum(axis=0)
-    moved = equilibrium(springs, np.ones(len(springs)), anchor, gripped, frame.moved[frame.gripped])
-    slope = moved.slopes(np.zeros((len(springs), 1)), anchor[:, None])[:, :, 0]
-    # Of the force by the log foundation: what K does to the slope, and what the foundation itself pulls.
-    bent = (moved.matrix @ slope)[gripped].sum(axis=0) + (anchor[:, None] * moved.displacement)[gripped].sum(axis=0)
-    force = moved.reaction.sum(axis=0)
+    cells = np.rint(points / spacing).astype(np.int64)
+    loaded = loaded_cells(points, distance, hidden, spacing)
+    apart = tuple(np.moveaxis(cells[:, None] - loaded, -1, 0) % SIZE)
+    terms = np.column_stack([(points - points.mean(axis=0)) / points.std(axis=0), np.ones(len(points))])
+    answer = response(math.exp(log_anchor), SIZE)
+    kept = Whitened.of(following.covariance(points), np.hstack([answer[apart], terms]), load_precision(answer, loaded))
+    more, less = (response(math.exp(log_anchor + step), SIZE)[apart] for step in (STEP, -STEP))
+    loads = kept.explained(np.moveaxis(moved, 0, 1))[0][: len(loaded)]
+    slopes = np.tensordot((more - less) / (2 * STEP), loads, 1)
+    follows, left = kept.explained(slopes)
+    # Frames whose errors are alike in time: the same nuisances, free in each of them, take the same from all.
+    information = np.einsum("nta,ts,nsa->", left, np.linalg.inv(following.in_time), left)
+    force = loads[:, -1].sum(axis=0)
     along = force / (force @ force)
-    # Both axes have the same response; the foundation is common to them.
-    own = np.linalg.inv(response.T @ response + np.eye(count))
-    cross = response.T @ slope[around]
-    information = np.square(slope[around]).sum() - np.einsum("ia,ij,ja->", cross, own, cross)
-    variance = 1 / information
-    # The grip's way follows the foundation where both are estimated.
-    total = along @ bent - np.einsum("a,i,ij,ja->", along, pull, own, cross)
-    alone = (along @ along) * (pull @ own @ pull)
-    return math.sqrt(variance), math.sqrt(total**2 * variance + alone)
+    # The force follows the foundation where both are estimated.
+    bent = along @ follows[: len(loaded), -1].sum(axis=0)
+    return math.sqrt(1 / information), math.sqrt(bent**2 / information + (along @ along) * kept.sum_variance)

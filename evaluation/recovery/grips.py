@@ -3,8 +3,8 @@
 Judged are the foundation, the force, where the tissue is stiff, and whether there is contact.
 
 The very session that users run is asked (estimator `direct`). Errors of the foundation and of the force are compared
-with the Cramér–Rao bound (`evaluation.recovery.grip_bound`) of somebody who knows the sheet and how well points are
-followed in these pictures, which is measured: followed minus true place.
+with the Cramér–Rao bound (`evaluation.recovery.grip_bound`) of somebody who knows the sheet and how well each point is
+followed in the clip, which is measured: followed minus true place (`evaluation.recovery.followed`).
 """
 
 from __future__ import annotations
@@ -28,13 +28,11 @@ from data.synthetic.source import open_synthetic
 from data.tracks.following import SPACING, PointFollower
 from estimators.contract import ClipInfo
 from estimators.estimate import NINETY, FrameEstimate, GripEstimate, InteractionEstimate
-from estimators.grip.alike import correlated_points
-from estimators.grip.recorder import DRIVEN
-from estimators.grip.sheet_fit import GripFrame
 from estimators.grip.stiffness_field import StiffnessField
 from estimators.open import EstimatorOptions
 from evaluation.recovery.estimators import opened
 from evaluation.recovery.evaluate import OK, PREPARE
+from evaluation.recovery.followed import measure_following
 from evaluation.recovery.grip_bound import grip_bound
 from evaluation.recovery.scores import coverage, rms
 from evaluation.recovery.suites import GRIP_SUITES
@@ -73,16 +71,13 @@ class GripRecovery:
     verdict: str = ""
     skill: float = math.nan
     foundation: np.ndarray | None = None
-    """Log of foundation over stiffness: true, estimated, its standard deviation and bound for σ = 1 px, shape [4]."""
+    """Log of foundation over stiffness: true, estimated, its standard deviation and bound, shape [4]."""
     force: np.ndarray | None = None
     """The same of the force over stiffness in the last frame."""
     curve: np.ndarray | None = None
     """Force over that of the last frame: true, estimated, and its standard deviation, shape [3, T]."""
-    noise: float = math.nan
-    """Effective σ of a followed point by axis in the last frame: its error times the root of how many points err alike
-    [px]."""
     following: float = math.nan
-    """That error alone, root mean square [px]."""
+    """Error of a followed point by axis in the last frame, root mean square [px]."""
     rank: float = math.nan
     """Rank correlation of the stiffness field with the true one where tissue moves."""
     rank_most: float = math.nan
@@ -147,17 +142,17 @@ def _compared(
     """Fields of a `GripRecovery`: truth, estimate and bound of a run of contact that begins in a frame."""
     cell = scene.settings.cell[0]
     used = onset + np.rint(grip.times * scene.settings.fps).astype(int)
-    follower, gripped = _followed(frames[onset : used[-1] + 1])
+    follower, moved, told = _followed(frames[onset : used[-1] + 1])
     points = follower.points.astype(np.float64)
-    true_moved = [picture_motion(scene, motion, index, points) for index in (onset, used[-1])]
-    true = true_moved[1] - true_moved[0]
-    error = follower.moved - true
-    seen = np.isfinite(error).all(axis=1)
-    size = float(np.sqrt(np.square(error[seen]).mean()))
-    alike = correlated_points(points, SPACING, error)
+    true_moved = np.array([picture_motion(scene, motion, index, points) for index in (onset, *used)])
+    true = true_moved[1:] - true_moved[0]
+    error = moved[used - onset - 1] - true
+    seen = np.isfinite(error[-1]).all(axis=1)
+    size = float(np.sqrt(np.square(error[-1, seen]).mean()))
+    places = points[seen], follower.distance[seen]
+    following = measure_following(*places, SPACING, told[seen], error[:, seen])
     log_anchor = math.log(motion.anchor * (SPACING / cell) ** 2)
-    last = GripFrame(np.where(seen[:, None], true, np.nan), gripped[-1].gripped)
-    bounds = grip_bound(points, SPACING, last, log_anchor)
+    bounds = grip_bound(*places, follower.hidden, SPACING, true[:, seen], following, log_anchor)
     log, sd = log_interval(
         grip.foundation_over_stiffness, grip.foundation_over_stiffness_low, grip.foundation_over_stiffness_high
     )
@@ -170,11 +165,10 @@ def _compared(
         "foundation": np.array([log_anchor, log, sd, bounds[0]]),
         "force": np.array([math.log(np.linalg.norm(force[-1])), *pull, bounds[1]]),
         "curve": np.array([force @ unit, grip.force, grip.force_sd]),
-        "noise": size * math.sqrt(alike),
         "following": size,
     }
     if scene.settings.regions > 1 and grip.stiffness is not None:
-        found |= _field(grip.stiffness, points, true, scene, motion)
+        found |= _field(grip.stiffness, points, true[-1], scene, motion)
     return found
 
 
@@ -194,14 +188,19 @@ def picture_motion(scene: Scene, motion: GrippedMotion, frame: int, points: np.n
     return np.stack([map_coordinates(grid[..., axis], place.T, order=1, mode="nearest") for axis in (0, 1)], axis=1)
 
 
-def _followed(frames: Sequence[PreparedFrame]) -> tuple[PointFollower, list[GripFrame]]:
-    """Points followed through frames as the estimator follows them, and each frame after the first as a grip."""
+def _followed(frames: Sequence[PreparedFrame]) -> tuple[PointFollower, np.ndarray, np.ndarray]:
+    """Points followed through frames as the estimator follows them.
+
+    Returns:
+        The follower, displacements since the first frame in those after it [F - 1, N, 2] and the noise told of the last
+        ones [N] [px].
+    """
     first, *others = [(frame.view[0], frame.view[1] == TOOL) for frame in frames]
-    follower, found = PointFollower(*first), []
+    follower, moved = PointFollower(*first), []
     for picture, tool in others:
         follower.step(picture, tool)
-        found.append(GripFrame(follower.moved, follower.followed & (follower.distance < DRIVEN)))
-    return follower, found
+        moved.append(follower.moved)
+    return follower, np.array(moved), follower.noise
 
 
 def _field(
@@ -245,12 +244,11 @@ def grip_rows(rows: Sequence[GripRecovery]) -> list[dict[str, object]]:
 
 
 def _suite_rows(clips: Sequence[GripRecovery]) -> Iterator[dict[str, object]]:
-    noise = rms(np.array([row.noise for row in clips if math.isfinite(row.noise)]))
     for name in ("foundation", "force"):
         told = [getattr(row, name) for row in clips if getattr(row, name) is not None]
         if told:
             true, log, sd, bound = np.array(told).T
-            error, least = rms(log - true), noise * rms(bound)
+            error, least = rms(log - true), rms(bound)
             cells = {"rmse": error, "bound": least, "ratio": error / least, "coverage90": coverage(log - true, sd)}
             yield {"quantity": f"{name} over stiffness", "n": len(told), **cells}
     curves = [row.curve for row in clips if row.curve is not None]
@@ -264,7 +262,6 @@ def _suite_rows(clips: Sequence[GripRecovery]) -> Iterator[dict[str, object]]:
         ("skill", "skill, mean"),
         ("contact_right", "moving frames whose contact is right"),
         ("following", "error of following in the last frame, RMS [px]"),
-        ("noise", "the same times the root of the number of points that err alike [px]"),
         ("rank", "rank correlation of the stiffness field, mean"),
         ("rank_most", "that of regions told apart exactly, in any order within each"),
         ("held_between", "points of the stiffness field within the 90 % intervals"),

@@ -22,11 +22,10 @@ SMALL = {
     "width": 214, "height": 120, "frames": 10, "action": "grip", "onset_fraction": (0.0, 0.0), "spread": (12.0, 12.0),
     "peak_displacement": (0.02, 0.03),
 }  # fmt: skip
-NOISE = 2.0
 
 
 def recovery(index: int, error: float, **changes) -> GripRecovery:
-    found = GripRecovery("retraction", index, 7, skill=0.8, contact_right=0.9, verdict="foundation", noise=NOISE)
+    found = GripRecovery("retraction", index, 7, skill=0.8, contact_right=0.9, verdict="foundation")
     foundation = np.array([-3.0, -3.0 + error, 0.1, 0.05])
     curve = np.array([[0.2, 0.6, 1.0], [0.2, 0.65, 1.0], [0.01, 0.02, 0.0]])
     return dataclasses.replace(found, foundation=foundation, force=foundation + 8.0, curve=curve, **changes)
@@ -37,8 +36,8 @@ def test_the_table_holds_errors_against_bounds() -> None:
     table = {(row["suite"], row["quantity"]): row for row in grip_rows(rows)}
     found = table["retraction", "foundation over stiffness"]
     error = math.sqrt((0.1**2 + 0.2**2) / 2)
-    assert (found["n"], found["rmse"], found["bound"]) == (2, pytest.approx(error), pytest.approx(NOISE * 0.05))
-    assert found["ratio"] == pytest.approx(error / 0.1)
+    assert (found["n"], found["rmse"], found["bound"]) == (2, pytest.approx(error), pytest.approx(0.05))
+    assert found["ratio"] == pytest.approx(error / 0.05)
     assert found["coverage90"] == 0.5  # 0.1 lies within 1.645 · 0.1, 0.2 does not
     curve = table["retraction", "relative force"]
     assert (curve["n"], curve["coverage90"]) == (4, 0.5)

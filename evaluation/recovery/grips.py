@@ -36,6 +36,7 @@ from evaluation.recovery.followed import measure_following
 from evaluation.recovery.grip_bound import grip_bound
 from evaluation.recovery.scores import coverage, rms
 from evaluation.recovery.suites import GRIP_SUITES
+from physics.identifiability import LIMIT
 
 COLUMNS = ("suite", "quantity", "n", "rmse", "bound", "ratio", "coverage90", "value")
 DIRECT = "direct"
@@ -74,6 +75,8 @@ class GripRecovery:
     """Log of foundation over stiffness: true, estimated, its standard deviation and bound, shape [4]."""
     force: np.ndarray | None = None
     """The same of the force over stiffness in the last frame."""
+    damping: np.ndarray | None = None
+    """Log of damping over stiffness [s]: true, and its bound, shape [2]; nothing estimates it."""
     curve: np.ndarray | None = None
     """Force over that of the last frame: true, estimated, and its standard deviation, shape [3, T]."""
     following: float = math.nan
@@ -152,7 +155,8 @@ def _compared(
     places = points[seen], follower.distance[seen]
     following = measure_following(*places, SPACING, told[seen], error[:, seen])
     log_anchor = math.log(motion.anchor * (SPACING / cell) ** 2)
-    bounds = grip_bound(*places, follower.hidden, SPACING, true[:, seen], following, log_anchor)
+    relaxation = motion.damping / motion.anchor
+    bound = grip_bound(*places, follower.hidden, SPACING, grip.times, true[:, seen], following, log_anchor, relaxation)
     log, sd = log_interval(
         grip.foundation_over_stiffness, grip.foundation_over_stiffness_low, grip.foundation_over_stiffness_high
     )
@@ -162,8 +166,9 @@ def _compared(
         grip.reaction_over_stiffness, grip.reaction_over_stiffness_low, grip.reaction_over_stiffness_high
     )
     found: dict[str, object] = {
-        "foundation": np.array([log_anchor, log, sd, bounds[0]]),
-        "force": np.array([math.log(np.linalg.norm(force[-1])), *pull, bounds[1]]),
+        "foundation": np.array([log_anchor, log, sd, bound.foundation]),
+        "force": np.array([math.log(np.linalg.norm(force[-1])), *pull, bound.force]),
+        "damping": np.array([log_anchor + math.log(relaxation), bound.damping]),
         "curve": np.array([force @ unit, grip.force, grip.force_sd]),
         "following": size,
     }
@@ -251,6 +256,17 @@ def _suite_rows(clips: Sequence[GripRecovery]) -> Iterator[dict[str, object]]:
             error, least = rms(log - true), rms(bound)
             cells = {"rmse": error, "bound": least, "ratio": error / least, "coverage90": coverage(log - true, sd)}
             yield {"quantity": f"{name} over stiffness", "n": len(told), **cells}
+    damped = [row.damping for row in clips if row.damping is not None]
+    if damped:
+        bounds = np.array(damped)[:, 1]
+        # Of a clip that tells nothing the bound may be as large as it likes.
+        yield {
+            "quantity": "damping over stiffness, bound of the median clip",
+            "n": len(bounds),
+            "bound": np.median(bounds),
+        }
+        known = float((bounds < LIMIT).mean())
+        yield {"quantity": "clips that could tell damping over stiffness", "n": len(bounds), "value": known}
     curves = [row.curve for row in clips if row.curve is not None]
     if curves:
         # The last frame's ratio is 1 by definition.

@@ -28,7 +28,14 @@ def recovery(index: int, error: float, **changes) -> GripRecovery:
     found = GripRecovery("retraction", index, 7, skill=0.8, contact_right=0.9, verdict="foundation")
     foundation = np.array([-3.0, -3.0 + error, 0.1, 0.05])
     curve = np.array([[0.2, 0.6, 1.0], [0.2, 0.65, 1.0], [0.01, 0.02, 0.0]])
-    return dataclasses.replace(found, foundation=foundation, force=foundation + 8.0, curve=curve, **changes)
+    return dataclasses.replace(
+        found,
+        foundation=foundation,
+        force=foundation + 8.0,
+        damping=np.array([-9.0, 0.4 - error]),
+        curve=curve,
+        **changes,
+    )
 
 
 def test_the_table_holds_errors_against_bounds() -> None:
@@ -39,6 +46,8 @@ def test_the_table_holds_errors_against_bounds() -> None:
     assert (found["n"], found["rmse"], found["bound"]) == (2, pytest.approx(error), pytest.approx(0.05))
     assert found["ratio"] == pytest.approx(error / 0.05)
     assert found["coverage90"] == 0.5  # 0.1 lies within 1.645 · 0.1, 0.2 does not
+    assert table["retraction", "damping over stiffness, bound of the median clip"]["bound"] == pytest.approx(0.45)
+    assert table["retraction", "clips that could tell damping over stiffness"]["value"] == 0.5
     curve = table["retraction", "relative force"]
     assert (curve["n"], curve["coverage90"]) == (4, 0.5)
     assert table["retraction", "clips whose foundation is determined"]["value"] == 1

@@ -51,7 +51,7 @@ STEP = 0.1
 """Of log foundation, for derivatives."""
 COMMON = 0.97
 """Correlation between errors of the force in two frames: where it acts beneath the instrument is as unknown in one as
-in the other. Of 24 drawn clips (docs/real.md)."""
+in the other. Chosen on 19 drawn clips (docs/real.md)."""
 TINY = 1e-9
 """Of the largest: added to a diagonal so that rounding doesn't make it indefinite."""
 

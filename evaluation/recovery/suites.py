@@ -177,6 +177,11 @@ _ALL_GRIPS = (
         {"spread": (7.5, 45.0)},
     ),
     GripSuite("breathing", "the background is carried to and fro by up to 16 px", {"breathing": (1.0, 4.0)}),
+    GripSuite(
+        "creep",
+        "tissue comes to rest in 0.02 to 0.1 s, one to three frames: what damps it shows while the tool moves",
+        {"relaxation": (0.02, 0.1)},
+    ),
     GripSuite("regions", "stiffness changes by a factor 3 across a line that passes by the grip", {"regions": 3.0}),
     GripSuite("hover", "a tool passes over still tissue and never touches", {"onset_fraction": (1.0, 1.0)}),
     GripSuite("approach", "a tool passes over tissue, then grips it", {"onset_fraction": (0.3, 0.5), "frames": 32}),

@@ -88,7 +88,7 @@ class PointFollower:
         """Which are seen, shape [N]."""
         self.noise = np.zeros(len(self.points))
         """Standard deviation of their places by axis, or of where they were last seen, shape [N] [px]."""
-        self._linker, self._count = Linker(gray.shape, self._grid), 0
+        self._linker, self._count = Linker(gray.shape, self._grid, spacing), 0
         self._first = self._before = self._linker.prepared(gray)
         self._patterns = patterns(gray, self.points)
 

@@ -27,7 +27,7 @@ WINDOW, STEPS, ENOUGH = 9, 4, 0.02
 [px]. A window of 9 px costs less than one of 7."""
 ASTRAY = 3.0
 """Steps that lead farther by axis are not believed [px]."""
-SMOOTH = 0.75
+SMOOTH = 1.0
 """Standard deviation of the filter over the motion of neighbouring places [grid spacings]."""
 REACH, STEP = 6, 3
 """Of a pattern around a point, to either side, and between its samples [px]."""
@@ -59,9 +59,10 @@ class Linker:
         shape: of the pictures (height, width) [px].
         grid: which places of a grid are linked, bool [rows, columns], N of them; None = the places are on no grid, and
             their motion is not filtered.
+        spacing: of the grid [px]; infinite where windows are small against it.
     """
 
-    def __init__(self, shape: tuple[int, ...], grid: np.ndarray | None = None) -> None:
+    def __init__(self, shape: tuple[int, ...], grid: np.ndarray | None = None, spacing: float = np.inf) -> None:
         self._flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST)
         self._flow.setFinestScale(0)
         self._flow.setPatchStride(STRIDE)
@@ -69,6 +70,8 @@ class Linker:
         self._flow.setVariationalRefinementIterations(0)
         self._grid = None if grid is None else (grid.shape, np.flatnonzero(grid))
         """Its shape, and where in it the places are."""
+        # Windows and filter widen what dies away within tens of pixels by variance/2 · ∇²: of 2·filter - this none.
+        self._wider = float(np.sqrt(2 * SMOOTH**2 + WINDOW**2 / 12 / spacing**2))
         height, width = shape
         self._size = max(width // COARSE, LEAST), max(height // COARSE, LEAST)
         # Shrinking by a whole number costs a tenth, at up to three pixels along two edges.
@@ -130,8 +133,12 @@ class Linker:
         weight = np.ones((len(step), 1), np.float32) if seen is None else seen[:, None].astype(np.float32)
         field = np.zeros((shape[0] * shape[1], 3), np.float32)
         field[cells] = np.hstack([step * weight, weight])
-        total = cv2.GaussianBlur(field.reshape(*shape, 3), (0, 0), SMOOTH).reshape(-1, 3)[cells]
-        return np.where(total[:, 2:] > 0, total[:, :2] / np.maximum(total[:, 2:], np.finfo(np.float32).tiny), step)
+
+        def around(deviation: float) -> np.ndarray:
+            total = cv2.GaussianBlur(field.reshape(*shape, 3), (0, 0), deviation).reshape(-1, 3)[cells]
+            return np.where(total[:, 2:] > 0, total[:, :2] / np.maximum(total[:, 2:], np.finfo(np.float32).tiny), step)
+
+        return 2 * around(SMOOTH) - around(self._wider)
 
 
 def _no_links() -> Links:

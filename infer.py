@@ -82,6 +82,11 @@ def _parser() -> argparse.ArgumentParser:
     )
     add("--observation", choices=OBSERVATIONS, help=text)
     text = (
+        "of direct and network: a press is where masks show an instrument at tissue that moves with it (touching, "
+        "default), or where a dent comes, whether an instrument is seen or not (motion)"
+    )
+    add("--contact", choices=("touching", "motion"), help=text)
+    text = (
         "of direct and online: smooth the tissue's resting shape over this many grid pixels, which also measures the "
         f"depth's noise (default: {SMOOTHING:g})"
     )

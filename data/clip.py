@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from data.cache import CacheEntry, PreparedClip, cache_key
+from data.contact.dents import DentContacts
 from data.contact.evidence import ContactEvidence
 from data.contact.geometry import GeometryStatus, frame_geometry
 from data.contact.motion import ContactMotion
@@ -101,26 +102,16 @@ class ClipStream:
         }
 
     def __iter__(self) -> Iterator[PreparedFrame]:
-        """Prepared frames from the clip's beginning, one for each of its frames, up to five frames late.
+        """Prepared frames from the clip's beginning, one for each of its frames, up to thirteen frames late.
 
         Raises:
             InputError: the segmentation model fails on the clip's pictures.
         """
         self._masks.reset()
         motion = ContactMotion(self.camera, self.source.size, self.settings)
-        touch = self.settings.geometry.contact_distance or math.inf
-        evidence = ContactEvidence(touch) if self.settings.geometry.contact == "touching" else None
         held: list[PreparedFrame] = []
-        frames = iter(self.source)
-        while True:
-            with self._timed("decode"):
-                frame = next(frames, None)
-            if frame is None:
-                break
-            held.append(self.prepared(frame))
-            if evidence is not None:
-                with self._timed("contact"):
-                    evidence.judge(held[-1])
+        for prepared in self._judged():
+            held.append(prepared)
             if len(held) > 1:
                 with self._timed("tracking"):
                     motion.link(*held[-2:])
@@ -129,6 +120,36 @@ class ClipStream:
                     del held[:-1]
         motion.settle()
         yield from held
+
+    def _judged(self) -> Iterator[PreparedFrame]:
+        """Frames with all that is known of whether they are in contact, by the frames around them as well."""
+        geometry = self.settings.geometry
+        if geometry.contact == "motion":
+            yield from self._by_dents(DentContacts(self.camera, geometry))
+            return
+        evidence = ContactEvidence(geometry.contact_distance or math.inf) if geometry.contact == "touching" else None
+        for prepared in self._prepared():
+            if evidence is not None:
+                with self._timed("contact"):
+                    evidence.judge(prepared)
+            yield prepared
+
+    def _by_dents(self, dents: DentContacts) -> Iterator[PreparedFrame]:
+        for prepared in self._prepared():
+            with self._timed("contact"):
+                decided = dents.push(prepared)
+            yield from decided
+        yield from dents.finish()
+
+    def _prepared(self) -> Iterator[PreparedFrame]:
+        """Every frame by itself, in order."""
+        frames = iter(self.source)
+        while True:
+            with self._timed("decode"):
+                frame = next(frames, None)
+            if frame is None:
+                return
+            yield self.prepared(frame)
 
     def prepared(self, frame: Frame) -> PreparedFrame:
         """Everything about a frame that needs no other frame.

@@ -68,7 +68,7 @@ def preparation_settings(model: ExportedModel, chosen: Chosen) -> PrepareSetting
     settings: dict[str, Any] = {name: model.metadata[name] for name in NUMBERS if name in model.metadata}
     settings |= {
         "depth": dataclasses.replace(depth, **given),
-        "geometry": section(model, "geometry", GeometrySettings),
+        "geometry": dataclasses.replace(section(model, "geometry", GeometrySettings), **chosen.found),
         "masks": masks,
         "classes": section(model, "classes", MaskClasses),
         "layout": chosen.layout,

@@ -152,7 +152,7 @@ class RunSession:
     def _follow(self, frame: PreparedFrame) -> None:
         """Gather the motion around the instrument, too; for sessions that tell what a grip tells, after every frame."""
         run, start = self._runs.current, time.perf_counter()
-        if run is None or not self._follows(run):
+        if run is None or self.clip.geometry.contact == "motion" or not self._follows(run):
             self._grip = None
         elif run.index == frame.frame.index:
             self._grip = GripRecorder(frame, self._thickness) if frame.visible else None

@@ -37,7 +37,7 @@ from estimators.open import FEM, MODELS, SHEET, EstimatorOptions
 from estimators.worker_pool import WorkerLost, run_tasks
 from evaluation.recovery.constant import constant_estimate
 from evaluation.recovery.estimators import CONSTANT, NAMES, Candidate, describe
-from evaluation.recovery.evaluate import ClipTask, Recovery, evaluate_clip
+from evaluation.recovery.evaluate import MOTION, ClipTask, Recovery, evaluate_clip
 from evaluation.recovery.grips import DIRECT, GripRecovery, GripTask, evaluate_grip
 from evaluation.recovery.output import finish, finish_grips, finish_slabs
 from evaluation.recovery.scores import Bound
@@ -99,6 +99,11 @@ def build_parser() -> argparse.ArgumentParser:
     add("--seen", type=_seen, metavar="N", help=text)
     text = "when direct and network take a press to begin: at a frame's stamp (default, as in most suites) or between"
     add("--onset", choices=ONSETS, default=STAMP, help=text)
+    text = (
+        "how contacts are found: where masks show the tool (touching, default), or by their dents in clips that are "
+        "drawn without the tool (motion), of presses on a sheet"
+    )
+    add("--contact", choices=("touching", MOTION), default="touching", help=text)
     text = "what direct and network look at: the whole dent (field, default), or the point that was touched (contact)"
     add("--observation", choices=OBSERVATIONS, help=text)
     text = (
@@ -153,6 +158,8 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
         )
     if options.direct_model == FEM and options.observation == CONTACT:
         parser.error("--direct-model fem is fitted to all visible tissue; leave --observation contact out.")
+    if options.contact == MOTION and (options.grips or options.slabs or "gan" in options.estimator):
+        parser.error("--contact motion is for direct and network on suites of presses; leave gan and other suites out.")
     options.models = {"network": options.model, "gan": options.gan_model}
     for (name, given), option in zip(options.models.items(), ("--model", "--gan-model"), strict=True):
         if name in options.estimator and given is None:
@@ -187,6 +194,7 @@ def open_store(options: argparse.Namespace, estimators: Mapping[str, EstimatorOp
         OutputError: the folder can't be, or holds results that depend on something else.
     """
     wanted = {"seed": options.seed, "split": options.split, "seen": options.seen, "size": list(options.size)}
+    wanted["contact"] = options.contact
     wanted |= {f"suite {name}": SUITES[name].describe() for name in options.suite}
     wanted |= {f"estimator {name}": describe(estimator) for name, estimator in estimators.items()}
     return RecoveryStore(options.output, wanted, Recovery)
@@ -274,9 +282,8 @@ def measure(
                 suite: {name: candidates[name] for name in options.estimator if (suite, index, name) in left}
                 for suite in options.suite
             }
-            tasks.append(
-                ClipTask(index, suite_clip_seed(options.split, options.seed, index), wanted, options.seen, options.size)
-            )
+            seed = suite_clip_seed(options.split, options.seed, index)
+            tasks.append(ClipTask(index, seed, wanted, options.seen, options.size, options.contact))
         bar = progress.add_task("clips", total=options.clips, completed=options.clips - len(tasks))
         for rows in run_tasks(evaluate_clip, tasks, options.workers):
             store.append(rows)

@@ -52,6 +52,7 @@ WORDS = {
     "depth.model": "--depth-model",
     "depth.preset": "--depth-preset",
     "depth.source": "--depth",
+    "geometry.contact": "--contact",
     "geometry.smoothing": "--smoothing",
     "give the noise": "give --noise",
 }
@@ -107,6 +108,8 @@ class Batch:
             raise ValueError(
                 "--smoothing is for --estimator direct and online; a network's preparation is as it was trained."
             )
+        if options.contact is not None and self.estimator.name not in ("direct", "network"):
+            raise ValueError("--contact is for --estimator direct and network; leave it out.")
         if self.calibration is not None and self.estimator.name == "online":
             raise ValueError("--calibration is for estimators of forces; --estimator online knows none, leave it out.")
         if self.calibration is not None and self.known is not None:
@@ -115,7 +118,7 @@ class Batch:
             )
         depth = {"source": options.depth, "model": options.depth_model, "preset": options.depth_preset}
         depth = {name: value for name, value in depth.items() if value is not None} | {"threads": options.threads}
-        chosen = Chosen(_chosen_layout(options), options.masks, depth, options.smoothing)
+        chosen = Chosen(_chosen_layout(options), options.masks, depth, options.smoothing, options.contact)
         self.settings = self.estimator.preparation(chosen)
         check_sources(self.settings)
         self.store = ResultStore(options.output)

@@ -2,6 +2,7 @@
 
 geometry       depth and labels to clouds, contact pair, mesh and normal; outlines: their doubtful rims
 surface        smooth tissue behind noisy depth, and the noise; rest_depth: its shape before it was touched
+dents          contact by a dent alone, no tool being seen; depth_change: how much deeper than at rest tissue lies
 evidence       whether tissue moves with the tool, frame by frame; coupling: how likely what was seen is if it does
 motion         the contact's motion from frame to frame and since its onset
 tracking       tissue points followed by optical flow; template: found again by their look

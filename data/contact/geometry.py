@@ -28,6 +28,7 @@ LEAST_NOISE = 3e-4
 """Noise is never taken for smaller [scene units]: fitting planes to curved tissue errs by about 2e-4."""
 LEAST_MOTION = 1e-4
 """Shorter observed motions have no direction [scene units]."""
+NO_DENT = "No dent has come."
 DEPTH_HOLE_REACH = 5.0
 """How many times `contact_pixels` the nearest valid tissue depth may lie from a touching outline."""
 
@@ -105,10 +106,12 @@ class GeometrySettings:
     contact [grid pixels]; 0 leaves it as it is (paper). Noisy or rounded depth asks for 3 to 6."""
     keep: float = 1.0
     """Share of the mesh's vertices that decimation keeps; the paper names 0.3 and used 1."""
-    contact: Literal["touching", "nearest"] = "touching"
+    contact: Literal["touching", "nearest", "motion"] = "touching"
     """Which frames are in contact, and where. touching: those whose masks touch or whose clouds are close, where the
     outlines touch, unless the tool is seen to hover (`data.contact.evidence`). nearest (paper): all that show tool and
-    tissue, at the closest pair over all points (equation 4), so that the tool's coming and going counts, too."""
+    tissue, at the closest pair over all points (equation 4), so that the tool's coming and going counts, too. motion:
+    those in which a dent is there that came while the tissue was watched (`data.contact.dents`); no tool needs to be
+    seen."""
     contact_pixels: float = 2.0
     """Masks at most this far apart touch [grid pixels]; neighbours are 1 apart, 0 switches the criterion off."""
     contact_distance: float = 0.02
@@ -142,6 +145,10 @@ class GeometrySettings:
             raise ValueError(f"geometry.max_edge is {self.max_edge}; give a positive length.")
         if not 0.01 <= self.keep <= 1:
             raise ValueError(f"geometry.keep is {self.keep}; give a share from 0.01 to 1.")
+        if self.contact == "motion" and self.smoothing == 0:
+            raise ValueError(
+                "geometry.contact motion needs a rest shape and its noise; give geometry.smoothing above 0."
+            )
         if self.contact_pixels == 0 and self.contact_distance == 0:
             raise ValueError("geometry.contact_pixels and geometry.contact_distance are both 0; set one of them.")
 
@@ -203,18 +210,15 @@ def frame_geometry(
         rest: the tissue at rest; None = as it is seen. The mesh covers all of it, the contact lies on what is seen.
 
     Raises:
-        GeometryStatus: `no_tool`, `no_tissue`, `bad_depth` or `no_contact`, in this order.
+        GeometryStatus: `no_tool`, `no_tissue`, `bad_depth` or `no_contact`, in this order; with motion one frame alone
+            is never in contact.
     """
     tool, tissue = labels == TOOL, labels == TISSUE
     _require_pixels(tool, tissue, depth, settings)
-    if rest is None:
-        rest = RestTissue(depth, tissue & (depth > 0), np.zeros_like(tissue))
-    resting, surface, beyond = rest
-    noise = math.nan
-    if settings.smoothing > 0:
-        resting, noise = smooth_surface(resting, surface, settings.smoothing)
-        noise = max(noise, LEAST_NOISE)
-    sheet = back_project(resting, camera)
+    if settings.contact == "motion":
+        raise GeometryStatus("no_contact", NO_DENT)
+    rest, noise = smooth_rest(depth, labels, settings, rest)
+    sheet = back_project(rest.depth, camera)
     points = np.where(tissue[..., None], sheet, back_project(depth, camera))
     touching = _touching(tool, tissue, settings.contact_pixels)
     outlined = touching and settings.contact == "touching"
@@ -222,9 +226,7 @@ def frame_geometry(
         points = np.where(tool[..., None], back_project(tool_depth(depth, tool), camera), points)
     pair = _outline_pair(points, tool, tissue, settings) if outlined else _cloud_pair(points, tool, tissue, settings)
     (tool_row, tool_column), (row, column) = pair
-    mesh = grid_mesh(sheet, surface, occluder=tool & ~surface & ~beyond, max_edge=settings.max_edge, keep=settings.keep)
-    if len(mesh.vertices) == 0:
-        raise GeometryStatus("bad_depth", "The tissue's depth is so rough that no mesh triangle is short enough.")
+    mesh = tissue_mesh(sheet, labels, settings, rest)
     tissue_point = points[row, column]
     tool_point = points[tool_row, tool_column] if depth[tool_row, tool_column] > 0 else np.full(3, np.nan, np.float32)
     vertex = nearest_vertex(mesh, tissue_point)
@@ -232,6 +234,44 @@ def frame_geometry(
     normal = contact_normal(mesh, vertex)
     pixel = int(column), int(row)
     return FrameGeometry(mesh, vertex, normal, tool_point, tissue_point, distance, pixel, touching, noise)
+
+
+def smooth_rest(
+    depth: np.ndarray, labels: np.ndarray, settings: GeometrySettings, rest: RestTissue | None = None
+) -> tuple[RestTissue, float]:
+    """The tissue at rest, smoothed as the settings say, and the noise as of `FrameGeometry`.
+
+    Args:
+        depth, labels: of a frame, as of `frame_geometry`.
+        settings: `smoothing` counts.
+        rest: the tissue at rest; None = as it is seen.
+    """
+    if rest is None:
+        tissue = labels == TISSUE
+        rest = RestTissue(depth, tissue & (depth > 0), np.zeros_like(tissue))
+    if settings.smoothing == 0:
+        return rest, math.nan
+    resting, noise = smooth_surface(rest.depth, rest.known, settings.smoothing)
+    return rest._replace(depth=resting), max(noise, LEAST_NOISE)
+
+
+def tissue_mesh(sheet: np.ndarray, labels: np.ndarray, settings: GeometrySettings, rest: RestTissue) -> Mesh:
+    """Mesh of the tissue at rest; behind the tool it goes on.
+
+    Args:
+        sheet: the tissue's points on the grid, shape [h, w, 3] [scene units].
+        labels: label map, shape [h, w].
+        settings: `max_edge` and `keep` count.
+        rest: where tissue is known.
+
+    Raises:
+        GeometryStatus: `bad_depth` where no triangle is left.
+    """
+    hidden = (labels == TOOL) & ~rest.known & ~rest.beyond
+    mesh = grid_mesh(sheet, rest.known, occluder=hidden, max_edge=settings.max_edge, keep=settings.keep)
+    if len(mesh.vertices) == 0:
+        raise GeometryStatus("bad_depth", "The tissue's depth is so rough that no mesh triangle is short enough.")
+    return mesh
 
 
 def move_contact(geometry: FrameGeometry, pixel: tuple[int, int]) -> FrameGeometry:
@@ -270,7 +310,7 @@ def force_direction(normal: np.ndarray, displacement: np.ndarray | None, setting
 
 
 def _require_pixels(tool: np.ndarray, tissue: np.ndarray, depth: np.ndarray, settings: GeometrySettings) -> None:
-    if tool.sum() < settings.min_tool_pixels:
+    if tool.sum() < settings.min_tool_pixels and settings.contact != "motion":
         raise GeometryStatus("no_tool", f"{tool.sum()} tool pixels, fewer than {settings.min_tool_pixels}.")
     if tissue.sum() < settings.min_tissue_pixels:
         raise GeometryStatus("no_tissue", f"{tissue.sum()} tissue pixels, fewer than {settings.min_tissue_pixels}.")

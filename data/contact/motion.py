@@ -13,6 +13,7 @@ from collections import deque
 
 import numpy as np
 
+from data.contact.dents import dent_geometry
 from data.contact.geometry import LEAST_NOISE, TISSUE, GeometryStatus, frame_geometry
 from data.contact.outlines import frayed_share, inside, uncover
 from data.contact.refinement import REFINE_FRAMES, ContactRun, picture_pixel, settle_run
@@ -172,7 +173,10 @@ class ContactMotion:
             with contextlib.suppress(GeometryStatus):
                 noise = self._noise(onset)
                 rest = self._rest.at(onset)
-                resting = frame_geometry(onset.depth, onset.labels, self.camera, self.settings, rest)
+                if self.settings.contact == "motion":
+                    resting = dent_geometry(onset, onset.contact.pixel, self.camera, self.settings, rest)
+                else:
+                    resting = frame_geometry(onset.depth, onset.labels, self.camera, self.settings, rest)
                 onset.geometry = dataclasses.replace(resting, noise=noise)
                 share = frayed_share(onset.depth, onset.labels, np.where(rest.known, rest.depth, 0), noise)
                 if share > FRAYED_SHARE:

@@ -67,10 +67,11 @@ class Renderer:
             labels[view.region] = cv2.remap(self.rest_labels, *maps, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
         if self.scene.settings.occlusion > 0:
             self._add_fat(index, labels, light, depth)
-        tool = draw_tool(self.scene, self.motion, index, view).seen(labels != GREY["fat"], depth)
-        labels[tool.rows, tool.columns] = GREY["grasper"]
-        depth[tool.rows, tool.columns] = tool.depth
-        light[tool.rows, tool.columns] = tool.light * np.square(EXPOSURE_DISTANCE / tool.depth)[:, None]
+        if self.scene.settings.tool_in_view:
+            tool = draw_tool(self.scene, self.motion, index, view).seen(labels != GREY["fat"], depth)
+            labels[tool.rows, tool.columns] = GREY["grasper"]
+            depth[tool.rows, tool.columns] = tool.depth
+            light[tool.rows, tool.columns] = tool.light * np.square(EXPOSURE_DISTANCE / tool.depth)[:, None]
         if self.outside is not None:
             labels[self.outside], depth[self.outside], light[self.outside] = GREY["background"], 0, 0
         blurred = cv2.GaussianBlur(light.astype(np.float32), (0, 0), 0.15 * self.scene.settings.cell[0] + 0.05)

@@ -132,6 +132,8 @@ class SceneSettings:
     """Standard deviation of the picture's noise, as a share of full scale."""
     highlights: float = 0.5
     """Brightness of the wet tissue's mirror images of the light at 0.5 scene units, as a share of full scale."""
+    tool_in_view: bool = True
+    """Draw the tool; otherwise what presses or grips isn't seen, as a probe from behind or a jet of air isn't."""
     circle: bool = False
     """Black out what lies outside a round endoscope picture."""
 

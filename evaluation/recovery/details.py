@@ -19,6 +19,8 @@ verdict_accuracy              share of clips where the estimated verdict is the 
 verdict_accuracy_clear        the same where no bound lies within a factor 1.5 of the limit
 warned                        share of clips whose estimate says that its model doesn't explain the motion, or that the
                               contact is pressed aslant
+onset_off, release_off        frames from the true onset and release to those found, of clips with an estimate: mean
+place_off                     how far the contact was found from the true one, mean [grid px]
 misfit, seconds               median of the RMS residual along the force over σ, and of the time of an estimate [s]
 """
 
@@ -40,6 +42,11 @@ COLUMNS = ("estimator", "suite", "regime", "parameter", "quantity", "n", "value"
 RESAMPLES = 2000
 CLEAR = 1.5
 """Verdicts are clear where deciding bounds lie outside the limit times or over this."""
+_AVERAGES = {
+    **dict.fromkeys(("onset_off", "release_off", "place_off", "warned"), np.mean),
+    **dict.fromkeys(("misfit", "seconds"), np.median),
+}
+"""Of numbers of results that are told for all clips together."""
 LEAST_CLIPS = 5
 """Fewer clips give no interval."""
 
@@ -136,11 +143,13 @@ def _whole(scores: Scores) -> Iterator[dict[str, object]]:
             note = "; ".join(f"{count} {mistake}" for mistake, count in mistakes.most_common())
             value = float((given[used] == true[used]).mean())
             yield {"quantity": name, "n": int(used.sum()), "value": value, "note": note}
-    for name, average in (("warned", np.mean), ("misfit", np.median), ("seconds", np.median)):
+    for name, average in _AVERAGES.items():
         values = np.array([getattr(row, name) for row in scores.rows], float)
         values = values[np.isfinite(values)]
         if len(values):
-            yield {"quantity": name, "n": len(values), "value": float(average(values))}
+            counts = Counter(values.tolist()) if name in ("onset_off", "release_off") else {}
+            note = "; ".join(f"{count} by {off:+g}" for off, count in sorted(counts.items()))
+            yield {"quantity": name, "n": len(values), "value": float(average(values)), "note": note}
 
 
 def true_verdicts(bounds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

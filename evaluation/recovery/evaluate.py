@@ -11,7 +11,7 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -38,6 +38,8 @@ PREPARE = PrepareSettings(
     depth=DepthSettings(source="stored"), geometry=GeometrySettings(smoothing=4, rigid_motion="subtract")
 )
 """How all clips are prepared."""
+MOTION = "motion"
+"""How contacts are found where no tool is in view: by their dents."""
 OK = "ok"
 
 
@@ -62,6 +64,12 @@ class Recovery:
     """Fisher information of log θ and both delays from the contact's motion for σ = 1 (`bounds`), shape [5, 5]."""
     field_information: np.ndarray | None = None
     """The same from the film of its dent with the film's noise; None without a film."""
+    onset_off: float = math.nan
+    """Frames from the true onset to the one that was found."""
+    release_off: float = math.nan
+    """The same of the release; not a number where none was found."""
+    place_off: float = math.nan
+    """How far the contact was found from the true one [grid px]."""
     tracking: np.ndarray | None = None
     """Tracked minus true displacement along the true direction, shape [M] [scene units]."""
     estimate: np.ndarray | None = None
@@ -100,6 +108,8 @@ class ClipTask:
     """Frames after the onset that estimators and bound see; none = one second."""
     size: tuple[int, int] = GRID_SIZE
     """Width and height of the pictures [px]."""
+    contact: Literal["touching", "motion"] = "touching"
+    """How contacts are found; with motion clips are drawn without the tool, and an onset that is a frame off counts."""
 
 
 @functools.lru_cache(maxsize=1)
@@ -125,20 +135,26 @@ def _evaluate_suite(task: ClipTask, suite: str, candidates: Mapping[str, Candida
         scene, motion = _truth(SUITES[suite].truth_settings(task.index, task.size), task.seed)
     except SceneError as error:
         return failed("no scene", str(error))
-    scene = dataclasses.replace(scene, settings=settings)
+    unseen = task.contact == MOTION
+    scene = dataclasses.replace(scene, settings=dataclasses.replace(settings, tool_in_view=not unseen))
     known["theta"] = motion.theta
     try:
-        clip = open_synthetic(synthetic_clip(scene, motion, task.seed), PREPARE)
+        geometry = dataclasses.replace(PREPARE.geometry, contact=task.contact)
+        prepare = dataclasses.replace(PREPARE, geometry=geometry)
+        clip = open_synthetic(synthetic_clip(scene, motion, task.seed), prepare)
         frames, info = list(clip), ClipInfo.of(clip)
         contacts = observed_contacts(frames, info, task.seen)
     except Exception as error:  # a clip that breaks the preparation is a result, and the others go on
         return failed("error", f"{type(error).__name__}: {error}")
-    onset = motion.onset_frame
     if not contacts:
         return failed("no contact", "no onset of contact was found.")
-    if onset not in contacts:
-        return failed("other onset", f"contact began in frame {', '.join(map(str, contacts))} instead of {onset}.")
+    onset = min(contacts, key=lambda found: abs(found - motion.onset_frame))
+    if abs(onset - motion.onset_frame) > unseen:
+        found = ", ".join(map(str, contacts))
+        return failed("other onset", f"contact began in frame {found} instead of {motion.onset_frame}.")
     contact = contacts[onset]
+    known |= _off(contact, frames[onset], scene, motion)
+    motion = as_stamped(motion, onset)
     known["tracking"] = tracking_errors(contact, scene, motion)
     known["information"] = contact_information(contact, scene, motion)
     known["field_information"] = field_information(contact, scene, motion)
@@ -146,6 +162,25 @@ def _evaluate_suite(task: ClipTask, suite: str, candidates: Mapping[str, Candida
         Recovery(**known, estimator=name, **estimated(candidate, frames, info, onset))
         for name, candidate in candidates.items()
     ]
+
+
+def _off(contact: Interaction, onset: PreparedFrame, scene: Scene, motion: PressedMotion) -> dict[str, float]:
+    """Fields of a `Recovery`: how far a contact was found from the true one."""
+    seconds = (motion.release_frame - onset.frame.index) / scene.settings.fps
+    released = contact.load_seconds - seconds if contact.released else math.nan
+    place = contact.mesh.pixels[contact.vertex] - scene.mesh.pixels[scene.vertex]
+    return {
+        "onset_off": float(onset.frame.index - motion.onset_frame),
+        "release_off": round(released * scene.settings.fps, 2),
+        "place_off": float(np.linalg.norm(place)),
+    }
+
+
+def as_stamped(motion: PressedMotion, onset: int) -> PressedMotion:
+    """The same motion with its delay counted from another frame that is taken for the onset."""
+    interval = motion.times[1] - motion.times[0]
+    delay = motion.delay - (onset - motion.onset_frame) * interval
+    return dataclasses.replace(motion, onset_frame=onset, delay=delay)
 
 
 def observed_contacts(frames: Sequence[PreparedFrame], clip: ClipInfo, seen: Horizon = None) -> dict[int, Interaction]:

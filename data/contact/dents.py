@@ -1,0 +1,262 @@
+"""Contact by a dent alone: tissue that sinks at one place, whatever presses it there and whether or not that is seen.
+
+In every frame the depth is compared with that of frames at rest before it (`data.contact.depth_change`). A dent shows a
+frame after the force has begun, so the onset is the last frame without it; and it becomes shallower a frame after the
+force has ended, so the release is the last frame before that. Frames wait until both can be told.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+
+from data.contact.depth_change import LEAST_REST, SCALES, DepthChange, RestingTissue, picture_motion
+from data.contact.geometry import (
+    FrameGeometry,
+    GeometrySettings,
+    GeometryStatus,
+    RestTissue,
+    smooth_rest,
+    tissue_mesh,
+)
+from data.prepared import PreparedFrame
+from data.source.camera import Camera, back_project
+from physics.mesh import contact_normal, nearest_vertex
+
+EARLIER, LATE = 3, 8
+"""Frames wait for so many others, while nothing presses and while something does: when a dent is clear, or clearly
+shallower, it may have been so for that long."""
+CLEAR, SHOWN = 6.0, 4.0
+"""A dent is clear, and is there at all, at so many standard deviations."""
+NEAR = 2
+"""From frame to frame a dent's deepest place stays within so many rows and columns [grid px]."""
+MOST_SHARE = 0.1
+"""A dent whose inner half covers a larger share of the tissue isn't local."""
+FALLEN = 0.08
+"""A dent that is clearly, and by this share, shallower than it was is released: a sheet hardly swings under a load."""
+PEAK_SHARE, PEAK_NOISE = 0.03, 2.0
+"""Depths within this share of the deepest, or so many standard deviations, are as deep."""
+EARLY = "Too few frames at rest were seen before this one to tell a dent."
+RECOVERS = "The dent of the press before has not gone yet."
+RECOVERY_SECONDS = 1.0
+"""After this time what is left of a dent counts as the tissue's shape at rest [s]."""
+
+
+def dent_geometry(
+    prepared: PreparedFrame,
+    pixel: tuple[int, int],
+    camera: Camera,
+    settings: GeometrySettings,
+    rest: RestTissue | None = None,
+) -> FrameGeometry:
+    """Mesh of the tissue with its contact at a grid pixel (u, v), where a dent is; `rest` as of `frame_geometry`.
+
+    Raises:
+        GeometryStatus: `bad_depth` where the tissue gives no mesh.
+    """
+    rest, noise = smooth_rest(prepared.depth, prepared.labels, settings, rest)
+    sheet = back_project(rest.depth, camera)
+    mesh = tissue_mesh(sheet, prepared.labels, settings, rest)
+    vertex = nearest_vertex(mesh, sheet[pixel[1], pixel[0]])
+    row, column = mesh.pixels[vertex].tolist()
+    nowhere = np.full(3, np.nan, np.float32)
+    return FrameGeometry(
+        mesh=mesh,
+        vertex=vertex,
+        normal=contact_normal(mesh, vertex),
+        tool_point=nowhere,
+        tissue_point=mesh.vertices[vertex],
+        distance=math.nan,
+        pixel=(column, row),
+        touching=False,
+        noise=noise,
+    )
+
+
+@dataclass(eq=False)
+class _Waiting:
+    """A frame that is not decided yet."""
+
+    prepared: PreparedFrame
+    change: DepthChange | None
+    motion: np.ndarray = field(default_factory=lambda: np.eye(3))
+    """Of the picture from this frame to the latest, shape [3, 3]."""
+    place: tuple[int, int] | None = None
+    """Row and column of the dent in it."""
+    depth: np.ndarray = field(default_factory=lambda: np.full(len(SCALES), np.nan))
+    """Of the dent there, shape [S] [scene units]; not a number where it isn't seen."""
+
+
+@dataclass(eq=False)
+class _Dent:
+    """The dent that is followed."""
+
+    place: np.ndarray
+    """Row and column in the latest frame; goes with the picture, shape [2]."""
+    deepest: np.ndarray
+    """Its largest depth so far, shape [S] [scene units]."""
+    time_s: float
+    """Of the latest frame with load [s]."""
+    released: bool = False
+
+
+class DentContacts:
+    """Finds one clip's presses by their dents: gives frames late, those under a press in contact.
+
+    Args:
+        camera: intrinsics of the grid.
+        settings: of the geometry.
+    """
+
+    def __init__(self, camera: Camera, settings: GeometrySettings) -> None:
+        self._camera, self._settings = camera, settings
+        self._rest = RestingTissue()
+        self._waiting: deque[_Waiting] = deque()
+        self._dent: _Dent | None = None
+
+    def push(self, frame: PreparedFrame) -> list[PreparedFrame]:
+        """The next frame; gives those, in order, of which it is now known whether they are in contact."""
+        decided = []
+        last = self._waiting[-1].prepared if self._waiting else None
+        if frame.status != "no_contact" or (last is not None and frame.frame.number - last.frame.number != 1):
+            # A press that goes on unseen has no known release, and tissue may be another behind the gap.
+            decided += self.finish()
+            self._rest, self._dent = RestingTissue(), None
+            if frame.status != "no_contact":
+                return [*decided, frame]
+        motion = picture_motion(self._waiting[-1].prepared, frame) if self._waiting else np.eye(3)
+        self._rest.move(motion)
+        for item in self._waiting:
+            item.motion = motion @ item.motion
+        change = self._rest.change(frame)
+        if len(self._rest) < LEAST_REST:
+            frame.detail = EARLY
+        self._waiting.append(_Waiting(frame, change))
+        if self._dent is None:
+            self._look()
+        else:
+            self._follow(self._dent, motion)
+        while len(self._waiting) > (EARLIER if self._dent is None else LATE):
+            decided.append(self._first())
+        return decided
+
+    def finish(self) -> list[PreparedFrame]:
+        """The frames that are left at the clip's end."""
+        return [self._first() for _ in range(len(self._waiting))]
+
+    def _first(self) -> PreparedFrame:
+        """The frame that has waited longest."""
+        item = self._waiting.popleft()
+        frame = item.prepared
+        if item.place is not None:
+            try:
+                frame.geometry = dent_geometry(frame, item.place[::-1], self._camera, self._settings)
+                frame.status, frame.detail = "ok", ""
+            except GeometryStatus as status:
+                frame.status, frame.detail = status.status, status.detail
+        elif self._dent is None:
+            self._rest.push(frame, item.motion)
+        return frame
+
+    def _look(self) -> None:
+        """Whether a dent has come: clear in the latest frame, and there in the one before it."""
+        *before, latest = self._waiting
+        if latest.change is None or not before or before[-1].change is None:
+            return
+        sigmas = latest.change.sigmas()
+        shown = _spread(before[-1].change.sigmas()) >= SHOWN
+        place = _deepest(np.where(shown & (sigmas >= CLEAR), sigmas, -np.inf))
+        if place is None or not _is_local(sigmas, place):
+            return
+        earlier, there = [latest], place
+        latest.place = place
+        for item in reversed(before):
+            found = None if item.change is None else _near(item.change.sigmas(), there, SHOWN)
+            if found is None:
+                break
+            item.place = there = found
+            earlier.append(item)
+        start = len(self._waiting) - len(earlier) - 1
+        if start >= 0:
+            # The camera sees a dent one frame after the force has begun.
+            self._waiting[start].place = there
+        for item in earlier:
+            item.depth = _depth(item, item.place)
+        deepest = np.fmax.reduce([item.depth for item in earlier])
+        self._dent = _Dent(np.array(place, np.float64), deepest, latest.prepared.frame.time_s)
+
+    def _follow(self, dent: _Dent, motion: np.ndarray) -> None:
+        """The latest frame of a dent: still under load, released, or gone; `motion`: the picture's to it."""
+        latest = self._waiting[-1]
+        dent.place = (motion @ [*dent.place[::-1], 1.0])[1::-1]
+        place = tuple(np.rint(dent.place).astype(int).clip(0, np.array(latest.prepared.depth.shape) - 1).tolist())
+        if dent.released:
+            latest.prepared.detail = RECOVERS
+            late = latest.prepared.frame.time_s - dent.time_s > RECOVERY_SECONDS
+            gone = latest.change is not None and _near(latest.change.sigmas(), place, SHOWN) is None
+            if late:
+                self._rest = RestingTissue()
+            if late or gone:
+                self._dent = None
+            return
+        latest.place, latest.depth = place, _depth(latest, place)
+        dent.deepest = np.fmax(dent.deepest, latest.depth)
+        if latest.change is not None:
+            self._release(dent, latest.change.noise)
+
+    def _release(self, dent: _Dent, noise: np.ndarray) -> None:
+        """Contact ends at the last frame that is as deep as any: the force has ended by the one after it."""
+        items = list(self._waiting)
+        now, before = (dent.deepest - item.depth for item in (items[-1], items[-2]))
+        fallen = (now > np.maximum(CLEAR * noise, FALLEN * dent.deepest)) & (before > 0.5 * CLEAR * noise)
+        if not fallen.any():
+            return
+        scale = int(np.argmax(fallen))
+        as_deep = max(PEAK_SHARE * dent.deepest[scale], PEAK_NOISE * noise[scale])
+        deep = dent.deepest[scale] - min(as_deep, now[scale] / 2)
+        last = max((index for index, item in enumerate(items) if item.depth[scale] >= deep), default=0)
+        for item in items[last:]:
+            item.place, item.prepared.detail = None, RECOVERS
+        dent.released, dent.time_s = True, items[last].prepared.frame.time_s
+
+
+def _depth(item: _Waiting, place: tuple[int, int] | None) -> np.ndarray:
+    """Of a dent in a frame over all scales, shape [S] [scene units]; not a number where its place isn't seen."""
+    if item.change is None or place is None:
+        return np.full(len(SCALES), np.nan)
+    return item.change.contrast[:, *place]
+
+
+def _spread(sigmas: np.ndarray) -> np.ndarray:
+    """The largest value near every pixel."""
+    return cv2.dilate(sigmas, np.ones((2 * NEAR + 1,) * 2))
+
+
+def _deepest(sigmas: np.ndarray) -> tuple[int, int] | None:
+    """Row and column of the largest value; None where there is none."""
+    row, column = np.unravel_index(np.argmax(sigmas), sigmas.shape)
+    return (int(row), int(column)) if np.isfinite(sigmas[row, column]) else None
+
+
+def _near(sigmas: np.ndarray, place: tuple[int, int], least: float) -> tuple[int, int] | None:
+    """Row and column of the largest value near a place; None where it is below the least."""
+    window = _window(sigmas, place)
+    row, column = np.unravel_index(np.argmax(window), window.shape)
+    if window[row, column] < least:
+        return None
+    return int(row) + max(place[0] - NEAR, 0), int(column) + max(place[1] - NEAR, 0)
+
+
+def _window(values: np.ndarray, place: tuple[int, int]) -> np.ndarray:
+    row, column = place
+    return values[max(row - NEAR, 0) : row + NEAR + 1, max(column - NEAR, 0) : column + NEAR + 1]
+
+
+def _is_local(sigmas: np.ndarray, place: tuple[int, int]) -> bool:
+    """Whether what is at least half as deep as a place, and joined to it, is a small share of the tissue."""
+    _, number = cv2.connectedComponents((sigmas >= 0.5 * sigmas[place]).astype(np.uint8))
+    return (number == number[place]).sum() <= MOST_SHARE * np.isfinite(sigmas).sum()

@@ -1,0 +1,169 @@
+"""How much deeper tissue lies than at rest, in a frame of a picture that may move.
+
+From frame to frame the picture's affine motion is followed (pyramidal Lucas and Kanade, Bouguet 2001), and the frames
+at rest go with it. What a moving camera or a changing scale adds to the depth is smooth over the picture, and so is a
+depth network's bias: both are taken off. The noise is what the change is spread by over the picture, and at least what
+one frame's depth varies by from pixel to pixel: rounded depth hardly changes while tissue is still, and then in steps.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from data.contact.geometry import LEAST_NOISE
+from data.contact.outlines import inside, near
+from data.labels import TISSUE, TOOL
+from data.prepared import PreparedFrame
+
+MOST_REST, LEAST_REST = 8, 3
+"""Frames at rest that are remembered; fewer don't tell what tissue was like."""
+LEAST_PIXELS = 200
+"""Fewer pixels of tissue tell neither the camera's motion nor the noise."""
+SCALES = (0.0, 1.0, 2.0)
+"""Changes are looked at over these widths: standard deviations of a blur [grid px]."""
+WIDE = 12.0
+"""What changes over this width around, too, is no dent but the camera or the depth's bias [grid px]."""
+ROUGH = 2.0
+"""A frame's own noise at a scale is what differs from a blur so much wider [grid px]."""
+COVERED = 0.5
+"""Least share of a blur's weight that must lie on tissue."""
+DEEPEST = 0.1
+"""A larger change of depth is the sensor's error [scene units]."""
+NORMAL_MEDIAN = 1.4826
+"""Standard deviation of a normal variable over the median of its absolute value."""
+ROUNDS, ASTRAY = 3, 3.0
+"""Rounds of the fit of what the camera changes, and standard deviations beyond which a pixel doesn't belong to it."""
+CORNERS, WINDOW, FEWEST = 150, 15, 12
+"""Points that a picture's motion is told by, the width of their windows [grid px], and how few are too few."""
+
+
+@dataclass(frozen=True, eq=False)
+class DepthChange:
+    """How much deeper than at rest, and than around it, tissue lies in a frame; S scales."""
+
+    contrast: np.ndarray
+    """Shape [S, h, w] [scene units]; not a number where no tissue is known."""
+    noise: np.ndarray
+    """Its standard deviation, shape [S] [scene units]."""
+
+    def sigmas(self) -> np.ndarray:
+        """The largest contrast over the scales in standard deviations, shape [h, w]; -inf where nothing is known."""
+        ratio = self.contrast / self.noise[:, None, None]
+        return np.where(np.isfinite(ratio), ratio, -np.inf).max(axis=0)
+
+
+class RestingTissue:
+    """Depth of the tissue in the latest frames at rest, carried along with the picture."""
+
+    def __init__(self) -> None:
+        self._frames: deque[tuple[np.ndarray, np.ndarray, np.ndarray]] = deque(maxlen=MOST_REST)
+        """Depth, where it is tissue's, and the affine motion since, shapes [h, w], [h, w] and [3, 3]."""
+
+    def __len__(self) -> int:
+        """Frames that are remembered."""
+        return len(self._frames)
+
+    def push(self, prepared: PreparedFrame, since: np.ndarray) -> None:
+        """Remember a frame at rest; `since`: the picture's motion from it to the latest frame, shape [3, 3]."""
+        self._frames.append((prepared.depth, _tissue(prepared).astype(np.float32), since))
+
+    def move(self, motion: np.ndarray) -> None:
+        """The picture has moved on, shape [3, 3]."""
+        for index, (depth, tissue, since) in enumerate(self._frames):
+            self._frames[index] = depth, tissue, motion @ since
+
+    def change(self, prepared: PreparedFrame) -> DepthChange | None:
+        """Compare the latest frame; None where too little was seen at rest or is seen now."""
+        if len(self._frames) < LEAST_REST:
+            return None
+        total, count = np.zeros(prepared.depth.shape), np.zeros(prepared.depth.shape)
+        for depth, tissue, since in self._frames:
+            moved, seen = (
+                cv2.warpAffine(part, since[:2], depth.shape[::-1], flags=cv2.INTER_LINEAR) for part in (depth, tissue)
+            )
+            used = seen > 0.999
+            total[used] += moved[used]
+            count[used] += 1
+        rest = total / np.maximum(count, 1)
+        known = inside(_tissue(prepared) & (count > 0)) & (np.abs(prepared.depth - rest) < DEEPEST)
+        return depth_change(prepared.depth, rest, known) if known.sum() >= LEAST_PIXELS else None
+
+
+def _tissue(prepared: PreparedFrame) -> np.ndarray:
+    return (prepared.labels == TISSUE) & (prepared.depth > 0) & ~near(prepared.labels == TOOL)
+
+
+def depth_change(depth: np.ndarray, rest: np.ndarray, known: np.ndarray) -> DepthChange:
+    """Compare depth [h, w] with that at rest [h, w] where both are known, [h, w] bool [scene units]."""
+    change = np.where(known, depth - rest, 0.0)
+    # Smooth: its own noise, and an older dent, are no parts of what a scale changes.
+    smooth = _blurred(rest, known, WIDE)
+    change[known] -= _camera_change(change[known], smooth[known], np.argwhere(known) / WIDE)
+    around = _blurred(change, known, WIDE)
+    contrast, noise = [], []
+    for scale in SCALES:
+        contrast.append(_blurred(change, known, scale) - around)
+        rough = _blurred(depth, known, scale) - _blurred(depth, known, scale + ROUGH)
+        rough -= _blurred(np.nan_to_num(rough), known & np.isfinite(rough), WIDE)
+        noise.append(max(_spread(contrast[-1]), _spread(rough), LEAST_NOISE / (1 + 4 * scale)))
+    return DepthChange(np.stack(contrast), np.array(noise))
+
+
+def _spread(values: np.ndarray) -> float:
+    """Standard deviation of most values, those that are numbers."""
+    found = values[np.isfinite(values)]
+    return NORMAL_MEDIAN * float(np.median(np.abs(found))) if len(found) else 0.0
+
+
+def _camera_change(change: np.ndarray, rest: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """What a moving camera or a changing scale adds to the depth of P pixels, all shapes [P] but places' [P, 2]."""
+    terms = np.column_stack([np.ones(len(rest)), rest, rest[:, None] * places])
+    kept, fitted = np.ones(len(rest), bool), np.zeros(len(rest))
+    for _ in range(ROUNDS):
+        fitted = terms @ np.linalg.lstsq(terms[kept], change[kept], rcond=None)[0]
+        left = np.abs(change - fitted)
+        kept = left <= ASTRAY * NORMAL_MEDIAN * np.median(left) + 1e-9
+    return fitted
+
+
+def _blurred(values: np.ndarray, known: np.ndarray, scale: float) -> np.ndarray:
+    """Gaussian mean over the known pixels, shape [h, w]; not a number where they are too few."""
+    if scale == 0:
+        return np.where(known, values, np.nan)
+    weight, total = (_blur(part.astype(np.float32), scale) for part in (known, np.where(known, values, 0)))
+    least = COVERED if scale < WIDE else 0.0
+    return np.where(known & (weight > least), total / np.maximum(weight, 1e-6), np.nan)
+
+
+def _blur(values: np.ndarray, scale: float) -> np.ndarray:
+    """Gaussian sum of an image that is 0 around; a wide one of a quarter of the pixels along each axis."""
+    if scale < WIDE:
+        return cv2.GaussianBlur(values, (0, 0), scale, borderType=cv2.BORDER_CONSTANT)
+    height, width = values.shape
+    small = cv2.resize(values, (-(-width // 4), -(-height // 4)), interpolation=cv2.INTER_AREA)
+    small = cv2.GaussianBlur(small, (0, 0), scale / 4, borderType=cv2.BORDER_CONSTANT)
+    return cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR)
+
+
+def picture_motion(before: PreparedFrame, after: PreparedFrame) -> np.ndarray:
+    """Affine motion of most of the picture on the grid, (u, v, 1) to (u, v, 1), shape [3, 3]; none where untold."""
+    first, second = _grey(before), _grey(after)
+    corners = cv2.goodFeaturesToTrack(first, CORNERS, 0.01, 4)
+    if corners is None:
+        return np.eye(3)
+    moved, found, _ = cv2.calcOpticalFlowPyrLK(first, second, corners, corners.copy(), winSize=(WINDOW, WINDOW))
+    kept = found.ravel() > 0
+    if kept.sum() < FEWEST:
+        return np.eye(3)
+    affine, _ = cv2.estimateAffine2D(corners[kept], moved[kept], ransacReprojThreshold=0.5)
+    return np.eye(3) if affine is None else np.vstack([affine, [0.0, 0.0, 1.0]])
+
+
+def _grey(prepared: PreparedFrame) -> np.ndarray:
+    """Grey picture on the grid, uint8."""
+    grey = cv2.cvtColor(prepared.frame.picture, cv2.COLOR_RGB2GRAY)
+    return cv2.resize(grey, prepared.depth.shape[::-1], interpolation=cv2.INTER_AREA)

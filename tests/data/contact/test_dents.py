@@ -1,0 +1,243 @@
+"""Presses that no tool is seen to make, found by their dents; and what is no press."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import cv2
+import numpy as np
+import pytest
+
+from data.contact import depth_change as changes
+from data.contact.dents import EARLIER, EARLY, LATE, LEAST_REST, RECOVERS, DentContacts, dent_geometry
+from data.contact.film import REACH
+from data.contact.geometry import NO_DENT, GeometrySettings, GeometryStatus, RestTissue
+from data.contact.interaction import Interaction
+from data.labels import TISSUE, TOOL
+from data.prepared import PreparedFrame
+from data.settings import PrepareSettings
+from data.source.camera import Camera
+from data.source.frames import Frame
+from data.synthetic.clip import SyntheticClip, make_clip, synthetic_clip
+from data.synthetic.settings import SceneSettings
+from data.synthetic.source import open_synthetic
+from data.synthetic.truth import PressedMotion
+from estimators.contract import ClipInfo
+from evaluation.recovery.evaluate import observed_contacts
+
+UNSEEN = SceneSettings(width=214, height=120, frames=36, tool_in_view=False, depth_noise=0.001)
+MOTION = PrepareSettings(geometry=GeometrySettings(smoothing=4.0, rigid_motion="subtract", contact="motion"))
+STEP = 0.004
+"""Approach of the camera in a frame, as a share of the distance."""
+
+
+def prepared(clip: SyntheticClip) -> tuple[list[PreparedFrame], dict[int, Interaction]]:
+    """Its frames, and its runs of contact by their onset."""
+    stream = open_synthetic(clip, MOTION)
+    frames = list(stream)
+    return frames, observed_contacts(frames, ClipInfo.of(stream))
+
+
+@pytest.fixture(scope="module", params=[11, 12, 13, 14])
+def clip(request: pytest.FixtureRequest) -> SyntheticClip:
+    """A press that begins and ends between frames."""
+    late = dataclasses.replace(UNSEEN, onset_delay=(0.0, 1.0), release_delay=(0.0, 1.0))
+    return make_clip(late, request.param)
+
+
+def test_a_drawn_press_without_a_tool_is_found_where_and_when_it_was(clip: SyntheticClip) -> None:
+    assert not (clip.labels == 31).any()  # CholecSeg8k's grasper
+    frames, runs = prepared(clip)
+    [(onset, contact)] = runs.items()
+    motion = clip.motion
+    assert isinstance(motion, PressedMotion)
+    assert onset - motion.onset_frame in (0, 1)
+    assert contact.released
+    release = onset + round(contact.load_seconds * 25)
+    assert release - motion.release_frame in (0, 1)
+    assert np.abs(contact.mesh.pixels[contact.vertex] - clip.scene.mesh.pixels[clip.scene.vertex]).max() <= 1
+    assert [frame.in_contact for frame in frames] == [onset <= frame.frame.index < release for frame in frames]
+    assert frames[release].detail == RECOVERS
+    assert contact.noise == pytest.approx(0.001, rel=0.1)
+    first = frames[onset].contact
+    assert (first.touching, np.isnan(first.tool_point).all(), np.isnan(first.distance)) == (False, True, True)
+    # The mesh is at rest: no trace of the dent, which the frames after it show.
+    true = clip.scene.mesh.vertices[clip.scene.vertex, 2]
+    assert first.mesh.vertices[first.vertex, 2] == pytest.approx(true, abs=0.002)
+    assert contact.moved[:, 2].max() == pytest.approx(motion.contact[:, 2].max(), abs=0.003)
+    assert contact.film is not None
+    assert np.isfinite(contact.film.change[:, REACH, REACH]).all()
+
+
+def still(settings: SceneSettings, seed: int) -> SyntheticClip:
+    """A clip in which nothing happens."""
+    drawn = make_clip(dataclasses.replace(settings, frames=18, press_seconds=(0.25, 0.25)), seed)
+    motion = dataclasses.replace(drawn.motion, field=np.zeros_like(drawn.motion.field))
+    return synthetic_clip(drawn.scene, motion, seed)
+
+
+def approached(clip: SyntheticClip, step: float, aside: float) -> SyntheticClip:
+    """The same seen by a camera that comes nearer by a share of 0.5 scene units and goes aside [px] in every frame."""
+    height, width = clip.depth.shape[1:]
+    images, labels, depth = [], [], []
+    for index, pictures in enumerate(zip(clip.images, clip.labels, clip.depth, strict=True)):
+        zoom = 1 + step * index
+        centre = np.array([clip.camera.cx, clip.camera.cy]) * (1 - zoom)
+        move = np.array([[zoom, 0, centre[0] + aside * index], [0, zoom, centre[1]]])
+        moved = [
+            cv2.warpAffine(picture, move, (width, height), flags=flags, borderMode=cv2.BORDER_REPLICATE)
+            for picture, flags in zip(pictures, (cv2.INTER_LINEAR, cv2.INTER_NEAREST, cv2.INTER_NEAREST), strict=True)
+        ]
+        images.append(moved[0])
+        labels.append(moved[1])
+        depth.append((moved[2] - 0.5 * step * index).astype(np.float32))
+    return dataclasses.replace(clip, images=np.stack(images), labels=np.stack(labels), depth=np.stack(depth))
+
+
+@pytest.mark.parametrize(
+    "errors",
+    [{"depth_noise": 0.001}, {"depth_noise": 0.0, "depth_bits": 8}, {"depth_noise": 0.004, "scale_flicker": 0.005}],
+    ids=["noise", "rounded", "flicker"],
+)
+def test_nothing_is_found_where_nothing_is_pressed(errors: dict) -> None:
+    quiet = still(dataclasses.replace(UNSEEN, **errors), 21)
+    for seen in (quiet, approached(quiet, STEP, 0.0), approached(quiet, -STEP, 0.0), approached(quiet, 0.0, 0.5)):
+        frames, runs = prepared(seen)
+        assert not runs
+        assert [frame.status for frame in frames] == ["no_contact"] * 18
+        assert [frame.detail for frame in frames[-3:]] == [NO_DENT] * 3
+        assert frames[0].detail == EARLY
+
+
+HEIGHT, WIDTH = 60, 80
+CAMERA = Camera(100.0, 100.0, 39.5, 29.5, WIDTH, HEIGHT)
+GRID = GeometrySettings(height=HEIGHT, width=WIDTH, smoothing=3.0, contact="motion")
+PLACE = 33, 41
+"""Row and column."""
+
+
+def frame(index: int, dent: float = 0.0, number: int | None = None) -> PreparedFrame:
+    """Flat tissue with noise, pressed by so much over some pixels, and a tool in one corner."""
+    generator = np.random.default_rng(index)
+    picture = np.random.default_rng(0).integers(40, 220, (HEIGHT // 4, WIDTH // 4, 3)).astype(np.uint8)
+    picture = cv2.resize(picture, (WIDTH, HEIGHT), interpolation=cv2.INTER_CUBIC)
+    labels = np.full((HEIGHT, WIDTH), TISSUE, np.uint8)
+    labels[:10, :10] = TOOL
+    rows, columns = np.mgrid[:HEIGHT, :WIDTH]
+    apart = np.square(rows - PLACE[0]) + np.square(columns - PLACE[1])
+    depth = 0.5 + generator.normal(0, 5e-4, labels.shape) + dent * np.exp(-apart / 8)
+    # What the tool's pixels show is no tissue that sinks.
+    depth[:10, :10] = 0.3 + 0.05 * (index % 2)
+    shown = Frame(index, index if number is None else number, index / 25, picture)
+    return PreparedFrame(shown, "no_contact", NO_DENT, depth.astype(np.float32), labels, labels)
+
+
+def found(dents: list[float]) -> list[bool]:
+    finder = DentContacts(CAMERA, GRID)
+    pushed = [finder.push(frame(index, dent)) for index, dent in enumerate(dents)]
+    frames = [item for items in pushed for item in items] + finder.finish()
+    assert [item.frame.index for item in frames] == list(range(len(dents)))
+    for item in frames:
+        if item.in_contact:
+            assert max(abs(item.contact.pixel[0] - PLACE[1]), abs(item.contact.pixel[1] - PLACE[0])) <= 1
+    return [item.in_contact for item in frames]
+
+
+def contacts(first: int, last: int, count: int) -> list[bool]:
+    return [first <= index <= last for index in range(count)]
+
+
+def test_contact_lasts_from_the_last_frame_without_a_dent_to_the_one_before_the_deepest() -> None:
+    """The dent grows up to frame 12: the force has ended by then."""
+    course = [0.0] * 6 + [0.005, 0.008, 0.01, 0.012, 0.014, 0.016, 0.018, 0.01, 0.006, 0.003] + [0.0] * 6
+    assert found(course) == contacts(5, 11, len(course))
+
+
+def test_frames_wait_longer_under_a_press() -> None:
+    finder = DentContacts(CAMERA, GRID)
+    told = [len(finder.push(frame(index, 0.01 * (index > 7)))) for index in range(20)]
+    assert told == [0] * EARLIER + [1] * (9 - EARLIER) + [0] * (LATE - EARLIER) + [1] * (11 - LATE + EARLIER)
+    assert len(finder.finish()) == LATE
+
+
+def test_a_dent_of_one_frame_and_a_bump_are_no_contact() -> None:
+    assert not any(found([0.0] * 8 + [0.02] + [0.0] * 8))
+    assert not any(found([0.0] * 8 + [-0.02] * 8))
+
+
+def test_a_press_that_is_there_already_is_none() -> None:
+    assert not any(found([0.02] * 16))
+
+
+def test_a_second_press_is_found_once_the_first_dent_has_gone() -> None:
+    one = [0.0] * 8 + [0.01] * 5
+    assert found(one + one + [0.0] * 6) == contacts(7, 11, 32)[:13] + contacts(7, 11, 19)
+
+
+def test_a_press_on_its_way_through_a_gap_or_the_end_goes_on() -> None:
+    assert found([0.0] * 8 + [0.01] * 8) == contacts(7, 15, 16)
+    finder = DentContacts(CAMERA, GRID)
+    frames = [frame(index, 0.01 * (index > 7), number=index + (index > 11)) for index in range(20)]
+    told = [item for given in frames for item in finder.push(given)] + finder.finish()
+    assert [item.in_contact for item in told] == contacts(7, 11, 20)
+    rested = LEAST_REST + EARLIER
+    early = [index < rested or 12 <= index < 12 + rested for index in range(20)]
+    assert [item.detail == EARLY for item in told] == early
+
+
+def test_a_frame_without_depth_ends_what_is_known() -> None:
+    finder = DentContacts(CAMERA, GRID)
+    frames = [frame(index, 0.01 * (index > 7)) for index in range(14)]
+    frames[10].status = "bad_depth"
+    told = [item for given in frames for item in finder.push(given)] + finder.finish()
+    assert [item.in_contact for item in told] == contacts(7, 9, 14)
+    assert told[10].status == "bad_depth"
+
+
+def test_change_is_told_without_the_camera_s_and_with_its_noise() -> None:
+    resting, generator = np.full((HEIGHT, WIDTH), 0.5), np.random.default_rng(3)
+    rows, columns = np.mgrid[:HEIGHT, :WIDTH]
+    known = np.ones((HEIGHT, WIDTH), bool)
+    dent = 0.01 * np.exp(-(np.square(rows - 33) + np.square(columns - 41)) / 8)
+    tilted = 0.003 + 1e-4 * rows - 2e-4 * columns
+    seen = resting + dent + tilted + generator.normal(0, 1e-3, known.shape)
+    change = changes.depth_change(seen, resting, known)
+    # White noise of a blur of width s: σ / (2 √π s).
+    expected = [1e-3, 1e-3 / (2 * np.sqrt(np.pi)), 1e-3 / (4 * np.sqrt(np.pi))]
+    np.testing.assert_allclose(change.noise, expected, rtol=0.15)
+    # A Gaussian of width 2 blurred by one of width s, less what a blur of 12 leaves of it.
+    peak = [0.01 * (4 / (4 + s**2) - 4 / (4 + 144)) for s in changes.SCALES]
+    assert change.contrast[0, 33, 41] == pytest.approx(peak[0], abs=3e-3)
+    np.testing.assert_allclose(change.contrast[1:, 33, 41], peak[1:], atol=8e-4)
+    assert change.sigmas()[33, 41] > 25 > 6 > np.abs(change.sigmas()[:, :20]).max()
+    known[:, 60:] = False
+    assert np.isnan(changes.depth_change(seen, resting, known).contrast[:, :, 60:]).all()
+
+
+def test_the_picture_s_motion_is_followed() -> None:
+    before, after = frame(0), frame(1)
+    zoom = np.array([[1.02, 0, 1.5], [0, 1.02, -0.8]])
+    moved = cv2.warpAffine(before.frame.picture, zoom, (WIDTH, HEIGHT), flags=cv2.INTER_CUBIC)
+    after.frame = dataclasses.replace(after.frame, image=moved)
+    told = changes.picture_motion(before, after)
+    corners = np.array([[5.0, 5, 1], [75, 5, 1], [40, 55, 1]]).T
+    np.testing.assert_allclose((told @ corners)[:2], zoom @ corners, atol=0.25)
+    blank = dataclasses.replace(after.frame, image=np.zeros_like(moved))
+    after.frame = blank
+    np.testing.assert_array_equal(changes.picture_motion(after, before), np.eye(3))
+
+
+def test_a_contact_lies_on_the_mesh() -> None:
+    geometry = dent_geometry(frame(0), (41, 33), CAMERA, GRID)
+    assert geometry.pixel == (41, 33)
+    np.testing.assert_array_equal(geometry.mesh.vertices[geometry.vertex], geometry.tissue_point)
+    np.testing.assert_allclose(geometry.normal, [0, 0, -1], atol=0.05)
+    assert geometry.noise == pytest.approx(5e-4, rel=0.1)
+    nothing = RestTissue(np.zeros((HEIGHT, WIDTH), np.float32), np.zeros((HEIGHT, WIDTH), bool), np.zeros((1, 1), bool))
+    with pytest.raises(GeometryStatus, match="so rough"):
+        dent_geometry(frame(0), (41, 33), CAMERA, GRID, nothing)
+
+
+def test_a_noise_level_is_needed() -> None:
+    with pytest.raises(ValueError, match=r"geometry\.contact motion needs a rest shape and its noise"):
+        GeometrySettings(contact="motion")

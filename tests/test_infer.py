@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import json
 import shutil
 from pathlib import Path
@@ -509,6 +510,34 @@ def test_a_table_of_forces_that_can_t_be_used_is_wrong_usage(tmp_path: Path, cap
     assert not (tmp_path / "out").exists()
 
 
+def test_a_press_that_no_tool_is_seen_to_make_is_found_by_its_dent(tmp_path: Path) -> None:
+    """The same press is none for masks."""
+    unseen = dataclasses.replace(SCENE, frames=30, onset_fraction=(0.25, 0.3), tool_in_view=False)
+    clip = write_synthetic(tmp_path / "clips", 1, unseen, 5)
+    assert direct(clip, tmp_path / "masks", "--no-overlay") == 0
+    assert runs(tmp_path / "masks" / "video01_00000") == []
+    assert direct(clip, tmp_path / "dents", "--contact", "motion") == 0
+    folder = tmp_path / "dents" / "video01_00000"
+    assert record(folder)["settings"]["geometry"]["contact"] == "motion"
+    truth = json.loads((clip / "truth.json").read_text(encoding="utf-8"))
+    (row,) = runs(folder)
+    assert (row["status"], row["verdict"]) == ("ok", "determined")
+    assert float(row["onset_time_s"]) == pytest.approx(truth["onset_s"])
+    assert float(row["load_s"]) == pytest.approx(truth["release_s"] - truth["onset_s"])
+    stiffness, damping, force = (truth["theta"][name] for name in ("stiffness", "damping", "force"))
+    for name, true in (("damping", damping / stiffness), ("force", -force / stiffness)):
+        ratio, sd = (float(row[f"{name}_over_stiffness{end}"]) for end in ("", "_sd"))
+        assert abs(ratio - true) < 3 * sd < 0.15 * true
+    under = [item for item in rows(folder) if item["contact"] == "1"]
+    assert len(under) == round(float(row["load_s"]) * 25)
+    assert {item["contact_distance"] for item in under} == {""}
+    told = ["--no-overlay", "--estimator", "network", "--onset", "stamp", "--contact", "motion"]
+    assert infer.main([str(clip), "--output", str(tmp_path / "network"), *told]) == 0
+    (other,) = runs(tmp_path / "network" / "video01_00000")
+    assert [other[name] for name in ("onset_frame", "load_s")] == [row[name] for name in ("onset_frame", "load_s")]
+    assert float(other["damping_over_stiffness"]) == pytest.approx(damping / stiffness, rel=0.3)
+
+
 def test_wrong_usage(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     (tmp_path / "empty").mkdir()
     for options, told in (
@@ -524,6 +553,11 @@ def test_wrong_usage(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
         (["--estimator", "gan"], "--estimator gan needs a trained generator; give the file of train.py export"),
         (["--smoothing", "2"], "--smoothing is for --estimator direct"),
         (["--noise", "0.01"], "--noise is for --estimator direct; leave it out."),
+        (["--estimator", "online", "--contact", "motion"], "--contact is for --estimator direct and network; leave it"),
+        (
+            ["--estimator", "direct", "--contact", "motion", "--smoothing", "0"],
+            "--contact motion needs a rest shape and its noise; give --smoothing above 0.",
+        ),
     ):
         assert infer.main([str(tmp_path / "empty"), "--output", str(tmp_path / "out"), *options]) == 2
         assert told in flat(capsys.readouterr().err)

@@ -116,6 +116,10 @@ def test_failed_clips_are_shown_and_no_error(tmp_path, monkeypatch, evaluated, c
         (("--gan-model", "x.onnx"), "of no use without --estimator gan"),
         (("--estimator", "gan", "--seen", "5"), "--seen is of no use to gan"),
         (("--direct-model", "fem"), "--direct-model fem is for --suite fem --estimator direct"),
+        (
+            ("--contact", "motion", "--suite", "hover"),
+            "--contact motion is for direct and network on suites of presses",
+        ),
     ],
 )
 def test_options_that_do_not_belong_together_are_wrong_usage(tmp_path, arguments, sentence, capsys):

@@ -106,10 +106,12 @@ def depth_change(depth: np.ndarray, rest: np.ndarray, known: np.ndarray) -> Dept
     around = _blurred(change, known, WIDE)
     contrast, noise = [], []
     for scale in SCALES:
-        contrast.append(_blurred(change, known, scale) - around)
+        deeper = _blurred(change, known, scale)
+        # Beside a bump tissue hasn't sunk.
+        contrast.append(deeper - np.maximum(around, 0))
         rough = _blurred(depth, known, scale) - _blurred(depth, known, scale + ROUGH)
         rough -= _blurred(np.nan_to_num(rough), known & np.isfinite(rough), WIDE)
-        noise.append(max(_spread(contrast[-1]), _spread(rough), LEAST_NOISE / (1 + 4 * scale)))
+        noise.append(max(_spread(deeper - around), _spread(rough), LEAST_NOISE / (1 + 4 * scale)))
     return DepthChange(np.stack(contrast), np.array(noise))
 
 

@@ -210,6 +210,9 @@ def test_change_is_told_without_the_camera_s_and_with_its_noise() -> None:
     assert change.contrast[0, 33, 41] == pytest.approx(peak[0], abs=3e-3)
     np.testing.assert_allclose(change.contrast[1:, 33, 41], peak[1:], atol=8e-4)
     assert change.sigmas()[33, 41] > 25 > 6 > np.abs(change.sigmas()[:, :20]).max()
+    # Nothing has sunk where, or beside where, tissue has come nearer.
+    bump = changes.depth_change(resting - dent + generator.normal(0, 1e-4, known.shape), resting, known)
+    assert bump.sigmas().max() < 6
     known[:, 60:] = False
     assert np.isnan(changes.depth_change(seen, resting, known).contrast[:, :, 60:]).all()
 

@@ -86,7 +86,9 @@ class _Waiting:
     motion: np.ndarray = field(default_factory=lambda: np.eye(3))
     """Of the picture from this frame to the latest, shape [3, 3]."""
     place: tuple[int, int] | None = None
-    """Row and column of the dent in it."""
+    """Row and column of the dent under whose press it is; None where it isn't in contact."""
+    recovers: bool = False
+    """Whether the dent of a press that has ended is still in it."""
     depth: np.ndarray = field(default_factory=lambda: np.full(len(SCALES), np.nan))
     """Of the dent there, shape [S] [scene units]; not a number where it isn't seen."""
 
@@ -158,6 +160,8 @@ class DentContacts:
                 frame.status, frame.detail = "ok", ""
             except GeometryStatus as status:
                 frame.status, frame.detail = status.status, status.detail
+        elif item.recovers:
+            frame.detail = RECOVERS
         elif self._dent is None:
             self._rest.push(frame, item.motion)
         return frame
@@ -195,9 +199,9 @@ class DentContacts:
         dent.place = (motion @ [*dent.place[::-1], 1.0])[1::-1]
         place = tuple(np.rint(dent.place).astype(int).clip(0, np.array(latest.prepared.depth.shape) - 1).tolist())
         if dent.released:
-            latest.prepared.detail = RECOVERS
             late = latest.prepared.frame.time_s - dent.time_s > RECOVERY_SECONDS
             gone = latest.change is not None and _near(latest.change.sigmas(), place, SHOWN) is None
+            latest.recovers = not gone
             if late:
                 self._rest = RestingTissue()
             if late or gone:
@@ -220,7 +224,7 @@ class DentContacts:
         deep = dent.deepest[scale] - min(as_deep, now[scale] / 2)
         last = max((index for index, item in enumerate(items) if item.depth[scale] >= deep), default=0)
         for item in items[last:]:
-            item.place, item.prepared.detail = None, RECOVERS
+            item.place, item.recovers = None, True
         dent.released, dent.time_s = True, items[last].prepared.frame.time_s
 
 

@@ -244,3 +244,9 @@ def test_a_contact_lies_on_the_mesh() -> None:
 def test_a_noise_level_is_needed() -> None:
     with pytest.raises(ValueError, match=r"geometry\.contact motion needs a rest shape and its noise"):
         GeometrySettings(contact="motion")
+
+
+def test_what_is_left_of_a_dent_is_not_taken_for_rest() -> None:
+    """A second press on a dent that is going back is none, and one after it is told by the shape before both."""
+    course = [0.0] * 8 + [0.02] * 4 + [0.012, 0.009, 0.007, 0.005, 0.0] + [0.0] * 4 + [0.006] * 5 + [0.0] * 4
+    assert found(course) == contacts(7, 10, 19) + contacts(1, 5, len(course) - 19)

@@ -121,7 +121,7 @@ def build_record(
         "units": columns.UNITS,
         "columns": {TABLE: columns.FRAMES, INTERACTIONS: columns.INTERACTIONS},
         "warnings": [
-            *warnings_of(source, frames, model, clip.sources),
+            *warnings_of(source, frames, model, clip.sources, clip.settings.geometry.contact),
             *([] if results.fields or causes["estimator"]["name"] != "online" else [UNDRIVEN]),
             *([results.calibration.reason] if results.calibration and results.calibration.reason else []),
         ],
@@ -143,7 +143,11 @@ def describe(record: Mapping[str, Any]) -> str:
 
 
 def warnings_of(
-    source: FrameSource, frames: Sequence[FrameEstimate], model: ExportedModel | None, sources: Mapping[str, str]
+    source: FrameSource,
+    frames: Sequence[FrameEstimate],
+    model: ExportedModel | None,
+    sources: Mapping[str, str],
+    contact: str = "touching",
 ) -> list[str]:
     """What the user should know about a clip, one sentence each: damage to it, doubtful masks or intervals.
 
@@ -152,6 +156,7 @@ def warnings_of(
         frames: its results.
         model: what estimated them, where it is a network.
         sources: where its `depth` and `masks` came from.
+        contact: how contacts were found, as of `GeometrySettings`.
     """
     metadata, found = {} if model is None else model.metadata, []
     for what, trained in (metadata.get("trained_on") or {}).items():
@@ -161,7 +166,12 @@ def warnings_of(
                 f"{sources[what]}: its estimates here are off by an amount that nobody has measured"
             )
     found += source.warnings
-    if sources["masks"] == "automatic":
+    if contact == "motion":
+        found.append(
+            "contact here means that a dent comes: depth that wanders, or an instrument that draws back and that no "
+            "mask shows, looks alike; see in the overlay whether something presses there"
+        )
+    elif sources["masks"] == "automatic":
         found.append(
             "automatic masks take all lit tissue, so an instrument touches it in the picture whenever it is seen: "
             "contact here means in view, until the instrument has moved and tissue did not move with it"

@@ -156,6 +156,8 @@ def test_warnings_name_sources_the_model_was_not_trained_on(tmp_path: Path) -> N
     assert found[2].endswith(
         "contact here means in view, until the instrument has moved and tissue did not move with it"
     )
+    found = warnings_of(source, rows, model, {"depth": "stored", "masks": "automatic"}, "motion")
+    assert [item.startswith("contact here means that a dent comes") for item in found] == [False, True]
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -25,7 +26,8 @@ class Mapping:
     """Gradient steps (section II-B)."""
     rate: float = 50.0
     """Of them at 600 particles (section II-B); with n it is rate·n/600, since means over n shrink as 1/n. Lengths may
-    have any unit: both terms are squares of lengths."""
+    have any unit: both terms are squares of lengths. A particle that more of what was seen hangs on than that bears,
+    as where points are followed on a part of a large sheet only, goes at most as far as these points ask."""
 
     def __post_init__(self) -> None:
         """Check ranges."""
@@ -33,6 +35,16 @@ class Mapping:
             raise ValueError(f"steps is {self.steps}; give 1 at least.")
         if not (self.rate > 0 and math.isfinite(self.rate)):
             raise ValueError(f"rate is {self.rate}; give a positive number.")
+
+
+class _Step(NamedTuple):
+    """A gradient step, for the adjoint."""
+
+    points: np.ndarray
+    bends: list[csr_array]
+    """Second derivatives of what was matched."""
+    rates: np.ndarray
+    """Of the particles, shape [N, 1]; 0 for what is held."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,29 +56,29 @@ class Residual:
     values: np.ndarray
     """Distance and energy together before every gradient step, shape [steps] [m²]."""
     _energy: Potential
-    _path: list[tuple[np.ndarray, list[csr_array]]]
-    _rate: float
-    _free: np.ndarray
+    _path: list[_Step]
 
     def pulled_back(self, by_deformation: np.ndarray) -> np.ndarray:
         """Derivatives of a scalar by the state from those by Δ [N, 3], shape [N, 3], through every gradient step.
 
-        y⁺ = y - η ∇F(y) with y = x + Δ: the adjoint is (I - η H) of each step in turn, less that of Δ = y - x.
+        y⁺ = y - η ∇F(y) with y = x + Δ: the adjoint is (I - H η) of each step in turn, less that of Δ = y - x.
         """
-        pull = np.where(self._free, by_deformation, 0.0)
-        for points, bends in reversed(self._path):
-            bent = sum((bend @ pull for bend in bends), self._energy.bend(points, pull) / len(pull))
-            pull = pull - self._rate * np.where(self._free, bent, 0.0)
+        free = self._path[0].rates > 0
+        start = pull = np.where(free, by_deformation, 0.0)
+        for points, bends, rates in reversed(self._path):
+            ahead = rates * pull
+            bent = sum((bend @ ahead for bend in bends), self._energy.bend(points, ahead) / len(pull))
+            pull = pull - np.where(free, bent, 0.0)
             # What is held is part of the state, but doesn't move: its pull on the others' path isn't asked for.
-        return pull - np.where(self._free, by_deformation, 0.0)
+        return pull - start
 
     def carried(self, by_state: np.ndarray) -> np.ndarray:
         """Change of Δ where the state changes by `by_state` [N, 3], shape [N, 3]: the transpose of `pulled_back`."""
-        change = np.where(self._free, by_state, 0.0)
-        for points, bends in self._path:
+        start = change = np.where(self._path[0].rates > 0, by_state, 0.0)
+        for points, bends, rates in self._path:
             bent = sum((bend @ change for bend in bends), self._energy.bend(points, change) / len(change))
-            change = change - self._rate * np.where(self._free, bent, 0.0)
-        return change - np.where(self._free, by_state, 0.0)
+            change = change - rates * bent
+        return change - start
 
 
 def map_residual(
@@ -75,7 +87,8 @@ def map_residual(
     """Descend F(y) = Σ matches(y) + U⁰(y)/N from a simulated state (Liang 2024, equations 4 to 6).
 
     The paper doesn't say k⁰; U⁰ over N, as the distances are means, makes k⁰ of order 1 weigh as much as they. At the
-    paper's rate k⁰ = 1 diverges on a block, whose particles have up to 18 neighbours; 0.3 doesn't.
+    paper's rate k⁰ = 1 diverges on a block, whose particles have up to 18 neighbours; 0.3 doesn't. Nor may the
+    distances diverge: no rate goes beyond the inverse of their curvature's row sum, its largest eigenvalue's bound.
 
     Args:
         points: x, shape [N, 3] [m].
@@ -84,8 +97,7 @@ def map_residual(
         held: pinned and gripped particles, shape [N], bool: known, so not mapped.
         mapping: how.
     """
-    free = ~held[:, None]
-    rate = mapping.rate * len(points) / 600
+    wanted = np.where(held, 0.0, mapping.rate * len(points) / 600)
     now, path, values = points.copy(), [], []
     for _ in range(mapping.steps):
         elastic, gradient = energy.slope(now)
@@ -94,7 +106,9 @@ def map_residual(
             apart, slope, bend = match.slope(now)
             value, gradient = value + apart, gradient + slope
             bends.append(bend)
-        path.append((now, bends))
+        curvature = sum((bend.sum(axis=1) for bend in bends), np.zeros(len(now)))  # no entry is negative
+        rates = (wanted / np.maximum(1.0, wanted * curvature))[:, None]
+        path.append(_Step(now, bends, rates))
         values.append(value)
-        now = now - rate * np.where(free, gradient, 0.0)
-    return Residual(now - points, np.array(values), energy, path, rate, free)
+        now = now - rates * gradient
+    return Residual(now - points, np.array(values), energy, path)

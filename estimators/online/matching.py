@@ -14,7 +14,7 @@ class Match(Protocol):
     """A term of the residual mapping; once its pairs are fixed it is quadratic in the positions."""
 
     def slope(self, points: np.ndarray) -> tuple[float, np.ndarray, csr_array]:
-        """Value [m²], gradient [N, 3] [m], and second derivatives of one axis [N, N], alike for all three."""
+        """Value [m²], gradient [N, 3] [m], and second derivatives of one axis [N, N], alike for all three, none < 0."""
         ...
 
 

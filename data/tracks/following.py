@@ -33,6 +33,9 @@ ALIKE = 0.8
 """And where the patterns around the point resemble each other so much."""
 NOISE, RETURNED = 0.1, 0.4
 """Standard deviation of a link by axis: √(NOISE² + (RETURNED · distance to where the way back ends)²) [px]."""
+STRAINED = 0.5
+"""And of a link to the first picture where motion changes by its own size from place to place [px]: windows turn and
+stretch, and what is bent back by a field of motion is never quite straight."""
 WIDEST = 854
 """Wider or higher pictures are shrunk to this before their points are followed, which would take too long [px]."""
 DARK = 20
@@ -91,6 +94,7 @@ class PointFollower:
         self._linker, self._count = Linker(gray.shape, self._grid, spacing), 0
         self._first = self._before = self._linker.prepared(gray)
         self._patterns = patterns(gray, self.points)
+        self._edge = _beside(tool)
 
     @property
     def moved(self) -> np.ndarray:
@@ -107,7 +111,9 @@ class PointFollower:
         picture, tool = shrunk(picture, tool)
         gray, tissue, edge = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), _tissue(picture, tool), _beside(tool)
         before, self._before = self._before, self._linker.prepared(gray)
-        place, returned = self._linker.link(before, self._before, self.place, self.followed)
+        apart = self.followed & ~values_at(self._edge, self.place)
+        place, returned = self._linker.link(before, self._before, self.place, apart)
+        self._edge = edge
         self.followed &= (returned < CHECK) & values_at(tissue, place)
         self._see(place, self.followed, np.square(self.noise) + _variance(returned, values_at(edge, place)))
         self._count += 1
@@ -116,13 +122,22 @@ class PointFollower:
 
     def _relink(self, gray: np.ndarray, tissue: np.ndarray, edge: np.ndarray) -> None:
         """Link the first picture to this one: against drift, and to find lost points again."""
-        around = self._filled()
-        place, returned = self._linker.refine(self._first, self._before, self.points, around[self._grid])
-        off = np.linalg.norm(place - self._expected(around), axis=1)
+        motion = self._filled()
+        motion[self._grid] = expected = self._expected(motion) - self.points
+        dragged = values_at(edge, self.points + expected) | (self.distance < EDGED)
+        place, returned = self._linker.refine(self._first, self._before, self.points, motion, ~dragged)
+        off = np.linalg.norm(place - self.points - expected, axis=1)
         good = (returned < CHECK) & (off < FOUND) & values_at(tissue, place)
         good &= resemblance(self._patterns, patterns(gray, place)) > ALIKE
         self.followed = self.followed | good
-        self._see(place, good, _variance(returned, values_at(edge, place) | (self.distance < EDGED)))
+        strained = np.square(STRAINED * self._slopes(motion))
+        self._see(place, good, _variance(returned, values_at(edge, place) | (self.distance < EDGED)) + strained)
+
+    def _slopes(self, motion: np.ndarray) -> np.ndarray:
+        """By how much motion of the whole grid [rows, columns, 2] changes from place to place, shape [N]."""
+        wider = np.pad(motion, ((1, 1), (1, 1), (0, 0)), mode="edge")
+        down, right = wider[2:, 1:-1] - wider[:-2, 1:-1], wider[1:-1, 2:] - wider[1:-1, :-2]
+        return np.sqrt(np.square(np.concatenate([down, right], axis=-1)[self._grid]).sum(axis=1)) / (2 * self.spacing)
 
     def _expected(self, around: np.ndarray) -> np.ndarray:
         """Places from the motion of the whole grid."""

@@ -73,6 +73,8 @@ class Linker:
         # Windows and filter widen what dies away within tens of pixels by variance/2 · ∇²: of 2·filter - this none.
         self._wider = float(np.sqrt(2 * SMOOTH**2 + WINDOW**2 / 12 / spacing**2))
         height, width = shape
+        self._spacing = spacing
+        self._pixels = np.moveaxis(np.mgrid[:height, :width], 0, -1)[..., ::-1].astype(np.float32)
         self._size = max(width // COARSE, LEAST), max(height // COARSE, LEAST)
         # Shrinking by a whole number costs a tenth, at up to three pixels along two edges.
         self._covered = tuple(
@@ -106,24 +108,41 @@ class Linker:
         back = _step(other, one, there, self._rough(other, one, there))[0]
         return Links(there, _length(step + back))
 
-    def refine(self, one: Prepared, other: Prepared, places: np.ndarray, guess: np.ndarray) -> Links:
-        """The same where the way is known to a few pixels, guess [N, 2] [px]; infinite where that is not confirmed."""
+    def refine(
+        self, one: Prepared, other: Prepared, places: np.ndarray, motion: np.ndarray, apart: np.ndarray
+    ) -> Links:
+        """The same where the way is known to a few pixels; infinite where that is not confirmed.
+
+        The other picture is bent back by it first: a window that is stretched or turned resembles itself again.
+
+        Args:
+            one, other: the pictures.
+            places: shape [N, 2] (column, row) [px].
+            motion: of the whole grid, whose first place is a spacing from both edges, shape [rows, columns, 2] [px].
+            apart: which places count for their neighbours' motion if they are found, bool [N].
+        """
         if not len(places):
             return _no_links()
-        here = places.astype(np.float32)
-        step, found = _step(one, other, here, guess)
-        step = self._filtered(step, found)
-        back, returned = _step(other, one, here + step, -guess)
-        off = np.where(found & returned, _length(step + back), np.inf)
+        here, field = places.astype(np.float32), self._dense(motion)
+        bent = Prepared(_sampled(other.exact, field + self._pixels), other.rough)
+        left, found = _step(one, bent, here, np.zeros_like(here))
+        back, returned = _step(bent, one, here + left, -left)
+        off = np.where(found & returned, _length(left + back), np.inf)
+        step = self._filtered(left + _sampled(field, (here + left)[:, None])[:, 0], found & apart)
         return Links(here + step, off.astype(np.float32))
+
+    def _dense(self, motion: np.ndarray) -> np.ndarray:
+        """Motion of the grid at every pixel, smooth, float32 [H, W, 2]."""
+        height, width = self._pixels.shape[:2]
+        grid_per_pixel = np.array([[1 / self._spacing, 0, -1], [0, 1 / self._spacing, -1]])
+        flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+        return cv2.warpAffine(motion, grid_per_pixel, (width, height), flags=flags, borderMode=cv2.BORDER_REPLICATE)
 
     def _rough(self, one: Prepared, other: Prepared, places: np.ndarray) -> np.ndarray:
         """How far places move, shape [N, 2] [px], by flow of the small pictures, bilinear between its pixels."""
         flow = self._flow.calc(one.rough, other.rough, None)  # ty: ignore[no-matching-overload]  None is a guess
         flow = cv2.GaussianBlur(flow, (0, 0), BLUR)
-        columns, rows = np.ascontiguousarray(((places + 0.5) / self._shares - 0.5).T)[..., None]
-        values = cv2.remap(flow, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        return values.reshape(-1, 2) * self._shares
+        return _sampled(flow, ((places + 0.5) / self._shares - 0.5)[:, None])[:, 0] * self._shares
 
     def _filtered(self, step: np.ndarray, seen: np.ndarray | None) -> np.ndarray:
         """Motion [N, 2] with that of those neighbours on the grid that are seen; by itself where there are none."""
@@ -143,6 +162,12 @@ class Linker:
 
 def _no_links() -> Links:
     return Links(np.zeros((0, 2), np.float32), np.zeros(0, np.float32))
+
+
+def _sampled(picture: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Values of a picture [H, W, …] at places [h, w, 2] (column, row) [px], bilinear, shape [h, w, …]."""
+    columns, rows = cv2.split(places)
+    return cv2.remap(picture, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 
 def _length(vectors: np.ndarray) -> np.ndarray:

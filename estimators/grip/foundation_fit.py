@@ -6,52 +6,63 @@ observations as all others are, with their told noise: unknown are the forces on
 tissue that it hides, and an endless sheet (`physics.endless_sheet`) answers these. Far points tell the sum of the
 forces, and how fast the motion dies away, whatever happens at the grip. An affine background moves on its own.
 
-Errors of points are Student's, whose scale is found in every frame: a sheet is not tissue. So many points as err alike
-in the last frame count for one.
+Errors of points are Student's, whose scale is found in every frame: a sheet is not tissue. Neighbours' errors are alike
+(`estimators.grip.whitening`). Should even more points err alike in the last frame, they count for less.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import minimize_scalar
+from scipy.sparse import csr_array
 
 from estimators.grip.alike import correlated_points
 from estimators.grip.lattice import KNOT, SPREAD, TYPICAL_ANCHOR
+from estimators.grip.whitening import Whitening, alike_points
 from physics.endless_sheet import response
 
 LOADED = 32.0
 """Forces act on tissue that began nearer to the tool [px]."""
-DENSE, THIRD = 48.0, 3
+DENSE, THIRD = 64.0, 3
 """Of points that began farther from the tool every third one along both axes counts: neighbours err alike."""
 SIZE = 512
 """Of the repeated piece of the endless sheet [nodes]."""
-ENERGY = 300.0
-"""Prior scale of the work that the forces do, a number of them [px² · stiffness]: at a node alone 10 px."""
-ALIKE = KNOT**2 / THIRD**2
-"""So many of the points that count err alike at least: what a sheet can't explain is smooth over a knot's cell."""
+ENERGY, FREE = 300.0, 3000.0
+"""Prior scale of the work that the forces do, a number of them [px² · stiffness]: at a node alone 10 px. The sum of the
+forces hangs on it where an instrument hides tissue. The foundation is told with ten times as much: strong pulls, which
+are expected less, would pass for a softer attachment."""
 FREEDOM = 3.0
 """Of Student's distribution, in the plane."""
 LINK = 0.1
 """Least standard deviation of a point by axis [px]."""
+ALIKE = KNOT**2 / THIRD**2
+"""So many points are taken to err alike where they are weighted: what a sheet can't explain is smooth over a knot's
+cell."""
 ROUNDS, AGAIN, CONVERGED = 15, 4, 1e-3
 """Of weighting the points anew: at most, where near values are solved, and the change of weights that ends them."""
 SCALED = 10
 """Steps to the errors' scale."""
 MOST_FITTED = 4
 """So many frames, evenly spread, tell the foundation: the motion grows steadily."""
-GRID, REACH, PRECISION = 1.0, 1.0, 0.005
-"""Of the search for log foundation: between the values tried first, from the best of them, and how near it ends."""
+GRID, LONGEST, NEWTON, PRECISION = 1.0, 0.5, 8, 0.002
+"""Of the search for log foundation: between the values tried first, the longest of Newton's steps from the best of
+them, the most of these, and the length of the last one."""
 LIMITS = -10.0, 1.0
 """Of log foundation: motion that dies away over 260 nodes, and within one."""
 STEP = 0.1
 """Of log foundation, for derivatives."""
-COMMON = 0.97
+COMMON = 0.95
 """Correlation between errors of the force in two frames: where it acts beneath the instrument is as unknown in one as
-in the other. Chosen on 19 drawn clips (docs/real.md)."""
+in the other. Chosen on 18 drawn clips (docs/real.md)."""
+SHEET_ERROR, END_ERROR = 0.005, 0.03
+"""Standard deviations of log foundation, as far as a lattice and the grip's shape are not the tissue's (0.0035 off from
+the true motion of points of six drawn clips), and of the log force: a sheet has no end, drawn tissue does."""
+ROBUST = 1.4826
+"""Standard deviation of a normal distribution over the median of its absolute values."""
 TINY = 1e-9
 """Of the largest: added to a diagonal so that rounding doesn't make it indefinite."""
 
@@ -102,37 +113,57 @@ class _Solved:
     loss: float
     """Negative log of the density, of all unknowns at their likeliest."""
     unknowns: np.ndarray
-    """Loads and the background's motion, shape [M + 3, 2]."""
-    loads: np.ndarray
-    """On every place, shape [M, 2] [stiffness × px]."""
-    sum_variance: float
-    """Of the sum of the loads, by axis."""
+    """Loads [stiffness × px] and the background's motion, shape [M + 3, 2]."""
     weights: np.ndarray
     """Of the points that count, 0 for those not seen."""
     scale: float
     """Of the errors besides the told noise, variance by axis [px²]."""
 
 
+class Whitened(NamedTuple):
+    """Of the n points that count in a frame; rows of those not seen are 0."""
+
+    transform: csr_array
+    """What makes their errors independent and of size 1, shape [n, n]."""
+    moved: np.ndarray
+    """Their motion then, shape [n, 2]."""
+
+
+class _Profile(NamedTuple):
+    """One frame at one foundation, by whitened motion."""
+
+    loss: float
+    """Negative log of the density, of all other unknowns at their likeliest."""
+    unknowns: np.ndarray
+    """Loads [stiffness × px] and the background's motion, shape [M + 3, 2]."""
+    force: np.ndarray
+    """Sum of the loads, shape [2]."""
+    variance: float
+    """Of that, by axis."""
+
+
 def loaded_cells(points: np.ndarray, distance: np.ndarray, hidden: np.ndarray, spacing: int) -> np.ndarray:
     """Places of the grid on which forces may act, as numbers of its columns and rows, shape [M, 2].
 
     Every other one of those near the tool, as on a chessboard: the field around them is as free, at an eighth of the
-    work. Arguments as of `fit_foundation`.
+    work. Under a long shaft half of these. Arguments as of `fit_foundation`.
     """
     loaded = np.rint(np.concatenate([points[distance < LOADED], hidden]) / spacing).astype(np.int64)
-    return loaded[loaded.sum(axis=1) % 2 == 0]
+    half = loaded[loaded.sum(axis=1) % 2 == 0]
+    return half if len(half) <= MOST_LOADED else half[half[:, 0] % 2 == 0]
 
 
-def load_precision(answer: np.ndarray, loaded: np.ndarray) -> np.ndarray:
+def load_precision(answer: np.ndarray, loaded: np.ndarray, energy: float = ENERGY) -> np.ndarray:
     """Prior precision of loads on places [M, 2] and of the background's three numbers, shape [M + 3, M + 3].
 
     Args:
         answer: of the sheet, as `physics.endless_sheet.response` gives it.
         loaded: as of `loaded_cells`.
+        energy: expected work of a load [px² · stiffness].
     """
     count = len(loaded)
     precision = np.zeros((count + 3, count + 3))
-    own = answer[tuple(np.moveaxis(loaded[:, None] - loaded, -1, 0) % SIZE)] / ENERGY
+    own = answer[tuple(np.moveaxis(loaded[:, None] - loaded, -1, 0) % SIZE)] / energy
     precision[:count, :count] = own + TINY * own.max() * np.eye(count)
     return precision
 
@@ -157,12 +188,14 @@ class _Problem:
         middle, spread = points.mean(axis=0), points.std(axis=0)
         self._terms = np.column_stack([(points - middle) / spread, np.ones(len(points))])
         self.loaded = len(loaded)
+        self._whitening = Whitening(points[self.counted])
+        self._expected = max(alike_points(spacing), 1.0)
 
-    def design(self, log_anchor: float) -> tuple[np.ndarray, np.ndarray]:
+    def design(self, log_anchor: float, energy: float = FREE) -> tuple[np.ndarray, np.ndarray]:
         """How the points that count follow loads and background, shape [n, M + 3], and the prior precision of these."""
         answer = response(float(np.exp(log_anchor)), SIZE)
         design = np.hstack([answer[tuple(self._apart)], self._terms[self.counted]])
-        return design, load_precision(answer, self._loaded_cells)
+        return design, load_precision(answer, self._loaded_cells, energy)
 
     def solve(self, design: tuple[np.ndarray, np.ndarray], frame: SeenFrame, start: _Solved | None = None) -> _Solved:
         """The likeliest loads, background and size of errors, by weighting the points anew.
@@ -190,30 +223,50 @@ class _Problem:
                 break
         variance = told + scale
         density = (FREEDOM + 2) / 2 * np.log1p(squares / variance / FREEDOM) + np.log(variance)
-        loads = found[: self.loaded]
-        total = np.append(np.ones(self.loaded), np.zeros(3))
         whole = np.zeros(len(self.counted))
         whole[seen] = weights
         return _Solved(
             float(density.sum() / ALIKE + 0.5 * np.einsum("ia,ij,ja->", found, precision, found)),
             found,
-            loads,
-            float(total @ cho_solve(factor, total, check_finite=False)),
             whole,
             scale,
         )
 
-    def wider(self, log_anchor: float, frame: SeenFrame) -> float:
-        """By which factor variances grow if more points err alike in a frame than was taken for granted, 1 or more."""
+    def whitened(self, frame: SeenFrame, solved: _Solved) -> Whitened:
+        """What makes errors of a frame independent and of size 1."""
+        told = np.square(np.maximum(frame.noise[self.counted], LINK)) + solved.scale
+        sizes = np.sqrt(told / np.where(solved.weights > 0, solved.weights, np.nan))
+        transform = self._whitening.transform(sizes)
+        return Whitened(transform, transform @ np.where(solved.weights[:, None] > 0, frame.moved[self.counted], 0.0))
+
+    def profile(self, design: tuple[np.ndarray, np.ndarray], seen: Whitened) -> _Profile:
+        """All but the foundation at its likeliest."""
+        full, precision = design
+        rows = seen.transform @ full
+        factor = cho_factor(rows.T @ rows + precision, check_finite=False)
+        found = cho_solve(factor, rows.T @ seen.moved, check_finite=False)
+        left = seen.moved - rows @ found
+        total = np.append(np.ones(self.loaded), np.zeros(3))
+        return _Profile(
+            0.5 * float((left * seen.moved).sum()),
+            found,
+            total @ found,
+            float(total @ cho_solve(factor, total, check_finite=False)),
+        )
+
+    def left(self, log_anchor: float, frame: SeenFrame) -> np.ndarray:
+        """What is not explained over its told size, of all points, shape [N, 2]; outliers count little."""
         solved = self.solve(self.design(log_anchor), frame)
         answer = response(float(np.exp(log_anchor)), SIZE)
         apart = np.moveaxis(self._cells[:, None] - self._loaded_cells, -1, 0) % SIZE
         explained = np.hstack([answer[tuple(apart)], self._terms]) @ solved.unknowns
         off, variance = frame.moved - explained, np.square(np.maximum(frame.noise, LINK)) + solved.scale
-        # As they weigh in the fit: outliers hardly count.
         weights = (FREEDOM + 2) / (FREEDOM + np.square(off).sum(axis=1) / variance)
-        alike = correlated_points(self._cells, 1, off * np.sqrt(weights / variance)[:, None])
-        return max(alike / (ALIKE * THIRD**2), 1.0)
+        return off * np.sqrt(weights / variance)[:, None]
+
+    def wider(self, left: np.ndarray) -> float:
+        """By which factor variances grow if more points err alike than was taken for granted, 1 or more."""
+        return max(correlated_points(self._cells, 1, left) / self._expected, 1.0)
 
 
 def fit_foundation(
@@ -235,36 +288,45 @@ def fit_foundation(
     if not 0 < problem.loaded <= MOST_LOADED:
         raise NoSheet(f"Forces may act on {problem.loaded} places; from 1 to {MOST_LOADED} can be told apart.")
     fitted = _spread(frames)
-    starts: list[_Solved | None] = [None] * len(fitted)
 
     def prior(log_anchor: float) -> float:
         return 0.5 * ((log_anchor - np.log(TYPICAL_ANCHOR)) / SPREAD) ** 2
 
-    def loss(log_anchor: float) -> float:
-        design = problem.design(log_anchor)
-        starts[:] = [problem.solve(design, *pair) for pair in zip(fitted, starts, strict=True)]
-        told = sum(item.loss for item in starts if item is not None) / len(fitted)
-        return told + prior(log_anchor)
-
     tried = np.arange(LIMITS[0], LIMITS[1] + GRID, GRID)
     # The last frame alone says roughly where.
     rough = [problem.solve(problem.design(value), frames[-1]) for value in tried]
-    best = tried[np.argmin([item.loss + prior(value) for item, value in zip(rough, tried, strict=True)])]
-    around = np.clip([best - REACH, best + REACH], *LIMITS)
-    log_anchor = float(minimize_scalar(loss, bounds=around, method="bounded", options={"xatol": PRECISION}).x)
-    excess = float(np.sqrt(problem.solve(problem.design(log_anchor), frames[-1]).scale))
+    log_anchor = tried[np.argmin([item.loss + prior(value) for item, value in zip(rough, tried, strict=True)])]
+    solved = [problem.solve(problem.design(log_anchor), frame) for frame in fitted]
+    for _ in range(NEWTON):
+        seen = [problem.whitened(*pair) for pair in zip(fitted, solved, strict=True)]
+        nearby = [problem.design(log_anchor + step) for step in (-STEP, 0.0, STEP)]
+        low, middle, high = np.array([[problem.profile(near, frame).loss for frame in seen] for near in nearby])
+        curvatures = (low + high - 2 * middle) / STEP**2
+        slope = (high - low).mean() / (2 * STEP) + (log_anchor - np.log(TYPICAL_ANCHOR)) / SPREAD**2
+        curvature = curvatures.mean() + SPREAD**-2
+        step = np.clip(-slope / curvature if curvature > 0 else -np.sign(slope), -LONGEST, LONGEST)
+        before, log_anchor = log_anchor, float(np.clip(log_anchor + step, *LIMITS))
+        if abs(log_anchor - before) < PRECISION:
+            break
+        design = problem.design(log_anchor)
+        solved = [problem.solve(design, *pair) for pair in zip(fitted, solved, strict=True)]
+    free = problem.design(log_anchor)
+    excess = float(np.sqrt(problem.solve(free, frames[-1]).scale))
     if excess > EXCESS:
         raise NoSheet(f"Points are {excess:.2f} px off besides their noise.")
-    middle, low, high = (loss(log_anchor + step) for step in (0.0, -STEP, STEP))
-    curvature = (low + high - 2 * middle) / STEP**2
-    wider = problem.wider(log_anchor, frames[-1])
-    sd = 1 / np.sqrt(max(curvature / wider, SPREAD**-2))
-    forces, variances = _forces(problem, log_anchor, frames)
-    variances = wider * variances
-    length, along = along_last(forces)
-    (less, ratios_less), (more, ratios_more) = (
-        along_last(_forces(problem, log_anchor + step, frames)[0]) for step in (-STEP, STEP)
+    left = np.array([problem.left(log_anchor, frame) for frame in fitted])
+    size, wider = error_size(left[-1]), problem.wider(left[-1])
+    # Scores of frames err alike as far as their errors do.
+    told = np.sqrt(np.maximum(curvatures, 0.0))
+    alike = told @ frame_correlation(left) @ told / max(float(np.square(told).sum()) ** 2, np.finfo(float).tiny)
+    sd = 1 / np.sqrt(1 / (wider * size**2 * alike + SHEET_ERROR**2) + SPREAD**-2)
+    whitened = [problem.whitened(frame, problem.solve(free, frame)) for frame in frames]
+    (less, ratios_less), (length, along), (more, ratios_more) = (
+        along_last(np.array([problem.profile(design, frame).force for frame in whitened]))
+        for design in (problem.design(log_anchor + step, ENERGY) for step in (-STEP, 0.0, STEP))
     )
+    expected = problem.design(log_anchor, ENERGY)
+    variances = wider * np.array([problem.profile(expected, frame).variance for frame in whitened])
     bent = (np.log(more) - np.log(less)) / (2 * STEP)
     both = COMMON * along * np.sqrt(variances * variances[-1])
     relative = (variances + along**2 * variances[-1] - 2 * both) / length**2
@@ -275,23 +337,29 @@ def fit_foundation(
         log_anchor,
         float(sd),
         float(np.log(length)),
-        float(np.hypot(bent * sd, np.sqrt(variances[-1]) / length)),
+        float(np.sqrt((bent * sd) ** 2 + variances[-1] / length**2 + END_ERROR**2)),
         along,
         np.sqrt(relative),
     )
+
+
+def error_size(left: np.ndarray) -> float:
+    """How large errors are over what was told, by what is not explained [N, 2]; not a number where nothing is seen."""
+    return float(ROBUST * np.nanmedian(np.abs(left)))
+
+
+def frame_correlation(left: np.ndarray) -> np.ndarray:
+    """Correlation of errors between J frames, by what is not explained [J, N, 2], shape [J, J]."""
+    always = left[:, np.isfinite(left).all(axis=(0, 2))]
+    products = np.einsum("jna,kna->jk", always, always)
+    sizes = np.sqrt(np.diag(products))
+    return products / np.maximum(np.outer(sizes, sizes), np.finfo(np.float64).tiny)
 
 
 def _spread(frames: Sequence[SeenFrame]) -> list[SeenFrame]:
     """At most MOST_FITTED of them, evenly spread, the last one included."""
     places = np.linspace(0, len(frames), min(MOST_FITTED, len(frames)) + 1)[1:].round().astype(int) - 1
     return [frames[place] for place in places]
-
-
-def _forces(problem: _Problem, log_anchor: float, frames: Sequence[SeenFrame]) -> tuple[np.ndarray, np.ndarray]:
-    """Sum of the loads of every frame, shape [T, 2], and its variance by axis, shape [T]."""
-    design = problem.design(log_anchor)
-    found = [problem.solve(design, frame) for frame in frames]
-    return np.array([item.loads.sum(axis=0) for item in found]), np.array([item.sum_variance for item in found])
 
 
 def along_last(forces: np.ndarray) -> tuple[float, np.ndarray]:

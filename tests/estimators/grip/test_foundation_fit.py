@@ -74,7 +74,7 @@ def test_motion_that_is_no_sheets_is_refused() -> None:
 
 def test_a_tool_that_hides_too_much_is_refused() -> None:
     places, distance = grid()
-    hidden = distance <= 80
+    hidden = distance <= 140
     frames = [SeenFrame(np.ones((int((~hidden).sum()), 2)), np.full(int((~hidden).sum()), NOISE))]
     with pytest.raises(NoSheet, match=r"from 1 to 400"):
-        fit_foundation(places[~hidden], distance[~hidden] - 80, places[hidden], SPACING, frames)
+        fit_foundation(places[~hidden], distance[~hidden] - 140, places[hidden], SPACING, frames)

@@ -88,7 +88,7 @@ def test_points_crowded_on_few_particles_of_a_large_sheet_do_not_diverge():
     crowded = np.array([188, 189, 208, 209])
     shares = random.dirichlet(np.ones(4), size=200)
     places = csr_array((shares.ravel(), np.tile(crowded, 200), 4 * np.arange(201)), shape=(200, body.count))
-    truth = body.rest + [0, 0, 1e-3]
+    truth = body.rest + np.array([0, 0, 1e-3])
     matches, energy = [Tracks(places, places @ truth)], energy_of(body, 0.05)
     found = map_residual(body.rest, matches, energy, body.pinned, Mapping())
     assert (np.diff(found.values) <= 1e-15).all()

@@ -1,0 +1,61 @@
+"""Errors of neighbours become independent: beside the covariance's dense inverse."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import cdist
+
+from estimators.grip.whitening import REACH, Whitening, alike_points, matern
+
+
+def grid(side: int, spacing: int = 8) -> np.ndarray:
+    row, column = np.mgrid[:side, :side]
+    return spacing * np.column_stack([column.ravel(), row.ravel()]).astype(np.float64)
+
+
+def covariance(points: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+    return np.square(np.minimum(sizes[:, None], sizes)) * matern(cdist(points, points) / REACH)
+
+
+@pytest.mark.parametrize("uneven", [False, True])
+def test_whitened_errors_are_nearly_independent_and_of_size_one(uneven: bool) -> None:
+    """One in ten errs fifty times as much, as at a tool's edge: its neighbours don't."""
+    points, generator = grid(16), np.random.default_rng(0)
+    sizes = 0.1 * generator.uniform(0.8, 1.2, len(points))
+    if uneven:
+        sizes[generator.choice(len(points), 25, replace=False)] = 5.0
+    transform = Whitening(points).transform(sizes).toarray()
+    found = transform @ covariance(points, sizes) @ transform.T
+    np.testing.assert_allclose(np.diag(found), 1, atol=1e-9)
+    assert np.abs(found - np.diag(np.diag(found))).max() < 0.06
+
+
+def test_it_tells_of_a_smooth_motion_what_the_dense_covariance_tells() -> None:
+    points = grid(16)
+    sizes = np.full(len(points), 0.1)
+    motion = np.exp(-np.linalg.norm(points - 60, axis=1) / 40)
+    dense = motion @ np.linalg.solve(covariance(points, sizes), motion)
+    whitened = Whitening(points).transform(sizes) @ motion
+    assert whitened @ whitened == pytest.approx(dense, rel=0.02)
+
+
+def test_points_that_are_not_seen_say_nothing() -> None:
+    points = grid(8)
+    sizes = np.full(len(points), 0.1)
+    sizes[[9, 27, 28]] = np.nan
+    seen = np.isfinite(sizes)
+    transform = Whitening(points).transform(sizes).toarray()
+    assert not transform[~seen].any()
+    assert not transform[:, ~seen].any()
+    np.testing.assert_allclose(
+        transform[np.ix_(seen, seen)] @ covariance(points[seen], sizes[seen]) @ transform[np.ix_(seen, seen)].T,
+        np.eye(seen.sum()),
+        atol=0.06,
+    )
+
+
+def test_points_that_err_alike_are_the_sum_of_the_correlation() -> None:
+    points = grid(81)
+    summed = matern(np.linalg.norm(points - points[len(points) // 2], axis=1) / REACH).sum()
+    assert alike_points(8) == pytest.approx(summed, rel=0.01)

@@ -111,8 +111,8 @@ class PointFollower:
         picture, tool = shrunk(picture, tool)
         gray, tissue, edge = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), _tissue(picture, tool), _beside(tool)
         before, self._before = self._before, self._linker.prepared(gray)
-        apart = self.followed & ~values_at(self._edge, self.place)
-        place, returned = self._linker.link(before, self._before, self.place, apart)
+        apart = ~values_at(self._edge, self.place)
+        place, returned = self._linker.link(before, self._before, self.place, self.followed, apart)
         self._edge = edge
         self.followed &= (returned < CHECK) & values_at(tissue, place)
         self._see(place, self.followed, np.square(self.noise) + _variance(returned, values_at(edge, place)))

@@ -92,18 +92,26 @@ class Linker:
             cv2.resize(picture[:height, :width], self._size, interpolation=cv2.INTER_AREA),
         )
 
-    def link(self, one: Prepared, other: Prepared, places: np.ndarray, seen: np.ndarray | None = None) -> Links:
+    def link(
+        self,
+        one: Prepared,
+        other: Prepared,
+        places: np.ndarray,
+        seen: np.ndarray | None = None,
+        apart: np.ndarray | None = None,
+    ) -> Links:
         """Where places of one picture are in the other.
 
         Args:
             one, other: the pictures.
             places: shape [N, 2] (column, row) [px].
             seen: which of them count for their neighbours' motion, bool [N]; None = all.
+            apart: which are away from an instrument's edge, bool [N]; those there count only for one another.
         """
         if not len(places):
             return _no_links()
         here = places.astype(np.float32)
-        step = self._filtered(_step(one, other, here, self._rough(one, other, here))[0], seen)
+        step = self._filtered(_step(one, other, here, self._rough(one, other, here))[0], seen, apart)
         there = here + step
         back = _step(other, one, there, self._rough(other, one, there))[0]
         return Links(there, _length(step + back))
@@ -119,7 +127,7 @@ class Linker:
             one, other: the pictures.
             places: shape [N, 2] (column, row) [px].
             motion: of the whole grid, whose first place is a spacing from both edges, shape [rows, columns, 2] [px].
-            apart: which places count for their neighbours' motion if they are found, bool [N].
+            apart: as for `link`.
         """
         if not len(places):
             return _no_links()
@@ -128,7 +136,7 @@ class Linker:
         left, found = _step(one, bent, here, np.zeros_like(here))
         back, returned = _step(bent, one, here + left, -left)
         off = np.where(found & returned, _length(left + back), np.inf)
-        step = self._filtered(left + _sampled(field, (here + left)[:, None])[:, 0], found & apart)
+        step = self._filtered(left + _sampled(field, (here + left)[:, None])[:, 0], found, apart)
         return Links(here + step, off.astype(np.float32))
 
     def _dense(self, motion: np.ndarray) -> np.ndarray:
@@ -144,12 +152,22 @@ class Linker:
         flow = cv2.GaussianBlur(flow, (0, 0), BLUR)
         return _sampled(flow, ((places + 0.5) / self._shares - 0.5)[:, None])[:, 0] * self._shares
 
-    def _filtered(self, step: np.ndarray, seen: np.ndarray | None) -> np.ndarray:
-        """Motion [N, 2] with that of those neighbours on the grid that are seen; by itself where there are none."""
+    def _filtered(self, step: np.ndarray, seen: np.ndarray | None, apart: np.ndarray | None = None) -> np.ndarray:
+        """Motion [N, 2] with that of those neighbours on the grid that are seen; by itself where there are none.
+
+        Places at an instrument's edge, which drags them along, don't count for those that are apart from it.
+        """
         if self._grid is None:
             return step
+        shown = np.ones(len(step), bool) if seen is None else seen
+        everywhere = self._among(step, shown)
+        return everywhere if apart is None else np.where(apart[:, None], self._among(step, shown & apart), everywhere)
+
+    def _among(self, step: np.ndarray, counted: np.ndarray) -> np.ndarray:
+        """Motion [N, 2] with that of those neighbours that count, bool [N]."""
+        assert self._grid is not None
         shape, cells = self._grid
-        weight = np.ones((len(step), 1), np.float32) if seen is None else seen[:, None].astype(np.float32)
+        weight = counted[:, None].astype(np.float32)
         field = np.zeros((shape[0] * shape[1], 3), np.float32)
         field[cells] = np.hstack([step * weight, weight])
 

@@ -73,8 +73,8 @@ clips of one, 0.05 where a region is stiffer, 0.7 on a real clip. Forces that ar
 MOST_ALIKE, MISFIT = 2.0, (0.43, 0.68)
 """Where what is left of the motion goes together over so many times as many points as following errs alike (1.0 times
 on 18 drawn clips, 4 and more where motion dies away exponentially), tissue is no such sheet either, and the standard
-deviations of log foundation and log force count these besides: root mean square errors of fits to twelve drawn clips
-that took the grip as seen (`estimators.grip.recorder`), of which they count as well."""
+deviations of log foundation and log force count these besides: of six drawn clips with two regions four were so, 0.27
+and 0.24 off (root mean squares)."""
 MOST_LOADED = 400
 """More places with a force take minutes, and leave too much free."""
 

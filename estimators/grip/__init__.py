@@ -8,6 +8,7 @@ foundation_fit  one foundation and the force, with the grip's motion unknown
 stiffness_field, stiffness_fit  where it is stiffer, with the grip's motion unknown
 pull_motion, pull_fit  force over E by a slab of finite elements, where its thickness is given
 alike        how many points err alike
+whitening    neighbours' errors made independent
 """
 
 from physics.lazy import exported

@@ -18,12 +18,14 @@ from scipy.optimize import least_squares
 
 from estimators.direct.slab_motion import SLAB_BOUNDS
 from estimators.estimate import NoEstimate
-from estimators.grip.foundation_fit import DENSE, FREEDOM, LINK, THIRD, SeenFrame, along_last, error_scale
+from estimators.grip.foundation_fit import FREEDOM, LINK, THIRD, SeenFrame, along_last, error_scale
 from estimators.grip.lattice import KNOT
 from estimators.grip.pull_motion import PullMotion
 from physics.fem.slab import Slab
 from physics.identifiability import box_information
 
+DENSE = 48.0
+"""Of points that began farther from the tool every third one along both axes counts [px]."""
 RADII = 6.0, 10.0, 14.0
 """Of the tissue that moves as one with the instrument, of which the one that explains most is taken [grid px]."""
 YOUNG, DAMPING = np.log([100.0, 1000.0]), np.log([3e3, 2e4, 1.5e5])

@@ -12,8 +12,8 @@ from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 
 REACH = 6.2
-"""Of the correlation between neighbours' errors, Matérn's of 3/2 [px]: 5.7 to 6.9 on eight drawn clips, as
-`evaluation.recovery.followed` measures it."""
+"""Of the correlation between neighbours' errors, Matérn's of 3/2 [px]: 5.7 to 7.0 on 20 drawn clips, measured as
+benchmarks do."""
 NEAR, MOST = 42.0, 24
 """Neighbours are nearer [px]; the most of a point. With half as many smooth motion would tell a fifth too much."""
 

@@ -14,12 +14,13 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.spatial.distance import cdist
 
+from estimators.grip.foundation_fit import ROBUST
+from estimators.grip.whitening import matern
+
 CLASSES = 0.12, 0.15, 0.2, 0.3, 0.5, 1.0, 4.0
 """Told noises between which points are equally good [px]."""
 LEAST_ALIKE = 20
 """Fewer points of a class than this are as good as is told."""
-ROBUST = 1.4826
-"""Standard deviation of a normal distribution over the median of its absolute values."""
 OUTLYING = 3.0
 """Errors larger than so many standard deviations count as so many where correlations are measured."""
 
@@ -51,11 +52,6 @@ class Following:
         apart = cdist(points, points)
         alike = (1 - self.shared) * matern(apart / self.reach) + self.shared * matern(apart / FAR)
         return np.square(np.minimum(self.sizes[:, None], self.sizes)) * alike
-
-
-def matern(distance: np.ndarray) -> np.ndarray:
-    """Matérn's correlation of smoothness 3/2 at distances over its reach."""
-    return (1 + distance) * np.exp(-distance)
 
 
 def measure_following(

@@ -43,44 +43,37 @@ def test_a_shift_is_found_there_and_back(light: int) -> None:
     assert returned.max() < 0.2
 
 
-def gridded() -> tuple[Linker, np.ndarray, np.ndarray]:
-    """A linker of a whole grid, its places and which tell their neighbours' motion: all."""
-    rows, columns = np.mgrid[8 : HEIGHT - 8 : 8, 8 : WIDTH - 8 : 8]
-    places = np.column_stack([columns.ravel(), rows.ravel()]).astype(np.float32)
-    return Linker((HEIGHT, WIDTH), np.ones(rows.shape, bool), 8), places, np.ones(len(places), bool)
+ALL = np.ones(len(PLACES), bool)
+
+
+def grid_of(motion: tuple[float, float]) -> np.ndarray:
+    """The same motion at all places of a grid 8 px apart."""
+    rows, columns = len(range(8, HEIGHT - 8, 8)), len(range(8, WIDTH - 8, 8))
+    return np.broadcast_to(np.float32(motion), (rows, columns, 2))
 
 
 def test_a_way_that_is_known_roughly_is_found_there_and_back() -> None:
-    linker, places, apart = gridded()
+    linker = Linker((HEIGHT, WIDTH), spacing=8)
     one, other = prepared(linker, texture(1), warped(texture(1), shift(6.0, -4.0)))
-    guess = np.broadcast_to(np.float32([5.0, -3.0]), (*linker_shape(), 2))
-    there, returned = linker.refine(one, other, places, guess, apart)
-    inner = inside(places)
-    np.testing.assert_allclose((there - places)[inner], np.broadcast_to([6.0, -4.0], places[inner].shape), atol=0.1)
-    assert returned[inner].max() < 0.2
-
-
-def linker_shape() -> tuple[int, int]:
-    """Rows and columns of the grid of `gridded`."""
-    return len(range(8, HEIGHT - 8, 8)), len(range(8, WIDTH - 8, 8))
-
-
-def inside(places: np.ndarray, margin: float = 24.0) -> np.ndarray:
-    return ((places > margin) & (places < np.array([WIDTH, HEIGHT]) - margin)).all(axis=1)
+    places, returned = linker.refine(one, other, PLACES, grid_of((5.0, -3.0)), ALL)
+    np.testing.assert_allclose(places - PLACES, np.broadcast_to([6.0, -4.0], PLACES.shape), atol=0.1)
+    assert returned.max() < 0.2
 
 
 def test_a_window_that_is_stretched_and_turned_is_found_where_the_motion_is_known_roughly() -> None:
     """By a fifth, and a twelfth of a turn: as it stands a window resembles nothing."""
     slope = np.array([[0.2, 0.5], [-0.5, 0.2]])
     middle = np.array([WIDTH, HEIGHT]) / 2
-    linker, places, apart = gridded()
+    still = grid_of((0.0, 0.0))
+    linker = Linker((HEIGHT, WIDTH), np.ones(still.shape[:2], bool), 8)
+    places = 8.0 * (1 + np.indices(still.shape[:2])[::-1].reshape(2, -1).T)
     one, other = prepared(linker, texture(1), warped(texture(1), lambda at: (at - middle) @ slope))
     true = (places - middle) @ slope
     near = np.linalg.norm(places - middle, axis=1) < 30
     off = {}
     for known in (0.0, 0.95):
-        guess = (known * true).reshape(*linker_shape(), 2).astype(np.float32)
-        there, _ = linker.refine(one, other, places, guess, apart)
+        guess = (known * true).reshape(still.shape).astype(np.float32)
+        there, _ = linker.refine(one, other, places, guess, np.ones(len(places), bool))
         off[known] = np.median(np.linalg.norm(there - places - true, axis=1)[near])
     assert off[0.95] < 0.1
     assert off[0.0] > 1
@@ -88,16 +81,26 @@ def test_a_window_that_is_stretched_and_turned_is_found_where_the_motion_is_know
 
 def test_what_leads_astray_is_not_found() -> None:
     """A guess that is wrong by more than is believed, and a surface without a pattern."""
-    linker, places, apart = gridded()
+    linker, still = Linker((HEIGHT, WIDTH), spacing=8), grid_of((0.0, 0.0))
     one, other, plain = prepared(linker, texture(1), texture(2), np.full((HEIGHT, WIDTH, 3), 90, np.uint8))
-    still = np.zeros((*linker_shape(), 2), np.float32)
-    there, returned = linker.refine(plain, plain, places, still, apart)
-    np.testing.assert_array_equal(there, places)
+    places, returned = linker.refine(plain, plain, PLACES, still, ALL)
+    np.testing.assert_array_equal(places, PLACES)
     assert np.isinf(returned).all()
-    there, returned = linker.refine(one, other, places, still, apart)
+    wide = np.stack(np.meshgrid(np.arange(20.0, 150, 5), np.arange(20.0, 110, 5)), axis=-1).reshape(-1, 2)
+    places, returned = linker.refine(one, other, wide, still, np.ones(len(wide), bool))
+    assert np.abs(places - wide).max() <= ASTRAY
     assert np.isinf(returned).any()
-    # Twice a mean of neighbours less a wider one may overshoot.
-    assert np.abs(there - places).max() <= 3 * ASTRAY
+
+
+def test_places_at_an_instruments_edge_count_only_for_one_another() -> None:
+    """Half of the places move by 1 px, those at the edge by 5."""
+    grid = np.ones((12, 12), bool)
+    linker, columns = Linker((112, 112), grid, 8), np.tile(np.arange(12), 12)
+    step = np.where(columns[:, None] < 6, [1.0, 0.0], [5.0, 0.0]).astype(np.float32)
+    found = linker._filtered(step, None, columns < 6)[:, 0]
+    np.testing.assert_allclose(found[columns < 6], 1.0, atol=1e-5)
+    assert found[columns == 6].max() < 4.9
+    assert linker._filtered(step, None)[columns == 5, 0].min() > 1.2
 
 
 def test_neighbours_on_the_grid_that_are_seen_tell_a_motion_together() -> None:

@@ -7,7 +7,17 @@ import math
 import numpy as np
 import pytest
 
-from estimators.grip.foundation_fit import SIZE, FoundationFit, NoSheet, SeenFrame, fit_foundation
+from estimators.grip.foundation_fit import (
+    MISFIT,
+    SIZE,
+    FoundationFit,
+    NoSheet,
+    SeenFrame,
+    error_size,
+    fit_foundation,
+    frame_correlation,
+    information,
+)
 from physics.endless_sheet import response
 
 SPACING, NOISE = 8, 0.1
@@ -78,3 +88,30 @@ def test_a_tool_that_hides_too_much_is_refused() -> None:
     frames = [SeenFrame(np.ones((int((~hidden).sum()), 2)), np.full(int((~hidden).sum()), NOISE))]
     with pytest.raises(NoSheet, match=r"from 1 to 400"):
         fit_foundation(places[~hidden], distance[~hidden] - 140, places[hidden], SPACING, frames)
+
+
+def test_what_is_left_and_goes_together_over_many_points_widens_what_is_told() -> None:
+    """A wave within a told noise that is three times too large."""
+    places, distance = grid()
+    wave = 0.15 * np.sin(places[distance > 5] / 25)
+    plain, waved = (
+        fitted([SeenFrame(frame.moved + added, 3 * frame.noise) for frame in seen()]) for added in (0.0, wave)
+    )
+    assert plain.log_anchor_sd < 0.1 < 0.98 * MISFIT[0] < waved.log_anchor_sd  # less the prior's share
+    assert plain.log_force_sd < MISFIT[1] <= waved.log_force_sd
+
+
+def test_frames_that_err_alike_tell_what_one_does() -> None:
+    curvatures = np.full(4, 25.0)
+    assert information(curvatures, np.eye(4)) == pytest.approx(100)
+    assert information(curvatures, np.ones((4, 4))) == pytest.approx(25)
+    assert information(np.array([0.0, -3.0]), np.eye(2)) == 0
+
+
+def test_size_and_correlation_of_errors_are_measured() -> None:
+    generator = np.random.default_rng(0)
+    one, other = generator.normal(size=(2, 5000, 2))
+    errors = 0.5 * np.stack([one, 0.6 * one + 0.8 * other])
+    errors[0, :50] = np.nan
+    assert error_size(errors[0]) == pytest.approx(0.5, rel=0.03)
+    np.testing.assert_allclose(frame_correlation(errors), [[1, 0.6], [0.6, 1]], atol=0.03)

@@ -59,3 +59,7 @@ def test_points_that_err_alike_are_the_sum_of_the_correlation() -> None:
     points = grid(81)
     summed = matern(np.linalg.norm(points - points[len(points) // 2], axis=1) / REACH).sum()
     assert alike_points(8) == pytest.approx(summed, rel=0.01)
+
+
+def test_matern_is_one_at_no_distance_and_dies_away() -> None:
+    np.testing.assert_allclose(matern(np.array([0.0, 1.0, 2.0])), [1, 2 / np.e, 3 / np.e**2])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from evaluation.recovery.followed import Following, matern, measure_following, ring_correlation
+from evaluation.recovery.followed import Following, measure_following, ring_correlation
 
 SPACING = 8
 TRUE = Following(np.empty(0), 6.0, 0.1, np.array([[1.0, 0.5], [0.5, 1.0]]))
@@ -39,7 +39,3 @@ def test_correlation_is_found_ring_by_ring() -> None:
     assert found[3] < -0.2 < 0.2 < found[1]
     white = np.random.default_rng(3).normal(size=(900, 2))
     assert np.abs(ring_correlation(points, SPACING, white)[1:10]).max() < 0.1
-
-
-def test_matern_is_one_at_no_distance_and_dies_away() -> None:
-    np.testing.assert_allclose(matern(np.array([0.0, 1.0, 2.0])), [1, 2 / np.e, 3 / np.e**2])

@@ -25,6 +25,8 @@ GREY = 128
 WINDOW, STEPS, ENOUGH = 9, 4, 0.02
 """Of Lucas-Kanade: width of its windows [px], its most steps, of which more follow noise, and the last one's length
 [px]. A window of 9 px costs less than one of 7."""
+WIDE = 15
+"""Width of the windows where the motion is known up to what is left of it, which is alike over more of the picture."""
 ASTRAY = 3.0
 """Steps that lead farther by axis are not believed [px]."""
 SMOOTH = 1.0
@@ -34,12 +36,15 @@ REACH, STEP = 6, 3
 
 
 class Prepared(NamedTuple):
-    """A picture for linking, uint8."""
+    """A picture for linking."""
 
+    fine: np.ndarray
+    """Without its local mean, float32 [H, W]. It is bent back before it is rounded: of whole numbers a shift by a few
+    hundredths of a pixel leaves nothing where contrast is low."""
     exact: np.ndarray
-    """Without its local mean, shape [H, W]."""
+    """The same, rounded, uint8 [H, W]."""
     rough: np.ndarray
-    """Of a quarter of the size."""
+    """Of a quarter of the size, uint8."""
 
 
 class Links(NamedTuple):
@@ -85,12 +90,12 @@ class Linker:
 
     def prepared(self, picture: np.ndarray) -> Prepared:
         """A picture, uint8 [H, W]."""
-        mean = cv2.blur(picture, (LOCAL, LOCAL))
-        width, height = self._covered
-        return Prepared(
-            cv2.addWeighted(picture, 1, mean, -1, GREY),
-            cv2.resize(picture[:height, :width], self._size, interpolation=cv2.INTER_AREA),
+        fine = cv2.addWeighted(
+            picture, 1, cv2.boxFilter(picture, cv2.CV_32F, (LOCAL, LOCAL)), -1, GREY, dtype=cv2.CV_32F
         )
+        width, height = self._covered
+        small = cv2.resize(picture[:height, :width], self._size, interpolation=cv2.INTER_AREA)
+        return Prepared(fine, _rounded(fine), small)
 
     def link(
         self,
@@ -131,13 +136,36 @@ class Linker:
         """
         if not len(places):
             return _no_links()
-        here, field = places.astype(np.float32), self._dense(motion)
-        bent = Prepared(_sampled(other.exact, field + self._pixels), other.rough)
-        left, found = _step(one, bent, here, np.zeros_like(here))
-        back, returned = _step(bent, one, here + left, -left)
+        here = places.astype(np.float32)
+        step, off, found = self._bent_step(one, other, here, motion, WINDOW)
+        return Links(here + self._filtered(step, found, apart), off)
+
+    def measure(self, one: Prepared, other: Prepared, places: np.ndarray, motion: np.ndarray) -> Links:
+        """The same where a model tells the motion: by wider windows, and neighbours tell nothing of one another's.
+
+        What a model leaves of the motion is small and smooth, so that windows hardly bias it, as a filter would at the
+        instrument's edge, where neighbours lie on one side alone.
+        """
+        if not len(places):
+            return _no_links()
+        here = places.astype(np.float32)
+        step, off, _ = self._bent_step(one, other, here, motion, WIDE)
+        return Links(here + step, off)
+
+    def _bent_step(
+        self, one: Prepared, other: Prepared, here: np.ndarray, motion: np.ndarray, window: int
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """How far places move, shape [N, 2], how far off the way back ends [N] [px], and which are found there [N].
+
+        Off is infinite where either way is not found.
+        """
+        field = self._dense(motion)
+        fine = _sampled(other.fine, field + self._pixels)
+        bent = Prepared(fine, _rounded(fine), other.rough)
+        left, found = _step(one, bent, here, np.zeros_like(here), window)
+        back, returned = _step(bent, one, here + left, -left, window)
         off = np.where(found & returned, _length(left + back), np.inf)
-        step = self._filtered(left + _sampled(field, (here + left)[:, None])[:, 0], found, apart)
-        return Links(here + step, off.astype(np.float32))
+        return left + _sampled(field, (here + left)[:, None])[:, 0], off.astype(np.float32), found
 
     def _dense(self, motion: np.ndarray) -> np.ndarray:
         """Motion of the grid at every pixel, smooth, float32 [H, W, 2]."""
@@ -182,6 +210,11 @@ def _no_links() -> Links:
     return Links(np.zeros((0, 2), np.float32), np.zeros(0, np.float32))
 
 
+def _rounded(picture: np.ndarray) -> np.ndarray:
+    """A picture as uint8, 0 or 255 where it is darker or brighter."""
+    return cv2.addWeighted(picture, 1, picture, 0, 0, dtype=cv2.CV_8U)
+
+
 def _sampled(picture: np.ndarray, places: np.ndarray) -> np.ndarray:
     """Values of a picture [H, W, …] at places [h, w, 2] (column, row) [px], bilinear, shape [h, w, …]."""
     columns, rows = cv2.split(places)
@@ -192,7 +225,9 @@ def _length(vectors: np.ndarray) -> np.ndarray:
     return np.hypot(*vectors.T)
 
 
-def _step(one: Prepared, other: Prepared, places: np.ndarray, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _step(
+    one: Prepared, other: Prepared, places: np.ndarray, guess: np.ndarray, window: int = WINDOW
+) -> tuple[np.ndarray, np.ndarray]:
     """How far places [N, 2] move, near a guess [N, 2] [px], and where that is found, bool [N]; else as guessed."""
     near = (places + guess).astype(np.float32)
     there, found, _ = cv2.calcOpticalFlowPyrLK(
@@ -200,7 +235,7 @@ def _step(one: Prepared, other: Prepared, places: np.ndarray, guess: np.ndarray)
         other.exact,
         places,
         near.copy(),
-        winSize=(WINDOW, WINDOW),
+        winSize=(window, window),
         maxLevel=0,
         criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, STEPS, ENOUGH),
         # What else it gives is not used; eigenvalues it knows anyway, how far the pictures differ costs a third more.

@@ -5,7 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from data.tracks.linking import ASTRAY, GREY, LOCAL, REACH, STEP, WINDOW, Linker, Prepared, patterns, resemblance
+from data.tracks.linking import (
+    ASTRAY,
+    GREY,
+    LOCAL,
+    REACH,
+    STEP,
+    WINDOW,
+    Linker,
+    Prepared,
+    patterns,
+    resemblance,
+)
 from tests.data.tracks.test_following import HEIGHT, WIDTH, shift, texture, warped
 
 PLACES = np.array([[40.0, 40.0], [88.0, 64.0], [120.0, 90.0]], np.float32)
@@ -58,6 +69,19 @@ def test_a_way_that_is_known_roughly_is_found_there_and_back() -> None:
     places, returned = linker.refine(one, other, PLACES, grid_of((5.0, -3.0)), ALL)
     np.testing.assert_allclose(places - PLACES, np.broadcast_to([6.0, -4.0], PLACES.shape), atol=0.1)
     assert returned.max() < 0.2
+
+
+@pytest.mark.parametrize("way", ["refine", "measure"])
+def test_a_guess_of_hundredths_of_a_pixel_is_undone(way: str) -> None:
+    """Pictures are bent back in whole numbers: where contrast is low, such shifts were lost, and counted as motion."""
+    faint = (128 + (texture(1).astype(float) - 128) / 4).round().astype(np.uint8)
+    linker = Linker((HEIGHT, WIDTH), spacing=8)
+    one, other = prepared(linker, faint, faint)
+    wide = np.stack(np.meshgrid(np.arange(20.0, 150, 5), np.arange(20.0, 110, 5)), axis=-1).reshape(-1, 2)
+    apart = (np.ones(len(wide), bool),) if way == "refine" else ()
+    for guess in (0.05, 0.1, 0.2):
+        there, _ = getattr(linker, way)(one, other, wide, grid_of((guess, 0.0)), *apart)
+        assert abs((there - wide)[:, 0].mean()) < 0.1 * guess
 
 
 def test_a_window_that_is_stretched_and_turned_is_found_where_the_motion_is_known_roughly() -> None:

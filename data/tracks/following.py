@@ -7,6 +7,8 @@ neighbours, the way back, and the first picture's pattern all say so.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 
@@ -59,6 +61,17 @@ def tool_distance(tool: np.ndarray) -> np.ndarray:
     return cv2.distanceTransform((~tool).astype(np.uint8), cv2.DIST_L2, 5)
 
 
+class Shown(NamedTuple):
+    """A picture in which points may be measured again."""
+
+    gray: np.ndarray
+    """uint8 [H, W]."""
+    tissue: np.ndarray
+    """Where a followed point may be, bool [H, W]."""
+    edge: np.ndarray
+    """Where a window holds the tool's edge, bool [H, W]."""
+
+
 class PointFollower:
     """Points on tissue from the first picture on; all in pixels of a picture at most WIDEST wide and high.
 
@@ -75,6 +88,8 @@ class PointFollower:
         rows, columns = np.mgrid[spacing : height - spacing : spacing, spacing : width - spacing : spacing]
         away, lit = tool_distance(tool), lit_field(picture)
         self._grid = (away[rows, columns] > MARGIN) & lit[rows, columns]
+        self.everywhere = np.stack([columns, rows], axis=-1)
+        """Places of the whole grid, of those without a point, too, shape [rows, columns, 2] (column, row) [px]."""
         rows_all, columns_all = rows, columns
         rows, columns = rows[self._grid], columns[self._grid]
         self.spacing = spacing
@@ -94,7 +109,8 @@ class PointFollower:
         self._linker, self._count = Linker(gray.shape, self._grid, spacing), 0
         self._first = self._before = self._linker.prepared(gray)
         self._patterns = patterns(gray, self.points)
-        self._edge = _beside(tool)
+        self.shown = Shown(gray, _tissue(picture, tool), _beside(tool))
+        """The last picture."""
 
     @property
     def moved(self) -> np.ndarray:
@@ -109,16 +125,35 @@ class PointFollower:
     def step(self, picture: np.ndarray, tool: np.ndarray) -> None:
         """Follow the points into the next picture, with its tool's mask."""
         picture, tool = shrunk(picture, tool)
-        gray, tissue, edge = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), _tissue(picture, tool), _beside(tool)
+        apart = ~values_at(self.shown.edge, self.place)
+        self.shown = Shown(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), _tissue(picture, tool), _beside(tool))
+        gray, tissue, edge = self.shown
         before, self._before = self._before, self._linker.prepared(gray)
-        apart = ~values_at(self._edge, self.place)
         place, returned = self._linker.link(before, self._before, self.place, self.followed, apart)
-        self._edge = edge
         self.followed &= (returned < CHECK) & values_at(tissue, place)
         self._see(place, self.followed, np.square(self.noise) + _variance(returned, values_at(edge, place)))
         self._count += 1
         if self._count % RELINKED == 0 and self.followed.any():
             self._relink(gray, tissue, edge)
+
+    def measured(self, shown: Shown, motion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The points in a picture where a model tells their motion; none is averaged with its neighbours'.
+
+        Args:
+            shown: the picture, as `shown` was with it.
+            motion: of the whole grid since the first picture, shape [rows, columns, 2] [px].
+
+        Returns:
+            Displacement since the first picture, shape [N, 2] [px], not a number where none is found, and its standard
+            deviation by axis, shape [N] [px].
+        """
+        place, returned = self._linker.measure(self._first, self._linker.prepared(shown.gray), self.points, motion)
+        off = np.linalg.norm(place - self.points - motion[self._grid], axis=1)
+        good = (returned < CHECK) & (off < FOUND) & values_at(shown.tissue, place)
+        good &= resemblance(self._patterns, patterns(shown.gray, place)) > ALIKE
+        edge = values_at(shown.edge, place) | (self.distance < EDGED)
+        noise = np.sqrt(_variance(np.where(good, returned, 0), edge))
+        return np.where(good[:, None], place - self.points, np.nan).astype(np.float64), noise
 
     def _relink(self, gray: np.ndarray, tissue: np.ndarray, edge: np.ndarray) -> None:
         """Link the first picture to this one: against drift, and to find lost points again."""

@@ -25,8 +25,9 @@ GREY = 128
 WINDOW, STEPS, ENOUGH = 9, 4, 0.02
 """Of Lucas-Kanade: width of its windows [px], its most steps, of which more follow noise, and the last one's length
 [px]. A window of 9 px costs less than one of 7."""
-WIDE = 15
-"""Width of the windows where the motion is known up to what is left of it, which is alike over more of the picture."""
+WIDE = 21
+"""Width of the windows where the motion is known up to what is left of it, which is alike over more of the picture
+[px]. Of 9, 15, 21, 27 and 35 px this one erred least on 16 drawn grips."""
 ASTRAY = 3.0
 """Steps that lead farther by axis are not believed [px]."""
 SMOOTH = 1.0

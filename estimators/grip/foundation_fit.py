@@ -12,17 +12,17 @@ Errors of points are Student's, whose scale is found in every frame: a sheet is 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 from scipy.sparse import csr_array
 
 from estimators.grip.alike import correlated_points
 from estimators.grip.lattice import KNOT, SPREAD, TYPICAL_ANCHOR
-from estimators.grip.whitening import Whitening, alike_points
+from estimators.grip.whitening import MEASURED_REACH, REACH, Whitening, alike_points
 from physics.endless_sheet import response
 
 LOADED = 32.0
@@ -37,6 +37,11 @@ forces hangs on it where an instrument hides tissue. The foundation is told with
 are expected less, would pass for a softer attachment."""
 FREEDOM = 3.0
 """Of Student's distribution, in the plane."""
+UNTOLD = 1e-6
+"""Of the loads' independent numbers those count that move points by more than so much, as far as they are expected
+[px²]: no link tells of others."""
+LOOKS = 2
+"""Times that points are measured again where the fit so far says they are."""
 LINK = 0.1
 """Least standard deviation of a point by axis [px]."""
 ALIKE = KNOT**2 / THIRD**2
@@ -58,9 +63,10 @@ STEP = 0.1
 COMMON = 0.85
 """Correlation between errors of the force in two frames: where it acts beneath the instrument is as unknown in one as
 in the other. With 0.93 to 0.95 its intervals held 80 to 88 % on 45 drawn clips; not judged since (docs/real.md)."""
-SHEET_ERROR, END_ERROR = 0.01, 0.03
-"""Standard deviations besides what residuals tell: of log foundation, as 45 drawn clips are 0.016 off whose bound is
-0.007 (docs/real.md), and of the log force, as a sheet has no end and tissue does: 0.05 off on two of 18."""
+SHEET_ERROR, END_ERROR = 0.006, 0.03
+"""Standard deviations besides what residuals tell: of log foundation, as 16 drawn clips are 0.0080 off where residuals
+tell 0.0056 (development seeds 9201 and 9202), and of the log force, as a sheet has no end and tissue does: 0.05 off on
+two of 18."""
 ROBUST = 1.4826
 """Standard deviation of a normal distribution over the median of its absolute values."""
 TINY = 1e-9
@@ -94,6 +100,17 @@ class SeenFrame:
 
 
 @dataclass(frozen=True, eq=False)
+class Measuring:
+    """How points are measured again where a sheet says that they are."""
+
+    places: np.ndarray
+    """Of the whole grid, also where there is no point, shape [rows, columns, 2] (column, row) [px]."""
+    measure: Callable[[int, np.ndarray], SeenFrame]
+    """Gives a frame by its number, by the motion of the whole grid, shape [rows, columns, 2] [px]; errors of its points
+    are alike over `MEASURED_REACH` only."""
+
+
+@dataclass(frozen=True, eq=False)
 class FoundationFit:
     """What some frames of a grip tell; T frames."""
 
@@ -123,6 +140,19 @@ class _Solved:
     """Of the points that count, 0 for those not seen."""
     scale: float
     """Of the errors besides the told noise, variance by axis [px²]."""
+
+
+class Design(NamedTuple):
+    """How n points follow K independent numbers for the loads and 3 for the background, at one foundation."""
+
+    rows: np.ndarray
+    """Motion for a unit of each, shape [n, K + 3]."""
+    precision: np.ndarray
+    """Prior precision of these, shape [K + 3]."""
+    loads: np.ndarray
+    """Loads on the M places for a unit of the numbers, shape [M, K]."""
+    untold: float
+    """Variance by axis of the sum of the loads that no point tells [stiffness² × px²]."""
 
 
 class Whitened(NamedTuple):
@@ -179,28 +209,50 @@ class _Problem:
         distance: from the tool there, shape [N] [px].
         hidden: places of the grid that the tool hides, shape [H, 2] [px].
         spacing: of the grid [px].
+        reach: of the correlation between neighbours' errors [px].
     """
 
-    def __init__(self, points: np.ndarray, distance: np.ndarray, hidden: np.ndarray, spacing: int) -> None:
-        loaded = loaded_cells(points, distance, hidden, spacing)
+    def __init__(
+        self, points: np.ndarray, distance: np.ndarray, hidden: np.ndarray, spacing: int, reach: float = REACH
+    ) -> None:
         cells = np.rint(points / spacing).astype(np.int64)
         self.counted = np.flatnonzero((distance < DENSE) | (cells % THIRD == 0).all(axis=1))
         """Points that count, shape [n]."""
-        self._cells, self._loaded_cells = cells, loaded
-        self._apart = np.moveaxis(cells[self.counted][:, None] - loaded, -1, 0) % SIZE
-        middle, spread = points.mean(axis=0), points.std(axis=0)
-        self._terms = np.column_stack([(points - middle) / spread, np.ones(len(points))])
-        self.loaded = len(loaded)
-        self._whitening = Whitening(points[self.counted])
-        self._expected = max(alike_points(spacing), 1.0)
+        self._points, self._spacing = points, spacing
+        self._loaded_cells = loaded_cells(points, distance, hidden, spacing)
+        self._middle, self._size = points.mean(axis=0), points.std(axis=0)
+        self.loaded = len(self._loaded_cells)
+        self._whitening = Whitening(points[self.counted], reach)
+        self._expected = max(alike_points(spacing, reach), 1.0)
 
-    def design(self, log_anchor: float, energy: float = FREE) -> tuple[np.ndarray, np.ndarray]:
-        """How the points that count follow loads and background, shape [n, M + 3], and the prior precision of these."""
+    def _following(self, answer: np.ndarray, places: np.ndarray) -> np.ndarray:
+        """How places of the grid [n, 2] [px] follow loads and background, shape [n, M + 3]."""
+        cells = np.rint(places / self._spacing).astype(np.int64)
+        apart = np.moveaxis(cells[:, None] - self._loaded_cells, -1, 0) % SIZE
+        return np.hstack([answer[tuple(apart)], (places - self._middle) / self._size, np.ones((len(places), 1))])
+
+    def design(self, log_anchor: float, energy: float = FREE) -> Design:
+        """How the points that count follow what is unknown.
+
+        Few combinations of loads under an instrument can be told apart: those of the prior's independent numbers that
+        move the points, by the eigenvectors of what these say.
+        """
         answer = response(float(np.exp(log_anchor)), SIZE)
-        design = np.hstack([answer[tuple(self._apart)], self._terms[self.counted]])
-        return design, load_precision(answer, self._loaded_cells, energy)
+        rows = self._following(answer, self._points[self.counted])
+        prior = load_precision(answer, self._loaded_cells, energy)[: self.loaded, : self.loaded]
+        triangle = cholesky(prior, check_finite=False)
+        by_number = solve_triangular(triangle, rows[:, : self.loaded].T, trans=1, check_finite=False).T
+        told, vectors = np.linalg.eigh(by_number.T @ by_number)
+        loads = solve_triangular(triangle, vectors, check_finite=False)
+        kept = told > UNTOLD
+        return Design(
+            np.hstack([rows[:, : self.loaded] @ loads[:, kept], rows[:, self.loaded :]]),
+            np.append(np.ones(int(kept.sum())), np.zeros(3)),
+            loads[:, kept],
+            float(np.square(loads[:, ~kept].sum(axis=0)).sum()),
+        )
 
-    def solve(self, design: tuple[np.ndarray, np.ndarray], frame: SeenFrame, start: _Solved | None = None) -> _Solved:
+    def solve(self, design: Design, frame: SeenFrame, start: _Solved | None = None) -> _Solved:
         """The likeliest loads, background and size of errors, by weighting the points anew.
 
         Args:
@@ -208,16 +260,15 @@ class _Problem:
             frame: what is seen.
             start: from which to begin.
         """
-        full, precision = design
         seen = np.flatnonzero(np.isfinite(frame.moved[self.counted]).all(axis=1))
         told = np.square(np.maximum(frame.noise[self.counted][seen], LINK))
-        rows, moved = full[seen], frame.moved[self.counted][seen]
+        rows, moved = design.rows[seen], frame.moved[self.counted][seen]
         scale = 0.0 if start is None else start.scale
         weights = np.ones(len(told)) if start is None else start.weights[seen]
         for _ in range(ROUNDS if start is None else AGAIN):
             before = weights
             root = np.sqrt(weights / (told + scale) / ALIKE)[:, None]
-            factor = cho_factor((rows * root).T @ (rows * root) + precision, check_finite=False)
+            factor = _factor(rows * root, design.precision)
             found = cho_solve(factor, (rows * root).T @ (moved * root), check_finite=False)
             squares = np.square(moved - rows @ found).sum(axis=1)
             scale = error_scale(squares, told, weights, scale)
@@ -229,8 +280,8 @@ class _Problem:
         whole = np.zeros(len(self.counted))
         whole[seen] = weights
         return _Solved(
-            float(density.sum() / ALIKE + 0.5 * np.einsum("ia,ij,ja->", found, precision, found)),
-            found,
+            float(density.sum() / ALIKE + 0.5 * design.precision @ np.square(found).sum(axis=1)),
+            np.vstack([design.loads @ found[:-3], found[-3:]]),
             whole,
             scale,
         )
@@ -242,36 +293,43 @@ class _Problem:
         transform = self._whitening.transform(sizes)
         return Whitened(transform, transform @ np.where(solved.weights[:, None] > 0, frame.moved[self.counted], 0.0))
 
-    def profile(self, design: tuple[np.ndarray, np.ndarray], seen: Whitened) -> _Profile:
+    def profile(self, design: Design, seen: Whitened) -> _Profile:
         """All but the foundation at its likeliest."""
-        full, precision = design
-        rows = seen.transform @ full
-        factor = cho_factor(rows.T @ rows + precision, check_finite=False)
+        rows = seen.transform @ design.rows
+        factor = _factor(rows, design.precision)
         found = cho_solve(factor, rows.T @ seen.moved, check_finite=False)
         left = seen.moved - rows @ found
-        total = np.append(np.ones(self.loaded), np.zeros(3))
+        total = np.append(design.loads.sum(axis=0), np.zeros(3))
         return _Profile(
             0.5 * float((left * seen.moved).sum()),
             total @ found,
-            float(total @ cho_solve(factor, total, check_finite=False)),
+            float(total @ cho_solve(factor, total, check_finite=False)) + design.untold,
         )
+
+    def motion(self, log_anchor: float, solved: _Solved, places: np.ndarray) -> np.ndarray:
+        """Where a sheet says that places of the grid go, shape as of the places […, 2] [px]."""
+        following = self._following(response(float(np.exp(log_anchor)), SIZE), places.reshape(-1, 2))
+        return (following @ solved.unknowns).reshape(places.shape)
 
     def left(self, log_anchor: float, frame: SeenFrame, solved: _Solved) -> np.ndarray:
         """What is not explained over its told size, of all points, shape [N, 2]; outliers count little."""
-        answer = response(float(np.exp(log_anchor)), SIZE)
-        apart = np.moveaxis(self._cells[:, None] - self._loaded_cells, -1, 0) % SIZE
-        explained = np.hstack([answer[tuple(apart)], self._terms]) @ solved.unknowns
-        off, variance = frame.moved - explained, np.square(np.maximum(frame.noise, LINK)) + solved.scale
+        off = frame.moved - self.motion(log_anchor, solved, self._points)
+        variance = np.square(np.maximum(frame.noise, LINK)) + solved.scale
         weights = (FREEDOM + 2) / (FREEDOM + np.square(off).sum(axis=1) / variance)
         return off * np.sqrt(weights / variance)[:, None]
 
     def wider(self, left: np.ndarray) -> float:
         """By which factor variances grow if more points err alike than was taken for granted, 1 or more."""
-        return max(correlated_points(self._cells, 1, left) / self._expected, 1.0)
+        return max(correlated_points(self._points, self._spacing, left) / self._expected, 1.0)
 
 
 def fit_foundation(
-    points: np.ndarray, distance: np.ndarray, hidden: np.ndarray, spacing: int, frames: Sequence[SeenFrame]
+    points: np.ndarray,
+    distance: np.ndarray,
+    hidden: np.ndarray,
+    spacing: int,
+    frames: Sequence[SeenFrame],
+    measuring: Measuring | None = None,
 ) -> FoundationFit:
     """Fit the foundation of an endless sheet to some frames of a grip, in their order in time.
 
@@ -281,6 +339,7 @@ def fit_foundation(
         hidden: places of the grid that the tool hides there, shape [H, 2] [px].
         spacing: of the grid [px].
         frames: at least one.
+        measuring: how points are measured again where a sheet explains them; None = they aren't.
 
     Raises:
         NoSheet: the points move otherwise, or the instrument hides too much.
@@ -289,16 +348,25 @@ def fit_foundation(
     if not 0 < problem.loaded <= MOST_LOADED:
         raise NoSheet(f"Forces may act on {problem.loaded} places; from 1 to {MOST_LOADED} can be told apart.")
     spread = _spread(len(frames))
-    log_anchor, curvatures = _search(problem, [frames[place] for place in spread])
-    free = problem.design(log_anchor)
-    solved = [problem.solve(free, frame) for frame in frames]
-    excess = float(np.sqrt(solved[-1].scale))
+    found = _search(problem, [frames[place] for place in spread])
+    excess = float(np.sqrt(found.solved[-1].scale))
     if excess > EXCESS:
         raise NoSheet(f"Points are {excess:.2f} px off besides their noise.")
-    left = np.array([problem.left(log_anchor, frames[place], solved[place]) for place in spread])
-    wider = problem.wider(left[-1])
+    judged, looked = problem, [frames[place] for place in spread]
+    if measuring is not None:
+        judged = _Problem(points, distance, hidden, spacing, MEASURED_REACH)
+        for _ in range(LOOKS):
+            motions = [judged.motion(found.log_anchor, solved, measuring.places) for solved in found.solved]
+            looked = [measuring.measure(*pair) for pair in zip(spread, motions, strict=True)]
+            found = _refined(judged, looked, found.log_anchor)
+    log_anchor = found.log_anchor
+    left = np.array([judged.left(log_anchor, *pair) for pair in zip(looked, found.solved, strict=True)])
+    told = information(found.curvatures, frame_correlation(left))
+    variance = judged.wider(left[-1]) * error_size(left[-1]) ** 2 / max(told, TINY)
+    free = problem.design(log_anchor)
+    solved = [problem.solve(free, frame) for frame in frames]
+    wider = problem.wider(problem.left(log_anchor, frames[-1], solved[-1]))
     misfit = MISFIT if wider > MOST_ALIKE else (0.0, 0.0)
-    variance = wider * error_size(left[-1]) ** 2 / max(information(curvatures, frame_correlation(left)), TINY)
     sd = 1 / np.sqrt(1 / (variance + SHEET_ERROR**2 + misfit[0] ** 2) + SPREAD**-2)
     seen = [problem.whitened(*pair) for pair in zip(frames, solved, strict=True)]
     less, here, more = (
@@ -325,13 +393,27 @@ def fit_foundation(
     )
 
 
-def _search(problem: _Problem, fitted: Sequence[SeenFrame]) -> tuple[float, np.ndarray]:
-    """The likeliest log foundation of J frames, and what each of them tells of it, its curvature, shape [J]."""
-    expected = np.log(TYPICAL_ANCHOR)
+class _Found(NamedTuple):
+    """The likeliest foundation of J frames."""
+
+    log_anchor: float
+    curvatures: np.ndarray
+    """What each of the frames tells of it, shape [J]."""
+    solved: list[_Solved]
+    """Of each of the frames."""
+
+
+def _search(problem: _Problem, fitted: Sequence[SeenFrame]) -> _Found:
+    """The likeliest log foundation of some frames."""
     tried = np.arange(LIMITS[0], LIMITS[1] + GRID, GRID)
     # The last frame alone says roughly where.
     rough = np.array([problem.solve(problem.design(value), fitted[-1]).loss for value in tried])
-    log_anchor = float(tried[np.argmin(rough + 0.5 * np.square((tried - expected) / SPREAD))])
+    expected = np.square((tried - np.log(TYPICAL_ANCHOR)) / SPREAD)
+    return _refined(problem, fitted, float(tried[np.argmin(rough + 0.5 * expected)]))
+
+
+def _refined(problem: _Problem, fitted: Sequence[SeenFrame], log_anchor: float) -> _Found:
+    """The same from a value on, by Newton's steps."""
     design = problem.design(log_anchor)
     solved = [problem.solve(design, frame) for frame in fitted]
     curvatures = np.zeros(len(fitted))
@@ -340,7 +422,7 @@ def _search(problem: _Problem, fitted: Sequence[SeenFrame]) -> tuple[float, np.n
         nearby = (problem.design(log_anchor - STEP), design, problem.design(log_anchor + STEP))
         low, middle, high = np.array([[problem.profile(near, frame).loss for frame in seen] for near in nearby])
         curvatures = (low + high - 2 * middle) / STEP**2
-        slope = (high - low).mean() / (2 * STEP) + (log_anchor - expected) / SPREAD**2
+        slope = (high - low).mean() / (2 * STEP) + (log_anchor - np.log(TYPICAL_ANCHOR)) / SPREAD**2
         curvature = curvatures.mean() + SPREAD**-2
         step = np.clip(-slope / curvature if curvature > 0 else -np.sign(slope), -LONGEST, LONGEST)
         before, log_anchor = log_anchor, float(np.clip(log_anchor + step, *LIMITS))
@@ -348,7 +430,14 @@ def _search(problem: _Problem, fitted: Sequence[SeenFrame]) -> tuple[float, np.n
             break
         design = problem.design(log_anchor)
         solved = [problem.solve(design, *pair) for pair in zip(fitted, solved, strict=True)]
-    return log_anchor, curvatures
+    return _Found(log_anchor, curvatures, solved)
+
+
+def _factor(rows: np.ndarray, precision: np.ndarray) -> tuple[np.ndarray, bool]:
+    """Cholesky's, of the information of rows [n, P] and a prior precision [P]."""
+    information = rows.T @ rows
+    information[np.diag_indices_from(information)] += precision
+    return cho_factor(information, overwrite_a=True, check_finite=False)
 
 
 def information(curvatures: np.ndarray, correlation: np.ndarray) -> float:

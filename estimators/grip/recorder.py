@@ -17,9 +17,9 @@ from data.contact.geometry import FrameGeometry
 from data.labels import TOOL
 from data.prepared import PreparedFrame
 from data.tracks.background import without_background
-from data.tracks.following import PointFollower, shrunk
+from data.tracks.following import PointFollower, Shown, shrunk
 from estimators.estimate import NINETY, GripEstimate, NoEstimate
-from estimators.grip.foundation_fit import NoSheet, SeenFrame, fit_foundation
+from estimators.grip.foundation_fit import Measuring, NoSheet, SeenFrame, fit_foundation
 from estimators.grip.pull_fit import fit_pull
 from estimators.grip.sheet_fit import LEAST_FRAMES, LEAST_MOTION, GripFrame, SheetFit, fit_sheet, skill
 from estimators.grip.stiffness_field import StiffnessField
@@ -44,6 +44,8 @@ class _Kept:
     frame: GripFrame
     noise: np.ndarray
     """Of its points, shape [N] [px]."""
+    shown: Shown
+    """Its picture."""
 
 
 class GripRecorder:
@@ -80,7 +82,7 @@ class GripRecorder:
         self._count += 1
         if self._count % self._every:
             return
-        self._kept.append(_Kept(frame.frame.time_s - self._start, grip, follower.noise))
+        self._kept.append(_Kept(frame.frame.time_s - self._start, grip, follower.noise, follower.shown))
         if len(self._kept) > MOST_KEPT:
             self._kept, self._every = self._kept[1::2], 2 * self._every
 
@@ -169,8 +171,13 @@ class GripRecorder:
         follower = self._follower
         seen = [SeenFrame(item.frame.moved, item.noise) for item in self._kept]
         points = follower.points.astype(np.float64)
+
+        def measure(number: int, motion: np.ndarray) -> SeenFrame:
+            return SeenFrame(*follower.measured(self._kept[number].shown, motion.astype(np.float32)))
+
+        again = Measuring(follower.everywhere, measure)
         try:
-            fit = fit_foundation(points, follower.distance, follower.hidden, follower.spacing, seen)
+            fit = fit_foundation(points, follower.distance, follower.hidden, follower.spacing, seen, again)
         except NoSheet:
             held = fit_sheet(points, follower.spacing, frames, field=False, background=True)
             (anchor, sd), (pull, pull_sd) = held.mean_log_anchor, held.log_force(frames[-1])

@@ -14,6 +14,8 @@ from scipy.spatial import KDTree
 REACH = 6.2
 """Of the correlation between neighbours' errors, Matérn's of 3/2 [px]: 5.7 to 7.0 on 20 drawn clips, measured as
 benchmarks do."""
+MEASURED_REACH = 5.0
+"""The same of points measured in wide windows where a model tells their motion [px]."""
 NEAR, MOST = 42.0, 24
 """Neighbours are nearer [px]; the most of a point. With half as many smooth motion would tell a fifth too much."""
 
@@ -23,9 +25,10 @@ class Whitening:
 
     Args:
         points: shape [n, 2] [px].
+        reach: of the correlation between their errors [px].
     """
 
-    def __init__(self, points: np.ndarray) -> None:
+    def __init__(self, points: np.ndarray, reach: float = REACH) -> None:
         count = len(points)
         # Of all neighbours about half come before a point.
         apart, near = KDTree(points).query(points, k=2 * MOST + 1, distance_upper_bound=NEAR)
@@ -34,8 +37,8 @@ class Whitening:
         self._known = np.take_along_axis(before, order, axis=1)
         self._near = np.where(self._known, np.take_along_axis(near, order, axis=1), 0)
         places = points[self._near]
-        self._to = matern(np.linalg.norm(places - points[:, None], axis=-1) / REACH)
-        self._between = matern(np.linalg.norm(places[:, :, None] - places[:, None], axis=-1) / REACH)
+        self._to = matern(np.linalg.norm(places - points[:, None], axis=-1) / reach)
+        self._between = matern(np.linalg.norm(places[:, :, None] - places[:, None], axis=-1) / reach)
 
     def transform(self, sizes: np.ndarray) -> csr_array:
         """The transform, shape [n, n]; rows of points that are not seen are zero.
@@ -68,6 +71,6 @@ def matern(distance: np.ndarray) -> np.ndarray:
     return (1 + distance) * np.exp(-distance)
 
 
-def alike_points(spacing: float) -> float:
+def alike_points(spacing: float, reach: float = REACH) -> float:
     """How many points of a square grid [px] err alike: the sum of the correlation over the grid, as its integral."""
-    return 6 * np.pi * (REACH / spacing) ** 2
+    return 6 * np.pi * (reach / spacing) ** 2

@@ -196,6 +196,27 @@ def test_points_whose_window_holds_the_tools_edge_are_noisy() -> None:
     assert sorted(set(follower.hidden[:, 0])) == [8, 16, 24, 32, 40]
 
 
+def test_points_that_a_model_finds_are_measured_again_without_their_neighbours() -> None:
+    """Motion that dies away within two spacings of a tool's edge: neighbours, on one side alone, tell too little."""
+
+    def pulled(places: np.ndarray) -> np.ndarray:
+        return 6.0 * np.exp(-(places[:, :1] - 40) / 16) * [0.0, 1.0]
+
+    tool = left_of(40)
+    follower = PointFollower(texture(), tool)
+    follower.step(warped(texture(), pulled), tool)
+    true = pulled(follower.points.astype(np.float64))
+    model = 1.1 * pulled(follower.everywhere.reshape(-1, 2).astype(np.float64)).reshape(follower.everywhere.shape)
+    moved, noise = follower.measured(follower.shown, model.astype(np.float32))
+    near = (follower.distance > EDGED) & (follower.distance < 24)
+    seen = near & np.isfinite(moved).all(axis=1)
+    assert seen.sum() > 0.9 * near.sum()
+    off, off_filtered = ((way - true)[seen, 1].mean() for way in (moved, follower.moved))
+    assert abs(off) < 0.03 < abs(off_filtered)
+    assert (noise[seen] >= NOISE).all()
+    assert (noise[follower.distance < EDGED] >= DRAGGED).all()
+
+
 def test_points_that_leave_the_picture_are_lost() -> None:
     """The picture's rim counts as unlit, some pixels before its edge."""
     picture = texture(3, HEIGHT, WIDTH + 60)

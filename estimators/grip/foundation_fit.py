@@ -42,7 +42,7 @@ UNTOLD = 1e-6
 [px²]: no link tells of others."""
 LOOKS = 2
 """Times that points are measured again where the fit so far says they are."""
-LINK = 0.1
+LINK = 0.05
 """Least standard deviation of a point by axis [px]."""
 ALIKE = KNOT**2 / THIRD**2
 """So many points are taken to err alike where they are weighted: what a sheet can't explain is smooth over a knot's
@@ -51,8 +51,9 @@ ROUNDS, AGAIN, CONVERGED = 15, 4, 1e-3
 """Of weighting the points anew: at most, where near values are solved, and the change of weights that ends them."""
 SCALED = 10
 """Steps to the errors' scale."""
-MOST_FITTED = 4
-"""So many frames, evenly spread, tell the foundation: the motion grows steadily."""
+MOST_FITTED, MOST_MEASURED = 4, 8
+"""So many frames, evenly spread, tell the foundation roughly, and so many once points are measured again: the motion
+grows steadily."""
 GRID, LONGEST, NEWTON, PRECISION = 1.0, 0.5, 8, 0.002
 """Of the search for log foundation: between the values tried first, the longest of Newton's steps from the best of
 them, the most of these, and the length of the last one."""
@@ -347,7 +348,7 @@ def fit_foundation(
     problem = _Problem(points, distance, hidden, spacing)
     if not 0 < problem.loaded <= MOST_LOADED:
         raise NoSheet(f"Forces may act on {problem.loaded} places; from 1 to {MOST_LOADED} can be told apart.")
-    spread = _spread(len(frames))
+    spread = _spread(len(frames), MOST_FITTED)
     found = _search(problem, [frames[place] for place in spread])
     excess = float(np.sqrt(found.solved[-1].scale))
     if excess > EXCESS:
@@ -355,6 +356,8 @@ def fit_foundation(
     judged, looked = problem, [frames[place] for place in spread]
     if measuring is not None:
         judged = _Problem(points, distance, hidden, spacing, MEASURED_REACH)
+        spread, design = _spread(len(frames), MOST_MEASURED), problem.design(found.log_anchor)
+        found = found._replace(solved=[problem.solve(design, frames[place]) for place in spread])
         for _ in range(LOOKS):
             motions = [judged.motion(found.log_anchor, solved, measuring.places) for solved in found.solved]
             looked = [measuring.measure(*pair) for pair in zip(spread, motions, strict=True)]
@@ -463,9 +466,9 @@ def frame_correlation(left: np.ndarray) -> np.ndarray:
     return products / np.maximum(np.outer(sizes, sizes), np.finfo(np.float64).tiny)
 
 
-def _spread(count: int) -> list[int]:
-    """Numbers of at most MOST_FITTED frames of so many, evenly spread, the last one included."""
-    return (np.linspace(0, count, min(MOST_FITTED, count) + 1)[1:].round().astype(int) - 1).tolist()
+def _spread(count: int, most: int) -> list[int]:
+    """Numbers of at most so many frames of all, evenly spread, the last one included."""
+    return (np.linspace(0, count, min(most, count) + 1)[1:].round().astype(int) - 1).tolist()
 
 
 def along_last(forces: np.ndarray) -> tuple[float, np.ndarray]:

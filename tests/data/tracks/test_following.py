@@ -13,6 +13,7 @@ from data.tracks.following import (
     DRAGGED,
     EDGED,
     MARGIN,
+    MEASURED,
     NOISE,
     RELINKED,
     RIM,
@@ -213,7 +214,7 @@ def test_points_that_a_model_finds_are_measured_again_without_their_neighbours()
     assert seen.sum() > 0.9 * near.sum()
     off, off_filtered = ((way - true)[seen, 1].mean() for way in (moved, follower.moved))
     assert abs(off) < 0.03 < abs(off_filtered)
-    assert (noise[seen] >= NOISE).all()
+    assert (noise[seen] >= MEASURED).all()
     assert (noise[follower.distance < EDGED] >= DRAGGED).all()
 
 

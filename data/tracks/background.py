@@ -10,6 +10,12 @@ LEAST = 6
 """Fewer such points determine no affine motion."""
 
 
+def far_points(moved: np.ndarray, distance: np.ndarray) -> np.ndarray:
+    """Which of some points with displacements [N, 2] and distances [N] from the tool are the background, bool [N]."""
+    known = np.asarray(np.isfinite(moved).all(axis=1))
+    return known & (distance > np.percentile(distance[known], FAR)) if known.any() else known
+
+
 def without_background(points: np.ndarray, moved: np.ndarray, distance: np.ndarray) -> np.ndarray:
     """Displacement less the affine motion of the points farthest from the tool, shape [N, 2] [px].
 
@@ -18,10 +24,7 @@ def without_background(points: np.ndarray, moved: np.ndarray, distance: np.ndarr
         moved: displacements, shape [N, 2] [px]; not a number where a point is lost.
         distance: from the tool at rest, shape [N] [px].
     """
-    known = np.isfinite(moved).all(axis=1)
-    if not known.any():
-        return moved
-    far = known & (distance > np.percentile(distance[known], FAR))
+    far = far_points(moved, distance)
     if far.sum() < LEAST:
         return moved
     terms = np.column_stack([points, np.ones(len(points))]).astype(np.float64)

@@ -11,6 +11,8 @@ NEAREST = 0.05
 """Residuals below this weigh alike in a fit by least distances [px]."""
 ROUNDS = 30
 """Of weighting the points anew."""
+AFFINE = 3
+"""Terms of an affine motion, the first ones of a quadratic."""
 TINY = 1e-9
 """Added to the terms' products, so that points that don't tell a term leave it at zero."""
 

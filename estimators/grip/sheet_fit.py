@@ -58,6 +58,13 @@ class GripFrame:
     """Displacement since rest, shape [N, 2] [px]; not a number where a point is lost."""
     gripped: np.ndarray
     """Which points move with the instrument, shape [N], bool; all of them seen."""
+    carried: np.ndarray | None = None
+    """Part of it that a camera's motion is known to do, shape [N, 2] [px]; None = none. The sheet explains the rest."""
+
+    @property
+    def own(self) -> np.ndarray:
+        """Displacement besides that, shape [N, 2] [px]."""
+        return self.moved if self.carried is None else self.moved - self.carried
 
     @property
     def around(self) -> np.ndarray:
@@ -123,8 +130,12 @@ class SheetFit:
         return float(row @ self.numbers), float(np.sqrt(max(row @ self.covariance @ row, 0.0)))
 
     def predict(self, frame: GripFrame) -> tuple[np.ndarray, np.ndarray]:
-        """Displacement of every point [N, 2] with the grip, background aside, and its standard deviation [N] [px]."""
+        """Displacement of every point [N, 2] with grip and camera, and its standard deviation [N] [px].
+
+        Without that of a background which was found with the sheet.
+        """
         moved = self.explained(frame)[0].displacement[: self.count]
+        moved = moved if frame.carried is None else moved + frame.carried
         grip, own = self.error
         return moved, np.sqrt(grip**2 * frame.pull**2 + own**2 * np.square(moved).sum(axis=1))
 
@@ -229,11 +240,11 @@ def fit_sheet(
 def skill(fit: SheetFit, frame: GripFrame) -> float:
     """1 - error / motion of the points around the grip, root mean squares: 0 as if nothing moved, 1 = exact.
 
-    Both without the background's motion.
+    Both without the motion of a background that was found with the sheet.
     """
     found, carried = fit.explained(frame)
-    moved = (frame.moved - carried)[frame.around]
-    return 1 - length(found.displacement[: fit.count][frame.around] - moved) / length(moved)
+    left = (frame.own - carried - found.displacement[: fit.count])[frame.around]
+    return 1 - length(left) / length((frame.moved - carried)[frame.around])
 
 
 def length(vectors: np.ndarray) -> float:
@@ -259,7 +270,7 @@ def _held(
     count, around = len(frame.gripped), frame.around
     gripped = np.zeros(len(anchor), bool)
     gripped[:count] = frame.gripped
-    motion = frame.moved[frame.gripped]
+    motion = frame.own[frame.gripped]
     if terms is None:
         return (
             equilibrium(springs, stiffness, anchor, gripped, motion),
@@ -269,7 +280,7 @@ def _held(
     found = equilibrium(springs, stiffness, anchor, gripped, np.hstack([motion, terms[frame.gripped]]))
     pulled, tied = found.displacement[:, :2], found.displacement[:, 2:]
     follows = (terms - tied[:count])[around]
-    affine = np.linalg.lstsq(follows, (frame.moved - pulled[:count])[around], rcond=None)[0]
+    affine = np.linalg.lstsq(follows, (frame.own - pulled[:count])[around], rcond=None)[0]
     return dataclasses.replace(found, displacement=pulled - tied @ affine), terms @ affine, follows
 
 
@@ -318,7 +329,7 @@ def _likeliest(
             found, carried, _ = _held(springs, stiffness, anchor, frame, terms)
             around = np.flatnonzero(frame.around)
             error = np.zeros_like(found.displacement)
-            error[around] = found.displacement[around] - (frame.moved - carried)[around]
+            error[around] = found.displacement[around] - (frame.own - carried)[around]
             size, worth = float(np.square(error).sum()), _independent(len(around)) / len(frames)
             value += 0.5 * worth * np.log(size)
             by_stiffness, by_anchor = found.gradient(worth / size * error)
@@ -343,7 +354,7 @@ def _covariance(
         basis = np.linalg.qr(follows)[0]
         slopes = slopes - np.einsum("nk,kap->nap", basis, np.einsum("nk,nap->kap", basis, slopes))
         slopes = slopes.reshape(2 * len(around), -1)
-        size = float(np.square(found.displacement[around] - (frame.moved - carried)[around]).sum())
+        size = float(np.square(found.displacement[around] - (frame.own - carried)[around]).sum())
         precision += _independent(len(around)) / len(frames) / size * (slopes.T @ slopes)
     return np.linalg.inv(precision)
 
@@ -380,13 +391,21 @@ def _relative_error(
 def _discrepancy(
     springs: np.ndarray, fields: Fields, numbers: np.ndarray, frames: Sequence[GripFrame], terms: np.ndarray | None
 ) -> tuple[float, float]:
-    """Shares of errors with standard deviation √((share · grip's motion)² + (share · own motion)²), by axis.
-
-    Their ratio is the likeliest one of normal errors; their size is such that 90 % discs hold 90 % of the points.
-    """
+    """Shares of the errors in some frames."""
     pairs = [_errors(springs, fields, numbers, frame, terms)[:2] for frame in frames]
     error, motion = (np.concatenate(part) for part in zip(*pairs, strict=True))
-    pull = np.repeat([frame.pull**2 for frame in frames], [len(part) for part, _ in pairs])
+    return error_shares(error, motion, np.repeat([frame.pull**2 for frame in frames], [len(part) for part, _ in pairs]))
+
+
+def error_shares(error: np.ndarray, motion: np.ndarray, pull: np.ndarray) -> tuple[float, float]:
+    """The grip's share and a point's own in the standard deviation √((share · pull)² + (share · motion)²) by axis.
+
+    Their ratio is the likeliest one of normal errors; their size is such that 90 % discs hold 90 % of the points.
+
+    Args:
+        error, motion, pull: squares of how far points are off, of how far they are expected to move, and of the grip's
+            motion, shape [n] each [px²].
+    """
 
     def loss(logs: np.ndarray) -> float:
         variance = np.exp(2 * logs[0]) * pull + np.exp(2 * logs[1]) * motion

@@ -24,15 +24,28 @@ from data.source.layout import IMAGE_SUFFIXES, ClipLayout, InputError, list_fold
 from data.tracks.background import without_background
 from data.tracks.following import MARGIN, PointFollower, shrunk, tool_distance, values_at
 from data.tracks.holding import held_distance
+from data.tracks.parallax import camera_motion
 from estimators.estimate import LEAST_SKILL, NINETY
 from estimators.grip.driver import find_driver
 from estimators.grip.recorder import DRIVEN
-from estimators.grip.sheet_fit import LEAST_FRAMES, RADIUS, GripFrame, NothingMoves, SheetFit, fit_sheet, skill
+from estimators.grip.sheet_fit import (
+    LEAST_FRAMES,
+    RADIUS,
+    GripFrame,
+    NothingMoves,
+    SheetFit,
+    error_shares,
+    fit_sheet,
+    length,
+    skill,
+)
 
 NEARBY = 35.0
 """Nearby points began nearer to the tool than this percentile of those that are followed [%]."""
 HELD = (0.5, 0.7)
 """Without drawn masks: shares of the driver's motion above which tissue, or the instrument, may count as held."""
+LEAD = 0.2
+"""By so much more skill motion must tell a grip under a moving camera, whose own motion is predicted at any place."""
 OPENING = 15
 """Blobs of a stored mask that no square of this side fits into are no tool [px]."""
 
@@ -73,6 +86,16 @@ class Follow:
     """Sentences about frames that were left out."""
     grip: str
     """What tells where the tissue is held: `masks` or `motion`."""
+    camera: bool
+    """Whether the camera moves."""
+
+    def told(self, learnt: int) -> list[GripFrame]:
+        """The frames with what a moving camera does to uneven tissue, as so many of the first ones tell it."""
+        if not self.camera:
+            return self.frames
+        moved = np.stack([frame.moved for frame in self.frames])
+        carried = camera_motion(self.points, self.spacing, moved, self.distance, learnt)
+        return [dataclasses.replace(frame, carried=part) for frame, part in zip(self.frames, carried, strict=True)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,19 +123,27 @@ def evaluate_pull(clip: PulledClip) -> Pull:
     """
     follow = follow_clip(clip)
     half = len(follow.frames) // 2
-    early, late = follow.frames[:half], [frame for frame in follow.frames[half:] if frame.tells]
+    told = follow.told(half)
+    early, late = told[:half], [frame for frame in told[half:] if frame.tells]
     sheets = {
         "field": fit_sheet(follow.points, follow.spacing, early),
         "one number": fit_sheet(follow.points, follow.spacing, early, field=False),
     }
+    if follow.camera:
+        # What the camera does is learnt from the very frames that the sheet is fitted to.
+        error = _rehearsed(follow).error
+        sheets = {name: dataclasses.replace(sheet, error=error) for name, sheet in sheets.items()}
     fit = sheets["field"]
     skills: dict[str, list[float]] = {}
     held = []
     for frame in late:
         nearby = nearby_frame(frame, follow.distance)
-        for name, sheet in sheets.items():
-            for kind, judged in (("all", frame), ("nearby", nearby)):
+        for kind, judged in (("all", frame), ("nearby", nearby)):
+            for name, sheet in sheets.items():
                 skills.setdefault(f"{kind}, {name}", []).append(skill(sheet, judged))
+            if follow.camera:
+                left = 1 - length(judged.own[judged.around]) / length(judged.moved[judged.around])
+                skills.setdefault(f"{kind}, camera alone", []).append(left)
         moved, sd = fit.predict(frame)
         off = np.linalg.norm(moved - frame.moved, axis=1)[frame.around]
         held.append(float((off < RADIUS * sd[frame.around]).mean()))
@@ -152,6 +183,15 @@ def _measures(
         found["points within the 90 % bands"] = float(np.mean(held))
         explained = skills["all, field"].mean() >= LEAST_SKILL
         found["verdict"] = "the sheet explains the motion" if explained else "the sheet does not explain the motion"
+        if follow.camera:
+            # Of the motion that the camera leaves: 1 - error / that.
+            beside = {
+                kind: float((1 - (1 - skills[f"{kind}, field"]) / (1 - skills[f"{kind}, camera alone"])).mean())
+                for kind in ("all", "nearby")
+            }
+            found |= {f"skill of {kind}, beside the camera, mean": value for kind, value in beside.items()}
+            if explained and beside["all"] < LEAST_SKILL:
+                found["verdict"] = "the camera explains the motion, the sheet little of the rest"
     return found
 
 
@@ -168,7 +208,7 @@ def follow_clip(clip: PulledClip) -> Follow:
 
     Where nobody has drawn masks, the grip is where the automatic ones show an instrument, in the first frame or in the
     last one of the first half that shows any, or where motion tells it (`find_driver`): what predicts the later frames
-    of the first half better from its earlier ones.
+    of the first half better from its earlier ones (under a moving camera motion needs a LEAD).
 
     Raises:
         InputError: it can't be read, has fewer than two frames, or its first frame shows no tool or no tissue.
@@ -210,7 +250,7 @@ def follow_clip(clip: PulledClip) -> Follow:
         for motion in (item[used] for item in moved):
             motion = without_background(points, motion, away) if clip.camera else motion
             frames.append(GripFrame(motion, np.isfinite(motion).all(axis=1) & (away < DRIVEN)))
-        return Follow(points, follower.spacing, away, frames, (first, picture), unreadable, grip)
+        return Follow(points, follower.spacing, away, frames, (first, picture), unreadable, grip, clip.camera)
 
     found = [follow(masked, masked.distance, shown, "masks")]
     if free is not None:
@@ -220,19 +260,49 @@ def follow_clip(clip: PulledClip) -> Follow:
         if driver is not None:
             pieces = [held_distance(free.points, free.spacing, driver.own, driver.place, share) for share in HELD]
             found += [follow(free, away, everything, "motion") for away in pieces if np.isfinite(away).all()]
-    return found[0] if len(found) == 1 else max(found, key=_expected_skill)
+    if len(found) == 1:
+        return found[0]
+    lead = LEAD if clip.camera else 0.0
+    return max(found, key=lambda one: _expected_skill(one) - (lead if one.grip == "motion" else 0.0))
+
+
+@dataclass(frozen=True)
+class _Rehearsal:
+    """How well the later part of the first half is predicted from its earlier one."""
+
+    skill: float
+    """Of all points by one number."""
+    error: tuple[float, float]
+    """As `SheetFit.error`."""
+
+
+def _rehearsed(follow: Follow) -> _Rehearsal:
+    """Fit one number to the earlier part of the first half, and predict the later one.
+
+    Raises:
+        NothingMoves: nothing can be fitted.
+    """
+    moving = [index for index, frame in enumerate(follow.frames[: len(follow.frames) // 2]) if frame.tells]
+    count = max((len(moving) + 1) // 2, LEAST_FRAMES)
+    early, late = moving[:count], moving[count:]
+    frames = follow.told(early[-1] + 1 if early else 0)
+    fit = fit_sheet(follow.points, follow.spacing, [frames[index] for index in early], field=False)
+    # One number hardly fits noise: of a short clip the same frames must do.
+    judged = [frames[index] for index in late or early]
+    parts = []
+    for frame in judged:
+        moved = fit.predict(frame)[0][frame.around]
+        pair = (np.square(part).sum(axis=1) for part in (moved - frame.moved[frame.around], moved))
+        parts.append(np.stack([*pair, np.full(len(moved), frame.pull**2)]))
+    return _Rehearsal(float(np.mean([skill(fit, frame) for frame in judged])), error_shares(*np.hstack(parts)))
 
 
 def _expected_skill(follow: Follow) -> float:
-    """Of one number in the later part of the first half, fitted to its earlier one; -∞ where too little moves."""
-    moving = [frame for frame in follow.frames[: len(follow.frames) // 2] if frame.tells]
-    early = moving[: max((len(moving) + 1) // 2, LEAST_FRAMES)]
+    """In the later part of the first half; -∞ where too little moves."""
     try:
-        fit = fit_sheet(follow.points, follow.spacing, early, field=False)
+        return _rehearsed(follow).skill
     except NothingMoves:
         return -math.inf
-    # One number hardly fits noise: of a short clip the same frames must do.
-    return float(np.mean([skill(fit, frame) for frame in moving[len(early) :] or early]))
 
 
 def read_views(clip: PulledClip) -> Iterator[tuple[int, np.ndarray | None, np.ndarray | str]]:

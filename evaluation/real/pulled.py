@@ -44,6 +44,9 @@ NEARBY = 35.0
 """Nearby points began nearer to the tool than this percentile of those that are followed [%]."""
 HELD = (0.5, 0.7)
 """Without drawn masks: shares of the driver's motion above which tissue, or the instrument, may count as held."""
+REHEARSED = (0.5, 0.75)
+"""Shares of the first half's frames that predict its later ones, to see how far off predictions under a moving camera
+are: half of them know less than what is judged does, three quarters look less far ahead."""
 LEAD = 0.2
 """By so much more skill motion must tell a grip under a moving camera, whose own motion is predicted at any place."""
 OPENING = 15
@@ -131,8 +134,9 @@ def evaluate_pull(clip: PulledClip) -> Pull:
     }
     if follow.camera:
         # What the camera does is learnt from the very frames that the sheet is fitted to.
-        error = _rehearsed(follow).error
-        sheets = {name: dataclasses.replace(sheet, error=error) for name, sheet in sheets.items()}
+        errors = [error_shares(*_rehearsed(follow, share)[1]) for share in REHEARSED]
+        grip, own = np.sqrt(np.square(errors).mean(axis=0)).tolist()
+        sheets = {name: dataclasses.replace(sheet, error=(grip, own)) for name, sheet in sheets.items()}
     fit = sheets["field"]
     skills: dict[str, list[float]] = {}
     held = []
@@ -266,41 +270,34 @@ def follow_clip(clip: PulledClip) -> Follow:
     return max(found, key=lambda one: _expected_skill(one) - (lead if one.grip == "motion" else 0.0))
 
 
-@dataclass(frozen=True)
-class _Rehearsal:
-    """How well the later part of the first half is predicted from its earlier one."""
+def _rehearsed(follow: Follow, share: float) -> tuple[list[float], np.ndarray]:
+    """Fit one number to the earlier share of the first half's frames that tell, and predict the later ones.
 
-    skill: float
-    """Of all points by one number."""
-    error: tuple[float, float]
-    """As `SheetFit.error`."""
-
-
-def _rehearsed(follow: Follow) -> _Rehearsal:
-    """Fit one number to the earlier part of the first half, and predict the later one.
+    Returns:
+        Skill of every later frame, and of all their points what `error_shares` needs, shape [3, n] [px²].
 
     Raises:
         NothingMoves: nothing can be fitted.
     """
     moving = [index for index, frame in enumerate(follow.frames[: len(follow.frames) // 2]) if frame.tells]
-    count = max((len(moving) + 1) // 2, LEAST_FRAMES)
+    count = max(math.ceil(share * len(moving)), LEAST_FRAMES)
     early, late = moving[:count], moving[count:]
     frames = follow.told(early[-1] + 1 if early else 0)
     fit = fit_sheet(follow.points, follow.spacing, [frames[index] for index in early], field=False)
+    skills, parts = [], []
     # One number hardly fits noise: of a short clip the same frames must do.
-    judged = [frames[index] for index in late or early]
-    parts = []
-    for frame in judged:
-        moved = fit.predict(frame)[0][frame.around]
-        pair = (np.square(part).sum(axis=1) for part in (moved - frame.moved[frame.around], moved))
-        parts.append(np.stack([*pair, np.full(len(moved), frame.pull**2)]))
-    return _Rehearsal(float(np.mean([skill(fit, frame) for frame in judged])), error_shares(*np.hstack(parts)))
+    for frame in (frames[index] for index in late or early):
+        around, moved = frame.around, fit.predict(frame)[0]
+        squares = (np.square(motion[around]).sum(axis=1) for motion in (moved - frame.moved, moved))
+        parts.append(np.stack([*squares, np.full(around.sum(), frame.pull**2)]))
+        skills.append(skill(fit, frame))
+    return skills, np.hstack(parts)
 
 
 def _expected_skill(follow: Follow) -> float:
-    """In the later part of the first half; -∞ where too little moves."""
+    """Of one number in the later part of the first half, fitted to its earlier one; -∞ where too little moves."""
     try:
-        return _rehearsed(follow).skill
+        return float(np.mean(_rehearsed(follow, REHEARSED[0])[0]))
     except NothingMoves:
         return -math.inf
 

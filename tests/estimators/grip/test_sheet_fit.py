@@ -20,6 +20,7 @@ from estimators.grip.sheet_fit import (
     _covariance,
     _likeliest,
     _spread,
+    error_shares,
     fit_sheet,
     length,
     skill,
@@ -357,6 +358,31 @@ def test_a_background_that_moves_affinely_is_told_from_the_sheet() -> None:
     alone = fit_sheet(points, SPACING, still, field=False)
     assert plain.mean_log_anchor[1] > alone.mean_log_anchor[1]
     assert fit_sheet(points, SPACING, carried, field=False).mean_log_anchor[0] != pytest.approx(np.log(0.05), abs=0.3)
+
+
+def test_what_a_camera_is_known_to_do_is_no_pull() -> None:
+    """The sheet is that of the rest; a prediction and its skill are those of all that is seen."""
+    points = grid()
+    still = even(np.log(0.05), np.linspace(6, 24, 7))
+    carried = np.random.default_rng(5).normal(0, 4, (7, len(points), 2))
+    frames = [
+        GripFrame(frame.moved + camera, frame.gripped, camera) for frame, camera in zip(still, carried, strict=True)
+    ]
+    plain, fit = (fit_sheet(points, SPACING, each, field=False) for each in (still, frames))
+    assert fit.mean_log_anchor == pytest.approx(plain.mean_log_anchor, rel=1e-6)
+    np.testing.assert_allclose(fit.predict(frames[3])[0], plain.predict(still[3])[0] + carried[3], atol=1e-6)
+    around = frames[3].around
+    off = length((fit.predict(frames[3])[0] - frames[3].moved)[around])
+    assert skill(fit, frames[3]) == pytest.approx(1 - off / length(frames[3].moved[around]))
+    assert fit.log_force(frames[-1]) == pytest.approx(plain.log_force(still[-1]), abs=1e-6)
+
+
+def test_shares_of_errors_are_found_again() -> None:
+    generator = np.random.default_rng(6)
+    pull, motion = np.repeat([100.0, 400.0], 20_000), generator.uniform(0, 300, 40_000)
+    variance = 0.02**2 * pull + 0.1**2 * motion
+    error = np.square(np.sqrt(variance)[:, None] * generator.normal(size=(40_000, 2))).sum(axis=1)
+    assert error_shares(error, motion, pull) == pytest.approx((0.02, 0.1), rel=0.05)
 
 
 def test_the_force_is_what_the_foundation_holds() -> None:

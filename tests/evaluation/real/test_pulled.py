@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -12,9 +13,19 @@ import pytest
 
 from data.source.frames import Frame
 from data.source.layout import InputError
+from data.tracks.background import without_background
 from data.tracks.following import MARGIN, tool_distance, values_at
-from estimators.grip.sheet_fit import GripFrame, NothingMoves
-from evaluation.real.pulled import DRIVEN, Pull, PulledClip, _expected_skill, evaluate_pull, follow_clip, nearby_frame
+from estimators.grip.sheet_fit import GripFrame, NothingMoves, length
+from evaluation.real.pulled import (
+    DRIVEN,
+    Follow,
+    Pull,
+    PulledClip,
+    _expected_skill,
+    evaluate_pull,
+    follow_clip,
+    nearby_frame,
+)
 from tests.evaluation.real_clips import tissue_motion, tool_mask, write, write_pull
 from tests.inference_inputs import write_clip
 
@@ -123,6 +134,42 @@ def test_the_cameras_motion_is_taken_off(tmp_path: Path) -> None:
         far = np.linalg.norm(tissue_motion(follow.points.astype(float), 0.5), axis=1) < 0.05
         assert np.nanmedian(moved[far, 1]) == pytest.approx(expected, abs=0.15)
         assert np.nanquantile(np.abs(moved[far, 1] - expected), 0.8) < 0.3
+
+
+def test_uneven_tissue_under_a_moving_camera_is_predicted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every point is carried along by its own share of the camera's way, which is learnt in the first half."""
+    random = np.random.default_rng(3)
+    rows, columns = np.mgrid[8:184:8, 8:248:8]
+    points = np.column_stack([columns.ravel(), rows.ravel()]).astype(np.float32)
+    distance = np.linalg.norm(points - [70, 90], axis=1)
+    uneven = np.sin(points[:, 0] / 30) * np.cos(points[:, 1] / 25 + 1)
+    ways = 6 * np.column_stack([np.sin(np.arange(1, 17)), np.cos(0.7 * np.arange(1, 17))])
+    frames = []
+    for share, way in zip(np.linspace(0.1, 1, 16), ways, strict=True):
+        own = share * np.exp(-distance / 40)[:, None] * [10.0, 5.0] + random.normal(0, 0.2, (len(points), 2))
+        moved = without_background(points, own + uneven[:, None] * way, distance)
+        frames.append(GripFrame(moved, distance < DRIVEN))
+    picture = np.zeros((192, 256, 3), np.uint8)
+    follow = Follow(points, 8, distance, frames, (picture, picture), [], "masks", True)
+    monkeypatch.setattr("evaluation.real.pulled.follow_clip", lambda _: follow)
+    found = evaluate_pull(PulledClip(Path("drawn"), camera=True))
+    told = found.measures
+    assert told["skill of all, field, mean"] > 0.8
+    assert told["skill of nearby, field, mean"] > 0.8
+    assert 0.8 < told["points within the 90 % bands"] < 0.99
+    assert told["skill of all, camera alone, mean"] < told["skill of all, field, mean"]
+    assert told["skill of all, beside the camera, mean"] > 0.35
+    assert told["verdict"] == "the sheet explains the motion"
+    frame = follow.told(8)[-1]
+    predicted = found.fit.predict(frame)[0]
+    off, around = predicted - frame.moved, frame.around
+    assert found.skills["all, field"][-1] == pytest.approx(1 - length(off[around]) / length(frame.moved[around]))
+    left = frame.moved - frame.carried
+    assert found.skills["all, camera alone"][-1] == pytest.approx(
+        1 - length(left[around]) / length(frame.moved[around])
+    )
+    # A camera that is said to be still carries nothing.
+    assert dataclasses.replace(follow, camera=False).told(8) == frames
 
 
 def test_a_part_of_the_clip_is_judged(folders: tuple[Path, Path]) -> None:

@@ -60,6 +60,8 @@ class GripFrame:
     """Which points move with the instrument, shape [N], bool; all of them seen."""
     carried: np.ndarray | None = None
     """Part of it that a camera's motion is known to do, shape [N, 2] [px]; None = none. The sheet explains the rest."""
+    astray: float | None = None
+    """How far off that is, root mean square, where it can be told [px]; None where nothing is carried."""
 
     @property
     def own(self) -> np.ndarray:
@@ -75,6 +77,11 @@ class GripFrame:
     def pull(self) -> float:
         """Root mean square displacement of the grip [px]."""
         return length(self.moved[self.gripped])
+
+    @property
+    def reach(self) -> float:
+        """What a prediction's error grows with besides a point's own motion: `astray`, or else the pull [px]."""
+        return self.pull if self.astray is None else self.astray
 
     @property
     def tells(self) -> bool:
@@ -103,8 +110,8 @@ class SheetFit:
     terms: np.ndarray | None
     """Of the background's affine motion at every point, shape [N, 3]; None where it is at rest."""
     error: tuple[float, float]
-    """Standard deviation by axis of predictions, as a share of the grip's motion and of a point's own: the sheet is
-    linear, so that its error grows with the pull. Measured on frames that were not fitted."""
+    """Standard deviation by axis of predictions, as a share of the frame's reach and of a point's own motion: the sheet
+    is linear, so that its error grows with the pull. Measured on frames that were not fitted."""
 
     @property
     def log_stiffness(self) -> tuple[np.ndarray, np.ndarray]:
@@ -137,7 +144,7 @@ class SheetFit:
         moved = self.explained(frame)[0].displacement[: self.count]
         moved = moved if frame.carried is None else moved + frame.carried
         grip, own = self.error
-        return moved, np.sqrt(grip**2 * frame.pull**2 + own**2 * np.square(moved).sum(axis=1))
+        return moved, np.sqrt(grip**2 * frame.reach**2 + own**2 * np.square(moved).sum(axis=1))
 
     def explained(self, frame: GripFrame) -> tuple[Equilibrium, np.ndarray]:
         """The sheet at rest under a frame's grip, and how far the background carries every point, shape [N, 2] [px]."""
@@ -394,24 +401,26 @@ def _discrepancy(
     """Shares of the errors in some frames."""
     pairs = [_errors(springs, fields, numbers, frame, terms)[:2] for frame in frames]
     error, motion = (np.concatenate(part) for part in zip(*pairs, strict=True))
-    return error_shares(error, motion, np.repeat([frame.pull**2 for frame in frames], [len(part) for part, _ in pairs]))
+    return error_shares(
+        error, motion, np.repeat([frame.reach**2 for frame in frames], [len(part) for part, _ in pairs])
+    )
 
 
-def error_shares(error: np.ndarray, motion: np.ndarray, pull: np.ndarray) -> tuple[float, float]:
-    """The grip's share and a point's own in the standard deviation √((share · pull)² + (share · motion)²) by axis.
+def error_shares(error: np.ndarray, motion: np.ndarray, reach: np.ndarray) -> tuple[float, float]:
+    """The reach's share and a point's own in the standard deviation √((share · reach)² + (share · motion)²) by axis.
 
     Their ratio is the likeliest one of normal errors; their size is such that 90 % discs hold 90 % of the points.
 
     Args:
-        error, motion, pull: squares of how far points are off, of how far they are expected to move, and of the grip's
-            motion, shape [n] each [px²].
+        error, motion, reach: squares of how far points are off, of how far they are expected to move, and of their
+            frame's reach, shape [n] each [px²].
     """
 
     def loss(logs: np.ndarray) -> float:
-        variance = np.exp(2 * logs[0]) * pull + np.exp(2 * logs[1]) * motion
+        variance = np.exp(2 * logs[0]) * reach + np.exp(2 * logs[1]) * motion
         return float((np.log(variance) + error / (2 * variance)).mean())
 
-    start = 0.5 * np.log([error.mean() / pull.mean() / 4, error.mean() / motion.mean() / 4])
+    start = 0.5 * np.log([error.mean() / reach.mean() / 4, error.mean() / motion.mean() / 4])
     grip, own = np.exp(minimize(loss, start, method="Nelder-Mead").x)
-    scale = np.quantile(np.sqrt(error / (grip**2 * pull + own**2 * motion)), 0.9) / RADIUS
+    scale = np.quantile(np.sqrt(error / (grip**2 * reach + own**2 * motion)), 0.9) / RADIUS
     return float(grip * scale), float(own * scale)

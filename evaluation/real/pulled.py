@@ -21,7 +21,7 @@ from data.masks.sources import MaskClasses, MaskError, chosen_kind, open_masks
 from data.source.frames import Frame, open_source
 from data.source.images import read_image
 from data.source.layout import IMAGE_SUFFIXES, ClipLayout, InputError, list_folder
-from data.tracks.background import without_background
+from data.tracks.background import far_points, without_background
 from data.tracks.following import MARGIN, PointFollower, shrunk, tool_distance, values_at
 from data.tracks.holding import held_distance
 from data.tracks.parallax import camera_motion
@@ -98,7 +98,11 @@ class Follow:
             return self.frames
         moved = np.stack([frame.moved for frame in self.frames])
         carried = camera_motion(self.points, self.spacing, moved, self.distance, learnt)
-        return [dataclasses.replace(frame, carried=part) for frame, part in zip(self.frames, carried, strict=True)]
+        told = []
+        for frame, part in zip(self.frames, carried, strict=True):
+            off = (frame.moved - part)[far_points(frame.moved, self.distance)]
+            told.append(dataclasses.replace(frame, carried=part, astray=length(off) if len(off) else math.inf))
+        return told
 
 
 @dataclass(frozen=True, eq=False)
@@ -289,7 +293,7 @@ def _rehearsed(follow: Follow, share: float) -> tuple[list[float], np.ndarray]:
     for frame in (frames[index] for index in late or early):
         around, moved = frame.around, fit.predict(frame)[0]
         squares = (np.square(motion[around]).sum(axis=1) for motion in (moved - frame.moved, moved))
-        parts.append(np.stack([*squares, np.full(around.sum(), frame.pull**2)]))
+        parts.append(np.stack([*squares, np.full(around.sum(), frame.reach**2)]))
         skills.append(skill(fit, frame))
     return skills, np.hstack(parts)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 
 import numpy as np
@@ -375,6 +376,11 @@ def test_what_a_camera_is_known_to_do_is_no_pull() -> None:
     off = length((fit.predict(frames[3])[0] - frames[3].moved)[around])
     assert skill(fit, frames[3]) == pytest.approx(1 - off / length(frames[3].moved[around]))
     assert fit.log_force(frames[-1]) == pytest.approx(plain.log_force(still[-1]), abs=1e-6)
+    # Where the camera's motion is told badly, predictions are less sure.
+    far = dataclasses.replace(frames[3], astray=3.0)
+    moved, sd = fit.predict(far)
+    grip, own = fit.error
+    np.testing.assert_allclose(sd, np.sqrt((3 * grip) ** 2 + own**2 * np.square(moved).sum(axis=1)))
 
 
 def test_shares_of_errors_are_found_again() -> None:

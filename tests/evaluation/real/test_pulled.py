@@ -13,7 +13,7 @@ import pytest
 
 from data.source.frames import Frame
 from data.source.layout import InputError
-from data.tracks.background import without_background
+from data.tracks.background import far_points, without_background
 from data.tracks.following import MARGIN, tool_distance, values_at
 from estimators.grip.sheet_fit import GripFrame, NothingMoves, length
 from evaluation.real.pulled import (
@@ -168,6 +168,8 @@ def test_uneven_tissue_under_a_moving_camera_is_predicted(monkeypatch: pytest.Mo
     assert found.skills["all, camera alone"][-1] == pytest.approx(
         1 - length(left[around]) / length(frame.moved[around])
     )
+    far = far_points(frame.moved, distance)
+    assert frame.reach == frame.astray == pytest.approx(length(left[far]))
     # A camera that is said to be still carries nothing.
     assert dataclasses.replace(follow, camera=False).told(8) == frames
 

@@ -42,7 +42,7 @@ def square() -> Follow:
     """Points on a grid beside a tool at the left."""
     points = SPACING * np.stack(np.meshgrid(np.arange(1, 15), np.arange(1, 12)), axis=-1).reshape(-1, 2).astype(float)
     pictures = np.zeros((1, 1, 3), np.uint8), np.zeros((1, 1, 3), np.uint8)
-    return Follow(points, SPACING, points[:, 0], [], pictures, [], "masks")
+    return Follow(points, SPACING, points[:, 0], [], pictures, [], "masks", camera=False)
 
 
 def pulled(follow: Follow, way: float) -> GripFrame:

@@ -172,7 +172,7 @@ class DrivenTissue:
         session = self.session
         objective = session.objective
         motion = objective.stepped(session.fields, self.surface.body.rest, np.stack([*self._past, *path]))
-        simulated = self.shown(objective.frames(motion.positions)[0, len(self._past) :])
+        simulated = self.shown(motion.positions[0, len(self._past) :])
         return self.shown(session.positions[None]) + simulated[1:] - simulated[0]
 
     def shown(self, states: np.ndarray) -> np.ndarray:

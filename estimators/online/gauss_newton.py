@@ -1,29 +1,35 @@
-"""Gauss–Newton steps on the objective's residuals, in place of Adam's (Levenberg 1944, Marquardt 1963).
+"""Recursive Gauss–Newton steps of the fields, in place of Adam's (Ljung & Söderström 1983, section 3.3).
 
-Fields change by smooth bumps around a few knots. A norm ‖r‖ has, at its residual r, no more than the quadratic
-½‖r‖²/‖r₀‖ + ½‖r₀‖ above it, which touches it there; so have absolute differences of neighbours. The step goes to the
-minimum of these, with the residuals taken as linear.
+Beside the state that is mapped, a simulation is carried along that is drawn to it by a small share a frame only: what
+it is off by tells of the fields over tens of frames, where one time step tells little beside its noise. As many more,
+each with one knot's stiffness changed, give the derivatives; their squares add up over frames, older ones forgotten. A
+norm ‖r‖ has at r no more than the quadratic ½‖r‖²/‖r₀‖ + ½‖r₀‖ above it, which touches it there and is minimised.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from scipy.linalg import solve
 
-from estimators.online.objective import Evaluation, Objective
+from estimators.online.objective import Objective, Terms
 from physics.pbd.stiffness import Stiffness
 
-KNOTS = 12
-"""Of either field; the cost goes with their number."""
-DAMPING = 0.1
-"""Added to the diagonal, of its mean: combinations that no residual shows stay as they are."""
-LONGEST = 0.5
-"""Longest step of a particle's logit: residuals are linear for as much."""
-TURN = 0.02
-"""Differences of neighbours below this share of the bound count as its square does: an absolute value has no slope."""
-CHANGE = 1e-4
+KNOTS = 12, 4
+"""Of distances and of shapes, from which fields change by smooth bumps; the cost goes with their number."""
+DRAWN = 0.015
+"""Share by which the simulations that are carried along are drawn to the mapped state a frame. Begun anew from states
+that were mapped a few frames ago, which aren't the model's own, they tell how these fall back, not of stiffness."""
+KEPT = 0.97
+"""Share of the past frames' squares a frame."""
+SMOOTHNESS = 0.3
+"""Of squared differences between knots next to each other, where the weight of smoothness is 1."""
+ANCHOR = 0.01
+"""Of squared changes since the start: what no residual shows stays as it was."""
+LONGEST = 0.3
+"""Longest step of a knot's logit a frame."""
+CHANGE = 0.01
 """Of logits, for finite differences."""
 
 
@@ -49,48 +55,88 @@ def bumps(rest: np.ndarray, knots: int) -> np.ndarray:
     return shares / shares.sum(axis=1, keepdims=True)
 
 
+def roughness(rest: np.ndarray, shares: np.ndarray) -> np.ndarray:
+    """R of Σ wᵢⱼ (θᵢ - θⱼ)² = θᵀRθ over knots, w a normal density as wide as knots are apart, shape [knots, knots].
+
+    Args:
+        rest: positions at rest, shape [N, 3].
+        shares: as `bumps` gives them.
+    """
+    knots = rest[shares.argmax(axis=0)]
+    apart = np.linalg.norm(knots[:, None] - knots, axis=2)
+    weights = np.exp(-((apart / np.sort(apart, axis=1)[:, 1].mean()) ** 2) / 2)
+    np.fill_diagonal(weights, 0.0)
+    return np.diag(weights.sum(axis=1)) - weights
+
+
 class GaussNewton:
     """One clip's optimiser.
 
     Args:
-        objective: whose fields are changed.
-        knots: of either field.
+        objective: body, grip, bounds and weights (of gap and smoothness).
+        begun: fields to begin with, shape [N].
     """
 
-    def __init__(self, objective: Objective, knots: int = KNOTS) -> None:
-        self._objective = objective
-        self._bumps = bumps(objective.body.rest, knots)
+    def __init__(self, objective: Objective, begun: Stiffness) -> None:
+        self._objective, self._volume = objective, float(begun.volume)
+        self._begun = objective.bounds.logits(begun)
+        rest = objective.body.rest
+        shares = [bumps(rest, knots) for knots in KNOTS]
+        counts = [part.shape[1] for part in shares]
+        total = sum(counts)
+        self._shares = np.zeros((2, len(rest), total))
+        prior = ANCHOR * np.eye(total)
+        for which, part in enumerate(shares):
+            own = slice(sum(counts[:which]), sum(counts[: which + 1]))
+            self._shares[which, :, own] = part
+            prior[own, own] += SMOOTHNESS * objective.weights.smoothness * roughness(rest, part)
+        self._prior = prior
+        self._curvature, self._pull = np.zeros((total, total)), np.zeros(total)
+        self._knots = np.zeros(total)
+        self._carried = np.repeat(rest[None], total + 1, axis=0)
 
-    def step(
-        self,
-        logits: np.ndarray,
-        found: Evaluation,
-        fields: Stiffness,
-        start: np.ndarray,
-        places: np.ndarray,
-        snapshots: Sequence[np.ndarray],
-    ) -> np.ndarray:
-        """Logits [2, N] after one step from what `Objective.evaluate` found by the same arguments."""
-        objective, shares = self._objective, self._bumps
-        count, volume = shares.shape[1], float(fields.volume)
-        slopes = objective.bounds.by_logits(fields, found.slopes) @ shares
-        changes = np.zeros((2 * count, 2, len(shares)))
-        changes[:count, 0] = changes[count:, 1] = CHANGE * shares.T
-        ahead = objective.bounds.fields((logits + changes).transpose(1, 0, 2), volume)
-        jacobian = objective.responses(fields, ahead, found, start, places, snapshots) / CHANGE
-        curvature = jacobian.T @ jacobian
-        for which, (field, bound) in enumerate(
-            ((fields.distance, objective.bounds.distance), (fields.shape, objective.bounds.shape))
-        ):
-            by_logit = field * (1 - field / bound)
-            roughness = objective.differences @ (by_logit[:, None] * shares)
-            apart = np.maximum(np.abs(objective.differences @ field), TURN * bound)
-            own = slice(which * count, (which + 1) * count)
-            weight = objective.weights.smoothness / (bound * len(apart))
-            curvature[own, own] += weight * roughness.T @ (roughness / apart[:, None])
-        size = np.trace(curvature) / len(curvature)
-        if size == 0:
-            return logits
-        moved = -solve(curvature + DAMPING * size * np.eye(len(curvature)), slopes.ravel(), assume_a="pos")
-        change = moved.reshape(2, count) @ shares.T
-        return logits + change * min(1.0, LONGEST / max(float(np.abs(change).max()), 1e-300))
+    @property
+    def fields(self) -> Stiffness:
+        """As they are, shape [N]."""
+        return self._objective.bounds.fields(self._begun + self._shares @ self._knots, self._volume)
+
+    def carry(self, places: np.ndarray) -> None:
+        """Step the simulations on, the gripped particles led to these places [G, 3] [m]."""
+        changes = np.concatenate([np.zeros((1, len(self._knots))), CHANGE * np.eye(len(self._knots))]) + self._knots
+        logits = self._begun + np.einsum("fnk,sk->sfn", self._shares, changes)
+        fields = self._objective.bounds.fields(logits.transpose(1, 0, 2), self._volume)
+
+        def stepped(own: slice) -> np.ndarray:
+            of = Stiffness(fields.distance[own], fields.shape[own], self._volume)
+            states = self._carried[own]
+            paths = np.broadcast_to(places, (len(states), 1, *places.shape))
+            return self._objective.stepped(of, states, paths).positions[:, -1]
+
+        half = len(self._carried) // 2
+        with ThreadPoolExecutor(2) as both:
+            self._carried = np.concatenate(list(both.map(stepped, (slice(half), slice(half, None)))))
+
+    def step(self, mapped: np.ndarray) -> Terms:
+        """Change the fields by what the simulations are off a mapped state.
+
+        Args:
+            mapped: where particles are, as `carry` was led to, shape [N, 3] [m].
+
+        Returns:
+            What is minimised, before the step: the gap is that of the simulation carried along; no snapshots count.
+        """
+        weights, edge = self._objective.weights, self._objective.edge
+        off = (mapped - self._carried[0]).ravel()
+        slopes = (self._carried[1:] - self._carried[0]).reshape(len(self._knots), -1).T / CHANGE
+        size = float(np.linalg.norm(off))
+        terms = Terms(weights.gap * size / edge, 0.0, 0.5 * float(self._knots @ self._prior @ self._knots))
+        weight = weights.gap / (edge * max(size, edge))
+        self._curvature = KEPT * self._curvature + weight * slopes.T @ slopes
+        self._pull = KEPT * self._pull + weight * slopes.T @ (off + slopes @ self._knots)
+        way = solve(self._curvature + self._prior, self._pull, assume_a="pos") - self._knots
+        way *= min(1.0, LONGEST / max(float(np.abs(way).max()), 1e-300))
+        self._knots = self._knots + way
+        # As if they had been led by these fields all along: what remains of former ones would count again.
+        self._carried = self._carried + (slopes @ way).reshape(mapped.shape)
+        self._carried = self._carried + DRAWN * (mapped - self._carried)
+        return terms

@@ -72,14 +72,6 @@ class Residual:
             # What is held is part of the state, but doesn't move: its pull on the others' path isn't asked for.
         return pull - start
 
-    def carried(self, by_state: np.ndarray) -> np.ndarray:
-        """Change of Δ where the state changes by `by_state` [N, 3], shape [N, 3]: the transpose of `pulled_back`."""
-        start = change = np.where(self._path[0].rates > 0, by_state, 0.0)
-        for points, bends, rates in self._path:
-            bent = sum((bend @ change for bend in bends), self._energy.bend(points, change) / len(change))
-            change = change - rates * bent
-        return change - start
-
 
 def map_residual(
     points: np.ndarray, matches: Sequence[Match], energy: Potential, held: np.ndarray, mapping: Mapping

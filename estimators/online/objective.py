@@ -72,7 +72,7 @@ class Objective:
     """A gripped body, how it is stepped and mapped, and what its terms count.
 
     Raises:
-        ValueError: an elastic stiffness that is negative, or no part of a frame.
+        ValueError: an elastic stiffness that is negative.
     """
 
     body: Body
@@ -84,20 +84,14 @@ class Objective:
     """k⁰ of the mapping, of distances and shapes; volumes have none, whose 10¹⁰ a rate of 50 can't bear."""
     weights: Weights = field(default_factory=Weights)
     bounds: Bounds = field(default_factory=Bounds)
-    parts: int = 1
-    """Time steps a frame, along which the grip moves evenly. The paper takes one; a body that is at rest in every frame
-    needs several: what relaxes it is their number, and few sweeps in each of many come closer to rest than many sweeps
-    in one (Macklin 2019, small steps)."""
 
     def __post_init__(self) -> None:
         """Check ranges."""
-        if self.parts < 1:
-            raise ValueError(f"parts is {self.parts}; give 1 at least.")
         if not (self.elastic >= 0 and math.isfinite(self.elastic)):
             raise ValueError(f"elastic is {self.elastic}; give 0 or more.")
 
     @cached_property
-    def _edge(self) -> float:
+    def edge(self) -> float:
         """Mean length of edges [m], the unit of lengths here: weights then don't depend on the unit of the clip."""
         return float(self.body.layout.rest[self.body.kinds[0]].mean())
 
@@ -118,27 +112,16 @@ class Objective:
         return csr_array((signs, pairs.ravel(), 2 * np.arange(count + 1)), shape=(count, self.body.count))
 
     def stepped(self, fields: Stiffness, starts: np.ndarray, places: np.ndarray) -> Motion:
-        """Step states on under the grip.
+        """Step states on under the grip, a time step a frame.
 
         Args:
-            fields: stiffness, shape [N].
+            fields: stiffness, shape [N], or [B, N].
             starts: states, shape [B, N, 3] or [N, 3] [m].
             places: where gripped particles are in every frame, shape [B, T, G, 3] or [T, G, 3] [m].
-
-        Returns:
-            The motion, `parts` steps a frame.
         """
         paths = places[None] if places.ndim == 3 else places
-        begun = np.broadcast_to(starts[..., None, self.gripped, :], (len(paths), 1, *paths.shape[2:]))
-        before = np.concatenate([begun, paths[:, :-1]], axis=1)[:, :, None]
-        shares = np.arange(1, self.parts + 1)[:, None, None] / self.parts
-        steps = before + shares * (paths[:, :, None] - before)
-        grips = [Grip(self.gripped, path.reshape(-1, *path.shape[2:]) - self.body.rest[self.gripped]) for path in steps]
+        grips = [Grip(self.gripped, path - self.body.rest[self.gripped]) for path in paths]
         return simulate(self.body, fields, grips, self.stepping, start=starts)
-
-    def frames(self, steps: np.ndarray) -> np.ndarray:
-        """Of steps [B, T·parts + 1, N, 3], those at the start and of every frame: a view, shape [B, T + 1, N, 3]."""
-        return steps[:, :: self.parts]
 
     def mapped(self, points: np.ndarray, matches: Sequence[Match]) -> Residual:
         """Residual deformation of a state [N, 3]: by k⁰, so that what different fields leave can be compared."""
@@ -168,7 +151,7 @@ class Objective:
             motion = self.stepped(fields, start, places[None])
             simulated = motion.positions[0, -1]
             residual = self.mapped(simulated, matches)
-            gap, by_gap = _norm(residual.deformation, self.weights.gap / self._edge)
+            gap, by_gap = _norm(residual.deformation, self.weights.gap / self.edge)
             pulls = np.zeros_like(motion.positions)
             pulls[0, -1] = residual.pulled_back(by_gap)
             found = motion.gradient(pulls).stiffness
@@ -182,43 +165,6 @@ class Objective:
         slopes = Stiffness(by_distance, by_shape, 0.0)
         return Evaluation(simulated, residual, Terms(gap, history, smoothness), slopes)
 
-    def responses(
-        self,
-        fields: Stiffness,
-        ahead: Stiffness,
-        found: Evaluation,
-        start: np.ndarray,
-        places: np.ndarray,
-        snapshots: Sequence[np.ndarray],
-    ) -> np.ndarray:
-        """How residuals change with the fields, weighted so that half their squares are majorised as the norms are.
-
-        Args:
-            fields: stiffness that was evaluated, shape [N].
-            ahead: what it is changed to, K fields, shape [K, N].
-            found: what was evaluated.
-            start, places, snapshots: as for `evaluate`.
-
-        Returns:
-            Changes of Δ, and of the way of every snapshot, over the square root of its norm, shape [·, K].
-        """
-        count = len(ahead.distance)
-        before = np.stack([start, *snapshots])
-        grips = np.stack([places, *(state[self.gripped] for state in snapshots)])
-        now = self.stepped(fields, before, grips[:, None]).positions[:, -1]
-        parts = []
-        for index, state in enumerate(now):
-            paths = np.broadcast_to(grips[index], (count, 1, *grips[index].shape))
-            changes = self.stepped(ahead, before[index], paths).positions[:, -1] - state
-            residual, weight = state - before[index], self.weights.history
-            if index == 0:
-                residual, weight = found.residual.deformation, self.weights.gap
-                changes = np.stack([found.residual.carried(change) for change in changes])
-            size = float(np.linalg.norm(residual))
-            if size > 0:
-                parts.append(np.sqrt(weight / (self._edge * size)) * changes.reshape(count, -1))
-        return np.concatenate(parts, axis=1).T if parts else np.zeros((0, count))
-
     def _history(self, fields: Stiffness, snapshots: Sequence[np.ndarray]) -> tuple[float, tuple[np.ndarray, ...]]:
         """How far snapshots [N, 3] move, and the derivatives of that by the fields of distance and shape, shape [N]."""
         if not snapshots:
@@ -227,7 +173,7 @@ class Objective:
         motion = self.stepped(fields, states, states[:, None, self.gripped])
         pulls, moved = np.zeros_like(motion.positions), 0.0
         for index, state in enumerate(states):
-            way, pulls[index, -1] = _norm(motion.positions[index, -1] - state, self.weights.history / self._edge)
+            way, pulls[index, -1] = _norm(motion.positions[index, -1] - state, self.weights.history / self.edge)
             moved += way
         found = motion.gradient(pulls).stiffness
         return moved, (found.distance.sum(axis=0), found.shape.sum(axis=0))

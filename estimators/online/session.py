@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Literal
 
@@ -11,6 +12,7 @@ import numpy as np
 
 from estimators.online.adam import Adam
 from estimators.online.gauss_newton import GaussNewton
+from estimators.online.mapping import Residual
 from estimators.online.matching import Match
 from estimators.online.objective import Objective, Terms
 from physics.fields import require_choices
@@ -31,7 +33,7 @@ class Method:
     name: Literal["PBD", "PBD-RM", "PBD-RM-ON"] = "PBD-RM-ON"
     """Simulation alone; with states that are mapped to what is seen; with stiffness that is optimised, too."""
     optimizer: Literal["adam", "gauss-newton"] = "adam"
-    """What changes the stiffness: Adam, the paper's, or damped Gauss–Newton steps of the fields at a few knots."""
+    """What changes the stiffness: Adam, the paper's, or recursive Gauss–Newton steps of the fields at a few knots."""
     rate: float = 0.1
     """Of Adam, by the logits of the fields (Liang 2024, section III-B)."""
 
@@ -51,7 +53,7 @@ class Frame:
     gap: float | None
     """‖Δ‖ [m]; None = nothing was mapped."""
     terms: Terms | None
-    """Of the objective before the step; None = nothing was optimised."""
+    """Of what was optimised, before the step; None = nothing was."""
 
 
 class Session:
@@ -71,8 +73,12 @@ class Session:
         self.objective, self.method, self.fields = objective, method, fields
         self.positions = objective.body.rest.copy()
         self._past: deque[np.ndarray] = deque(maxlen=WINDOW)
-        self._optimizer = Adam(method.rate) if method.optimizer == "adam" else GaussNewton(objective)
-        self._logits = objective.bounds.logits(fields) if method.name == "PBD-RM-ON" else None
+        self._adam = self._newton = None
+        if method.name == "PBD-RM-ON":
+            if method.optimizer == "adam":
+                self._adam, self._logits = Adam(method.rate), objective.bounds.logits(fields)
+            else:
+                self._newton = GaussNewton(objective, fields)
 
     def step(self, places: np.ndarray, matches: Sequence[Match]) -> Frame:
         """Take a frame in; one that shows nothing is simulated alone.
@@ -81,31 +87,39 @@ class Session:
             places: where gripped particles are, shape [G, 3] [m].
             matches: its cloud, its followed points, both or none.
         """
-        gap, terms = None, None
-        if self._logits is not None and matches:
-            past = self._snapshots()
-            found = self.objective.evaluate(self.fields, self.positions, places, matches, past)
+        terms = None
+        if self._adam is not None and matches:
+            found = self.objective.evaluate(self.fields, self.positions, places, matches, self._snapshots())
             simulated, residual, terms = found.simulated, found.residual, found.terms
-            if isinstance(self._optimizer, Adam):
-                slopes = self.objective.bounds.by_logits(self.fields, found.slopes)
-                self._logits = self._optimizer.step(self._logits, slopes)
-            else:
-                self._logits = self._optimizer.step(self._logits, found, self.fields, self.positions, places, past)
+            slopes = self.objective.bounds.by_logits(self.fields, found.slopes)
+            self._logits = self._adam.step(self._logits, slopes)
             self.fields = self.objective.bounds.fields(self._logits, float(self.fields.volume))
+        elif self._newton is not None:
+            with ThreadPoolExecutor(1) as beside:
+                carried = beside.submit(self._newton.carry, places)
+                simulated, residual = self._followed(places, matches)
+                carried.result()
+            if residual is not None:
+                terms = self._newton.step(simulated + residual.deformation)
+                self.fields = self._newton.fields
         else:
-            simulated = self.objective.stepped(self.fields, self.positions, places[None]).positions[0, -1]
-            residual = self.objective.mapped(simulated, matches) if matches and self.method.name != "PBD" else None
-        self.positions = simulated
+            simulated, residual = self._followed(places, matches)
+        self.positions, gap = simulated, None
         if residual is not None:
             self.positions = simulated + residual.deformation
             gap = float(np.linalg.norm(residual.deformation))
             self._past.append(self.positions)
         return Frame(self.positions, self.fields, gap, terms)
 
+    def _followed(self, places: np.ndarray, matches: Sequence[Match]) -> tuple[np.ndarray, Residual | None]:
+        """The state one step on by the fields as they are, and what it is off by, where the method looks at that."""
+        simulated = self.objective.stepped(self.fields, self.positions, places[None]).positions[0, -1]
+        looks = bool(matches) and self.method.name != "PBD"
+        return simulated, self.objective.mapped(simulated, matches) if looks else None
+
     def ahead(self, places: np.ndarray) -> np.ndarray:
         """States that a path of the grip [T, G, 3] [m] would lead to, shape [T, N, 3] [m], by the field as it is."""
-        motion = self.objective.stepped(self.fields, self.positions, places)
-        return self.objective.frames(motion.positions)[0, 1:]
+        return self.objective.stepped(self.fields, self.positions, places).positions[0, 1:]
 
     def _snapshots(self) -> list[np.ndarray]:
         """Evenly out of the window, its ends included, where the paper draws uniformly: runs can be repeated."""

@@ -1,7 +1,7 @@
 """The online estimator on four simulated pulls: figures 5, 7, 8 and 9 and Table II of Liang 2024.
 
     python -m evaluation.online --output OUT [--sequences thin-shell-1 …] [--starts k1 k2 k3] [--methods PBD …]
-        [--match both] [--frames N] [--particles 600] [--points 9000] [--every 10]
+        [--match tracks] [--optimizer gauss-newton] [--frames N] [--particles 600] [--points 9000] [--every 10]
 
 Truth is another integrator's on another mesh (evaluation/online/sequences.py). Each of sequence, start and method is a
 file in OUT/cases, so that an interrupted run goes on where it was, and a run of some adds to those that are there.
@@ -29,7 +29,7 @@ import numpy as np
 from rich.console import Console
 
 from data.command_line import path_option, progress_bars, say, whole_number
-from evaluation.online.compare import BATCH, HORIZON, METHODS, STARTS, Case, run_case, summary
+from evaluation.online.compare import BATCH, HORIZON, METHODS, OPTIMIZER, STARTS, Case, run_case, summary, told_by
 from evaluation.online.figures import draw_all, table
 from evaluation.online.sequences import SEQUENCES, Pull
 from evaluation.page import as_png, render_page
@@ -66,7 +66,9 @@ def build_parser() -> argparse.ArgumentParser:
         default=list(METHODS),
         help=f"which (default: all; {BATCH} on sheets alone)",
     )
-    add("--match", choices=MATCHES, default="both", help="what is seen of a frame (default both; the paper: chamfer)")
+    add("--match", choices=MATCHES, default="tracks", help="what is seen of a frame (default tracks; paper: chamfer)")
+    text = f"of PBD-RM-ON (default {OPTIMIZER}; the paper: adam)"
+    add("--optimizer", choices=("adam", "gauss-newton"), default=OPTIMIZER, help=text)
     text = "of each sequence, from its beginning (default: all; 60, of thin-shell-2 100)"
     add("--frames", type=whole_number(HORIZON + 2), metavar="N", help=text)
     add("--particles", type=whole_number(60, 10_000), default=600, metavar="N", help="about how many (default 600)")
@@ -126,7 +128,12 @@ def main(arguments: list[str] | None = None) -> int:
     ]
     if not keys:
         parser.error(f"{BATCH} runs on sheets alone, as in the paper; give other --sequences or --methods.")
-    settings = {"match": options.match, "particles": options.particles, "points": options.points}
+    settings = {
+        "match": options.match,
+        "optimizer": options.optimizer,
+        "particles": options.particles,
+        "points": options.points,
+    }
     settings |= {"every": options.every, "code": code_digest()}
     prints = {
         name: hashlib.sha256(json.dumps({**settings, "frames": count}, sort_keys=True).encode()).hexdigest()
@@ -155,9 +162,14 @@ def main(arguments: list[str] | None = None) -> int:
                         progress.advance(bar, frames[name])
                         continue
                     progress.update(bar, description=" ".join(key))
-                    start = STARTS[key[1]]
                     case = run_case(
-                        pulls[name], start, key[2], options.match, options.every, lambda: progress.advance(bar)
+                        pulls[name],
+                        STARTS[key[1]],
+                        key[2],
+                        options.match,
+                        options.every,
+                        lambda: progress.advance(bar),
+                        options.optimizer,
                     )
                     write_case(case_path(options.output, key), case, prints[name])
                     found[key] = case
@@ -193,8 +205,13 @@ def write_report(output: Path, cases: dict[Key, Case], pulls: dict[str, Pull], o
     ]
     pictures = {f"figures/{name}": as_png(figure) for name, figure in draw_all(cases, pulls).items()}
     counts = ", ".join(f"{name} {pull.body.count} particles" for name, pull in pulls.items())
-    told = f"Matched: {options.match}. {counts}, clouds of {options.points} points.\n\n"
+    told = f"Matched: {options.match}; {options.optimizer}. {counts}, clouds of {options.points} points.\n\n"
     told += "Future gap; keypoint error [mm]:\n\n" + table(cases, options.sequences) + "\n\n"
+    seen = {name: told_by(pull) for name, pull in pulls.items()}
+    claims += [
+        (f"a field's traces, {name}", ", ".join(f"{field} {1e3 * off:.2f} mm" for field, off in errors.items()))
+        for name, errors in seen.items()
+    ]
     told += "\n".join(f"- {name}: {text}" for name, text in claims) + "\n"
     shown = "\n".join(f"![{name}]({name})\n" for name in pictures)
     files = {"table.csv": to_csv(rows, COLUMNS, ".6g").encode()}

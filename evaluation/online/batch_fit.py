@@ -48,7 +48,7 @@ def fit_batch(
     for _ in range(epochs):
         motion = objective.stepped(fields, body.rest, places)
         pulls, total = np.zeros_like(motion.positions), 0.0
-        states, slopes_at = objective.frames(motion.positions)[0], objective.frames(pulls)[0]
+        states, slopes_at = motion.positions[0], pulls[0]
         for frame, seen in enumerate(matches, start=1):
             for match in seen:
                 value, slope, _ = match.slope(states[frame])

@@ -5,17 +5,17 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from scipy.spatial import KDTree
 from scipy.stats import spearmanr
 
 from estimators.online.matching import Chamfer
-from estimators.online.objective import Objective, Weights
+from estimators.online.objective import Objective
 from estimators.online.session import Method, Session
 from evaluation.online.batch_fit import EPOCHS, FRAMES, fit_batch
 from evaluation.online.sequences import Pull
-from physics.pbd.simulation import Stepping
 from physics.pbd.stiffness import Stiffness
 
 BATCH = "PBD-DiffCloud"
@@ -24,8 +24,10 @@ STARTS = {"k1": (5.0, 0.015), "k2": (1.0, 0.01), "k3": (0.2, 0.005)}
 """Stiffness of distances and shapes to begin with: the paper's (section III-B), shapes inside its own bound."""
 HORIZON = 10
 """Frames ahead (section III-D)."""
-BLOCK_PARTS, BLOCK_SWEEPS, BLOCK_SMOOTHNESS = 4, 5, 5.0
-"""Of blocks: time steps a frame, sweeps in each, weight of smoothness. Chosen on two other pulls than `SEQUENCES`."""
+OPTIMIZER = "gauss-newton"
+"""Of PBD-RM-ON, where none is asked for."""
+LEVELS = tuple(0.5 * 2 ** (step / 2) for step in range(6))
+"""Geometric means of the fields that `told_by` compares: 0.5 to 2.8."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,19 +56,6 @@ class Case:
     """Median time of a step [s]."""
 
 
-def objective_of(pull: Pull) -> Objective:
-    """How a pull's body is stepped and what its fields are optimised for: sheets by the defaults.
-
-    A block's truth is at rest in every frame, which one time step a frame is far from; `BLOCK_PARTS` of `BLOCK_SWEEPS`
-    cost what one of 20 sweeps does and come nearer, though not near enough to show every field (docs/online.md).
-    Smoothness counts more there, since most of its particles are not seen.
-    """
-    if not len(pull.body.tetrahedra):
-        return Objective(pull.body, pull.gripped)
-    stepping, weights = Stepping(iterations=BLOCK_SWEEPS), Weights(smoothness=BLOCK_SMOOTHNESS)
-    return Objective(pull.body, pull.gripped, stepping, weights=weights, parts=BLOCK_PARTS)
-
-
 def run_case(
     pull: Pull,
     start: tuple[float, float],
@@ -74,6 +63,7 @@ def run_case(
     match: str,
     every: int,
     said: Callable[[], None],
+    optimizer: Literal["adam", "gauss-newton"] = OPTIMIZER,
     epochs: int = EPOCHS,
 ) -> Case:
     """Follow a pull, and predict from every so many frames.
@@ -88,12 +78,13 @@ def run_case(
             that slides within its surface.
         every: frames from one prediction to the next.
         said: called after every frame, for progress.
+        optimizer: of PBD-RM-ON.
         epochs: of the batch fit.
     """
     body, frames = pull.body, len(pull.truth)
-    objective = objective_of(pull)
+    objective = Objective(body, pull.gripped)
     fields = Stiffness(*(np.full(body.count, value) for value in start))
-    method = Method("PBD" if name == BATCH else name)  # ty: ignore[invalid-argument-type]: one of METHODS
+    method = Method("PBD" if name == BATCH else name, optimizer)  # ty: ignore[invalid-argument-type]: one of METHODS
     if name == BATCH:
         first = range(min(FRAMES, frames))
         matches = [pull.matches(frame, match) for frame in first]
@@ -139,6 +130,26 @@ def _judged(
         true = pull.points[at + 1, pull.keypoints] - pull.points[0, pull.keypoints]
         off.append(np.linalg.norm(moved - true, axis=1).mean())
     return float(np.mean(gaps)), np.linalg.norm(residual, axis=1), states[-1], float(np.mean(off))
+
+
+def told_by(pull: Pull) -> dict[str, float]:
+    """What is seen of a field at all: how far a simulation from rest is off the points that are followed.
+
+    With the true field, with a uniform one, and with stiff and soft exchanged, each at the best of `LEVELS`: where the
+    first isn't the least, nothing that simulates so can find the field. Means over frames of root mean squares [m].
+    """
+    objective, shape = Objective(pull.body, pull.gripped), np.full(pull.body.count, STARTS["k2"][1])
+    found = {}
+    for name, power in (("true", 1), ("uniform", 0), ("exchanged", -1)):
+        field = pull.stiffness**power
+        off = []
+        for level in LEVELS:
+            fields = Stiffness(level * field / np.exp(np.log(field).mean()), shape)
+            states = objective.stepped(fields, pull.body.rest, pull.places).positions[0, 1:]
+            apart = np.stack([pull.shares @ state for state in states]) - pull.points[1:]
+            off.append(float(np.sqrt((apart**2).sum(axis=2).mean(axis=1)).mean()))
+        found[name] = min(off)
+    return found
 
 
 def orders(gaps: dict[str, float]) -> bool:

@@ -1,8 +1,9 @@
 """Pulls whose truth is known: two sheets by a fine mass-spring net, two blocks by finite elements.
 
 Stand in for the paper's chicken skin and muscle (Liang 2024, section III-A: pinned at one side, pulled by a gripper).
-Sheets flow down the energy of a net of springs along rows, both diagonals and, against bending, every second node,
-without inertia; blocks are at rest in every frame. The estimator's particles lie elsewhere, and in another number.
+Both creep: they flow down their energy against drag, without inertia, as the estimator's steps without velocities do.
+Sheets are nets of springs along rows, both diagonals and, against bending, every second node; blocks are neo-Hookean
+finite elements, in implicit steps. The estimator's particles lie elsewhere, and in another number.
 """
 
 from __future__ import annotations
@@ -12,10 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, diags_array
 
 from estimators.online.matching import Chamfer, Match, Tracks
-from physics.fem.equilibrium import find_equilibrium
+from physics.fem.equilibrium import Energy, settle
 from physics.fem.lattice import box
 from physics.fem.laws import Material
 from physics.fem.solid import make_solid
@@ -25,7 +26,7 @@ SIDE = 0.12
 """Of a sheet [m]."""
 BLOCK = (0.10, 0.08, 0.02)
 """Sides of a block [m]: 2 cm thick, as the paper's."""
-FINE, FINE_CELLS = 41, (14, 11, 3)
+FINE, FINE_CELLS = 41, (16, 13, 4)
 """Nodes along a sheet's side; cells of a block."""
 STIFF = 3.0
 """Of the stiff part, over the soft one."""
@@ -34,7 +35,12 @@ DIAGONAL, BEND = 0.5, 0.05
 DRAG = 1 / 0.005**2
 """Of a sheet's area, over the stiffness of its soft springs [frames/m²]: 1 a particle, 5 mm apart."""
 YOUNG, POISSON = 5e3, 0.45
-"""Of the soft part of a block; only ν counts for where it is."""
+"""Of the soft part of a block; only ν and E over the drag count for where it is."""
+BLOCK_DRAG = YOUNG / (1.5 * 0.0075**2)
+"""Of a block's volume [Pa frames/m²]: 1 a particle, 7.5 mm apart, where springs of 1 along the edges and across the
+sides of cubes make a modulus of about 1.5 over that distance."""
+BLOCK_STEPS, SETTLED = 2, 1e-8
+"""Implicit steps of a block a frame; largest force out of balance in each, over the largest at a node."""
 HELD = 0.012
 """Radius of what the gripper holds [m]."""
 NOISE, FOLLOWED, KEYPOINTS = 0.2e-3, 200, 15
@@ -227,24 +233,25 @@ def _sheet_states(path: np.ndarray, stiff: Callable[[np.ndarray], np.ndarray]) -
 
 
 def _block_states(path: np.ndarray, stiff: Callable[[np.ndarray], np.ndarray]) -> list[State]:
-    """Of a neo-Hookean block, at rest in every frame."""
+    """Of a neo-Hookean block that creeps: Euler's implicit steps, each the least of energy and drag's work."""
     nodes, tetrahedra = box(BLOCK, FINE_CELLS)
     solid = make_solid(nodes, tetrahedra)
-    young = YOUNG * np.where(stiff(nodes[tetrahedra].mean(axis=1)), STIFF, 1.0)
+    material = Material(
+        "stable_neo_hookean", YOUNG * np.where(stiff(nodes[tetrahedra].mean(axis=1)), STIFF, 1.0), POISSON
+    )
     gripped = _held(nodes, True)
     held = np.broadcast_to((gripped | (nodes[:, 0] < 1e-9))[:, None], nodes.shape).copy()
     axes = tuple(np.linspace(0, side, cells + 1) for side, cells in zip(BLOCK, FINE_CELLS, strict=True))
-    found, states = None, []
-    for moved in path:
-        found = find_equilibrium(
-            solid,
-            Material("stable_neo_hookean", young, POISSON),
-            held,
-            motion=np.where(gripped[:, None], moved, 0.0),
-            start=None if found is None else found.displacement,
-            near=None if found is None else found.solver,
-        )
-        states.append(_interpolated(axes, found.displacement.reshape(*(len(axis) for axis in axes), 3)))
+    volumes = np.bincount(tetrahedra.ravel(), np.repeat(solid.volumes / 4, 4), len(nodes))
+    drag = diags_array(np.repeat(BLOCK_DRAG * BLOCK_STEPS * volumes, 3)).tocsr()
+    now, near, before, states = np.zeros_like(nodes), None, np.zeros(3), []
+    for after in path:
+        for step in range(1, BLOCK_STEPS + 1):
+            goal = np.where(gripped[:, None], before + step / BLOCK_STEPS * (after - before), 0.0)
+            energy = Energy(solid, material, (drag @ now.ravel()).reshape(-1, 3), drag)
+            now, _, near = settle(energy, now, goal, held, near=near, tolerance=SETTLED)
+        before = after
+        states.append(_interpolated(axes, now.reshape(*(len(axis) for axis in axes), 3)))
     return states
 
 
@@ -302,8 +309,8 @@ def _spot(rest: np.ndarray) -> np.ndarray:
     return np.linalg.norm(rest[:, :2] - (0.07, 0.05), axis=1) < 0.04
 
 
-def _half(rest: np.ndarray) -> np.ndarray:
-    return rest[:, 0] < BLOCK[0] / 2
+def _outer(rest: np.ndarray) -> np.ndarray:
+    return rest[:, 0] > BLOCK[0] / 2
 
 
 def _side(rest: np.ndarray) -> np.ndarray:
@@ -313,7 +320,7 @@ def _side(rest: np.ndarray) -> np.ndarray:
 SEQUENCES = {
     "thin-shell-1": Sequence(False, 60, _lifted, _inner),
     "thin-shell-2": Sequence(False, 100, _swung, _spot),
-    "volume-1": Sequence(True, 60, _raised, _half),
+    "volume-1": Sequence(True, 60, _raised, _outer),
     "volume-2": Sequence(True, 60, _turned, _side),
 }
 """The paper's four, by name."""

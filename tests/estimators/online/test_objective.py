@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 from scipy.sparse import eye_array
@@ -50,29 +48,6 @@ def test_slopes_equal_finite_differences(name, kinds):
             assert (getattr(slopes, of) * direction).sum() == pytest.approx((up - down) / (2 * step), rel=1e-4)
 
 
-def test_a_frame_in_parts_is_as_many_steps_along_the_grip_s_way():
-    body = BODIES["block"]
-    objective, fields, start, places, matches, snapshots = setting(body)
-    parted = dataclasses.replace(objective, parts=4)
-    way = np.stack([places, places + np.array([0.002, 0.0, -0.001])])
-    states = parted.frames(parted.stepped(fields, start, way).positions)
-    state, before = start, start[objective.gripped]
-    for frame, after in enumerate(way, start=1):
-        for share in (0.25, 0.5, 0.75, 1.0):
-            between = (before + share * (after - before))[None]
-            state = objective.stepped(fields, state, between).positions[0, 1]
-        np.testing.assert_allclose(states[0, frame], state, rtol=0, atol=1e-15)
-        before = after
-    slopes = parted.evaluate(fields, start, places, matches, snapshots).slopes.distance
-    direction = np.random.default_rng(2).normal(size=body.count)
-    up, down = (
-        sum(parted.evaluate(fields._replace(distance=fields.distance + sign * direction), start, *rest).terms)
-        for sign in (1e-6, -1e-6)
-        for rest in [(places, matches, snapshots)]
-    )
-    assert slopes @ direction == pytest.approx((up - down) / 2e-6, rel=1e-4)
-
-
 def test_slopes_of_single_particles_equal_finite_differences():
     objective, fields, *rest = setting(BODIES["sheet"])
     slopes = objective.evaluate(fields, *rest).slopes.distance
@@ -116,5 +91,3 @@ def test_values_out_of_range_are_refused():
         Weights(history=-1)
     with pytest.raises(ValueError, match="elastic is nan"):
         Objective(BODIES["sheet"], np.array([3]), elastic=float("nan"))
-    with pytest.raises(ValueError, match="parts is 0; give 1 at least"):
-        Objective(BODIES["sheet"], np.array([3]), parts=0)

@@ -1,7 +1,7 @@
 """The online estimator on a pulled sheet whose stiffness is known: future gap, the field found, time a step.
 
     python -m benchmarks.online [--starts k1 k2 k3] [--match chamfer tracks both] [--history 0.1]
-    python -m benchmarks.online --cost [--match chamfer tracks]
+    python -m benchmarks.online --cost [--match chamfer tracks] [--optimizer adam]
 
 A sheet of 600 particles, pinned along one side and gripped at the other, is stretched and swung. Its half at the pins
 is three times as stiff as the other. The truth flows down its energy in continuous time, by Runge-Kutta steps whose
@@ -278,7 +278,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if options.cost:
         print(f"{machine()}; {online_cost.POINTS} points\n")
-        print_table(online_cost.COLUMNS, online_cost.rows(options.match))
+        print_table(online_cost.COLUMNS, online_cost.rows(options.match, optimizer=options.optimizer))
         return 0
     if options.frames < HORIZON + options.every or options.every < 1:
         parser.error(f"--frames is {options.frames}; give --every and the horizon's {HORIZON} together at least.")

@@ -1,14 +1,15 @@
 """What a step of the online estimator costs, beside the paper's: `python -m benchmarks.online --cost`.
 
-A step is a frame of PBD-RM-ON with four snapshots: one time step and 30 steps of the mapping, four snapshots stepped,
-and the adjoint of all of it. Medians over frames. A step runs in two threads; "longer thread" is the CPU time of that
-which has more to do, which is what a step takes on two cores that nothing else uses. "wall" is what it took here.
+A step is a frame of PBD-RM-ON: one time step and 30 steps of the mapping; beside it, by Adam, four snapshots stepped,
+and the adjoint of all of it, by Gauss-Newton the simulations that are carried along, in two more threads. Medians over
+frames. "longer thread" is the CPU time of that which has most to do; "wall" is what it took here.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
+from typing import Literal
 
 import numpy as np
 
@@ -37,10 +38,11 @@ COLUMNS = (
 )
 
 
-def costs(pull: Pull, match: str) -> np.ndarray:
+def costs(pull: Pull, match: str, optimizer: Literal["adam", "gauss-newton"] = "adam") -> np.ndarray:
     """CPU time, that of the longer thread and wall-clock time of a step with four snapshots, medians [s]."""
+    beside = 1 if optimizer == "adam" else 2
     fields = Stiffness(*(np.full(pull.body.count, value) for value in START))
-    session = Session(Objective(pull.body, pull.gripped), fields, Method())
+    session = Session(Objective(pull.body, pull.gripped), fields, Method(optimizer=optimizer))
     spent = []
     for frame, places in enumerate(pull.places):
         matches = pull.matches(frame, match)
@@ -48,17 +50,22 @@ def costs(pull: Pull, match: str) -> np.ndarray:
         session.step(places, matches)
         both, own, wall = np.subtract((time.process_time(), time.thread_time(), time.perf_counter()), before)
         if frame >= SNAPSHOTS:
-            spent.append((both, max(own, both - own), wall))
+            spent.append((both, max(own, (both - own) / beside), wall))
     return np.median(spent, axis=0)
 
 
-def rows(matches: Sequence[str], along: Sequence[int] = ALONG, frames: int = FRAMES) -> Iterator[list[str]]:
+def rows(
+    matches: Sequence[str],
+    along: Sequence[int] = ALONG,
+    frames: int = FRAMES,
+    optimizer: Literal["adam", "gauss-newton"] = "adam",
+) -> Iterator[list[str]]:
     """A row for every kind of body and observation at the paper's size, then for sheets of other sizes."""
     sizes = [(name, JUDGED) for name in PAPER] + [("thin-shell-1", particles) for particles in along]
     for name, particles in sizes:
         pull = SEQUENCES[name].pull(particles, POINTS, frames)
         for match in matches:
-            both, longer, wall = costs(pull, match)
+            both, longer, wall = costs(pull, match, optimizer)
             yield [
                 "block" if SEQUENCES[name].block else "sheet",
                 str(pull.body.count),

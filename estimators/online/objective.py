@@ -34,7 +34,7 @@ class Weights:
     """Of ‖Δ‖ in mean edges."""
     history: float = 0.1
     """Of the sum over snapshots of how far each moves, likewise. Not 1: tissue that is pulled isn't at rest, and soft
-    fields keep it so."""
+    fields keep it so. Adam's alone: Gauss–Newton's past is the simulation that it carries along."""
     smoothness: float = 1.0
     """Of the mean difference between neighbours, in shares of the bounds."""
 

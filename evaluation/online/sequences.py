@@ -309,18 +309,18 @@ def _spot(rest: np.ndarray) -> np.ndarray:
     return np.linalg.norm(rest[:, :2] - (0.07, 0.05), axis=1) < 0.04
 
 
-def _outer(rest: np.ndarray) -> np.ndarray:
-    return rest[:, 0] > BLOCK[0] / 2
+def _left(rest: np.ndarray) -> np.ndarray:
+    return rest[:, 1] > BLOCK[1] / 2
 
 
-def _side(rest: np.ndarray) -> np.ndarray:
+def _right(rest: np.ndarray) -> np.ndarray:
     return rest[:, 1] < BLOCK[1] / 2
 
 
 SEQUENCES = {
     "thin-shell-1": Sequence(False, 60, _lifted, _inner),
     "thin-shell-2": Sequence(False, 100, _swung, _spot),
-    "volume-1": Sequence(True, 60, _raised, _outer),
-    "volume-2": Sequence(True, 60, _turned, _side),
+    "volume-1": Sequence(True, 60, _raised, _left),
+    "volume-2": Sequence(True, 60, _turned, _right),
 }
 """The paper's four, by name."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -47,11 +49,20 @@ def test_a_case_is_what_its_session_does(pull: Pull) -> None:
 
 
 @pytest.mark.slow
-def test_what_is_seen_tells_the_true_field_from_others() -> None:
-    """On every sequence: of fields at their best levels, the true one leaves least, the exchanged one most."""
-    for name, sequence in SEQUENCES.items():
-        off = told_by(sequence.pull(600, 50, sequence.frames))
-        assert 1.1 * off["true"] < off["uniform"] < off["exchanged"], name
+@pytest.mark.parametrize("name", ["thin-shell-1", "volume-1"])
+def test_what_is_seen_tells_the_true_field_from_others(name: str) -> None:
+    """Of fields at their best levels, the true one leaves least, the exchanged one most."""
+    off = told_by(SEQUENCES[name].pull(600, 50, SEQUENCES[name].frames))
+    assert 1.2 * off["true"] < off["uniform"] < off["exchanged"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["thin-shell-1", "volume-1", "volume-2"])
+def test_stiff_and_soft_exchanged_are_found_exchanged(name: str) -> None:
+    """A field that looks alike whatever the truth, as stiffer towards the gripper, ranks well with one of two."""
+    own = SEQUENCES[name]
+    pull = dataclasses.replace(own, stiff=lambda rest: ~own.stiff(rest)).pull(600, 50, own.frames)
+    assert run_case(pull, STARTS["k2"], "PBD-RM-ON", "tracks", 40, lambda: None).rank > 0.7
 
 
 def test_only_methods_that_fit_change_the_field(pull: Pull) -> None:

@@ -22,7 +22,7 @@ from data.synthetic.truth import Motion
 SUBSTEPS = 8
 """Of the integrator, a frame."""
 BEYOND = 32
-"""How far the tissue goes on beyond the picture [grid px]."""
+"""How far the tissue is integrated beyond the picture [grid px]; behind that it goes on as `edge_anchor` has it."""
 HELD = 2.5
 """Radius of the tissue between the jaws, around the contact vertex [grid px]."""
 RISE = (0.6, 0.95)
@@ -179,7 +179,7 @@ def _integrate(
     rows, columns = (side + 2 * BEYOND for side in scene.mesh.grid_shape)
     mass, damping = anchor * (relaxation / (2 * UNIFORM_DAMPING)) ** 2, anchor * relaxation
     step = 1 / (scene.settings.fps * SUBSTEPS)
-    matrix = lattice_matrix(log_stiffness, anchor)
+    matrix = lattice_matrix(log_stiffness, anchor + edge_anchor(log_stiffness, anchor))
     shift = mass * 9 / (4 * step**2) + damping * 3 / (2 * step)
     row, column = np.mgrid[:rows, :columns] - BEYOND
     apart = np.hypot(row - scene.mesh.pixels[scene.vertex, 0], column - scene.mesh.pixels[scene.vertex, 1])
@@ -212,12 +212,25 @@ def _integrate(
     return np.array(seen), np.array(reaction)
 
 
-def lattice_matrix(log_stiffness: np.ndarray, anchor: float) -> csr_array:
+def edge_anchor(log_stiffness: np.ndarray, anchor: float) -> np.ndarray:
+    """What tissue that goes on beyond an edge adds to the anchor of the edge's nodes, shape [rows, columns].
+
+    Motion dies away there as exp(-x/L), L² = 3 · stiffness/anchor, so that a node is held by √(3 · stiffness · anchor):
+    exact for a straight front that is at rest. A free edge reflects what reaches it.
+    """
+    edges = np.zeros(log_stiffness.shape)
+    for axis in (0, 1):
+        sides = np.moveaxis(edges, axis, 0)
+        sides[[0, -1]] += 1
+    return edges * np.sqrt(3 * np.exp(log_stiffness) * anchor)
+
+
+def lattice_matrix(log_stiffness: np.ndarray, anchor: float | np.ndarray) -> csr_array:
     """K of a grid of nodes with springs along both axes and both diagonals, shape [N, N].
 
     Args:
         log_stiffness: at the nodes, shape [rows, columns]; a spring has the geometric mean of its ends'.
-        anchor: of every node.
+        anchor: of every node, or of each, shape [rows, columns].
     """
     number = np.arange(log_stiffness.size).reshape(log_stiffness.shape)
     neighbours = (
@@ -231,7 +244,7 @@ def lattice_matrix(log_stiffness: np.ndarray, anchor: float) -> csr_array:
     log = log_stiffness.ravel()
     stiffness = np.exp((log[one] + log[two]) / 2)
     ties = coo_array((np.tile(stiffness, 2), places), (log.size,) * 2).tocsr()
-    return csr_array(diags_array(ties.sum(axis=1) + anchor) - ties)
+    return csr_array(diags_array(ties.sum(axis=1) + np.ravel(anchor)) - ties)
 
 
 def _in_space(scene: Scene, moved: np.ndarray) -> np.ndarray:

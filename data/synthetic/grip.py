@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import coo_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
+from scipy.special import k0e, k1e
 
 from data.synthetic.scene import Scene, SceneError, require_room
 from data.synthetic.settings import SceneSettings
@@ -179,7 +180,8 @@ def _integrate(
     rows, columns = (side + 2 * BEYOND for side in scene.mesh.grid_shape)
     mass, damping = anchor * (relaxation / (2 * UNIFORM_DAMPING)) ** 2, anchor * relaxation
     step = 1 / (scene.settings.fps * SUBSTEPS)
-    matrix = lattice_matrix(log_stiffness, anchor + edge_anchor(log_stiffness, anchor))
+    grip = scene.mesh.pixels[scene.vertex] + BEYOND
+    matrix = lattice_matrix(log_stiffness, anchor + edge_anchor(log_stiffness, anchor, grip))
     shift = mass * 9 / (4 * step**2) + damping * 3 / (2 * step)
     row, column = np.mgrid[:rows, :columns] - BEYOND
     apart = np.hypot(row - scene.mesh.pixels[scene.vertex, 0], column - scene.mesh.pixels[scene.vertex, 1])
@@ -212,17 +214,29 @@ def _integrate(
     return np.array(seen), np.array(reaction)
 
 
-def edge_anchor(log_stiffness: np.ndarray, anchor: float) -> np.ndarray:
+def edge_anchor(log_stiffness: np.ndarray, anchor: float, grip: np.ndarray) -> np.ndarray:
     """What tissue that goes on beyond an edge adds to the anchor of the edge's nodes, shape [rows, columns].
 
-    Motion dies away there as exp(-x/L), L² = 3 · stiffness/anchor, so that a node is held by √(3 · stiffness · anchor):
-    exact for a straight front that is at rest. A free edge reflects what reaches it.
+    Around a grip motion at rest dies away as K₀(r/L), L² = 3 · stiffness/anchor, so that across the edge it falls by
+    K₁/K₀ · cos(angle)/L a node, which three springs carry. A free edge would reflect what reaches it.
+
+    Args:
+        log_stiffness: at the nodes, shape [rows, columns].
+        anchor: of every node.
+        grip: row and column of the node that is gripped, shape [2].
     """
-    edges = np.zeros(log_stiffness.shape)
+    reach = np.sqrt(3 * np.exp(log_stiffness) / anchor)
+    apart = np.moveaxis(np.indices(log_stiffness.shape), 0, -1) - grip
+    distance = np.maximum(np.linalg.norm(apart, axis=-1), 1.0)
+    # Scaled by e^(r/L), both alike, so that neither is too small to divide.
+    falls = k1e(distance / reach) / k0e(distance / reach) / reach
+    added = np.zeros(log_stiffness.shape)
     for axis in (0, 1):
-        sides = np.moveaxis(edges, axis, 0)
-        sides[[0, -1]] += 1
-    return edges * np.sqrt(3 * np.exp(log_stiffness) * anchor)
+        sides, across = (
+            np.moveaxis(values, axis, 0) for values in (added, np.abs(apart[..., axis]) / distance * falls)
+        )
+        sides[[0, -1]] += across[[0, -1]]
+    return 3 * np.exp(log_stiffness) * added
 
 
 def lattice_matrix(log_stiffness: np.ndarray, anchor: float | np.ndarray) -> csr_array:

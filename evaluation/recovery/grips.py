@@ -143,7 +143,7 @@ def _compared(
     onset: int, grip: GripEstimate, scene: Scene, motion: GrippedMotion, frames: Sequence[PreparedFrame]
 ) -> dict[str, object]:
     """Fields of a `GripRecovery`: truth, estimate and bound of a run of contact that begins in a frame."""
-    cell = scene.settings.cell[0]
+    cell = np.array(scene.settings.cell)
     used = onset + np.rint(grip.times * scene.settings.fps).astype(int)
     follower, moved, told = _followed(frames[onset : used[-1] + 1])
     points = follower.points.astype(np.float64)
@@ -154,7 +154,7 @@ def _compared(
     size = float(np.sqrt(np.square(error[-1, seen]).mean()))
     places = points[seen], follower.distance[seen]
     following = measure_following(*places, SPACING, told[seen], error[:, seen])
-    log_anchor = math.log(motion.anchor * (SPACING / cell) ** 2)
+    log_anchor = math.log(motion.anchor * SPACING**2 / cell.prod())
     relaxation = motion.damping / motion.anchor
     bound = grip_bound(*places, follower.hidden, SPACING, grip.times, true[:, seen], following, log_anchor, relaxation)
     log, sd = log_interval(

@@ -8,6 +8,9 @@ quantity                                    of
 estimated, explained                        share of the clips with an estimate, and of these whose model check passes
 rank of k_s and E, F and F                  Spearman's, over clips
 rank of F/k_s and F/E                       the combination that a dent's depth tells
+rank of …, determined                       over clips that pass the model check: of k_s and E where k_s is determined,
+                                            of a press else of k_d/k_s and αρ/E where that is, of a pull of F/k_s and
+                                            F/E; empty where there are fewer than four
 scatter of …                                standard deviation of the logarithm of their quotient: 0 is proportional
 k_d over αm                                 median; α is the true damping per mass and m the fitted mass of a node, of
                                             finite elements the density
@@ -52,6 +55,8 @@ CLOSE = 0.25
 """A ratio counts as found within this share of the true one."""
 LEAST = 4
 """Fewer clips have no rank."""
+PRESSED, PULLED = ("determined", "ratios"), "reaction"
+"""Verdicts by which a press's k_s, or else its k_d/k_s, and a pull's F/k_s are determined."""
 COMPARED = ("status", "reason", "estimate", "covariance", "verdict", "misfit", "warned")
 """Fields of a `Recovery` that a `SlabRecovery` has too."""
 
@@ -184,7 +189,7 @@ def slab_rows(rows: Sequence[SlabRecovery]) -> list[dict[str, object]]:
         own = [row for row in rows if row.estimator == estimator]
         for name, clips in _groups(own).items():
             for part, chosen in (("", clips), (", explained", [row for row in clips if row.warned is False])):
-                quantities = _compared(chosen, clips if not part else None)
+                quantities = [*_compared(chosen, clips if not part else None), *(_determined(chosen) if part else ())]
                 found += [{"estimator": estimator, "clips": name + part, **cells} for cells in quantities]
     return found
 
@@ -249,6 +254,26 @@ def _compared(rows: Sequence[SlabRecovery], all_rows: Sequence[SlabRecovery] | N
         quotient = np.log(stiffness / young)
         value = float(np.exp(np.median(quotient[stiff]) - np.median(quotient[~stiff])))
         yield {"quantity": "k_s/E with an inclusion over without", "n": int(stiff.sum()), "value": value}
+
+
+def _determined(rows: Sequence[SlabRecovery]) -> Iterator[dict[str, object]]:
+    """Ranks of what is determined of some clips: of k_s, or of the ratio that is known although k_s is not."""
+    kinds: dict[str, list[tuple[float, float]]] = {}
+    for row in rows:
+        tissue = None if row.tissue is None else SlabTissue(*row.tissue)
+        if tissue is not None and row.reaction is not None:
+            pair = (float(row.reaction[0]), row.force / tissue.young)
+            kinds.setdefault("F/k_s and F/E", []).extend([pair] * (row.verdict == PULLED))
+        elif tissue is not None and row.estimate is not None:
+            stiffness, damping, _ = row.estimate
+            both = {"k_s and E": (stiffness, tissue.young)}
+            if tissue.damping > 0:  # a standard linear solid has none that could be compared
+                both["k_d/k_s and αρ/E"] = (damping / stiffness, tissue.damping * tissue.density / tissue.young)
+            for (name, pair), verdict in zip(both.items(), PRESSED, strict=False):
+                kinds.setdefault(name, []).extend([pair] * (row.verdict == verdict))
+    for name, pairs in kinds.items():
+        rank = float(spearmanr(*zip(*pairs, strict=True)).statistic) if len(pairs) >= LEAST else math.nan
+        yield {"quantity": f"rank of {name}, determined", "n": len(pairs), "value": rank}
 
 
 def _absolute(

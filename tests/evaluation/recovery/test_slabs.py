@@ -19,6 +19,7 @@ from evaluation.recovery.suites import SLAB_SUITES, suite_clip_seed
 
 YOUNG = np.array([80.0, 120.0, 200.0, 300.0, 500.0, 550.0])
 DENSITY, DAMPING = 1500.0, 40.0
+RATIO = "k_d/k_s and αρ/E"
 
 
 def press(index: int, estimate: tuple[float, float, float] | None, **changes) -> SlabRecovery:
@@ -95,6 +96,33 @@ def test_finite_elements_are_compared_with_the_truth_in_its_own_units() -> None:
     assert ("pressed", "E over the true") not in table(
         [press(index, (1 + index, 1 + index, -1 - index)) for index in range(6)]
     )
+
+
+def test_what_is_determined_is_ranked_by_itself() -> None:
+    rows = []
+    for index, young in enumerate(YOUNG):
+        alpha = DAMPING * (1 + index)
+        # d/E falls with E where E is known, and is right where it is not; E is turned round there.
+        known = index < 4
+        ratio = 1 / young if known else alpha * DENSITY / young
+        rows.append(press(index, (young if known else 1 / young, ratio * (young if known else 1 / young), -0.1)))
+        if not known:
+            rows[-1] = dataclasses.replace(rows[-1], verdict="ratios")
+    found = table(rows)
+    sure, ratios = (found["pressed, explained", f"rank of {name}, determined"] for name in ("k_s and E", RATIO))
+    assert (sure["n"], sure["value"]) == (4, pytest.approx(1))
+    assert ratios["n"] == 2
+    assert math.isnan(ratios["value"])  # of two there is none
+    assert ("pressed", "rank of k_s and E, determined") not in found
+    again = table([dataclasses.replace(row, verdict="ratios") for row in rows])
+    assert again["pressed, explained", f"rank of {RATIO}, determined"]["n"] == 6
+    assert again["pressed, explained", "rank of k_s and E, determined"]["n"] == 0
+    refused = table([dataclasses.replace(row, warned=index < 2) for index, row in enumerate(rows)])
+    assert refused["pressed, explained", "rank of k_s and E, determined"]["n"] == 2
+    pulls = [pull(index, (0.1 + 0.02 * index) / young, verdict="reaction") for index, young in enumerate(YOUNG)]
+    found = table([*pulls[:5], dataclasses.replace(pulls[5], verdict="undetermined")])
+    sure = found["pulled, explained", "rank of F/k_s and F/E, determined"]
+    assert (sure["n"], sure["value"]) == (5, pytest.approx(1))
 
 
 def test_what_was_not_estimated_counts_as_such() -> None:

@@ -3,12 +3,12 @@
 Tissue under the tip is left out: how the tip presses there is not known, and farther away only its force counts (Saint-
 Venant's principle). Exact derivatives of the motion give gradient and Gauss–Newton matrix; the latter is corrected from
 step to step by the gradients seen (BFGS with Powell's damping; Nocedal & Wright 2006, procedure 18.2), because it takes
-the valley along which E, d and F rise together for steeper than it is. The posterior is normal around the best fit,
-with what the slab itself gets wrong among the errors: only inertia tells the common scale of E, d and F, and a mesh
-that is a little off would pass for it.
+the valley along which E, d and F rise together for steeper than it is. What the slab itself gets wrong counts among the
+errors. The posterior, its valley followed, holds besides what a finer mesh changes, and firm regions beneath
+(`estimators.direct.slab_posterior`).
 
-A standard linear solid is fitted, too. Where it explains the film better than damping proportional to mass does, that
-model is refuted, however small its misfit.
+A standard linear solid is fitted, too. Where it explains the film better than damping proportional to mass does, with a
+firm region or without, that model is refuted, however small its misfit.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from estimators.direct.contact_fit import AT_BOUND, DELAY_AT_END, LARGEST_MISFIT
 from estimators.direct.field import FilmProblem
 from estimators.direct.motion import about_tissue
 from estimators.direct.slab_motion import SlabMotion
+from estimators.direct.slab_posterior import averaged, firm_places, follow_valley, moved_by_mesh
 from estimators.estimate import Estimate, NoEstimate
 from estimators.oblique import effective_misfit, is_oblique, view_angle
 from physics.fem import NoBody
@@ -33,7 +34,7 @@ from physics.mechanics import theta_of
 
 BLIND = 4.5
 """Tissue nearer to the contact isn't compared [grid px]."""
-YOUNG, DAMPING = np.log(np.geomspace(30.0, 1500.0, 5)), np.log(np.geomspace(1e4, 4e5, 3))
+YOUNG, DAMPING = np.log(np.geomspace(20.0, 2000.0, 11)), np.log(np.geomspace(5e3, 8e5, 7))
 """log E and log d among whose pairs a start is looked for."""
 LARGEST_STEP = 0.7
 """Of a parameter."""
@@ -57,13 +58,15 @@ RINGS = 6.0, 8.0
 """Between rings [grid px]."""
 EARLY = 2.5
 """Frames after the press begins, and after it ends, that are parts of their own."""
-UNLIKE = np.square(0.3) + np.diag(np.square([0.0, 0.2, 0.25]))
-"""Covariance of (log E, log d, log |F|) that tissue not alike throughout adds: 0.3 of log E, 0.2 of log d/E and 0.25 of
-log F/E. No film tells a firm ball below from firmer tissue throughout; on 8 drawn presses, half of them with a ball
-four times as stiff inside, d/E and F/E were off by 0.19 and 0.29 (root mean squares)."""
-
-FIRMER = 1.5
-"""By so much log E, log d and log |F| are raised together to see whether the film tells their scale there as well."""
+UNLIKE = np.square(0.1) + np.diag(np.square([0.0, 0.05, 0.1]))
+"""Covariance of (log E, log d, log |F|) by what law and tip get wrong: 0.1 of log E, 0.05 of log d/E, 0.1 of log F/E.
+On eight drawn presses on tissue that is alike throughout the ratios were off by as much (root mean squares)."""
+UNLIKE_FIRM = np.square(0.3) + np.diag(np.square([0.0, 0.15, 0.3]))
+"""The same where a firm region lies beneath, which is not one of those that are tried: 0.3, 0.15 and 0.3."""
+FINER = 14, 14, 4
+"""Cells of the mesh by which the fitted one's error is measured. At second order as much again is left."""
+LOWER = 1.0
+"""Fall of χ²/2 along the valley from which on a better fit is looked for there."""
 
 
 class SlabProblem(FilmProblem[SlabMotion]):
@@ -112,20 +115,31 @@ def fit_slab(
 
     beside = _beside_tip(contact)
     problem = problem_of(False)
+    pixels = contact.mesh.pixels[problem.patches.vertices]
     box = problem.motion.box
     logs = slab_start(problem)
     for outliers, enough in ((False, ROUGH), (True, DONE)):
         problem.look(logs, outliers=outliers)
         logs = descend(problem, logs, box, enough)
-    information, misfit = problem.information(logs), problem.misfit(logs)
-    prior = box_information(box)
-    tissue = about_tissue(information, prior) / max(1.0, misfit) ** 2
-    spread = firmer(problem, logs, box, np.linalg.inv(tissue + prior[:3, :3]))
+    scale = max(1.0, problem.misfit(logs)) ** 2
+    valley = follow_valley(problem, logs, box, scale)
+    if valley.fall > LOWER:
+        problem.look(valley.best, outliers=True)
+        logs = descend(problem, valley.best, box, DONE)
+        valley = follow_valley(problem, logs, box, scale)
+    misfit = problem.misfit(logs)
+    finer = slab_beneath(contact.mesh, contact.vertex, contact.direction, thickness, FINER)
+    coarse = moved_by_mesh(problem, SlabMotion(contact, finer, pixels, problem.film.times, within), logs)
+    places = firm_places(problem, logs, thickness, scale)
+    firm, shift, unsure = averaged(places)
+    spread = valley.covariance + np.outer(coarse, coarse) + unsure + (1 - firm) * UNLIKE + firm * UNLIKE_FIRM
     at = int(np.flatnonzero(problem.patches.vertices == contact.vertex)[0])
     path = problem.motion.at(logs)[0][:, at] @ np.asarray(contact.direction, np.float64)
-    rival = _relaxation(problem, logs, problem_of(True), REFUTED * max(1.0, misfit) ** 2)
+    firmest = max(0.0, *(place.gain for place in places))
+    rival = _relaxation(problem, logs, problem_of(True), scale * (REFUTED + firmest))
+    information = problem.information(logs)
     found = Estimate(
-        theta=theta_of(logs[:3]),
+        theta=theta_of(np.clip(valley.mean + shift, *box[:, :3])),
         covariance=spread,
         information=information[:3, :3],
         noise=problem.film.noise.total,
@@ -138,30 +152,11 @@ def fit_slab(
         outliers=problem.outliers,
         refuted=rival,
     )
-    found = found.widened(UNLIKE)
     if is_oblique(found):
+        prior = box_information(box)
         hidden = about_tissue(information / effective_misfit(found) ** 2, prior)
         found = found.widened(np.linalg.inv(hidden + prior[:3, :3]))
     return found, (np.append(0.0, problem.motion.times), np.append(0.0, path))
-
-
-def firmer(problem: SlabProblem, logs: np.ndarray, box: np.ndarray, spread: np.ndarray) -> np.ndarray:
-    """The covariance [3, 3] of a fit at `logs`, wider along the common scale where firmer tissue explains as much.
-
-    The larger the scale the less inertia tells it: towards firm tissue the posterior has a tail, of which the best
-    fit's surroundings know nothing.
-    """
-    raised = np.clip(logs + FIRMER * (np.arange(len(logs)) < 3), *box)
-    step = float((raised - logs)[:3].min())
-    value, (residual, jacobian) = float(np.square(problem.residual(logs)).sum()), problem.linearise(raised)
-    if not (step > 0 and np.isfinite(residual).all()):
-        return spread
-    # At that E with the damping and the force that suit it.
-    others, gradient = jacobian[:, 1:], jacobian[:, 1:].T @ residual
-    gained = gradient @ np.linalg.solve(others.T @ others + box_information(box)[1:, 1:], gradient)
-    rise = 0.5 * (float(np.square(residual).sum()) - gained - value)
-    seen = step**2 / (2 * max(rise, 0.5 * (step / FIRMER) ** 2))
-    return spread + max(seen - float(spread.mean()), 0.0) * np.ones((3, 3))
 
 
 def _relaxation(plain: SlabProblem, logs: np.ndarray, other: SlabProblem, better: float) -> str:
@@ -212,7 +207,7 @@ def slab_start(problem: SlabProblem) -> np.ndarray:
     for young, damping in itertools.product(YOUNG, DAMPING):
         logs = np.zeros(len(low))
         logs[:2] = young, damping
-        tried = problem.patches.shown(problem.patches.sunk(motion.linear(logs)), still)
+        tried = problem.patches.shown(problem.patches.sunk(motion.by_modes(logs)), still)
         seen = np.isfinite(tried) & np.isfinite(problem.observed)
         tried, observed = np.where(seen, tried, 0.0), np.where(seen, problem.observed, 0.0)
         along, square = float((tried * observed).sum()), float(np.square(tried).sum())

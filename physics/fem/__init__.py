@@ -9,6 +9,7 @@ slab           beneath an open surface that one camera sees, elements crowding w
 surface        places on triangles that are closest to points
 equilibrium    rest under forces and prescribed displacements; derivatives by (E, ν), elements' E and forces
 dynamics       implicit time steps: mass-proportional damping, standard linear solid; derivatives by all of it
+modes          small motions by eigenmodes, for many E and dampings of one body
 linear_system  symmetric sparse systems, factorised or iterated
 """
 

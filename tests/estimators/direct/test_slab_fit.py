@@ -14,7 +14,7 @@ from data.contact.patches import Patches
 from estimators.direct import estimator, slab_fit, slab_motion
 from estimators.direct.contact_fit import LARGEST_MISFIT
 from estimators.direct.estimator import DirectEstimator
-from estimators.direct.slab_fit import BLIND, MODEL_ERROR, UNLIKE, SlabProblem, descend, firmer, fit_slab, slab_start
+from estimators.direct.slab_fit import BLIND, MODEL_ERROR, UNLIKE, SlabProblem, descend, fit_slab, slab_start
 from estimators.direct.slab_motion import DENSITY, PATCH, SlabMotion
 from estimators.estimate import NINETY, Estimate, NoEstimate
 from estimators.onset import BETWEEN
@@ -118,7 +118,7 @@ def test_what_cannot_be_followed_is_not_a_number(monkeypatch: pytest.MonkeyPatch
 
 def coarsely(monkeypatch: pytest.MonkeyPatch, contact: Interaction, cells: tuple[int, int, int]) -> Estimate:
     """A fit by a slab of few elements."""
-    monkeypatch.setattr(slab_fit, "slab_beneath", lambda *told: slab_beneath(*told, cells))
+    monkeypatch.setattr(slab_fit, "slab_beneath", lambda *told: slab_beneath(*told[:4], cells))
     return fit_slab(contact, THICKNESS)[0]
 
 
@@ -129,10 +129,10 @@ def test_a_fit_recovers_what_made_the_film_and_a_start_is_near(monkeypatch: pyte
     assert found.explained
     assert not found.refuted
     assert 0.8 < found.misfit < 1.2
-    # Besides what the film tells, tissue may not be alike throughout.
+    # Besides what the film tells, law and tip are not the tissue's.
     assert np.linalg.eigvalsh(found.covariance - UNLIKE).min() > 0
     low, high = (found.numbers()[f"force_over_stiffness_{end}"] for end in ("low", "high"))
-    assert math.log(high / low) / (2 * NINETY) == pytest.approx(0.25, abs=0.02)
+    assert math.log(high / low) / (2 * NINETY) == pytest.approx(0.12, abs=0.02)
     assert (np.abs(np.log(np.abs(found.theta)) - LOGS) < 2 * NINETY * found.log_sd).all()
     ratios = found.numbers()
     assert ratios["damping_over_stiffness"] == pytest.approx(THETA[1] / THETA[0], rel=0.1)
@@ -175,23 +175,6 @@ def test_the_slabs_own_error_is_a_share_of_its_motion_in_rings_and_parts_of_the_
     parts = len(np.unique(np.flatnonzero(np.abs(columns).sum(axis=(0, 1)))))
     assert told < parts / MODEL_ERROR**2
     assert told > 0.5 / MODEL_ERROR**2
-
-
-def test_intervals_reach_firmer_tissue_that_explains_as_much() -> None:
-    contact = dataclasses.replace(
-        contact_of(), film=DentFilm(TIMES, np.zeros((10, SIDE, SIDE), np.float32), FilmNoise(SIGMA, 0.0), SIZE)
-    )
-    problem = SlabProblem(contact, lambda vertices, times: SlabMotion(contact, slab_of(), MESH.pixels[vertices], times))
-    box, narrow = problem.motion.box, 1e-4 * np.eye(3)
-    viscous = np.log([100.0, 3e5, 0.08])
-    for logs, telling in ((viscous, False), (LOGS, True)):
-        moved = problem.motion.at(logs)[0]
-        problem.observed = problem.patches.shown(problem.patches.sunk(moved), problem.patches.covering(moved))
-        problem.look(logs)
-        wider = firmer(problem, logs, box, narrow) - narrow
-        np.testing.assert_allclose(wider, wider[0, 0])  # along the common scale alone
-        assert (math.sqrt(wider[0, 0]) < 0.5) == telling
-    assert firmer(problem, box[1], box, narrow) is narrow
 
 
 @pytest.mark.slow

@@ -100,10 +100,12 @@ def fit_slab(
         fitted motion of the contact along the force then [scene units], shape [N + 1] each.
 
     Raises:
-        NoEstimate: no slab fits under the tissue, or none can be followed.
+        NoEstimate: no slab fits under the tissue, none can be followed, or nothing moves clearly.
     """
     try:
-        slab = slab_beneath(contact.mesh, contact.vertex, contact.direction, thickness)
+        slab, finer = (
+            slab_beneath(contact.mesh, contact.vertex, contact.direction, thickness, *cells) for cells in ((), (FINER,))
+        )
     except NoBody as error:
         raise NoEstimate(f"No slab fits under the tissue: {error}") from error
 
@@ -125,10 +127,14 @@ def fit_slab(
     valley = follow_valley(problem, logs, box, scale)
     if valley.fall > LOWER:
         problem.look(valley.best, outliers=True)
-        logs = descend(problem, valley.best, box, DONE)
-        valley = follow_valley(problem, logs, box, scale)
+        try:
+            logs = descend(problem, valley.best, box, DONE)
+            valley = follow_valley(problem, logs, box, scale)
+        except NoEstimate:  # the valley was told by small motions; as it is, the slab can't be followed there
+            problem.look(logs, outliers=True)
     misfit = problem.misfit(logs)
-    finer = slab_beneath(contact.mesh, contact.vertex, contact.direction, thickness, FINER)
+    if not misfit > 0:
+        raise NoEstimate("No pixel of the dent moves clearly, so that nothing shows whether a slab explains it.")
     coarse = moved_by_mesh(problem, SlabMotion(contact, finer, pixels, problem.film.times, within), logs)
     places = firm_places(problem, logs, thickness, scale)
     firm, shift, unsure = averaged(places)

@@ -2,12 +2,12 @@
 
 Points beside an instrument are followed badly: windows that hold its edge are dragged along or held back by it. Taken
 as a prescribed displacement they bias foundation and force by a quarter and more (docs/real.md). Here they are
-observations as all others are, with their told noise: unknown are the forces on every place at the instrument, also on
-tissue that it hides, and an endless sheet (`physics.endless_sheet`) answers these. Far points tell the sum of the
-forces, and how fast the motion dies away, whatever happens at the grip. An affine background moves on its own.
+observations as all others are, with their told noise, and the forces at the instrument are unknown
+(`estimators.grip.sheet_problem`). Far points tell the sum of the forces, and how fast the motion dies away, whatever
+happens at the grip.
 
-Errors of points are Student's, whose scale is found in every frame: a sheet is not tissue. Neighbours' errors are alike
-(`estimators.grip.whitening`). Should even more points err alike in the last frame, they count for less.
+Followed points are filtered, which biases them where neighbours lie on one side. So once a sheet explains them, they
+are measured again where it says they are. Should more points err alike than expected, they count for less.
 """
 
 from __future__ import annotations
@@ -17,40 +17,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
-from scipy.sparse import csr_array
 
-from estimators.grip.alike import correlated_points
-from estimators.grip.lattice import KNOT, SPREAD, TYPICAL_ANCHOR
-from estimators.grip.whitening import MEASURED_REACH, REACH, Whitening, alike_points
-from physics.endless_sheet import response
+from estimators.grip.lattice import SPREAD, TYPICAL_ANCHOR
+from estimators.grip.sheet_problem import ENERGY, MOST_LOADED, TINY, SeenFrame, SheetProblem, Solved
+from estimators.grip.whitening import MEASURED_REACH
 
-LOADED = 32.0
-"""Forces act on tissue that began nearer to the tool [px]."""
-DENSE, THIRD = 64.0, 3
-"""Of points that began farther from the tool every third one along both axes counts: neighbours err alike."""
-SIZE = 512
-"""Of the repeated piece of the endless sheet [nodes]."""
-ENERGY, FREE = 300.0, 3000.0
-"""Prior scale of the work that the forces do, a number of them [px² · stiffness]: at a node alone 10 px. The sum of the
-forces hangs on it where an instrument hides tissue. The foundation is told with ten times as much: strong pulls, which
-are expected less, would pass for a softer attachment."""
-FREEDOM = 3.0
-"""Of Student's distribution, in the plane."""
-UNTOLD = 1e-6
-"""Of the loads' independent numbers those count that move points by more than so much, as far as they are expected
-[px²]: no link tells of others."""
 LOOKS = 2
 """Times that points are measured again where the fit so far says they are."""
-LINK = 0.05
-"""Least standard deviation of a point by axis [px]."""
-ALIKE = KNOT**2 / THIRD**2
-"""So many points are taken to err alike where they are weighted: what a sheet can't explain is smooth over a knot's
-cell."""
-ROUNDS, AGAIN, CONVERGED = 15, 4, 1e-3
-"""Of weighting the points anew: at most, where near values are solved, and the change of weights that ends them."""
-SCALED = 10
-"""Steps to the errors' scale."""
 MOST_FITTED, MOST_MEASURED = 4, 8
 """So many frames, evenly spread, tell the foundation roughly, and so many once points are measured again: the motion
 grows steadily."""
@@ -70,10 +43,6 @@ tell 0.0056 (development seeds 9201 and 9202), and of the log force, as a sheet 
 two of 18."""
 ROBUST = 1.4826
 """Standard deviation of a normal distribution over the median of its absolute values."""
-TINY = 1e-9
-"""Of the largest: added to a diagonal so that rounding doesn't make it indefinite."""
-
-
 EXCESS = 0.03
 """Errors beyond the told noise of this size, by axis, show that tissue is no such sheet [px]: at most 0.011 on 15 drawn
 clips of one, 0.05 where a region is stiffer, 0.7 on a real clip. Forces that are free then explain too much."""
@@ -82,22 +51,10 @@ MOST_ALIKE, MISFIT = 2.0, (0.43, 0.68)
 on 18 drawn clips, 4 and more where motion dies away exponentially), tissue is no such sheet either, and the standard
 deviations of log foundation and log force count these besides: of six drawn clips with two regions four were so, 0.27
 and 0.24 off (root mean squares)."""
-MOST_LOADED = 400
-"""More places with a force take minutes, and leave too much free."""
 
 
 class NoSheet(ValueError):
     """Forces at the instrument and a sheet that is alike everywhere don't explain the points to within their noise."""
-
-
-@dataclass(frozen=True, eq=False)
-class SeenFrame:
-    """Followed points of one frame; N points."""
-
-    moved: np.ndarray
-    """Displacement since rest, shape [N, 2] [px]; not a number where a point is lost."""
-    noise: np.ndarray
-    """Its standard deviation by axis, shape [N] [px]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,201 +86,6 @@ class FoundationFit:
     """Its standard deviation, shape [T]; 0 in the last frame."""
 
 
-@dataclass(eq=False)
-class _Solved:
-    """One frame at one foundation; M places that are loaded."""
-
-    loss: float
-    """Negative log of the density, of all unknowns at their likeliest."""
-    unknowns: np.ndarray
-    """Loads [stiffness × px] and the background's motion, shape [M + 3, 2]."""
-    weights: np.ndarray
-    """Of the points that count, 0 for those not seen."""
-    scale: float
-    """Of the errors besides the told noise, variance by axis [px²]."""
-
-
-class Design(NamedTuple):
-    """How n points follow K independent numbers for the loads and 3 for the background, at one foundation."""
-
-    rows: np.ndarray
-    """Motion for a unit of each, shape [n, K + 3]."""
-    precision: np.ndarray
-    """Prior precision of these, shape [K + 3]."""
-    loads: np.ndarray
-    """Loads on the M places for a unit of the numbers, shape [M, K]."""
-    untold: float
-    """Variance by axis of the sum of the loads that no point tells [stiffness² × px²]."""
-
-
-class Whitened(NamedTuple):
-    """Of the n points that count in a frame; rows of those not seen are 0."""
-
-    transform: csr_array
-    """What makes their errors independent and of size 1, shape [n, n]."""
-    moved: np.ndarray
-    """Their motion then, shape [n, 2]."""
-
-
-class _Profile(NamedTuple):
-    """One frame at one foundation, by whitened motion."""
-
-    loss: float
-    """Negative log of the density, of all other unknowns at their likeliest."""
-    force: np.ndarray
-    """Sum of the loads, shape [2]."""
-    variance: float
-    """Of that, by axis."""
-
-
-def loaded_cells(points: np.ndarray, distance: np.ndarray, hidden: np.ndarray, spacing: int) -> np.ndarray:
-    """Places of the grid on which forces may act, as numbers of its columns and rows, shape [M, 2].
-
-    Every other one of those near the tool, as on a chessboard: the field around them is as free, at an eighth of the
-    work. Under a long shaft half of these. Arguments as of `fit_foundation`.
-    """
-    loaded = np.rint(np.concatenate([points[distance < LOADED], hidden]) / spacing).astype(np.int64)
-    half = loaded[loaded.sum(axis=1) % 2 == 0]
-    return half if len(half) <= MOST_LOADED else half[half[:, 0] % 2 == 0]
-
-
-def load_precision(answer: np.ndarray, loaded: np.ndarray, energy: float = ENERGY) -> np.ndarray:
-    """Prior precision of loads on places [M, 2] and of the background's three numbers, shape [M + 3, M + 3].
-
-    Args:
-        answer: of the sheet, as `physics.endless_sheet.response` gives it.
-        loaded: as of `loaded_cells`.
-        energy: expected work of a load [px² · stiffness].
-    """
-    count = len(loaded)
-    precision = np.zeros((count + 3, count + 3))
-    own = answer[tuple(np.moveaxis(loaded[:, None] - loaded, -1, 0) % SIZE)] / energy
-    precision[:count, :count] = own + TINY * own.max() * np.eye(count)
-    return precision
-
-
-class _Problem:
-    """What the frames have in common.
-
-    Args:
-        points: at rest, shape [N, 2] [px].
-        distance: from the tool there, shape [N] [px].
-        hidden: places of the grid that the tool hides, shape [H, 2] [px].
-        spacing: of the grid [px].
-        reach: of the correlation between neighbours' errors [px].
-    """
-
-    def __init__(
-        self, points: np.ndarray, distance: np.ndarray, hidden: np.ndarray, spacing: int, reach: float = REACH
-    ) -> None:
-        cells = np.rint(points / spacing).astype(np.int64)
-        self.counted = np.flatnonzero((distance < DENSE) | (cells % THIRD == 0).all(axis=1))
-        """Points that count, shape [n]."""
-        self._points, self._spacing = points, spacing
-        self._loaded_cells = loaded_cells(points, distance, hidden, spacing)
-        self._middle, self._size = points.mean(axis=0), points.std(axis=0)
-        self.loaded = len(self._loaded_cells)
-        self._whitening = Whitening(points[self.counted], reach)
-        self._expected = max(alike_points(spacing, reach), 1.0)
-
-    def _following(self, answer: np.ndarray, places: np.ndarray) -> np.ndarray:
-        """How places of the grid [n, 2] [px] follow loads and background, shape [n, M + 3]."""
-        cells = np.rint(places / self._spacing).astype(np.int64)
-        apart = np.moveaxis(cells[:, None] - self._loaded_cells, -1, 0) % SIZE
-        return np.hstack([answer[tuple(apart)], (places - self._middle) / self._size, np.ones((len(places), 1))])
-
-    def design(self, log_anchor: float, energy: float = FREE) -> Design:
-        """How the points that count follow what is unknown.
-
-        Few combinations of loads under an instrument can be told apart: those of the prior's independent numbers that
-        move the points, by the eigenvectors of what these say.
-        """
-        answer = response(float(np.exp(log_anchor)), SIZE)
-        rows = self._following(answer, self._points[self.counted])
-        prior = load_precision(answer, self._loaded_cells, energy)[: self.loaded, : self.loaded]
-        triangle = cholesky(prior, check_finite=False)
-        by_number = solve_triangular(triangle, rows[:, : self.loaded].T, trans=1, check_finite=False).T
-        told, vectors = np.linalg.eigh(by_number.T @ by_number)
-        loads = solve_triangular(triangle, vectors, check_finite=False)
-        kept = told > UNTOLD
-        return Design(
-            np.hstack([rows[:, : self.loaded] @ loads[:, kept], rows[:, self.loaded :]]),
-            np.append(np.ones(int(kept.sum())), np.zeros(3)),
-            loads[:, kept],
-            float(np.square(loads[:, ~kept].sum(axis=0)).sum()),
-        )
-
-    def solve(self, design: Design, frame: SeenFrame, start: _Solved | None = None) -> _Solved:
-        """The likeliest loads, background and size of errors, by weighting the points anew.
-
-        Args:
-            design: of the foundation.
-            frame: what is seen.
-            start: from which to begin.
-        """
-        seen = np.flatnonzero(np.isfinite(frame.moved[self.counted]).all(axis=1))
-        told = np.square(np.maximum(frame.noise[self.counted][seen], LINK))
-        rows, moved = design.rows[seen], frame.moved[self.counted][seen]
-        scale = 0.0 if start is None else start.scale
-        weights = np.ones(len(told)) if start is None else start.weights[seen]
-        for _ in range(ROUNDS if start is None else AGAIN):
-            before = weights
-            root = np.sqrt(weights / (told + scale) / ALIKE)[:, None]
-            factor = _factor(rows * root, design.precision)
-            found = cho_solve(factor, (rows * root).T @ (moved * root), check_finite=False)
-            squares = np.square(moved - rows @ found).sum(axis=1)
-            scale = error_scale(squares, told, weights, scale)
-            weights = (FREEDOM + 2) / (FREEDOM + squares / (told + scale))
-            if np.abs(weights - before).max() < CONVERGED:
-                break
-        variance = told + scale
-        density = (FREEDOM + 2) / 2 * np.log1p(squares / variance / FREEDOM) + np.log(variance)
-        whole = np.zeros(len(self.counted))
-        whole[seen] = weights
-        return _Solved(
-            float(density.sum() / ALIKE + 0.5 * design.precision @ np.square(found).sum(axis=1)),
-            np.vstack([design.loads @ found[:-3], found[-3:]]),
-            whole,
-            scale,
-        )
-
-    def whitened(self, frame: SeenFrame, solved: _Solved) -> Whitened:
-        """What makes errors of a frame independent and of size 1."""
-        told = np.square(np.maximum(frame.noise[self.counted], LINK)) + solved.scale
-        sizes = np.sqrt(told / np.where(solved.weights > 0, solved.weights, np.nan))
-        transform = self._whitening.transform(sizes)
-        return Whitened(transform, transform @ np.where(solved.weights[:, None] > 0, frame.moved[self.counted], 0.0))
-
-    def profile(self, design: Design, seen: Whitened) -> _Profile:
-        """All but the foundation at its likeliest."""
-        rows = seen.transform @ design.rows
-        factor = _factor(rows, design.precision)
-        found = cho_solve(factor, rows.T @ seen.moved, check_finite=False)
-        left = seen.moved - rows @ found
-        total = np.append(design.loads.sum(axis=0), np.zeros(3))
-        return _Profile(
-            0.5 * float((left * seen.moved).sum()),
-            total @ found,
-            float(total @ cho_solve(factor, total, check_finite=False)) + design.untold,
-        )
-
-    def motion(self, log_anchor: float, solved: _Solved, places: np.ndarray) -> np.ndarray:
-        """Where a sheet says that places of the grid go, shape as of the places […, 2] [px]."""
-        following = self._following(response(float(np.exp(log_anchor)), SIZE), places.reshape(-1, 2))
-        return (following @ solved.unknowns).reshape(places.shape)
-
-    def left(self, log_anchor: float, frame: SeenFrame, solved: _Solved) -> np.ndarray:
-        """What is not explained over its told size, of all points, shape [N, 2]; outliers count little."""
-        off = frame.moved - self.motion(log_anchor, solved, self._points)
-        variance = np.square(np.maximum(frame.noise, LINK)) + solved.scale
-        weights = (FREEDOM + 2) / (FREEDOM + np.square(off).sum(axis=1) / variance)
-        return off * np.sqrt(weights / variance)[:, None]
-
-    def wider(self, left: np.ndarray) -> float:
-        """By which factor variances grow if more points err alike than was taken for granted, 1 or more."""
-        return max(correlated_points(self._points, self._spacing, left) / self._expected, 1.0)
-
-
 def fit_foundation(
     points: np.ndarray,
     distance: np.ndarray,
@@ -345,7 +107,7 @@ def fit_foundation(
     Raises:
         NoSheet: the points move otherwise, or the instrument hides too much.
     """
-    problem = _Problem(points, distance, hidden, spacing)
+    problem = SheetProblem(points, distance, hidden, spacing)
     if not 0 < problem.loaded <= MOST_LOADED:
         raise NoSheet(f"Forces may act on {problem.loaded} places; from 1 to {MOST_LOADED} can be told apart.")
     spread = _spread(len(frames), MOST_FITTED)
@@ -355,7 +117,7 @@ def fit_foundation(
         raise NoSheet(f"Points are {excess:.2f} px off besides their noise.")
     judged, looked = problem, [frames[place] for place in spread]
     if measuring is not None:
-        judged = _Problem(points, distance, hidden, spacing, MEASURED_REACH)
+        judged = SheetProblem(points, distance, hidden, spacing, MEASURED_REACH)
         spread, design = _spread(len(frames), MOST_MEASURED), problem.design(found.log_anchor)
         found = found._replace(solved=[problem.solve(design, frames[place]) for place in spread])
         for _ in range(LOOKS):
@@ -402,11 +164,11 @@ class _Found(NamedTuple):
     log_anchor: float
     curvatures: np.ndarray
     """What each of the frames tells of it, shape [J]."""
-    solved: list[_Solved]
+    solved: list[Solved]
     """Of each of the frames."""
 
 
-def _search(problem: _Problem, fitted: Sequence[SeenFrame]) -> _Found:
+def _search(problem: SheetProblem, fitted: Sequence[SeenFrame]) -> _Found:
     """The likeliest log foundation of some frames."""
     tried = np.arange(LIMITS[0], LIMITS[1] + GRID, GRID)
     # The last frame alone says roughly where.
@@ -415,7 +177,7 @@ def _search(problem: _Problem, fitted: Sequence[SeenFrame]) -> _Found:
     return _refined(problem, fitted, float(tried[np.argmin(rough + 0.5 * expected)]))
 
 
-def _refined(problem: _Problem, fitted: Sequence[SeenFrame], log_anchor: float) -> _Found:
+def _refined(problem: SheetProblem, fitted: Sequence[SeenFrame], log_anchor: float) -> _Found:
     """The same from a value on, by Newton's steps."""
     design = problem.design(log_anchor)
     solved = [problem.solve(design, frame) for frame in fitted]
@@ -434,13 +196,6 @@ def _refined(problem: _Problem, fitted: Sequence[SeenFrame], log_anchor: float) 
         design = problem.design(log_anchor)
         solved = [problem.solve(design, *pair) for pair in zip(fitted, solved, strict=True)]
     return _Found(log_anchor, curvatures, solved)
-
-
-def _factor(rows: np.ndarray, precision: np.ndarray) -> tuple[np.ndarray, bool]:
-    """Cholesky's, of the information of rows [n, P] and a prior precision [P]."""
-    information = rows.T @ rows
-    information[np.diag_indices_from(information)] += precision
-    return cho_factor(information, overwrite_a=True, check_finite=False)
 
 
 def information(curvatures: np.ndarray, correlation: np.ndarray) -> float:
@@ -475,19 +230,3 @@ def along_last(forces: np.ndarray) -> tuple[float, np.ndarray]:
     """Length of the last of forces [T, 2], and all along it over this, shape [T]."""
     length = float(np.linalg.norm(forces[-1]))
     return length, forces @ forces[-1] / length**2
-
-
-def error_scale(squares: np.ndarray, told: np.ndarray, weights: np.ndarray, scale: float) -> float:
-    """Likeliest variance by axis of weighted errors besides the told one, from a value on [px²].
-
-    Args:
-        squares: squared lengths of errors in the plane, shape [n] [px²].
-        told: variances by axis, shape [n] [px²].
-        weights: shape [n].
-        scale: the value so far.
-    """
-    found = max(scale, float(told.min()))
-    for _ in range(SCALED):
-        variance = told + found
-        found *= float(np.sqrt((weights * squares / (2 * variance**2)).sum() / (1 / variance).sum()))
-    return found if found > LINK**2 / 100 else 0.0

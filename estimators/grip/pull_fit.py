@@ -18,9 +18,10 @@ from scipy.optimize import least_squares
 
 from estimators.direct.slab_motion import SLAB_BOUNDS
 from estimators.estimate import NoEstimate
-from estimators.grip.foundation_fit import FREEDOM, LINK, THIRD, SeenFrame, along_last, error_scale
+from estimators.grip.foundation_fit import along_last
 from estimators.grip.lattice import KNOT
 from estimators.grip.pull_motion import PullMotion
+from estimators.grip.sheet_problem import FREEDOM, LINK, THIRD, SeenFrame, error_scale
 from physics.fem.slab import Slab
 from physics.identifiability import box_information
 

@@ -19,9 +19,10 @@ from data.prepared import PreparedFrame
 from data.tracks.background import without_background
 from data.tracks.following import PointFollower, Shown, shrunk
 from estimators.estimate import NINETY, GripEstimate, NoEstimate
-from estimators.grip.foundation_fit import Measuring, NoSheet, SeenFrame, fit_foundation
+from estimators.grip.foundation_fit import Measuring, NoSheet, fit_foundation
 from estimators.grip.pull_fit import fit_pull
 from estimators.grip.sheet_fit import LEAST_FRAMES, LEAST_MOTION, GripFrame, SheetFit, fit_sheet, skill
+from estimators.grip.sheet_problem import SeenFrame
 from estimators.grip.stiffness_field import StiffnessField
 from estimators.grip.stiffness_fit import fit_stiffness
 from physics.fem import NoBody

@@ -20,18 +20,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from estimators.grip.foundation_fit import (
-    ENERGY,
-    EXCESS,
-    FREEDOM,
-    LINK,
-    MOST_LOADED,
-    TINY,
-    NoSheet,
-    SeenFrame,
-    error_scale,
-)
+from estimators.grip.foundation_fit import EXCESS, NoSheet
 from estimators.grip.lattice import LEVEL, SPREAD, TYPICAL_ANCHOR, bilinear, continued, lattice_springs, smoothness
+from estimators.grip.sheet_problem import ENERGY, FREEDOM, LINK, MOST_LOADED, TINY, SeenFrame, error_scale
 from estimators.grip.stiffness_field import MOVES, StiffnessField
 from physics.sheet import equilibrium
 

@@ -3,7 +3,7 @@
 Known is the sheet, how well every followed point is followed and how far points err alike, in place and in time
 (`evaluation.recovery.followed`). Unknown are the foundation, the forces at the instrument, in every frame anew, and the
 background's affine motion; all but the foundation are nuisances, marginalised by their Schur complement. The forces act
-where `estimators.grip.foundation_fit` lets them act and are expected as they are there, which counts as seen: of forces
+where `estimators.grip.sheet_problem` lets them act and are expected as they are there, which counts as seen: of forces
 under a long shaft the picture tells little.
 """
 
@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 
-from estimators.grip.foundation_fit import SIZE, load_precision, loaded_cells
+from estimators.grip.sheet_problem import SIZE, load_precision, loaded_cells
 from evaluation.recovery.followed import Following
 from physics.endless_sheet import response
 

@@ -10,16 +10,15 @@ import pytest
 from estimators.grip.foundation_fit import (
     LOOKS,
     MISFIT,
-    SIZE,
     FoundationFit,
     Measuring,
     NoSheet,
-    SeenFrame,
     error_size,
     fit_foundation,
     frame_correlation,
     information,
 )
+from estimators.grip.sheet_problem import SIZE, SeenFrame
 from physics.endless_sheet import response
 
 SPACING, NOISE = 8, 0.1

@@ -10,9 +10,9 @@ import pytest
 
 from estimators.estimate import NoEstimate
 from estimators.grip import pull_fit
-from estimators.grip.foundation_fit import SeenFrame
 from estimators.grip.pull_fit import MODEL_ERROR, PullFit, _Problem, fit_pull
 from estimators.grip.pull_motion import PullMotion
+from estimators.grip.sheet_problem import SeenFrame
 from physics.fem import Inertia, Material, simulate
 from physics.load import Grip
 from tests.estimators.grip.test_pull_motion import CELL, FOCAL, slab_of

@@ -10,7 +10,8 @@ import pytest
 
 from data.synthetic.grip import lattice_matrix
 from estimators.grip import stiffness_fit
-from estimators.grip.foundation_fit import NoSheet, SeenFrame
+from estimators.grip.foundation_fit import NoSheet
+from estimators.grip.sheet_problem import SeenFrame
 from estimators.grip.stiffness_field import StiffnessField
 from estimators.grip.stiffness_fit import _Problem, fit_stiffness
 from physics.sheet import equilibrium

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from estimators.grip import foundation_fit
-from estimators.grip.foundation_fit import SIZE, loaded_cells
+from estimators.grip.sheet_problem import SIZE, load_precision, loaded_cells
 from evaluation.recovery.followed import Following
 from evaluation.recovery.grip_bound import GripBound, grip_bound
 from physics.endless_sheet import response
@@ -55,7 +56,7 @@ def bound() -> GripBound:
 
 @pytest.fixture(autouse=True)
 def no_prior(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(foundation_fit, "ENERGY", 1e9)
+    monkeypatch.setattr("evaluation.recovery.grip_bound.load_precision", partial(load_precision, energy=1e9))
 
 
 def test_the_bound_is_that_of_all_unknowns_at_once() -> None:

@@ -22,8 +22,9 @@ from estimators.grip.lattice import SPREAD, TYPICAL_ANCHOR
 from estimators.grip.sheet_problem import ENERGY, MOST_LOADED, TINY, SeenFrame, SheetProblem, Solved
 from estimators.grip.whitening import MEASURED_REACH
 
-LOOKS = 2
-"""Times that points are measured again where the fit so far says they are."""
+LOOKS = 4
+"""Times that points are measured again where the fit so far says they are: after 1 to 4 eight drawn clips of firmly
+attached tissue were 0.013, 0.008, 0.006 and 0.005 off (development seed 9303)."""
 MOST_FITTED, MOST_MEASURED = 4, 8
 """So many frames, evenly spread, tell the foundation roughly, and so many once points are measured again: the motion
 grows steadily."""

@@ -131,7 +131,8 @@ def fit_foundation(
     variance = judged.wider(left[-1]) * error_size(left[-1]) ** 2 / max(told, TINY)
     free = problem.design(log_anchor)
     solved = [problem.solve(free, frame) for frame in frames]
-    wider = problem.wider(problem.left(log_anchor, frames[-1], solved[-1]))
+    followed = problem.left(log_anchor, frames[-1], solved[-1])
+    wider = problem.wider(followed)
     misfit = MISFIT if wider > MOST_ALIKE else (0.0, 0.0)
     sd = 1 / np.sqrt(1 / (variance + SHEET_ERROR**2 + misfit[0] ** 2) + SPREAD**-2)
     seen = [problem.whitened(*pair) for pair in zip(frames, solved, strict=True)]
@@ -144,6 +145,7 @@ def fit_foundation(
     )
     bent = (np.log(longer) - np.log(shorter)) / (2 * STEP)
     variances = wider * np.array([item.variance for item in here])
+    deviation = np.sqrt(variances[-1]) / length
     both = COMMON * along * np.sqrt(variances * variances[-1])
     relative = (variances + along**2 * variances[-1] - 2 * both) / length**2
     relative += np.square((ratios_more - ratios_less) / (2 * STEP) * sd)
@@ -153,7 +155,7 @@ def fit_foundation(
         log_anchor,
         float(sd),
         float(np.log(length)),
-        float(np.sqrt((bent * sd) ** 2 + variances[-1] / length**2 + END_ERROR**2 + misfit[1] ** 2)),
+        float(np.hypot(np.hypot(bent * sd, error_size(followed) * deviation), np.hypot(END_ERROR, misfit[1]))),
         along,
         np.sqrt(relative),
     )

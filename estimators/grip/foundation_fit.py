@@ -37,7 +37,7 @@ STEP = 0.1
 """Of log foundation, for derivatives."""
 COMMON = 0.85
 """Correlation between errors of the force in two frames: where it acts beneath the instrument is as unknown in one as
-in the other. With 0.93 to 0.95 its intervals held 80 to 88 % on 45 drawn clips; not judged since (docs/real.md)."""
+in the other. Its intervals held 93 and 96 % on 48 drawn clips, 80 to 88 % with 0.93 to 0.95 on 45 (docs/real.md)."""
 SHEET_ERROR, END_ERROR = 0.006, 0.03
 """Standard deviations besides what residuals tell: of log foundation, as 16 drawn clips are 0.0080 off where residuals
 tell 0.0056 (development seeds 9201 and 9202), and of the log force, as a sheet has no end and tissue does: 0.05 off on

@@ -33,9 +33,9 @@ from data.command_line import path_option, real_number, say
 from data.source.layout import InputError
 from estimators.estimate import NINETY
 from estimators.palpation import Indenter, fit_indentation, fit_material, fit_relaxation, read_hold, read_probes
+from estimators.palpation.bench import surface_error
 from estimators.palpation.curves import HOLD, kind_of
 from estimators.palpation.descent import descend
-from estimators.palpation.material_fit import surface_error
 from estimators.palpation.scene import Scene, read_scene
 from physics.fem import NoEquilibrium
 from physics.ownership import replacing_own, require_own

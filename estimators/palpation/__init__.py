@@ -8,6 +8,7 @@ grasp       stiffness of an object between two jaws
 skin        a scanned surface on coarser tetrahedra, and the closest places on it
 registration depth points laid onto a surface (ICP)
 views       several depth views of a body as one surface
+bench       a body on which tools pressed, simulated, and where sensors' sights meet it
 material_fit Young's modulus and Poisson's ratio from forces and deformed surfaces
 descent     the same by the paper's numeric gradient, to compare with
 scene       the file that names a surface and what was pressed on it
@@ -23,6 +24,7 @@ __getattr__ = exported(
         "estimators.palpation.relaxation": ("fit_relaxation",),
         "estimators.palpation.grasp": ("fit_grasp",),
         "estimators.palpation.skin": ("Skin", "cover"),
-        "estimators.palpation.material_fit": ("FitSettings", "Palpation", "fit_material"),
+        "estimators.palpation.bench": ("Palpation",),
+        "estimators.palpation.material_fit": ("FitSettings", "fit_material"),
     }
 )

@@ -6,14 +6,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from estimators.palpation.material_fit import (
-    POISSON,
-    Bench,
-    FitSettings,
-    MaterialFit,
-    Palpation,
-    beside_the_tool,
-)
+from estimators.palpation.bench import SHOWN, Bench, Palpation, beside_the_tool
+from estimators.palpation.material_fit import POISSON, FitSettings, MaterialFit, begun
 from estimators.palpation.registration import placed, register
 from estimators.palpation.skin import Match, Skin
 from physics.fem import Equilibrium, NoEquilibrium
@@ -59,12 +53,13 @@ def descend(
         total, found = 0.0, []
         for rest, cloud, pose in zip(rests, clouds, poses, strict=True):
             vertices = skin.moved(rest.displacement)
-            found.append(register(cloud, vertices, skin.triangles, pose, kept=1.0) if aligned else pose)
+            found.append(register(cloud, vertices, skin.triangles, pose, 1.0, SHOWN) if aligned else pose)
             apart = Match.of(placed(found[-1], cloud), vertices, skin.triangles).apart
             total += float(np.square(apart).mean())
         return total, rests, found
 
-    values[0] = np.log(bench.softest(settings.young, float(values[1])))
+    # No softer than that the linear law moves the body by a little.
+    values[0] -= min(0.0, np.log(begun(bench, settings.young, float(values[1]))[1]))
     error, rests, aligned = simulated(values)
     while not np.isfinite(error):  # too soft to bear the force
         if bench.solves >= most:

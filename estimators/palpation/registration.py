@@ -17,6 +17,8 @@ KEPT = 0.7
 ROUNDS = 50
 MOST_ALIGNED = 2000
 """Points that a pose needs at most."""
+SHOWN = 1e-3
+"""Singular value over the largest, from which on the surface shows a motion."""
 STILL = 1e-7
 """Step of a point over the cloud's size, below which nothing changes any more."""
 
@@ -40,7 +42,12 @@ def thinned(points: np.ndarray) -> np.ndarray:
 
 
 def register(
-    points: np.ndarray, vertices: np.ndarray, triangles: np.ndarray, pose: np.ndarray, kept: float = KEPT
+    points: np.ndarray,
+    vertices: np.ndarray,
+    triangles: np.ndarray,
+    pose: np.ndarray,
+    kept: float = KEPT,
+    shown: float = SHOWN,
 ) -> np.ndarray:
     """Pose that lays points onto a surface.
 
@@ -50,6 +57,7 @@ def register(
         triangles: shape [F, 3].
         pose: to begin at: where the sensor was, as the tool that carries it says, shape [4, 4].
         kept: share of the pairs that align.
+        shown: as SHOWN; facets alone show a ball's turns by a hundredth.
 
     Returns:
         shape [4, 4].
@@ -64,7 +72,7 @@ def register(
         # Turned about the middle, and in units of the cloud's size, the six unknowns weigh alike.
         jacobian = np.hstack([np.cross((seen[near] - centre) / size, match.normal[near]), match.normal[near]])
         # A motion that the surface doesn't show, as within a plane, is left out.
-        step = np.linalg.lstsq(jacobian, -match.distance[near], rcond=1e-3)[0]
+        step = np.linalg.lstsq(jacobian, -match.distance[near], rcond=shown)[0]
         there, back = np.eye(4), np.eye(4)
         there[:3, 3], back[:3, 3] = -centre, centre
         found = back @ turned(there @ found, step / [size, size, size, 1, 1, 1])

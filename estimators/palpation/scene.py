@@ -13,7 +13,8 @@ import numpy as np
 from data.source.images import printable
 from data.source.layout import InputError, from_mapping, read_mapping
 from data.source.table import read_columns
-from estimators.palpation.material_fit import FitSettings, Palpation
+from estimators.palpation.bench import Palpation
+from estimators.palpation.material_fit import FitSettings
 from estimators.palpation.skin import Skin, cover
 from estimators.palpation.views import View, join_views
 from physics.fem import NoBody, make_solid, mesh_surface

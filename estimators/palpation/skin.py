@@ -15,7 +15,7 @@ from scipy.spatial import KDTree
 
 from physics.fem import Solid
 from physics.fem.solid import EDGES
-from physics.fem.surface import areas, even_shares, nearest
+from physics.fem.surface import areas, closest, even_shares, nearest
 
 SHARP = 0.8
 """Cosine of the angle between triangles below which their edge is sharp."""
@@ -25,6 +25,10 @@ ROWS = 4
 """Of places on a triangle, over which a force is spread."""
 BENT = 4
 """Steps to a vertex's place in a curved element; in a straight one the first changes nothing."""
+FLAT = 0.1
+"""Cosine of the angle between sight and normal below which a sight isn't followed to the triangle's plane."""
+SOUGHT = 5
+"""Rounds in which the place is looked for where a line of sight meets a surface."""
 CANDIDATES = 24
 """Elements with the closest centres, among which a vertex finds its own."""
 
@@ -48,9 +52,7 @@ class Skin:
         faces = np.repeat(np.arange(len(self.triangles)), 3)
         order = np.lexsort(edges.T)
         edges, faces = edges[order], faces[order]
-        one, two, three = self.vertices[self.triangles].transpose(1, 0, 2)
-        normals = np.cross(two - one, three - one)
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+        normals = _normals(self.vertices[self.triangles])
         same = (edges[1:] == edges[:-1]).all(axis=1)
         flat = same & ((normals[faces[1:]] * normals[faces[:-1]]).sum(axis=1) > SHARP)
         smooth = np.zeros(len(edges), bool)
@@ -138,9 +140,16 @@ def _shapes(place: np.ndarray) -> np.ndarray:
     return np.concatenate([place * (2 * place - 1), 4 * place[:, EDGES[:, 0]] * place[:, EDGES[:, 1]]], axis=1)
 
 
+def _normals(corners: np.ndarray) -> np.ndarray:
+    """Outward ones of triangles [F, 3, 3], shape [F, 3]."""
+    one, two, three = corners.transpose(1, 0, 2)
+    normals = np.cross(two - one, three - one)
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+
+
 @dataclass(frozen=True, eq=False)
 class Match:
-    """The closest places of a surface to P points."""
+    """Places of a surface that belong to P points."""
 
     face: np.ndarray
     """Triangle, shape [P]."""
@@ -149,20 +158,49 @@ class Match:
     normal: np.ndarray
     """Of the triangle, outwards, shape [P, 3]."""
     distance: np.ndarray
-    """Of the points along the normal, positive outside, shape [P] [m]."""
+    """Of the points along the normal, or along their sight, positive outside, shape [P] [m]."""
     apart: np.ndarray
     """Of the points from the places, shape [P] [m]."""
 
     @classmethod
     def of(cls, points: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) -> Match:
-        """Match points [P, 3] with triangles [F, 3] of vertices [V, 3]."""
+        """The closest places to points [P, 3] on triangles [F, 3] of vertices [V, 3]."""
         corners = vertices[triangles]
         face, shares = nearest(points, corners)
-        one, two, three = corners[face].transpose(1, 0, 2)
-        normal = np.cross(two - one, three - one)
-        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        normal = _normals(corners)[face]
         beyond = points - np.einsum("pk,pkx->px", shares, corners[face])
         return cls(face, shares, normal, (beyond * normal).sum(axis=1), np.linalg.norm(beyond, axis=1))
+
+    @classmethod
+    def along(cls, points: np.ndarray, sights: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) -> Match:
+        """Where lines of sight meet the surface, beginning at the closest triangle; distances are along them.
+
+        Args:
+            points: shape [P, 3] [m].
+            sights: unit vectors from the points towards what saw them, shape [P, 3].
+            vertices: shape [V, 3] [m].
+            triangles: shape [F, 3].
+
+        Returns:
+            with a distance that is not a number where a line meets no triangle.
+        """
+        corners = vertices[triangles]
+        normals, close = _normals(corners), 1e-9 * float(np.ptp(vertices))
+        face, shares = np.zeros(len(points), np.int64), np.zeros((len(points), 3))
+        distance, apart = np.zeros(len(points)), np.full(len(points), np.inf)
+        places, left = points.copy(), np.arange(len(points))
+        for _ in range(SOUGHT):
+            face[left] = nearest(places[left], corners)[0]
+            where, normal, sight = corners[face[left]], normals[face[left]], sights[left]
+            steep = (sight * normal).sum(axis=1)
+            steep = np.where(np.abs(steep) < FLAT, FLAT, steep)
+            distance[left] = ((points[left] - where[:, 0]) * normal).sum(axis=1) / steep
+            places[left] = points[left] - distance[left, None] * sight
+            shares[left] = closest(places[left], where)
+            apart[left] = np.linalg.norm(places[left] - np.einsum("pk,pkx->px", shares[left], where), axis=1)
+            left = left[apart[left] > close]
+        distance[left] = np.nan
+        return cls(face, shares, normals[face], distance, apart)
 
     def at(self, triangles: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Values of the vertices [V, …] at the matched places, shape [P, …]."""

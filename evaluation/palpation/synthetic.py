@@ -135,27 +135,31 @@ def press(
 def observe(
     skin: Skin, rest: Equilibrium, force: np.ndarray, contact: np.ndarray, sensor: str, seed: int, count: int = 20_000
 ) -> Palpation:
-    """What a sensor beside the tool sees: points that face it, off by its noise, and its pose as it is believed.
+    """What a sensor beside the tool sees: points that face its eye, off by its noise, and its pose as it is believed.
 
     The tool hides what is within its radius of the contact. A depth picture of 640 × 480 shows a body of 10 cm at 30 cm
-    in about 20,000 points.
+    in about 20,000 points, alike over its solid angle; each is off along the line from the eye.
     """
     chance = np.random.default_rng(seed)
+    direction = np.array([0.5, 0.3, 1.0]) / np.linalg.norm([0.5, 0.3, 1.0])
+    eye = 0.3 * direction
     vertices = skin.moved(rest.displacement)
     corners = vertices[skin.triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    areas = np.linalg.norm(normals, axis=1)
-    direction = np.array([0.5, 0.3, 1.0]) / np.linalg.norm([0.5, 0.3, 1.0])
-    facing = np.maximum(normals @ direction, 0) * (normals @ direction > 0.25 * areas)
-    faces = chance.choice(len(facing), count, p=facing / facing.sum())
+    sights = eye - corners.mean(axis=1)
+    far = np.linalg.norm(sights, axis=1)
+    facing = (normals * sights).sum(axis=1) / far  # times the area
+    shown = np.where(facing > 0.25 * np.linalg.norm(normals, axis=1), facing / far**2, 0.0)
+    faces = chance.choice(len(shown), count, p=shown / shown.sum())
     shares = chance.dirichlet([1, 1, 1], count)
     points = np.einsum("pk,pkx->px", shares, corners[faces])
     at_rest = np.einsum("pk,pkx->px", shares, skin.vertices[skin.triangles[faces]])
     points = points[np.linalg.norm(at_rest - contact, axis=1) > TOOL]
-    points = points + chance.normal(0, SENSORS[sensor], len(points))[:, None] * direction
+    back = (eye - points) / np.linalg.norm(eye - points, axis=1, keepdims=True)
+    points = points + chance.normal(0, SENSORS[sensor], len(points))[:, None] * back
     true = np.eye(4)
     true[:3, :3] = Rotation.align_vectors([-direction], [[0, 0, 1.0]])[0].as_matrix()
-    true[:3, 3] = 0.3 * direction
+    true[:3, 3] = eye
     believed = np.eye(4)
     believed[:3, :3] = Rotation.from_rotvec(chance.normal(0, POSE_TURN, 3)).as_matrix()
     believed[:3, 3] = chance.normal(0, POSE_SHIFT, 3)

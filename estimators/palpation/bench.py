@@ -1,0 +1,130 @@
+"""A body on which tools pressed, simulated, and what their sensors saw of it (Frank 2010, sections V and VI-A)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimators.palpation.registration import placed, register, thinned
+from estimators.palpation.skin import Match, Skin
+from physics.fem import Equilibrium, Material, find_equilibrium
+from physics.fem.linear_system import LinearSystem
+
+FACTORED = 60_000
+"""Unknowns up to which a body's matrix is factorised for all of a fit's systems: some seconds and a gigabyte."""
+OUTLIER = 3.0
+"""Distances beyond this many standard deviations count by their size, not its square (Huber 1964)."""
+SHOWN = 0.02
+"""As in `registration`: motions that a body's facets alone show are the tool's to tell."""
+GRAZING = 0.2
+"""Cosine of the angle between sight and normal below which a place doesn't count: there sight tells next to nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Palpation:
+    """One press and what was seen of it; P points."""
+
+    force: np.ndarray
+    """Onto the body, in the body's frame, shape [3] [N]."""
+    contact: np.ndarray
+    """Where it acts, on the surface at rest, shape [3] [m]."""
+    points: np.ndarray
+    """Of the deformed surface, in the sensor's frame, in whose origin its eye is, shape [P, 3] [m]."""
+    pose: np.ndarray
+    """Of the sensor in the body's frame as the tool that carries it tells, shape [4, 4]."""
+    tool_radius: float = 0.015
+    """Of the patch on which the force acts [m]."""
+    hole: float = 0.02
+    """Around the contact, where points show the tool or its shadow and don't count [m]."""
+    pose_shift: float = 0.005
+    """Standard deviation of the pose's place [m]."""
+    pose_turn: float = 0.03
+    """Standard deviation of its direction [rad]."""
+
+
+class Bench:
+    """A body with its palpations, that counts what it simulates."""
+
+    def __init__(self, skin: Skin, held: np.ndarray, palpations: Sequence[Palpation], law: str) -> None:
+        self.skin, self.held, self.palpations, self.law = skin, held, palpations, law
+        self.forces = [skin.pressed(each.contact, each.tool_radius, each.force) for each in palpations]
+        self.solves = 0
+        self.near: LinearSystem | None = None
+        """Of a state of this body: its factors help with all others."""
+        # By ICP with the surface at rest, of which the deformed part is what fits worst.
+        self.poses = [
+            register(thinned(each.points), skin.vertices, skin.triangles, each.pose, shown=SHOWN) for each in palpations
+        ]
+        self.eyes, self.sights = [], []
+        """Whether the frame's origin sees the surface; where sight comes from, in the sensor's frame, shape [P, 3]."""
+        apart = []
+        for pose, each in zip(self.poses, palpations, strict=True):
+            match = Match.of(placed(pose, each.points), skin.vertices, skin.triangles)
+            normals = match.normal @ pose[:3, :3]
+            back = -each.points / np.maximum(np.linalg.norm(each.points, axis=1, keepdims=True), 1e-300)
+            self.eyes.append(bool(np.median((back * normals).sum(axis=1)) > 0))
+            self.sights.append(back if self.eyes[-1] else normals)
+            apart.append(np.abs(match.distance / np.maximum((self.sights[-1] * normals).sum(axis=1), GRAZING)))
+        self.noise = max(1.4826 * float(np.median(np.concatenate(apart))), 1e-6 * float(np.ptp(skin.vertices)))
+        """Of the points along the sight, by what of them has not moved [m]."""
+
+    def rest(self, young: float, poisson: float, starts: Sequence[np.ndarray | None]) -> list[Equilibrium]:
+        """The body under each force.
+
+        Raises:
+            NoEquilibrium: it can't bear one.
+        """
+        return self._found(Material(self.law, young, poisson), starts)
+
+    def linear(self, young: float, poisson: float) -> list[Equilibrium]:
+        """The same by Hooke's law at small strain, where displacements go with 1/E."""
+        return self._found(Material("linear", young, poisson), [None] * len(self.forces))
+
+    def _found(self, material: Material, starts: Sequence[np.ndarray | None]) -> list[Equilibrium]:
+        found: dict[bytes, Equilibrium] = {}
+        for forces, start in zip(self.forces, starts, strict=True):
+            if forces.tobytes() in found:  # one press seen several times
+                continue
+            self.solves += 1
+            body, held = self.skin.body, self.held
+            rest = find_equilibrium(body, material, held, forces=forces, start=start, near=self.near)
+            if self.near is None and (solver := rest.solver) is not None and body.rest.size < FACTORED:
+                _ = solver.factors  # once, for all that are solved from here on
+            self.near = rest.solver
+            found[forces.tobytes()] = rest
+        return [found[forces.tobytes()] for forces in self.forces]
+
+    def matched(self, vertices: np.ndarray, which: int, pose: np.ndarray) -> tuple[Match, np.ndarray]:
+        """Where a palpation's sights meet the surface in a state, and the cosines of their angles to it [P].
+
+        A sensor errs along its sight: what is met there is what was seen, however far off the point came out. The
+        closest place isn't, and is closer wherever the surface bends.
+        """
+        sights = self.sights[which] @ pose[:3, :3].T
+        seen = placed(pose, self.palpations[which].points)
+        match = Match.along(seen, sights, vertices, self.skin.triangles)
+        return match, (match.normal * sights).sum(axis=1)
+
+    def counting(self, match: Match, cosine: np.ndarray, which: int) -> np.ndarray:
+        """Which matched points tell of the body, shape [P], bool."""
+        place = match.at(self.skin.triangles, self.skin.vertices)
+        counts = np.isfinite(match.distance) & (cosine > GRAZING) & beside_the_tool(place, self.palpations[which])
+        # A pose that is a little off carries points around a sharp edge, where distances jump.
+        return counts & (self.skin.from_creases(place) > OUTLIER * self.noise)
+
+
+def beside_the_tool(place: np.ndarray, palpation: Palpation) -> np.ndarray:
+    """Which places on the surface at rest, shape [P, 3], the tool doesn't hide, shape [P], bool."""
+    return np.linalg.norm(place - palpation.contact, axis=1) > palpation.hole
+
+
+def surface_error(skin: Skin, rest: Equilibrium, palpation: Palpation, pose: np.ndarray) -> np.ndarray:
+    """Squared distance of every point from the simulated surface, not a number where the hole masks it, shape [P] [m²].
+
+    Frank 2010, equation 3.
+    """
+    match = Match.of(placed(pose, palpation.points), skin.moved(rest.displacement), skin.triangles)
+    away = beside_the_tool(match.at(skin.triangles, skin.vertices), palpation)
+    return np.where(away, np.square(match.apart), np.nan)

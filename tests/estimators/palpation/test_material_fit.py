@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from estimators.palpation import FitSettings, Palpation, Skin, fit_material
-from estimators.palpation.registration import MOST_ALIGNED, thinned
+from estimators.palpation.bench import Bench
+from estimators.palpation.material_fit import information
+from estimators.palpation.registration import MOST_ALIGNED, placed, thinned
 from evaluation.palpation.synthetic import BODIES, observe, press
 
 BODY = dataclasses.replace(BODIES["slab"], size=0.08)
@@ -31,6 +33,47 @@ def test_starts_far_off_arrive(slab: tuple[Skin, np.ndarray, Palpation], start: 
     assert found.young_sd < 0.15
     assert found.noise < 0.0004
     assert found.solves < 25
+
+
+def test_a_start_however_far_off_ends_at_the_same_place_after_as_many_simulations(
+    slab: tuple[Skin, np.ndarray, Palpation],
+) -> None:
+    skin, held, seen = slab
+    one, two = (fit_material(skin, held, [seen], FitSettings(young=young)) for young in (1.0, 1e9))
+    assert one.young == pytest.approx(two.young, rel=1e-6)
+    assert one.poisson == pytest.approx(two.poisson, abs=1e-6)
+    assert one.solves == two.solves <= 6
+
+
+def test_points_whose_sensor_is_not_told_are_fitted_along_the_surface_s_normals(
+    slab: tuple[Skin, np.ndarray, Palpation],
+) -> None:
+    """In the body's own frame, whose origin sees the surface from behind."""
+    skin, held, seen = slab
+    moved = dataclasses.replace(seen, points=placed(seen.pose, seen.points), pose=np.eye(4))
+    bench = Bench(skin, held, [moved], "corotational")
+    np.testing.assert_allclose(np.linalg.norm(bench.sights[0], axis=1), 1)
+    assert bench.eyes == [False]
+    found = fit_material(skin, held, [moved])
+    assert abs(np.log(found.young / 1e4)) < 3 * found.young_sd
+
+
+def test_the_bound_is_the_spread_of_a_press_s_estimates(slab: tuple[Skin, np.ndarray, Palpation]) -> None:
+    """Of noise alone: the fit's own covariance without an error of the model."""
+    skin, held, seen = slab
+    fit = fit_material(skin, held, [seen], FitSettings(model_error=0.0))
+    told = information(Bench(skin, held, [seen], "corotational"), fit.rests[0], fit.noise)
+    np.testing.assert_allclose(np.sqrt(np.diag(np.linalg.inv(told))), [fit.young_sd, fit.poisson_sd], rtol=0.1)
+    halved = information(Bench(skin, held, [seen], "corotational"), fit.rests[0], fit.noise / 2)
+    assert halved[0, 0] > 3 * told[0, 0]
+
+
+def test_one_press_seen_twice_is_simulated_once(slab: tuple[Skin, np.ndarray, Palpation]) -> None:
+    skin, held, seen = slab
+    bench = Bench(skin, held, [seen, seen], "corotational")
+    one, two = bench.linear(1e4, 0.3)
+    assert one is two
+    assert bench.solves == 1
 
 
 def test_errors_of_the_model_widen_the_intervals(slab: tuple[Skin, np.ndarray, Palpation]) -> None:

@@ -44,6 +44,21 @@ def test_places_know_how_far_sharp_edges_and_rims_are() -> None:
     assert round_body.from_creases(np.array([[1.0, 0, 0.4]])) == pytest.approx(0.4, abs=0.1)  # its rims alone
 
 
+def test_sights_meet_the_place_that_was_seen_however_far_off_the_point_is() -> None:
+    """Beside edges by more than that: behind them another side may be closer. A line that passes by meets none."""
+    vertices, triangles = surface(5)
+    chance = np.random.default_rng(0)
+    eye = np.array([2.0, 1.5, 4.0])
+    places = np.concatenate([chance.uniform(0.2, 0.8, (200, 2)), np.ones((200, 1))], axis=1)
+    back = (eye - places) / np.linalg.norm(eye - places, axis=1, keepdims=True)
+    off = chance.normal(0, 0.05, 200)
+    match = Match.along(places + off[:, None] * back, back, vertices, triangles)
+    np.testing.assert_allclose(match.distance, off, atol=1e-9)
+    np.testing.assert_allclose(match.at(triangles, vertices), places, atol=1e-9)
+    beside = Match.along(np.array([[1.1, 0.5, 1.1]]), np.array([[0.0, 0.0, 1.0]]), vertices, triangles)
+    assert np.isnan(beside.distance).all()
+
+
 def test_held_vertices_stand_still_whatever_the_elements_do() -> None:
     vertices, triangles = surface(4)
     body = make_solid(*box((1.0, 1.0, 1.0), (2, 2, 2)))

@@ -30,6 +30,8 @@ CLOSE = 0.3
 the same, by the derivatives, and what is left is of its square."""
 ROUGH = 1.02
 """By what factor the error may grow in a step: which points count changes, which roughens it."""
+TURNED = 0.25
+"""Share of a step that the next one takes back, from which on steps are halved."""
 SHORTEST = 0.01
 """Share of a step, below which none is tried."""
 STIFFEST = 4.0**5
@@ -148,9 +150,12 @@ def fit_material(
         if steps and following.cost > ROUGH * system.cost and trust > SHORTEST:
             trust /= 3
             continue
-        steps, trust, stiffer = steps + 1, 1.0, 1.0
+        gone = trust * found.change
+        steps, stiffer = steps + 1, 1.0
         (young, poisson), rests, system = aim, tried, following
         found = system.solved()
+        # Close to ν = 0.5 derivatives change with ν, and whole steps go to and fro.
+        trust = trust / 2 if steps > 1 and gone @ found.change < -TURNED * gone @ gone else 1.0
         told(f"step {steps}: E {young:.4g} Pa, ν {poisson:.3f}, {1000 * found.noise:.3g} mm left")
         if found.still() or steps == ROUNDS:
             break

@@ -33,7 +33,7 @@ from estimators.palpation.descent import descend
 from estimators.palpation.registration import placed
 from evaluation.file_table import FileTable
 from evaluation.page import as_png
-from evaluation.palpation.synthetic import BODIES, SENSORS, TOOL, Body, observe, press
+from evaluation.palpation.synthetic import BODIES, SENSORS, TOOL, observe, press
 from physics.fem import Equilibrium, Material, find_equilibrium
 from physics.fem.refinement import around
 from physics.ownership import replacing_own, require_own
@@ -96,9 +96,10 @@ def main(arguments: list[str] | None = None) -> int:
                 seen = [observe(*truth, sensor, SEED + number) for number, truth in enumerate(truths_seen)]
                 _starts(f"{name}, {sensor}", skin, held, seen, len(truths), table)
                 say(console, f"{name}, {sensor}: fitted")
+            _descents(name, coarse, table)
         if options.quick or options.body != "slab":
             name = "slab" if options.quick else "ball"
-            _write(options.output, _paper(BODIES[name], name, options.quick, table))
+            _write(options.output, _paper(name, options.quick, table))
     except OutputError as error:
         say(console, str(error), "red")
         return 1
@@ -139,9 +140,9 @@ def _starts(
         table.add(f"{label}, {presses} presses, {len(seen)} pictures, start E × {start:.3g}", measures)
 
 
-def _paper(body: Body, name: str, coarse: bool, table: FileTable) -> dict[str, bytes]:
-    """The paper's figures, and its descent beside Gauss–Newton."""
-    seen = observe(*_truth(name, FORCES[-1], coarse), "stereo", SEED)
+def _descents(name: str, coarse: bool, table: FileTable) -> None:
+    """The paper's descent beside Gauss–Newton, on one palpation, each to its own end."""
+    body, seen = BODIES[name], observe(*_truth(name, FORCES[-1], coarse), "stereo", SEED)
     undivided = around(body.contact(*PLACE[name])[0][None], TOOL, body.size)
     plain = body.skin(4 if coarse else PLAIN, body.size / 24, undivided)
     for start in STARTS[-1:] if coarse else STARTS:
@@ -160,11 +161,16 @@ def _paper(body: Body, name: str, coarse: bool, table: FileTable) -> dict[str, b
             "equilibria, descent / Gauss–Newton": numeric.solves / exact.solves,
         }
         table.add(f"{name}, stereo, one palpation, start E × {start:.3g}", compared)
+
+
+def _paper(name: str, coarse: bool, table: FileTable) -> dict[str, bytes]:
+    """The paper's figures."""
     skin, held = _fitted_by(name, coarse)
     found = []
     for number, force in enumerate(SIX[:2] if coarse else SIX):
-        each = observe(*_truth(name, force, coarse), "stereo", SEED + 10 + number)
-        found.append(fit_material(skin, held, [each], FitSettings(young=YOUNG / 30)))
+        seen = observe(*_truth(name, force, coarse), "stereo", SEED + 10 + number)
+        found.append(fit_material(skin, held, [seen], FitSettings(young=YOUNG / 30)))
+    exact = found[-1]
     values = np.array([fit.young for fit in found])
     measures = {
         "six forces: E, standard deviation / mean": float(values.std(ddof=1) / values.mean()),

@@ -118,7 +118,9 @@ def quick(monkeypatch: pytest.MonkeyPatch, blank_pictures: None) -> None:
     patch(palpation, "read_grasp", lambda path: Grasp(np.linspace(0, 9, 19), random.random() - np.arange(19)))
     patch(frank, "_truth", lambda *arguments: ())
     patch(frank, "observe", lambda *arguments: None)
-    patch(frank, "_starts", lambda label, skin, held, seen, table: table.add(label, {"E": random.random()}))
+    patch(frank, "_fitted_by", lambda *arguments: (None, None))
+    patch(frank, "_starts", lambda label, *rest: rest[-1].add(label, {"E": random.random()}))
+    patch(frank, "_descents", lambda *arguments: None)
     patch(frank, "_paper", lambda *arguments: {name: os.urandom(8) for name in frank.FIGURES})
     truths = {str(number): newtons.Truth(Path(str(number)), 1 + random.random(), 0.5) for number in range(3)}
     patch(newtons, "read_truths", lambda folder: truths)
@@ -127,6 +129,7 @@ def quick(monkeypatch: pytest.MonkeyPatch, blank_pictures: None) -> None:
     sequence = SimpleNamespace(block=False, frames=60, pull=lambda particles, points, frames: pull)
     patch(online, "SEQUENCES", {"thin-shell-1": sequence})
     patch(online, "run_case", lambda *arguments: Case(*(np.full(1, random.random()) for _ in range(8)), 0.5, 0.1))
+    patch(online, "told_by", lambda pull: {name: random.random() for name in ("true", "uniform", "exchanged")})
     patch(online, "draw_all", lambda cases, pulls: {"figure_5.png": Figure((1, 1))})
     patch(online, "code_digest", lambda: "digest")
     patch(cost_table, "simulate_press", quick_press)

@@ -9,6 +9,12 @@ of `frank.FORCES` bring that of log E down to `WANTED`. `frank` presses where th
 
 from __future__ import annotations
 
+from physics.doors import enter_door, run_door
+
+if __name__ == "__main__":
+    enter_door()  # before the slow imports
+
+import argparse
 import math
 
 import numpy as np
@@ -41,8 +47,14 @@ def bound(body: Body, place: tuple[float, float], sensor: str) -> np.ndarray:
     return np.sqrt(np.diag(np.linalg.inv(told)))
 
 
-def main() -> None:
+def main(arguments: list[str] | None = None) -> None:
     """Print the table."""
+    parser = argparse.ArgumentParser(
+        prog="python -m evaluation.palpation.design",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.parse_args(arguments)
     print("body, place, sensor: standard deviation of log E and ν by one picture a press; pictures needed")
     for name, body in BODIES.items():
         for along in PLACES:
@@ -53,4 +65,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_door(main)

@@ -21,11 +21,10 @@ import numpy as np
 
 from estimators.palpation.bench import Bench
 from estimators.palpation.material_fit import information
-from evaluation.palpation.synthetic import BODIES, SENSORS, Body, observe
+from evaluation.palpation.frank import FORCES, POISSON, YOUNG
+from evaluation.palpation.synthetic import BODIES, SENSORS, TOOL, Body, observe
 from physics.fem import Material, find_equilibrium
 
-YOUNG, POISSON, FORCES = 1e4, 0.42, (0.3, 0.4, 0.5)
-"""What `frank` looks for [Pa], and what it presses with [N]."""
 PLACES, ANGLE = (0.1, 0.35, 0.6), 0.5
 """As `Body.contact` takes them."""
 WANTED = 0.02
@@ -40,19 +39,20 @@ def bound(body: Body, place: tuple[float, float], sensor: str) -> np.ndarray:
     contact, normal = body.contact(*place)
     told = np.zeros((2, 2))
     for force in FORCES:
-        forces = skin.pressed(contact, 0.015, -force * normal)
+        forces = skin.pressed(contact, TOOL, -force * normal)
         rest = find_equilibrium(skin.body, Material("corotational", YOUNG, POISSON), held, forces=forces)
         seen = observe(skin, rest, -force * normal, contact, sensor, 0)
         told += information(Bench(skin, held, [seen], "corotational"), rest, SENSORS[sensor])
     return np.sqrt(np.diag(np.linalg.inv(told)))
 
 
-def main(arguments: list[str] | None = None) -> None:
-    """Print the table."""
+def main(arguments: list[str] | None = None) -> int:
+    """Print the table; returns the exit status."""
     parser = argparse.ArgumentParser(
         prog="python -m evaluation.palpation.design",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog="Exit status: 0 done; 2 wrong usage; 130 interrupted.",
     )
     parser.parse_args(arguments)
     print("body, place, sensor: standard deviation of log E and ν by one picture a press; pictures needed")
@@ -60,8 +60,8 @@ def main(arguments: list[str] | None = None) -> None:
         for along in PLACES:
             for sensor in SENSORS:
                 young, poisson = bound(body, (along, ANGLE), sensor)
-                pictures = math.ceil((young / WANTED) ** 2)
-                print(f"{name}, {along:g}, {sensor}: {young:.4f}, {poisson:.4f}; {pictures}", flush=True)
+                print(f"{name}, {along:g}, {sensor}: {young:.4f}, {poisson:.4f}; {math.ceil((young / WANTED) ** 2)}")
+    return 0
 
 
 if __name__ == "__main__":

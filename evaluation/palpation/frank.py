@@ -34,7 +34,7 @@ from estimators.palpation.registration import placed
 from evaluation.file_table import FileTable
 from evaluation.page import as_png
 from evaluation.palpation.synthetic import BODIES, SENSORS, TOOL, observe, press
-from physics.fem import Equilibrium, Material, find_equilibrium
+from physics.fem import Equilibrium, Material, NoEquilibrium, find_equilibrium
 from physics.fem.refinement import around
 from physics.ownership import replacing_own, require_own
 from results.store import OutputError, writing
@@ -194,14 +194,17 @@ def _paper(name: str, coarse: bool, table: FileTable) -> dict[str, bytes]:
 def _error_surface(
     skin: Skin, held: np.ndarray, seen: Palpation, pose: np.ndarray, youngs: np.ndarray, ratios: np.ndarray
 ) -> np.ndarray:
-    """Root mean square surface error [mm], shape [ν, E]."""
+    """Root mean square surface error [mm], not a number where the body can't bear the force, shape [ν, E]."""
     forces = skin.pressed(seen.contact, seen.tool_radius, seen.force)
-    found = np.zeros((len(ratios), len(youngs)))
+    found = np.full((len(ratios), len(youngs)), np.nan)
     for row, poisson in enumerate(ratios):
         start = None
         for column in range(len(youngs))[::-1]:  # stiff ones first: they are close to rest
             material = Material("corotational", float(youngs[column]), float(poisson))
-            rest = find_equilibrium(skin.body, material, held, forces=forces, start=start)
+            try:
+                rest = find_equilibrium(skin.body, material, held, forces=forces, start=start)
+            except NoEquilibrium:
+                break  # nor can a softer one
             start = rest.displacement
             found[row, column] = 1000 * np.sqrt(np.nanmean(surface_error(skin, rest, seen, pose)))
     return found

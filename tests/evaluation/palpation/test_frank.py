@@ -16,6 +16,7 @@ from evaluation.file_table import FileTable
 from evaluation.palpation import frank
 from evaluation.palpation.frank import FIGURES, POISSON, SIX, STARTS, YOUNG
 from evaluation.palpation.synthetic import BODIES, SENSORS, observe, press
+from physics.fem import Material, NoEquilibrium
 
 BODY = dataclasses.replace(BODIES["slab"], size=0.08)
 
@@ -61,6 +62,20 @@ def test_the_error_surface_is_lowest_at_the_truth() -> None:
     own = np.nanmean(surface_error(skin, fit.rests[0], seen, pose))
     assert found[1, 1] == pytest.approx(1000 * np.sqrt(own), rel=0.15)
     assert fit.noise == pytest.approx(SENSORS["stereo"], rel=0.15)  # along the sight, not to the closest place
+
+
+def test_the_error_surface_ends_where_the_body_bears_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    def rest(body: object, material: Material, held: object, **options: object) -> SimpleNamespace:
+        if material.young < 1.5:
+            raise NoEquilibrium("none")
+        return SimpleNamespace(displacement=np.zeros((1, 3)))
+
+    monkeypatch.setattr(frank, "find_equilibrium", rest)
+    monkeypatch.setattr(frank, "surface_error", lambda *arguments: np.array([4e-6, np.nan]))
+    skin = SimpleNamespace(body=None, pressed=lambda *arguments: None)
+    seen = SimpleNamespace(contact=None, tool_radius=None, force=None)
+    found = frank._error_surface(skin, None, seen, np.eye(4), np.array([1.0, 2.0, 3.0]), np.array([0.1, 0.4]))
+    np.testing.assert_allclose(found, [[np.nan, 2, 2], [np.nan, 2, 2]])
 
 
 @pytest.mark.slow

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from data.tracks.linking import Linker, patterns, resemblance
+from data.tracks.measuring import Measured, fine, measure
 
 SPACING = 8
 """Of the grid of points [px]."""
@@ -35,8 +36,6 @@ ALIKE = 0.8
 """And where the patterns around the point resemble each other so much."""
 NOISE, RETURNED = 0.1, 0.4
 """Standard deviation of a link by axis: √(NOISE² + (RETURNED · distance to where the way back ends)²) [px]."""
-MEASURED = 0.07
-"""In place of NOISE where a model tells the motion, so that wider windows do [px]: 0.04 to 0.12 on drawn grips."""
 STRAINED = 0.5
 """And of a link to the first picture where motion changes by its own size from place to place [px]: windows turn and
 stretch, and what is bent back by a field of motion is never quite straight."""
@@ -68,6 +67,8 @@ class Shown(NamedTuple):
 
     gray: np.ndarray
     """uint8 [H, W]."""
+    least: np.ndarray
+    """The least of a pixel's channels, by which highlights show, uint8 [H, W]."""
     tissue: np.ndarray
     """Where a followed point may be, bool [H, W]."""
     edge: np.ndarray
@@ -111,8 +112,9 @@ class PointFollower:
         self._linker, self._count = Linker(gray.shape, self._grid, spacing), 0
         self._first = self._before = self._linker.prepared(gray)
         self._patterns = patterns(gray, self.points)
-        self.shown = Shown(gray, _tissue(picture, tool), _beside(tool))
+        self.shown = _shown(picture, tool)
         """The last picture."""
+        self._rest = fine(*self.shown[:3])
 
     @property
     def moved(self) -> np.ndarray:
@@ -128,8 +130,8 @@ class PointFollower:
         """Follow the points into the next picture, with its tool's mask."""
         picture, tool = shrunk(picture, tool)
         apart = ~values_at(self.shown.edge, self.place)
-        self.shown = Shown(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), _tissue(picture, tool), _beside(tool))
-        gray, tissue, edge = self.shown
+        self.shown = _shown(picture, tool)
+        gray, _, tissue, edge = self.shown
         before, self._before = self._before, self._linker.prepared(gray)
         place, returned = self._linker.link(before, self._before, self.place, self.followed, apart)
         self.followed &= (returned < CHECK) & values_at(tissue, place)
@@ -138,24 +140,20 @@ class PointFollower:
         if self._count % RELINKED == 0 and self.followed.any():
             self._relink(gray, tissue, edge)
 
-    def measured(self, shown: Shown, motion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The points in a picture where a model tells their motion; none is averaged with its neighbours'.
+    def measured(self, shown: Shown, motion: np.ndarray, which: np.ndarray) -> Measured:
+        """Some points in a picture where a model tells their motion; none is averaged with its neighbours'.
 
         Args:
             shown: the picture, as `shown` was with it.
             motion: of the whole grid since the first picture, shape [rows, columns, 2] [px].
-
-        Returns:
-            Displacement since the first picture, shape [N, 2] [px], not a number where none is found, and its standard
-            deviation by axis, shape [N] [px].
+            which: numbers of the points that are measured; others are not found.
         """
-        place, returned = self._linker.measure(self._first, self._linker.prepared(shown.gray), self.points, motion)
-        off = np.linalg.norm(place - self.points - motion[self._grid], axis=1)
-        good = (returned < CHECK) & (off < FOUND) & values_at(shown.tissue, place)
-        good &= resemblance(self._patterns, patterns(shown.gray, place)) > ALIKE
-        edge = values_at(shown.edge, place) | (self.distance < EDGED)
-        noise = np.sqrt(_variance(np.where(good, returned, 0), edge, MEASURED))
-        return np.where(good[:, None], place - self.points, np.nan).astype(np.float64), noise
+        points = self.points[which]
+        found = measure(self._rest, fine(*shown[:3]), points, self._linker.dense(motion))
+        edge = values_at(shown.edge, points + np.nan_to_num(found.moved)) | (self.distance[which] < EDGED)
+        moved, noise = np.full(self.points.shape, np.nan), np.full(len(self.points), np.nan)
+        moved[which], noise[which] = found.moved, np.hypot(found.noise, DRAGGED * edge)
+        return Measured(moved, noise)
 
     def _relink(self, gray: np.ndarray, tissue: np.ndarray, edge: np.ndarray) -> None:
         """Link the first picture to this one: against drift, and to find lost points again."""
@@ -211,6 +209,13 @@ def shrunk(picture: np.ndarray, tool: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return cv2.resize(picture, size, interpolation=cv2.INTER_AREA), small
 
 
+def _shown(picture: np.ndarray, tool: np.ndarray) -> Shown:
+    """A picture and its mask."""
+    red, green, blue = cv2.split(picture)
+    least = cv2.min(cv2.min(red, green), blue)
+    return Shown(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), least, _tissue(picture, tool), _beside(tool))
+
+
 def _tissue(picture: np.ndarray, tool: np.ndarray) -> np.ndarray:
     """Where a followed point may be, bool [H, W]: lit, away from the tool and from the picture's edge."""
     offsets = np.arange(-TOUCHED, TOUCHED + 1)
@@ -235,6 +240,6 @@ def values_at(picture: np.ndarray, place: np.ndarray) -> np.ndarray:
     return picture[row, column]
 
 
-def _variance(returned: np.ndarray, edge: np.ndarray, least: float = NOISE) -> np.ndarray:
+def _variance(returned: np.ndarray, edge: np.ndarray) -> np.ndarray:
     """Of links by axis [N] [px²], by how far their way back ends [N] [px] and which lie at the tool's edge [N]."""
-    return least**2 + np.square(RETURNED * returned) + np.square(DRAGGED * edge)
+    return NOISE**2 + np.square(RETURNED * returned) + np.square(DRAGGED * edge)

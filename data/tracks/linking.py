@@ -25,9 +25,6 @@ GREY = 128
 WINDOW, STEPS, ENOUGH = 9, 4, 0.02
 """Of Lucas-Kanade: width of its windows [px], its most steps, of which more follow noise, and the last one's length
 [px]. A window of 9 px costs less than one of 7."""
-WIDE = 21
-"""Width of the windows where the motion is known up to what is left of it, which is alike over more of the picture
-[px]. Of 9, 15, 21, 27 and 35 px this one erred least on 16 drawn grips."""
 ASTRAY = 3.0
 """Steps that lead farther by axis are not believed [px]."""
 SMOOTH = 1.0
@@ -138,37 +135,16 @@ class Linker:
         if not len(places):
             return _no_links()
         here = places.astype(np.float32)
-        step, off, found = self._bent_step(one, other, here, motion, WINDOW)
-        return Links(here + self._filtered(step, found, apart), off)
-
-    def measure(self, one: Prepared, other: Prepared, places: np.ndarray, motion: np.ndarray) -> Links:
-        """The same where a model tells the motion: by wider windows, and neighbours tell nothing of one another's.
-
-        What a model leaves of the motion is small and smooth, so that windows hardly bias it, as a filter would at the
-        instrument's edge, where neighbours lie on one side alone.
-        """
-        if not len(places):
-            return _no_links()
-        here = places.astype(np.float32)
-        step, off, _ = self._bent_step(one, other, here, motion, WIDE)
-        return Links(here + step, off)
-
-    def _bent_step(
-        self, one: Prepared, other: Prepared, here: np.ndarray, motion: np.ndarray, window: int
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """How far places move, shape [N, 2], how far off the way back ends [N] [px], and which are found there [N].
-
-        Off is infinite where either way is not found.
-        """
-        field = self._dense(motion)
+        field = self.dense(motion)
         fine = _sampled(other.fine, field + self._pixels)
         bent = Prepared(fine, _rounded(fine), other.rough)
-        left, found = _step(one, bent, here, np.zeros_like(here), window)
-        back, returned = _step(bent, one, here + left, -left, window)
-        off = np.where(found & returned, _length(left + back), np.inf)
-        return left + _sampled(field, (here + left)[:, None])[:, 0], off.astype(np.float32), found
+        left, found = _step(one, bent, here, np.zeros_like(here))
+        back, returned = _step(bent, one, here + left, -left)
+        off = np.where(found & returned, _length(left + back), np.inf).astype(np.float32)
+        step = left + _sampled(field, (here + left)[:, None])[:, 0]
+        return Links(here + self._filtered(step, found, apart), off)
 
-    def _dense(self, motion: np.ndarray) -> np.ndarray:
+    def dense(self, motion: np.ndarray) -> np.ndarray:
         """Motion of the grid at every pixel, smooth, float32 [H, W, 2]."""
         height, width = self._pixels.shape[:2]
         grid_per_pixel = np.array([[1 / self._spacing, 0, -1], [0, 1 / self._spacing, -1]])
@@ -226,9 +202,7 @@ def _length(vectors: np.ndarray) -> np.ndarray:
     return np.hypot(*vectors.T)
 
 
-def _step(
-    one: Prepared, other: Prepared, places: np.ndarray, guess: np.ndarray, window: int = WINDOW
-) -> tuple[np.ndarray, np.ndarray]:
+def _step(one: Prepared, other: Prepared, places: np.ndarray, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """How far places [N, 2] move, near a guess [N, 2] [px], and where that is found, bool [N]; else as guessed."""
     near = (places + guess).astype(np.float32)
     there, found, _ = cv2.calcOpticalFlowPyrLK(
@@ -236,7 +210,7 @@ def _step(
         other.exact,
         places,
         near.copy(),
-        winSize=(window, window),
+        winSize=(WINDOW, WINDOW),
         maxLevel=0,
         criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, STEPS, ENOUGH),
         # What else it gives is not used; eigenvalues it knows anyway, how far the pictures differ costs a third more.

@@ -173,8 +173,8 @@ class GripRecorder:
         seen = [SeenFrame(item.frame.moved, item.noise) for item in self._kept]
         points = follower.points.astype(np.float64)
 
-        def measure(number: int, motion: np.ndarray) -> SeenFrame:
-            return SeenFrame(*follower.measured(self._kept[number].shown, motion.astype(np.float32)))
+        def measure(number: int, motion: np.ndarray, which: np.ndarray) -> SeenFrame:
+            return SeenFrame(*follower.measured(self._kept[number].shown, motion.astype(np.float32), which))
 
         again = Measuring(follower.everywhere, measure)
         try:

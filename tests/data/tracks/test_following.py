@@ -13,7 +13,6 @@ from data.tracks.following import (
     DRAGGED,
     EDGED,
     MARGIN,
-    MEASURED,
     NOISE,
     RELINKED,
     RIM,
@@ -208,13 +207,15 @@ def test_points_that_a_model_finds_are_measured_again_without_their_neighbours()
     follower.step(warped(texture(), pulled), tool)
     true = pulled(follower.points.astype(np.float64))
     model = 1.1 * pulled(follower.everywhere.reshape(-1, 2).astype(np.float64)).reshape(follower.everywhere.shape)
-    moved, noise = follower.measured(follower.shown, model.astype(np.float32))
+    asked = np.flatnonzero(follower.distance < 40)
+    moved, noise = follower.measured(follower.shown, model.astype(np.float32), asked)
+    assert np.isnan(moved[follower.distance >= 40]).all()
     near = (follower.distance > EDGED) & (follower.distance < 24)
     seen = near & np.isfinite(moved).all(axis=1)
     assert seen.sum() > 0.9 * near.sum()
     off, off_filtered = ((way - true)[seen, 1].mean() for way in (moved, follower.moved))
     assert abs(off) < 0.03 < abs(off_filtered)
-    assert (noise[seen] >= MEASURED).all()
+    assert (noise[seen] < NOISE).all()
     assert (noise[follower.distance < EDGED] >= DRAGGED).all()
 
 

@@ -71,16 +71,14 @@ def test_a_way_that_is_known_roughly_is_found_there_and_back() -> None:
     assert returned.max() < 0.2
 
 
-@pytest.mark.parametrize("way", ["refine", "measure"])
-def test_a_guess_of_hundredths_of_a_pixel_is_undone(way: str) -> None:
+def test_a_guess_of_hundredths_of_a_pixel_is_undone() -> None:
     """Pictures are bent back in whole numbers: where contrast is low, such shifts were lost, and counted as motion."""
     faint = (128 + (texture(1).astype(float) - 128) / 4).round().astype(np.uint8)
     linker = Linker((HEIGHT, WIDTH), spacing=8)
     one, other = prepared(linker, faint, faint)
     wide = np.stack(np.meshgrid(np.arange(20.0, 150, 5), np.arange(20.0, 110, 5)), axis=-1).reshape(-1, 2)
-    apart = (np.ones(len(wide), bool),) if way == "refine" else ()
     for guess in (0.05, 0.1, 0.2):
-        there, _ = getattr(linker, way)(one, other, wide, grid_of((guess, 0.0)), *apart)
+        there, _ = linker.refine(one, other, wide, grid_of((guess, 0.0)), np.ones(len(wide), bool))
         assert abs((there - wide)[:, 0].mean()) < 0.1 * guess
 
 

@@ -18,7 +18,7 @@ from estimators.grip.foundation_fit import (
     frame_correlation,
     information,
 )
-from estimators.grip.sheet_problem import SIZE, SeenFrame
+from estimators.grip.sheet_problem import DENSE, SIZE, SeenFrame
 from physics.endless_sheet import response
 
 SPACING, NOISE = 8, 0.1
@@ -82,7 +82,8 @@ def test_points_measured_again_where_the_sheet_says_they_are_undo_a_bias() -> No
     near = (distance[~hidden] < 60)[:, None]
     biased = [SeenFrame(frame.moved * np.where(near, 0.97, 1.0), frame.noise) for frame in exact]
 
-    def measure(number: int, motion: np.ndarray) -> SeenFrame:
+    def measure(number: int, motion: np.ndarray, which: np.ndarray) -> SeenFrame:
+        assert {*np.flatnonzero(distance[~hidden] < DENSE)} < {*which}
         asked.append((number, motion.reshape(-1, 2)[~hidden]))
         return exact[number]
 

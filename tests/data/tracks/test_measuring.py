@@ -1,0 +1,133 @@
+"""Points measured in drawn pictures where their motion is known roughly, beside what drags windows along."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from data.tracks.measuring import Fine, Measured, fine, measure
+from tests.data.tracks.test_following import HEIGHT, NO_TOOL, WIDTH, Motion, bulge, shift, texture, warped
+
+POINTS = np.stack(np.meshgrid(np.arange(24, WIDTH - 20, 8), np.arange(24, HEIGHT - 20, 8)), axis=-1).reshape(-1, 2)
+STILL = np.zeros((HEIGHT, WIDTH, 2), np.float32)
+
+
+def prepared(picture: np.ndarray, tool: np.ndarray = NO_TOOL) -> Fine:
+    return fine(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), picture.min(axis=2), ~tool)
+
+
+def unmasked(picture: np.ndarray) -> Fine:
+    return Fine(prepared(picture).gray, np.ones((HEIGHT, WIDTH), np.float32))
+
+
+def found(picture: np.ndarray, motion: np.ndarray = STILL, tool: np.ndarray = NO_TOOL) -> Measured:
+    return measure(prepared(texture(), tool), prepared(picture, tool), POINTS, motion)
+
+
+def everywhere(motion: Motion) -> np.ndarray:
+    places = np.stack(np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT)), axis=-1)
+    return np.array(motion(places.reshape(-1, 2).astype(np.float64))).reshape(places.shape).astype(np.float32)
+
+
+def exactly_shifted(columns: float, rows: float) -> np.ndarray:
+    """By the Fourier transform, without interpolation."""
+    phase = np.fft.fftfreq(HEIGHT)[:, None] * rows + np.fft.fftfreq(WIDTH) * columns
+    spectrum = np.fft.fft2(texture(), axes=(0, 1)) * np.exp(-2j * np.pi * phase)[..., None]
+    return np.fft.ifft2(spectrum, axes=(0, 1)).real.round().clip(0, 255).astype(np.uint8)
+
+
+def dull(picture: np.ndarray) -> np.ndarray:
+    return (120 + 0.3 * (picture.astype(float) - 140)).astype(np.uint8)
+
+
+@pytest.mark.parametrize("way", [(0.05, 0.0), (0.1, -0.3), (0.5, 0.5), (-0.8, 0.2)])
+def test_shifts_below_a_pixel_are_found_without_bias(way: tuple[float, float]) -> None:
+    off = found(exactly_shifted(*way)).moved - way
+    assert np.abs(np.nanmean(off, axis=0)).max() < 0.01
+    assert np.isfinite(off).all(axis=1).mean() > 0.95
+
+
+def test_what_a_model_leaves_of_a_swelling_is_found() -> None:
+    picture, true = warped(texture(), bulge(1.0)), bulge(1.0)(POINTS.astype(np.float64))
+    off = found(picture, everywhere(bulge(0.9))).moved - true
+    assert np.sqrt(np.nanmean(np.square(off))) < 0.03
+
+
+@pytest.mark.parametrize("guess", [0.05, 0.1, 0.4])
+def test_a_wrong_guess_is_undone(guess: float) -> None:
+    still = prepared(dull(texture()))
+    moved = measure(still, still, POINTS, STILL + np.float32([guess, 0.0])).moved
+    assert abs(np.nanmean(moved[:, 0])) < 0.03 * guess
+
+
+@pytest.mark.parametrize("light", [0.8, 1.2])
+def test_light_that_changes_moves_nothing(light: float) -> None:
+    picture = (texture() * np.float32(light)).clip(0, 255).astype(np.uint8)
+    moved = found(picture).moved
+    assert np.abs(np.nanmean(moved, axis=0)).max() < 0.01
+    assert np.nanmax(np.abs(moved)) < 0.2
+
+
+def test_an_instrument_that_stays_holds_no_window_back() -> None:
+    """A striped band across the picture, in front of tissue that moves."""
+    tool = np.broadcast_to(np.abs(np.arange(WIDTH) - 84) < 6, (HEIGHT, WIDTH))
+
+    def before(picture: np.ndarray) -> np.ndarray:
+        stripes = np.where(np.arange(HEIGHT)[:, None, None] % 8 < 4, 250, 60).astype(np.uint8)
+        return np.where(tool[..., None], stripes, picture)
+
+    one, other = before(texture()), before(exactly_shifted(0.0, 0.8))
+    masked = measure(prepared(one, tool), prepared(other, tool), POINTS, STILL)
+    beside = (np.abs(POINTS[:, 0] - 84) < 16) & np.isfinite(masked.moved).all(axis=1)
+    assert beside.sum() > 10
+    dragged = measure(unmasked(one), unmasked(other), POINTS[beside], STILL)
+    assert np.abs(masked.moved[beside] - [0.0, 0.8]).max() < 0.15
+    assert np.abs(np.nanmedian(dragged.moved[:, 1]) - 0.8) > 0.2
+
+
+def test_highlights_that_stay_hold_no_window_back() -> None:
+    def lit(picture: np.ndarray) -> np.ndarray:
+        for column in range(12, WIDTH, 24):
+            for row in range(12, HEIGHT, 24):
+                cv2.circle(picture, (column, row), 4, (255, 255, 255), -1)
+        return picture
+
+    dull = [
+        (120 + 0.3 * (picture.astype(float) - 140)).astype(np.uint8)
+        for picture in (texture(), exactly_shifted(0.6, 0.0))
+    ]
+    one, other = (lit(picture) for picture in dull)
+    kept = measure(prepared(one), prepared(other), POINTS, STILL).moved
+    assert np.isfinite(kept).all(axis=1).mean() > 0.5
+    assert abs(np.nanmean(kept[:, 0]) - 0.6) < 0.03
+    assert np.nanmean(measure(unmasked(one), unmasked(other), POINTS, STILL).moved[:, 0]) < 0.3
+
+
+@pytest.mark.parametrize("size", [2.0, 8.0])
+def test_told_noise_is_the_errors_whatever_pictures_noise_is(size: float) -> None:
+    generator = np.random.default_rng(0)
+
+    def grainy(picture: np.ndarray) -> np.ndarray:
+        return (dull(picture) + size * generator.normal(size=picture.shape)).clip(0, 255).astype(np.uint8)
+
+    told = measure(prepared(grainy(texture())), prepared(grainy(exactly_shifted(0.3, 0.2))), POINTS, STILL)
+    off = (told.moved - [0.3, 0.2]) / told.noise[:, None]
+    assert 0.6 < np.sqrt(np.nanmean(np.square(off))) < 1.6
+
+
+def test_another_tissue_is_not_found() -> None:
+    assert np.isfinite(found(texture(seed=1)).moved).all(axis=1).mean() < 0.05
+
+
+def test_points_that_leave_the_picture_are_not_found() -> None:
+    away = POINTS[:, 0] > WIDTH - 30
+    moved = found(warped(texture(), shift(24.0, 0.0)), everywhere(shift(24.0, 0.0))).moved
+    assert away.any()
+    assert np.isnan(moved[away]).all()
+    assert np.abs(moved[POINTS[:, 0] < WIDTH - 60] - [24.0, 0.0]).max() < 0.1
+
+
+def test_a_plain_picture_shows_no_point() -> None:
+    plain = np.full((HEIGHT, WIDTH, 3), 128, np.uint8)
+    assert np.isnan(measure(prepared(plain), prepared(plain), POINTS, STILL).moved).all()

@@ -19,7 +19,7 @@ from estimators.online.matching import Chamfer, Match, Tracks
 from physics.fem.equilibrium import Energy, settle
 from physics.fem.lattice import box
 from physics.fem.laws import Material
-from physics.fem.solid import make_solid
+from physics.fem.solid import make_solid, outer_faces
 from physics.pbd.body import Body, make_body
 
 SIDE = 0.12
@@ -177,9 +177,7 @@ def _block_body(particles: int) -> Body:
     sizes = [[max(round(side / step), 2) for side in BLOCK] for step in np.linspace(0.004, 0.03, 200)]
     along, across, deep = min(sizes, key=lambda cells: abs(np.prod(np.array(cells) + 1) - particles))
     rest, tetrahedra = box(BLOCK, (along, across, deep))
-    sides = tetrahedra[:, [[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]]].reshape(-1, 3)
-    _, where, counts = np.unique(np.sort(sides, axis=1), axis=0, return_index=True, return_counts=True)
-    return make_body(rest, sides[where[counts == 1]], tetrahedra, pinned=rest[:, 0] < 1e-9)
+    return make_body(rest, outer_faces(tetrahedra), tetrahedra, pinned=rest[:, 0] < 1e-9)
 
 
 def _interpolated(axes: tuple[np.ndarray, ...], values: np.ndarray) -> State:

@@ -42,9 +42,7 @@ class Solid:
     @cached_property
     def faces(self) -> np.ndarray:
         """Corner nodes of the surface's triangles, anticlockwise seen from outside, shape [S, 3]."""
-        faces = self.elements[:, FACES].reshape(-1, 3)
-        _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
-        return faces[np.sort(first[count == 1])]
+        return outer_faces(self.elements)
 
     def deformation(self, displacement: np.ndarray) -> np.ndarray:
         """Deformation gradient F at every quadrature point, shape [E, Q, 3, 3].
@@ -118,6 +116,17 @@ class Solid:
         entries = by_element.reshape(-1, nodes, 3, nodes, 3).transpose(2, 4, 0, 1, 3).reshape(9, -1)
         blocks = np.stack([np.bincount(which, part, minlength=len(columns)) for part in entries], axis=1)
         return bsr_array((blocks.reshape(-1, 3, 3), columns, ends), shape=(count, count)).tocsr()
+
+
+def outer_faces(elements: np.ndarray) -> np.ndarray:
+    """Triangles of one tetrahedron only, anticlockwise seen from outside, shape [S, 3].
+
+    Args:
+        elements: corners of the tetrahedra first, shape [E, n].
+    """
+    faces = elements[:, FACES].reshape(-1, 3)
+    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    return faces[np.sort(first[count == 1])]
 
 
 def make_solid(nodes: np.ndarray, tetrahedra: np.ndarray, *, order: int = 1) -> Solid:

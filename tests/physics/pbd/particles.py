@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from physics.fem.lattice import box
+from physics.fem.solid import outer_faces
 from physics.pbd.body import Body, make_body
 
 
@@ -24,8 +25,5 @@ def sheet(rows: int, columns: int, spacing: float = 0.005, *, mass: float = 1.0,
 def block(cells: tuple[int, int, int] = (2, 2, 2), spacing: float = 0.005, *, seed: int | None = None) -> Body:
     """Tetrahedra that fill a box; of masses that differ with a seed."""
     nodes, tetrahedra = box((spacing * cells[0], spacing * cells[1], spacing * cells[2]), cells)
-    fours = np.sort(tetrahedra, axis=1)
-    faces = np.concatenate([np.delete(fours, corner, axis=1) for corner in range(4)])
-    unique, counts = np.unique(faces, axis=0, return_counts=True)
     mass = 1.0 if seed is None else np.random.default_rng(seed).uniform(0.5, 2.0, len(nodes))
-    return make_body(nodes, unique[counts == 1], tetrahedra, mass=mass)
+    return make_body(nodes, outer_faces(tetrahedra), tetrahedra, mass=mass)

@@ -12,8 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from data.source.layout import InputError
-from data.source.table import read_columns
+from data.source.table import read_series
 from estimators.estimate import NoEstimate
 
 COLUMNS = ("time_s", "force_N")
@@ -57,15 +56,7 @@ def read_forces(path: Path) -> KnownForce:
     Raises:
         InputError: it can't be read, is too short, its times don't rise, or it holds something that is no number.
     """
-    give = f"give a CSV file with the columns {', '.join(COLUMNS)}"
-    found = read_columns(path, COLUMNS, "table of forces")
-    if len(found) < LEAST_KNOWN:
-        raise InputError(f"{path} has {len(found)} rows; {give}, and {LEAST_KNOWN} rows or more.")
-    if not np.isfinite(found).all():
-        raise InputError(f"{path} holds a value that is not finite; leave such rows out.")
-    if not (np.diff(found[:, 0]) > 0).all():
-        raise InputError(f"{path} holds a time that is not after the one before; sort its rows by time_s.")
-    return KnownForce(*found.T)
+    return KnownForce(*read_series(path, COLUMNS, "table of forces", LEAST_KNOWN).T)
 
 
 def fit_factor(shown: np.ndarray, force: np.ndarray) -> tuple[float, float, float]:

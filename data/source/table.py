@@ -55,3 +55,25 @@ def read_columns(path: Path, columns: Sequence[str], what: str) -> np.ndarray:
     if (np.abs(table[np.isfinite(table)]) > LARGEST).any():
         raise InputError(f"{printable(path)} holds a number beyond ±{LARGEST:g}; correct the file.")
     return table
+
+
+def read_series(path: Path, columns: Sequence[str], what: str, least: int) -> np.ndarray:
+    """Columns of a table over time, of which the first rises, shape [rows, columns]; all finite.
+
+    Args:
+        columns: as of `read_columns`.
+        what: likewise.
+        least: rows.
+
+    Raises:
+        InputError: as of `read_columns`; it is too short, holds a value that is not finite, or its times don't rise.
+    """
+    found = read_columns(path, columns, what)
+    if len(found) < least:
+        give = f"give a CSV file with the columns {', '.join(columns)}, and {least} rows or more"
+        raise InputError(f"{path} has {len(found)} rows; {give}.")
+    if not np.isfinite(found).all():
+        raise InputError(f"{path} holds a value that is not finite; leave such rows out.")
+    if not (np.diff(found[:, 0]) > 0).all():
+        raise InputError(f"{path} holds a time that is not after the one before; sort its rows by {columns[0]}.")
+    return found

@@ -171,18 +171,20 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False)
 class ParticleField:
-    """Stiffness over a sheet of tissue that an instrument drives, in one frame; N particles.
+    """Stiffness over a sheet or a volume of tissue that an instrument drives, in one frame; N particles.
 
     Stiffness counts in m/Δt², a particle's mass over the square of a frame's time: it compares places within a run of
     contact, not clips, and no force follows from it.
     """
 
     onset_frame: int
-    """Number of the frame in which the run began, and where the sheet is taken to be at rest."""
+    """Number of the frame in which the run began, and where the tissue is taken to be at rest."""
     rest: np.ndarray
     """Particles there, shape [N, 3] [scene units]."""
     faces: np.ndarray
-    """Triangles, shape [F, 3]."""
+    """Triangles that the camera saw there, shape [F, 3]."""
+    tetrahedra: np.ndarray
+    """Of a volume, shape [V, 4]; none of a sheet."""
     positions: np.ndarray
     """Particles now, without the background's motion, shape [N, 3] [scene units]."""
     pixels: np.ndarray

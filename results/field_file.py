@@ -13,8 +13,9 @@ from estimators.estimate import ParticleField
 class FieldFile:
     """A file that `numpy.load` reads frame by frame.
 
-    Of every run of contact `run_R/rest` and `run_R/faces`, R its first frame's number; of every frame `frame_K/run`
-    (R), `frame_K/positions`, `pixels`, `distance`, `shape` and `known`, as `ParticleField` has them, reals as float32.
+    Of every run of contact `run_R/rest`, `run_R/faces` and, of a volume, `run_R/tetrahedra`, R its first frame's
+    number; of every frame `frame_K/run` (R), `frame_K/positions`, `pixels`, `distance`, `shape` and `known`, as
+    `ParticleField` has them, reals as float32.
 
     Args:
         path: the file.
@@ -30,6 +31,8 @@ class FieldFile:
             self._run = field.onset_frame
             self._add(f"run_{self._run}/rest", field.rest.astype(np.float32))
             self._add(f"run_{self._run}/faces", field.faces.astype(np.int32))
+            if len(field.tetrahedra):
+                self._add(f"run_{self._run}/tetrahedra", field.tetrahedra.astype(np.int32))
         self._add(f"frame_{frame}/run", np.array(field.onset_frame))
         for name in ("positions", "pixels", "distance", "shape"):
             self._add(f"frame_{frame}/{name}", getattr(field, name).astype(np.float32))

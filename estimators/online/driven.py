@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 from collections import deque
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import KDTree
 
-from estimators.online.fitting import Fit, fit_motion
+from estimators.online.fitting import Fit, fit_motion, uniform
 from estimators.online.matching import Chamfer, Match, Tracks
 from estimators.online.objective import Objective
 from estimators.online.session import Frame, Session
 from estimators.online.settings import MOST_FITTED, OnlineSettings, Start
 from estimators.online.surface import Surface
 from physics.load import Grip
-from physics.pbd.stiffness import Stiffness
 
 LEAST_GRIPPED = 3
 """Fewer points followed near the instrument don't tell how it moves the tissue."""
@@ -25,11 +25,20 @@ PAST = MOST_FITTED
 """Frames of the grip's way from which the motion to come is simulated: how it moved before hardly matters."""
 
 
+class _Told(NamedTuple):
+    """What a frame tells, as `DrivenTissue.step` takes it."""
+
+    moved: np.ndarray
+    cloud: np.ndarray | None
+    seen: np.ndarray | None
+    led: np.ndarray | None
+
+
 class DrivenTissue:
-    """A sheet under an instrument; P followed points, N particles.
+    """A sheet or a volume under an instrument; P followed points, N particles.
 
     Args:
-        surface: the sheet in the picture where following began.
+        surface: the tissue in the picture where following began.
         points: places of the followed points there, shape [P, 2] [px].
         distance: theirs from the tool there, shape [P] [px].
         settings: how.
@@ -40,12 +49,12 @@ class DrivenTissue:
         body = surface.body
         self.fit: Fit | None = None
         """What was fitted to the first frames, if anything was."""
-        self._first: list[tuple[np.ndarray, np.ndarray | None, np.ndarray | None]] = []
+        self._first: list[_Told] = []
         self._awaited = settings.fitted
         inside, shares = surface.places(points)
         around = distance[inside] >= surface.reach
         self.around = inside[around]
-        """Followed points on the sheet that the instrument doesn't move itself: what is compared, shape [Q]."""
+        """Followed points on the tissue that the instrument doesn't move itself: what is compared, shape [Q]."""
         self._shares = shares[np.flatnonzero(around)]
         self._resting = surface.project(self._shares @ body.rest)
         self._driving = np.flatnonzero(distance < surface.reach)
@@ -67,7 +76,7 @@ class DrivenTissue:
             settings.weights,
             settings.bounds,
         )
-        begun = Stiffness(np.full(body.count, settings.start.distance), np.full(body.count, settings.start.shape))
+        begun = uniform(body, settings.start.distance, settings.start.shape)
         self.session = Session(objective, begun, settings.method)
         self._places = body.rest[self.surface.gripped]
         self._past: deque[np.ndarray] = deque(maxlen=PAST)
@@ -88,15 +97,30 @@ class DrivenTissue:
         seen = self._driving[np.isfinite(moved[self._driving]).all(axis=1)]
         if len(seen) < LEAST_GRIPPED:
             return None
-        surface = self.surface
-        pixels = surface.pixels[surface.gripped]
+        pixels = self.surface.pixels[self.surface.gripped]
         count = min(NEIGHBOURS, len(seen))
         away, near = KDTree(self._points[seen]).query(pixels, k=count)
         weight = 1 / (np.square(away.reshape(-1, count)) + 1)  # px: a point in the very place doesn't count for all
         motion = (weight[..., None] * moved[seen][near.reshape(-1, count)]).sum(axis=1) / weight.sum(axis=1)[:, None]
-        return surface.lift(pixels + motion, surface.body.rest[surface.gripped, 2] - nearer)
+        return self.led_places(motion, nearer)
 
-    def step(self, moved: np.ndarray, cloud: np.ndarray | None = None, seen: np.ndarray | None = None) -> Frame:
+    def led_places(self, motion: np.ndarray, nearer: float) -> np.ndarray:
+        """Where the gripped particles are, shape [G, 3] [scene units].
+
+        Args:
+            motion: in the picture since rest, of each, shape [G, 2] [px].
+            nearer: to the camera than at rest [scene units].
+        """
+        surface, gripped = self.surface, self.surface.gripped
+        return surface.lift(surface.pixels[gripped] + motion, surface.body.rest[gripped, 2] - nearer)
+
+    def step(
+        self,
+        moved: np.ndarray,
+        cloud: np.ndarray | None = None,
+        seen: np.ndarray | None = None,
+        led: np.ndarray | None = None,
+    ) -> Frame:
         """Take a frame in; where the instrument's tissue isn't seen it stays where it was, and nothing is learnt.
 
         With the last of the frames that are fitted to, what one number each says of the tissue is chosen, and all are
@@ -106,11 +130,14 @@ class DrivenTissue:
             moved: displacement of the followed points since rest, shape [P, 2] [px]; not seen = NaN.
             cloud: points of the tissue, shape [m, 3] [scene units], where clouds are compared.
             seen: particles that no tool hides, shape [n]; with the cloud.
+            led: with settings of a path, where that takes the gripped particles, shape [G, 3] [scene units]; None
+                where it doesn't tell.
         """
-        told = self._taken(moved, cloud, seen)
+        frame = _Told(moved, cloud, seen, led)
+        told = self._taken(*frame)
         if self._awaited > 0:
             self._awaited -= 1
-            self._first.append((moved, cloud, seen))
+            self._first.append(frame)
             if self._awaited == 0:
                 if self._fitted():
                     self._begin()
@@ -123,7 +150,7 @@ class DrivenTissue:
         """Choose time step, foundation and bending by the first frames; whether these tell anything."""
         settings = self.settings
         way = np.stack(self._past) - self.surface.body.rest[self.surface.gripped]
-        seen = np.stack([moved[self.around] for moved, _, _ in self._first])
+        seen = np.stack([frame.moved[self.around] for frame in self._first])
         grip, stiffness = Grip(self.surface.gripped, way), settings.start.distance
         self.fit = fit_motion(self.surface.body, grip, seen, self.shown, settings.stepping, stiffness)
         if self.fit is None:
@@ -134,9 +161,12 @@ class DrivenTissue:
         self.settings = dataclasses.replace(settings, start=Start(stiffness, shape), bounds=bounds, stepping=stepping)
         return True
 
-    def _taken(self, moved: np.ndarray, cloud: np.ndarray | None, seen: np.ndarray | None) -> Frame:
-        nearer = 0.0 if cloud is None else self._nearer(moved, cloud)
-        places = self.gripped_places(moved, nearer)
+    def _taken(
+        self, moved: np.ndarray, cloud: np.ndarray | None, seen: np.ndarray | None, led: np.ndarray | None
+    ) -> Frame:
+        places = led
+        if self.settings.path is None:
+            places = self.gripped_places(moved, 0.0 if cloud is None else self._nearer(moved, cloud))
         matches: list[Match] = []
         if places is not None:
             self._places = places
@@ -195,6 +225,7 @@ class DrivenTissue:
         seen = self._driving[np.isfinite(moved[self._driving]).all(axis=1)]
         if len(seen) == 0 or len(cloud) == 0:
             return 0.0
-        rest = self.surface.body.rest[:, 2][KDTree(self.surface.pixels).query(self._points[seen])[1]]
+        upper = self.surface.seen
+        rest = self.surface.body.rest[upper, 2][KDTree(self.surface.pixels[upper]).query(self._points[seen])[1]]
         now = cloud[:, 2][KDTree(self.surface.project(cloud)).query(self._points[seen] + moved[seen])[1]]
         return float(np.median(rest - now))

@@ -1,8 +1,8 @@
 """The online estimator (Liang 2024): a field of stiffness of tissue that an instrument drives, frame by frame.
 
-A run of contact begins a sheet of particles at rest, its end ends it. How the instrument moves the tissue is taken from
-what is followed beside it; all other tissue is simulated, mapped to what the frame shows, and its stiffness changed by
-one step. θ, a force and a unit are not told: displacements don't determine them.
+A run of contact begins a sheet or a volume of particles at rest, its end ends it. How the instrument moves the tissue
+is taken from what is followed beside it, or from a file; all other tissue is simulated, mapped to what the frame shows,
+and its stiffness changed by one step. θ, a force and a unit are not told: displacements don't determine them.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 
@@ -18,15 +19,19 @@ from data.labels import TISSUE, TOOL
 from data.prepared import PreparedFrame
 from data.settings import PrepareSettings
 from data.source.camera import back_project
+from data.source.images import printable
+from data.source.layout import InputError
 from data.tracks.background import without_background
 from data.tracks.following import PointFollower
 from estimators.contract import Chosen, ClipInfo, Said
 from estimators.estimate import InteractionEstimate, NoEstimate, ParticleField
 from estimators.online.driven import DrivenTissue
-from estimators.online.settings import OnlineSettings
+from estimators.online.given import read_path, read_pins
+from estimators.online.settings import FILES, OnlineSettings
 from estimators.online.surface import make_surface
 from estimators.online.visibility import facing, uncovered
 from estimators.runs import Run, RunSession, frame_estimate
+from physics.files import file_sha256
 from physics.mechanics import Mechanics
 
 FIELD_ALONE = "This estimator tells relative stiffness place by place (fields.npz), not k_s, k_d or F."
@@ -38,13 +43,20 @@ class OnlineEstimator:
 
     Args:
         settings: how.
+
+    Raises:
+        InputError: a file that they name can't be used.
     """
 
     name = "online"
 
     def __init__(self, settings: OnlineSettings) -> None:
         self.settings = settings
-        self.described = {"name": self.name, **dataclasses.asdict(settings)}
+        self.pins = None if settings.pins is None else read_pins(Path(settings.pins))
+        self.path = None if settings.path is None else read_path(Path(settings.path))
+        named = {name: getattr(settings, name) for name in FILES}
+        files = {name: _described(Path(path)) for name, path in named.items() if path is not None}
+        self.described = {"name": self.name, **dataclasses.asdict(settings), **files}
         """All that the fields depend on beside the clip."""
 
     def preparation(self, chosen: Chosen) -> PrepareSettings:
@@ -52,7 +64,13 @@ class OnlineEstimator:
         return chosen.without_model()
 
     def start(self, clip: ClipInfo) -> OnlineSession:
-        """Open a session."""
+        """Open a session.
+
+        Raises:
+            InputError: a mask of pins that is not of the pictures' size.
+        """
+        if self.pins is not None:
+            self.pins.require_size(clip.size)
         return OnlineSession(self, clip)
 
 
@@ -61,7 +79,7 @@ class OnlineSession(RunSession):
 
     def __init__(self, estimator: OnlineEstimator, clip: ClipInfo) -> None:
         super().__init__(clip, Mechanics())
-        self._settings = estimator.settings
+        self._estimator = estimator
         self._driven: _Followed | None = None
         self._reason, self._begun = "", -1
 
@@ -83,7 +101,7 @@ class OnlineSession(RunSession):
         if run.index != self._begun:
             self._begun, self._driven, self._reason = run.index, None, ""
             try:
-                self._driven = _Followed(frame, self.clip, self._settings)
+                self._driven = _Followed(frame, self.clip, self._estimator)
             except NoEstimate as reason:
                 self._reason = str(reason)
         elif self._driven is not None and frame.frame.index - run.last <= self.clip.bridge_frames:
@@ -112,12 +130,15 @@ class _Followed:
         NoEstimate: no sheet can be made of it.
     """
 
-    def __init__(self, first: PreparedFrame, clip: ClipInfo, settings: OnlineSettings) -> None:
+    def __init__(self, first: PreparedFrame, clip: ClipInfo, estimator: OnlineEstimator) -> None:
         if not first.visible:
             raise NoEstimate(f"Frame {first.frame.number} has no picture with masks to begin with.")
+        settings, self._path = estimator.settings, estimator.path
         self._number, self._clip, self._settings = first.frame.number, clip, settings
+        self._origin = None if self._path is None else self._path.begun(first.frame)
         picture, labels = first.view
-        surface = make_surface(first, clip.camera, clip.geometry, settings.particles)
+        chosen = settings.particles, settings.thickness, estimator.pins, estimator.path
+        surface = make_surface(first, clip.camera, clip.geometry, *chosen)
         self._follower = PointFollower(picture, labels == TOOL)
         self._driven = DrivenTissue(surface, self._follower.points, self._follower.distance, settings)
         self._background = np.zeros_like(surface.pixels)
@@ -134,7 +155,25 @@ class _Followed:
             self._background = _continued(follower.points, moved - still, self._driven.surface.pixels)
             moved = still
         cloud, seen = (None, None) if self._settings.match == "tracks" else self._cloud(frame)
-        self._gap = self._driven.step(moved, cloud, seen).gap
+        self._gap = self._driven.step(moved, cloud, seen, self._led(frame.frame.time_s)).gap
+
+    def _led(self, time: float) -> np.ndarray | None:
+        """Where the path takes the gripped particles by a time [s], shape [G, 3] [scene units]; None = it isn't told.
+
+        Raises:
+            InputError: behind the camera.
+        """
+        place = None if self._path is None else self._path.at(time)
+        if self._path is None or place is None or self._origin is None:
+            return None
+        surface = self._driven.surface
+        motion = place - self._origin
+        shrunk = np.divide((surface.camera.width, surface.camera.height), self._clip.size)
+        places = self._driven.led_places(motion[:2] * shrunk - self._background[surface.gripped], -motion[2])
+        if not (places[:, 2] > 0).all():
+            told = f"takes tissue behind the camera by {time:g} s"
+            raise InputError(f"{printable(self._path.path)} {told}; give z in scene units, as the clip's depth is.")
+        return places
 
     @property
     def fitted(self) -> str:
@@ -155,7 +194,8 @@ class _Followed:
         return ParticleField(
             self._number,
             surface.body.rest,
-            surface.body.faces,
+            surface.faces,
+            surface.body.tetrahedra,
             session.positions,
             grid_to_picture(pixels, size, self._clip.size),
             session.fields.distance,
@@ -172,12 +212,17 @@ class _Followed:
         some = np.linspace(0, len(cloud) - 1, min(len(cloud), self._settings.points)).round().astype(int)
         surface, states = self._driven.surface, self._driven.session.positions
         view = surface.camera.height, surface.camera.width
-        pixels = grid_to_picture(surface.project(states), view, (width, height)).round()
+        upper = surface.seen
+        pixels = grid_to_picture(surface.project(states[upper]), view, (width, height)).round()
         inside = ((pixels >= 0) & (pixels < (width, height))).all(axis=1)
         column, row = np.clip(pixels, 0, (width - 1, height - 1)).astype(int).T
         shown = inside & (frame.labels[row, column] == TISSUE)  # and not behind a tool
-        shown &= facing(states, surface.body.rest, surface.body.faces) & uncovered(states, surface.body.faces)
-        return cloud[some], np.flatnonzero(shown)
+        shown &= facing(states, surface.body.rest, surface.faces)[upper] & uncovered(states, surface.body.faces)[upper]
+        return cloud[some], upper[shown]
+
+
+def _described(path: Path) -> dict[str, str]:
+    return {"path": str(path.resolve()), "sha256": file_sha256(path)}
 
 
 def _continued(points: np.ndarray, motion: np.ndarray, places: np.ndarray) -> np.ndarray:

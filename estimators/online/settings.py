@@ -17,6 +17,8 @@ from physics.fields import require_choices
 from physics.pbd.simulation import Stepping
 
 LEAST_PARTICLES, MOST_PARTICLES = 30, 10_000
+FILES = ("pins", "path")
+"""Settings that name files."""
 MOST_FITTED = 50
 """Frames that can be fitted to; every one is kept until then."""
 
@@ -50,7 +52,15 @@ class OnlineSettings:
     """
 
     particles: int = 600
-    """About so many make up the surface (Liang 2024, section III)."""
+    """About so many make up the tissue, all layers of a volume together (Liang 2024, section III)."""
+    thickness: float | None = None
+    """Of the tissue along its surface's normal [scene units]; None = a sheet."""
+    pins: str | None = None
+    """Mask picture of the clip's size whose white tissue is pinned, beside the settings' file; None = the tissue's edge
+    far from instruments."""
+    path: str | None = None
+    """CSV file of the gripper's way, likewise, with the columns time_s, x_px, y_px and z [scene units]; None = as the
+    points move that are followed at the instrument."""
     match: Literal["tracks", "chamfer", "both"] = "tracks"
     """What a frame shows: followed points across the line of sight, the cloud of its depth, or both."""
     points: int = 9000
@@ -82,6 +92,11 @@ class OnlineSettings:
         require_choices(self)
         if not LEAST_PARTICLES <= self.particles <= MOST_PARTICLES:
             raise ValueError(f"particles is {self.particles}; give {LEAST_PARTICLES} to {MOST_PARTICLES}.")
+        if self.thickness is not None and not self.thickness > 0:
+            raise ValueError(f"thickness is {self.thickness}; give a positive length, or null for a sheet.")
+        for name in FILES:
+            if "\0" in (getattr(self, name) or ""):
+                raise ValueError(f"{name} holds a NUL, which no file's name does; leave it out.")
         if self.points < 1:
             raise ValueError(f"points is {self.points}; give 1 at least.")
         if not 0 <= self.fitted <= MOST_FITTED:
@@ -101,7 +116,7 @@ class OnlineSettings:
 
 
 def load_settings(path: Path) -> OnlineSettings:
-    """Settings of a YAML file; what it leaves out keeps its default.
+    """Settings of a YAML file; what it leaves out keeps its default, and files that it names lie beside it.
 
     Raises:
         InputError: unreadable file, an unknown key, or an impossible value.
@@ -110,4 +125,6 @@ def load_settings(path: Path) -> OnlineSettings:
     for name, kind in get_type_hints(OnlineSettings).items():
         if dataclasses.is_dataclass(kind):
             values[name] = from_mapping(kind, values.get(name, {}), f"{path}, {name},")
-    return from_mapping(OnlineSettings, values, str(path))
+    settings = from_mapping(OnlineSettings, values, str(path))
+    beside = {name: str(path.parent / name_of) for name in FILES if (name_of := getattr(settings, name)) is not None}
+    return dataclasses.replace(settings, **beside)

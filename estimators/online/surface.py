@@ -1,8 +1,10 @@
-"""Tissue in a frame as a sheet of particles: where they are, which an instrument moves, which stay."""
+"""Tissue in a frame as a sheet or a volume of particles: where they are, which an instrument moves, which stay."""
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -14,23 +16,31 @@ from data.contact.tissue_points import grid_to_picture
 from data.labels import TISSUE, TOOL
 from data.prepared import PreparedFrame
 from data.source.camera import Camera, back_project
+from data.source.images import printable
 from data.tracks.background import FAR
 from data.tracks.following import shrunk, tool_distance
 from estimators.estimate import NoEstimate
 from estimators.grip.recorder import DRIVEN
-from physics.mesh import grid_mesh
+from estimators.online.given import GripperPath, Pins
+from physics.fem.solid import outer_faces
+from physics.mesh import Mesh, contact_normal, grid_mesh
 from physics.pbd.body import Body, make_body
+from physics.pbd.layers import layered
 
 NEAREST = 8
 """Triangles around a point that are looked at for the one that holds it."""
+LEAST_SEEN = 30
+"""Particles that the surface of a volume has at least, before it gets more than one layer below."""
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """A sheet of N particles, and the picture that it was seen in."""
+    """A sheet or a volume of N particles, and the picture that it was seen in."""
 
     body: Body
-    """At rest, in coordinates of the camera [scene units]; pinned at the tissue's edge, far from any tool."""
+    """At rest, in coordinates of the camera [scene units]; of a volume the surface's particles come first."""
+    faces: np.ndarray
+    """Triangles that the camera saw, shape [F, 3]: all of a sheet's."""
     gripped: np.ndarray
     """Particles that an instrument moves, shape [G]."""
     pixels: np.ndarray
@@ -39,6 +49,11 @@ class Surface:
     """Of the followed picture."""
     reach: float
     """Tissue that began nearer to a tool moves with it [px]."""
+
+    @cached_property
+    def seen(self) -> np.ndarray:
+        """Particles that the camera saw, shape [n]: all of a sheet's."""
+        return np.unique(self.faces)
 
     def project(self, points: np.ndarray) -> np.ndarray:
         """Where points [..., 3] [scene units] are in the picture, shape [..., 2] [px] (Bini 2026, equation 3)."""
@@ -52,7 +67,7 @@ class Surface:
         return np.concatenate([across * depth[..., None], depth[..., None]], axis=-1)
 
     def places(self, points: np.ndarray) -> tuple[np.ndarray, csr_array]:
-        """Points of the picture on the sheet at rest, as shares of its particles.
+        """Points of the picture on the surface at rest, as shares of its particles.
 
         Args:
             points: shape [P, 2] [px].
@@ -60,7 +75,7 @@ class Surface:
         Returns:
             Indices of the Q points that some triangle holds, and the shares, shape [Q, N].
         """
-        faces = self.body.faces
+        faces = self.faces
         corners = self.pixels[faces]
         first, edges = corners[:, 0], np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)
         sized = np.abs(np.linalg.det(edges)) > 0
@@ -79,21 +94,33 @@ class Surface:
         return inside, csr_array((shares[inside].ravel(), members[inside].ravel(), starts), shape=shape)
 
 
-def make_surface(frame: PreparedFrame, camera: Camera, geometry: GeometrySettings, particles: int) -> Surface:
+def make_surface(
+    frame: PreparedFrame,
+    camera: Camera,
+    geometry: GeometrySettings,
+    particles: int,
+    thickness: float | None = None,
+    pins: Pins | None = None,
+    path: GripperPath | None = None,
+) -> Surface:
     """Mesh the tissue of a frame with about so many particles (Liang 2024, section III), evenly over the picture.
 
-    Gripped are those near a tool, pinned those at the tissue's edge that lie as far from any tool as what counts as
-    background (`data.tracks.background`). The edge near a tool is mostly the picture's border, across which tissue
-    moves.
+    Gripped are those of the surface near a tool, or where a path begins. Pinned are, with all below them, those where
+    the pins are, or else those at the tissue's edge that lie as far from any tool as what counts as background
+    (`data.tracks.background`). The edge near a tool is mostly the picture's border, across which tissue moves.
 
     Args:
         frame: with picture, labels and depth.
         camera: of the full picture.
         geometry: how meshes are made.
         particles: about how many.
+        thickness: of a volume below the surface [scene units]; None = a sheet.
+        pins: what is pinned, of the picture's size; None = by the rule.
+        path: of the gripper; None = the tissue near the tool is gripped.
 
     Raises:
-        NoEstimate: no tool or no tissue with depth, or none of it near the tool.
+        NoEstimate: no tool or no tissue with depth, none of it near the tool or where the path is by then, or none
+            where the pins are.
     """
     picture, labels = frame.view
     tissue, tool = (frame.labels == TISSUE) & (frame.depth > 0), frame.labels == TOOL
@@ -103,8 +130,11 @@ def make_surface(frame: PreparedFrame, camera: Camera, geometry: GeometrySetting
     depth = frame.depth
     if geometry.smoothing > 0:
         depth, _ = smooth_surface(depth, tissue, geometry.smoothing)
-    keep = min(1.0, particles / count)
-    points = back_project(depth, camera.scaled(depth.shape[1], depth.shape[0]))
+    grid, layers = camera.scaled(depth.shape[1], depth.shape[0]), 1
+    if thickness is not None:
+        layers = _layers(float(np.square(depth[tissue]).sum()) / (grid.fx * grid.fy), thickness, particles)
+    keep = min(1.0, particles / (layers * count))
+    points = back_project(depth, grid)
     # As steep as at full resolution: edges are longer by as much as fewer are kept.
     longest = geometry.max_edge / np.sqrt(keep)
     mesh = grid_mesh(points, tissue, occluder=tool, max_edge=longest, keep=keep)
@@ -119,6 +149,66 @@ def make_surface(frame: PreparedFrame, camera: Camera, geometry: GeometrySetting
     driven = away < reach
     if not driven.any():
         raise NoEstimate(f"No tissue lies within {reach:.0f} px of the instrument in frame {frame.frame.number}.")
-    background = ~driven & (away > np.percentile(away, FAR))
-    body = make_body(mesh.vertices, mesh.triangles, pinned=mesh.rim & background)
-    return Surface(body, np.flatnonzero(driven), pixels, camera.scaled(*size), reach)
+    if path is not None:
+        place = grid_to_picture(path.begun(frame.frame)[:2], labels.shape, size)
+        driven = _led(path, np.linalg.norm(pixels - place, axis=1), reach, frame.frame.number)
+    if pins is None:
+        pinned = mesh.rim & ~driven & (away > np.percentile(away, FAR))
+    else:
+        pinned = _white(pins, mesh, driven, frame.frame.number)
+    if thickness is None:
+        body = make_body(mesh.vertices, mesh.triangles, pinned=pinned)
+    else:
+        body = _volume(mesh, pinned, thickness, layers)
+    surface = Surface(body, mesh.triangles, np.flatnonzero(driven), pixels, camera.scaled(*size), reach)
+    return surface if thickness is None else dataclasses.replace(surface, pixels=surface.project(body.rest))
+
+
+def _led(path: GripperPath, apart: np.ndarray, reach: float, number: int) -> np.ndarray:
+    """Which particles a path moves, as far from it [px] as given in a frame, shape [n], bool: the nearest one at least.
+
+    Raises:
+        NoEstimate: even that is out of reach.
+    """
+    if apart.min() > reach:
+        told = f"is {apart.min():.0f} px away from all tissue in frame {number}, when contact begins"
+        raise NoEstimate(f"{printable(path.path)} {told}; give the gripper's place in the clip's pictures.")
+    return apart <= max(DRIVEN, apart.min())
+
+
+def _white(pins: Pins, mesh: Mesh, driven: np.ndarray, number: int) -> np.ndarray:
+    """Which vertices are where the pins are in a frame, but for those that are driven, shape [n], bool.
+
+    Raises:
+        NoEstimate: none.
+    """
+    white = pins.at(grid_to_picture(mesh.pixels[:, ::-1], mesh.grid_shape, pins.size)) & ~driven
+    if not white.any():
+        told = f"is white at none of the {(~driven).sum()} particles of free tissue in frame {number}"
+        raise NoEstimate(f"{printable(pins.path)} {told}; paint wider areas there.")
+    return white
+
+
+def _layers(area: float, thickness: float, particles: int) -> int:
+    """Layers of particles of a volume, about as far from each other as those within one; the surface is one.
+
+    Args:
+        area: of the surface [scene units²].
+        thickness: of all [scene units].
+        particles: in all layers.
+    """
+    layers = np.arange(2, max(3, particles // LEAST_SEEN + 1))
+    return int(layers[np.abs(np.log(np.sqrt(area * layers / particles) * (layers - 1) / thickness)).argmin()])
+
+
+def _volume(mesh: Mesh, pinned: np.ndarray, thickness: float, layers: int) -> Body:
+    """What lies below a surface along its normals, in so many layers; pinned is all below what is pinned there."""
+    upper, faces = mesh.vertices.astype(np.float64), mesh.triangles.astype(np.int64)
+    away = np.linalg.det(upper[faces]) > 0  # of the camera, at the origin
+    faces[away] = faces[away][:, ::-1]
+    normals = np.stack([contact_normal(mesh, vertex) for vertex in range(len(upper))])
+    # As far around as the volume is thick: along those of each bump of the surface layers would cross.
+    normals = np.stack([np.exp(-np.square((upper - place) / thickness).sum(axis=1) / 2) @ normals for place in upper])
+    below = -thickness * normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    rest, tetrahedra = layered(upper, faces, below, layers)
+    return make_body(rest, outer_faces(tetrahedra), tetrahedra, pinned=np.tile(pinned, layers))

@@ -32,7 +32,7 @@ from rich.text import Text
 from data.command_line import path_option, progress_bars, say, whole_number
 from data.source.layout import InputError
 from estimators.grip.sheet_fit import NothingMoves
-from estimators.online.settings import OnlineSettings, load_settings
+from estimators.online.settings import FILES, OnlineSettings, load_settings
 from evaluation.page import as_png, render_page
 from evaluation.real.figures import draw_prediction, draw_press, draw_pull
 from evaluation.real.predicted import evaluate_prediction
@@ -95,6 +95,9 @@ def tasks_of(options: argparse.Namespace) -> dict[str, Task]:
     """
     tasks: dict[str, Task] = {}
     online = OnlineSettings() if options.settings is None else load_settings(options.settings)
+    for name in FILES:
+        if getattr(online, name) is not None:
+            raise InputError(f"{options.settings} names a file of {name}, which is for infer.py; leave it out here.")
 
     def add(name: str, task: Task) -> None:
         same = sum(other == name or other.startswith(f"{name} (") for other in tasks)

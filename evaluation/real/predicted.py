@@ -115,7 +115,7 @@ def evaluate_prediction(clip: PulledClip, settings: OnlineSettings) -> Predictio
         raise InputError(f"{clip.frames}: fewer than {LEAST_POINTS} points are followed {AHEAD} frames on.")
     measures |= {f"skill of {name}, mean": float(np.mean(values)) for name, values in skills.items()}
     measures["known particles"] = float(tissue.known.mean())
-    fields = surface.pixels, tissue.session.fields.distance, tissue.known
+    fields = tuple(each[surface.seen] for each in (surface.pixels, tissue.session.fields.distance, tissue.known))
     return Prediction(measures, follow, judged, begun, seen, expected, fields)
 
 
@@ -195,7 +195,8 @@ def first_surface(clip: PulledClip, settings: OnlineSettings) -> Surface:
         stream = ClipStream(source, chosen, ClipInputs(masks=_DrawnMasks({number: tool})))
         frame = stream.prepared(next(frame for frame in source if frame.number == number))
         try:
-            return make_surface(frame, stream.picture_camera, chosen.geometry, settings.particles)
+            meshed = settings.particles, settings.thickness
+            return make_surface(frame, stream.picture_camera, chosen.geometry, *meshed)
         except NoEstimate as error:
             raise InputError(f"{clip.frames}: {frame.detail or error}") from error
     raise InputError(f"{clip.frames} has no frame that can be used; give others.")

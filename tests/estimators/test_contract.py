@@ -34,7 +34,7 @@ from tests.estimators.sessions import SIZE, State, clip_info, follow, linked, so
 from tests.inference_inputs import metadata, write_model, write_posterior
 from tests.physics.sheets import sheet
 
-ESTIMATORS = (*NAMES, "network with depth", "network with film")
+ESTIMATORS = (*NAMES, "network with depth", "network with film", "online with a volume")
 FPS = (25.0, 30.0)
 MESH = sheet(7, 7)
 NORMAL = np.array([0.0, 0.0, -1.0])
@@ -48,6 +48,8 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, EstimatorOption
     write_model(folder / "gan.onnx", metadata(3, **common))
     coarse = folder / "online.yaml"
     coarse.write_text("particles: 60\nstrain: 0.002\n")  # a press across the line of sight moves little
+    thick = folder / "thick.yaml"
+    thick.write_text("particles: 90\nthickness: 0.1\nstrain: 0.002\n")
     document = metadata(3, **common, bounds=dataclasses.asdict(BOUNDS), mechanics=dataclasses.asdict(MECHANICS))
     write_posterior(folder / "depth.onnx", document, FEATURES)
     write_posterior(folder / "film.onnx", document, FEATURES + FILM_FEATURES)
@@ -58,6 +60,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, EstimatorOption
         "gan": EstimatorOptions("gan", folder / "gan.onnx"),
         "direct": EstimatorOptions("direct", onset="stamp"),
         "online": EstimatorOptions("online", settings=coarse),
+        "online with a volume": EstimatorOptions("online", settings=thick),
     }
 
 
@@ -70,7 +73,7 @@ def estimator(request: pytest.FixtureRequest, files: dict[str, EstimatorOptions]
 @pytest.fixture(scope="module", params=ESTIMATORS)
 def prompt(request: pytest.FixtureRequest, files: dict[str, EstimatorOptions]) -> Estimator:
     """Each in turn, for presses that begin at their time stamp, which takes a network a fifth of the time."""
-    onset = None if request.param == "online" else "stamp"
+    onset = None if request.param.startswith("online") else "stamp"
     return open_estimator(dataclasses.replace(files[request.param], onset=onset))
 
 

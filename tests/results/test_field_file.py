@@ -21,6 +21,7 @@ FIELD_SEEN = ParticleField(
     onset_frame=3,
     rest=REST,
     faces=np.array([[0, 1, 2], [1, 3, 2]]),
+    tetrahedra=np.empty((0, 4), int),
     positions=REST + 0.5,
     pixels=np.array([[4, 4], [44, 4], [4, 34], [44, 34]], float),
     distance=np.array([4.0, 4.0, 4.0, 64.0]),
@@ -46,6 +47,11 @@ def test_a_file_holds_every_frame_and_every_run_once(tmp_path: Path) -> None:
         np.testing.assert_array_equal(found["frame_5/positions"], FIELD_SEEN.positions)
         np.testing.assert_array_equal(found["frame_5/known"], FIELD_SEEN.known)
         np.testing.assert_array_equal(found["run_3/faces"], FIELD_SEEN.faces)
+    volume = FieldFile(tmp_path / "volume.npz")
+    volume.write(5, dataclasses.replace(FIELD_SEEN, tetrahedra=np.array([[0, 1, 2, 3]])))
+    volume.close()
+    with np.load(tmp_path / "volume.npz", allow_pickle=False) as found:
+        np.testing.assert_array_equal(found["run_3/tetrahedra"], [[0, 1, 2, 3]])
 
 
 def test_columns_tell_quantiles_where_it_is_known() -> None:
@@ -70,9 +76,8 @@ def test_results_keep_no_field_of_a_frame(tmp_path: Path) -> None:
     count, frames = 600, 2000
     positions = np.random.default_rng(0).normal(size=(count, 3))
     faces = np.arange(count).reshape(-1, 3)
-    one = ParticleField(
-        0, positions, faces, positions, positions[:, :2], positions[:, 0], positions[:, 1], positions[:, 2] > 0, 0.1
-    )
+    none, told = np.empty((0, 4), int), (positions[:, 0], positions[:, 1], positions[:, 2] > 0, 0.1)
+    one = ParticleField(0, positions, faces, none, positions, positions[:, :2], *told)
     size = sum(value.nbytes for value in vars(one).values() if isinstance(value, np.ndarray))
     with ClipResults(tmp_path / "clip", SIZE, 25.0, overlay=False, fields=True) as output:
         tracemalloc.start()

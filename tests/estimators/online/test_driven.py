@@ -15,6 +15,7 @@ from data.prepared import PreparedFrame
 from data.source.camera import Camera
 from data.source.frames import Frame
 from estimators.estimate import NoEstimate
+from estimators.online import fitting
 from estimators.online.driven import DrivenTissue
 from estimators.online.session import Method
 from estimators.online.settings import OnlineSettings
@@ -235,3 +236,48 @@ def test_memory_does_not_grow_with_the_frames(surface: Surface) -> None:
     grown = tracemalloc.get_traced_memory()[0] - before
     tracemalloc.stop()
     assert grown < 10 * surface.body.rest.nbytes
+
+
+def test_a_path_moves_the_gripped_particles_alone_and_exactly(surface: Surface) -> None:
+    """What the followed points near the instrument do doesn't count, and where the path ends the grip stays."""
+    tissue = driven(surface, path="path.csv")
+    motion, nearer = np.array([[-6.0, 3.0]] * len(surface.gripped)), 0.01
+    places = tissue.led_places(motion, nearer)
+    rest = surface.body.rest[surface.gripped]
+    np.testing.assert_allclose(surface.project(places), surface.pixels[surface.gripped] + motion, atol=1e-3)
+    np.testing.assert_allclose(places[:, 2], rest[:, 2] - nearer)
+    seen = pulled(0.5)
+    seen[surface.reach > AWAY] = 99.0
+    told = tissue.step(seen, led=places)
+    np.testing.assert_array_equal(told.positions[surface.gripped], places)
+    assert told.gap is not None
+    told = tissue.step(seen)
+    np.testing.assert_array_equal(told.positions[surface.gripped], places)
+    assert told.gap is None
+
+
+def test_a_volume_moves_with_its_grip_and_keeps_its_volume(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Raised towards the camera by a third of its thickness; without stiffness of volumes it grows thrice as much."""
+    volume = make_surface(first_frame(), CAMERA, GEOMETRY, 300, 0.15)
+    body, changes = volume.body, []
+
+    def held(state: np.ndarray) -> float:
+        parts = state[body.tetrahedra]
+        return float(np.linalg.det(parts[:, 1:] - parts[:, :1]).sum() / 6)
+
+    for stiffness in (fitting.VOLUME, 0.0):
+        monkeypatch.setattr(fitting, "VOLUME", stiffness)
+        tissue = driven(volume, path="path.csv", method=Method("PBD"))
+        for share in np.linspace(0.1, 1, 10):
+            places = tissue.led_places(np.zeros((len(volume.gripped), 2)), 0.05 * share)
+            told = tissue.step(np.zeros_like(POINTS), led=places)
+        np.testing.assert_array_equal(told.positions[volume.gripped], places)
+        np.testing.assert_array_equal(told.positions[body.pinned], body.rest[body.pinned])
+        raised = body.rest[:, 2] - told.positions[:, 2]
+        layers = raised.reshape(-1, len(volume.seen))
+        under = layers[:, volume.gripped].mean(axis=1)
+        assert (np.diff(under) < 0).all()  # the less the deeper, but all of it
+        assert under[-1] > 0.001
+        changes.append(held(told.positions) / held(body.rest) - 1)
+    assert abs(changes[0]) < 0.005
+    assert abs(changes[1]) > 3 * abs(changes[0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import json
 from pathlib import Path
 
@@ -12,6 +13,8 @@ import pytest
 
 import infer
 from data.masks.class_table import CLASSES
+from estimators.online import driven
+from estimators.online.matching import Chamfer
 from tests.evaluation.real_clips import pull_pictures, tissue_motion, tool_mask, write
 
 SHARES = np.linspace(0, 1, 6)
@@ -103,3 +106,125 @@ def test_bad_settings_end_in_a_sentence(tmp_path: Path, capsys: pytest.CaptureFi
     assert "particles is 3; give 30 to 10000" in " ".join(capsys.readouterr().err.split())
     assert infer.main([*told, "--estimator", "direct"]) == 2
     assert "is for --estimator online; leave it out" in " ".join(capsys.readouterr().err.split())
+
+
+GIVEN = "particles: 150\nbackground: keep\nthickness: 0.05\npins: pins.png\npath: given/path.csv\n"
+PINNED = 190
+"""Column from which the mask is white [px]."""
+
+
+def write_given(folder: Path, rows_told: str = "0,50,60,0.3\n0.2,40,66,0.28\n") -> list[str]:
+    """Settings with a mask and a path beside them; the options that name them."""
+    mask = np.zeros(tool_mask(0).shape, np.uint8)
+    mask[:, PINNED:] = 255
+    write(folder / "pins.png", mask)
+    (folder / "given").mkdir()
+    (folder / "given" / "path.csv").write_text(f"time_s,x_px,y_px,z\n{rows_told}")
+    (folder / "online.yaml").write_text(GIVEN)
+    return ["--estimator", "online", "--settings", str(folder / "online.yaml"), "--output", str(folder / "out")]
+
+
+@pytest.fixture(scope="module")
+def given(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results of a volume whose pins and gripper are given."""
+    folder = tmp_path_factory.mktemp("given")
+    told = write_given(folder)
+    assert infer.main([str(write_annotated(folder / "pulled", SHARES)), *told, "--no-overlay"]) == 0
+    return folder / "out"
+
+
+def test_a_volume_moves_with_the_path_of_its_gripper_and_keeps_volume_and_pins(given: Path) -> None:
+    with np.load(given / "pulled" / "fields.npz", allow_pickle=False) as fields:
+        rest, faces, tetrahedra = (
+            fields[f"run_10/{name}"].astype(np.float64) for name in ("rest", "faces", "tetrahedra")
+        )
+        states = [fields[f"frame_{number}/positions"].astype(np.float64) for number in range(10, 16)]
+        pixels = [fields[f"frame_{number}/pixels"].astype(np.float64) for number in range(10, 16)]
+    upper, tetrahedra = np.unique(faces.astype(int)), tetrahedra.astype(int)
+    assert len(rest) >= 2 * len(upper)
+    gripped = upper[np.linalg.norm(pixels[0][upper] - (50, 60), axis=1) < 24]
+    assert len(gripped) >= 2
+    for frame, share in enumerate(SHARES):
+        np.testing.assert_allclose(
+            (pixels[frame] - pixels[0])[gripped], share * np.tile([-10, 6], (len(gripped), 1)), atol=0.01
+        )
+        np.testing.assert_allclose((states[frame] - rest)[gripped, 2], -0.02 * share, atol=1e-6)
+    pinned = np.tile(pixels[0][upper, 0] > PINNED, len(rest) // len(upper))
+    assert pinned.any()
+    np.testing.assert_array_equal(states[-1][pinned], rest[pinned])
+    free = np.linalg.norm(states[-1] - rest, axis=1) > 1e-6
+    assert not free[pinned].any()
+    assert free[~pinned].mean() > 0.9
+    now, before = (
+        np.linalg.det(state[tetrahedra[:, 1:]] - state[tetrahedra[:, :1]]).sum() for state in (states[-1], rest)
+    )
+    assert now == pytest.approx(before, rel=0.02)
+
+
+def test_what_was_given_is_told_with_the_results(given: Path) -> None:
+    record = json.loads((given / "pulled" / "run.json").read_text())["estimator"]
+    assert record["thickness"] == 0.05
+    for name, file in (("pins", given.parent / "pins.png"), ("path", given.parent / "given" / "path.csv")):
+        assert record[name] == {"path": str(file), "sha256": hashlib.sha256(file.read_bytes()).hexdigest()}
+
+
+def test_a_mask_of_another_size_ends_one_clip_of_the_batch(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    told, clips = write_given(tmp_path), [write_annotated(tmp_path / name, np.zeros(2)) for name in ("narrow", "wide")]
+    for path in clips[0].iterdir():
+        write(path, cv2.imread(str(path))[:, :-16])
+    assert infer.main([*map(str, clips), *told, "--no-overlay"]) == 1
+    said = " ".join(capsys.readouterr().err.split())
+    assert (
+        "pins.png is 240x176, the clip's pictures are 224x176; give a mask of the size of the clip's pictures." in said
+    )
+    assert (tmp_path / "out" / "wide" / "run.json").exists()
+    assert not (tmp_path / "out" / "narrow").exists()
+
+
+def test_clouds_are_compared_with_the_surface_of_a_volume(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every particle of it that no tool hides, and none below."""
+    shown: list[np.ndarray] = []
+
+    def chamfer(cloud: np.ndarray, seen: np.ndarray) -> Chamfer:
+        shown.append(seen)
+        return Chamfer(cloud, seen)
+
+    monkeypatch.setattr(driven, "Chamfer", chamfer)
+    (tmp_path / "online.yaml").write_text(
+        "particles: 150\nthickness: 0.05\nmatch: chamfer\nbackground: keep\nfitted: 0\n"
+    )
+    told = ["--estimator", "online", "--settings", str(tmp_path / "online.yaml"), "--output", str(tmp_path / "out")]
+    assert infer.main([str(write_annotated(tmp_path / "clip", SHARES[:3])), *told, "--no-overlay"]) == 0
+    with np.load(tmp_path / "out" / "clip" / "fields.npz", allow_pickle=False) as fields:
+        upper, count = np.unique(fields["run_10/faces"]), len(fields["run_10/rest"])
+    assert len(shown) == 2
+    assert len(upper) <= count / 2
+    for seen in shown:
+        assert np.isin(seen, upper).all()
+        assert len(seen) > 0.9 * len(upper)
+
+
+@pytest.mark.parametrize(
+    ("rows_told", "status", "sentence"),
+    [
+        ("0,50,60,1\n", 2, "path.csv has 1 rows; give a CSV file with the columns time_s, x_px, y_px, z"),
+        ("0,50,60,300\n0.2,50,60,280\n", 1, "path.csv takes tissue behind the camera by 0.04 s; give z in scene units"),
+        (
+            "0,200,900,1\n0.2,200,900,1\n",
+            0,
+            "px away from all tissue in frame 10, when contact begins; give the gripper",
+        ),
+        ("0.1,50,60,1\n0.2,50,60,1\n", 0, "path.csv tells no place at 0 s, when contact begins in frame 10; give rows"),
+    ],
+)
+def test_a_path_that_can_t_be_used_is_a_sentence(
+    tmp_path: Path, capsys: pytest.CaptureFixture, rows_told: str, status: int, sentence: str
+) -> None:
+    """A broken file before anything; one that a clip can't follow with that clip; one that begins late with its run."""
+    told, clip = write_given(tmp_path, rows_told), write_annotated(tmp_path / "clip", SHARES[:2])
+    assert infer.main([str(clip), *told, "--no-overlay"]) == status
+    said = " ".join(capsys.readouterr().err.split())
+    if status == 0:
+        (run,) = rows(tmp_path / "out" / "clip", "interactions.csv")
+        said = run["detail"]
+    assert sentence in said

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimators.online.fitting import FOUNDATIONS, Fit, fit_motion
+from estimators.online.fitting import FOUNDATIONS, Fit, fit_motion, uniform
 from physics.load import Grip
 from physics.pbd.simulation import Stepping, simulate
 from physics.pbd.stiffness import Stiffness
-from tests.physics.pbd.particles import sheet
+from tests.physics.pbd.particles import block, sheet
 
 BODY = sheet(6, 5, pinned_rows=1)
 STEPPING, STIFFNESS = Stepping(iterations=10), 2.0
@@ -53,3 +53,16 @@ def test_the_error_is_a_share_of_the_motion() -> None:
 def test_nothing_is_fitted_where_nothing_moves() -> None:
     assert fit_motion(BODY, grip(), np.zeros((4, 15, 2)), shown, STEPPING, STIFFNESS) is None
     assert fit_motion(BODY, grip(), np.full((4, 15, 2), np.nan), shown, STEPPING, STIFFNESS) is None
+
+
+def test_a_volume_moves_alike_in_any_unit() -> None:
+    """Of volumes the stiffness is the paper's 10¹⁰ where edges are as long as its blocks', and goes with the unit."""
+    states = []
+    for unit in (1.0, 1000.0):
+        body = block((3, 2, 2), 0.0075 * unit)
+        pinned = body.holding(body.rest[:, 0] < 1e-9)
+        stiffness = uniform(pinned, 1.0, 0.01)
+        grip = Grip(np.array([body.count - 1]), unit * np.array([[[0.004, 0.0, 0.006]]] * 3))
+        states.append(simulate(pinned, stiffness, grip, STEPPING).positions[0, -1] / unit)
+        assert 1e9 < stiffness.volume * unit**4 < 1e11
+    np.testing.assert_allclose(states[0], states[1], atol=1e-6)

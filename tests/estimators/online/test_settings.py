@@ -31,6 +31,12 @@ def test_what_a_file_leaves_out_keeps_its_default(told) -> None:
     assert found == expected
 
 
+def test_files_lie_beside_the_settings(told, tmp_path: Path) -> None:
+    found = told("pins: pins.png\npath: given/path.csv\n")
+    assert found == OnlineSettings(pins=str(tmp_path / "pins.png"), path=str(tmp_path / "given" / "path.csv"))
+    assert told(f"path: {tmp_path / 'path.csv'}\n").path == str(tmp_path / "path.csv")
+
+
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
@@ -41,6 +47,10 @@ def test_what_a_file_leaves_out_keeps_its_default(told) -> None:
         ("particles: many", "online.yaml gives particles 'many'; give a whole number"),
         ("particles: 3", "particles is 3; give 30 to 10000"),
         ("fitted: 51", "fitted is 51; give 0 to 50 frames"),
+        ("thickness: 0.0", "thickness is 0.0; give a positive length, or null for a sheet"),
+        ("thickness: thick", "online.yaml gives thickness 'thick'; give a number or null"),
+        ('pins: "a\\0.png"', "pins holds a NUL, which no file's name does"),
+        ("path: 3", "online.yaml gives path 3; give text or null"),
         ("points: 0", "points is 0; give 1 at least"),
         ("strain: -0.1", "strain is -0.1; give 0 or more"),
         ("match: colours", "online.yaml gives match 'colours'; give one of tracks, chamfer, both"),

@@ -116,10 +116,19 @@ def test_the_door_writes_skill_and_a_picture(clip: PulledClip, tmp_path: Path) -
     assert len((tmp_path / "figures" / "1.png").read_bytes()) > 10_000
 
 
+def test_a_volume_is_predicted_by_what_is_seen_of_it(clip: PulledClip, found: Prediction) -> None:
+    thick = evaluate_prediction(clip, OnlineSettings(particles=200, thickness=0.1))
+    places, stiffness, known = thick.fields
+    assert thick.measures["particles"] >= 2 * len(places)
+    assert len(places) == len(stiffness) == len(known)
+    assert thick.measures["points from frame 3"] == pytest.approx(found.measures["points from frame 3"], rel=0.2)
+    assert thick.measures["skill from frame 3, online"] > 0.4
+
+
 def test_settings_that_can_t_be_used_end_in_a_sentence(
     clip: PulledClip, tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
-    (tmp_path / "online.yaml").write_text("speed: 1\n")
+    (tmp_path / "online.yaml").write_text("pins: pins.png\n")
     told = [
         "--pulled",
         str(clip.frames),
@@ -128,6 +137,9 @@ def test_settings_that_can_t_be_used_end_in_a_sentence(
         "--output",
         str(tmp_path / "out"),
     ]
+    assert main([*told, "--estimator", "online"]) == 2
+    assert "online.yaml names a file of pins, which is for infer.py" in " ".join(capsys.readouterr().err.split())
+    (tmp_path / "online.yaml").write_text("speed: 1\n")
     assert main([*told, "--estimator", "online"]) == 2
     assert "has the unknown key 'speed'" in " ".join(capsys.readouterr().err.split())
     with pytest.raises(SystemExit) as ended:

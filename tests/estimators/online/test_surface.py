@@ -1,0 +1,106 @@
+"""Volumes of particles below the tissue of a frame, and what a mask pins of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from estimators.estimate import NoEstimate
+from estimators.online.given import GripperPath, Pins
+from estimators.online.surface import Surface, make_surface
+from tests.estimators.online.test_driven import CAMERA, DEPTH, GEOMETRY, HEIGHT, PER_PIXEL, WIDTH, first_frame
+
+THICKNESS, PARTICLES = 0.1, 300
+
+
+@pytest.fixture(scope="module")
+def volume() -> Surface:
+    return make_surface(first_frame(), CAMERA, GEOMETRY, PARTICLES, THICKNESS)
+
+
+def right_pins(beyond: int) -> Pins:
+    """What lies right of a column."""
+    return Pins(Path("pins.png"), np.broadcast_to(np.arange(WIDTH) > beyond, (HEIGHT, WIDTH)))
+
+
+def test_layers_lie_along_the_normal_as_far_apart_as_particles_are(volume: Surface) -> None:
+    rest, count = volume.body.rest, len(volume.seen)
+    layers = len(rest) // count
+    assert 0.7 * PARTICLES < len(rest) < 1.3 * PARTICLES
+    np.testing.assert_array_equal(volume.seen, np.arange(count))
+    for layer, places in enumerate(rest.reshape(layers, count, 3)):
+        np.testing.assert_allclose(places[:, :2], rest[:count, :2], atol=1e-6)
+        np.testing.assert_allclose(places[:, 2], DEPTH + THICKNESS * layer / (layers - 1), atol=1e-6)
+    across = PER_PIXEL * np.sqrt(WIDTH * HEIGHT / count)
+    assert 0.6 < across / (THICKNESS / (layers - 1)) < 1.6
+    one, two, three = rest[volume.faces].transpose(1, 0, 2)
+    area = np.linalg.norm(np.cross(two - one, three - one), axis=1).sum() / 2
+    assert volume.body.layout.rest[volume.body.kinds[1]].sum() == pytest.approx(THICKNESS * area, rel=1e-6)
+    np.testing.assert_allclose(volume.project(rest), volume.pixels, atol=1e-9)
+
+
+def test_the_tool_moves_the_surface_and_the_edge_is_pinned_through(volume: Surface) -> None:
+    count = len(volume.seen)
+    sheet = make_surface(first_frame(), CAMERA, GEOMETRY, PARTICLES * count // len(volume.body.rest))
+    assert volume.gripped.max() < count
+    np.testing.assert_array_equal(volume.gripped, sheet.gripped)
+    for layer in volume.body.pinned.reshape(-1, count):
+        np.testing.assert_array_equal(layer, sheet.body.pinned)
+    lowest = volume.body.pinned[-count:]
+    assert 0 < lowest.sum() < 0.5 * count
+
+
+def test_a_bent_surface_is_followed_along_smoothed_normals() -> None:
+    """Of a cylinder along the rows, whose axis is behind it; and bumps finer than the volume is thick don't matter."""
+    frame = first_frame()
+    columns = np.arange(frame.depth.shape[1])
+    bent = 0.5 + 0.25 * (1 - np.sqrt(1 - np.square((columns - 59.5) / 120)))
+    bumps = np.random.default_rng(0).normal(0, 0.002, frame.depth.shape)
+    for depth in (bent + 0 * bumps, bent + bumps):
+        frame.depth = depth.astype(np.float32)
+        found = make_surface(frame, CAMERA, GEOMETRY, PARTICLES, THICKNESS)
+        rest, count = found.body.rest, len(found.seen)
+        below = rest[-count:] - rest[:count]
+        np.testing.assert_allclose(np.linalg.norm(below, axis=1), THICKNESS, rtol=1e-6)
+        side = np.abs(rest[:count, 0]) > 0.1
+        inward = -np.sign(rest[:count, 0]) * below[:, 0]
+        assert (inward[side] > 0).all()
+        assert inward[side].mean() > 0.01
+
+
+def test_white_is_pinned_with_all_below_and_nothing_else(volume: Surface) -> None:
+    pins = right_pins(200)
+    for thickness in (None, THICKNESS):
+        found = make_surface(first_frame(), CAMERA, GEOMETRY, PARTICLES, thickness, pins)
+        upper = found.pixels[found.seen, 0] > 200.5
+        assert upper.any()
+        np.testing.assert_array_equal(found.body.pinned, np.tile(upper, len(found.body.rest) // len(found.seen)))
+
+
+def test_what_the_tool_holds_is_not_pinned() -> None:
+    everywhere = Pins(Path("pins.png"), np.ones((HEIGHT, WIDTH), bool))
+    found = make_surface(first_frame(), CAMERA, GEOMETRY, PARTICLES, None, everywhere)
+    np.testing.assert_array_equal(np.flatnonzero(~found.body.pinned), found.gripped)
+
+
+def test_a_mask_that_pins_no_tissue_is_a_sentence() -> None:
+    nowhere = Pins(Path("pins.png"), np.zeros((HEIGHT, WIDTH), bool))
+    sentence = r"pins\.png is white at none of the \d+ particles of free tissue in frame 7; paint wider areas there\."
+    with pytest.raises(NoEstimate, match=sentence):
+        make_surface(first_frame(), CAMERA, GEOMETRY, PARTICLES, None, nowhere)
+
+
+@pytest.mark.parametrize(("particles", "several"), [(PARTICLES, True), (30, False)])
+def test_the_tissue_where_a_path_begins_is_gripped_and_the_rest_is_not(particles: int, several: bool) -> None:
+    """Within 24 px of it, or the nearest particle where none is; the instrument's mask doesn't count then."""
+    before = make_surface(first_frame(), CAMERA, GEOMETRY, particles, THICKNESS)
+    face = before.pixels[before.faces[-1]]
+    place = 0.52 * face[0] + 0.48 * face[np.linalg.norm(face - face[0], axis=1).argmax()]
+    path = GripperPath(Path("path.csv"), np.array([0.0, 1.0]), np.array([[*place, 0.5]] * 2))
+    found = make_surface(first_frame(), CAMERA, GEOMETRY, particles, THICKNESS, path=path)
+    apart = np.linalg.norm(found.pixels[found.seen] - place, axis=1)
+    assert (apart.min() < 24) == several
+    np.testing.assert_array_equal(found.gripped, np.flatnonzero(apart < 24) if several else [apart.argmin()])
+    assert not found.body.pinned[found.gripped].any()

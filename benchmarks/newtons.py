@@ -17,6 +17,7 @@ if __name__ == "__main__":
 import argparse
 import csv
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -149,7 +150,7 @@ def judge(results: Path, truths: dict[str, Truth], known: str, table: FileTable)
         measures = {"force / truth - 1": value / truth.force - 1, "within the 90 % interval": of_door[-1][1]}
         table.add(name, measures | {"determined": sure})
     table.add(f"others, the force of {known} known", _summary(of_door))
-    in_turn = []
+    in_turn, pairs = [], []
     for name, run in runs.items():
         try:
             scale = scale_by_force([run], [(run.onset_frame, measured_force(truths[name]), MEASURED)], MASS, name)
@@ -164,7 +165,23 @@ def judge(results: Path, truths: dict[str, Truth], known: str, table: FileTable)
             spread = told.log_sd
             inside = spread is not None and abs(off) < NINETY * spread[2]
             in_turn.append((off, inside, "force" in told.determined))
-    table.add("others, each clip's force known in turn", _summary(in_turn))
+            pairs.append((name, other))
+    chance = {}
+    if len(set(pairs)) > 2:  # three clips
+        inside = [holds for _, holds, _ in in_turn]
+        chance["all: 90 % intervals hold, standard deviation"] = _over_clips(pairs, inside)
+    table.add("others, each clip's force known in turn", _summary(in_turn) | chance)
+
+
+def _over_clips(pairs: Sequence[tuple[str, str]], holds: Sequence[bool]) -> float:
+    """Standard deviation of the share of pairs that hold: they share clips, so that one is left out at a time.
+
+    The jackknife (Efron & Tibshirani 1993, chapter 11).
+    """
+    ends, held = np.array(pairs), np.array(holds)
+    clips = np.unique(ends)
+    shares = np.array([held[(ends != clip).all(axis=1)].mean() for clip in clips])
+    return math.sqrt((len(clips) - 1) * shares.var())
 
 
 def _summary(found: list[tuple[float, bool, bool]]) -> dict[str, object]:

@@ -73,7 +73,12 @@ def test_every_clip_s_force_is_known_in_turn(judged: dict[tuple[object, object],
     assert judged[whole, "forces"] == 6
     assert judged[whole, "determined: median error"] == pytest.approx(np.median(np.abs(np.expm1(off))), rel=1e-6)
     wide = NINETY * math.sqrt(2 * SD**2 + MEASURED**2)
-    assert judged[whole, "all: 90 % intervals hold"] == pytest.approx((np.abs(off) < wide).mean())
+    holds = np.abs(off) < wide
+    assert judged[whole, "all: 90 % intervals hold"] == pytest.approx(holds.mean())
+    # Without a: b and c; without b: a and c; without c: a and b.
+    left = [holds[[3, 5]].mean(), holds[[1, 4]].mean(), holds[[0, 2]].mean()]
+    spread = math.sqrt(2 / 3 * np.square(left - np.mean(left)).sum())
+    assert 0 < spread == pytest.approx(judged[whole, "all: 90 % intervals hold, standard deviation"])
 
 
 def test_clips_without_a_press_of_known_force_are_left_out(tmp_path: Path) -> None:

@@ -7,15 +7,16 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from estimators.palpation.bench import SHOWN, Bench, Palpation, beside_the_tool
-from estimators.palpation.material_fit import POISSON, FitSettings, MaterialFit, begun
+from estimators.palpation.material_fit import POISSON, FitSettings, MaterialFit
 from estimators.palpation.registration import placed, register
 from estimators.palpation.skin import Match, Skin
 from physics.fem import Equilibrium, NoEquilibrium
 
 STEP = 1e-3
 """Of log E or ν, below which none is tried."""
-ASIDE = 0.01
-"""By how much log E and ν are moved for the gradient."""
+ASIDE = 1e-4
+"""By how much log E and ν are moved for the gradient. By a hundredth, half of it times the curvature by E outweighs the
+gradient within half a percent of a valley's floor, and no step goes down there any more."""
 
 
 def descend(
@@ -31,8 +32,9 @@ def descend(
     The error is equation 3's, summed over points that show no tool: those are chosen once, and the very same are what
     ICP lays onto the simulated surface. ICP makes the error least over the pose, so that differences at the pose of the
     step's beginning are its gradient; points that come and go would roughen it, as would other points to align by. The
-    step is halved until the error falls and doubled afterwards; E in logarithms, because in pascals no step suits both.
-    It ends where no step of STEP or more lowers the error, or at `most` simulations.
+    paper's step length λ is not told: here it is halved until the error falls and doubled afterwards; E in logarithms,
+    because in pascals no step suits both. It begins at the E that is given, and four times stiffer as often as the
+    body can't bear the force there; it ends where no step of STEP or more lowers the error, or at `most` simulations.
 
     Args: see `fit_material`.
     """
@@ -58,21 +60,21 @@ def descend(
             total += float(np.square(apart).mean())
         return total, rests, found
 
-    # No softer than that the linear law moves the body by a little.
-    values[0] -= min(0.0, np.log(begun(bench, settings.young, float(values[1]))[1]))
     error, rests, aligned = simulated(values)
     while not np.isfinite(error):  # too soft to bear the force
         if bench.solves >= most:
             raise NoEquilibrium("the body bears the forces at no stiffness that was tried; give a stiffer start.")
         values[0] += np.log(4)
         error, rests, aligned = simulated(values)
-    length, steps = 1.0, 0
+    path = [bench.progress(np.exp(values[0]), values[1])]
+    length = 1.0
     while bench.solves < most:
-        steps += 1
         starts, poses = [rest.displacement for rest in rests], aligned
         sides = [np.array([ASIDE, 0.0]), np.array([0.0, ASIDE if values[1] + ASIDE < POISSON[1] else -ASIDE])]
         gradient = np.array([(simulated(values + side, aligned=False)[0] - error) / side.sum() for side in sides])
         gradient[~np.isfinite(gradient)] = 0.0  # where nothing rests there is nothing to learn
+        if values[1] == POISSON[0 if gradient[1] > 0 else 1]:
+            gradient[1] = 0.0  # ν would leave its range
         direction = -gradient / max(float(np.abs(gradient).max()), 1e-300)
         fell = False
         while bench.solves < most and length > STEP:
@@ -86,9 +88,9 @@ def descend(
         if not fell:
             break
         (error, rests, aligned), values, length = found, aim, 2 * length
-        told(f"step {steps}: E {np.exp(values[0]):.4g} Pa, ν {values[1]:.3f}, {bench.solves} solves")
-    nothing = np.full((2, 2), np.nan)
+        path.append(bench.progress(np.exp(values[0]), values[1]))
+        told(f"step {len(path) - 1}: E {path[-1].young:.4g} Pa, ν {values[1]:.3f}, {bench.solves} solves")
+    path.append(bench.progress(np.exp(values[0]), values[1]))  # with what the last search took
     noise = float(np.sqrt(error / len(palpations)))
-    return MaterialFit(
-        float(np.exp(values[0])), float(values[1]), nothing, list(aligned), list(rests), noise, bench.solves, steps
-    )
+    nothing = np.full((2, 2), np.nan)
+    return MaterialFit(path[-1].young, path[-1].poisson, nothing, list(aligned), list(rests), noise, path)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimators.palpation.bench import GRAZING, OUTLIER, Bench, Palpation
+from estimators.palpation.bench import GRAZING, OUTLIER, Bench, Palpation, Progress
 from estimators.palpation.registration import turned
 from estimators.palpation.skin import Skin
 from physics.fem import Equilibrium, NoEquilibrium
@@ -75,9 +75,13 @@ class MaterialFit:
     """The body under each force, as it was simulated last."""
     noise: float
     """Root mean square distance that is left [m]."""
-    solves: int
-    """Equilibria that were computed."""
-    steps: int
+    path: list[Progress]
+    """The estimate after every step, the end last."""
+
+    @property
+    def solves(self) -> int:
+        """Equilibria that were computed."""
+        return self.path[-1].solves
 
     @property
     def young_sd(self) -> float:
@@ -97,12 +101,20 @@ class MaterialFit:
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """How a press moves the surface close to what was simulated."""
+    """How a press moves the body close to what was simulated."""
 
     moved: np.ndarray
-    """Displacement of the vertices, shape [V, 3] [m]."""
+    """Displacement of the surface's vertices, shape [V, 3] [m]."""
     slopes: np.ndarray
     """Its derivatives by relative compliance, E's inverse over that simulated, and by ν, shape [V, 3, 2] [m]."""
+    nodes: np.ndarray
+    """Displacement of the body's nodes, shape [N, 3] [m]."""
+    node_slopes: np.ndarray
+    """Its derivatives likewise, shape [N, 3, 2] [m]."""
+
+    def predicted(self, change: np.ndarray) -> np.ndarray:
+        """Displacement of the nodes with a change of relative compliance and ν, shape [N, 3] [m]."""
+        return self.nodes + self.node_slopes @ change
 
 
 def fit_material(
@@ -130,12 +142,13 @@ def fit_material(
     rests, scale = begun(bench, settings.young, poisson)
     young = settings.young / scale
     system = found = _System(bench, _states(bench, rests, scale), np.zeros(2), bench.poses, poisson).solved()
+    path = [_told(bench, young, poisson, found)]
     steps, trust, stiffer = 0, 1.0, 1.0
     while True:
         aim = stiffer * young / (1 + trust * found.change[0]), poisson + trust * float(found.change[1])
         starts: list[np.ndarray | None] = [None] * len(palpations)
         if steps:
-            starts = [young / aim[0] * rest.displacement for rest in rests]
+            starts = [state.predicted(trust * found.change) for state in found.states]
         try:
             tried = bench.rest(*aim, starts)
         except NoEquilibrium:
@@ -156,20 +169,17 @@ def fit_material(
         found = system.solved()
         # Close to ν = 0.5 derivatives change with ν, and whole steps go to and fro.
         trust = trust / 2 if steps > 1 and gone @ found.change < -TURNED * gone @ gone else 1.0
+        path.append(_told(bench, young, poisson, found))
         told(f"step {steps}: E {young:.4g} Pa, ν {poisson:.3f}, {1000 * found.noise:.3g} mm left")
         if found.still() or steps == ROUNDS:
             break
-    young, poisson = young / (1 + found.change[0]), poisson + float(found.change[1])
-    return MaterialFit(
-        float(young),
-        poisson,
-        found.covariance(settings.model_error),
-        found.poses,
-        rests,
-        found.noise,
-        bench.solves,
-        steps,
-    )
+    covariance = found.covariance(settings.model_error)
+    return MaterialFit(path[-1].young, path[-1].poisson, covariance, found.poses, rests, found.noise, path)
+
+
+def _told(bench: Bench, young: float, poisson: float, found: _System) -> Progress:
+    """By the derivatives, from what was simulated."""
+    return bench.progress(young / (1 + found.change[0]), poisson + found.change[1])
 
 
 def begun(bench: Bench, young: float, poisson: float) -> tuple[list[Equilibrium], float]:
@@ -197,12 +207,13 @@ def _states(bench: Bench, rests: Sequence[Equilibrium], scale: float) -> list[_S
     for rest in rests:
         if id(rest) in states:  # one press seen several times
             continue
-        by_young, by_poisson = np.moveaxis(rest.tangents()[0], -1, 0)
+        by_young, by_poisson = np.moveaxis(bench.slopes(rest), -1, 0)
         # E/a, of which ∂/∂a at 1 is -E ∂/∂E.
         slopes = np.stack([-float(np.mean(rest.material.young)) * by_young, by_poisson], axis=-1)
         on_skin = bench.skin.shares @ slopes.reshape(len(slopes), -1)
         moved = bench.skin.shares @ rest.displacement
-        states[id(rest)] = _State(scale * moved, scale * on_skin.reshape(-1, 3, 2))
+        surface = scale * moved, scale * on_skin.reshape(-1, 3, 2)
+        states[id(rest)] = _State(*surface, scale * rest.displacement, scale * slopes)
     return [states[id(rest)] for rest in rests]
 
 

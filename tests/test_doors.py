@@ -31,6 +31,7 @@ DOORS = {
     "evaluation.next_depth": ["-m", "evaluation.next_depth"],
     "evaluation.online.__main__": ["-m", "evaluation.online"],
     "evaluation.palpation.__main__": ["-m", "evaluation.palpation"],
+    "evaluation.palpation.descents": ["-m", "evaluation.palpation.descents"],
     "evaluation.palpation.design": ["-m", "evaluation.palpation.design"],
     "evaluation.palpation.frank": ["-m", "evaluation.palpation.frank"],
     "evaluation.paper.readings": ["-m", "evaluation.paper.readings"],

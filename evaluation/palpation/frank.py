@@ -3,9 +3,9 @@
     python -m evaluation.palpation.frank --output OUT [--body ball|slab] [--quick]
 
 A ball and a slab of neo-Hookean tissue on a finer mesh are pressed and seen from one side by two sensors; E and ν are
-fitted by the co-rotational law, from starts a factor of thirty off, by Gauss–Newton and by the paper's numeric descent.
-Writes table.csv (file, measure, value) and the paper's figures: error_mask.png (4), six_forces.png (5) and
-error_surface.png (the error over E and ν).
+fitted by the co-rotational law, from starts a factor of thirty off (by the paper's numeric descent: `descents`). Writes
+table.csv (file, measure, value) and the paper's figures: error_mask.png (4), six_forces.png (5) and error_surface.png
+(the error over E and ν).
 """
 
 from __future__ import annotations
@@ -29,7 +29,6 @@ from data.command_line import path_option, say
 from estimators.estimate import NINETY
 from estimators.palpation import FitSettings, Palpation, Skin, fit_material
 from estimators.palpation.bench import surface_error
-from estimators.palpation.descent import descend
 from estimators.palpation.registration import placed
 from evaluation.file_table import FileTable
 from evaluation.page import as_png
@@ -55,11 +54,7 @@ EDGE, TRUE_EDGE = {"ball": 0.7 * TOOL, "slab": 0.6 * TOOL}, {"ball": 0.5 * TOOL,
 """Longest of an element where the tool presses [m]; of the truth's as well."""
 SPACING, TRUE_SPACING = 1 / 56, 1 / 64
 """Of the scanned surface, over the body's size."""
-PLAIN = 7
-"""Cells of the mesh without shorter elements, on which the numeric descent is compared: it takes a hundred solves."""
 STARTS = (30.0, 1 / 30)
-MOST = 300
-"""Equilibria of the numeric descent; one that has not arrived by then has failed."""
 SEED = 73500
 """Of the first press's noise; those after it follow."""
 
@@ -89,14 +84,13 @@ def main(arguments: list[str] | None = None) -> int:
         table = FileTable(options.output, console)
         for name in ("slab",) if options.quick else (options.body,) if options.body else BODIES:
             coarse = options.quick
-            truths = [_truth(name, force, coarse) for force in FORCES[-1 if coarse else 0 :]]
+            truths = [true_press(name, force, coarse) for force in FORCES[-1 if coarse else 0 :]]
             skin, held = _fitted_by(name, coarse)
             for sensor in ("stereo",) if coarse else SENSORS:
                 truths_seen = truths * (1 if coarse else PICTURES.get((name, sensor), 1))
                 seen = [observe(*truth, sensor, SEED + number) for number, truth in enumerate(truths_seen)]
                 _starts(f"{name}, {sensor}", skin, held, seen, len(truths), table)
                 say(console, f"{name}, {sensor}: fitted")
-            _descents(name, coarse, table)
         if options.quick or options.body != "slab":
             name = "slab" if options.quick else "ball"
             _write(options.output, _paper(name, options.quick, table))
@@ -108,7 +102,8 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 @cache
-def _truth(name: str, force: float, coarse: bool) -> tuple[Skin, Equilibrium, np.ndarray, np.ndarray]:
+def true_press(name: str, force: float, coarse: bool) -> tuple[Skin, Equilibrium, np.ndarray, np.ndarray]:
+    """The truth of a body under a force [N], as `press` gives it, on a coarse mesh if told so."""
     body = BODIES[name]
     if coarse:
         return press(body, YOUNG, POISSON, force, PLACE[name], 5)
@@ -140,35 +135,12 @@ def _starts(
         table.add(f"{label}, {presses} presses, {len(seen)} pictures, start E × {start:.3g}", measures)
 
 
-def _descents(name: str, coarse: bool, table: FileTable) -> None:
-    """The paper's descent beside Gauss–Newton, on one palpation, each to its own end."""
-    body, seen = BODIES[name], observe(*_truth(name, FORCES[-1], coarse), "stereo", SEED)
-    undivided = around(body.contact(*PLACE[name])[0][None], TOOL, body.size)
-    plain = body.skin(4 if coarse else PLAIN, body.size / 24, undivided)
-    for start in STARTS[-1:] if coarse else STARTS:
-        settings = FitSettings(young=YOUNG * start)
-        exact = fit_material(*plain, [seen], settings)
-        numeric = descend(*plain, [seen], settings, most=MOST)
-        near = abs(numeric.young / exact.young - 1) < 0.05 and abs(numeric.poisson - exact.poisson) < 0.05
-        compared = {
-            "Gauss–Newton: E / truth - 1": exact.young / YOUNG - 1,
-            "Gauss–Newton: ν - truth": exact.poisson - POISSON,
-            "Gauss–Newton: equilibria": exact.solves,
-            "descent: E / truth - 1": numeric.young / YOUNG - 1,
-            "descent: ν - truth": numeric.poisson - POISSON,
-            "descent: equilibria": numeric.solves,
-            "descent: arrived within 5 % of Gauss–Newton's E and 0.05 of its ν": "yes" if near else "no",
-            "equilibria, descent / Gauss–Newton": numeric.solves / exact.solves,
-        }
-        table.add(f"{name}, stereo, one palpation, start E × {start:.3g}", compared)
-
-
 def _paper(name: str, coarse: bool, table: FileTable) -> dict[str, bytes]:
     """The paper's figures."""
     skin, held = _fitted_by(name, coarse)
     found = []
     for number, force in enumerate(SIX[:2] if coarse else SIX):
-        seen = observe(*_truth(name, force, coarse), "stereo", SEED + 10 + number)
+        seen = observe(*true_press(name, force, coarse), "stereo", SEED + 10 + number)
         found.append(fit_material(skin, held, [seen], FitSettings(young=YOUNG / 30)))
     exact = found[-1]
     values = np.array([fit.young for fit in found])

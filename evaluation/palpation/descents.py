@@ -3,9 +3,11 @@
     python -m evaluation.palpation.descents --output OUT [--body ball|slab]
 
 One palpation of a ball and of a slab, with a truth as that of `frank`, is fitted by both from starts a factor of thirty
-off: the descent walks from there, Gauss–Newton begins with a solve by the linear law, which counts. Equilibria and
-linear systems are told until E is near where Gauss–Newton ends on that mesh and stays there, and until each method's
-own end. Writes table.csv (file, measure, value).
+off: the descent walks from there, Gauss–Newton begins with a solve by the linear law, which counts. Where the body
+bears the force only turned inside out, the descent begins four times stiffer, as often as that takes. Equilibria and
+linear systems are told until E is near where that method ends on that mesh and stays there, and until that end. They
+end apart, as they measure distances otherwise; but a descent whose error is larger at its end than where Gauss–Newton
+ends has stopped short, and never arrives. Writes table.csv (file, measure, value).
 """
 
 from __future__ import annotations
@@ -19,15 +21,17 @@ import argparse
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 
 from data.command_line import path_option, say
-from estimators.palpation import FitSettings, fit_material
-from estimators.palpation.bench import Progress
+from estimators.palpation import FitSettings, Palpation, Skin, fit_material
+from estimators.palpation.bench import Bench, Progress
 from estimators.palpation.descent import descend
 from evaluation.file_table import FileTable
 from evaluation.palpation.frank import FORCES, PLACE, POISSON, STARTS, YOUNG, true_press
 from evaluation.palpation.synthetic import BODIES, TOOL, observe
+from physics.fem import NoEquilibrium
 from physics.fem.refinement import around
 from results.store import OutputError
 
@@ -37,10 +41,12 @@ takes a hundred solves."""
 POINTS = 5000
 """That are seen: with every simulation of the descent, ICP lays all of them onto the surface."""
 NEAR = 0.05
-"""How close E is to come, and to stay, to where Gauss–Newton ends."""
+"""How close E is to come, and to stay, to where its method ends."""
+LARGER = 1e-4
+"""Share by which the root mean square error may be larger at the descent's end: ICP's rest, with room."""
 MOST = 150
 """Equilibria of the descent; one that has not arrived by then has failed."""
-SEED = 81900
+SEED = 82300
 """Of the sensor's noise."""
 
 
@@ -78,27 +84,47 @@ def compare(name: str, table: FileTable) -> None:
     undivided = around(body.contact(*PLACE[name])[0][None], TOOL, body.size)
     skin, held = body.skin(CELLS, SPACING * body.size, undivided)
     for start in STARTS:
-        settings = FitSettings(young=YOUNG * start)
-        exact = fit_material(skin, held, [seen], settings)
-        numeric = descend(skin, held, [seen], settings, most=MOST)
-        found: dict[str, object] = {"descent: E that it could begin at / truth": numeric.path[0].young / YOUNG}
+        exact = fit_material(skin, held, [seen], FitSettings(young=YOUNG * start))
+        begun = _bearing(skin, held, seen, YOUNG * start)
+        numeric = descend(skin, held, [seen], FitSettings(young=begun), most=MOST)
+        found: dict[str, object] = {"descent: E that it could begin at / truth": begun / YOUNG}
         for method, fit in (("Gauss–Newton", exact), ("descent", numeric)):
             found[f"{method}: E / truth - 1"] = fit.young / YOUNG - 1
             found[f"{method}: ν - truth"] = fit.poisson - POISSON
-        near = [arrival(fit.path, exact.young) for fit in (exact, numeric)]
-        ends = exact.path[-1], numeric.path[-1]
-        found |= _counted(f"E within {NEAR:.0%}", near[0] or ends[0], near[1] or ends[1], near[1] is not None)
-        found |= _counted("the end", *ends)
+        there = FitSettings(young=exact.young, poisson=exact.poisson)
+        larger = numeric.noise / descend(skin, held, [seen], there, most=1).noise - 1
+        found["descent: error at its end over that where Gauss–Newton ends, less 1"] = larger
+        arrived = larger < LARGER
+        found |= _counted(f"E within {NEAR:.0%}", arrival(exact.path), arrival(numeric.path), arrived)
+        found |= _counted("the end", exact.path[-1], numeric.path[-1], arrived)
         table.add(f"{name}, start E × {start:.3g}", found)
 
 
-def arrival(path: Sequence[Progress], young: float) -> Progress | None:
-    """Since when E has stayed near that [Pa]; none = it ends elsewhere."""
-    after = max((number for number, each in enumerate(path, start=1) if abs(each.young / young - 1) > NEAR), default=0)
-    return path[after] if after < len(path) else None
+def _bearing(skin: Skin, held: np.ndarray, seen: Palpation, young: float) -> float:
+    """E [Pa], or four times that as often as it takes, at which the body bears the force without turning inside out.
+
+    The co-rotational law finds rest beyond: a ball of 10 cm whose surface goes 20 cm through its floor.
+    """
+    bench, poisson = Bench(skin, held, [seen], FitSettings.law), FitSettings.poisson
+    while True:
+        try:
+            (rest,) = bench.rest(young, poisson, [None])
+            if np.linalg.det(skin.body.deformation(rest.displacement)).min() > 0:
+                return young
+        except NoEquilibrium:
+            pass
+        young *= 4
 
 
-def _counted(until: str, exact: Progress, numeric: Progress, arrived: bool = True) -> dict[str, object]:
+def arrival(path: Sequence[Progress]) -> Progress:
+    """Since when E has stayed near its last value."""
+    end = path[-1].young
+    return path[
+        max((number for number, each in enumerate(path, start=1) if abs(each.young / end - 1) > NEAR), default=0)
+    ]
+
+
+def _counted(until: str, exact: Progress, numeric: Progress, arrived: bool) -> dict[str, object]:
     """Solves of both methods, and their ratios unless the descent never arrives."""
     found: dict[str, object] = {}
     for unit, word in (("solves", "equilibria"), ("systems", "linear systems")):

@@ -9,7 +9,7 @@ import pytest
 
 from estimators.palpation import FitSettings, Palpation, Skin, fit_material
 from estimators.palpation.bench import Bench
-from estimators.palpation.material_fit import information
+from estimators.palpation.material_fit import _states, information
 from estimators.palpation.registration import MOST_ALIGNED, placed, thinned
 from evaluation.palpation.synthetic import BODIES, observe, press
 
@@ -43,6 +43,33 @@ def test_a_start_however_far_off_ends_at_the_same_place_after_as_many_simulation
     assert one.young == pytest.approx(two.young, rel=1e-6)
     assert one.poisson == pytest.approx(two.poisson, abs=1e-6)
     assert one.solves == two.solves <= 6
+
+
+def test_the_next_simulation_begins_where_derivatives_say(slab: tuple[Skin, np.ndarray, Palpation]) -> None:
+    """What they are off by goes with the square of the change; from there fewer Newton steps lead to rest."""
+    skin, held, seen = slab
+    bench = Bench(skin, held, [seen], "corotational")
+    (rest,) = bench.rest(1e4, 0.4, [None])
+    (state,) = _states(bench, [rest], 1.0)
+    assert (bench.solves, bench.systems) == (1, rest.iterations + 1)
+    off = []
+    for change in (np.array([0.02, 0.01]), np.array([0.01, 0.005])):
+        begun = state.predicted(change)
+        (there,) = bench.rest(1e4 / (1 + change[0]), 0.4 + change[1], [begun])
+        off.append(np.abs(begun - there.displacement).max() / np.abs(rest.displacement).max())
+        (plain,) = bench.rest(1e4 / (1 + change[0]), 0.4 + change[1], [rest.displacement])
+        assert there.iterations < plain.iterations
+        np.testing.assert_allclose(there.displacement, plain.displacement, atol=1e-9)
+    assert off[0] < 2e-3
+    assert off[0] / off[1] == pytest.approx(4, rel=0.2)
+
+
+def test_the_path_begins_at_the_linear_law_and_ends_at_the_answer(slab: tuple[Skin, np.ndarray, Palpation]) -> None:
+    skin, held, seen = slab
+    found = fit_material(skin, held, [seen], FitSettings(young=1e3))
+    assert (found.path[0].solves, found.path[0].systems) == (1, 2)  # and its derivatives
+    assert [each.solves for each in found.path] == list(range(1, found.solves + 1))
+    assert (found.path[-1].young, found.path[-1].poisson) == (found.young, found.poisson)
 
 
 def test_points_whose_sensor_is_not_told_are_fitted_along_the_surface_s_normals(

@@ -143,6 +143,8 @@ class PointFollower:
     def measured(self, shown: Shown, motion: np.ndarray, which: np.ndarray) -> Measured:
         """Some points in a picture where a model tells their motion; none is averaged with its neighbours'.
 
+        Those at the tool's edge count as noisy all the same: a mask may be some pixels too narrow.
+
         Args:
             shown: the picture, as `shown` was with it.
             motion: of the whole grid since the first picture, shape [rows, columns, 2] [px].

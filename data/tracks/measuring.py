@@ -59,9 +59,11 @@ def fine(gray: np.ndarray, least: np.ndarray, tissue: np.ndarray) -> Fine:
         tissue: where it shows tissue, bool [H, W].
     """
     brighter = cv2.morphologyEx(least, cv2.MORPH_TOPHAT, np.ones((NARROW, NARROW), np.uint8))
-    least_gloss = max(BRIGHT, RARE * float(np.median(brighter[::4, ::4])))
-    gloss = cv2.dilate((brighter > least_gloss).astype(np.uint8), np.ones((2 * AROUND + 1, 2 * AROUND + 1), np.uint8))
-    plain = (tissue & (gloss == 0)).astype(np.float32)
+    least_highlight = max(BRIGHT, RARE * float(np.median(brighter[::4, ::4])))
+    highlight = cv2.dilate(
+        (brighter > least_highlight).astype(np.uint8), np.ones((2 * AROUND + 1, 2 * AROUND + 1), np.uint8)
+    )
+    plain = (tissue & (highlight == 0)).astype(np.float32)
     return Fine(cv2.GaussianBlur(gray.astype(np.float32), (0, 0), SMOOTH), plain)
 
 
@@ -73,10 +75,12 @@ def measure(one: Fine, other: Fine, points: np.ndarray, motion: np.ndarray) -> M
         points: on whole pixels, shape [N, 2] (column, row) [px].
         motion: about how far every pixel moves, shape [H, W, 2] [px].
     """
+    if not len(points):
+        return Measured(np.zeros((0, 2)), np.zeros(0))
     slopes = np.gradient(one.gray)[::-1]
     pieces = [
         _steps(one, other, piece.astype(np.int64), motion, slopes)
-        for piece in np.array_split(points, max(len(points) // AT_ONCE, 1))
+        for piece in np.array_split(points, -(-len(points) // AT_ONCE))
     ]
     moved, told, unlike, found = (np.concatenate(part) for part in zip(*pieces, strict=True))
     typical = float(np.median(unlike[found])) if found.any() else 0.0

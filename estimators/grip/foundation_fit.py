@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import compress
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +27,8 @@ LOOKS = 4
 """Times that points are measured again where the fit so far says they are: after 1 to 4 of them 28 drawn clips were
 0.0123, 0.0077, 0.0071 and 0.0066 off (those of `SHEET_ERROR`)."""
 ENOUGH = 0.5
-"""Of the points that count such a share must be found, or they stay as they were followed."""
+"""Of the points that count such a share must be found in a frame, and such a share of the frames must be left, or
+points stay as they were followed."""
 MOST_FITTED, MOST_MEASURED = 4, 8
 """So many frames, evenly spread, tell the foundation roughly, and so many once points are measured again: the motion
 grows steadily."""
@@ -39,10 +41,11 @@ STEP = 0.1
 """Of log foundation, for derivatives."""
 COMMON = 0.85
 """Correlation between errors of the force in two frames: where it acts beneath the instrument is as unknown in one as
-in the other. Its intervals held 93 and 96 % on 48 drawn clips, 80 to 88 % with 0.93 to 0.95 on 45 (docs/real.md)."""
-SHEET_ERROR = 0.005
-"""Standard deviation of log foundation besides what residuals tell: 28 drawn clips are 0.0066 off where residuals tell
-0.0045 (seeds 9201, 9202, 9303, and the four worst of 8915)."""
+in the other. Its intervals held 96 and 88 % on 47 drawn clips (docs/real.md), 80 to 88 % with 0.93 to 0.95 on 45."""
+SHEET_ERROR, FOLLOWED_ERROR = 0.005, 0.015
+"""Standard deviation of log foundation besides what residuals tell: of measured points, as 28 drawn clips are 0.0066
+off where residuals tell 0.0045 (seeds 9201, 9202, 9303, and the four worst of 8915), and of followed ones (1.3 to 2.2 %
+off on 45 clips)."""
 ROBUST = 1.4826
 """Standard deviation of a normal distribution over the median of its absolute values."""
 EXCESS = 0.03
@@ -117,14 +120,14 @@ def fit_foundation(
     excess = float(np.sqrt(found.solved[-1].scale))
     if excess > EXCESS:
         raise NoSheet(f"Points are {excess:.2f} px off besides their noise.")
-    judged, looked = problem, [frames[place] for place in spread]
+    judged, looked, error = problem, [frames[place] for place in spread], FOLLOWED_ERROR
     if measuring is not None:
         spread, design = _spread(len(frames), MOST_MEASURED), problem.design(found.log_anchor)
         solved = [problem.solve(design, frames[place]) for place in spread]
         measured = SheetProblem(points, distance, hidden, spacing, MEASURED_REACH)
         again = _measured_again(measured, found._replace(solved=solved), spread, measuring)
         if again is not None:
-            judged, (looked, found) = measured, again
+            judged, (looked, found), error = measured, again, SHEET_ERROR
     log_anchor = found.log_anchor
     left = np.array([judged.left(log_anchor, *pair) for pair in zip(looked, found.solved, strict=True)])
     told = information(found.curvatures, frame_correlation(left))
@@ -134,7 +137,7 @@ def fit_foundation(
     followed = problem.left(log_anchor, frames[-1], solved[-1])
     wider = problem.wider(followed)
     misfit = MISFIT if wider > MOST_ALIKE else (0.0, 0.0)
-    sd = 1 / np.sqrt(1 / (variance + SHEET_ERROR**2 + misfit[0] ** 2) + SPREAD**-2)
+    sd = 1 / np.sqrt(1 / (variance + error**2 + misfit[0] ** 2) + SPREAD**-2)
     seen = [problem.whitened(*pair) for pair in zip(frames, solved, strict=True)]
     less, here, more = (
         [problem.profile(design, frame) for frame in seen]
@@ -204,13 +207,18 @@ def _refined(problem: SheetProblem, fitted: Sequence[SeenFrame], log_anchor: flo
 def _measured_again(
     problem: SheetProblem, found: _Found, spread: Sequence[int], measuring: Measuring
 ) -> tuple[list[SeenFrame], _Found] | None:
-    """Frames of those numbers as measured last, and the likeliest foundation; None where too few points are found."""
+    """Frames of those numbers as measured last, and the likeliest foundation; None where too few points are found.
+
+    Frames that show too few are left out.
+    """
     looked: list[SeenFrame] = []
+    least = ENOUGH * len(spread)
     for _ in range(LOOKS):
         motions = [problem.motion(found.log_anchor, solved, measuring.places) for solved in found.solved]
-        looked = [measuring.measure(*pair, problem.counted) for pair in zip(spread, motions, strict=True)]
-        seen = [np.isfinite(frame.moved[problem.counted]).all(axis=1) for frame in looked]
-        if min(part.mean() for part in seen) < ENOUGH:
+        measured = [measuring.measure(*pair, problem.counted) for pair in zip(spread, motions, strict=True)]
+        kept = [np.isfinite(frame.moved[problem.counted]).all(axis=1).mean() >= ENOUGH for frame in measured]
+        looked, spread = list(compress(measured, kept)), list(compress(spread, kept))
+        if len(looked) < least:
             return None
         found = _refined(problem, looked, found.log_anchor)
     return looked, found
@@ -232,8 +240,13 @@ def error_size(left: np.ndarray) -> float:
 
 
 def frame_correlation(left: np.ndarray) -> np.ndarray:
-    """Correlation of errors between J frames, by what is not explained [J, N, 2], shape [J, J]."""
+    """Correlation of errors between J frames, by what is not explained [J, N, 2], shape [J, J].
+
+    1 where no point is seen in all of them.
+    """
     always = left[:, np.isfinite(left).all(axis=(0, 2))]
+    if not always.size:
+        return np.ones((len(left), len(left)))
     products = np.einsum("jna,kna->jk", always, always)
     sizes = np.sqrt(np.diag(products))
     return products / np.maximum(np.outer(sizes, sizes), np.finfo(np.float64).tiny)

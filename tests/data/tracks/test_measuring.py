@@ -41,6 +41,11 @@ def dull(picture: np.ndarray) -> np.ndarray:
     return (120 + 0.3 * (picture.astype(float) - 140)).astype(np.uint8)
 
 
+def grainy(picture: np.ndarray, size: float, seed: int) -> np.ndarray:
+    noise = np.random.default_rng(seed).normal(size=picture.shape)
+    return (picture + size * noise).clip(0, 255).astype(np.uint8)
+
+
 @pytest.mark.parametrize("way", [(0.05, 0.0), (0.1, -0.3), (0.5, 0.5), (-0.8, 0.2)])
 def test_shifts_below_a_pixel_are_found_without_bias(way: tuple[float, float]) -> None:
     off = found(exactly_shifted(*way)).moved - way
@@ -93,11 +98,7 @@ def test_highlights_that_stay_hold_no_window_back() -> None:
                 cv2.circle(picture, (column, row), 4, (255, 255, 255), -1)
         return picture
 
-    dull = [
-        (120 + 0.3 * (picture.astype(float) - 140)).astype(np.uint8)
-        for picture in (texture(), exactly_shifted(0.6, 0.0))
-    ]
-    one, other = (lit(picture) for picture in dull)
+    one, other = (lit(dull(picture)) for picture in (texture(), exactly_shifted(0.6, 0.0)))
     kept = measure(prepared(one), prepared(other), POINTS, STILL).moved
     assert np.isfinite(kept).all(axis=1).mean() > 0.5
     assert abs(np.nanmean(kept[:, 0]) - 0.6) < 0.03
@@ -106,14 +107,45 @@ def test_highlights_that_stay_hold_no_window_back() -> None:
 
 @pytest.mark.parametrize("size", [2.0, 8.0])
 def test_told_noise_is_the_errors_whatever_pictures_noise_is(size: float) -> None:
-    generator = np.random.default_rng(0)
-
-    def grainy(picture: np.ndarray) -> np.ndarray:
-        return (dull(picture) + size * generator.normal(size=picture.shape)).clip(0, 255).astype(np.uint8)
-
-    told = measure(prepared(grainy(texture())), prepared(grainy(exactly_shifted(0.3, 0.2))), POINTS, STILL)
+    pictures = (
+        grainy(dull(picture), size, seed) for seed, picture in enumerate((texture(), exactly_shifted(0.3, 0.2)))
+    )
+    told = measure(*map(prepared, pictures), POINTS, STILL)
     off = (told.moved - [0.3, 0.2]) / told.noise[:, None]
-    assert 0.6 < np.sqrt(np.nanmean(np.square(off))) < 1.6
+    assert 0.55 < np.sqrt(np.nanmean(np.square(off))) < 1.0
+
+
+def test_a_window_of_which_less_is_seen_than_needed_is_not_found() -> None:
+    """Points at a tool's edge or under it see 10 of their window's 21 columns, or 11; those a spacing away 18."""
+    tool = np.broadcast_to(np.arange(WIDTH) < 88, (HEIGHT, WIDTH))
+    moved = measure(prepared(texture(), tool), prepared(exactly_shifted(0.3, 0.0), tool), POINTS, STILL).moved
+    assert np.isnan(moved[POINTS[:, 0] <= 88]).all()
+    assert np.isfinite(moved[POINTS[:, 0] == 96]).all()
+
+
+def test_windows_that_differ_more_than_others_are_not_found() -> None:
+    """To the right other tissue shows through, by less than makes windows resemble each other no more."""
+    through = (0.8 * dull(texture()) + 0.2 * dull(texture(seed=1))).astype(np.uint8)
+    right = np.arange(WIDTH)[None, :, None] > 110
+    picture = np.where(right, through, dull(texture()))
+    pictures = (grainy(each, 1.0, seed) for seed, each in enumerate((dull(texture()), picture)))
+    moved = measure(*map(prepared, pictures), POINTS, STILL).moved
+    assert np.isnan(moved[POINTS[:, 0] > 124]).mean() > 0.9
+    assert np.isfinite(moved[POINTS[:, 0] < 96]).all()
+
+
+def test_what_is_far_from_where_it_was_said_to_be_is_not_found() -> None:
+    smooth = cv2.GaussianBlur(texture().astype(np.float32), (0, 0), 6)
+    smooth = (128 + 40 * (smooth - smooth.mean()) / smooth.std()).clip(0, 255).astype(np.uint8)
+    way = shift(4.0, 0.0)
+    here, there = prepared(grainy(smooth, 2.0, 0)), prepared(grainy(warped(smooth, way), 2.0, 1))
+    assert np.isfinite(measure(here, there, POINTS, everywhere(shift(3.0, 0.0))).moved).mean() > 0.8
+    assert np.isnan(measure(here, there, POINTS, STILL).moved).mean() > 0.9
+
+
+def test_no_points_are_no_points() -> None:
+    moved, noise = measure(prepared(texture()), prepared(texture()), POINTS[:0], STILL)
+    assert (moved.shape, noise.shape) == ((0, 2), (0,))
 
 
 def test_another_tissue_is_not_found() -> None:

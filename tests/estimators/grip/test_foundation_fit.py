@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from estimators.grip.foundation_fit import (
+    FOLLOWED_ERROR,
     LOOKS,
     MISFIT,
     FoundationFit,
@@ -94,6 +95,36 @@ def test_points_measured_again_where_the_sheet_says_they_are_undo_a_bias() -> No
     assert [number for number, _ in asked] == LOOKS * [0, 1, 2, 3]
     for number, motion in asked[-4:]:
         assert np.median(np.linalg.norm(motion - exact[number].moved, axis=1)) < 2 * NOISE
+
+
+@pytest.mark.parametrize("lost", [1, 3])
+def test_frames_that_show_too_few_points_are_left_out_and_most_leave_points_as_followed(lost: int) -> None:
+    """Four frames, of which one or three can't be measured again."""
+    places, distance = grid()
+    hidden = distance <= 5
+    exact, asked = seen(), []
+
+    def measure(number: int, motion: np.ndarray, which: np.ndarray) -> SeenFrame:
+        asked.append(number)
+        gone = np.full_like(exact[number].moved, np.nan)
+        return SeenFrame(gone, exact[number].noise) if number < lost else exact[number]
+
+    parts = places[~hidden], distance[~hidden], places[hidden], SPACING, exact
+    found = fit_foundation(*parts, Measuring(places.reshape(40, 60, 2), measure))
+    assert abs(found.log_anchor - math.log(ANCHOR)) < 0.01
+    if lost == 1:
+        assert asked == [0, 1, 2, 3, *(LOOKS - 1) * [1, 2, 3]]
+        assert found.log_anchor_sd < fit_foundation(*parts).log_anchor_sd
+    else:
+        assert asked == [0, 1, 2, 3]
+        assert found.log_anchor_sd >= FOLLOWED_ERROR
+        assert found.log_anchor_sd == fit_foundation(*parts).log_anchor_sd
+
+
+def test_frames_that_share_no_point_are_taken_to_err_alike() -> None:
+    left = np.full((2, 6, 2), np.nan)
+    left[0, :3], left[1, 3:] = 1.0, -1.0
+    np.testing.assert_array_equal(frame_correlation(left), 1.0)
 
 
 def test_motion_that_is_no_sheets_is_refused() -> None:

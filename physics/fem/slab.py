@@ -16,7 +16,7 @@ from scipy.spatial import KDTree
 
 from physics.fem.lattice import box
 from physics.fem.meshing import NoBody
-from physics.fem.solid import Solid, make_solid
+from physics.fem.solid import EDGES, Solid, make_solid
 from physics.mesh import Mesh
 
 CELLS = (10, 10, 3)
@@ -40,7 +40,10 @@ SAMPLES = 41
 
 @dataclass(frozen=True, eq=False)
 class Slab:
-    """Elements beneath a surface; N nodes, C columns and R rows of them on top."""
+    """Elements beneath a surface; N nodes, C columns and R rows of them on top.
+
+    Those of quadratic elements lie at corners and between, so that every other column and row holds corners.
+    """
 
     solid: Solid
     """Lengths in scene units."""
@@ -54,6 +57,8 @@ class Slab:
     """Where their rows are, shape [R] [grid px]."""
     place: tuple[float, float]
     """Column and row of the contact [grid px]."""
+    order: int = 1
+    """Of the elements' shape functions, 1 or 2."""
 
     @property
     def focal_lengths(self) -> np.ndarray:
@@ -63,37 +68,106 @@ class Slab:
         seen = np.array([np.ptp(self.columns), np.ptp(self.rows)])
         return seen / np.array([rays[-1, 0, 0] - rays[0, 0, 0], rays[0, -1, 1] - rays[0, 0, 1]])
 
-    def patch(self, radius: float) -> np.ndarray:
-        """Share of every node in a force that is spread as 1 - (r/R)² around the contact, shape [N], sum 1.
+    def patch(self, radius: float, place: tuple[float, float] | None = None) -> np.ndarray:
+        """Share of every node in a force that is spread as 1 - (r/R)² around a place, shape [N], sum 1.
 
         Args:
             radius: R [grid px].
+            place: its column and row; None = the contact's [grid px].
         """
+        column, row = self.place if place is None else place
         way = np.linspace(-radius, radius, SAMPLES)
-        across, down = np.meshgrid(self.place[0] + way, self.place[1] + way, indexing="ij")
-        apart = np.hypot(across - self.place[0], down - self.place[1])
-        pressure = np.maximum(1 - np.square(apart / radius), 0.0).ravel()
+        across, down = np.meshgrid(column + way, row + way, indexing="ij")
+        pressure = np.maximum(1 - np.square(np.hypot(across - column, down - row) / radius), 0.0).ravel()
         shares = pressure @ self.between(np.column_stack([down.ravel(), across.ravel()]))
         return shares / shares.sum()
 
     def between(self, pixels: np.ndarray) -> csr_array:
-        """Weights of the nodes in what places of the surface do, as linear as the elements, shape [V, N].
+        """Weights of the nodes in what places of the surface do, of the elements' order, shape [V, N].
 
         Args:
             pixels: row and column of each within the slab, shape [V, 2] [grid px].
         """
         found = []
         for grid, at in ((self.columns, pixels[:, 1]), (self.rows, pixels[:, 0])):
-            cell = np.clip(np.searchsorted(grid, at, side="right") - 1, 0, len(grid) - 2)
-            found.append((cell, (at - grid[cell]) / (grid[cell + 1] - grid[cell])))
+            corners = grid[:: self.order]
+            cell = np.clip(np.searchsorted(corners, at, side="right") - 1, 0, len(corners) - 2)
+            found.append((cell, (at - corners[cell]) / (corners[cell + 1] - corners[cell])))
         (column, right), (row, down) = found
-        nodes, weights = [], []
-        for step, share in ((0, 1 - right), (1, right)):
-            nodes += [self.top[column + step, row], self.top[column + step, row + 1]]
-            weights += [share * (1 - down), share * down]
-        places = np.tile(np.arange(len(pixels)), 4)
-        flat = np.concatenate(weights), (places, np.concatenate(nodes))
+        if self.order == 1:
+            across, below = np.array([0, 0, 1, 1]), np.array([0, 1, 0, 1])
+            weights = np.stack([one * two for one in (1 - right, right) for two in (1 - down, down)])
+            nodes = self.top[column + across[:, None], row + below[:, None]]
+        else:
+            across, below, weights = _quadratic((column + row) % 2 == 1, right, down)
+            nodes = self.top[2 * column + across, 2 * row + below]
+        places = np.tile(np.arange(len(pixels)), len(nodes))
+        flat = weights.ravel(), (places, nodes.ravel())
         return csr_array(flat, shape=(len(pixels), len(self.solid.rest)))
+
+
+def _quadratic(odd: np.ndarray, right: np.ndarray, down: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Nodes of the quadratic triangles in which places of cells lie, and their weights, shape [6, V] each.
+
+    Args:
+        odd: cells whose diagonal goes from the first corner to the last; that of the others goes between the other two,
+            as `physics.fem.lattice.box` has it, shape [V], bool.
+        right: where in the cell along columns, 0 to 1, shape [V].
+        down: along rows.
+
+    Returns:
+        steps along columns and rows from the cell's first node, 0 to 2, and weights.
+    """
+    mirrored = np.where(odd, 1 - right, right)
+    second = mirrored + down > 1
+    turned = odd ^ second
+    # Seen from the corner at the triangle's right angle.
+    one, two = np.where(turned, 1 - right, right), np.where(second, 1 - down, down)
+    none = 1 - one - two
+    start, low = 2 * turned, 2 * second
+    middle = np.ones_like(start)
+    across = np.stack([start, 2 - start, start, middle, start, middle])
+    below = np.stack([low, low, 2 - low, low, middle, middle])
+    corners = [share * (2 * share - 1) for share in (none, one, two)]
+    return across, below, np.stack([*corners, 4 * none * one, 4 * none * two, 4 * one * two])
+
+
+def layered(
+    corners: np.ndarray,
+    held: np.ndarray,
+    cells: tuple[int, int, int],
+    grid: tuple[np.ndarray, np.ndarray],
+    place: tuple[float, float],
+    order: int,
+) -> Slab:
+    """A slab of layers, its corners as those of `physics.fem.lattice.box`.
+
+    Args:
+        corners: where they are at rest, shape [K, 3].
+        held: which of them don't move, shape [K], bool; of other nodes those between two that are held.
+        cells: along columns, rows and depth.
+        grid: columns and rows of the corners on top, shape [C] and [R] [grid px].
+        place: column and row of the contact [grid px].
+        order: of the elements' shape functions, 1 or 2.
+
+    Raises:
+        ValueError: it folds.
+    """
+    places, tetrahedra = box((1.0, 1.0, 1.0), cells)
+    solid = make_solid(corners, tetrahedra, order=order)
+    halves = np.rint(2 * places * cells).astype(np.int64)
+    if order == 2:
+        count, ends = len(corners), solid.elements[:, EDGES]
+        between = np.zeros((len(solid.rest) - count, 3), np.int64)
+        between[solid.elements[:, 4:] - count] = halves[ends].sum(axis=2) // 2
+        fixed = np.zeros(len(between), bool)
+        fixed[solid.elements[:, 4:] - count] = held[ends].all(axis=2)
+        halves, held = np.concatenate([halves, between]), np.concatenate([held, fixed])
+        columns, rows = (np.interp(np.arange(0, len(line) - 0.5, 0.5), np.arange(len(line)), line) for line in grid)
+        grid = columns, rows
+    top = np.flatnonzero(halves[:, 2] == 0)
+    top = top[np.lexsort((halves[top, 1], halves[top, 0]))].reshape(len(grid[0]), len(grid[1]))
+    return Slab(solid, np.repeat(held[:, None], 3, axis=1), top, *grid, place, order)
 
 
 def slab_beneath(
@@ -103,6 +177,7 @@ def slab_beneath(
     thickness: float,
     cells: tuple[int, int, int] = CELLS,
     attached: bool = True,
+    order: int = 1,
 ) -> Slab:
     """The slab under a surface around a vertex.
 
@@ -113,13 +188,14 @@ def slab_beneath(
         thickness: [scene units].
         cells: along columns, rows and depth, the first two even, so that a node lies at the vertex.
         attached: whether it is held beyond the tissue's edge, too.
+        order: of the elements' shape functions, 1 or 2.
 
     Raises:
         NoBody: a thickness that is not positive, or a surface under which a slab folds.
     """
     if not (math.isfinite(thickness) and thickness > 0):
         raise NoBody(f"a thickness of {thickness:g}; give a positive one.")
-    places, tetrahedra = box((1.0, 1.0, 1.0), cells)
+    places, _ = box((1.0, 1.0, 1.0), cells)
     row, column = mesh.pixels[vertex].astype(np.float64)
     wide = WIDE * mesh.grid_shape[1]
     middle = np.array([row, column])
@@ -128,14 +204,16 @@ def slab_beneath(
     surface = np.column_stack([_rays(mesh, pixels) * depth[:, None], depth])
     layer = np.rint(places[:, 2] * cells[2])
     below = thickness * (GROWTH**layer - 1) / (GROWTH ** cells[2] - 1)
+    side = (places[:, :2] == 0).any(axis=1) | (places[:, :2] == 1).any(axis=1)
+    held = side | (places[:, 2] == 1) | (beside & attached)
+    top = np.flatnonzero(places[:, 2] == 0).reshape(cells[0] + 1, cells[1] + 1)
+    grid = pixels[top[:, 0], 1], pixels[top[0], 0]
     try:
-        solid = make_solid(surface - below[:, None] * np.asarray(normal, np.float64), tetrahedra)
+        return layered(
+            surface - below[:, None] * np.asarray(normal, np.float64), held, cells, grid, (column, row), order
+        )
     except ValueError as error:
         raise NoBody(f"below this surface a slab of {thickness:g} folds ({error}); give a smaller one.") from error
-    side = (places[:, :2] == 0).any(axis=1) | (places[:, :2] == 1).any(axis=1)
-    held = np.repeat((side | (places[:, 2] == 1) | (beside & attached))[:, None], 3, axis=1)
-    top = np.flatnonzero(places[:, 2] == 0).reshape(cells[0] + 1, cells[1] + 1)
-    return Slab(solid, held, top, pixels[top[:, 0], 1], pixels[top[0], 0], (column, row))
 
 
 def _rays(mesh: Mesh, pixels: np.ndarray) -> np.ndarray:

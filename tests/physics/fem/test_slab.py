@@ -113,3 +113,48 @@ def test_a_slab_that_is_no_body_is_refused_in_a_sentence() -> None:
             slab_beneath(mesh, middle(mesh), NORMAL, thickness)
     with pytest.raises(NoBody, match=r"a slab of 0\.06 folds"):
         slab_beneath(mesh, middle(mesh), np.array([1.0, 0.0, 0.0]), THICKNESS)
+
+
+def test_quadratic_elements_have_nodes_between_corners_and_show_quadratic_motions_exactly() -> None:
+    mesh = surface(bowl())
+    corners = slab_beneath(mesh, middle(mesh), NORMAL, THICKNESS, (4, 6, 2))
+    slab = slab_beneath(mesh, middle(mesh), NORMAL, THICKNESS, (4, 6, 2), order=2)
+    rest, top = slab.solid.rest, slab.top
+    assert top.shape == (9, 13)
+    assert len(np.unique(top)) == top.size
+    np.testing.assert_array_equal(top[::2, ::2], corners.top)
+    np.testing.assert_array_equal(slab.columns[::2], corners.columns)
+    np.testing.assert_allclose(slab.rows[1::2], (corners.rows[1:] + corners.rows[:-1]) / 2)
+    np.testing.assert_allclose(rest[top[1::2, ::2]], (rest[top[:-1:2, ::2]] + rest[top[2::2, ::2]]) / 2)
+    np.testing.assert_allclose(rest[top[4, 1::2]], (rest[top[4, :-1:2]] + rest[top[4, 2::2]]) / 2)
+    held = slab.held.all(axis=1)
+    assert held[top[[0, -1]]].all()
+    assert held[top[:, [0, -1]]].all()
+    assert not held[top[2:-2, 2:-2]].any()
+    # A motion that is quadratic in columns and rows is told at every place as it is.
+    places = np.random.default_rng(3).uniform([25, 25], [55, 55], (200, 2))
+    at = np.zeros((len(rest), 2))
+    at[top] = np.stack(np.meshgrid(slab.columns, slab.rows, indexing="ij"), axis=-1)
+
+    def motion(across: np.ndarray, down: np.ndarray) -> np.ndarray:
+        return 1 + 0.2 * across - 0.1 * down + 0.03 * across**2 - 0.02 * across * down + 0.01 * down**2
+
+    found = slab.between(places) @ motion(*at.T)
+    np.testing.assert_allclose(found, motion(places[:, 1], places[:, 0]), rtol=1e-9)
+    # Its triangles are the faces of its elements: each shows a place by the six nodes of one of them.
+    used = slab.between(places)
+    faces = {frozenset(item) for item in slab.solid.faces.tolist()}
+    for row in range(len(places)):
+        nodes = set(used.indices[used.indptr[row] : used.indptr[row + 1]].tolist())
+        assert frozenset(node for node in nodes if node < len(corners.solid.rest)) in faces
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_force_lies_where_it_is_put(order: int) -> None:
+    mesh = surface(bowl())
+    slab = slab_beneath(mesh, middle(mesh), NORMAL, THICKNESS, (8, 8, 2), order=order)
+    at = np.zeros((len(slab.solid.rest), 2))
+    at[slab.top] = np.stack(np.meshgrid(slab.columns, slab.rows, indexing="ij"), axis=-1)
+    np.testing.assert_allclose(slab.patch(6.0) @ at, slab.place, atol=1e-9)
+    np.testing.assert_allclose(slab.patch(6.0, (41.3, 38.9)) @ at, (41.3, 38.9), atol=1e-9)
+    assert slab.patch(6.0, (41.3, 38.9)).sum() == pytest.approx(1)

@@ -11,27 +11,29 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import RectBivariateSpline
 
 from data.synthetic.grip import draw_course, draw_way
 from data.synthetic.scene import Scene, SceneError, require_room
 from data.synthetic.settings import SceneSettings
 from data.synthetic.truth import Motion, draw_contact_frames, draw_shape, force_factor
-from physics.fem import Inertia, Material, NoEquilibrium, Relaxation, Solid, box, find_equilibrium, make_solid, simulate
+from physics.fem import Inertia, Material, NoEquilibrium, Relaxation, box, find_equilibrium, simulate
+from physics.fem.slab import Slab, layered
 from physics.load import Grip, Load, Press
 
 LAW = "neo_hookean"
 SUBSTEPS = 2
 """Time steps a frame."""
-CELLS = (10, 10, 4)
-"""Along columns, rows and depth."""
+TOLERANCE = 1e-7
+"""Of the balance of forces in every time step."""
+CELLS = (8, 8, 3)
+"""Along columns, rows and depth, of quadratic elements."""
 WIDE = 72 / 214
 """From the contact to the slab's sides, as a share of the picture's width."""
-CROWDED = 3.6
+CROWDED = 3.0
 """How much the cells crowd around the contact: nodes lie at sinh(CROWDED s)/sinh(CROWDED), s even from -1 to 1."""
-GROWTH = 1.5
+GROWTH = 1.6
 """Thickness of a layer over that of the one above it."""
-GRIPPED = 8.5
+GRIPPED = 11.5
 """Radius of the tissue between the jaws, around the contact [grid px]."""
 BALL = (0.018, 0.03)
 """Radius of an inclusion, drawn uniformly [scene units]."""
@@ -89,28 +91,6 @@ class GrippedSlab(SlabMotion):
     """What holds the gripped tissue, along the picture's axes, shape [F, 2]."""
 
 
-@dataclass(frozen=True)
-class _Body:
-    """A slab's elements; N nodes."""
-
-    solid: Solid
-    held: np.ndarray
-    """Components that don't move, shape [N, 3], bool."""
-    top: np.ndarray
-    """Nodes of the surface, by column and row, shape [C, R]."""
-    columns: np.ndarray
-    """Where their columns are, shape [C] [grid px]."""
-    rows: np.ndarray
-    """Where their rows are, shape [R] [grid px]."""
-
-    def near(self, place: tuple[float, float], radius: float) -> tuple[np.ndarray, np.ndarray]:
-        """Nodes of the surface closer than that to a column and row [grid px], the closest first, and how far."""
-        apart = np.hypot(self.columns[:, None] - place[0], self.rows - place[1]).ravel()
-        chosen = np.argsort(apart, kind="stable")
-        chosen = chosen[: max(int((apart < radius).sum()), 1)]
-        return self.top.ravel()[chosen], apart[chosen]
-
-
 def draw_tissue(settings: SceneSettings, generator: np.random.Generator) -> SlabTissue:
     """What a slab is made of, numbers over a factor log-uniformly."""
 
@@ -146,9 +126,9 @@ def draw_slab(scene: Scene, generator: np.random.Generator) -> PressedSlab | Gri
         raise SceneError(f"The slab can't be followed: {error} Or choose a smaller scene.peak_displacement.") from error
 
 
-def _build(scene: Scene, tissue: SlabTissue) -> _Body:
+def _build(scene: Scene, tissue: SlabTissue) -> Slab:
     """The slab under the surface around the contact, its sides along the contact's normal."""
-    places, tetrahedra = box((1.0, 1.0, 1.0), CELLS)
+    places, _ = box((1.0, 1.0, 1.0), CELLS)
     row, column = scene.mesh.pixels[scene.vertex]
     wide = WIDE * scene.settings.grid_width
     offset = [wide * np.sinh(CROWDED * (2 * share - 1)) / math.sinh(CROWDED) for share in places[:, :2].T]
@@ -159,20 +139,20 @@ def _build(scene: Scene, tissue: SlabTissue) -> _Body:
     layer = np.rint(places[:, 2] * CELLS[2])
     below = tissue.thickness * (GROWTH**layer - 1) / (GROWTH ** CELLS[2] - 1)
     nodes = np.stack([x * depth, y * depth, depth], axis=1) - below[:, None] * scene.direction
-    try:
-        solid = make_solid(nodes, tetrahedra)
-    except ValueError as error:
-        told = "choose a smaller scene.curvature, scene.relief or scene.slab_thickness"
-        raise SceneError(f"Below this surface a slab folds ({error}); {told}.") from error
     side = (places[:, :2] == 0).any(axis=1) | (places[:, :2] == 1).any(axis=1)
     held = side | (places[:, 2] == 1)
     if scene.settings.action == "press":  # beyond its outline the organ is attached
         held |= scene.outline.level(*pixel) <= 0
-    index = np.flatnonzero(places[:, 2] == 0).reshape(CELLS[0] + 1, CELLS[1] + 1)
-    return _Body(solid, np.repeat(held[:, None], 3, axis=1), index, pixel[0, index[:, 0]], pixel[1, index[0]])
+    top = np.flatnonzero(places[:, 2] == 0).reshape(CELLS[0] + 1, CELLS[1] + 1)
+    grid = pixel[0, top[:, 0]], pixel[1, top[0]]
+    try:
+        return layered(nodes, held, CELLS, grid, (float(column), float(row)), order=2)
+    except ValueError as error:
+        told = "choose a smaller scene.curvature, scene.relief or scene.slab_thickness"
+        raise SceneError(f"Below this surface a slab folds ({error}); {told}.") from error
 
 
-def _material(body: _Body, scene: Scene, tissue: SlabTissue, generator: np.random.Generator) -> Material:
+def _material(body: Slab, scene: Scene, tissue: SlabTissue, generator: np.random.Generator) -> Material:
     """With a ball of other stiffness beneath and beside the contact, where one is wanted."""
     radius, angle = generator.uniform(*BALL), generator.uniform(0, 2 * np.pi)
     aside = generator.uniform(0.3, 1.2) * radius
@@ -182,13 +162,13 @@ def _material(body: _Body, scene: Scene, tissue: SlabTissue, generator: np.rando
     deep = min(radius + tissue.thickness / 8, tissue.thickness)
     middle = scene.mesh.vertices[scene.vertex] - deep * scene.direction
     middle = middle + aside * np.array([math.cos(angle), math.sin(angle), 0.0])
-    centre = body.solid.rest[body.solid.elements].mean(axis=1)
+    centre = body.solid.rest[body.solid.elements[:, :4]].mean(axis=1)
     inside = np.linalg.norm(centre - middle, axis=1) < radius
     return Material(LAW, tissue.young * np.where(inside, tissue.inclusion, 1.0), tissue.poisson)
 
 
 def _follow(
-    scene: Scene, body: _Body, material: Material, tissue: SlabTissue, load: Load, onset: int, force: float = 0.0
+    scene: Scene, body: Slab, material: Material, tissue: SlabTissue, load: Load, onset: int, force: float = 0.0
 ) -> tuple[dict, np.ndarray]:
     """Fields of a `Motion` but the release, and the reactions of every step [T, N, 3]."""
     settings = scene.settings
@@ -198,17 +178,15 @@ def _follow(
     )
     require_room(settings.frames * (len(shown) + load.steps // settings.frames * len(body.solid.rest)) * 3)
     relaxation = Relaxation(tissue.branch, tissue.branch_time) if tissue.branch else None
-    inertia = Inertia(tissue.density, tissue.damping)
-    step = 1 / (settings.fps * SUBSTEPS)
-    found = simulate(body.solid, material, body.held, load, step, inertia=inertia, force=force, relaxation=relaxation)
-    surface = found.displacement[::SUBSTEPS][:, body.top]
+    step, inertia = 1 / (settings.fps * SUBSTEPS), Inertia(tissue.density, tissue.damping)
+    found = simulate(
+        body.solid, material, body.held, load, step, inertia=inertia, force=force, relaxation=relaxation,
+        tolerance=TOLERANCE,
+    )  # fmt: skip
+    between = body.between(scene.mesh.pixels[shown])
     field = np.zeros((settings.frames, len(shown), 3), np.float32)
-    row, column = scene.mesh.pixels[shown].T
-    for index, moved in enumerate(surface):
-        for axis in range(3):
-            # As the elements are, linear: smoother ones overshoot where cells grow from one to the next.
-            between = RectBivariateSpline(body.columns, body.rows, moved[..., axis], kx=1, ky=1)
-            field[onset + index, :, axis] = between.ev(column, row)
+    for index, moved in enumerate(found.displacement[::SUBSTEPS]):
+        field[onset + index] = between @ moved
     contact = field[:, np.searchsorted(shown, scene.vertex)].astype(np.float64)
     times = np.arange(settings.frames) / settings.fps
     known = {"onset_frame": onset, "times": times, "contact": contact, "moving": shown, "field": field}
@@ -216,28 +194,25 @@ def _follow(
 
 
 def _press(
-    scene: Scene, body: _Body, material: Material, tissue: SlabTissue, generator: np.random.Generator
+    scene: Scene, body: Slab, material: Material, tissue: SlabTissue, generator: np.random.Generator
 ) -> PressedSlab:
     settings = scene.settings
     onset, release = draw_contact_frames(settings, generator)
     wanted = generator.uniform(*settings.peak_displacement)
-    row, column = scene.mesh.pixels[scene.vertex]
     load = (release - onset) / settings.fps
     shape = draw_shape(settings, load, generator.spawn(1)[0])
     direction = shape.leaning(scene.direction)
-    nodes, apart = body.near((column, row), shape.radius)
-    weights = 1 - np.square(apart / max(shape.radius, 1.0))
-    weights /= weights.sum()
+    shares = body.patch(max(shape.radius, 1.0))
+    nodes = np.flatnonzero(shares)
     time = np.arange(1, SUBSTEPS * (settings.frames - 1 - onset) + 1) / (settings.fps * SUBSTEPS)
     pressed = time < load + 1e-9
     factor = np.where(pressed, force_factor(shape, time, load), 0.0)
     # The force that would sink it as far in the end, if it were linear.
-    unit = np.zeros_like(body.solid.rest)
-    unit[nodes] = weights[:, None] * direction
     linear = Material("linear", material.young, material.poisson)
-    soft = find_equilibrium(body.solid, linear, body.held, forces=unit).displacement[nodes[0]] @ scene.direction
-    force = -wanted / float(soft)
-    press = Press(nodes, weights, direction, factor)
+    soft = find_equilibrium(body.solid, linear, body.held, forces=shares[:, None] * direction).displacement
+    sunk = body.between(scene.mesh.pixels[[scene.vertex]]) @ soft @ scene.direction
+    force = -wanted / sunk.item()
+    press = Press(nodes, shares[nodes], direction, factor)
     known, _ = _follow(scene, body, material, tissue, press, onset, force)
     at = np.zeros(settings.frames)
     after = known["times"] - known["times"][onset]
@@ -247,13 +222,13 @@ def _press(
 
 
 def _pull(
-    scene: Scene, body: _Body, material: Material, tissue: SlabTissue, generator: np.random.Generator
+    scene: Scene, body: Slab, material: Material, tissue: SlabTissue, generator: np.random.Generator
 ) -> GrippedSlab:
     settings = scene.settings
     onset = round(generator.uniform(*settings.onset_fraction) * settings.frames)
     way, course = draw_way(scene, generator), draw_course(onset, settings, generator)
-    row, column = scene.mesh.pixels[scene.vertex]
-    nodes, _ = body.near((column, row), GRIPPED)
+    apart = np.hypot(body.columns[:, None] - body.place[0], body.rows - body.place[1])
+    nodes = body.top[apart < GRIPPED]
     steps = SUBSTEPS * (settings.frames - 1 - onset)
     if steps < 1:
         raise SceneError("The tool never holds the slab; give a smaller scene.onset_fraction.")

@@ -220,8 +220,8 @@ _SLAB_PRESSES: dict[str, Any] = {
     "tissue": "slab",
     "width": GRID_SIZE[0],
     "height": GRID_SIZE[1],
-    "patch_radius": (3.5, 3.5),
-    "peak_displacement": (0.02, 0.045),
+    "patch_radius": (8.0, 8.0),
+    "peak_displacement": (0.008, 0.0115),
     "depth_noise": CLEAN_NOISE,
 }
 """Observed as in the suite `clean`."""

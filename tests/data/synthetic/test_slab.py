@@ -55,6 +55,25 @@ def test_a_press_comes_to_rest_where_its_force_was_chosen_for() -> None:
     assert motion.force[:onset].max() == motion.force[release:].max() == 0
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("damping", [30.0, 200.0])
+def test_a_blunt_tips_motion_hardly_depends_on_the_mesh(damping: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As wide a tip as the suite's, whose pictures have twice as many pixels a side."""
+    settings = dataclasses.replace(
+        PRESS, patch_radius=(4.0, 4.0), slab_young=(200.0, 200.0), slab_damping=(damping, damping)
+    )
+    found = []
+    for cells in ((8, 8, 3), (12, 12, 4)):
+        monkeypatch.setattr(slab, "CELLS", cells)
+        scene, motion = drawn(settings)
+        assert isinstance(motion, PressedSlab)
+        near = np.linalg.norm(scene.mesh.pixels[motion.moving] - scene.mesh.pixels[scene.vertex], axis=1) < 6
+        found.append((motion.field[motion.onset_frame :, near] @ scene.direction, np.abs(motion.force).max()))
+    (coarse, force), (fine, other) = found
+    assert force == pytest.approx(other, rel=0.03)
+    assert np.sqrt(np.square(coarse - fine).mean()) < 0.12 * np.sqrt(np.square(fine).mean())
+
+
 def test_twice_the_modulus_and_the_density_take_twice_the_force_for_the_same_motion() -> None:
     settings = dataclasses.replace(PRESS, peak_displacement=(0.02, 0.02))
     _, one = drawn(settings)
@@ -99,8 +118,9 @@ def test_a_held_pull_relaxes_as_its_branch() -> None:
     for branch in (0.0, 1.0):
         damping = (60.0, 60.0) if branch == 0 else (5.0, 5.0)
         settings = dataclasses.replace(
-            PULL, frames=30, slab_branch=(branch, branch), slab_branch_time=(0.2, 0.2), slab_damping=damping
-        )
+            PULL, frames=30, slab_branch=(branch, branch), slab_branch_time=(0.2, 0.2), slab_damping=damping,
+            slab_young=(1200.0, 1200.0),
+        )  # fmt: skip
         _, motion = drawn(settings)
         assert isinstance(motion, GrippedSlab)
         size = np.linalg.norm(motion.reaction, axis=1)

@@ -1,11 +1,11 @@
 """A film of a dent fitted by a slab of finite elements, from a grid of starts to verdict.
 
-Tissue under the tip is left out: how the tip presses there is not known, and farther away only its force counts (Saint-
-Venant's principle). Exact derivatives of the motion give gradient and Gauss–Newton matrix; the latter is corrected from
-step to step by the gradients seen (BFGS with Powell's damping; Nocedal & Wright 2006, procedure 18.2), because it takes
-the valley along which E, d and F rise together for steeper than it is. What the slab itself gets wrong counts among the
-errors. The posterior, its valley followed, holds besides what a finer mesh changes, and firm regions beneath
-(`estimators.direct.slab_posterior`).
+Tissue right under the tip is left out: how the tip presses there is known least. The middle of the tip is a pixel or
+two from the contact's vertex, and is found first, from small motions. Exact derivatives of the motion give gradient and
+Gauss–Newton matrix; the latter is corrected from step to step by the gradients seen (BFGS with Powell's damping;
+Nocedal & Wright 2006, procedure 18.2), because it takes the valley along which E, d and F rise together for steeper
+than it is. What the slab itself gets wrong counts among the errors. The posterior, its valley followed, holds besides
+what a finer mesh changes, and firm regions beneath (`estimators.direct.slab_posterior`).
 
 A standard linear solid is fitted, too. Where it explains the film better than damping proportional to mass does, with a
 firm region or without, that model is refuted, however small its misfit.
@@ -16,6 +16,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -24,11 +25,11 @@ from estimators.direct.contact_fit import AT_BOUND, DELAY_AT_END, LARGEST_MISFIT
 from estimators.direct.field import FilmProblem
 from estimators.direct.motion import about_tissue
 from estimators.direct.slab_motion import SlabMotion
-from estimators.direct.slab_posterior import averaged, firm_places, follow_valley, moved_by_mesh
+from estimators.direct.slab_posterior import DIFFERENCE, averaged, firm_places, follow_valley, moved_by_mesh
 from estimators.estimate import Estimate, NoEstimate
 from estimators.oblique import effective_misfit, is_oblique, view_angle
 from physics.fem import NoBody
-from physics.fem.slab import slab_beneath
+from physics.fem.slab import Slab, slab_beneath
 from physics.identifiability import box_information
 from physics.mechanics import theta_of
 
@@ -36,6 +37,9 @@ BLIND = 4.5
 """Tissue nearer to the contact isn't compared [grid px]."""
 YOUNG, DAMPING = np.log(np.geomspace(20.0, 2000.0, 11)), np.log(np.geomspace(5e3, 8e5, 7))
 """log E and log d among whose pairs a start is looked for."""
+BESIDE, ASTRAY = 0.5, 2.0
+"""A step of the tip's middle, for derivatives; and its standard deviation around the contact's vertex, which is a pixel
+or two off [grid px]."""
 LARGEST_STEP = 0.7
 """Of a parameter."""
 ROUGH, DONE = 3.0, 0.2
@@ -63,8 +67,8 @@ UNLIKE = np.square(0.1) + np.diag(np.square([0.0, 0.05, 0.1]))
 On eight drawn presses on tissue that is alike throughout the ratios were off by as much (root mean squares)."""
 UNLIKE_FIRM = np.square(0.3) + np.diag(np.square([0.0, 0.15, 0.3]))
 """The same where a firm region lies beneath, which is not one of those that are tried: 0.3, 0.15 and 0.3."""
-FINER = 14, 14, 4
-"""Cells of the mesh by which the fitted one's error is measured. At second order as much again is left."""
+FINE, FINER = (10, 10, 3), (12, 12, 4)
+"""Cells of the quadratic elements whose small motions are fitted, and of those by which their error is measured."""
 LOWER = 1.0
 """Fall of χ²/2 along the valley from which on a better fit is looked for there."""
 
@@ -103,21 +107,21 @@ def fit_slab(
         NoEstimate: no slab fits under the tissue, none can be followed, or nothing moves clearly.
     """
     try:
-        slab, finer = (
-            slab_beneath(contact.mesh, contact.vertex, contact.direction, thickness, *cells) for cells in ((), (FINER,))
-        )
+        under = contact.mesh, contact.vertex, contact.direction, thickness
+        slab = slab_beneath(*under)
+        fine, finer = (slab_beneath(*under, cells, order=2) for cells in (FINE, FINER))
     except NoBody as error:
         raise NoEstimate(f"No slab fits under the tissue: {error}") from error
 
-    def problem_of(relaxing: bool) -> SlabProblem:
+    def problem_of(place: tuple[float, float], relaxing: bool = False, body: Slab = fine) -> SlabProblem:
         def motion(vertices: np.ndarray, times: np.ndarray) -> SlabMotion:
-            return SlabMotion(contact, slab, contact.mesh.pixels[vertices], times, within, relaxing)
+            return SlabMotion(contact, slab, contact.mesh.pixels[vertices], times, within, relaxing, body, place)
 
         return SlabProblem(beside, motion, noise)
 
     beside = _beside_tip(contact)
-    problem = problem_of(False)
-    pixels = contact.mesh.pixels[problem.patches.vertices]
+    place = find_tip(problem_of, slab.place)
+    problem = problem_of(place)
     box = problem.motion.box
     logs = slab_start(problem)
     for outliers, enough in ((False, ROUGH), (True, DONE)):
@@ -135,14 +139,14 @@ def fit_slab(
     misfit = problem.misfit(logs)
     if not misfit > 0:
         raise NoEstimate("No pixel of the dent moves clearly, so that nothing shows whether a slab explains it.")
-    coarse = moved_by_mesh(problem, SlabMotion(contact, finer, pixels, problem.film.times, within), logs)
+    coarse = moved_by_mesh(problem, problem_of(place, body=finer).motion, logs)
     places = firm_places(problem, logs, thickness, scale)
     firm, shift, unsure = averaged(places)
     spread = valley.covariance + np.outer(coarse, coarse) + unsure + (1 - firm) * UNLIKE + firm * UNLIKE_FIRM
     at = int(np.flatnonzero(problem.patches.vertices == contact.vertex)[0])
     path = problem.motion.at(logs)[0][:, at] @ np.asarray(contact.direction, np.float64)
     firmest = max(0.0, *(place.gain for place in places))
-    rival = _relaxation(problem, logs, problem_of(True), scale * (REFUTED + firmest))
+    rival = _relaxation(problem, logs, problem_of(place, relaxing=True), scale * (REFUTED + firmest))
     information = problem.information(logs)
     found = Estimate(
         theta=theta_of(np.clip(valley.mean + shift, *box[:, :3])),
@@ -222,6 +226,33 @@ def slab_start(problem: SlabProblem) -> np.ndarray:
         if unexplained < least:
             best, least = logs, unexplained
     return best
+
+
+def find_tip(
+    problem_of: Callable[[tuple[float, float]], SlabProblem], place: tuple[float, float]
+) -> tuple[float, float]:
+    """Column and row of the tip's middle that explain a film better, from small motions [grid px].
+
+    Args:
+        problem_of: the film with the tip in some place.
+        place: where it is taken to be.
+    """
+    problem, *beside = (problem_of((place[0] + x, place[1] + y)) for x, y in ((0, 0), (BESIDE, 0), (0, BESIDE)))
+    logs = slab_start(problem)
+    problem.look(logs)
+
+    def whitened(motion: SlabMotion, tried: np.ndarray) -> np.ndarray:
+        return problem.whitened(problem.change(motion.by_modes(tried), tried) - problem.observed)
+
+    left = whitened(problem.motion, logs)
+    slopes = [(whitened(problem.motion, logs + step) - left) / DIFFERENCE for step in DIFFERENCE * np.eye(len(logs))]
+    slopes += [(whitened(other.motion, logs) - left) / BESIDE for other in beside]
+    jacobian = np.stack(slopes, axis=1)
+    prior = np.zeros((len(slopes), len(slopes)))
+    prior[:-2, :-2] = box_information(problem.motion.box)
+    prior[[-2, -1], [-2, -1]] = 1 / ASTRAY**2
+    column, row = -np.linalg.solve(jacobian.T @ jacobian + prior, jacobian.T @ left)[-2:]
+    return place[0] + float(column), place[1] + float(row)
 
 
 def descend(problem: SlabProblem, start: np.ndarray, box: np.ndarray, enough: float) -> np.ndarray:

@@ -4,6 +4,9 @@ Parameters are φ = (log E, log d, log |F|), d = αρ being the force per veloci
 the density ρ, or of a standard linear solid (log E, log γ, log |F|, log τ), E being the slow modulus; and the delays of
 the press as of `estimators.direct.motion`. A picture shows no mass: ρ is fixed, and E, d and F count in its unit, as
 those of a sheet count in the mass of a vertex.
+
+Linear elements that can be followed in a second move far too early. So what quadratic ones change in small motions is
+added (defect correction): these are linear in the load, and few modes tell them.
 """
 
 from __future__ import annotations
@@ -28,15 +31,18 @@ POISSON = 0.45
 """ν: soft tissue hardly changes its volume, and a dent tells little of how little."""
 DENSITY = 1500.0
 """ρ [mass/scene unit³]."""
-PATCH = 3.5
-"""Radius of the tissue that the tip presses on, as 1 - (r/R)² [grid px]; a wider one also drives what lies beside it,
-which then moves too early where tissue is viscous."""
+PATCH = 8.0
+"""Radius of the tissue that a blunt tip presses on, as 1 - (r/R)² [grid px]."""
 SUBSTEPS = 2
 """Time steps a frame."""
-TOLERANCE = 1e-4
-"""Of the balance of forces in every time step: displacements are off by 3e-5 of the largest."""
+TOLERANCE = 2e-5
+"""Of the balance of forces in every time step: displacements are off by 5e-5 of the largest."""
 SLAB_BOUNDS = Bounds((5.0, 5e3), (500.0, 3e6), (-10.0, -1e-3), (100.0, 5e4, -0.1))
 """Of E [force/scene unit²], d [force·s/scene unit⁴] and F."""
+USUAL_YOUNG = 150.0
+"""E for which modes of a body are best."""
+SLIGHT = 0.01
+"""Difference of a parameter, for derivatives of small motions."""
 RELAXING_BOX = np.log([[5.0, 0.05, 1e-3, 0.01], [5e3, 20.0, 10.0, 2.0]])
 """Ends of φ of a standard linear solid."""
 
@@ -51,6 +57,8 @@ class SlabMotion:
         times: instants since the time stamp at which the press was seen to begin, rising, shape [N] [s].
         within: the press began, and ended, at most so long before or after the time stamps [s]; 0 = at them.
         relaxing: a standard linear solid instead of damping proportional to mass.
+        fine: the same body, of elements whose small motions are exact enough; None = they are taken for so here.
+        place: column and row of the tip's middle; None = the contact's vertex [grid px].
     """
 
     def __init__(
@@ -61,6 +69,8 @@ class SlabMotion:
         times: np.ndarray,
         within: float = 0.0,
         relaxing: bool = False,
+        fine: Slab | None = None,
+        place: tuple[float, float] | None = None,
     ) -> None:
         self.contact, self.slab, self.times, self.within, self.relaxing = contact, slab, times, within, relaxing
         self.tissue = 4 if relaxing else 3
@@ -69,8 +79,9 @@ class SlabMotion:
         """Of the simulation [s]."""
         self.longest = math.ceil((times[-1] + within) / self.step - 1e-6)
         """Steps of it."""
-        self._shares = slab.patch(PATCH)
-        self._shown = slab.between(pixels)
+        self._shares = slab.patch(PATCH, place)
+        self._pixels, self._shown = pixels, slab.between(pixels)
+        self._fine, self._place = fine, place
         self._latest: tuple[np.ndarray, tuple[np.ndarray, np.ndarray]] | None = None
 
     @property
@@ -99,13 +110,25 @@ class SlabMotion:
         since = self._since(logs)
         found, rate = between_steps(np.concatenate([path[..., None], slopes], axis=-1), self.step, since)
         if not self.within:
-            return found[..., 0], found[..., 1:]
+            return self._corrected(logs, found[..., 0], found[..., 1:])
         by_duration = found[..., 1 + self.tissue :]
         delayed = -rate[..., :1] * (since > 0)[:, None, None, None]
         if self.contact.released:  # a later beginning shortens the load
             delayed = delayed - by_duration
         parts = [found[..., 1 : 1 + self.tissue], self.within * delayed, self.within * by_duration]
-        return found[..., 0], np.concatenate(parts, axis=-1)
+        return self._corrected(logs, found[..., 0], np.concatenate(parts, axis=-1))
+
+    def _corrected(self, logs: np.ndarray, found: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """A motion of the body and its derivatives with what its elements get wrong in small motions put right."""
+        if self._fine is None:
+            return found, slopes
+        steps = SLIGHT * np.eye(len(logs))
+        change = [(self._wrong(logs + step) - self._wrong(logs - step)) / (2 * SLIGHT) for step in steps]
+        return found + self._wrong(logs), slopes + np.stack(change, axis=-1)
+
+    def _wrong(self, logs: np.ndarray) -> np.ndarray:
+        """What is missing in small motions, shape [N, V, 3]."""
+        return self.by_modes(logs) - self._by(self._coarse_modes, logs)
 
     def linear(self, logs: np.ndarray, stiffer: np.ndarray | float = 1.0) -> np.ndarray:
         """Displacements if nothing strained much, to which F is a factor, shape [N, V, 3].
@@ -117,21 +140,35 @@ class SlabMotion:
         return between_steps(self._followed(logs, "linear", False, stiffer)[0], self.step, self._since(logs))[0]
 
     def by_modes(self, logs: np.ndarray) -> np.ndarray:
-        """The same of alike tissue that is damped by mass, in a tenth of the time once its modes are known."""
-        young, damping, force = theta_of(logs[:3])
-        modes, shown = self._modes
-        amplitudes = modes.follow(young, damping / DENSITY, force * held(self._loaded(logs), self.longest), self.step)
+        """The same of alike tissue, of the fine elements where there are such, in milliseconds once modes are known."""
+        return self._by(self._modes, logs)
+
+    def _by(self, known: tuple[Modes, np.ndarray], logs: np.ndarray) -> np.ndarray:
+        modes, shown = known
+        young, second, force = theta_of(logs[:3])
+        relaxation = Relaxation(second, math.exp(logs[3])) if self.relaxing else None
+        damping = 0.0 if self.relaxing else second / DENSITY
+        course = force * held(self._loaded(logs), self.longest)
+        amplitudes = modes.follow(young, damping, course, self.step, relaxation)
         return np.einsum(
             "vam,nm->nva", shown, between_steps(amplitudes, self.step, self._since(logs))[0], optimize=True
         )
 
     @cached_property
     def _modes(self) -> tuple[Modes, np.ndarray]:
-        """Of the body, and how the places move in each, shape [V, 3, M]."""
-        pattern = self._shares[:, None] * np.asarray(self.contact.direction, np.float64)
-        modes = Modes(self.slab.solid, POISSON, self.slab.held, DENSITY, pattern)
-        shown = self._shown @ modes.shapes.reshape(len(pattern), -1)
-        return modes, shown.reshape(self._shown.shape[0], 3, -1)
+        return self._coarse_modes if self._fine is None else self._modes_of(self._fine)
+
+    @cached_property
+    def _coarse_modes(self) -> tuple[Modes, np.ndarray]:
+        return self._modes_of(self.slab)
+
+    def _modes_of(self, slab: Slab) -> tuple[Modes, np.ndarray]:
+        """Of a body, and how the places move in each, shape [V, 3, M]."""
+        pattern = slab.patch(PATCH, self._place)[:, None] * np.asarray(self.contact.direction, np.float64)
+        shift = 4 / (self.step**2 * USUAL_YOUNG)
+        modes = Modes(slab.solid, POISSON, slab.held, DENSITY, pattern, shift)
+        shown = slab.between(self._pixels) @ modes.shapes.reshape(len(pattern), -1)
+        return modes, shown.reshape(len(self._pixels), 3, -1)
 
     def finer(self, logs: np.ndarray) -> np.ndarray:
         """The displacements of `at`: what finer steps change is less than what finer elements do, shape [N, V, 3]."""

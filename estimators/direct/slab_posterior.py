@@ -129,7 +129,7 @@ def follow_valley(problem: FilmProblem[SlabMotion], logs: np.ndarray, box: np.nd
 
 def moved_by_mesh(problem: FilmProblem[SlabMotion], finer: SlabMotion, logs: np.ndarray) -> np.ndarray:
     """By how much (log E, log d, log |F|) of a fit would be other by a finer mesh, to first order, shape [3]."""
-    change = _change(problem, finer.linear(logs) - problem.motion.linear(logs))
+    change = _change(problem, finer.by_modes(logs) - problem.motion.by_modes(logs))
     prior = box_information(problem.motion.box)
     jacobian = problem.jacobian(logs)
     return -np.linalg.solve(jacobian.T @ jacobian + prior, jacobian.T @ change)[:3]

@@ -14,7 +14,7 @@ from data.contact.patches import Patches
 from estimators.direct import estimator, slab_fit, slab_motion
 from estimators.direct.contact_fit import LARGEST_MISFIT
 from estimators.direct.estimator import DirectEstimator
-from estimators.direct.slab_fit import BLIND, MODEL_ERROR, UNLIKE, SlabProblem, descend, fit_slab, slab_start
+from estimators.direct.slab_fit import BLIND, MODEL_ERROR, UNLIKE, SlabProblem, descend, find_tip, fit_slab, slab_start
 from estimators.direct.slab_motion import DENSITY, PATCH, SlabMotion
 from estimators.estimate import NINETY, Estimate, NoEstimate
 from estimators.onset import BETWEEN
@@ -30,6 +30,7 @@ THICKNESS = 0.05
 TIMES = FRAME * np.arange(1, 11)
 LOAD = 5 * FRAME
 VERTEX = int(np.flatnonzero((MESH.pixels == (16, 17)).all(axis=1))[0])
+VERTEX_PLACE = (17.0, 16.0)
 NORMAL = np.array([0.0, 0.0, -1.0])
 THETA = (200.0, 6e4, -0.15)
 """E, d, F."""
@@ -94,6 +95,45 @@ def test_derivatives_equal_finite_differences(
         assert np.abs(slopes[..., index] - expected).max() < 1e-5 * np.abs(expected).max()
 
 
+@pytest.mark.parametrize("relaxing", [False, True])
+def test_small_motions_are_those_of_the_fine_elements_and_so_are_their_derivatives(relaxing: bool) -> None:
+    fine = slab_beneath(MESH, VERTEX, NORMAL, THICKNESS, COARSE, order=2)
+    logs = np.concatenate([RELAXING if relaxing else LOGS, [-0.21, 0.37]])
+    logs[2] -= 6.0
+    motion = motion_of(times=TIMES[:7], within=FRAME, relaxing=relaxing, fine=fine)
+    alone = SlabMotion(motion.contact, fine, MESH.pixels[[VERTEX, VERTEX + 3, VERTEX + 40]], TIMES[:7], FRAME, relaxing)
+    found, slopes = motion.at(logs)
+    expected = alone.linear(logs)
+    size = np.abs(expected).max()
+    np.testing.assert_allclose(found, expected, atol=2e-3 * size)
+    assert np.abs(motion_of(times=TIMES[:7], within=FRAME, relaxing=relaxing).at(logs)[0] - expected).max() > 0.1 * size
+    for index in range(len(logs)):
+        step = 0.01 * np.eye(len(logs))[index]
+        slope = (alone.linear(logs + step) - alone.linear(logs - step)) / 0.02
+        assert np.abs(slopes[..., index] - slope).max() < 0.01 * size
+
+
+def test_the_tips_middle_is_found() -> None:
+    """The film of a tip that presses beside the contact's vertex."""
+    place = (VERTEX_PLACE[0] + 1.3, VERTEX_PLACE[1] - 0.8)
+    contact, slab = contact_of(), slab_of()
+    empty = DentFilm(TIMES, np.zeros((10, SIDE, SIDE), np.float32), FilmNoise(SIGMA, 0.0), SIZE)
+    contact = dataclasses.replace(contact, film=empty)
+
+    def problem_of(tried: tuple[float, float]) -> SlabProblem:
+        def motion(vertices: np.ndarray, times: np.ndarray) -> SlabMotion:
+            return SlabMotion(contact, slab, MESH.pixels[vertices], times, place=tried)
+
+        found = SlabProblem(contact, motion)
+        moved = SlabMotion(contact, slab, MESH.pixels[found.patches.vertices], TIMES, place=place).at(LOGS)[0]
+        found.observed = found.patches.shown(found.patches.sunk(moved), found.patches.covering(moved))
+        return found
+
+    found = find_tip(problem_of, VERTEX_PLACE)
+    np.testing.assert_allclose(found, place, atol=0.4)
+    np.testing.assert_allclose(find_tip(problem_of, found), place, atol=0.15)
+
+
 def test_slow_presses_end_where_the_body_rests() -> None:
     slab = slab_of()
     contact = contact_of(released=False)
@@ -118,7 +158,7 @@ def test_what_cannot_be_followed_is_not_a_number(monkeypatch: pytest.MonkeyPatch
 
 def coarsely(monkeypatch: pytest.MonkeyPatch, contact: Interaction, cells: tuple[int, int, int]) -> Estimate:
     """A fit by a slab of few elements."""
-    monkeypatch.setattr(slab_fit, "slab_beneath", lambda *told: slab_beneath(*told[:4], cells))
+    monkeypatch.setattr(slab_fit, "slab_beneath", lambda *told, **_: slab_beneath(*told[:4], cells))
     return fit_slab(contact, THICKNESS)[0]
 
 

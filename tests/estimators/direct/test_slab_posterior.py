@@ -88,7 +88,7 @@ def test_a_finer_mesh_changes_a_fit_by_what_it_shows() -> None:
     # A mesh that shows what this one shows at other parameters is off by these.
     other = SlabMotion(problem.contact, problem.motion.slab, MESH.pixels[problem.patches.vertices], TIMES)
     step = np.array([0.02, -0.01, 0.015])
-    other.linear = lambda logs, stiffer=1.0: problem.motion.linear(logs - step)  # ty: ignore[invalid-assignment]
+    other.by_modes = lambda logs: problem.motion.by_modes(logs - step)  # ty: ignore[invalid-assignment]
     np.testing.assert_allclose(moved_by_mesh(problem, other, small), step, atol=3e-3)
 
 

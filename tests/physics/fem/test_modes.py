@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from physics.fem.dynamics import Inertia, simulate
+from physics.fem.dynamics import Inertia, Relaxation, simulate
 from physics.fem.laws import Material
 from physics.fem.modes import Modes
 from physics.load import Press
@@ -13,17 +13,19 @@ from tests.physics.fem.bodies import clamped
 from tests.physics.fem.test_dynamics import DENSITY, bar
 
 
-@pytest.mark.parametrize(("young", "damping"), [(2e5, 0.0), (4e4, 30.0)])
-def test_modes_move_as_the_simulated_body(young: float, damping: float) -> None:
+@pytest.mark.parametrize(
+    ("young", "damping", "relaxation"), [(2e5, 0.0, None), (4e4, 30.0, None), (1e5, 0.0, Relaxation(1.5, 0.02))]
+)
+def test_modes_move_as_the_simulated_body(young: float, damping: float, relaxation: Relaxation | None) -> None:
     body, end = bar()
     course = np.concatenate([np.ones(6), [0.4], np.zeros(8)])
     share, direction, step = np.full(len(end), 1 / len(end)), np.array([0, 0.6, 0.8]), 0.004
     pattern = np.zeros_like(body.rest)
     pattern[end] = share[:, None] * direction
-    modes = Modes(body, 0.3, clamped(body), DENSITY, pattern)
-    found = modes.follow(young, damping, 0.3 * course, step) @ modes.shapes.T
+    modes = Modes(body, 0.3, clamped(body), DENSITY, pattern, 4 / (1e5 * step**2))
+    found = modes.follow(young, damping, 0.3 * course, step, relaxation) @ modes.shapes.T
     expected = simulate(
         body, Material("linear", young, 0.3), clamped(body), Press(end, share, direction, course), step,
-        inertia=Inertia(DENSITY, damping), force=0.3,
+        inertia=Inertia(DENSITY, damping), force=0.3, relaxation=relaxation,
     ).displacement[1:]  # fmt: skip
     np.testing.assert_allclose(found.reshape(expected.shape), expected, atol=1e-9 * np.abs(expected).max())

@@ -16,6 +16,8 @@ from physics.fem import Inertia, Material, simulate
 from physics.fem.slab import Slab
 from physics.load import Grip
 
+CELLS = 6, 6, 2
+"""Of the slab, along columns, rows and depth, of quadratic elements: linear ones are far too stiff beside the grip."""
 KNOTS = 9
 """Of the way, from its beginning to the last instant that is looked at."""
 STEPS = 3

@@ -21,6 +21,7 @@ from data.tracks.following import PointFollower, Shown, shrunk
 from estimators.estimate import NINETY, GripEstimate, NoEstimate
 from estimators.grip.foundation_fit import Measuring, NoSheet, fit_foundation
 from estimators.grip.pull_fit import fit_pull
+from estimators.grip.pull_motion import CELLS
 from estimators.grip.sheet_fit import LEAST_FRAMES, LEAST_MOTION, GripFrame, SheetFit, fit_sheet, skill
 from estimators.grip.sheet_problem import SeenFrame
 from estimators.grip.stiffness_field import StiffnessField
@@ -130,7 +131,7 @@ class GripRecorder:
     def _pulled(self, contact: FrameGeometry, thickness: float) -> dict[str, Any]:
         """Fields of the estimate that a slab tells, the force over time in place of the sheet's."""
         try:
-            slab = slab_beneath(contact.mesh, contact.vertex, contact.normal, thickness, attached=False)
+            slab = slab_beneath(contact.mesh, contact.vertex, contact.normal, thickness, CELLS, attached=False, order=2)
         except NoBody as error:
             raise NoEstimate(f"No slab fits under the tissue: {error}") from error
         follower, (height, width) = self._follower, self._picture.shape[:2]

@@ -144,7 +144,8 @@ def layered(
 
     Args:
         corners: where they are at rest, shape [K, 3].
-        held: which of them don't move, shape [K], bool; of other nodes those between two that are held.
+        held: which of them don't move, shape [K], bool; of other nodes those between two that are held, but for one
+            between two sides, which lies inside.
         cells: along columns, rows and depth.
         grid: columns and rows of the corners on top, shape [C] and [R] [grid px].
         place: column and row of the contact [grid px].
@@ -160,14 +161,22 @@ def layered(
         count, ends = len(corners), solid.elements[:, EDGES]
         between = np.zeros((len(solid.rest) - count, 3), np.int64)
         between[solid.elements[:, 4:] - count] = halves[ends].sum(axis=2) // 2
-        fixed = np.zeros(len(between), bool)
+        fixed, across = np.zeros((2, len(between)), bool)
         fixed[solid.elements[:, 4:] - count] = held[ends].all(axis=2)
+        across[solid.elements[:, 4:] - count] = _outside(halves, cells)[ends].all(axis=2)
+        fixed &= _outside(between, cells) | ~across
         halves, held = np.concatenate([halves, between]), np.concatenate([held, fixed])
         columns, rows = (np.interp(np.arange(0, len(line) - 0.5, 0.5), np.arange(len(line)), line) for line in grid)
         grid = columns, rows
     top = np.flatnonzero(halves[:, 2] == 0)
     top = top[np.lexsort((halves[top, 1], halves[top, 0]))].reshape(len(grid[0]), len(grid[1]))
     return Slab(solid, np.repeat(held[:, None], 3, axis=1), top, *grid, place, order)
+
+
+def _outside(halves: np.ndarray, cells: tuple[int, int, int]) -> np.ndarray:
+    """Which places, in halves of cells [P, 3], lie on a side or at the bottom, shape [P], bool."""
+    ends = 2 * np.array(cells)
+    return (halves == ends).any(axis=1) | (halves[:, :2] == 0).any(axis=1)
 
 
 def slab_beneath(

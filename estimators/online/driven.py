@@ -53,8 +53,11 @@ class DrivenTissue:
         self._awaited = settings.fitted
         inside, shares = surface.places(points)
         around = distance[inside] >= surface.reach
+        if settings.path is not None:  # which needn't begin at the instrument's mask
+            around = ~np.isin(shares.indices.reshape(-1, 3), surface.gripped).any(axis=1)
         self.around = inside[around]
-        """Followed points on the tissue that the instrument doesn't move itself: what is compared, shape [Q]."""
+        """Followed points that are compared, shape [Q]: on tissue that began out of the instrument's reach, or with a
+        path in triangles without a gripped corner."""
         self._shares = shares[np.flatnonzero(around)]
         self._resting = surface.project(self._shares @ body.rest)
         self._driving = np.flatnonzero(distance < surface.reach)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import gc
 import tracemalloc
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from data.source.frames import Frame
 from estimators.estimate import NoEstimate
 from estimators.online import fitting
 from estimators.online.driven import DrivenTissue
+from estimators.online.given import GripperPath
 from estimators.online.session import Method
 from estimators.online.settings import OnlineSettings
 from estimators.online.surface import Surface, make_surface
@@ -254,6 +256,25 @@ def test_a_path_moves_the_gripped_particles_alone_and_exactly(surface: Surface) 
     told = tissue.step(seen)
     np.testing.assert_array_equal(told.positions[surface.gripped], places)
     assert told.gap is None
+
+
+def test_with_a_path_points_are_compared_but_where_its_grip_moves_them() -> None:
+    """Which is elsewhere than the mask, beside which they are compared."""
+    path = GripperPath(Path("path.csv"), np.array([0.0, 1.0]), np.array([[170.0, 80.0, DEPTH]] * 2))
+    led = make_surface(first_frame(), CAMERA, GEOMETRY, SETTINGS.particles, path=path)
+    tissue = driven(led, path="path.csv")
+    inside, shares = led.places(POINTS)
+    held = shares.toarray()[:, led.gripped].max(axis=1) > 1e-9
+    compared = np.isin(inside, tissue.around)
+    assert held.any()
+    assert not compared[held].any()
+    corners = led.pixels[led.faces]
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max()
+    apart = np.linalg.norm(POINTS[inside][:, None] - led.pixels[led.gripped], axis=2).min(axis=1)
+    assert compared[apart > longest].all()
+    assert (led.reach > AWAY[tissue.around]).any()
+    places = tissue.led_places(np.tile([-6.0, 3.0], (len(led.gripped), 1)), 0.0)
+    assert tissue.step(np.zeros_like(POINTS), led=places).gap is not None
 
 
 def test_a_volume_moves_with_its_grip_and_keeps_its_volume(monkeypatch: pytest.MonkeyPatch) -> None:

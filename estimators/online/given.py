@@ -16,6 +16,8 @@ from estimators.estimate import NoEstimate
 WHITE = 128
 """Where all channels have this much of 255 a mask is white."""
 COLUMNS = ("time_s", "x_px", "y_px", "z")
+ROUNDED = 1e-3
+"""Rows of a path reach farther by this, since their times are rounded [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +58,7 @@ class GripperPath:
 
     def at(self, time: float) -> np.ndarray | None:
         """Column, row and depth by a time [s], linear between rows, shape [3]; None where the rows don't reach."""
-        if not self.times[0] <= time <= self.times[-1]:
+        if not self.times[0] - ROUNDED <= time <= self.times[-1] + ROUNDED:
             return None
         return np.array([np.interp(time, self.times, values) for values in self.places.T])
 

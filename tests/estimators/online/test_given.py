@@ -45,6 +45,15 @@ def test_a_path_is_linear_between_its_rows_and_ends_with_them(tmp_path: Path) ->
     assert path.at(4.01) is None
 
 
+def test_rows_of_rounded_times_reach_their_frames(tmp_path: Path) -> None:
+    (tmp_path / "path.csv").write_text("time_s,x_px,y_px,z\n0.0667,10,20,0.5\n0.1333,30,40,0.4\n")
+    path = read_path(tmp_path / "path.csv")
+    np.testing.assert_allclose(path.at(2 / 30), [10, 20, 0.5])
+    np.testing.assert_allclose(path.at(4 / 30), [30, 40, 0.4])
+    assert path.at(0.0667 - 0.0011) is None
+    assert path.at(0.1333 + 0.0011) is None
+
+
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [

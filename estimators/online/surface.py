@@ -119,8 +119,8 @@ def make_surface(
         path: of the gripper; None = the tissue near the tool is gripped.
 
     Raises:
-        NoEstimate: no tool or no tissue with depth, none of it near the tool or where the path is by then, or none
-            where the pins are.
+        NoEstimate: no tool or no tissue with depth, none of it near the tool (with a path, where that is by then), or
+            none where the pins are; a thickness of which no volume can be made.
     """
     picture, labels = frame.view
     tissue, tool = (frame.labels == TISSUE) & (frame.depth > 0), frame.labels == TOOL
@@ -146,16 +146,17 @@ def make_surface(
     column, row = np.clip(pixels.round().astype(int), 0, np.array(size) - 1).T
     reach = max(DRIVEN, size[0] / mesh.grid_shape[1] / np.sqrt(keep))  # a row of particles at least
     away = tool_distance(instrument)[row, column]
+    larger, number = labels.shape[1] / size[0], frame.frame.number
     driven = away < reach
-    if not driven.any():
-        raise NoEstimate(f"No tissue lies within {reach:.0f} px of the instrument in frame {frame.frame.number}.")
     if path is not None:
         place = grid_to_picture(path.begun(frame.frame)[:2], labels.shape, size)
-        driven = _led(path, np.linalg.norm(pixels - place, axis=1), reach, frame.frame.number)
+        driven = _led(path, np.linalg.norm(pixels - place, axis=1), reach, larger, number)
+    elif not driven.any():
+        raise NoEstimate(f"No tissue lies within {reach * larger:.0f} px of the instrument in frame {number}.")
     if pins is None:
         pinned = mesh.rim & ~driven & (away > np.percentile(away, FAR))
     else:
-        pinned = _white(pins, mesh, driven, frame.frame.number)
+        pinned = _white(pins, mesh, driven, number)
     if thickness is None:
         body = make_body(mesh.vertices, mesh.triangles, pinned=pinned)
     else:
@@ -164,14 +165,21 @@ def make_surface(
     return surface if thickness is None else dataclasses.replace(surface, pixels=surface.project(body.rest))
 
 
-def _led(path: GripperPath, apart: np.ndarray, reach: float, number: int) -> np.ndarray:
-    """Which particles a path moves, as far from it [px] as given in a frame, shape [n], bool: the nearest one at least.
+def _led(path: GripperPath, apart: np.ndarray, reach: float, larger: float, number: int) -> np.ndarray:
+    """Which particles a path moves, shape [n], bool: the nearest one at least.
+
+    Args:
+        path: of the gripper.
+        apart: how far each is from where it is in a frame, shape [n] [px of the followed picture].
+        reach: out of which it moves none, likewise.
+        larger: pixels of the clip's picture in one of those.
+        number: the frame's.
 
     Raises:
         NoEstimate: even that is out of reach.
     """
     if apart.min() > reach:
-        told = f"is {apart.min():.0f} px away from all tissue in frame {number}, when contact begins"
+        told = f"is {apart.min() * larger:.0f} px away from all tissue in frame {number}, when contact begins"
         raise NoEstimate(f"{printable(path.path)} {told}; give the gripper's place in the clip's pictures.")
     return apart <= max(DRIVEN, apart.min())
 
@@ -202,7 +210,11 @@ def _layers(area: float, thickness: float, particles: int) -> int:
 
 
 def _volume(mesh: Mesh, pinned: np.ndarray, thickness: float, layers: int) -> Body:
-    """What lies below a surface along its normals, in so many layers; pinned is all below what is pinned there."""
+    """What lies below a surface along its normals, in so many layers; pinned is all below what is pinned there.
+
+    Raises:
+        NoEstimate: nothing does.
+    """
     upper, faces = mesh.vertices.astype(np.float64), mesh.triangles.astype(np.int64)
     away = np.linalg.det(upper[faces]) > 0  # of the camera, at the origin
     faces[away] = faces[away][:, ::-1]
@@ -211,4 +223,7 @@ def _volume(mesh: Mesh, pinned: np.ndarray, thickness: float, layers: int) -> Bo
     normals = np.stack([np.exp(-np.square((upper - place) / thickness).sum(axis=1) / 2) @ normals for place in upper])
     below = -thickness * normals / np.linalg.norm(normals, axis=1, keepdims=True)
     rest, tetrahedra = layered(upper, faces, below, layers)
+    if len(tetrahedra) == 0:
+        told = f"No volume can be made below the tissue with a thickness of {thickness:g} in the depth's unit"
+        raise NoEstimate(f"{told}; give the tissue's, or null for a sheet.")
     return make_body(rest, outer_faces(tetrahedra), tetrahedra, pinned=np.tile(pinned, layers))

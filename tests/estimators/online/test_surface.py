@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from data.labels import OTHER, TISSUE
 from estimators.estimate import NoEstimate
 from estimators.online.given import GripperPath, Pins
 from estimators.online.surface import Surface, make_surface
@@ -104,3 +106,34 @@ def test_the_tissue_where_a_path_begins_is_gripped_and_the_rest_is_not(particles
     assert (apart.min() < 24) == several
     np.testing.assert_array_equal(found.gripped, np.flatnonzero(apart < 24) if several else [apart.argmin()])
     assert not found.body.pinned[found.gripped].any()
+
+
+def path_at(column: float, row: float) -> GripperPath:
+    """A gripper that stays at a place of the picture [px]."""
+    return GripperPath(Path("path.csv"), np.array([0.0, 1.0]), np.array([[column, row, DEPTH]] * 2))
+
+
+def test_with_a_path_the_instrument_may_be_far_from_the_tissue() -> None:
+    frame = first_frame()
+    left = frame.view[1][:, :120]  # the grid's labels are some of these
+    left[left == TISSUE] = OTHER
+    with pytest.raises(NoEstimate, match=r"No tissue lies within 24 px of the instrument in frame 7\."):
+        make_surface(frame, CAMERA, GEOMETRY, PARTICLES)
+    found = make_surface(frame, CAMERA, GEOMETRY, PARTICLES, path=path_at(200, 80))
+    assert np.linalg.norm(found.pixels[found.gripped] - (200, 80), axis=1).max() <= 24
+
+
+def test_a_thickness_of_no_volume_is_a_sentence() -> None:
+    with pytest.raises(NoEstimate, match=r"with a thickness of 1e-17 in the depth's unit; give the tissue's"):
+        make_surface(first_frame(), CAMERA, GEOMETRY, PARTICLES, 1e-17)
+
+
+def test_distances_are_told_in_pixels_of_the_clip() -> None:
+    """Whose pictures are followed at most 854 px wide."""
+    small, share = first_frame(), 8
+    picture, labels = (image.repeat(share, axis=0).repeat(share, axis=1) for image in small.view)
+    frame = dataclasses.replace(small, frame=dataclasses.replace(small.frame, image=picture), picture_labels=labels)
+    camera = CAMERA.scaled(share * WIDTH, share * HEIGHT)
+    outside = path_at(share * WIDTH + 1000, share * HEIGHT / 2)
+    with pytest.raises(NoEstimate, match=r"path\.csv is 1\d\d\d px away from all tissue in frame 7"):
+        make_surface(frame, camera, GEOMETRY, PARTICLES, path=outside)

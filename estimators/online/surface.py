@@ -223,7 +223,8 @@ def _volume(mesh: Mesh, pinned: np.ndarray, thickness: float, layers: int) -> Bo
     normals = np.stack([np.exp(-np.square((upper - place) / thickness).sum(axis=1) / 2) @ normals for place in upper])
     below = -thickness * normals / np.linalg.norm(normals, axis=1, keepdims=True)
     rest, tetrahedra = layered(upper, faces, below, layers)
-    if len(tetrahedra) == 0:
+    merged = (np.diff(rest.reshape(layers, -1, 3), axis=0) == 0).all(axis=2).any()  # by rounding
+    if merged or len(tetrahedra) == 0:
         told = f"No volume can be made below the tissue with a thickness of {thickness:g} in the depth's unit"
         raise NoEstimate(f"{told}; give the tissue's, or null for a sheet.")
     return make_body(rest, outer_faces(tetrahedra), tetrahedra, pinned=np.tile(pinned, layers))

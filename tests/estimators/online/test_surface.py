@@ -123,9 +123,13 @@ def test_with_a_path_the_instrument_may_be_far_from_the_tissue() -> None:
     assert np.linalg.norm(found.pixels[found.gripped] - (200, 80), axis=1).max() <= 24
 
 
-def test_a_thickness_of_no_volume_is_a_sentence() -> None:
+@pytest.mark.parametrize("slope", [0.0, 0.001])
+def test_a_thickness_of_no_volume_is_a_sentence(slope: float) -> None:
+    """Of which rounding leaves nothing, or of a slope some prisms."""
+    frame = first_frame()
+    frame.depth += np.float32(slope) * np.arange(frame.depth.shape[1], dtype=np.float32)
     with pytest.raises(NoEstimate, match=r"with a thickness of 1e-17 in the depth's unit; give the tissue's"):
-        make_surface(first_frame(), CAMERA, GEOMETRY, PARTICLES, 1e-17)
+        make_surface(frame, CAMERA, GEOMETRY, PARTICLES, 1e-17)
 
 
 def test_distances_are_told_in_pixels_of_the_clip() -> None:

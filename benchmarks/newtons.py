@@ -166,21 +166,24 @@ def judge(results: Path, truths: dict[str, Truth], known: str, table: FileTable)
             inside = spread is not None and abs(off) < NINETY * spread[2]
             in_turn.append((off, inside, "force" in told.determined))
             pairs.append((name, other))
-    chance = {}
-    if len(set(pairs)) > 2:  # three clips
-        inside = [holds for _, holds, _ in in_turn]
-        chance["all: 90 % intervals hold, standard deviation"] = _over_clips(pairs, inside)
-    table.add("others, each clip's force known in turn", _summary(in_turn) | chance)
+    measures = _summary(in_turn)
+    chance = _over_clips(pairs, [inside for _, inside, _ in in_turn])
+    if chance is not None:
+        measures["all: 90 % intervals hold, standard deviation"] = chance
+    table.add("others, each clip's force known in turn", measures)
 
 
-def _over_clips(pairs: Sequence[tuple[str, str]], holds: Sequence[bool]) -> float:
+def _over_clips(pairs: Sequence[tuple[str, str]], holds: Sequence[bool]) -> float | None:
     """Standard deviation of the share of pairs that hold: they share clips, so that one is left out at a time.
 
-    The jackknife (Efron & Tibshirani 1993, chapter 11).
+    The jackknife (Efron & Tibshirani 1993, chapter 11); None where a clip is in all pairs, so that none is left.
     """
-    ends, held = np.array(pairs), np.array(holds)
+    ends, held = np.array(pairs).reshape(-1, 2), np.array(holds)
     clips = np.unique(ends)
-    shares = np.array([held[(ends != clip).all(axis=1)].mean() for clip in clips])
+    left = [held[(ends != clip).all(axis=1)] for clip in clips]
+    if not left or not all(map(len, left)):
+        return None
+    shares = np.array([each.mean() for each in left])
     return math.sqrt((len(clips) - 1) * shares.var())
 
 

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from benchmarks import newtons
 from benchmarks.newtons import MEASURED, NEWTONS, judge, measured_force, read_truths
-from estimators.estimate import NINETY
+from estimators.estimate import NINETY, NoEstimate
 from evaluation.file_table import FileTable
 
 OFF = {"a": 0.0, "b": 0.1, "c": -0.3}
@@ -34,9 +35,7 @@ def write_row(path: Path, row: dict[str, object]) -> None:
         table.writerow(row)
 
 
-@pytest.fixture
-def judged(tmp_path: Path) -> dict[tuple[object, object], object]:
-    """Three clips, of which that of a is known; the table says the same as the estimates."""
+def judge_three(tmp_path: Path) -> dict[tuple[object, object], object]:
     for number, (name, off) in enumerate(OFF.items(), start=1):
         write_clip(tmp_path / "clips", name, -0.1 * number)
         force = 0.1 * number * math.exp(off)
@@ -52,6 +51,12 @@ def judged(tmp_path: Path) -> dict[tuple[object, object], object]:
     table = FileTable(tmp_path / "out", Console(stderr=True))
     judge(tmp_path / "results", read_truths(tmp_path / "clips"), "a", table)
     return {(row["file"], row["measure"]): row["value"] for row in table.rows}
+
+
+@pytest.fixture
+def judged(tmp_path: Path) -> dict[tuple[object, object], object]:
+    """Three clips, of which that of a is known; the table says the same as the estimates."""
+    return judge_three(tmp_path)
 
 
 def test_the_door_s_forces_are_compared_with_the_truth(judged: dict[tuple[object, object], object]) -> None:
@@ -79,6 +84,23 @@ def test_every_clip_s_force_is_known_in_turn(judged: dict[tuple[object, object],
     left = [holds[[3, 5]].mean(), holds[[1, 4]].mean(), holds[[0, 2]].mean()]
     spread = math.sqrt(2 / 3 * np.square(left - np.mean(left)).sum())
     assert 0 < spread == pytest.approx(judged[whole, "all: 90 % intervals hold, standard deviation"])
+
+
+def test_pairs_that_all_share_a_clip_tell_no_spread(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where a alone gives a scale, leaving it out leaves no pair."""
+    scale_by_force = newtons.scale_by_force
+
+    def of_a_alone(runs: object, measured: object, mass: float, name: str) -> object:
+        if name != "a":
+            raise NoEstimate("none")
+        return scale_by_force(runs, measured, mass, name)
+
+    monkeypatch.setattr(newtons, "scale_by_force", of_a_alone)
+    found = judge_three(tmp_path)
+    whole = "others, each clip's force known in turn"
+    assert found[whole, "forces"] == 2
+    assert found[whole, "all: 90 % intervals hold"] == 0.5
+    assert (whole, "all: 90 % intervals hold, standard deviation") not in found
 
 
 def test_clips_without_a_press_of_known_force_are_left_out(tmp_path: Path) -> None:

@@ -17,6 +17,8 @@ STEP = 1e-3
 ASIDE = 1e-4
 """By how much log E and ν are moved for the gradient. By a hundredth, half of it times the curvature by E outweighs the
 gradient within half a percent of a valley's floor, and no step goes down there any more."""
+TRIES = 10
+"""Of an E that bears the forces, each four times the last, beside the one that is given."""
 
 
 def descend(
@@ -34,9 +36,14 @@ def descend(
     step's beginning are its gradient; points that come and go would roughen it, as would other points to align by. The
     paper's step length λ is not told: here it is halved until the error falls and doubled afterwards; E in logarithms,
     because in pascals no step suits both. It begins at the E that is given, and four times stiffer as often as the
-    body can't bear the force there; it ends where no step of STEP or more lowers the error, or at `most` simulations.
+    body can't bear the force there, or only turned inside out: the co-rotational law finds rest there, and the descent
+    would end there. The path's first place is where it began. It ends where no step of STEP or more lowers the error,
+    or at `most` simulations.
 
     Args: see `fit_material`.
+
+    Raises:
+        NoEquilibrium: the body bears the forces at no stiffness that was tried.
     """
     bench = Bench(skin, held, palpations, settings.law)
     poses = bench.poses
@@ -48,9 +55,13 @@ def descend(
         clouds.append(each.points[beside_the_tool(match.at(skin.triangles, skin.vertices), each)])
 
     def simulated(at: np.ndarray, aligned: bool = True) -> tuple[float, list[Equilibrium], list[np.ndarray]]:
+        systems = bench.systems
         try:
             rests = bench.rest(float(np.exp(at[0])), float(at[1]), starts)
         except NoEquilibrium:
+            return np.inf, [], []
+        if any(np.linalg.det(skin.body.deformation(rest.displacement)).min() <= 0 for rest in rests):
+            bench.systems = systems  # inside out: it failed
             return np.inf, [], []
         total, found = 0.0, []
         for rest, cloud, pose in zip(rests, clouds, poses, strict=True):
@@ -61,11 +72,13 @@ def descend(
         return total, rests, found
 
     error, rests, aligned = simulated(values)
-    while not np.isfinite(error):  # too soft to bear the force
-        if bench.solves >= most:
-            raise NoEquilibrium("the body bears the forces at no stiffness that was tried; give a stiffer start.")
-        values[0] += np.log(4)
+    for _ in range(TRIES):
+        if np.isfinite(error) or bench.solves >= most:
+            break
+        values[0] += np.log(4)  # too soft to bear the force
         error, rests, aligned = simulated(values)
+    if not np.isfinite(error):
+        raise NoEquilibrium("the body bears the forces at no stiffness that was tried; give a stiffer start.")
     path = [bench.progress(np.exp(values[0]), values[1])]
     length = 1.0
     while bench.solves < most:

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from estimators.palpation import FitSettings, fit_material
+from estimators.palpation.bench import Bench
 from estimators.palpation.descent import descend
 from evaluation.palpation.synthetic import BODIES, observe, press
+from physics.fem import NoEquilibrium
 
 BODY = dataclasses.replace(BODIES["slab"], size=0.08)
 
@@ -31,3 +33,34 @@ def test_the_descent_arrives_from_a_start_far_off(start: float) -> None:
     # It did not stop on a valley's floor: its error is no larger than where exact derivatives end, but for ICP's rest.
     at_exact = FitSettings(young=exact.young, poisson=exact.poisson)
     assert numeric.noise < (1 + 1e-5) * descend(skin, held, [seen], at_exact, most=1).noise
+
+
+def test_a_start_at_which_the_body_turns_inside_out_is_none() -> None:
+    """Thirty times too soft the slab goes through its floor; there the descent would end."""
+    skin, held = BODY.skin(3, BODY.size / 12)
+    seen = observe(*press(BODY, 1e4, 0.42, 0.5, (0.6, 0.5), 3, law="corotational"), "stereo", 3, count=300)
+    bench = Bench(skin, held, [seen], "corotational")
+    (below,) = bench.rest(1e4 / 30, 0.3, [None])
+    assert np.linalg.det(skin.body.deformation(below.displacement)).min() < 0
+    found = descend(skin, held, [seen], FitSettings(young=1e4 / 30))
+    begun = found.path[0]
+    assert begun.young == pytest.approx(16e4 / 30)
+    (first,) = bench.rest(begun.young, 0.3, [None])
+    assert (begun.solves, begun.systems) == (3, first.iterations)  # of those that failed, no systems
+    assert found.young == pytest.approx(1e4, rel=0.1)
+    assert np.linalg.det(skin.body.deformation(found.rests[0].displacement)).min() > 0
+
+
+def test_no_start_is_looked_for_without_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    skin, held = BODY.skin(3, BODY.size / 12)
+    seen = observe(*press(BODY, 1e4, 0.42, 0.5, (0.6, 0.5), 3), "stereo", 3, count=300)
+    tried = []
+
+    def unborne(bench: Bench, young: float, poisson: float, starts: object) -> None:
+        tried.append(young)
+        raise NoEquilibrium("none")
+
+    monkeypatch.setattr(Bench, "rest", unborne)
+    with pytest.raises(NoEquilibrium, match="at no stiffness that was tried; give a stiffer start"):
+        descend(skin, held, [seen], FitSettings(young=1.0))
+    assert tried == pytest.approx(4.0 ** np.arange(11))

@@ -37,8 +37,9 @@ def descend(
     paper's step length λ is not told: here it is halved until the error falls and doubled afterwards; E in logarithms,
     because in pascals no step suits both. It begins at the E that is given, and four times stiffer as often as the
     body can't bear the force there, or only turned inside out: the co-rotational law finds rest there, and the descent
-    would end there. The path's first place is where it began. It ends where no step of STEP or more lowers the error,
-    or at `most` simulations.
+    can stay there. The path's first place is where it began, with what softer starts took before. Later steps may pass
+    where elements turn inside out: a slab's descent that could not stopped short. It ends where no step of STEP or more
+    lowers the error, or at `most` simulations.
 
     Args: see `fit_material`.
 
@@ -55,13 +56,9 @@ def descend(
         clouds.append(each.points[beside_the_tool(match.at(skin.triangles, skin.vertices), each)])
 
     def simulated(at: np.ndarray, aligned: bool = True) -> tuple[float, list[Equilibrium], list[np.ndarray]]:
-        systems = bench.systems
         try:
             rests = bench.rest(float(np.exp(at[0])), float(at[1]), starts)
         except NoEquilibrium:
-            return np.inf, [], []
-        if any(np.linalg.det(skin.body.deformation(rest.displacement)).min() <= 0 for rest in rests):
-            bench.systems = systems  # inside out: it failed
             return np.inf, [], []
         total, found = 0.0, []
         for rest, cloud, pose in zip(rests, clouds, poses, strict=True):
@@ -71,15 +68,17 @@ def descend(
             total += float(np.square(apart).mean())
         return total, rests, found
 
-    error, rests, aligned = simulated(values)
-    for _ in range(TRIES):
-        if np.isfinite(error) or bench.solves >= most:
-            break
-        values[0] += np.log(4)  # too soft to bear the force
+    for stiffer in 4.0 ** np.arange(TRIES + 1):
+        values[0] = np.log(stiffer * settings.young)
+        path = [bench.progress(np.exp(values[0]), values[1])]  # with what softer starts took
         error, rests, aligned = simulated(values)
-    if not np.isfinite(error):
+        upright = bool(rests) and all(
+            np.linalg.det(skin.body.deformation(each.displacement)).min() > 0 for each in rests
+        )
+        if upright or bench.solves >= most:
+            break
+    if not upright:
         raise NoEquilibrium("the body bears the forces at no stiffness that was tried; give a stiffer start.")
-    path = [bench.progress(np.exp(values[0]), values[1])]
     length = 1.0
     while bench.solves < most:
         starts, poses = [rest.displacement for rest in rests], aligned

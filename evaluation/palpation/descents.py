@@ -87,7 +87,10 @@ def compare(name: str, table: FileTable) -> None:
         exact = fit_material(skin, held, [seen], FitSettings(young=YOUNG * start))
         numeric = descend(skin, held, [seen], FitSettings(young=YOUNG * start), most=MOST)
         begun = numeric.path[0]
-        path = [dataclasses.replace(each, solves=each.solves - begun.solves + 1) for each in numeric.path]
+        path = [
+            dataclasses.replace(each, solves=each.solves - begun.solves, systems=each.systems - begun.systems)
+            for each in numeric.path
+        ]
         found: dict[str, object] = {"descent: E that it could begin at / truth": begun.young / YOUNG}
         for method, fit in (("Gauss–Newton", exact), ("descent", numeric)):
             found[f"{method}: E / truth - 1"] = fit.young / YOUNG - 1

@@ -17,9 +17,12 @@ BODY = dataclasses.replace(BODIES["slab"], size=0.08)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("start", [1e3, 1e5])
-def test_the_descent_arrives_from_a_start_far_off(start: float) -> None:
-    """A factor of ten off; many times as many solves as by exact derivatives, which end at the same place."""
+@pytest.mark.parametrize(("start", "begun"), [(1e3, 16e3), (1e5, 1e5)])
+def test_the_descent_arrives_from_a_start_far_off(start: float, begun: float) -> None:
+    """A factor of ten off; many times as many solves as by exact derivatives, which end at the same place.
+
+    Ten and two and a half times too soft, the slab turns inside out.
+    """
     skin, held = BODY.skin(4, BODY.size / 20)
     seen = observe(*press(BODY, 1e4, 0.42, 1.0, (0.1, 0.5), 4, law="corotational"), "stereo", 3, count=800)
     exact = fit_material(skin, held, [seen], FitSettings(young=start))
@@ -28,7 +31,7 @@ def test_the_descent_arrives_from_a_start_far_off(start: float) -> None:
     assert numeric.young == pytest.approx(1e4, rel=0.25)
     assert numeric.solves > 5 * exact.solves
     assert np.isnan(numeric.covariance).all()
-    assert numeric.path[0].young == pytest.approx(start)
+    assert numeric.path[0].young == pytest.approx(begun)
     assert (numeric.path[-1].young, numeric.path[-1].solves) == (numeric.young, numeric.solves)
     # It did not stop on a valley's floor: its error is no larger than where exact derivatives end, but for ICP's rest.
     at_exact = FitSettings(young=exact.young, poisson=exact.poisson)
@@ -45,8 +48,7 @@ def test_a_start_at_which_the_body_turns_inside_out_is_none() -> None:
     found = descend(skin, held, [seen], FitSettings(young=1e4 / 30))
     begun = found.path[0]
     assert begun.young == pytest.approx(16e4 / 30)
-    (first,) = bench.rest(begun.young, 0.3, [None])
-    assert (begun.solves, begun.systems) == (3, first.iterations)  # of those that failed, no systems
+    assert (begun.solves, begun.systems > below.iterations) == (2, True)  # what two softer starts took
     assert found.young == pytest.approx(1e4, rel=0.1)
     assert np.linalg.det(skin.body.deformation(found.rests[0].displacement)).min() > 0
 

@@ -116,11 +116,10 @@ def quick(monkeypatch: pytest.MonkeyPatch, blank_pictures: None) -> None:
     patch(real, "_pressed", lambda folder, wrench, measures: measures.update({"frames": 1}) or os.urandom(8))
     patch(foreign, "judge_pull", lambda path: {"frames": random.random()})
     patch(palpation, "read_grasp", lambda path: Grasp(np.linspace(0, 9, 19), random.random() - np.arange(19)))
-    patch(frank, "_truth", lambda *arguments: ())
+    patch(frank, "true_press", lambda *arguments: ())
     patch(frank, "observe", lambda *arguments: None)
     patch(frank, "_fitted_by", lambda *arguments: (None, None))
     patch(frank, "_starts", lambda label, *rest: rest[-1].add(label, {"E": random.random()}))
-    patch(frank, "_descents", lambda *arguments: None)
     patch(frank, "_paper", lambda *arguments: {name: os.urandom(8) for name in frank.FIGURES})
     truths = {str(number): newtons.Truth(Path(str(number)), 1 + random.random(), 0.5) for number in range(3)}
     patch(newtons, "read_truths", lambda folder: truths)

@@ -10,7 +10,7 @@ pictures and the evaluation. Exit status: 0 done, 1 failed, 2 wrong usage, 130 i
 
 from __future__ import annotations
 
-from physics.doors import INTERRUPTED, enter_door, plain, run_door
+from physics.doors import INTERRUPTED, by_interrupt, enter_door, plain, run_door
 
 if __name__ == "__main__":
     enter_door()  # before the slow imports
@@ -123,7 +123,7 @@ class RunRecord(SaveConfigCallback):
         log_artifact(trainer, path, "samples")
 
     def on_exception(self, trainer: Trainer, pl_module: LightningModule, exception: BaseException) -> None:
-        if isinstance(exception, KeyboardInterrupt) and trainer.state.fn == "fit":
+        if by_interrupt(exception) and trainer.state.fn == "fit":
             print("Interrupted. Add --ckpt_path last to the same command to go on after the last finished epoch.")
 
 
@@ -337,13 +337,6 @@ def log_artifact(trainer: Trainer, path: Path, folder: str | None = None) -> Non
     for logger in trainer.loggers:
         if isinstance(logger, MLFlowLogger) and trainer.is_global_zero:
             logger.experiment.log_artifact(logger.run_id, str(path), folder)
-
-
-def by_interrupt(error: BaseException | None) -> bool:
-    """Whether an interruption stands at the beginning of what went wrong."""
-    while error is not None and not isinstance(error, KeyboardInterrupt):
-        error = error.__context__
-    return error is not None
 
 
 def main(arguments: list[str] | None = None) -> int:

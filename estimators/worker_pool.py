@@ -11,6 +11,8 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from typing import TypeVar
 
+from physics.doors import interruptible
+
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 _LIMITS = (
@@ -42,7 +44,8 @@ def run_tasks(
         WorkerLost: a process was killed, most likely for want of memory.
     """
     if workers == 0 or not tasks:
-        yield from map(function, tasks)
+        with interruptible():
+            yield from map(function, tasks)
         return
     others = set(multiprocessing.active_children())
     processes = min(workers or os.cpu_count() or 1, len(tasks))

@@ -11,6 +11,7 @@ from rich.console import Console
 from data.command_line import path_option, say
 from data.source.layout import InputError
 from evaluation.tables import to_csv
+from physics.doors import interruptible
 from physics.ownership import replacing_own, require_own
 from results.store import writing
 
@@ -56,7 +57,8 @@ class FileTable:
             OutputError: the table can't be written.
         """
         try:
-            measures = work()
+            with interruptible():
+                measures = work()
         except Exception as error:  # of one file; the others' answers must not be lost
             told = str(error) if isinstance(error, ValueError) else f"failed ({type(error).__name__}: {error})"
             measures, self.status = {"status": told}, 1

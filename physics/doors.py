@@ -5,11 +5,12 @@ A program calls `enter_door` before its slow imports, and `run_door` at its end,
 
 from __future__ import annotations
 
+import contextlib
 import io
 import os
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from typing import Any, NoReturn
 
 INTERRUPTED = 130
@@ -53,7 +54,8 @@ def run_door(main: Callable[[], int | None], interrupted: str = "Interrupted.") 
     if signal.getsignal(signal.SIGINT) is _quit:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        status = main() or 0
+        with interruptible():
+            status = main() or 0
     except SystemExit as stop:
         status = stop.code
     except KeyboardInterrupt:
@@ -69,6 +71,28 @@ def run_door(main: Callable[[], int | None], interrupted: str = "Interrupted.") 
             print(f"Some output could not be written ({failure.strerror}).", file=sys.stderr)
             status = status or 1
     sys.exit(status)
+
+
+@contextlib.contextmanager
+def interruptible() -> Generator[None]:
+    """Let Ctrl-C end what is done within as KeyboardInterrupt, wherever it lands.
+
+    Compiled code that it lands in ends with an error of its own, mostly SystemError, which must not pass for a
+    failure of the clip at hand.
+    """
+    try:
+        yield
+    except Exception as error:
+        if by_interrupt(error):
+            raise KeyboardInterrupt from error
+        raise
+
+
+def by_interrupt(error: BaseException | None) -> bool:
+    """Whether an interruption stands at the beginning of what went wrong."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__context__
+    return error is not None
 
 
 def plain(text: str) -> str:

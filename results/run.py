@@ -29,7 +29,7 @@ from estimators.estimate import FrameEstimate
 from estimators.known_force import read_forces
 from estimators.model_settings import check_sources
 from estimators.open import EstimatorOptions, open_estimator
-from physics.doors import INTERRUPTED, plain
+from physics.doors import INTERRUPTED, interruptible, plain
 from physics.files import file_sha256
 from results.calibrated import ClipCalibration, carried_from, comparison_sentence
 from results.record import build_record, depends_on, describe, fingerprint_of, model_of
@@ -233,7 +233,8 @@ class Batch:
             place: of the clip in the batch, for the progress bar.
         """
         try:
-            return self.process(path, progress, place)
+            with interruptible():
+                return self.process(path, progress, place)
         except Exception as error:
             if self.options.debug:
                 raise

@@ -233,14 +233,19 @@ def test_clip_beside_its_results_is_never_replaced(inputs: Path, tmp_path: Path)
     assert [len(rows(path)) for path in marked] == [8]
 
 
+@pytest.mark.parametrize("within", ["python", "compiled code"])
 def test_interruption_keeps_finished_clips_and_continues(
-    inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+    within: str, inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
     write = ClipResults.write
 
     def interrupt(self: ClipResults, *told: object) -> None:
         if self.folder.name == "folder" and len(self.estimates) == 3:
-            raise KeyboardInterrupt
+            try:
+                raise KeyboardInterrupt
+            finally:
+                if within == "compiled code":
+                    raise SystemError("a kernel returned a result with an exception set")
         write(self, *told)
 
     with monkeypatch.context() as patch:

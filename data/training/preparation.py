@@ -14,7 +14,7 @@ from data.command_line import progress_bars
 from data.prepared import PreparedFrame
 from data.settings import PrepareSettings
 from data.source.layout import InputError
-from physics.doors import plain
+from physics.doors import interruptible, plain
 
 
 def prepare_all(
@@ -41,7 +41,8 @@ def prepare_all(
         for number, (path, following) in enumerate(found.items(), start=1):
             bar.reset(task, description=f"preparing {plain(path.name)} ({number}/{len(found)})")
             try:
-                clip = prepare(path, settings, cache_dir, track, following)
+                with interruptible():
+                    clip = prepare(path, settings, cache_dir, track, following)
                 bar.update(task, total=len(clip), completed=len(clip))
                 clips.append(clip)
             except Exception as error:

@@ -34,7 +34,7 @@ from evaluation.online.figures import draw_all, table
 from evaluation.online.sequences import SEQUENCES, Pull
 from evaluation.page import as_png, render_page
 from evaluation.tables import to_csv
-from physics.doors import INTERRUPTED
+from physics.doors import INTERRUPTED, interruptible
 from physics.files import read_file
 from physics.ownership import replacing_own, require_own
 from physics.provenance import code_digest
@@ -153,7 +153,7 @@ def main(arguments: list[str] | None = None) -> int:
                 found[key] = case
         if found:
             say(console, f"{len(found)} of {len(keys)} cases are there already.")
-        with progress_bars(console) as progress:
+        with interruptible(), progress_bars(console) as progress:
             bar = progress.add_task("frames", total=sum(frames[key[0]] for key in keys))
             for name in options.sequences:
                 pulls[name] = SEQUENCES[name].pull(options.particles, options.points, frames[name])

@@ -40,7 +40,7 @@ from evaluation.real.pressed import evaluate_press
 from evaluation.real.pulled import PulledClip, evaluate_pull
 from evaluation.real.touching import contact_measures
 from evaluation.tables import to_csv, to_markdown
-from physics.doors import INTERRUPTED, plain
+from physics.doors import INTERRUPTED, interruptible, plain
 from physics.ownership import replacing_own, require_own
 from results.store import OutputError, writing
 
@@ -180,7 +180,8 @@ def main(arguments: list[str] | None = None) -> int:
             for name, task in tasks.items():
                 measures: Measures = {"status": ""}
                 try:
-                    figure = task(measures)
+                    with interruptible():
+                        figure = task(measures)
                     figures[f"{len(figures) + 1}.png"] = figure
                 except Exception as error:
                     measures["status"] = _sentence(error)

@@ -33,6 +33,7 @@ from estimators.runs import RunTracker
 from evaluation.recovery.bounds import MECHANICS, contact_information, field_information
 from evaluation.recovery.estimators import Candidate, opened
 from evaluation.recovery.suites import GRID_SIZE, SUITES
+from physics.doors import interruptible
 
 PREPARE = PrepareSettings(
     depth=DepthSettings(source="stored"), geometry=GeometrySettings(smoothing=4, rigid_motion="subtract")
@@ -141,9 +142,10 @@ def _evaluate_suite(task: ClipTask, suite: str, candidates: Mapping[str, Candida
     try:
         geometry = dataclasses.replace(PREPARE.geometry, contact=task.contact)
         prepare = dataclasses.replace(PREPARE, geometry=geometry)
-        clip = open_synthetic(synthetic_clip(scene, motion, task.seed), prepare)
-        frames, info = list(clip), ClipInfo.of(clip)
-        contacts = observed_contacts(frames, info, task.seen)
+        with interruptible():
+            clip = open_synthetic(synthetic_clip(scene, motion, task.seed), prepare)
+            frames, info = list(clip), ClipInfo.of(clip)
+            contacts = observed_contacts(frames, info, task.seen)
     except Exception as error:  # a clip that breaks the preparation is a result, and the others go on
         return failed("error", f"{type(error).__name__}: {error}")
     if not contacts:
@@ -224,7 +226,8 @@ def estimated(candidate: Candidate, frames: Sequence[PreparedFrame], clip: ClipI
         found = candidate
     else:
         try:
-            said = interactions(candidate, frames, clip)
+            with interruptible():
+                said = interactions(candidate, frames, clip)
         except Exception as error:  # an estimator that breaks on a clip is a result, and the others go on
             return {"status": "error", "reason": f"{type(error).__name__}: {error}"}
         run = next((item for item in said if item.onset == onset), None)

@@ -36,6 +36,7 @@ from evaluation.recovery.followed import measure_following
 from evaluation.recovery.grip_bound import grip_bound
 from evaluation.recovery.scores import coverage, rms
 from evaluation.recovery.suites import GRIP_SUITES
+from physics.doors import interruptible
 from physics.identifiability import LIMIT
 
 COLUMNS = ("suite", "quantity", "n", "rmse", "bound", "ratio", "coverage90", "value")
@@ -109,10 +110,11 @@ def evaluate_grip(task: GripTask) -> list[GripRecovery]:
     try:
         if not isinstance(motion, GrippedMotion):
             raise TypeError(f"{task.suite} draws presses.")
-        clip = open_synthetic(synthetic_clip(scene, motion, task.seed), PREPARE)
-        frames, info = list(clip), ClipInfo.of(clip)
-        session = opened(EstimatorOptions(DIRECT, threads=1)).start(info)
-        said = [item for frame in frames for item in session.push(frame)] + list(session.finish())
+        with interruptible():
+            clip = open_synthetic(synthetic_clip(scene, motion, task.seed), PREPARE)
+            frames, info = list(clip), ClipInfo.of(clip)
+            session = opened(EstimatorOptions(DIRECT, threads=1)).start(info)
+            said = [item for frame in frames for item in session.push(frame)] + list(session.finish())
         found = [item for item in said if isinstance(item, InteractionEstimate)]
         contact = [item.contact is True for item in said if isinstance(item, FrameEstimate)]
         moves = moving_frames(scene, motion)

@@ -49,6 +49,7 @@ from evaluation.recovery.evaluate import OK, PREPARE, estimated, interactions
 from evaluation.recovery.grips import DIRECT, log_interval
 from evaluation.recovery.scores import rms
 from evaluation.recovery.suites import SLAB_SUITES
+from physics.doors import interruptible
 
 COLUMNS = ("estimator", "clips", "quantity", "n", "value")
 CLOSE = 0.25
@@ -134,8 +135,9 @@ def evaluate_slab(task: SlabTask) -> list[SlabRecovery]:
         if not isinstance(motion, SlabMotion):
             raise TypeError(f"{task.suite} draws no slabs.")
         tissue = np.array(dataclasses.astuple(motion.tissue))
-        clip = open_synthetic(synthetic_clip(scene, motion, task.seed), PREPARE)
-        frames, info = list(clip), ClipInfo.of(clip)
+        with interruptible():
+            clip = open_synthetic(synthetic_clip(scene, motion, task.seed), PREPARE)
+            frames, info = list(clip), ClipInfo.of(clip)
     except Exception as error:  # a clip that breaks the preparation is a result, and the others go on
         return failed("error", f"{type(error).__name__}: {error}")
     found = []
@@ -150,7 +152,8 @@ def evaluate_slab(task: SlabTask) -> list[SlabRecovery]:
             known["force"] = float(np.abs(motion.force).max())
         elif isinstance(motion, GrippedSlab):
             try:
-                said = interactions(options, frames, info)
+                with interruptible():
+                    said = interactions(options, frames, info)
                 grips = [(item.onset, item.grip) for item in said if item.grip is not None]
                 detail = " ".join(item.detail for item in said)
                 known |= _pulled(*grips[0], motion, scene) if grips else {"status": "no estimate", "reason": detail}

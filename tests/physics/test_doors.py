@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
+import numba
+import numpy as np
 import pytest
 
-from physics.doors import plain
+from physics.doors import interruptible, plain
 
 ROOT = Path(__file__).resolve().parents[2]
 INTERRUPT = "os.kill(os.getpid(), signal.SIGINT)\n    time.sleep(20)"
+
+SWALLOWED = f"""try:
+        {INTERRUPT.replace(chr(10), chr(10) + "    ")}
+    except KeyboardInterrupt:
+        raise SystemError("a compiled function returned a result with an exception set")"""
 
 
 def run(body: str, *, before: str = "", shell: str = "exec", **options: Any) -> subprocess.CompletedProcess:
@@ -48,12 +56,43 @@ def test_the_exit_status_is_the_programs() -> None:
         ({"body": INTERRUPT}, b"Interrupted; nothing is lost.\n"),
         ({"body": "pass", "before": INTERRUPT.replace("    ", "")}, b""),
         ({"body": "atexit.register(lambda: (os.kill(os.getpid(), signal.SIGINT), time.sleep(20)))"}, b""),
+        ({"body": SWALLOWED}, b"Interrupted; nothing is lost.\n"),
     ],
-    ids=["while it works", "while it imports", "while it ends"],
+    ids=["while it works", "while it imports", "while it ends", "while compiled code turns it into its own error"],
 )
 def test_an_interrupted_program_ends_with_130(program: dict[str, str], told: bytes) -> None:
     done = run(**program)
     assert (done.returncode, done.stdout, done.stderr) == (130, b"", told)
+
+
+def test_an_interrupt_that_lands_in_compiled_code_is_one() -> None:
+    """Half of those that hit the boxing of a kernel's results come out as SystemError."""
+    boxed, seen = numba.njit(lambda count: [np.zeros(1) for _ in range(count)]), set()
+    boxed(1)
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    @interruptible()
+    def work() -> None:
+        signal.setitimer(signal.ITIMER_REAL, 1e-3)
+        while True:
+            boxed(5)
+
+    before = signal.signal(signal.SIGALRM, interrupt)
+    try:
+        for _ in range(200):
+            with pytest.raises(KeyboardInterrupt) as raised:
+                work()
+            seen.add(type(raised.value.__cause__))
+    finally:
+        signal.signal(signal.SIGALRM, before)
+    assert seen == {type(None), SystemError}
+
+
+def test_other_errors_pass() -> None:
+    with pytest.raises(SystemError, match="a defect"), interruptible():
+        raise SystemError("a defect")
 
 
 def test_an_ignored_interrupt_stays_ignored() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from pathlib import Path
 
@@ -216,11 +217,20 @@ MERGED = "a: &a {x: 1}\n" + "".join(
 )
 
 
-@pytest.mark.parametrize("content", [BILLIONS, MERGED, "fx: &a [*a]\n"], ids=["lists", "merges", "itself"])
+@pytest.mark.parametrize("content", [BILLIONS, "fx: &a [*a]\n"], ids=["lists", "itself"])
 def test_references_that_unfold_without_end_are_refused(tmp_path, content):
     (tmp_path / "a.yaml").write_text(content)
     with pytest.raises(InputError, match=r"a\.yaml is not a file \(its references have no end\); correct the file\."):
         read_mapping(tmp_path / "a.yaml", "a file")
+
+
+def test_merges_that_unfold_without_end_are_refused_or_not_unfolded(tmp_path):
+    """PyYAML does the one up to 6.0.3 and the other from 6.0.4 on."""
+    (tmp_path / "a.yaml").write_text(MERGED)
+    found = None
+    with contextlib.suppress(InputError):
+        found = read_mapping(tmp_path / "a.yaml", "a file")
+    assert found in (None, {name: {"x": 1} for name in "abcdefghij"})
 
 
 def test_references_are_followed(tmp_path):

@@ -24,8 +24,8 @@ from data.contact.interaction import Interaction
 from estimators.direct.contact_fit import AT_BOUND, DELAY_AT_END, LARGEST_MISFIT
 from estimators.direct.field import FilmProblem
 from estimators.direct.motion import about_tissue
-from estimators.direct.slab_motion import SlabMotion
-from estimators.direct.slab_posterior import DIFFERENCE, averaged, firm_places, follow_valley, moved_by_mesh
+from estimators.direct.slab_motion import FirmRegion, SlabMotion
+from estimators.direct.slab_posterior import DIFFERENCE, Firm, averaged, firm_regions, follow_valley, moved_by_mesh
 from estimators.estimate import Estimate, NoEstimate
 from estimators.oblique import effective_misfit, is_oblique, view_angle
 from physics.fem import NoBody
@@ -69,6 +69,8 @@ UNLIKE_FIRM = np.square(0.3) + np.diag(np.square([0.0, 0.15, 0.3]))
 """The same where a firm region lies beneath, which is not one of those that are tried: 0.3, 0.15 and 0.3."""
 FINE, FINER = (10, 10, 3), (12, 12, 4)
 """Cells of the quadratic elements whose small motions are fitted, and of those by which their error is measured."""
+REGIONS, FIRMER = 2, (1.8, 3.2)
+"""Firm regions that are fitted, the likeliest ones, and by which factors they are firmer."""
 LOWER = 1.0
 """Fall of χ²/2 along the valley from which on a better fit is looked for there."""
 
@@ -113,9 +115,12 @@ def fit_slab(
     except NoBody as error:
         raise NoEstimate(f"No slab fits under the tissue: {error}") from error
 
-    def problem_of(place: tuple[float, float], relaxing: bool = False, body: Slab = fine) -> SlabProblem:
+    def problem_of(
+        place: tuple[float, float], relaxing: bool = False, body: Slab = fine, region: FirmRegion | None = None
+    ) -> SlabProblem:
         def motion(vertices: np.ndarray, times: np.ndarray) -> SlabMotion:
-            return SlabMotion(contact, slab, contact.mesh.pixels[vertices], times, within, relaxing, body, place)
+            pixels = contact.mesh.pixels[vertices]
+            return SlabMotion(contact, slab, pixels, times, within, relaxing, body, place, region)
 
         return SlabProblem(beside, motion, noise)
 
@@ -140,13 +145,15 @@ def fit_slab(
     if not misfit > 0:
         raise NoEstimate("No pixel of the dent moves clearly, so that nothing shows whether a slab explains it.")
     coarse = moved_by_mesh(problem, problem_of(place, body=finer).motion, logs)
-    places = firm_places(problem, logs, thickness, scale)
-    firm, shift, unsure = averaged(places)
+    fits = with_firm_regions(
+        problem, logs, firm_regions(problem, logs, thickness, scale), lambda region: problem_of(place, region=region)
+    )
+    firm, shift, unsure = averaged([Firm(fall / scale, shift) for fall, shift in fits])
     spread = valley.covariance + np.outer(coarse, coarse) + unsure + (1 - firm) * UNLIKE + firm * UNLIKE_FIRM
     at = int(np.flatnonzero(problem.patches.vertices == contact.vertex)[0])
     path = problem.motion.at(logs)[0][:, at] @ np.asarray(contact.direction, np.float64)
-    firmest = max(0.0, *(place.gain for place in places))
-    rival = _relaxation(problem, logs, problem_of(place, relaxing=True), scale * (REFUTED + firmest))
+    firmest = max(0.0, *(fall for fall, _ in fits))
+    rival = _relaxation(problem, logs, problem_of(place, relaxing=True), scale * REFUTED + firmest)
     information = problem.information(logs)
     found = Estimate(
         theta=theta_of(np.clip(valley.mean + shift, *box[:, :3])),
@@ -169,6 +176,42 @@ def fit_slab(
     return found, (np.append(0.0, problem.motion.times), np.append(0.0, path))
 
 
+def with_firm_regions(
+    plain: SlabProblem,
+    logs: np.ndarray,
+    regions: list[tuple[FirmRegion, np.ndarray]],
+    problem_of: Callable[[FirmRegion], SlabProblem],
+) -> list[tuple[float, np.ndarray]]:
+    """What slabs with a firm region explain of a film better than the best fit of one that is alike throughout.
+
+    Args:
+        plain: of the latter, fitted, at parameters `logs`.
+        regions: likeliest first, with where their fits begin.
+        problem_of: the film with a region.
+
+    Returns:
+        of every fit the fall of χ²/2 and the shift of (log E, log d, log |F|), shape [3].
+    """
+    found = []
+    for region, start in regions[:REGIONS]:
+        for times in FIRMER:
+            other = problem_of(dataclasses.replace(region, firmer=math.log(times)))
+            other.look(start, outliers=True)
+            try:
+                start = descend(other, start, other.motion.box, DONE)
+            except NoEstimate:
+                continue
+            found.append((_fall(plain, logs, other, start), start[:3] - logs[:3]))
+    return found
+
+
+def _fall(plain: SlabProblem, logs: np.ndarray, other: SlabProblem, others: np.ndarray) -> float:
+    """Of χ²/2, as a fit weights it, from that fit to another."""
+    moved = other.motion.at(others)[0]
+    left = plain.whitened(other.change(moved, others) - plain.observed)
+    return 0.5 * float(np.square(plain.residual(logs)).sum() - left @ left)
+
+
 def _relaxation(plain: SlabProblem, logs: np.ndarray, other: SlabProblem, better: float) -> str:
     """A sentence where a standard linear solid explains a film better than the best fit of a slab damped by mass.
 
@@ -186,10 +229,7 @@ def _relaxation(plain: SlabProblem, logs: np.ndarray, other: SlabProblem, better
         found = descend(other, start, box, ROUGH)
     except NoEstimate:
         return ""
-    moved = other.motion.at(found)[0]
-    left = plain.whitened(other.change(moved, found) - plain.observed)
-    fall = 0.5 * float(np.square(plain.residual(logs)).sum() - left @ left)
-    if not fall > better:
+    if not _fall(plain, logs, other, found) > better:
         return ""
     ratio, time = np.exp(found[[1, 3]])
     return (

@@ -12,6 +12,7 @@ added (defect correction): these are linear in the load, and few modes tell them
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -22,6 +23,7 @@ from physics.fem import Inertia, Material, NoEquilibrium, Relaxation, simulate
 from physics.fem.dynamics import Direction
 from physics.fem.modes import Modes
 from physics.fem.slab import Slab
+from physics.fem.solid import Solid
 from physics.load import Press, held
 from physics.mechanics import Bounds, theta_of
 
@@ -46,6 +48,31 @@ SLIGHT = 0.01
 RELAXING_BOX = np.log([[5.0, 0.05, 1e-3, 0.01], [5e3, 20.0, 10.0, 2.0]])
 """Ends of φ of a standard linear solid."""
 
+BLURRED = 0.15
+"""Width of a firm region's margin over its radius."""
+
+
+@dataclass(frozen=True, eq=False)
+class FirmRegion:
+    """A ball of firmer tissue with a blurred margin."""
+
+    centre: np.ndarray
+    """Shape [3] [scene units]."""
+    radius: float
+    """[scene units]."""
+    firmer: float
+    """Logarithm of its E over that around."""
+
+    def stiffer(self, solid: Solid) -> np.ndarray:
+        """Factor of E in a body's elements, shape [E]."""
+        middles = solid.rest[solid.elements[:, :4]].mean(axis=1)
+        apart = np.linalg.norm(middles - self.centre, axis=1) / self.radius
+        return np.exp(self.firmer / (1 + np.exp((apart - 1) / BLURRED)))
+
+
+def _stiffer(slab: Slab, region: FirmRegion | None) -> np.ndarray | float:
+    return 1.0 if region is None else region.stiffer(slab.solid)
+
 
 class SlabMotion:
     """Displacements of V places at N instants for any parameters, D of them.
@@ -59,6 +86,7 @@ class SlabMotion:
         relaxing: a standard linear solid instead of damping proportional to mass.
         fine: the same body, of elements whose small motions are exact enough; None = they are taken for so here.
         place: column and row of the tip's middle; None = the contact's vertex [grid px].
+        region: that is firmer; None = tissue is alike throughout.
     """
 
     def __init__(
@@ -71,6 +99,7 @@ class SlabMotion:
         relaxing: bool = False,
         fine: Slab | None = None,
         place: tuple[float, float] | None = None,
+        region: FirmRegion | None = None,
     ) -> None:
         self.contact, self.slab, self.times, self.within, self.relaxing = contact, slab, times, within, relaxing
         self.tissue = 4 if relaxing else 3
@@ -81,7 +110,7 @@ class SlabMotion:
         """Steps of it."""
         self._shares = slab.patch(PATCH, place)
         self._pixels, self._shown = pixels, slab.between(pixels)
-        self._fine, self._place = fine, place
+        self._fine, self._place, self.region = fine, place, region
         self._latest: tuple[np.ndarray, tuple[np.ndarray, np.ndarray]] | None = None
 
     @property
@@ -103,7 +132,7 @@ class SlabMotion:
 
     def _at(self, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         try:
-            path, slopes = self._followed(logs, LAW, True)
+            path, slopes = self._followed(logs, LAW, True, self.region)
         except NoEquilibrium:
             shape = (len(self.times), self._shown.shape[0], 3)
             return np.full(shape, np.nan), np.full((*shape, len(logs)), np.nan)
@@ -130,17 +159,17 @@ class SlabMotion:
         """What is missing in small motions, shape [N, V, 3]."""
         return self.by_modes(logs) - self._by(self._coarse_modes, logs)
 
-    def linear(self, logs: np.ndarray, stiffer: np.ndarray | float = 1.0) -> np.ndarray:
+    def linear(self, logs: np.ndarray, region: FirmRegion | None = None) -> np.ndarray:
         """Displacements if nothing strained much, to which F is a factor, shape [N, V, 3].
 
         Args:
             logs: all parameters, shape [D].
-            stiffer: factor of E in every element, shape [E].
+            region: that is firmer.
         """
-        return between_steps(self._followed(logs, "linear", False, stiffer)[0], self.step, self._since(logs))[0]
+        return between_steps(self._followed(logs, "linear", False, region)[0], self.step, self._since(logs))[0]
 
     def by_modes(self, logs: np.ndarray) -> np.ndarray:
-        """The same of alike tissue, of the fine elements where there are such, in milliseconds once modes are known."""
+        """The same of the fine elements where there are such, in milliseconds once modes are known."""
         return self._by(self._modes, logs)
 
     def _by(self, known: tuple[Modes, np.ndarray], logs: np.ndarray) -> np.ndarray:
@@ -166,7 +195,7 @@ class SlabMotion:
         """Of a body, and how the places move in each, shape [V, 3, M]."""
         pattern = slab.patch(PATCH, self._place)[:, None] * np.asarray(self.contact.direction, np.float64)
         shift = 4 / (self.step**2 * USUAL_YOUNG)
-        modes = Modes(slab.solid, POISSON, slab.held, DENSITY, pattern, shift)
+        modes = Modes(slab.solid, POISSON, slab.held, DENSITY, pattern, shift, _stiffer(slab, self.region))
         shown = slab.between(self._pixels) @ modes.shapes.reshape(len(pattern), -1)
         return modes, shown.reshape(len(self._pixels), 3, -1)
 
@@ -186,7 +215,7 @@ class SlabMotion:
         return (self.contact.load_seconds + delayed) / self.step
 
     def _followed(
-        self, logs: np.ndarray, law: str, slopes: bool, stiffer: np.ndarray | float = 1.0
+        self, logs: np.ndarray, law: str, slopes: bool, region: FirmRegion | None
     ) -> tuple[np.ndarray, np.ndarray]:
         """Motion after every step [T, V, 3], and its derivatives by φ and the load's duration, if that is unknown."""
         young, second, force = theta_of(logs[:3])
@@ -206,7 +235,7 @@ class SlabMotion:
             along.append(Direction(pattern=pattern, course=ending))
         found = simulate(
             self.slab.solid,
-            Material(law, young * stiffer, POISSON),
+            Material(law, young * _stiffer(self.slab, region), POISSON),
             self.slab.held,
             Press(nodes, self._shares[nodes], direction, factor),
             self.step,

@@ -4,7 +4,8 @@ E, d and F rise together along a valley that is far from normal: the larger they
 So χ² is followed along it, d and F (and the delays) fitted at every E, with small motions by the slab's modes, to which
 the fit's own strains are added as they are at the best fit. Elements of finite size let tissue move too early, which
 passes for another E: a finer mesh says by how much. And tissue may be firmer in some place beneath: a handful of places
-is tried, each as likely beforehand, and the posterior is the mean over all of them (Bayesian model averaging).
+is compared to first order, the likeliest are fitted anew, and the posterior is the mean over these fits and that of
+tissue that is alike throughout (Bayesian model averaging).
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimators.direct.field import FilmProblem
-from estimators.direct.slab_motion import SlabMotion
+from estimators.direct.slab_motion import FirmRegion, SlabMotion
 from physics.identifiability import box_information
 
 LONGEST, GROWTH = 0.2, 1.3
@@ -37,23 +38,17 @@ ASIDE = 0.5, 1.0
 """Of its middle from the contact's normal, over its radius."""
 WAYS = 8
 """Directions from the contact in which it may lie."""
-BLURRED = 0.15
-"""Width of its margin over its radius."""
-FIRMER, FIRMER_SD = math.log(3.0), 0.3
-"""Logarithm of its E over that around, and the standard deviation of that over it."""
-REGION_FIRST = 0.5
-"""Probability beforehand that there is one."""
+USUAL, USUAL_SD = 3.0, 0.3
+"""Its E over that around, and the standard deviation of the logarithm over it, by which places are compared."""
 
 
-class Place(NamedTuple):
-    """A firm region's part in a posterior."""
+class Firm(NamedTuple):
+    """A fit with a firm region, beside that of tissue that is alike throughout."""
 
     gain: float
-    """Logarithm of its evidence over that of tissue that is alike throughout."""
+    """Logarithm of its evidence over that fit's."""
     shift: np.ndarray
-    """Of (log E, log d, log |F|) away from those of tissue that is alike throughout, shape [3]."""
-    covariance: np.ndarray
-    """What it adds to theirs, as it may be more or less firm, shape [3, 3]."""
+    """Of (log E, log d, log |F|) away from that fit, shape [3]."""
 
 
 class Valley(NamedTuple):
@@ -135,11 +130,13 @@ def moved_by_mesh(problem: FilmProblem[SlabMotion], finer: SlabMotion, logs: np.
     return -np.linalg.solve(jacobian.T @ jacobian + prior, jacobian.T @ change)[:3]
 
 
-def firm_places(problem: FilmProblem[SlabMotion], logs: np.ndarray, thickness: float, scale: float) -> list[Place]:
-    """What firm regions beneath would make of a fit, each in its place.
+def firm_regions(
+    problem: FilmProblem[SlabMotion], logs: np.ndarray, thickness: float, scale: float
+) -> list[tuple[FirmRegion, np.ndarray]]:
+    """Firm regions beneath, likeliest first to first order, and the parameters [D] that would go with each.
 
     Args:
-        problem: that has looked at it.
+        problem: that has looked at a fit.
         logs: all parameters of it, shape [D].
         thickness: of the slab [scene units].
         scale: as of `follow_valley`.
@@ -152,8 +149,7 @@ def firm_places(problem: FilmProblem[SlabMotion], logs: np.ndarray, thickness: f
         return -np.linalg.solve(matrix, jacobian.T @ values)
 
     alike, left = motion.linear(logs), residual + jacobian @ suiting(residual)
-    normal, solid = np.asarray(contact.direction, np.float64), motion.slab.solid
-    middles = solid.rest[solid.elements].mean(axis=1)
+    normal = np.asarray(contact.direction, np.float64)
     focal = float(motion.slab.focal_lengths.mean())
     radius = REGION * float(contact.mesh.vertices[contact.vertex, 2]) / focal
     below = contact.mesh.vertices[contact.vertex] - min(radius + thickness / 8, thickness) * normal
@@ -161,37 +157,31 @@ def firm_places(problem: FilmProblem[SlabMotion], logs: np.ndarray, thickness: f
     for aside in ASIDE:
         for angle in 2 * np.pi * np.arange(WAYS) / WAYS:
             centre = below + aside * radius * np.array([math.cos(angle), math.sin(angle), 0.0])
-            apart = np.linalg.norm(middles - centre, axis=1) / radius
-            share = 1 / (1 + np.exp((apart - 1) / BLURRED))
-            change = _change(problem, motion.linear(logs, np.exp(FIRMER * share)) - alike)
+            region = FirmRegion(centre, radius, math.log(USUAL))
+            change = _change(problem, motion.linear(logs, region) - alike)
             freed = change + jacobian @ suiting(change)
-            # Its firmness has a normal prior around 1, in units of FIRMER.
-            known = float(freed @ freed) / scale + 1 / FIRMER_SD**2
-            firm = (1 / FIRMER_SD**2 - float(left @ freed) / scale) / known
+            # Its firmness has a normal prior around 1, in units of the usual one.
+            known = float(freed @ freed) / scale + 1 / USUAL_SD**2
+            firm = (1 / USUAL_SD**2 - float(left @ freed) / scale) / known
             fall = float(np.square(left).sum() - np.square(left + firm * freed).sum()) / scale
-            gain = 0.5 * (fall - ((firm - 1) / FIRMER_SD) ** 2 - math.log(known * FIRMER_SD**2))
-            shift, slope = suiting(residual + firm * change)[:3], suiting(change)[:3]
-            found.append(Place(gain, shift, np.outer(slope, slope) / known))
-    return found
+            gain = fall - ((firm - 1) / USUAL_SD) ** 2 - math.log(known)
+            found.append((gain, region, np.clip(logs + suiting(residual + firm * change), *motion.box)))
+    return [item[1:] for item in sorted(found, key=lambda item: -item[0])]
 
 
-def averaged(places: list[Place]) -> tuple[float, np.ndarray, np.ndarray]:
-    """Over tissue that is alike throughout and that with a firm region in any of some places.
+def averaged(fits: list[Firm]) -> tuple[float, np.ndarray, np.ndarray]:
+    """Over tissue that is alike throughout and that with a firm region, alike likely beforehand.
 
     Returns:
         the probability that there is one; the mean shift of (log E, log d, log |F|), shape [3]; what it adds to their
         covariance, shape [3, 3].
     """
-    gains = np.array([place.gain for place in places]) + math.log(REGION_FIRST / len(places))
-    alike = math.log(1 - REGION_FIRST)
-    highest = max(float(gains.max()), alike)
-    weights = np.append(np.exp(gains - highest), math.exp(alike - highest))
+    gains = np.array([fit.gain for fit in fits] + [math.log(len(fits))] if fits else [0.0])
+    weights = np.exp(gains - gains.max())
     weights /= weights.sum()
-    shifts = np.stack([*(place.shift for place in places), np.zeros(3)])
+    shifts = np.stack([*(fit.shift for fit in fits), np.zeros(3)])
     mean = weights @ shifts
-    covariance = np.einsum("w,wi,wj->ij", weights, shifts - mean, shifts - mean)
-    covariance += np.einsum("w,wij->ij", weights[:-1], np.stack([place.covariance for place in places]))
-    return float(weights[:-1].sum()), mean, covariance
+    return float(weights[:-1].sum()), mean, np.einsum("w,wi,wj->ij", weights, shifts - mean, shifts - mean)
 
 
 def _change(problem: FilmProblem[SlabMotion], moved: np.ndarray) -> np.ndarray:

@@ -31,13 +31,21 @@ class Modes:
         density: [kg/m³].
         pattern: forces on the nodes, in proportion to which all loads are, shape [N, 3] [N].
         shift: s; they are best where the time steps' rule has its pole, 4/(E·step²) [1/(Pa s²)].
+        stiffer: factor of E in every element, shape [E].
     """
 
     def __init__(
-        self, solid: Solid, poisson: float, held: np.ndarray, density: float, pattern: np.ndarray, shift: float
+        self,
+        solid: Solid,
+        poisson: float,
+        held: np.ndarray,
+        density: float,
+        pattern: np.ndarray,
+        shift: float,
+        stiffer: np.ndarray | float = 1.0,
     ) -> None:
         free, none = ~held.ravel(), np.zeros_like(solid.rest)
-        energy = Energy(solid, Material("linear", 1.0, poisson), none)
+        energy = Energy(solid, Material("linear", stiffer, poisson), none)
         stiffness = energy.matrix(energy.response(none, tangent=True))[free][:, free].tocsr()
         mass = (density * solid.mass[free][:, free]).tocsr()
         shifted = LinearSystem((stiffness + shift * mass).tocsr())

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 from data.contact.film import DentFilm, FilmNoise
-from estimators.direct import slab_motion
-from estimators.direct.slab_fit import SlabProblem
-from estimators.direct.slab_motion import SlabMotion
-from estimators.direct.slab_posterior import WAYS, Place, averaged, firm_places, follow_valley, moved_by_mesh
+from estimators.direct.slab_fit import SlabProblem, descend, with_firm_regions
+from estimators.direct.slab_motion import FirmRegion, SlabMotion
+from estimators.direct.slab_posterior import WAYS, Firm, averaged, firm_regions, follow_valley, moved_by_mesh
 from tests.estimators.direct.test_field import FRAME, MESH, SIDE, SIGMA, SIZE
-from tests.estimators.direct.test_slab_fit import LOGS, THICKNESS, TIMES, contact_of, motion_of, slab_of
+from tests.estimators.direct.test_slab_fit import LOGS, THICKNESS, TIMES, VERTEX, contact_of, motion_of, slab_of
 
 VISCOUS = np.log([100.0, 3e5, 0.08])
 FINE = (8, 8, 3)
@@ -34,17 +33,33 @@ def shows(problem: SlabProblem, moved: np.ndarray, near: np.ndarray | None = Non
 
 
 def test_modes_and_steps_agree_on_small_motions() -> None:
-    for options in ({}, {"within": FRAME}, {"released": False}):
+    region = FirmRegion(MESH.vertices[VERTEX].astype(np.float64), 0.05, math.log(3.0))
+    for options in ({}, {"within": FRAME}, {"released": False}, {"region": region}):
         motion = motion_of(**options)
         logs = np.concatenate([LOGS, [-0.21, 0.37][: motion.box.shape[1] - 3]])
-        expected = motion.linear(logs)
+        expected = motion.linear(logs, motion.region)
         np.testing.assert_allclose(motion.by_modes(logs), expected, atol=1e-9 * np.abs(expected).max())
 
 
-def test_firmer_elements_move_less() -> None:
-    motion, stiffer = motion_of(), np.full(len(motion_of().slab.solid.elements), 2.0)
+def test_a_firm_region_is_stiffer_within_its_radius() -> None:
+    solid = slab_of((8, 8, 3)).solid
+    centre = solid.rest[solid.elements[:, :4]].mean(axis=1)[100]
+    factor = FirmRegion(centre, 0.02, math.log(3.0)).stiffer(solid)
+    apart = np.linalg.norm(solid.rest[solid.elements[:, :4]].mean(axis=1) - centre, axis=1)
+    assert factor[100] == pytest.approx(3.0, rel=2e-3)
+    np.testing.assert_allclose(factor[apart > 0.04], 1.0, atol=3e-3)
+    assert (np.diff(factor[np.argsort(apart)]) <= 0).all()
+
+
+def test_a_region_that_holds_the_whole_body_is_another_stiffness() -> None:
+    motion = motion_of()
     logs = LOGS + np.array([math.log(2.0), 0.0, 0.0])
-    np.testing.assert_allclose(motion.linear(LOGS, stiffer), motion.linear(logs), rtol=1e-9, atol=1e-15)
+    whole = FirmRegion(motion.slab.solid.rest.mean(axis=0), 1e3, math.log(2.0))
+    for found, expected in (
+        (motion.linear(LOGS, whole), motion.linear(logs)),
+        (motion_of(region=whole).at(LOGS)[0], motion.at(logs)[0]),
+    ):
+        np.testing.assert_allclose(found, expected, atol=2e-3 * np.abs(expected).max())
 
 
 def test_the_valley_is_as_long_as_inertia_leaves_it() -> None:
@@ -93,43 +108,49 @@ def test_a_finer_mesh_changes_a_fit_by_what_it_shows() -> None:
 
 
 @pytest.mark.slow
-def test_a_firm_region_is_noticed_where_it_lies(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_firm_region_is_noticed_where_it_lies_and_taken_into_account() -> None:
     problem = problem_of(FINE)
-    logs = LOGS
-    moved = problem.motion.at(logs)[0]
+    moved = problem.motion.at(LOGS)[0]
     shows(problem, moved)
-    problem.look(logs)
-    alike = firm_places(problem, logs, THICKNESS, 1.0)
-    assert averaged(alike)[0] < 0.5
-    fields = []
-    linear = slab_motion.SlabMotion.linear
+    problem.look(LOGS)
+    regions = [region for region, _ in firm_regions(problem, LOGS, THICKNESS, 1.0)]
+    assert len({tuple(region.centre) for region in regions}) == 2 * WAYS
 
-    def seen(self: SlabMotion, logs: np.ndarray, stiffer: np.ndarray | float = 1.0) -> np.ndarray:
-        fields.append(stiffer)
-        return linear(self, logs, stiffer)
+    def with_regions(beginnings: list[tuple[FirmRegion, np.ndarray]], alike: np.ndarray) -> list[Firm]:
+        contact, slab, pixels = problem.contact, problem.motion.slab, MESH.pixels
 
-    with monkeypatch.context() as patch:
-        patch.setattr(slab_motion.SlabMotion, "linear", seen)
-        firm_places(problem, logs, THICKNESS, 1.0)
-    place = 11
-    shows(problem, moved + problem.motion.linear(logs, fields[1 + place]) - problem.motion.linear(logs), moved)
-    problem.look(logs)
-    found = firm_places(problem, logs, THICKNESS, 1.0)
-    best = int(np.argmax([item.gain for item in found]))
-    assert best % WAYS == place % WAYS  # how far aside it lies hardly shows
-    assert found[best].gain < found[place].gain + 15
-    np.testing.assert_allclose(found[place].shift, 0.0, atol=0.05)
-    sure, shift, covariance = averaged(found)
-    assert sure > averaged(alike)[0]
+        def problem_with(region: FirmRegion) -> SlabProblem:
+            found = SlabProblem(contact, lambda v, times: SlabMotion(contact, slab, pixels[v], times, region=region))
+            found.observed = problem.observed
+            return found
+
+        return [Firm(*fit) for fit in with_firm_regions(problem, alike, beginnings, problem_with)]
+
+    assert averaged(with_regions(firm_regions(problem, LOGS, THICKNESS, 1.0), LOGS))[0] < 0.5
+    true = regions[0]
+    firm = SlabMotion(problem.contact, problem.motion.slab, MESH.pixels[problem.patches.vertices], TIMES, region=true)
+    shows(problem, firm.at(LOGS)[0], moved)
+    problem.look(LOGS)
+    alike = descend(problem, LOGS, problem.motion.box, 0.01)
+    problem.look(alike)
+    found = firm_regions(problem, alike, THICKNESS, 1.0)
+    beside = np.linalg.norm(found[0][0].centre - true.centre)
+    assert beside < true.radius  # how far aside it lies hardly shows
+    sure, shift, covariance = averaged(with_regions(found, alike))
+    assert sure > 0.9
     assert np.linalg.eigvalsh(covariance).min() > -1e-12
-    np.testing.assert_allclose(shift, 0.0, atol=0.2)
+    # What it makes of the ratios goes, mostly.
+    for ratio in ([-1.0, 1.0, 0.0], [-1.0, 0.0, 1.0]):
+        before = float((alike - LOGS) @ ratio)
+        assert abs(before + shift @ ratio) < 0.5 * abs(before)
 
 
 def test_posteriors_are_averaged_by_their_evidence() -> None:
-    shift, more = np.array([-0.2, 0.1, 0.3]), 0.01 * np.eye(3)
-    places = [Place(math.log(3.0), shift, more), Place(-math.inf, 9 * shift, more)]
-    # A half beforehand for none, a quarter for each place: 1/2 to 3/4.
-    sure, mean, covariance = averaged(places)
+    shift = np.array([-0.2, 0.1, 0.3])
+    # A half beforehand for none, a quarter for each fit: 1/2 to 3/4.
+    sure, mean, covariance = averaged([Firm(math.log(3.0), shift), Firm(-math.inf, 9 * shift)])
     assert sure == pytest.approx(0.6)
     np.testing.assert_allclose(mean, 0.6 * shift)
-    np.testing.assert_allclose(covariance, 0.24 * np.outer(shift, shift) + 0.6 * more)
+    np.testing.assert_allclose(covariance, 0.24 * np.outer(shift, shift))
+    assert averaged([])[0] == 0.0
+    np.testing.assert_array_equal(averaged([])[1], 0.0)

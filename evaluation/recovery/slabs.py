@@ -7,14 +7,16 @@ are in units of its own, so that ranks are compared, and factors that one common
 quantity                                    of
 estimated, explained                        share of the clips with an estimate, and of these whose model check passes
 rank of k_s and E, F and F                  Spearman's, over clips
-rank of F/k_s and F/E                       the combination that a dent's depth tells
+rank of F/k_s and F/E                       the combination that a dent's depth, or a pull, tells
+rank of k_s if F is known, and E            of pulls: the true force over that combination
 rank of …, determined                       over clips that pass the model check: of k_s and E where k_s is determined,
                                             of a press else of k_d/k_s and αρ/E where that is, of a pull of F/k_s and
-                                            F/E; empty where there are fewer than four
+                                            F/E, and of k_s if F is known, and E; empty where there are fewer than four
 scatter of …                                standard deviation of the logarithm of their quotient: 0 is proportional
 k_d over αm                                 median; α is the true damping per mass and m the fitted mass of a node, of
                                             finite elements the density
-k_d/k_s within 25 %                         of αρ/E up to one constant, the clips' median; damping by mass alone
+k_d/k_s within 25 %                         of αρ/E, of sheets up to one constant, the clips' median; damping by mass
+                                            alone
 E, F, αρ/E, F/E: over the true, held        of finite elements: median of the quotient, and share within the 90 %
                                             interval
 E with an inclusion                         median k_s/E with a stiff ball inside over that without
@@ -231,6 +233,7 @@ def _compared(rows: Sequence[SlabRecovery], all_rows: Sequence[SlabRecovery] | N
     if told[0].reaction is not None:
         found, sd = np.stack([row.reaction for row in told if row.reaction is not None]).T
         yield from _related("F/k_s", found, "F/E", force / young)
+        yield from _related("k_s if F is known", force / found, "E", young)
         if told[0].fitted == FEM:
             off = np.log(found / (force / young))
             yield {"quantity": "F/E over the true", "n": len(told), "value": float(np.exp(np.median(off)))}
@@ -248,7 +251,7 @@ def _compared(rows: Sequence[SlabRecovery], all_rows: Sequence[SlabRecovery] | N
         yield from _related("k_d", viscosity, "α", damping)
         yield from _related("k_d/k_s", viscosity / stiffness, "αρ/E", damping * tissue.density / young)
         off = np.log(viscosity / stiffness) - np.log(damping * tissue.density / young)
-        close = np.abs(np.expm1(off - np.median(off))) <= CLOSE
+        close = np.abs(np.expm1(off if solid else off - np.median(off))) <= CLOSE
         yield {"quantity": f"k_d/k_s within {CLOSE:.0%}", "n": len(told), "value": float(close.mean())}
     if solid:
         yield from _absolute(told, young, damping * tissue.density, force)
@@ -266,7 +269,9 @@ def _determined(rows: Sequence[SlabRecovery]) -> Iterator[dict[str, object]]:
         tissue = None if row.tissue is None else SlabTissue(*row.tissue)
         if tissue is not None and row.reaction is not None:
             pair = (float(row.reaction[0]), row.force / tissue.young)
+            known = (row.force / pair[0], tissue.young)
             kinds.setdefault("F/k_s and F/E", []).extend([pair] * (row.verdict == PULLED))
+            kinds.setdefault("k_s if F is known and E", []).extend([known] * (row.verdict == PULLED))
         elif tissue is not None and row.estimate is not None:
             stiffness, damping, _ = row.estimate
             both = {"k_s and E": (stiffness, tissue.young)}

@@ -137,6 +137,8 @@ def test_pulls_are_compared_by_force_over_stiffness() -> None:
     rows = [pull(index, 3 * (0.1 + 0.02 * index) / young) for index, young in enumerate(YOUNG)]
     found = table(rows)
     assert found["pulled", "rank of F/k_s and F/E"]["value"] == pytest.approx(1)
+    assert found["pulled", "rank of k_s if F is known and E"]["value"] == pytest.approx(1)
+    assert found["pulled", "scatter of k_s if F is known over E"]["value"] == pytest.approx(0, abs=1e-12)
     assert found["pulled", "scatter of F/k_s over F/E"]["value"] == pytest.approx(0, abs=1e-12)
     assert found["pulled", "relative force, off"]["value"] == pytest.approx(math.sqrt(0.5 * 0.2**2))
     assert found["pulled", "relative force, held"]["value"] == 0.5

@@ -1,11 +1,9 @@
-"""What a film of a dent tells of a slab around the best fit: along the common scale, by a finer mesh, by a firm region.
+"""What a film of a dent tells of a slab around the best fit: along the common scale, and by a finer mesh.
 
 E, d and F rise together along a valley that is far from normal: the larger they are the less inertia tells them apart.
 So χ² is followed along it, d and F (and the delays) fitted at every E, with small motions by the slab's modes, to which
 the fit's own strains are added as they are at the best fit. Elements of finite size let tissue move too early, which
-passes for another E: a finer mesh says by how much. And tissue may be firmer in some place beneath: a handful of places
-is compared to first order, the likeliest are fitted anew, and the posterior is the mean over these fits and that of
-tissue that is alike throughout (Bayesian model averaging).
+passes for another E: a finer mesh says by how much.
 """
 
 from __future__ import annotations
@@ -16,7 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from estimators.direct.field import FilmProblem
-from estimators.direct.slab_motion import FirmRegion, SlabMotion
+from estimators.direct.slab_descent import DIFFERENCE
+from estimators.direct.slab_motion import SlabMotion
 from physics.identifiability import box_information
 
 LONGEST, GROWTH = 0.2, 1.3
@@ -28,27 +27,8 @@ MOST = 14
 """Steps one way."""
 ROUNDS = 2
 """Gauss–Newton steps of the other parameters at every E."""
-DIFFERENCE = 0.02
-"""Of a parameter, for derivatives."""
 BETWEEN = 400
 """Values of log E by which the posterior is summed up."""
-REGION = 9.0
-"""Radius of a firm region [grid px]; its top lies an eighth of the thickness deep."""
-ASIDE = 0.5, 1.0
-"""Of its middle from the contact's normal, over its radius."""
-WAYS = 8
-"""Directions from the contact in which it may lie."""
-USUAL, USUAL_SD = 3.0, 0.3
-"""Its E over that around, and the standard deviation of the logarithm over it, by which places are compared."""
-
-
-class Firm(NamedTuple):
-    """A fit with a firm region, beside that of tissue that is alike throughout."""
-
-    gain: float
-    """Logarithm of its evidence over that fit's."""
-    shift: np.ndarray
-    """Of (log E, log d, log |F|) away from that fit, shape [3]."""
 
 
 class Valley(NamedTuple):
@@ -124,66 +104,12 @@ def follow_valley(problem: FilmProblem[SlabMotion], logs: np.ndarray, box: np.nd
 
 def moved_by_mesh(problem: FilmProblem[SlabMotion], finer: SlabMotion, logs: np.ndarray) -> np.ndarray:
     """By how much (log E, log d, log |F|) of a fit would be other by a finer mesh, to first order, shape [3]."""
-    change = _change(problem, finer.by_modes(logs) - problem.motion.by_modes(logs))
+    change = shown_change(problem, finer.by_modes(logs) - problem.motion.by_modes(logs))
     prior = box_information(problem.motion.box)
     jacobian = problem.jacobian(logs)
     return -np.linalg.solve(jacobian.T @ jacobian + prior, jacobian.T @ change)[:3]
 
 
-def firm_regions(
-    problem: FilmProblem[SlabMotion], logs: np.ndarray, thickness: float, scale: float
-) -> list[tuple[FirmRegion, np.ndarray]]:
-    """Firm regions beneath, likeliest first to first order, and the parameters [D] that would go with each.
-
-    Args:
-        problem: that has looked at a fit.
-        logs: all parameters of it, shape [D].
-        thickness: of the slab [scene units].
-        scale: as of `follow_valley`.
-    """
-    motion, contact = problem.motion, problem.contact
-    residual, jacobian = problem.linearise(logs)
-    matrix = jacobian.T @ jacobian + box_information(motion.box)
-
-    def suiting(values: np.ndarray) -> np.ndarray:
-        return -np.linalg.solve(matrix, jacobian.T @ values)
-
-    alike, left = motion.linear(logs), residual + jacobian @ suiting(residual)
-    normal = np.asarray(contact.direction, np.float64)
-    focal = float(motion.slab.focal_lengths.mean())
-    radius = REGION * float(contact.mesh.vertices[contact.vertex, 2]) / focal
-    below = contact.mesh.vertices[contact.vertex] - min(radius + thickness / 8, thickness) * normal
-    found = []
-    for aside in ASIDE:
-        for angle in 2 * np.pi * np.arange(WAYS) / WAYS:
-            centre = below + aside * radius * np.array([math.cos(angle), math.sin(angle), 0.0])
-            region = FirmRegion(centre, radius, math.log(USUAL))
-            change = _change(problem, motion.linear(logs, region) - alike)
-            freed = change + jacobian @ suiting(change)
-            # Its firmness has a normal prior around 1, in units of the usual one.
-            known = float(freed @ freed) / scale + 1 / USUAL_SD**2
-            firm = (1 / USUAL_SD**2 - float(left @ freed) / scale) / known
-            fall = float(np.square(left).sum() - np.square(left + firm * freed).sum()) / scale
-            gain = fall - ((firm - 1) / USUAL_SD) ** 2 - math.log(known)
-            found.append((gain, region, np.clip(logs + suiting(residual + firm * change), *motion.box)))
-    return [item[1:] for item in sorted(found, key=lambda item: -item[0])]
-
-
-def averaged(fits: list[Firm]) -> tuple[float, np.ndarray, np.ndarray]:
-    """Over tissue that is alike throughout and that with a firm region, alike likely beforehand.
-
-    Returns:
-        the probability that there is one; the mean shift of (log E, log d, log |F|), shape [3]; what it adds to their
-        covariance, shape [3, 3].
-    """
-    gains = np.array([fit.gain for fit in fits] + [math.log(len(fits))] if fits else [0.0])
-    weights = np.exp(gains - gains.max())
-    weights /= weights.sum()
-    shifts = np.stack([*(fit.shift for fit in fits), np.zeros(3)])
-    mean = weights @ shifts
-    return float(weights[:-1].sum()), mean, np.einsum("w,wi,wj->ij", weights, shifts - mean, shifts - mean)
-
-
-def _change(problem: FilmProblem[SlabMotion], moved: np.ndarray) -> np.ndarray:
+def shown_change(problem: FilmProblem[SlabMotion], moved: np.ndarray) -> np.ndarray:
     """What a small difference in the places' motion [N, V, 3] makes of the whitened residual."""
     return problem.whitened(np.nan_to_num(problem.patches.shown(problem.patches.sunk(moved), problem.covering)))

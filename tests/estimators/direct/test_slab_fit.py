@@ -1,4 +1,4 @@
-"""A slab beneath a film: its derivatives, and what a fit says of a slab, of another damping, and of no slab."""
+"""What a fit says of a slab, of another damping, and of no slab."""
 
 from __future__ import annotations
 
@@ -10,150 +10,27 @@ import pytest
 
 from data.contact.film import DentFilm, FilmNoise
 from data.contact.interaction import Interaction
-from data.contact.patches import Patches
-from estimators.direct import estimator, slab_fit, slab_motion
+from estimators.direct import estimator, slab_fit, slab_rivals
 from estimators.direct.contact_fit import LARGEST_MISFIT
 from estimators.direct.estimator import DirectEstimator
-from estimators.direct.slab_fit import BLIND, MODEL_ERROR, UNLIKE, SlabProblem, descend, find_tip, fit_slab, slab_start
-from estimators.direct.slab_motion import DENSITY, PATCH, SlabMotion
+from estimators.direct.slab_fit import BLIND, MODEL_ERROR, UNLIKE, SlabProblem, fit_slab
+from estimators.direct.slab_motion import SlabMotion
 from estimators.estimate import NINETY, Estimate, NoEstimate
 from estimators.onset import BETWEEN
-from physics.fem import Inertia, Material, find_equilibrium, simulate
-from physics.fem.slab import Slab, slab_beneath
-from physics.load import Press, held
-from physics.observation import Observation
-from tests.estimators.direct.test_field import FRAME, MESH, SIDE, SIGMA, SIZE
+from physics.fem.slab import slab_beneath
+from tests.estimators.direct.slabs import (
+    COARSE,
+    LOGS,
+    RELAXING,
+    THETA,
+    THICKNESS,
+    TIMES,
+    contact_of,
+    seen,
+    slab_of,
+)
+from tests.estimators.direct.test_field import MESH, SIDE, SIGMA, SIZE
 from tests.estimators.sessions import clip_info
-
-COARSE = (4, 4, 2)
-THICKNESS = 0.05
-TIMES = FRAME * np.arange(1, 11)
-LOAD = 5 * FRAME
-VERTEX = int(np.flatnonzero((MESH.pixels == (16, 17)).all(axis=1))[0])
-VERTEX_PLACE = (17.0, 16.0)
-NORMAL = np.array([0.0, 0.0, -1.0])
-THETA = (200.0, 6e4, -0.15)
-"""E, d, F."""
-LOGS = np.log(np.abs(THETA))
-RELAXING = np.array([math.log(200.0), 0.0, math.log(0.3), math.log(0.1)])
-
-
-def contact_of(released: bool = True) -> Interaction:
-    press = Press.at(VERTEX, NORMAL, held(LOAD / 0.005 if released else math.inf, 100))
-    return Interaction(MESH, press, Observation.of_point(VERTEX, TIMES, np.zeros((10, 3)), SIGMA), 0.005)
-
-
-def slab_of(cells: tuple[int, int, int] = COARSE) -> Slab:
-    return slab_beneath(MESH, VERTEX, NORMAL, THICKNESS, cells)
-
-
-def motion_of(released: bool = True, times: np.ndarray = TIMES, **options) -> SlabMotion:
-    pixels = MESH.pixels[[VERTEX, VERTEX + 3, VERTEX + 40]]
-    return SlabMotion(contact_of(released), slab_of(), pixels, times, **options)
-
-
-def seen(logs: np.ndarray, seed: int, cells: tuple[int, int, int], relaxing: bool = False) -> Interaction:
-    """A contact whose film shows a slab with these parameters, with noise."""
-    contact = contact_of()
-    patches = Patches(MESH, VERTEX, SIZE)
-    motion = SlabMotion(contact, slab_of(cells), MESH.pixels[patches.vertices], TIMES, relaxing=relaxing)
-    moved = motion.at(logs)[0]
-    assert np.abs(moved).max() > 5 * SIGMA
-    change = patches.shown(patches.sunk(moved), patches.covering(moved)).reshape(-1, SIDE, SIDE)
-    change = change + np.random.default_rng(seed).normal(0, SIGMA, change.shape)
-    return dataclasses.replace(contact, film=DentFilm(TIMES, change.astype(np.float32), FilmNoise(SIGMA, 0.0), SIZE))
-
-
-def test_the_motion_is_the_bodys_at_the_places() -> None:
-    motion, slab = motion_of(), slab_of()
-    found = motion.at(LOGS)[0]
-    shares = slab.patch(PATCH)
-    nodes = np.flatnonzero(shares)
-    load = Press(nodes, shares[nodes], NORMAL, held(LOAD / 0.02, 20))
-    inertia = Inertia(DENSITY, THETA[1] / DENSITY)
-    body = simulate(
-        slab.solid, Material("stable_neo_hookean", THETA[0], 0.45), slab.held, load, 0.02, inertia=inertia,
-        force=THETA[2],
-    )  # fmt: skip
-    middle = slab.top[2, 2]
-    np.testing.assert_allclose(found[:, 0], body.displacement[2::2, middle], atol=1e-4 * np.abs(found).max())
-    assert found[4, 0, 2] > 5 * SIGMA  # it is pressed away from the camera
-
-
-@pytest.mark.parametrize(("released", "within", "relaxing"), [(True, FRAME, False), (False, 0.0, True)])
-def test_derivatives_equal_finite_differences(
-    released: bool, within: float, relaxing: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(slab_motion, "TOLERANCE", 1e-11)
-    logs = np.concatenate([RELAXING if relaxing else LOGS, [-0.21, 0.37] if within else []])
-    motion = motion_of(released, TIMES[:7], within=within, relaxing=relaxing)
-    assert motion.box.shape == (2, len(logs))
-    slopes = motion.at(logs)[1]
-    for index in range(len(logs)):
-        step = 1e-4 * np.eye(len(logs))[index]
-        expected = (motion.at(logs + step)[0] - motion.at(logs - step)[0]) / 2e-4
-        assert np.abs(slopes[..., index] - expected).max() < 1e-5 * np.abs(expected).max()
-
-
-@pytest.mark.parametrize("relaxing", [False, True])
-def test_small_motions_are_those_of_the_fine_elements_and_so_are_their_derivatives(relaxing: bool) -> None:
-    fine = slab_beneath(MESH, VERTEX, NORMAL, THICKNESS, COARSE, order=2)
-    logs = np.concatenate([RELAXING if relaxing else LOGS, [-0.21, 0.37]])
-    logs[2] -= 6.0
-    motion = motion_of(times=TIMES[:7], within=FRAME, relaxing=relaxing, fine=fine)
-    alone = SlabMotion(motion.contact, fine, MESH.pixels[[VERTEX, VERTEX + 3, VERTEX + 40]], TIMES[:7], FRAME, relaxing)
-    found, slopes = motion.at(logs)
-    expected = alone.linear(logs)
-    size = np.abs(expected).max()
-    np.testing.assert_allclose(found, expected, atol=2e-3 * size)
-    assert np.abs(motion_of(times=TIMES[:7], within=FRAME, relaxing=relaxing).at(logs)[0] - expected).max() > 0.1 * size
-    for index in range(len(logs)):
-        step = 0.01 * np.eye(len(logs))[index]
-        slope = (alone.linear(logs + step) - alone.linear(logs - step)) / 0.02
-        assert np.abs(slopes[..., index] - slope).max() < 0.01 * size
-
-
-def test_the_tips_middle_is_found() -> None:
-    """The film of a tip that presses beside the contact's vertex."""
-    place = (VERTEX_PLACE[0] + 1.3, VERTEX_PLACE[1] - 0.8)
-    contact, slab = contact_of(), slab_of()
-    empty = DentFilm(TIMES, np.zeros((10, SIDE, SIDE), np.float32), FilmNoise(SIGMA, 0.0), SIZE)
-    contact = dataclasses.replace(contact, film=empty)
-
-    def problem_of(tried: tuple[float, float]) -> SlabProblem:
-        def motion(vertices: np.ndarray, times: np.ndarray) -> SlabMotion:
-            return SlabMotion(contact, slab, MESH.pixels[vertices], times, place=tried)
-
-        found = SlabProblem(contact, motion)
-        moved = SlabMotion(contact, slab, MESH.pixels[found.patches.vertices], TIMES, place=place).at(LOGS)[0]
-        found.observed = found.patches.shown(found.patches.sunk(moved), found.patches.covering(moved))
-        return found
-
-    found = find_tip(problem_of, VERTEX_PLACE)
-    np.testing.assert_allclose(found, place, atol=0.4)
-    np.testing.assert_allclose(find_tip(problem_of, found), place, atol=0.15)
-
-
-def test_slow_presses_end_where_the_body_rests() -> None:
-    slab = slab_of()
-    contact = contact_of(released=False)
-    motion = SlabMotion(contact, slab, MESH.pixels[[VERTEX]], 5.0 * TIMES)
-    logs = LOGS - [0, 0, math.log(3)]
-    forces = THETA[2] / 3 * slab.patch(PATCH)[:, None] * NORMAL
-    rest = find_equilibrium(slab.solid, Material("stable_neo_hookean", THETA[0], 0.45), slab.held, forces=forces)
-    np.testing.assert_allclose(motion.at(logs)[0][-1, 0], rest.displacement[slab.top[2, 2]], rtol=0.02, atol=1e-5)
-
-
-def test_what_cannot_be_followed_is_not_a_number(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fails(*_: object, **__: object) -> None:
-        raise slab_motion.NoEquilibrium("no equilibrium.")
-
-    motion = motion_of()
-    monkeypatch.setattr(slab_motion, "simulate", fails)
-    moved, slopes = motion.at(LOGS)
-    assert np.isnan(moved).all()
-    assert np.isnan(slopes).all()
-    assert slopes.shape == (10, 3, 3, 3)
 
 
 def coarsely(monkeypatch: pytest.MonkeyPatch, contact: Interaction, cells: tuple[int, int, int]) -> Estimate:
@@ -177,18 +54,11 @@ def test_a_fit_recovers_what_made_the_film_and_a_start_is_near(monkeypatch: pyte
     ratios = found.numbers()
     assert ratios["damping_over_stiffness"] == pytest.approx(THETA[1] / THETA[0], rel=0.1)
     assert ratios["force_over_stiffness"] == pytest.approx(-THETA[2] / THETA[0], rel=0.05)
-    problem = SlabProblem(contact, lambda vertices, times: SlabMotion(contact, slab_of(), MESH.pixels[vertices], times))
-    start = slab_start(problem)
-    assert np.abs(start - LOGS).max() < 1.0
-    far = LOGS + 0.5 * np.eye(3)[0]
-    problem.look(far)
-    before = np.square(problem.residual(far)).sum()
-    assert np.square(problem.residual(descend(problem, far, problem.motion.box, 1.0))).sum() < before - 20
 
 
 @pytest.mark.slow
 def test_a_slab_that_relaxes_is_no_slab_damped_by_mass(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(slab_fit, "REFUTED", 1.0)  # its misfit is large as well
+    monkeypatch.setattr(slab_rivals, "REFUTED", 1.0)  # its misfit is large as well
     found = coarsely(monkeypatch, seen(RELAXING, 2, COARSE, relaxing=True), COARSE)
     assert found.misfit > LARGEST_MISFIT
     assert found.refuted.startswith("The motion relaxes: a standard linear solid")

@@ -1,0 +1,71 @@
+"""Firm regions beneath a dent: noticed, and averaged over."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from estimators.direct.slab_descent import descend
+from estimators.direct.slab_fit import SlabProblem
+from estimators.direct.slab_motion import FirmRegion, SlabMotion
+from estimators.direct.slab_rivals import WAYS, Firm, averaged, firm_regions, with_firm_regions
+from tests.estimators.direct.slabs import (
+    FINE,
+    LOGS,
+    THICKNESS,
+    TIMES,
+    empty_problem,
+    shows,
+)
+from tests.estimators.direct.test_field import MESH
+
+
+@pytest.mark.slow
+def test_a_firm_region_is_noticed_where_it_lies_and_taken_into_account() -> None:
+    problem = empty_problem(FINE)
+    moved = problem.motion.at(LOGS)[0]
+    shows(problem, moved)
+    problem.look(LOGS)
+    regions = [region for region, _ in firm_regions(problem, LOGS, THICKNESS, 1.0)]
+    assert len({tuple(region.centre) for region in regions}) == 2 * WAYS
+
+    def with_regions(beginnings: list[tuple[FirmRegion, np.ndarray]], alike: np.ndarray) -> list[Firm]:
+        contact, slab, pixels = problem.contact, problem.motion.slab, MESH.pixels
+
+        def problem_with(region: FirmRegion) -> SlabProblem:
+            found = SlabProblem(contact, lambda v, times: SlabMotion(contact, slab, pixels[v], times, region=region))
+            found.observed = problem.observed
+            return found
+
+        return with_firm_regions(problem, alike, beginnings, problem_with, 1.0)
+
+    assert averaged(with_regions(firm_regions(problem, LOGS, THICKNESS, 1.0), LOGS))[0] < 0.5
+    true = regions[0]
+    firm = SlabMotion(problem.contact, problem.motion.slab, MESH.pixels[problem.patches.vertices], TIMES, region=true)
+    shows(problem, firm.at(LOGS)[0], moved)
+    problem.look(LOGS)
+    alike = descend(problem, LOGS, problem.motion.box, 0.01)
+    problem.look(alike)
+    found = firm_regions(problem, alike, THICKNESS, 1.0)
+    beside = np.linalg.norm(found[0][0].centre - true.centre)
+    assert beside < true.radius  # how far aside it lies hardly shows
+    sure, shift, covariance = averaged(with_regions(found, alike))
+    assert sure > 0.9
+    assert np.linalg.eigvalsh(covariance).min() > -1e-12
+    # What it makes of the ratios goes, mostly.
+    for ratio in ([-1.0, 1.0, 0.0], [-1.0, 0.0, 1.0]):
+        before = float((alike - LOGS) @ ratio)
+        assert abs(before + shift @ ratio) < 0.5 * abs(before)
+
+
+def test_posteriors_are_averaged_by_their_evidence() -> None:
+    shift = np.array([-0.2, 0.1, 0.3])
+    # A half beforehand for none, a quarter for each fit: 1/2 to 3/4.
+    sure, mean, covariance = averaged([Firm(math.log(3.0), shift), Firm(-math.inf, 9 * shift)])
+    assert sure == pytest.approx(0.6)
+    np.testing.assert_allclose(mean, 0.6 * shift)
+    np.testing.assert_allclose(covariance, 0.24 * np.outer(shift, shift))
+    assert averaged([])[0] == 0.0
+    np.testing.assert_array_equal(averaged([])[1], 0.0)

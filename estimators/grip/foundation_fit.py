@@ -132,12 +132,19 @@ def fit_foundation(
     left = np.array([judged.left(log_anchor, *pair) for pair in zip(looked, found.solved, strict=True)])
     told = information(found.curvatures, frame_correlation(left))
     variance = judged.wider(left[-1]) * error_size(left[-1]) ** 2 / max(told, TINY)
+    return _with_forces(problem, frames, log_anchor, variance + error**2)
+
+
+def _with_forces(
+    problem: SheetProblem, frames: Sequence[SeenFrame], log_anchor: float, variance: float
+) -> FoundationFit:
+    """What all frames tell at a log foundation of that variance, their points as they were followed."""
     free = problem.design(log_anchor)
     solved = [problem.solve(free, frame) for frame in frames]
     followed = problem.left(log_anchor, frames[-1], solved[-1])
     wider = problem.wider(followed)
     misfit = MISFIT if wider > MOST_ALIKE else (0.0, 0.0)
-    sd = 1 / np.sqrt(1 / (variance + error**2 + misfit[0] ** 2) + SPREAD**-2)
+    sd = 1 / np.sqrt(1 / (variance + misfit[0] ** 2) + SPREAD**-2)
     seen = [problem.whitened(*pair) for pair in zip(frames, solved, strict=True)]
     less, here, more = (
         [problem.profile(design, frame) for frame in seen]

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from estimators.palpation.bench import SHOWN, Bench, Palpation, beside_the_tool
+from estimators.palpation.bench import SHOWN, Bench, Palpation, Progress, beside_the_tool
 from estimators.palpation.material_fit import POISSON, FitSettings, MaterialFit
 from estimators.palpation.registration import placed, register
 from estimators.palpation.skin import Match, Skin
@@ -46,44 +47,23 @@ def descend(
     Raises:
         NoEquilibrium: the body bears the forces at no stiffness that was tried.
     """
-    bench = Bench(skin, held, palpations, settings.law)
-    poses = bench.poses
-    values = np.array([np.log(settings.young), np.clip(settings.poisson, *POISSON)])
-    starts: list[np.ndarray] = [np.zeros_like(skin.body.rest) for _ in palpations]
-    clouds = []
-    for each, pose in zip(palpations, poses, strict=True):
-        match = Match.of(placed(pose, each.points), skin.vertices, skin.triangles)
-        clouds.append(each.points[beside_the_tool(match.at(skin.triangles, skin.vertices), each)])
-
-    def simulated(at: np.ndarray, aligned: bool = True) -> tuple[float, list[Equilibrium], list[np.ndarray]]:
-        try:
-            rests = bench.rest(float(np.exp(at[0])), float(at[1]), starts)
-        except NoEquilibrium:
-            return np.inf, [], []
-        total, found = 0.0, []
-        for rest, cloud, pose in zip(rests, clouds, poses, strict=True):
-            vertices = skin.moved(rest.displacement)
-            found.append(register(cloud, vertices, skin.triangles, pose, 1.0, SHOWN) if aligned else pose)
-            apart = Match.of(placed(found[-1], cloud), vertices, skin.triangles).apart
-            total += float(np.square(apart).mean())
-        return total, rests, found
-
+    error = _Error(Bench(skin, held, palpations, settings.law))
+    bench = error.bench
+    values, path = np.array([np.log(settings.young), np.clip(settings.poisson, *POISSON)]), list[Progress]()
     for stiffer in 4.0 ** np.arange(TRIES + 1):
         values[0] = np.log(stiffer * settings.young)
         path = [bench.progress(np.exp(values[0]), values[1])]  # with what softer starts took
-        error, rests, aligned = simulated(values)
-        upright = bool(rests) and all(
-            np.linalg.det(skin.body.deformation(each.displacement)).min() > 0 for each in rests
-        )
-        if upright or bench.solves >= most:
+        here = error.at(values)
+        if here.upright(skin) or bench.solves >= most:
             break
-    if not upright:
+    if not here.upright(skin):
         raise NoEquilibrium("the body bears the forces at no stiffness that was tried; give a stiffer start.")
     length = 1.0
     while bench.solves < most:
-        starts, poses = [rest.displacement for rest in rests], aligned
+        error.begin(here)
         sides = [np.array([ASIDE, 0.0]), np.array([0.0, ASIDE if values[1] + ASIDE < POISSON[1] else -ASIDE])]
-        gradient = np.array([(simulated(values + side, aligned=False)[0] - error) / side.sum() for side in sides])
+        beside = [error.at(values + side, aligned=False).total for side in sides]
+        gradient = np.array([(total - here.total) / side.sum() for total, side in zip(beside, sides, strict=True)])
         gradient[~np.isfinite(gradient)] = 0.0  # where nothing rests there is nothing to learn
         if values[1] == POISSON[0 if gradient[1] > 0 else 1]:
             gradient[1] = 0.0  # ν would leave its range
@@ -92,17 +72,64 @@ def descend(
         while bench.solves < most and length > STEP:
             aim = values + length * direction
             aim[1] = np.clip(aim[1], *POISSON)
-            found = simulated(aim)
-            if found[0] < error:
+            found = error.at(aim)
+            if found.total < here.total:
                 fell = True
                 break
             length /= 2
         if not fell:
             break
-        (error, rests, aligned), values, length = found, aim, 2 * length
+        here, values, length = found, aim, 2 * length
         path.append(bench.progress(np.exp(values[0]), values[1]))
         told(f"step {len(path) - 1}: E {path[-1].young:.4g} Pa, ν {values[1]:.3f}, {bench.solves} solves")
     path.append(bench.progress(np.exp(values[0]), values[1]))  # with what the last search took
-    noise = float(np.sqrt(error / len(palpations)))
-    nothing = np.full((2, 2), np.nan)
-    return MaterialFit(path[-1].young, path[-1].poisson, nothing, list(aligned), list(rests), noise, path)
+    noise = float(np.sqrt(here.total / len(palpations)))
+    return MaterialFit(path[-1].young, path[-1].poisson, np.full((2, 2), np.nan), here.poses, here.rests, noise, path)
+
+
+class _Found(NamedTuple):
+    """The bodies at some (log E, ν), none of them where they find no rest."""
+
+    total: float
+    """The error [m²]."""
+    rests: list[Equilibrium]
+    poses: list[np.ndarray]
+    """Of the sensors, aligned."""
+
+    def upright(self, skin: Skin) -> bool:
+        """Whether the bodies rest, without an element inside out."""
+        return bool(self.rests) and all(
+            np.linalg.det(skin.body.deformation(rest.displacement)).min() > 0 for rest in self.rests
+        )
+
+
+class _Error:
+    """What is made least: points that show no tool, chosen once, against the simulated surfaces."""
+
+    def __init__(self, bench: Bench) -> None:
+        self.bench, self._poses = bench, bench.poses
+        skin = bench.skin
+        self._starts: list[np.ndarray] = [np.zeros_like(skin.body.rest) for _ in bench.palpations]
+        self._clouds = []
+        for each, pose in zip(bench.palpations, bench.poses, strict=True):
+            match = Match.of(placed(pose, each.points), skin.vertices, skin.triangles)
+            self._clouds.append(each.points[beside_the_tool(match.at(skin.triangles, skin.vertices), each)])
+
+    def begin(self, here: _Found) -> None:
+        """Simulate and align from there on."""
+        self._starts, self._poses = [rest.displacement for rest in here.rests], here.poses
+
+    def at(self, values: np.ndarray, aligned: bool = True) -> _Found:
+        """Of (log E, ν), infinite where nothing rests; the poses left as they are, if so wanted."""
+        skin = self.bench.skin
+        try:
+            rests = self.bench.rest(float(np.exp(values[0])), float(values[1]), self._starts)
+        except NoEquilibrium:
+            return _Found(np.inf, [], [])
+        total, poses = 0.0, []
+        for rest, cloud, pose in zip(rests, self._clouds, self._poses, strict=True):
+            vertices = skin.moved(rest.displacement)
+            poses.append(register(cloud, vertices, skin.triangles, pose, 1.0, SHOWN) if aligned else pose)
+            apart = Match.of(placed(poses[-1], cloud), vertices, skin.triangles).apart
+            total += float(np.square(apart).mean())
+        return _Found(total, list(rests), poses)

@@ -26,7 +26,8 @@ from physics.mechanics import Mechanics
 OUTLIER = 4.0
 """Residuals of more than this many standard deviations count as if they had as many."""
 MOVED = 3.0
-"""Pixels that move by more than this many standard deviations say how well the model explains the motion."""
+"""Pixels that move by more than this many standard deviations say how well the model explains the motion: at any time
+by the model, or root mean square over time by what is seen."""
 STILL_NEW = 0.05
 """Share of the errors that stay which is taken to be new in every frame: nothing stays exactly."""
 WALL = 0.08
@@ -87,6 +88,12 @@ class FilmProblem(Generic[M]):
         self.seen = np.isfinite(self.observed)
         """Pixels that show tissue which is known, shape [N, P], bool; all of `look` comes to be known by it."""
 
+    def _seen_to_move(self) -> np.ndarray:
+        """Pixels whose motion is clear without a model, shape [P], bool."""
+        known = np.isfinite(self.observed)
+        squares = np.square(np.where(known, self.observed, 0.0)).sum(axis=0)
+        return squares > np.square(MOVED * self.film.noise.total) * known.sum(axis=0)
+
     def look(self, logs: np.ndarray, *, finer: bool = False, outliers: bool = False) -> None:
         """Decide what the pixels show, and how their errors belong together, by parameters [D] near the best.
 
@@ -104,8 +111,9 @@ class FilmProblem(Generic[M]):
         change, total = self.change(moved, logs), self.film.noise.total
         left = change - self.observed
         self.seen = np.isfinite(left)
-        self.moving = np.abs(np.where(self.seen, change, 0)).max(axis=0) > MOVED * total
-        """Pixels that move clearly, shape [P], bool."""
+        # By what is seen, too: else a model that moves nothing would explain everything.
+        self.moving = (np.abs(np.where(self.seen, change, 0)).max(axis=0) > MOVED * total) | self._seen_to_move()
+        """Pixels that move clearly, by the model or by what is seen, shape [P], bool."""
         self._walls = np.square(WALL * self.patches.steepness(moved))
         weight = np.ones_like(left)
         if outliers:

@@ -107,7 +107,7 @@ def descend(problem: FilmProblem[SlabMotion], start: np.ndarray, box: np.ndarray
     curvature = curvature + box_information(box)
     for _ in range(MOST_STEPS):
         step = -np.linalg.solve(curvature, gradient)
-        step = np.clip(logs + step * min(1.0, LARGEST_STEP / np.abs(step).max()), *box) - logs
+        step = np.clip(logs + step * min(1.0, LARGEST_STEP / max(np.abs(step).max(), 1e-300)), *box) - logs
         bent = curvature @ step
         if -(gradient @ step + 0.5 * step @ bent) < enough:
             break

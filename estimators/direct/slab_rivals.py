@@ -111,7 +111,9 @@ def with_firm_regions(
                 start = descend(other, start, other.motion.box, DONE)
             except NoEstimate:
                 continue
-            found.append(Firm(_fall(plain, logs, other, start) / scale, start[:3] - logs[:3]))
+            fall = _fall(plain, logs, other, start)
+            if math.isfinite(fall):  # else it can't be followed where its fit begins
+                found.append(Firm(fall / scale, start[:3] - logs[:3]))
     return found
 
 
@@ -150,7 +152,7 @@ def relaxation(
         found = descend(other, start, box, ROUGH)
     except NoEstimate:
         return ""
-    if not _fall(plain, logs, other, found) / scale > REFUTED + max(0.0, *(fit.gain for fit in fits)):
+    if not _fall(plain, logs, other, found) / scale > REFUTED + max([0.0, *(fit.gain for fit in fits)]):
         return ""
     ratio, time = np.exp(found[[1, 3]])
     return (

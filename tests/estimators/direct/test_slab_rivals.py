@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +11,8 @@ import pytest
 from estimators.direct.slab_descent import descend
 from estimators.direct.slab_fit import SlabProblem
 from estimators.direct.slab_motion import FirmRegion, SlabMotion
-from estimators.direct.slab_rivals import WAYS, Firm, averaged, firm_regions, with_firm_regions
+from estimators.direct.slab_rivals import WAYS, Firm, averaged, firm_regions, relaxation, with_firm_regions
+from physics.fem import NoEquilibrium
 from tests.estimators.direct.slabs import (
     FINE,
     LOGS,
@@ -58,6 +60,30 @@ def test_a_firm_region_is_noticed_where_it_lies_and_taken_into_account() -> None
     for ratio in ([-1.0, 1.0, 0.0], [-1.0, 0.0, 1.0]):
         before = float((alike - LOGS) @ ratio)
         assert abs(before + shift @ ratio) < 0.5 * abs(before)
+
+
+def test_regions_that_cannot_be_followed_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem, followed = empty_problem(), SlabMotion._followed
+    shows(problem, problem.motion.at(LOGS)[0])
+    problem.look(LOGS)
+    slab, pixels = problem.motion.slab, MESH.pixels
+
+    def fails(self: SlabMotion, logs: np.ndarray, *told: Any) -> Any:
+        if self.region is not None or self.relaxing:
+            raise NoEquilibrium("no equilibrium.")
+        return followed(self, logs, *told)
+
+    def problem_with(region: FirmRegion | None, relaxing: bool = False) -> SlabProblem:
+        def motion(vertices: np.ndarray, times: np.ndarray) -> SlabMotion:
+            return SlabMotion(problem.contact, slab, pixels[vertices], times, relaxing=relaxing, region=region)
+
+        return SlabProblem(problem.contact, motion)
+
+    regions = firm_regions(problem, LOGS, THICKNESS, 1.0)
+    monkeypatch.setattr(SlabMotion, "_followed", fails)
+    fits = with_firm_regions(problem, LOGS, regions, problem_with, 1.0)
+    assert fits == []
+    assert relaxation(problem, LOGS, problem_with(None, relaxing=True), fits, 1.0) == ""
 
 
 def test_posteriors_are_averaged_by_their_evidence() -> None:

@@ -100,10 +100,10 @@ def descend(problem: FilmProblem[SlabMotion], start: np.ndarray, box: np.ndarray
         residual, jacobian = problem.linearise(logs)
         return 0.5 * float(residual @ residual), jacobian.T @ residual, jacobian.T @ jacobian
 
+    if not np.isfinite(problem.motion.at(start)[0]).all():
+        raise NoEstimate("The slab can't be followed where the fit begins; the dent may be too deep for it.")
     logs = start
     value, gradient, curvature = at(logs)
-    if not math.isfinite(value):
-        raise NoEstimate("The slab can't be followed where the fit begins; the dent may be too deep for it.")
     curvature = curvature + box_information(box)
     for _ in range(MOST_STEPS):
         step = -np.linalg.solve(curvature, gradient)

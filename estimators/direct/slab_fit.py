@@ -100,7 +100,7 @@ def fit_slab(
     beside = _beside_tip(contact)
     place = find_tip(problem_of, slab.place)
     problem = problem_of(place)
-    logs, valley, scale = _settled(problem)
+    logs, valley, scale = settled(problem)
     misfit, box = problem.misfit(logs), problem.motion.box
     if not misfit > 0:
         raise NoEstimate("No pixel of the dent moves clearly, so that nothing shows whether a slab explains it.")
@@ -133,7 +133,7 @@ def fit_slab(
     return found, (np.append(0.0, problem.motion.times), np.append(0.0, path))
 
 
-def _settled(problem: SlabProblem) -> tuple[np.ndarray, Valley, float]:
+def settled(problem: SlabProblem) -> tuple[np.ndarray, Valley, float]:
     """Parameters of the least χ², the valley around them, and the square of the misfit, by which χ² is scaled."""
     box, logs = problem.motion.box, slab_start(problem)
     for outliers, enough in ((False, ROUGH), (True, DONE)):

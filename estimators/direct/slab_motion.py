@@ -164,9 +164,10 @@ class SlabMotion:
 
         Args:
             logs: all parameters, shape [D].
-            region: that is firmer.
+            region: that is firmer; None = the motion's own.
         """
-        return between_steps(self._followed(logs, "linear", False, region)[0], self.step, self._since(logs))[0]
+        firm = self.region if region is None else region
+        return between_steps(self._followed(logs, "linear", False, firm)[0], self.step, self._since(logs))[0]
 
     def by_modes(self, logs: np.ndarray) -> np.ndarray:
         """The same of the fine elements where there are such, in milliseconds once modes are known."""

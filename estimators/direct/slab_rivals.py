@@ -43,7 +43,7 @@ class Firm(NamedTuple):
     """A fit with a firm region, beside that of tissue that is alike throughout."""
 
     gain: float
-    """Logarithm of its evidence over that fit's."""
+    """Logarithm of how much likelier it makes the film: that it was picked from many, and fitted, is not paid for."""
     shift: np.ndarray
     """Of (log E, log d, log |F|) away from that fit, shape [3]."""
 
@@ -51,7 +51,7 @@ class Firm(NamedTuple):
 def firm_regions(
     problem: FilmProblem[SlabMotion], logs: np.ndarray, thickness: float, scale: float
 ) -> list[tuple[FirmRegion, np.ndarray]]:
-    """Firm regions beneath, likeliest first to first order, and the parameters [D] that would go with each.
+    """Regions beneath that may be firm, likeliest first to first order, and where the fit of each may begin [D].
 
     Args:
         problem: that has looked at a fit.
@@ -111,9 +111,7 @@ def with_firm_regions(
                 start = descend(other, start, other.motion.box, DONE)
             except NoEstimate:
                 continue
-            fall = _fall(plain, logs, other, start)
-            if math.isfinite(fall):  # else it can't be followed where its fit begins
-                found.append(Firm(fall / scale, start[:3] - logs[:3]))
+            found.append(Firm(fall(plain, logs, other, start) / scale, start[:3] - logs[:3]))
     return found
 
 
@@ -152,7 +150,7 @@ def relaxation(
         found = descend(other, start, box, ROUGH)
     except NoEstimate:
         return ""
-    if not _fall(plain, logs, other, found) / scale > REFUTED + max([0.0, *(fit.gain for fit in fits)]):
+    if not fall(plain, logs, other, found) / scale > REFUTED + max([0.0, *(fit.gain for fit in fits)]):
         return ""
     ratio, time = np.exp(found[[1, 3]])
     return (
@@ -161,10 +159,11 @@ def relaxation(
     )
 
 
-def _fall(
-    plain: FilmProblem[SlabMotion], logs: np.ndarray, other: FilmProblem[SlabMotion], others: np.ndarray
-) -> float:
-    """Of χ²/2, as a fit weights it, from that fit to another."""
-    moved = other.motion.at(others)[0]
-    left = plain.whitened(other.change(moved, others) - plain.observed)
-    return 0.5 * float(np.square(plain.residual(logs)).sum() - left @ left)
+def fall(plain: FilmProblem[SlabMotion], logs: np.ndarray, other: FilmProblem[SlabMotion], others: np.ndarray) -> float:
+    """Of χ²/2, as a fit weights it, from that fit to another, by the pixels that show tissue in both."""
+    after = other.change(other.motion.at(others)[0], others)
+    before = plain.change(plain.motion.at(logs)[0], logs)
+    worse, better = (
+        plain.whitened(np.where(np.isfinite(after), change - plain.observed, 0.0)) for change in (before, after)
+    )
+    return 0.5 * float(worse @ worse - better @ better)

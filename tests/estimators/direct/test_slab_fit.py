@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 
 from data.contact.film import DentFilm, FilmNoise
 from data.contact.interaction import Interaction
-from estimators.direct import estimator, slab_fit, slab_rivals
+from estimators.direct import estimator, slab_fit, slab_motion, slab_rivals
 from estimators.direct.contact_fit import LARGEST_MISFIT
 from estimators.direct.estimator import DirectEstimator
-from estimators.direct.slab_fit import BLIND, MODEL_ERROR, UNLIKE, SlabProblem, fit_slab
+from estimators.direct.slab_descent import descend
+from estimators.direct.slab_fit import BLIND, LOWER, MODEL_ERROR, UNLIKE, SlabProblem, fit_slab, settled
 from estimators.direct.slab_motion import SlabMotion
+from estimators.direct.slab_posterior import Valley
 from estimators.estimate import NINETY, Estimate, NoEstimate
 from estimators.onset import BETWEEN
 from physics.fem.slab import slab_beneath
@@ -26,7 +29,9 @@ from tests.estimators.direct.slabs import (
     THICKNESS,
     TIMES,
     contact_of,
+    empty_problem,
     seen,
+    shows,
     slab_of,
 )
 from tests.estimators.direct.test_field import MESH, SIDE, SIGMA, SIZE
@@ -40,7 +45,7 @@ def coarsely(monkeypatch: pytest.MonkeyPatch, contact: Interaction, cells: tuple
 
 
 @pytest.mark.slow
-def test_a_fit_recovers_what_made_the_film_and_a_start_is_near(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_fit_recovers_what_made_the_film(monkeypatch: pytest.MonkeyPatch) -> None:
     contact = seen(LOGS, 1, COARSE)
     found = coarsely(monkeypatch, contact, COARSE)
     assert found.explained
@@ -64,6 +69,28 @@ def test_a_slab_that_relaxes_is_no_slab_damped_by_mass(monkeypatch: pytest.Monke
     assert found.refuted.startswith("The motion relaxes: a standard linear solid")
     assert not found.explained
     assert (found.verdict, found.determined) == ("undetermined", ())
+
+
+def test_a_fit_stays_where_a_better_one_cannot_be_followed(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem, followed = empty_problem(), SlabMotion._followed
+    shows(problem, problem.motion.at(LOGS)[0])
+    far = LOGS + np.array([3.0, 3.0, 3.0])
+    valley = Valley(LOGS, np.eye(3), far, 2 * LOWER)
+
+    def fails_far(self: SlabMotion, logs: np.ndarray, *told: Any) -> Any:
+        if logs[0] > LOGS[0] + 2.5:
+            raise slab_motion.NoEquilibrium("no equilibrium.")
+        return followed(self, logs, *told)
+
+    monkeypatch.setattr(SlabMotion, "_followed", fails_far)
+    problem.look(far)
+    with pytest.raises(NoEstimate, match="The slab can't be followed where the fit begins"):
+        descend(problem, far, problem.motion.box, 1.0)
+    monkeypatch.setattr(slab_fit, "follow_valley", lambda *_: valley)
+    logs, told, _ = settled(problem)
+    assert told is valley
+    np.testing.assert_allclose(logs[1:] - logs[0], LOGS[1:] - LOGS[0], atol=0.1)
+    assert problem.seen.all()  # it has looked at that fit, not at the other
 
 
 def test_the_slabs_own_error_is_a_share_of_its_motion_in_rings_and_parts_of_the_time() -> None:

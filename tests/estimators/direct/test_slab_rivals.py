@@ -11,7 +11,7 @@ import pytest
 from estimators.direct.slab_descent import descend
 from estimators.direct.slab_fit import SlabProblem
 from estimators.direct.slab_motion import FirmRegion, SlabMotion
-from estimators.direct.slab_rivals import WAYS, Firm, averaged, firm_regions, relaxation, with_firm_regions
+from estimators.direct.slab_rivals import WAYS, Firm, averaged, fall, firm_regions, relaxation, with_firm_regions
 from physics.fem import NoEquilibrium
 from tests.estimators.direct.slabs import (
     FINE,
@@ -84,6 +84,27 @@ def test_regions_that_cannot_be_followed_are_left_out(monkeypatch: pytest.Monkey
     fits = with_firm_regions(problem, LOGS, regions, problem_with, 1.0)
     assert fits == []
     assert relaxation(problem, LOGS, problem_with(None, relaxing=True), fits, 1.0) == ""
+
+
+def test_pixels_that_show_nothing_in_one_fit_count_in_neither() -> None:
+    """Beside a hole another motion hides pixels that this one shows."""
+    problem, other = empty_problem(), empty_problem()
+    shows(problem, problem.motion.at(LOGS)[0])
+    problem.look(LOGS)
+    beside = LOGS + np.array([0.1, 0.0, 0.0])
+    other.look(beside)
+    whole = fall(problem, LOGS, other, beside)
+    assert whole < -1  # it explains less
+    hidden, change = problem.seen.shape[1] // 2, other.change
+
+    def partly(moved: np.ndarray, logs: np.ndarray) -> np.ndarray:
+        found = change(moved, logs)
+        found[:, hidden] = np.nan
+        return found
+
+    other.change = partly  # ty: ignore[invalid-assignment]
+    part = fall(problem, LOGS, other, beside)
+    assert 2 * whole < part < -1
 
 
 def test_posteriors_are_averaged_by_their_evidence() -> None:

@@ -27,7 +27,8 @@ OUTLIER = 4.0
 """Residuals of more than this many standard deviations count as if they had as many."""
 MOVED = 3.0
 """Pixels that move by more than this many standard deviations say how well the model explains the motion: at any time
-by the model, or root mean square over time by what is seen."""
+by the model, or so many times by what is seen: one outlier does not make a pixel move."""
+SEVERAL = 3
 STILL_NEW = 0.05
 """Share of the errors that stay which is taken to be new in every frame: nothing stays exactly."""
 WALL = 0.08
@@ -90,9 +91,7 @@ class FilmProblem(Generic[M]):
 
     def _seen_to_move(self) -> np.ndarray:
         """Pixels whose motion is clear without a model, shape [P], bool."""
-        known = np.isfinite(self.observed)
-        squares = np.square(np.where(known, self.observed, 0.0)).sum(axis=0)
-        return squares > np.square(MOVED * self.film.noise.total) * known.sum(axis=0)
+        return (np.abs(np.nan_to_num(self.observed)) > MOVED * self.film.noise.total).sum(axis=0) >= SEVERAL
 
     def look(self, logs: np.ndarray, *, finer: bool = False, outliers: bool = False) -> None:
         """Decide what the pixels show, and how their errors belong together, by parameters [D] near the best.

@@ -10,7 +10,7 @@ pictures and the evaluation. Exit status: 0 done, 1 failed, 2 wrong usage, 130 i
 
 from __future__ import annotations
 
-from physics.doors import INTERRUPTED, by_interrupt, enter_door, plain, run_door
+from physics.doors import INTERRUPTED, by_interrupt, enter_door, interruptible, plain, run_door
 
 if __name__ == "__main__":
     enter_door()  # before the slow imports
@@ -344,18 +344,19 @@ def main(arguments: list[str] | None = None) -> int:
     warnings.filterwarnings("ignore", message=".*LeafSpec.*")  # Lightning about torch's internals
     disable_possible_user_warnings()  # guesses about worker counts
     try:
-        TrainCLI(
-            PhysicsInformedGAN,
-            ClipDataModule,
-            save_config_callback=RunRecord,
-            trainer_class=RunTrainer,
-            trainer_defaults={"default_root_dir": "runs/train"},
-            parser_class=SentenceParser,
-            seed_everything_default=0,
-            parser_kwargs={"description": __doc__},
-            auto_configure_optimizers=False,
-            args=arguments,
-        )
+        with interruptible():
+            TrainCLI(
+                PhysicsInformedGAN,
+                ClipDataModule,
+                save_config_callback=RunRecord,
+                trainer_class=RunTrainer,
+                trainer_defaults={"default_root_dir": "runs/train"},
+                parser_class=SentenceParser,
+                seed_everything_default=0,
+                parser_kwargs={"description": __doc__},
+                auto_configure_optimizers=False,
+                args=arguments,
+            )
     except (UsageError, CheckpointError, UnstableConfiguration, MisconfigurationException) as error:
         print(plain(f"train.py: {error}"), file=sys.stderr)
         return 2
@@ -375,8 +376,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 1
     except KeyboardInterrupt:
         return INTERRUPTED
-    except (SystemExit, Exception) as error:
-        # Lightning turns Ctrl-C into exit status 1, and a file that is being written complains of its end.
+    except SystemExit as error:  # Lightning turns Ctrl-C into exit status 1
         if not by_interrupt(error):
             raise
         return INTERRUPTED

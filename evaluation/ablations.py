@@ -18,7 +18,7 @@ carried map (`evaluation.terms`). Writes table.csv, and prints it; trained and j
 
 from __future__ import annotations
 
-from physics.doors import INTERRUPTED, enter_door, run_door
+from physics.doors import INTERRUPTED, enter_door, interruptible, run_door
 
 if __name__ == "__main__":
     enter_door()  # before the slow imports
@@ -247,9 +247,10 @@ def compare_terms(options: argparse.Namespace, console: Console) -> int:
     found, status = {}, 0
     asked = options.rows, options.seeds, options.clips, options.steps, options.held_out, options.seed, options.output
     try:
-        for row, seed, judged in terms.measure(*asked):
-            found[row, seed] = judged
-            say(console, f"{row}, seed {seed}: done")
+        with interruptible():
+            for row, seed, judged in terms.measure(*asked):
+                found[row, seed] = judged
+                say(console, f"{row}, seed {seed}: done")
     except KeyboardInterrupt:
         say(console, "Interrupted; finished rows are kept, and the same command continues.", "yellow")
         status = INTERRUPTED
@@ -294,7 +295,8 @@ def main(arguments: list[str] | None = None) -> int:
     left = [name for name in rows if (SUITE, 0, name) not in store.done]
     status = 0
     try:
-        measure(left, options, store, console)
+        with interruptible():
+            measure(left, options, store, console)
     except KeyboardInterrupt:
         say(console, "Interrupted; finished rows are kept, and the same command continues.", "yellow")
         status = INTERRUPTED

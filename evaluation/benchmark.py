@@ -15,7 +15,7 @@ estimates mean then is in slabs.csv (see `evaluation.recovery.slabs`).
 
 from __future__ import annotations
 
-from physics.doors import INTERRUPTED, enter_door, run_door
+from physics.doors import INTERRUPTED, enter_door, interruptible, run_door
 
 if __name__ == "__main__":
     enter_door()  # before the slow imports
@@ -312,7 +312,8 @@ def run_presses(options: argparse.Namespace, console: Console) -> int:
     asked = set(itertools.product(options.suite, range(options.clips), options.estimator))
     status = 0
     try:
-        measure(options, estimators, asked - store.done, store, console)
+        with interruptible():
+            measure(options, estimators, asked - store.done, store, console)
     except KeyboardInterrupt:
         say(console, "Interrupted; finished clips are kept, and the same command continues.", "yellow")
         status = INTERRUPTED

@@ -17,7 +17,7 @@ network:
 
 from __future__ import annotations
 
-from physics.doors import INTERRUPTED, enter_door, run_door
+from physics.doors import INTERRUPTED, enter_door, interruptible, run_door
 
 if __name__ == "__main__":
     enter_door()  # before the slow imports
@@ -391,7 +391,8 @@ def main(arguments: list[str] | None = None) -> int:
         say(console, text, "red")
         return 2
     try:
-        train(options)
+        with interruptible():
+            train(options)
     except KeyboardInterrupt:
         text = f"Interrupted; {options.output} holds no {WEIGHTS}. The same command goes on, after its fits if made."
         say(console, text, "yellow")

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimators.palpation.bench import SHOWN, Bench, Palpation, Progress, beside_the_tool
+from estimators.palpation.bench import SHOWN, Bench, Palpation, beside_the_tool
 from estimators.palpation.material_fit import POISSON, FitSettings, MaterialFit
 from estimators.palpation.registration import placed, register
 from estimators.palpation.skin import Match, Skin
@@ -49,7 +49,7 @@ def descend(
     """
     error = _Error(Bench(skin, held, palpations, settings.law))
     bench = error.bench
-    values, path = np.array([np.log(settings.young), np.clip(settings.poisson, *POISSON)]), list[Progress]()
+    values = np.array([np.log(settings.young), np.clip(settings.poisson, *POISSON)])
     for stiffer in 4.0 ** np.arange(TRIES + 1):
         values[0] = np.log(stiffer * settings.young)
         path = [bench.progress(np.exp(values[0]), values[1])]  # with what softer starts took

@@ -115,18 +115,20 @@ def evaluate_grip(task: GripTask) -> list[GripRecovery]:
             frames, info = list(clip), ClipInfo.of(clip)
             session = opened(EstimatorOptions(DIRECT, threads=1)).start(info)
             said = [item for frame in frames for item in session.push(frame)] + list(session.finish())
-        found = [item for item in said if isinstance(item, InteractionEstimate)]
-        contact = [item.contact is True for item in said if isinstance(item, FrameEstimate)]
-        moves = moving_frames(scene, motion)
-        right = float((np.array(contact) == motion.in_contact)[moves].mean()) if moves.any() else math.nan
-        run = next((item for item in found if item.grip is not None), None)
-        known = dataclasses.replace(empty, contact_right=right)
-        if run is None or run.grip is None:
-            return [dataclasses.replace(known, status="no estimate", reason=" ".join(item.detail for item in found))]
-        known = dataclasses.replace(known, verdict=run.verdict, skill=run.grip.skill)
-        if run.onset < motion.onset_frame:
-            return [known]
-        return [dataclasses.replace(known, **_compared(run.onset, run.grip, scene, motion, frames))]
+            found = [item for item in said if isinstance(item, InteractionEstimate)]
+            contact = [item.contact is True for item in said if isinstance(item, FrameEstimate)]
+            moves = moving_frames(scene, motion)
+            right = float((np.array(contact) == motion.in_contact)[moves].mean()) if moves.any() else math.nan
+            run = next((item for item in found if item.grip is not None), None)
+            known = dataclasses.replace(empty, contact_right=right)
+            if run is None or run.grip is None:
+                return [
+                    dataclasses.replace(known, status="no estimate", reason=" ".join(item.detail for item in found))
+                ]
+            known = dataclasses.replace(known, verdict=run.verdict, skill=run.grip.skill)
+            if run.onset < motion.onset_frame:
+                return [known]
+            return [dataclasses.replace(known, **_compared(run.onset, run.grip, scene, motion, frames))]
     except Exception as error:  # a clip that breaks something is a result, and the others go on
         return [dataclasses.replace(empty, status="error", reason=f"{type(error).__name__}: {error}")]
 

@@ -8,10 +8,10 @@ quantity                                    of
 estimated, explained                        share of the clips with an estimate, and of these whose model check passes
 rank of k_s and E, F and F                  Spearman's, over clips
 rank of F/k_s and F/E                       the combination that a dent's depth, or a pull, tells
-rank of k_s if F is known, and E            of pulls: the true force over that combination
+rank of k_s if F is known and E             of pulls: the true force over that combination
 rank of …, determined                       over clips that pass the model check: of k_s and E where k_s is determined,
                                             of a press else of k_d/k_s and αρ/E where that is, of a pull of F/k_s and
-                                            F/E, and of k_s if F is known, and E; empty where there are fewer than four
+                                            F/E, and of k_s if F is known and E; empty where there are fewer than four
 scatter of …                                standard deviation of the logarithm of their quotient: 0 is proportional
 k_d over αm                                 median; α is the true damping per mass and m the fitted mass of a node, of
                                             finite elements the density
@@ -156,9 +156,9 @@ def evaluate_slab(task: SlabTask) -> list[SlabRecovery]:
             try:
                 with interruptible():
                     said = interactions(options, frames, info)
-                grips = [(item.onset, item.grip) for item in said if item.grip is not None]
-                detail = " ".join(item.detail for item in said)
-                known |= _pulled(*grips[0], motion, scene) if grips else {"status": "no estimate", "reason": detail}
+                    grips = [(item.onset, item.grip) for item in said if item.grip is not None]
+                    detail = " ".join(item.detail for item in said)
+                    known |= _pulled(*grips[0], motion, scene) if grips else {"status": "no estimate", "reason": detail}
             except Exception as error:  # an estimator that breaks on a clip is a result, and the others go on
                 known |= {"status": "error", "reason": f"{type(error).__name__}: {error}"}
         found.append(empty(name, **known))
@@ -233,7 +233,8 @@ def _compared(rows: Sequence[SlabRecovery], all_rows: Sequence[SlabRecovery] | N
     if told[0].reaction is not None:
         found, sd = np.stack([row.reaction for row in told if row.reaction is not None]).T
         yield from _related("F/k_s", found, "F/E", force / young)
-        yield from _related("k_s if F is known", force / found, "E", young)
+        rank = float(spearmanr(force / found, young).statistic)
+        yield {"quantity": "rank of k_s if F is known and E", "n": len(told), "value": rank}
         if told[0].fitted == FEM:
             off = np.log(found / (force / young))
             yield {"quantity": "F/E over the true", "n": len(told), "value": float(np.exp(np.median(off)))}

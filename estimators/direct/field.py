@@ -25,10 +25,9 @@ from physics.mechanics import Mechanics
 
 OUTLIER = 4.0
 """Residuals of more than this many standard deviations count as if they had as many."""
-MOVED = 3.0
-"""Pixels that move by more than this many standard deviations say how well the model explains the motion: at any time
-by the model, or so many times by what is seen: one outlier does not make a pixel move."""
-SEVERAL = 3
+MOVED, SEVERAL = 3.0, 3
+"""Pixels that move by more than so many standard deviations say how well the model explains the motion: in any frame by
+the model, or in so many by what is seen, as one outlier is no motion."""
 STILL_NEW = 0.05
 """Share of the errors that stay which is taken to be new in every frame: nothing stays exactly."""
 WALL = 0.08

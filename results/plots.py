@@ -54,32 +54,27 @@ def draw_summary(
 ) -> Figure:
     """Draw a clip's verdicts, parameters and displacements over time, or verdicts alone where frames have no estimate.
 
-    Below them is what the runs tell of where gripped tissue is stiffer.
+    Below them is what grips tell: how the force at each changed, and where the tissue is stiffer.
 
     Args:
         estimates: one a frame, in order.
         counts: of runs of contact by `state`; they are the heading where no frame has an estimate.
-        runs: those whose maps are drawn.
+        runs: those whose grips are drawn.
         title: name of the clip.
         subtitle: what made the numbers.
     """
     estimated = any(estimate.estimate is not None for estimate in estimates)
     heights = [1.1, 2.8, 2.8, 2.8, 3.0] if estimated else [2.2]
-    mapped = [
-        (run, run.told.stiffness)
-        for run in runs
-        if isinstance(run.told, GripEstimate) and run.told.stiffness is not None
-    ]
-    figure, rows = _figure([*heights, *[4.0] * len(mapped)], title, subtitle)
+    gripped = [(run, run.told) for run in runs if isinstance(run.told, GripEstimate) and run.told.determined]
+    figure, rows = _figure([*heights, *[4.0] * len(gripped)], title, subtitle)
     strip, *panels = rows[: len(heights)]
     for axes in panels:
         axes.sharex(strip)
     for axes in rows[: len(heights) - 1]:
         axes.tick_params(labelbottom=False)
-    for axes, (run, field) in zip(rows[len(heights) :], mapped, strict=True):
-        axes.set_axis_off()
+    for axes, (run, grip) in zip(rows[len(heights) :], gripped, strict=True):
         axes.set_title(f"contact from frame {run.onset_frame} ({run.onset_time_s:.3f} s)", loc="left", fontsize=12)
-        _draw_stiffness(axes.inset_axes((0, 0, 0.5, 0.85)), field)
+        _draw_grip(axes, grip)
     times = _column(estimates, "time_s")
     interval = max(float(np.median(np.diff(times))), 1e-3) if len(times) > 1 else 0.04
     edges = np.append(times, times[-1] + interval) if len(times) else np.array([0.0, 1.0])

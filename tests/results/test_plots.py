@@ -356,8 +356,15 @@ def test_stiffness_is_drawn_on_the_picture_only_where_it_is_known() -> None:
     run = dataclasses.replace(NONE, grip=grip)
     *panels, below = draw_summary(clip(), runs=[run, NONE], title="clip").axes
     assert len(panels) == len(draw_summary(clip(), title="clip").axes)
-    (on_summary,) = below.child_axes
+    on_summary, force = sorted(below.child_axes, key=lambda item: not item.images)
     np.testing.assert_array_equal(np.ma.filled(on_summary.images[2].get_array(), np.nan), ratio)
+    np.testing.assert_allclose(curve(force, "force along that of the last frame"), (times, times / 3))
+    *_, plain = draw_summary(
+        clip(), runs=[dataclasses.replace(run, grip=dataclasses.replace(grip, stiffness=None))], title="clip"
+    ).axes
+    np.testing.assert_allclose(curve(plain, "force along that of the last frame"), (times, times / 3))
+    nothing = dataclasses.replace(grip, skill=0.0, stiffness=None)
+    assert len(draw_summary(clip(), runs=[dataclasses.replace(run, grip=nothing)], title="clip").axes) == len(panels)
     off = dataclasses.replace(grip, stiffness=dataclasses.replace(field, excess=0.3))
     assert "stiffness_ratios" not in off.determined
 

@@ -81,8 +81,8 @@ def firm_regions(
             # Its firmness has a normal prior around 1, in units of the usual one.
             known = float(freed @ freed) / scale + 1 / USUAL_SD**2
             firm = (1 / USUAL_SD**2 - float(left @ freed) / scale) / known
-            fall = float(np.square(left).sum() - np.square(left + firm * freed).sum()) / scale
-            gain = fall - ((firm - 1) / USUAL_SD) ** 2 - math.log(known)
+            less = float(np.square(left).sum() - np.square(left + firm * freed).sum()) / scale
+            gain = less - ((firm - 1) / USUAL_SD) ** 2 - math.log(known)
             found.append((gain, region, np.clip(logs + suiting(residual + firm * change), *motion.box)))
     return [item[1:] for item in sorted(found, key=lambda item: -item[0])]
 

@@ -1,9 +1,9 @@
 """A probabilistic road map over places of the tip, and the cheapest way through it.
 
-Kavraki 1996 and A* (Hart 1968), with the cost of Frank 2010's equation 5, α·deformation + (1 - α)·way. Of ways that cost
-the same the shorter one is taken, since at α = 1 all that touch nothing cost 0: a price is the pair of cost and way, added
-component by component and compared in this order. The straight way that is left has the lowest price that can follow, and
-is A*'s heuristic; it is consistent in this order, so that the way found is the best of the map. Afterwards places are left
+Kavraki 1996 and A* (Hart 1968), with the cost of Frank 2010's equation 5, α·deformation + (1 - α)·way. Of ways that
+cost the same the shorter is taken, since at α = 1 all that touch nothing cost 0: a price is the pair of cost and way,
+added component by component and compared in this order. The price of the straight line that is left, were it free, is
+A*'s heuristic; it is consistent in this order, so that the way found is the best of the map. Afterwards places are left
 out as long as that lowers the price.
 """
 
@@ -22,7 +22,7 @@ from planning.scene import Placed, PlanScene
 NODES, NEIGHBOURS = 300, 10
 MILLI = 1000.0
 DIGITS = 9
-"""To which the deformation by a line is rounded [mJ], so that rounding errors of the table decide between no two ways."""
+"""To which the deformation by a line is rounded [mJ], so that errors of rounding in the table decide no tie."""
 
 Price = tuple[float, float]
 """Cost and way [mm] of a line or of a whole way; compared as tuples are."""

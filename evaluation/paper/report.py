@@ -155,8 +155,11 @@ def reading_tables(found: Evaluation, contacts: int) -> dict[str, str]:
         "fit": _table(
             f"How well simulations follow the observed motion ({_amounts(found)})",
             pd.DataFrame({"mean squared error [scene units²]": errors, "of that without motion [%]": _shares(errors)}),
+            "θ: stiffness k_s, damping k_d and force F. Predicted: estimated from the pictures, frame by frame. The "
+            "others are what it is compared with: reference, the literature's k_s and k_d; constant, one θ for all, "
+            "fitted on the training clips; the mean of all predictions; and tissue that does not move at all.",
         ),
-        "estimates": _table(f"What was estimated ({_amounts(found)})", estimates),
+        "estimates": _table(f"What was estimated, in normalised units ({_amounts(found)})", estimates),
         "errors": _table(
             "Table 2: simulation error, mean squared displacement error (MSE) [scene units²]",
             _filled(ERRORS, found.summaries),

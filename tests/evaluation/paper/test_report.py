@@ -182,7 +182,7 @@ def test_page_begins_with_what_was_found(written):
     """The conclusion, numbers and figures come before comparisons; a page of few clips gives no verdict."""
     page = written["report.html"].read_text("utf-8")
     order = ["3 clips: too few to judge", "How well simulations follow the observed motion (9 test frames of 3 clips)",
-             "What was estimated (9 test frames of 3 clips)", "<img", "Wilcoxon p"]  # fmt: skip
+             "What was estimated, in normalised units (9 test frames of 3 clips)", "<img", "Wilcoxon p"]  # fmt: skip
     places = [page.index(text) for text in order]
     assert places == sorted(places)
     assert not any(f"θ against {name}: {verdict}" in page for name in REGIMES for verdict in ("better", "worse"))

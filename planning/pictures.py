@@ -49,7 +49,7 @@ def force_along(presses: Sequence[Pressed], way: float) -> tuple[np.ndarray, np.
         How far the tip has gone [m], rising, and the force [N], shapes [S].
     """
     known = [each.begin + np.append(each.curve.lengths, each.length) for each in presses]
-    gone = np.unique(np.clip(np.concatenate([np.linspace(0, way, SAMPLES), *known]), 0, way))
+    gone = np.unique(np.clip(np.concatenate([np.linspace(0, way, SAMPLES), *known]), 0, way)).astype(float)
     force = np.zeros(len(gone))
     for each in presses:
         pressed = gone - each.begin

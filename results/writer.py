@@ -64,6 +64,8 @@ class ClipResults:
         """Time spent so far on the `overlay` [s]."""
         self.counts: Counter[str] = Counter()
         """Number of runs of contact by verdict."""
+        self.unexplained: Counter[str] = Counter()
+        """Number of those without an estimate by why they have none."""
         self.drawn: list[InteractionEstimate] = []
         """Those for the picture, with a motion first."""
         self.fields = 0
@@ -144,6 +146,8 @@ class ClipResults:
         if self.calibration is not None:
             self.calibration.add(run)
         self.counts[state(run)] += 1
+        if state(run) == "no_estimate":
+            self.unexplained[run.detail] += 1
         shown = [*self.drawn, run]
         self.drawn = sorted(shown, key=lambda item: item.simulated is None and not item.verdict)[:MOST_PANELS]
         with writing(self.folder.parent):

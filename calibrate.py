@@ -55,7 +55,7 @@ def build_parser() -> argparse.ArgumentParser:
     doors = parser.add_subparsers(dest="what", required=True)
     palpation = doors.add_parser("palpation", help="surfaces under forces")
     palpation.add_argument("scene", type=path_option, metavar="SCENE.yaml", help="see docs/palpation.md")
-    text = "gauss-newton: exact derivatives (default); gradient: the paper's numeric descent"
+    text = "gauss-newton: exact derivatives (default); gradient: a numeric descent after the paper's"
     palpation.add_argument("--optimizer", choices=("gauss-newton", "gradient"), default="gauss-newton", help=text)
     text = "of the sheet that the tissue's surface is on video, told to infer.py --calibration"
     thickness = real_number("a positive number", 1e-6)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import KDTree
 
-from estimators.online.fitting import Fit, fit_motion, uniform
+from estimators.online.fitting import BENDINGS, Fit, fit_motion, uniform
 from estimators.online.matching import Chamfer, Match, Tracks
 from estimators.online.objective import Objective
 from estimators.online.session import Frame, Session
@@ -155,12 +155,15 @@ class DrivenTissue:
         way = np.stack(self._past) - self.surface.body.rest[self.surface.gripped]
         seen = np.stack([frame.moved[self.around] for frame in self._first])
         grip, stiffness = Grip(self.surface.gripped, way), settings.start.distance
-        self.fit = fit_motion(self.surface.body, grip, seen, self.shown, settings.stepping, stiffness)
+        bounds, stepping = settings.bounds, settings.stepping
+        allowed = [bending for bending in BENDINGS if bending * stiffness < bounds.shape]
+        allowed = allowed or [settings.start.shape / stiffness]
+        self.fit = fit_motion(self.surface.body, grip, seen, self.shown, stepping, stiffness, allowed)
         if self.fit is None:
             return False
         shape = self.fit.bending * stiffness
-        bounds = dataclasses.replace(settings.bounds, shape=self.fit.bending * settings.bounds.distance)
-        stepping = self.fit.stepping(settings.stepping, stiffness)
+        bounds = dataclasses.replace(bounds, shape=min(bounds.shape, self.fit.bending * bounds.distance))
+        stepping = self.fit.stepping(stepping, stiffness)
         self.settings = dataclasses.replace(settings, start=Start(stiffness, shape), bounds=bounds, stepping=stepping)
         return True
 

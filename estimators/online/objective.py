@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csr_array
 
-from estimators.online.bounds import Bounds
+from estimators.online.bounds import PAPER, Bounds
 from estimators.online.mapping import Mapping, Residual, map_residual
 from estimators.online.matching import Match
 from physics.load import Grip
@@ -83,7 +83,7 @@ class Objective:
     elastic: float = 0.3
     """k⁰ of the mapping, of distances and shapes; volumes have none, whose 10¹⁰ a rate of 50 can't bear."""
     weights: Weights = field(default_factory=Weights)
-    bounds: Bounds = field(default_factory=Bounds)
+    bounds: Bounds = PAPER
 
     def __post_init__(self) -> None:
         """Check ranges."""

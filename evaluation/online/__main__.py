@@ -198,7 +198,7 @@ def write_report(output: Path, cases: dict[Key, Case], pulls: dict[str, Pull], o
         for measure, value in (
             ("future gap [mm]", 1e3 * float(case.gap.mean())),
             ("keypoint error [mm]", 1e3 * float(case.keypoint.mean())),
-            ("Chamfer distance [mm²]", 1e6 * float(case.chamfer.mean())),
+            ("Chamfer distance [mm]", 1e3 * float(case.chamfer.mean())),
             ("rank correlation of distances", case.rank),
             ("step [s]", case.seconds),
         )

@@ -76,9 +76,9 @@ class RestingTissue:
         for index, (depth, tissue, since) in enumerate(self._frames):
             self._frames[index] = depth, tissue, motion @ since
 
-    def change(self, prepared: PreparedFrame) -> DepthChange | None:
-        """Compare the latest frame; None where too little was seen at rest or is seen now."""
-        if len(self._frames) < LEAST_REST:
+    def change(self, prepared: PreparedFrame, least: int = LEAST_REST) -> DepthChange | None:
+        """Compare the latest frame; None where fewer than `least` frames at rest, or too few pixels, are known."""
+        if len(self._frames) < least:
             return None
         total, count = np.zeros(prepared.depth.shape), np.zeros(prepared.depth.shape)
         for depth, tissue, since in self._frames:

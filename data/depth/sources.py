@@ -33,6 +33,8 @@ class DepthSource(ABC):
     """Whether depth is in metres."""
     known_scale: float | None = None
     """Depth that the clip's own file declares as z = 1."""
+    from_picture: bool = False
+    """Whether it is guessed from the picture alone, so that it may change where only the light or the view does."""
     depends_on_clip: bool = False
     """Whether `freeze` has anything to fix."""
     focal: float | None = None
@@ -107,6 +109,8 @@ class StoredDepth(DepthSource):
 
 class ModelDepth(DepthSource):
     """Depth by an ONNX model; its preset says what the output means."""
+
+    from_picture = True
 
     def __init__(
         self, model: DepthModel, *, near: float, far: float, default_focal: float, known_focal: float | None = None

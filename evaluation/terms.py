@@ -27,7 +27,7 @@ from evaluation.recovery.bounds import MECHANICS
 from evaluation.recovery.store import replace_text
 from evaluation.recovery.suites import suite_clip_seed
 from evaluation.watched import WatchedClip, watch
-from physics.files import read_file
+from physics.files import as_json, read_file
 from physics.mechanics import PARAMETERS
 from results.store import OutputError, writing
 
@@ -161,12 +161,17 @@ def results_of(path: Path, settings: Mapping[str, Any]) -> list[Judged] | None:
         return None
     try:
         kept = json.loads(read_file(path))
-        same, judged = kept["settings"] == dict(settings), [Judged(**suite) for suite in kept["suites"]]
+        same, judged = kept["settings"] == dict(settings), [_judged(**suite) for suite in kept["suites"]]
     except (OSError, KeyError, TypeError, ValueError, RecursionError) as error:
         raise OutputError(f"{path}: is not readable; remove it.") from error
     if not same:
         raise OutputError(f"{path}: is of other settings; run with the same arguments or choose another --output.")
     return judged
+
+
+def _judged(suite: str, **numbers: Any) -> Judged:
+    """What JSON kept; null there was not finite."""
+    return Judged(suite, **{name: np.array(values, np.float64).tolist() for name, values in numbers.items()})
 
 
 def measure(
@@ -191,7 +196,7 @@ def measure(
                 watched = watched or judged_clips(seed, held_out)
                 found = [judge(generator, suite, watched[suite]) for suite in SUITES]
                 kept = {"settings": settings, "suites": [asdict(suite) for suite in found]}
-                replace_text(path, json.dumps(kept) + "\n")
+                replace_text(path, as_json(kept) + "\n")
             yield row, turn, found
 
 

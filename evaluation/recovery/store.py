@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -14,7 +13,7 @@ import numpy as np
 from evaluation.recovery.evaluate import Recovery
 from evaluation.recovery.grips import GripRecovery
 from evaluation.recovery.slabs import SlabRecovery
-from physics.files import read_file, replacing
+from physics.files import as_json, read_file, replacing
 from physics.ownership import replacing_own
 from physics.provenance import code_digest
 from results.store import OutputError, writing
@@ -50,7 +49,7 @@ class RecoveryStore:
             if output.exists() and not output.is_dir():
                 raise OutputError(f"{output}: is a file; give a folder as --output.")
             output.mkdir(parents=True, exist_ok=True)
-        code, wanted = code_digest(), json.loads(json.dumps({"format": FORMAT_VERSION, **wanted}))
+        code, wanted = code_digest(), json.loads(as_json({"format": FORMAT_VERSION, **wanted}))
         recorded = self._recorded()
         for name, value in wanted.items():
             if recorded.get(name, value) != value:
@@ -66,7 +65,7 @@ class RecoveryStore:
         self.outdated = bool(self.rows) and recorded.get("code", code) != code
         """Whether earlier results come from another version of the program."""
         with writing(output), replacing(output / RECORD) as partial:
-            partial.write_text(json.dumps({"code": code, **recorded, **wanted}, indent=2) + "\n", encoding="utf-8")
+            partial.write_text(as_json({"code": code, **recorded, **wanted}, indent=2) + "\n", encoding="utf-8")
 
     @property
     def done(self) -> set[tuple[str, int, str]]:
@@ -77,7 +76,7 @@ class RecoveryStore:
         """Keep results that are not there yet; they are on disk when this returns."""
         done = self.done
         rows = [row for row in rows if row.key not in done]
-        text = "".join(_line(row) for row in rows)
+        text = "".join(as_json(vars(row)) + "\n" for row in rows)
         with writing(self.output), self._results.open("a", encoding="utf-8") as file:
             file.write(text)
             file.flush()
@@ -97,15 +96,6 @@ class RecoveryStore:
         if not isinstance(record, dict) or not {"code", "format", "seed"} <= set(record):
             raise OutputError(f"{path}: belongs to something else; choose another --output.")
         return record
-
-
-def _line(row: Recovery | GripRecovery | SlabRecovery) -> str:
-    """A result as JSON, which has no word for what isn't finite: that is null, and read as not a number."""
-    values = {
-        name: None if isinstance(value, float) and not math.isfinite(value) else value
-        for name, value in vars(row).items()
-    }
-    return json.dumps(values, default=lambda value: value.tolist(), allow_nan=False) + "\n"
 
 
 def read_results(path: Path, kind: type = Recovery) -> list[Any]:

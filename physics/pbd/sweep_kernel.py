@@ -51,13 +51,9 @@ def sweep(layout, weight, inverse_mass, points, multipliers, turn, slope, kept, 
         slope: out, gradients of the shapes by their members, [M, 3].
         kept: out, what the way back needs of distances [·, 5], volumes [·, 11] and shapes [P, 15].
         every: whether to keep that, and to go over constraints without a weight, too: they have a slope.
-
-    Returns:
-        Largest change of a multiplier.
     """
     starts, members, rest, offsets, firsts = layout
     distances, volumes, shapes = kept
-    largest = 0.0
     for index in range(firsts[0]):
         if weight[index] == 0.0 and not every:
             continue
@@ -69,7 +65,6 @@ def sweep(layout, weight, inverse_mass, points, multipliers, turn, slope, kept, 
             distances[index, 2], distances[index, 3], distances[index, 4] = normal
         step = stepped(weight[index], value, multipliers[index], mobility)
         multipliers[index] += step
-        largest = max(largest, abs(step))
         add(points, one, inverse_mass[one] * step, normal)
         add(points, other, -inverse_mass[other] * step, normal)
     for index in range(firsts[0], firsts[1]):
@@ -90,7 +85,6 @@ def sweep(layout, weight, inverse_mass, points, multipliers, turn, slope, kept, 
             volumes[volume, 8], volumes[volume, 9], volumes[volume, 10] = d
         step = stepped(weight[index], value, multipliers[index], mobility)
         multipliers[index] += step
-        largest = max(largest, abs(step))
         add(points, w, inverse_mass[w] * step, by_a)
         add(points, x, inverse_mass[x] * step, by_b)
         add(points, y, inverse_mass[y] * step, by_c)
@@ -114,10 +108,8 @@ def sweep(layout, weight, inverse_mass, points, multipliers, turn, slope, kept, 
                     shapes[shape, 6 + 3 * axis + other] = left[axis][other]
         step = stepped(weight[index], value, multipliers[index], mobility)
         multipliers[index] += step
-        largest = max(largest, abs(step))
         for m in range(starts[index], starts[index + 1]):
             add(points, members[m], inverse_mass[members[m]] * step, row(slope, m))
-    return largest
 
 
 @kernel
@@ -139,15 +131,11 @@ def sweep_forward(
         iterations: sweeps a step.
         turn: quaternions of the shapes to begin at, [B, P, 4]; used up.
         motion: positions, the start filled in; out: after each step, [B, T + 1, N, 3].
-
-    Returns:
-        Largest change of a multiplier in the last sweep of every step, [B, T].
     """
     batch, steps = motion.shape[0], motion.shape[1] - 1
     slope = np.empty_like(layout.offsets)
     multipliers = np.zeros(layout.rest.shape[0])
     kept = np.empty((0, 5)), np.empty((0, 11)), np.empty((0, 15))
-    last = np.zeros((batch, steps))
     now = np.zeros_like(speed[0])
     for b in range(batch):
         now[:] = speed[b]
@@ -156,8 +144,7 @@ def sweep_forward(
             begun(before, now, inverse_mass, rest, numbers, acceleration, gripped, path[b, t], points)
             multipliers[:] = 0
             for _ in range(iterations):
-                last[b, t] = sweep(layout, weight[b], inverse_mass, points, multipliers, turn[b], slope, kept, False)
+                sweep(layout, weight[b], inverse_mass, points, multipliers, turn[b], slope, kept, False)
             for particle in range(now.shape[0]):
                 for axis in range(3):
                     now[particle, axis] = (points[particle, axis] - before[particle, axis]) / numbers[0]
-    return last

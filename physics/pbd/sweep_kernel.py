@@ -1,7 +1,8 @@
 """Compiled time steps of position-based dynamics.
 
-Source: Liang 2024, equation 3; equations and names as in `physics.pbd.reference`. A loop for each kind of constraint,
-so that what is known of it (how many particles, which of them) needn't be asked: several times as fast as one for all.
+Source: Liang 2024, equation 3 (Macklin 2016): Δx = M⁻¹ ∇Cᵀ Δλ, Δλ = -(∇C M⁻¹ ∇Cᵀ + α)⁻¹ (C + α λ), α = 1/(k Δt²); with
+w = k Δt² in place of 1/α a stiffness of 0 is a number like others. A loop for each kind of constraint, so that what is
+known of it (how many particles, which of them) needn't be asked: several times as fast as one for all.
 """
 
 from __future__ import annotations

@@ -11,10 +11,10 @@ from scipy.optimize import minimize
 from physics.load import Grip
 from physics.pbd.body import Body
 from physics.pbd.potential import Potential
-from physics.pbd.reference import steps
 from physics.pbd.simulation import Stepping, simulate
 from physics.pbd.stiffness import Stiffness, spread
 from tests.physics.pbd.particles import block, sheet
+from tests.physics.pbd.plain import steps
 
 BODIES = {"sheet": sheet(5, 4, pinned_rows=1), "block": block((2, 2, 1), seed=1)}
 STEPPINGS = {
@@ -41,11 +41,8 @@ def grip_of(body: Body, count: int = 10, size: float = 1.0) -> Grip:
 def test_compiled_steps_equal_plain_ones(name, stepping):
     body, how, grip = BODIES[name], STEPPINGS[stepping], grip_of(BODIES[name])
     speed = 1e-3 * np.random.default_rng(2).normal(size=body.rest.shape)
-    expected = steps(
-        body, spread(body, fields_of(body))[0], body.rest, speed, grip.vertices, body.rest[grip.vertices] +
-        grip.displacement, time_step=how.time_step, iterations=how.iterations, keep=how.keep,
-        acceleration=np.array(how.acceleration), foundation=how.foundation,
-    )  # fmt: skip
+    path = body.rest[grip.vertices] + grip.displacement
+    expected = steps(body, spread(body, fields_of(body))[0], body.rest, speed, grip.vertices, path, how)
     found = simulate(body, fields_of(body), grip, how, speed=speed)
     np.testing.assert_allclose(found.positions[0, 1:], np.stack(list(expected)), atol=1e-14)
     np.testing.assert_allclose(found.positions[0, -1, grip.vertices], body.rest[grip.vertices] + grip.displacement[-1])

@@ -154,7 +154,7 @@ class Objective:
             gap, by_gap = _norm(residual.deformation, self.weights.gap / self.edge)
             pulls = np.zeros_like(motion.positions)
             pulls[0, -1] = residual.pulled_back(by_gap)
-            found = motion.gradient(pulls).stiffness
+            found = motion.gradient(pulls)
             history, (of_distance, of_shape) = past.result()
         smoothness, by_distance, by_shape = 0.0, found.distance[0] + of_distance, found.shape[0] + of_shape
         bounds = self.bounds.distance, self.bounds.shape
@@ -175,7 +175,7 @@ class Objective:
         for index, state in enumerate(states):
             way, pulls[index, -1] = _norm(motion.positions[index, -1] - state, self.weights.history / self.edge)
             moved += way
-        found = motion.gradient(pulls).stiffness
+        found = motion.gradient(pulls)
         return moved, (found.distance.sum(axis=0), found.shape.sum(axis=0))
 
 

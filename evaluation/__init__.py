@@ -3,6 +3,7 @@
 paper        `train.py test`: table 2, figure 3 and whether training collapsed
 recovery     synthetic clips with known truth against the best that is possible; benchmark: its door
 calibration  a trained posterior's standard deviations made to hold, and its export; a door of its own
+model_errors what fits get wrong besides what residuals tell, for estimators/model_errors.yaml; a door of its own
 next_depth   the picture some frames ahead by physics and by a trained generator, against truth; a door of its own
 watched      a synthetic clip beside its noise-free truth; generated: what a trained generator makes of it
 colour_bound what colours could tell beside depth, which no estimator looks at; a door of its own

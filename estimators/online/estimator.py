@@ -33,6 +33,7 @@ from estimators.online.visibility import facing, uncovered
 from estimators.runs import Run, RunSession, frame_estimate
 from physics.files import file_sha256
 from physics.mechanics import Mechanics
+from physics.robust import affine_motion
 
 FIELD_ALONE = "This estimator tells relative stiffness place by place (fields.npz), not k_s, k_d or F."
 UNDRIVEN = "Not enough tissue moved with the instrument to tell its stiffness anywhere."
@@ -228,7 +229,4 @@ def _described(path: Path) -> dict[str, str]:
 def _continued(points: np.ndarray, motion: np.ndarray, places: np.ndarray) -> np.ndarray:
     """An affine motion that is known at some points [P, 2], not a number elsewhere, at places [N, 2]."""
     known = np.isfinite(motion).all(axis=1)
-    terms, there = (np.column_stack([where, np.ones(len(where))]) for where in (points, places))
-    if not known.any():
-        return np.zeros_like(places)
-    return there @ np.linalg.lstsq(terms[known], motion[known], rcond=None)[0]
+    return affine_motion(points, motion, known, places) if known.any() else np.zeros_like(places)

@@ -1,0 +1,144 @@
+"""What the instrument alone explains of the motion, and what that determines of the fields, place by place.
+
+A simulation is led by the instrument from rest on and never taken to what is seen, as the session's state is: what it
+leaves of the motion judges the model. As many more, each with the stiffness around one knot changed, give the
+derivatives of what is seen, and these with a normal prior the posterior of log stiffness at the knots (Gauss–Newton's:
+linear least squares around the fields of each frame). The noise is what is left of the motion. Where a model is wrong
+it is wrong alike in neighbouring places and in one frame after the other: on the one real pull what is left of a frame
+correlates with the next one's by 0.99, and over 100 px by half. So frames together count as one, and in a frame points
+by as much as means over the cells around the knots vary.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from estimators.grip.sheet_fit import length
+from estimators.grip.stiffness_field import LEARNT
+from estimators.grip.stiffness_fit import ROUGHNESS
+from estimators.online.fitting import LEAST
+from estimators.online.gauss_newton import KNOTS, bumps
+from estimators.online.objective import Objective
+from physics.identifiability import LIMIT
+from physics.pbd.stiffness import Stiffness
+
+SPREAD = 1.0
+"""Standard deviation of log stiffness at a knot before anything is seen, about the stiffness to begin with."""
+CHANGE = 0.01
+"""Of log stiffness, for finite differences."""
+NOISE = 0.3
+"""Followed points err by as much at least, by axis [px]."""
+
+
+class Determined:
+    """One run of contact; N particles, Q points that are compared, K knots of both fields."""
+
+    def __init__(
+        self,
+        objective: Objective,
+        begun: Stiffness,
+        cells: Callable[[np.ndarray], np.ndarray],
+        shown: Callable[[np.ndarray], np.ndarray],
+    ) -> None:
+        """Begin at rest.
+
+        Args:
+            objective: body, grip and how it is stepped.
+            begun: stiffness to begin with, shape [N].
+            cells: gives values of the particles [N, C] at the points, shape [Q, C].
+            shown: gives displacements of the points in states [B, N, 3], shape [B, Q, 2] [px].
+        """
+        self._objective, self._shown = objective, shown
+        rest = objective.body.rest
+        parts = [bumps(rest, knots) for knots in KNOTS]
+        counts = [part.shape[1] for part in parts]
+        total = sum(counts)
+        self._shares = np.zeros((2, len(rest), total))
+        self._shares[0, :, : counts[0]], self._shares[1, :, counts[0] :] = parts
+        self._projected = np.linalg.pinv(self._shares.reshape(-1, total))
+        self._begun = np.log(begun.distance), np.log(begun.shape)
+        self._cell, self._cells = cells(parts[0]).argmax(axis=1), counts[0]
+        self._carried = np.repeat(rest[None], total + 1, axis=0)
+        self._information = np.zeros((counts[0], total, total))
+        self._pull = np.zeros((counts[0], total))
+        self._left, self._alike, self._points = np.zeros(counts[0]), np.zeros(counts[0]), np.zeros(counts[0])
+        self._frames, self._motion = 0, 0.0
+        self.moved = self.predicted = np.zeros((len(self._cell), 2))
+        """Displacement of the points in the last frame that shows some, and by the instrument alone, [Q, 2] [px]."""
+        self.course = [(0.0, 0.0, 0.0)]
+        """Of every frame, rest first, how far points have moved, by the instrument alone, and the difference of both,
+        root mean squares [px]; not a number where none is seen."""
+
+    @property
+    def skill(self) -> float:
+        """1 - error / motion so far, root mean squares over points and frames; not a number where nothing has moved."""
+        return 1 - math.sqrt(self._left.sum() / self._motion) if self._motion > 0 else math.nan
+
+    def step(self, fields: Stiffness, places: np.ndarray, seen: np.ndarray) -> None:
+        """Lead the simulations on, and compare them with a frame.
+
+        Args:
+            fields: stiffness as it is before the frame is taken in, shape [N].
+            places: where the gripped particles are, shape [G, 3] [m].
+            seen: displacement of the points, shape [Q, 2] [px]; not seen = NaN.
+        """
+        changes = np.concatenate([np.zeros((1, len(self._pull[0]))), CHANGE * np.eye(len(self._pull[0]))])
+        factors = np.exp(np.einsum("fnk,sk->fsn", self._shares, changes))
+        changed = Stiffness(fields.distance * factors[0], fields.shape * factors[1], fields.volume)
+        self._carried = self._objective.carried(changed, self._carried, places)
+        shown = self._shown(self._carried)
+        used = np.isfinite(seen).all(axis=1)
+        if not used.any():
+            self.course.append((math.nan, math.nan, math.nan))
+            return
+        self.moved, self.predicted = seen, shown[0]
+        self.course.append((length(seen[used]), length(shown[0][used]), length((seen - shown[0])[used])))
+        motion = float(np.square(seen[used]).sum())
+        if motion <= LEAST**2 * used.sum():
+            return
+        off, slopes, cell = (seen - shown[0])[used], (shown[1:] - shown[0])[:, used] / CHANGE, self._cell[used]
+        logs = np.stack([np.log(fields.distance), np.log(fields.shape)]) - self._begun
+        towards = off + np.einsum("kqi,k->qi", slopes, self._projected @ logs.ravel())
+        self._frames, self._motion = self._frames + 1, self._motion + motion
+        for one in np.unique(cell):
+            here = cell == one
+            rows, count = slopes[:, here].reshape(len(slopes), -1), int(here.sum())
+            self._information[one] += rows @ rows.T
+            self._pull[one] += rows @ towards[here].ravel()
+            self._left[one] += float(np.square(off[here]).sum())
+            self._alike[one] += count * float(np.square(off[here].mean(axis=0)).sum())
+            self._points[one] += count
+
+    def known(self, fields: Stiffness, among: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Standard deviations of log stiffness over its mean, shape [2, N]: of distances, of shapes; and where known.
+
+        Known is where the knots around tell it to LIMIT, surer by LEARNT than before anything was seen, and the field
+        is no farther from the likeliest value than that deviation: an optimiser that has not got there yet says
+        something else. Deviations include what the knots leave open, from one to the next a random walk.
+
+        Args:
+            fields: stiffness as it is now, shape [N].
+            among: particles over which means are taken, one at least, shape [N], bool.
+        """
+        precision = np.eye(self._shares.shape[2]) / SPREAD**2
+        pull = np.zeros(len(precision))
+        some = self._points > 0
+        if some.any():
+            points, left = self._points[some], self._left[some]
+            noise = left / (2 * points) + NOISE**2
+            together = float(self._alike.sum() / max(left.sum(), 1e-300))
+            # Of a cell's points in a frame so many err alike, and so do all frames.
+            weight = 1 / (noise * np.maximum(together * points, self._frames))
+            precision = precision + np.einsum("c,ckl->kl", weight, self._information[some])
+            pull = weight @ self._pull[some]
+        covariance = np.linalg.inv(precision)
+        logs = np.stack([np.log(fields.distance), np.log(fields.shape)]) - self._begun
+        shares, logs = (each - each[:, among].mean(axis=1, keepdims=True) for each in (self._shares, logs))
+        expected = SPREAD * np.sqrt(np.square(shares).sum(axis=2))
+        sd = np.sqrt(np.einsum("fnk,kl,fnl->fn", shares, covariance, shares))
+        apart = np.abs(logs - shares @ (covariance @ pull))
+        stray = ROUGHNESS * np.sqrt((self._shares * (1 - self._shares)).sum(axis=2))
+        return np.hypot(sd, stray), (sd < LIMIT) & (sd <= LEARNT * expected) & (apart <= sd)

@@ -11,13 +11,13 @@ by as much as means over the cells around the knots vary.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable
 
 import numpy as np
 
 from estimators.grip.sheet_fit import length
-from estimators.grip.stiffness_field import LEARNT
 from estimators.grip.stiffness_fit import ROUGHNESS
 from estimators.online.fitting import LEAST
 from estimators.online.gauss_newton import KNOTS, bumps
@@ -25,8 +25,13 @@ from estimators.online.objective import Objective
 from physics.identifiability import LIMIT
 from physics.pbd.stiffness import Stiffness
 
+LEARNT = 0.5
+"""What is known must be surer than before anything was seen, by this factor: three quarters of what is said of it, at
+least, then come from what was seen."""
 SPREAD = 1.0
 """Standard deviation of log stiffness at a knot before anything is seen, about the stiffness to begin with."""
+STEPPED = "time_step", "foundation"
+"""Of `Stepping`: what is known of them no better than SPREAD, too, since first frames tell them in large steps."""
 CHANGE = 0.01
 """Of log stiffness, for finite differences."""
 NOISE = 0.3
@@ -55,9 +60,16 @@ class Determined:
         rest = objective.body.rest
         parts = [bumps(rest, knots) for knots in KNOTS]
         counts = [part.shape[1] for part in parts]
-        total = sum(counts)
+        total = sum(counts) + len(STEPPED)
         self._shares = np.zeros((2, len(rest), total))
-        self._shares[0, :, : counts[0]], self._shares[1, :, counts[0] :] = parts
+        self._shares[0, :, : counts[0]], self._shares[1, :, counts[0] : sum(counts)] = parts
+        stepping = objective.stepping
+        self._others = [
+            dataclasses.replace(
+                objective, stepping=dataclasses.replace(stepping, **{name: getattr(stepping, name) * math.exp(CHANGE)})
+            )
+            for name in STEPPED
+        ]
         self._projected = np.linalg.pinv(self._shares.reshape(-1, total))
         self._begun = np.log(begun.distance), np.log(begun.shape)
         self._cell, self._cells = cells(parts[0]).argmax(axis=1), counts[0]
@@ -85,10 +97,15 @@ class Determined:
             places: where the gripped particles are, shape [G, 3] [m].
             seen: displacement of the points, shape [Q, 2] [px]; not seen = NaN.
         """
-        changes = np.concatenate([np.zeros((1, len(self._pull[0]))), CHANGE * np.eye(len(self._pull[0]))])
-        factors = np.exp(np.einsum("fnk,sk->fsn", self._shares, changes))
-        changed = Stiffness(fields.distance * factors[0], fields.shape * factors[1], fields.volume)
-        self._carried = self._objective.carried(changed, self._carried, places)
+        factors = np.exp(CHANGE * self._shares[:, :, : -len(STEPPED)].transpose(0, 2, 1))
+        distance, shape = (
+            np.concatenate([field[None], field * factor]) for field, factor in zip(fields[:2], factors, strict=True)
+        )
+        fewer = len(distance)
+        carried = [self._objective.carried(Stiffness(distance, shape, fields.volume), self._carried[:fewer], places)]
+        for other, state in zip(self._others, self._carried[fewer:], strict=True):
+            carried.append(other.stepped(fields, state, places[None]).positions[:, -1])
+        self._carried = np.concatenate(carried)
         shown = self._shown(self._carried)
         used = np.isfinite(seen).all(axis=1)
         if not used.any():
@@ -117,11 +134,12 @@ class Determined:
 
         Known is where the knots around tell it to LIMIT, surer by LEARNT than before anything was seen, and the field
         is no farther from the likeliest value than that deviation: an optimiser that has not got there yet says
-        something else. Deviations include what the knots leave open, from one to the next a random walk.
+        something else. Deviations include what the knots leave open, from one to the next a random walk. Where places
+        that would be known differ by less than their deviations none is: nothing tells which of them is stiffer.
 
         Args:
             fields: stiffness as it is now, shape [N].
-            among: particles over which means are taken, one at least, shape [N], bool.
+            among: particles over which means are taken and that may be known, one at least, shape [N], bool.
         """
         precision = np.eye(self._shares.shape[2]) / SPREAD**2
         pull = np.zeros(len(precision))
@@ -140,5 +158,9 @@ class Determined:
         expected = SPREAD * np.sqrt(np.square(shares).sum(axis=2))
         sd = np.sqrt(np.einsum("fnk,kl,fnl->fn", shares, covariance, shares))
         apart = np.abs(logs - shares @ (covariance @ pull))
+        known = among & (sd < LIMIT) & (sd <= LEARNT * expected) & (apart <= sd)
+        for values, deviations, which in zip(logs, sd, known, strict=True):
+            if which.any() and values[which].std() < np.median(deviations[which]):
+                which[:] = False
         stray = ROUGHNESS * np.sqrt((self._shares * (1 - self._shares)).sum(axis=2))
-        return np.hypot(sd, stray), (sd < LIMIT) & (sd <= LEARNT * expected) & (apart <= sd)
+        return np.hypot(sd, stray), known

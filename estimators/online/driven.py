@@ -101,8 +101,8 @@ class DrivenTissue:
     def determined(self) -> tuple[np.ndarray, np.ndarray]:
         """Standard deviations of log stiffness over its mean where tissue has stretched, and where that is determined.
 
-        It is where tissue has stretched, the motion tells it (`estimators.online.determined`) and the instrument alone
-        explains the motion, as a grip must that a sheet is fitted to.
+        It is where tissue has stretched, the motion tells it (`Determined.known`) and the instrument alone explains the
+        motion, as much as a sheet must that is fitted to a grip.
 
         Returns:
             Shape [2, N] each: of distances, of shapes.

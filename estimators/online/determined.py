@@ -3,10 +3,10 @@
 A simulation is led by the instrument from rest on and never taken to what is seen, as the session's state is: what it
 leaves of the motion judges the model. As many more, each with the stiffness around one knot changed, give the
 derivatives of what is seen, and these with a normal prior the posterior of log stiffness at the knots (Gauss–Newton's:
-linear least squares around the fields of each frame). The noise is what is left of the motion. Where a model is wrong
-it is wrong alike in neighbouring places and in one frame after the other: on the one real pull what is left of a frame
+linear least squares around the fields of each frame). The noise is what the likeliest leave of the motion. Where a model
+is wrong it is wrong alike in neighbouring places and in one frame after the other: on the one real pull what is left of a frame
 correlates with the next one's by 0.99, and over 100 px by half. So frames together count as one, and in a frame points
-by as much as means over the cells around the knots vary.
+by as much as their means over the cells around the knots vary.
 """
 
 from __future__ import annotations
@@ -34,6 +34,8 @@ STEPPED = "time_step", "foundation"
 """Of `Stepping`: what is known of them no better than SPREAD, too, since first frames tell them in large steps."""
 CHANGE = 0.01
 """Of log stiffness, for finite differences."""
+ROUNDS = 4
+"""Of finding the likeliest values and, with them, the noise."""
 NOISE = 0.3
 """Followed points err by as much at least, by axis [px]."""
 
@@ -72,12 +74,15 @@ class Determined:
         ]
         self._projected = np.linalg.pinv(self._shares.reshape(-1, total))
         self._begun = np.log(begun.distance), np.log(begun.shape)
-        self._cell, self._cells = cells(parts[0]).argmax(axis=1), counts[0]
+        self._cell = cells(parts[0]).argmax(axis=1)
         self._carried = np.repeat(rest[None], total + 1, axis=0)
-        self._information = np.zeros((counts[0], total, total))
-        self._pull = np.zeros((counts[0], total))
-        self._left, self._alike, self._points = np.zeros(counts[0]), np.zeros(counts[0]), np.zeros(counts[0])
-        self._frames, self._motion = 0, 0.0
+        self._squares = np.zeros((counts[0], total + 1, total + 1))
+        self._shared = np.zeros_like(self._squares)
+        self._points = np.zeros(counts[0])
+        """Of every cell, over frames: squares and products, summed over its points, of what is seen less what the
+        fields to begin with would show, then of its derivatives; the same of their means over points, times their
+        number; and that."""
+        self._frames, self._motion, self._left = 0, 0.0, 0.0
         self.moved = self.predicted = np.zeros((len(self._cell), 2))
         """Displacement of the points in the last frame that shows some, and by the instrument alone, [Q, 2] [px]."""
         self.course = [(0.0, 0.0, 0.0)]
@@ -87,7 +92,7 @@ class Determined:
     @property
     def skill(self) -> float:
         """1 - error / motion so far, root mean squares over points and frames; not a number where nothing has moved."""
-        return 1 - math.sqrt(self._left.sum() / self._motion) if self._motion > 0 else math.nan
+        return 1 - math.sqrt(self._left / self._motion) if self._motion > 0 else math.nan
 
     def step(self, fields: Stiffness, places: np.ndarray, seen: np.ndarray) -> None:
         """Lead the simulations on, and compare them with a frame.
@@ -117,16 +122,16 @@ class Determined:
         if motion <= LEAST**2 * used.sum():
             return
         off, slopes, cell = (seen - shown[0])[used], (shown[1:] - shown[0])[:, used] / CHANGE, self._cell[used]
-        logs = np.stack([np.log(fields.distance), np.log(fields.shape)]) - self._begun
-        towards = off + np.einsum("kqi,k->qi", slopes, self._projected @ logs.ravel())
-        self._frames, self._motion = self._frames + 1, self._motion + motion
+        towards = off + np.einsum("kqi,k->qi", slopes, self._projected @ self._logs(fields).ravel())
+        self._frames += 1
+        self._motion += motion
+        self._left += float(np.square(off).sum())
+        rows = np.concatenate([towards[None], slopes])
         for one in np.unique(cell):
-            here = cell == one
-            rows, count = slopes[:, here].reshape(len(slopes), -1), int(here.sum())
-            self._information[one] += rows @ rows.T
-            self._pull[one] += rows @ towards[here].ravel()
-            self._left[one] += float(np.square(off[here]).sum())
-            self._alike[one] += count * float(np.square(off[here].mean(axis=0)).sum())
+            here = rows[:, cell == one]
+            count, flat, means = here.shape[1], here.reshape(len(here), -1), here.mean(axis=1)
+            self._squares[one] += flat @ flat.T
+            self._shared[one] += count * means @ means.T
             self._points[one] += count
 
     def known(self, fields: Stiffness, among: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -141,26 +146,38 @@ class Determined:
             fields: stiffness as it is now, shape [N].
             among: particles over which means are taken and that may be known, one at least, shape [N], bool.
         """
-        precision = np.eye(self._shares.shape[2]) / SPREAD**2
-        pull = np.zeros(len(precision))
-        some = self._points > 0
-        if some.any():
-            points, left = self._points[some], self._left[some]
-            noise = left / (2 * points) + NOISE**2
-            together = float(self._alike.sum() / max(left.sum(), 1e-300))
-            # Of a cell's points in a frame so many err alike, and so do all frames.
-            weight = 1 / (noise * np.maximum(together * points, self._frames))
-            precision = precision + np.einsum("c,ckl->kl", weight, self._information[some])
-            pull = weight @ self._pull[some]
-        covariance = np.linalg.inv(precision)
-        logs = np.stack([np.log(fields.distance), np.log(fields.shape)]) - self._begun
+        covariance, likeliest = self._posterior(fields)
+        logs = self._logs(fields)
         shares, logs = (each - each[:, among].mean(axis=1, keepdims=True) for each in (self._shares, logs))
         expected = SPREAD * np.sqrt(np.square(shares).sum(axis=2))
         sd = np.sqrt(np.einsum("fnk,kl,fnl->fn", shares, covariance, shares))
-        apart = np.abs(logs - shares @ (covariance @ pull))
+        apart = np.abs(logs - shares @ likeliest)
         known = among & (sd < LIMIT) & (sd <= LEARNT * expected) & (apart <= sd)
         for values, deviations, which in zip(logs, sd, known, strict=True):
             if which.any() and values[which].std() < np.median(deviations[which]):
                 which[:] = False
         stray = ROUGHNESS * np.sqrt((self._shares * (1 - self._shares)).sum(axis=2))
         return np.hypot(sd, stray), known
+
+    def _posterior(self, fields: Stiffness) -> tuple[np.ndarray, np.ndarray]:
+        """Covariance of all numbers, shape [K, K], and their likeliest values over those to begin with, shape [K].
+
+        The noise is what these leave of the motion, not what the fields of each frame did, which had to be learnt.
+        """
+        prior = np.eye(self._shares.shape[2]) / SPREAD**2
+        precision, likeliest = prior, self._projected @ self._logs(fields).ravel()
+        some = self._points > 0
+        squares, shared, points = self._squares[some], self._shared[some], self._points[some]
+        for _ in range(ROUNDS if some.any() else 0):
+            way = np.append(1.0, -likeliest)
+            left, alike = (np.maximum(np.einsum("i,cij,j->c", way, each, way), 0.0) for each in (squares, shared))
+            # Of a cell's points in a frame so many err alike, and so do all frames.
+            together = np.maximum(points * alike.sum() / max(left.sum(), 1e-300), self._frames)
+            weight = 1 / (together * (left / (2 * points) + NOISE**2))
+            precision = prior + np.einsum("c,ckl->kl", weight, squares[:, 1:, 1:])
+            likeliest = np.linalg.solve(precision, weight @ squares[:, 1:, 0])
+        return np.linalg.inv(precision), likeliest
+
+    def _logs(self, fields: Stiffness) -> np.ndarray:
+        """Log stiffness of distances and of shapes, over that to begin with, shape [2, N]."""
+        return np.stack([np.log(fields.distance), np.log(fields.shape)]) - self._begun

@@ -3,7 +3,8 @@
 generator       encoder, parameter head and decoder; discriminator: the PatchGAN
 carried_depth   what physics alone makes of the next picture, for the decoder to start from
 posterior       θ of a contact with its covariance, and how well it can be known; contact_head: beside the picture
-expected_bound  the loss of what can be known; calibration: standard deviations that hold
+expected_bound  the loss of what can be known; calibration: standard deviations that hold;
+                calibration_fit: which these are
 module          the training step; losses: its five terms; evidence: the physics term of a posterior
 augmentation    disturbed windows; records: what a test writes down; checkpoint: reading checkpoints
 onnx_export     a trained network as one ONNX file; onnx_calibration: one whose standard deviations hold

@@ -64,7 +64,7 @@ class ModelFileError(ValueError):
 
 
 class ExportedModel:
-    """A network in a file that `train.py export` or `evaluation.calibration` wrote.
+    """A network in a file that `train.py export` or `estimators.network.calibration` wrote.
 
     Args:
         path: the file.

@@ -2,36 +2,41 @@
 
 A row is `train.py fit -c configs/smoke.yaml`, from the shipped head, with one setting changed. Every trained generator
 is judged on the same clips of SUITES: its θ after the whole contact, and the picture that it makes of the frames under
-the tool (as `evaluation.next_depth` counts). What a row is worth is its error over that of the whole system, with an
-interval over resamples of clips and seeds that both have.
+the tool (as `evaluation.ablation.next_depth` counts). What a row is worth is its error over that of the whole system,
+with an interval over resamples of clips and seeds that both have.
+
+rows:
 """
 
 from __future__ import annotations
 
-import json
+import functools
 import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
+import pandas as pd
+from rich.progress import Progress
 
-from estimators.network.training import TrainingError
-from evaluation.generated import TrainedGenerator
-from evaluation.next_depth import absolute_errors, copies
+from estimators.network.training import LEAST_STEPS, TrainingError
+from evaluation.ablation.generated import TrainedGenerator
+from evaluation.ablation.next_depth import absolute_errors, copies
+from evaluation.ablation.watched import WatchedClip, watch
+from evaluation.harness import Report, Row, require_within
 from evaluation.recovery.bounds import MECHANICS
-from evaluation.recovery.store import replace_text
 from evaluation.recovery.suites import suite_clip_seed
-from evaluation.watched import WatchedClip, watch
-from physics.files import as_json, read_file
+from models.checkpoint import CheckpointError
+from physics.fields import LARGEST
 from physics.mechanics import PARAMETERS
 from results.store import OutputError, writing
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 CONFIGURATION = "configs/smoke.yaml"
 FULL = "full"
 ROWS = {
@@ -46,6 +51,7 @@ ROWS = {
     "direct": ("its decoder starts from nothing", ("--model.decoder", "direct")),
 }
 """What the rows are, and their options of `train.py fit`, in the order of tables."""
+DOCUMENTATION = f"{__doc__}" + "\n".join(f"  {name:20s}{what}" for name, (what, _) in ROWS.items())
 SUITES = ("clean", "noisy")
 """The judged clips'."""
 FRACTIONS = "[0.84,0.08,0.08]"
@@ -53,7 +59,6 @@ FRACTIONS = "[0.84,0.08,0.08]"
 EVERY = 2
 """Every so many of the frames under the tool are predicted from."""
 RESAMPLES = 10_000
-JUDGED = "judged.json"
 COLUMNS = (
     "suite", "row", "seeds", "error", "error_low", "error_high", *(f"spread_{name}" for name in PARAMETERS),
     "depth_copy", "depth", "depth_low", "depth_high",
@@ -61,18 +66,19 @@ COLUMNS = (
 
 
 @dataclass(frozen=True)
-class Judged:
-    """A trained generator on C clips of a suite."""
+class TermsCase:
+    """One training."""
 
-    suite: str
-    truth: list[list[float]]
-    """log |θ|, shape [C, 3]."""
-    estimate: list[list[float]]
-    """The same as it says, shape [C, 3]."""
-    copied: list[list[float]]
-    """Summed errors of both copies of earlier maps, shape [C, 2] [scene units]."""
-    generated: list[float]
-    """The same of its pictures, shape [C]."""
+    row: str
+    turn: int
+    """Its seed."""
+    clips: Path
+    steps: int
+    output: Path
+    seed: int
+    """Of the judged clips."""
+    held_out: int
+    """How many of each suite these are."""
 
 
 def folder_of(output: Path, row: str, seed: int) -> Path:
@@ -125,9 +131,14 @@ def _train(row: str, seed: int, clips: Path, steps: int, output: Path, folder: P
         raise TrainingError(f"{row}, seed {seed}: the training failed ({reason}).")
 
 
-def judge(generator: TrainedGenerator, suite: str, clips: Sequence[WatchedClip]) -> Judged:
-    """What a generator says of the clips of a suite."""
-    truth, estimate, copied, generated = [], [], [], []
+def judge(generator: TrainedGenerator, clips: Sequence[WatchedClip]) -> Row:
+    """What a generator says of C clips of a suite.
+
+    Returns:
+        `truth` and `estimate`, log |θ|, shape [C, 3]; and summed errors of both copies of earlier maps, `copied`, shape
+        [C, 2], and of its pictures, `generated`, shape [C] [scene units].
+    """
+    truth, estimate, totals = [], [], []
     for clip in clips:
         frames = range(clip.motion.onset_frame, len(clip.frames))
         last = max(frame for frame in frames if clip.since(frame) <= MECHANICS.seconds)
@@ -135,13 +146,19 @@ def judge(generator: TrainedGenerator, suite: str, clips: Sequence[WatchedClip])
         for now in clip.instants(generator.horizon)[::EVERY]:
             made = [*copies(clip, now), generator.picture(clip, now, generator.estimate(clip, now))]
             total += absolute_errors(clip, now, generator.horizon, made)[1]
-        truth.append(np.log(np.abs(clip.motion.theta)).tolist())
-        estimate.append(np.log(np.abs(generator.estimate(clip, last))).tolist())
-        copied.append(total[:2].tolist())
-        generated.append(float(total[2]))
-    return Judged(suite, truth, estimate, copied, generated)
+        truth.append(np.log(np.abs(clip.motion.theta)))
+        estimate.append(np.log(np.abs(generator.estimate(clip, last))))
+        totals.append(total)
+    errors = np.array(totals)
+    return {
+        "truth": np.array(truth),
+        "estimate": np.array(estimate),
+        "copied": errors[:, :2],
+        "generated": errors[:, 2],
+    }
 
 
+@functools.cache
 def judged_clips(seed: int, count: int) -> dict[str, list[WatchedClip]]:
     """Clips of every suite, of the validation stream."""
     found = {
@@ -151,90 +168,104 @@ def judged_clips(seed: int, count: int) -> dict[str, list[WatchedClip]]:
     return {suite: [clip for clip in clips if clip is not None] for suite, clips in found.items()}
 
 
-def results_of(path: Path, settings: Mapping[str, Any]) -> list[Judged] | None:
-    """What was kept of a judged generator; None where nothing was.
+def train_and_judge(case: TermsCase) -> list[Row]:
+    """A row a suite of one training.
 
     Raises:
-        OutputError: it depends on other settings, or can't be read.
+        CheckpointError: its checkpoint can't be used.
+        OutputError: the folder can't be.
+        TrainingError: the training did not succeed.
     """
-    if not path.is_file():
-        return None
-    try:
-        kept = json.loads(read_file(path))
-        same, judged = kept["settings"] == dict(settings), [_judged(**suite) for suite in kept["suites"]]
-    except (OSError, KeyError, TypeError, ValueError, RecursionError) as error:
-        raise OutputError(f"{path}: is not readable; remove it.") from error
-    if not same:
-        raise OutputError(f"{path}: is of other settings; run with the same arguments or choose another --output.")
-    return judged
+    generator = TrainedGenerator(train(case.row, case.turn, case.clips, case.steps, case.output))
+    watched = judged_clips(case.seed, case.held_out)
+    named = {"row": case.row, "turn": case.turn}
+    return [named | {"suite": suite} | judge(generator, watched[suite]) for suite in SUITES]
 
 
-def _judged(suite: str, **numbers: Any) -> Judged:
-    """What JSON kept; null there was not finite."""
-    return Judged(suite, **{name: np.array(values, np.float64).tolist() for name, values in numbers.items()})
+@dataclass(frozen=True)
+class Terms:
+    """What is trained, and on which clips it is judged."""
+
+    output: Path
+    """folder of the results"""
+    clips: Path
+    """folder of clips with truth that generators are trained on, as python -m data.synthetic writes"""
+    rows: tuple[str, ...] = tuple(ROWS)
+    """what is left out (default: each)"""
+    seeds: int = 3
+    """trainings of every row"""
+    steps: int = 50
+    """steps of every training"""
+    held_out: int = 15
+    """clips of each suite to judge on"""
+    seed: int = 0
+    """another seed gives other judged clips"""
+
+    workers: ClassVar = 0
+    keys: ClassVar = ("row", "turn", "suite")
+    work: ClassVar = staticmethod(train_and_judge)
+    refused: ClassVar = (CheckpointError, TrainingError)
+
+    def __post_init__(self) -> None:
+        """Raise a ValueError where an option can't be used."""
+        ranges = {"seeds": (1, LARGEST), "steps": (LEAST_STEPS, LARGEST), "held_out": (1, LARGEST)}
+        require_within(self, seed=(0, LARGEST), **ranges)
+        if not set(self.rows) <= set(ROWS):
+            raise ValueError(f"--rows {' '.join(self.rows)}: give some of {', '.join(ROWS)}.")
+        if not self.clips.is_dir():
+            raise ValueError(f"{self.clips} is not a folder; give clips of python -m data.synthetic as --clips.")
+
+    def record(self) -> Mapping[str, Any]:
+        """What the results depend on."""
+        names = sorted(path.name for path in self.clips.iterdir() if path.is_dir())
+        return {"clips": names, "steps": self.steps, "held_out": self.held_out, "seed": self.seed}
+
+    def cases(self, done: Mapping[tuple, Row], progress: Progress) -> tuple[list[TermsCase], int]:
+        """One seed of all rows after the other."""
+        wanted = [(row, turn) for turn in range(self.seeds) for row in ROWS if row in self.rows]
+        left = [pair for pair in wanted if any((*pair, suite) not in done for suite in SUITES)]
+        rest = self.clips, self.steps, self.output, self.seed, self.held_out
+        return [TermsCase(*pair, *rest) for pair in left], len(wanted)
+
+    def report(self, rows: Mapping[tuple, Row]) -> Report:
+        """A row a suite and what is left out."""
+        frame = table([row for row in rows.values() if row["row"] in self.rows and row["turn"] < self.seeds])
+        return Report({"table.csv": frame}, [frame])
 
 
-def measure(
-    rows: Sequence[str], seeds: int, clips: Path, steps: int, held_out: int, seed: int, output: Path
-) -> Iterator[tuple[str, int, list[Judged]]]:
-    """Train and judge what is missing, one seed of all rows after the other; gives every row and seed.
-
-    Raises:
-        CheckpointError: a row's checkpoint can't be used.
-        OutputError: the folder can't be, or is of other settings.
-        TrainingError: a training did not succeed.
-    """
-    names = sorted(path.name for path in clips.iterdir() if path.is_dir())
-    settings = {"clips": names, "steps": steps, "held_out": held_out, "seed": seed}
-    watched: dict[str, list[WatchedClip]] = {}
-    for turn in range(seeds):
-        for row in rows:
-            path = folder_of(output, row, turn) / JUDGED
-            found = results_of(path, settings)
-            if found is None:
-                generator = TrainedGenerator(train(row, turn, clips, steps, output))
-                watched = watched or judged_clips(seed, held_out)
-                found = [judge(generator, suite, watched[suite]) for suite in SUITES]
-                kept = {"settings": settings, "suites": [asdict(suite) for suite in found]}
-                replace_text(path, as_json(kept) + "\n")
-            yield row, turn, found
-
-
-def table(found: Mapping[tuple[str, int], Sequence[Judged]]) -> list[dict[str, object]]:
-    """Rows of `table.csv`, by COLUMNS: what is relative to FULL is missing without it.
+def table(found: Sequence[Row]) -> pd.DataFrame:
+    """`table.csv`, by COLUMNS: what is relative to FULL is missing without it.
 
     Args:
-        found: by row and seed, by suite.
+        found: a row a training and suite.
     """
+    by = {(each["suite"], each["row"], each["turn"]): each for each in found}
     rows = []
-    for place, suite in enumerate(SUITES):
+    for suite in SUITES:
         for row in ROWS:
-            seeds = [turn for name, turn in found if name == row]
-            own = [found[row, turn][place] for turn in seeds]
+            own = [each for each in found if (each["suite"], each["row"]) == (suite, row)]
             if not own:
                 continue
-            truth = np.array(own[0].truth)
             with np.errstate(invalid="ignore"):  # one clip alone has none
-                spread = np.mean([np.std(each.estimate, axis=0) / truth.std(axis=0) for each in own], axis=0)
-            copied = np.sum([each.copied for each in own], axis=(0, 1)).min()
-            line: dict[str, object] = {"suite": suite, "row": row, "seeds": len(seeds)}
+                spread = np.mean([each["estimate"].std(axis=0) / own[0]["truth"].std(axis=0) for each in own], axis=0)
+            copied = np.sum([each["copied"] for each in own], axis=(0, 1)).min()
+            line: Row = {"suite": suite, "row": row, "seeds": len(own)}
             line |= dict(zip((f"spread_{name}" for name in PARAMETERS), spread.tolist(), strict=True))
-            line["depth_copy"] = float(np.sum([each.generated for each in own]) / copied)
-            shared = [turn for turn in seeds if (FULL, turn) in found]
+            line["depth_copy"] = float(np.sum([each["generated"] for each in own]) / copied)
+            shared = [each["turn"] for each in own if (suite, FULL, each["turn"]) in by]
             if shared and row != FULL:
-                sides = [[found[name, turn][place] for turn in shared] for name in (row, FULL)]
-                squares = [squared_errors(side) for side in sides]
-                depths = [np.array([each.generated for each in side]) for side in sides]
-                errors, pictures = np.sqrt(compared(*squares)), compared(*depths)
+                sides = [[by[suite, name, turn] for turn in shared] for name in (row, FULL)]
+                errors = np.sqrt(compared(*(squared_errors(side) for side in sides)))
+                pictures = compared(*(np.array([each["generated"] for each in side]) for side in sides))
                 for name, values in (("error", errors), ("depth", pictures)):
                     line |= dict(zip((name, f"{name}_low", f"{name}_high"), values.tolist(), strict=True))
             rows.append(line)
-    return rows
+    return pd.DataFrame(rows, columns=COLUMNS)
 
 
-def squared_errors(judged: Sequence[Judged]) -> np.ndarray:
+def squared_errors(judged: Sequence[Row]) -> np.ndarray:
     """Squared errors of log θ, summed over its parameters, by seed and clip, shape [S, C]."""
-    return np.array([np.square(np.subtract(each.estimate, each.truth)).sum(axis=1) for each in judged])
+    return np.array([np.square(each["estimate"] - each["truth"]).sum(axis=1) for each in judged])
 
 
 def compared(row: np.ndarray, full: np.ndarray) -> np.ndarray:

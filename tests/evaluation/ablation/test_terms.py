@@ -11,21 +11,27 @@ import pytest
 from data.synthetic.clip import write_clip
 from data.synthetic.settings import SceneSettings
 from estimators.network.training import TrainingError
-from evaluation import ablations, terms
-from evaluation.generated import TrainedGenerator
-from evaluation.terms import Judged, compared, judge, judged_clips, results_of, table, train
+from evaluation.ablation import __main__ as door
+from evaluation.ablation import terms
+from evaluation.ablation.generated import TrainedGenerator
+from evaluation.ablation.terms import compared, judge, judged_clips, table, train
+from evaluation.harness import Row
+from physics.doors import INTERRUPTED
 from results.store import OutputError
-from tests.evaluation.trained_generators import write_checkpoint
+from tests.evaluation.ablation.trained_generators import write_checkpoint
 
 TRUTH = np.array([[-1.0, -3.0, -2.0], [-0.5, -2.0, -3.0], [-0.1, -4.0, -2.5]])
-SETTINGS = {"clips": ["video01"], "steps": 5, "held_out": 3, "seed": 0}
 
 
-def judged(error: float, picture: float = 1.0) -> list[Judged]:
-    """Of every suite: all parameters off by an error of alternating sign, and pictures so much worse than copies."""
+def judged(error: float, picture: float = 1.0) -> Row:
+    """Of a suite: all parameters off by an error of alternating sign, and pictures so much worse than copies."""
+    copied, generated = np.array([[2.0, 4.0], [1.0, 0.5], [3.0, 3.0]]), picture * np.array([2.0, 1.0, 3.0])
     estimate = TRUTH + error * np.array([[1], [-1], [1]])
-    copied, generated = [[2.0, 4.0], [1.0, 0.5], [3.0, 3.0]], [2 * picture, 1 * picture, 3 * picture]
-    return [Judged(suite, TRUTH.tolist(), estimate.tolist(), copied, generated) for suite in terms.SUITES]
+    return {"truth": TRUTH, "estimate": estimate, "copied": copied, "generated": generated}
+
+
+def of_every_suite(row: str, turn: int, found: Row) -> list[Row]:
+    return [{"row": row, "turn": turn, "suite": suite, **found} for suite in terms.SUITES]
 
 
 def test_a_ratio_of_what_is_always_twice_as_large_is_two_for_sure() -> None:
@@ -48,12 +54,13 @@ def test_an_interval_is_of_resampled_seeds_and_clips() -> None:
 
 
 def test_the_table_divides_by_the_whole_system() -> None:
-    found = {("full", 0): judged(0.1), ("full", 1): judged(0.1), ("no-gan", 0): judged(0.15, 2.0)}
-    rows = {(row["suite"], row["row"]): row for row in table(found)}
+    found = of_every_suite("full", 0, judged(0.1)) + of_every_suite("full", 1, judged(0.1))
+    found += of_every_suite("no-gan", 0, judged(0.15, 2.0))
+    rows = {(row["suite"], row["row"]): row for row in table(found).to_dict("records")}
     assert list(rows) == [(suite, name) for suite in ("clean", "noisy") for name in ("full", "no-gan")]
     whole, without = rows["clean", "full"], rows["noisy", "no-gan"]
     assert (whole["seeds"], without["seeds"]) == (2, 1)
-    assert "error" not in whole
+    assert np.isnan(whole["error"])
     assert [without[name] for name in ("error", "error_low", "error_high")] == pytest.approx([1.5, 1.5, 1.5])
     assert [without[name] for name in ("depth", "depth_low", "depth_high")] == pytest.approx([2, 2, 2])
     assert whole["depth_copy"] == pytest.approx(6 / 6)  # the better copy is the last map
@@ -63,9 +70,9 @@ def test_the_table_divides_by_the_whole_system() -> None:
 
 
 def test_without_the_whole_system_nothing_is_relative() -> None:
-    (row, _) = table({("no-gan", 0): judged(0.1)})
+    (row, _) = table(of_every_suite("no-gan", 0, judged(0.1))).to_dict("records")
     assert row["depth_copy"] == pytest.approx(1)
-    assert "error" not in row
+    assert np.isnan(row["error"])
 
 
 def test_a_training_that_fails_says_its_last_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -118,53 +125,48 @@ def test_what_is_trained_and_judged_is_kept(
 
     monkeypatch.setattr(terms, "train", once)
     monkeypatch.setattr(terms, "judged_clips", lambda *_: {suite: [] for suite in terms.SUITES})
-    monkeypatch.setattr(terms, "judge", lambda generator, suite, clips: judged(0.1)[terms.SUITES.index(suite)])
+    monkeypatch.setattr(terms, "judge", lambda generator, clips: judged(0.1))
     (tmp_path / "clips" / "video01").mkdir(parents=True)
-    command = ["--output", str(tmp_path / "out"), "--clips", str(tmp_path / "clips"), "--seeds", "2"]
+    command = ["terms", "--output", str(tmp_path / "out"), "--clips", str(tmp_path / "clips"), "--seeds", "2"]
     command += ["--rows", "no-gan", "full"]
-    assert ablations.main(command) == ablations.INTERRUPTED
-    assert "finished rows are kept" in capsys.readouterr().err
+    assert door.main(command) == INTERRUPTED
+    assert "what is finished is kept" in capsys.readouterr().err
     trained.pop(0)
-    assert ablations.main(command) == 0
+    assert door.main(command) == 0
     assert trained == [("no-gan", 0), ("full", 1), ("no-gan", 1)]  # one seed of all rows after the other
     lines = (tmp_path / "out" / "table.csv").read_text().splitlines()
     assert lines[0] == ",".join(terms.COLUMNS)
     assert [line.split(",")[:3] for line in lines[1:3]] == [["clean", "full", "2"], ["clean", "no-gan", "2"]]
-    assert "| clean | no-gan | 2 | 1 | 1 | 1 |" in capsys.readouterr().out
-    assert ablations.main([*command, "--steps", "9"]) == 1
-    assert "is of other settings" in " ".join(capsys.readouterr().err.split())
+    assert lines[2].startswith("clean,no-gan,2,1,1,1,")
+    assert "no-gan" in capsys.readouterr().err
+    assert door.main([*command, "--steps", "9"]) == 2
+    assert "holds results of another steps" in " ".join(capsys.readouterr().err.split())
 
 
-def test_damaged_results_are_one_sentence(tmp_path: Path) -> None:
-    path = tmp_path / "judged.json"
-    assert results_of(path, SETTINGS) is None
-    for content in ("{", "[]", '{"settings": {}}'):
-        path.write_text(content)
-        with pytest.raises(OutputError, match=r"judged\.json: is"):
-            results_of(path, SETTINGS)
-
-
-def test_rows_belong_to_their_material(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
-    for options, message in (
-        (["--clips", str(tmp_path), "--rows", "K=2"], "K=2 is no row with --clips"),
-        (["--weights", str(tmp_path), "--rows", "full"], "full is no row with --weights"),
-        (["--clips", str(tmp_path / "none")], "none is not a folder"),
+def test_impossible_options_are_told(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    output = ["--output", str(tmp_path / "out")]
+    for arguments, message in (
+        (["terms", *output, "--clips", str(tmp_path), "--rows", "K=2"], "--rows K=2: give some of full, no-gan"),
+        (["terms", *output, "--clips", str(tmp_path), "--seeds", "0"], "--seeds: 0 is less than 1"),
+        (["terms", *output, "--clips", str(tmp_path / "none")], "none is not a folder"),
     ):
         with pytest.raises(SystemExit) as stop:
-            ablations.main(["--output", str(tmp_path / "out"), *options])
+            door.main(arguments)
         assert stop.value.code == 2
         assert message in capsys.readouterr().err
+    assert door.main(["weights", *output]) == 2
+    assert "Give one of terms, next-depth" in capsys.readouterr().err
 
 
 @pytest.mark.slow
 def test_a_generator_is_judged_by_its_last_word_and_by_the_pictures_between(tmp_path: Path) -> None:
     (clip,) = judged_clips(0, 1)["clean"]
     generator = TrainedGenerator(write_checkpoint(tmp_path / "last.ckpt"))
-    found = judge(generator, "clean", [clip])
+    found = judge(generator, [clip])
     last = clip.motion.onset_frame + 25
-    np.testing.assert_allclose(found.estimate, [np.log(np.abs(generator.estimate(clip, last)))])
-    np.testing.assert_allclose(found.truth, [np.log(np.abs(clip.motion.theta))])
-    assert 0 < found.generated[0] < 0.5 * min(found.copied[0])
+    np.testing.assert_allclose(found["estimate"], [np.log(np.abs(generator.estimate(clip, last)))])
+    np.testing.assert_allclose(found["truth"], [np.log(np.abs(clip.motion.theta))])
+    assert 0 < found["generated"][0] < 0.5 * min(found["copied"][0])
 
 
 @pytest.mark.slow
@@ -172,8 +174,8 @@ def test_a_real_row_at_toy_size(tmp_path: Path) -> None:
     scene = SceneSettings(width=214, height=120, frames=30, depth_noise=0.001)
     for number in range(1, 5):
         write_clip(tmp_path / "clips", number, scene, number)
-    command = ["--output", str(tmp_path / "out"), "--clips", str(tmp_path / "clips"), "--rows", "no-gan"]
-    assert ablations.main([*command, "--seeds", "1", "--steps", "5", "--held-out", "1"]) == 0
+    command = ["terms", "--output", str(tmp_path / "out"), "--clips", str(tmp_path / "clips"), "--rows", "no-gan"]
+    assert door.main([*command, "--seeds", "1", "--steps", "5", "--held-out", "1"]) == 0
     lines = (tmp_path / "out" / "table.csv").read_text().splitlines()
     assert [line.split(",")[:2] for line in lines[1:]] == [["clean", "no-gan"], ["noisy", "no-gan"]]
     assert float(lines[1].split(",")[9]) < 0.8  # physics has the picture right before any training

@@ -10,13 +10,13 @@ import pytest
 from estimators.estimate import FrameEstimate
 from estimators.onset import STAMP
 from estimators.open import EstimatorOptions, open_estimator
-from evaluation.generated import TrainedGenerator, carried_ahead
+from evaluation.ablation.generated import TrainedGenerator, carried_ahead
+from evaluation.ablation.watched import WatchedClip, watch
 from evaluation.recovery.bounds import MECHANICS
 from evaluation.recovery.suites import suite_clip_seed
-from evaluation.watched import WatchedClip, watch
 from models.generator import LEAST_DEPTH
 from models.onnx_session import SHIPPED
-from tests.evaluation.trained_generators import write_checkpoint
+from tests.evaluation.ablation.trained_generators import write_checkpoint
 
 
 @pytest.fixture(scope="module")

@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
 
-from data.command_line import whole_number
 from data.contact.film import window_around
 from data.contact.interaction import Interaction, InteractionBuilder
 from data.labels import TISSUE
 from data.prepared import PreparedFrame
 from data.synthetic.clip import draw_press, synthetic_clip
 from data.synthetic.scene import Scene, SceneError
-from data.synthetic.source import open_synthetic
+from data.synthetic.source import PREPARE, open_synthetic
 from data.synthetic.truth import PressedMotion, simulate_motion
 from estimators.contract import ClipInfo
 from estimators.runs import RunTracker
 from evaluation.recovery.bounds import MECHANICS
-from evaluation.recovery.evaluate import PREPARE
-from evaluation.recovery.suites import LARGEST_SEED, SPLITS, SUITES, suite_clip_seed
+from evaluation.recovery.suites import SUITES
 
 FIRST = 2
 """Frames after the onset from which on a network says something."""
@@ -105,22 +102,6 @@ def watch(suite: str, index: int, seed: int) -> WatchedClip | None:
         return None
     truth, _ = _observed(_quiet(scene), motion, seed)
     return WatchedClip(scene, motion, seed, info, frames, truth, run.builder, contact)
-
-
-def add_clip_options(parser: argparse.ArgumentParser, clips: int) -> None:
-    """Let a program be told which clips of which suites it watches, and in how many processes."""
-    add = parser.add_argument
-    add("--suite", nargs="+", choices=list(SUITES), default=["clean", "noisy"], help="suites (default clean noisy)")
-    add("--clips", type=whole_number(1), default=clips, metavar="N", help="clips of each (default %(default)s)")
-    add("--seed", type=whole_number(0, LARGEST_SEED), default=0, metavar="N", help="(default %(default)s)")
-    add("--split", choices=list(SPLITS), default="test", help="stream of seeds (default %(default)s)")
-    add("--workers", type=whole_number(0), default=2, metavar="N", help="processes; 0 = in this one (%(default)s)")
-
-
-def chosen_clips(options: argparse.Namespace) -> list[tuple[str, int, int]]:
-    """Suite, index and seed of every clip that `add_clip_options` was told of, suite by suite."""
-    seeds = [suite_clip_seed(options.split, options.seed, index) for index in range(options.clips)]
-    return [(suite, index, seed) for suite in options.suite for index, seed in enumerate(seeds)]
 
 
 def _quiet(scene: Scene) -> Scene:

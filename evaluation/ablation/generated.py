@@ -10,7 +10,7 @@ import torch
 from data.contact.features import FEATURES, contact_features
 from data.contact.film_features import FILM_FEATURES, dent_features
 from data.windows import window_indices
-from evaluation.watched import WatchedClip
+from evaluation.ablation.watched import WatchedClip
 from models.carried_depth import carried
 from models.checkpoint import load_generator
 from models.contact_head import ContactHead

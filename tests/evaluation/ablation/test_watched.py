@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
-
 import numpy as np
 import pytest
 
 from data.labels import TISSUE
 from data.synthetic.scene import SceneError
+from evaluation.ablation.watched import WatchedClip, watch
 from evaluation.recovery.suites import SUITES, suite_clip_seed
-from evaluation.watched import WatchedClip, add_clip_options, chosen_clips, watch
 
 
 @pytest.fixture(scope="module")
@@ -55,14 +53,5 @@ def test_a_clip_without_a_scene_is_none(monkeypatch: pytest.MonkeyPatch) -> None
     def hopeless(*_: object) -> None:
         raise SceneError("nothing moves so far")
 
-    monkeypatch.setattr("evaluation.watched.draw_press", hopeless)
+    monkeypatch.setattr("evaluation.ablation.watched.draw_press", hopeless)
     assert watch("clean", 0, 1) is None
-
-
-def test_clips_are_chosen_suite_by_suite_from_the_same_seeds() -> None:
-    parser = argparse.ArgumentParser()
-    add_clip_options(parser, clips=2)
-    seeds = [suite_clip_seed("test", 5, index) for index in range(2)]
-    of_each = [(suite, index, seed) for suite in ("clean", "noisy") for index, seed in enumerate(seeds)]
-    assert chosen_clips(parser.parse_args(["--seed", "5"])) == of_each
-    assert chosen_clips(parser.parse_args(["--suite", "noisy", "--seed", "5", "--clips", "1"])) == of_each[2:3]

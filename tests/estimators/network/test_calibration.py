@@ -11,16 +11,11 @@ import torch
 
 from data.contact.features import FEATURES, KNOWN, REFERENCE_SPACING
 from estimators.estimate import NINETY
+from estimators.network.calibration import check_record, main, widths_of
 from estimators.network.fits import BOUNDS
-from evaluation.calibration import (
-    check_record,
-    conformal_scale,
-    fit_exponents,
-    fit_widths_of,
-    main,
-)
-from evaluation.recovery.store import RecoveryStore
+from evaluation.harness import Store
 from models.calibration import LOG_DAMPING
+from models.calibration_fit import conformal_scale, fit_exponents
 from models.onnx_export import export
 from models.onnx_session import PosteriorModel
 from models.posterior import ContactPosterior
@@ -68,7 +63,7 @@ def test_overconfident_estimates_become_calibrated_at_any_width() -> None:
         )
         for index in range(3000)
     ]
-    found = fit_widths_of(rows)
+    found = widths_of(rows)
     np.testing.assert_allclose(found.power, 0.7, atol=0.06)
     np.testing.assert_allclose(found.noise, 0.2, atol=0.06)
     np.testing.assert_allclose(found.damping, 0.15, atol=0.06)
@@ -103,7 +98,7 @@ def test_a_noise_between_two_others_may_be_the_worst() -> None:
         )
         for index in range(len(errors))
     ]
-    found = fit_widths_of(rows)
+    found = widths_of(rows)
     assert found.middle_range == (pytest.approx(np.log(0.4)), pytest.approx(np.log(1.5)))
     for level, factors in ((0.4, 1), (0.6, 3), (1.5, 1)):
         log = np.log(level)
@@ -114,7 +109,7 @@ def test_a_noise_between_two_others_may_be_the_worst() -> None:
 
 def test_too_few_clips_are_refused() -> None:
     with pytest.raises(ValueError, match="needs 100"):
-        fit_widths_of([recovery(index, estimator="network") for index in range(99)])
+        widths_of([recovery(index, estimator="network") for index in range(99)])
 
 
 def test_results_of_something_else_are_refused(tmp_path) -> None:
@@ -186,7 +181,7 @@ def test_an_exported_posterior_is_calibrated_by_its_results(tmp_path, capsys) ->
     for name, seen in (("first", None), ("second", None), ("pressed", "press")):
         network = {"model_sha256": sha256_of(plain)}
         wanted = {"seed": 0, "split": "validation", "seen": seen, "estimator network": network}
-        RecoveryStore(tmp_path / name, wanted).append(
+        Store(tmp_path / name, wanted, ("suite", "index", "estimator")).append(
             recovery(
                 index, estimator="network", estimate=off_by(generator.normal(0, 0.4, 3)), covariance=np.eye(3) / 100
             )

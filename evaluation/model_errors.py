@@ -31,14 +31,17 @@ from rich.console import Console
 from data.command_line import path_option, progress_bars, say, whole_number
 from estimators.model_errors import FILE, read_entries
 from estimators.open import FEM, EstimatorOptions
-from evaluation.recovery.grips import DIRECT, GripRecovery, GripTask, evaluate_grip
-from evaluation.recovery.slabs import SlabRecovery, SlabTask, evaluate_slab
-from evaluation.recovery.suites import LARGEST_SEED, SLAB_SUITES, suite_clip_seed
+from evaluation.harness import Row
+from evaluation.recovery.suites import EVERY, LARGEST_SEED, suite_clip_seed
+from evaluation.recovery.trial import Trial, run_trial
 from physics.files import replacing
 
 SPLIT = "validation"
 PARTS = {"grip": ("retraction", "foundation", "regions"), "pull": ("fem",)}
 """Suites of every part."""
+DIRECT = "direct"
+CANDIDATES = {"grip": EstimatorOptions(DIRECT, threads=1), "pull": EstimatorOptions(DIRECT, Path(FEM), threads=1)}
+"""Who estimates the clips of a part."""
 ENOUGH = 20
 """So many clips change a value: a standard deviation is then known to a sixth."""
 HEAD = (
@@ -56,7 +59,7 @@ def model_sd(off: float, told: float) -> float:
     return float(f"{left:.2g}")
 
 
-def grip_errors(rows: Sequence[GripRecovery], values: Mapping[str, float]) -> Errors:
+def grip_errors(rows: Sequence[Row], values: Mapping[str, float]) -> Errors:
     """Errors of foundation and force, and what residuals tell of them, by which of the model's errors was counted.
 
     Args:
@@ -65,29 +68,29 @@ def grip_errors(rows: Sequence[GripRecovery], values: Mapping[str, float]) -> Er
     """
     found: Errors = {}
     for row in rows:
-        if row.foundation is None or row.force is None:
+        if "foundation" not in row or "force" not in row:
             continue
         # The largest error of a model that an interval has room for is the one that it counts.
         kinds = ("as_seen", "uneven", "measured")
-        kind = next((kind for kind in kinds if row.foundation[2] >= 0.98 * values[f"foundation_{kind}"]), "measured")
-        for quantity, (true, log, sd, *_) in (("foundation", row.foundation), ("force", row.force)):
+        kind = next((kind for kind in kinds if row["foundation"][2] >= 0.98 * values[f"foundation_{kind}"]), "measured")
+        for quantity, (true, log, sd, *_) in ((name, row[name]) for name in ("foundation", "force")):
             name = f"{quantity}_{kind}"
             if name in values:
                 found.setdefault(name, []).append((log - true, max(sd**2 - values[name] ** 2, 0.0)))
     return found
 
 
-def pull_errors(rows: Sequence[SlabRecovery], values: Mapping[str, float]) -> Errors:
+def pull_errors(rows: Sequence[Row], values: Mapping[str, float]) -> Errors:
     """Errors of log force over E, and of the force's course as shares of it; arguments as of `grip_errors`."""
     found: Errors = {}
     for row in rows:
-        if row.reaction is None or row.tissue is None:
+        if "reaction" not in row:
             continue
-        value, sd = row.reaction
+        value, sd = row["reaction"]
         told = max(sd**2 - values["pull_force"] ** 2, 0.0)
-        found.setdefault("pull_force", []).append((math.log(value * row.tissue[0] / row.force), told))
+        found.setdefault("pull_force", []).append((math.log(value * row["tissue"][0] / row["true_force"]), told))
         # The last frame's ratio is 1 by definition.
-        true, course, deviation = row.curve[:, :-1]
+        true, course, deviation = row["curve"][:, :-1]
         size = float(np.square(course).mean())
         told = float(np.square(deviation).mean()) / size - values["pull_course"] ** 2
         found.setdefault("pull_course", []).append(
@@ -134,17 +137,13 @@ def main(arguments: list[str] | None = None) -> int:
     values = {name: float(entry["value"]) for name, entry in read_entries().items()}
     numbers = [(suite, index) for suite in PARTS[options.part] for index in range(options.clips)]
     if options.part == "pull":
-        numbers = [(suite, index) for suite, index in numbers if SLAB_SUITES[suite].settings(index).action == "grip"]
-    rows: list[Any] = []
+        numbers = [(suite, index) for suite, index in numbers if EVERY[suite].settings(index).action == "grip"]
+    rows: list[Row] = []
     with progress_bars(console) as progress:
         bar = progress.add_task("clips", total=len(numbers))
         for suite, index in numbers:
             seed = suite_clip_seed(SPLIT, options.seed, index)
-            if options.part == "grip":
-                rows += evaluate_grip(GripTask(suite, index, seed))
-            else:
-                wanted = {DIRECT: EstimatorOptions(DIRECT, Path(FEM), threads=1)}
-                rows += evaluate_slab(SlabTask(suite, index, seed, wanted))
+            rows += run_trial(Trial(index, seed, {suite: {DIRECT: CANDIDATES[options.part]}}))
             progress.advance(bar)
     errors = (grip_errors if options.part == "grip" else pull_errors)(rows, values)
     if not errors:

@@ -10,9 +10,9 @@ import pytest
 
 from estimators.model_errors import FILE, MODEL_ERRORS, read_entries
 from evaluation import model_errors as module
+from evaluation.harness import Row
 from evaluation.model_errors import ENOUGH, grip_errors, main, model_sd, pull_errors, updated, write_entries
-from evaluation.recovery.grips import GripRecovery, GripTask
-from evaluation.recovery.slabs import SlabRecovery
+from evaluation.recovery.trial import Trial
 
 VALUES = vars(MODEL_ERRORS)
 
@@ -36,11 +36,11 @@ def test_a_file_with_other_entries_is_a_sentence(tmp_path: Path) -> None:
         read_entries(tmp_path / "other.yaml")
 
 
-def drawn(index: int, model: float, counted: float, told: float = 0.004) -> GripRecovery:
+def drawn(index: int, model: float, counted: float, told: float = 0.004) -> Row:
     """A clip whose error is drawn from what residuals tell and what the model gets wrong."""
     off = np.random.default_rng(index).normal(0, math.hypot(model, told))
     numbers = np.array([-3.0, -3.0 + off, math.hypot(counted, told), 0.01])
-    return GripRecovery("retraction", index, 0, foundation=numbers, force=numbers)
+    return {"foundation": numbers, "force": numbers}
 
 
 @pytest.mark.parametrize(("kind", "model"), [("measured", 0.01), ("uneven", 0.3), ("as_seen", 0.8)])
@@ -61,7 +61,7 @@ def test_pulls_tell_force_over_young_and_its_course() -> None:
     tissue, true = np.full(8, 200.0), np.array([0.2, 0.5, 1.0])
     course = np.array([true, 1.1 * true, VALUES["pull_course"] * true])
     reaction = np.array([1.3 * 4.0 / 200.0, math.hypot(0.05, VALUES["pull_force"])])
-    row = SlabRecovery("fem", 1, "direct", 0, "grip", tissue=tissue, force=4.0, reaction=reaction, curve=course)
+    row = {"tissue": tissue, "true_force": 4.0, "reaction": reaction, "curve": course}
     found = pull_errors([row], VALUES)
     assert found["pull_force"] == [pytest.approx((math.log(1.3), 0.05**2))]
     assert found["pull_course"] == [
@@ -76,14 +76,15 @@ def test_pulls_tell_force_over_young_and_its_course() -> None:
 
 
 def test_the_command_writes_what_it_measures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def evaluated(task: GripTask) -> list[GripRecovery]:
-        return [drawn(task.index, 0.01, VALUES["foundation_measured"])] if task.suite == "foundation" else []
+    def evaluated(trial: Trial) -> list[Row]:
+        known = drawn(trial.index, 0.01, VALUES["foundation_measured"])
+        return [known for suite in trial.wanted if suite == "foundation"]
 
-    monkeypatch.setattr(module, "evaluate_grip", evaluated)
+    monkeypatch.setattr(module, "run_trial", evaluated)
     output = tmp_path / "errors.yaml"
     assert main(["--part", "grip", "--clips", "3", "--seed", "5", "--output", str(output)]) == 0
     measured = read_entries(output)["foundation_measured"]["measured"]
     assert measured["clips"] == 3
     assert measured["command"] == "python -m evaluation.model_errors --part grip --clips 3 --seed 5"
-    monkeypatch.setattr(module, "evaluate_grip", lambda _: [])
+    monkeypatch.setattr(module, "run_trial", lambda _: [])
     assert main(["--part", "grip", "--clips", "1", "--seed", "5", "--output", str(output)]) == 1

@@ -4,7 +4,7 @@
 
 Presses on every kind of tissue are simulated once and kept in the cache (default OUT/presses); another scene with the
 same tissue finds them there. Writes plan.json and plan.png: the way, what it costs and what the shortest way would have
-cost, the tissue pushed aside and the forces. Not a medical device.
+cost, the tissue pushed aside and the forces along both. Not a medical device.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ if __name__ == "__main__":
 
 import argparse
 import dataclasses
-import json
 import time
 from pathlib import Path
 from typing import Any
@@ -27,10 +26,11 @@ from rich.console import Console
 from data.command_line import path_option, progress_bars, real_number, say
 from data.source.layout import InputError
 from physics.fem import NoEquilibrium
+from physics.files import as_json
 from physics.ownership import replacing_own, require_own
 from planning import Blocked, find_plan, open_table, read_plan_scene, simulate_press
-from planning.pictures import draw_plan
-from planning.roadmap import EdgeCosts, Plan
+from planning.pictures import Pressed, draw_plan, force_along
+from planning.roadmap import MILLI, EdgeCosts, Plan
 from planning.scene import PlanScene
 from results.store import OutputError, writing
 
@@ -92,35 +92,49 @@ def _plan(scene: PlanScene, output: Path, cache: Path, console: Console) -> int:
     seconds = time.perf_counter() - begun
     direct = find_plan(EdgeCosts(dataclasses.replace(scene, alpha=0.0), tables))
     direct = costs.plan(direct.places)
-    presses = []
-    for found in costs.presses(plan.places[:-1], plan.places[1:]):
-        kind = scene.kinds[found.kind]
-        for place, angle in zip(found.places, found.angles, strict=True):
-            curve = simulate_press(kind, scene.tip_radius, place, float(angle))
-            presses.append((found.kind, curve, found.piece, kind.height))
+    ways = {"planned": (plan, _simulated(costs, plan)), "shortest": (direct, _simulated(costs, direct))}
+    numbers = {name: _numbers(*way) for name, way in ways.items()}
     record = {
         "alpha": scene.alpha,
-        "plan": _told(plan),
-        "shortest": _told(direct),
+        "plan": numbers["planned"],
+        "shortest": numbers["shortest"],
         "query_s": round(seconds, 4),
         "lines_through_tissue": costs.crossings,
-        "largest_force_n": max((float(curve.force[-1]) for _, curve, _, _ in presses), default=0.0),
-        "units": "places m, deformation mJ, way mm, cost α·deformation + (1 - α)·way",
+        "units": "places m, deformation mJ, way mm, cost α·deformation + (1 - α)·way, largest_force N",
     }
     with writing(output):
         with replacing_own(output / NAMES[0]) as partial:
-            partial.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+            partial.write_text(as_json(record, indent=1) + "\n", encoding="utf-8")
         with replacing_own(output / NAMES[1]) as partial:
-            draw_plan(scene, plan, direct, presses).savefig(partial, dpi=110)
-    print(f"planned: cost {plan.cost:.2f} (deformation {plan.deformation:.2f} mJ, way {plan.way:.1f} mm)")
-    print(f"shortest: cost {direct.cost:.2f} (deformation {direct.deformation:.2f} mJ, way {direct.way:.1f} mm)")
+            draw_plan(scene, plan, direct, ways["planned"][1], ways["shortest"][1]).savefig(partial, dpi=110)
+    for name, found in numbers.items():
+        print(
+            f"{name}: cost {found['cost']:.2f} (deformation {found['deformation']:.2f} mJ, way {found['way']:.1f} mm), "
+            f"largest force {found['largest_force']:.2f} N"
+        )
     say(console, f"written: {output}/{NAMES[0]}, {output}/{NAMES[1]}")
     return 0
 
 
-def _told(plan: Plan) -> dict[str, object]:
+def _simulated(costs: EdgeCosts, plan: Plan) -> list[Pressed]:
+    """The presses of a way."""
+    scene, starts, ends = costs.scene, plan.places[:-1], plan.places[1:]
+    gone = np.cumsum(np.linalg.norm(ends - starts, axis=1)) - np.linalg.norm(ends - starts, axis=1)
+    presses = []
+    for found in costs.presses(starts, ends):
+        kind = scene.kinds[found.kind]
+        for row, line in enumerate(found.lines):
+            curve = simulate_press(kind, scene.tip_radius, found.places[row], float(found.angles[row]))
+            begin, length = float(gone[line] + found.reached[row]), float(found.lengths[row])
+            presses.append(Pressed(found.kind, found.piece, kind.height, curve, begin, length))
+    return presses
+
+
+def _numbers(plan: Plan, presses: list[Pressed]) -> dict[str, Any]:
+    """Of a way, as the record has them."""
     numbers = {"cost": plan.cost, "deformation": plan.deformation, "way": plan.way}
-    return {"places": np.round(plan.places, 6).tolist()} | {name: float(value) for name, value in numbers.items()}
+    numbers["largest_force"] = float(force_along(presses, plan.way / MILLI)[1].max())
+    return {"places": np.round(plan.places, 6).tolist()} | numbers
 
 
 if __name__ == "__main__":

@@ -23,6 +23,7 @@ from physics.mechanics import Bounds, Mechanics
 NO_ONSET = (
     "The onset of the contact was not seen, and without it the rest shape and the beginning of the load are unknown."
 )
+UNDECIDED = "Contact is not decided: the instrument hovered, and neither motion nor depth tells whether it touches since."
 PASSED = "No contact: the instrument moves, and the tissue beside it does not move with it."
 OUTLINES_ALONE = "Contact by outlines alone: nothing has moved yet that would tell whether tissue moves with the tool."
 NOT_SHOWN = "No displacement: the onset of contact was not seen, or lies beyond the model's horizon."
@@ -44,6 +45,8 @@ class Run:
         """Largest probability of contact so far."""
         self.hovered = False
         """Whether the tool was found to hover within it or right after it."""
+        self.undecided = False
+        """Whether it begins or goes on where it is not decided that the tool touches."""
         self.builder: InteractionBuilder | None = None
         """What is seen of it; None where its onset was not."""
         self.note(first)
@@ -56,11 +59,12 @@ class Run:
         """What a frame within the run or right after it tells of whether there was contact."""
         self.contact = float(np.fmax(self.contact, current.contact_probability))
         self.hovered |= current.hovers
+        self.undecided |= current.undecided
 
     @property
     def passed(self) -> bool:
-        """Whether the tool only passed over the tissue: it hovered, and nothing ever spoke for contact."""
-        return self.hovered and not self.contact >= SURE
+        """Whether the tool only passed over the tissue: it hovered all the time, and nothing ever spoke for contact."""
+        return self.hovered and not self.undecided and not self.contact >= SURE
 
     def add(self, current: PreparedFrame) -> None:
         """A frame of the run, in contact or followed after it."""
@@ -80,7 +84,8 @@ class Run:
         if self.passed:
             return PASSED
         if self.builder is None:
-            return self.detail or NO_ONSET
+            doubt = UNDECIDED if self.undecided and not self.contact >= SURE else ""
+            return f"{doubt} {self.detail or NO_ONSET}".strip()
         return f"{self.detail} {NOT_FOLLOWED}".strip()
 
 
@@ -248,7 +253,9 @@ def frame_estimate(
         arrow: the force as it is drawn.
     """
     frame, contact = prepared.frame, prepared.geometry
-    untold = contact is not None and prepared.track_start < 0 and prepared.contact_probability < SURE
+    untold = ""
+    if contact is not None and prepared.track_start < 0 and prepared.contact_probability < SURE:
+        untold = UNDECIDED if prepared.undecided else OUTLINES_ALONE
     missing = NOT_SHOWN if contact is not None and lengths[0] is None and not whole else ""
     u, v = None, None
     if contact is not None:
@@ -257,7 +264,7 @@ def frame_estimate(
         frame.number,
         frame.time_s,
         prepared.status,
-        detail=" ".join(filter(None, (prepared.detail or missing, OUTLINES_ALONE if untold else "", doubts))),
+        detail=" ".join(filter(None, (prepared.detail or missing, untold, doubts))),
         estimate=estimate,
         verdict=verdict if estimate is None else estimate.verdict,
         contact=True if contact is not None else False if prepared.status in SEEN_OUT else None,

@@ -2,8 +2,8 @@
 
     python -m evaluation.beside_truth RESULTS [RESULTS …]
 
-RESULTS are folders that `infer.py` wrote, of frame folders that `python -m data.synthetic` drew. Exit status: 0 all
-shown; 1 some are of no such clip, or have no estimate of its run of contact; 2 wrong usage.
+RESULTS are folders that `infer.py` wrote, of frame folders that `python -m data.synthetic` drew, or of their video
+files. Exit status: 0 all shown; 1 some are of no such clip, or have no estimate of its run of contact; 2 wrong usage.
 """
 
 from __future__ import annotations
@@ -68,23 +68,26 @@ def read_results(folder: Path) -> tuple[str, dict[str, str], dict[str, float]]:
         record = json.loads(read_file(folder / RECORD, MOST_BYTES))
         clip, fps = Path(record["input"]["path"]), float(record["input"]["fps"])
         text = io.StringIO(read_file(folder / INTERACTIONS, MOST_BYTES).decode("utf-8"), newline="")
-        rows = [row for row in csv.DictReader(text) if row["status"] == "ok"]
+        rows = list(csv.DictReader(text))
         onsets = [float(row["onset_time_s"]) for row in rows]
+        found = [f"{row['verdict']}." if row["status"] == "ok" else f"no estimate. {row['detail']}" for row in rows]
     except (OSError, ValueError, KeyError, TypeError, RecursionError, csv.Error) as error:
         raise NoTruth(
             f"{folder} holds no results of infer.py ({reason(error)}); give the folder of one clip."
         ) from error
     try:
-        truth = json.loads(read_file(clip / "truth.json", MOST_BYTES))
+        truth = json.loads(read_file((clip if clip.is_dir() else clip.with_suffix("")) / "truth.json", MOST_BYTES))
         values, onset = true_values(truth["theta"]), float(truth["onset_s"])
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        raise NoTruth(
-            f"{clip} has no truth ({reason(error)}); give results of a frame folder of data.synthetic."
-        ) from error
+        raise NoTruth(f"{clip} has no truth ({reason(error)}); give results of a clip of data.synthetic.") from error
     for row, begun in zip(rows, onsets, strict=True):
-        if abs(begun - onset) * fps <= SAME_ONSET:
+        if row["status"] == "ok" and abs(begun - onset) * fps <= SAME_ONSET:
             return clip.name, row, values
-    raise NoTruth(f"{folder} has no estimate of a run of contact that begins at {onset:.2f} s, where it truly does.")
+    runs = " ".join(f"Contact from {begun:.2f} s: {said}" for begun, said in zip(onsets, found, strict=True))
+    raise NoTruth(
+        f"{folder} has no estimate of a run of contact that begins at {onset:.2f} s, where it truly does. "
+        f"{runs or 'No contact was found.'}"
+    )
 
 
 def table_of(name: str, row: Mapping[str, str], truth: Mapping[str, float]) -> Table:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import os
 import re
 import sys
@@ -33,7 +32,7 @@ from evaluation.page import render_page
 from evaluation.tables import to_cell
 from models.onnx_session import ModelFileError
 from physics.doors import INTERRUPTED, interruptible, plain
-from physics.files import read_file, replacing
+from physics.files import as_json, read_file, replacing
 from physics.ownership import replacing_own, require_own
 from physics.provenance import code_digest
 from results.store import OutputError, writing
@@ -82,6 +81,11 @@ class Experiment(Protocol):
     refused: ClassVar[tuple[type[Exception], ...]]
     """What else ends it with a sentence."""
 
+    @property
+    def writes(self) -> Sequence[str]:
+        """Names of files that are known before the work, where no user's file may be."""
+        ...
+
     def record(self) -> Mapping[str, Any]:
         """What results depend on, as `Store` takes it."""
         ...
@@ -110,6 +114,8 @@ def run(kind: type[Any], arguments: Sequence[str] | None, program: str, document
     experiment: Experiment = options(kind, arguments, program, documentation)
     console, refused = Console(stderr=True), REFUSED + kind.refused
     try:
+        with writing(experiment.output):
+            require_own(*(experiment.output / name for name in experiment.writes))
         store = Store(experiment.output, experiment.record(), experiment.keys)
     except refused as error:
         say(console, str(error), "red")
@@ -140,7 +146,7 @@ def run(kind: type[Any], arguments: Sequence[str] | None, program: str, document
         say(console, str(error), "red")
         return 1
     for frame in report.shown:
-        show(frame, console)
+        show(frame)
     for text, style in report.said:
         say(console, text, style)
     say(console, f"written: {experiment.output}/{', '.join(names)}")
@@ -165,7 +171,7 @@ def options(kind: type[Any], arguments: Sequence[str] | None, program: str, docu
         parser.error("an option is empty, as of an unset variable of the shell; give its value or leave it out.")
     parsed = parser.parse_args(_spelt(kind, given))
     try:
-        return kind(**{each.name: parsed[each.name] for each in fields(kind)})
+        return kind(**{each.name: parsed[each.name] for each in fields(kind) if each.init})
     except ValueError as error:
         parser.error(str(error))
 
@@ -214,7 +220,7 @@ def _spelt(kind: type[Any], arguments: Sequence[str]) -> list[str]:
             several[latest].append(argument)
         else:
             found.append(argument)
-    return found + [f"--{name}={json.dumps(values)}" for name, values in several.items()]
+    return found + [f"--{name}={as_json(values)}" for name, values in several.items()]
 
 
 class Store:
@@ -236,7 +242,7 @@ class Store:
             if output.exists() and not output.is_dir():
                 raise OutputError(f"{output}: is a file; give a folder as --output.")
             output.mkdir(parents=True, exist_ok=True)
-        code, wanted = code_digest(), json.loads(json.dumps({"format": FORMAT_VERSION, **wanted}))
+        code, wanted = code_digest(), json.loads(as_json({"format": FORMAT_VERSION, **wanted}))
         recorded = self._recorded()
         for name, value in wanted.items():
             if recorded.get(name, value) != value:
@@ -253,11 +259,11 @@ class Store:
         self.outdated = bool(self.rows) and recorded.get("code", code) != code
         """Whether earlier results come from another version of the program."""
         with writing(output), replacing(output / RECORD) as partial:
-            partial.write_text(json.dumps({"code": code, **recorded, **wanted}, indent=2) + "\n", encoding="utf-8")
+            partial.write_text(as_json({"code": code, **recorded, **wanted}, indent=2) + "\n", encoding="utf-8")
 
     def append(self, rows: Iterable[Row]) -> None:
         """Keep rows, each in place of one of the same key; they are on disk when this returns."""
-        lines = [json.dumps({name: _plain(value) for name, value in row.items()}, allow_nan=False) for row in rows]
+        lines = [as_json(row) for row in rows]
         with writing(self.output), self._results.open("a", encoding="utf-8") as file:
             file.write("".join(f"{line}\n" for line in lines))
             file.flush()
@@ -277,15 +283,6 @@ class Store:
         if not isinstance(record, dict) or not {"code", "format"} <= set(record):
             raise OutputError(f"{path}: belongs to something else; choose another --output.")
         return record
-
-
-def _plain(value: Any) -> Any:
-    """A value for JSON, which has no word for what isn't finite: that is null."""
-    if isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
-    if isinstance(value, list):
-        return [_plain(each) for each in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _parsed(line: str | bytes, keys: tuple[str, ...]) -> tuple[tuple, Row]:
@@ -350,12 +347,13 @@ def csv_of(frame: pd.DataFrame) -> str:
     return frame.map(lambda value: to_cell(value, ".6g")).to_csv(index=False, lineterminator="\n")
 
 
-def show(frame: pd.DataFrame, console: Console) -> None:
+def show(frame: pd.DataFrame) -> None:
     """Print a table."""
+    console = Console()
     table = Table(*map(str, frame.columns))
     for row in frame.itertuples(index=False):
         table.add_row(*(Text(plain(to_cell(cell, ".3g"))) for cell in row))
-    Console(stderr=True, width=None if console.is_terminal else TABLE_WIDTH).print(table)
+    Console(width=None if console.is_terminal else TABLE_WIDTH).print(table)
 
 
 def attempted(work: Callable[[], Row]) -> Row:

@@ -20,7 +20,7 @@ import onnxruntime
 
 from models.calibration import Widths
 from physics.fields import fits
-from physics.files import read_file
+from physics.files import as_json, read_file
 
 SHIPPED = Path(__file__).resolve().parent / "weights" / "contact.onnx"
 """The contact posterior that comes with the program; its card lies beside it."""
@@ -160,7 +160,7 @@ class PosteriorModel(ExportedModel):
             raise ModelFileError(
                 f"{self.path} gives its verdicts by standard deviations, as an earlier version did; export it again."
             )
-        plain = json.loads(json.dumps(asdict(Widths())))
+        plain = json.loads(as_json(asdict(Widths())))
         self.calibrated = plain | told != plain
         """Whether its standard deviations are more than the network's own."""
 

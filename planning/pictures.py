@@ -3,28 +3,71 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from planning.press import PressCurve
-from planning.roadmap import Plan
+from planning.roadmap import MILLI, Plan
 from planning.scene import Placed, PlanScene
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+SAMPLES = 400
+"""Of a way, beside the places where a simulated force is known."""
+ROUNDING = 1e-9
+"""Of places on a way [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pressed:
+    """A press on the way."""
+
+    kind: str
+    """Name of the tissue."""
+    piece: Placed
+    height: float
+    """Of the plane over the block's foot [m]."""
+    curve: PressCurve
+    """Simulated."""
+    begin: float
+    """Where on the whole way the tip touches [m]."""
+    length: float
+    """How far it presses [m]."""
+
+
+def force_along(presses: Sequence[Pressed], way: float) -> tuple[np.ndarray, np.ndarray]:
+    """Force that the tip presses with along its line; 0 where it touches nothing, and once the tissue has let it by.
+
+    Args:
+        presses: of one way.
+        way: its length [m].
+
+    Returns:
+        How far the tip has gone [m], rising, and the force [N], shapes [S].
+    """
+    known = [each.begin + np.append(each.curve.lengths, each.length) for each in presses]
+    gone = np.unique(np.clip(np.concatenate([np.linspace(0, way, SAMPLES), *known]), 0, way)).astype(float)
+    force = np.zeros(len(gone))
+    for each in presses:
+        pressed = gone - each.begin
+        let_by = min(each.length, each.curve.lengths[-1]) + ROUNDING
+        force += np.where(pressed <= let_by, np.interp(pressed, each.curve.lengths, each.curve.force), 0)
+    return gone, force
+
 
 def draw_plan(
-    scene: PlanScene, plan: Plan, direct: Plan, presses: Sequence[tuple[str, PressCurve, Placed, float]]
+    scene: PlanScene, plan: Plan, direct: Plan, presses: Sequence[Pressed], direct_presses: Sequence[Pressed]
 ) -> Figure:
-    """A figure: the plane with both ways and the tissue pushed aside along the plan's, and the forces over its presses.
+    """A figure: the plane with both ways and the tissue pushed aside along the plan's, and the forces along both.
 
     Args:
         scene: as read.
         plan: what was found.
         direct: the shortest way.
-        presses: of the plan: label, simulated curve, the piece, and the height of the plane over its foot [m].
+        presses, direct_presses: of either.
     """
     from matplotlib.figure import Figure
     from matplotlib.patches import Circle, Polygon
@@ -33,26 +76,29 @@ def draw_plan(
     axes, forces = figure.subplots(1, 2, width_ratios=[3, 2])
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     for piece, colour in [(piece, "mistyrose") for _, piece in scene.tissue] + [(p, "0.4") for p in scene.obstacles]:
-        outline = 1000 * piece.outside_frame(corners * piece.half)
+        outline = MILLI * piece.outside_frame(corners * piece.half)
         axes.add_patch(Polygon(outline, facecolor=colour, edgecolor="indianred"))
-    for label, curve, piece, height in presses:
-        moved = curve.skin.vertices + curve.displacement
+    for each in presses:
+        moved = each.curve.skin.vertices + each.curve.displacement
         # Only what lies around the plane shows in it.
-        near = np.abs(curve.skin.vertices[:, 2] - height) < 0.0015
-        place = 1000 * piece.outside_frame(moved[near, :2])
-        axes.scatter(*place.T, s=4, color="firebrick", label=f"{label} pushed aside")
-        forces.plot(1000 * curve.lengths, curve.force, marker="o", markersize=3, label=label)
-    axes.plot(*(1000 * direct.places.T), "--", color="0.3", label=f"shortest: {direct.cost:.1f}")
-    axes.plot(*(1000 * plan.places.T), "-o", color="navy", markersize=3, label=f"planned: {plan.cost:.1f}")
+        near = np.abs(each.curve.skin.vertices[:, 2] - each.height) < 0.0015
+        place = MILLI * each.piece.outside_frame(moved[near, :2])
+        axes.scatter(*place.T, s=4, color="firebrick", label=f"{each.kind} pushed aside")
+    for name, found, felt, style in (
+        ("planned", plan, presses, {"color": "navy", "marker": "o", "markersize": 3}),
+        ("shortest", direct, direct_presses, {"color": "0.3", "linestyle": "--"}),
+    ):
+        axes.plot(*(MILLI * found.places.T), label=f"{name}: cost {found.cost:.1f}", **style)
+        gone, force = force_along(felt, found.way / MILLI)
+        peak = f"up to {force.max():.2f} N" if felt else "touches nothing, 0 N"
+        forces.plot(MILLI * gone, force, label=f"{name}: {peak}", **style | {"marker": ""})
     for place in (scene.start, scene.goal):
-        axes.add_patch(Circle(tuple(1000 * place), 1000 * scene.tip_radius, fill=False, color="navy"))
-    low, high = 1000 * scene.area
+        axes.add_patch(Circle(tuple(MILLI * place), MILLI * scene.tip_radius, fill=False, color="navy"))
+    low, high = MILLI * scene.area
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xlabel="x [mm]", ylabel="y [mm]")
     axes.set_title(f"α = {scene.alpha:g}: deformation {plan.deformation:.2f} mJ, way {plan.way:.1f} mm")
     axes.legend(fontsize=8, loc="upper left")
-    forces.set(xlabel="pressed [mm]", ylabel="force of the tip [N]", title="along the planned way")
-    if presses:
-        forces.legend(fontsize=8)
-    else:
-        forces.text(0.5, 0.5, "it touches nothing", ha="center", transform=forces.transAxes)
+    forces.set(xlabel="distance along the way [mm]", ylabel="force of the tip [N]", title="Force along both ways")
+    forces.set_ylim(top=1.25 * forces.get_ylim()[1])  # room for the legend
+    forces.legend(fontsize=8, loc="upper left")
     return figure

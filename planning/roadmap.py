@@ -1,7 +1,10 @@
 """A probabilistic road map over places of the tip, and the cheapest way through it.
 
-Kavraki 1996 and A* (Hart 1968), with the cost of Frank 2010's equation 5, α·deformation + (1 - α)·way; the way that is
-left in a straight line is the heuristic. Afterwards places are left out as long as that is cheaper.
+Kavraki 1996 and A* (Hart 1968), with the cost of Frank 2010's equation 5, α·deformation + (1 - α)·way. Of ways that
+cost the same the shorter is taken, since at α = 1 all that touch nothing cost 0: a price is the pair of cost and way,
+added component by component and compared in this order. The price of the straight line that is left, were it free, is
+A*'s heuristic; it is consistent in this order, so that the way found is the best of the map. Afterwards places are left
+out as long as that lowers the price.
 """
 
 from __future__ import annotations
@@ -18,6 +21,11 @@ from planning.scene import Placed, PlanScene
 
 NODES, NEIGHBOURS = 300, 10
 MILLI = 1000.0
+DIGITS = 9
+"""To which the deformation by a line is rounded [mJ], so that errors of rounding in the table decide no tie."""
+
+Price = tuple[float, float]
+"""Cost and way [mm] of a line or of a whole way; compared as tuples are."""
 
 
 class Blocked(ValueError):
@@ -37,6 +45,11 @@ class Plan:
     cost: float
     """α·deformation + (1 - α)·way."""
 
+    @property
+    def price(self) -> Price:
+        """What ways are compared by."""
+        return self.cost, self.way
+
 
 @dataclass(frozen=True, eq=False)
 class Presses:
@@ -50,6 +63,8 @@ class Presses:
     """Where the tissue is touched, in the block's frame, shape [M, 2] [m]."""
     angles: np.ndarray
     """Of the ways there, shape [M] [rad]."""
+    reached: np.ndarray
+    """How far along its line each touches, shape [M] [m]."""
     lengths: np.ndarray
     """How far each presses, shape [M] [m]."""
 
@@ -69,7 +84,8 @@ class EdgeCosts:
             total[np.isfinite(obstacle.met(starts, ends, self.scene.tip_radius))] = np.inf
         for found in self.presses(starts, ends):
             self.crossings += len(found.lines)
-            total[found.lines] += MILLI * self.tables[found.kind].cost(found.places, found.angles, found.lengths)
+            work = MILLI * self.tables[found.kind].cost(found.places, found.angles, found.lengths)
+            total[found.lines] += np.round(work, DIGITS)
         return total
 
     def presses(self, starts: np.ndarray, ends: np.ndarray) -> Iterator[Presses]:
@@ -84,12 +100,14 @@ class EdgeCosts:
             if not len(which):
                 continue
             way = (ends[which] - starts[which]) / lengths[which, None]
-            tip = piece.inside_frame(starts[which] + gone[which, None] * way)
+            reached = gone[which]
+            tip = piece.inside_frame(starts[which] + reached[:, None] * way)
             place = np.clip(tip, -np.array(piece.half), piece.half)
             turn = np.arctan2(way[:, 1], way[:, 0]) - np.radians(piece.degrees)
             through = piece.clearance(ends[which]) >= self.scene.tip_radius
             longest = self.tables[kind].lengths[-1]
-            yield Presses(kind, piece, which, place, turn, np.where(through, longest, lengths[which] - gone[which]))
+            pressed = np.where(through, longest, lengths[which] - reached)
+            yield Presses(kind, piece, which, place, turn, reached, pressed)
 
     def plan(self, places: np.ndarray) -> Plan:
         """What a way costs, its places [P, 2] given."""
@@ -106,7 +124,7 @@ def _weighed(alpha: float, deformation: np.ndarray, way: np.ndarray) -> np.ndarr
 
 
 def find_plan(costs: EdgeCosts, seed: int = 0, nodes: int = NODES) -> Plan:
-    """The cheapest way found.
+    """The cheapest way found, of equally cheap ones the shortest.
 
     Args:
         costs: of the scene's lines.
@@ -137,21 +155,26 @@ def find_plan(costs: EdgeCosts, seed: int = 0, nodes: int = NODES) -> Plan:
     starts, ends = np.take(places, one, axis=0), np.take(places, two, axis=0)
     way = MILLI * np.linalg.norm(ends - starts, axis=1)
     cost = _weighed(scene.alpha, costs.deformation(starts, ends), way)
-    edges: list[list[tuple[int, float]]] = [[] for _ in places]
-    for first, last, price in zip(one.tolist(), two.tolist(), cost.tolist(), strict=True):
-        if np.isfinite(price):
-            edges[first].append((last, price))
-            edges[last].append((first, price))
-    left = (1 - scene.alpha) * MILLI * np.linalg.norm(places - scene.goal, axis=1)
-    chain = _shortest(edges, left.tolist())
+    edges: list[list[tuple[int, Price]]] = [[] for _ in places]
+    for first, last, *price in zip(one.tolist(), two.tolist(), cost.tolist(), way.tolist(), strict=True):
+        if np.isfinite(price[0]):
+            edges[first].append((last, (price[0], price[1])))
+            edges[last].append((first, (price[0], price[1])))
+    straight = MILLI * np.linalg.norm(places - scene.goal, axis=1)
+    chain = _shortest(edges, [((1 - scene.alpha) * each, each) for each in straight.tolist()])
     if chain is None:
         raise Blocked("the goal can't be reached: obstacles close every way to it; move it or open one.")
     return _shortened(costs, places[chain])
 
 
-def _shortest(edges: list[list[tuple[int, float]]], left: list[float]) -> list[int] | None:
-    """A* from node 0 to node 1; None = there is no way."""
-    best, before = {0: 0.0}, {0: 0}
+def _shortest(edges: list[list[tuple[int, Price]]], left: list[Price]) -> list[int] | None:
+    """A* from node 0 to node 1; None = there is no way.
+
+    Args:
+        edges: of every node, where each leads and its price.
+        left: of every node, a lower bound on the price from there on that is consistent.
+    """
+    best, before = {0: (0.0, 0.0)}, {0: 0}
     waiting = [(left[0], 0)]
     done: set[int] = set()
     while waiting:
@@ -165,20 +188,24 @@ def _shortest(edges: list[list[tuple[int, float]]], left: list[float]) -> list[i
             continue
         done.add(node)
         for other, price in edges[node]:
-            total = best[node] + price
-            if total < best.get(other, np.inf):
+            total = _sum(best[node], price)
+            if other not in best or total < best[other]:
                 best[other], before[other] = total, node
-                heapq.heappush(waiting, (total + left[other], other))
+                heapq.heappush(waiting, (_sum(total, left[other]), other))
     return None
 
 
+def _sum(one: Price, two: Price) -> Price:
+    return one[0] + two[0], one[1] + two[1]
+
+
 def _shortened(costs: EdgeCosts, places: np.ndarray) -> Plan:
-    """The way with places left out where that is cheaper."""
+    """The way with places left out where that lowers the price."""
     found = costs.plan(places)
     while len(found.places) > 2:
         others = [costs.plan(np.delete(found.places, i, axis=0)) for i in range(1, len(found.places) - 1)]
-        better = min(others, key=lambda plan: plan.cost)
-        if not better.cost < found.cost:
+        better = min(others, key=lambda plan: plan.price)
+        if not better.price < found.price:
             break
         found = better
     return found

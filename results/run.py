@@ -59,6 +59,8 @@ WORDS = {
 """Settings and the options that they are on the command line, for messages."""
 MAPPING = ("direct", "network")
 """Estimators that may tell where gripped tissue is stiffer when a run of contact has ended."""
+MOST_REASONS = 3
+"""Why runs of contact have no estimate: as many reasons are said; interactions.csv has all."""
 DONE, UP_TO_DATE, FAILED = "done", "up to date", "failed"
 
 
@@ -168,6 +170,8 @@ class Batch:
         )
         for warning in [*record["warnings"], *told]:
             say(self.console, f"{source.name}: {warning}")
+        for reason, count in results.unexplained.most_common(MOST_REASONS):
+            say(self.console, f"{source.name}: no estimate of {count} of {results.counts.total()} contacts: {reason}")
         return Outcome(source.name, DONE, str(folder), counts_of(record))
 
     def clips(self) -> tuple[list[Path], list[Outcome]]:

@@ -34,6 +34,7 @@ DOORS = {
     "evaluation.palpation.frank": ["-m", "evaluation.palpation.frank"],
     "evaluation.paper.readings": ["-m", "evaluation.paper.readings"],
     "evaluation.paper.recovered": ["-m", "evaluation.paper.recovered"],
+    "evaluation.model_errors": ["-m", "evaluation.model_errors"],
     "evaluation.real.__main__": ["-m", "evaluation.real"],
     "benchmarks.automatic_masks": ["-m", "benchmarks.automatic_masks"],
     "benchmarks.fem": ["-m", "benchmarks.fem"],

@@ -36,6 +36,8 @@ def test_a_plan_is_written_and_the_cache_used_by_another_scene(
     assert first["plan"]["cost"] < first["shortest"]["cost"]
     assert second["plan"]["places"] == second["shortest"]["places"] == [[0.03, -0.03], [0.025, 0.04]]
     assert (tmp_path / "a" / "plan.png").stat().st_size > 10_000
+    # The straight way presses 20 mm, 1 N a metre.
+    assert (first["plan"]["largest_force"], first["shortest"]["largest_force"]) == (0, pytest.approx(0.02))
 
 
 @pytest.mark.parametrize("option", ["--output", "--cache"])

@@ -12,7 +12,7 @@ from physics.pbd.stiffness import Stiffness
 
 @dataclass(frozen=True)
 class Bounds:
-    """Largest stiffness of distances and shapes; the smallest is 0 (Liang 2024, section III-B).
+    """Largest stiffness of distances and shapes; the smallest is 0 (Liang 2024, section III-B, whose own are `PAPER`).
 
     Raises:
         ValueError: a bound that is not positive.
@@ -20,7 +20,7 @@ class Bounds:
 
     distance: float = 10.0
     """[N/m], where m/Δt² is 1."""
-    shape: float = 0.02
+    shape: float = 10.0
     """Likewise."""
 
     def __post_init__(self) -> None:
@@ -58,3 +58,7 @@ class Bounds:
                 slopes.shape * fields.shape * (1 - fields.shape / self.shape),
             ]
         )
+
+
+PAPER = Bounds(distance=10.0, shape=0.02)
+"""Liang 2024, section III-B."""

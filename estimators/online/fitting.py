@@ -7,13 +7,13 @@ three are fitted to the frames that were seen, by simulation alone; stiffness pl
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 
-from estimators.grip.sheet_fit import length
+from estimators.grip.lattice import length
 from physics.load import Grip
 from physics.pbd.body import Body
 from physics.pbd.simulation import Stepping, simulate
@@ -24,7 +24,8 @@ TIME_STEPS = (1.0, 2.0, 4.0, 8.0)
 FOUNDATIONS = (0.0, 0.01, 0.03, 0.1, 0.3)
 """Over the stiffness of distances."""
 BENDINGS = (0.02, 0.3, 1.0)
-"""Stiffness of shapes, likewise: the paper's largest of both bounds is a five-hundredth."""
+"""Stiffness of shapes, likewise: the paper's largest of both bounds is a five-hundredth. Those that bounds allow are
+tried."""
 LEAST = 0.2
 """Frames whose points move less tell nothing [px]."""
 
@@ -63,6 +64,7 @@ def fit_motion(
     shown: Callable[[np.ndarray], np.ndarray],
     stepping: Stepping,
     stiffness: float,
+    bendings: Sequence[float] = BENDINGS,
 ) -> Fit | None:
     """Try every combination on the frames so far, from rest on; None where nothing moves in any.
 
@@ -73,6 +75,7 @@ def fit_motion(
         shown: gives that of states [T, N, 3].
         stepping: sweeps a step; its time step and foundation don't count.
         stiffness: of distances, the same everywhere.
+        bendings: stiffness of shapes over that, to choose from.
     """
     used = np.isfinite(seen[..., 0] + seen[..., 1])
     motion = np.array([length(frame[some]) if some.any() else 0 for frame, some in zip(seen, used, strict=True)])
@@ -80,7 +83,7 @@ def fit_motion(
     if len(telling) == 0:
         return None
     fits = []
-    for time_step, foundation, bending in product(TIME_STEPS, FOUNDATIONS, BENDINGS):
+    for time_step, foundation, bending in product(TIME_STEPS, FOUNDATIONS, bendings):
         fit = Fit(time_step, foundation, bending, np.nan)
         fields = uniform(body, stiffness, bending * stiffness)
         states = simulate(body, fields, grip, fit.stepping(stepping, stiffness)).positions[0, 1:]

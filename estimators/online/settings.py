@@ -71,13 +71,14 @@ class OnlineSettings:
     """Stiffness is known where an edge was once longer or shorter than at rest by more than this share."""
     fitted: int = 5
     """Time step, foundation and the stiffness of shapes are fitted to the first so many frames of a run, by simulation
-    alone; the values given here hold until then. 0 = they hold throughout."""
+    alone, within the bounds; the values given here hold until then. 0 = they hold throughout."""
     start: Start = field(default_factory=Start)
     """Stiffness to begin with."""
     method: Method = field(default_factory=Method)
     """Which parts of the step run, and how fast stiffness is changed."""
     bounds: Bounds = field(default_factory=Bounds)
-    """Largest stiffness."""
+    """Largest stiffness; where frames are fitted to, of shapes also at most as many times that of distances as is
+    chosen there."""
     stepping: Stepping = field(default_factory=Stepping)
     """How time steps are taken; a frame is one."""
     mapping: Mapping = field(default_factory=Mapping)

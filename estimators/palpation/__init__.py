@@ -10,7 +10,7 @@ registration depth points laid onto a surface (ICP)
 views       several depth views of a body as one surface
 bench       a body on which tools pressed, simulated, and where sensors' sights meet it
 material_fit Young's modulus and Poisson's ratio from forces and deformed surfaces
-descent     the same by the paper's numeric gradient, to compare with
+descent     the same by a numeric gradient after the paper's, to compare with
 scene       the file that names a surface and what was pressed on it
 """
 

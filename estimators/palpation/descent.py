@@ -1,4 +1,7 @@
-"""The parameter estimation of Frank 2010 (algorithm 1): ICP, then a step down the error's numeric gradient."""
+"""A descent after the parameter estimation of Frank 2010 (algorithm 1): ICP, then a step down the error's gradient.
+
+`docs/palpation.md` lists what differs from the paper's.
+"""
 
 from __future__ import annotations
 

@@ -3,8 +3,8 @@
 The residual is the distance of a measured point from the simulated surface along its line of sight, with what the tool
 hides masked. `fit_material` is Gauss–Newton with exact derivatives by (1/E, ν) and by the sensors' poses: between two
 simulations displacements are linear in the former, and points are matched anew as often as it takes. It begins at the
-linear law, by which displacements go with 1/E, so that it doesn't matter how far off the start is. The paper's own
-descent: `estimators/palpation/descent.py`.
+linear law, by which displacements go with 1/E, so that it doesn't matter how far off the start is. A descent
+after the paper's: `estimators/palpation/descent.py`.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ METHODS = ("PBD", BATCH, "PBD-RM", "PBD-RM-ON")
 STARTS = {"k1": (5.0, 0.015), "k2": (1.0, 0.01), "k3": (0.2, 0.005)}
 """Stiffness of distances and shapes to begin with: the paper's (section III-B), shapes inside its own bound."""
 HORIZON = 10
-"""Frames ahead (section III-D)."""
+"""T, frames ahead (section III-D)."""
 OPTIMIZER = "gauss-newton"
 """Of PBD-RM-ON, where none is asked for."""
 LEVELS = tuple(0.5 * 2 ** (step / 2) for step in range(6))
@@ -35,7 +35,8 @@ class Case:
     """One method from one start; T frames, N particles, J frames from which is predicted."""
 
     chamfer: np.ndarray
-    """Chamfer distance of the state to the cloud, squared distances both ways as means, shape [T] [m²]."""
+    """Chamfer distance of the state to the cloud: the root of both ways' mean squared distances added, shape [T] [m].
+    Equation 4 adds squares up, and figure 5 has mm."""
     ahead: np.ndarray
     """Frames from which is predicted, shape [J]."""
     gap: np.ndarray
@@ -45,7 +46,8 @@ class Case:
     states: np.ndarray
     """States predicted so far ahead, shape [J, N, 3] [m]."""
     keypoint: np.ndarray
-    """Mean distance of keypoints to where they are predicted 1 to 10 frames ahead (equation 11), shape [J] [m]."""
+    """Mean distance of keypoints to where they are predicted, over 1 to 10 frames ahead, shape [J] [m]; equation 11 has
+    that of the tenth."""
     distance: np.ndarray
     """Stiffness of distances in these frames, shape [J, N]."""
     shape: np.ndarray
@@ -96,7 +98,7 @@ def run_case(
         begun = time.perf_counter()
         told = session.step(pull.places[frame], pull.matches(frame, match))
         spent.append(time.perf_counter() - begun)
-        chamfer.append(Chamfer(pull.clouds[frame], pull.seen).slope(told.positions)[0])
+        chamfer.append(np.sqrt(Chamfer(pull.clouds[frame], pull.seen).slope(told.positions)[0]))
         if frame % every == every - 1 and frame + HORIZON < frames:
             ahead.append(frame)
             states = session.ahead(pull.places[frame + 1 : frame + 1 + HORIZON])

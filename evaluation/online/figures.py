@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from matplotlib.figure import Figure
 
-from evaluation.online.compare import BATCH, METHODS, STARTS, Case
+from evaluation.online.compare import BATCH, HORIZON, METHODS, STARTS, Case
 from evaluation.online.sequences import Pull
 from evaluation.tables import to_markdown
 
@@ -16,6 +16,8 @@ Cases = Mapping[tuple[str, str, str], Case]
 COLOURS = dict(zip(METHODS, ("#6c757d", "#f4a261", "#2a9d8f", "#1d3557"), strict=True))
 SHOWN = ("k2", "k1", "k3")
 """Starts that are drawn, the first that was run: the paper draws k2."""
+INSTANTS = (40, 50)
+"""Frames from which figure 8 predicts, as the paper's; the last two that were predicted from, where these weren't."""
 
 
 def table(cases: Cases, sequences: list[str]) -> str:
@@ -54,11 +56,11 @@ def _over_time(cases: Cases, shown: Mapping[str, str], what: str, methods: tuple
             if case is None:
                 continue
             if what == "chamfer":
-                axes.plot(1 + np.arange(len(case.chamfer)), 1e6 * case.chamfer, color=COLOURS[method], label=method)
+                axes.plot(1 + np.arange(len(case.chamfer)), 1e3 * case.chamfer, color=COLOURS[method], label=method)
             else:
                 axes.plot(1 + case.ahead, 1e3 * case.gap, marker="o", ms=3, color=COLOURS[method], label=method)
         axes.set(xlabel="frame", title=f"{sequence}, {start}")
-        axes.set_ylabel("Chamfer distance [mm²]" if what == "chamfer" else "mean future gap ‖Δ‖ [mm]")
+        axes.set_ylabel("Chamfer distance [mm]" if what == "chamfer" else "mean future gap ‖Δ‖ [mm]")
         axes.set_ylim(bottom=0)
         axes.legend(fontsize=8)
     return figure
@@ -70,25 +72,32 @@ def _places(points: np.ndarray, pull: Pull) -> np.ndarray:
 
 
 def _gap_maps(cases: Cases, shown: Mapping[str, str], pulls: Mapping[str, Pull]) -> Figure:
-    """Ten frames ahead, from the middle of the sequence on."""
+    """Ten frames ahead from two instants, on one scale a sequence."""
     methods = [method for method in METHODS if method != BATCH]
-    figure = Figure(figsize=(3.2 * len(methods), 2.8 * len(shown)), dpi=100, layout="constrained")
-    grid, drawn = figure.subplots(len(shown), len(methods), squeeze=False), None
+    columns = [(number, method) for number in range(len(INSTANTS)) for method in methods]
+    figure = Figure(figsize=(2.6 * len(columns), 2.6 * len(shown)), dpi=100, layout="constrained")
+    grid = figure.subplots(len(shown), len(columns), squeeze=False)
     for row, (sequence, start) in zip(grid, shown.items(), strict=True):
-        own = [cases[sequence, start, m] for m in methods if (sequence, start, m) in cases]
-        most = 1e3 * max((float(case.gaps[len(case.gaps) // 2].max()) for case in own), default=1.0)
-        for axes, method in zip(row, methods, strict=True):
-            case = cases.get((sequence, start, method))
+        own = {m: cases[sequence, start, m] for m in methods if (sequence, start, m) in cases}
+        most = 1e3 * max((float(case.gaps[instants(case)].max()) for case in own.values()), default=1.0)
+        drawn = None
+        for axes, (number, method) in zip(row, columns, strict=True):
             axes.set(aspect="equal", xticks=[], yticks=[])
-            if case is None:
+            if method not in own or number >= len(instants(own[method])):
                 continue
-            middle = len(case.gaps) // 2
-            told = {"c": 1e3 * case.gaps[middle][pulls[sequence].seen], "cmap": "viridis", "vmin": 0, "vmax": most}
-            drawn = axes.scatter(*_places(case.states[middle], pulls[sequence]).T, s=30, **told)
-            axes.set_title(f"{sequence}, {start}\n{method}, t = {1 + case.ahead[middle]} + 10", fontsize=9)
-        if drawn is not None and own:
+            case, at = own[method], instants(own[method])[number]
+            told = {"c": 1e3 * case.gaps[at][pulls[sequence].seen], "cmap": "viridis", "vmin": 0, "vmax": most}
+            drawn = axes.scatter(*_places(case.states[at], pulls[sequence]).T, s=18, **told)
+            axes.set_title(f"{sequence}, {start}\n{method}, t = {1 + case.ahead[at]} + {HORIZON}", fontsize=9)
+        if drawn is not None:
             figure.colorbar(drawn, ax=row, shrink=0.8, label="‖Δ‖ of a particle [mm]")
     return figure
+
+
+def instants(case: Case) -> list[int]:
+    """Which of a case's predictions figure 8 shows, in time."""
+    chosen = np.flatnonzero(np.isin(1 + case.ahead, INSTANTS)).tolist()
+    return chosen if len(chosen) == len(INSTANTS) else list(range(len(case.ahead)))[-len(INSTANTS) :]
 
 
 def _fields(cases: Cases, shown: Mapping[str, str], pulls: Mapping[str, Pull]) -> Figure:

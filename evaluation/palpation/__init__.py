@@ -4,7 +4,7 @@ probing     force at probes that were left out
 relaxation  the second half of a hold
 grasping    objects grasped several times, and whether they rank as their names say
 synthetic   palpations of bodies with known truth; frank: the paper's experiments on them, a door of its own
-descents    the paper's numeric descent beside Gauss–Newton, in solves
+descents    a numeric descent after the paper's beside Gauss–Newton, in solves
 design      what such palpations can tell at best
 __main__    the door of the rest
 """

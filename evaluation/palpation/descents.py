@@ -1,4 +1,4 @@
-"""How many solves the numeric descent of Frank 2010 (algorithm 1) takes where Gauss–Newton takes a few.
+"""How many solves a numeric descent after Frank 2010 (algorithm 1) takes where Gauss–Newton takes a few.
 
     python -m evaluation.palpation.descents --output OUT [--body ball|slab]
 

@@ -3,7 +3,7 @@
     python -m evaluation.palpation.frank --output OUT [--body ball|slab] [--quick]
 
 A ball and a slab of neo-Hookean tissue on a finer mesh are pressed and seen from one side by two sensors; E and ν are
-fitted by the co-rotational law, from starts a factor of thirty off (by the paper's numeric descent: `descents`). Writes
+fitted by the co-rotational law, from starts a factor of thirty off (by a numeric descent: `descents`). Writes
 table.csv (file, measure, value) and the paper's figures: error_mask.png (4), six_forces.png (5) and error_surface.png
 (the error over E and ν).
 """

@@ -20,13 +20,13 @@ from physics.mechanics import PARAMETERS, REFERENCE_DAMPING, REFERENCE_STIFFNESS
 
 Record = Mapping[str, Any]
 
-REFERENCE, PREDICTED, CONSTANT = "reference θ", "predicted θ", "constant θ"
+REFERENCE, PREDICTED, CONSTANT, NO_MOTION = "reference θ", "predicted θ", "constant θ", "no motion"
 REGIMES = {
     REFERENCE: "error_reference",
     PREDICTED: "error_predicted",
     CONSTANT: "error_constant",
     "mean of predicted θ": "error_mean_theta",
-    "no motion": "error_no_motion",
+    NO_MOTION: "error_no_motion",
 }
 """What was simulated, in the order of tables, and its column in the table of frames."""
 MEASURED = [
@@ -147,12 +147,12 @@ def analyse(
         summaries={name: summarise(values, clips) for name, values in errors.items()},
         comparisons=comparisons,
         depth=depth,
-        settling=pd.concat(settling, names=["simulation"]).reset_index("simulation"),
+        settling=pd.concat(settling, names=["simulation"]).reset_index("simulation").reset_index(drop=True),
         motion=pd.DataFrame.from_dict(motion, orient="index"),
         spread=spread,
         constant=constant,
         training_error=training_error,
-        conclusion=conclude(spread, comparisons[CONSTANT], comparisons[REFERENCE], len(observed)),
+        conclusion=conclude(spread, comparisons[CONSTANT], comparisons[REFERENCE]),
         sentences=(
             *(describe(found, "The predicted θ", name) for name, found in comparisons.items()),
             describe(depth["comparison"], "The decoder's next depth map", "repeating the last frame"),

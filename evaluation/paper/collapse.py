@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from evaluation.paper.statistics import MINIMUM_FOR_WILCOXON, Statistics, format_number, judge
+from evaluation.paper.statistics import MINIMUM_FOR_WILCOXON, SIGNIFICANCE, Statistics, format_number, judge
 from physics.mechanics import PARAMETERS, Bounds
 
 MINIMUM_SPREAD = 0.02
@@ -63,38 +63,40 @@ def spread_of(frames: pd.DataFrame, bounds: Bounds, contacts: int) -> pd.DataFra
 
 def describe_spread(spread: pd.DataFrame) -> str:
     """The verdict on the spread of all three parameters, in one sentence."""
+    widths = ", ".join(f"{name} {format_number(100 * share)} %" for name, share in spread["sd_of_range"].items())
+    grounds = f"(SD in % of the admissible range: {widths}; a constant predictor has 0)."
+    if (spread["verdict"] == "n too small").any():
+        return f"Undetermined, n too small: whether the estimates vary or have collapsed to a constant {grounds}"
     constant = spread.index[spread["verdict"] == "constant"]
     verdict = ("Varies", "Partly collapsed", "Partly collapsed", "Collapsed")[len(constant)]
-    if (spread["verdict"] == "n too small").any():
-        verdict = "Undetermined, n too small"
-    widths = ", ".join(f"{name} {format_number(100 * share)} %" for name, share in spread["sd_of_range"].items())
-    return (
-        f"{verdict}; practically constant over the test frames: {' and '.join(constant) or 'none'} (SD in % of the "
-        f"admissible range: {widths}; a constant predictor has 0)."
-    )
+    return f"{verdict}; practically constant over the test frames: {' and '.join(constant) or 'none'} {grounds}"
 
 
-def conclude(spread: pd.DataFrame, constant: Statistics, reference: Statistics, contacts: int) -> str:
+def conclude(spread: pd.DataFrame, constant: Statistics, reference: Statistics) -> str:
     """The evaluation's conclusion, from the spread and from the comparisons with two baselines.
 
     Args:
         spread: from `spread_of`.
         constant, reference: comparisons with the constant θ and with the literature constants.
-        contacts: different observed motions behind the test frames. Frames of one contact share their observation, so
-            many frames of a few contacts prove no more than these contacts.
     """
     verdict = judge(constant)
-    if verdict == "untested" or (verdict == "better" and contacts < MINIMUM_FOR_WILCOXON):
+    clips, rival = int(constant["clips"].value), "the constant θ fitted on the training contacts"
+    if not clips:
+        lead = f"No conclusion: on no test frame can the estimates be compared with {rival}"
+    elif clips < MINIMUM_FOR_WILCOXON:
         lead = (
-            "No conclusion: n too small to compare with the constant θ fitted on the training contacts (frames: "
-            f"{constant['n']}, observed contacts: {contacts}, {MINIMUM_FOR_WILCOXON} of each needed)"
+            f"{'One clip' if clips == 1 else f'{clips} clips'}: too few to judge whether the estimates beat {rival}. "
+            f"With fewer than {MINIMUM_FOR_WILCOXON} clips no two-sided signed-rank test over clips can fall below "
+            f"p = {SIGNIFICANCE:g}, and frames of one clip are not independent"
         )
+    elif verdict == "too few to judge":
+        lead = f"Too few frames to judge whether the estimates beat {rival}: {constant['wilcoxon_w']}"
     elif verdict == "better":
-        lead = "The estimates beat the constant θ fitted on the training contacts"
+        lead = f"The estimates beat {rival}"
         if not constant["difference_clip_interval"].low > 0:
             lead += ", with frames taken as independent; resampled clips do not confirm it"
     else:
-        lead = "No success: the estimates do not beat the constant θ fitted on the training contacts"
+        lead = f"No success: the estimates do not beat {rival}"
         if judge(reference) == "better":
             lead += "; they beat only the literature constants, and that is not success"
     return f"{lead}. {describe_spread(spread)}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
@@ -12,11 +13,12 @@ import torch
 
 from data.contact.interaction import Interaction
 from evaluation.page import as_png, render_page
-from evaluation.paper.analysis import Evaluation, EvaluationError, Record, analyse
+from evaluation.paper.analysis import NO_MOTION, Evaluation, EvaluationError, Record, analyse
 from evaluation.paper.collapse import as_told
 from evaluation.paper.figures import draw_response, draw_theta
-from evaluation.paper.statistics import Statistics, format_number
+from evaluation.paper.statistics import MINIMUM_FOR_WILCOXON, SIGNIFICANCE, Statistics, format_number
 from evaluation.tables import to_markdown
+from physics.files import as_json
 from physics.mechanics import PARAMETERS, Bounds, Mechanics
 from physics.ownership import ForeignFile, replacing_own
 from results.record import versions
@@ -58,6 +60,8 @@ UNITS = {
     "depth_error": "scene units",
     "time": "s",
 }
+ESTIMATES = ("mean", "SD", "lowest", "highest", "lower bound", "upper bound")
+"""Columns of the first table of estimates."""
 TITLE = "Evaluation of the estimated tissue parameters"
 
 
@@ -89,7 +93,8 @@ def write_evaluation(
         "figure3.png": as_png(draw_response(found.trajectories, found.frames["release_s"].to_numpy(), mechanics)),
         "theta.png": as_png(draw_theta(found.frames, found.spread, as_told(found.constant, bounds))),
     }
-    told = f"> {found.conclusion}\n\n" + "".join(f"- {sentence}\n" for sentence in found.sentences)
+    conclusion, listed = f"> {found.conclusion}\n", "".join(f"- {sentence}\n" for sentence in found.sentences)
+    told = f"{conclusion}\n{listed}"
     texts = {
         "table2.md": "\n".join(("# Simulation error\n", told, tables["errors"], tables["tests"], tables["motion"])),
         "table2.csv": statistics_table(found).to_csv(index=False),
@@ -97,7 +102,7 @@ def write_evaluation(
         "collapse.csv": found.spread.to_csv(index_label="parameter"),
         "settling.csv": found.settling.to_csv(index=False),
         "per_frame.csv": found.frames.to_csv(index=False),
-        "report.html": render_page(TITLE, page_text(told, tables, mechanics, bounds, made), figures),
+        "report.html": render_page(TITLE, page_text(conclusion, listed, tables, mechanics, bounds, made), figures),
         "evaluation.json": evaluation_json(found, mechanics, bounds, made),
     }
     try:
@@ -122,6 +127,17 @@ def _table(title: str, table: pd.DataFrame, *notes: str) -> str:
     return f"### {title}\n\n{to_markdown(['', *table.columns], rows)}\n\n{listed}"
 
 
+def _amounts(found: Evaluation) -> str:
+    """How much was tested."""
+    frames, clips = len(found.frames), found.frames["clip"].nunique()
+    return f"{frames} test frame{'s' * (frames != 1)} of {clips} clip{'s' * (clips != 1)}"
+
+
+def _shares(errors: Mapping[str, float]) -> dict[str, float]:
+    """Errors [%] of that of a simulation in which nothing moves; not a number where nothing did."""
+    return {name: 100 * error / (errors[NO_MOTION] or math.nan) for name, error in errors.items()}
+
+
 def _filled(lines: Mapping[str, str], columns: Mapping[str, Statistics]) -> pd.DataFrame:
     """Statistics for reading, a column each; a line is a label and a template."""
     cells = {name: [text.format(**found) for text in lines.values()] for name, found in columns.items()}
@@ -134,7 +150,17 @@ def reading_tables(found: Evaluation, contacts: int) -> dict[str, str]:
         "mean error on these contacts [scene units²]": found.training_error
     }
     depth = {label: found.depth[name] for name, label in DEPTH_COLUMNS.items()}
+    errors = {name: summary["mean"].value for name, summary in found.summaries.items()}
+    estimates = found.spread[["mean", "sd", "minimum", "maximum", "low", "high"]].set_axis(ESTIMATES, axis="columns")
     return {
+        "fit": _table(
+            f"How well simulations follow the observed motion ({_amounts(found)})",
+            pd.DataFrame({"mean squared error [scene units²]": errors, "of that without motion [%]": _shares(errors)}),
+            "θ: stiffness k_s, damping k_d and force F. Predicted: estimated from the pictures, frame by frame. The "
+            "others are what it is compared with: reference, the literature's k_s and k_d; constant, one θ for all, "
+            "fitted on the training clips; the mean of all predictions; and tissue that does not move at all.",
+        ),
+        "estimates": _table(f"What was estimated, in normalised units ({_amounts(found)})", estimates),
         "errors": _table(
             "Table 2: simulation error, mean squared displacement error (MSE) [scene units²]",
             _filled(ERRORS, found.summaries),
@@ -146,7 +172,8 @@ def reading_tables(found: Evaluation, contacts: int) -> dict[str, str]:
             "Paired comparison of the predicted θ with its baselines",
             _filled(COMPARISONS, {f"vs {name}": comparison for name, comparison in found.comparisons.items()}),
             "Difference = baseline − predicted: positive values mean that the predicted θ has the lower error.",
-            "Better, worse: the mean error is lower or higher and Wilcoxon's p below 0.05.",
+            f"Better, worse: the mean error is lower or higher and Wilcoxon's p below {SIGNIFICANCE:g}; too few to "
+            f"judge with fewer than {MINIMUM_FOR_WILCOXON} clips.",
             "Cohen's d is the paired variant d_z = mean(difference)/SD(difference) = t/√n, as the paper prints it.",
             "Tests and BCa intervals take frames as independent, and frames of one clip are not. 10,000 resamples.",
         ),
@@ -193,8 +220,10 @@ def statistics_table(found: Evaluation) -> pd.DataFrame:
     )
 
 
-def page_text(told: str, tables: Mapping[str, str], mechanics: Mechanics, bounds: Bounds, made: datetime) -> str:
-    """The page as Markdown."""
+def page_text(
+    conclusion: str, listed: str, tables: Mapping[str, str], mechanics: Mechanics, bounds: Bounds, made: datetime
+) -> str:
+    """The page as Markdown: the conclusion, what was found with its figures, then every comparison and its grounds."""
     box = "; ".join(f"{name} {getattr(bounds, name)[0]:g} … {getattr(bounds, name)[1]:g}" for name in PARAMETERS)
     return f"""# {TITLE}
 
@@ -202,25 +231,32 @@ palpate · {made:%Y-%m-%d %H:%M} UTC
 
 **Not a medical device.** For research only; no clinical decision may rest on these numbers.
 
-{told}
-## Simulation error
+{conclusion}
+## What was found
 
-{tables["errors"]}
-{tables["tests"]}
-## Dynamic response
+{tables["fit"]}
+{tables["estimates"]}
+![Stiffness, damping and force by test frame](theta.png)
+
+*Estimates by test frame. Left: within the admissible range, where an estimator that ignores the frames shows a flat
+line. Right: zoomed to the estimates.*
 
 ![Heat map and fan chart of relative displacement over time](figure3.png)
 
 *Figure 3. Displacement of the contact vertex simulated with the predicted θ, relative to the highest peak.
 (a) Every test frame, sorted by peak. (b) Median and percentiles over the test frames.*
 
+## In sentences
+
+{listed}
+## Simulation error
+
+{tables["errors"]}
+{tables["tests"]}
+## Dynamic response
+
 {tables["motion"]}
 ## Collapse check
-
-![Stiffness, damping and force by test frame](theta.png)
-
-*Estimates by test frame. Left: within the admissible range, where an estimator that ignores the frames shows a flat
-line. Right: zoomed to the estimates.*
 
 {tables["spread"]}
 {tables["constant"]}
@@ -263,4 +299,7 @@ def evaluation_json(found: Evaluation, mechanics: Mechanics, bounds: Bounds, mad
             group: {quantity: statistic._asdict() for quantity, statistic in statistics.items()}
             for group, statistics in getattr(found, name).items()
         }
-    return f"{pd.Series(content).to_json(force_ascii=False, double_precision=15)}\n"
+    for name, value in content.items():
+        if isinstance(value, pd.DataFrame):
+            content[name] = value.to_dict("index")
+    return as_json(content, ensure_ascii=False) + "\n"

@@ -21,8 +21,9 @@ CONFIDENCE = 0.95
 SIGNIFICANCE = 0.05
 MINIMUM_FOR_BCA = 5
 """Fewest values for a BCa interval; below this the jackknife behind its acceleration means nothing."""
-MINIMUM_FOR_WILCOXON = 6
-"""Fewest non-zero differences: with 5, no two-sided p-value can fall below 0.05."""
+MINIMUM_FOR_WILCOXON = math.floor(1 - math.log2(SIGNIFICANCE)) + 1
+"""Fewest non-zero differences, 6: the smallest two-sided p of n is 2/2ⁿ (all of one sign), and it must be able to fall
+below SIGNIFICANCE. A verdict takes as many clips, too, since frames of one clip are not independent."""
 MINIMUM_CLIPS = 3
 """Fewest clips for a bootstrap over clips."""
 RESAMPLES_AT_ONCE = 500
@@ -149,14 +150,14 @@ def compare(regime: ArrayLike, baseline: ArrayLike, clips: ArrayLike) -> Statist
     }
 
 
-def judge(comparison: Statistics) -> Literal["better", "worse", "no different", "untested"]:
+def judge(comparison: Statistics) -> Literal["better", "worse", "no different", "too few to judge"]:
     """Whether the regime beats the baseline: a lower mean error, and Wilcoxon's p below 0.05.
 
-    "untested" where n is too small for the test.
+    "too few to judge" with fewer frames whose errors differ, or fewer clips, than MINIMUM_FOR_WILCOXON.
     """
     p, difference = comparison["wilcoxon_p"].value, comparison["mean_difference"].value
-    if math.isnan(p):
-        return "untested"
+    if math.isnan(p) or comparison["clips"].value < MINIMUM_FOR_WILCOXON:
+        return "too few to judge"
     if p >= SIGNIFICANCE or difference == 0:
         return "no different"
     return "better" if difference > 0 else "worse"

@@ -16,6 +16,7 @@ THETA = {"stiffness": 0.4, "damping": 0.02, "force": -0.05}
 ROW = {
     "onset_time_s": "0.28",
     "status": "ok",
+    "detail": "",
     "verdict": "ratios",
     "determined": "stiffness;damping_over_stiffness",
     "stiffness": "0.41",
@@ -81,14 +82,27 @@ def test_only_what_is_determined_has_numbers(
 
 
 def test_what_can_t_be_shown_is_said_in_a_sentence(results: Path, capsys: pytest.CaptureFixture) -> None:
-    write_rows(results, {**ROW, "onset_time_s": "0.36"})
+    write_rows(results, {**ROW, "onset_time_s": "0.36"}, {**ROW, "status": "no_estimate", "detail": "Too short."})
     assert main([str(results)]) == 1
-    assert "no estimate of a run of contact that begins at 0.28 s" in " ".join(capsys.readouterr().err.split())
+    told = " ".join(capsys.readouterr().err.split())
+    assert "no estimate of a run of contact that begins at 0.28 s" in told
+    assert "Contact from 0.36 s: ratios. Contact from 0.28 s: no estimate. Too short." in told
+    write_rows(results)
+    assert main([str(results)]) == 1
+    assert "where it truly does. No contact was found." in " ".join(capsys.readouterr().err.split())
     (results.parent / "video01_00000" / "truth.json").unlink()
     assert main([str(results)]) == 1
     assert "has no truth" in " ".join(capsys.readouterr().err.split())
     assert main([str(results.parent)]) == 1
     assert "holds no results of infer.py" in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_video_file_s_truth_lies_in_the_folder_of_its_name(results: Path, capsys: pytest.CaptureFixture) -> None:
+    video = results.parent / "video01_00000.mp4"
+    video.touch()
+    (results / "run.json").write_text(json.dumps({"input": {"path": str(video), "fps": 25.0}}))
+    assert main([str(results)]) == 0
+    assert "video01_00000.mp4: ratios" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("name", ["run.json", "interactions.csv"])

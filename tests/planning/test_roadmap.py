@@ -53,19 +53,43 @@ def test_a_blocked_goal_is_said() -> None:
         find_plan(costs(1.0, obstacles=walls))
 
 
-def test_a_star_finds_what_trying_all_finds() -> None:
+def test_ways_that_touch_nothing_are_compared_by_their_length() -> None:
+    """α = 1: every free way costs 0. Old: one of 204 mm. Around both corners of the gap it is at least 92 mm."""
+    found = find_plan(costs(0.1, alpha=1.0))
+    assert found.cost == found.deformation == 0
+    corner = np.array([0.008, 0.0025]) - 0.005 / np.sqrt(2)  # the tip's centre cuts no more of it than this
+    shortest = 2 * 1000 * np.linalg.norm([0.025 - corner[0], 0.04 - corner[1]])
+    assert shortest < found.way < 100
+    assert find_plan(costs(0.1, alpha=0.999999)).way == pytest.approx(found.way)
+
+
+def test_equally_deep_presses_are_compared_by_their_length_too() -> None:
+    """With the gap closed every way presses once and costs the same, so that at α = 1 the straight one is left."""
+    closed = [Placed((0.0, 0.0), 0.0, (0.008, 0.0025))]
+    found = find_plan(costs(0.1, alpha=1.0, obstacles=closed))
+    assert found.deformation == pytest.approx(100)
+    assert found.way == pytest.approx(80)
+
+
+@pytest.mark.parametrize("free", [0.0, 0.5])
+def test_a_star_finds_what_trying_all_finds(free: float) -> None:
+    """Prices compared as pairs; `free` is the share of lines that cost nothing, where the way decides."""
     chance = np.random.default_rng(0)
-    places = chance.uniform(size=(7, 2))
-    apart = np.linalg.norm(places[:, None] - places, axis=2)
-    price = apart * chance.uniform(1, 3, apart.shape)
-    price = (price + price.T) / 2
-    edges = [[(j, price[i, j]) for j in range(7) if j != i] for i in range(7)]
-    chain = _shortest(edges, np.linalg.norm(places - places[1], axis=1).tolist())
-    best = price.copy()  # Floyd & Warshall
-    for middle in range(7):
-        best = np.minimum(best, best[:, middle : middle + 1] + best[middle])
-    assert chain is not None
-    assert sum(price[a, b] for a, b in itertools.pairwise(chain)) == pytest.approx(best[0, 1])
+    for _ in range(20):
+        places = chance.uniform(size=(7, 2))
+        apart = np.linalg.norm(places[:, None] - places, axis=2)
+        share = 0.0 if free else 1.0  # of the way in the cost, 1 - α
+        work = np.triu(chance.uniform(0, 2, apart.shape) * (chance.uniform(size=apart.shape) >= free), 1)
+        price = share * apart + (work + work.T) * apart
+        pairs = [[(price[i, j].item(), apart[i, j].item()) for j in range(7)] for i in range(7)]
+        edges = [[(j, pairs[i][j]) for j in range(7) if j != i] for i in range(7)]
+        left = np.linalg.norm(places - places[1], axis=1)
+        chain = _shortest(edges, [(share * each, each) for each in left.tolist()])
+        ways = [(0, *middle, 1) for n in range(6) for middle in itertools.permutations(range(2, 7), n)]
+        best = min(np.sum([pairs[a][b] for a, b in itertools.pairwise(way)], axis=0).tolist() for way in ways)
+        assert chain is not None
+        found = np.sum([pairs[a][b] for a, b in itertools.pairwise(chain)], axis=0)
+        np.testing.assert_allclose(found, best, rtol=1e-12)
 
 
 def test_the_smoother_gives_its_samples_back_and_lengths_in_between() -> None:

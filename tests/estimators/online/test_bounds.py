@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimators.online.bounds import Bounds
+from estimators.online.bounds import PAPER, Bounds
 from physics.pbd.stiffness import Stiffness
 
 FIELDS = Stiffness(np.array([0.2, 5.0, 9.9]), np.array([0.005, 0.01, 0.019]), 7.0)
 
 
 def test_logits_lead_back():
-    bounds = Bounds()
+    bounds = PAPER
     logits = bounds.logits(FIELDS)
     assert logits[:, 1] == pytest.approx([0.0, 0.0])  # both in the middle
     found = bounds.fields(logits, 7.0)
@@ -28,7 +28,7 @@ def test_no_logit_leads_outside():
 
 
 def test_slopes_equal_finite_differences():
-    bounds, random = Bounds(), np.random.default_rng(0)
+    bounds, random = PAPER, np.random.default_rng(0)
     slopes, direction = Stiffness(*random.normal(size=(2, 3)), 0.0), random.normal(size=(2, 3))
     logits = bounds.logits(FIELDS)
     up, down = (bounds.fields(logits + sign * 1e-6 * direction, 0.0) for sign in (1, -1))
@@ -41,4 +41,4 @@ def test_what_lies_outside_is_refused():
         Bounds(shape=0.0)
     for shape in (0.15, 0.02, 0.0):  # the paper's first start, and the bounds themselves
         with pytest.raises(ValueError, match=r"stiffness of shape begins on its bounds, 0 and 0\.02"):
-            Bounds().logits(FIELDS._replace(shape=np.full(3, shape)))
+            PAPER.logits(FIELDS._replace(shape=np.full(3, shape)))

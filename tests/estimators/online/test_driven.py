@@ -17,6 +17,7 @@ from data.source.camera import Camera
 from data.source.frames import Frame
 from estimators.estimate import NoEstimate
 from estimators.online import fitting
+from estimators.online.bounds import PAPER, Bounds
 from estimators.online.driven import DrivenTissue
 from estimators.online.given import GripperPath
 from estimators.online.session import Method
@@ -199,10 +200,24 @@ def test_what_is_fitted_to_the_first_frames_holds_from_the_first_on(surface: Sur
     for share in (0.3, 0.6, 1.0):
         expected = again.step(pulled(share))
     np.testing.assert_array_equal(told.positions, expected.positions)
+    assert tissue.settings.bounds.shape == fit.bending * SETTINGS.bounds.distance
     still = driven(surface, fitted=2)
     for _ in range(3):
         still.step(np.zeros_like(POINTS))
     assert still.fit is None
+
+
+@pytest.mark.parametrize("bound", [0.02, 0.5])
+def test_what_is_fitted_keeps_to_the_bounds_that_were_given(surface: Surface, bound: float) -> None:
+    """The paper's allows none of the stiffness of shapes that is tried, half of that of distances all but one."""
+    tissue = driven(surface, fitted=3, bounds=Bounds(shape=bound))
+    for share in np.linspace(0.2, 1, 6):
+        tissue.step(pulled(share))
+    fit, settings = tissue.fit, tissue.settings
+    assert fit is not None
+    assert fit.bending in ([SETTINGS.start.shape] if bound == PAPER.shape else [0.02, 0.3])
+    assert settings.start.shape == fit.bending < settings.bounds.shape <= bound
+    assert tissue.session.fields.shape.max() < bound
 
 
 def test_a_cloud_tells_how_far_gripped_tissue_has_come_nearer(surface: Surface) -> None:

@@ -1,15 +1,18 @@
-"""The paper's numeric descent, which arrives where Gauss–Newton does by many more solves where it arrives."""
+"""The numeric descent, which arrives where Gauss–Newton does by many more solves where it arrives."""
 
 from __future__ import annotations
 
 import dataclasses
+import inspect
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from estimators.palpation import FitSettings, fit_material
 from estimators.palpation.bench import Bench
-from estimators.palpation.descent import descend
+from estimators.palpation.descent import ASIDE, STEP, descend
 from evaluation.palpation.synthetic import BODIES, observe, press
 from physics.fem import NoEquilibrium
 
@@ -66,3 +69,14 @@ def test_no_start_is_looked_for_without_an_end(monkeypatch: pytest.MonkeyPatch) 
     with pytest.raises(NoEquilibrium, match="at no stiffness that was tried; give a stiffer start"):
         descend(skin, held, [seen], FitSettings(young=1.0))
     assert tried == pytest.approx(4.0 ** np.arange(11))
+
+
+def test_the_page_lists_what_differs_from_the_paper_s_algorithm_1() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "palpation.md").read_text(encoding="utf-8")
+    table = page[page.index("| what | algorithm 1 |") :].split("\n\n")[0]
+    here = {row[0]: row[2] for row in re.findall(r"^\| ([^|]+) \| ([^|]+) \| ([^|]+) \|$", table, re.MULTILINE)}
+    assert here.keys() >= {"parameters", "step", "end", "gradient", "error", "palpations", "start"}
+    most = inspect.signature(descend).parameters["most"].default
+    assert here["end"] == f"no step of {STEP:g} lowers the error, or {most} simulations"
+    assert here["gradient"].startswith(f"forward differences of {ASIDE:g} in log E and ν")
+    assert "is the paper's algorithm 1" not in page

@@ -33,6 +33,15 @@ def test_a_run_goes_on_where_it_was(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert path.read_bytes() == b"mine"
 
 
+def test_the_paper_s_combination_runs(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    """Clouds and Adam, as docs/online.md names the command."""
+    told = [*SMALL, "--match", "chamfer", "--optimizer", "adam", "--methods", "PBD", "PBD-RM-ON"]
+    assert main([*told, "--output", str(tmp_path)]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "Matched: chamfer; adam." in out
+    assert "distance field against truth: thin-shell-1 k2" in out
+
+
 def test_too_few_frames_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     with pytest.raises(SystemExit) as ended:
         main(["--output", str(tmp_path / "out"), "--frames", "14"])

@@ -86,7 +86,7 @@ def test_frames_of_too_few_contacts_are_undetermined():
 
 def _compare(shift, clips=None):
     noise = np.random.default_rng(0).normal(0, 0.1, 100)
-    return compare(np.ones(100), 1 + shift + noise, np.repeat(list("abcd"), 25) if clips is None else clips)
+    return compare(np.ones(100), 1 + shift + noise, np.repeat(list("abcdefghij"), 10) if clips is None else clips)
 
 
 VARIES = _spread(_theta([0.1, 0.03, 1.0]))
@@ -101,30 +101,36 @@ BEAT = "The estimates beat the constant θ fitted on the training contacts"
         (VARIES, BETTER, f"{BEAT}. Varies"),
         (CONSTANT, BETTER, f"{BEAT}. Collapsed"),
         (VARIES, WORSE, "No success: the estimates do not beat the constant θ"),
-        (VARIES, compare(np.ones(2), np.ones(2), np.zeros(2)), "No conclusion: n too small"),
-        (VARIES, compare(np.ones(9), np.full(9, np.nan), np.zeros(9)), "No conclusion: n too small"),
+        (VARIES, compare(np.ones(2), np.ones(2), np.zeros(2)), "One clip: too few to judge whether the estimates beat"),
+        (VARIES, compare(np.ones(9), np.ones(9), np.arange(9)), "Too few frames to judge whether the estimates beat"),
+        (VARIES, compare(np.ones(9), np.full(9, np.nan), np.zeros(9)), "No conclusion: on no test frame"),
     ],
 )
 def test_conclusions(spread, constant, start):
-    assert conclude(spread, constant, BETTER, contacts=100).startswith(start)
+    assert conclude(spread, constant, BETTER).startswith(start)
 
 
 def test_beating_only_the_literature_is_not_success():
     text = "they beat only the literature constants, and that is not success"
-    assert text in conclude(VARIES, WORSE, BETTER, contacts=100)
-    assert "literature" not in conclude(VARIES, WORSE, WORSE, contacts=100)
+    assert text in conclude(VARIES, WORSE, BETTER)
+    assert "literature" not in conclude(VARIES, WORSE, WORSE)
 
 
 def test_success_on_frames_but_not_on_clips_is_said():
-    # One clip in four carries the whole gain: frames alone call it better, resampled clips don't.
-    baseline = np.r_[np.full(25, 3.0), np.full(75, 1.001)]
-    by_clip = compare(np.ones(100), baseline - np.r_[np.zeros(75), np.full(25, 0.4)], np.repeat(list("abcd"), 25))
-    for doubtful in (by_clip, _compare(0.5, np.zeros(100))):
-        assert "resampled clips do not confirm it" in conclude(VARIES, doubtful, BETTER, contacts=100)
+    # One clip in eight carries the whole gain: frames alone call it better, resampled clips don't.
+    clips = np.repeat(list("abcdefgh"), 25)
+    baseline = np.r_[np.full(25, 3.0), np.full(175, 1.001)]
+    doubtful = compare(np.ones(200), baseline - np.r_[np.zeros(175), np.full(25, 0.4)], clips)
+    assert "resampled clips do not confirm it" in conclude(VARIES, doubtful, BETTER)
 
 
-def test_many_frames_of_few_contacts_conclude_nothing():
-    text = conclude(CONSTANT, BETTER, BETTER, contacts=1)
-    assert text.startswith("No conclusion: n too small")
-    assert "(frames: 100, observed contacts: 1, 6 of each needed)" in text
-    assert conclude(VARIES, WORSE, BETTER, contacts=1).startswith("No success")
+@pytest.mark.parametrize("frames", [BETTER, WORSE])
+@pytest.mark.parametrize(("clips", "start"), [(1, "One clip: too few to judge"), (5, "5 clips: too few to judge")])
+def test_many_frames_of_few_clips_conclude_nothing(frames, clips, start):
+    """Neither success nor none: 6 clips are the fewest of which a signed-rank test can reach p < 0.05."""
+    few = _compare(0.5 if frames is BETTER else -0.5, np.arange(100) % clips)
+    text = conclude(_spread(_theta([0.1, 0.03, 1.0]), contacts=1), few, few)
+    assert text.startswith(start)
+    assert "With fewer than 6 clips" in text
+    assert "success" not in text
+    assert "practically constant" not in text

@@ -10,8 +10,9 @@ import pytest
 from PIL import Image
 
 from evaluation.page import render_page
-from evaluation.paper.analysis import EvaluationError
+from evaluation.paper.analysis import REGIMES, EvaluationError
 from evaluation.paper.report import COMPARISONS, ERRORS, write_evaluation
+from evaluation.paper.statistics import format_number
 from physics.ownership import LIST
 from tests.evaluation.simple_contacts import BOUNDS, MECHANICS, contact, record
 
@@ -60,6 +61,7 @@ def test_json_holds_all_numbers_without_nan(written):
     assert content["bounds"]["force"] == [-0.5, 0.0]
     assert content["motion"]["predicted θ"]["not finite"] == 0
     assert np.shape(content["trajectories"]) == (9, 40, 3)
+    assert len(content["settling"]) == len(_rows(written["settling.csv"])) > 9  # a row has a key of its own
     assert content["versions"]["numpy"] == np.__version__
 
 
@@ -127,7 +129,7 @@ def test_markdown_says_what_was_left_out_and_concludes(written):
     assert "| frames left out (error not finite) | 1 | 0 | 0 | 0 | 0 |" in text
     assert "| reference θ | – | – | 0 | 8 | 0 | 0 | 1 | 0 | 0 of 9 |" in text
     collapse = written["collapse.md"].read_text("utf-8")
-    assert "> The estimates beat the constant θ" in collapse
+    assert "> 3 clips: too few to judge whether the estimates beat the constant θ" in collapse
     assert "Spread of the estimates over the test frames" in collapse
     assert "Constant θ fitted on the training contacts (n = 2)" in collapse
     assert "nan" not in (text + collapse).lower()
@@ -174,7 +176,22 @@ def test_page_is_self_contained_and_says_how_it_was_made(written):
     assert "40 steps of 0.005 s" in text
     assert "stiffness 0.05 … 2; damping 0.005 … 0.3; force -0.5 … 0" in text
     assert f"numpy {np.__version__}" in text
-    assert "The estimates beat the constant θ" in text
+    assert "3 clips: too few to judge whether the estimates beat the constant θ" in text
+
+
+def test_page_begins_with_what_was_found(written):
+    """The conclusion, numbers and figures come before comparisons; a page of few clips gives no verdict."""
+    page = written["report.html"].read_text("utf-8")
+    order = ["3 clips: too few to judge", "How well simulations follow the observed motion (9 test frames of 3 clips)",
+             "What was estimated, in normalised units (9 test frames of 3 clips)", "<img", "Wilcoxon p"]  # fmt: skip
+    places = [page.index(text) for text in order]
+    assert places == sorted(places)
+    assert not any(f"θ against {name}: {verdict}" in page for name in REGIMES for verdict in ("better", "worse"))
+    assert "success" not in page.lower()
+    summaries = _content(written["evaluation.json"])["summaries"]
+    predicted, still = (summaries[name]["mean"]["value"] for name in ("predicted θ", "no motion"))
+    cells = (format_number(value) for value in (predicted, 100 * predicted / still))
+    assert "<td>predicted θ</td>\n<td>{}</td>\n<td>{}</td>".format(*cells) in page
 
 
 def test_text_of_the_page_is_escaped():

@@ -9,7 +9,16 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy import stats
 
-from evaluation.paper.statistics import Statistic, compare, describe, format_number, judge, summarise
+from evaluation.paper.statistics import (
+    MINIMUM_FOR_WILCOXON,
+    SIGNIFICANCE,
+    Statistic,
+    compare,
+    describe,
+    format_number,
+    judge,
+    summarise,
+)
 
 REGIME = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0])
 BASELINE = REGIME + np.array([1.0, 2.0, -0.5, 3.0, 4.0, -1.5, 5.0, 6.0])
@@ -104,7 +113,7 @@ def test_too_small_samples_say_so(n):
     assert result["difference_interval"].note.startswith("n too small")
     assert result["difference_clip_interval"].note.startswith("n too small")
     assert math.isnan(result["cohens_d"].value) == (n < 2)
-    assert judge(result) == "untested"
+    assert judge(result) == "too few to judge"
     summary = summarise(REGIME[:n], CLIPS[:n])
     assert math.isnan(summary["sd"].value) == (n < 2)
     assert math.isnan(summary["mean"].value) == (n < 1)
@@ -122,12 +131,12 @@ def test_equal_errors_give_no_statistic_and_no_warning():
 
 def test_one_sentence_tells_the_verdict_and_its_grounds():
     noise = np.random.default_rng(0).normal(0, 0.1, 100)
-    text = describe(compare(np.ones(100), 1.25 + noise, np.repeat(list("abcd"), 25)), "A", "B")
+    text = describe(compare(np.ones(100), 1.25 + noise, np.arange(100) % 6), "A", "B")
     assert text.startswith("A against B: better. Change of the mean error [%]: −2")
     assert "Wilcoxon p: " in text
-    assert "frames: 100 of clips: 4; mean difference over resampled clips: [0.2" in text
+    assert "frames: 100 of clips: 6; mean difference over resampled clips: [0.2" in text
     few = describe(compare(np.ones(2), np.zeros(2) + 3, np.zeros(2)), "A", "B")
-    assert few.startswith("A against B: untested.")
+    assert few.startswith("A against B: too few to judge.")
     assert "Wilcoxon p: n too small (non-zero differences: 2, 6 needed)" in few
     assert "nan" not in describe(compare(np.array([np.nan]), np.array([1.0]), ["a"]), "A", "B")
 
@@ -137,7 +146,19 @@ def test_judge(shift, expected):
     noise = np.random.default_rng(3).normal(0, 0.5, 60)
     noise -= np.median(noise)
     regime = np.full(60, 10.0)
-    assert judge(compare(regime, regime + shift + noise, np.zeros(60))) == expected
+    baseline = regime + shift + noise
+    assert judge(compare(regime, baseline, np.arange(60) // 10)) == expected  # 6 clips
+    for clips in (1, 5):
+        assert judge(compare(regime, baseline, np.arange(60) % clips)) == "too few to judge"
+
+
+def test_fewer_than_six_can_not_reach_the_level_of_a_signed_rank_test():
+    """2/2ⁿ is the smallest two-sided p, of differences that all have one sign."""
+    assert MINIMUM_FOR_WILCOXON == 6
+    for n in range(2, 12):
+        smallest = stats.wilcoxon(np.arange(1.0, n + 1), method="exact").pvalue
+        assert smallest == pytest.approx(2 / 2**n)
+        assert (smallest < SIGNIFICANCE) == (n >= MINIMUM_FOR_WILCOXON)
 
 
 finite = st.floats(0.01, 100, allow_nan=False)

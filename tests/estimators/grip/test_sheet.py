@@ -7,19 +7,19 @@ import math
 import numpy as np
 import pytest
 
-from estimators.grip.foundation_fit import (
-    FOLLOWED_ERROR,
+from estimators.grip.sheet import (
+    DENSE,
     LOOKS,
-    MISFIT,
+    SIZE,
     FoundationFit,
     Measuring,
     NoSheet,
-    error_size,
+    SeenFrame,
     fit_foundation,
     frame_correlation,
     information,
 )
-from estimators.grip.sheet_problem import DENSE, SIZE, SeenFrame
+from estimators.model_errors import MODEL_ERRORS
 from physics.endless_sheet import response
 
 SPACING, NOISE = 8, 0.1
@@ -117,7 +117,7 @@ def test_frames_that_show_too_few_points_are_left_out_and_most_leave_points_as_f
         assert found.log_anchor_sd < fit_foundation(*parts).log_anchor_sd
     else:
         assert asked == [0, 1, 2, 3]
-        assert found.log_anchor_sd >= FOLLOWED_ERROR
+        assert found.log_anchor_sd >= MODEL_ERRORS.foundation_followed
         assert found.log_anchor_sd == fit_foundation(*parts).log_anchor_sd
 
 
@@ -151,8 +151,10 @@ def test_what_is_left_and_goes_together_over_many_points_widens_what_is_told() -
     plain, waved = (
         fitted([SeenFrame(frame.moved + added, 3 * frame.noise) for frame in seen()]) for added in (0.0, wave)
     )
-    assert plain.log_anchor_sd < 0.1 < 0.98 * MISFIT[0] < waved.log_anchor_sd  # less the prior's share
-    assert plain.log_force_sd < MISFIT[1] <= waved.log_force_sd
+    assert (
+        plain.log_anchor_sd < 0.1 < 0.98 * MODEL_ERRORS.foundation_uneven < waved.log_anchor_sd
+    )  # less the prior's share
+    assert plain.log_force_sd < MODEL_ERRORS.force_uneven <= waved.log_force_sd
 
 
 def test_frames_that_err_alike_tell_what_one_does() -> None:
@@ -162,10 +164,9 @@ def test_frames_that_err_alike_tell_what_one_does() -> None:
     assert information(np.array([0.0, -3.0]), np.eye(2)) == 0
 
 
-def test_size_and_correlation_of_errors_are_measured() -> None:
+def test_correlation_of_errors_is_measured() -> None:
     generator = np.random.default_rng(0)
     one, other = generator.normal(size=(2, 5000, 2))
     errors = 0.5 * np.stack([one, 0.6 * one + 0.8 * other])
     errors[0, :50] = np.nan
-    assert error_size(errors[0]) == pytest.approx(0.5, rel=0.03)
     np.testing.assert_allclose(frame_correlation(errors), [[1, 0.6], [0.6, 1]], atol=0.03)

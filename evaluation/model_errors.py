@@ -32,14 +32,16 @@ from data.command_line import path_option, progress_bars, say, whole_number
 from estimators.model_errors import FILE, read_entries
 from estimators.open import FEM, EstimatorOptions
 from evaluation.harness import Row
-from evaluation.recovery.estimators import DIRECT
-from evaluation.recovery.suites import LARGEST_SEED, SLAB_SUITES, suite_clip_seed
+from evaluation.recovery.suites import EVERY, LARGEST_SEED, suite_clip_seed
 from evaluation.recovery.trial import Trial, run_trial
 from physics.files import replacing
 
 SPLIT = "validation"
 PARTS = {"grip": ("retraction", "foundation", "regions"), "pull": ("fem",)}
 """Suites of every part."""
+DIRECT = "direct"
+CANDIDATES = {"grip": EstimatorOptions(DIRECT, threads=1), "pull": EstimatorOptions(DIRECT, Path(FEM), threads=1)}
+"""Who estimates the clips of a part."""
 ENOUGH = 20
 """So many clips change a value: a standard deviation is then known to a sixth."""
 HEAD = (
@@ -66,7 +68,7 @@ def grip_errors(rows: Sequence[Row], values: Mapping[str, float]) -> Errors:
     """
     found: Errors = {}
     for row in rows:
-        if "foundation" not in row:
+        if "foundation" not in row or "force" not in row:
             continue
         # The largest error of a model that an interval has room for is the one that it counts.
         kinds = ("as_seen", "uneven", "measured")
@@ -135,14 +137,13 @@ def main(arguments: list[str] | None = None) -> int:
     values = {name: float(entry["value"]) for name, entry in read_entries().items()}
     numbers = [(suite, index) for suite in PARTS[options.part] for index in range(options.clips)]
     if options.part == "pull":
-        numbers = [(suite, index) for suite, index in numbers if SLAB_SUITES[suite].settings(index).action == "grip"]
+        numbers = [(suite, index) for suite, index in numbers if EVERY[suite].settings(index).action == "grip"]
     rows: list[Row] = []
     with progress_bars(console) as progress:
         bar = progress.add_task("clips", total=len(numbers))
         for suite, index in numbers:
             seed = suite_clip_seed(SPLIT, options.seed, index)
-            fitted = Path(FEM) if options.part == "pull" else None
-            rows += run_trial(Trial(index, seed, {suite: {DIRECT: EstimatorOptions(DIRECT, fitted, threads=1)}}))
+            rows += run_trial(Trial(index, seed, {suite: {DIRECT: CANDIDATES[options.part]}}))
             progress.advance(bar)
     errors = (grip_errors if options.part == "grip" else pull_errors)(rows, values)
     if not errors:

@@ -17,7 +17,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from estimators.grip.sheet_fit import length
+from estimators.grip.lattice import length
 from estimators.grip.stiffness_fit import ROUGHNESS
 from estimators.online.fitting import LEAST
 from estimators.online.gauss_newton import KNOTS, bumps

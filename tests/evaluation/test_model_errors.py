@@ -77,7 +77,8 @@ def test_pulls_tell_force_over_young_and_its_course() -> None:
 
 def test_the_command_writes_what_it_measures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def evaluated(trial: Trial) -> list[Row]:
-        return [drawn(trial.index, 0.01, VALUES["foundation_measured"])] if "foundation" in trial.wanted else []
+        known = drawn(trial.index, 0.01, VALUES["foundation_measured"])
+        return [known for suite in trial.wanted if suite == "foundation"]
 
     monkeypatch.setattr(module, "run_trial", evaluated)
     output = tmp_path / "errors.yaml"

@@ -40,7 +40,7 @@ from evaluation.harness import OK, Report, Row, require_within, run
 from evaluation.page import as_png
 from evaluation.recovery.constant import constant_estimate
 from evaluation.recovery.details import detail_table
-from evaluation.recovery.estimators import CONSTANT, NAMES, Candidate, describe
+from evaluation.recovery.estimators import CONSTANT, DIRECT, NAMES, Candidate, describe
 from evaluation.recovery.grips import grip_table
 from evaluation.recovery.scores import Bound, Scores, score_all, table
 from evaluation.recovery.slabs import slab_table
@@ -58,8 +58,6 @@ LARGEST_SIZE = 4096
 """Of pictures [px]."""
 LEAST_SEEN = 3
 """Fewer frames after the onset are refused by `direct`."""
-DIRECT = "direct"
-"""The estimator that is asked about grips."""
 SHOWN_FAILURES = 8
 KINDS = ("press", "grip", "slab")
 """Of suites, in the order of tables."""
@@ -112,6 +110,7 @@ class Benchmark:
     keys: ClassVar = ("suite", "index", "estimator")
     work: ClassVar = staticmethod(run_trial)
     refused: ClassVar = ()
+    writes: ClassVar = ("table.csv", "details.csv", "grips.csv", "slabs.csv")
 
     def __post_init__(self) -> None:
         """Raise a ValueError where an option can't be used, or options don't belong together."""

@@ -81,6 +81,11 @@ class Experiment(Protocol):
     refused: ClassVar[tuple[type[Exception], ...]]
     """What else ends it with a sentence."""
 
+    @property
+    def writes(self) -> Sequence[str]:
+        """Names of files that are known before the work, where no user's file may be."""
+        ...
+
     def record(self) -> Mapping[str, Any]:
         """What results depend on, as `Store` takes it."""
         ...
@@ -109,6 +114,8 @@ def run(kind: type[Any], arguments: Sequence[str] | None, program: str, document
     experiment: Experiment = options(kind, arguments, program, documentation)
     console, refused = Console(stderr=True), REFUSED + kind.refused
     try:
+        with writing(experiment.output):
+            require_own(*(experiment.output / name for name in experiment.writes))
         store = Store(experiment.output, experiment.record(), experiment.keys)
     except refused as error:
         say(console, str(error), "red")
@@ -139,7 +146,7 @@ def run(kind: type[Any], arguments: Sequence[str] | None, program: str, document
         say(console, str(error), "red")
         return 1
     for frame in report.shown:
-        show(frame, console)
+        show(frame)
     for text, style in report.said:
         say(console, text, style)
     say(console, f"written: {experiment.output}/{', '.join(names)}")
@@ -164,7 +171,7 @@ def options(kind: type[Any], arguments: Sequence[str] | None, program: str, docu
         parser.error("an option is empty, as of an unset variable of the shell; give its value or leave it out.")
     parsed = parser.parse_args(_spelt(kind, given))
     try:
-        return kind(**{each.name: parsed[each.name] for each in fields(kind)})
+        return kind(**{each.name: parsed[each.name] for each in fields(kind) if each.init})
     except ValueError as error:
         parser.error(str(error))
 
@@ -340,12 +347,13 @@ def csv_of(frame: pd.DataFrame) -> str:
     return frame.map(lambda value: to_cell(value, ".6g")).to_csv(index=False, lineterminator="\n")
 
 
-def show(frame: pd.DataFrame, console: Console) -> None:
+def show(frame: pd.DataFrame) -> None:
     """Print a table."""
+    console = Console()
     table = Table(*map(str, frame.columns))
     for row in frame.itertuples(index=False):
         table.add_row(*(Text(plain(to_cell(cell, ".3g"))) for cell in row))
-    Console(stderr=True, width=None if console.is_terminal else TABLE_WIDTH).print(table)
+    Console(width=None if console.is_terminal else TABLE_WIDTH).print(table)
 
 
 def attempted(work: Callable[[], Row]) -> Row:

@@ -171,6 +171,7 @@ class NextDepth:
     keys: ClassVar = ("suite", "index")
     work: ClassVar = staticmethod(next_depth_errors)
     refused: ClassVar = (CheckpointError,)
+    writes: ClassVar = ("table.csv",)
 
     def __post_init__(self) -> None:
         """Raise a ValueError where an option can't be used."""

@@ -205,6 +205,7 @@ class Terms:
     keys: ClassVar = ("row", "turn", "suite")
     work: ClassVar = staticmethod(train_and_judge)
     refused: ClassVar = (CheckpointError, TrainingError)
+    writes: ClassVar = ("table.csv",)
 
     def __post_init__(self) -> None:
         """Raise a ValueError where an option can't be used."""

@@ -11,7 +11,8 @@ from estimators.estimate import Estimate
 from estimators.open import FEM, OF_THETA, EstimatorOptions, open_estimator
 from models.onnx_session import ModelFileError, PosteriorModel
 
-CONSTANT = "constant"
+CONSTANT, DIRECT = "constant", "direct"
+"""What ignores its input, and the estimator that fits grips."""
 NAMES = (*sorted(OF_THETA), CONSTANT)
 """Estimators in the order of tables."""
 GRID = (120, 214)

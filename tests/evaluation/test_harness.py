@@ -180,6 +180,7 @@ class Squares:
     keys: ClassVar = ("number",)
     work: ClassVar = staticmethod(square)
     refused: ClassVar = ()
+    writes: ClassVar = ("table.csv",)
 
     def __post_init__(self) -> None:
         require_within(self, most=(0, 1))

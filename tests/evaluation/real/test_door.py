@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
-from evaluation.real.__main__ import COLUMNS, KNOWN, build_parser, main, tasks_of, write
+from evaluation.harness import options, write
+from evaluation.real.__main__ import COLUMNS, KNOWN, Real, main
 from evaluation.real.pulled import PulledClip
 from physics.ownership import LIST
 from tests.evaluation.real_clips import LAYOUT, pull_clip, ramp, write_press, write_wrench
@@ -67,7 +68,14 @@ def test_two_clips_are_judged(inputs: Path, tmp_path: Path, capsys: pytest.Captu
         assert picture.std() > 10
         assert f"data:image/png;base64,{base64.b64encode(content).decode()}" in page
     assert 'src="1.png"' not in page
-    assert sorted(path.name for path in tmp_path.iterdir()) == [LIST, "figures", "report.html", "table.csv"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        LIST,
+        "figures",
+        "report.html",
+        "results.jsonl",
+        "run.json",
+        "table.csv",
+    ]
     told = capsys.readouterr()
     assert f"written: {tmp_path}/table.csv, report.html, figures/" in told.err
     assert "force over dent" in told.out
@@ -82,9 +90,9 @@ def test_an_interruption_keeps_what_is_finished(
     monkeypatch.setattr("evaluation.real.__main__.evaluate_press", interrupt)
     assert main([*pulled(inputs, "pull"), *pressed(inputs), "--output", str(tmp_path / "part")]) == 130
     assert list(rows(tmp_path / "part")) == ["pull"]
-    assert "Interrupted; what is finished is written." in capsys.readouterr().err
+    assert "Interrupted; what is finished is kept" in capsys.readouterr().err
     assert main([*pressed(inputs), "--output", str(tmp_path / "nothing")]) == 130
-    assert not (tmp_path / "nothing").exists()
+    assert not (tmp_path / "nothing" / "table.csv").exists()
 
 
 def test_a_clip_where_nothing_moves_is_a_sentence_and_the_other_is_judged(
@@ -124,7 +132,7 @@ def test_a_clip_that_can_t_be_read_is_a_sentence(inputs: Path, tmp_path: Path, c
     assert "no.csv is no table of forces" in rows(tmp_path)["press"]["status"]
     assert "press: " in capsys.readouterr().err
     assert (tmp_path / "report.html").is_file()
-    assert not list((tmp_path / "figures").iterdir())
+    assert not (tmp_path / "figures").exists()
 
 
 def test_known_clips_are_found_below_a_folder(inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -147,7 +155,7 @@ def test_known_clips_are_found_below_a_folder(inputs: Path, tmp_path: Path, monk
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("arguments", "told"),
     [
         ([], "there is nothing to judge. Give --data, --pulled or --pressed."),
         (["--data", "{empty}"], "{empty} holds none of " + ", ".join([*KNOWN, "pressed_membrane"])),
@@ -157,12 +165,12 @@ def test_known_clips_are_found_below_a_folder(inputs: Path, tmp_path: Path, monk
     ],
 )
 def test_wrong_usage_is_a_sentence(
-    tmp_path: Path, capsys: pytest.CaptureFixture, options: list[str], told: str
+    tmp_path: Path, capsys: pytest.CaptureFixture, arguments: list[str], told: str
 ) -> None:
     """And nothing is written."""
     output, empty = tmp_path / "out", tmp_path
     with pytest.raises(SystemExit) as stop:
-        main([*(option.format(empty=empty) for option in options), "--output", str(output)])
+        main([*(each.format(empty=empty) for each in arguments), "--output", str(output)])
     assert stop.value.code == 2
     assert told.format(empty=empty) in " ".join(capsys.readouterr().err.split())
     assert not output.exists()
@@ -172,7 +180,7 @@ def test_an_output_that_can_t_be_written_is_a_sentence(
     inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
     (tmp_path / "file").write_text("")
-    assert main([*pressed(inputs), "--output", str(tmp_path / "file")]) == 1
+    assert main([*pressed(inputs), "--output", str(tmp_path / "file")]) == 2
     told = capsys.readouterr().err
     assert "choose another --output" in told
     assert "written:" not in told
@@ -197,17 +205,20 @@ def test_a_user_s_file_in_the_output_is_named_before_the_work_and_stays(
 
 def test_names_and_numbers_are_written_as_they_are(tmp_path: Path) -> None:
     """What is a table's or a page's syntax stays text, and what is not a number is empty."""
-    clips = [
-        {"clip": "a|b <i>", "measure": "one", "value": 1 / 3},
-        {"clip": "a|b <i>", "measure": "two", "value": float("nan")},
-    ]
-    write(tmp_path, clips, {})
-    assert (tmp_path / "table.csv").read_text() == "clip,measure,value\na|b <i>,one,0.333333\na|b <i>,two,\n"
+    real = chosen(tmp_path, "--pulled", "a|b <i>")
+    report = real.report({("a|b <i>",): {"clip": "a|b <i>", "status": "ok", "one": 1 / 3, "two": float("nan")}})
+    write(tmp_path, report)
+    lines = (tmp_path / "table.csv").read_text().splitlines()
+    assert lines == ["clip,measure,value", "a|b <i>,status,ok", "a|b <i>,one,0.333333", "a|b <i>,two,"]
     page = (tmp_path / "report.html").read_text()
     assert "<td>a|b &lt;i&gt;</td>" in page
     assert "<td>0.333</td>" in page
 
 
 def test_two_clips_of_one_name_are_both_judged(tmp_path: Path) -> None:
-    options = ["--pulled", "a/clip", "--pressed", "b/clip", "--wrench", "w.csv", "--output", str(tmp_path)]
-    assert len(tasks_of(build_parser().parse_args(options))) == 2
+    real = chosen(tmp_path, "--pulled", "a/clip", "--pressed", "b/clip", "--wrench", "w.csv")
+    assert [case.name for case in real.asked] == ["clip", "clip (2)"]
+
+
+def chosen(output: Path, *arguments: str) -> Real:
+    return options(Real, ["--output", str(output), *arguments], "evaluation.real", "")

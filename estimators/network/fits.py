@@ -21,7 +21,7 @@ from data.contact.film_features import (
 )
 from data.contact.interaction import Interaction
 from data.synthetic.settings import SceneSettings
-from estimators.direct.field import FieldProblem
+from estimators.direct.field import FilmProblem
 from estimators.direct.problem import ContactProblem, find_optimum
 from physics.mechanics import RECOMMENDED, Mechanics
 
@@ -152,7 +152,7 @@ def fit_film(task: tuple[Interaction, np.ndarray, float]) -> tuple[np.ndarray, n
     contact, start, within = task
     problem = ContactProblem(contact, MECHANICS, NOMINAL, within)
     best, rms = _explained(problem, start)
-    field = FieldProblem(contact, MECHANICS, within, NOMINAL)
+    field = FilmProblem.of_press(contact, MECHANICS, within, NOMINAL)
     field.look(best)
     tangent = np.where(field.seen[..., None], field.tangent(best)[1], 0.0)
     change = np.where(field.seen, field.observed, np.nan)

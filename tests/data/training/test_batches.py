@@ -18,7 +18,7 @@ from data.synthetic.contacts import draw_contacts
 from data.synthetic.settings import SceneSettings
 from data.training.batches import SampleDataset, collate, join_films
 from data.training.samples import SampleSettings, list_frames, make_interaction, make_sample
-from estimators.direct.field import FieldProblem
+from estimators.direct.field import FilmProblem
 from physics.load import held
 from physics.mechanics import Mechanics, theta_of
 from physics.msd import rollout_sensitivities
@@ -162,7 +162,7 @@ def test_training_and_the_direct_fit_have_one_likelihood() -> None:
     film = replace(contact.film, change=contact.film.change + drawn, noise=FilmNoise(1e-3, 0.0))
     contact = replace(contact, film=film, observation=contact.observation.moved(contact.moved, 1e-3))
     logs = np.log(np.abs(theta)) + np.array([0.1, -0.05, 0.1])
-    problem = FieldProblem(contact, MECHANICS)
+    problem = FilmProblem.of_press(contact, MECHANICS)
     problem.look(logs)
     residual, jacobian = problem.linearise(logs)
     dent, here = join_films([contact]), torch.from_numpy(theta_of(logs))[None]

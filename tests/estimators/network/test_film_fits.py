@@ -10,7 +10,7 @@ from data.contact.film import REACH, smooth_errors
 from data.contact.film_features import SHAPES, dent_shapes, motion_in_film, shape_amounts
 from data.synthetic.contacts import SimulatedContact, draw_contacts, hidden_by_tool
 from data.synthetic.settings import SceneSettings
-from estimators.direct.field import FieldProblem
+from estimators.direct.field import FilmProblem
 from estimators.network.draws import (
     DELAY_RANGE,
     LEVEL,
@@ -161,7 +161,7 @@ def test_an_exact_film_is_explained(pressed: SimulatedContact, within: float) ->
         assert not slopes[:, 3:].any()
         assert not tangents[..., 3:].any()
     # Of the amounts, derivatives are those of what the pixels show.
-    field = FieldProblem(contact, MECHANICS, within, NOMINAL)
+    field = FilmProblem.of_press(contact, MECHANICS, within, NOMINAL)
     own = logs[: 5 if within else 3]
     field.look(own)
     for column, step in enumerate(1e-4 * np.eye(len(own))[:3]):

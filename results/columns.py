@@ -83,7 +83,7 @@ FRAMES: dict[str, str] = {
     "time_s": "s",
     **ESTIMATED,
     "contact": "1 or 0; empty: undecided",
-    "contact_probability": "that tissue beside the tool moves with it; below 0.5 it hovers; empty: no contact to judge",
+    "contact_probability": "that tissue beside the tool moves with it or sinks under it; below 0.5 it hovers; empty: no contact to judge",
     "contact_distance": "scene units",
     "contact_u": "px of the source frame, column",
     "contact_v": "px of the source frame, row",

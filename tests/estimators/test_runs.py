@@ -11,7 +11,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as some
 
 from data.prepared import SEEN_OUT, STATUSES, PreparedFrame
-from estimators.runs import NO_ONSET, NOT_FOLLOWED, OUTLINES_ALONE, PASSED, Run, RunTracker, frame_estimate
+from estimators.runs import NO_ONSET, NOT_FOLLOWED, OUTLINES_ALONE, PASSED, UNDECIDED, Run, RunTracker, frame_estimate
 from physics.mechanics import Mechanics
 from tests.estimators.sessions import State, clip_info, linked, prepared_frame, touched
 from tests.physics.sheets import sheet
@@ -130,6 +130,19 @@ def test_a_run_whose_tool_hovers_was_none_unless_tissue_ever_moved_with_it() -> 
         assert (run.passed, run.unseen) == (False, NO_ONSET)
     # A tool that hovers long after another run says nothing of it.
     assert [run.passed for run in tracked_runs(judged(0.7, *[math.nan] * 4, 0.7, 0.1), 2)] == [False, True]
+
+
+def test_a_run_that_begins_where_a_hovering_tool_stops_is_undecided() -> None:
+    """It may be a press: that the tool hovers before and afterwards speaks against neither."""
+    hovers = State("no_contact", probability=0.1)
+    stands, sunk = State("ok", probability=0.7, undecided=True), State("ok", probability=0.99)
+    frames = linked([State("no_contact"), hovers, stands, stands, hovers], CONTACT)
+    (run,) = tracked_runs(frames, 2)
+    assert (run.passed, run.unseen) == (False, f"{UNDECIDED} {NO_ONSET}")
+    told = frame_estimate(frames[2], clip_info(), whole=True)
+    assert (told.status, told.contact, told.contact_probability, told.detail) == ("ok", True, 0.7, UNDECIDED)
+    (run,) = tracked_runs(linked([State("no_contact"), hovers, stands, sunk, hovers], CONTACT), 2)
+    assert (run.passed, run.unseen) == (False, NO_ONSET)
 
 
 def test_contact_after_hovering_has_no_onset() -> None:

@@ -64,7 +64,10 @@ FIELD = {
     column: text
     for name, what in (("distance_stiffness", "stretch"), ("shape_stiffness", "bending"))
     for column, text in (
-        (name, f"against {what}, the median over tissue where it is determined, {UNITS[name]}; all of it in fields.npz"),
+        (
+            name,
+            f"against {what}, the median over tissue where it is determined, {UNITS[name]}; all of it in fields.npz",
+        ),
         (f"{name}_low", "its 10 % quantile over that tissue, not an interval"),
         (f"{name}_high", "its 90 % quantile over that tissue, not an interval"),
         (f"{name}_log_sd", "standard deviation of the log of stiffness over its mean, the median over that tissue"),

@@ -3,10 +3,10 @@
 A simulation is led by the instrument from rest on and never taken to what is seen, as the session's state is: what it
 leaves of the motion judges the model. As many more, each with the stiffness around one knot changed, give the
 derivatives of what is seen, and these with a normal prior the posterior of log stiffness at the knots (Gauss–Newton's:
-linear least squares around the fields of each frame). The noise is what the likeliest leave of the motion. Where a model
-is wrong it is wrong alike in neighbouring places and in one frame after the other: on the one real pull what is left of a frame
-correlates with the next one's by 0.99, and over 100 px by half. So frames together count as one, and in a frame points
-by as much as their means over the cells around the knots vary.
+linear least squares around the fields of each frame). The noise is what the likeliest leave of the motion. Where a
+model is wrong it is wrong alike in neighbouring places and in one frame after the other: on the one real pull what is
+left of a frame correlates with the next one's by 0.99, and over 100 px by half. So frames together count as one, and in
+a frame points by as much as their means over the cells around the knots vary.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ CHANGE = 0.01
 """Of log stiffness, for finite differences."""
 LARGEST_MISFIT = 1.5
 """What the likeliest values leave of the motion over what the fields do, root mean squares. On drawn sheets of the
-estimator's own kind 0.8 to 1.3 where places known are true; 2.2 on one of another mesh, whose true field leaves more
-than others do, so that what seems to be known is wrong."""
+estimator's own kind 0.7 to 1.2, and what is known is true; 2.0 on one that was drawn on another mesh and followed in a
+video, whose true field leaves more than others do, so that what would be known is wrong."""
 ROUNDS = 4
 """Of finding the likeliest values and, with them, the noise."""
 NOISE = 0.3
@@ -148,10 +148,10 @@ class Determined:
 
         Known is where the knots around tell it to LIMIT, surer by LEARNT than before anything was seen, and the field
         is no farther from the likeliest value than that deviation: an optimiser that has not got there yet says
-        something else. Deviations include what the knots leave open, from one to the next a random walk. Nothing is known
-        where places that would be differ by less than their deviations, which doesn't tell which of them is stiffer,
-        nor where the likeliest values, once simulated, leave far more than the fields do: they don't belong to the
-        motion then, and the derivatives to neither.
+        something else. Deviations include what the knots leave open, from one to the next a random walk. Nothing is
+        known where places that would be differ by less than their deviations, which doesn't tell which of them is
+        stiffer, nor where the likeliest values, once simulated, leave far more than the fields do: what leads to them
+        does not hold then.
 
         Args:
             fields: stiffness as it is now, shape [N].
@@ -165,7 +165,7 @@ class Determined:
         apart = np.abs(logs - shares @ likeliest)
         known = among & (sd < LIMIT) & (sd <= LEARNT * expected) & (apart <= sd)
         for values, deviations, which in zip(logs, sd, known, strict=True):
-            if which.any() and values[which].std() < np.median(deviations[which]):
+            if which.sum() < 3 or values[which].std() < np.median(deviations[which]):  # three make a triangle
                 which[:] = False
         known &= self._left_by_likeliest <= LARGEST_MISFIT**2 * self._left
         stray = ROUGHNESS * np.sqrt((self._shares * (1 - self._shares)).sum(axis=2))

@@ -132,7 +132,7 @@ class ContactPosterior(nn.Module):
 def evidence_loss(mean: Tensor, factor: Tensor, gradient: Tensor, information: Tensor, weight: Tensor) -> Tensor:
     """Negative evidence bound of Gaussian posteriors, up to a constant, with the likelihood linearised at the mean.
 
-    The bound is -E_q[log p(d|φ)] + KL(q‖prior) for d = Φ(φ) + noise, with Φ linear within the posterior's width. Its
+    The loss is -E_q[log p(d|φ)] + KL(q‖prior) for d = Φ(φ) + noise, with Φ linear within the posterior's width. Its
     gradient by the mean is that of misfit and prior; its gradient by the covariance Σ is that of
     ½ tr(ΣH) - ½ log det Σ, with H the Fisher information plus the prior's precision. The rollout's exact Jacobian gives
     both, so no sampling is needed.

@@ -163,7 +163,7 @@ class RunSession:
         return run.builder is None
 
     def _ended(self, run: Run | None) -> Iterator[InteractionEstimate]:
-        """Yield the record of a run, if one has ended: of the press, and of the grip where the press is undetermined."""
+        """Yield the record of a run that has ended: of the press, and of the grip where the press is undetermined."""
         if run is None:
             return
         recorder, self._grip = self._grip, None

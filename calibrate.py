@@ -22,7 +22,6 @@ if __name__ == "__main__":
 import argparse
 import csv
 import io
-import json
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +37,7 @@ from estimators.palpation.curves import HOLD, kind_of
 from estimators.palpation.descent import descend
 from estimators.palpation.scene import Scene, read_scene
 from physics.fem import NoEquilibrium
+from physics.files import as_json
 from physics.ownership import replacing_own, require_own
 from results.store import OutputError, writing
 
@@ -128,7 +128,7 @@ def _palpation(path: Path, optimizer: str, thickness: float | None, output: Path
             "covariance_of_log_young_and_poisson": found.covariance.tolist(),
             "verdict": found.verdict,
         }
-    _write(output, "calibration.json", json.dumps(record, indent=1) + "\n")
+    _write(output, "calibration.json", as_json(record, indent=1) + "\n")
     _write(output, "errors.csv", _errors(scene, found.rests, found.poses))
     low, high = (record.get(f"young_{end}_pa") for end in ("low", "high"))
     interval = "" if low is None else f" (90 %: {low:.4g} to {high:.4g})"

@@ -16,7 +16,6 @@ if __name__ == "__main__":
 
 import argparse
 import dataclasses
-import json
 import time
 from pathlib import Path
 from typing import Any
@@ -27,6 +26,7 @@ from rich.console import Console
 from data.command_line import path_option, progress_bars, real_number, say
 from data.source.layout import InputError
 from physics.fem import NoEquilibrium
+from physics.files import as_json
 from physics.ownership import replacing_own, require_own
 from planning import Blocked, find_plan, open_table, read_plan_scene, simulate_press
 from planning.pictures import Pressed, draw_plan, force_along
@@ -104,7 +104,7 @@ def _plan(scene: PlanScene, output: Path, cache: Path, console: Console) -> int:
     }
     with writing(output):
         with replacing_own(output / NAMES[0]) as partial:
-            partial.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+            partial.write_text(as_json(record, indent=1) + "\n", encoding="utf-8")
         with replacing_own(output / NAMES[1]) as partial:
             draw_plan(scene, plan, direct, ways["planned"][1], ways["shortest"][1]).savefig(partial, dpi=110)
     for name, found in numbers.items():

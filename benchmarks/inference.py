@@ -29,13 +29,13 @@ from benchmarks.shared import command_line, machine, print_table, timed
 from data.contact.features import FEATURES
 from data.synthetic.__main__ import main as make_clips
 from data.synthetic.clip import draw_press, synthetic_clip
-from data.synthetic.source import open_synthetic
+from data.synthetic.source import PREPARE, open_synthetic
 from estimators.contract import ClipInfo
 from estimators.network.estimator import NetworkEstimator
 from estimators.onset import ONSETS
 from estimators.open import EstimatorOptions, open_estimator
-from evaluation.recovery.evaluate import PREPARE, observed_contacts
 from evaluation.recovery.suites import GRID_SIZE, SUITES, suite_clip_seed
+from evaluation.recovery.trial import observed_contacts
 from infer import main as infer
 from models.generator import Generator
 from models.onnx_export import export

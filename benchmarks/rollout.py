@@ -1,9 +1,9 @@
-"""How fast the differentiable rollout is, against a plain torch version, and what a press on a patch costs.
+"""How fast the differentiable rollout is, against a plain torch version.
 
     python -m benchmarks.rollout
 
 Every contender must give the baseline's trajectory and gradient before it is timed; they take turns, so that all ratios
-come from one run. The tables go to the terminal, the picture to runs/bench/rollout.png. It takes 12 GB of memory.
+come from one run. It takes 12 GB of memory.
 """
 
 from __future__ import annotations
@@ -24,29 +24,21 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from matplotlib.figure import Figure
 from rich.progress import track
 from torch import Tensor
 
 from benchmarks.shared import command_line, machine, print_table, timed
-from data.contact.film import smooth_errors
-from data.contact.patches import Patches
 from physics.load import Press, held
 from physics.mechanics import Mechanics
 from physics.mesh import Mesh, contact_normal, grid_mesh, nearest_vertex
-from physics.msd import MeshBatch, PressBatch, rollout, rollout_field, rollout_sensitivities
-from physics.msd.batch import DepthBatch, ObservationBatch
-from physics.msd.likelihoods import linearise, linearise_depth
-from physics.msd.simulation import simulate_sensitivities
-from physics.observation import Observation
+from physics.msd import MeshBatch, PressBatch, rollout
 
-PICTURE = Path("runs/bench/rollout.png")
 GRID = (120, 214)
 """Height and width of the network's depth grid [px]; the ellipse on it has 14,800 vertices, like the paper's meshes."""
 SPACING = 0.0027
 """Distance of two pixels on tissue 0.5 scene units away, seen by a 60° camera [scene units]."""
-BASELINE, STENCIL, FIELD = "torch edges", "torch stencil", "numba field"
-NUMBA = ("numba exact", "numba window", FIELD)
+BASELINE, STENCIL = "torch edges", "torch stencil"
+NUMBA = ("numba exact", "numba window")
 SETTINGS = {(2, 1): (1, 2), (1, 1): (1,), (16, 1): (2,), (1, 2): (1,), (1, 4): (1,), (1, 16): (1,)}
 """Threads of the contenders by batch and multiple of 14,800 vertices; the baseline has one thread."""
 SMALL = 4
@@ -55,10 +47,6 @@ ROUNDS, PATIENCE = 7, 5e3
 """Times that a contender is timed, unless its turns took so long before [ms]."""
 ALLOWED = {"trajectory": 1e-3, "gradient": 1e-2}
 """Largest difference from the baseline's, relative to the latter's peak: single precision over 200 steps."""
-PATCH, PATCH_ROUNDS = 5, 51
-"""Radius of the pressed patch [grid px], and times that it is timed."""
-FRAME = 8
-"""Steps from one observation to the next, 25 times a second."""
 
 
 def pressed_sheet(scale: float, phase: float) -> tuple[Mesh, Press]:
@@ -128,9 +116,6 @@ def simulate(name: str, task: Task, theta: Tensor) -> Tensor:
     """Trajectories of the contact vertices as a contender computes them, shape [B, T, 3]."""
     if name == BASELINE:
         return spring_list(task, theta)
-    if name == FIELD:
-        field = rollout_field(theta, task.mesh, task.load, backend="numba")
-        return field[:, task.touched].transpose(0, 1)
     mechanics = Mechanics(window_error=1e-4 if name == "numba window" else 0.0)
     return rollout(theta, task.mesh, task.load, mechanics, backend=name.split()[0])
 
@@ -141,10 +126,8 @@ def forward(name: str, task: Task) -> np.ndarray:
         return simulate(name, task, task.theta).numpy()
 
 
-def total(name: str, task: Task) -> np.ndarray | None:
-    """Gradient of Σ weights·trajectory by θ, shape [B, 3]; None for the compiled whole field, which has none."""
-    if name == FIELD:
-        return None
+def total(name: str, task: Task) -> np.ndarray:
+    """Gradient of Σ weights·trajectory by θ, shape [B, 3]."""
     theta = task.theta.clone().requires_grad_()
     (task.weights * simulate(name, task, theta)).sum().backward()
     return theta.grad.numpy()  # ty: ignore[missing-union-attribute]  after backward()
@@ -154,17 +137,17 @@ class Turn(NamedTuple):
     """What a contender computed once, and how long it took [ms]."""
 
     trajectory: np.ndarray
-    gradient: np.ndarray | None
+    gradient: np.ndarray
     forward: float
     total: float
-    """Forward and gradient; not a number without gradient."""
+    """Forward and gradient."""
 
 
 def take_turn(name: str, threads: int, task: Task) -> Turn:
     """Roll out once with and once without gradient."""
     torch.set_num_threads(threads)
     (gradient, both), (trajectory, alone) = timed(total, name, task), timed(forward, name, task)
-    return Turn(trajectory, gradient, alone, math.nan if gradient is None else both)
+    return Turn(trajectory, gradient, alone, both)
 
 
 def require_same(name: str, turn: Turn, baseline: Turn) -> None:
@@ -175,10 +158,9 @@ def require_same(name: str, turn: Turn, baseline: Turn) -> None:
     """
     for what, allowed in ALLOWED.items():
         seen, expected = getattr(turn, what), getattr(baseline, what)
-        if seen is not None:
-            difference = np.abs(seen - expected).max() / np.abs(expected).max()
-            if not difference <= allowed:
-                raise RuntimeError(f"{name}: its {what} differs by {difference:.1e} from that of {BASELINE}.")
+        difference = np.abs(seen - expected).max() / np.abs(expected).max()
+        if not difference <= allowed:
+            raise RuntimeError(f"{name}: its {what} differs by {difference:.1e} from that of {BASELINE}.")
 
 
 def memory_above(function: Callable[..., Any], *arguments: Any) -> float:
@@ -214,7 +196,7 @@ def measure(batch: int, scale: float, threads: tuple[int, ...]) -> list[dict[str
         require_same(each[0], turns[each][0], turns[BASELINE, 1][0])
     for _ in range(ROUNDS):
         for each in contenders:
-            if np.nansum([turn[2:] for turn in turns[each][1:]]) < PATIENCE:
+            if np.sum([turn[2:] for turn in turns[each][1:]]) < PATIENCE:
                 turns[each].append(take_turn(*each, task))
     medians = {each: np.median([turn[2:] for turn in turns[each][1:]], axis=0) for each in contenders}
     return [
@@ -240,88 +222,13 @@ def cell(value: float | str) -> str:
     return str(value)
 
 
-def patch_ratio() -> tuple[float, float]:
-    """Times of a press on a vertex and on a patch, with sensitivities in the exact cone; medians of turns [ms]."""
-    mesh, press = pressed_sheet(1, 0.0)
-    loads = (press, Press.on_patch(mesh, press.vertex, PATCH, press.direction, press.factor))
-    theta, mechanics = (0.5, 0.09, -0.1), Mechanics()
-    turns = [
-        [timed(simulate_sensitivities, theta, mesh, load, mechanics)[1] for load in loads] for _ in range(PATCH_ROUNDS)
-    ]
-    vertex, patch = np.median(turns[1:], axis=0).tolist()
-    return vertex, patch
-
-
-def likelihood(theta: Tensor, mesh: MeshBatch, load: PressBatch, seen: ObservationBatch | DepthBatch) -> None:
-    """What training asks of a contact's point or of its whole dent: misfit, gradient and information by φ."""
-    mechanics, noise = Mechanics(window_error=1e-4), torch.full((len(theta),), 1e-3)
-    if isinstance(seen, DepthBatch):
-        linearise_depth(*rollout_sensitivities(theta, mesh, load, mechanics, watch=seen.vertices), theta, seen)
-    else:
-        linearise(*rollout_sensitivities(theta, mesh, load, mechanics), theta, seen, noise)
-
-
-def dent_ratio() -> tuple[float, float, float]:
-    """Times of a batch of 2's likelihood and gradient, of contacts and of whole dents [ms], and the latter's memory.
-
-    In ms and MB; medians of turns, one thread; both are seen 25 times, without any noise.
-    """
-    torch.set_num_threads(1)
-    sheets = [pressed_sheet(1, float(index)) for index in range(2)]
-    steps = np.arange(FRAME, 201, FRAME)
-    at_rest = Observation.of_point(0, steps * Mechanics().time_step, np.zeros((len(steps), 3)), 1e-3)
-    views = [Patches(mesh, press.vertex, GRID[::-1]) for mesh, press in sheets]
-    still = torch.zeros(2, len(steps), len(views[0].weights))
-    dent = DepthBatch(
-        views=views,
-        vertices=torch.from_numpy(np.stack([view.vertices for view in views])),
-        steps=torch.from_numpy(steps - 1).expand(2, -1),
-        change=still,
-        weight=torch.ones_like(still),
-        noise=torch.full((2,), 1e-3),
-        common=torch.from_numpy(smooth_errors(1.0)).float(),
-    )
-    batch = MeshBatch.from_meshes([mesh for mesh, _ in sheets]), PressBatch.of([press for _, press in sheets])
-    task = torch.tensor([[0.5, 0.09, -0.1]] * 2), *batch
-    seen = ObservationBatch.of([at_rest] * 2, Mechanics().time_step), dent
-    turns = [[timed(likelihood, *task, each)[1] for each in seen] for _ in range(PATCH_ROUNDS)]
-    contact, whole = np.median(turns[1:], axis=0).tolist()
-    return contact, whole, memory_above(likelihood, *task, dent)
-
-
-def plot(rows: list[dict[str, Any]], title: str) -> Figure:
-    """Cost of one mesh against its vertices."""
-    figure = Figure(figsize=(7, 5), layout="constrained")
-    axis = figure.subplots()
-    singles = [row for row in rows if row["batch"] == 1]
-    for name in (BASELINE, STENCIL, *NUMBA):
-        own = [row for row in singles if row["contender"] == name and row["threads"] == 1]
-        column = "forward [ms]" if name == FIELD else "forward + gradient [ms]"
-        axis.loglog([row["vertices"] for row in own], [row[column] for row in own], "o-", label=name)
-    vertices = sorted({row["vertices"] for row in singles})
-    axis.set_xticks(vertices, [f"{count:,}" for count in vertices])
-    axis.minorticks_off()
-    axis.set(xlabel="vertices", ylabel="forward + gradient [ms]; field: forward", title=title)
-    axis.grid(alpha=0.3)
-    axis.legend()
-    return figure
-
-
 def main() -> None:
-    """Measure, print the tables and draw the picture."""
+    """Measure and print the table."""
     command_line(__doc__).parse_args()
-    title = f"200-step rollout, one mesh, one thread; {machine()}"
-    vertex, patch = patch_ratio()
-    print(f"{title}\n\npatch of radius {PATCH}: {patch:.1f} ms, one vertex: {vertex:.1f} ms, {patch / vertex:.2f}×\n")
-    contact, dent, memory = dent_ratio()
-    text = f"likelihood and gradient of a batch of 2: contacts {contact:.1f} ms, whole dents {dent:.1f} ms"
-    print(f"{text}, {dent / contact:.2f}×, {memory:.0f} MB\n")
+    print(f"200-step rollout; {machine()}\n")
     settings = track(SETTINGS.items(), "batches and sizes")
     rows = [row for (batch, scale), threads in settings for row in measure(batch, scale, threads)]
     print_table([*rows[0]], ([cell(value) for value in row.values()] for row in rows))
-    PICTURE.parent.mkdir(parents=True, exist_ok=True)
-    plot(rows, title).savefig(PICTURE, dpi=110)
-    print(f"written: {PICTURE}")
 
 
 if __name__ == "__main__":

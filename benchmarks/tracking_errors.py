@@ -26,14 +26,15 @@ from benchmarks.shared import command_line, machine, print_table
 from data.contact.interaction import Interaction
 from data.synthetic.clip import draw_press, synthetic_clip
 from data.synthetic.scene import Scene, SceneError
-from data.synthetic.source import open_synthetic
+from data.synthetic.source import PREPARE, open_synthetic
 from data.synthetic.truth import PressedMotion
 from estimators.contract import ClipInfo
 from estimators.direct import error_model
 from estimators.direct.error_model import STEP, sawtooth
 from estimators.worker_pool import run_tasks
-from evaluation.recovery.evaluate import MECHANICS, PREPARE, observed_contacts
+from evaluation.recovery.bounds import MECHANICS
 from evaluation.recovery.suites import SUITES, suite_clip_seed
+from evaluation.recovery.trial import observed_contacts
 from physics.likelihood import Likelihood
 
 NAMES = ("clean", "8bit", "noisy")

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import hashlib
 import json
 import math
 import os
@@ -31,7 +30,7 @@ from data.prepared import PreparedFrame
 from data.settings import PrepareSettings
 from data.source.camera import clip_camera
 from data.source.layout import InputError
-from physics.files import all_below, file_sha256
+from physics.files import all_below, as_json, digest_of, file_sha256
 from physics.mesh import Mesh
 from physics.provenance import code_digest
 
@@ -68,7 +67,7 @@ def cache_key(path: Path, settings: PrepareSettings, following: Iterable[Path] =
         "models": [_model_state(model, reading) for model, reading in require_models(settings)],
         "code": code_digest("preparation"),
     }
-    return hashlib.sha256(json.dumps(document, sort_keys=True).encode("utf-8", "surrogatepass")).hexdigest()[:24]
+    return digest_of(document)[:24]
 
 
 def _file_states(path: Path) -> list[list[Any]]:
@@ -221,7 +220,7 @@ class CacheEntry:
                     np.savez(_frame_file(folder, index), depth=prepared.depth, labels=prepared.labels, **mesh)
                     for name, value in _row(prepared).items():
                         columns[name].append(value)
-                np.savez(folder / "clip.npz", sources=json.dumps(sources), size=size, **columns)
+                np.savez(folder / "clip.npz", sources=as_json(sources), size=size, **columns)
                 try:
                     os.rename(folder, self.folder)
                 except OSError as error:

@@ -102,7 +102,7 @@ class ClipStream:
         }
 
     def __iter__(self) -> Iterator[PreparedFrame]:
-        """Prepared frames from the clip's beginning, one for each of its frames, up to thirteen frames late.
+        """Prepared frames from the clip's beginning, one for each of its frames, up to fourteen frames late.
 
         Raises:
             InputError: the segmentation model fails on the clip's pictures.
@@ -127,12 +127,20 @@ class ClipStream:
         if geometry.contact == "motion":
             yield from self._by_dents(DentContacts(self.camera, geometry))
             return
-        evidence = ContactEvidence(geometry.contact_distance or math.inf) if geometry.contact == "touching" else None
+        if geometry.contact != "touching":
+            yield from self._prepared()
+            return
+        near = geometry.contact_distance or math.inf
+        evidence, before = ContactEvidence(near, measured=not self._depth.from_picture), None
         for prepared in self._prepared():
-            if evidence is not None:
-                with self._timed("contact"):
-                    evidence.judge(prepared)
-            yield prepared
+            with self._timed("contact"):
+                evidence.judge(prepared)
+            # A frame may be decided anew by the one after it.
+            if before is not None:
+                yield before
+            before = prepared
+        if before is not None:
+            yield before
 
     def _by_dents(self, dents: DentContacts) -> Iterator[PreparedFrame]:
         for prepared in self._prepared():

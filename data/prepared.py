@@ -41,6 +41,8 @@ class PreparedFrame:
     contact_probability: float = math.nan
     """Of contact, by whether tissue moves with the tool (`data.contact.evidence`); not a number where outlines and
     depth say already that there is none."""
+    undecided: bool = False
+    """Whether the tool hovered before, and since then neither motion nor depth tells whether it touches."""
     distance: float = math.nan
     """Distance of tool and tissue [scene units]; not a number where it was not measured."""
     displacement: np.ndarray = field(default_factory=_unknown)

@@ -193,21 +193,47 @@ class ParticleField:
     """Stiffness against stretch along the surface, shape [N] [m/Δt²]."""
     shape: np.ndarray
     """Against changes of a neighbourhood's shape, likewise."""
+    distance_log_sd: np.ndarray
+    """Standard deviation of the logarithm of `distance` over its mean where tissue has stretched, shape [N]."""
+    shape_log_sd: np.ndarray
+    """Likewise of `shape`."""
     known: np.ndarray
-    """Where the motion so far tells something of it, shape [N], bool."""
+    """Where the motion so far determines `distance`, shape [N], bool; nowhere where the fit does not explain it."""
+    shape_known: np.ndarray
+    """Likewise of `shape`."""
+    skill: float
+    """1 - error / motion so far of the simulation that the instrument alone leads; not a number: nothing has moved."""
     gap: float | None
     """Norm of the deformation by which the simulation missed what the frame shows [scene units]; None = nothing."""
 
     def numbers(self) -> dict[str, float]:
-        """Columns of a frame: quantiles over what is known, and how much that is."""
-        found = {"field_known": float(self.known.mean())}
+        """Columns of a frame: quantiles over what is known, and how much and how well that is."""
+        found = {
+            "field_known": float(self.known.mean()),
+            "shape_known": float(self.shape_known.mean()),
+            "skill": self.skill,
+        }
         if self.gap is not None:
             found["gap"] = self.gap
-        for name, values in (("distance_stiffness", self.distance), ("shape_stiffness", self.shape)):
-            if self.known.any():
-                low, middle, high = np.quantile(values[self.known], (0.1, 0.5, 0.9)).tolist()
+        for name, values, log_sd, known in (
+            ("distance_stiffness", self.distance, self.distance_log_sd, self.known),
+            ("shape_stiffness", self.shape, self.shape_log_sd, self.shape_known),
+        ):
+            if known.any():
+                low, middle, high = np.quantile(values[known], (0.1, 0.5, 0.9)).tolist()
                 found |= {f"{name}_low": low, name: middle, f"{name}_high": high}
+                found[f"{name}_log_sd"] = float(np.median(log_sd[known]))
         return found
+
+    @property
+    def explained(self) -> bool:
+        """Whether tissue that the instrument moves explains the motion so far."""
+        return self.skill >= LEAST_SKILL
+
+    @property
+    def verdict(self) -> str:
+        """`stiffness_ratios` where something is known of either stiffness, else `undetermined`."""
+        return "stiffness_ratios" if self.known.any() or self.shape_known.any() else "undetermined"
 
 
 @dataclass(frozen=True, eq=False)
@@ -336,6 +362,76 @@ class GripEstimate:
 
 
 @dataclass(frozen=True, eq=False)
+class FieldEstimate:
+    """What the motion of tissue that an instrument drives tells of stiffness place by place; T frames, rest first."""
+
+    last: ParticleField
+    """As it was in the last frame."""
+    picture: np.ndarray
+    """The run's first one, in whose pixels all places are, uint8 [h, w, 3] RGB."""
+    places: np.ndarray
+    """Of the particles at rest, shape [N, 2] [px]."""
+    points: np.ndarray
+    """Followed points that the instrument does not hold, at rest, shape [Q, 2] [px]."""
+    observed: np.ndarray
+    """Their displacement in the last frame that shows some, shape [Q, 2] [px]; not seen = NaN."""
+    predicted: np.ndarray
+    """The same by the simulation that the instrument alone leads."""
+    times: np.ndarray
+    """Since the run's first frame, shape [T] [s]."""
+    course: np.ndarray
+    """Root mean squares over the points of what is observed, predicted, and the difference, shape [T, 3] [px]."""
+    numbers: dict[str, np.ndarray]
+    """What `ParticleField.numbers` says in every frame, by name, not a number where it says nothing, shape [T] each."""
+    stretched: bool
+    """Whether tissue has anywhere stretched by as much as settings ask for."""
+
+    @property
+    def skill(self) -> float:
+        """1 - error / motion of that simulation over all frames; not a number where nothing has moved."""
+        return self.last.skill
+
+    @property
+    def explained(self) -> bool:
+        """Whether tissue that the instrument moves explains the motion."""
+        return self.last.explained
+
+    @property
+    def verdict(self) -> str:
+        """`stiffness_ratios` or `undetermined`."""
+        return self.last.verdict
+
+    @property
+    def determined(self) -> tuple[str, ...]:
+        """Names of what is determined."""
+        return () if self.verdict == "undetermined" else (self.verdict,)
+
+    @property
+    def explanation(self) -> str:
+        """What the fit comes to, a sentence; empty where nothing has moved, or too little to stretch anything."""
+        if math.isnan(self.skill):
+            return ""
+        left = f"{1 - self.skill:.0%} of the motion"
+        if not self.explained:
+            return (
+                f"The fit does not explain the motion: tissue simulated under the instrument alone leaves {left} "
+                f"({1 - LEAST_SKILL:.0%} at most count as explained), so no stiffness is given or coloured."
+            )
+        if not self.stretched:
+            return ""
+        if not self.determined:
+            return (
+                f"Tissue simulated under the instrument alone leaves {left}, but no place's stiffness is determined: "
+                "others explain the motion as well, so none is given or coloured."
+            )
+        return (
+            f"Tissue simulated under the instrument alone leaves {left}; stiffness is determined at "
+            f"{self.last.known.mean():.0%} of the particles against stretch, at {self.last.shape_known.mean():.0%} "
+            "against bending."
+        )
+
+
+@dataclass(frozen=True, eq=False)
 class InteractionEstimate:
     """One whole run of contact: its parameters, or the reason why there are none."""
 
@@ -355,12 +451,16 @@ class InteractionEstimate:
     """Times since the onset [s] and the simulated motion along the force then [scene units], shape [T] each."""
     grip: GripEstimate | None = None
     """What the motion around tells, where nothing is determined by the contact's own."""
+    field: FieldEstimate | None = None
+    """What it tells of stiffness place by place, from the estimator that finds that."""
     detail: str = ""
     """Why there is no estimate, or why it can't be trusted."""
 
     @property
-    def told(self) -> Estimate | GripEstimate | None:
+    def told(self) -> Estimate | GripEstimate | FieldEstimate | None:
         """The one by which the verdict is given: a grip's where it tells something and the press nothing."""
+        if self.field is not None:
+            return self.field
         known = self.estimate is not None and self.estimate.verdict != "undetermined"
         useful = self.grip is not None and self.grip.verdict != "undetermined"
         return self.grip if useful and not known else self.estimate

@@ -30,8 +30,8 @@ class EstimatorOptions:
     name: str | None = None
     """One of NAMES; None = what the model's file is for, and without one `network`."""
     model: Path | None = None
-    """ONNX file that `train.py export` or `evaluation.calibration` wrote; None = the one that comes along. Of `direct`
-    the name of what it fits, one of MODELS; None = the sheet."""
+    """ONNX file that `train.py export` or `estimators.network.calibration` wrote; None = the one that
+    comes along. Of `direct` the name of what it fits, one of MODELS; None = the sheet."""
     onset: str | None = None
     """When a press begins, one of `estimators.onset.ONSETS`; None = between frames, as in real videos."""
     observation: str | None = None

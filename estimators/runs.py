@@ -21,6 +21,7 @@ from estimators.grip.recorder import GripRecorder
 from physics.mechanics import Bounds, Mechanics
 
 NO_ONSET = "The onset of the contact was not observed; without it the rest shape and the load's beginning are unknown."
+UNDECIDED = "Contact is not decided: the instrument hovered, and neither motion nor depth shows whether it touches."
 PASSED = "No contact: the instrument moves, and the tissue next to it does not move with it."
 OUTLINES_ALONE = "Contact by outlines alone: nothing has moved yet that would show whether tissue moves with the tool."
 NOT_SHOWN = "No displacement: the onset of contact was not observed, or lies beyond the model's horizon."
@@ -42,6 +43,8 @@ class Run:
         """Largest probability of contact so far."""
         self.hovered = False
         """Whether the tool was found to hover within the run or right after it."""
+        self.undecided = False
+        """Whether the run begins or goes on in a frame where contact is not decided."""
         self.builder: InteractionBuilder | None = None
         """Builder of the interaction from its observations; None where the onset was not observed."""
         self.note(first)
@@ -54,11 +57,12 @@ class Run:
         """Take in the contact probability of a frame within the run or right after it."""
         self.contact = float(np.fmax(self.contact, current.contact_probability))
         self.hovered |= current.hovers
+        self.undecided |= current.undecided
 
     @property
     def passed(self) -> bool:
-        """Whether the tool only passed over the tissue: it hovered, and contact was never likely."""
-        return self.hovered and not self.contact >= SURE
+        """Whether the tool only passed over the tissue: it hovered all the time, and contact was never likely."""
+        return self.hovered and not self.undecided and not self.contact >= SURE
 
     def add(self, current: PreparedFrame) -> None:
         """Add a frame of the run, in contact or followed after it."""
@@ -78,7 +82,8 @@ class Run:
         if self.passed:
             return PASSED
         if self.builder is None:
-            return self.detail or NO_ONSET
+            doubt = UNDECIDED if self.undecided and not self.contact >= SURE else ""
+            return f"{doubt} {self.detail or NO_ONSET}".strip()
         return f"{self.detail} {NOT_FOLLOWED}".strip()
 
 
@@ -250,7 +255,9 @@ def frame_estimate(
         arrow: tail and tip of the drawn force, shape [2, 2] [px].
     """
     frame, contact = prepared.frame, prepared.geometry
-    outlines_alone = contact is not None and prepared.track_start < 0 and prepared.contact_probability < SURE
+    outlines = ""
+    if contact is not None and prepared.track_start < 0 and prepared.contact_probability < SURE:
+        outlines = UNDECIDED if prepared.undecided else OUTLINES_ALONE
     missing = NOT_SHOWN if contact is not None and lengths[0] is None and not whole else ""
     u, v = None, None
     if contact is not None:
@@ -259,7 +266,7 @@ def frame_estimate(
         frame.number,
         frame.time_s,
         prepared.status,
-        detail=" ".join(filter(None, (prepared.detail or missing, OUTLINES_ALONE if outlines_alone else "", doubts))),
+        detail=" ".join(filter(None, (prepared.detail or missing, outlines, doubts))),
         estimate=estimate,
         verdict=verdict if estimate is None else estimate.verdict,
         contact=True if contact is not None else False if prepared.status in SEEN_OUT else None,

@@ -1,18 +1,15 @@
 """How good the estimates are.
 
+harness      what all share: options, resuming, tables, pictures and page; an experiment gives rows for a case
 paper        `train.py test`: table 2, figure 3 and whether training collapsed
 recovery     synthetic clips with known truth against the best that is possible; benchmark: its door
-calibration  a trained posterior's standard deviations made to hold, and its export; a door of its own
-next_depth   the picture some frames ahead by physics and by a trained generator, against truth; a door of its own
-watched      a synthetic clip beside its noise-free truth; generated: what a trained generator makes of it
-colour_bound what colours could tell beside depth, which no estimator looks at; a door of its own
+model_errors what fits get wrong besides what residuals tell, for estimators/model_errors.yaml; a door of its own
+ablation     the trained system without its parts, and the picture some frames ahead; a door of its own
 beside_truth estimates of synthetic clips beside their truth; a door of its own
 real         real clips, judged on what was kept back from the fit; a door of its own
 online       the online estimator on simulated pulls, as its paper shows it; a door of its own
 palpation    measured forces on tissue, judged on what was kept back; a door of its own
 foreign      the finite elements on other people's data; a door of its own
-ablations    the contact posterior with fewer of a contact's frames, the system without its parts; a door of its own
-terms        the latter: generators trained without one term of the loss, the picture or the carried map
 file_table   what every file of a folder gives, as table.csv
 tables       rows as CSV and as Markdown; page: Markdown and figures as one HTML page
 """

@@ -11,319 +11,258 @@ the mean over another split, can't reach it.
 Suites of grips show tissue that a tool holds and moves, at 854x480; the session of direct is asked what they tell, and
 grips.csv has the answer (see `evaluation.recovery.grips`). The suite fem shows soft solids, whose truth is no θ; what
 estimates mean then is in slabs.csv (see `evaluation.recovery.slabs`).
+
+suites:
 """
 
 from __future__ import annotations
 
-from physics.doors import INTERRUPTED, enter_door, interruptible, run_door
+from physics.doors import enter_door, run_door
 
 if __name__ == "__main__":
     enter_door()  # before the slow imports
 
-import argparse
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Literal
 
-from rich.console import Console
+from rich.progress import Progress
 
-from data.command_line import path_option, progress_bars, real_number, say, whole_number
-from data.contact.interaction import CONTACT, FIELD, OBSERVATIONS, PRESS
+from data.contact.interaction import CONTACT
 from data.depth.normalise import MOST_THREADS
 from estimators.direct.estimator import LEAST_SIGMA
-from estimators.onset import ONSETS, STAMP
-from estimators.open import FEM, MODELS, SHEET, EstimatorOptions
-from estimators.worker_pool import WorkerLost, run_tasks
+from estimators.open import FEM, EstimatorOptions
+from evaluation.harness import OK, Report, Row, require_within, run
+from evaluation.page import as_png
 from evaluation.recovery.constant import constant_estimate
+from evaluation.recovery.details import detail_table
 from evaluation.recovery.estimators import CONSTANT, NAMES, Candidate, describe
-from evaluation.recovery.evaluate import MOTION, ClipTask, Recovery, evaluate_clip
-from evaluation.recovery.grips import DIRECT, GripRecovery, GripTask, evaluate_grip
-from evaluation.recovery.output import finish, finish_grips, finish_slabs
-from evaluation.recovery.scores import Bound
-from evaluation.recovery.slabs import SlabRecovery, SlabTask, asked, evaluate_slab
-from evaluation.recovery.store import RecoveryStore
+from evaluation.recovery.grips import grip_table
+from evaluation.recovery.scores import Bound, Scores, score_all, table
+from evaluation.recovery.slabs import slab_table
 from evaluation.recovery.suites import (
+    EVERY,
     GRID_SIZE,
-    GRIP_SUITES,
     LARGEST_SEED,
-    SLAB_SUITES,
-    SPLITS,
     SUITES,
     suite_clip_seed,
 )
-from models.onnx_session import ModelFileError
-from results.store import OutputError
+from evaluation.recovery.trial import MOTION, Trial, run_trial
+from physics.fields import LARGEST
 
 LARGEST_SIZE = 4096
 """Of pictures [px]."""
 LEAST_SEEN = 3
 """Fewer frames after the onset are refused by `direct`."""
+DIRECT = "direct"
+"""The estimator that is asked about grips."""
+SHOWN_FAILURES = 8
+KINDS = ("press", "grip", "slab")
+"""Of suites, in the order of tables."""
+DOCUMENTATION = f"{__doc__}" + "\n".join(f"  {suite.name:12s}{suite.reason}" for suite in EVERY.values())
+Name = Literal["direct", "gan", "network", "constant"]
 
 
-def build_parser() -> argparse.ArgumentParser:
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        prog="python -m evaluation.benchmark",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog="suites:\n"
-        + "\n".join(
-            f"  {suite.name:12s}{suite.reason}"
-            for suite in (*SUITES.values(), *GRIP_SUITES.values(), *SLAB_SUITES.values())
-        )
-        + "\n\nExit status: 0 done, also where clips could not be estimated; 1 nothing could be; 2 wrong usage; "
-        "130 interrupted.",
-    )
-    add = parser.add_argument
-    several: dict[str, Any] = {"nargs": "+", "action": "extend"}
-    choices = [*SUITES, *GRIP_SUITES, *SLAB_SUITES, "all"]
-    text = "suites, or all of presses (default clean)"
-    add("--suite", **several, choices=choices, metavar="SUITE", help=text)
-    add("--estimator", **several, choices=NAMES, metavar="NAME", help=f"{', '.join(NAMES)} (default direct)")
-    add("--model", type=path_option, metavar="FILE", help="ONNX file of the estimator network")
-    add("--gan-model", type=path_option, metavar="FILE", help="ONNX file of the estimator gan: one estimate a frame")
-    text = (
-        "what direct fits to presses (default %(default)s): fem is a slab of finite elements that is told the "
-        "tissue's thickness, for the suite fem alone"
-    )
-    add("--direct-model", choices=MODELS, default=SHEET, help=text)
-    noise = real_number(f"a noise above the simulator's own error; give {LEAST_SIGMA:g} or more", LEAST_SIGMA)
-    add("--noise", type=noise, metavar="SIGMA", help="σ that direct is told [scene units] (default: the clip's own)")
-    text = "clips of each suite, a third a regime (default %(default)s)"
-    add("--clips", type=whole_number(1), default=60, metavar="N", help=text)
-    text = "another seed gives other clips (default %(default)s)"
-    add("--seed", type=whole_number(0, LARGEST_SEED), default=0, metavar="N", help=text)
-    add("--split", choices=list(SPLITS), default="test", help="stream of seeds (default %(default)s)")
-    text = "only the first N frames after the onset are seen, or with 'press' those in contact (default: one second)"
-    add("--seen", type=_seen, metavar="N", help=text)
-    text = "when direct and network take a press to begin: at a frame's stamp (default, as in most suites) or between"
-    add("--onset", choices=ONSETS, default=STAMP, help=text)
-    text = (
-        "how contacts are found: where masks show the tool (touching, default), or by their dents in clips that are "
-        "drawn without the tool (motion), of presses on a sheet"
-    )
-    add("--contact", choices=("touching", MOTION), default="touching", help=text)
-    text = "what direct and network look at: the whole dent (field, default), or the point that was touched (contact)"
-    add("--observation", choices=OBSERVATIONS, help=text)
-    text = (
-        "Cramér–Rao bound that errors are compared with: of the film of the whole dent (default), or of the contact's "
-        "point; with --onset between, of somebody who doesn't know the instants either"
-    )
-    add("--bound", choices=OBSERVATIONS, default=FIELD, help=text)
-    text = "width and height of the pictures (default %(default)s); 854x480 is CholecSeg8k's"
-    add("--size", type=_size, default="214x120", metavar="WxH", help=text)
-    add("--output", type=path_option, required=True, metavar="DIR", help="folder of the results")
-    text = "processes; 0 = in this one (default %(default)s)"
-    add("--workers", type=whole_number(0, MOST_THREADS), default=2, metavar="N", help=text)
-    return parser
+@dataclass(frozen=True)
+class Benchmark:
+    """What is measured."""
 
+    output: Path
+    """folder of the results"""
+    suite: tuple[str, ...] = ("clean",)
+    """suites, or all of presses"""
+    estimator: tuple[Name, ...] = (DIRECT,)
+    """direct, gan, network or constant, one or more"""
+    model: Path | None = None
+    """ONNX file of the estimator network"""
+    gan_model: Path | None = None
+    """ONNX file of the estimator gan: one estimate a frame"""
+    direct_model: Literal["sheet", "fem"] = "sheet"
+    """what direct fits to presses; fem is a slab of finite elements that is told the tissue's thickness, for the suite
+    fem alone"""
+    noise: float | None = None
+    """σ that direct is told [scene units] (default: the clip's own)"""
+    clips: int = 60
+    """clips of each suite, a third a regime"""
+    seed: int = 0
+    """another seed gives other clips"""
+    split: Literal["training", "validation", "test"] = "test"
+    """stream of seeds"""
+    seen: int | Literal["press"] | None = None
+    """only the first N frames after the onset are seen, or with 'press' those in contact (default: one second)"""
+    onset: Literal["stamp", "between"] = "stamp"
+    """when direct and network take a press to begin: at a frame's stamp (as in most suites) or between"""
+    contact: Literal["touching", "motion"] = "touching"
+    """how contacts are found: where masks show the tool (touching), or by their dents in clips that are drawn without
+    the tool (motion), of presses on a sheet"""
+    observation: Literal["field", "contact"] | None = None
+    """what direct and network look at: the whole dent (field, default), or the point that was touched (contact)"""
+    bound: Literal["field", "contact"] = "field"
+    """Cramér–Rao bound that errors are compared with: of the film of the whole dent, or of the contact's point; with
+    --onset between, of somebody who doesn't know the instants either"""
+    size: str = "214x120"
+    """width and height of the pictures; 854x480 is CholecSeg8k's"""
+    workers: int = 2
+    """processes; 0 = in this one"""
 
-def _seen(text: str) -> int | str:
-    if text == PRESS or (text.isascii() and text.isdigit() and int(text) >= LEAST_SEEN):
-        return PRESS if text == PRESS else int(text)
-    raise argparse.ArgumentTypeError(f"{text} is no part of a contact; give at least {LEAST_SEEN} frames, or {PRESS}")
+    keys: ClassVar = ("suite", "index", "estimator")
+    work: ClassVar = staticmethod(run_trial)
+    refused: ClassVar = ()
 
+    def __post_init__(self) -> None:
+        """Raise a ValueError where an option can't be used, or options don't belong together."""
+        require_within(self, clips=(1, LARGEST), seed=(0, LARGEST_SEED), workers=(0, MOST_THREADS))
+        strange = [name for name in self.suite if name not in (*EVERY, "all")]
+        if strange:
+            raise ValueError(f"--suite {strange[0]} is no suite; give {', '.join((*EVERY, 'all'))}.")
+        if self.noise is not None and not LEAST_SIGMA <= self.noise <= LARGEST:
+            raise ValueError(
+                f"--noise {self.noise} is no noise above the simulator's own error; give {LEAST_SIGMA:g} or more."
+            )
+        if isinstance(self.seen, int) and self.seen < LEAST_SEEN:
+            raise ValueError(
+                f"--seen {self.seen} is no part of a contact; give at least {LEAST_SEEN} frames, or press."
+            )
+        if not all(least <= side <= LARGEST_SIZE for side, least in zip(self.pixels, GRID_SIZE, strict=True)):
+            raise ValueError(
+                f"--size {self.size} is no size of pictures; give WIDTHxHEIGHT from {'x'.join(map(str, GRID_SIZE))} "
+                f"up, {LARGEST_SIZE} px a side at most."
+            )
+        kinds = {EVERY[name].of for name in self.suites}
+        if "slab" in kinds and CONSTANT in self.estimator:
+            raise ValueError("--estimator constant is of no use to the suite fem, which has no true θ; leave one out.")
+        if self.seen is not None and "gan" in self.estimator:
+            raise ValueError("--seen is of no use to gan, which sees single frames; leave one of the two out.")
+        if self.direct_model == FEM and (kinds != {"slab"} or DIRECT not in self.estimator):
+            raise ValueError(
+                "--direct-model fem is for --suite fem --estimator direct, whose clips tell the thickness; leave other "
+                "suites out."
+            )
+        if self.direct_model == FEM and self.observation == CONTACT:
+            raise ValueError("--direct-model fem is fitted to all visible tissue; leave --observation contact out.")
+        if self.contact == MOTION and (kinds != {"press"} or "gan" in self.estimator):
+            raise ValueError(
+                "--contact motion is for direct and network on suites of presses; leave gan and other suites out."
+            )
+        for name, option, given in (("network", "--model", self.model), ("gan", "--gan-model", self.gan_model)):
+            if name in self.estimator and given is None:
+                raise ValueError(f"--estimator {name} needs a network; give its file as {option} FILE.")
+            if name not in self.estimator and given is not None:
+                raise ValueError(f"{option} {given} is of no use without --estimator {name}; add that or leave it out.")
 
-def _size(text: str) -> tuple[int, int]:
-    width, _, height = text.partition("x")
-    whole = width.isdigit() and height.isdigit() and text.isascii()
-    if not whole or not (GRID_SIZE[0] <= int(width) <= LARGEST_SIZE and GRID_SIZE[1] <= int(height) <= LARGEST_SIZE):
-        least = "x".join(map(str, GRID_SIZE))
-        raise argparse.ArgumentTypeError(
-            f"{text} is no size of pictures; give WIDTHxHEIGHT from {least} up, {LARGEST_SIZE} px a side at most"
-        )
-    return int(width), int(height)
+    @property
+    def suites(self) -> list[str]:
+        """Each once, in the order of tables."""
+        return [name for name in EVERY if name in self.suite or ("all" in self.suite and name in SUITES)]
 
+    @property
+    def pixels(self) -> tuple[int, int]:
+        """Width and height of the pictures; 0 for what is no size."""
+        found = re.fullmatch(r"([0-9]+)x([0-9]+)", self.size, re.ASCII)
+        return (int(found[1]), int(found[2])) if found else (0, 0)
 
-def parse(arguments: list[str] | None) -> argparse.Namespace:
-    """Options of the command line, with what was left out; ends the program where they don't belong together."""
-    parser = build_parser()
-    options = parser.parse_args(arguments)
-    chosen = options.suite or ["clean"]
-    options.suite = [name for name in SUITES if "all" in chosen or name in chosen]
-    options.grips = [name for name in GRIP_SUITES if name in chosen]
-    options.slabs = [name for name in SLAB_SUITES if name in chosen]
-    options.estimator = [name for name in NAMES if name in (options.estimator or ["direct"])]
-    if options.slabs and CONSTANT in options.estimator:
-        parser.error(
-            "--estimator constant is of no use to the suite fem, which has no true θ; leave one of the two out."
-        )
-    if options.seen is not None and "gan" in options.estimator:
-        parser.error("--seen is of no use to gan, which sees single frames; leave one of the two out.")
-    if options.direct_model == FEM and (options.suite or options.grips or "direct" not in options.estimator):
-        parser.error(
-            "--direct-model fem is for --suite fem --estimator direct, whose clips tell the thickness; leave other "
-            "suites out."
-        )
-    if options.direct_model == FEM and options.observation == CONTACT:
-        parser.error("--direct-model fem is fitted to all visible tissue; leave --observation contact out.")
-    if options.contact == MOTION and (options.grips or options.slabs or "gan" in options.estimator):
-        parser.error("--contact motion is for direct and network on suites of presses; leave gan and other suites out.")
-    options.models = {"network": options.model, "gan": options.gan_model}
-    for (name, given), option in zip(options.models.items(), ("--model", "--gan-model"), strict=True):
-        if name in options.estimator and given is None:
-            parser.error(f"--estimator {name} needs a network; give its file as {option} FILE.")
-        if name not in options.estimator and given is not None:
-            parser.error(f"{option} {given} is of no use without --estimator {name}; add that or leave it out.")
-    return options
-
-
-def estimators_of(options: argparse.Namespace) -> dict[str, EstimatorOptions]:
-    """What is compared but the constant, by name."""
-    return {
-        name: EstimatorOptions(
-            name,
-            model=Path(options.direct_model) if name == "direct" else options.models.get(name),
-            onset=None if name == "gan" else options.onset,
-            noise=options.noise if name == "direct" else None,
-            observation=None if name == "gan" else options.observation,
-            horizon=options.seen,
-            threads=1,
-        )
-        for name in options.estimator
-        if name != CONSTANT
-    }
-
-
-def open_store(options: argparse.Namespace, estimators: Mapping[str, EstimatorOptions]) -> RecoveryStore:
-    """Results of earlier runs, and where those of this one go.
-
-    Raises:
-        ModelFileError: a network can't be used.
-        OutputError: the folder can't be, or holds results that depend on something else.
-    """
-    wanted = {"seed": options.seed, "split": options.split, "seen": options.seen, "size": list(options.size)}
-    wanted["contact"] = options.contact
-    wanted |= {f"suite {name}": SUITES[name].describe() for name in options.suite}
-    wanted |= {f"estimator {name}": describe(estimator) for name, estimator in estimators.items()}
-    return RecoveryStore(options.output, wanted, Recovery)
-
-
-def run_grips(options: argparse.Namespace, console: Console) -> int:
-    """Do what is left of the suites of grips, and write grips.csv; returns the exit status."""
-    wanted = {"seed": options.seed, "split": options.split}
-    wanted |= {f"suite {name}": GRIP_SUITES[name].describe() for name in options.grips}
-    try:
-        store = RecoveryStore(options.output, wanted, GripRecovery)
-    except OutputError as error:
-        say(console, str(error), "red")
-        return 2
-    asked = [(name, index) for index in range(options.clips) for name in options.grips]
-    left = [pair for pair in asked if (*pair, DIRECT) not in store.done]
-    tasks = [GripTask(*pair, suite_clip_seed(options.split, options.seed, pair[1])) for pair in left]
-    status = _append_all(evaluate_grip, tasks, len(asked), store, options.workers, console)
-    rows = [row for row in store.rows if (row.suite, row.index) in asked]
-    return finish_grips(rows, options.output, console, status)
-
-
-def run_slabs(options: argparse.Namespace, console: Console) -> int:
-    """Do what is left of the suites of slabs, and write slabs.csv; returns the exit status."""
-    estimators = estimators_of(options)
-    wanted = {"seed": options.seed, "split": options.split, "seen": options.seen}
-    try:
-        wanted |= {f"suite {name}": SLAB_SUITES[name].describe() for name in options.slabs}
-        wanted |= {f"estimator {name}": describe(estimator) for name, estimator in estimators.items()}
-        store = RecoveryStore(options.output, wanted, SlabRecovery)
-    except (ModelFileError, OutputError) as error:
-        say(console, str(error), "red")
-        return 2
-    tasks, total = [], options.clips * len(options.slabs)
-    for index, suite in itertools.product(range(options.clips), options.slabs):
-        left = {
-            name: estimators[name] for name in asked(suite, index, estimators) if (suite, index, name) not in store.done
+    @property
+    def estimators(self) -> dict[str, EstimatorOptions]:
+        """What is compared but the constant, by name, in the order of tables."""
+        models = {"network": self.model, "gan": self.gan_model, DIRECT: Path(self.direct_model)}
+        return {
+            name: EstimatorOptions(
+                name,
+                model=models[name],
+                onset=None if name == "gan" else self.onset,
+                noise=self.noise if name == DIRECT else None,
+                observation=None if name == "gan" else self.observation,
+                horizon=self.seen,
+                threads=1,
+            )
+            for name in NAMES
+            if name in self.estimator and name != CONSTANT
         }
-        if left:
-            tasks.append(SlabTask(suite, index, suite_clip_seed(options.split, options.seed, index), left))
-    status = _append_all(evaluate_slab, tasks, total, store, options.workers, console)
-    rows = [row for row in store.rows if row.suite in options.slabs and row.index < options.clips]
-    return finish_slabs([row for row in rows if row.estimator in estimators], options.output, console, status)
 
+    def record(self) -> Mapping[str, Any]:
+        """What the results depend on."""
+        found = {"seed": self.seed, "split": self.split, "seen": self.seen, "size": list(self.pixels)}
+        found |= {"contact": self.contact}
+        found |= {f"suite {name}": EVERY[name].describe() for name in self.suites}
+        return found | {f"estimator {name}": describe(estimator) for name, estimator in self.estimators.items()}
 
-def _append_all(
-    work: Callable[[Any], list[Any]],
-    tasks: Sequence[Any],
-    total: int,
-    store: RecoveryStore,
-    workers: int,
-    console: Console,
-) -> int:
-    """Do tasks and keep their results as they come; returns the exit status."""
-    try:
-        with progress_bars(console) as progress:
-            bar = progress.add_task("clips", total=total, completed=total - len(tasks))
-            for rows in run_tasks(work, tasks, workers):
-                store.append(rows)
-                progress.advance(bar)
-    except KeyboardInterrupt:
-        say(console, "Interrupted; finished clips are kept, and the same command continues.", "yellow")
-        return INTERRUPTED
-    except (OutputError, WorkerLost) as error:
-        say(console, f"{error} Finished clips are kept.", "red")
-        return 1
-    return 0
+    def asked(self, suite: str, index: int) -> list[str]:
+        """The estimators that a clip is for: of a grip, the one that fits grips."""
+        of, settings = EVERY[suite].of, EVERY[suite].settings(index)
+        if of == "grip":
+            return [DIRECT]
+        return [name for name in NAMES if name in self.estimator and (settings.action == "press" or name == DIRECT)]
 
+    @property
+    def wanted(self) -> list[tuple[str, int, str]]:
+        """Suite, clip and estimator of every result that is asked for."""
+        clips = itertools.product(range(self.clips), self.suites)
+        return [(suite, index, name) for index, suite in clips for name in self.asked(suite, index)]
 
-def measure(
-    options: argparse.Namespace,
-    estimators: Mapping[str, EstimatorOptions],
-    left: set[tuple[str, int, str]],
-    store: RecoveryStore,
-    console: Console,
-) -> None:
-    """Do what is left: suite, clip and estimator of every result that is missing."""
-    candidates: dict[str, Candidate] = {**estimators}
-    with progress_bars(console) as progress:
+    def cases(self, done: Mapping[tuple, Row], progress: Progress) -> tuple[list[Trial], int]:
+        """Presses of one clip together, since most suites show the same motion; all others one by one."""
+        left = [key for key in self.wanted if key not in done]
+        known: dict[str, Candidate] = {DIRECT: EstimatorOptions(DIRECT, threads=1), **self.estimators}
         if any(name == CONSTANT for _, _, name in left):
-            candidates[CONSTANT] = constant_estimate(options.split, options.seed, options.workers, progress)
-        tasks = []
-        for index in sorted({index for _, index, _ in left}):
-            wanted = {
-                suite: {name: candidates[name] for name in options.estimator if (suite, index, name) in left}
-                for suite in options.suite
-            }
-            seed = suite_clip_seed(options.split, options.seed, index)
-            tasks.append(ClipTask(index, seed, wanted, options.seen, options.size, options.contact))
-        bar = progress.add_task("clips", total=options.clips, completed=options.clips - len(tasks))
-        for rows in run_tasks(evaluate_clip, tasks, options.workers):
-            store.append(rows)
-            progress.advance(bar)
+            known[CONSTANT] = constant_estimate(self.split, self.seed, self.workers, progress)
+
+        def group(key: tuple[str, int, str]) -> tuple[int, str]:
+            return key[1], "" if EVERY[key[0]].of == "press" else key[0]
+
+        trials: dict[tuple[int, str], dict[str, dict[str, Candidate]]] = {}
+        for key in left:
+            trials.setdefault(group(key), {}).setdefault(key[0], {})[key[2]] = known[key[2]]
+        seeds = {index: suite_clip_seed(self.split, self.seed, index) for index, _ in trials}
+        rest = self.seen, self.pixels, self.contact
+        cases = [Trial(index, seeds[index], wanted, *rest) for (index, _), wanted in trials.items()]
+        return cases, len({group(key) for key in self.wanted})
+
+    def report(self, rows: Mapping[tuple, Row]) -> Report:
+        """Tables of presses, of grips and of slabs, and figures of presses."""
+        from evaluation.recovery.figures import figures
+
+        order = sorted(self.wanted, key=lambda key: (NAMES.index(key[2]), self.suites.index(key[0]), key[1]))
+        found = [rows[key] for key in order if key in rows]
+        presses, grips, slabs = ([row for row in found if EVERY[row["suite"]].of == of] for of in KINDS)
+        judged = score_all(presses, Bound(self.bound, self.onset))
+        tables = {"table.csv": table(judged), "details.csv": detail_table(judged)} if judged else {}
+        shown = [frame[frame["n"] > 0] for frame in list(tables.values())[:1]]
+        for name, part, made in (("grips.csv", grips, grip_table), ("slabs.csv", slabs, slab_table)):
+            if part:
+                tables[name] = made(part)
+                shown.append(tables[name])
+        said = [line for scores in judged for line in _said(scores)] + _failures(grips) + _failures(slabs)
+        failed = not found or (bool(presses) and not any(row["status"] == OK for row in presses))
+        if failed:
+            said.append(("No clip could be estimated.", "red"))
+        return Report(tables, shown, said, {name: as_png(figure) for name, figure in figures(judged)}, failed=failed)
 
 
-def main(arguments: list[str] | None = None) -> int:
+def _said(scores: Scores) -> list[tuple[str, str]]:
+    """How many clips of a suite were estimated, and why others weren't."""
+    count = f"{len(scores.rows)} of {len(scores.rows) + len(scores.failed)} clips estimated"
+    text = f"{scores.estimator} on {scores.suite}: {count}, σ {scores.noise[0]:.3g}"
+    return [(text, ""), *_failures(scores.failed)]
+
+
+def _failures(rows: Sequence[Row]) -> list[tuple[str, str]]:
+    failed = [row for row in rows if row["status"] != OK]
+    said = []
+    for row in failed[:SHOWN_FAILURES]:
+        clip = f"{row['suite']}, clip {row['index']} ({row.get('regime', row['action'])})"
+        said.append((f"  {clip}: {row['status']}, {row['reason']}", "yellow"))
+    if len(failed) > SHOWN_FAILURES:
+        said.append((f"  {len(failed)} in all: {dict(Counter(row['status'] for row in failed))}", "yellow"))
+    return said
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
     """Run the benchmark that the command line asks for; returns the exit status."""
-    console, options = Console(stderr=True), parse(arguments)
-    status = run_grips(options, console) if options.grips else 0
-    status = status or (run_slabs(options, console) if options.slabs else 0)
-    return status or (run_presses(options, console) if options.suite else 0)
-
-
-def run_presses(options: argparse.Namespace, console: Console) -> int:
-    """Do what is left of the suites of presses, and write their tables; returns the exit status."""
-    estimators = estimators_of(options)
-    try:
-        store = open_store(options, estimators)
-    except (ModelFileError, OutputError) as error:
-        say(console, str(error), "red")
-        return 2
-    if store.outdated:
-        text = "Results of another version of the program are kept; give another --output to measure this one."
-        say(console, text, "yellow")
-    asked = set(itertools.product(options.suite, range(options.clips), options.estimator))
-    status = 0
-    try:
-        with interruptible():
-            measure(options, estimators, asked - store.done, store, console)
-    except KeyboardInterrupt:
-        say(console, "Interrupted; finished clips are kept, and the same command continues.", "yellow")
-        status = INTERRUPTED
-    except (OutputError, WorkerLost) as error:
-        say(console, f"{error} Finished clips are kept.", "red")
-        status = 1
-    places = list(SUITES)
-    rows = [row for row in store.rows if row.key in asked]
-    rows.sort(key=lambda row: (NAMES.index(row.estimator), places.index(row.suite), row.index))
-    return finish(rows, options.output, console, status, Bound(options.bound, options.onset))
+    return run(Benchmark, arguments, "evaluation.benchmark", DOCUMENTATION)
 
 
 if __name__ == "__main__":

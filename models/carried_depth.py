@@ -18,7 +18,7 @@ from torch import Tensor
 
 from physics.mechanics import Mechanics
 from physics.msd import rollout
-from physics.msd.batch import LoadBatch, MeshBatch
+from physics.msd.batch import MeshBatch, PressBatch
 
 CARRIED_RADIUS = 12
 """Vertices up to this many rows and columns from the contact are carried [grid px]."""
@@ -32,13 +32,13 @@ MIN_TISSUE_SHARE = 0.999
 
 
 def carried(
-    depth: Tensor, theta: Tensor, mesh: MeshBatch, load: LoadBatch, course: Tensor, mechanics: Mechanics
+    depth: Tensor, theta: Tensor, mesh: MeshBatch, load: PressBatch, course: Tensor, mechanics: Mechanics
 ) -> Tensor:
     """Depth maps [B, 1, H, W] at other times, if only the press with θ moves the tissue: `shifted` by `change`."""
     return shifted(depth, change(theta.to(depth), mesh, load, course, mechanics))
 
 
-def change(theta: Tensor, mesh: MeshBatch, load: LoadBatch, course: Tensor, mechanics: Mechanics) -> Tensor:
+def change(theta: Tensor, mesh: MeshBatch, load: PressBatch, course: Tensor, mechanics: Mechanics) -> Tensor:
     """Change of the depth from one time of the rollout to another, shape [B, 1, H, W] [scene units].
 
     Args:
@@ -88,7 +88,7 @@ def shifted(depth: Tensor, by: Tensor | None) -> Tensor:
 class _Surroundings:
     """The tissue around B contacts as maps of S × S pixels, of the type of `like`; M vertices of each mesh move."""
 
-    def __init__(self, mesh: MeshBatch, load: LoadBatch, like: Tensor) -> None:
+    def __init__(self, mesh: MeshBatch, load: PressBatch, like: Tensor) -> None:
         height, width = mesh.grid_shape
         self._shape = height, width
         starts, ends, sample = mesh.vertex_offsets[:-1], mesh.vertex_offsets.tolist(), mesh.sample_of_vertex()

@@ -17,7 +17,7 @@ from torch import Tensor
 from models.evidence import negative_evidence
 from physics.mechanics import SIGNS, Bounds, Mechanics
 from physics.msd import rollout, rollout_sensitivities
-from physics.msd.batch import DepthBatch, LoadBatch, MeshBatch, ObservationBatch
+from physics.msd.batch import DepthBatch, MeshBatch, ObservationBatch, PressBatch
 from physics.msd.likelihoods import displacement_error, linearise, linearise_depth
 
 
@@ -97,7 +97,7 @@ def identity_loss(unchanged: Tensor, real: Tensor) -> Tensor:
 
 
 def physics_loss(
-    theta: Tensor, mesh: MeshBatch, load: LoadBatch, observation: ObservationBatch, mechanics: Mechanics
+    theta: Tensor, mesh: MeshBatch, load: PressBatch, observation: ObservationBatch, mechanics: Mechanics
 ) -> Tensor:
     """E[‖Φ_MSD(θ) − d_obs‖²], gradient through all steps of the rollout (Bini 2026, equations 14 and 15).
 
@@ -119,7 +119,7 @@ def posterior_physics_loss(
     factor: Tensor,
     noise: Tensor,
     mesh: MeshBatch,
-    load: LoadBatch,
+    load: PressBatch,
     observation: ObservationBatch,
     mechanics: Mechanics,
     box: tuple[Tensor, Tensor],

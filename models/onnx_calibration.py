@@ -5,7 +5,6 @@ It works for any exported posterior, however it was trained: nothing but the fil
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -17,7 +16,7 @@ from torch import Tensor, nn
 from models.calibration import LOG_DAMPING, Calibration, Widths
 from models.onnx_export import PARITY_TOLERANCE, ParityError, require_own_model, to_onnx
 from models.onnx_session import CONTACT, INPUT, LOG_COVARIANCE, LOG_MEAN, METADATA_KEY, PosteriorModel
-from physics.files import replacing
+from physics.files import as_json, replacing
 
 NAME_PREFIX = "calibration/"
 """Prefix of the names of nodes that calibration adds to a file."""
@@ -76,7 +75,7 @@ def calibrate(source: Path, output: Path, calibration: Calibration) -> float:
     model = onnx.load(source)
     _append(model.graph, to_onnx(widening, {CONTACT: contact, LOG_MEAN: mean, "own": own}, (LOG_COVARIANCE,)))
     document = plain.metadata | {"calibration": asdict(calibration)}
-    onnx.helper.set_model_props(model, {METADATA_KEY: json.dumps(document, ensure_ascii=False, sort_keys=True)})
+    onnx.helper.set_model_props(model, {METADATA_KEY: as_json(document, ensure_ascii=False, sort_keys=True)})
     require_own_model(output)
     output.parent.mkdir(parents=True, exist_ok=True)
     with replacing(output) as partial:

@@ -7,7 +7,6 @@ contact's vector. `models.onnx_calibration` calibrates the file.
 
 from __future__ import annotations
 
-import json
 import logging
 import os
 import platform
@@ -38,7 +37,7 @@ from models.onnx_session import (
     PosteriorModel,
 )
 from models.posterior import ContactPosterior
-from physics.files import read_file, replacing
+from physics.files import as_json, read_file, replacing
 from physics.ownership import ForeignFile
 
 OPSET = 18
@@ -140,7 +139,7 @@ def export(
     exported.cpu().eval()
     window = tuple(metadata["input"][name] for name in ("window", "height", "width"))
     model = to_onnx(exported, exported.examples(2, window), exported.kind.outputs)
-    text = json.dumps(document | metadata, ensure_ascii=False, sort_keys=True)
+    text = as_json(document | metadata, ensure_ascii=False, sort_keys=True)
     onnx.helper.set_model_props(model, {METADATA_KEY: text})
     require_own_model(output)
     output.parent.mkdir(parents=True, exist_ok=True)

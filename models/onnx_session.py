@@ -20,7 +20,7 @@ import onnxruntime
 
 from models.calibration import Widths
 from physics.fields import fits
-from physics.files import read_file
+from physics.files import as_json, read_file
 
 SHIPPED = Path(__file__).resolve().parent / "weights" / "contact.onnx"
 """The contact posterior that ships with the program; its model card lies in the same folder."""
@@ -64,7 +64,7 @@ class ModelFileError(ValueError):
 
 
 class ExportedModel:
-    """A network in a file that `train.py export` or `evaluation.calibration` wrote.
+    """A network in a file that `train.py export` or `estimators.network.calibration` wrote.
 
     Args:
         path: the file.
@@ -160,7 +160,7 @@ class PosteriorModel(ExportedModel):
             raise ModelFileError(
                 f"{self.path} gives its verdicts by standard deviations, as an earlier version did; export it again."
             )
-        plain = json.loads(json.dumps(asdict(Widths())))
+        plain = json.loads(as_json(asdict(Widths())))
         self.calibrated = plain | whole != plain
         """Whether its standard deviations are calibrated."""
 

@@ -6,6 +6,7 @@ load             how a tool acts on a mesh: Press or Grip
 observation      what was seen of followed points
 likelihood       how well a θ explains an observation, and its derivatives
 identifiability  what a motion can tell about θ: information, bounds, verdict
+robust           Student's errors, spreads by medians, affine motions of points
 sheet            a gripped sheet at rest: the quasi-static limit
 endless_sheet    how such a sheet without an end answers a force
 fem              soft bodies of tetrahedra: laws, rest, motion, exact derivatives

@@ -1,14 +1,17 @@
-"""Files that appear complete or not at all, and reading that neither waits nor goes on for ever."""
+"""Files that appear complete or not at all, reading that neither waits nor goes on for ever, and JSON."""
 
 from __future__ import annotations
 
 import errno
 import hashlib
+import json
+import math
 import os
 import stat
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 MOST_BYTES = 2**24
 """Files that describe something are smaller; an hour's time stamps are."""
@@ -38,6 +41,34 @@ def file_sha256(path: Path) -> str:
     _require_file(path)
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def as_json(value: object, **layout: Any) -> str:
+    """A value as JSON: every document and every line of JSON that this program writes.
+
+    JSON has no word for what isn't finite (RFC 8259, section 6): such numbers are null. Arrays are lists.
+
+    Args:
+        value: what `json.dumps` takes, arrays and their numbers among it.
+        layout: `indent`, `sort_keys`, `ensure_ascii` of `json.dumps`.
+    """
+    return json.dumps(_finite(value), allow_nan=False, **layout)
+
+
+def _finite(value: Any) -> Any:
+    """A value with None in place of numbers that aren't finite, and with lists in place of arrays."""
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, dict):
+        return {key: _finite(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def digest_of(value: object) -> str:
+    """SHA-256 of a value of JSON's kinds, as hexadecimal text; numbers that aren't finite differ from None in it."""
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
 
 
 def _require_file(path: Path) -> os.stat_result:

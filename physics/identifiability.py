@@ -92,11 +92,11 @@ def ratio_bounds(information: np.ndarray) -> np.ndarray:
     return combination_bounds(information, RATIOS)
 
 
-def verdict(information: np.ndarray, limit: float = LIMIT) -> Verdict:
+def verdict(information: np.ndarray) -> Verdict:
     """`determined`: every parameter's bound lies below the limit. `ratios`: not, but those of k_s/k_d and F/k_d do."""
-    if (bounds(information) < limit).all():
+    if (bounds(information) < LIMIT).all():
         return "determined"
-    return "ratios" if (ratio_bounds(information) < limit).all() else "undetermined"
+    return "ratios" if (ratio_bounds(information) < LIMIT).all() else "undetermined"
 
 
 def principal_directions(information: np.ndarray) -> list[tuple[float, str]]:
@@ -128,11 +128,11 @@ def _power(name: str, power: float) -> str:
     return name if power == 1 else f"√{name}"
 
 
-def describe(information: np.ndarray, limit: float = LIMIT) -> str:
+def describe(information: np.ndarray) -> str:
     """What is determined and what isn't, a sentence such as `F / k_d (±0.02) is determined, k_s · k_d · F isn't`."""
     directions = principal_directions(information)
-    known = [f"{words} (±{sd:.2g})" for sd, words in directions if sd < limit]
-    unknown = [words for sd, words in directions if sd >= limit]
+    known = [f"{words} (±{sd:.2g})" for sd, words in directions if sd < LIMIT]
+    unknown = [words for sd, words in directions if sd >= LIMIT]
     if not unknown:
         return f"{', '.join(known)} are determined"
     if not known:

@@ -1,6 +1,6 @@
 """How likely an observed motion is under the simulator, and what it tells: residual, Jacobian, information.
 
-φ = (log k_s, log k_d, log |F|), with F pressing; under a grip, where no force is a parameter, φ = (log k_s, log k_d).
+φ = (log k_s, log k_d, log |F|), with F pressing.
 The noise is normal, so -log p(d|φ) = ½ Σ r² with the residual r = (Φ(φ) - d)/σ (Bini 2026, equation 14, with σ).
 """
 
@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from physics.identifiability import fisher_information, log_jacobian
-from physics.load import Load, Press
+from physics.load import Press
 from physics.mechanics import Mechanics, theta_of
 from physics.mesh import Mesh
 from physics.msd.simulation import is_chaotic, simulate_sensitivities
@@ -47,7 +47,7 @@ class Likelihood:
 
     Args:
         mesh: tissue at rest.
-        load: what acts on it, over the instants of the observation at least.
+        load: what presses on it, over the instants of the observation at least.
         observation: what was seen; instants are compared at the nearest step.
         mechanics: constants of the simulator.
         dtype: float32 or float64, the precision of the simulation.
@@ -58,7 +58,7 @@ class Likelihood:
     """
 
     def __init__(
-        self, mesh: Mesh, load: Load, observation: Observation, mechanics: Mechanics, dtype: type = np.float64
+        self, mesh: Mesh, load: Press, observation: Observation, mechanics: Mechanics, dtype: type = np.float64
     ) -> None:
         self.mesh, self.observation, self.mechanics, self.dtype = mesh, observation, mechanics, dtype
         self.steps = observation.steps(mechanics.time_step)
@@ -77,14 +77,9 @@ class Likelihood:
             raise ValueError("noise of a seen point isn't a positive number; give a standard deviation above 0.")
         self._known: tuple[np.ndarray, Linearised] | None = None
 
-    @property
-    def parameters(self) -> int:
-        """D."""
-        return 3 if isinstance(self.load, Press) else 2
-
     def theta(self, logs: np.ndarray) -> np.ndarray:
         """θ = [k_s, k_d, F] at φ, shape [3]."""
-        return theta_of(np.append(logs[: self.parameters], [0.0] * (3 - self.parameters)))
+        return theta_of(logs[:3])
 
     def linearise(self, logs: np.ndarray) -> Linearised:
         """Residual and its exact derivatives at φ [D]; the last ones are remembered.
@@ -117,12 +112,8 @@ class Likelihood:
         path, slopes = simulate_sensitivities(
             theta, self.mesh, self.load, self.mechanics, watch=self.observation.vertices, dtype=self.dtype
         )
-        slopes = log_jacobian(slopes.astype(np.float64), theta)[..., : self.parameters]
+        slopes = log_jacobian(slopes.astype(np.float64), theta)
         if is_chaotic(path, slopes):
             slopes = np.zeros_like(slopes)
-        return self._compared(path, slopes)
-
-    def _compared(self, path: np.ndarray, slopes: np.ndarray) -> Linearised:
-        """Residual and Jacobian of a trajectory [T, M, 3] with its derivatives by φ [T, M, 3, D]."""
         simulated, slopes = (np.moveaxis(values[self.steps], 1, 0)[self.seen] for values in (path, slopes))
         return Linearised((simulated - self.observed) / self.noise, slopes / self.noise[:, None])

@@ -12,7 +12,7 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 
-from physics.files import file_sha256, read_file, replacing
+from physics.files import as_json, file_sha256, read_file, replacing
 
 LIST = ".written-by-palpate.json"
 """Of what this program wrote in its folder: two hashes by name, the earlier file's and the one that took its place."""
@@ -54,7 +54,7 @@ def replacing_own(path: Path) -> Generator[Path]:
         # Both are noted before the files change places: an interruption in between leaves one of them.
         files[path.name] = [*_digests(path), *_digests(partial)]
         with replacing(path.parent / LIST) as listed:
-            listed.write_text(json.dumps({"program": "palpate", "files": files}, indent=1) + "\n", encoding="utf-8")
+            listed.write_text(as_json({"program": "palpate", "files": files}, indent=1) + "\n", encoding="utf-8")
 
 
 def _is_listed(path: Path) -> bool:

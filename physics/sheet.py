@@ -34,19 +34,6 @@ class Equilibrium:
         """Force on every gripped node that holds it there, shape [G, A] [unit of stiffness × unit of motion]."""
         return (self.matrix @ self.displacement)[self.gripped]
 
-    def gradient(self, by_displacement: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of a scalar by every spring's stiffness [S] and every node's foundation [N], by the adjoint.
-
-        Args:
-            by_displacement: its derivatives by the displacement, shape [N, A]; those of gripped nodes don't count.
-        """
-        adjoint = np.zeros_like(self.displacement)
-        adjoint[~self.gripped] = self.factors.solve(by_displacement[~self.gripped])
-        stretch, pull = (
-            values[self.springs[:, 0]] - values[self.springs[:, 1]] for values in (self.displacement, adjoint)
-        )
-        return -(stretch * pull).sum(axis=1), -(adjoint * self.displacement).sum(axis=1)
-
     def slopes(self, stiffness: np.ndarray, anchor: np.ndarray) -> np.ndarray:
         """Derivatives of the displacement by parameters, shape [N, A, P].
 

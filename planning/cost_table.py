@@ -9,14 +9,13 @@ depend on: another scene with the same block finds it.
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 
+from physics.files import digest_of
 from physics.ownership import replacing_own, require_own
 from physics.provenance import code_digest
 from planning.press import MOST_FORCE, STEPS, simulate_press
@@ -126,7 +125,7 @@ def _key(place: np.ndarray, angle: float) -> tuple[float, ...]:
 def digest(kind: SoftObject, radius: float) -> str:
     """Of all that a table depends on."""
     told = [VERSION, code_digest("kernels"), PLACES, ANGLES.tolist(), LENGTHS, STEPS, MOST_FORCE, radius, asdict(kind)]
-    return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:16]
+    return digest_of(told)[:16]
 
 
 def open_table(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from estimators.estimate import NINETY, REPORTED, SYMBOLS, GripEstimate, InteractionEstimate
+from estimators.estimate import LEAST_SKILL, NINETY, REPORTED, SYMBOLS, FieldEstimate, GripEstimate, InteractionEstimate
 from estimators.known_force import KnownForce, predict_force
 from physics.mechanics import PARAMETERS
 
@@ -38,8 +38,8 @@ UNITS = {
 """Units of the results; nothing that estimates knows of others."""
 VERDICT = {
     "verdict": "determined, ratios (only k_s/k_d and F/k_d), reaction (only that over E, of a pull), "
-    "foundation (only that over stiffness, and relative forces), relative_force (only that), undetermined; "
-    "onset_in_view: the model doesn't tell",
+    "foundation (only that over stiffness, and relative forces), relative_force (only that), stiffness_ratios (only "
+    "where tissue is stiffer, of --estimator online), undetermined; onset_in_view: the model doesn't tell",
     "determined": "which parameters and ratios are determined, joined by ; (in fit.png: the curve of "
     "relative_force, the map of stiffness_ratios)",
 }
@@ -56,19 +56,25 @@ GRIP = {
     "determined, which takes --model fem",
     "reaction_over_young_low": "lower end of its 90 % interval",
     "reaction_over_young_high": "upper end of its 90 % interval",
-    "skill": "of that sheet in frames that were not fitted: 1 - error / motion; unless foundation, detail says it",
+    "skill": "of that sheet in frames that were not fitted: 1 - error / motion; unless foundation, detail says it; of "
+    "--estimator online as in parameters.csv, of all frames",
 }
 """Columns of what the motion around an instrument tells, where nothing is determined by the contact's own."""
 FIELD = {
     column: text
     for name, what in (("distance_stiffness", "stretch"), ("shape_stiffness", "bending"))
     for column, text in (
-        (name, f"against {what}, the median over tissue where it is known, {UNITS[name]}; all of it in fields.npz"),
+        (name, f"against {what}, the median over tissue where it is determined, {UNITS[name]}; all of it in fields.npz"),
         (f"{name}_low", "its 10 % quantile over that tissue, not an interval"),
         (f"{name}_high", "its 90 % quantile over that tissue, not an interval"),
+        (f"{name}_log_sd", "standard deviation of the log of stiffness over its mean, the median over that tissue"),
     )
 } | {
-    "field_known": "share of the particles whose stiffness is known: the tissue there has stretched",
+    "field_known": "share of the particles whose stiffness against stretch is determined: surer than before anything "
+    "was seen, the tissue there has stretched, and the fit explains the motion",
+    "shape_known": "the same of stiffness against bending",
+    "skill": "1 - error / motion so far of the tissue simulated under the instrument alone; below "
+    f"{LEAST_SKILL:g} the fit does not explain the motion, and nothing is determined",
     "gap": "norm of the deformation by which the simulated particles missed what the frame shows, scene units",
 }
 """Columns of a frame's field of stiffness; empty from estimators without one."""
@@ -149,6 +155,8 @@ def interaction_values(run: InteractionEstimate) -> dict[str, Any]:
         leaning = ("reaction_over_stiffness",) if "foundation_over_stiffness" in told.determined else ()
         known = [name for name in GRIP if name.startswith((*told.determined, *leaning, "skill"))]
         found |= {name: getattr(told, name) for name in known} | {"frames": len(told.times)}
+    if isinstance(told, FieldEstimate):
+        found |= {"skill": told.skill, "explanation": told.explanation, "frames": len(told.times)}
     if told is not None:
         found |= {"status": "ok", "verdict": told.verdict, "determined": ";".join(told.determined)}
     return found

@@ -14,8 +14,8 @@ class FieldFile:
     """A file that `numpy.load` reads frame by frame.
 
     Of every run of contact `run_R/rest`, `run_R/faces` and, of a volume, `run_R/tetrahedra`, R its first frame's
-    number; of every frame `frame_K/run` (R), `frame_K/positions`, `pixels`, `distance`, `shape` and `known`, as
-    `ParticleField` has them, reals as float32.
+    number; of every frame `frame_K/run` (R), `frame_K/positions`, `pixels`, `distance`, `shape`, `distance_log_sd`,
+    `shape_log_sd`, `known` and `shape_known`, as `ParticleField` has them, reals as float32.
 
     Args:
         path: the file.
@@ -34,9 +34,10 @@ class FieldFile:
             if len(field.tetrahedra):
                 self._add(f"run_{self._run}/tetrahedra", field.tetrahedra.astype(np.int32))
         self._add(f"frame_{frame}/run", np.array(field.onset_frame))
-        for name in ("positions", "pixels", "distance", "shape"):
+        for name in ("positions", "pixels", "distance", "shape", "distance_log_sd", "shape_log_sd"):
             self._add(f"frame_{frame}/{name}", getattr(field, name).astype(np.float32))
         self._add(f"frame_{frame}/known", field.known)
+        self._add(f"frame_{frame}/shape_known", field.shape_known)
 
     def close(self) -> None:
         """Finish the file."""

@@ -19,22 +19,26 @@ STIFF, MIDDLE, SOFT = (np.array(color, float) for color in ((214, 40, 40), (245,
 def draw_field(canvas: np.ndarray, field: ParticleField, factor: float, labels: np.ndarray | None = None) -> None:
     """Paint stiffness against stretch on an RGB canvas in place, and that of shapes on a small copy at its right.
 
-    Each over its median where it is known, on a logarithmic scale from 1/RANGE to RANGE.
+    Each over its median where it is known, on a logarithmic scale from 1/RANGE to RANGE; nothing where neither is.
 
     Args:
         canvas: uint8, shape [H, W, 3].
         factor: pixels of the canvas a pixel of the source frame.
         labels: label map of any resolution: what an instrument hides isn't painted; None = all is.
     """
-    known = field.known[field.faces].all(axis=1)
-    if not known.any():
+    if field.verdict == "undetermined":
         return
     height, width = canvas.shape[:2]
     inset = cv2.resize(canvas, (round(INSET * width), round(INSET * height)), interpolation=cv2.INTER_AREA)
     places = (field.pixels + 0.5) * factor
-    for picture, share, values in ((canvas, 1.0, field.distance), (inset, INSET, field.shape)):
-        middle = float(np.median(values[field.known]))
-        colored = painted(picture, share * places, field.faces[known], values, middle)
+    for picture, share, values, known in (
+        (canvas, 1.0, field.distance, field.known),
+        (inset, INSET, field.shape, field.shape_known),
+    ):
+        if not known.any():
+            continue
+        faces = field.faces[known[field.faces].all(axis=1)]
+        colored = painted(picture, share * places, faces, values, float(np.median(values[known])))
         if labels is not None:
             size = picture.shape[1], picture.shape[0]
             tool = cv2.resize((labels == TOOL).astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import math
 import shutil
 import textwrap
 from collections.abc import Generator
@@ -153,11 +154,16 @@ def _notes(estimate: FrameEstimate) -> list[str]:
 
 
 def _told_of_field(field: ParticleField) -> str:
-    if not field.known.any():
-        return "No tissue has stretched so far: its stiffness isn't known."
+    if math.isnan(field.skill):
+        return "No tissue has moved so far: its stiffness isn't known."
+    left = f"leaves {1 - field.skill:.0%} of the motion so far"
+    if not field.explained:
+        return f"The fit does not explain the motion: tissue simulated under the instrument alone {left}."
+    if field.verdict == "undetermined":
+        return f"Tissue simulated under the instrument alone {left}, but no place's stiffness is determined."
     return (
         f"Stiffness against stretch, small picture: against bending. Red {RANGE:g} times the median, blue a "
-        f"{RANGE:g}th, relative units; unknown where nothing is coloured."
+        f"{RANGE:g}th, relative units; not determined where nothing is coloured. The fit {left}."
     )
 
 

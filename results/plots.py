@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from data.contact.interaction import Interaction
-from estimators.estimate import NINETY, FrameEstimate, GripEstimate, InteractionEstimate
+from estimators.estimate import LEAST_SKILL, NINETY, FieldEstimate, FrameEstimate, GripEstimate, InteractionEstimate
 from estimators.grip.stiffness_field import StiffnessField
 from estimators.known_force import KnownForce
 from results.calibrated import Curve
@@ -30,6 +30,10 @@ WIDTH = 15.0
 """Width of the pictures [inches of 100 px]."""
 INK, MUTED, GRID = "#1f2937", "#6b7280", "#e5e7eb"
 OBSERVED, SIMULATED, RELEASE, FAR_COLOR = "#4b5563", "#7c3aed", "#ea580c", "#dc2626"
+FIELD_COLORS = "#2563eb", "#0d9488"
+"""Of stiffness against stretch and against bending."""
+MOST_ARROWS = 300
+"""About so many followed points are drawn with their motion."""
 PANELS = {
     "stiffness": ("Stiffness $k_s$", "#2563eb"),
     "damping": ("Damping $k_d$", "#0d9488"),
@@ -54,27 +58,31 @@ def draw_summary(
 ) -> Figure:
     """Draw a clip's verdicts, parameters and displacements over time, or verdicts alone where frames have no estimate.
 
-    Below them is what grips tell: how the force at each changed, and where the tissue is stiffer.
+    Below them is what grips tell: how the force at each changed, and where the tissue is stiffer; and fields of
+    stiffness over time and on the picture.
 
     Args:
         estimates: one a frame, in order.
         counts: of runs of contact by `state`; they are the heading where no frame has an estimate.
-        runs: those whose grips are drawn.
+        runs: those whose grips and fields are drawn.
         title: name of the clip.
         subtitle: what made the numbers.
     """
     estimated = any(estimate.estimate is not None for estimate in estimates)
     heights = [1.1, 2.8, 2.8, 2.8, 3.0] if estimated else [2.2]
-    gripped = [(run, run.told) for run in runs if isinstance(run.told, GripEstimate) and run.told.determined]
+    gripped = [(run, run.told) for run in runs if isinstance(run.told, FieldEstimate) or _grip_tells(run)]
     figure, rows = _figure([*heights, *[4.0] * len(gripped)], title, subtitle)
     strip, *panels = rows[: len(heights)]
     for axes in panels:
         axes.sharex(strip)
     for axes in rows[: len(heights) - 1]:
         axes.tick_params(labelbottom=False)
-    for axes, (run, grip) in zip(rows[len(heights) :], gripped, strict=True):
-        axes.set_title(f"contact from frame {run.onset_frame} ({run.onset_time_s:.3f} s)", loc="left", fontsize=12)
-        _draw_grip(axes, grip)
+    for axes, (run, told) in zip(rows[len(heights) :], gripped, strict=True):
+        axes.set_title("\n".join(_lines(_told_of_run(run)[0], 120)), loc="left", fontsize=12)
+        if isinstance(told, GripEstimate):
+            _draw_grip(axes, told)
+        elif isinstance(told, FieldEstimate):
+            _draw_field(axes, told)
     times = _column(estimates, "time_s")
     interval = max(float(np.median(np.diff(times))), 1e-3) if len(times) > 1 else 0.04
     edges = np.append(times, times[-1] + interval) if len(times) else np.array([0.0, 1.0])
@@ -104,9 +112,14 @@ def draw_fits(runs: Sequence[InteractionEstimate], counts: Counter[str], title: 
         told += f" {len(runs)} are drawn, interactions.csv has all."
     panels = list(runs) or [None]
     words = [_told_of_run(run) for run in panels]
-    motions = [run is not None and (run.simulated is not None or isinstance(run.told, GripEstimate)) for run in panels]
+    motions = [
+        run is not None and (run.simulated is not None or isinstance(run.told, (GripEstimate, FieldEstimate)))
+        for run in panels
+    ]
     mapped = [
-        run is not None and isinstance(run.told, GripEstimate) and run.told.stiffness is not None for run in panels
+        run is not None
+        and (isinstance(run.told, FieldEstimate) or (isinstance(run.told, GripEstimate) and run.told.stiffness is not None))
+        for run in panels
     ]
     heights = [
         0.9 + 0.2 * len(_lines(text)) + 2.8 * motion + 1.2 * field
@@ -274,6 +287,11 @@ def _told_of_run(run: InteractionEstimate | None) -> tuple[str, str, str]:
                 low, high = (digits(getattr(grip, f"{name}_{end}"), 2) for end in ("low", "high"))
                 heading += f", {words} {low} to {high}"
         return heading, f"{sentence} {run.detail}", grip.verdict
+    if isinstance(found := run.told, FieldEstimate):
+        words = [in_words(found.verdict)]
+        if not np.isnan(found.skill):
+            words.append(f"{found.skill:.0%} of the motion explained")
+        return f"{', '.join(words)}: {place}", run.detail, found.verdict
     if estimate is None:
         return f"no estimate: {place}", run.detail, "no_estimate"
     doubtful = estimate.verdict == "determined" and run.detail != ""
@@ -296,6 +314,9 @@ def _draw_motion(axes: Axes, run: InteractionEstimate | None) -> None:
     """Motion along the force, positive where it follows it: observed, with its noise, and simulated; the release."""
     if run is not None and isinstance(run.told, GripEstimate):
         _draw_grip(axes, run.told)
+        return
+    if run is not None and isinstance(run.told, FieldEstimate):
+        _draw_explained(axes, run.told)
         return
     if run is None or run.simulated is None or run.interaction is None or run.estimate is None:
         axes.set_axis_off()
@@ -342,23 +363,115 @@ def _draw_stiffness(axes: Axes, field: StiffnessField) -> None:
     from matplotlib.colors import LogNorm
 
     height, width = field.picture.shape[:2]
+    _picture_axes(axes, field.picture)
     rows, columns = np.mgrid[MAP_STEP // 2 : height : MAP_STEP, MAP_STEP // 2 : width : MAP_STEP]
     places = np.column_stack([columns.ravel(), rows.ravel()]).astype(np.float64)
     known = field.known(places).reshape(rows.shape)
     ratio = np.exp(field.at(places)[0]).reshape(rows.shape)
-    axes.imshow(field.picture, extent=(0, width, height, 0))
     place: dict[str, Any] = {"extent": (0, columns.shape[1] * MAP_STEP, rows.shape[0] * MAP_STEP, 0)}
     axes.imshow(np.where(known, np.nan, 0.35), cmap="gray", vmin=0, vmax=1, alpha=0.6, **place)
     shown = np.where(known, ratio, np.nan)
     drawn = axes.imshow(shown, cmap="coolwarm", norm=LogNorm(1 / MAP_RANGE, MAP_RANGE), alpha=0.65, **place)
     if known.any():
-        ends = np.array([1 / MAP_RANGE, 0.5, 1, 2, MAP_RANGE])
-        bar = axes.figure.colorbar(drawn, cax=axes.inset_axes((1.02, 0, 0.03, 1)), ticks=ends, extend="both")
-        bar.set_ticklabels([f"×{digits(end, 2)}" for end in ends])
-        bar.minorticks_off()
-    axes.set(xticks=[], yticks=[], xlim=(0, width), ylim=(height, 0))
+        _ratio_bar(axes, drawn)
+    axes.set(xlim=(0, width), ylim=(height, 0))
     told = "stiffness over the mean of what moves, if attached\nalike everywhere; darkened: unknown"
     axes.set_title(told if known.any() else "stiffness: unknown everywhere", loc="left", fontsize=10, color=INK)
+
+
+def _grip_tells(run: InteractionEstimate) -> bool:
+    return isinstance(run.told, GripEstimate) and bool(run.told.determined)
+
+
+def _draw_explained(axes: Axes, found: FieldEstimate) -> None:
+    """How far tissue moved and by how much the simulation missed that, a frame; and both in the last one."""
+    whole, axes = axes, axes.inset_axes((0.04, 0, 0.46, 1))
+    whole.set_axis_off()
+    observed, predicted, left = found.course.T
+    axes.plot(found.times, observed, "o-", ms=4, lw=1, color=OBSERVED, label="observed")
+    axes.plot(found.times, predicted, "o-", ms=4, lw=1, color=SIMULATED, label="simulated, moved by the instrument alone")
+    axes.fill_between(found.times, 0, left, color=FAR_COLOR, alpha=0.2, lw=0, label="difference of both")
+    axes.set(xlabel="time since the first frame in contact [s]", ylabel="motion of the tissue around\n(root mean square) [px]")
+    axes.set_ylim(0, 1.25 * _top(observed, predicted, left))
+    axes.legend(loc="upper left", framealpha=0.85, fontsize=10)
+    axes.grid(color=GRID, lw=0.8)
+    shown = _picture_axes(whole.inset_axes((0.54, 0, 0.46, 1)), found.picture)
+    apart = max(1, round(len(found.points) / MOST_ARROWS))
+    seen = np.flatnonzero(np.isfinite(found.observed).all(axis=1))[::apart]
+    for motion, color, name in ((found.observed, "white", "observed"), (found.predicted, SIMULATED, "simulated")):
+        (column, row), (right, down) = found.points[seen].T, motion[seen].T
+        shown.quiver(
+            column, row, right, down, angles="xy", scale_units="xy", scale=1, width=0.004, color=color,
+            label=name, edgecolor=INK, lw=0.3,
+        )  # fmt: skip
+    shown.legend(loc="lower right", framealpha=0.85, fontsize=10, facecolor="#9ca3af")
+    shown.set_xlabel("motion until the last frame, from where tissue was at rest", loc="left", fontsize=10, color=INK)
+
+
+def _draw_field(axes: Axes, found: FieldEstimate) -> None:
+    """How much is explained and determined over time, quantiles of stiffness, and its map at rest."""
+    whole, axes = axes, axes.inset_axes((0.04, 0, 0.25 if found.determined else 0.55, 1))
+    whole.set_axis_off()
+    names = ("distance_stiffness", "shape_stiffness")
+    rows = found.numbers
+    axes.axhline(LEAST_SKILL, color=FAR_COLOR, lw=1, ls="--", label=f"least that counts, {LEAST_SKILL:.0%}")
+    axes.plot(found.times, rows["skill"], "o-", ms=4, lw=1, color=SIMULATED, label="motion explained so far")
+    kinds = list(zip(names, FIELD_COLORS, ("against stretch", "against bending"), strict=True))
+    for (_, color, label), share in zip(kinds, ("field_known", "shape_known"), strict=True):
+        axes.plot(found.times, rows[share], "s-", ms=3, lw=1, color=color, label=f"particles determined {label}")
+    axes.set(ylim=(-0.05, 1.6), yticks=np.linspace(0, 1, 5), ylabel="share [1]")
+    panels = [axes]
+    if found.determined:
+        panels.append(whole.inset_axes((0.37, 0, 0.22, 1)))
+        for name, color, label in kinds:
+            low, middle, high = (rows[f"{name}{end}"] for end in ("_low", "", "_high"))
+            panels[1].plot(found.times, middle, "o-", ms=4, lw=1, color=color, label=f"{label}, median")
+            panels[1].fill_between(found.times, low, high, color=color, alpha=0.2, lw=0, label="10 to 90 %")
+        panels[1].set(yscale="log", ylabel="stiffness where it is determined [relative]")
+    for panel in panels:
+        panel.set(xlim=(found.times[0], max(found.times[-1], 1e-3)), xlabel="time since the first frame in contact [s]")
+        panel.legend(loc="upper left", framealpha=0.85, fontsize=8.5)
+        panel.grid(color=GRID, lw=0.8)
+    shape = not found.last.known.any() and found.last.shape_known.any()
+    _draw_particles(whole.inset_axes((0.62, 0, 0.34, 1)), found, shape=bool(shape))
+
+
+def _draw_particles(axes: Axes, found: FieldEstimate, *, shape: bool) -> None:
+    """Stiffness over its median where it is determined, on the run's first picture; that of shapes if asked for."""
+    from matplotlib.colors import LogNorm
+
+    _picture_axes(axes, found.picture, darkened=0.6)
+    values, known = (
+        (found.last.shape, found.last.shape_known) if shape else (found.last.distance, found.last.known)
+    )
+    faces = found.last.faces[known[found.last.faces].all(axis=1)]
+    what = "bending" if shape else "stretch"
+    if len(faces):
+        ratio = np.exp(np.log(values[faces] / np.median(values[known])).mean(axis=1))
+        drawn = axes.tripcolor(
+            *found.places.T, faces, facecolors=ratio, cmap="coolwarm", norm=LogNorm(1 / MAP_RANGE, MAP_RANGE), alpha=0.8
+        )
+        _ratio_bar(axes, drawn)
+        told = f"stiffness against {what} over its median; darkened: not determined"
+    else:
+        told = "stiffness: determined nowhere"
+    axes.set_title(told, loc="left", fontsize=10, color=INK)
+
+
+def _picture_axes(axes: Axes, picture: np.ndarray, darkened: float = 0.0) -> Axes:
+    """Axes in a picture's pixels, with the picture, darkened by a share."""
+    height, width = picture.shape[:2]
+    axes.imshow(((1 - darkened) * picture).astype(np.uint8), extent=(0, width, height, 0))
+    axes.set(xticks=[], yticks=[], xlim=(0, width), ylim=(height, 0))
+    return axes
+
+
+def _ratio_bar(axes: Axes, drawn: Any) -> None:
+    """A scale of ratios beside a map."""
+    ends = np.array([1 / MAP_RANGE, 0.5, 1, 2, MAP_RANGE])
+    bar = axes.figure.colorbar(drawn, cax=axes.inset_axes((1.02, 0, 0.03, 1)), ticks=ends, extend="both")
+    bar.set_ticklabels([f"×{digits(end, 2)}" for end in ends])
+    bar.minorticks_off()
 
 
 def _column(estimates: Sequence[FrameEstimate], attribute: str) -> np.ndarray:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import hashlib
-import json
 import math
 import platform
 from collections import Counter
@@ -22,7 +21,7 @@ from data.source.images import MOST_BYTES
 from estimators.contract import Estimator
 from estimators.estimate import FrameEstimate
 from models.onnx_session import ExportedModel, PosteriorModel
-from physics.files import all_below, file_sha256
+from physics.files import all_below, digest_of, file_sha256
 from physics.provenance import code_digest
 from results import columns
 from results.store import INTERACTIONS, PROGRAM, TABLE, WRITTEN, own_files
@@ -62,7 +61,7 @@ def depends_on(clip: Path, settings: PrepareSettings, estimator: Estimator) -> d
 
 def fingerprint_of(causes: Mapping[str, Any]) -> str:
     """Digest of what results depend on; those with the same one need not be computed again."""
-    return hashlib.sha256(json.dumps(causes, sort_keys=True).encode("utf-8", "surrogatepass")).hexdigest()
+    return digest_of(causes)
 
 
 def model_of(estimator: Estimator) -> ExportedModel | None:
@@ -122,7 +121,9 @@ def build_record(
         "columns": {TABLE: columns.FRAMES, INTERACTIONS: columns.INTERACTIONS},
         "warnings": [
             *warnings_of(source, frames, model, clip.sources, clip.settings.geometry.contact),
-            *([] if results.fields or causes["estimator"]["name"] != "online" else [UNDRIVEN]),
+            *([] if results.stretched or causes["estimator"]["name"] != "online" else [UNDRIVEN]),
+            *results.doubts[:1],
+            *([f"{len(results.doubts) - 1} more runs of contact likewise: interactions.csv"] if results.doubts[1:] else []),
             *([results.calibration.reason] if results.calibration and results.calibration.reason else []),
         ],
         "timings_s": {stage: round(value, 4) for stage, value in seconds.items()},

@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from physics.files import file_sha256, read_file
+from physics.files import as_json, file_sha256, read_file
 from physics.ownership import ForeignFile
 
 TABLE, OVERLAY, SUMMARY, RECORD = "parameters.csv", "overlay.mp4", "summary.png", "run.json"
@@ -166,9 +166,9 @@ def read_record(folder: Path) -> dict[str, Any]:
 
 
 def write_record(folder: Path, record: Mapping[str, Any]) -> None:
-    """Store a run record, and the hashes of the files that lie beside it, as JSON; only numbers that JSON knows."""
+    """Store a run record, and the hashes of the files that lie beside it, as JSON."""
     files = {name: file_sha256(folder / name) for name in WRITTEN if name != RECORD and (folder / name).is_file()}
-    document = json.dumps({**record, "files": files}, indent=2, ensure_ascii=False, allow_nan=False)
+    document = as_json({**record, "files": files}, indent=2, ensure_ascii=False)
     # File names that are not UTF-8 become \udcXX, which is JSON's own way to write them.
     (folder / RECORD).write_bytes((document + "\n").encode("utf-8", "backslashreplace"))
 

@@ -16,6 +16,7 @@ COLORS: dict[str, Color] = {
     "reaction": (20, 105, 190),
     "foundation": (8, 120, 165),
     "relative_force": (76, 90, 140),
+    "stiffness_ratios": (79, 70, 229),
     "onset_in_view": (129, 140, 248),
     "undetermined": (217, 119, 6),
     "doubtful": (217, 119, 6),
@@ -36,6 +37,7 @@ MEANINGS = {
     "reaction": "Only the force at the grip over E, and how it changes over time, are determined.",
     "foundation": "Only how firmly tissue is attached, over its stiffness, and relative forces are determined.",
     "relative_force": "Only how the force at the grip changes over time is determined.",
+    "stiffness_ratios": "Only where tissue is stiffer or softer is determined, where it is coloured.",
     "onset_in_view": "The onset was seen; the model does not tell what is determined.",
     "undetermined": "Not determined by what was seen so far.",
 }

@@ -68,8 +68,10 @@ class ClipResults:
         """Number of those without an estimate by why they have none."""
         self.drawn: list[InteractionEstimate] = []
         """Those for the picture, with a motion first."""
-        self.fields = 0
-        """Number of frames whose stiffness is known somewhere."""
+        self.stretched = False
+        """Whether tissue has anywhere stretched with an instrument."""
+        self.doubts: list[str] = []
+        """Sentences on runs of contact that have a field of stiffness of which nothing is determined."""
         self._open = ExitStack()
         try:
             with writing(folder.parent):
@@ -115,7 +117,6 @@ class ClipResults:
             self._rows.writerow(columns.row(columns.FRAMES, estimate.values))
             if self._fields is not None and estimate.field is not None:
                 self._fields.write(estimate.frame, estimate.field)
-                self.fields += bool(estimate.field.known.any())
             shown = Waiting(prepared.frame.image, prepared.picture_labels, estimate)
             if self._waiting is not None and (len(self._waiting) or estimate.contact):
                 self._waiting.add(shown)
@@ -145,6 +146,10 @@ class ClipResults:
                 run = replace(run, detail=f"{run.detail} {reason}".strip())
         if self.calibration is not None:
             self.calibration.add(run)
+        if run.field is not None:
+            self.stretched |= run.field.stretched
+            if run.field.explanation and not run.field.determined:
+                self.doubts.append(f"contact from frame {run.onset_frame}: {run.field.explanation}")
         self.counts[state(run)] += 1
         if state(run) == "no_estimate":
             self.unexplained[run.detail] += 1

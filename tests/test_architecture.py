@@ -262,3 +262,17 @@ print(*sorted({{name for name in sys.modules if name.split(".")[0] not in sys.st
 """
     done = subprocess.run([sys.executable, "-S", "-c", program], cwd=ROOT, capture_output=True, text=True, timeout=60)
     assert done.stdout.split() == ["__main__", "physics.lazy"] or done.stdout.split() == ["physics.lazy"], done.stderr
+
+
+def test_json_is_written_by_one_function() -> None:
+    """`physics.files.as_json`, which leaves no number in it that JSON doesn't know."""
+    writers = [
+        f"{name_of(path)}, line {node.lineno}"
+        for module, path in modules().items()
+        if module != "physics.files"
+        for node in ast.walk(tree_of(path))
+        if (isinstance(node, ast.Attribute) and ast.unparse(node) in ("json.dump", "json.dumps", "json.JSONEncoder"))
+        or (isinstance(node, ast.Attribute) and node.attr == "to_json")
+        or (isinstance(node, ast.ImportFrom) and node.module == "json")
+    ]
+    assert writers == []

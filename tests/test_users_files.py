@@ -28,7 +28,9 @@ from data.source.layout import InputError
 from data.synthetic import __main__ as synthetic
 from data.synthetic import clip as synthetic_clips
 from estimators.palpation.curves import Grasp
-from evaluation import terms
+from evaluation.ablation import terms
+from evaluation.benchmark import Benchmark
+from evaluation.benchmark import main as measure
 from evaluation.foreign import __main__ as foreign
 from evaluation.online import __main__ as online
 from evaluation.online.compare import Case
@@ -36,9 +38,6 @@ from evaluation.palpation import __main__ as palpation
 from evaluation.palpation import frank
 from evaluation.real import __main__ as real
 from evaluation.recovery import figures
-from evaluation.recovery.output import write_results
-from evaluation.recovery.scores import score_all
-from evaluation.recovery.store import RecoveryStore
 from physics.files import replacing
 from physics.ownership import ForeignFile
 from planning import cost_table
@@ -73,7 +72,7 @@ PLACES = {
     "plan_way": ("plan.json", "plan.png", "presses/notes.txt"),
     "benchmark": ("table.csv", "details.csv", "figures/errors.png", "results.jsonl", "run.json"),
     "train_network": ("checkpoints/best.ckpt", "checkpoints/last.ckpt", "checkpoints/notes.txt"),
-    "train_row": (f"{ROW}/notes.txt", f"{ROW}/photos/1.jpg", f"{ROW}/judged.json", f".{ROW}-1/notes.txt"),
+    "train_row": (f"{ROW}/notes.txt", f"{ROW}/photos/1.jpg", f"{ROW}/notes.txt", f".{ROW}-1/notes.txt"),
     "write_depth": ("depth.onnx", "notes.txt"),
     "keep_prepared": (".tmp-mine/notes.txt", ".tmp-mine/entry/0.npz", "notes.txt"),
 }
@@ -137,6 +136,7 @@ def quick(monkeypatch: pytest.MonkeyPatch, blank_pictures: None) -> None:
     tissue = SimpleNamespace(notes=[], skin=None, held=None, palpations=[], settings=settings)
     patch(calibrate, "read_scene", lambda path: tissue)
     patch(calibrate, "fit_material", lambda *arguments, told: quick_material())
+    patch(Benchmark, "work", staticmethod(lambda trial: [recovery(trial.index)]))
     patch(figures, "figures", lambda scores: [("errors.png", Figure((1, 1)))])
 
     @functools.wraps(train.RunTrainer.fit)  # whose arguments are options
@@ -218,9 +218,7 @@ def runs_of(inputs: Path) -> dict[str, Run]:
         return plan.main([str(SHIPPED), "--alpha", str(chance.random()), "--output", str(out)])
 
     def benchmark(chance: random.Random, out: Path) -> object:
-        store = RecoveryStore(out, {"seed": 0})
-        store.append([recovery(chance.randrange(9))])
-        return write_results(out, score_all(store.rows))
+        return measure(["--output", str(out), "--clips", str(1 + chance.randrange(3)), "--workers", "0"])
 
     def train_network(chance: random.Random, out: Path) -> object:
         return train.main(["fit", "-c", str(inputs / "tiny.yaml"), f"--trainer.default_root_dir={out}"])

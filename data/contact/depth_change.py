@@ -18,6 +18,7 @@ from data.contact.geometry import LEAST_NOISE
 from data.contact.outlines import inside, near
 from data.labels import TISSUE, TOOL
 from data.prepared import PreparedFrame
+from physics.robust import median_sd, trimmed_fit
 
 MOST_REST, LEAST_REST = 8, 3
 """Frames at rest that are remembered; fewer don't tell what tissue was like."""
@@ -33,8 +34,6 @@ COVERED = 0.5
 """Least share of a blur's weight that must lie on tissue."""
 DEEPEST = 0.1
 """A larger change of depth is the sensor's error [scene units]."""
-NORMAL_MEDIAN = 1.4826
-"""Standard deviation of a normal variable over the median of its absolute value."""
 ROUNDS, ASTRAY = 3, 3.0
 """Rounds of the fit of what the camera changes, and standard deviations beyond which a pixel doesn't belong to it."""
 CORNERS, WINDOW, FEWEST = 150, 15, 12
@@ -76,9 +75,9 @@ class RestingTissue:
         for index, (depth, tissue, since) in enumerate(self._frames):
             self._frames[index] = depth, tissue, motion @ since
 
-    def change(self, prepared: PreparedFrame) -> DepthChange | None:
-        """Compare the latest frame; None where too little was seen at rest or is seen now."""
-        if len(self._frames) < LEAST_REST:
+    def change(self, prepared: PreparedFrame, least: int = LEAST_REST) -> DepthChange | None:
+        """Compare the latest frame; None where fewer than `least` frames at rest, or too few pixels, are known."""
+        if len(self._frames) < least:
             return None
         total, count = np.zeros(prepared.depth.shape), np.zeros(prepared.depth.shape)
         for depth, tissue, since in self._frames:
@@ -111,25 +110,14 @@ def depth_change(depth: np.ndarray, rest: np.ndarray, known: np.ndarray) -> Dept
         contrast.append(deeper - np.maximum(around, 0))
         rough = _blurred(depth, known, scale) - _blurred(depth, known, scale + ROUGH)
         rough -= _blurred(np.nan_to_num(rough), known & np.isfinite(rough), WIDE)
-        noise.append(max(_spread(deeper - around), _spread(rough), LEAST_NOISE / (1 + 4 * scale)))
+        noise.append(max(median_sd(deeper - around), median_sd(rough), LEAST_NOISE / (1 + 4 * scale)))
     return DepthChange(np.stack(contrast), np.array(noise))
-
-
-def _spread(values: np.ndarray) -> float:
-    """Standard deviation of most values, those that are numbers."""
-    found = values[np.isfinite(values)]
-    return NORMAL_MEDIAN * float(np.median(np.abs(found))) if len(found) else 0.0
 
 
 def _camera_change(change: np.ndarray, rest: np.ndarray, places: np.ndarray) -> np.ndarray:
     """What a moving camera or a changing scale adds to the depth of P pixels, all shapes [P] but places' [P, 2]."""
     terms = np.column_stack([np.ones(len(rest)), rest, rest[:, None] * places])
-    kept, fitted = np.ones(len(rest), bool), np.zeros(len(rest))
-    for _ in range(ROUNDS):
-        fitted = terms @ np.linalg.lstsq(terms[kept], change[kept], rcond=None)[0]
-        left = np.abs(change - fitted)
-        kept = left <= ASTRAY * NORMAL_MEDIAN * np.median(left) + 1e-9
-    return fitted
+    return trimmed_fit(terms, change, ROUNDS, ASTRAY)
 
 
 def _blurred(values: np.ndarray, known: np.ndarray, scale: float) -> np.ndarray:

@@ -1,9 +1,13 @@
-"""Contact by evidence: does the tissue beside the tool's tip move with the tool, against the background?
+"""Contact by evidence: does the tissue beside the tool's tip move with the tool, or sink under it?
 
 Outlines that touch in a picture say little: a tool that passes over tissue touches it there, too. From one picture
 to a later one, points in the tool's tip, beside it and far from it are followed (pyramidal Lucas and Kanade, Bouguet
 2001, in windows so small that they don't mix tool and tissue; the check is Kalal 2010's), and `data.contact.coupling`
-weighs what they say. A two-state hidden Markov chain adds it up over the frames.
+weighs what they say. A press moves tissue along the line of sight: depth that has grown beside the tool speaks for
+contact, too. A two-state hidden Markov chain adds it up over the frames.
+
+Tissue that stays where it is speaks against contact only while the tool moves. A tool that hovered and comes to a stand
+may have met the tissue: contact is then undecided, and was so in the frame in which the tool arrived.
 """
 
 from __future__ import annotations
@@ -15,6 +19,9 @@ import cv2
 import numpy as np
 
 from data.contact.coupling import Beside, log_ratio
+from data.contact.depth_change import RestingTissue, picture_motion
+from data.contact.geometry import FrameGeometry
+from data.contact.outlines import near
 from data.labels import TOOL
 from data.prepared import PreparedFrame
 from data.tracks.following import lit_field, shrunk, tool_distance
@@ -30,6 +37,12 @@ CHANGE = 0.03
 """Share by which the probability returns to PRIOR in a frame: contacts begin and end."""
 STRONGEST = 5.0
 """What one frame says counts for so much at most [logarithm of odds]."""
+STANDS = 0.25
+"""A tool that hovered has come to a stand where it moves by less than this share of its speed until then."""
+SINKS = 6.0
+"""The tissue beside a tool has sunk where its depth has grown by so many standard deviations."""
+ELSEWHERE = 1.5
+"""And by so many times what it has grown by anywhere far from the tool."""
 SURE = 0.9
 """Below this probability it is outlines that say that a tool touches: nothing has moved that would tell."""
 HOVERS = "The tissue beside the tool does not move with it, so it hovers (probability of contact {:.2f})."
@@ -38,6 +51,8 @@ SPACING = 8
 """Of the tissue's points [px]."""
 GUARD = 8.0
 """Points nearer to the tool's mask may be the tool's own, or be followed by its edge [px]."""
+DENT = 10
+"""Tissue that a tool presses sinks within this distance of its mask [grid px]."""
 RING = 100.0
 """Points nearer than this beyond the guard band are beside the tool, others are the background [px]."""
 TIP = 96.0
@@ -82,6 +97,8 @@ class View:
     """Where the picture shows anything, bool [H, W]."""
     away: np.ndarray
     """Distance from the tool, [H, W] [px]."""
+    prepared: PreparedFrame | None = None
+    """The frame with its depth; None where depth isn't looked at."""
 
 
 class ContactEvidence:
@@ -90,10 +107,12 @@ class ContactEvidence:
     Args:
         near: no farther from tissue in depth, a tool that was apart from it and then is at it in the picture has come
             to it [scene units].
+        measured: whether depth is measured, so that tissue that sinks shows in it. Depth that is guessed from pictures
+            changes with the light and the view, and most beside a tool.
     """
 
-    def __init__(self, near: float = math.inf) -> None:
-        self._near = near
+    def __init__(self, near: float = math.inf, *, measured: bool = True) -> None:
+        self._near, self._measured = near, measured
         self._reference: View | None = None
         """The frame that frames are compared with until the tool has gone far enough."""
         self._age = 0
@@ -104,30 +123,48 @@ class ContactEvidence:
         """Of the frame that was judged last."""
         self._apart = self._came = False
         """Whether the tool was apart from tissue in that frame, and right before the contact under way began."""
+        self._way, self._speed = np.zeros(2), 0.0
+        """How far the tool has gone since the reference [px], and its speed when it hovered last [px a frame]."""
+        self._undecided = False
+        """Whether the tool hovered, and nothing that was seen since then tells whether it touches."""
+        self._arrives = False
+        """Whether the tool may have come to the tissue in the frame before, although it moved until then."""
+        self._hovering: tuple[PreparedFrame, FrameGeometry] | None = None
+        """The frame before, if its tool was found to hover, and the contact that its outlines show."""
 
     def judge(self, prepared: PreparedFrame) -> None:
-        """Decide a frame whose outlines touch: its probability, and `no_contact` where the tool hovers."""
+        """Decide a frame whose outlines touch: its probability, and `no_contact` where the tool hovers.
+
+        The frame before it is decided anew where this one shows that the tool has come to a stand.
+        """
         number = prepared.frame.number
         follows = number - self._number == 1
         apart = prepared.status == "no_contact"
         if not (prepared.in_contact and follows):
             # What was known of an earlier contact, or of one before a gap, counts no more.
             self._reference, self._odds, self._age, self._came = None, _log_odds(PRIOR), 0, False
+            self._way, self._speed = np.zeros(2), 0.0
+            self._undecided, self._hovering = False, None
         if prepared.in_contact and self._apart and follows:
             self._came = True
         self._number, self._apart = number, apart
         if apart and prepared.visible:
-            picture, labels = prepared.view
-            self._reference = _view(picture, labels == TOOL)
+            self._begin(_frame_view(prepared))
         if not prepared.in_contact:
             return
-        picture, labels = prepared.view
-        probability = self.push(picture, labels == TOOL)
+        probability = self._push(_frame_view(prepared))
         # A tool that was seen to come to the tissue has met it: a narrow dent hardly moves what is around it.
         met = self._came and not prepared.distance > self._near
         probability = prepared.contact_probability = max(probability, PRIOR if met else 0.0)
+        if self._arrives and self._hovering is not None:
+            arrived, geometry = self._hovering
+            arrived.status, arrived.detail, arrived.geometry = "ok", "", geometry
+            arrived.contact_probability, arrived.undecided = PRIOR, True
+        self._hovering = None
         if probability < THRESHOLD:
+            self._hovering = prepared, prepared.contact
             prepared.status, prepared.detail, prepared.geometry = "no_contact", HOVERS.format(probability), None
+        prepared.undecided = self._undecided and THRESHOLD <= probability < SURE
 
     def push(self, picture: np.ndarray, tool: np.ndarray) -> float:
         """Probability of contact in the next frame, whose tool is at tissue in the picture.
@@ -136,20 +173,49 @@ class ContactEvidence:
             picture: uint8 [H, W, 3] RGB.
             tool: its mask of the tool, bool [H, W].
         """
-        view = _view(picture, tool)
+        return self._push(_view(picture, tool))
+
+    def _begin(self, view: View) -> None:
+        """Compare the next frames with this one."""
+        self._reference, self._age, self._way = view, 0, np.zeros(2)
+
+    def _push(self, view: View) -> float:
+        """The same of a picture that is ready to be compared."""
         share = 1 / (1 + math.exp(-self._odds))
         self._odds = _log_odds(share + CHANGE * (PRIOR - share))
-        tips = [] if self._reference is None else seen_beside(self._reference, view)
-        odds = self._odds + float(np.clip(_said(tips), -STRONGEST, STRONGEST))
+        before, hovered = self._reference, self._speed > 0
+        tips = [] if before is None else seen_beside(before, view)
         self._age += 1
-        if not tips or self._age == LONGEST or max(np.linalg.norm(tip.tool) for tip in tips) > WAY:
-            self._reference, self._odds, self._age = view, odds, 0
-        return 1 / (1 + math.exp(-odds))
+        way = max((tip.tool for tip in tips), key=np.linalg.norm, default=np.full(2, math.nan))
+        stands = hovered and bool(np.linalg.norm(way - self._way) < STANDS * self._speed)
+        sunk = self._measured and before is not None and bool(tips) and _has_sunk(before, view)
+        said = _said(tips)
+        if stands or (hovered and not tips):
+            # Tissue that doesn't move says nothing beside a tool that doesn't move either.
+            said, self._odds, self._undecided = 0.0, _log_odds(PRIOR), True
+        odds = self._odds + float(np.clip(said + (STRONGEST if sunk else 0.0), -STRONGEST, STRONGEST))
+        probability = 1 / (1 + math.exp(-odds))
+        self._arrives = stands or (sunk and probability >= THRESHOLD)
+        length = float(np.linalg.norm(way))
+        self._speed = length / self._age if probability < THRESHOLD else 0.0
+        self._undecided &= probability >= THRESHOLD
+        if not tips or self._age == LONGEST or length > WAY or (stands and self._age > 1):
+            self._begin(view)
+            self._odds = odds
+        else:
+            self._way = way
+        return probability
 
 
-def _view(picture: np.ndarray, tool: np.ndarray) -> View:
+def _view(picture: np.ndarray, tool: np.ndarray, prepared: PreparedFrame | None = None) -> View:
     picture, tool = shrunk(picture, tool)
-    return View(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), tool, lit_field(picture), tool_distance(tool))
+    return View(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), tool, lit_field(picture), tool_distance(tool), prepared)
+
+
+def _frame_view(prepared: PreparedFrame) -> View:
+    """Of a frame that is visible, with its depth."""
+    picture, labels = prepared.view
+    return _view(picture, labels == TOOL, prepared)
 
 
 def _log_odds(probability: float) -> float:
@@ -160,6 +226,20 @@ def _said(tips: list[Beside]) -> float:
     """The logarithm of the likelihood ratio that any of the tips says which move most; the others say little."""
     way = [float(np.linalg.norm(tip.tool)) for tip in tips]
     return max((log_ratio(tip) for tip, length in zip(tips, way, strict=True) if length >= max(way) / 2), default=0.0)
+
+
+def _has_sunk(before: View, after: View) -> bool:
+    """Whether the tissue beside the tool lies deeper than it did, against the tissue around; where depth is known."""
+    if before.prepared is None or after.prepared is None:
+        return False
+    rest = RestingTissue()
+    rest.push(before.prepared, picture_motion(before.prepared, after.prepared))
+    change = rest.change(after.prepared, least=1)
+    if change is None:
+        return False
+    tool, sigmas = after.prepared.labels == TOOL, change.sigmas()
+    largest = sigmas[near(tool, DENT)].max(initial=0.0)
+    return bool(largest > max(SINKS, ELSEWHERE * sigmas[~near(tool, 2 * DENT)].max(initial=0.0)))
 
 
 def seen_beside(before: View, after: View) -> list[Beside]:

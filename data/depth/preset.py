@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
-import json
 import math
 from dataclasses import dataclass
 from os.path import isfile
@@ -14,6 +12,7 @@ from typing import Literal
 from data.source.camera import MOST_SIDE
 from data.source.layout import InputError, from_mapping, read_mapping
 from physics.fields import require_choices
+from physics.files import digest_of
 
 PRESET_FOLDER = Path(__file__).parent / "presets"
 
@@ -98,7 +97,7 @@ class DepthPreset:
     def identity(self) -> str:
         """Digest of all fields, for cache keys."""
         fields = {key: value for key, value in dataclasses.asdict(self).items() if key != "obtain"}
-        return hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()[:16]
+        return digest_of(fields)[:16]
 
 
 def preset_names() -> list[str]:

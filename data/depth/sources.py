@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,6 +13,7 @@ from data.depth.model import DepthModel, RawDepth
 from data.source.frames import Frame
 from data.source.images import read_image
 from data.source.layout import ClipLayout, InputError, companion, matches, read_clip_file
+from physics.files import digest_of
 
 LEAST_VALID = 0.01
 """A frame with less than this share of valid pixels has no usable depth."""
@@ -33,6 +32,8 @@ class DepthSource(ABC):
     """Whether depth is in metres."""
     known_scale: float | None = None
     """Depth that the clip's own file declares as z = 1."""
+    from_picture: bool = False
+    """Whether it is guessed from the picture alone, so that it may change where only the light or the view does."""
     depends_on_clip: bool = False
     """Whether `freeze` has anything to fix."""
     focal: float | None = None
@@ -73,8 +74,7 @@ class StoredDepth(DepthSource):
         self._layout, self._pattern = layout, layout.depth
         fields = (layout.depth, layout.depth_key, layout.depth_kind, layout.depth_factor)
         self.known_scale = read_clip_file(clip).get("depth_scale")
-        digest = hashlib.sha256(json.dumps([*fields, self.known_scale]).encode())
-        self.identity = f"stored:{digest.hexdigest()[:16]}"
+        self.identity = f"stored:{digest_of([*fields, self.known_scale])[:16]}"
 
     def observe(self, frame: Frame) -> RawDepth:
         """Depth of the frame's file, at the frame's size (nearest pixel where the sizes differ)."""
@@ -108,6 +108,8 @@ class StoredDepth(DepthSource):
 class ModelDepth(DepthSource):
     """Depth by an ONNX model; its preset says what the output means."""
 
+    from_picture = True
+
     def __init__(
         self, model: DepthModel, *, near: float, far: float, default_focal: float, known_focal: float | None = None
     ) -> None:
@@ -125,7 +127,7 @@ class ModelDepth(DepthSource):
         self.metric = self._preset.metric
         self.depends_on_clip = bool(self._preset.focal_output) or self._preset.kind == "relative_inverse"
         constants = [near, far, default_focal, known_focal]
-        self.identity = f"{model.identity}:{hashlib.sha256(json.dumps(constants).encode()).hexdigest()[:16]}"
+        self.identity = f"{model.identity}:{digest_of(constants)[:16]}"
 
     def observe(self, frame: Frame) -> RawDepth:
         """The network's output, checked."""

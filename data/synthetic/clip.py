@@ -22,7 +22,7 @@ from data.synthetic.scene import Scene, draw_scene
 from data.synthetic.settings import SceneSettings
 from data.synthetic.slab import SlabMotion, draw_slab
 from data.synthetic.truth import Motion, PressedMotion, draw_motion
-from physics.files import all_below, file_sha256, read_file
+from physics.files import all_below, as_json, file_sha256, read_file
 
 MOST_BYTES = 2**28
 """Larger files are told apart by size and time of change."""
@@ -181,7 +181,7 @@ def write_clip(
                     add_to_video(frame[0])
                     advance(1)
             write_truth(partial / folder, scene, motion, folders[folder])
-        (partial / MARKER).write_text(json.dumps({"files": _content(partial)}, indent=1) + "\n", encoding="utf-8")
+        (partial / MARKER).write_text(as_json({"files": _content(partial)}, indent=1) + "\n", encoding="utf-8")
         _require_own(target)
         _swap(partial, target)
     finally:
@@ -238,5 +238,5 @@ def _same_clip(truth: Path, settings: SceneSettings, seed: int) -> bool:
         recorded = json.loads(read_file(truth))
     except (OSError, ValueError, RecursionError):
         return False
-    wanted = json.loads(json.dumps(dataclasses.asdict(settings)))
+    wanted = json.loads(as_json(dataclasses.asdict(settings)))
     return isinstance(recorded, dict) and recorded.get("seed") == seed and recorded.get("settings") == wanted

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import json
 from collections.abc import Callable, Generator
 from fractions import Fraction
 from pathlib import Path
@@ -27,6 +26,7 @@ from data.synthetic.truth import (
     damping_ratio,
     regime_of,
 )
+from physics.files import as_json
 from physics.mechanics import PARAMETERS
 
 UNITS = {
@@ -102,7 +102,7 @@ def write_truth(folder: Path, scene: Scene, motion: PressedMotion | GrippedMotio
     )
     truth = _truth_entries(scene, motion, seed, own, names)
     for name, content in (("truth.json", truth), ("clip.json", clip)):
-        (folder / name).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        (folder / name).write_text(as_json(content, indent=1) + "\n", encoding="utf-8")
 
 
 def _own_entries(scene: Scene, motion: PressedMotion | GrippedMotion | SlabMotion) -> tuple[dict, dict[str, str]]:

@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from data.clip import ClipInputs, ClipStream
+from data.contact.geometry import GeometrySettings
 from data.depth.model import RawDepth
+from data.depth.normalise import DepthSettings
 from data.depth.sources import DepthSource
 from data.masks.class_table import CLASSES
 from data.masks.sources import OTHER, TISSUE, TOOL
@@ -16,6 +18,10 @@ from data.settings import PrepareSettings
 from data.source.frames import Frame, FrameSource
 from data.synthetic.clip import SyntheticClip
 
+PREPARE = PrepareSettings(
+    depth=DepthSettings(source="stored"), geometry=GeometrySettings(smoothing=4, rigid_motion="subtract")
+)
+"""How clips are prepared that serve the benchmark, and what the contact posterior is trained for."""
 _LABELS = np.full(256, OTHER, np.uint8)
 _LABELS[CLASSES["grasper"].grey], _LABELS[CLASSES["gallbladder"].grey] = TOOL, TISSUE
 

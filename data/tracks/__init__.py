@@ -3,9 +3,7 @@
 following    a grid of points, from the first picture on
 linking      where the places of one picture are in another one
 measuring    the same where a model tells about where
-holding      where tissue is held, by motion alone
 background   the camera's own motion taken off
-parallax     what is left of it on uneven tissue, learnt from first frames
 """
 
 from physics.lazy import exported

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from physics.robust import affine_motion
+
 FAR = 60.0
 """Points farther from the tool than this percentile are the background [%]."""
 LEAST = 6
@@ -27,5 +29,4 @@ def without_background(points: np.ndarray, moved: np.ndarray, distance: np.ndarr
     far = far_points(moved, distance)
     if far.sum() < LEAST:
         return moved
-    terms = np.column_stack([points, np.ones(len(points))]).astype(np.float64)
-    return moved - terms @ np.linalg.lstsq(terms[far], moved[far], rcond=None)[0]
+    return moved - affine_motion(points, moved, far, points)

@@ -75,6 +75,17 @@ def fit_contact(problem: ContactProblem, box: np.ndarray) -> Estimate:
         view_angle=view_angle(problem.contact),
         modes=count_modes(optima, prior),
     )
+    return widened_if_oblique(found, information, prior)
+
+
+def widened_if_oblique(found: Estimate, information: np.ndarray, prior: np.ndarray) -> Estimate:
+    """An estimate of a contact that may hide its own bottom, with the covariance of so large a noise added.
+
+    Args:
+        found: the estimate; one of a contact that is not oblique stays as it is.
+        information: of all parameters, those of the tissue first, shape [D, D].
+        prior: of all parameters, shape [D, D].
+    """
     if not is_oblique(found):
         return found
     hidden = about_tissue(information / effective_misfit(found) ** 2, prior)

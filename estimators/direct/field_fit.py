@@ -17,6 +17,7 @@ from estimators.direct.contact_fit import (
     TOO_FEW,
     WIDER,
     trusted_information,
+    widened_if_oblique,
 )
 from estimators.direct.field import FieldProblem
 from estimators.direct.motion import about_tissue
@@ -34,7 +35,7 @@ from estimators.direct.problem import (
 )
 from estimators.direct.sampling import Draws, Mixture, sample_posterior
 from estimators.estimate import Estimate
-from estimators.oblique import effective_misfit, is_oblique, view_angle
+from estimators.oblique import view_angle
 from physics.identifiability import box_information
 from physics.mechanics import Mechanics
 
@@ -113,10 +114,7 @@ def concluded(problem: FieldProblem, optima: Sequence[Optimum], tissue: np.ndarr
         modes=count_modes(optima, prior),
         shape=problem.motion.shape(mean),
     )
-    if not is_oblique(found):
-        return found
-    hidden = about_tissue(information / effective_misfit(found) ** 2, prior)
-    return found.widened(np.linalg.inv(hidden + prior[:3, :3]))
+    return widened_if_oblique(found, information, prior)
 
 
 def fit_press(

@@ -14,15 +14,15 @@ import math
 import numpy as np
 
 from data.contact.interaction import Interaction
-from estimators.direct.contact_fit import AT_BOUND, DELAY_AT_END, LARGEST_MISFIT
+from estimators.direct.contact_fit import AT_BOUND, DELAY_AT_END, LARGEST_MISFIT, widened_if_oblique
 from estimators.direct.field import FilmProblem
-from estimators.direct.motion import about_tissue
 from estimators.direct.slab_descent import DONE, ROUGH, descend, find_tip, slab_start
 from estimators.direct.slab_motion import FirmRegion, SlabMotion
 from estimators.direct.slab_posterior import Valley, follow_valley, moved_by_mesh
 from estimators.direct.slab_rivals import averaged, firm_regions, relaxation, with_firm_regions
 from estimators.estimate import Estimate, NoEstimate
-from estimators.oblique import effective_misfit, is_oblique, view_angle
+from estimators.model_errors import MODEL_ERRORS
+from estimators.oblique import view_angle
 from physics.fem import NoBody
 from physics.fem.slab import Slab, slab_beneath
 from physics.identifiability import box_information
@@ -30,18 +30,15 @@ from physics.mechanics import theta_of
 
 BLIND = 4.5
 """Tissue nearer to the contact isn't compared [grid px]."""
-MODEL_ERROR = 0.15
-"""Standard deviation of the slab's own error over its motion: mesh, law and tip are not the tissue's. It is the same
-within a ring around the contact and a part of the time, and independent elsewhere."""
 RINGS = 6.0, 8.0
-"""Between rings [grid px]."""
+"""Between rings around the contact [grid px]: the slab's own error is the same within one and a part of the time, and
+independent elsewhere."""
 EARLY = 2.5
 """Frames after the press begins, and after it ends, that are parts of their own."""
-UNLIKE = np.square(0.1) + np.diag(np.square([0.0, 0.05, 0.1]))
-"""Covariance of (log E, log d, log |F|) by what law and tip get wrong: 0.1 of log E, 0.05 of log d/E, 0.1 of log F/E.
-On eight drawn presses on tissue that is alike throughout the ratios were off by as much (root mean squares)."""
-UNLIKE_FIRM = np.square(0.3) + np.diag(np.square([0.0, 0.15, 0.3]))
-"""The same where a firm region lies beneath, which is not one of those that are tried: 0.3, 0.15 and 0.3."""
+UNLIKE = MODEL_ERRORS.slab_young**2 + np.diag(np.square([0.0, MODEL_ERRORS.slab_damping, MODEL_ERRORS.slab_force]))
+"""Covariance of (log E, log d, log |F|) by what law and tip get wrong: of log E, and of log d/E and log F/E besides."""
+UNLIKE_FIRM = MODEL_ERRORS.firm_young**2 + np.diag(np.square([0.0, MODEL_ERRORS.firm_damping, MODEL_ERRORS.firm_force]))
+"""The same where a firm region lies beneath, which is not one of those that are tried."""
 FINE, FINER = (10, 10, 3), (12, 12, 4)
 """Cells of the quadratic elements whose small motions are fitted, and of those by which their error is measured."""
 LOWER = 1.0
@@ -49,7 +46,7 @@ LOWER = 1.0
 
 
 class SlabProblem(FilmProblem[SlabMotion]):
-    """A film against a slab, which is known to be off by MODEL_ERROR."""
+    """A film against a slab, which is known to be off by `slab_motion` of the model errors."""
 
     def model_errors(self, sunk: np.ndarray) -> np.ndarray:
         """As of `FilmProblem`: a column a ring and part of the time."""
@@ -60,7 +57,7 @@ class SlabProblem(FilmProblem[SlabMotion]):
         part = np.searchsorted([early, load, load + early], times) if load > early else np.searchsorted([early], times)
         ring = np.searchsorted(RINGS, apart)
         cells = ring[:, None] * (1 + part.max()) + part
-        return MODEL_ERROR * sunk.T[..., None] * (cells[..., None] == np.unique(cells))
+        return MODEL_ERRORS.slab_motion * sunk.T[..., None] * (cells[..., None] == np.unique(cells))
 
 
 def fit_slab(
@@ -126,10 +123,7 @@ def fit_slab(
         outliers=problem.outliers,
         refuted=relaxation(problem, logs, problem_of(place, relaxing=True), fits, scale),
     )
-    if is_oblique(found):
-        prior = box_information(box)
-        hidden = about_tissue(information / effective_misfit(found) ** 2, prior)
-        found = found.widened(np.linalg.inv(hidden + prior[:3, :3]))
+    found = widened_if_oblique(found, information, box_information(box))
     return found, (np.append(0.0, problem.motion.times), np.append(0.0, path))
 
 

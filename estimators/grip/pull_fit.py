@@ -3,7 +3,7 @@
 The body's shape being known, force over E follows from displacements alone. The grip's way is unknown, as points at
 the instrument are followed badly; it is linear in the motion, and solved for at every φ = (log E, log d) (variable
 projection, Golub & Pereyra 1973), with an affine background in every frame. Errors of points are Student's, and as many
-err alike as of a sheet (`estimators.grip.foundation_fit`).
+err alike as of a sheet (`estimators.grip.sheet`).
 """
 
 from __future__ import annotations
@@ -18,12 +18,13 @@ from scipy.optimize import least_squares
 
 from estimators.direct.slab_motion import SLAB_BOUNDS
 from estimators.estimate import NoEstimate
-from estimators.grip.foundation_fit import along_last
-from estimators.grip.lattice import KNOT
+from estimators.grip.lattice import PIECE, along_last
 from estimators.grip.pull_motion import PullMotion
-from estimators.grip.sheet_problem import FREEDOM, LINK, THIRD, SeenFrame, error_scale
+from estimators.grip.sheet import LEAST_SCALE, LINK, THIRD, SeenFrame
+from estimators.model_errors import MODEL_ERRORS
 from physics.fem.slab import Slab
 from physics.identifiability import box_information
+from physics.robust import affine_terms, error_scale, student_weights
 
 DENSE = 48.0
 """Of points that began farther from the tool every third one along both axes counts [px]."""
@@ -31,7 +32,7 @@ RADII = 6.0, 10.0, 14.0
 """Of the tissue that moves as one with the instrument, of which the one that explains most is taken [grid px]."""
 YOUNG, DAMPING = np.log([100.0, 1000.0]), np.log([3e3, 2e4, 1.5e5])
 """log E and log d among whose pairs a start is looked for."""
-ALIKE = KNOT**2 / THIRD**2
+ALIKE = PIECE**2 / THIRD**2
 """So many of the points that count err alike."""
 INSTANTS = 4.0
 """So many frames err independently: what a slab can't explain stays."""
@@ -41,10 +42,6 @@ LOOKS, ROUNDS, EVALUATIONS = 2, 3, 5
 """Times that points are weighted anew, in so many rounds, and evaluations between."""
 DIFFERENCE = 0.1
 """Of φ, for derivatives."""
-MODEL_ERROR, COURSE_ERROR = 0.34, 0.1
-"""Standard deviations besides what residuals tell, of log force over E and of force over that of the last frame: mesh,
-law, the grip's shape, tissue that relaxes or is not alike throughout. Eight drawn pulls of a development seed (550301)
-were off by 0.34 and by 0.01 to 0.19 (root mean squares), half of them with a stiff ball inside, half relaxing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,8 +111,7 @@ class _Problem:
             raise NoEstimate("No followed point lies on the slab; choose a place where tissue is seen.")
         self._moved = np.where(self._seen[..., None], moved, 0.0)
         self._told = np.square(np.maximum([frame.noise[counted] for frame in frames], LINK))
-        middle, spread = self.places.mean(axis=0), self.places.std(axis=0)
-        self._terms = np.column_stack([(self.places - middle) / spread, np.ones(len(self.places))])
+        self._terms = affine_terms(self.places)
         self.size = float(np.sqrt(np.square(moved[-1][self._seen[-1]]).sum(axis=-1).mean()))
         """Of the points' motion in the last frame, root mean square [px]."""
         self.scale = float(self._told.min())
@@ -155,8 +151,8 @@ class _Problem:
         for _ in range(ROUNDS):
             squares = self.solve(motion, logs).squares
             told, seen = self._told[self._seen], squares[self._seen]
-            self.scale = error_scale(seen, told, self._weights[self._seen], self.scale)
-            self._weights[self._seen] = (FREEDOM + 2) / (FREEDOM + seen / (told + self.scale))
+            self.scale = error_scale(seen, told, self._weights[self._seen], self.scale, LEAST_SCALE)
+            self._weights[self._seen] = student_weights(seen, told + self.scale)
 
 
 def fit_pull(
@@ -209,19 +205,19 @@ def fit_pull(
 def _told(problem: _Problem, motion: PullMotion, logs: np.ndarray, covariance: np.ndarray) -> PullFit:
     """What a fit at φ [2], known with a covariance [2, 2], says of the force."""
     here = problem.solve(motion, logs)
-    length, along = along_last(here.force)
+    length, along, _ = along_last(here.force)
     beside = [along_last(problem.solve(motion, logs + step).force) for step in DIFFERENCE * np.eye(2)]
-    slopes = np.array([[np.log(more / length), *(ratios - along)] for more, ratios in beside]) / DIFFERENCE
+    slopes = np.array([[np.log(more / length), *(ratios - along)] for more, ratios, _ in beside]) / DIFFERENCE
     spread = np.einsum("pt,pq,qt->t", slopes, covariance, slopes)
     variance = here.force_variance / length**2
-    relative = variance + along**2 * variance[-1] + spread[1:] + np.square(COURSE_ERROR * along)
+    relative = variance + along**2 * variance[-1] + spread[1:] + np.square(MODEL_ERRORS.pull_course * along)
     # The last frame's ratio is 1 by definition.
     relative[-1] = 0.0
     return PullFit(
         logs,
         np.sqrt(np.diag(covariance)),
         float(np.log(length)),
-        float(np.sqrt(variance[-1] + spread[0] + MODEL_ERROR**2)),
+        float(np.sqrt(variance[-1] + spread[0] + MODEL_ERRORS.pull_force**2)),
         along,
         np.sqrt(relative),
         float(np.sqrt(problem.scale) / problem.size),

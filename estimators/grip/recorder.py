@@ -19,21 +19,18 @@ from data.prepared import PreparedFrame
 from data.tracks.background import without_background
 from data.tracks.following import PointFollower, Shown, shrunk
 from estimators.estimate import NINETY, GripEstimate, NoEstimate
-from estimators.grip.foundation_fit import Measuring, NoSheet, fit_foundation
+from estimators.grip.lattice import LEAST_FRAMES, LEAST_MOTION, GripFrame, SheetFit, fit_sheet, skill
 from estimators.grip.pull_fit import fit_pull
 from estimators.grip.pull_motion import CELLS
-from estimators.grip.sheet_fit import LEAST_FRAMES, LEAST_MOTION, GripFrame, SheetFit, fit_sheet, skill
-from estimators.grip.sheet_problem import SeenFrame
+from estimators.grip.sheet import Measuring, NoSheet, SeenFrame, fit_foundation
 from estimators.grip.stiffness_field import StiffnessField
 from estimators.grip.stiffness_fit import fit_stiffness
+from estimators.model_errors import MODEL_ERRORS
 from physics.fem import NoBody
 from physics.fem.slab import slab_beneath
 
 DRIVEN = 24.0
 """Points that began nearer to the tool move with it [px]."""
-SEEN_ERROR = 0.9, 0.68
-"""Standard deviations of log foundation and of log force besides what residuals tell, where the grip's motion is taken
-from points beside the instrument, which err alike: 0.93 and 0.59 off, root mean squares, on three drawn clips."""
 ELSEWHERE = 100.0
 """Tissue that began farther from the tool may be taken as another grip, to compare [px]."""
 MOST_KEPT = 32
@@ -107,7 +104,7 @@ class GripRecorder:
         against = [
             dataclasses.replace(frame, moved=without_background(points, frame.moved, distance)) for frame in frames
         ]
-        judged = fit_sheet(points, spacing, against[:half], field=False)
+        judged = fit_sheet(points, spacing, against[:half])
         anchor, wide, pull, pull_wide, force, force_sd = self._determined(frames)
         found = GripEstimate(
             foundation_over_stiffness=float(np.exp(anchor)),
@@ -181,10 +178,11 @@ class GripRecorder:
         try:
             fit = fit_foundation(points, follower.distance, follower.hidden, follower.spacing, seen, again)
         except NoSheet:
-            held = fit_sheet(points, follower.spacing, frames, field=False, background=True)
-            (anchor, sd), (pull, pull_sd) = held.mean_log_anchor, held.log_force(frames[-1])
-            sd, pull_sd = np.hypot([sd, pull_sd], SEEN_ERROR)
-            return anchor, NINETY * sd, pull, NINETY * pull_sd, *held.relative_force(frames)
+            held = fit_sheet(points, follower.spacing, frames, background=True)
+            pull, pull_sd = held.log_force(frames[-1])
+            errors = MODEL_ERRORS.foundation_as_seen, MODEL_ERRORS.force_as_seen
+            sd, pull_sd = np.hypot([held.log_anchor_sd, pull_sd], errors)
+            return held.log_anchor, NINETY * sd, pull, NINETY * pull_sd, *held.relative_force(frames)
         sd, pull_sd = fit.log_anchor_sd, fit.log_force_sd
         return fit.log_anchor, NINETY * sd, fit.log_force, NINETY * pull_sd, fit.force, fit.force_sd
 
@@ -216,4 +214,4 @@ def _rival_skill(points: np.ndarray, spacing: int, distance: np.ndarray, frames:
     half = len(found) // 2
     if half < LEAST_FRAMES:
         return -math.inf
-    return _mean_skill(fit_sheet(points, spacing, found[:half], field=False), found[half:])
+    return _mean_skill(fit_sheet(points, spacing, found[:half]), found[half:])

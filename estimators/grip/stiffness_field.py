@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimators.grip.foundation_fit import EXCESS
 from estimators.grip.lattice import bilinear
+from estimators.grip.sheet import EXCESS
 from physics.identifiability import LIMIT
 
 LEARNT = 0.7

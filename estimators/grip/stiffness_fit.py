@@ -6,25 +6,26 @@ Log stiffness is bilinear between knots with a smoothness prior. The foundation 
 fields of both are not determined by a displacement in one direction. Of a knot where nothing moves nothing is known but
 its prior.
 
-Levenberg and Marquardt's steps on these numbers, with the loaded tissue's motion at its likeliest for each of them
+The numbers are found by least squares, with the loaded tissue's motion at its likeliest for each choice of them
 (variable projection, Golub and Pereyra 1973, with Kaufman's Jacobian). Errors are Student's as in
-`estimators.grip.foundation_fit`.
+`estimators.grip.sheet`.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import block_diag, cho_factor, cho_solve, cholesky
+from scipy.optimize import least_squares
 
-from estimators.grip.foundation_fit import EXCESS, NoSheet
-from estimators.grip.lattice import LEVEL, SPREAD, TYPICAL_ANCHOR, bilinear, continued, lattice_springs, smoothness
-from estimators.grip.sheet_problem import ENERGY, FREEDOM, LINK, MOST_LOADED, TINY, SeenFrame, error_scale
+from estimators.grip.lattice import SPREAD, TYPICAL_ANCHOR, bilinear, continued, lattice_springs, smoothness
+from estimators.grip.sheet import ENERGY, EXCESS, LEAST_SCALE, LINK, MOST_LOADED, TINY, NoSheet, SeenFrame
 from estimators.grip.stiffness_field import MOVES, StiffnessField
-from physics.sheet import equilibrium
+from physics.robust import affine_terms, error_scale, student_weights
+from physics.sheet import Equilibrium, equilibrium
 
 LOADED = 24.0
 """Tissue that began nearer to the tool may be loaded by it [px]."""
@@ -46,28 +47,28 @@ UNEXPLAINED = 2.0
 """Where a sheet does not explain the motion to within its noise, so many times as many do."""
 STRAINED = 0.03
 """Following errs by this share of the motion besides the told noise: windows are strained with the tissue."""
-ROUNDS, STEPS = 4, 12
-"""Of weighting the points anew in every step, and steps at most."""
-CONVERGED, LONGEST = 0.05, 1.5
-"""Gain of a step that is the last, and largest change of a number in a step."""
-DAMPING, MORE, LESS, MOST_DAMPING = 1e-3, 20.0, 0.1, 1e4
-"""Levenberg and Marquardt's: the first, its changes after a step that fails or gains, and the one that ends all."""
+LOOKS, ROUNDS, EVALUATIONS, ENOUGH = 4, 8, 3, 1e-3
+"""Times that points are weighted anew, in so many rounds, evaluations between, and the relative fall of χ² that ends
+them."""
+LEVEL = 0.1
+"""Standard deviation of the mean log stiffness: with the foundation's it would only be a unit."""
 
 
-@dataclass(frozen=True, eq=False)
-class _State:
-    """All that belongs to one choice of the P numbers, the loaded tissue's motion at its likeliest; n seen points."""
+class _Solved(NamedTuple):
+    """One choice of the P numbers, the loaded tissue's motion at its likeliest; n seen points, K unknowns by axis."""
 
-    loss: float
-    """Negative log density of what is seen."""
-    gradient: np.ndarray
-    """Shape [P]."""
-    hessian: np.ndarray
-    """Gauss and Newton's, shape [P, P]."""
-    weights: np.ndarray
-    """Of the points, shape [n]."""
-    scale: float
-    """Of the errors besides the told noise, variance by axis [px²]."""
+    unit: Equilibrium
+    """The sheet, for a unit of motion of every loaded node."""
+    loads: np.ndarray
+    """Factor of the unknowns' prior precision, upper triangle, shape [K, K]."""
+    rows: np.ndarray
+    """How the points follow the unknowns, whitened, shape [n, K]."""
+    root: np.ndarray
+    """What whitens the points, shape [n, 1] [1/px]."""
+    factor: tuple[np.ndarray, bool]
+    """Cholesky's, of the unknowns' precision."""
+    found: np.ndarray
+    """The unknowns, shape [K, 2]."""
     left: np.ndarray
     """Simulated minus seen motion, shape [n, 2] [px]."""
 
@@ -107,19 +108,21 @@ class _Problem:
         knots = self._ends.shape[1]
         self.mean = np.append(np.zeros(knots), math.log(TYPICAL_ANCHOR * step**2))
         """Of the prior, shape [P]: knots, and the log foundation over stiffness 1."""
-        self.precision = np.zeros((knots + 1, knots + 1))
-        """Of the prior, shape [P, P]."""
-        self.precision[:knots, :knots] = smoothness(self.shape) / ROUGHNESS**2 + knots**-2.0 / LEVEL**2
-        self.precision[knots, knots] = SPREAD**-2
+        self.precision = smoothness(self.shape) / ROUGHNESS**2 + knots**-2.0 / LEVEL**2
+        """Of the knots' prior, shape [P - 1, P - 1]."""
+        self._prior = cholesky(block_diag(self.precision, SPREAD**-2))
         seen = np.isfinite(far[kept])
         self.seen = np.flatnonzero(seen)
         """Points that are seen, shape [n]."""
         self._moved = frame.moved[kept][seen]
         told = np.square(np.maximum(frame.noise[kept][seen], LINK))
         self._told = told + np.square(STRAINED * far[kept][seen])
-        middle, spread = self.points.mean(axis=0), self.points.std(axis=0)
-        self._terms = np.column_stack([(self.points - middle) / spread, np.ones(self.count)])
+        self._terms = affine_terms(self.points)
         self.alike = max(ALIKE / step**2, 1.0)
+        self.scale = 0.0
+        """Of the errors besides the told noise, variance by axis [px²]."""
+        self._weights = np.ones(len(self.seen))
+        self._latest: tuple[np.ndarray, Equilibrium, np.ndarray] | None = None
 
     def _within(self, points: np.ndarray, spacing: int) -> np.ndarray:
         """Which points [N, 2] are near enough to the knots, bool [N]."""
@@ -135,64 +138,69 @@ class _Problem:
         loaded[self.count :] = [tuple(cell) in under for cell in behind]
         return loaded & np.all((nodes >= self._pulled[0] - LOADED) & (nodes <= self._pulled[1] + LOADED), axis=1)
 
-    def at(self, numbers: np.ndarray, start: _State | None) -> _State:
-        """The state of some numbers [P], its weights found from those of another one."""
-        stiffness, anchor = np.exp(self._ends @ numbers[:-1]), float(np.exp(numbers[-1]))
-        held = int(self._loaded.sum())
-        everywhere = np.full(len(self._loaded), anchor)
-        # Where the nodes go for a unit of motion of every loaded one.
-        unit = equilibrium(self._springs, stiffness, everywhere, self._loaded, np.eye(held))
-        prior = np.zeros((held + 3, held + 3))
-        prior[:held, :held] = (unit.reaction + unit.reaction.T) / (2 * ENERGY)
-        prior += TINY * prior.max() * np.eye(held + 3)
-        design = np.hstack([unit.displacement[: self.count], self._terms])[self.seen]
-        weights, scale = (np.ones(len(self.seen)), 0.0) if start is None else (start.weights, start.scale)
+    def look(self, numbers: np.ndarray) -> None:
+        """Weight the points anew by how far they lie from the sheet, and find the size of their errors."""
         for _ in range(ROUNDS):
-            root = np.sqrt(weights / (self._told + scale) / self.alike)[:, None]
-            rows = design * root
-            factor = cho_factor(rows.T @ rows + prior, check_finite=False)
-            found = cho_solve(factor, rows.T @ (self._moved * root), check_finite=False)
-            left = design @ found - self._moved
-            squares = np.square(left).sum(axis=1)
-            scale = error_scale(squares, self._told, weights, scale)
-            variance = self._told + scale
-            weights = (FREEDOM + 2) / (FREEDOM + squares / variance)
-        density = (FREEDOM + 2) / 2 * np.log1p(squares / variance / FREEDOM) + np.log(variance)
-        hessian, gradient = np.zeros((len(numbers),) * 2), np.zeros(len(numbers))
+            squares = np.square(self._solved(numbers).left).sum(axis=1)
+            self.scale = error_scale(squares, self._told, self._weights, self.scale, LEAST_SCALE)
+            self._weights = student_weights(squares, self._told + self.scale)
+
+    def residual(self, numbers: np.ndarray) -> np.ndarray:
+        """Of points and priors, whitened, as the points count by now, shape [R]; its squares add up to χ²."""
+        here = self._solved(numbers)
+        own = self._prior @ (numbers - self.mean)
+        return np.concatenate([(here.left * here.root).ravel("F"), (here.loads @ here.found).ravel("F"), own])
+
+    def jacobian(self, numbers: np.ndarray) -> np.ndarray:
+        """Its derivatives by the numbers [R, P]; what loads and background could do as well tells nothing."""
+        here, anchor = self._solved(numbers), float(np.exp(numbers[-1]))
         by_anchor = np.zeros((len(self._loaded), len(numbers)))
         by_anchor[:, -1] = anchor
+        stiffness = np.exp(self._ends @ numbers[:-1])
         by_stiffness = np.column_stack([self._ends * stiffness[:, None], np.zeros(len(stiffness))])
-        moved = dataclasses.replace(unit, displacement=unit.displacement @ found[:held])
+        moved = dataclasses.replace(here.unit, displacement=here.unit.displacement @ here.found[: len(here.loads) - 3])
         slopes = moved.slopes(by_stiffness, by_anchor)[: self.count][self.seen]
+        points, priors = [], []
         for axis in (0, 1):
-            slope = slopes[:, axis] * root
-            # What the loaded tissue and the background could do as well tells nothing.
-            shared = rows.T @ slope
-            hessian += slope.T @ slope - shared.T @ cho_solve(factor, shared, check_finite=False)
-            gradient += slope.T @ (left[:, axis] * root[:, 0])
-        loss = float(density.sum() / self.alike + 0.5 * np.einsum("ia,ij,ja->", found, prior, found))
-        return _State(loss, gradient, hessian, weights, scale, left)
+            slope = slopes[:, axis] * here.root
+            shared = cho_solve(here.factor, here.rows.T @ slope, check_finite=False)
+            points.append(slope - here.rows @ shared)
+            priors.append(-here.loads @ shared)
+        return np.vstack([*points, *priors, self._prior])
 
-    def fit(self, numbers: np.ndarray, state: _State | None) -> tuple[np.ndarray, _State]:
-        """The likeliest numbers [P], from some on."""
+    def _solved(self, numbers: np.ndarray) -> _Solved:
+        """The loaded tissue's motion and the background at their likeliest."""
+        if self._latest is None or not np.array_equal(self._latest[0], numbers):
+            stiffness, anchor = np.exp(self._ends @ numbers[:-1]), float(np.exp(numbers[-1]))
+            held, everywhere = int(self._loaded.sum()), np.full(len(self._loaded), anchor)
+            # Where the nodes go for a unit of motion of every loaded one.
+            unit = equilibrium(self._springs, stiffness, everywhere, self._loaded, np.eye(held))
+            prior = np.zeros((held + 3, held + 3))
+            prior[:held, :held] = (unit.reaction + unit.reaction.T) / (2 * ENERGY)
+            prior += TINY * prior.max() * np.eye(held + 3)
+            self._latest = np.array(numbers), unit, cholesky(prior, check_finite=False)
+        _, unit, loads = self._latest
+        root = np.sqrt(self._weights / (self._told + self.scale) / self.alike)[:, None]
+        rows = np.hstack([unit.displacement[: self.count], self._terms])[self.seen] * root
+        factor = cho_factor(rows.T @ rows + loads.T @ loads, check_finite=False)
+        found = cho_solve(factor, rows.T @ (self._moved * root), check_finite=False)
+        return _Solved(unit, loads, rows, root, factor, found, rows @ found / root - self._moved)
 
-        def loss(numbers: np.ndarray, state: _State) -> float:
-            return state.loss + 0.5 * float((numbers - self.mean) @ self.precision @ (numbers - self.mean))
-
-        state, damping = self.at(numbers, state), DAMPING
-        for _ in range(STEPS):
-            gradient = state.gradient + self.precision @ (numbers - self.mean)
-            hessian = state.hessian + self.precision
-            step = -np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), gradient)
-            step *= min(1.0, LONGEST / np.abs(step).max())
-            tried = self.at(numbers + step, state)
-            gain = loss(numbers, state) - loss(numbers + step, tried)
-            if gain > 0:
-                numbers, state = numbers + step, tried
-            damping *= LESS if gain > 0 else MORE
-            if 0 < gain < CONVERGED or damping > MOST_DAMPING:
-                break
-        return numbers, state
+    def fit(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The likeliest numbers [P], from some on, and their covariance [P, P]."""
+        jacobian = np.zeros((0, 0))
+        for _ in range(LOOKS):
+            self.look(numbers)
+            # From the prior's mean, so that first steps are short.
+            end = least_squares(
+                lambda apart: self.residual(self.mean + apart),
+                numbers - self.mean,
+                lambda apart: self.jacobian(self.mean + apart),
+                ftol=ENOUGH,
+                max_nfev=EVALUATIONS,
+            )
+            numbers, jacobian = self.mean + end.x, end.jac
+        return numbers, np.linalg.inv(jacobian.T @ jacobian)
 
 
 def fit_stiffness(
@@ -218,20 +226,19 @@ def fit_stiffness(
     """
     problem = _Problem(points, distance, hidden, spacing, frame)
     moving = points[np.linalg.norm(frame.moved, axis=1) > MOVES]
-    numbers, state = problem.fit(problem.mean, None)
-    excess = math.sqrt(state.scale)
+    numbers, covariance = problem.fit(problem.mean)
+    excess = math.sqrt(problem.scale)
     if excess > EXCESS:
         # What a sheet can't explain is alike over a larger piece of it.
         problem.alike *= UNEXPLAINED
-        numbers, state = problem.fit(numbers, state)
-    covariance = np.linalg.inv(state.hessian + problem.precision)
+        numbers, covariance = problem.fit(numbers)
     return StiffnessField(
         (int(problem.shape[0]), int(problem.shape[1])),
         problem.low,
         problem.extent,
         numbers[:-1],
         covariance[:-1, :-1],
-        np.linalg.inv(problem.precision[:-1, :-1]),
+        np.linalg.inv(problem.precision),
         ROUGHNESS,
         moving,
         excess,

@@ -53,7 +53,7 @@ from estimators.worker_pool import WorkerLost, run_tasks
 from models.evidence import box_prior, covering, preconditioned
 from models.expected_bound import bound_loss
 from models.posterior import ContactPosterior
-from physics.files import read_file
+from physics.files import as_json, read_file
 from physics.likelihood import Likelihood, Linearised
 from physics.ownership import ForeignFile, replacing_own, require_own
 from physics.provenance import code_digest
@@ -303,7 +303,7 @@ def train(options: argparse.Namespace) -> None:
             for step, loss in enumerate(losses, start=1):
                 if step % max(1, steps // 10) == 0:
                     row = {"stage": name, "step": step, "seconds": round(time.time() - start), "loss": loss}
-                    log.write(json.dumps(row) + "\n")
+                    log.write(as_json(row) + "\n")
                     log.flush()
 
         kept = options.output / PREPARED

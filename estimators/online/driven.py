@@ -9,6 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import KDTree
 
+from estimators.estimate import LEAST_SKILL
+from estimators.online.determined import Determined
 from estimators.online.fitting import BENDINGS, Fit, fit_motion, uniform
 from estimators.online.matching import Chamfer, Match, Tracks
 from estimators.online.objective import Objective
@@ -81,14 +83,34 @@ class DrivenTissue:
         )
         begun = uniform(body, settings.start.distance, settings.start.shape)
         self.session = Session(objective, begun, settings.method)
+        self.alone = Determined(objective, begun, lambda values: self._shares @ values, self.shown)
         self._places = body.rest[self.surface.gripped]
         self._past: deque[np.ndarray] = deque(maxlen=PAST)
         self._moving = np.zeros(body.count, bool)
 
     @property
-    def known(self) -> np.ndarray:
-        """Particles whose stiffness the motion so far tells something of, shape [N], bool."""
+    def stretched(self) -> np.ndarray:
+        """Free particles at edges that have once changed their length by more than `strain`, shape [N], bool."""
         return self._moving & ~self._fixed
+
+    @property
+    def known(self) -> np.ndarray:
+        """Particles whose stiffness against stretch is determined by the motion so far, shape [N], bool."""
+        return self.determined()[1][0]
+
+    def determined(self) -> tuple[np.ndarray, np.ndarray]:
+        """Standard deviations of log stiffness over its mean where tissue has stretched, and where that is determined.
+
+        It is where tissue has stretched, the motion tells it (`Determined.known`) and the instrument alone explains the
+        motion, as much as a sheet must that is fitted to a grip.
+
+        Returns:
+            Shape [2, N] each: of distances, of shapes.
+        """
+        stretched = self.stretched
+        among = stretched if stretched.any() else np.ones(len(stretched), bool)
+        sd, known = self.alone.known(self.session.fields, among)
+        return sd, known & stretched & (self.alone.skill >= LEAST_SKILL)
 
     def gripped_places(self, moved: np.ndarray, nearer: float = 0.0) -> np.ndarray | None:
         """Where the gripped particles are, shape [G, 3] [scene units]; None where too few points near them are seen.
@@ -180,6 +202,8 @@ class DrivenTissue:
                 matches += self._tracks(moved)
             if cloud is not None and seen is not None and len(cloud) and len(seen):
                 matches.append(Chamfer(cloud, seen))
+        seen_around = moved[self.around] if places is not None else np.full((len(self.around), 2), np.nan)
+        self.alone.step(self.session.fields, self._places, seen_around)
         told = self.session.step(self._places, matches)
         self._past.append(self._places)
         first, second = self._edges

@@ -8,6 +8,7 @@ and its stiffness changed by one step. θ, a force and a unit are not told: disp
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,9 +23,9 @@ from data.source.camera import back_project
 from data.source.images import printable
 from data.source.layout import InputError
 from data.tracks.background import without_background
-from data.tracks.following import PointFollower
+from data.tracks.following import PointFollower, shrunk
 from estimators.contract import Chosen, ClipInfo, Said
-from estimators.estimate import InteractionEstimate, NoEstimate, ParticleField
+from estimators.estimate import FieldEstimate, InteractionEstimate, NoEstimate, ParticleField
 from estimators.online.driven import DrivenTissue
 from estimators.online.given import read_path, read_pins
 from estimators.online.settings import FILES, OnlineSettings
@@ -33,9 +34,15 @@ from estimators.online.visibility import facing, uncovered
 from estimators.runs import Run, RunSession, frame_estimate
 from physics.files import file_sha256
 from physics.mechanics import Mechanics
+from physics.robust import affine_motion
 
 FIELD_ALONE = "This estimator tells relative stiffness place by place (fields.npz), not k_s, k_d or F."
 UNDRIVEN = "Not enough tissue moved with the instrument to tell its stiffness anywhere."
+
+NUMBERS = ("skill", "field_known", "shape_known") + tuple(
+    f"{name}{end}" for name in ("distance_stiffness", "shape_stiffness") for end in ("_low", "", "_high")
+)
+"""Of `ParticleField.numbers`: what is drawn over a run's frames."""
 
 
 class OnlineEstimator:
@@ -90,7 +97,9 @@ class OnlineSession(RunSession):
         field = self._field(frame)
         self.seconds["online"] += time.perf_counter() - start
         doubts = "" if field is not None or not frame.in_contact else self._reason
-        yield dataclasses.replace(frame_estimate(frame, self.clip, doubts=doubts, whole=True), field=field)
+        verdict = "" if not frame.in_contact else "undetermined" if field is None else field.verdict
+        found = frame_estimate(frame, self.clip, verdict=verdict, doubts=doubts, whole=True)
+        yield dataclasses.replace(found, field=field)
 
     def _field(self, frame: PreparedFrame) -> ParticleField | None:
         """Stiffness in a frame of the run under way; None where there is none, or the frame shows nothing."""
@@ -110,17 +119,19 @@ class OnlineSession(RunSession):
             self._driven.step(frame)
         else:
             return None
-        return None if self._driven is None else self._driven.field()
+        return None if self._driven is None else self._driven.frame_field()
 
     def _pressed(self, run: Run) -> InteractionEstimate:
         """What was seen of a run, and what its field comes to in a sentence."""
         contact = None if run.builder is None else run.builder.build(self.mechanics, self.horizon)
         if contact is not None and len(contact.observation) == 0:
             contact = None
-        told = self._reason
+        told, found = self._reason, None
         if self._driven is not None:
-            told = " ".join(filter(None, (self._driven.fitted, "" if self._driven.field().known.any() else UNDRIVEN)))
-        return run.estimate(interaction=contact, detail=" ".join(filter(None, (run.detail, told, FIELD_ALONE))))
+            found = self._driven.estimate()
+            told = f"{found.explanation or UNDRIVEN} {self._driven.fitted}".strip()
+        detail = " ".join(filter(None, (run.detail, told, FIELD_ALONE)))
+        return run.estimate(interaction=contact, field=found, detail=detail)
 
 
 class _Followed:
@@ -143,6 +154,8 @@ class _Followed:
         self._driven = DrivenTissue(surface, self._follower.points, self._follower.distance, settings)
         self._background = np.zeros_like(surface.pixels)
         self._gap: float | None = None
+        self._picture, self._times = shrunk(picture, labels == TOOL)[0], [first.frame.time_s]
+        self._numbers: dict[str, list[float]] = {name: [] for name in NUMBERS}
 
     def step(self, frame: PreparedFrame) -> None:
         """Follow the tissue into a frame, and take it in."""
@@ -156,6 +169,7 @@ class _Followed:
             moved = still
         cloud, seen = (None, None) if self._settings.match == "tracks" else self._cloud(frame)
         self._gap = self._driven.step(moved, cloud, seen, self._led(frame.frame.time_s)).gap
+        self._times.append(frame.frame.time_s)
 
     def _led(self, time: float) -> np.ndarray | None:
         """Where the path takes the gripped particles by a time [s], shape [G, 3] [scene units]; None = it isn't told.
@@ -183,12 +197,38 @@ class _Followed:
             return ""
         return (
             f"Fitted to the first frames: steps of {fit.time_step:g}, foundation {fit.foundation:g} and bending "
-            f"{fit.bending:g} of the stiffness against stretch, which leave {fit.error:.0%} of the motion."
+            f"{fit.bending:g} of the stiffness against stretch, which leave {fit.error:.0%} of their motion."
         )
+
+    def estimate(self) -> FieldEstimate:
+        """What the run tells by now."""
+        driven = self._driven
+        course, times = np.array(driven.alone.course), np.array(self._times) - self._times[0]
+        return FieldEstimate(
+            self.field(),
+            self._picture,
+            driven.surface.pixels,
+            self._follower.points[driven.around],
+            driven.alone.moved,
+            driven.alone.predicted,
+            times,
+            course,
+            {name: np.array(values) for name, values in self._numbers.items()},
+            bool(driven.stretched.any()),
+        )
+
+    def frame_field(self) -> ParticleField:
+        """As it is in the frame that was taken in last; called once for each."""
+        found = self.field()
+        numbers = found.numbers()
+        for name, course in self._numbers.items():
+            course.append(numbers.get(name, math.nan))
+        return found
 
     def field(self) -> ParticleField:
         """As it is now."""
         surface, session = self._driven.surface, self._driven.session
+        (distance_sd, shape_sd), (known, shape_known) = self._driven.determined()
         size = surface.camera.height, surface.camera.width
         pixels = surface.project(session.positions) + self._background
         return ParticleField(
@@ -200,7 +240,11 @@ class _Followed:
             grid_to_picture(pixels, size, self._clip.size),
             session.fields.distance,
             session.fields.shape,
-            self._driven.known,
+            distance_sd,
+            shape_sd,
+            known,
+            shape_known,
+            self._driven.alone.skill,
             self._gap,
         )
 
@@ -228,7 +272,4 @@ def _described(path: Path) -> dict[str, str]:
 def _continued(points: np.ndarray, motion: np.ndarray, places: np.ndarray) -> np.ndarray:
     """An affine motion that is known at some points [P, 2], not a number elsewhere, at places [N, 2]."""
     known = np.isfinite(motion).all(axis=1)
-    terms, there = (np.column_stack([where, np.ones(len(where))]) for where in (points, places))
-    if not known.any():
-        return np.zeros_like(places)
-    return there @ np.linalg.lstsq(terms[known], motion[known], rcond=None)[0]
+    return affine_motion(points, motion, known, places) if known.any() else np.zeros_like(places)

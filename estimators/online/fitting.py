@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimators.grip.sheet_fit import length
+from estimators.grip.lattice import length
 from physics.load import Grip
 from physics.pbd.body import Body
 from physics.pbd.simulation import Stepping, simulate

@@ -8,8 +8,6 @@ norm ‖r‖ has at r no more than the quadratic ½‖r‖²/‖r₀‖ + ½‖r
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 from scipy.linalg import solve
 
@@ -105,16 +103,7 @@ class GaussNewton:
         changes = np.concatenate([np.zeros((1, len(self._knots))), CHANGE * np.eye(len(self._knots))]) + self._knots
         logits = self._begun + np.einsum("fnk,sk->sfn", self._shares, changes)
         fields = self._objective.bounds.fields(logits.transpose(1, 0, 2), self._volume)
-
-        def stepped(own: slice) -> np.ndarray:
-            of = Stiffness(fields.distance[own], fields.shape[own], self._volume)
-            states = self._carried[own]
-            paths = np.broadcast_to(places, (len(states), 1, *places.shape))
-            return self._objective.stepped(of, states, paths).positions[:, -1]
-
-        half = len(self._carried) // 2
-        with ThreadPoolExecutor(2) as both:
-            self._carried = np.concatenate(list(both.map(stepped, (slice(half), slice(half, None)))))
+        self._carried = self._objective.carried(fields, self._carried, places)
 
     def step(self, mapped: np.ndarray) -> Terms:
         """Change the fields by what the simulations are off a mapped state.

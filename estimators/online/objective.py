@@ -123,6 +123,24 @@ class Objective:
         grips = [Grip(self.gripped, path - self.body.rest[self.gripped]) for path in paths]
         return simulate(self.body, fields, grips, self.stepping, start=starts)
 
+    def carried(self, fields: Stiffness, states: np.ndarray, places: np.ndarray) -> np.ndarray:
+        """States [B, N, 3] [m] one time step on, each by fields of its own, in two threads.
+
+        Args:
+            fields: stiffness, shape [B, N].
+            states: shape [B, N, 3] [m].
+            places: where gripped particles then are, shape [G, 3] [m].
+        """
+
+        def stepped(own: slice) -> np.ndarray:
+            of = Stiffness(fields.distance[own], fields.shape[own], fields.volume)
+            paths = np.broadcast_to(places, (len(states[own]), 1, *places.shape))
+            return self.stepped(of, states[own], paths).positions[:, -1]
+
+        half = len(states) // 2
+        with ThreadPoolExecutor(2) as both:
+            return np.concatenate(list(both.map(stepped, (slice(half), slice(half, None)))))
+
     def mapped(self, points: np.ndarray, matches: Sequence[Match]) -> Residual:
         """Residual deformation of a state [N, 3]: by k⁰, so that what different fields leave can be compared."""
         weights = np.full(len(self.body.layout.rest), self.elastic)
@@ -154,7 +172,7 @@ class Objective:
             gap, by_gap = _norm(residual.deformation, self.weights.gap / self.edge)
             pulls = np.zeros_like(motion.positions)
             pulls[0, -1] = residual.pulled_back(by_gap)
-            found = motion.gradient(pulls).stiffness
+            found = motion.gradient(pulls)
             history, (of_distance, of_shape) = past.result()
         smoothness, by_distance, by_shape = 0.0, found.distance[0] + of_distance, found.shape[0] + of_shape
         bounds = self.bounds.distance, self.bounds.shape
@@ -175,7 +193,7 @@ class Objective:
         for index, state in enumerate(states):
             way, pulls[index, -1] = _norm(motion.positions[index, -1] - state, self.weights.history / self.edge)
             moved += way
-        found = motion.gradient(pulls).stiffness
+        found = motion.gradient(pulls)
         return moved, (found.distance.sum(axis=0), found.shape.sum(axis=0))
 
 

@@ -25,6 +25,8 @@ MOST_BYTES = 2**30
 NEEDED = ("positions", "true_forces", "force_vertices", "pc")
 ANNOUNCED = 6e-4
 """Noise that the data announce [m]; the points at hand lie on the surface to 1e-7 m, so it is added to some frames."""
+FORCELESS = 1e-3
+"""A frame whose true force is below has none [N]: nothing is relative to it."""
 NOISY_EVERY = 10
 """Of how many frames one is fitted again with that noise."""
 ROUNDING = {"linear": 5e-6, "neo_hookean": 8e-7}
@@ -156,7 +158,7 @@ class Answer:
 
 
 def answer(fit: SurfaceFit, material: Material, force: np.ndarray) -> Answer:
-    """What a fit says: the force if the material is known, and Young's modulus if the force is."""
+    """What a fit says: the force if the material is known, and Young's modulus if the force is, which is not zero."""
     true = float(np.linalg.norm(force))
     floor = ROUNDING[material.law]
     (size, wide), (along, narrow) = fit.magnitude, fit.along(force)
@@ -175,7 +177,7 @@ def answer(fit: SurfaceFit, material: Material, force: np.ndarray) -> Answer:
 
 
 def judge_pull(path: Path, frames: int | None = None) -> dict[str, object]:
-    """Measures of a sequence.
+    """Measures of a sequence; frames without force are counted, and only the force that is found there is told.
 
     Args:
         path: its file.
@@ -188,6 +190,7 @@ def judge_pull(path: Path, frames: int | None = None) -> dict[str, object]:
     generator = np.random.default_rng(17)
     clean: list[Answer] = []
     noisy: list[Answer] = []
+    idle: list[float] = []
     fit, lost = None, 0
     for index, points in enumerate(pull.points[:frames]):
         try:
@@ -195,12 +198,18 @@ def judge_pull(path: Path, frames: int | None = None) -> dict[str, object]:
         except NoEquilibrium:
             fit, lost = None, lost + 1
             continue
+        if np.linalg.norm(pull.force[index]) < FORCELESS:
+            idle.append(float(np.linalg.norm(fit.force)))
+            continue
         clean.append(answer(fit, pull.material, pull.force[index]))
         if index % NOISY_EVERY == 0 and fit.noise < ANNOUNCED / 10:
             blurred = points + ANNOUNCED * generator.normal(size=points.shape)
             again = fit_surface(pull.body, pull.material, pull.held, pull.motion[index], pull.pulled, blurred, fit)
             noisy.append(answer(again, pull.material, pull.force[index]))
     measures: dict[str, object] = {"law": pull.material.law, "frames": len(clean), "frames without a fit": lost}
+    measures["frames without force"] = len(idle)
+    if idle:
+        measures["force found in frames without, largest (N)"] = max(idle)
     measures |= _measures(clean, pull.material, "")
     if noisy:
         measures |= _measures(noisy, pull.material, f" with {1e3 * ANNOUNCED:g} mm of noise added")

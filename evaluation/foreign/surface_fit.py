@@ -26,6 +26,8 @@ FREE = 100.0
 ROUNDS = 30
 FAR = 0.002
 """How far a step may move a node until the derivatives are taken anew, where they change [m]."""
+LEAST = 1e-12
+"""Of a body's size, and of its stiffness times its size squared: noise and nodal forces below are rounding."""
 CLOSE = 0.02
 """Change of the total force over its standard deviation, below which the fit is done."""
 
@@ -48,8 +50,15 @@ class SurfaceFit:
     """Displacement per component of every pulled node's force, shape [N, 3, 3G] [m/N]."""
 
     def along(self, direction: np.ndarray) -> tuple[float, float]:
-        """Size along a known direction [3], given that the force has no other part: mean and standard deviation [N]."""
-        unit = direction / np.linalg.norm(direction)
+        """Size along a known direction [3], given that the force has no other part: mean and standard deviation [N].
+
+        Raises:
+            ValueError: the direction has no length.
+        """
+        length = float(np.linalg.norm(direction))
+        if not length:
+            raise ValueError("a direction of no length is none; leave out frames without a force.")
+        unit = direction / length
         weighted = np.linalg.solve(self.covariance, unit)
         precision = float(unit @ weighted)
         return float(weighted @ self.force) / precision, precision**-0.5
@@ -58,6 +67,8 @@ class SurfaceFit:
     def magnitude(self) -> tuple[float, float]:
         """Size of the total force: mean and standard deviation [N]."""
         size = float(np.linalg.norm(self.force))
+        if not size:  # of no direction: along the least known one
+            return 0.0, float(np.sqrt(np.linalg.eigvalsh(self.covariance)[-1]))
         return size, float(np.sqrt(self.force @ self.covariance @ self.force)) / size
 
 
@@ -93,6 +104,8 @@ def fit_surface(
     constant = material.law == "linear"
     slopes = before.slopes if before is not None and constant else _slopes(rest, pulled) if constant else None
     rest, nodal = _evenly(rest, nodal, pulled, points, slopes)
+    size = float(np.ptp(body.rest, axis=0).max())
+    least = LEAST * size, LEAST * float(np.mean(material.young)) * size**2
     noise = float(np.sqrt(np.mean(_residuals(rest, points, np.zeros((*rest.displacement.shape, 1)))[0] ** 2)))
     prior = float(np.linalg.norm(nodal.mean(axis=0))) / 10
     slopes = _slopes(rest, pulled) if slopes is None else slopes
@@ -103,7 +116,7 @@ def fit_surface(
     for _ in range(ROUNDS):
         residual, jacobian = _residuals(rest, points, slopes)
         seen = residual + jacobian @ nodal.ravel()
-        mean, root, noise, prior = _posterior(jacobian @ parts, seen, noise, prior)
+        mean, root, noise, prior = _posterior(jacobian @ parts, seen, noise, prior, least)
         spread = summed.T @ parts @ root
         covariance = spread @ spread.T
         change = parts @ mean - nodal.ravel()
@@ -199,9 +212,13 @@ def _residuals(rest: Equilibrium, points: np.ndarray, slopes: np.ndarray) -> tup
 
 
 def _posterior(
-    jacobian: np.ndarray, seen: np.ndarray, noise: float, prior: float
+    jacobian: np.ndarray, seen: np.ndarray, noise: float, prior: float, least: tuple[float, float]
 ) -> tuple[np.ndarray, np.ndarray, float, float]:
-    """Mean of the unknowns, a root of their covariance, widths of noise and prior, by expectation maximisation."""
+    """Mean of the unknowns, a root of their covariance, widths of noise and prior, by expectation maximisation.
+
+    Neither width falls below its `least`: of a body at rest both would be zero.
+    """
+    noise, prior = max(noise, least[0]), max(prior, least[1])
     left, sizes, right = np.linalg.svd(jacobian, full_matrices=False)
     projected, outside = left.T @ seen, float(np.sum(seen**2) - np.sum((left.T @ seen) ** 2))
     for _ in range(200):
@@ -209,10 +226,9 @@ def _posterior(
         mean = variance * sizes * projected / noise**2
         missing = jacobian.shape[1] - len(sizes)
         left_over = max(outside, 0.0) + float(np.sum((projected - sizes * mean) ** 2 + sizes**2 * variance))
-        following = np.sqrt(left_over / len(seen))
-        prior = float(np.sqrt((np.sum(mean**2 + variance) + missing * prior**2) / jacobian.shape[1]))
-        done = abs(following / noise - 1) < 1e-4
-        noise = float(following)
+        following = max(float(np.sqrt(left_over / len(seen))), least[0])
+        own = float(np.sqrt((np.sum(mean**2 + variance) + missing * prior**2) / jacobian.shape[1]))
+        done, noise, prior = abs(following / noise - 1) < 1e-4, following, max(own, least[1])
         if done:
             break
     root = right.T * np.sqrt(variance)

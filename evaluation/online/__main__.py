@@ -18,9 +18,7 @@ if __name__ == "__main__":
 
 import argparse
 import dataclasses
-import hashlib
 import io
-import json
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -35,7 +33,7 @@ from evaluation.online.sequences import SEQUENCES, Pull
 from evaluation.page import as_png, render_page
 from evaluation.tables import to_csv
 from physics.doors import INTERRUPTED, interruptible
-from physics.files import read_file
+from physics.files import digest_of, read_file
 from physics.ownership import replacing_own, require_own
 from physics.provenance import code_digest
 from results.store import OutputError, writing
@@ -135,10 +133,7 @@ def main(arguments: list[str] | None = None) -> int:
         "points": options.points,
     }
     settings |= {"every": options.every, "code": code_digest()}
-    prints = {
-        name: hashlib.sha256(json.dumps({**settings, "frames": count}, sort_keys=True).encode()).hexdigest()
-        for name, count in frames.items()
-    }
+    prints = {name: digest_of({**settings, "frames": count}) for name, count in frames.items()}
     found: dict[Key, Case] = {}
     pulls: dict[str, Pull] = {}
     try:

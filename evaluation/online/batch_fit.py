@@ -55,7 +55,7 @@ def fit_batch(
                 total += share * value
                 slopes_at[frame] += share * slope
         left.append(total)
-        found = motion.gradient(pulls).stiffness
+        found = motion.gradient(pulls)
         slopes = Stiffness(found.distance.sum(axis=0), found.shape.sum(axis=0), 0.0)
         logits = adam.step(logits, bounds.by_logits(fields, slopes))
         fields = bounds.fields(logits, float(begun.volume))

@@ -149,7 +149,7 @@ def analyse(
         summaries={name: summarise(values, clips) for name, values in errors.items()},
         comparisons=comparisons,
         depth=depth,
-        settling=pd.concat(settling, names=["simulation"]).reset_index("simulation"),
+        settling=pd.concat(settling, names=["simulation"]).reset_index("simulation").reset_index(drop=True),
         motion=pd.DataFrame.from_dict(motion, orient="index"),
         spread=spread,
         constant=constant,

@@ -18,6 +18,7 @@ from evaluation.paper.collapse import as_reported
 from evaluation.paper.figures import draw_response, draw_theta
 from evaluation.paper.statistics import MINIMUM_FOR_WILCOXON, SIGNIFICANCE, Statistics, format_number
 from evaluation.tables import to_markdown
+from physics.files import as_json
 from physics.mechanics import PARAMETERS, Bounds, Mechanics
 from physics.ownership import ForeignFile, replacing_own
 from results.record import versions
@@ -298,4 +299,7 @@ def evaluation_json(found: Evaluation, mechanics: Mechanics, bounds: Bounds, mad
             group: {quantity: statistic._asdict() for quantity, statistic in statistics.items()}
             for group, statistics in getattr(found, name).items()
         }
-    return f"{pd.Series(content).to_json(force_ascii=False, double_precision=15)}\n"
+    for name, value in content.items():
+        if isinstance(value, pd.DataFrame):
+            content[name] = value.to_dict("index")
+    return as_json(content, ensure_ascii=False) + "\n"

@@ -1,15 +1,15 @@
 """What can be said on real clips, judged on what was kept back from the fit.
 
     python -m evaluation.real --data DIR --output OUT
-    python -m evaluation.real --pulled FRAMES [MASKS] [--tool-value N] [--camera] [--start A --stop B]
-        [--estimator sheet|online] [--settings YAML] --output OUT
+    python -m evaluation.real --pulled CLIP [--layout YAML] [--estimator direct|online] [--settings YAML] --output OUT
     python -m evaluation.real --pressed FOLDER --wrench CSV --output OUT
 
 --data runs every known clip under a folder (docs/real.md). A pulled clip shows tissue that an instrument holds and
-moves: a sheet is fitted to the first half of its frames and judged on the second; `contact_frame_N` is the probability
-that tissue moves with the instrument. With `--estimator online` it is predicted ten frames ahead instead, by stiffness
-place by place and by a sheet of one number. A pressed one is a folder with `depth/` and a table of the force. Writes
-table.csv (clip, measure, value), figures/ and report.html. Not a medical device.
+moves: the table has what the session of `infer.py --estimator direct` says of it, its skill in frames that were not
+fitted included; `contact_frame_N` is the probability that tissue moves with the instrument. With `--estimator online`
+it is predicted ten frames ahead instead, by stiffness place by place and by a sheet of one number. A pressed one is a
+folder with `depth/` and a table of the force. Writes table.csv (clip, measure, value), figures/ and report.html. Not a
+medical device.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ if __name__ == "__main__":
     enter_door()  # before the slow imports
 
 import argparse
-import dataclasses
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -29,28 +28,29 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from data.command_line import path_option, progress_bars, say, whole_number
+from data.command_line import path_option, progress_bars, say
 from data.source.layout import InputError
-from estimators.grip.sheet_fit import NothingMoves
+from estimators.estimate import NoEstimate
+from estimators.grip.lattice import NothingMoves
 from estimators.online.settings import FILES, OnlineSettings, load_settings
 from evaluation.page import as_png, render_page
-from evaluation.real.figures import draw_prediction, draw_press, draw_pull
+from evaluation.real.figures import draw_prediction, draw_press
 from evaluation.real.predicted import evaluate_prediction
 from evaluation.real.pressed import evaluate_press
 from evaluation.real.pulled import PulledClip, evaluate_pull
-from evaluation.real.touching import contact_measures
 from evaluation.tables import to_csv, to_markdown
 from physics.doors import INTERRUPTED, interruptible, plain
 from physics.ownership import replacing_own, require_own
+from physics.provenance import ROOT
+from results.plots import draw_summary
 from results.store import OutputError, writing
 
 COLUMNS = ("clip", "measure", "value")
 TEXTS = ("table.csv", "report.html")
 TITLE = "Real clips, judged on what was kept back"
 KNOWN = {
-    "recover_tissue": PulledClip(Path("recover_tissue/img_left"), Path("recover_tissue/tool_mask")),
-    # Before that no instrument is in view.
-    "video01_00080, frames 149 to 159": PulledClip(Path("cholecseg8k/video01/video01_00080"), camera=True, start=69),
+    "recover_tissue": PulledClip(Path("recover_tissue"), ROOT / "configs/layouts/recover_tissue.yaml"),
+    "video01_00080": PulledClip(Path("cholecseg8k/video01/video01_00080")),
 }
 """Pulled clips, below the data's folder."""
 PRESSED = "pressed_membrane"
@@ -70,15 +70,11 @@ def build_parser() -> argparse.ArgumentParser:
     )
     add = parser.add_argument
     add("--data", type=path_option, metavar="DIR", help="folder of the known clips")
-    text = "frames, as a folder or a video, and masks of the same order (default: beside the frames, else automatic)"
-    add("--pulled", nargs="+", type=path_option, metavar="PATH", help=text)
-    add("--tool-value", type=whole_number(0, 255), default=0, metavar="N", help="of the tool in MASKS (default 0)")
-    add("--camera", action="store_true", help="the camera moves: take the motion of far points off")
-    text = "first frame, where the tissue counts as at rest (default 0)"
-    add("--start", type=whole_number(0), default=0, metavar="A", help=text)
-    add("--stop", type=whole_number(1), metavar="B", help="frame behind the last one (default: all)")
-    text = "of pulled clips: sheet (default), fitted to the first half, or online, ahead from frames 3, 4 and 5"
-    add("--estimator", choices=("sheet", "online"), default="sheet", help=text)
+    add("--pulled", type=path_option, metavar="CLIP", help="a clip, as infer.py takes it")
+    text = "of CLIP: YAML file that names a folder's files (default: CholecSeg8k)"
+    add("--layout", type=path_option, metavar="YAML", help=text)
+    text = "of pulled clips: direct (default), as infer.py runs it, or online, ahead from frames 3, 4 and 5"
+    add("--estimator", choices=("direct", "online"), default="direct", help=text)
     text = "of online (default: as configs/online.yaml)"
     add("--settings", type=path_option, metavar="YAML", help=text)
     add("--pressed", type=path_option, metavar="FOLDER", help="a press with depth")
@@ -107,31 +103,26 @@ def tasks_of(options: argparse.Namespace) -> dict[str, Task]:
         if options.estimator == "online":
             add(name, lambda measures: _predicted(clip, online, measures))
         else:
-            add(name, lambda measures: _pulled(clip, measures))
+            add(name, lambda measures: _pulled(name, clip, measures))
 
     if options.data is not None:
         for name, clip in KNOWN.items():
-            frames, masks = options.data / clip.frames, None if clip.masks is None else options.data / clip.masks
-            if frames.exists():
-                pull(name, dataclasses.replace(clip, frames=frames, masks=masks))
+            if (options.data / clip.path).exists():
+                pull(name, PulledClip(options.data / clip.path, clip.layout_file))
         folder = options.data / PRESSED
         for wrench in sorted(folder.glob("wrench_*.csv")):
             add(f"{PRESSED}, {wrench.stem}", lambda measures, wrench=wrench: _pressed(folder, wrench, measures))
-    if options.pulled:
-        frames, masks = options.pulled[0], options.pulled[1] if len(options.pulled) > 1 else None
-        part = options.start, options.stop
-        pull(frames.resolve().name, PulledClip(frames, masks, options.tool_value, options.camera, *part))
+    if options.pulled is not None:
+        pull(options.pulled.resolve().name, PulledClip(options.pulled, options.layout))
     if options.pressed is not None:
         add(options.pressed.resolve().name, lambda measures: _pressed(options.pressed, options.wrench, measures))
     return tasks
 
 
-def _pulled(clip: PulledClip, measures: Measures) -> bytes:
-    # Of an instrument that only passes over tissue nothing else can be said.
-    measures |= contact_measures(clip)
-    found = evaluate_pull(clip)
+def _pulled(name: str, clip: PulledClip, measures: Measures) -> bytes:
+    found = evaluate_pull(clip, measures)
     measures |= found.measures
-    return as_png(draw_pull(found))
+    return as_png(draw_summary(found.frames, runs=[found.run], title=name))
 
 
 def _predicted(clip: PulledClip, settings: OnlineSettings, measures: Measures) -> bytes:
@@ -150,8 +141,8 @@ def main(arguments: list[str] | None = None) -> int:
     """Judge what the command line names; returns the exit status."""
     parser, console = build_parser(), Console(stderr=True)
     options: Any = parser.parse_args(arguments)
-    if options.pulled and len(options.pulled) > 2:
-        parser.error("--pulled takes the frames and their masks; leave the rest out.")
+    if options.layout is not None and options.pulled is None:
+        parser.error(f"--layout {options.layout} is of a clip of --pulled; give both, or leave it out.")
     if (options.pressed is None) != (options.wrench is None):
         parser.error("--pressed and --wrench belong together; give both.")
     if options.settings is not None and options.estimator != "online":
@@ -209,7 +200,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _sentence(error: Exception) -> str:
     """Why a clip could not be judged; the others still are."""
-    if isinstance(error, (InputError, NothingMoves)):
+    if isinstance(error, (InputError, NoEstimate, NothingMoves)):
         return str(error)
     return f"unexpected {type(error).__name__} ({error}); please report it with the clip."
 

@@ -8,25 +8,26 @@ since that frame, root mean squares over the points that are followed in both an
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from data.clip import ClipInputs, ClipStream
-from data.labels import OTHER, TISSUE, TOOL
-from data.source.frames import Frame, open_source
-from data.source.layout import ClipLayout, InputError
-from data.tracks.following import lit_field
+from data.clip import ClipStream
+from data.labels import TOOL
+from data.masks.sources import MaskClasses, MaskError, open_masks
+from data.source.frames import open_source
+from data.source.layout import InputError
+from data.tracks.following import MARGIN, PointFollower, shrunk
 from estimators.contract import Chosen
 from estimators.estimate import NoEstimate
-from estimators.grip.lattice import lattice_springs
-from estimators.grip.sheet_fit import LEAST_MOTION, GripFrame, NothingMoves, length
+from estimators.grip.lattice import LEAST_MOTION, GripFrame, NothingMoves, lattice_springs, length
+from estimators.grip.recorder import DRIVEN
 from estimators.online.driven import DrivenTissue
 from estimators.online.estimator import OnlineEstimator
 from estimators.online.settings import OnlineSettings
 from estimators.online.surface import Surface, make_surface
-from evaluation.real.pulled import Follow, PulledClip, follow_clip, nearby_frame, read_views
+from evaluation.real.pulled import PulledClip
 from physics.sheet import equilibrium
 
 FROM, AHEAD = (3, 4, 5), 10
@@ -35,6 +36,24 @@ RATIOS = np.geomspace(1e-4, 1, 17)
 """Of foundation to springs that a sheet of one number is tried with."""
 LEAST_POINTS = 20
 """Fewer points that are followed in both frames judge nothing."""
+NEARBY = 35.0
+"""Nearby points began nearer to the tool than this percentile of those that are followed [%]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Follow:
+    """Followed points of a clip; N points, T frames after the first."""
+
+    points: np.ndarray
+    """Places in the first frame, shape [N, 2] [px]."""
+    spacing: int
+    """Of their grid [px]."""
+    distance: np.ndarray
+    """From the tool there, shape [N] [px]."""
+    frames: list[GripFrame]
+    """T of them."""
+    pictures: tuple[np.ndarray, np.ndarray]
+    """The first and the last, RGB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,10 +84,8 @@ def evaluate_prediction(clip: PulledClip, settings: OnlineSettings) -> Predictio
         NothingMoves: no sheet can be fitted to the frames that both see.
     """
     follow = follow_clip(clip)
-    if follow.grip != "masks":
-        raise InputError(f"{clip.frames}: no mask shows where an instrument holds the tissue; give masks of the tool.")
     if len(follow.frames) < min(FROM) + AHEAD:
-        raise InputError(f"{clip.frames} has fewer than {min(FROM) + AHEAD + 1} usable frames; give more of them.")
+        raise InputError(f"{clip.path} has fewer than {min(FROM) + AHEAD + 1} usable frames; give more of them.")
     surface = first_surface(clip, settings)
     measures: dict[str, object] = {"status": "ok", "estimator": "online", "particles": surface.body.count}
     skills: dict[str, list[float]] = {"online": [], "sheet": [], "sheet from rest": []}
@@ -112,7 +129,7 @@ def evaluate_prediction(clip: PulledClip, settings: OnlineSettings) -> Predictio
             skills[name].append(1 - length(motion - since) / length(since))
             measures[f"skill from frame {index}, {name}"] = skills[name][-1]
     if not skills["online"]:
-        raise InputError(f"{clip.frames}: fewer than {LEAST_POINTS} points are followed {AHEAD} frames on.")
+        raise InputError(f"{clip.path}: fewer than {LEAST_POINTS} points are followed {AHEAD} frames on.")
     measures |= {f"skill of {name}, mean": float(np.mean(values)) for name, values in skills.items()}
     measures["known particles"] = float(tissue.known.mean())
     fields = tuple(each[surface.seen] for each in (surface.pixels, tissue.session.fields.distance, tissue.known))
@@ -165,38 +182,69 @@ def _judged(around: np.ndarray, now: GripFrame, then: GripFrame) -> np.ndarray:
     return (now.around & then.around)[around]
 
 
-class _DrawnMasks:
-    """The clip's tools as its judged frames have them, tissue elsewhere where the picture shows anything."""
+def nearby_frame(frame: GripFrame, distance: np.ndarray) -> GripFrame:
+    """The frame with those points around the grip alone that began close to the tool, or with all if none did."""
+    around = frame.around
+    nearby = around & (distance < np.percentile(distance[around | frame.gripped], NEARBY))
+    shown = frame.gripped | (nearby if nearby.any() else around)
+    return dataclasses.replace(frame, moved=np.where(shown[:, None], frame.moved, np.nan))
 
-    identity = "drawn"
 
-    def __init__(self, tools: Mapping[int, np.ndarray]) -> None:
-        self._tools = tools
+def follow_clip(clip: PulledClip) -> Follow:
+    """Follow the tissue's points through a clip, from its first frame on in which a mask shows an instrument.
 
-    def __call__(self, frame: Frame) -> np.ndarray:
-        """Label map of one of them."""
-        return np.where(self._tools[frame.number], TOOL, np.where(lit_field(frame.picture), TISSUE, OTHER)).astype("u1")
+    Raises:
+        InputError: it can't be read, or no two frames can be used.
+    """
+    follower: PointFollower | None = None
+    moved = list[np.ndarray]()
+    first = picture = np.zeros((0, 0, 3), np.uint8)
+    for current, tool in read_views(clip):
+        picture, tool = shrunk(current, tool)
+        if follower is None and tool.any():
+            first, follower = picture, PointFollower(picture, tool)
+        elif follower is not None:
+            follower.step(picture, tool)
+            moved.append(follower.moved)
+    if follower is None or not moved:
+        raise InputError(f"{clip.path} has fewer than two frames with an instrument; give more of them.")
+    used = follower.distance > MARGIN
+    away = follower.distance[used]
+    frames = [GripFrame(item[used], np.isfinite(item[used]).all(axis=1) & (away < DRIVEN)) for item in moved]
+    return Follow(follower.points[used], follower.spacing, away, frames, (first, picture))
 
-    def reset(self) -> None:
-        """There is nothing to forget."""
+
+def read_views(clip: PulledClip) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """RGB pictures with their masks of the tool, bool [H, W]; frames without either are left out.
+
+    Raises:
+        InputError: the clip can't be read.
+    """
+    source, masks = open_source(clip.path, clip.layout), open_masks("auto", clip.layout, MaskClasses(), clip.path)
+    for frame in source:
+        if frame.image is None:
+            continue
+        try:
+            yield frame.image, masks(frame) == TOOL
+        except MaskError:
+            continue
 
 
 def first_surface(clip: PulledClip, settings: OnlineSettings) -> Surface:
-    """The sheet of the first frame that can be used, prepared as the estimator's are but for its masks.
+    """The sheet of the first frame that shows an instrument, prepared as the estimator's are.
 
     Raises:
         InputError: no such frame, no depth, or no tissue with depth beside the tool.
     """
-    chosen = OnlineEstimator(settings).preparation(Chosen())
-    for number, picture, tool in read_views(clip):
-        if picture is None or isinstance(tool, str):
+    estimator = OnlineEstimator(settings)
+    stream = ClipStream(open_source(clip.path, clip.layout), estimator.preparation(Chosen(clip.layout)))
+    for current in stream.source:
+        frame = stream.prepared(current)
+        if frame.picture_labels is None or not (frame.picture_labels == TOOL).any():
             continue
-        source = open_source(clip.frames, ClipLayout())
-        stream = ClipStream(source, chosen, ClipInputs(masks=_DrawnMasks({number: tool})))
-        frame = stream.prepared(next(frame for frame in source if frame.number == number))
         try:
             meshed = settings.particles, settings.thickness
-            return make_surface(frame, stream.picture_camera, chosen.geometry, *meshed)
+            return make_surface(frame, stream.picture_camera, stream.settings.geometry, *meshed)
         except NoEstimate as error:
-            raise InputError(f"{clip.frames}: {frame.detail or error}") from error
-    raise InputError(f"{clip.frames} has no frame that can be used; give others.")
+            raise InputError(f"{clip.path}: {frame.detail or error}") from error
+    raise InputError(f"{clip.path} has no frame with an instrument; give others.")

@@ -28,12 +28,14 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
+import pandas as pd
 from scipy.stats import bootstrap, kstest, norm
 
 from estimators.estimate import NINETY
+from evaluation.harness import Row
 from evaluation.recovery.scores import QUANTITIES, Scores, constant_error, rms
 from physics.identifiability import LIMIT
 from physics.mechanics import PARAMETERS
@@ -51,8 +53,12 @@ LEAST_CLIPS = 5
 """Fewer clips give no interval."""
 
 
-def detail_rows(scores: Scores) -> Iterator[dict[str, object]]:
-    """Rows of `details.csv`: what exists, and cells that don't are left out."""
+def detail_table(judged: Sequence[Scores]) -> pd.DataFrame:
+    """`details.csv`."""
+    return pd.DataFrame([row for scores in judged for row in _rows(scores)], columns=COLUMNS)
+
+
+def _rows(scores: Scores) -> Iterator[Row]:
     named = {"estimator": scores.estimator, "suite": scores.suite}
     arrays = scores.errors, scores.truth, scores.bounds, scores.sd
     for column, parameter in enumerate(QUANTITIES):
@@ -68,7 +74,7 @@ def detail_rows(scores: Scores) -> Iterator[dict[str, object]]:
         yield {**named, "regime": "all", "parameter": "all", **quantity}
 
 
-def _errors(errors: np.ndarray, truth: np.ndarray, bounds: np.ndarray, sd: np.ndarray) -> Iterator[dict]:
+def _errors(errors: np.ndarray, truth: np.ndarray, bounds: np.ndarray, sd: np.ndarray) -> Iterator[Row]:
     """Quantities of one parameter's errors in some clips, one at least, shape [n] each; not a number where none."""
     worst = constant_error(truth)
     gap = worst - rms(bounds)
@@ -100,9 +106,9 @@ def _held(errors: np.ndarray, sd: np.ndarray, axis: int = -1) -> np.ndarray:
     return (np.abs(errors) <= NINETY * sd).mean(axis)
 
 
-def _with_interval(statistic: Callable[..., np.ndarray], *values: np.ndarray) -> dict[str, object]:
+def _with_interval(statistic: Callable[..., np.ndarray], *values: np.ndarray) -> Row:
     """A statistic of clips' values [n] and its 95 % interval: percentiles over resamples of clips."""
-    found: dict[str, object] = {"value": float(statistic(*values))}
+    found: Row = {"value": float(statistic(*values))}
     if len(values[0]) < LEAST_CLIPS:
         return {**found, "note": f"no interval from fewer than {LEAST_CLIPS} clips"}
     resampled = bootstrap(
@@ -121,21 +127,21 @@ def _collapse(scores: Scores, column: int) -> dict[str, float]:
     if true_spread > 0:
         found["collapse"] = spread / true_spread
     if column < len(PARAMETERS):
-        found["at_bound"] = float(np.mean([row.at_bound[column] for row in scores.rows]))
+        found["at_bound"] = float(np.mean([row["at_bound"][column] for row in scores.rows]))
     return found
 
 
-def _whole(scores: Scores) -> Iterator[dict[str, object]]:
+def _whole(scores: Scores) -> Iterator[Row]:
     """Quantities of the suite and the estimator."""
     total = len(scores.rows) + len(scores.failed)
-    reasons = Counter(row.status for row in scores.failed)
+    reasons = Counter(row["status"] for row in scores.failed)
     note = "; ".join(f"{status} {count}" for status, count in reasons.most_common())
     yield {"quantity": "clips", "n": total, "value": total}
     yield {"quantity": "failed", "n": total, "value": len(scores.failed), "note": note}
     for name, value in zip(("sigma", "sigma_rms"), scores.noise, strict=True):
         yield {"quantity": name, "n": total, "value": value}
     true, clear = true_verdicts(scores.bounds)
-    given = np.array([row.verdict for row in scores.rows])
+    given = np.array([row.get("verdict", "") for row in scores.rows])
     for name, used in (("verdict_accuracy", given != ""), ("verdict_accuracy_clear", (given != "") & clear)):
         if used.any():
             pairs = zip(true[used].tolist(), given[used].tolist(), strict=True)
@@ -144,8 +150,7 @@ def _whole(scores: Scores) -> Iterator[dict[str, object]]:
             value = float((given[used] == true[used]).mean())
             yield {"quantity": name, "n": int(used.sum()), "value": value, "note": note}
     for name, average in _AVERAGES.items():
-        values = np.array([getattr(row, name) for row in scores.rows], float)
-        values = values[np.isfinite(values)]
+        values = np.array([row[name] for row in scores.rows if name in row], float)
         if len(values):
             counts = Counter(values.tolist()) if name in ("onset_off", "release_off") else {}
             note = "; ".join(f"{count} by {off:+g}" for off, count in sorted(counts.items()))

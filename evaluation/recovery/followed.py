@@ -14,8 +14,8 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.spatial.distance import cdist
 
-from estimators.grip.foundation_fit import ROBUST
 from estimators.grip.whitening import matern
+from physics.robust import median_sd
 
 CLASSES = 0.12, 0.15, 0.2, 0.3, 0.5, 1.0, 4.0
 """Told noises between which points are equally good [px]."""
@@ -71,7 +71,7 @@ def measure_following(
     for one in np.unique(kind):
         alike = kind == one
         if alike.sum() >= LEAST_ALIKE:
-            sizes[alike] = ROBUST * np.median(np.abs(errors[-1, alike]))
+            sizes[alike] = median_sd(errors[-1, alike])
     scaled = np.clip(errors / sizes[:, None], -OUTLYING, OUTLYING)
     always = np.isfinite(scaled).all(axis=(0, 2))
     in_time = np.einsum("tna,sna->ts", scaled[:, always], scaled[:, always])

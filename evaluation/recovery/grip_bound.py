@@ -3,7 +3,7 @@
 Known is the sheet, how well every followed point is followed and how far points err alike, in place and in time
 (`evaluation.recovery.followed`). Unknown are the foundation, the forces at the instrument, in every frame anew, and the
 background's affine motion; all but the foundation are nuisances, marginalised by their Schur complement. The forces act
-where `estimators.grip.sheet_problem` lets them act and are expected as they are there, which counts as seen: of forces
+where `estimators.grip.sheet` lets them act and are expected as they are there, which counts as seen: of forces
 under a long shaft the picture tells little.
 """
 
@@ -16,9 +16,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 
-from estimators.grip.sheet_problem import SIZE, load_precision, loaded_cells
+from estimators.grip.sheet import SIZE, load_precision, loaded_cells
 from evaluation.recovery.followed import Following
 from physics.endless_sheet import response
+from physics.robust import affine_terms
 
 STEP = 0.01
 """Of log foundation, for derivatives."""
@@ -97,7 +98,7 @@ def grip_bound(
     cells = np.rint(points / spacing).astype(np.int64)
     loaded = loaded_cells(points, distance, hidden, spacing)
     apart = tuple(np.moveaxis(cells[:, None] - loaded, -1, 0) % SIZE)
-    terms = np.column_stack([(points - points.mean(axis=0)) / points.std(axis=0), np.ones(len(points))])
+    terms = affine_terms(points)
     answer = response(math.exp(log_anchor), SIZE)
     kept = Whitened.of(following.covariance(points), np.hstack([answer[apart], terms]), load_precision(answer, loaded))
     more, less = (response(math.exp(log_anchor + step), SIZE)[apart] for step in (STEP, -STEP))

@@ -14,12 +14,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 
 from data.contact.interaction import FIELD
 from estimators.estimate import NINETY
 from estimators.onset import STAMP
+from evaluation.harness import OK, Row
 from evaluation.recovery.bounds import known
-from evaluation.recovery.evaluate import OK, Recovery
 from evaluation.recovery.suites import REGIMES
 from physics.identifiability import LIMIT, RATIOS, covariance
 from physics.mechanics import PARAMETERS
@@ -47,9 +48,9 @@ class Scores:
 
     estimator: str
     suite: str
-    rows: list[Recovery]
+    rows: list[Row]
     """Results with an estimate, shape [n]."""
-    failed: list[Recovery]
+    failed: list[Row]
     """Results without one."""
     noise: tuple[float, float]
     """Of the suite, as `measure_noise` gives it."""
@@ -89,14 +90,14 @@ class Scores:
         return found | {"all": used, extra: np.asarray(clips)}
 
 
-def measure_noise(rows: Sequence[Recovery]) -> tuple[float, float]:
+def measure_noise(rows: Sequence[Row]) -> tuple[float, float]:
     """Measured error of the tracked contact of a suite [scene units], every clip once.
 
     Returns:
         Root mean square without the errors beyond ASTRAY times the width that holds the central 68 % (tracks that went
         astray would raise the bound and so excuse the estimators), and the root mean square of all.
     """
-    tracks = {row.index: row.tracking for row in rows if row.tracking is not None}
+    tracks = {row["index"]: row["tracking"] for row in rows if "tracking" in row}
     if not tracks:
         return math.nan, math.nan
     sizes = np.abs(np.concatenate(list(tracks.values())))
@@ -112,17 +113,14 @@ class Bound:
     onset: str = STAMP
     """Whether the instants of the press are known: one of `estimators.onset.ONSETS`."""
 
-    def information(self, rows: Sequence[Recovery], sigma: float) -> np.ndarray:
+    def information(self, rows: Sequence[Row], sigma: float) -> np.ndarray:
         """Information of log θ, shape [n, 3, 3]; nothing where there is no film. `sigma`: of the tracked contact."""
-        nothing = np.zeros((5, 5))
-        if self.observation == FIELD:
-            found = [nothing if row.field_information is None else row.field_information for row in rows]
-        else:
-            found = [nothing if row.information is None else row.information / sigma**2 for row in rows]
+        name, unit = ("field_information", 1.0) if self.observation == FIELD else ("information", sigma**2)
+        found = [row.get(name, np.zeros((5, 5))) / unit for row in rows]
         return known(np.array(found).reshape(-1, 5, 5), self.onset)
 
 
-def score(rows: Sequence[Recovery], noise: tuple[float, float], bound: Bound = Bound()) -> Scores:
+def score(rows: Sequence[Row], noise: tuple[float, float], bound: Bound = Bound()) -> Scores:
     """Scores of one suite and estimator.
 
     Args:
@@ -130,20 +128,18 @@ def score(rows: Sequence[Recovery], noise: tuple[float, float], bound: Bound = B
         noise: of the suite.
         bound: what errors are compared with.
     """
-    kept = [row for row in rows if row.status == OK]
-    truth, estimate = (
-        np.log(np.abs([getattr(row, name) for row in kept])).reshape(-1, 3) for name in ("theta", "estimate")
-    )
+    kept = [row for row in rows if row["status"] == OK]
+    truth, estimate = (np.log(np.abs([row[name] for row in kept])).reshape(-1, 3) for name in ("theta", "estimate"))
     information = bound.information(kept, noise[0])
     unknown = np.full((3, 3), np.nan)
-    given = np.array([unknown if row.covariance is None else row.covariance for row in kept]).reshape(-1, 3, 3)
+    given = np.array([row.get("covariance", unknown) for row in kept]).reshape(-1, 3, 3)
     return Scores(
-        estimator=rows[0].estimator,
-        suite=rows[0].suite,
+        estimator=rows[0]["estimator"],
+        suite=rows[0]["suite"],
         rows=kept,
-        failed=[row for row in rows if row.status != OK],
+        failed=[row for row in rows if row["status"] != OK],
         noise=noise,
-        regimes=np.array([row.regime for row in kept]),
+        regimes=np.array([row["regime"] for row in kept]),
         truth=truth @ TO_QUANTITIES.T,
         estimate=estimate @ TO_QUANTITIES.T,
         bounds=deviations(covariance(information)),
@@ -156,13 +152,14 @@ def deviations(covariances: np.ndarray) -> np.ndarray:
     return np.sqrt(np.einsum("ij,...jk,ik->...i", TO_QUANTITIES, covariances, TO_QUANTITIES))
 
 
-def score_all(rows: Sequence[Recovery], bound: Bound = Bound()) -> list[Scores]:
+def score_all(rows: Sequence[Row], bound: Bound = Bound()) -> list[Scores]:
     """Scores of every estimator and suite, in the order in which they first appear."""
-    noises = {suite: measure_noise([row for row in rows if row.suite == suite]) for suite in {r.suite for r in rows}}
-    groups: dict[tuple[str, str], list[Recovery]] = {}
-    for row in rows:
-        groups.setdefault((row.estimator, row.suite), []).append(row)
-    return [score(group, noises[suite], bound) for (_, suite), group in groups.items()]
+    found = []
+    for estimator, suite in dict.fromkeys((row["estimator"], row["suite"]) for row in rows):
+        observed = [row for row in rows if row["suite"] == suite]
+        own = [row for row in observed if row["estimator"] == estimator]
+        found.append(score(own, measure_noise(observed), bound))
+    return found
 
 
 def rms(values: np.ndarray) -> float:
@@ -181,24 +178,16 @@ def coverage(errors: np.ndarray, sd: np.ndarray, width: float = NINETY) -> float
     return float((np.abs(errors[known]) <= width * sd[known]).mean()) if known.any() else math.nan
 
 
-def table_rows(scores: Scores) -> list[dict[str, object]]:
-    """Rows of `table.csv`."""
-    found: list[dict[str, object]] = []
-    for column, parameter in enumerate(QUANTITIES):
-        for regime, used in scores.groups(column).items():
-            error, bound = rms(scores.errors[used, column]), rms(scores.bounds[used, column])
-            found.append(
-                {
-                    "estimator": scores.estimator,
-                    "suite": scores.suite,
-                    "regime": regime,
-                    "parameter": parameter,
-                    "n": int(used.sum()),
-                    "rmse_log": error,
-                    "bound_log": bound,
-                    "ratio": error / bound,
-                    "constant_rmse_log": constant_error(scores.truth[used, column]),
-                    "coverage90": coverage(scores.errors[used, column], scores.sd[used, column]),
-                }
-            )
-    return found
+def table(judged: Sequence[Scores]) -> pd.DataFrame:
+    """`table.csv`."""
+    found: list[Row] = []
+    for scores in judged:
+        for column, parameter in enumerate(QUANTITIES):
+            for regime, used in scores.groups(column).items():
+                error, bound = rms(scores.errors[used, column]), rms(scores.bounds[used, column])
+                constant = constant_error(scores.truth[used, column])
+                held = coverage(scores.errors[used, column], scores.sd[used, column])
+                named = scores.estimator, scores.suite, regime, parameter
+                cells = (*named, int(used.sum()), error, bound, error / bound, constant, held)
+                found.append(dict(zip(COLUMNS, cells, strict=True)))
+    return pd.DataFrame(found, columns=COLUMNS)

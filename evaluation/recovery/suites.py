@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -35,12 +35,15 @@ class Suite:
     name: str
     reason: str
     """What it stands for, and why the error is as large as it is."""
-    errors: Mapping[str, Any]
+    errors: Mapping[str, Any] = field(default_factory=dict)
     """Fields of SceneSettings that leave the truth as it is."""
     truth: Mapping[str, Any] = field(default_factory=dict)
     """Fields of SceneSettings that change how, or when, the tissue answers, or how it lies."""
     every_other_truth: Mapping[str, Any] = field(default_factory=dict)
     """The same, in every other clip of each regime only."""
+
+    of: ClassVar[str] = "press"
+    """What moves the tissue: `press` and `grip` on a sheet, or `slab`, some of either on finite elements."""
 
     def truth_settings(self, index: int, size: tuple[int, int] = GRID_SIZE) -> SceneSettings:
         """What the truth of clip `index` is drawn from, without errors: its regime is REGIMES[index % 3].
@@ -58,6 +61,40 @@ class Suite:
     def describe(self) -> dict[str, dict[str, Any]]:
         """What decides the suite's clips, for the run's record."""
         return {name: dict(getattr(self, name)) for name in ("errors", "truth", "every_other_truth")}
+
+
+class GripSuite(Suite):
+    """Clips whose tool grips tissue or passes over it, at CholecSeg8k's size; errors of depth are as networks' are."""
+
+    of = "grip"
+
+    def truth_settings(self, index: int, size: tuple[int, int] = GRID_SIZE) -> SceneSettings:
+        """The same for all clips, and the errors with it."""
+        return SceneSettings(**(_GRIPS | dict(self.truth)))
+
+    def describe(self) -> dict[str, dict[str, Any]]:
+        """What decides the suite's clips, for the run's record."""
+        return {"truth": _GRIPS | dict(self.truth)}
+
+
+class SlabSuite(Suite):
+    """Clips whose tissue is a slab of finite elements: of three clips two are pressed and one is pulled."""
+
+    of = "slab"
+
+    def truth_settings(self, index: int, size: tuple[int, int] = GRID_SIZE) -> SceneSettings:
+        """Of two of three a press, at the network's size, of the third a pull at CholecSeg8k's, with their errors.
+
+        Threes of damping proportional to mass and of a standard linear solid take turns, and sixes without and with an
+        inclusion.
+        """
+        act = _SLAB_PULLS if index % 3 == 2 else _SLAB_PRESSES
+        viscosity = _RELAXING if index // 3 % 2 else {}
+        return SceneSettings(**act, **viscosity, slab_inclusion=STIFF if index // 6 % 2 else 1.0)
+
+    def describe(self) -> dict[str, Any]:
+        """What decides the suite's clips, for the run's record."""
+        return {"presses": _SLAB_PRESSES, "pulls": _SLAB_PULLS, "relaxing": _RELAXING, "inclusion": STIFF}
 
 
 CLEAN_NOISE = 0.001
@@ -135,26 +172,6 @@ SUITES = {suite.name: suite for suite in _ALL}
 """Suites by name, in the order of tables."""
 
 
-@dataclass(frozen=True)
-class GripSuite:
-    """Clips whose tool grips tissue or passes over it, at CholecSeg8k's size."""
-
-    name: str
-    reason: str
-    """What it stands for."""
-    changes: Mapping[str, Any]
-    """Fields of SceneSettings beside those of all."""
-
-    @property
-    def settings(self) -> SceneSettings:
-        """What its clips are drawn from."""
-        return SceneSettings(**(_GRIPS | dict(self.changes)))
-
-    def describe(self) -> dict[str, Any]:
-        """What decides the suite's clips, for the run's record."""
-        return _GRIPS | dict(self.changes)
-
-
 _GRIPS: dict[str, Any] = {
     "action": "grip",
     "frames": 20,
@@ -170,47 +187,28 @@ _GRIPS: dict[str, Any] = {
 }
 """Of all grips: in contact from the first frame, and depth as networks see it that know one picture each."""
 _ALL_GRIPS = (
-    GripSuite("retraction", "a tool that holds tissue from the first frame moves it across the line of sight", {}),
+    GripSuite("retraction", "a tool that holds tissue from the first frame moves it across the line of sight"),
     GripSuite(
         "foundation",
         "the same on tissue that is attached loosely or firmly: motion dies away over 30 to 180 px",
-        {"spread": (7.5, 45.0)},
+        truth={"spread": (7.5, 45.0)},
     ),
-    GripSuite("breathing", "the background is carried to and fro by up to 16 px", {"breathing": (1.0, 4.0)}),
+    GripSuite("breathing", "the background is carried to and fro by up to 16 px", truth={"breathing": (1.0, 4.0)}),
     GripSuite(
         "creep",
         "tissue comes to rest in 0.02 to 0.1 s, one to three frames: what damps it shows while the tool moves",
-        {"relaxation": (0.02, 0.1)},
+        truth={"relaxation": (0.02, 0.1)},
     ),
-    GripSuite("regions", "stiffness changes by a factor 3 across a line that passes by the grip", {"regions": 3.0}),
-    GripSuite("hover", "a tool passes over still tissue and never touches", {"onset_fraction": (1.0, 1.0)}),
-    GripSuite("approach", "a tool passes over tissue, then grips it", {"onset_fraction": (0.3, 0.5), "frames": 32}),
+    GripSuite(
+        "regions", "stiffness changes by a factor 3 across a line that passes by the grip", truth={"regions": 3.0}
+    ),
+    GripSuite("hover", "a tool passes over still tissue and never touches", truth={"onset_fraction": (1.0, 1.0)}),
+    GripSuite(
+        "approach", "a tool passes over tissue, then grips it", truth={"onset_fraction": (0.3, 0.5), "frames": 32}
+    ),
 )
 GRIP_SUITES = {suite.name: suite for suite in _ALL_GRIPS}
 """Suites of grips by name, in the order of tables."""
-
-
-@dataclass(frozen=True)
-class SlabSuite:
-    """Clips whose tissue is a slab of finite elements: of three clips two are pressed and one is pulled."""
-
-    name: str
-    reason: str
-    """What it stands for."""
-
-    def settings(self, index: int) -> SceneSettings:
-        """What clip `index` is drawn from.
-
-        Two of three are presses, at the network's size, the third is a pull at CholecSeg8k's; threes of damping
-        proportional to mass and of a standard linear solid take turns, and sixes without and with an inclusion.
-        """
-        act = _SLAB_PULLS if index % 3 == 2 else _SLAB_PRESSES
-        viscosity = _RELAXING if index // 3 % 2 else {}
-        return SceneSettings(**act, **viscosity, slab_inclusion=STIFF if index // 6 % 2 else 1.0)
-
-    def describe(self) -> dict[str, Any]:
-        """What decides the suite's clips, for the run's record."""
-        return {"presses": _SLAB_PRESSES, "pulls": _SLAB_PULLS, "relaxing": _RELAXING, "inclusion": STIFF}
 
 
 STIFF = 4.0
@@ -239,6 +237,7 @@ _ALL_SLABS = (
 )
 SLAB_SUITES = {suite.name: suite for suite in _ALL_SLABS}
 """Suites of slabs by name."""
+EVERY: dict[str, Suite] = SUITES | GRIP_SUITES | SLAB_SUITES
 
 
 def suite_clip_seed(split: str, seed: int, index: int) -> int:

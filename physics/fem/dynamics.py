@@ -90,23 +90,11 @@ class Direction:
 class Motion:
     """A body's motion; T steps, N nodes. Index 0 is the beginning."""
 
-    material: Material
-    """Law and constants."""
-    times: np.ndarray
-    """Shape [T + 1] [s]."""
     displacement: np.ndarray
     """From rest, shape [T + 1, N, 3] [m]."""
     reaction: np.ndarray
     """Force on what is prescribed, shape [T, N, 3], zero elsewhere [N]: the mean over each time step, which rings where
     a grip's velocity jumps; without inertia, at its end."""
-    kinetic: np.ndarray
-    """Energy of motion, shape [T + 1] [J]."""
-    elastic: np.ndarray
-    """Energy that the law stores, shape [T + 1] [J]; a relaxing branch's is not in it."""
-    damped: np.ndarray
-    """What mass-proportional damping has taken so far, shape [T + 1] [J]."""
-    work: np.ndarray
-    """Of loads, own forces and reactions so far, shape [T + 1] [J]."""
     slopes: np.ndarray
     """Derivatives of the displacement along D directions, shape [T + 1, N, 3, D] [m]."""
 
@@ -120,13 +108,11 @@ def simulate(
     *,
     inertia: Inertia | None,
     force: float = 0.0,
-    forces: np.ndarray | None = None,
     relaxation: Relaxation | None = None,
-    start: np.ndarray | None = None,
     directions: Sequence[Direction] = (),
     tolerance: float = TOLERANCE,
 ) -> Motion:
-    """Follow a body under a load, from rest or from another displacement that is let go.
+    """Follow a body under a load, from rest.
 
     Args:
         solid: the body.
@@ -136,24 +122,18 @@ def simulate(
         step: duration of one [s].
         inertia: density and damping; None = slowly, each step in equilibrium.
         force: F of a press [N].
-        forces: constant ones on the nodes, as its weight, shape [N, 3] [N].
         relaxation: of a standard linear solid.
-        start: displacement at the beginning, shape [N, 3] [m], fully relaxed; None = rest.
-        directions: along which derivatives are wanted; the start doesn't change along them.
+        directions: along which derivatives are wanted.
         tolerance: of the balance of forces, as `equilibrium.TOLERANCE`: a looser one saves time.
 
     Raises:
-        ValueError: a step that is not positive; a start together with directions.
+        ValueError: a step that is not positive.
         NoEquilibrium: a time step without a solution; take smaller ones.
     """
     if not step > 0:
         raise ValueError(f"a time step of {step:g} s; give a positive one.")
-    if directions and start is not None:
-        raise ValueError("a start and directions; derivatives are of motions from rest.")
     nodes = len(solid.rest)
-    constant = np.zeros((nodes, 3)) if forces is None else forces
-    now = np.zeros((nodes, 3)) if start is None else np.array(start, np.float64)
-    velocity = np.zeros((nodes, 3))
+    now, velocity = np.zeros((nodes, 3)), np.zeros((nodes, 3))
     mass = (0.0 if inertia is None else inertia.density) * solid.mass
     damping = 0.0 if inertia is None else inertia.damping
     rate = (4 / step**2 + 2 * damping / step) if inertia is not None else 0.0
@@ -162,21 +142,18 @@ def simulate(
     free = ~(held | gripped)
     tangent = _Tangent(solid, material, directions, free, mass, damping, step, relaxation) if directions else None
 
-    def state(acting: np.ndarray, at: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, tuple[float, float]]:
-        """Forces that accelerate every node [N, 3], and the energies of motion and of the law."""
-        response = _response(solid, material, at)
-        stress = response.stress if branch is None else response.stress + branch.added(at)
-        momentum = _times(mass, speed)
-        energies = float((speed * momentum).sum()) / 2, float((solid.weights * response.energy).sum())
-        return acting - solid.forces(stress) - damping * momentum, energies
+    def accelerating(acting: np.ndarray, at: np.ndarray, speed: np.ndarray) -> np.ndarray:
+        """Forces that accelerate every node, shape [N, 3]."""
+        stress = _response(solid, material, at).stress
+        if branch is not None:
+            stress = stress + branch.added(at)
+        return acting - solid.forces(stress) - damping * _times(mass, speed)
 
-    acting, system, near = constant, None, None
-    balance, energy_now = state(acting, now, velocity)
-    energies = [energy_now]
-    moved, reactions, damped, work = [now], [], [0.0], [0.0]
+    system, near = None, None
+    balance = accelerating(np.zeros((nodes, 3)), now, velocity)
+    moved, reactions = [now], []
     for index in range(load.steps):
-        _, motion, pressed = applied(load, nodes, index, force)
-        before, acting = acting, constant + pressed
+        _, motion, acting = applied(load, nodes, index, force)
         outer, quadratic = acting, None
         if inertia is not None:
             past = 4 / step**2 * (now + step * velocity) + damping * (2 / step * now + velocity)
@@ -191,32 +168,17 @@ def simulate(
             tangent.advance(index, energy, now, velocity, after, branch, system or near)
         if branch is not None:
             branch.advance(after)
-        path, old = after - now, velocity
+        old = velocity
         if inertia is not None:
-            velocity = 2 / step * path - old
+            velocity = 2 / step * (after - now) - old
         past_balance = balance
-        balance, energy_now = state(acting, after, velocity)
+        balance = accelerating(acting, after, velocity)
         mean = np.where(free, 0.0, _times(mass, (velocity - old) / step) - (past_balance + balance) / 2)
-        damped.append(damped[-1] + damping / step * float((path * _times(mass, path)).sum()))
-        work.append(work[-1] + float((path * ((before + acting) / 2 + mean)).sum()))
         reactions.append(mean if inertia is not None else np.where(free, 0.0, -balance))
         now = after
         moved.append(now)
-        energies.append(energy_now)
-    kinetic, elastic = np.array(energies).T
-    times = step * np.arange(load.steps + 1)
-    slopes = np.zeros((len(times), nodes, 3, 0)) if tangent is None else np.stack(tangent.moved)
-    return Motion(
-        material,
-        times,
-        np.stack(moved),
-        np.stack(reactions),
-        kinetic,
-        elastic,
-        np.array(damped),
-        np.array(work),
-        slopes,
-    )
+    slopes = np.zeros((len(moved), nodes, 3, 0)) if tangent is None else np.stack(tangent.moved)
+    return Motion(np.stack(moved), np.stack(reactions), slopes)
 
 
 class _Branch:

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
-from physics.load import Grip, Press
+from physics.load import Press
 from physics.mesh import Mesh
 from physics.observation import Observation
 
@@ -132,40 +132,6 @@ class PressBatch:
         patches = (pieces(values, self.offsets) for values in (self.vertices, self.weights))
         courses = (values.detach().cpu().numpy() for values in (self.direction, self.factor))
         return [Press(*parts) for parts in zip(*patches, *courses, strict=True)]
-
-
-@dataclass
-class GripBatch:
-    """B grips over T steps; ΣG gripped vertices."""
-
-    vertices: Tensor
-    """Each an index within its own mesh, those of the first mesh first, shape [ΣG], int64."""
-    offsets: Tensor
-    """First gripped vertex of every mesh and the total, shape [B+1], int64."""
-    displacement: Tensor
-    """Where each is after each step, from rest, shape [T, ΣG, 3], float32 [scene units]."""
-
-    @classmethod
-    def of(cls, loads: Sequence[Grip]) -> GripBatch:
-        """Join grips of one number of steps."""
-        return cls(
-            vertices=_joined((load.vertices for load in loads), np.int64),
-            offsets=_offsets(load.vertices for load in loads),
-            displacement=_joined((load.displacement for load in loads), np.float32, axis=1),
-        )
-
-    @property
-    def steps(self) -> int:
-        """T."""
-        return self.displacement.shape[0]
-
-    def split(self) -> list[Grip]:
-        """The grips, on the CPU."""
-        paths = pieces(self.displacement, self.offsets, axis=1)
-        return [Grip(*parts) for parts in zip(pieces(self.vertices, self.offsets), paths, strict=True)]
-
-
-LoadBatch = PressBatch | GripBatch
 
 
 @dataclass

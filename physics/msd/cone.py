@@ -32,8 +32,6 @@ class Reach(NamedTuple):
     """Farthest loaded vertex."""
     watched: int = 0
     """Farthest watched vertex."""
-    gripped: bool = False
-    """Whether the load is a grip, which moves tissue at the beginning of a step already."""
 
     def narrowed(self, from_load: np.ndarray, to_watched: np.ndarray) -> np.ndarray:
         """Radii within which each step must be computed, shape [T].
@@ -42,8 +40,7 @@ class Reach(NamedTuple):
             from_load: how far each step's influence has come from what acts, shape [T].
             to_watched: from how far each step can still matter for what is watched, shape [T].
         """
-        radii = np.minimum(from_load + self.loaded + self.gripped, to_watched + self.watched)
-        return np.maximum(radii, self.loaded) if self.gripped else radii
+        return np.minimum(from_load + self.loaded, to_watched + self.watched)
 
 
 def exact_radii(steps: int, reach: Reach = Reach()) -> np.ndarray:  # noqa: B008 (immutable)
@@ -54,11 +51,6 @@ def exact_radii(steps: int, reach: Reach = Reach()) -> np.ndarray:  # noqa: B008
     """
     step = np.arange(steps)
     return reach.narrowed(step, steps - 1 - step)
-
-
-def growing_radii(steps: int, reach: Reach = Reach()) -> np.ndarray:  # noqa: B008
-    """Radius within which each step can move vertices, shape [T], int64; exact for the whole field."""
-    return np.arange(steps) + reach.loaded + reach.gripped
 
 
 def window_radii(

@@ -179,11 +179,12 @@ def _step(state, forces, layout, radius, numbers, pitch, sensitive):
 @inlined
 def _press(state, load, step, force, numbers, pitch, sensitive):
     """Add the load's impulse at the pressed vertices; `force` is F."""
+    factor, pressed, push = load
     _, _, kick, _, kick_slope, time_step, _, _, _, _ = numbers
-    for index in range(load.pressed.shape[0]):
+    for index in range(pressed.shape[0]):
         for axis in range(3):
-            share = load.factor[step] * load.push[index, axis]
-            place = load.pressed[index] + axis * pitch
+            share = factor[step] * push[index, axis]
+            place = pressed[index] + axis * pitch
             state[place + 3 * pitch] += kick * force * share
             state[place] += time_step * kick * force * share
             if sensitive:
@@ -194,59 +195,16 @@ def _press(state, load, step, force, numbers, pitch, sensitive):
 
 
 @inlined
-def _grip(state, load, step, pitch, sensitive):
-    """Put gripped vertices where they are in a step, at rest: their velocity after it is then the springs' pull."""
-    for index in range(load.gripped.shape[0]):
-        for axis in range(3):
-            place = load.gripped[index] + axis * pitch
-            state[place], state[place + 3 * pitch] = load.positions[step, index, axis], 0
-            if sensitive:
-                for parameter in range(3):
-                    moved = place + (6 + 3 * parameter) * pitch
-                    state[moved], state[moved + 9 * pitch] = 0, 0
-
-
-@inlined
-def _feel(state, load, step, numbers, out, pitch):
-    """Note the force of the springs on the gripped vertices and its derivatives, from the velocity that it gave."""
-    _, _, kick, _, kick_slope, _, _, _, _, _ = numbers
-    for index in range(load.gripped.shape[0]):
-        for axis in range(3):
-            place = load.gripped[index] + axis * pitch
-            felt = state[place + 3 * pitch] / kick
-            out.elastic[step, index, axis] = felt
-            for parameter in range(3):
-                speed = state[place + (15 + 3 * parameter) * pitch]
-                slope = (speed - (kick_slope * felt if parameter == 1 else 0)) / kick
-                out.elastic_slopes[step, index, axis, parameter] = slope
-
-
-@inlined
-def _show(state, watched, step, lag, out, pitch, sensitive):
+def _show(state, watched, step, lag, path, slopes, pitch, sensitive):
     """Note where the watched vertices are after a step, and the derivatives of that."""
     for index in range(watched.shape[0]):
         for axis in range(3):
             place = watched[index] + axis * pitch
-            out.path[step, index, axis] = state[place] - lag * state[place + 3 * pitch]
+            path[step, index, axis] = state[place] - lag * state[place + 3 * pitch]
             if sensitive:
                 for parameter in range(3):
                     moved = place + (6 + 3 * parameter) * pitch
-                    out.slopes[step, index, axis, parameter] = state[moved] - lag * state[moved + 9 * pitch]
-
-
-@inlined
-def _record(state, runs, field, lag, pitch):
-    """Copy the vertices' displacement out of the planes into a stretch of the field, [N·3].
-
-    The field is flat, so that its step of 3 is known to the compiler, which then interleaves x, y and z in vectors.
-    """
-    pitch = np.uint64(pitch)
-    for run in range(runs.shape[0]):
-        vertex, place, count = runs[run, 0], runs[run, 1], runs[run, 2]
-        moved, out = state[place:], field[3 * vertex :]
-        for i in range(np.uint64(count)):
-            for axis in range(THREE):
-                out[THREE * i + axis] = moved[axis * pitch + i] - lag * moved[(THREE + axis) * pitch + i]
+                    slopes[step, index, axis, parameter] = state[moved] - lag * state[moved + 9 * pitch]
 
 
 @functools.cache
@@ -262,31 +220,24 @@ def specialised(pitch: int, sensitive: bool) -> Callable:
     fixed = pitch, sensitive
 
     @kernel
-    def rollout(layout, radii, load, watched, force, numbers, runs, out, field, begin):
+    def rollout(layout, radii, load, watched, force, numbers, path, slopes):
         """All steps.
 
         Args:
-            layout: a `GridLayout`, which has gripped vertices as free.
+            layout: a `GridLayout`.
             radii: how far from the centre each step is computed, [T].
-            load: `physics.msd.compiled.Acting` with places in the layout instead of vertices.
+            load: share of F in each step, [T]; places of pressed vertices, [P]; weight·direction of each, [P, 3].
             watched: places of vertices, [M].
             force: F.
             numbers: k_s, keep, kick and the latter two's slopes by k_d, Δt, anchor, lag, tiny, guard.
-            runs: where to find the vertices for `field`, as `grid_layout.runs` gives them, [R, 3] or [0, 3].
-            out: a `physics.msd.compiled.Watched` to fill.
-            field: out, displacement of all vertices of a batch, [T, ΣN, 3], or [T, 0, 3].
-            begin: first vertex of this mesh in `field`.
+            path: out, displacement of the watched vertices, [T, M, 3].
+            slopes: out, its derivatives by θ where they are carried along, [T, M, 3, 3].
         """
         state = np.zeros((layout.first.shape[0] - 1) * planes * pitch, layout.rest.dtype)
         forces = np.zeros(5 * sums * pitch, layout.rest.dtype)
-        lag, whole = numbers[7], field.reshape(-1)
         for step in range(radii.shape[0]):
-            _grip(state, load, step, *fixed)
             _step(state, forces, layout, radii[step], numbers, *fixed)
             _press(state, load, step, force, numbers, *fixed)
-            if sensitive:
-                _feel(state, load, step, numbers, out, fixed[0])
-            _show(state, watched, step, lag, out, *fixed)
-            _record(state, runs, whole[3 * (step * field.shape[1] + begin) :], lag, fixed[0])
+            _show(state, watched, step, numbers[7], path, slopes, *fixed)
 
     return rollout

@@ -81,20 +81,6 @@ def places(layout: GridLayout, mesh: Mesh, vertices: np.ndarray, planes: int) ->
     return (row - layout.corner[0]) * planes * layout.pitch + column - layout.corner[1]
 
 
-def runs(layout: GridLayout, mesh: Mesh, planes: int) -> np.ndarray:
-    """Where the vertices lie in a state of ``planes`` planes, as stretches that are contiguous in mesh and state.
-
-    The window must hold the whole mesh.
-
-    Returns:
-        First vertex, its place in the state's first plane and the number of vertices of each run, shape [R, 3], int64.
-        Vertices numbered row by row make one run a row, and one more for every hole.
-    """
-    found = places(layout, mesh, np.arange(len(mesh.vertices)), planes)
-    starts = np.concatenate([[0], np.flatnonzero(np.diff(found) != 1) + 1])
-    return np.stack([starts, found[starts], np.diff(starts, append=len(found))], axis=1)
-
-
 @kernel
 def _filled(vertices, springs, pixels, mobile, rows, columns, pitch, guard):
     """Whether vertices [N, 3] and springs [S, 2] form a grid mesh; then its planes, first and last columns."""

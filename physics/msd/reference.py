@@ -92,81 +92,15 @@ def free_vertices(mesh: Mesh, load: Load, mechanics: Mechanics) -> np.ndarray:
     return free
 
 
-class Acting(NamedTuple):
-    """A load in arrays, with vertices of the mesh; a kernel's caller puts their places in its layout instead."""
-
-    factor: np.ndarray
-    """Share of F in each step, shape [T]."""
-    pressed: np.ndarray
-    """Pressed vertices, shape [P]."""
-    push: np.ndarray
-    """weight·direction of each, shape [P, 3]."""
-    gripped: np.ndarray
-    """Gripped vertices, shape [G]."""
-    positions: np.ndarray
-    """Where they are while each step's forces act, shape [T, G, 3]: at its beginning, or in its middle."""
-
-
-def acting(load: Load, mechanics: Mechanics, dtype: np.dtype) -> Acting:
-    """What a load does, in one precision."""
-    vertices, nobody = load.vertices.astype(np.int64), np.empty(0, np.int64)
-    if isinstance(load, Press):
-        push = np.outer(load.weights.astype(dtype), load.direction.astype(dtype))
-        return Acting(load.factor.astype(dtype), vertices, push, nobody, np.empty((load.steps, 0, 3), dtype))
-    after = load.displacement.astype(np.float64)
-    before = np.concatenate([np.zeros_like(after[:1]), after[:-1]])
-    positions = ((before + after) / 2 if mechanics.scheme == "dkd" else before).astype(dtype)
-    return Acting(np.zeros(load.steps, dtype), nobody, np.empty((0, 3), dtype), vertices, positions)
-
-
-def grip_velocities(grip: Grip, mechanics: Mechanics) -> np.ndarray:
-    """Velocities of gripped vertices before and after each step, shape [T + 1, G, 3] [scene units/s]."""
-    path = grip.displacement.astype(np.float64)
-    start = np.zeros_like(path[:1])
-    if mechanics.scheme == "dkd":
-        # Mirrored in time before its start: it begins at rest. Of second order, but of first at the last step's end.
-        mirrored = np.concatenate([path[:1], start, path])
-        return np.gradient(mirrored, mechanics.time_step, axis=0, edge_order=2)[1:]
-    return np.concatenate([start, np.diff(path, axis=0, prepend=start) / mechanics.time_step])
-
-
-def reaction(
-    elastic: np.ndarray, grip: Grip, damping: np.ndarray, mechanics: Mechanics
-) -> tuple[np.ndarray, np.ndarray]:
-    """Force that the grip must exert in each step, shape [T, G, 3]: what is left of inertia and damping.
-
-    Args:
-        elastic: force of the springs on the gripped vertices, shape [T, G, 3].
-        grip: their path.
-        damping: k_d.
-        mechanics: constants.
-
-    Returns:
-        The force, and its derivative by k_d at this elastic force, both of shape [T, G, 3].
-    """
-    step, velocity = integrator(damping, mechanics), grip_velocities(grip, mechanics)
-    inertia = velocity[1:] - step.keep * velocity[:-1]
-    by_damping = -(step.keep_slope * velocity[:-1] + inertia * step.kick_slope / step.kick) / step.kick
-    return inertia / step.kick - elastic, by_damping
-
-
-class Step(NamedTuple):
-    """The mesh after one step, and the derivatives by θ of everything."""
-
-    displacement: np.ndarray
-    """Shape [N, 3] [scene units]."""
-    moved: np.ndarray
-    """Its derivatives by θ, shape [3, N, 3]."""
-    elastic: np.ndarray
-    """Force of springs and anchors during the step, shape [N, 3]."""
-    elastic_moved: np.ndarray
-    """Its derivatives by θ, shape [3, N, 3]."""
+def push_of(press: Press, dtype: np.dtype) -> np.ndarray:
+    """weight·direction of every pressed vertex, shape [P, 3], in one precision."""
+    return np.outer(press.weights.astype(dtype), press.direction.astype(dtype))
 
 
 def steps(
     theta: np.ndarray, mesh: Mesh, load: Load, mechanics: Mechanics, *, sensitive: bool = False
-) -> Iterator[Step]:
-    """Roll out in θ's precision; without `sensitive` all derivatives stay 0.
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Roll out in θ's precision: displacement [N, 3] [scene units] and its derivatives by θ [3, N, 3] after each step.
 
     Forward mode: with g(u) the spring force for unit stiffness and p the load, the derivatives follow
     v̇⁺ = a·v̇ + b·k_s·ġ + ȧ·v + ḃ·(k_s·g + F·p) + b·(k̇_s·g + Ḟ·p), u̇⁺ = u̇ + Δt·v̇⁺.
@@ -176,7 +110,7 @@ def steps(
         mesh: the mesh at rest.
         load: what acts on it; one step for each of its own.
         mechanics: constants.
-        sensitive: whether the derivatives by θ are carried along.
+        sensitive: whether the derivatives by θ are carried along; else they stay 0.
     """
     dtype = theta.dtype
     stiffness, damping, force = theta
@@ -186,35 +120,37 @@ def steps(
     rest = vertices[mesh.springs[:, 1]] - vertices[mesh.springs[:, 0]]
     gather = _incidence(mesh, dtype)
     mobile = free_vertices(mesh, load, mechanics).astype(dtype)[:, None]
-    acts = acting(load, mechanics, dtype)
-    push = np.zeros_like(vertices)
-    np.add.at(push, acts.pressed, acts.push)
+    push, factors = np.zeros_like(vertices), np.zeros(load.steps, dtype)
+    if isinstance(load, Press):
+        factors = load.factor.astype(dtype)
+        np.add.at(push, load.vertices, push_of(load, dtype))
+    else:  # where it is while each step's forces act: at its beginning, or in its middle
+        before = np.concatenate([np.zeros_like(load.displacement[:1]), load.displacement[:-1]])
+        during = (before + load.displacement) / 2 if mechanics.scheme == "dkd" else before
     displacement, velocity = np.zeros_like(vertices), np.zeros_like(vertices)
     moved, speed = np.zeros((3, *vertices.shape), dtype), np.zeros((3, *vertices.shape), dtype)
-    elastic_moved = np.zeros_like(moved)
-    for index, factor in enumerate(acts.factor):
-        displacement[acts.gripped] = acts.positions[index]
+    for index, factor in enumerate(factors):
+        if isinstance(load, Grip):
+            displacement[load.vertices] = during[index]
         unit = gather @ spring_force(displacement, rest, mesh.springs) - anchor * displacement
         total = stiffness * unit + factor * force * push
         if sensitive:
-            turns = spring_tangents(displacement, moved, rest, mesh.springs)[1]
-            elastic_moved = stiffness * (np.stack([gather @ turn for turn in turns]) - anchor * moved)
-            elastic_moved[0] += unit
+            turns = spring_tangents(displacement, moved, rest, mesh.springs)
+            by_theta = stiffness * (np.stack([gather @ turn for turn in turns]) - anchor * moved)
+            by_theta[0] += unit
             own = np.stack([np.zeros_like(unit), keep_slope * velocity + kick_slope * total, kick * factor * push])
-            speed = mobile * (keep * speed + kick * elastic_moved + own)
+            speed = mobile * (keep * speed + kick * by_theta + own)
             moved = moved + time_step * speed
         velocity = mobile * (keep * velocity + kick * total)
         displacement = displacement + time_step * velocity
         shown = displacement - lag * velocity
         if isinstance(load, Grip):
             shown[load.vertices] = load.displacement[index]
-        yield Step(shown, moved - lag * speed, stiffness * unit, elastic_moved)
+        yield shown, moved - lag * speed
 
 
-def spring_tangents(
-    displacement: np.ndarray, moved: np.ndarray, rest: np.ndarray, springs: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Force of every spring for unit stiffness, shape [S, 3], and its change along `moved` [P, N, 3], shape [P, S, 3].
+def spring_tangents(displacement: np.ndarray, moved: np.ndarray, rest: np.ndarray, springs: np.ndarray) -> np.ndarray:
+    """Change of every `spring_force` along `moved` [P, N, 3], shape [P, S, 3].
 
     ġ = α·δu̇ + β·(d·δu̇)·d with α = (ℓ − ℓ₀)/ℓ and β = ℓ₀/ℓ³; other arguments as in `spring_force`.
     """
@@ -226,7 +162,7 @@ def spring_tangents(
     beta = rest_length / (squared * length)
     stretch = moved[:, springs[:, 1]] - moved[:, springs[:, 0]]
     along = (stretch * current).sum(axis=2)
-    return pull, alpha[:, None] * stretch + (beta * along)[..., None] * current
+    return alpha[:, None] * stretch + (beta * along)[..., None] * current
 
 
 def _incidence(mesh: Mesh, dtype: np.dtype) -> csr_array:

@@ -1,21 +1,23 @@
-"""Forward simulation: numpy in, numpy out, no torch; compiled where numba is installed.
+"""Forward simulation: numpy in, numpy out, no torch; presses on grid meshes are compiled where numba is installed.
 
 Source: Bini 2026, section 3.4.4 (forward simulation with the estimated parameters) and equation 9.
 """
 
 from __future__ import annotations
 
-import dataclasses
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from physics import jit
-from physics.load import Grip, Load
+from physics.load import Load, Press
 from physics.mechanics import Mechanics
 from physics.mesh import Mesh
-from physics.msd import compiled, reference
-from physics.msd.compiled import Case, Watched
+from physics.msd import reference
+from physics.msd.cone import GRID_EIGENVALUE, Reach, exact_radii, window_radii
+from physics.msd.grid_kernel import FORWARD_PLANES, SENSITIVITY_PLANES, specialised
+from physics.msd.grid_layout import GridLayout, grid_layout, places
 
 SENSITIVITY_LIMIT = {np.dtype(np.float32): 100.0, np.dtype(np.float64): 1e8}
 """Relative change of the trajectory for a relative change of θ from which on rounding spoils the derivatives.
@@ -49,7 +51,7 @@ def simulate(
     Raises:
         ValueError: a shape, an index or a value that makes no sense.
     """
-    path = _watched(_case(theta, mesh, load, mechanics, watch, dtype), sensitive=False).path
+    path, _ = watched_rollout(_case(theta, mesh, load, mechanics, watch, dtype), sensitive=False)
     return path[:, 0] if watch is None else path
 
 
@@ -66,37 +68,8 @@ def simulate_sensitivities(
 
     Arguments and errors as in `simulate`; without `watch` the second axis is left out. The last axis is θ's.
     """
-    path, slopes = _watched(_case(theta, mesh, load, mechanics, watch, dtype), sensitive=True)[:2]
+    path, slopes = watched_rollout(_case(theta, mesh, load, mechanics, watch, dtype), sensitive=True)
     return (path[:, 0], slopes[:, 0]) if watch is None else (path, slopes)
-
-
-def simulate_field(
-    theta: ArrayLike, mesh: Mesh, load: Load, mechanics: Mechanics, *, dtype: type = np.float32
-) -> np.ndarray:
-    """Displacement of every vertex after each step, shape [T, N, 3] [scene units]; arguments as in `simulate`."""
-    case = _case(theta, mesh, load, mechanics, None, dtype)
-    if jit.COMPILED:
-        field = np.empty((load.steps, len(mesh.vertices), 3), dtype)
-        compiled.field_rollout(case, field)
-        return field
-    jit.say_slow()
-    return np.stack([step.displacement for step in reference.steps(*case[:4])])
-
-
-def simulate_reaction(
-    theta: ArrayLike, mesh: Mesh, grip: Grip, mechanics: Mechanics, *, dtype: type = np.float32
-) -> tuple[np.ndarray, np.ndarray]:
-    """Force with which a grip holds each of its vertices [T, G, 3], and its derivatives by k_s and k_d [T, G, 3, 2].
-
-    Arguments and errors as in `simulate`. The force of step i acts between the times i·Δt and (i+1)·Δt. Always exact:
-    a window is checked by where watched vertices go, and gripped ones go where they are put.
-    """
-    exact = dataclasses.replace(mechanics, window_error=0.0)
-    case = _case(theta, mesh, grip, exact, grip.vertices, dtype)
-    elastic, slopes = _watched(case, sensitive=True)[2:]
-    # Inertia and damping of the gripped vertices themselves depend on k_d alone.
-    force, by_damping = reference.reaction(elastic, grip, case.theta[1], mechanics)
-    return force.astype(dtype), np.stack([-slopes[..., 0], by_damping - slopes[..., 1]], axis=-1).astype(dtype)
 
 
 def is_chaotic(path: np.ndarray, log_slopes: np.ndarray) -> bool:
@@ -104,22 +77,115 @@ def is_chaotic(path: np.ndarray, log_slopes: np.ndarray) -> bool:
     return bool(np.abs(log_slopes).max(initial=0) > SENSITIVITY_LIMIT[path.dtype] * np.abs(path).max(initial=0))
 
 
-def _watched(case: Case, sensitive: bool) -> Watched:
-    """One rollout, compiled or plain."""
-    if jit.COMPILED:
-        return compiled.watched_rollout(case, sensitive)
-    jit.say_slow()
-    watch, held = case.watch, case.load.vertices
+class Case(NamedTuple):
+    """One simulation, as plain arrays."""
+
+    theta: np.ndarray
+    """k_s, k_d and signed F, shape [3], float32 or float64: the precision of the computation."""
+    mesh: Mesh
+    """The mesh at rest."""
+    load: Load
+    """What acts on it."""
+    mechanics: Mechanics
+    """Constants."""
+    watch: np.ndarray
+    """Vertices whose displacement is wanted, shape [M], int64."""
+
+
+def require_inside(mesh: Mesh, load: Load, watch: np.ndarray) -> None:
+    """Refuse indices that compiled code would follow out of the arrays.
+
+    Raises:
+        ValueError: a loaded or watched vertex, or a spring's end, isn't a vertex of the mesh.
+    """
+    count = len(mesh.vertices)
+    for name, vertices in (("load", load.vertices), ("watch", watch)):
+        if len(vertices) and not (vertices.min() >= 0 and vertices.max() < count):
+            outside = vertices[(vertices < 0) | (vertices >= count)][0]
+            raise ValueError(f"{name} names vertex {outside}; the mesh has {count} vertices.")
+    if len(mesh.springs) and not (mesh.springs.min() >= 0 and mesh.springs.max() < count):
+        raise ValueError(f"springs join vertices up to {mesh.springs.max()}; the mesh has {count} vertices.")
+
+
+def watched_rollout(case: Case, sensitive: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Motion of the watched vertices [T, M, 3] and, where they are wanted, its derivatives by θ [T, M, 3, 3].
+
+    Grips, decimated meshes and whatever else the compiled stencil can't do run in the plain version.
+    """
+    if not jit.COMPILED:
+        jit.say_slow()
+    elif isinstance(case.load, Press):
+        found = _on_grid(case, case.load, sensitive)
+        if found is not None:
+            return found
     found = [
-        (
-            step.displacement[watch],
-            np.moveaxis(step.moved[:, watch], 0, -1),
-            step.elastic[held],
-            np.moveaxis(step.elastic_moved[:, held], 0, -1),
-        )
-        for step in reference.steps(*case[:4], sensitive=sensitive)
+        (displacement[case.watch], np.moveaxis(moved[:, case.watch], 0, -1))
+        for displacement, moved in reference.steps(*case[:4], sensitive=sensitive)
     ]
-    return Watched(*(np.stack(values) for values in zip(*found, strict=True)))
+    path, slopes = (np.stack(values) for values in zip(*found, strict=True))
+    return path, slopes if sensitive else slopes[:0]
+
+
+def _on_grid(case: Case, press: Press, sensitive: bool) -> tuple[np.ndarray, np.ndarray] | None:
+    """The same, compiled; None where the mesh is no grid.
+
+    With ``window_error`` set, a window of the exact cone is computed and compared with a smaller one's trajectory;
+    where the two differ by more than the error allowed, the exact cone is computed instead.
+    """
+    mechanics, (stiffness, damping, _) = case.mechanics, (float(value) for value in case.theta)
+    reach = Reach(_farthest(case, press.vertices), _farthest(case, case.watch))
+    whole = exact_radii(press.steps, reach)
+    if mechanics.window_error > 0:
+        used, checked = window_radii(stiffness, damping, mechanics, GRID_EIGENVALUE, press.steps, reach)
+        if (used < whole).any():
+            layout = _layout(case, reach, used)
+            if layout is None:
+                return None
+            found = _within(case, press, layout, used, sensitive)
+            difference = np.abs(found[0] - _within(case, press, layout, checked, False)[0]).max()
+            # Two windows that both end before a watched vertex agree on 0, which tells nothing.
+            if difference < mechanics.window_error * np.abs(found[0]).max():
+                return found
+    layout = _layout(case, reach, whole)
+    return None if layout is None else _within(case, press, layout, whole, sensitive)
+
+
+def _farthest(case: Case, vertices: np.ndarray) -> int:
+    """How far vertices lie from the load's first one on the grid (see `grid_kernel`)."""
+    rows, columns = (case.mesh.pixels[vertices].astype(np.int64) - case.mesh.pixels[case.load.vertex]).T
+    return int(np.abs([rows, columns, rows - columns]).max())
+
+
+def _layout(case: Case, reach: Reach, radii: np.ndarray) -> GridLayout | None:
+    """What lies within reach; None where the mesh is no grid."""
+    far = max(int(radii.max()) + 1, *reach)
+    mobile = reference.free_vertices(case.mesh, case.load, case.mechanics)
+    return grid_layout(case.mesh, case.load.vertex, mobile, far, case.theta.dtype)
+
+
+def _within(
+    case: Case, press: Press, layout: GridLayout, radii: np.ndarray, sensitive: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Motion of the watched vertices, and its derivatives where wanted, computing each step within a radius, [T]."""
+    dtype, (steps, watched) = case.theta.dtype, (press.steps, len(case.watch))
+    path, slopes = np.zeros((steps, watched, 3), dtype), np.zeros((steps if sensitive else 0, watched, 3, 3), dtype)
+    planes = SENSITIVITY_PLANES if sensitive else FORWARD_PLANES
+    pressed, shown = (places(layout, case.mesh, vertices, planes) for vertices in (press.vertices, case.watch))
+    load = press.factor.astype(dtype), pressed, reference.push_of(press, dtype)
+    rollout = specialised(layout.pitch, sensitive)
+    rollout(layout, radii, load, shown, case.theta[2], _numbers(case, press), path, slopes)
+    return path, slopes
+
+
+def _numbers(case: Case, press: Press) -> tuple:
+    """k_s, keep, kick, the latter two's slopes by k_d, Δt, anchor, lag, tiny and guard, in the case's precision."""
+    mechanics, dtype = case.mechanics, case.theta.dtype
+    step = reference.integrator(case.theta[1], mechanics)
+    # Twelve digits below one step's impulse nothing is left of single precision. In double, only denormals go.
+    impulse = float(step.kick * np.abs(case.theta[2]) * np.abs(press.factor).max(initial=0.0))
+    tiny = max(1e-12 * impulse, 1e-30) if dtype == np.float32 else 1e-200
+    values = (case.theta[0], step.keep, step.kick, step.keep_slope, step.kick_slope, mechanics.time_step)
+    return tuple(dtype.type(value) for value in (*values, mechanics.anchor, step.lag, tiny, reference.NORM_GUARD))
 
 
 def _case(theta, mesh, load, mechanics, watch, dtype) -> Case:
@@ -133,5 +199,5 @@ def _case(theta, mesh, load, mechanics, watch, dtype) -> Case:
     if watch.ndim != 1 or watch.size == 0 or watch.dtype.kind not in "iu":
         raise ValueError(f"watch has shape {watch.shape} and type {watch.dtype}; give [M] indices, one at least.")
     watch = watch.astype(np.int64)
-    compiled.require_inside(mesh, load, watch)
+    require_inside(mesh, load, watch)
     return Case(theta, mesh, load, mechanics, watch)

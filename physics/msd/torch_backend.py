@@ -13,7 +13,6 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from physics.mechanics import Mechanics
-from physics.msd.batch import PressBatch
 from physics.msd.reference import NORM_GUARD
 
 STENCIL = ((0, 1), (1, 0), (1, 1))
@@ -67,12 +66,18 @@ def spring_force(stretch: Tensor, rest: Tensor, rest_length: Tensor, axis: int) 
 
 
 def watched_trajectory(theta: Tensor, mesh, load, watched: Tensor, mechanics: Mechanics) -> Tensor:
-    """Displacement of the watched vertices [B, M], shape [B, T, M, 3]; other arguments as in `edge_steps`."""
+    """Displacement of the watched vertices, shape [B, T, M, 3] [scene units].
+
+    Args:
+        theta: k_s, k_d and F, shape [B, 3].
+        mesh: a `physics.msd.batch.MeshBatch`.
+        load: a `physics.msd.batch.PressBatch`.
+        watched: vertices, shape [B, M].
+        mechanics: constants.
+    """
     place = places("watch", watched, mesh.vertex_offsets[:-1, None], mesh.vertex_offsets[1:, None])
-    if not is_grid(mesh):
-        fields = edge_steps(*uniform(theta, mesh), theta[:, 2:3], mesh, load, mechanics)
-        return torch.stack([field[place] for field in fields], dim=1)
-    return torch.stack(list(grid_steps(theta, mesh, place, load, mechanics)), dim=1)
+    run = grid_steps if is_grid(mesh) else edge_steps
+    return torch.stack(list(run(theta, mesh, place, load, mechanics)), dim=1)
 
 
 def places(name: str, vertices: Tensor, starts: Tensor, ends: Tensor) -> Tensor:
@@ -94,12 +99,6 @@ def places(name: str, vertices: Tensor, starts: Tensor, ends: Tensor) -> Tensor:
     return joined
 
 
-def uniform(theta: Tensor, mesh) -> tuple[Tensor, Tensor]:
-    """θ's k_s and k_d at every joined vertex, shapes [ΣN, 1]."""
-    sample = mesh.sample_of_vertex()
-    return theta[sample, 0:1], theta[sample, 1:2]
-
-
 def is_grid(mesh) -> bool:
     """Whether all springs go right, down or down-right on the grid, with at most one vertex a pixel."""
     first, second = mesh.springs.unbind(dim=1)
@@ -113,35 +112,28 @@ def is_grid(mesh) -> bool:
     return bool(regular & inside) and len(torch.unique(place)) == len(place)
 
 
-def edge_steps(stiffness: Tensor, damping: Tensor, force: Tensor, mesh, load, mechanics: Mechanics) -> Iterator[Tensor]:
-    """Displacement of the joined meshes after each step, shape [ΣN, 3] [scene units], spring by spring.
+def edge_steps(theta: Tensor, mesh, watched: Tensor, load, mechanics: Mechanics) -> Iterator[Tensor]:
+    """Displacement of the watched vertices after each step, shape [B, M, 3] [scene units], spring by spring.
 
     Args:
-        stiffness: k_s at the vertices, shape [ΣN, 1]; a spring has its ends' mean.
-        damping: k_d at the vertices, shape [ΣN, 1].
-        force: F, shape [B, 1].
-        mesh: a `physics.msd.batch.MeshBatch`.
-        load: a `physics.msd.batch.LoadBatch`.
-        mechanics: constants.
+        watched: vertices in the joined mesh, shape [B, M]; other arguments as in `watched_trajectory`.
     """
-    vertices = mesh.vertices.to(stiffness.dtype)
+    sample = mesh.sample_of_vertex()
+    stiffness, damping, force = theta[sample].unsqueeze(2).unbind(dim=1)
+    vertices = mesh.vertices.to(theta.dtype)
     first, second = mesh.springs.unbind(dim=1)
     rest = vertices[second] - vertices[first]
     rest_length = torch.sqrt((rest * rest).sum(dim=1, keepdim=True) + NORM_GUARD)
-    spring_stiffness = (stiffness[first] + stiffness[second]) / 2
-    mobile, push, factor, gripped, paths = _acting(mesh, load, mechanics, stiffness.dtype)
+    mobile, push = _acting(mesh, load, mechanics, theta.dtype)
 
     def elastic(displacement: Tensor) -> Tensor:
-        pull = spring_stiffness * spring_force(displacement[second] - displacement[first], rest, rest_length, 1)
+        pull = stiffness[first] * spring_force(displacement[second] - displacement[first], rest, rest_length, 1)
         total = torch.zeros_like(vertices).index_add(0, first, pull).index_add(0, second, -pull)
         return total - mechanics.anchor * stiffness * displacement if mechanics.anchor else total
 
-    def grip(displacement: Tensor, positions: Tensor) -> Tensor:
-        return displacement.index_copy(0, gripped, positions)
-
-    sample = mesh.sample_of_vertex()
-    factors = factor[sample].unsqueeze(1).unbind(dim=2)
-    yield from _steps(elastic, grip, damping, mobile[:, None], push * force[sample], factors, paths, mechanics)
+    factors = load.factor.to(theta.dtype)[sample].unsqueeze(1).unbind(dim=2)
+    for displacement in _steps(elastic, damping, mobile[:, None], push * force, factors, mechanics):
+        yield displacement[watched]
 
 
 def grid_steps(theta: Tensor, mesh, watched: Tensor, load, mechanics: Mechanics) -> Iterator[Tensor]:
@@ -162,7 +154,7 @@ def grid_steps(theta: Tensor, mesh, watched: Tensor, load, mechanics: Mechanics)
 
     vertices = planes(mesh.vertices.to(theta.dtype))
     springs = _stencil(mesh, place, vertices)
-    mobile, push, factor, gripped, paths = _acting(mesh, load, mechanics, theta.dtype)
+    mobile, push = _acting(mesh, load, mechanics, theta.dtype)
     stiffness, damping, force = (theta[:, index, None, None, None] for index in range(3))
 
     def elastic(displacement: Tensor) -> Tensor:
@@ -173,59 +165,36 @@ def grid_steps(theta: Tensor, mesh, watched: Tensor, load, mechanics: Mechanics)
             total = total + pad(pull, (0, right, 0, down)) - pad(pull, (right, 0, down, 0))
         return stiffness * total
 
-    def grip(displacement: Tensor, positions: Tensor) -> Tensor:
-        cells = sample[gripped], row[gripped], column[gripped]
-        return displacement.permute(0, 2, 3, 1).index_put(cells, positions).permute(0, 3, 1, 2)
-
-    factors = factor[:, :, None, None, None].unbind(dim=1)
+    factors = load.factor.to(theta.dtype)[:, :, None, None, None].unbind(dim=1)
     push, mobile = force * planes(push), planes(mobile[:, None])
     shown = sample[watched], row[watched], column[watched]
-    for displacement in _steps(elastic, grip, damping, mobile, push, factors, paths, mechanics):
+    for displacement in _steps(elastic, damping, mobile, push, factors, mechanics):
         yield displacement.permute(0, 2, 3, 1)[shown]
 
 
-def _acting(
-    mesh, load, mechanics: Mechanics, dtype: torch.dtype
-) -> tuple[Tensor, Tensor, Tensor, Tensor, tuple[Tensor, Tensor] | None]:
-    """A batch's load on the joined meshes.
-
-    Returns:
-        1 where a vertex moves by itself (all but gripped ones and a fixed rim; pressed ones always), shape [ΣN];
-        weight·direction at every vertex, shape [ΣN, 3]; the share of F in each step, shape [B, T]; gripped vertices;
-        where those are while each step's forces act (see `physics.msd.reference.Acting`) and after it, [T, ΣG, 3] each.
-    """
+def _acting(mesh, load, mechanics: Mechanics, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
+    """1 where a vertex of the joined meshes may move (a pressed one always), [ΣN]; its weight·direction, [ΣN, 3]."""
     sizes = load.offsets.diff()
     sample = torch.repeat_interleave(torch.arange(len(sizes), device=sizes.device), sizes)
     loaded = places("load", load.vertices, mesh.vertex_offsets[sample], mesh.vertex_offsets[sample + 1])
-    pressed = isinstance(load, PressBatch)
     free = ~mesh.rim if mechanics.boundary == "fixed" else torch.ones_like(mesh.rim)
-    mobile = free.index_fill(0, loaded, pressed).to(dtype)
     push = mesh.vertices.new_zeros(mesh.vertices.shape, dtype=dtype)
-    if pressed:
-        shares = load.weights.to(dtype)[:, None] * load.direction.to(dtype)[sample]
-        return mobile, push.index_add(0, loaded, shares), load.factor.to(dtype), loaded[:0], None
-    after = load.displacement.to(dtype)
-    before = torch.cat([torch.zeros_like(after[:1]), after[:-1]])
-    during = (before + after) / 2 if mechanics.scheme == "dkd" else before
-    return mobile, push, push.new_zeros(len(sizes), load.steps), loaded, (during, after)
+    shares = load.weights.to(dtype)[:, None] * load.direction.to(dtype)[sample]
+    return free.index_fill(0, loaded, True).to(dtype), push.index_add(0, loaded, shares)
 
 
 def _steps(
-    elastic: Callable[[Tensor], Tensor], grip: Callable[[Tensor, Tensor], Tensor], damping: Tensor, mobile: Tensor,
-    push: Tensor, factors, paths: tuple[Tensor, Tensor] | None, mechanics: Mechanics,
-) -> Iterator[Tensor]:  # fmt: skip
+    elastic: Callable[[Tensor], Tensor], damping: Tensor, mobile: Tensor, push: Tensor, factors, mechanics: Mechanics
+) -> Iterator[Tensor]:
     """Integrate from rest; all tensors broadcast against ``push``, F·direction at the pressed vertices, 0 elsewhere."""
     keep, kick, lag = integrator(damping, mechanics)
     keep, kick = keep * mobile, kick * mobile
     displacement = torch.zeros_like(push)
     velocity = torch.zeros_like(push)
-    for step, factor in enumerate(factors):
-        if paths is not None:
-            displacement = grip(displacement, paths[0][step])
+    for factor in factors:
         velocity = keep * velocity + kick * (elastic(displacement) + factor * push)
         displacement = displacement + mechanics.time_step * velocity
-        shown = displacement - lag * velocity if lag else displacement
-        yield shown if paths is None else grip(shown, paths[1][step])
+        yield displacement - lag * velocity if lag else displacement
 
 
 def _stencil(mesh, place: Tensor, vertices: Tensor) -> list[tuple[tuple[int, int], Tensor, Tensor, Tensor]]:

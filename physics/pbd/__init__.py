@@ -2,7 +2,6 @@
 
 body               particles and what joins them: distances, volumes of tetrahedra, shapes of neighbourhoods
 layers             a sheet's particles and tetrahedra below it, for a volume
-constraints        their values and gradients in plain numpy; reference: time steps with them (read these two)
 stiffness          fields over particles, and what they make of every constraint
 simulation         the door: time steps under a grip, batched over states and fields, and their exact adjoint
 potential          elastic energy, its gradient, and its second derivatives along a direction

@@ -166,11 +166,8 @@ def sweep_adjoint(
         layout … acceleration, iterations: as given to `sweep_forward`.
         turn: quaternions to begin at, [B, P, 4]; used up.
         motion: what it wrote.
-        pulls: derivatives by it, [B, T + 1, N, 3]; out: its first step becomes that by the start.
+        pulls: derivatives by it, [B, T + 1, N, 3]; used up.
         slopes: out, derivatives by the weights [B, K].
-
-    Returns:
-        Derivatives by the velocities at the start, [B, N, 3].
     """
     batch, steps, count = motion.shape[0], motion.shape[1] - 1, motion.shape[2]
     constraints, members = layout.rest.shape[0], layout.members.shape[0]
@@ -226,4 +223,3 @@ def sweep_adjoint(
                 for axis in range(3):
                     pulls[b, t, particle, axis] += left * pull[particle, axis]
                     by_speed[b, particle, axis] = free * left * numbers[0] * numbers[1] * pull[particle, axis]
-    return by_speed

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -81,10 +80,6 @@ class Body:
         inverse = np.where(self.pinned, 0.0, 1 / self.mass)
         inverse[gripped] = 0.0
         return inverse
-
-    def holding(self, pinned: np.ndarray) -> Body:
-        """The same with other particles pinned, shape [N], bool."""
-        return dataclasses.replace(self, pinned=np.asarray(pinned, bool))
 
 
 def make_body(

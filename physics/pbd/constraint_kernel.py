@@ -1,4 +1,12 @@
-"""Compiled values, gradients and second derivatives of the constraints; equations as in `physics.pbd.constraints`.
+"""Compiled values, gradients and second derivatives of the constraints.
+
+Liang 2024, section III-B, names distance, volume and shape matching; their forms are those of Müller 2005, Müller 2007
+and Macklin 2016, as the paper doesn't say which it uses:
+
+distance  C = |x₁ - x₂| - ℓ₀
+volume    C = (x₂ - x₁)×(x₃ - x₁)·(x₄ - x₁)/6 - V₀
+shape     C = √(Σ |xᵢ - x̄ - R qᵢ|²), R the rotation that makes it smallest. As R and x̄ are where the sum is smallest,
+          its gradient is that with both held: it adds up to no force and to no moment, whatever the masses.
 
 The rotation of a shape is carried along as a quaternion: Newton's method from the last one settles it to rounding in
 two or three steps, so that it depends on where it began no more than a singular value decomposition would.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -51,17 +51,6 @@ class Stepping:
             raise ValueError(f"acceleration is {self.acceleration}; give three finite numbers.")
 
 
-class Slopes(NamedTuple):
-    """Derivatives of a scalar; B states, N particles."""
-
-    stiffness: Stiffness
-    """By the fields of each of the B, shape [B, N]; where one field served all, their sum is the derivative by it."""
-    start: np.ndarray
-    """By the positions at the start, shape [B, N, 3]; 0 for gripped particles, which are placed."""
-    speed: np.ndarray
-    """By the velocities there, shape [B, N, 3]."""
-
-
 @dataclass(frozen=True, eq=False)
 class Motion:
     """What B bodies did over T steps."""
@@ -69,13 +58,13 @@ class Motion:
     body: Body
     positions: np.ndarray
     """At the start and after each step, shape [B, T + 1, N, 3] [m]."""
-    last: np.ndarray
-    """Largest change of a multiplier in each step's last sweep, shape [B, T] [N s²]: 0 = settled."""
     _arguments: tuple[Any, ...]
     _time_step: float
 
-    def gradient(self, by_positions: np.ndarray) -> Slopes:
-        """Derivatives of a scalar by the fields and the start, by the adjoint of every sweep: exact to rounding.
+    def gradient(self, by_positions: np.ndarray) -> Stiffness:
+        """Derivatives of a scalar by the fields of each of the B, by the adjoint of every sweep: exact to rounding.
+
+        Where one field served all, their sum is the derivative by it.
 
         Args:
             by_positions: its derivatives by `positions`, shape [B, T + 1, N, 3].
@@ -89,8 +78,8 @@ class Motion:
         weight = self._arguments[0]
         slopes = np.zeros_like(weight)
         turn = unturned(self.body, len(weight))
-        by_speed = sweep_adjoint(self.body.layout, *self._arguments, turn, self.positions, pulls, slopes)
-        return Slopes(gather(self.body, slopes * self._time_step**2), pulls[:, 0], by_speed)
+        sweep_adjoint(self.body.layout, *self._arguments, turn, self.positions, pulls, slopes)
+        return gather(self.body, slopes * self._time_step**2)
 
 
 def simulate(
@@ -140,8 +129,8 @@ def simulate(
     arguments = (weight, inverse_mass, body.rest, moving, gripped, path, numbers, acceleration, stepping.iterations)
     if not COMPILED:
         say_slow()
-    last = sweep_forward(body.layout, *arguments, unturned(body, batch), positions)
-    return Motion(body, positions, last, arguments, stepping.time_step)
+    sweep_forward(body.layout, *arguments, unturned(body, batch), positions)
+    return Motion(body, positions, arguments, stepping.time_step)
 
 
 def _paths(grips: Grip | Sequence[Grip] | int, body: Body) -> tuple[np.ndarray, np.ndarray]:

@@ -1,7 +1,8 @@
 """Compiled time steps of position-based dynamics.
 
-Source: Liang 2024, equation 3; equations and names as in `physics.pbd.reference`. A loop for each kind of constraint,
-so that what is known of it (how many particles, which of them) needn't be asked: several times as fast as one for all.
+Source: Liang 2024, equation 3 (Macklin 2016): Δx = M⁻¹ ∇Cᵀ Δλ, Δλ = -(∇C M⁻¹ ∇Cᵀ + α)⁻¹ (C + α λ), α = 1/(k Δt²); with
+w = k Δt² in place of 1/α a stiffness of 0 is a number like others. A loop for each kind of constraint, so that what is
+known of it (how many particles, which of them) needn't be asked: several times as fast as one for all.
 """
 
 from __future__ import annotations
@@ -51,13 +52,9 @@ def sweep(layout, weight, inverse_mass, points, multipliers, turn, slope, kept, 
         slope: out, gradients of the shapes by their members, [M, 3].
         kept: out, what the way back needs of distances [·, 5], volumes [·, 11] and shapes [P, 15].
         every: whether to keep that, and to go over constraints without a weight, too: they have a slope.
-
-    Returns:
-        Largest change of a multiplier.
     """
     starts, members, rest, offsets, firsts = layout
     distances, volumes, shapes = kept
-    largest = 0.0
     for index in range(firsts[0]):
         if weight[index] == 0.0 and not every:
             continue
@@ -69,7 +66,6 @@ def sweep(layout, weight, inverse_mass, points, multipliers, turn, slope, kept, 
             distances[index, 2], distances[index, 3], distances[index, 4] = normal
         step = stepped(weight[index], value, multipliers[index], mobility)
         multipliers[index] += step
-        largest = max(largest, abs(step))
         add(points, one, inverse_mass[one] * step, normal)
         add(points, other, -inverse_mass[other] * step, normal)
     for index in range(firsts[0], firsts[1]):
@@ -90,7 +86,6 @@ def sweep(layout, weight, inverse_mass, points, multipliers, turn, slope, kept, 
             volumes[volume, 8], volumes[volume, 9], volumes[volume, 10] = d
         step = stepped(weight[index], value, multipliers[index], mobility)
         multipliers[index] += step
-        largest = max(largest, abs(step))
         add(points, w, inverse_mass[w] * step, by_a)
         add(points, x, inverse_mass[x] * step, by_b)
         add(points, y, inverse_mass[y] * step, by_c)
@@ -114,10 +109,8 @@ def sweep(layout, weight, inverse_mass, points, multipliers, turn, slope, kept, 
                     shapes[shape, 6 + 3 * axis + other] = left[axis][other]
         step = stepped(weight[index], value, multipliers[index], mobility)
         multipliers[index] += step
-        largest = max(largest, abs(step))
         for m in range(starts[index], starts[index + 1]):
             add(points, members[m], inverse_mass[members[m]] * step, row(slope, m))
-    return largest
 
 
 @kernel
@@ -139,15 +132,11 @@ def sweep_forward(
         iterations: sweeps a step.
         turn: quaternions of the shapes to begin at, [B, P, 4]; used up.
         motion: positions, the start filled in; out: after each step, [B, T + 1, N, 3].
-
-    Returns:
-        Largest change of a multiplier in the last sweep of every step, [B, T].
     """
     batch, steps = motion.shape[0], motion.shape[1] - 1
     slope = np.empty_like(layout.offsets)
     multipliers = np.zeros(layout.rest.shape[0])
     kept = np.empty((0, 5)), np.empty((0, 11)), np.empty((0, 15))
-    last = np.zeros((batch, steps))
     now = np.zeros_like(speed[0])
     for b in range(batch):
         now[:] = speed[b]
@@ -156,8 +145,7 @@ def sweep_forward(
             begun(before, now, inverse_mass, rest, numbers, acceleration, gripped, path[b, t], points)
             multipliers[:] = 0
             for _ in range(iterations):
-                last[b, t] = sweep(layout, weight[b], inverse_mass, points, multipliers, turn[b], slope, kept, False)
+                sweep(layout, weight[b], inverse_mass, points, multipliers, turn[b], slope, kept, False)
             for particle in range(now.shape[0]):
                 for axis in range(3):
                     now[particle, axis] = (points[particle, axis] - before[particle, axis]) / numbers[0]
-    return last

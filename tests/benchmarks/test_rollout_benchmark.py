@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks import rollout
-from benchmarks.rollout import BASELINE, FIELD, NUMBA, STENCIL, Turn, make_task, measure, require_same, take_turn
+from benchmarks.rollout import BASELINE, NUMBA, STENCIL, Turn, make_task, measure, require_same, take_turn
 from physics import jit
 
 SMALL = 0.01
@@ -19,9 +19,7 @@ def test_baseline_and_our_backends_agree():
     task = make_task(2, SMALL)
     expected = take_turn(BASELINE, 1, task)
     for name in (STENCIL, *NUMBA) if jit.COMPILED else (STENCIL,):
-        turn = take_turn(name, 1, task)
-        require_same(name, turn, expected)
-        assert math.isnan(turn.total) == (turn.gradient is None) == (name == FIELD)
+        require_same(name, take_turn(name, 1, task), expected)
 
 
 @pytest.mark.parametrize("what", ["trajectory", "gradient"])
@@ -38,13 +36,11 @@ def test_the_mesh_has_the_papers_size():
 
 
 @pytest.mark.skipif(not jit.COMPILED, reason="numba isn't installed")
-def test_ratios_are_to_the_baseline_of_the_same_run(monkeypatch, tmp_path, capsys):
+def test_ratios_are_to_the_baseline_of_the_same_run(monkeypatch, capsys):
     """The whole program on small meshes the second batch too large for the stencil."""
     monkeypatch.setattr(rollout, "SETTINGS", {(1, SMALL): (1,), (2, SMALL): (2,)})
     monkeypatch.setattr(rollout, "SMALL", 1 * SMALL)
     monkeypatch.setattr(rollout, "ROUNDS", 1)
-    monkeypatch.setattr(rollout, "PATCH_ROUNDS", 2)
-    monkeypatch.setattr(rollout, "PICTURE", tmp_path / "new" / "rollout.png")
     found = []
     monkeypatch.setattr(rollout, "measure", lambda *setting: found.append(measure(*setting)) or found[-1])
     monkeypatch.setattr("sys.argv", ["benchmarks.rollout"])
@@ -54,9 +50,5 @@ def test_ratios_are_to_the_baseline_of_the_same_run(monkeypatch, tmp_path, capsy
     for rows in found:
         for row in rows:
             assert row["forward ×"] == rows[0]["forward [ms]"] / row["forward [ms]"]
-            assert math.isnan(row["forward + gradient ×"]) == (row["contender"] == FIELD)
     printed = capsys.readouterr().out.splitlines()
-    assert any(line.startswith("patch of radius 5:") for line in printed)
-    line = next(line for line in printed if line.startswith(f"| {FIELD} | 2 | 2 | "))
-    assert line.split(" | ")[6:8] == ["–", "–"]
-    assert (tmp_path / "new" / "rollout.png").stat().st_size > 10_000
+    assert any(line.startswith(f"| {NUMBA[1]} | 2 | 2 | ") for line in printed)

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from evaluation.real.pressed import BLUR, UNIT
+from evaluation.real.pulled import PulledClip
 from tests.inference_inputs import encode
 
 SIZE = 240, 176
@@ -66,6 +67,24 @@ def write_pull(folder: Path, shares: np.ndarray, camera: tuple[float, float] = (
         write(frames / f"{index:03d}.png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
         write(masks / f"{index:03d}.png", np.where(tool_mask(share), 0, 255).astype(np.uint8))
     return frames, masks
+
+
+LAYOUT = """
+image: frames/{number}.png
+color_mask: null
+class_mask: null
+label_mask: masks/{number}.png
+tool_values: [0]
+tissue_values: [255]
+"""
+
+
+def pull_clip(folder: Path, shares: np.ndarray) -> PulledClip:
+    """The same as a user gives it: a folder, with its layout beside it."""
+    write_pull(folder, shares)
+    layout = folder.with_name(f"{folder.name}.yaml")
+    layout.write_text(LAYOUT)
+    return PulledClip(folder, layout)
 
 
 def write(path: Path, picture: np.ndarray) -> None:

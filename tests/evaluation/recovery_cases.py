@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from evaluation.recovery.evaluate import Recovery
+from evaluation.harness import Row
 from evaluation.recovery.scores import Bound
 from evaluation.recovery.suites import REGIMES, suite_clip_seed
 
@@ -13,7 +13,7 @@ BY_CONTACT = Bound("contact")
 """The bound of the contact's point, which the clips below are made for."""
 
 
-def recovery(index: int = 0, **changes) -> Recovery:
+def recovery(index: int = 0, **changes) -> Row:
     """A clip whose θ was estimated exactly, with bounds of 0.1 for tracking noise of 0.001, and of 0.05 by its film.
 
     Information of log θ alone [3, 3] is taken to be that of a press whose delays have no part in it.
@@ -23,7 +23,9 @@ def recovery(index: int = 0, **changes) -> Recovery:
         "index": index,
         "estimator": "direct",
         "seed": suite_clip_seed("test", 0, index),
+        "action": "press",
         "regime": REGIMES[index % 3],
+        "status": "ok",
         "theta": TRUTH,
         "information": np.eye(3) * (0.001 / 0.1) ** 2,
         "field_information": np.eye(3) / 0.05**2,
@@ -40,7 +42,7 @@ def recovery(index: int = 0, **changes) -> Recovery:
     for name in ("information", "field_information"):
         if fields[name] is not None:
             fields[name] = np.pad(fields[name], (0, 5 - len(fields[name])))
-    return Recovery(**fields)
+    return {name: value for name, value in fields.items() if value is not None}
 
 
 def off_by(errors: object) -> np.ndarray:

@@ -10,9 +10,9 @@ import torch
 
 from data.synthetic.clip import draw_press, synthetic_clip
 from data.synthetic.settings import SceneSettings
-from data.synthetic.source import open_synthetic
+from data.synthetic.source import PREPARE, open_synthetic
 from estimators.contract import ClipInfo
-from evaluation.recovery.evaluate import PREPARE, observed_contacts
+from evaluation.recovery.trial import observed_contacts
 from models.carried_depth import carried, change_of, shifted
 from physics.mechanics import Mechanics
 from physics.msd import rollout

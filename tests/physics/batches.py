@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from physics.load import Load, Press
+from physics.load import Press
 from physics.mesh import Mesh
-from physics.msd.batch import GripBatch, LoadBatch, MeshBatch, PressBatch
+from physics.msd.batch import MeshBatch, PressBatch
 from tests.physics.sheets import pressed
 
 
-def joined(meshes: list[Mesh], loads: list[Load]) -> tuple[MeshBatch, LoadBatch]:
+def joined(meshes: list[Mesh], loads: list[Press]) -> tuple[MeshBatch, PressBatch]:
     """Meshes with a load each."""
-    kind = PressBatch if isinstance(loads[0], Press) else GripBatch
-    return MeshBatch.from_meshes(meshes), kind.of(loads)
+    return MeshBatch.from_meshes(meshes), PressBatch.of(loads)
 
 
 def batch_of(meshes, vertices, load_steps=None, steps: int = 200) -> tuple[MeshBatch, PressBatch]:
     """Join meshes, each pressed along the normal of its contact vertex."""
     durations = load_steps or [50] * len(meshes)
-    loads = [pressed(*sample, steps) for sample in zip(meshes, vertices, durations, strict=True)]
-    return joined(meshes, loads)
+    return joined(meshes, [pressed(*sample, steps) for sample in zip(meshes, vertices, durations, strict=True)])

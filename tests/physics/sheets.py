@@ -6,6 +6,7 @@ import numpy as np
 
 from physics.load import Grip, Press, held
 from physics.mesh import Mesh, contact_normal, grid_mesh
+from physics.msd.simulation import simulate
 
 
 def surface(height: int, width: int, depth: float = 0.5) -> np.ndarray:
@@ -56,6 +57,11 @@ def gripped(mesh: Mesh, vertices, duration: float, steps: int, time_step: float 
     turned = np.stack([-(rest - rest.mean(axis=0))[:, 1], (rest - rest.mean(axis=0))[:, 0], 0 * rest[:, 0]], axis=1)
     goal = size * np.array([0.5, -0.3, 0.8]) + 0.2 * turned
     return Grip(vertices, smooth_path(time_step * np.arange(1, steps + 1), duration)[:, None, None] * goal)
+
+
+def whole_field(theta, mesh: Mesh, load, mechanics, **options) -> np.ndarray:
+    """Displacement of every vertex after each step, shape [T, N, 3]."""
+    return simulate(theta, mesh, load, mechanics, watch=np.arange(len(mesh.vertices)), **options)
 
 
 def position_form_force(displacement: np.ndarray, mesh: Mesh, stiffness: float, anchor: float = 0.0) -> np.ndarray:

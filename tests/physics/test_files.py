@@ -1,11 +1,14 @@
 """Files that appear complete or not at all, and reading that neither waits nor goes on for ever."""
 
+import json
+import math
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from physics.files import all_below, file_sha256, read_file, replacing
+from physics.files import all_below, as_json, digest_of, file_sha256, read_file, replacing
 
 
 @pytest.fixture
@@ -85,3 +88,29 @@ def test_all_is_found_however_deeply_folders_nest(tmp_path, monkeypatch, nested,
     assert set(before) <= set(found)
     assert len(found) > len(before) + 90
     assert [path for path in found if path.is_file()] == [tmp_path / "b" / "1", tmp_path / "b" / "2"]
+
+
+def test_json_has_null_for_what_is_not_finite_and_lists_for_arrays():
+    value = {
+        "modulus": np.float64(4.6e9),
+        "interval": (0.0, math.inf),
+        "covariance": np.array([[1.0, np.nan], [-np.inf, 2.0]]),
+        "count": np.int64(3),
+        "text": "Infinity",
+    }
+
+    def refuse(name):
+        raise AssertionError(f"{name} in JSON")
+
+    assert json.loads(as_json(value, indent=1), parse_constant=refuse) == {
+        "modulus": 4.6e9,
+        "interval": [0.0, None],
+        "covariance": [[1.0, None], [None, 2.0]],
+        "count": 3,
+        "text": "Infinity",
+    }
+
+
+def test_digests_tell_what_is_not_finite_from_nothing():
+    assert digest_of({"a": 1, "b": [2]}) == digest_of({"b": [2], "a": 1})
+    assert len({digest_of([value]) for value in (None, math.inf, -math.inf, math.nan, 0.0)}) == 5

@@ -109,9 +109,9 @@ def test_verdicts_change_at_the_limit() -> None:
     assert verdict(with_eigenvalues((below, below, above))) == "undetermined"  # F/k_d is no better known than F
     assert verdict(above * np.eye(3)) == "undetermined"
     assert verdict(np.zeros((3, 3))) == "undetermined"
-    assert verdict(above * np.eye(3), limit=1.02 * LIMIT) == "determined"
+    assert verdict(1.02**2 * above * np.eye(3)) == "determined"
     # Of two independent parameters the ratio is √2 times as uncertain, so this limit keeps both ratios out.
-    assert verdict(with_eigenvalues((2.1 * below, 2.1 * below, below)), limit=0.98 * LIMIT) == "undetermined"
+    assert verdict(0.98**2 * with_eigenvalues((2.1 * below, 2.1 * below, below))) == "undetermined"
     assert describe(np.zeros((3, 3))) == "nothing is determined"
     assert describe(below * np.eye(3)).endswith("are determined")
 

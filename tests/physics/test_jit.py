@@ -17,8 +17,8 @@ import pytest
 from physics import jit
 from physics.jit import Kernel, say_slow
 from physics.mechanics import Mechanics
-from physics.msd.simulation import simulate, simulate_field, simulate_reaction, simulate_sensitivities
-from tests.physics.sheets import gripped, pressed, sheet
+from physics.msd.simulation import simulate, simulate_sensitivities
+from tests.physics.sheets import gripped, pressed, sheet, whole_field
 
 ROOT = Path(__file__).resolve().parents[2]
 THETA, MESH = (0.7, 0.05, -0.1), sheet(6, 6)
@@ -53,9 +53,8 @@ def test_without_numba_everything_works_and_says_once_that_it_is_slower():
         from test_jit import ARGUMENTS
         from tests.physics.batches import batch_of
         from physics.msd.rollouts import rollout
-        from physics.msd.simulation import simulate, simulate_field, simulate_sensitivities
+        from physics.msd.simulation import simulate, simulate_sensitivities
         trajectory = simulate(*ARGUMENTS, dtype=np.float64)
-        simulate_field(*ARGUMENTS)
         simulate_sensitivities(*ARGUMENTS)
         mesh, load = batch_of([ARGUMENTS[1]], [14])
         theta = torch.tensor([ARGUMENTS[0]], requires_grad=True)
@@ -72,11 +71,10 @@ def test_plain_and_compiled_doors_agree(monkeypatch):
     watch = np.array([15, 22])
 
     def doors():
-        yield simulate_field(*ARGUMENTS)
+        yield whole_field(*ARGUMENTS)
         yield from simulate_sensitivities(*ARGUMENTS)
         yield simulate(*ARGUMENTS, watch=watch)
         yield from simulate_sensitivities(*GRIPPED, watch=watch)
-        yield from simulate_reaction(*GRIPPED)
 
     compiled = [simulate(*ARGUMENTS), *doors()]
     monkeypatch.setattr(jit, "COMPILED", False)

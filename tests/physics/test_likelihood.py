@@ -1,4 +1,4 @@
-"""Residual, Jacobian and information of an observed motion, for presses and grips."""
+"""Residual, Jacobian and information of an observed motion."""
 
 from __future__ import annotations
 
@@ -14,14 +14,11 @@ from physics.mechanics import Mechanics, theta_of
 from physics.mesh import contact_normal
 from physics.msd.simulation import simulate, simulate_sensitivities
 from physics.observation import Observation
-from tests.physics.sheets import gripped, pressed, sheet
+from tests.physics.sheets import pressed, sheet
 
 MECHANICS = Mechanics(time_step=0.0025, scheme="dkd")
 MESH = sheet(9, 9)
-LOADS = {
-    "press": Press.on_patch(MESH, 40, 2.2, contact_normal(MESH, 40), ramped(10, 30, 10, 100)),
-    "grip": gripped(MESH, [40, 41], 0.1, 100, MECHANICS.time_step),
-}
+PRESS = Press.on_patch(MESH, 40, 2.2, contact_normal(MESH, 40), ramped(10, 30, 10, 100))
 LOGS = np.log([0.5, 0.06, 0.1])
 TIMES = np.array([0.04, 0.08, 0.12, 0.2])
 STEPS = np.array([15, 31, 47, 79])
@@ -29,27 +26,19 @@ POINTS = np.array([39, 30, 50])
 NOISE = np.array([1e-4, 2e-4, 1e-3])
 
 
-def observed(logs=LOGS, load="press", noise=NOISE, points=POINTS, off=0.0) -> Observation:
+def observed(logs=LOGS, noise=NOISE, points=POINTS, off=0.0) -> Observation:
     """What a motion at φ shows of some points, moved by a constant."""
-    theta = theta_of(np.append(logs, 0.0)[:3])
-    path = simulate(theta, MESH, LOADS[load], MECHANICS, watch=points, dtype=np.float64)[STEPS]
+    path = simulate(theta_of(logs), MESH, PRESS, MECHANICS, watch=points, dtype=np.float64)[STEPS]
     return Observation(points, TIMES, (np.swapaxes(path, 0, 1) + off).astype(np.float32), np.asarray(noise))
 
 
-def parameters_of(load: str) -> np.ndarray:
-    return LOGS if load == "press" else LOGS[:2]
-
-
-@pytest.mark.parametrize("load", LOADS)
-def test_at_the_truth_nothing_is_left_and_information_is_that_of_the_jacobian(load):
-    seen, logs = observed(load=load), parameters_of(load)
-    likelihood = Likelihood(MESH, LOADS[load], seen, MECHANICS)
+def test_at_the_truth_nothing_is_left_and_information_is_that_of_the_jacobian():
+    logs, likelihood = LOGS, Likelihood(MESH, PRESS, observed(), MECHANICS)
     around = likelihood.linearise(logs)
     theta = likelihood.theta(logs)
-    _, slopes = simulate_sensitivities(theta, MESH, LOADS[load], MECHANICS, watch=POINTS, dtype=np.float64)
-    slopes = np.swapaxes(log_jacobian(slopes, theta)[STEPS], 0, 1)[..., : len(logs)]
+    _, slopes = simulate_sensitivities(theta, MESH, PRESS, MECHANICS, watch=POINTS, dtype=np.float64)
+    slopes = np.swapaxes(log_jacobian(slopes, theta)[STEPS], 0, 1)
     rows = (slopes / NOISE[:, None]).reshape(36, len(logs))
-    assert likelihood.parameters == len(logs) == (3 if load == "press" else 2)
     np.testing.assert_allclose(around.residual, 0, atol=1e-4)  # single precision of what was seen
     np.testing.assert_allclose(around.jacobian, rows, rtol=1e-9, atol=1e-9 * np.abs(rows).max())
     np.testing.assert_allclose(likelihood.information(logs), rows.T @ rows, rtol=1e-9)
@@ -59,14 +48,13 @@ def test_at_the_truth_nothing_is_left_and_information_is_that_of_the_jacobian(lo
     assert np.linalg.eigvalsh(likelihood.information(logs)).min() > 0.1
 
 
-@pytest.mark.parametrize("load", LOADS)
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_the_gradient_is_the_misfit_s_derivative(load, dtype):
-    likelihood = Likelihood(MESH, LOADS[load], observed(load=load, off=2e-4), MECHANICS, dtype)
-    logs = parameters_of(load) + 0.1
+def test_the_gradient_is_the_misfit_s_derivative(dtype):
+    likelihood = Likelihood(MESH, PRESS, observed(off=2e-4), MECHANICS, dtype)
+    logs = LOGS + 0.1
     around = likelihood.linearise(logs)
     assert around.misfit == pytest.approx(0.5 * np.square(likelihood.residual(logs)).sum())
-    exact = Likelihood(MESH, LOADS[load], likelihood.observation, MECHANICS)
+    exact = Likelihood(MESH, PRESS, likelihood.observation, MECHANICS)
     for index in range(len(logs)):
         offset = 1e-5 * np.eye(len(logs))[index]
         central = (exact.linearise(logs + offset).misfit - exact.linearise(logs - offset).misfit) / 2e-5
@@ -78,31 +66,30 @@ def test_what_was_not_seen_does_not_count():
     hidden = whole.displacement.copy()
     hidden[0, 1], hidden[2, :, 2] = np.nan, np.nan
     seen = Observation(POINTS, TIMES, hidden, np.broadcast_to(NOISE, hidden.shape) * (1 + np.arange(4))[:, None])
-    likelihood, kept = Likelihood(MESH, LOADS["press"], seen, MECHANICS), np.isfinite(hidden)
+    likelihood, kept = Likelihood(MESH, PRESS, seen, MECHANICS), np.isfinite(hidden)
     around = likelihood.linearise(LOGS + 0.05)
     assert around.residual.shape == (36 - 3 - 4,)
-    full = Likelihood(MESH, LOADS["press"], whole, MECHANICS).linearise(LOGS + 0.05)
+    full = Likelihood(MESH, PRESS, whole, MECHANICS).linearise(LOGS + 0.05)
     scale = np.broadcast_to((1 + np.arange(4))[:, None], hidden.shape)[kept]
     np.testing.assert_allclose(around.residual, full.residual[kept.ravel()] / scale, rtol=1e-12)
     np.testing.assert_allclose(around.jacobian, full.jacobian[kept.ravel()] / scale[:, None], rtol=1e-12)
-    path = simulate(theta_of(LOGS + 0.05), MESH, LOADS["press"], MECHANICS, watch=POINTS, dtype=np.float64)[STEPS]
+    path = simulate(theta_of(LOGS + 0.05), MESH, PRESS, MECHANICS, watch=POINTS, dtype=np.float64)[STEPS]
     np.testing.assert_allclose(likelihood.simulated(LOGS + 0.05), np.swapaxes(path, 0, 1)[kept], rtol=1e-9)
     nothing = Observation(POINTS, TIMES, np.full_like(hidden, np.nan), NOISE)
-    assert not Likelihood(MESH, LOADS["press"], nothing, MECHANICS).information(LOGS).any()
+    assert not Likelihood(MESH, PRESS, nothing, MECHANICS).information(LOGS).any()
 
 
 def test_points_add_up_and_every_instant_is_at_the_nearest_step():
     """Information of several points is the sum of each one's, and the whole field tells most."""
-    press = LOADS["press"]
     alone = sum(
-        Likelihood(MESH, press, observed(points=POINTS[[index]]), MECHANICS).information(LOGS) for index in range(3)
+        Likelihood(MESH, PRESS, observed(points=POINTS[[index]]), MECHANICS).information(LOGS) for index in range(3)
     )
-    together = Likelihood(MESH, press, observed(), MECHANICS).information(LOGS)
+    together = Likelihood(MESH, PRESS, observed(), MECHANICS).information(LOGS)
     np.testing.assert_allclose(together, alone, rtol=1e-9)
-    field = Likelihood(MESH, press, observed(points=np.arange(81)), MECHANICS).information(LOGS)
+    field = Likelihood(MESH, PRESS, observed(points=np.arange(81)), MECHANICS).information(LOGS)
     assert np.linalg.eigvalsh(field - together).min() > 0
     late = Observation(POINTS, TIMES + 0.4 * MECHANICS.time_step, observed().displacement, NOISE)
-    np.testing.assert_array_equal(Likelihood(MESH, press, late, MECHANICS).information(LOGS), together)
+    np.testing.assert_array_equal(Likelihood(MESH, PRESS, late, MECHANICS).information(LOGS), together)
 
 
 def test_the_bound_of_a_contact_is_that_of_its_own_vertex():
@@ -129,7 +116,7 @@ def test_a_chaotic_motion_tells_nothing():
 
 def test_one_likelihood_serves_several_threads():
     """What one thread remembers is not what another one gets."""
-    likelihood = Likelihood(MESH, LOADS["press"], observed(off=1e-4), MECHANICS)
+    likelihood = Likelihood(MESH, PRESS, observed(off=1e-4), MECHANICS)
     places = [LOGS + 0.02 * index for index in range(6)] * 20
     expected = [likelihood.linearise(at).misfit for at in places]
     with ThreadPoolExecutor(4) as pool:
@@ -148,10 +135,10 @@ def test_one_likelihood_serves_several_threads():
 )
 def test_impossible_observations_are_refused(seen, said):
     with pytest.raises(ValueError, match=said):
-        Likelihood(MESH, LOADS["press"], seen, MECHANICS)
+        Likelihood(MESH, PRESS, seen, MECHANICS)
 
 
 def test_a_point_outside_the_mesh_is_named():
     seen = Observation.of_point(81, np.array([0.1]), np.zeros((1, 3)), 1e-3)
     with pytest.raises(ValueError, match="watch names vertex 81; the mesh has 81 vertices"):
-        Likelihood(MESH, LOADS["press"], seen, MECHANICS).linearise(LOGS)
+        Likelihood(MESH, PRESS, seen, MECHANICS).linearise(LOGS)

@@ -23,7 +23,7 @@ from data.synthetic.settings import SceneSettings
 from data.synthetic.source import open_synthetic
 from data.synthetic.truth import PressedMotion
 from estimators.contract import ClipInfo
-from evaluation.recovery.evaluate import observed_contacts
+from evaluation.recovery.trial import observed_contacts
 
 UNSEEN = SceneSettings(width=214, height=120, frames=36, tool_in_view=False, depth_noise=0.001)
 MOTION = PrepareSettings(geometry=GeometrySettings(smoothing=4.0, rigid_motion="subtract", contact="motion"))

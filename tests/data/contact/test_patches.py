@@ -13,10 +13,10 @@ from data.source.camera import Camera, back_project
 from data.synthetic.clip import draw_press, synthetic_clip
 from data.synthetic.scene import Scene
 from data.synthetic.settings import SceneSettings
-from data.synthetic.source import open_synthetic
+from data.synthetic.source import PREPARE, open_synthetic
 from data.synthetic.truth import Motion
 from estimators.contract import ClipInfo
-from evaluation.recovery.evaluate import PREPARE, observed_contacts
+from evaluation.recovery.trial import observed_contacts
 from physics.mesh import Mesh, grid_mesh
 
 WIDTH, HEIGHT = 64, 48

@@ -15,10 +15,11 @@ from estimators.direct import estimator, slab_fit, slab_motion, slab_rivals
 from estimators.direct.contact_fit import LARGEST_MISFIT
 from estimators.direct.estimator import DirectEstimator
 from estimators.direct.slab_descent import descend
-from estimators.direct.slab_fit import BLIND, LOWER, MODEL_ERROR, UNLIKE, SlabProblem, fit_slab, settled
+from estimators.direct.slab_fit import BLIND, LOWER, UNLIKE, SlabProblem, fit_slab, settled
 from estimators.direct.slab_motion import SlabMotion
 from estimators.direct.slab_posterior import Valley
 from estimators.estimate import NINETY, Estimate, NoEstimate
+from estimators.model_errors import MODEL_ERRORS
 from estimators.onset import BETWEEN
 from physics.fem.slab import slab_beneath
 from tests.estimators.direct.slabs import (
@@ -101,7 +102,7 @@ def test_the_slabs_own_error_is_a_share_of_its_motion_in_rings_and_parts_of_the_
     sunk = np.random.default_rng(1).normal(size=(10, SIDE * SIDE))
     columns = problem.model_errors(sunk)
     assert columns.shape == (SIDE * SIDE, 10, 12)  # three rings, early, held, released and later
-    np.testing.assert_allclose(columns.sum(axis=2), MODEL_ERROR * sunk.T)
+    np.testing.assert_allclose(columns.sum(axis=2), MODEL_ERRORS.slab_motion * sunk.T)
     assert ((columns != 0).sum(axis=2) == 1).all()
     middle = columns[(SIDE * SIDE) // 2]
     np.testing.assert_array_equal(np.argmax(middle != 0, axis=1), [0, 0, 1, 1, 1, 2, 2, 3, 3, 3])
@@ -110,8 +111,8 @@ def test_the_slabs_own_error_is_a_share_of_its_motion_in_rings_and_parts_of_the_
     moved = problem.patches.shown(problem.patches.sunk(problem.motion.at(LOGS)[0]), problem.covering)
     told = float(np.square(problem.whitened(moved)).sum())
     parts = len(np.unique(np.flatnonzero(np.abs(columns).sum(axis=(0, 1)))))
-    assert told < parts / MODEL_ERROR**2
-    assert told > 0.5 / MODEL_ERROR**2
+    assert told < parts / MODEL_ERRORS.slab_motion**2
+    assert told > 0.5 / MODEL_ERRORS.slab_motion**2
 
 
 @pytest.mark.slow

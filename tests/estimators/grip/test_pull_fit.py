@@ -10,9 +10,10 @@ import pytest
 
 from estimators.estimate import NoEstimate
 from estimators.grip import pull_fit
-from estimators.grip.pull_fit import MODEL_ERROR, PullFit, _Problem, fit_pull
+from estimators.grip.pull_fit import PullFit, _Problem, fit_pull
 from estimators.grip.pull_motion import PullMotion
-from estimators.grip.sheet_problem import SeenFrame
+from estimators.grip.sheet import SeenFrame
+from estimators.model_errors import MODEL_ERRORS
 from physics.fem import Inertia, Material, simulate
 from physics.load import Grip
 from tests.estimators.grip.test_pull_motion import CELL, FOCAL, slab_of
@@ -82,7 +83,7 @@ def test_force_over_young_is_found_again(cells: tuple[int, int, int], monkeypatc
     off = abs(found.log_force - math.log(size))
     assert off < (0.1 if cells == SAME else 0.3)
     assert off < 1.645 * found.log_force_sd
-    assert MODEL_ERROR < found.log_force_sd < np.hypot(MODEL_ERROR, 0.22)
+    assert MODEL_ERRORS.pull_force < found.log_force_sd < np.hypot(MODEL_ERRORS.pull_force, 0.22)
     np.testing.assert_allclose(found.force, force @ force[-1] / size**2, atol=0.1 if cells == SAME else 0.2)
     assert (found.force[-1], found.force_sd[-1]) == (pytest.approx(1.0), 0.0)
     assert found.error < 0.1

@@ -16,9 +16,9 @@ from data.source.frames import Frame
 from data.tracks.background import without_background
 from estimators.estimate import LEAST_LEAD, LEAST_SKILL, NINETY, NoEstimate
 from estimators.grip import recorder as module
+from estimators.grip.lattice import GripFrame, fit_sheet
 from estimators.grip.pull_fit import PullFit
 from estimators.grip.recorder import GripRecorder, _mean_skill, _rival_skill
-from estimators.grip.sheet_fit import GripFrame, fit_sheet
 from physics.mesh import Mesh, grid_mesh
 
 WIDTH, HEIGHT, FPS = 320, 240, 25.0
@@ -149,7 +149,7 @@ def test_a_motion_that_spreads_from_elsewhere_is_explained_better_from_there() -
         frames.append(GripFrame(moved, distance < 24))
     frames = [frame for frame in frames if frame.tells]
     half = len(frames) // 2
-    skill = _mean_skill(fit_sheet(points, 8, frames[:half], field=False), frames[half:])
+    skill = _mean_skill(fit_sheet(points, 8, frames[:half]), frames[half:])
     assert skill < _rival_skill(points, 8, distance, frames) + LEAST_LEAD
     unseen = [GripFrame(np.where(distance[:, None] > 90, np.nan, frame.moved), frame.gripped) for frame in frames]
     assert _rival_skill(points, 8, distance, unseen) == -np.inf

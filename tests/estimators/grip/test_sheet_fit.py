@@ -2,30 +2,32 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 
-from estimators.grip.lattice import Fields, continued, knotted, lattice_springs, uniform
-from estimators.grip.sheet_fit import (
+from estimators.grip.lattice import (
     BEYOND,
     LEAST_AROUND,
     LEAST_GRIPPED,
     MOST_FRAMES,
+    PIECE,
     RADIUS,
+    SPREAD,
+    TYPICAL_ANCHOR,
     GripFrame,
     NothingMoves,
     SheetFit,
-    _covariance,
+    _deviation,
     _likeliest,
-    _spread,
+    continued,
     error_shares,
+    evenly,
     fit_sheet,
+    lattice_springs,
     length,
     skill,
-    solve,
 )
 from physics.sheet import equilibrium
 
@@ -94,11 +96,6 @@ def even(
     return truth(np.zeros(count), np.full(count, log_anchor), pulls, noise, seed, goes_on)
 
 
-def halves(contrast: float) -> np.ndarray:
-    """Log stiffness that steps from the upper to the lower half, its mean 0."""
-    return np.where(grid()[:, 1] < 8.5 * SPACING, contrast / 2, -contrast / 2)
-
-
 def test_roots_of_mean_squares() -> None:
     assert length(np.array([[3.0, 4.0], [0.0, 0.0]])) == pytest.approx(np.sqrt(12.5))
 
@@ -122,72 +119,9 @@ def test_a_frame_tells_what_is_seen_and_moves() -> None:
 
 @pytest.mark.parametrize("anchor", [0.002, 0.02, 0.2])
 def test_a_foundation_is_found_again(anchor: float) -> None:
-    fit = fit_sheet(grid(), SPACING, even(np.log(anchor), np.linspace(12, 24, 6)), field=False)
-    log, sd = fit.mean_log_anchor
-    assert log == pytest.approx(np.log(anchor), abs=0.05)
-    assert abs(log - np.log(anchor)) < 3 * sd
-    assert fit.roughness == 0
-    np.testing.assert_array_equal(fit.log_stiffness, 0)
-    np.testing.assert_allclose(fit.log_anchor[0], log)
-    np.testing.assert_allclose(fit.log_anchor[1], sd)
-
-
-def test_one_number_is_enough_where_all_is_even() -> None:
-    """With fields allowed, an even sheet stays nearly even."""
-    frames = even(np.log(0.02), np.linspace(12, 24, 6), goes_on=False)
-    fit = fit_sheet(grid(), SPACING, frames)
-    assert fit.mean_log_anchor[0] == pytest.approx(np.log(0.02), abs=0.1)
-    assert np.abs(fit.log_stiffness[0]).max() < 0.3
-
-
-@pytest.mark.parametrize("contrast", [np.log(3), -np.log(3)])
-def test_a_stiff_half_is_found_again(contrast: float) -> None:
-    """As well as knots seven nodes apart resolve a step, and as the fit's own covariance says."""
-    count = COLUMNS * ROWS
-    frames = truth(halves(contrast), np.full(count, np.log(0.02)), np.linspace(12, 24, 8))
-    fit = fit_sheet(grid(), SPACING, frames[:6])
-    assert fit.roughness > 0
-    log, sd = fit.log_stiffness
-    near = (grid()[:, 0] < 12 * SPACING) & (np.abs(grid()[:, 1] - 8.5 * SPACING) > 3 * SPACING)
-    upper, lower = near & (halves(1) > 0), near & (halves(1) < 0)
-    found = log[upper].mean() - log[lower].mean()
-    basis = fit.fields.stiffness[: fit.count]
-    row = basis[upper].mean(axis=0) - basis[lower].mean(axis=0)
-    deviation = np.sqrt(row @ fit.covariance @ row)
-    assert found == pytest.approx(contrast, rel=0.5)
-    assert abs(found - contrast) < 1.5 * deviation < abs(contrast)
-    assert sd[near].max() < sd.max()  # far away there is little motion to tell
-    plain = fit_sheet(grid(), SPACING, frames[:6], field=False)
-    for frame in frames[6:]:
-        left = [length((sheet.predict(frame)[0] - frame.moved)[frame.around]) for sheet in (fit, plain)]
-        assert left[0] < 0.2 * left[1]
-
-
-@pytest.mark.parametrize(("field", "least", "most"), [(False, 0.86, 0.94), (True, 0.86, 0.995)])
-def test_discs_hold_ninety_per_cent_of_frames_kept_back(field: bool, least: float, most: float) -> None:
-    """Errors that are even over the sheet and grow with the pull, as the sheet's own do.
-
-    They are independent here, so that uncertain fields, which expect them to be alike nearby, are too careful.
-    """
-    points, pulls = grid(), np.linspace(12, 30, 10)
-    wrong = 0.8 * np.sin(points[:, 0] / 23) * np.cos(points[:, 1] / 17)
-    clean = truth(wrong, np.full(len(points), np.log(0.02)), pulls, noise=0)
-    generator = np.random.default_rng(1)
-    frames = [
-        GripFrame(
-            frame.moved + np.where(frame.gripped[:, None], 0, 0.01 * pull * generator.normal(size=(len(points), 2))),
-            frame.gripped,
-        )
-        for frame, pull in zip(clean, pulls, strict=True)
-    ]
-    fit = fit_sheet(points, SPACING, frames[:6], field=field)
-    shares = []
-    for frame in frames[6:]:
-        moved, sd = fit.predict(frame)
-        off = np.linalg.norm(moved - frame.moved, axis=1)
-        shares.append((off < RADIUS * sd)[frame.around].mean())
-        np.testing.assert_allclose(moved[frame.gripped], frame.moved[frame.gripped])
-    assert least < np.mean(shares) < most
+    fit = fit_sheet(grid(), SPACING, even(np.log(anchor), np.linspace(12, 24, 6)))
+    assert fit.log_anchor == pytest.approx(np.log(anchor), abs=0.05)
+    assert abs(fit.log_anchor - np.log(anchor)) < 3 * fit.log_anchor_sd
 
 
 def test_a_disc_of_the_radius_holds_ninety_per_cent() -> None:
@@ -195,19 +129,9 @@ def test_a_disc_of_the_radius_holds_ninety_per_cent() -> None:
     assert (np.linalg.norm(draws, axis=1) < RADIUS).mean() == pytest.approx(0.9, abs=0.003)
 
 
-def test_predictions_grow_with_the_pull() -> None:
-    """The sheet is linear: twice the pull is twice the motion, and twice its standard deviation."""
-    frames = even(np.log(0.02), np.linspace(12, 24, 6))
-    fit = fit_sheet(grid(), SPACING, frames, field=False)
-    one = fit.predict(frames[-1])
-    two = fit.predict(GripFrame(2 * frames[-1].moved, frames[-1].gripped))
-    for single, double in zip(one, two, strict=True):
-        np.testing.assert_allclose(double, 2 * single, rtol=1e-9, atol=1e-12)
-
-
 def test_forces_are_over_that_of_the_last_frame() -> None:
     frames = even(np.log(0.05), np.linspace(6, 24, 7))
-    fit = fit_sheet(grid(), SPACING, frames, field=False)
+    fit = fit_sheet(grid(), SPACING, frames)
     force, sd = fit.relative_force(frames)
     np.testing.assert_allclose(force, np.linspace(6, 24, 7) / 24, rtol=0.01)
     assert force[-1] == pytest.approx(1)
@@ -227,7 +151,7 @@ def test_points_that_the_grip_loses_do_not_change_its_force() -> None:
         values = np.ones(len(SPRINGS)), np.full(len(NODES), 0.05)
         return GripFrame(pulled(*values, whole, motion), gripped)
 
-    fit = SheetFit(len(points), SPRINGS, *known(np.log(0.05)), np.array([[0.3**2]]), 0.0, None, (0.1, 0.1))
+    fit = SheetFit(len(points), len(NODES), SPRINGS, None, float(np.log(0.05)), 0.3, 0.1)
     frames = [frame(whole, 5.0), frame(fewer, 10.0), frame(whole, 10.0)]
     force, sd = fit.relative_force(frames)
     np.testing.assert_allclose(force, [0.5, 1, 1], rtol=1e-6)
@@ -244,15 +168,10 @@ def test_a_force_across_the_last_one_is_uncertain() -> None:
         GripFrame(pulled(*values, gripped, np.tile(pull, (gripped.sum(), 1))), gripped)
         for pull in ([6.0, 0.0], [0.0, 12.0])
     ]
-    fit = SheetFit(len(points), SPRINGS, *known(np.log(0.05)), np.zeros((1, 1)), 0.0, None, (0.1, 0.1))
+    fit = SheetFit(len(points), len(NODES), SPRINGS, None, float(np.log(0.05)), 0.0, 0.1)
     force, sd = fit.relative_force(frames)
     np.testing.assert_allclose(force, [0, 1], atol=1e-9)
     np.testing.assert_allclose(sd, [0.1 * 0.5, 0], atol=1e-6)
-
-
-def known(log_anchor: float) -> tuple[Fields, np.ndarray]:
-    """An even sheet as fields and their number."""
-    return uniform(len(NODES)), np.array([log_anchor])
 
 
 def test_lost_points_do_not_count() -> None:
@@ -260,63 +179,45 @@ def test_lost_points_do_not_count() -> None:
     generator = np.random.default_rng(2)
     for frame in frames:
         frame.moved[(generator.random(len(frame.moved)) < 0.3) & ~frame.gripped] = np.nan
-    fit = fit_sheet(grid(), SPACING, frames, field=False)
-    assert fit.mean_log_anchor[0] == pytest.approx(np.log(0.02), abs=0.05)
-    assert np.isfinite(fit.predict(frames[-1])[0]).all()
-    assert all(0 < share < 0.2 for share in fit.error)
+    fit = fit_sheet(grid(), SPACING, frames)
+    assert fit.log_anchor == pytest.approx(np.log(0.02), abs=0.05)
+    assert np.isfinite(fit.held(frames[-1]).found.displacement).all()
+    assert 0 < fit.error < 0.2
 
 
 def test_frames_without_motion_do_not_count() -> None:
     pulls = np.linspace(12, 24, 6)
     moving = even(np.log(0.02), pulls)
     still = GripFrame(np.full_like(moving[0].moved, 0.01), moving[0].gripped)
-    one = fit_sheet(grid(), SPACING, moving, field=False)
-    other = fit_sheet(grid(), SPACING, [still, *moving[:3], still, *moving[3:]], field=False)
-    np.testing.assert_array_equal(one.numbers, other.numbers)
-    assert one.error == other.error
+    one = fit_sheet(grid(), SPACING, moving)
+    other = fit_sheet(grid(), SPACING, [still, *moving[:3], still, *moving[3:]])
+    assert (one.log_anchor, one.error) == (other.log_anchor, other.error)
 
 
 def test_the_likeliest_numbers_have_no_slope() -> None:
     """Where the optimiser stops no other number is likelier, and the density's curvature is 1 / variance."""
     frames = even(np.log(0.02), np.array([12.0, 24.0]), noise=0.3)
-    fields, start = known(np.log(0.02))
+    sheet = SheetFit(len(grid()), len(NODES), SPRINGS, None)
 
     def loss(number: float) -> float:
-        off = number - fields.mean[0]
-        value = 0.5 * off**2 * fields.precision[0, 0]
+        value = 0.5 * ((number - np.log(TYPICAL_ANCHOR)) / SPREAD) ** 2
         for frame in frames:
-            found = solve(SPRINGS, fields, np.array([number]), frame, None)[0].displacement[: len(frame.moved)]
+            found = sheet.at(number).held(frame).found.displacement[: len(frame.moved)]
             error = (found - frame.moved)[frame.around]
-            value += len(error) / 49 / len(frames) * np.log(np.square(error).sum())
-        return value
+            value += len(error) / PIECE**2 / len(frames) * np.log(np.square(error).sum())
+        return float(value)
 
-    found = _likeliest(SPRINGS, fields, frames, start + 0.5, None)
-    best = min(np.linspace(start[0] - 0.5, start[0] + 0.5, 401).tolist(), key=loss)
-    assert found[0] == pytest.approx(best, abs=0.005)
-    step = 0.02
-    curvature = (loss(found[0] + step) - 2 * loss(found[0]) + loss(found[0] - step)) / step**2
-    assert 1 / _covariance(SPRINGS, fields, found, frames, None)[0, 0] == pytest.approx(curvature, rel=0.05)
-
-
-def test_deviations_of_fields_are_the_covariances() -> None:
-    points = len(grid())
-    fields = knotted(NODES, points, SPACING, 1.0)
-    count = len(fields.mean)
-    root = np.random.default_rng(0).normal(size=(count, count)) / 10
-    numbers, spread = np.random.default_rng(1).normal(size=count), root @ root.T
-    fit = SheetFit(points, SPRINGS, fields, numbers, spread, 1.0, None, (0.1, 0.1))
-    stiffness, anchor = fields.stiffness.toarray()[:points], fields.anchor.toarray()[:points]
-    for basis, (log, sd) in ((stiffness, fit.log_stiffness), (anchor - stiffness, fit.log_anchor)):
-        np.testing.assert_allclose(log, basis @ numbers)
-        np.testing.assert_allclose(sd, np.sqrt(np.diag(basis @ spread @ basis.T)))
-    row = (anchor - stiffness).mean(axis=0)
-    np.testing.assert_allclose(fit.mean_log_anchor, (row @ numbers, np.sqrt(row @ spread @ row)))
+    found = _likeliest(sheet.at(np.log(0.02) + 0.5), frames)
+    best = min(np.linspace(np.log(0.02) - 0.5, np.log(0.02) + 0.5, 401).tolist(), key=loss)
+    assert found.log_anchor == pytest.approx(best, abs=0.005)
+    step, here = 0.02, found.log_anchor
+    curvature = (loss(here + step) - 2 * loss(here) + loss(here - step)) / step**2
+    assert _deviation(found, frames) ** -2 == pytest.approx(curvature, rel=0.05)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 6, 9, 30])
 def test_fitted_frames_are_few_evenly_spread_and_end_with_the_last(count: int) -> None:
-    frames = [GripFrame(np.full((1, 2), float(index)), np.zeros(1, bool)) for index in range(count)]
-    used = [int(frame.moved[0, 0]) for frame in _spread(frames)]
+    used = evenly(count, MOST_FRAMES)
     assert used[-1] == count - 1
     assert min(count, 2) <= len(used) <= MOST_FRAMES
     assert np.ptp(np.diff(used)) <= 1 if len(used) > 2 else True
@@ -348,39 +249,17 @@ def test_a_background_that_moves_affinely_is_told_from_the_sheet() -> None:
     terms = np.column_stack([points / 100, np.ones(len(points))])
     generator = np.random.default_rng(4)
     carried = [GripFrame(frame.moved + terms @ generator.normal(0, 5, (3, 2)), frame.gripped) for frame in still]
-    plain = fit_sheet(points, SPACING, still, field=False, background=True)
-    fit = fit_sheet(points, SPACING, carried, field=False, background=True)
+    plain = fit_sheet(points, SPACING, still, background=True)
+    fit = fit_sheet(points, SPACING, carried, background=True)
     # However the background moves, what is left is the same.
-    assert fit.mean_log_anchor == pytest.approx(plain.mean_log_anchor, rel=1e-4)
-    assert fit.mean_log_anchor[0] == pytest.approx(np.log(0.05), abs=0.1)
+    assert (fit.log_anchor, fit.log_anchor_sd) == pytest.approx((plain.log_anchor, plain.log_anchor_sd), rel=1e-4)
+    assert fit.log_anchor == pytest.approx(np.log(0.05), abs=0.1)
     assert skill(fit, carried[-1]) == pytest.approx(skill(plain, still[-1]), abs=1e-4)
     assert fit.log_force(carried[-1]) == pytest.approx(plain.log_force(still[-1]), abs=1e-3)
     # Not to know whether it moves costs something.
-    alone = fit_sheet(points, SPACING, still, field=False)
-    assert plain.mean_log_anchor[1] > alone.mean_log_anchor[1]
-    assert fit_sheet(points, SPACING, carried, field=False).mean_log_anchor[0] != pytest.approx(np.log(0.05), abs=0.3)
-
-
-def test_what_a_camera_is_known_to_do_is_no_pull() -> None:
-    """The sheet is that of the rest; a prediction and its skill are those of all that is seen."""
-    points = grid()
-    still = even(np.log(0.05), np.linspace(6, 24, 7))
-    carried = np.random.default_rng(5).normal(0, 4, (7, len(points), 2))
-    frames = [
-        GripFrame(frame.moved + camera, frame.gripped, camera) for frame, camera in zip(still, carried, strict=True)
-    ]
-    plain, fit = (fit_sheet(points, SPACING, each, field=False) for each in (still, frames))
-    assert fit.mean_log_anchor == pytest.approx(plain.mean_log_anchor, rel=1e-6)
-    np.testing.assert_allclose(fit.predict(frames[3])[0], plain.predict(still[3])[0] + carried[3], atol=1e-6)
-    around = frames[3].around
-    off = length((fit.predict(frames[3])[0] - frames[3].moved)[around])
-    assert skill(fit, frames[3]) == pytest.approx(1 - off / length(frames[3].moved[around]))
-    assert fit.log_force(frames[-1]) == pytest.approx(plain.log_force(still[-1]), abs=1e-6)
-    # Where the camera's motion is told badly, predictions are less sure.
-    far = dataclasses.replace(frames[3], astray=3.0)
-    moved, sd = fit.predict(far)
-    grip, own = fit.error
-    np.testing.assert_allclose(sd, np.sqrt((3 * grip) ** 2 + own**2 * np.square(moved).sum(axis=1)))
+    alone = fit_sheet(points, SPACING, still)
+    assert plain.log_anchor_sd > alone.log_anchor_sd
+    assert fit_sheet(points, SPACING, carried).log_anchor != pytest.approx(np.log(0.05), abs=0.3)
 
 
 def test_shares_of_errors_are_found_again() -> None:
@@ -393,9 +272,9 @@ def test_shares_of_errors_are_found_again() -> None:
 
 def test_the_force_is_what_the_foundation_holds() -> None:
     frames = even(np.log(0.05), np.linspace(6, 24, 7), noise=0.0)
-    fit = fit_sheet(grid(), SPACING, frames, field=False)
+    fit = fit_sheet(grid(), SPACING, frames)
     log, sd = fit.log_force(frames[-1])
-    found = fit.explained(frames[-1])[0]
-    total = np.exp(fit.numbers[0]) * found.displacement.sum(axis=0)
+    found = fit.held(frames[-1]).found
+    total = np.exp(fit.log_anchor) * found.displacement.sum(axis=0)
     assert np.exp(log) == pytest.approx(np.linalg.norm(total), rel=1e-6)
     assert 0 < sd < 0.3

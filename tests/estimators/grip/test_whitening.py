@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 from scipy.spatial.distance import cdist
 
-from estimators.grip.whitening import REACH, Whitening, alike_points, matern
+from estimators.grip.whitening import REACH, Whitening, alike_points, correlated_points, matern
 
 
 def grid(side: int, spacing: int = 8) -> np.ndarray:
@@ -63,3 +64,17 @@ def test_points_that_err_alike_are_the_sum_of_the_correlation() -> None:
 
 def test_matern_is_one_at_no_distance_and_dies_away() -> None:
     np.testing.assert_allclose(matern(np.array([0.0, 1.0, 2.0])), [1, 2 / np.e, 3 / np.e**2])
+
+
+@pytest.mark.parametrize("width", [0.0, 1.0, 2.0])
+def test_points_that_err_alike_count_as_one(width: float) -> None:
+    """White noise that a Gaussian blurs is alike over 4 π width² points."""
+    row, column = np.mgrid[:60, :80]
+    points = 8.0 * np.column_stack([column.ravel(), row.ravel()])
+    white = np.random.default_rng(1).standard_normal((2, 60, 80))
+    errors = np.stack([gaussian_filter(field, width) if width else field for field in white]).reshape(2, -1).T
+    lost = errors.copy()
+    lost[::7] = np.nan
+    expected = max(4 * np.pi * width**2, 1.0)
+    for given in (errors, lost):
+        assert correlated_points(points, 8, given) == pytest.approx(expected, rel=0.35)

@@ -68,7 +68,7 @@ def test_the_simulations_carried_along_differ_by_the_fields_slopes(name):
     pull = np.random.default_rng(1).normal(size=body.rest.shape)
     pulls = np.zeros_like(motion.positions)
     pulls[0, -1] = pull
-    by_logits = objective.bounds.by_logits(begun, Stiffness(*(s[0] for s in motion.gradient(pulls).stiffness[:2]), 0.0))
+    by_logits = objective.bounds.by_logits(begun, Stiffness(*(s[0] for s in motion.gradient(pulls)[:2]), 0.0))
     for which, knots in enumerate(min(count, body.count) for count in KNOTS):
         first = which * min(KNOTS[0], body.count)
         slopes = [((newton._carried[1 + first + k] - newton._carried[0]) * pull).sum() / CHANGE for k in range(knots)]

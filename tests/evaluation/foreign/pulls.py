@@ -29,14 +29,16 @@ def write_mesh(folder: Path) -> tuple[np.ndarray, np.ndarray]:
     return nodes, tetrahedra
 
 
-def write_pull(folder: Path, law: str, noise: float = 0.0, points: int = 200) -> Path:
-    """A sequence of two frames, whose tool pulls on one end; points all over the surface."""
+def write_pull(folder: Path, law: str, noise: float = 0.0, points: int = 200, pulls: np.ndarray | None = None) -> Path:
+    """A sequence of two frames, or one for each of other forces, whose tool pulls on one end; points all over the
+    surface."""
+    pulls = FORCES[law] if pulls is None else pulls
     body = make_solid(*write_mesh(folder))
     generator = np.random.default_rng(5)
     held = np.repeat(np.isclose(body.rest[:, :1], 0), 3, axis=1)
     tool = np.flatnonzero(np.isclose(body.rest[:, 0], 0.08) & (body.rest[:, 2] > 0.02))
     positions, cloud = [], []
-    for frame, force in enumerate(FORCES[law]):
+    for frame, force in enumerate(pulls):
         forces = np.zeros_like(body.rest)
         forces[tool] = force / len(tool)
         moved = body.rest + find_equilibrium(body, MATERIALS[law], held, forces=forces, steps=4).displacement
@@ -46,7 +48,7 @@ def write_pull(folder: Path, law: str, noise: float = 0.0, points: int = 200) ->
         cloud.append(np.column_stack([np.full(points, frame), places + noise * generator.normal(size=places.shape)]))
     path = folder / f"{law}_s1.npz"
     near = np.flatnonzero(np.isclose(body.rest[:, 0], 0.08))
-    arrays = {"positions": np.array(positions, np.float32), "true_forces": FORCES[law], "force_vertices": near}
+    arrays = {"positions": np.array(positions, np.float32), "true_forces": pulls, "force_vertices": near}
     np.savez(path, **arrays, tool_vertices=tool.astype(float), pc=np.concatenate(cloud))
     return path
 

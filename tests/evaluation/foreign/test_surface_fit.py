@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from evaluation.foreign.liver import judge_pull, read_pull
-from evaluation.foreign.surface_fit import fit_surface
+from evaluation.foreign.surface_fit import SurfaceFit, fit_surface
 from tests.evaluation.foreign.pulls import FORCES, write_pull
 
 
@@ -37,10 +37,30 @@ def test_intervals_hold_under_noise(tmp_path: Path) -> None:
     assert np.mean(np.abs(scores) < 1.645) >= 0.8
 
 
+@pytest.mark.parametrize("law", list(FORCES))
+def test_frames_without_force_are_counted_and_left_out(law: str, tmp_path: Path) -> None:
+    """At the beginning and between others: neither a fit nor an error is relative to nothing."""
+    rest, (one, two) = np.zeros(3), FORCES[law]
+    found = judge_pull(write_pull(tmp_path, law, pulls=np.array([rest, one, rest, two])))
+    assert (found["frames"], found["frames without force"], found["frames without a fit"]) == (2, 2, 0)
+    assert 0 <= found["force found in frames without, largest (N)"] < 1e-4
+    assert found["force error, largest"] < 1e-3
+    assert abs(found["E error, median"]) < 1e-3
+    assert found["force: share of frames in the 90 % interval"] == 1
+
+
+def test_a_force_of_no_size_has_a_standard_deviation_and_a_direction_of_no_length_is_refused() -> None:
+    covariance = np.diag([1.0, 4.0, 9.0])
+    fit = SurfaceFit(None, None, np.zeros(3), covariance, 0.0, None)
+    assert fit.magnitude == (0.0, pytest.approx(3.0))
+    with pytest.raises(ValueError, match="a direction of no length is none; leave out frames without a force"):
+        fit.along(np.zeros(3))
+
+
 def test_a_sequence_is_judged(tmp_path: Path) -> None:
     found = judge_pull(write_pull(tmp_path, "linear"))
     assert found["law"] == "linear"
-    assert found["frames"] == 2
+    assert (found["frames"], found["frames without force"]) == (2, 0)
     assert found["force error, median where above 1 N"] < 1e-4
     assert abs(found["E error, median"]) < 1e-4
     assert found["E (Pa), median"] == pytest.approx(20e3, rel=1e-4)

@@ -61,6 +61,7 @@ def test_json_holds_all_numbers_without_nan(written):
     assert content["bounds"]["force"] == [-0.5, 0.0]
     assert content["motion"]["predicted θ"]["not finite"] == 0
     assert np.shape(content["trajectories"]) == (9, 40, 3)
+    assert len(content["settling"]) == len(_rows(written["settling.csv"])) > 9  # a row has a key of its own
     assert content["versions"]["numpy"] == np.__version__
 
 

@@ -8,20 +8,21 @@ import numpy as np
 import pytest
 
 from data.source.layout import InputError
-from estimators.grip.sheet_fit import GripFrame, NothingMoves
+from estimators.grip.lattice import GripFrame, NothingMoves
 from estimators.online.settings import OnlineSettings
 from evaluation.real.__main__ import main
 from evaluation.real.predicted import (
     AHEAD,
     RATIOS,
+    Follow,
     Prediction,
     evaluate_prediction,
     first_surface,
     sheet_motion,
     sheet_ratio,
 )
-from evaluation.real.pulled import Follow, PulledClip
-from tests.evaluation.real_clips import SIZE, tool_mask, write_pull
+from evaluation.real.pulled import PulledClip
+from tests.evaluation.real_clips import SIZE, pull_clip, tool_mask
 
 SETTINGS = OnlineSettings(particles=200)
 SPACING = 8
@@ -30,7 +31,7 @@ SPACING = 8
 @pytest.fixture(scope="module")
 def clip(tmp_path_factory: pytest.TempPathFactory) -> PulledClip:
     """Fourteen frames: one prediction, from the third after the first."""
-    return PulledClip(*write_pull(tmp_path_factory.mktemp("pulled"), np.linspace(0, 1.5, 14)))
+    return pull_clip(tmp_path_factory.mktemp("pulled"), np.linspace(0, 1.5, 14))
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +43,7 @@ def square() -> Follow:
     """Points on a grid beside a tool at the left."""
     points = SPACING * np.stack(np.meshgrid(np.arange(1, 15), np.arange(1, 12)), axis=-1).reshape(-1, 2).astype(float)
     pictures = np.zeros((1, 1, 3), np.uint8), np.zeros((1, 1, 3), np.uint8)
-    return Follow(points, SPACING, points[:, 0], [], pictures, [], "masks", camera=False)
+    return Follow(points, SPACING, points[:, 0], [], pictures)
 
 
 def pulled(follow: Follow, way: float) -> GripFrame:
@@ -96,23 +97,23 @@ def test_skill_is_one_less_error_over_motion_since(found: Prediction) -> None:
     assert not any("frame 4" in name for name in told)  # there are no ten frames after it
 
 
-def test_what_can_t_be_predicted_is_a_sentence(clip: PulledClip) -> None:
-    short = PulledClip(clip.frames, clip.masks, stop=AHEAD + 3)
+def test_what_can_t_be_predicted_is_a_sentence(tmp_path: Path) -> None:
+    short = pull_clip(tmp_path, np.linspace(0, 1.5, AHEAD + 3))
     with pytest.raises(InputError, match=r"fewer than 14 usable frames; give more of them"):
         evaluate_prediction(short, SETTINGS)
-    with pytest.raises(InputError, match="no mask shows where an instrument holds the tissue"):
-        evaluate_prediction(PulledClip(clip.frames), SETTINGS)
 
 
 def test_the_door_writes_skill_and_a_picture(clip: PulledClip, tmp_path: Path) -> None:
     (tmp_path / "online.yaml").write_text("particles: 200\nmethod: {name: PBD}\n")
     told = ["--settings", str(tmp_path / "online.yaml")]
-    told += ["--pulled", str(clip.frames), str(clip.masks), "--estimator", "online", "--output", str(tmp_path)]
+    told += ["--pulled", str(clip.path), "--layout", str(clip.layout_file)]
+    told += ["--estimator", "online", "--output", str(tmp_path)]
     assert main(told) == 0
     table = (tmp_path / "table.csv").read_text(encoding="utf-8")
-    assert 'frames,"skill from frame 3, online",' in table
-    assert "frames,known particles,0\n" in table.replace("\r", "")  # PBD sees nothing
-    assert 'frames,"skill of sheet from rest, mean",' in table
+    name = clip.path.name
+    assert f'{name},"skill from frame 3, online",' in table
+    assert f"{name},known particles,0\n" in table.replace("\r", "")  # PBD sees nothing
+    assert f'{name},"skill of sheet from rest, mean",' in table
     assert len((tmp_path / "figures" / "1.png").read_bytes()) > 10_000
 
 
@@ -131,7 +132,7 @@ def test_settings_that_can_t_be_used_end_in_a_sentence(
     (tmp_path / "online.yaml").write_text("pins: pins.png\n")
     told = [
         "--pulled",
-        str(clip.frames),
+        str(clip.path),
         "--settings",
         str(tmp_path / "online.yaml"),
         "--output",

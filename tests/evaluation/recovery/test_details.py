@@ -3,16 +3,15 @@
 import numpy as np
 import pytest
 
-from evaluation.recovery.details import COLUMNS, detail_rows, ranks, true_verdicts
+from evaluation.recovery.details import COLUMNS, detail_table, ranks, true_verdicts
 from evaluation.recovery.scores import score_all
 from tests.evaluation.recovery_cases import BY_CONTACT, off_by, recovery
 
 
 def details(rows):
-    (scores,) = score_all(rows, BY_CONTACT)
-    found = list(detail_rows(scores))
-    assert all(set(row) <= set(COLUMNS) for row in found)
-    return {(row["regime"], row["parameter"], row["quantity"]): row for row in found}
+    frame = detail_table(score_all(rows, BY_CONTACT))
+    assert tuple(frame.columns) == COLUMNS
+    return {(row["regime"], row["parameter"], row["quantity"]): row for row in frame.to_dict("records")}
 
 
 def test_errors_of_known_size():

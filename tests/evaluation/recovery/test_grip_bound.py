@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from estimators.grip.sheet_problem import SIZE, load_precision, loaded_cells
+from estimators.grip.sheet import SIZE, load_precision, loaded_cells
 from evaluation.recovery.followed import Following
 from evaluation.recovery.grip_bound import GripBound, grip_bound
 from physics.endless_sheet import response

@@ -14,9 +14,12 @@ from data.synthetic.render import rest_view
 from data.synthetic.settings import SceneSettings
 from data.synthetic.surface import deformed_view
 from estimators.grip.stiffness_field import StiffnessField
-from evaluation.recovery import grips
-from evaluation.recovery.grips import GripRecovery, GripTask, evaluate_grip, grip_rows, moving_frames, picture_motion
+from estimators.open import EstimatorOptions
+from evaluation.harness import Row
+from evaluation.recovery import trial
+from evaluation.recovery.grips import grip_table
 from evaluation.recovery.suites import GRIP_SUITES
+from evaluation.recovery.trial import Trial, moving_frames, picture_motion, run_trial
 
 SMALL = {
     "width": 214, "height": 120, "frames": 10, "action": "grip", "onset_fraction": (0.0, 0.0), "spread": (12.0, 12.0),
@@ -24,23 +27,26 @@ SMALL = {
 }  # fmt: skip
 
 
-def recovery(index: int, error: float, **changes) -> GripRecovery:
-    found = GripRecovery("retraction", index, 7, skill=0.8, contact_right=0.9, verdict="foundation")
+def recovery(index: int, error: float, **changes) -> Row:
     foundation = np.array([-3.0, -3.0 + error, 0.1, 0.05])
     curve = np.array([[0.2, 0.6, 1.0], [0.2, 0.65, 1.0], [0.01, 0.02, 0.0]])
-    return dataclasses.replace(
-        found,
-        foundation=foundation,
-        force=foundation + 8.0,
-        damping=np.array([-9.0, 0.4 - error]),
-        curve=curve,
+    return {
+        "suite": "retraction",
+        "index": index,
+        "skill": 0.8,
+        "contact_right": 0.9,
+        "verdict": "foundation",
+        "foundation": foundation,
+        "force": foundation + 8.0,
+        "damping": np.array([-9.0, 0.4 - error]),
+        "curve": curve,
         **changes,
-    )
+    }
 
 
 def test_the_table_holds_errors_against_bounds() -> None:
-    rows = [recovery(0, 0.1), recovery(1, -0.2), GripRecovery("hover", 0, 7, contact_right=1.0)]
-    table = {(row["suite"], row["quantity"]): row for row in grip_rows(rows)}
+    rows = [recovery(0, 0.1), recovery(1, -0.2), {"suite": "hover", "index": 0, "contact_right": 1.0}]
+    table = {(row["suite"], row["quantity"]): row for row in grip_table(rows).to_dict("records")}
     found = table["retraction", "foundation over stiffness"]
     error = math.sqrt((0.1**2 + 0.2**2) / 2)
     assert (found["n"], found["rmse"], found["bound"]) == (2, pytest.approx(error), pytest.approx(0.05))
@@ -64,20 +70,20 @@ def test_a_stiffness_field_is_compared_where_tissue_moves() -> None:
     true = 5 * picture_motion(scene, motion, 9, points)  # of a picture five times as wide, say
     moves = np.linalg.norm(true, axis=1) > 5
     shape, low, extent = (25, 13), points.min(axis=0), np.ptp(points, axis=0)
-    log = grips._true_log(points, scene, motion)
+    log = trial._true_log(points, scene, motion)
     # Knots lie at the points, columns outside: the truth itself, and all but a knot of what moves known exactly.
     knots = log.reshape(row.shape).T.ravel()
     sure = 1e-4 * np.eye(len(knots))
     picture = np.zeros((120, 214, 3), np.uint8)
     field = StiffnessField(shape, low, extent, knots, sure, 9 * sure, 0.0, points[moves], 0.0, picture)
-    found = grips._field(field, points, true, scene, motion)
+    found = trial._field(field, points, true, scene, motion)
     assert (found["rank"], found["held"], found["knots"]) == (pytest.approx(1), 1, moves.sum())
     share = (log[moves] > 0.5 * (motion.log_stiffness.max() + motion.log_stiffness.min())).mean()
     assert found["rank_most"] == pytest.approx(math.sqrt(3 * share * (1 - share)))
     off = knots.copy()
     place = np.flatnonzero(moves.reshape(row.shape).T.ravel())[0]
     off[place] += 1.0
-    told = grips._field(dataclasses.replace(field, log_stiffness=off), points, true, scene, motion)
+    told = trial._field(dataclasses.replace(field, log_stiffness=off), points, true, scene, motion)
     # The others are off, too, because their mean is.
     assert told["rank"] < 1
     assert told["held"] <= 1 - 1 / moves.sum()
@@ -114,30 +120,35 @@ def test_contact_is_judged_where_tool_or_tissue_moves() -> None:
 
 def test_suites_are_drawn_from_settings_that_are_allowed() -> None:
     for name, suite in GRIP_SUITES.items():
-        assert suite.settings.action == "grip"
-        assert (suite.settings.width, suite.settings.height) == (854, 480)
+        settings = suite.settings(0)
+        assert settings.action == "grip"
+        assert (settings.width, settings.height) == (854, 480)
+        assert settings == suite.settings(5) == suite.truth_settings(2, (214, 120))
         assert suite.name == name
-    assert GRIP_SUITES["hover"].settings.onset_fraction == (1.0, 1.0)
+    assert GRIP_SUITES["hover"].settings(0).onset_fraction == (1.0, 1.0)
 
 
 def test_what_breaks_is_a_result(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = draw_truth(SceneSettings(**SMALL), 7401)
+
     def broken(*_: object) -> None:
         raise RuntimeError("out of tissue")
 
-    monkeypatch.setattr(grips, "synthetic_clip", broken)
-    monkeypatch.setattr(grips, "draw_truth", lambda *_: (None, None))
-    [row] = evaluate_grip(GripTask("retraction", 3, 5))
-    assert (row.key, row.status) == (("retraction", 3, "direct"), "error")
-    assert row.reason.startswith("TypeError")
+    monkeypatch.setattr(trial, "synthetic_clip", broken)
+    monkeypatch.setattr(trial, "draw_truth", lambda *_: drawn)
+    trial._truth.cache_clear()
+    [row] = run_trial(Trial(3, 5, {"retraction": {"direct": EstimatorOptions("direct")}}))
+    trial._truth.cache_clear()
+    assert (row["suite"], row["index"], row["estimator"], row["status"]) == ("retraction", 3, "direct", "error")
+    assert row["reason"] == "RuntimeError: out of tissue"
 
 
 @pytest.mark.slow
 def test_a_retraction_is_told_by_the_session_of_users() -> None:
-    [row] = evaluate_grip(GripTask("retraction", 0, 7401))
-    assert row.status == "ok"
-    assert row.contact_right > 0.9
-    assert row.verdict == "foundation"
-    assert row.foundation is not None
-    assert abs(row.foundation[1] - row.foundation[0]) < 0.7
-    assert row.skill > 0.5
-    assert 0 < row.following < 1.5
+    [row] = run_trial(Trial(0, 7401, {"retraction": {"direct": EstimatorOptions("direct", threads=1)}}))
+    assert row["status"] == "ok"
+    assert row["contact_right"] > 0.9
+    assert row["verdict"] == "foundation"
+    assert abs(row["foundation"][1] - row["foundation"][0]) < 0.7
+    assert row["skill"] > 0.5
+    assert 0 < row["following"] < 1.5

@@ -16,14 +16,16 @@ from evaluation.recovery.scores import (
     measure_noise,
     score,
     score_all,
-    table_rows,
+)
+from evaluation.recovery.scores import (
+    table as table_of,
 )
 from tests.evaluation.recovery_cases import BY_CONTACT, off_by, recovery
 
 
 def table(rows, bound=BY_CONTACT):
-    (scores,) = score_all(rows, bound)
-    return {(row["regime"], row["parameter"]): row for row in table_rows(scores)}
+    frame = table_of(score_all(rows, bound))
+    return {(row["regime"], row["parameter"]): row for row in frame.to_dict("records")}
 
 
 def test_columns_are_those_that_were_agreed():
@@ -174,8 +176,8 @@ def test_whoever_does_not_know_the_instants_pays_for_the_delays(observation, sha
 def test_clips_without_estimate_are_kept_apart():
     rows = [recovery(0), recovery(1, status="no contact", estimate=None, covariance=None, information=None)]
     scores = score(rows, measure_noise(rows), BY_CONTACT)
-    assert [row.index for row in scores.rows] == [0]
-    assert [row.index for row in scores.failed] == [1]
+    assert [row["index"] for row in scores.rows] == [0]
+    assert [row["index"] for row in scores.failed] == [1]
 
 
 def test_nothing_estimated_gives_empty_rows():

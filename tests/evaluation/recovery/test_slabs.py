@@ -12,31 +12,33 @@ import pytest
 
 from estimators.estimate import NINETY, GripEstimate
 from estimators.open import EstimatorOptions
-from evaluation.recovery import slabs
-from evaluation.recovery.slabs import SlabRecovery, SlabTask, asked, evaluate_slab, slab_rows
-from evaluation.recovery.store import FILES, RecoveryStore, read_results
+from evaluation.benchmark import Benchmark
+from evaluation.harness import Row
+from evaluation.recovery import trial
+from evaluation.recovery.slabs import slab_table
 from evaluation.recovery.suites import SLAB_SUITES, suite_clip_seed
+from evaluation.recovery.trial import Trial, run_trial
 
 YOUNG = np.array([80.0, 120.0, 200.0, 300.0, 500.0, 550.0])
 DENSITY, DAMPING = 1500.0, 40.0
 RATIO = "k_d/k_s and αρ/E"
 
 
-def press(index: int, estimate: tuple[float, float, float] | None, **changes) -> SlabRecovery:
+def press(index: int, estimate: tuple[float, float, float] | None, **changes) -> Row:
     tissue = np.array([YOUNG[index], 0.45, DENSITY, 0.06, DAMPING * (1 + index), 0.0, 0.1, 1.0 + 3 * (index % 2)])
-    theta = None if estimate is None else np.array(estimate)
-    found = SlabRecovery("fem", index, "direct", 7, "press", tissue=tissue, force=0.1 + 0.02 * index, estimate=theta)
-    return dataclasses.replace(found, **{"warned": False, "verdict": "determined", **changes})
+    found = {"suite": "fem", "index": index, "estimator": "direct", "action": "press", "status": "ok", "tissue": tissue}
+    found |= {"true_force": 0.1 + 0.02 * index, "warned": False, "verdict": "determined", **changes}
+    return found if estimate is None else found | {"estimate": np.array(estimate)}
 
 
-def pull(index: int, quotient: float, **changes) -> SlabRecovery:
-    found = press(index, None, action="grip", reaction=np.array([quotient, 0.1]), verdict="foundation")
+def pull(index: int, quotient: float, **changes) -> Row:
     curve = np.array([[0.2, 0.6, 1.0], [0.2, 0.8, 1.0], [0.01, 0.02, 0.0]])
-    return dataclasses.replace(found, curve=curve, **changes)
+    found = press(index, None, action="grip", reaction=np.array([quotient, 0.1]), verdict="foundation")
+    return found | {"curve": curve, **changes}
 
 
-def table(rows: list[SlabRecovery]) -> dict[tuple[str, str], dict[str, object]]:
-    return {(str(row["clips"]), str(row["quantity"])): row for row in slab_rows(rows)}
+def table(rows: list[Row]) -> dict[tuple[str, str], dict[str, object]]:
+    return {(row["clips"], row["quantity"]): row for row in slab_table(rows).to_dict("records")}
 
 
 def test_two_of_three_are_pressed_and_damping_and_inclusions_take_turns() -> None:
@@ -46,12 +48,10 @@ def test_two_of_three_are_pressed_and_damping_and_inclusions_take_turns() -> Non
     assert all((item.slab_branch[0] > 0) == (item.slab_damping == (0.0, 0.0)) for item in settings)
     assert [item.slab_inclusion for item in settings] == [1.0] * 6 + [4.0] * 6
     assert {item.width for item in settings if item.action == "press"} == {214}
-    estimators = {name: EstimatorOptions(name) for name in ("network", "direct")}
-    assert asked("fem", 0, estimators) == ["network", "direct"]
-    assert asked("fem", 2, estimators) == ["direct"]
-    solid = estimators | {"direct": EstimatorOptions("direct", Path("fem"))}
-    assert asked("fem", 0, solid) == ["network", "direct"]
-    assert asked("fem", 2, solid) == ["direct"]
+    for model in ("sheet", "fem"):
+        chosen = Benchmark(Path("x"), ("fem",), ("network", "direct"), model=Path("m.onnx"), direct_model=model)
+        assert chosen.asked("fem", 0) == ["direct", "network"]
+        assert chosen.asked("fem", 2) == ["direct"]
 
 
 def test_proportional_estimates_have_rank_one_and_no_scatter() -> None:
@@ -71,7 +71,7 @@ def test_proportional_estimates_have_rank_one_and_no_scatter() -> None:
     assert found["pressed, explained", "k_d/k_s within 25%"]["n"] == 5
     assert found["pressed, explained", "k_d/k_s within 25%"]["value"] == 1
     assert found["pressed", "k_s/E with an inclusion over without"]["value"] == pytest.approx(1)
-    over = [row.estimate[1] / row.tissue[4] / 0.001 for row in rows if row.estimate is not None]
+    over = [row["estimate"][1] / row["tissue"][4] / 0.001 for row in rows]
     assert found["pressed", "k_d over αm"]["value"] == pytest.approx(np.median(over))
     assert ("pulled", "estimated") not in found
 
@@ -90,10 +90,10 @@ def test_finite_elements_are_compared_with_the_truth_in_its_own_units() -> None:
     assert found["pressed", "F/E, held"]["value"] == pytest.approx(5 / 6)
     assert found["pressed", "k_d over αm"]["value"] == pytest.approx(1.1)
     assert found["pressed", "k_d/k_s within 25%"]["value"] == 1
-    thick = table([dataclasses.replace(row, estimate=row.estimate * np.array([1.0, 1.3, 1.0])) for row in rows])
+    thick = table([(row | {"estimate": row["estimate"] * np.array([1.0, 1.3, 1.0])}) for row in rows])
     assert thick["pressed", "k_d/k_s within 25%"]["value"] == 0  # of sheets it would be 1: they have units of their own
-    relaxing = [dataclasses.replace(row, tissue=row.tissue * np.array([1, 1, 1, 1, 0, 1, 1, 1])) for row in rows]
-    again = table([dataclasses.replace(row, tissue=row.tissue + 0.5 * np.eye(8)[5]) for row in relaxing])
+    relaxing = [(row | {"tissue": row["tissue"] * np.array([1, 1, 1, 1, 0, 1, 1, 1])}) for row in rows]
+    again = table([(row | {"tissue": row["tissue"] + 0.5 * np.eye(8)[5]}) for row in relaxing])
     assert again["pressed, relaxing", "F/E, held"]["value"] == pytest.approx(5 / 6)
     assert ("pressed, relaxing", "αρ/E, held") not in again
     assert ("pressed", "E over the true") not in table(
@@ -110,28 +110,38 @@ def test_what_is_determined_is_ranked_by_itself() -> None:
         ratio = 1 / young if known else alpha * DENSITY / young
         rows.append(press(index, (young if known else 1 / young, ratio * (young if known else 1 / young), -0.1)))
         if not known:
-            rows[-1] = dataclasses.replace(rows[-1], verdict="ratios")
+            rows[-1] = rows[-1] | {"verdict": "ratios"}
     found = table(rows)
     sure, ratios = (found["pressed, explained", f"rank of {name}, determined"] for name in ("k_s and E", RATIO))
     assert (sure["n"], sure["value"]) == (4, pytest.approx(1))
     assert ratios["n"] == 2
     assert math.isnan(ratios["value"])  # of two there is none
     assert ("pressed", "rank of k_s and E, determined") not in found
-    again = table([dataclasses.replace(row, verdict="ratios") for row in rows])
+    again = table([(row | {"verdict": "ratios"}) for row in rows])
     assert again["pressed, explained", f"rank of {RATIO}, determined"]["n"] == 6
     assert again["pressed, explained", "rank of k_s and E, determined"]["n"] == 0
-    refused = table([dataclasses.replace(row, warned=index < 2) for index, row in enumerate(rows)])
+    refused = table([(row | {"warned": index < 2}) for index, row in enumerate(rows)])
     assert refused["pressed, explained", "rank of k_s and E, determined"]["n"] == 2
     pulls = [pull(index, (0.1 + 0.02 * index) / young, verdict="reaction") for index, young in enumerate(YOUNG)]
-    found = table([*pulls[:5], dataclasses.replace(pulls[5], verdict="undetermined")])
+    found = table([*pulls[:5], (pulls[5] | {"verdict": "undetermined"})])
     for name in ("F/k_s and F/E", "k_s if F is known and E"):
         sure = found["pulled, explained", f"rank of {name}, determined"]
         assert (sure["n"], sure["value"]) == (5, pytest.approx(1))
 
 
 def test_what_was_not_estimated_counts_as_such() -> None:
-    rows = [press(0, None, status="no estimate", warned=None, verdict=""), press(1, (0.5, 0.1, -0.1))]
-    rows.append(SlabRecovery("fem", 3, "direct", 7, "press", status="no scene", reason="none."))
+    rows = [
+        {
+            "suite": "fem",
+            "index": 0,
+            "estimator": "direct",
+            "action": "press",
+            "status": "no estimate",
+            "tissue": press(0, None)["tissue"],
+        },
+        press(1, (0.5, 0.1, -0.1)),
+    ]
+    rows.append({"suite": "fem", "index": 3, "estimator": "direct", "action": "press", "status": "no scene"})
     found = table(rows)
     assert (found["pressed", "estimated"]["n"], found["pressed", "estimated"]["value"]) == (3, pytest.approx(1 / 3))
     assert ("pressed", "rank of k_s and E") not in found  # of one clip there is none
@@ -155,7 +165,7 @@ def test_pulls_by_finite_elements_are_compared_with_the_true_force_over_young() 
     found = table(rows)
     assert found["pulled", "F/E over the true"]["value"] == pytest.approx(1.1)
     assert found["pulled", "F/E, held"]["value"] == pytest.approx(5 / 6)
-    assert ("pulled", "F/E, held") not in table([dataclasses.replace(row, fitted="sheet") for row in rows])
+    assert ("pulled", "F/E, held") not in table([(row | {"fitted": "sheet"}) for row in rows])
 
 
 def test_of_a_pull_force_over_young_is_taken_where_it_is_told() -> None:
@@ -163,42 +173,32 @@ def test_of_a_pull_force_over_young_is_taken_where_it_is_told() -> None:
     sheet = GripEstimate(0.02, 0.015, 0.027, 0.6, 0.1, times, times, 0 * times, 30.0, 27.0, 33.0)
     scene = SimpleNamespace(settings=SimpleNamespace(fps=25.0, cell=(4.0, 4.0)), spacing=0.002)
     motion = SimpleNamespace(reaction=np.array([[0.0, 0.0], [0.3, 0.4], [0.6, 0.8]]))
-    told = slabs._pulled(0, sheet, motion, scene)  # ty: ignore[invalid-argument-type]  what is read
+    told = trial._pull_against_truth(0, sheet, motion, scene)  # ty: ignore[invalid-argument-type]  what is read
     assert told["reaction"] == pytest.approx([30 * 0.002 / 4, math.log(33 / 27) / (2 * NINETY)])
     ends = {"reaction_over_young_low": 1e-3, "reaction_over_young_high": 4e-3}
     solid = dataclasses.replace(sheet, reaction_over_young=2e-3, **ends)
-    told = slabs._pulled(0, solid, motion, scene)  # ty: ignore[invalid-argument-type]  what is read
+    told = trial._pull_against_truth(0, solid, motion, scene)  # ty: ignore[invalid-argument-type]  what is read
     assert told["reaction"] == pytest.approx([2e-3, math.log(4) / (2 * NINETY)])
-    assert (told["force"], told["verdict"]) == (pytest.approx(1.0), "reaction")
-
-
-def test_results_survive_the_file(tmp_path: Path) -> None:
-    rows = press(0, (0.5, 0.1, -0.1)), pull(1, 0.01)
-    RecoveryStore(tmp_path, {"seed": 0}, SlabRecovery).append(rows)
-    for again, row in zip(read_results(tmp_path / FILES[SlabRecovery], SlabRecovery), rows, strict=True):
-        for name, value in vars(row).items():
-            np.testing.assert_array_equal(getattr(again, name), value)
+    assert (told["true_force"], told["verdict"]) == (pytest.approx(1.0), "reaction")
 
 
 @pytest.mark.slow
 def test_a_press_and_a_pull_from_pictures_to_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
     suite = SLAB_SUITES["fem"]
     options = {"direct": EstimatorOptions("direct", onset="stamp", threads=1)}
-    [pressed] = evaluate_slab(SlabTask("fem", 0, 7, options))
-    assert pressed.status == "ok"
-    assert pressed.estimate is not None
-    assert pressed.force > 0
+    [pressed] = run_trial(Trial(0, 7, {"fem": options}))
+    assert pressed["status"] == "ok"
+    assert pressed["true_force"] > 0
     low, high = suite.settings(0).slab_young
-    assert pressed.tissue is not None
-    assert low <= pressed.tissue[0] <= high
-    [pulled] = evaluate_slab(SlabTask("fem", 5, suite_clip_seed("test", 17, 5), options))
-    assert pulled.status == "ok"
-    assert pulled.reaction is not None
-    assert pulled.curve[0, -1] == pytest.approx(1)
+    assert low <= pressed["tissue"][0] <= high
+    [pulled] = run_trial(Trial(5, suite_clip_seed("test", 17, 5), {"fem": options}))
+    assert pulled["status"] == "ok"
+    assert pulled["curve"][0, -1] == pytest.approx(1)
 
     def nothing(*_: object) -> None:
-        raise slabs.SceneError("nothing to draw.")
+        raise trial.SceneError("nothing to draw.")
 
-    monkeypatch.setattr(slabs, "draw_truth", nothing)
-    [failed] = evaluate_slab(SlabTask("fem", 0, 7, options))
-    assert (failed.status, failed.reason) == ("no scene", "nothing to draw.")
+    monkeypatch.setattr(trial, "draw_truth", nothing)
+    trial._truth.cache_clear()
+    [failed] = run_trial(Trial(0, 7, {"fem": options}))
+    assert (failed["status"], failed["reason"]) == ("no scene", "nothing to draw.")

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from physics.fem.dynamics import Direction, Inertia, Motion, Relaxation, simulate
-from physics.fem.equilibrium import find_equilibrium
 from physics.fem.lattice import box
-from physics.fem.laws import LAWS, Material
+from physics.fem.laws import LAWS, Material, respond
 from physics.fem.solid import Solid, make_solid
 from physics.load import Grip, Press
 from tests.physics.fem.bodies import block, clamped
@@ -34,31 +33,52 @@ def pushed(
     )
 
 
-def imbalance(motion: Motion) -> float:
-    return float(np.abs(motion.kinetic + motion.elastic + motion.damped - motion.work).max() / motion.work.max())
+def energies(body: Solid, material: Material, motion: Motion, step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Of motion and of the law at the beginning and after each step, shape [T + 1] each [J]."""
+    kinetic, elastic, velocity = [], [], np.zeros_like(body.rest)
+    previous = np.concatenate([motion.displacement[:1], motion.displacement[:-1]])
+    for before, after in zip(previous, motion.displacement, strict=True):
+        velocity = 2 / step * (after - before) - velocity
+        kinetic.append(DENSITY / 2 * velocity.ravel() @ (body.mass @ velocity.ravel()))
+        elastic.append((body.weights * respond(material.law, body.deformation(after), *material.lame).energy).sum())
+    return np.array(kinetic), np.array(elastic)
+
+
+def balance(law: str, step: float, damping: float = 0.0, relaxation: Relaxation | None = None) -> np.ndarray:
+    """Energies of motion and of the law, what damping has taken, and the force's work, shape [4, T + 1] [J]."""
+    (body, end), motion = bar(), pushed(law, step, damping, relaxation)
+    path = np.diff(motion.displacement, axis=0, prepend=0)
+    lost = [damping / step * DENSITY * way.ravel() @ (body.mass @ way.ravel()) for way in path]
+    work = 0.3 * path[:, end, 2].mean(axis=1)
+    work[1] /= 2  # the force rises from 0 within the first step
+    return np.array([*energies(body, Material(law, YOUNG, 0.3), motion, step), np.cumsum(lost), np.cumsum(work)])
+
+
+def imbalance(kinetic: np.ndarray, elastic: np.ndarray, damped: np.ndarray, work: np.ndarray) -> float:
+    return float(np.abs(kinetic + elastic + damped - work).max() / work.max())
 
 
 @pytest.mark.parametrize("damping", [0.0, 4.0])
 def test_energy_balances_to_rounding_where_the_law_is_linear(damping: float) -> None:
-    motion = pushed("linear", 0.01, damping)
-    assert imbalance(motion) < 1e-12
-    assert (np.diff(motion.damped) >= 0).all()
-    assert (motion.damped[-1] > 0) == (damping > 0)
+    found = balance("linear", 0.01, damping)
+    assert imbalance(*found) < 1e-12
+    assert (np.diff(found[2]) >= 0).all()
+    assert (found[2, -1] > 0) == (damping > 0)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("law", [law for law in LAWS if law != "linear"])
 def test_energy_balances_at_second_order_elsewhere(law: str) -> None:
-    coarse, fine = (imbalance(pushed(law, step, 2.0)) for step in (0.004, 0.001))
+    coarse, fine = (imbalance(*balance(law, step, 2.0)) for step in (0.004, 0.001))
     assert fine < 3e-5
     assert np.log(coarse / fine) / np.log(4) > 1.6, (coarse, fine)
 
 
 def test_a_relaxing_branch_only_takes_energy() -> None:
-    motion = pushed("linear", 0.005, relaxation=Relaxation(0.5, 0.05))
-    taken = motion.work - motion.kinetic - motion.elastic
+    kinetic, elastic, _, work = balance("linear", 0.005, relaxation=Relaxation(0.5, 0.05))
+    taken = work - kinetic - elastic
     assert taken[1:].min() > 0
-    assert taken[-1] > 0.05 * motion.work[-1]
+    assert taken[-1] > 0.05 * work[-1]
 
 
 def test_a_bar_let_go_rings_at_its_frequency_and_loses_its_energy_at_the_rate_of_damping() -> None:
@@ -66,19 +86,17 @@ def test_a_bar_let_go_rings_at_its_frequency_and_loses_its_energy_at_the_rate_of
     body = make_solid(*box((0.2, 0.02, 0.02), (10, 1, 1)), order=2)
     held, end = clamped(body), np.isclose(body.rest[:, 0], 0.2)
     material, damping, step = Material("linear", 8e6, 0.3), 3.0, 0.002
-    forces = np.zeros_like(body.rest)
-    forces[end, 2] = 1e-4 / end.sum()
-    start = find_equilibrium(body, material, held, forces=forces).displacement
-    still = Press.at(int(np.flatnonzero(end)[0]), np.array([0, 0, 1.0]), np.zeros(300))
-    motion = simulate(body, material, held, still, step, inertia=Inertia(DENSITY, damping), start=start)
-    tip = motion.displacement[:, end, 2].mean(axis=1)
-    crossings = np.flatnonzero(np.diff(np.sign(tip)))
-    moments = motion.times[crossings] - step * tip[crossings] / (tip[crossings + 1] - tip[crossings])
+    drawn = (np.arange(335) < 35).astype(float)  # by half a period, so that it is let go at rest
+    load = Press(np.flatnonzero(end), np.full(end.sum(), 1 / end.sum()), np.array([0, 0, 1.0]), drawn)
+    motion = simulate(body, material, held, load, step, inertia=Inertia(DENSITY, damping), force=1e-4)
+    times, tip = step * np.arange(336), motion.displacement[:, end, 2].mean(axis=1)
+    crossings = np.flatnonzero(np.diff(np.sign(tip)) * (times[1:] > step * 35))
+    moments = times[crossings] - step * tip[crossings] / (tip[crossings + 1] - tip[crossings])
     found = (len(moments) - 1) / 2 / (moments[-1] - moments[0])
     exact = 3.5160 / (2 * np.pi) * np.sqrt(8e6 * 0.02**2 / 12 / (DENSITY * 0.2**4))
     assert found == pytest.approx(exact, rel=0.02)
-    energy = motion.kinetic + motion.elastic
-    first, last = (np.searchsorted(motion.times, moments[k]) for k in (0, 4))
+    energy = sum(energies(body, material, motion, step))
+    first, last = (np.searchsorted(times, moments[k]) for k in (0, 4))
     assert np.log(energy[first] / energy[last]) / (moments[4] - moments[0]) == pytest.approx(damping, rel=0.03)
 
 
@@ -175,11 +193,9 @@ def test_derivatives_of_a_motion_equal_finite_differences(law: str, relaxing: bo
         assert off < 1e-6, DIRECTIONS[parameter]
 
 
-def test_directions_need_rest_and_what_they_change() -> None:
+def test_directions_need_what_they_change() -> None:
     body = block()
     grip = Grip(np.array([0]), np.zeros((2, 1, 3)))
     told = (body, Material("linear", YOUNG, 0.3), clamped(body), grip, 0.01)
-    with pytest.raises(ValueError, match="from rest"):
-        simulate(*told, inertia=None, start=np.zeros_like(body.rest), directions=[Direction(young=1.0)])
     with pytest.raises(ValueError, match="relaxation that there is none of"):
         simulate(*told, inertia=None, directions=[Direction(ratio=1.0)])

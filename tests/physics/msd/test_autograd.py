@@ -18,9 +18,8 @@ from torch.utils.data import DataLoader, Dataset
 from physics import jit
 from physics.mechanics import Mechanics
 from physics.msd import autograd as msd_autograd
-from physics.msd.autograd import UnreliableGradient, cases
-from physics.msd.compiled import watched_rollout
-from physics.msd.rollouts import rollout, rollout_field, rollout_heterogeneous
+from physics.msd.autograd import UnreliableGradient
+from physics.msd.rollouts import rollout, rollout_sensitivities
 from tests.physics.batches import batch_of
 from tests.physics.sheets import sheet
 
@@ -44,31 +43,12 @@ def test_jacobian_equals_double_precision_autograd(scheme, keep):
     scale = expected.abs().amax(dim=(1, 2), keepdim=True)
     weights = torch.randn(3, 200, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
     for dtype, allowed in ((torch.float64, 1e-10), (torch.float32, 1e-4)):
-        samples = cases(theta.to(dtype), mesh, load, load.vertices[:, None], mechanics)
-        seen = torch.stack([torch.from_numpy(watched_rollout(case, True).slopes[:, 0]) for case in samples]).double()
+        seen = rollout_sensitivities(theta.to(dtype), mesh, load, mechanics, "numba")[1].double()
         assert ((seen - expected).abs() <= allowed * scale).all()
         leaf = theta.detach().clone().to(dtype).requires_grad_()
         (weights.to(dtype) * rollout(leaf, mesh, load, mechanics, "numba")).sum().backward()
         projected = torch.einsum("btc,btcp->bp", weights, expected)
         torch.testing.assert_close(leaf.grad.double(), projected, rtol=10 * allowed, atol=10 * allowed)
-
-
-@pytest.mark.slow
-def test_heterogeneous_tissue_has_the_gradients_of_autograd():
-    mesh, load = batch_of([sheet(9, 8), sheet(9, 8, keep=0.5)], [30, 5], [50, 20])
-    generator = torch.Generator().manual_seed(0)
-    count = len(mesh.vertices)
-    stiffness = 0.5 + torch.rand(count, dtype=torch.float64, generator=generator)
-    damping = 0.03 + 0.1 * torch.rand(count, dtype=torch.float64, generator=generator)
-    parameters = [stiffness, damping, torch.tensor([-0.1, -0.3], dtype=torch.float64)]
-    weights = torch.randn(2, 200, 3, dtype=torch.float64, generator=generator)
-    results = []
-    for backend in ("numba", "torch"):
-        leaves = [value.clone().requires_grad_() for value in parameters]
-        trajectory = rollout_heterogeneous(*leaves, mesh, load, Mechanics(anchor=0.2), backend)
-        results.append([trajectory, *torch.autograd.grad((weights * trajectory).sum(), leaves)])
-    for seen, expected in zip(*results, strict=True):
-        torch.testing.assert_close(seen, expected, rtol=1e-10, atol=1e-12)
 
 
 def test_results_do_not_depend_on_the_number_of_threads():
@@ -167,15 +147,6 @@ def test_chaotic_motion_has_no_gradient_and_says_so():
         rollout(theta, mesh, load, mechanics).square().sum().backward()
     assert not theta.grad[1].any()
     torch.testing.assert_close(theta.grad[0], regular.grad[0])
-
-
-def test_whole_field_has_gradients_through_torch_only():
-    mesh, load = batch_of([sheet(6, 6)], [14])
-    theta = torch.tensor(THETA[:1], requires_grad=True)
-    rollout_field(theta, mesh, load).square().sum().backward()
-    assert theta.grad.abs().min() > 0
-    with pytest.raises(ValueError, match="pass backend='torch' or detach"):
-        rollout_field(theta, mesh, load, backend="numba")
 
 
 def test_nan_parameters_are_not_hidden():

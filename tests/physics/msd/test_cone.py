@@ -8,26 +8,21 @@ import numpy as np
 import pytest
 
 from physics.mechanics import Mechanics
-from physics.msd.cone import INSIDE, Reach, exact_radii, growing_radii, window_radii
+from physics.msd.cone import INSIDE, Reach, exact_radii, window_radii
 
 
 def test_exact_radii_are_what_a_walk_there_and_back_allows():
     np.testing.assert_array_equal(exact_radii(7), [0, 1, 2, 3, 2, 1, 0])
     np.testing.assert_array_equal(exact_radii(4), [0, 1, 1, 0])
     np.testing.assert_array_equal(exact_radii(1), [0])
-    np.testing.assert_array_equal(growing_radii(4), [0, 1, 2, 3])
 
 
 def test_radii_reach_over_wide_loads_and_to_what_is_watched():
     np.testing.assert_array_equal(exact_radii(6, Reach(loaded=2)), [2, 3, 3, 2, 1, 0])
     np.testing.assert_array_equal(exact_radii(6, Reach(watched=3)), [0, 1, 2, 3, 4, 3])
-    # A grip may move its neighbours in the first step, and is always computed itself.
-    np.testing.assert_array_equal(exact_radii(6, Reach(gripped=True)), [1, 2, 3, 2, 1, 0])
-    np.testing.assert_array_equal(exact_radii(6, Reach(2, 0, True)), [3, 4, 3, 2, 2, 2])
-    np.testing.assert_array_equal(growing_radii(3, Reach(2, 5, True)), [3, 4, 5])
 
 
-@pytest.mark.parametrize("reach", [Reach(4), Reach(0, 6), Reach(4, 6, True)])
+@pytest.mark.parametrize("reach", [Reach(4), Reach(0, 6), Reach(4, 6)])
 def test_windows_of_wide_loads_lie_inside_the_cone_and_around_the_narrow_one(reach):
     mechanics = Mechanics(window_error=1e-4)
     exact = exact_radii(200, reach)

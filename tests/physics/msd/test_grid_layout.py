@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from physics.mesh import Mesh, grid_mesh
-from physics.msd.grid_layout import LENGTH, LINK, MOBILE, PITCHES, REST_PLANES, grid_layout, runs
-from tests.physics.sheets import hand_mesh, sheet, surface
+from physics.msd.grid_layout import LENGTH, LINK, MOBILE, PITCHES, REST_PLANES, grid_layout
+from tests.physics.sheets import hand_mesh, sheet
 
 FLOAT = np.dtype(np.float64)
 
@@ -34,28 +34,6 @@ def test_positions_lengths_links_and_free_vertices_are_where_they_belong():
     np.testing.assert_array_equal(layout.first[1:5], [1] * 4)
     np.testing.assert_array_equal(layout.last[1:5], [5] * 4)
     assert layout.last[0] < layout.first[0]
-
-
-def test_runs_are_rows_that_end_at_holes():
-    valid = np.ones((4, 9), dtype=bool)
-    valid[2, 4] = False
-    mesh = grid_mesh(surface(4, 9), valid, max_edge=1.0)
-    layout = grid_layout(mesh, 7, ~mesh.rim, 9, FLOAT)
-    seen = runs(layout, mesh, 6)
-    np.testing.assert_array_equal(seen[:, 0], [0, 9, 18, 22, 26])
-    np.testing.assert_array_equal(seen[:, 2], [9, 9, 4, 4, 9])
-    row, column = mesh.pixels.T + 1
-    places = np.concatenate([np.arange(place, place + count) for _, place, count in seen])
-    np.testing.assert_array_equal(places, row * 6 * layout.pitch + column)
-
-
-def test_vertices_in_any_order_have_runs():
-    mesh = sheet(3, 3)
-    turned = Mesh(mesh.vertices, mesh.triangles, mesh.springs, mesh.rim, mesh.pixels[::-1], mesh.grid_shape)
-    layout = grid_layout(turned, 4, ~mesh.rim, 5, FLOAT)
-    row, column = turned.pixels.T + 1
-    expected = np.stack([np.arange(9), row * 6 * layout.pitch + column, np.ones(9)], axis=1)
-    np.testing.assert_array_equal(runs(layout, turned, 6), expected)
 
 
 def test_only_what_is_within_reach_is_laid_out():
@@ -95,7 +73,7 @@ def test_two_vertices_on_a_pixel_are_no_grid():
     assert grid_layout(shared, 0, np.ones(2, dtype=bool), 5, FLOAT) is None
 
 
-def test_a_window_too_wide_for_the_compiled_code_is_left_to_the_edge_list():
+def test_a_window_too_wide_for_the_compiled_code_is_left_to_the_plain_version():
     width = PITCHES[-1]
     column = np.arange(width)
     points = np.stack([np.stack([column * 0.01, row + 0 * column, 0 * column + 0.5], -1) for row in (0.0, 0.01)])

@@ -8,7 +8,7 @@ import torch
 from physics.mechanics import Mechanics
 from physics.mesh import grid_mesh
 from physics.msd.rollouts import rollout
-from physics.msd.torch_backend import edge_steps, integrator, is_grid, uniform, watched_trajectory
+from physics.msd.torch_backend import edge_steps, integrator, is_grid, watched_trajectory
 from tests.physics.batches import batch_of
 from tests.physics.sheets import sheet, surface
 
@@ -20,8 +20,8 @@ def test_stencil_equals_edge_list(mechanics):
     theta = torch.tensor([[0.7, 0.05, -0.1], [0.2, 0.3, -0.4]], dtype=torch.float64)
     assert is_grid(mesh)
     watch = torch.tensor([[20, 3], [30, 31]])
-    fields = edge_steps(*uniform(theta, mesh), theta[:, 2:3], mesh, load, mechanics)
-    expected = torch.stack([field[mesh.vertex_offsets[:-1, None] + watch] for field in fields], dim=1)
+    place = mesh.vertex_offsets[:-1, None] + watch
+    expected = torch.stack(list(edge_steps(theta, mesh, place, load, mechanics)), dim=1)
     seen = watched_trajectory(theta, mesh, load, watch, mechanics)
     torch.testing.assert_close(seen, expected, rtol=0, atol=1e-14)
 

@@ -1,0 +1,70 @@
+"""What a fit's own model gets wrong, besides what residuals tell: standard deviations measured on drawn clips.
+
+They are read from `model_errors.yaml`, which `python -m evaluation.model_errors` writes. Every entry there has its
+`value`, its `source` (which clips, by what) and, as far as that command has measured it, what it found (`measured`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+FILE = Path(__file__).with_suffix(".yaml")
+
+
+@dataclass(frozen=True)
+class ModelErrors:
+    """Standard deviations, of natural logarithms where nothing else is said."""
+
+    foundation_measured: float
+    """Of the foundation by points that are measured again where a sheet says that they are."""
+    foundation_followed: float
+    """The same by points as they are followed."""
+    foundation_uneven: float
+    """Of the foundation where what is left of the motion goes together over many points: tissue is no such sheet."""
+    force_uneven: float
+    """Of the force over stiffness, there."""
+    foundation_as_seen: float
+    """Of the foundation where the grip's motion is taken from points beside the instrument, which err alike."""
+    force_as_seen: float
+    """Of the force over stiffness, there."""
+    force_common: float
+    """No standard deviation, but the correlation between errors of the force in two frames: where it acts beneath the
+    instrument is as unknown in one as in the other."""
+    pull_force: float
+    """Of force over E by a slab: mesh, law, the grip's shape, tissue that relaxes or is not alike throughout."""
+    pull_course: float
+    """Of the force over that of the last frame, by a slab, as a share of it."""
+    slab_motion: float
+    """Of a pressed slab's motion, as a share of it: mesh, law and tip are not the tissue's."""
+    slab_young: float
+    """Of E of a pressed slab, d/E and F/E known, by what law and tip get wrong."""
+    slab_damping: float
+    """Of its d/E."""
+    slab_force: float
+    """Of its F/E."""
+    firm_young: float
+    """Of its E where a firm region lies beneath, which is not one of those that are tried."""
+    firm_damping: float
+    """Of its d/E, there."""
+    firm_force: float
+    """Of its F/E, there."""
+
+
+def read_entries(path: Path = FILE) -> dict[str, dict[str, Any]]:
+    """Entries of the file, by name.
+
+    Raises:
+        ValueError: it doesn't have exactly those that `ModelErrors` names.
+    """
+    entries = yaml.safe_load(path.read_text(encoding="utf-8"))
+    names = [field.name for field in fields(ModelErrors)]
+    if not isinstance(entries, dict) or list(entries) != names:
+        raise ValueError(f"{path} holds other entries than {', '.join(names)}; write it with evaluation.model_errors.")
+    return entries
+
+
+MODEL_ERRORS = ModelErrors(**{name: float(entry["value"]) for name, entry in read_entries().items()})

@@ -1,0 +1,208 @@
+"""From a trained contact posterior to the model that `infer.py` uses: exported, and calibrated on validation clips.
+
+    python -m estimators.network.calibration --weights runs/contact/posterior.pt --output runs/contact/uncalibrated.onnx
+    python -m estimators.network.calibration --model runs/contact/uncalibrated.onnx \
+        --output models/weights/contact.onnx --validation runs/contact/validation runs/contact/fine \
+        --pressed runs/contact/pressed [--between runs/contact/between]
+
+The first exports what `estimators.network.training` wrote. The second calibrates any exported posterior, also one that
+`train.py export` wrote, by results of the benchmark with that file.
+
+`models.calibration_fit` fits the widths once for whole contacts, once for contacts before their release (--pressed),
+and, for a network with an input for how well the instants are known, once for unknown instants (--between). The truth
+of validation clips is used for this and nothing else; no weight of the network changes.
+"""
+
+from __future__ import annotations
+
+from physics.doors import enter_door, run_door
+
+if __name__ == "__main__":
+    enter_door()  # before the slow imports
+
+import argparse
+import dataclasses
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from data.command_line import path_option
+from data.contact.features import FEATURES, FRAME_RATE, KNOWN, LOADED, LOG_NOISE, REFERENCE_SPACING, SLOTS
+from data.contact.film_features import FILM_FEATURES, WITHIN
+from data.contact.interaction import PRESS
+from data.masks.sources import MaskClasses
+from data.settings import PREPROCESSING_VERSION
+from data.source.layout import read_mapping
+from data.synthetic.source import PREPARE
+from estimators.network.fits import BOUNDS, MECHANICS, SCENES
+from estimators.onset import BETWEEN, STAMP
+from models.calibration import Calibration, Widths
+from models.calibration_fit import fit_widths
+from models.checkpoint import load_posterior, posterior_features
+from models.onnx_calibration import calibrate
+from models.onnx_export import export
+from models.onnx_session import CONTACT, PosteriorModel
+from models.posterior import ContactPosterior
+from physics.files import file_sha256, read_file
+
+RESULTS, RECORD = "results.jsonl", "run.json"
+"""Files that the benchmark writes into its folder."""
+MAX_RESULTS_BYTES = 2**27
+"""Largest size of a file of results."""
+
+
+def widths_of(rows: Sequence[Mapping[str, Any]]) -> Widths:
+    """Widths with which the network's intervals have the right coverage, over all suites together.
+
+    Args:
+        rows: results of `evaluation.benchmark`.
+
+    Raises:
+        ValueError: too few results.
+    """
+    rows = [row for row in rows if row["estimator"] == "network" and row["status"] == "ok"]
+    rows = [row for row in rows if row.get("covariance") is not None]
+    estimates, truths = (np.log(np.abs([row[name] for row in rows])).reshape(-1, 3) for name in ("estimate", "theta"))
+    covariances = np.array([row["covariance"] for row in rows]).reshape(-1, 3, 3)
+    deviations = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
+    return fit_widths(estimates, truths, deviations, np.log([row["noise"] / REFERENCE_SPACING for row in rows]))
+
+
+def check_record(folder: Path, model_sha256: str, seen: str | None, onset: str = STAMP) -> None:
+    """Refuse results that don't belong to the calibration.
+
+    Args:
+        folder: output folder of the benchmark.
+        model_sha256: hash of the file that is calibrated.
+        seen: required value of the benchmark's option --seen.
+        onset: required value of the benchmark's option --onset.
+
+    Raises:
+        ValueError: no record, another split than validation, other frames, or another file.
+    """
+    record = read_mapping(folder / RECORD, "a record of the benchmark")
+    for name, value in {"split": "validation", "seen": seen}.items():
+        if record.get(name) != value:
+            remedy = f"with --{name} {value}" if value else f"without --{name}"
+            raise ValueError(f"{folder} has {name} {record.get(name)}; run the benchmark {remedy}.")
+    network = record.get("estimator network")
+    network = network if isinstance(network, dict) else {}
+    made = network.get("onset", STAMP)
+    if made != onset:
+        raise ValueError(f"{folder} was made with --onset {made}; run the benchmark with --onset {onset}.")
+    if network.get("model_sha256") != model_sha256:
+        raise ValueError(f"{folder} is of another network than the one to calibrate; run the benchmark with that file.")
+
+
+def results_of(folders: Sequence[Path], model_sha256: str, seen: str | None, onset: str = STAMP) -> list[dict]:
+    """Results in some folders, each checked by `check_record`, whose arguments these are.
+
+    Raises:
+        ValueError: as `check_record` does, or results can't be read.
+    """
+    rows = []
+    for folder in folders:
+        check_record(folder, model_sha256, seen, onset)
+        try:
+            rows += map(json.loads, read_file(folder / RESULTS, MAX_RESULTS_BYTES).splitlines())
+        except (OSError, ValueError, RecursionError) as error:
+            raise ValueError(f"{folder / RESULTS} holds no results; run the benchmark into {folder} anew.") from error
+    return rows
+
+
+def metadata(weights: Path, features: int) -> dict[str, object]:
+    """Metadata for inference: how clips are prepared, the simulator and the admissible box.
+
+    Args:
+        weights: file of the network's weights.
+        features: length of the network's input vector.
+    """
+    geometry = dataclasses.asdict(PREPARE.geometry)
+    depth = dataclasses.asdict(PREPARE.depth) | {"source": "auto"}
+    pressed = [round(seconds * SCENES.fps) / SCENES.fps for seconds in SCENES.press_seconds]
+    return {
+        "input": {"window": 1, "height": geometry["height"], "width": geometry["width"]},
+        "contact": {"features": features, "slots": SLOTS, "frame_rate": FRAME_RATE, "press_seconds": pressed},
+        "observation": "trajectory",
+        "preprocessing_version": PREPROCESSING_VERSION,
+        "bounds": dataclasses.asdict(BOUNDS),
+        "mechanics": dataclasses.asdict(MECHANICS),
+        "geometry": geometry,
+        "depth": depth,
+        "masks": "auto",
+        "classes": dataclasses.asdict(MaskClasses()),
+        "training": {
+            "motions": "simulated contacts (estimators.network.training)",
+            "weights_sha256": file_sha256(weights),
+        },
+    }
+
+
+def calibration_of(options: argparse.Namespace) -> Calibration:
+    """Calibration from the results of the benchmark.
+
+    Raises:
+        ModelFileError: the file is no exported posterior.
+        ValueError: the results belong to something else, or are too few.
+    """
+    model = PosteriorModel(options.model)
+    whole = widths_of(results_of(options.validation, model.sha256, None))
+    pressed = widths_of(results_of(options.pressed, model.sha256, PRESS))
+    found = Calibration(
+        whole=whole, pressed=pressed, noise_features=LOG_NOISE, known_features=KNOWN, loaded_features=LOADED
+    )
+    if options.between is None:
+        return found
+    if model.inputs[CONTACT] != (FEATURES + FILM_FEATURES,):
+        raise ValueError(f"{options.model} has no input for the instants; leave --between out.")
+    between = widths_of(results_of(options.between, model.sha256, None, BETWEEN))
+    return dataclasses.replace(found, between=between, within_features=(FEATURES + WITHIN,))
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Export or calibrate; returns the exit status."""
+    program, text = "python -m estimators.network.calibration", __doc__.split("\n")[0]
+    parser = argparse.ArgumentParser(prog=program, description=text)
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument("--weights", type=path_option, help="posterior.pt of estimators.network.training, to export")
+    source.add_argument("--model", type=path_option, metavar="FILE", help="exported posterior, to calibrate")
+    parser.add_argument("--output", type=path_option, required=True, help="ONNX file to write")
+    text = "results of evaluation.benchmark --split validation with that file"
+    for name, more in (
+        ("--validation", ""),
+        ("--pressed", f" --seen {PRESS}"),
+        ("--between", " --suite late-onset --onset between"),
+    ):
+        parser.add_argument(name, type=path_option, nargs="+", metavar="DIR", help=text + more)
+    options = parser.parse_args(arguments)
+    results = options.validation, options.pressed
+    if options.model is not None and None in results:
+        parser.error("give --validation and --pressed with --model.")
+    if options.weights is not None and (*results, options.between) != (None, None, None):
+        parser.error("give --model with results; --weights are exported as they are.")
+    try:
+        if options.model is not None:
+            calibration = calibration_of(options)
+            difference = calibrate(options.model, options.output, calibration)
+        else:
+            calibration, features = None, posterior_features(options.weights)
+            posterior = ContactPosterior(features, torch.tensor(BOUNDS.log_box))
+            load_posterior(posterior, options.weights)
+            difference = export(posterior, options.output, metadata(options.weights, features))
+    except (OSError, RuntimeError, ValueError) as error:
+        print(error, file=sys.stderr)
+        return 1
+    print(f"{options.output}: written; largest difference from torch {difference:.1e}")
+    for name in ("whole", "pressed", "between") if calibration is not None else ():
+        for field, values in dataclasses.asdict(getattr(calibration, name)).items():
+            print(f"  {name} {field}: {np.round(values, 3).tolist()}")
+    return 0
+
+
+if __name__ == "__main__":
+    run_door(main)

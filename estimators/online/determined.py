@@ -1,0 +1,195 @@
+"""What the instrument alone explains of the motion, and what that determines of the fields, place by place.
+
+A simulation is led by the instrument from rest on and never taken to what is seen, as the session's state is: what it
+leaves of the motion judges the model. As many more, each with the stiffness around one knot changed, give the
+derivatives of what is seen, and these with a normal prior the posterior of log stiffness at the knots (Gauss–Newton's:
+linear least squares around the fields of each frame). The noise is what the likeliest leave of the motion. Where a model
+is wrong it is wrong alike in neighbouring places and in one frame after the other: on the one real pull what is left of a frame
+correlates with the next one's by 0.99, and over 100 px by half. So frames together count as one, and in a frame points
+by as much as their means over the cells around the knots vary.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from estimators.grip.lattice import length
+from estimators.grip.stiffness_fit import ROUGHNESS
+from estimators.online.fitting import LEAST
+from estimators.online.gauss_newton import KNOTS, bumps
+from estimators.online.objective import Objective
+from physics.identifiability import LIMIT
+from physics.pbd.stiffness import Stiffness
+
+LEARNT = 0.5
+"""What is known must be surer than before anything was seen, by this factor: three quarters of what is said of it, at
+least, then come from what was seen."""
+SPREAD = 1.0
+"""Standard deviation of log stiffness at a knot before anything is seen, about the stiffness to begin with."""
+STEPPED = "time_step", "foundation"
+"""Of `Stepping`: what is known of them no better than SPREAD, too, since first frames tell them in large steps."""
+CHANGE = 0.01
+"""Of log stiffness, for finite differences."""
+LARGEST_MISFIT = 1.5
+"""What the likeliest values leave of the motion over what the fields do, root mean squares. On drawn sheets of the
+estimator's own kind 0.8 to 1.3 where places known are true; 2.2 on one of another mesh, whose true field leaves more
+than others do, so that what seems to be known is wrong."""
+ROUNDS = 4
+"""Of finding the likeliest values and, with them, the noise."""
+NOISE = 0.3
+"""Followed points err by as much at least, by axis [px]."""
+
+
+class Determined:
+    """One run of contact; N particles, Q points that are compared, K knots of both fields."""
+
+    def __init__(
+        self,
+        objective: Objective,
+        begun: Stiffness,
+        cells: Callable[[np.ndarray], np.ndarray],
+        shown: Callable[[np.ndarray], np.ndarray],
+    ) -> None:
+        """Begin at rest.
+
+        Args:
+            objective: body, grip and how it is stepped.
+            begun: stiffness to begin with, shape [N].
+            cells: gives values of the particles [N, C] at the points, shape [Q, C].
+            shown: gives displacements of the points in states [B, N, 3], shape [B, Q, 2] [px].
+        """
+        self._objective, self._shown = objective, shown
+        rest = objective.body.rest
+        parts = [bumps(rest, knots) for knots in KNOTS]
+        counts = [part.shape[1] for part in parts]
+        total = sum(counts) + len(STEPPED)
+        self._shares = np.zeros((2, len(rest), total))
+        self._shares[0, :, : counts[0]], self._shares[1, :, counts[0] : sum(counts)] = parts
+        stepping = objective.stepping
+        self._others = [
+            dataclasses.replace(
+                objective, stepping=dataclasses.replace(stepping, **{name: getattr(stepping, name) * math.exp(CHANGE)})
+            )
+            for name in STEPPED
+        ]
+        self._projected = np.linalg.pinv(self._shares.reshape(-1, total))
+        self._begun = np.log(begun.distance), np.log(begun.shape)
+        self._cell = cells(parts[0]).argmax(axis=1)
+        self._carried = np.repeat(rest[None], total + 2, axis=0)
+        self._squares = np.zeros((counts[0], total + 1, total + 1))
+        self._shared = np.zeros_like(self._squares)
+        self._points = np.zeros(counts[0])
+        """Of every cell, over frames: squares and products, summed over its points, of what is seen less what the
+        fields to begin with would show, then of its derivatives; the same of their means over points, times their
+        number; and that."""
+        self._frames = 0
+        self._motion = self._left = self._left_by_likeliest = 0.0
+        self.moved = self.predicted = np.zeros((len(self._cell), 2))
+        """Displacement of the points in the last frame that shows some, and by the instrument alone, [Q, 2] [px]."""
+        self.course = [(0.0, 0.0, 0.0)]
+        """Of every frame, rest first, how far points have moved, by the instrument alone, and the difference of both,
+        root mean squares [px]; not a number where none is seen."""
+
+    @property
+    def skill(self) -> float:
+        """1 - error / motion so far, root mean squares over points and frames; not a number where nothing has moved."""
+        return 1 - math.sqrt(self._left / self._motion) if self._motion > 0 else math.nan
+
+    def step(self, fields: Stiffness, places: np.ndarray, seen: np.ndarray) -> None:
+        """Lead the simulations on, and compare them with a frame.
+
+        Args:
+            fields: stiffness as it is before the frame is taken in, shape [N].
+            places: where the gripped particles are, shape [G, 3] [m].
+            seen: displacement of the points, shape [Q, 2] [px]; not seen = NaN.
+        """
+        factors = np.exp(CHANGE * self._shares[:, :, : -len(STEPPED)].transpose(0, 2, 1))
+        likeliest = np.exp(self._begun + self._shares @ self._posterior(fields)[1])
+        distance, shape = (
+            np.concatenate([best[None], field[None], field * factor])
+            for best, field, factor in zip(likeliest, fields[:2], factors, strict=True)
+        )
+        fewer = len(distance)
+        carried = [self._objective.carried(Stiffness(distance, shape, fields.volume), self._carried[:fewer], places)]
+        for other, state in zip(self._others, self._carried[fewer:], strict=True):
+            carried.append(other.stepped(fields, state, places[None]).positions[:, -1])
+        self._carried = np.concatenate(carried)
+        best, *shown = self._shown(self._carried)
+        shown = np.array(shown)
+        used = np.isfinite(seen).all(axis=1)
+        if not used.any():
+            self.course.append((math.nan, math.nan, math.nan))
+            return
+        self.moved, self.predicted = seen, shown[0]
+        self.course.append((length(seen[used]), length(shown[0][used]), length((seen - shown[0])[used])))
+        motion = float(np.square(seen[used]).sum())
+        if motion <= LEAST**2 * used.sum():
+            return
+        off, slopes, cell = (seen - shown[0])[used], (shown[1:] - shown[0])[:, used] / CHANGE, self._cell[used]
+        towards = off + np.einsum("kqi,k->qi", slopes, self._projected @ self._logs(fields).ravel())
+        self._frames += 1
+        self._motion += motion
+        self._left += float(np.square(off).sum())
+        self._left_by_likeliest += float(np.square((seen - best)[used]).sum())
+        rows = np.concatenate([towards[None], slopes])
+        for one in np.unique(cell):
+            here = rows[:, cell == one]
+            count, flat, means = here.shape[1], here.reshape(len(here), -1), here.mean(axis=1)
+            self._squares[one] += flat @ flat.T
+            self._shared[one] += count * means @ means.T
+            self._points[one] += count
+
+    def known(self, fields: Stiffness, among: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Standard deviations of log stiffness over its mean, shape [2, N]: of distances, of shapes; and where known.
+
+        Known is where the knots around tell it to LIMIT, surer by LEARNT than before anything was seen, and the field
+        is no farther from the likeliest value than that deviation: an optimiser that has not got there yet says
+        something else. Deviations include what the knots leave open, from one to the next a random walk. Nothing is known
+        where places that would be differ by less than their deviations, which doesn't tell which of them is stiffer,
+        nor where the likeliest values, once simulated, leave far more than the fields do: they don't belong to the
+        motion then, and the derivatives to neither.
+
+        Args:
+            fields: stiffness as it is now, shape [N].
+            among: particles over which means are taken and that may be known, one at least, shape [N], bool.
+        """
+        covariance, likeliest = self._posterior(fields)
+        logs = self._logs(fields)
+        shares, logs = (each - each[:, among].mean(axis=1, keepdims=True) for each in (self._shares, logs))
+        expected = SPREAD * np.sqrt(np.square(shares).sum(axis=2))
+        sd = np.sqrt(np.einsum("fnk,kl,fnl->fn", shares, covariance, shares))
+        apart = np.abs(logs - shares @ likeliest)
+        known = among & (sd < LIMIT) & (sd <= LEARNT * expected) & (apart <= sd)
+        for values, deviations, which in zip(logs, sd, known, strict=True):
+            if which.any() and values[which].std() < np.median(deviations[which]):
+                which[:] = False
+        known &= self._left_by_likeliest <= LARGEST_MISFIT**2 * self._left
+        stray = ROUGHNESS * np.sqrt((self._shares * (1 - self._shares)).sum(axis=2))
+        return np.hypot(sd, stray), known
+
+    def _posterior(self, fields: Stiffness) -> tuple[np.ndarray, np.ndarray]:
+        """Covariance of all numbers, shape [K, K], and their likeliest values over those to begin with, shape [K].
+
+        The noise is what these leave of the motion, not what the fields of each frame did, which had to be learnt.
+        """
+        prior = np.eye(self._shares.shape[2]) / SPREAD**2
+        precision, likeliest = prior, self._projected @ self._logs(fields).ravel()
+        some = self._points > 0
+        squares, shared, points = self._squares[some], self._shared[some], self._points[some]
+        for _ in range(ROUNDS if some.any() else 0):
+            way = np.append(1.0, -likeliest)
+            left, alike = (np.maximum(np.einsum("i,cij,j->c", way, each, way), 0.0) for each in (squares, shared))
+            # Of a cell's points in a frame so many err alike, and so do all frames.
+            together = np.maximum(points * alike.sum() / max(left.sum(), 1e-300), self._frames)
+            weight = 1 / (together * (left / (2 * points) + NOISE**2))
+            precision = prior + np.einsum("c,ckl->kl", weight, squares[:, 1:, 1:])
+            likeliest = np.linalg.solve(precision, weight @ squares[:, 1:, 0])
+        return np.linalg.inv(precision), likeliest
+
+    def _logs(self, fields: Stiffness) -> np.ndarray:
+        """Log stiffness of distances and of shapes, over that to begin with, shape [2, N]."""
+        return np.stack([np.log(fields.distance), np.log(fields.shape)]) - self._begun

@@ -1,0 +1,247 @@
+"""How well θ predicts the picture: depth some frames ahead, by physics alone and by a trained generator, against truth.
+
+The last depth map is carried along by the rollout of θ (`models.carried_depth`), as the GAN's decoder physics starts
+from it: once with the true θ, once with what the network says in that very frame. Compared with noise-free truth are
+the pixels within reach of the contact whose depth changes by more than twice its noise: mean absolute errors [scene
+units]. The rivals copy the last map, or the mean of all maps so far. When the tool lets go is taken as seen later; the
+estimates don't know it.
+
+Of a checkpoint of `train.py fit` the same is said: the last map carried by what its own head says, and the picture that
+its decoder makes. The columns `turned` move θ: from the true one to the farthest corner of the box, by which the
+generated picture and the simulated one (the clip's own integrator, rendered without noise) each change over the
+horizon: their correlation over all pixels that move with either θ, the median of the clips' own, and the generated
+change a unit of the simulated one.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+import pandas as pd
+import torch
+from rich.progress import Progress
+
+from data.synthetic.scene import SceneError
+from estimators.estimate import FrameEstimate
+from estimators.onset import STAMP
+from estimators.open import EstimatorOptions
+from evaluation.ablation.generated import TrainedGenerator, carried_ahead
+from evaluation.ablation.watched import WatchedClip, watch
+from evaluation.harness import Report, Row, require_within
+from evaluation.recovery.bounds import MECHANICS
+from evaluation.recovery.estimators import opened
+from evaluation.recovery.suites import LARGEST_SEED, SUITES, suite_clip_seed
+from models.checkpoint import CheckpointError
+from models.onnx_session import SHIPPED, open_model
+from models.records import farthest_corner
+from physics.fields import LARGEST
+from results.record import sha256_of
+
+NOISES = 2.0
+"""Pixels count whose depth changes by more than so many times its noise."""
+FEWEST = 3
+"""Pixels of a clip that a correlation is worth."""
+COPIES = ("last map copied", "mean map copied")
+CARRIED = ("carried by the true θ", "carried by the network's θ")
+GENERATED = ("carried by its own θ", "generated")
+"""What the depth some frames ahead is taken to be; the last two are a trained generator's."""
+
+
+@dataclass(frozen=True)
+class NextDepthTask:
+    """One clip of a suite."""
+
+    suite: str
+    index: int
+    seed: int
+    """Seed of the clip."""
+    horizon: int
+    """Frames ahead."""
+    network: EstimatorOptions
+    checkpoint: Path | None = None
+    """Of a trained generator, to be judged as well."""
+
+
+@functools.lru_cache(maxsize=1)
+def trained(checkpoint: Path) -> TrainedGenerator:
+    """The generator, opened once a process."""
+    return TrainedGenerator(checkpoint)
+
+
+def next_depth_errors(task: NextDepthTask) -> list[Row]:
+    """Errors of one clip; no pixels where it has no contact whose onset was seen.
+
+    Returns:
+        A row with `pixels`: how many count, of all its frames; `total`: the sum of their absolute errors, by COPIES,
+        CARRIED and, of a trained generator, GENERATED [scene units]; and `turned`: of how much further the depth of P
+        pixels that move changes with the true θ than with another, generated x and simulated y, P and the sums of x, y,
+        x², y² and xy, shape [6].
+    """
+    named: Row = {"suite": task.suite, "index": task.index}
+    generator = None if task.checkpoint is None else trained(task.checkpoint)
+    total = np.zeros(len(COPIES + CARRIED) + (0 if generator is None else len(GENERATED)))
+    clip = watch(task.suite, task.index, task.seed)
+    if clip is None:
+        return [named | {"pixels": 0, "total": total}]
+    session, frames = opened(task.network).start(clip.info), clip.frames
+    said = [item for frame in frames for item in session.push(frame) if isinstance(item, FrameEstimate)]
+    estimates = {item.frame: item.estimate.theta for item in said if item.estimate is not None}
+    pixels = 0
+    for now in clip.instants(task.horizon):
+        theta = estimates.get(frames[now].frame.number)
+        if theta is None:
+            continue
+        by = [clip.motion.theta, theta]
+        if generator is not None:
+            by.append(generator.estimate(clip, now))
+        made = copies(clip, now)
+        made += [carried_ahead(clip, now, task.horizon, each, MECHANICS) for each in by]
+        if generator is not None:
+            made.append(generator.picture(clip, now, by[-1]))
+        counted, errors = absolute_errors(clip, now, task.horizon, made)
+        pixels, total = pixels + counted, total + errors
+    found = named | {"pixels": pixels, "total": total}
+    return [found if generator is None else found | {"turned": moments(turned(clip, generator))}]
+
+
+def copies(clip: WatchedClip, now: int) -> list[np.ndarray]:
+    """COPIES, in that order, shape [h, w] each."""
+    return [clip.frames[now].depth, np.mean([frame.depth for frame in clip.frames[: now + 1]], axis=0)]
+
+
+def absolute_errors(clip: WatchedClip, now: int, horizon: int, made: Sequence[np.ndarray]) -> tuple[int, np.ndarray]:
+    """How many pixels count, and the sums of their absolute errors in each of the maps made of them, shape [len]."""
+    later = clip.truth[now + horizon].depth
+    moved = np.abs(later - clip.truth[now].depth) > NOISES * clip.contact.noise
+    counted = clip.tissue(now, horizon, clip.truth) & moved
+    return int(counted.sum()), np.array([np.abs(depth - later)[counted].sum() for depth in made])
+
+
+def turned(clip: WatchedClip, generator: TrainedGenerator) -> np.ndarray:
+    """How the depth of pixels changes from one θ to the farthest corner of the box: generated, and simulated.
+
+    Returns:
+        Shape [2, P] [scene units]; empty where that corner can't be simulated.
+    """
+    horizon, head = generator.horizon, generator.generator.head
+    theta = torch.tensor(clip.motion.theta[None])
+    corner = farthest_corner(theta, head.lower.double(), head.upper.double())[0].numpy()
+    try:
+        other = clip.truth_at(corner)
+    except SceneError:
+        return np.empty((2, 0))
+    pairs = []
+    for now in clip.instants(horizon):
+        changes = [truth[now + horizon].depth - truth[now].depth for truth in (clip.truth, other)]
+        tissue = clip.tissue(now, horizon, clip.truth) & clip.tissue(now, horizon, other)
+        moved = np.max(np.abs(changes), axis=0) > NOISES * clip.contact.noise
+        pictures = [generator.picture(clip, now, each) for each in (clip.motion.theta, corner)]
+        pairs.append([np.subtract(*both)[tissue & moved] for both in (pictures, changes)])
+    return np.concatenate(pairs, axis=1) if pairs else np.empty((2, 0))
+
+
+@dataclass(frozen=True)
+class NextDepth:
+    """Which clips, how far ahead, and what is judged."""
+
+    output: Path
+    """folder of the results"""
+    suite: tuple[str, ...] = ("clean", "noisy")
+    """suites of presses"""
+    clips: int = 30
+    """clips of each"""
+    seed: int = 0
+    """another seed gives other clips"""
+    split: Literal["training", "validation", "test"] = "test"
+    """stream of seeds"""
+    horizon: int = 4
+    """frames ahead"""
+    model: Path = SHIPPED
+    """network"""
+    checkpoint: Path | None = None
+    """trained generator, a checkpoint of train.py fit, to be judged as well"""
+    workers: int = 2
+    """processes; 0 = in this one"""
+
+    keys: ClassVar = ("suite", "index")
+    work: ClassVar = staticmethod(next_depth_errors)
+    refused: ClassVar = (CheckpointError,)
+
+    def __post_init__(self) -> None:
+        """Raise a ValueError where an option can't be used."""
+        require_within(self, clips=(1, LARGEST), seed=(0, LARGEST_SEED), horizon=(1, LARGEST), workers=(0, LARGEST))
+        if not set(self.suite) <= set(SUITES):
+            raise ValueError(f"--suite {' '.join(self.suite)}: give some of {', '.join(SUITES)}.")
+
+    def record(self) -> Mapping[str, Any]:
+        """What the results depend on.
+
+        Raises:
+            CheckpointError: the generator predicts other frames, or can't be used at all.
+            ModelFileError: the network can't be used.
+        """
+        if self.checkpoint is not None and trained(self.checkpoint).horizon != self.horizon:
+            ahead = trained(self.checkpoint).horizon
+            raise CheckpointError(f"{self.checkpoint} predicts {ahead} frames ahead; give --horizon {ahead}.")
+        found = {"seed": self.seed, "split": self.split, "horizon": self.horizon}
+        checkpoint = None if self.checkpoint is None else sha256_of(self.checkpoint)
+        return found | {"model": open_model(self.model, 1).sha256, "checkpoint": checkpoint}
+
+    @property
+    def _wanted(self) -> list[tuple[str, int]]:
+        return [(suite, index) for suite in self.suite for index in range(self.clips)]
+
+    def cases(self, done: Mapping[tuple, Row], progress: Progress) -> tuple[list[NextDepthTask], int]:
+        """Every clip of every suite."""
+        network = EstimatorOptions("network", model=self.model, onset=STAMP, threads=1)
+        seeds = [suite_clip_seed(self.split, self.seed, index) for index in range(self.clips)]
+        judged = self.horizon, network, self.checkpoint
+        left = [NextDepthTask(suite, at, seeds[at], *judged) for suite, at in self._wanted if (suite, at) not in done]
+        return left, len(self._wanted)
+
+    def report(self, rows: Mapping[tuple, Row]) -> Report:
+        """A row a suite."""
+        found = [rows[key] for key in self._wanted if key in rows]
+        frame = table(found)
+        return Report({"table.csv": frame}, [frame])
+
+
+def table(rows: Sequence[Row]) -> pd.DataFrame:
+    """A row a suite: mean errors over all pixels, and over the better copy's."""
+    found = []
+    for suite in dict.fromkeys(row["suite"] for row in rows):
+        own = [row for row in rows if row["suite"] == suite]
+        pixels = sum(row["pixels"] for row in own)
+        mean = np.sum([row["total"] for row in own], axis=0) / max(pixels, 1)
+        names = (COPIES + CARRIED + GENERATED)[: len(mean)]
+        cells: Row = {"suite": suite, "clips": sum(row["pixels"] > 0 for row in own), "pixels": pixels}
+        cells |= dict(zip(names, mean.tolist(), strict=True))
+        copied = max(float(mean[: len(COPIES)].min()), 1e-12)
+        cells |= {f"{name} / better copy": cells[name] / copied for name in names[len(COPIES) :]}
+        turned = [row["turned"] for row in own if "turned" in row and row["turned"][0] >= FEWEST]
+        if turned:
+            every = np.sum(turned, axis=0)
+            cells["turned, correlation"] = correlation(every)
+            cells["turned, median of clips"] = float(np.median([correlation(each) for each in turned]))
+            cells["turned, slope"] = float(every[5] / every[4])
+        found.append(cells)
+    return pd.DataFrame(found)
+
+
+def moments(pairs: np.ndarray) -> np.ndarray:
+    """How many pairs [2, P] there are, and their sums of x, y, x², y² and xy, shape [6]."""
+    first, second = pairs
+    sums = pairs.sum(axis=1), np.square(pairs).sum(axis=1)
+    return np.array([pairs.shape[1], *sums[0], *sums[1], (first * second).sum()])
+
+
+def correlation(sums: np.ndarray) -> float:
+    """Of pairs, from their `moments`."""
+    count, first, second, first_squared, second_squared, product = sums
+    variances = (count * first_squared - first**2) * (count * second_squared - second**2)
+    return float((count * product - first * second) / np.sqrt(variances))

@@ -1,0 +1,358 @@
+"""What every evaluation shares: an experiment is a function from a case to dictionaries, and the rest stands here once.
+
+An `Experiment` is a frozen dataclass whose fields are its options. `run` reads them from the command line, does the
+cases that no earlier run has done, keeps every row of results as a line of results.jsonl, so that the same command
+continues an interrupted run, and writes what the experiment makes of all rows: tables, pictures, a page.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any, ClassVar, Protocol, get_origin, get_type_hints
+
+import numpy as np
+import pandas as pd
+from jsonargparse import ArgumentParser, set_parsing_settings
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+from rich.text import Text
+
+from data.command_line import progress_bars, say
+from data.source.layout import InputError
+from estimators.worker_pool import WorkerLost, run_tasks
+from evaluation.page import render_page
+from evaluation.tables import to_cell
+from models.onnx_session import ModelFileError
+from physics.doors import INTERRUPTED, interruptible, plain
+from physics.files import as_json, read_file, replacing
+from physics.ownership import replacing_own, require_own
+from physics.provenance import code_digest
+from results.store import OutputError, writing
+
+RESULTS, RECORD = "results.jsonl", "run.json"
+FORMAT_VERSION = 5
+MOST_BYTES = 2**27
+"""Of a file of results; tens of thousands are smaller."""
+TABLE_WIDTH = 150
+"""Width of a printed table where there is no terminal: a pipe has none of its own, and 80 columns would cut names."""
+REFUSED = (InputError, ModelFileError, OutputError, WorkerLost)
+"""What ends any experiment with a sentence."""
+OK = "ok"
+
+Row = dict[str, Any]
+"""Results of one case by name: texts, numbers and arrays; what does not exist is left out."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """What an experiment makes of its rows."""
+
+    tables: Mapping[str, pd.DataFrame]
+    """By the name of their file."""
+    shown: Sequence[pd.DataFrame] = ()
+    """Printed."""
+    said: Sequence[tuple[str, str]] = ()
+    """Lines on the terminal, each with its style."""
+    figures: Mapping[str, bytes] = field(default_factory=dict)
+    """PNG files by their name in figures/."""
+    page: tuple[str, str] | None = None
+    """Title of report.html, and its text as Markdown, in which figures stand by their names."""
+    failed: bool = False
+    """Whether the program ends with status 1."""
+
+
+class Experiment(Protocol):
+    """What `run` runs. Its fields are options; it raises a ValueError where they don't belong together."""
+
+    output: Path
+    workers: int
+    keys: ClassVar[tuple[str, ...]]
+    """Fields of a row that tell it from all others; every row begins with the first of them."""
+    work: ClassVar[Callable[[Any], list[Row]]]
+    """From a case to its rows, importable by its name; a case that breaks something has a row that says so."""
+    refused: ClassVar[tuple[type[Exception], ...]]
+    """What else ends it with a sentence."""
+
+    def record(self) -> Mapping[str, Any]:
+        """What results depend on, as `Store` takes it."""
+        ...
+
+    def cases(self, done: Mapping[tuple, Row], progress: Progress) -> tuple[list[Any], int]:
+        """The cases that are left, and how many there are in all."""
+        ...
+
+    def report(self, rows: Mapping[tuple, Row]) -> Report:
+        """What is written of all rows in the folder, which may be more than this run asks for."""
+        ...
+
+
+def run(kind: type[Any], arguments: Sequence[str] | None, program: str, documentation: str | None) -> int:
+    """Run an experiment from the command line.
+
+    Args:
+        kind: a dataclass that is an `Experiment`.
+        arguments: of the command line; None = the program's own.
+        program: how a user calls it.
+        documentation: for `--help`.
+
+    Returns:
+        Exit status: 0 done; 1 failed; 2 wrong usage; 130 interrupted.
+    """
+    experiment: Experiment = options(kind, arguments, program, documentation)
+    console, refused = Console(stderr=True), REFUSED + kind.refused
+    try:
+        store = Store(experiment.output, experiment.record(), experiment.keys)
+    except refused as error:
+        say(console, str(error), "red")
+        return 2
+    if store.outdated:
+        text = "Results of another version of the program are kept; give another --output to measure this one."
+        say(console, text, "yellow")
+    status = 0
+    try:
+        with interruptible(), progress_bars(console) as progress:
+            cases, total = experiment.cases(store.rows, progress)
+            bar = progress.add_task("cases", total=total, completed=total - len(cases))
+            for rows in run_tasks(kind.work, cases, experiment.workers):
+                store.append(rows)
+                progress.advance(bar)
+    except KeyboardInterrupt:
+        say(console, "Interrupted; what is finished is kept, and the same command continues.", "yellow")
+        status = INTERRUPTED
+    except refused as error:
+        say(console, f"{error} What is finished is kept.", "red")
+        status = 1
+    if not store.rows:
+        return status or 1
+    report = experiment.report(store.rows)
+    try:
+        names = write(experiment.output, report)
+    except OutputError as error:
+        say(console, str(error), "red")
+        return 1
+    for frame in report.shown:
+        show(frame, console)
+    for text, style in report.said:
+        say(console, text, style)
+    say(console, f"written: {experiment.output}/{', '.join(names)}")
+    return status or int(report.failed)
+
+
+def options(kind: type[Any], arguments: Sequence[str] | None, program: str, documentation: str | None) -> Any:
+    """A dataclass filled in from the command line; ends the program where an option is wrong.
+
+    Options are written as `--clips 3`, `--suite clean noisy` (fields that are tuples of any length) and `--camera`.
+    """
+    set_parsing_settings(docstring_parse_attribute_docstrings=True)
+    parser = _Parser(
+        prog=f"python -m {program}",
+        description=documentation,
+        formatter_class=_Formatter,
+        epilog="Exit status: 0 done; 1 failed; 2 wrong usage; 130 interrupted.",
+    )
+    parser.add_class_arguments(kind)
+    given = sys.argv[1:] if arguments is None else arguments
+    if any(each == "" or each.endswith("=") for each in given):
+        parser.error("an option is empty, as of an unset variable of the shell; give its value or leave it out.")
+    parsed = parser.parse_args(_spelt(kind, given))
+    try:
+        return kind(**{each.name: parsed[each.name] for each in fields(kind)})
+    except ValueError as error:
+        parser.error(str(error))
+
+
+class _Formatter(argparse.RawDescriptionHelpFormatter, argparse.ArgumentDefaultsHelpFormatter):
+    pass
+
+
+class _Parser(ArgumentParser):
+    def format_help(self) -> str:
+        """As jsonargparse has it, with options spelt as a user writes them."""
+        text = re.sub(r"--\w+", lambda option: option[0].replace("_", "-"), super().format_help())
+        return text.replace("[ITEM,...]", "NAME …    ")
+
+
+def require_within(settings: Any, **ranges: tuple[float, float]) -> None:
+    """Raise a ValueError where an option that is a number lies outside its range, ends included."""
+    for name, (least, most) in ranges.items():
+        value, option = getattr(settings, name), name.replace("_", "-")
+        if value is not None and value < least:
+            raise ValueError(f"--{option}: {value} is less than {least}.")
+        if value is not None and value > most:
+            raise ValueError(f"--{option}: {value} is more than {most}.")
+
+
+def _spelt(kind: type[Any], arguments: Sequence[str]) -> list[str]:
+    """Arguments as jsonargparse reads them: one a field, several values as a list, and `true` for a bare flag."""
+    kinds, found = get_type_hints(kind), list[str]()
+    several: dict[str, list[str]] = {}
+    for argument in arguments:
+        name, equals, value = argument.removeprefix("--").partition("=")
+        if argument.startswith("--"):
+            latest, single = name.replace("-", "_"), not equals
+            hint = kinds.get(latest)
+            if get_origin(hint) is tuple:
+                several.setdefault(latest, []).extend([value] if equals else [])
+            elif hint is bool and single:
+                found.append(f"--{latest}=true")
+            elif hint is None:
+                found.append(argument)
+            else:
+                found.append(f"--{latest}" + (f"={value}" if equals else ""))
+        elif found and found[-1] == f"--{latest}":
+            found[-1] += f"={argument}"
+        elif several and latest in several:
+            several[latest].append(argument)
+        else:
+            found.append(argument)
+    return found + [f"--{name}={as_json(values)}" for name, values in several.items()]
+
+
+class Store:
+    """Rows of one folder.
+
+    Args:
+        output: the folder; made when it is not there.
+        wanted: what the results depend on, JSON-able. A later run may leave a part out or add one, but what both have
+            must be the same.
+        keys: fields that tell a row from all others.
+
+    Raises:
+        OutputError: the folder can't be used, or holds results that depend on something else.
+    """
+
+    def __init__(self, output: Path, wanted: Mapping[str, Any], keys: tuple[str, ...]) -> None:
+        self.output, self._keys, self._results = output, keys, output / RESULTS
+        with writing(output):
+            if output.exists() and not output.is_dir():
+                raise OutputError(f"{output}: is a file; give a folder as --output.")
+            output.mkdir(parents=True, exist_ok=True)
+        code, wanted = code_digest(), json.loads(as_json({"format": FORMAT_VERSION, **wanted}))
+        recorded = self._recorded()
+        for name, value in wanted.items():
+            if recorded.get(name, value) != value:
+                raise OutputError(
+                    f"{output}: holds results of another {name}; run with the same arguments or choose another "
+                    "--output."
+                )
+        self.rows: dict[tuple, Row] = {}
+        """By what tells them from others, in the order in which they came."""
+        if self._results.exists():
+            with writing(output):
+                _cut_unfinished(self._results, f'{{"{keys[0]}": '.encode())
+            self.rows = read_results(self._results, keys)
+        self.outdated = bool(self.rows) and recorded.get("code", code) != code
+        """Whether earlier results come from another version of the program."""
+        with writing(output), replacing(output / RECORD) as partial:
+            partial.write_text(as_json({"code": code, **recorded, **wanted}, indent=2) + "\n", encoding="utf-8")
+
+    def append(self, rows: Iterable[Row]) -> None:
+        """Keep rows, each in place of one of the same key; they are on disk when this returns."""
+        lines = [as_json(row) for row in rows]
+        with writing(self.output), self._results.open("a", encoding="utf-8") as file:
+            file.write("".join(f"{line}\n" for line in lines))
+            file.flush()
+            os.fsync(file.fileno())
+        self.rows |= dict(_parsed(line, self._keys) for line in lines)
+
+    def _recorded(self) -> dict[str, Any]:
+        path = self.output / RECORD
+        if not path.exists():
+            if self._results.exists():
+                raise OutputError(f"{self.output}: holds results without {RECORD}; choose another --output.")
+            return {}
+        try:
+            record = json.loads(read_file(path))
+        except (OSError, ValueError, RecursionError) as error:
+            raise OutputError(f"{path}: is not readable; remove the folder or choose another --output.") from error
+        if not isinstance(record, dict) or not {"code", "format"} <= set(record):
+            raise OutputError(f"{path}: belongs to something else; choose another --output.")
+        return record
+
+
+def _parsed(line: str | bytes, keys: tuple[str, ...]) -> tuple[tuple, Row]:
+    """Key and row of a line: lists are arrays, what is null in one is not a number, and what is null is left out."""
+    row = {name: value for name, value in json.loads(line).items() if value is not None}
+    for name, value in row.items():
+        if isinstance(value, list):
+            array = np.array(value)
+            row[name] = array.astype(np.float64) if array.dtype == object else array
+    return tuple(row[name] for name in keys), row
+
+
+def read_results(path: Path, keys: tuple[str, ...]) -> dict[tuple, Row]:
+    """Rows of a file by what tells them from others, the last one of each key.
+
+    Raises:
+        OutputError: a line is not a row.
+        OSError: the file can't be read.
+    """
+    found: dict[tuple, Row] = {}
+    for number, line in enumerate(read_file(path, MOST_BYTES).splitlines(), 1):
+        try:
+            key, row = _parsed(line, keys)
+        except (ValueError, TypeError, AttributeError, KeyError, RecursionError) as error:
+            raise OutputError(
+                f"{path}: line {number} is not a result; remove that line or choose another --output."
+            ) from error
+        found[key] = row
+    return found
+
+
+def _cut_unfinished(path: Path, beginning: bytes) -> None:
+    """Remove a last line that a killed run left without its end; one that doesn't begin as ours do stays."""
+    data = read_file(path, MOST_BYTES)
+    complete = data.rfind(b"\n") + 1
+    cut = data[complete:]
+    if cut and beginning.startswith(cut[: len(beginning)]):
+        os.truncate(path, complete)
+
+
+def write(output: Path, report: Report) -> list[str]:
+    """Write tables, pictures and page; returns their names.
+
+    Raises:
+        OutputError: they can't be written, or a user's file is there.
+    """
+    files = {name: csv_of(frame).encode() for name, frame in report.tables.items()}
+    files |= {f"figures/{name}": content for name, content in report.figures.items()}
+    if report.page is not None:
+        files["report.html"] = render_page(*report.page, report.figures).encode()
+    with writing(output):
+        require_own(*(output / name for name in files))
+        for name, content in files.items():
+            (output / name).parent.mkdir(parents=True, exist_ok=True)
+            with replacing_own(output / name) as partial:
+                partial.write_bytes(content)
+    return [name for name in files if "/" not in name] + ["figures/"] * bool(report.figures)
+
+
+def csv_of(frame: pd.DataFrame) -> str:
+    """A table as CSV: six digits, and empty cells for what doesn't exist."""
+    return frame.map(lambda value: to_cell(value, ".6g")).to_csv(index=False, lineterminator="\n")
+
+
+def show(frame: pd.DataFrame, console: Console) -> None:
+    """Print a table."""
+    table = Table(*map(str, frame.columns))
+    for row in frame.itertuples(index=False):
+        table.add_row(*(Text(plain(to_cell(cell, ".3g"))) for cell in row))
+    Console(stderr=True, width=None if console.is_terminal else TABLE_WIDTH).print(table)
+
+
+def attempted(work: Callable[[], Row]) -> Row:
+    """What some work gives, or why it gives nothing: what breaks on one case is a result, and the others go on."""
+    try:
+        with interruptible():
+            return work()
+    except Exception as error:
+        reason = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
+        return {"status": "error", "reason": reason}

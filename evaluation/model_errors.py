@@ -1,0 +1,161 @@
+"""Measures on drawn clips what the fits' own models get wrong, and writes `estimators/model_errors.yaml`.
+
+    python -m evaluation.model_errors --part grip --clips 24 --seed 9201
+
+The sessions that users run are asked of clips of the validation split, and what they are off by is compared with what
+their residuals tell: the rest is the model's. Of every entry of the file that a part measures, `measured` then says the
+root mean square errors, what residuals tell of them, the standard deviation of the model that follows, from how many
+clips, and by which command. Fewer than 20 clips leave `value`, by which the estimators go, as it is. The part grip
+takes the suites retraction, foundation and regions; pull the pulls of the suite fem, by a slab that is told the
+thickness (minutes a clip).
+"""
+
+from __future__ import annotations
+
+from physics.doors import enter_door, run_door
+
+if __name__ == "__main__":
+    enter_door()  # before the slow imports
+
+import argparse
+import datetime
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from rich.console import Console
+
+from data.command_line import path_option, progress_bars, say, whole_number
+from estimators.model_errors import FILE, read_entries
+from estimators.open import FEM, EstimatorOptions
+from evaluation.harness import Row
+from evaluation.recovery.suites import EVERY, LARGEST_SEED, suite_clip_seed
+from evaluation.recovery.trial import Trial, run_trial
+from physics.files import replacing
+
+SPLIT = "validation"
+PARTS = {"grip": ("retraction", "foundation", "regions"), "pull": ("fem",)}
+"""Suites of every part."""
+DIRECT = "direct"
+CANDIDATES = {"grip": EstimatorOptions(DIRECT, threads=1), "pull": EstimatorOptions(DIRECT, Path(FEM), threads=1)}
+"""Who estimates the clips of a part."""
+ENOUGH = 20
+"""So many clips change a value: a standard deviation is then known to a sixth."""
+HEAD = (
+    "# What a fit's own model gets wrong. estimators/model_errors.py says what each entry is;\n"
+    "# `python -m evaluation.model_errors` measures them and writes this file.\n"
+)
+
+Errors = dict[str, list[tuple[float, float]]]
+"""By entry: errors of the clips, and the variances that their residuals tell."""
+
+
+def model_sd(off: float, told: float) -> float:
+    """Standard deviation that is left of root mean square errors where residuals tell some, to two digits."""
+    left = math.sqrt(max(off**2 - told**2, 0.0))
+    return float(f"{left:.2g}")
+
+
+def grip_errors(rows: Sequence[Row], values: Mapping[str, float]) -> Errors:
+    """Errors of foundation and force, and what residuals tell of them, by which of the model's errors was counted.
+
+    Args:
+        rows: of clips.
+        values: standard deviations that the estimates counted, by entry.
+    """
+    found: Errors = {}
+    for row in rows:
+        if "foundation" not in row or "force" not in row:
+            continue
+        # The largest error of a model that an interval has room for is the one that it counts.
+        kinds = ("as_seen", "uneven", "measured")
+        kind = next((kind for kind in kinds if row["foundation"][2] >= 0.98 * values[f"foundation_{kind}"]), "measured")
+        for quantity, (true, log, sd, *_) in ((name, row[name]) for name in ("foundation", "force")):
+            name = f"{quantity}_{kind}"
+            if name in values:
+                found.setdefault(name, []).append((log - true, max(sd**2 - values[name] ** 2, 0.0)))
+    return found
+
+
+def pull_errors(rows: Sequence[Row], values: Mapping[str, float]) -> Errors:
+    """Errors of log force over E, and of the force's course as shares of it; arguments as of `grip_errors`."""
+    found: Errors = {}
+    for row in rows:
+        if "reaction" not in row:
+            continue
+        value, sd = row["reaction"]
+        told = max(sd**2 - values["pull_force"] ** 2, 0.0)
+        found.setdefault("pull_force", []).append((math.log(value * row["tissue"][0] / row["true_force"]), told))
+        # The last frame's ratio is 1 by definition.
+        true, course, deviation = row["curve"][:, :-1]
+        size = float(np.square(course).mean())
+        told = float(np.square(deviation).mean()) / size - values["pull_course"] ** 2
+        found.setdefault("pull_course", []).append(
+            (math.sqrt(float(np.square(course - true).mean()) / size), max(told, 0.0))
+        )
+    return found
+
+
+def updated(entries: dict[str, dict[str, Any]], errors: Errors, command: str, date: str) -> dict[str, dict[str, Any]]:
+    """Entries with what was measured; their values are that where enough clips were."""
+    found = {name: dict(entry) for name, entry in entries.items()}
+    for name, pairs in errors.items():
+        errors_of, variances = np.transpose(pairs)
+        off, told = (float(f"{math.sqrt(part.mean()):.3g}") for part in (np.square(errors_of), variances))
+        measured = {"off": off, "told": told, "sd": model_sd(off, told), "clips": len(pairs)}
+        found[name]["measured"] = measured | {"command": command, "date": date}
+        if len(pairs) >= ENOUGH:
+            found[name] |= {"value": measured["sd"], "source": "measured"}
+    return found
+
+
+def write_entries(path: Path, entries: dict[str, dict[str, Any]]) -> None:
+    """Write the file."""
+    with replacing(path) as partial:
+        text = yaml.safe_dump(entries, sort_keys=False, width=110, allow_unicode=True)
+        partial.write_text(HEAD + text, encoding="utf-8")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Measure a part; returns the exit status."""
+    parser = argparse.ArgumentParser(
+        prog="python -m evaluation.model_errors",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog="Exit status: 0 done, 1 nothing could be measured, 2 wrong usage, 130 interrupted.",
+    )
+    add = parser.add_argument
+    add("--part", choices=list(PARTS), required=True, help="whose errors are measured")
+    add("--clips", type=whole_number(1), default=24, metavar="N", help="clips of each suite (default %(default)s)")
+    add("--seed", type=whole_number(0, LARGEST_SEED), required=True, metavar="N", help="of the clips")
+    add("--output", type=path_option, default=FILE, metavar="FILE", help="the file (default: that of the estimators)")
+    options, console = parser.parse_args(arguments), Console(stderr=True)
+    entries = read_entries(options.output if options.output.exists() else FILE)
+    values = {name: float(entry["value"]) for name, entry in read_entries().items()}
+    numbers = [(suite, index) for suite in PARTS[options.part] for index in range(options.clips)]
+    if options.part == "pull":
+        numbers = [(suite, index) for suite, index in numbers if EVERY[suite].settings(index).action == "grip"]
+    rows: list[Row] = []
+    with progress_bars(console) as progress:
+        bar = progress.add_task("clips", total=len(numbers))
+        for suite, index in numbers:
+            seed = suite_clip_seed(SPLIT, options.seed, index)
+            rows += run_trial(Trial(index, seed, {suite: {DIRECT: CANDIDATES[options.part]}}))
+            progress.advance(bar)
+    errors = (grip_errors if options.part == "grip" else pull_errors)(rows, values)
+    if not errors:
+        say(console, "No clip has an estimate that could be compared; give other seeds, or more clips.", "red")
+        return 1
+    command = f"python -m evaluation.model_errors --part {options.part} --clips {options.clips} --seed {options.seed}"
+    write_entries(options.output, updated(entries, errors, command, datetime.date.today().isoformat()))
+    for name, pairs in errors.items():
+        say(console, f"{name}: {len(pairs)} clips")
+    say(console, f"written: {options.output}")
+    return 0
+
+
+if __name__ == "__main__":
+    run_door(main)

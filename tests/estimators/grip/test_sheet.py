@@ -1,0 +1,172 @@
+"""A sheet whose grip is not seen well: foundation and force are found again all the same, or it is said why not."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from estimators.grip.sheet import (
+    DENSE,
+    LOOKS,
+    SIZE,
+    FoundationFit,
+    Measuring,
+    NoSheet,
+    SeenFrame,
+    fit_foundation,
+    frame_correlation,
+    information,
+)
+from estimators.model_errors import MODEL_ERRORS
+from physics.endless_sheet import response
+
+SPACING, NOISE = 8, 0.1
+ANCHOR = 0.05
+PULLS = np.linspace(10.0, 40.0, 4)
+
+
+def grid() -> tuple[np.ndarray, np.ndarray]:
+    """Places of a grid [px] and their distances from a tool that comes from above."""
+    row, column = np.mgrid[1:41, 1:61]
+    places = SPACING * np.column_stack([column.ravel(), row.ravel()]).astype(np.float64)
+    outside = np.maximum(np.abs(places - [240, 80]) - [12, 80], 0)
+    return places, np.linalg.norm(outside, axis=1)
+
+
+def seen(dragged: float = 0.0, seed: int = 0, background: float = 0.0, anchor: float = ANCHOR) -> list[SeenFrame]:
+    """Two nodes at the tool's tip are pulled; points within 12 px of the tool are off, as told."""
+    places, distance = grid()
+    points, away = places[distance > 5], distance[distance > 5]
+    answer, generator = response(anchor, SIZE), np.random.default_rng(seed)
+    frames = []
+    for pull in PULLS:
+        moved = np.zeros_like(points)
+        for node in ((30, 20), (31, 20)):
+            apart = np.rint(points / SPACING).astype(int) - node
+            moved += np.outer(answer[tuple(apart.T)] / answer[0, 0], [0.3 * pull, 0.5 * pull])
+        moved += background * pull * (points / 400 - 0.5)
+        near = (away < 12)[:, None]
+        moved += NOISE * generator.normal(size=moved.shape) + np.where(near, [0.0, dragged * pull], 0.0)
+        frames.append(SeenFrame(moved, np.where(near[:, 0] & (dragged > 0), dragged * pull, NOISE)))
+    return frames
+
+
+def fitted(frames: list[SeenFrame]) -> FoundationFit:
+    places, distance = grid()
+    hidden = distance <= 5
+    return fit_foundation(places[~hidden], distance[~hidden], places[hidden], SPACING, frames)
+
+
+def true_log_force() -> float:
+    """Of both nodes, by axis 0.3 and 0.5 of the pull over what a node gives way."""
+    return math.log(2 * math.hypot(0.3, 0.5) * PULLS[-1] / response(ANCHOR, SIZE)[0, 0])
+
+
+@pytest.mark.parametrize(("dragged", "background"), [(0.0, 0.0), (0.3, 0.0), (0.3, 0.3)])
+def test_a_grip_whose_points_err_does_not_bias_what_is_told(dragged: float, background: float) -> None:
+    found = fitted(seen(dragged, background=background))
+    off = found.log_anchor - math.log(ANCHOR), found.log_force - true_log_force()
+    assert np.abs(off).max() < 0.1
+    assert abs(off[0]) < 2 * found.log_anchor_sd < 0.3
+    assert abs(off[1]) < 2 * found.log_force_sd < 0.5
+    np.testing.assert_allclose(found.force, PULLS / PULLS[-1], atol=0.05)
+    assert (found.force[-1], found.force_sd[-1]) == pytest.approx((1.0, 0.0))
+
+
+def test_points_measured_again_where_the_sheet_says_they_are_undo_a_bias() -> None:
+    """Followed points go too little where they move most, as filtered ones do; measured again they don't."""
+    places, distance = grid()
+    hidden = distance <= 5
+    exact, asked = seen(), []
+    near = (distance[~hidden] < 60)[:, None]
+    biased = [SeenFrame(frame.moved * np.where(near, 0.97, 1.0), frame.noise) for frame in exact]
+
+    def measure(number: int, motion: np.ndarray, which: np.ndarray) -> SeenFrame:
+        assert {*np.flatnonzero(distance[~hidden] < DENSE)} < {*which}
+        asked.append((number, motion.reshape(-1, 2)[~hidden]))
+        return exact[number]
+
+    parts = places[~hidden], distance[~hidden], places[hidden], SPACING, biased
+    without = fit_foundation(*parts)
+    found = fit_foundation(*parts, Measuring(places.reshape(40, 60, 2), measure))
+    assert abs(found.log_anchor - math.log(ANCHOR)) < 0.01 < abs(without.log_anchor - math.log(ANCHOR))
+    assert [number for number, _ in asked] == LOOKS * [0, 1, 2, 3]
+    for number, motion in asked[-4:]:
+        assert np.median(np.linalg.norm(motion - exact[number].moved, axis=1)) < 2 * NOISE
+
+
+@pytest.mark.parametrize("lost", [1, 3])
+def test_frames_that_show_too_few_points_are_left_out_and_most_leave_points_as_followed(lost: int) -> None:
+    """Four frames, of which one or three can't be measured again."""
+    places, distance = grid()
+    hidden = distance <= 5
+    exact, asked = seen(), []
+
+    def measure(number: int, motion: np.ndarray, which: np.ndarray) -> SeenFrame:
+        asked.append(number)
+        gone = np.full_like(exact[number].moved, np.nan)
+        return SeenFrame(gone, exact[number].noise) if number < lost else exact[number]
+
+    parts = places[~hidden], distance[~hidden], places[hidden], SPACING, exact
+    found = fit_foundation(*parts, Measuring(places.reshape(40, 60, 2), measure))
+    assert abs(found.log_anchor - math.log(ANCHOR)) < 0.01
+    if lost == 1:
+        assert asked == [0, 1, 2, 3, *(LOOKS - 1) * [1, 2, 3]]
+        assert found.log_anchor_sd < fit_foundation(*parts).log_anchor_sd
+    else:
+        assert asked == [0, 1, 2, 3]
+        assert found.log_anchor_sd >= MODEL_ERRORS.foundation_followed
+        assert found.log_anchor_sd == fit_foundation(*parts).log_anchor_sd
+
+
+def test_frames_that_share_no_point_are_taken_to_err_alike() -> None:
+    left = np.full((2, 6, 2), np.nan)
+    left[0, :3], left[1, 3:] = 1.0, -1.0
+    np.testing.assert_array_equal(frame_correlation(left), 1.0)
+
+
+def test_motion_that_is_no_sheets_is_refused() -> None:
+    places, distance = grid()
+    points = places[distance > 5]
+    wave = np.sin(points / 30)
+    frames = [SeenFrame(frame.moved + pull / 20 * wave, frame.noise) for frame, pull in zip(seen(), PULLS, strict=True)]
+    with pytest.raises(NoSheet, match="px off besides their noise"):
+        fitted(frames)
+
+
+def test_a_tool_that_hides_too_much_is_refused() -> None:
+    places, distance = grid()
+    hidden = distance <= 140
+    frames = [SeenFrame(np.ones((int((~hidden).sum()), 2)), np.full(int((~hidden).sum()), NOISE))]
+    with pytest.raises(NoSheet, match=r"from 1 to 400"):
+        fit_foundation(places[~hidden], distance[~hidden] - 140, places[hidden], SPACING, frames)
+
+
+def test_what_is_left_and_goes_together_over_many_points_widens_what_is_told() -> None:
+    """A wave within a told noise that is three times too large."""
+    places, distance = grid()
+    wave = 0.15 * np.sin(places[distance > 5] / 25)
+    plain, waved = (
+        fitted([SeenFrame(frame.moved + added, 3 * frame.noise) for frame in seen()]) for added in (0.0, wave)
+    )
+    assert (
+        plain.log_anchor_sd < 0.1 < 0.98 * MODEL_ERRORS.foundation_uneven < waved.log_anchor_sd
+    )  # less the prior's share
+    assert plain.log_force_sd < MODEL_ERRORS.force_uneven <= waved.log_force_sd
+
+
+def test_frames_that_err_alike_tell_what_one_does() -> None:
+    curvatures = np.full(4, 25.0)
+    assert information(curvatures, np.eye(4)) == pytest.approx(100)
+    assert information(curvatures, np.ones((4, 4))) == pytest.approx(25)
+    assert information(np.array([0.0, -3.0]), np.eye(2)) == 0
+
+
+def test_correlation_of_errors_is_measured() -> None:
+    generator = np.random.default_rng(0)
+    one, other = generator.normal(size=(2, 5000, 2))
+    errors = 0.5 * np.stack([one, 0.6 * one + 0.8 * other])
+    errors[0, :50] = np.nan
+    np.testing.assert_allclose(frame_correlation(errors), [[1, 0.6], [0.6, 1]], atol=0.03)

@@ -1,0 +1,221 @@
+"""Calibration by hand, on errors of known size, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+import os
+
+import numpy as np
+import pytest
+import torch
+
+from data.contact.features import FEATURES, KNOWN, REFERENCE_SPACING
+from estimators.estimate import NINETY
+from estimators.network.calibration import check_record, main, widths_of
+from estimators.network.fits import BOUNDS
+from evaluation.harness import Store
+from models.calibration import LOG_DAMPING
+from models.calibration_fit import conformal_scale, fit_exponents
+from models.onnx_export import export
+from models.onnx_session import PosteriorModel
+from models.posterior import ContactPosterior
+from results.record import sha256_of
+from tests.evaluation.recovery_cases import off_by, recovery
+
+METADATA = {"input": {"window": 1, "height": 120, "width": 214}}
+RATIO = float(np.exp(np.log(np.abs(off_by([0.0] * 3))) @ LOG_DAMPING))
+"""k_d/√k_s of the usual tissue."""
+
+
+def test_factor_by_hand() -> None:
+    """With 199 scores 1…199 in units of sd the 180th is the 90 % quantile of 200."""
+    errors = np.arange(1.0, 200.0)
+    assert conformal_scale(errors, np.ones(199)) * NINETY == pytest.approx(180)
+    assert conformal_scale(-2 * errors, np.ones(199)) * NINETY == pytest.approx(360)
+
+
+def test_widths_are_found_again() -> None:
+    generator = np.random.default_rng(0)
+    known = np.log(generator.uniform(0.05, 0.5, (20000, 2)))
+    errors = generator.normal(size=20000) * np.exp(0.3 + known @ (0.7, 0.2))
+    np.testing.assert_allclose(fit_exponents(errors, known), (0.7, 0.2), atol=0.03)
+    known[:, 1] = 1.0  # tells nothing, so the rest must come out as without it
+    found = fit_exponents(errors, known)
+    assert found[1] == 0
+    np.testing.assert_allclose(found[:1], fit_exponents(errors, known[:, :1]), rtol=1e-6)
+
+
+def test_overconfident_estimates_become_calibrated_at_any_width() -> None:
+    """Errors with a floor under their size: one factor for all leaves narrow intervals too narrow."""
+    generator = np.random.default_rng(0)
+    sd, noise = generator.uniform(0.03, 0.6, (6000, 3)), generator.choice([0.4, 1.5], 6000)
+    damping = np.exp(generator.uniform(-4, 4, 6000))
+    """Over the usual tissue's."""
+    errors = generator.normal(size=(6000, 3)) * 1.3 * sd**0.7 * noise[:, None] ** 0.2 * damping[:, None] ** 0.15
+    rows = [
+        recovery(
+            index,
+            estimator="network",
+            theta=off_by([0.0, np.log(damping[index]), 0.0]),
+            estimate=off_by(errors[index] + [0.0, np.log(damping[index]), 0.0]),
+            covariance=np.diag(sd[index] ** 2),
+            noise=noise[index] * REFERENCE_SPACING,
+        )
+        for index in range(3000)
+    ]
+    found = widths_of(rows)
+    np.testing.assert_allclose(found.power, 0.7, atol=0.06)
+    np.testing.assert_allclose(found.noise, 0.2, atol=0.06)
+    np.testing.assert_allclose(found.damping, 0.15, atol=0.06)
+    ratios = RATIO * damping[3000:, None]
+    widths = found.scale * sd[3000:] ** found.power * noise[3000:, None] ** np.array(found.noise)
+    widths = widths * ratios ** np.array(found.damping)
+    held = np.abs(errors[3000:]) <= NINETY * widths
+    for parameter in range(3):
+        order = np.argsort(sd[3000:, parameter])
+        for half in np.array_split(order, 2):
+            assert held[half, parameter].mean() == pytest.approx(0.9, abs=0.03)
+        flat = conformal_scale(errors[:3000, parameter], sd[:3000, parameter]) * sd[3000:, parameter]
+        narrow, wide = (
+            (np.abs(errors[3000:, parameter]) <= NINETY * flat)[half].mean() for half in np.array_split(order, 2)
+        )
+        assert narrow < 0.88 < 0.92 < wide
+
+
+def test_a_noise_between_two_others_may_be_the_worst() -> None:
+    """As that of rounding: errors that are three times as large there only."""
+    generator = np.random.default_rng(1)
+    noise = generator.choice([0.4, 0.6, 1.5], 2400)
+    factor = np.where(noise == 0.6, 3.0, 1.0)
+    errors = generator.normal(size=(2400, 3)) * 0.1 * factor[:, None]
+    rows = [
+        recovery(
+            index,
+            estimator="network",
+            estimate=off_by(errors[index]),
+            covariance=np.diag(np.full(3, 0.01)),
+            noise=noise[index] * REFERENCE_SPACING,
+        )
+        for index in range(len(errors))
+    ]
+    found = widths_of(rows)
+    assert found.middle_range == (pytest.approx(np.log(0.4)), pytest.approx(np.log(1.5)))
+    for level, factors in ((0.4, 1), (0.6, 3), (1.5, 1)):
+        log = np.log(level)
+        widths = 0.1 ** np.array(found.power) * found.scale * RATIO ** np.array(found.damping)
+        widths *= np.exp(log * np.array(found.noise) + (log - np.log(0.4 * 1.5) / 2) ** 2 * np.array(found.bend))
+        np.testing.assert_allclose(widths, 0.1 * factors, rtol=0.15)
+
+
+def test_too_few_clips_are_refused() -> None:
+    with pytest.raises(ValueError, match="needs 100"):
+        widths_of([recovery(index, estimator="network") for index in range(99)])
+
+
+def test_results_of_something_else_are_refused(tmp_path) -> None:
+    """Another split, contacts cut off otherwise, or another network."""
+    network = {"model_sha256": "abc"}
+    right = {"split": "validation", "seen": None, "estimator network": network}
+    for change, words in (
+        ({"split": "test"}, "has split test; run the benchmark with --split validation"),
+        ({"seen": "press"}, "has seen press; run the benchmark without --seen"),
+        ({"estimator network": {"model_sha256": "def"}}, "is of another network than the one to calibrate"),
+        ({"estimator network": network | {"onset": "between"}}, "made with --onset between"),
+        ({"estimator network": {}}, "is of another network than the one to calibrate"),
+    ):
+        (tmp_path / "run.json").write_text(json.dumps(right | change))
+        with pytest.raises(ValueError, match=words):
+            check_record(tmp_path, "abc", None)
+    (tmp_path / "run.json").write_text(json.dumps(right))
+    check_record(tmp_path, "abc", None)
+    with pytest.raises(ValueError, match="with --seen press"):
+        check_record(tmp_path, "abc", "press")
+    with pytest.raises(ValueError, match="run the benchmark with --onset between"):
+        check_record(tmp_path, "abc", None, "between")
+    unknown = right | {"estimator network": network | {"onset": "between"}}
+    (tmp_path / "run.json").write_text(json.dumps(unknown))
+    check_record(tmp_path, "abc", None, "between")
+
+
+def test_the_noise_of_one_suite_has_no_exponent() -> None:
+    """It differs by a few per cent from clip to clip, and whatever goes with that would be wrong for others."""
+    generator = np.random.default_rng(0)
+    noise, deviation = generator.normal(0, 0.02, 200), generator.normal(0, 0.5, 200)
+    errors = np.exp(deviation + 3 * noise) * generator.normal(size=200)
+    exponents = fit_exponents(errors, np.stack([deviation, noise], axis=1))
+    assert exponents[1] == 0
+    assert exponents[0] == pytest.approx(1, abs=0.15)
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, "{", "[]", None], ids=["deep", "cut", "a list", "a pipe"])
+def test_a_damaged_record_is_one_sentence(tmp_path, text: str | None) -> None:
+    if text is None:
+        os.mkfifo(tmp_path / "run.json")
+    else:
+        (tmp_path / "run.json").write_text(text)
+    with pytest.raises(ValueError, match=r"run\.json (is not|can't be read as) a record of the benchmark.*; \w+"):
+        check_record(tmp_path, "abc", None)
+
+
+@pytest.mark.parametrize("content", [b"", b"garbage" * 500, b"PK\x05\x06" + bytes(18)])
+def test_weights_that_can_t_be_read_are_one_sentence(tmp_path, capsys, content: bytes) -> None:
+    (tmp_path / "bad.pt").write_bytes(content)
+    assert main(["--weights", str(tmp_path / "bad.pt"), "--output", str(tmp_path / "out.onnx")]) == 1
+    told = f"{tmp_path / 'bad.pt'} is not a readable checkpoint; give one that python -m estimators.network.training"
+    assert capsys.readouterr().err == f"{told} wrote.\n"
+    assert not (tmp_path / "out.onnx").exists()
+
+
+def test_a_missing_file_is_one_sentence(tmp_path, capsys) -> None:
+    assert main(["--weights", str(tmp_path / "none.pt"), "--output", str(tmp_path / "out.onnx")]) == 1
+    assert "none.pt" in capsys.readouterr().err
+    assert not (tmp_path / "out.onnx").exists()
+
+
+def test_an_exported_posterior_is_calibrated_by_its_results(tmp_path, capsys) -> None:
+    """From the command line, several folders of results together; all errors are of one size, and sd tells nothing."""
+    torch.manual_seed(0)
+    plain, output = tmp_path / "plain.onnx", tmp_path / "out.onnx"
+    export(ContactPosterior(FEATURES, torch.tensor(BOUNDS.log_box)), plain, METADATA)
+    generator = np.random.default_rng(0)
+    for name, seen in (("first", None), ("second", None), ("pressed", "press")):
+        network = {"model_sha256": sha256_of(plain)}
+        wanted = {"seed": 0, "split": "validation", "seen": seen, "estimator network": network}
+        Store(tmp_path / name, wanted, ("suite", "index", "estimator")).append(
+            recovery(
+                index, estimator="network", estimate=off_by(generator.normal(0, 0.4, 3)), covariance=np.eye(3) / 100
+            )
+            for index in range(100 if seen else 60)
+        )
+    pressed = ["--pressed", str(tmp_path / "pressed")]
+    results = ["--validation", str(tmp_path / "first"), str(tmp_path / "second"), *pressed]
+    assert main(["--model", str(plain), "--output", str(output), *results]) == 0
+    assert "whole scale" in capsys.readouterr().out
+    told = PosteriorModel(output).metadata["calibration"]
+    assert (told["known_features"], told["within_features"]) == (list(KNOWN), [])
+    scales = [told[name]["scale"] * RATIO ** np.array(told[name]["damping"]) for name in ("whole", "pressed")]
+    np.testing.assert_allclose(scales, 0.4, rtol=0.25)
+    assert main(["--model", str(output), "--output", str(tmp_path / "no.onnx"), *results]) == 1
+    assert "is of another network than the one to calibrate" in capsys.readouterr().err
+    assert main(["--model", str(plain), "--output", str(tmp_path / "no.onnx"), *results[:2], *pressed]) == 1
+    assert "60 validation estimates; calibration needs 100 or more" in capsys.readouterr().err
+    assert (
+        main(["--model", str(plain), "--output", str(tmp_path / "no.onnx"), *results, "--between", *pressed[1:]]) == 1
+    )
+    assert "has no input for the instants" in capsys.readouterr().err
+    assert not (tmp_path / "no.onnx").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--model", "x.onnx"], "give --validation and --pressed with --model"),
+        (["--weights", "x.pt", "--pressed", "results"], "give --model with results"),
+        (["--weights", "x.pt", "--model", "x.onnx"], "not allowed with argument"),
+    ],
+)
+def test_options_that_don_t_go_together_are_wrong_usage(tmp_path, capsys, options: list[str], told: str) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["--output", str(tmp_path / "out.onnx"), *options])
+    assert stop.value.code == 2
+    assert told in capsys.readouterr().err

@@ -1,0 +1,250 @@
+"""What evaluations share: options, results on disk that are never lost or mixed, and what is written of them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+import pandas as pd
+import pytest
+from rich.progress import Progress
+
+from evaluation.harness import (
+    RESULTS,
+    Report,
+    Row,
+    Store,
+    attempted,
+    csv_of,
+    options,
+    read_results,
+    require_within,
+    run,
+    write,
+)
+from physics.doors import INTERRUPTED
+from results.store import OutputError
+from tests.evaluation.recovery_cases import recovery
+
+KEYS = ("suite", "index", "estimator")
+WANTED = {"seed": 0, "split": "test", "suite clean": {"errors": 1}, "estimator direct": {"noise": None}}
+
+
+def test_a_result_survives_the_file_and_what_is_not_known_stays_unknown(tmp_path):
+    unsure = {"curve": np.array([[0.5, np.nan], [1.0, np.inf]]), "noise": float("nan"), "reason": None}
+    rows = recovery(3), recovery(4, estimate=None, covariance=None) | unsure
+    store = Store(tmp_path, WANTED, KEYS)
+    store.append(rows)
+    found = read_results(tmp_path / RESULTS, KEYS)
+    assert list(found) == list(store.rows) == [("clean", 3, "direct"), ("clean", 4, "direct")]
+    for again in (found, store.rows):
+        for row, kept in zip(rows, again.values(), strict=True):
+            for name in row.keys() - unsure.keys():
+                np.testing.assert_array_equal(kept[name], row[name])
+        kept = again["clean", 4, "direct"]
+        np.testing.assert_array_equal(kept["curve"], [[0.5, np.nan], [1.0, np.nan]])
+        assert not {"noise", "reason"} & set(kept)
+    assert "NaN" not in (tmp_path / RESULTS).read_text()  # other readers of JSON know no such word
+
+
+def test_a_row_of_the_same_key_takes_the_place_of_the_first(tmp_path):
+    store = Store(tmp_path, WANTED, KEYS)
+    store.append([recovery(1)])
+    store.append([recovery(1, misfit=2.0), recovery(0)])
+    for rows in (store.rows, read_results(tmp_path / RESULTS, KEYS)):
+        assert [(row["index"], row["misfit"]) for row in rows.values()] == [(1, 2.0), (0, 1.0)]
+
+
+def test_a_second_run_finds_the_first_ones_results(tmp_path):
+    Store(tmp_path, WANTED, KEYS).append([recovery(0), recovery(1)])
+    store = Store(tmp_path, WANTED, KEYS)
+    assert list(store.rows) == [("clean", 0, "direct"), ("clean", 1, "direct")]
+    assert not store.outdated
+
+
+def test_an_unfinished_last_line_is_cut_off(tmp_path):
+    Store(tmp_path, WANTED, KEYS).append([recovery(0)])
+    with (tmp_path / RESULTS).open("a") as file:
+        file.write('{"suite": "clean", "ind')
+    store = Store(tmp_path, WANTED, KEYS)
+    store.append([recovery(1)])
+    assert [row["index"] for row in read_results(tmp_path / RESULTS, KEYS).values()] == [0, 1]
+
+
+def test_a_broken_line_is_named(tmp_path):
+    Store(tmp_path, WANTED, KEYS).append([recovery(0)])
+    (tmp_path / RESULTS).write_text("{}\n")
+    with pytest.raises(OutputError, match=r"results\.jsonl: line 1 is not a result"):
+        Store(tmp_path, WANTED, KEYS)
+
+
+@pytest.mark.parametrize(
+    ("changed", "named"),
+    [
+        ({"seed": 1}, "another seed"),
+        ({"split": "validation"}, "another split"),
+        ({"suite clean": {"errors": 2}}, "another suite clean"),
+        ({"estimator direct": {"noise": 0.1}}, "another estimator direct"),
+    ],
+)
+def test_other_results_are_not_mixed_in(tmp_path, changed, named):
+    Store(tmp_path, WANTED, KEYS)
+    with pytest.raises(OutputError, match=named):
+        Store(tmp_path, WANTED | changed, KEYS)
+
+
+def test_suites_and_estimators_may_be_added(tmp_path):
+    Store(tmp_path, WANTED, KEYS)
+    Store(tmp_path, {"seed": 0, "suite 8bit": {"errors": 3}}, KEYS)
+    Store(tmp_path, WANTED, KEYS)
+    record = json.loads((tmp_path / "run.json").read_text())
+    assert {name for name in record if name.startswith("suite")} == {"suite clean", "suite 8bit"}
+
+
+def test_another_version_of_the_program_is_noticed(tmp_path, monkeypatch):
+    Store(tmp_path, WANTED, KEYS).append([recovery(0)])
+    monkeypatch.setattr("evaluation.harness.code_digest", lambda: "other")
+    assert Store(tmp_path, WANTED, KEYS).outdated
+
+
+def test_a_line_that_is_none_of_ours_is_not_cut_off(tmp_path):
+    Store(tmp_path, WANTED, KEYS).append([recovery(0)])
+    for content in ("mine", (tmp_path / RESULTS).read_text() + "mine"):
+        (tmp_path / RESULTS).write_text(content)
+        with pytest.raises(OutputError, match=r"results\.jsonl: line \d is not a result"):
+            Store(tmp_path, WANTED, KEYS)
+        assert (tmp_path / RESULTS).read_text() == content
+
+
+@pytest.mark.parametrize("name", ["table.csv", "report.html", "figures/bias.png"])
+def test_a_user_s_file_among_the_tables_stays(tmp_path, name):
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / name).write_text("precious")
+    report = Report({"table.csv": pd.DataFrame()}, figures={"bias.png": b"png"}, page=("title", "text"))
+    with pytest.raises(OutputError, match=rf"{name} is not as this program wrote it; move it away"):
+        write(tmp_path, report)
+    assert (tmp_path / name).read_text() == "precious"
+
+
+@pytest.mark.parametrize("name", ["run.json", "results.jsonl"])
+def test_damaged_files_are_named(tmp_path, name):
+    Store(tmp_path, WANTED, KEYS).append([recovery(0)])
+    (tmp_path / name).write_text("[" * 100_000 + "\n")
+    with pytest.raises(OutputError, match=rf"{name}: (is not readable|line 1 is not a result); remove"):
+        Store(tmp_path, WANTED, KEYS)
+
+
+@pytest.mark.parametrize("content", ["[]", '{"seed": 0}'])
+def test_a_folder_of_something_else_is_refused(tmp_path, content):
+    (tmp_path / "run.json").write_text(content)
+    with pytest.raises(OutputError, match="belongs to something else"):
+        Store(tmp_path, WANTED, KEYS)
+    assert (tmp_path / "run.json").read_text() == content
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match="is a file"):
+        Store(tmp_path / "file", WANTED, KEYS)
+
+
+def test_a_name_that_no_folder_has_is_a_sentence(tmp_path):
+    with pytest.raises(OutputError, match=r"writing failed \(File name too long\); check the output folder or choose"):
+        Store(tmp_path / ("a" * 300), WANTED, KEYS)
+
+
+def square(case: int) -> list[Row]:
+    """Of one number; 13 interrupts."""
+    if case == 13:
+        raise KeyboardInterrupt
+    return [{"number": case} | attempted(lambda: {"value": 1 / case, "array": np.full(2, case)})]
+
+
+@dataclass(frozen=True)
+class Squares:
+    """Numbers."""
+
+    output: Path
+    """folder"""
+    numbers: tuple[int, ...] = (2, 4)
+    """some of them"""
+    unit_name: Literal["m", "mm"] = "m"
+    """of them"""
+    fine: bool = False
+    """whether they are"""
+    most: float | None = None
+    """limit"""
+
+    workers: ClassVar = 0
+    keys: ClassVar = ("number",)
+    work: ClassVar = staticmethod(square)
+    refused: ClassVar = ()
+
+    def __post_init__(self) -> None:
+        require_within(self, most=(0, 1))
+
+    def record(self) -> Mapping[str, Any]:
+        return {"unit": self.unit_name}
+
+    def cases(self, done: Mapping[tuple, Row], progress: Progress) -> tuple[list[int], int]:
+        return [number for number in self.numbers if (number,) not in done], len(self.numbers)
+
+    def report(self, rows: Mapping[tuple, Row]) -> Report:
+        found = [rows[number,] for number in self.numbers if (number,) in rows]
+        frame = pd.DataFrame([{"number": row["number"], "value": row.get("value")} for row in found])
+        return Report({"table.csv": frame}, page=("Squares", "# Squares"), failed="value" not in found[0])
+
+
+def measured(*arguments: str) -> int:
+    return run(Squares, arguments, "tests.squares", "Squares.")
+
+
+def test_an_experiment_goes_on_where_it_stopped(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    output = ["--output", str(tmp_path)]
+    assert measured(*output, "--numbers", "2", "13", "3") == INTERRUPTED
+    assert "the same command continues" in capsys.readouterr().err
+    assert (tmp_path / "table.csv").read_text() == "number,value\n2,0.5\n"
+    assert "<h1>Squares</h1>" in (tmp_path / "report.html").read_text()
+    assert measured(*output, "--numbers", "3", "2") == 0
+    assert (tmp_path / "table.csv").read_text() == "number,value\n3,0.333333\n2,0.5\n"
+    assert measured(*output, "--unit-name", "mm") == 2
+    assert "holds results of another unit" in capsys.readouterr().err
+
+
+def test_a_case_that_breaks_is_a_row(tmp_path: Path) -> None:
+    assert measured("--output", str(tmp_path), "--numbers", "0") == 1
+    row = read_results(tmp_path / RESULTS, ("number",))[0,]
+    assert (row["status"], row["reason"]) == ("error", "ZeroDivisionError: division by zero")
+
+
+def test_options_are_the_fields_of_the_experiment(capsys: pytest.CaptureFixture) -> None:
+    def told(*arguments: str) -> Squares:
+        return options(Squares, ["--output", "x", *arguments], "tests.squares", "Squares.")
+
+    assert told() == Squares(Path("x"))
+    every = told("--numbers", "1", "2", "--fine", "--most=0.5", "--unit-name", "mm", "--numbers", "3")
+    assert (every.numbers, every.fine, every.most, every.unit_name) == ((1, 2, 3), True, 0.5, "mm")
+    with pytest.raises(SystemExit) as stop:
+        told("--help")
+    assert stop.value.code == 0
+    printed = capsys.readouterr().out
+    assert "--unit-name {m,mm}" in printed
+    assert "some of them" in printed
+    for arguments, sentence in (
+        (["--most", "2"], "--most: 2.0 is more than 1"),
+        (["--unit-name", "cm"], "cm"),
+        (["--numbers", "one"], "one"),
+        (["--strange", "1"], "--strange"),
+        (["--fine", "--most", "1", "2"], "2"),
+        (["--output", ""], "is empty"),
+    ):
+        with pytest.raises(SystemExit) as stop:
+            told(*arguments)
+        assert stop.value.code == 2
+        assert sentence in capsys.readouterr().err
+
+
+def test_cells_that_do_not_exist_are_empty_and_numbers_have_six_digits() -> None:
+    frame = pd.DataFrame([{"name": "a, b", "n": 3, "value": 1 / 3}, {"name": None, "n": 4, "value": np.nan}])
+    assert csv_of(frame) == 'name,n,value\n"a, b",3,0.333333\n,4,\n'

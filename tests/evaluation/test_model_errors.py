@@ -1,0 +1,90 @@
+"""What fits get wrong: the file holds what the command measured last, and the command measures what is there."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from estimators.model_errors import FILE, MODEL_ERRORS, read_entries
+from evaluation import model_errors as module
+from evaluation.harness import Row
+from evaluation.model_errors import ENOUGH, grip_errors, main, model_sd, pull_errors, updated, write_entries
+from evaluation.recovery.trial import Trial
+
+VALUES = vars(MODEL_ERRORS)
+
+
+def test_the_file_is_as_the_command_wrote_it_last(tmp_path: Path) -> None:
+    entries = read_entries()
+    write_entries(tmp_path / "same.yaml", entries)
+    assert (tmp_path / "same.yaml").read_text(encoding="utf-8") == FILE.read_text(encoding="utf-8")
+    for name, entry in entries.items():
+        assert VALUES[name] == entry["value"]
+        assert entry["source"]
+        if entry["measured"] is not None:
+            assert entry["measured"]["sd"] == model_sd(entry["measured"]["off"], entry["measured"]["told"])
+            assert entry["measured"]["command"].startswith("python -m evaluation.model_errors --part ")
+            assert entry["value"] == entry["measured"]["sd"] or entry["measured"]["clips"] < ENOUGH
+
+
+def test_a_file_with_other_entries_is_a_sentence(tmp_path: Path) -> None:
+    (tmp_path / "other.yaml").write_text("slab_young: {value: 1.0}\n")
+    with pytest.raises(ValueError, match=r"other\.yaml holds other entries than foundation_measured, "):
+        read_entries(tmp_path / "other.yaml")
+
+
+def drawn(index: int, model: float, counted: float, told: float = 0.004) -> Row:
+    """A clip whose error is drawn from what residuals tell and what the model gets wrong."""
+    off = np.random.default_rng(index).normal(0, math.hypot(model, told))
+    numbers = np.array([-3.0, -3.0 + off, math.hypot(counted, told), 0.01])
+    return {"foundation": numbers, "force": numbers}
+
+
+@pytest.mark.parametrize(("kind", "model"), [("measured", 0.01), ("uneven", 0.3), ("as_seen", 0.8)])
+def test_what_the_model_gets_wrong_is_found(kind: str, model: float) -> None:
+    rows = [drawn(index, model, VALUES[f"foundation_{kind}"]) for index in range(400)]
+    entries = updated(read_entries(), grip_errors(rows, VALUES), "a command", "today")
+    found = entries[f"foundation_{kind}"]
+    assert found["value"] == found["measured"]["sd"] == pytest.approx(model, rel=0.1)
+    assert found["measured"]["told"] == pytest.approx(0.004, rel=0.1)
+    assert found["source"] == "measured"
+    # Few clips are noted, and change nothing.
+    few = updated(read_entries(), grip_errors(rows[: ENOUGH - 1], VALUES), "a command", "today")[f"foundation_{kind}"]
+    assert few["value"] == VALUES[f"foundation_{kind}"]
+    assert few["measured"]["clips"] == ENOUGH - 1
+
+
+def test_pulls_tell_force_over_young_and_its_course() -> None:
+    tissue, true = np.full(8, 200.0), np.array([0.2, 0.5, 1.0])
+    course = np.array([true, 1.1 * true, VALUES["pull_course"] * true])
+    reaction = np.array([1.3 * 4.0 / 200.0, math.hypot(0.05, VALUES["pull_force"])])
+    row = {"tissue": tissue, "true_force": 4.0, "reaction": reaction, "curve": course}
+    found = pull_errors([row], VALUES)
+    assert found["pull_force"] == [pytest.approx((math.log(1.3), 0.05**2))]
+    assert found["pull_course"] == [
+        pytest.approx(
+            (
+                0.1 / 1.1,
+                VALUES["pull_course"] ** 2 * (1 / 1.21 - 1),
+            ),
+            abs=0.003,
+        )
+    ]
+
+
+def test_the_command_writes_what_it_measures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def evaluated(trial: Trial) -> list[Row]:
+        known = drawn(trial.index, 0.01, VALUES["foundation_measured"])
+        return [known for suite in trial.wanted if suite == "foundation"]
+
+    monkeypatch.setattr(module, "run_trial", evaluated)
+    output = tmp_path / "errors.yaml"
+    assert main(["--part", "grip", "--clips", "3", "--seed", "5", "--output", str(output)]) == 0
+    measured = read_entries(output)["foundation_measured"]["measured"]
+    assert measured["clips"] == 3
+    assert measured["command"] == "python -m evaluation.model_errors --part grip --clips 3 --seed 5"
+    monkeypatch.setattr(module, "run_trial", lambda _: [])
+    assert main(["--part", "grip", "--clips", "1", "--seed", "5", "--output", str(output)]) == 1

@@ -110,8 +110,8 @@ def test_small_clips(words: str, runs: list[Seen]) -> None:
 
 def test_why_nothing_is_known_of_a_run() -> None:
     unseen, unfollowed = (tracked_runs(linked(clip_of(words), CONTACT), 2)[0] for words in ("oon", "noon"))
-    assert unseen.unseen == NO_ONSET
-    assert unfollowed.unseen == f"{unfollowed.detail} {NOT_FOLLOWED}".strip()
+    assert unseen.unobserved == NO_ONSET
+    assert unfollowed.unobserved == f"{unfollowed.detail} {NOT_FOLLOWED}".strip()
     assert len(unfollowed.builder.build(Mechanics()).observation) == 0
 
 
@@ -124,10 +124,10 @@ def judged(*probabilities: float) -> list[PreparedFrame]:
 def test_a_run_whose_tool_hovers_was_none_unless_tissue_ever_moved_with_it() -> None:
     passing, released, unknown = judged(0.7, 0.1, 0.0), judged(0.7, 0.95, 0.6, 0.2), judged(0.7, 0.8, 0.7)
     (run,) = tracked_runs(passing, 2)
-    assert (run.passed, run.unseen, run.estimate().load_s) == (True, PASSED, None)
+    assert (run.passed, run.unobserved, run.estimate().load_s) == (True, PASSED, None)
     for frames in (released, unknown):
         (run,) = tracked_runs(frames, 2)
-        assert (run.passed, run.unseen) == (False, NO_ONSET)
+        assert (run.passed, run.unobserved) == (False, NO_ONSET)
     # A tool that hovers long after another run says nothing of it.
     assert [run.passed for run in tracked_runs(judged(0.7, *[math.nan] * 4, 0.7, 0.1), 2)] == [False, True]
 

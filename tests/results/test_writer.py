@@ -90,7 +90,7 @@ def test_a_known_force_tells_that_of_all_frames_in_newtons(tmp_path: Path) -> No
     assert all(float(row["force_N_low"]) <= float(row["force_N"]) <= float(row["force_N_high"]) for row in found)
     said = [row["detail"] for row in rows(tmp_path / "clip" / "interactions.csv")]
     assert "force" not in said[0]
-    assert said[2].endswith("The force is known in 0 frames that move; 3 are needed to tell the others'.")
+    assert said[2].endswith("The force is known in 0 frames that move; 3 are needed for the other frames.")
     assert "forces.csv" in own_files(tmp_path / "clip")
 
 

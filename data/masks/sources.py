@@ -121,7 +121,7 @@ class AnnotationMasks:
 
     def __init__(self, layout: ClipLayout, classes: MaskClasses, clip: Path) -> None:
         if not clip.is_dir() or not layout.mask_patterns:
-            what = "the layout names" if clip.is_dir() else "a video or camera has"
+            what = "the layout names" if clip.is_dir() else "a video has"
             raise InputError(f"{what} no annotation masks; use --masks automatic or a segmentation model.")
         if not has_masks(clip, layout):
             expected = layout.mask_patterns[0]

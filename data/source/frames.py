@@ -6,7 +6,6 @@ No frame is lost silently: one that can't be read comes as a `Frame` without an 
 from __future__ import annotations
 
 import math
-import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -26,6 +25,7 @@ EXACT_COUNT_SUFFIXES = frozenset({".mp4", ".m4v", ".mov", ".avi"})
 LEAST_FRAME = 10
 """Bytes of a file without which there is no frame, whatever its header announces."""
 CAMERA_PREFIX = "camera:"
+"""Beginning of an input that would name a camera of this machine; such inputs are refused."""
 RESULT_FILE = "run.json"
 """Marks a folder of our own results, whose overlay video is no input."""
 FASTEST = 1000.0
@@ -208,34 +208,6 @@ class VideoFile(FrameSource):
             yield Frame(decoded + step - 1, number + step, stamp + step / self.fps, None, None, error)
 
 
-class LiveCamera(FrameSource):
-    """A camera of this machine, named `camera:0`; it can't be rewound, and ends when it stops delivering."""
-
-    def __init__(self, name: str, fps: float = 25.0) -> None:
-        digits = name.removeprefix(CAMERA_PREFIX)
-        if not digits.isdecimal():
-            raise InputError(f"'{name}' is not a camera; write camera:0 for the first one.")
-        self.path, self.name, self.length, self.warnings = Path(name), f"camera-{digits}", 0, []
-        self._capture = cv2.VideoCapture(int(digits))
-        done, image = self._capture.read()
-        if not done:
-            self._capture.release()
-            raise InputError(f"{name} delivers no picture; check that the camera is connected and not in use.")
-        self.size = image.shape[1], image.shape[0]
-        rate = self._capture.get(cv2.CAP_PROP_FPS)
-        self.fps = float(rate) if 0 < rate <= FASTEST else fps
-
-    def __iter__(self) -> Iterator[Frame]:
-        start, index = time.monotonic(), 0
-        while True:
-            done, image = self._capture.read()
-            if not done:
-                self.warnings.append(f"{self.path} stopped delivering after {index} frames")
-                return
-            yield Frame(index, index, time.monotonic() - start, cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
-            index += 1
-
-
 def _picture_size(path: Path, image: np.ndarray) -> tuple[int, int]:
     """(width, height) of a clip's pictures.
 
@@ -277,14 +249,12 @@ def _check_numbers(files: Sequence[tuple[int, Path]]) -> None:
 
 
 def open_source(path: Path | str, layout: ClipLayout, following: Sequence[Path] = ()) -> FrameSource:
-    """Open a clip: `camera:0`, a folder of frames and those that carry it on, or a video file.
+    """Open a clip: a folder of frames with the folders that continue it, or a video file.
 
     Raises:
         InputError: the path does not exist or holds no frame.
     """
     path = Path(path)
-    if str(path).startswith(CAMERA_PREFIX):
-        return LiveCamera(str(path), layout.fps)
     try:
         if path.is_dir():
             return FrameFolder(path, layout, following)

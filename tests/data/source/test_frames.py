@@ -249,30 +249,6 @@ def test_discover_follows_a_layout_with_subfolders(tmp_path):
     assert [frame.number for frame in open_source(tmp_path / "seq", layout)] == [5]
 
 
-def test_a_camera_is_named_by_its_number(monkeypatch):
-    with pytest.raises(InputError, match="write camera:0"):
-        open_source("camera:front", LAYOUT)
-    with pytest.raises(InputError, match="delivers no picture"):
-        open_source("camera:97", LAYOUT)
-
-    class TwoPictures:
-        def __init__(self, number):
-            self.left = [np.full((48, 64, 3), (1, 2, 3), np.uint8)] * 3
-
-        def read(self):
-            return (True, self.left.pop()) if self.left else (False, None)
-
-        def get(self, _):
-            return 30.0
-
-    monkeypatch.setattr("cv2.VideoCapture", TwoPictures)
-    source = open_source("camera:0", LAYOUT)
-    frames = list(source)
-    assert (source.size, source.fps, len(frames)) == ((64, 48), 30.0, 2)  # the first one told the size
-    assert frames[1].picture[0, 0].tolist() == [3, 2, 1]
-    assert source.warnings == ["camera:0 stopped delivering after 2 frames"]
-
-
 def test_discover_names_what_is_wrong(tmp_path):
     with pytest.raises(InputError, match="No such file"):
         discover([tmp_path / "absent"], LAYOUT)

@@ -119,9 +119,9 @@ def open_depth(settings: DepthSettings, layout: ClipLayout, source: FrameSource)
 def estimate_scale(source: FrameSource, depth: DepthSource, settings: DepthSettings) -> tuple[float, float | None]:
     """Freeze what is fixed for the clip and return its scale and its focal length.
 
-    Reads evenly spaced frames from the first usable one on, for at most `scale_seconds`. A frame's largest depth is min(99.9 % quantile, 3 × median) of its valid depth, the clip's scale D_max
-    the 90 % quantile (lower sample) of those; `settings.scale`, else the `depth_scale` of the clip's own file for
-    stored depth, replaces it.
+    Reads evenly spaced frames from the first usable one on, for at most `scale_seconds`. A frame's largest depth is
+    min(99.9 % quantile, 3 × median) of its valid depth; the clip's scale D_max is the 90 % quantile (lower sample) of
+    those. `settings.scale`, else the `depth_scale` of the clip's own file for stored depth, replaces it.
 
     Returns:
         D_max [unit of the source] and the model's median focal length for the source's width [px], or None.

@@ -277,7 +277,7 @@ class PhysicsInformedGAN(LightningModule):
         if answer.mean is None or answer.factor is None:
             load, observation = batch[f"load_{side}"], batch[f"observation_{side}"]
             return physics_loss(answer.theta, mesh, load, observation, self.mechanics)
-        noise, load, seen = (batch[f"{name}_{side}"] for name in ("noise", "seen_load", "seen_observation"))
+        noise, load, seen = (batch[f"{name}_{side}"] for name in ("noise", "known_load", "known_observation"))
         posterior = generator.posterior
         evidence, information = posterior_physics_loss(
             answer.mean,

@@ -164,7 +164,7 @@ def builder_of(
         return ContactFrame(
             float(clip.times[index]),
             bool(clip.contact[index]),
-            bool(clip.seen_out[index]),
+            bool(clip.out_of_contact[index]),
             bool(clip.consecutive[index]),
             clip.track_position[index],
             clip.depth(index) if filmed else None,

@@ -95,7 +95,7 @@ class GanSession(RunSession):
         self, current: PreparedFrame, depth: np.ndarray | None, following: PreparedFrame | None
     ) -> Iterator[Said]:
         yield from self._ended(self._runs.push(current))
-        self._contacts.append((current.seen_out, current.in_contact))
+        self._contacts.append((current.out_of_contact, current.in_contact))
         if current.track_start == current.frame.index:
             self._onset = current
         onset = self._onset if self._onset and current.track_start == self._onset.frame.index else None

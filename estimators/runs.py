@@ -14,7 +14,7 @@ from data.contact.evidence import SURE
 from data.contact.geometry import FrameGeometry
 from data.contact.interaction import ContactFrame, Horizon, Interaction, InteractionBuilder
 from data.contact.tissue_points import grid_to_picture
-from data.prepared import SEEN_OUT, PreparedFrame
+from data.prepared import OUT_OF_CONTACT, PreparedFrame
 from estimators.contract import ClipInfo
 from estimators.estimate import LARGEST_SLAB_ERROR, Estimate, FrameEstimate, InteractionEstimate, NoEstimate
 from estimators.grip.recorder import GripRecorder
@@ -223,7 +223,7 @@ def contact_frame(frame: PreparedFrame) -> ContactFrame:
     return ContactFrame(
         frame.frame.time_s,
         frame.in_contact,
-        frame.seen_out,
+        frame.out_of_contact,
         frame.consecutive,
         frame.track_position,
         frame.depth,
@@ -269,7 +269,7 @@ def frame_estimate(
         detail=" ".join(filter(None, (prepared.detail or missing, outlines, doubts))),
         estimate=estimate,
         verdict=verdict if estimate is None else estimate.verdict,
-        contact=True if contact is not None else False if prepared.status in SEEN_OUT else None,
+        contact=True if contact is not None else False if prepared.status in OUT_OF_CONTACT else None,
         contact_probability=float(prepared.contact_probability)
         if math.isfinite(prepared.contact_probability)
         else None,

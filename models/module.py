@@ -278,7 +278,7 @@ class PhysicsInformedGAN(LightningModule):
         if output.mean is None or output.factor is None:
             load, observation = batch[f"load_{side}"], batch[f"observation_{side}"]
             return physics_loss(output.theta, mesh, load, observation, self.mechanics)
-        noise, load, observed = (batch[f"{name}_{side}"] for name in ("noise", "seen_load", "seen_observation"))
+        noise, load, observed = (batch[f"{name}_{side}"] for name in ("noise", "known_load", "known_observation"))
         posterior = generator.posterior
         evidence, information = posterior_physics_loss(
             output.mean,

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as some
 
-from data.prepared import SEEN_OUT, STATUSES, PreparedFrame
+from data.prepared import OUT_OF_CONTACT, STATUSES, PreparedFrame
 from estimators.runs import NO_ONSET, NOT_FOLLOWED, OUTLINES_ALONE, PASSED, UNDECIDED, Run, RunTracker, frame_estimate
 from physics.mechanics import Mechanics
 from tests.estimators.sessions import State, clip_info, linked, prepared_frame, touched
@@ -46,7 +46,7 @@ def whole_clip_runs(frames: list[PreparedFrame], bridge_frames: int) -> list[See
     for first, *_, last in ([*run, run[-1]] for run in runs):
         onset_seen = frames[first].track_start == first
         after = frames[last + 1] if last + 1 < len(frames) else None
-        released = after is not None and frames[last].consecutive and after.status in SEEN_OUT
+        released = after is not None and frames[last].consecutive and after.status in OUT_OF_CONTACT
         load = after.frame.time_s - frames[first].frame.time_s if onset_seen and released else None
         found.append(Seen(first, last, onset_seen, load))
     return found

@@ -121,8 +121,8 @@ def test_a_frame_whose_tool_hovers_has_no_contact_and_says_why() -> None:
     for frame in frames:
         evidence.judge(frame)
     assert [frame.status for frame in frames] == ["ok", "no_contact", "no_contact", "no_contact"]
-    assert (frames[0].hovers, frames[0].seen_out) == (False, False)
-    assert (frames[1].hovers, frames[1].seen_out, frames[1].in_contact) == (True, False, False)
+    assert (frames[0].hovers, frames[0].out_of_contact) == (False, False)
+    assert (frames[1].hovers, frames[1].out_of_contact, frames[1].in_contact) == (True, False, False)
     assert "does not move with it, so it hovers" in frames[1].detail
 
 
@@ -225,7 +225,7 @@ def test_frames_without_contact_have_no_probability() -> None:
     frame = prepared(0, drawn(line((0, 0), 1))[0], status="no_tool")
     ContactEvidence().judge(frame)
     assert math.isnan(frame.contact_probability)
-    assert (frame.hovers, frame.seen_out) == (False, True)
+    assert (frame.hovers, frame.out_of_contact) == (False, True)
 
 
 def changed(views: list[View], wider: int) -> list[View]:

@@ -6,14 +6,14 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from data.clip import ClipStream
-from data.contact.geometry import GeometrySettings
-from data.depth.normalise import DepthSettings
-from data.prepared import PreparedFrame
-from data.settings import PrepareSettings
-from data.source.camera import Camera
-from data.source.layout import ClipLayout
-from estimators.estimate import FrameEstimate, InteractionEstimate
+from palpate.data.clip import ClipStream
+from palpate.data.contact.geometry import GeometrySettings
+from palpate.data.depth.normalise import DepthSettings
+from palpate.data.prepared import PreparedFrame
+from palpate.data.settings import PrepareSettings
+from palpate.data.source.camera import Camera
+from palpate.data.source.layout import ClipLayout
+from palpate.estimators.estimate import FrameEstimate, InteractionEstimate
 
 SMOOTHING = 4.0
 """Default width over which the resting shape is smoothed, where no model tells [grid px]."""

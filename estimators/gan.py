@@ -14,17 +14,17 @@ from itertools import pairwise
 
 import numpy as np
 
-from data.contact.geometry import force_direction
-from data.prepared import PreparedFrame
-from data.windows import FrameWindow
-from estimators.contract import ClipInfo, Said
-from estimators.estimate import Estimate, InteractionEstimate
-from estimators.model_settings import ModelEstimator
-from estimators.runs import Run, RunSession, force_arrow, frame_estimate
-from models.onnx_session import ModelFileError, ParameterModel
-from physics.load import Press, held
-from physics.mechanics import SIGNS
-from physics.msd.simulation import simulate
+from palpate.data.contact.geometry import force_direction
+from palpate.data.prepared import PreparedFrame
+from palpate.data.windows import FrameWindow
+from palpate.estimators.contract import ClipInfo, Said
+from palpate.estimators.estimate import Estimate, InteractionEstimate
+from palpate.estimators.model_settings import ModelEstimator
+from palpate.estimators.runs import Run, RunSession, force_arrow, frame_estimate
+from palpate.models.onnx_session import ModelFileError, ParameterModel
+from palpate.physics.load import Press, held
+from palpate.physics.mechanics import SIGNS
+from palpate.physics.msd.simulation import simulate
 
 OBSERVATIONS = ("final", "release", "trajectory")
 MIN_MAGNITUDE = 1e-12

@@ -5,9 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from estimators.estimate import LEAST_SKILL, NINETY, REPORTED, SYMBOLS, FieldEstimate, GripEstimate, InteractionEstimate
-from estimators.known_force import KnownForce, predict_force
-from physics.mechanics import PARAMETERS
+from palpate.estimators.estimate import (
+    LEAST_SKILL,
+    NINETY,
+    REPORTED,
+    SYMBOLS,
+    FieldEstimate,
+    GripEstimate,
+    InteractionEstimate,
+)
+from palpate.estimators.known_force import KnownForce, predict_force
+from palpate.physics.mechanics import PARAMETERS
 
 ESTIMATED = {
     column: text.format(SYMBOLS[name])

@@ -12,13 +12,13 @@ import cv2
 import numpy as np
 import pytest
 
-import infer
-from data.contact.motion import FRAYED
-from data.synthetic.clip import write_clip as write_synthetic
-from data.synthetic.settings import SceneSettings
-from estimators.estimate import NINETY
-from results.columns import FRAMES, INTERACTIONS
-from results.writer import ClipResults
+from palpate.command import infer
+from palpate.data.contact.motion import FRAYED
+from palpate.data.synthetic.clip import write_clip as write_synthetic
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.estimators.estimate import NINETY
+from palpate.results.columns import FRAMES, INTERACTIONS
+from palpate.results.writer import ClipResults
 from tests.inference_inputs import metadata, write_clip, write_model, write_video
 
 pytestmark = pytest.mark.usefixtures("blank_pictures")  # the fixture `done` has drawn ones
@@ -275,7 +275,7 @@ def test_unexpected_error_is_one_sentence_unless_debugging(
     def fail(*_: object) -> None:
         raise RuntimeError("two\nlines")
 
-    monkeypatch.setattr("results.run.open_source", fail)
+    monkeypatch.setattr("palpate.results.run.open_source", fail)
     assert call(inputs, tmp_path, clips="clips/film.mp4") == 1
     told = capsys.readouterr().err.strip()
     assert told.startswith("failed: ")
@@ -505,7 +505,7 @@ def test_what_is_wrong_with_a_contact_is_told_beside_the_reason_for_no_estimate(
     layout = json.loads((folder / "clip.json").read_text(encoding="utf-8"))
     layout["times"] = layout["times"][: onset + seen + 1]
     (folder / "clip.json").write_text(json.dumps(layout), encoding="utf-8")
-    monkeypatch.setattr("data.contact.motion.frayed_share", lambda *_: 0.25)
+    monkeypatch.setattr("palpate.data.contact.motion.frayed_share", lambda *_: 0.25)
     assert direct(folder, tmp_path / "out", "--no-overlay") == 0
     (row,) = runs(tmp_path / "out" / "clip")
     assert (row["onset_frame"], row["frames"], row["status"]) == (str(onset), str(seen), "no_estimate")
@@ -602,7 +602,7 @@ def test_an_interruption_while_pictures_are_drawn_leaves_nothing_half_written(
         raise KeyboardInterrupt
 
     write_clip(tmp_path / "clip", 4, 9)
-    monkeypatch.setattr("results.writer.write_figure", interrupt)
+    monkeypatch.setattr("palpate.results.writer.write_figure", interrupt)
     assert direct(tmp_path / "clip", tmp_path / "out") == 130
     assert list((tmp_path / "out").iterdir()) == []
     assert "0 of 1 clips are complete" in capsys.readouterr().err

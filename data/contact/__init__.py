@@ -12,14 +12,21 @@ interaction    the frames of a run of contact as mesh, load, observation and fil
 features       an interaction as the vector that networks read; film_features: its film likewise
 """
 
-from physics.lazy import exported
+from palpate.common.lazy import exported
 
 __getattr__ = exported(
+    __name__,
     {
-        "data.contact.geometry": ("Contact", "FrameGeometry", "GeometrySettings", "find_contact", "frame_geometry"),
-        "data.contact.motion": ("ContactMotion",),
-        "data.contact.tracking": ("TissueTracker",),
-        "data.contact.interaction": ("ContactFrame", "Interaction", "InteractionBuilder"),
-        "data.contact.features": ("contact_features",),
-    }
+        "palpate.data.contact.geometry": (
+            "Contact",
+            "FrameGeometry",
+            "GeometrySettings",
+            "find_contact",
+            "frame_geometry",
+        ),
+        "palpate.data.contact.motion": ("ContactMotion",),
+        "palpate.data.contact.tracking": ("TissueTracker",),
+        "palpate.data.contact.interaction": ("ContactFrame", "Interaction", "InteractionBuilder"),
+        "palpate.data.contact.features": ("contact_features",),
+    },
 )

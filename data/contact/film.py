@@ -1,6 +1,6 @@
 """The film of a dent: how the depth around a contact changes, frame by frame, and how noisy that is.
 
-A contact is one point of a dent; its surroundings sink with it and tell far more (docs/identifiability.md). Pixels stay
+A contact is one point of a dent; its surroundings sink with it and tell far more (docs/reports/identifiability.md). Pixels stay
 where they are while tissue moves: which of the mesh's vertices a pixel shows is for `data.contact.patches` to say.
 """
 
@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data.labels import TISSUE
-from physics.mesh import Mesh
+from palpate.data.labels import TISSUE
+from palpate.physics.mesh import Mesh
 
 REACH = 7
 """Pixels up to so many rows and columns from the contact are compared: `python -m benchmarks.observation_bounds` prints

@@ -14,9 +14,9 @@ import numpy as np
 from scipy.sparse import coo_array, diags_array, eye_array
 from scipy.sparse.linalg import spsolve
 
-from data.contact.features import SLOTS, contact_features, contact_surroundings, slot_times
-from data.contact.film import REACH, DentFilm
-from data.contact.interaction import SAME_INSTANT, Interaction
+from palpate.data.contact.features import SLOTS, contact_features, contact_surroundings, slot_times
+from palpate.data.contact.film import REACH, DentFilm
+from palpate.data.contact.interaction import SAME_INSTANT, Interaction
 
 SHAPES = 6
 """Shapes of a dent."""

@@ -13,12 +13,12 @@ from typing import Literal
 
 import numpy as np
 
-from data.contact.film import DentFilm, FilmRecorder
-from data.contact.geometry import GeometrySettings, force_direction
-from physics.load import Press, held
-from physics.mechanics import Mechanics
-from physics.mesh import Mesh
-from physics.observation import Observation
+from palpate.data.contact.film import DentFilm, FilmRecorder
+from palpate.data.contact.geometry import GeometrySettings, force_direction
+from palpate.physics.load import Press, held
+from palpate.physics.mechanics import Mechanics
+from palpate.physics.mesh import Mesh
+from palpate.physics.observation import Observation
 
 PRESS = "press"
 Horizon = int | Literal["press"] | None

@@ -14,19 +14,19 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from data.contact.film import REACH as FILM_REACH
-from data.contact.film import DentFilm, FilmNoise
-from data.contact.interaction import Interaction
-from data.contact.patches import Patches
-from data.synthetic.scene import Scene, crop_mesh, draw_scene
-from data.synthetic.settings import SceneSettings
-from data.synthetic.tool import TIP_START, jaw_width
-from data.synthetic.truth import draw_theta
-from physics.load import Press, held
-from physics.mechanics import Mechanics
-from physics.mesh import Mesh
-from physics.msd.simulation import simulate
-from physics.observation import Observation
+from palpate.data.contact.film import REACH as FILM_REACH
+from palpate.data.contact.film import DentFilm, FilmNoise
+from palpate.data.contact.interaction import Interaction
+from palpate.data.contact.patches import Patches
+from palpate.data.synthetic.scene import Scene, crop_mesh, draw_scene
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.data.synthetic.tool import TIP_START, jaw_width
+from palpate.data.synthetic.truth import draw_theta
+from palpate.physics.load import Press, held
+from palpate.physics.mechanics import Mechanics
+from palpate.physics.mesh import Mesh
+from palpate.physics.msd.simulation import simulate
+from palpate.physics.observation import Observation
 
 CROP_RADIUS = 40
 """Half side of the part of the mesh that is kept [grid px]: no wave returns from farther away within a second."""

@@ -12,15 +12,15 @@ import torch
 from torch.nn.utils.rnn import pad_sequence
 from torch.utils.data import Dataset
 
-from data.cache import PreparedClip
-from data.contact.features import contact_features
-from data.contact.film import REACH, smooth_errors
-from data.contact.film_features import dent_features, told_noise
-from data.contact.interaction import Interaction
-from data.contact.patches import Patches
-from data.training.samples import Sample, SampleSettings, make_sample
-from data.training.splits import Place
-from physics.msd.batch import DepthBatch, MeshBatch, ObservationBatch, PressBatch
+from palpate.data.cache import PreparedClip
+from palpate.data.contact.features import contact_features
+from palpate.data.contact.film import REACH, smooth_errors
+from palpate.data.contact.film_features import dent_features, told_noise
+from palpate.data.contact.interaction import Interaction
+from palpate.data.contact.patches import Patches
+from palpate.data.training.samples import Sample, SampleSettings, make_sample
+from palpate.data.training.splits import Place
+from palpate.physics.msd.batch import DepthBatch, MeshBatch, ObservationBatch, PressBatch
 
 
 class SampleDataset(Dataset):

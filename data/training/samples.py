@@ -13,14 +13,14 @@ from typing import Literal
 
 import numpy as np
 
-from data.cache import PreparedClip
-from data.contact.geometry import GeometrySettings, force_direction
-from data.contact.interaction import ContactFrame, Interaction, InteractionBuilder
-from data.windows import future_indices, window_indices
-from physics.fields import require_choices
-from physics.load import Press, held
-from physics.mechanics import Mechanics
-from physics.observation import Observation
+from palpate.common.settings import require_choices
+from palpate.data.cache import PreparedClip
+from palpate.data.contact.geometry import GeometrySettings, force_direction
+from palpate.data.contact.interaction import ContactFrame, Interaction, InteractionBuilder
+from palpate.data.windows import future_indices, window_indices
+from palpate.physics.load import Press, held
+from palpate.physics.mechanics import Mechanics
+from palpate.physics.observation import Observation
 
 LONGEST_WINDOW = 256
 """Largest window [frames]: ten seconds at 25 frames a second."""

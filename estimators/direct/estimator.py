@@ -1,6 +1,6 @@
 """The direct estimator: θ of one contact from its motion through the simulator, without a trained network.
 
-The strongest classical rival of a network (docs/identifiability.md). Levenberg–Marquardt with a trust region finds what
+The strongest classical rival of a network (docs/reports/identifiability.md). Levenberg–Marquardt with a trust region finds what
 explains the film of a dent best (`estimators.direct.field`), as a step on a vertex or as a press of any shape
 (`estimators.direct.patch`), or the motion of its one followed point
 (`estimators.direct.problem`), in φ = (log k_s, log k_d, log |F|) and, where the instants are not known, in the delays
@@ -19,25 +19,25 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from data.contact.interaction import FIELD, OBSERVATIONS, Horizon, Interaction
-from data.prepared import PreparedFrame
-from data.settings import PrepareSettings
-from estimators.contract import Chosen, ClipInfo, Said
-from estimators.direct.contact_fit import fit_contact
-from estimators.direct.field_fit import fit_press
-from estimators.direct.problem import ContactProblem
-from estimators.direct.slab_fit import fit_slab
-from estimators.direct.slab_motion import DENSITY, LAW, POISSON, SLAB_BOUNDS
-from estimators.estimate import Estimate, NoEstimate
-from estimators.oblique import remark
-from estimators.onset import onset_error
-from estimators.runs import Run, RunSession, frame_estimate
-from physics.load import held
-from physics.mechanics import PARAMETERS, RECOMMENDED, Bounds, Mechanics
-from physics.msd.simulation import simulate
+from palpate.data.contact.interaction import FIELD, OBSERVATIONS, Horizon, Interaction
+from palpate.data.prepared import PreparedFrame
+from palpate.data.settings import PrepareSettings
+from palpate.estimators.contract import Chosen, ClipInfo, Said
+from palpate.estimators.direct.contact_fit import fit_contact
+from palpate.estimators.direct.field_fit import fit_press
+from palpate.estimators.direct.problem import ContactProblem
+from palpate.estimators.direct.slab_fit import fit_slab
+from palpate.estimators.direct.slab_motion import DENSITY, LAW, POISSON, SLAB_BOUNDS
+from palpate.estimators.estimate import Estimate, NoEstimate
+from palpate.estimators.oblique import remark
+from palpate.estimators.onset import onset_error
+from palpate.estimators.runs import Run, RunSession, frame_estimate
+from palpate.physics.load import held
+from palpate.physics.mechanics import PARAMETERS, RECOMMENDED, Bounds, Mechanics
+from palpate.physics.msd.simulation import simulate
 
 LEAST_SIGMA = 3e-5
-"""A smaller σ is refused [scene units]: that is the fitted simulator's own error (docs/identifiability.md), which would
+"""A smaller σ is refused [scene units]: that is the fitted simulator's own error (docs/reports/identifiability.md), which would
 be taken for motion of the tissue."""
 WHOLE = "This estimator fits whole runs of contact: see interactions.csv."
 """The depth of all visible tissue around the contact, or the motion of the one point that the tool touched first."""

@@ -16,12 +16,12 @@ from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
-from data.contact.film import FilmNoise, smooth_errors
-from data.contact.interaction import Interaction
-from data.contact.patches import Patches
-from estimators.direct.error_model import rounding_covariance
-from estimators.direct.motion import PressMotion
-from physics.mechanics import Mechanics
+from palpate.data.contact.film import FilmNoise, smooth_errors
+from palpate.data.contact.interaction import Interaction
+from palpate.data.contact.patches import Patches
+from palpate.estimators.direct.error_model import rounding_covariance
+from palpate.estimators.direct.motion import PressMotion
+from palpate.physics.mechanics import Mechanics
 
 OUTLIER = 4.0
 """Residuals of more than this many standard deviations count as if they had as many."""

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from data.contact.interaction import Interaction
-from estimators.direct.contact_fit import (
+from palpate.data.contact.interaction import Interaction
+from palpate.estimators.direct.contact_fit import (
     AT_BOUND,
     DELAY_AT_END,
     JUDGES,
@@ -19,10 +19,10 @@ from estimators.direct.contact_fit import (
     trusted_information,
     widened_if_oblique,
 )
-from estimators.direct.field import FilmProblem
-from estimators.direct.motion import PressMotion, about_tissue
-from estimators.direct.patch import PatchMotion
-from estimators.direct.problem import (
+from palpate.estimators.direct.field import FilmProblem
+from palpate.estimators.direct.motion import PressMotion, about_tissue
+from palpate.estimators.direct.patch import PatchMotion
+from palpate.estimators.direct.problem import (
     CANDIDATES,
     DELAYS,
     Optimum,
@@ -33,11 +33,11 @@ from estimators.direct.problem import (
     evidence_shares,
     find_optimum,
 )
-from estimators.direct.sampling import Draws, Mixture, sample_posterior
-from estimators.estimate import Estimate
-from estimators.oblique import view_angle
-from physics.identifiability import box_information
-from physics.mechanics import Mechanics
+from palpate.estimators.direct.sampling import Draws, Mixture, sample_posterior
+from palpate.estimators.estimate import Estimate
+from palpate.estimators.oblique import view_angle
+from palpate.physics.identifiability import box_information
+from palpate.physics.mechanics import Mechanics
 
 FITS = 3
 """Starts that are fitted to the end; where there are more, the best of them."""

@@ -14,11 +14,11 @@ from typing import Self
 
 import numpy as np
 
-from data.contact.interaction import Interaction
-from physics.identifiability import log_jacobian
-from physics.load import Press, PressShape, held
-from physics.mechanics import Mechanics, theta_of
-from physics.msd.simulation import is_chaotic, simulate, simulate_sensitivities
+from palpate.data.contact.interaction import Interaction
+from palpate.physics.identifiability import log_jacobian
+from palpate.physics.load import Press, PressShape, held
+from palpate.physics.mechanics import Mechanics, theta_of
+from palpate.physics.msd.simulation import is_chaotic, simulate, simulate_sensitivities
 
 COARSE_STEP = 0.005
 """Time step of simulations without derivatives [s]: off by up to 0.1 σ for the stiffest tissue."""

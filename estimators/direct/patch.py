@@ -12,8 +12,8 @@ import math
 
 import numpy as np
 
-from estimators.direct.motion import PressMotion
-from physics.load import Press, PressShape
+from palpate.estimators.direct.motion import PressMotion
+from palpate.physics.load import Press, PressShape
 
 RADII = (1.0, 8.0)
 """Of patches [grid pixels]: at the least it is one vertex, and dents are seen as far as 7."""

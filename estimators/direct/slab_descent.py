@@ -15,11 +15,11 @@ from collections.abc import Callable
 import numpy as np
 from scipy.optimize import least_squares
 
-from estimators.direct.contact_fit import AT_BOUND
-from estimators.direct.field import FilmProblem
-from estimators.direct.slab_motion import SlabMotion
-from estimators.estimate import NoEstimate
-from physics.identifiability import box_information
+from palpate.estimators.direct.contact_fit import AT_BOUND
+from palpate.estimators.direct.field import FilmProblem
+from palpate.estimators.direct.slab_motion import SlabMotion
+from palpate.estimators.estimate import NoEstimate
+from palpate.physics.identifiability import box_information
 
 DIFFERENCE = 0.02
 """Of a parameter, for derivatives."""

@@ -12,20 +12,20 @@ import dataclasses
 
 import numpy as np
 
-from data.contact.interaction import Interaction
-from estimators.direct.contact_fit import AT_BOUND, DELAY_AT_END, LARGEST_MISFIT, widened_if_oblique
-from estimators.direct.field import FilmProblem
-from estimators.direct.slab_descent import DONE, ROUGH, descend, find_tip, slab_start
-from estimators.direct.slab_motion import FirmRegion, SlabMotion
-from estimators.direct.slab_posterior import Valley, follow_valley, moved_by_mesh
-from estimators.direct.slab_rivals import averaged, firm_regions, relaxation, with_firm_regions
-from estimators.estimate import Estimate, NoEstimate
-from estimators.model_errors import MODEL_ERRORS
-from estimators.oblique import view_angle
-from physics.fem import NoBody
-from physics.fem.slab import Slab, slab_beneath
-from physics.identifiability import box_information
-from physics.mechanics import theta_of
+from palpate.data.contact.interaction import Interaction
+from palpate.estimators.direct.contact_fit import AT_BOUND, DELAY_AT_END, LARGEST_MISFIT, widened_if_oblique
+from palpate.estimators.direct.field import FilmProblem
+from palpate.estimators.direct.slab_descent import DONE, ROUGH, descend, find_tip, slab_start
+from palpate.estimators.direct.slab_motion import FirmRegion, SlabMotion
+from palpate.estimators.direct.slab_posterior import Valley, follow_valley, moved_by_mesh
+from palpate.estimators.direct.slab_rivals import averaged, firm_regions, relaxation, with_firm_regions
+from palpate.estimators.estimate import Estimate, NoEstimate
+from palpate.estimators.model_errors import MODEL_ERRORS
+from palpate.estimators.oblique import view_angle
+from palpate.physics.fem import NoBody
+from palpate.physics.fem.slab import Slab, slab_beneath
+from palpate.physics.identifiability import box_information
+from palpate.physics.mechanics import theta_of
 
 BLIND = 4.5
 """Tissue nearer to the contact isn't compared [grid px]."""

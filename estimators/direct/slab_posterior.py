@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimators.direct.field import FilmProblem
-from estimators.direct.slab_descent import DIFFERENCE
-from estimators.direct.slab_motion import SlabMotion
-from physics.identifiability import box_information
+from palpate.estimators.direct.field import FilmProblem
+from palpate.estimators.direct.slab_descent import DIFFERENCE
+from palpate.estimators.direct.slab_motion import SlabMotion
+from palpate.physics.identifiability import box_information
 
 LONGEST, GROWTH = 0.2, 1.3
 """Steps along the valley, of log E: the first, a standard deviation of the normal distribution around the fit, at most;

@@ -15,12 +15,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimators.direct.field import FilmProblem
-from estimators.direct.slab_descent import DONE, ROUGH, descend
-from estimators.direct.slab_motion import FirmRegion, SlabMotion
-from estimators.direct.slab_posterior import shown_change
-from estimators.estimate import NoEstimate
-from physics.identifiability import box_information
+from palpate.estimators.direct.field import FilmProblem
+from palpate.estimators.direct.slab_descent import DONE, ROUGH, descend
+from palpate.estimators.direct.slab_motion import FirmRegion, SlabMotion
+from palpate.estimators.direct.slab_posterior import shown_change
+from palpate.estimators.estimate import NoEstimate
+from palpate.physics.identifiability import box_information
 
 REGION = 9.0
 """Radius of a firm region [grid px]; its top lies an eighth of the thickness deep."""

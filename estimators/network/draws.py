@@ -12,10 +12,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from data.contact.features import SLOTS, join_features
-from data.contact.film import smooth_errors
-from data.contact.film_features import ROUNDED, SHAPES, dent_shapes, join_film_features
-from estimators.network.fits import Films, Fits
+from palpate.data.contact.features import SLOTS, join_features
+from palpate.data.contact.film import smooth_errors
+from palpate.data.contact.film_features import ROUNDED, SHAPES, dent_shapes, join_film_features
+from palpate.estimators.network.fits import Films, Fits
 
 NOISE = (3e-4, 6e-3)
 """σ is drawn log-uniformly from this range [scene units]."""

@@ -9,22 +9,22 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from data.contact.features import FEATURES, contact_features
-from data.contact.film_features import FILM_FEATURES, dent_features, told_noise
-from data.contact.interaction import FIELD, Horizon, Interaction, InteractionBuilder
-from data.prepared import PreparedFrame
-from data.windows import FrameWindow
-from estimators.contract import ClipInfo, Said
-from estimators.estimate import Estimate, FrameEstimate, NoEstimate, mixture
-from estimators.model_settings import ModelEstimator
-from estimators.network.misfit import compared, largest_misfit
-from estimators.oblique import effective_misfit, is_oblique, remark, view_angle, widened
-from estimators.onset import onset_error, onset_perturbations
-from estimators.runs import Run, RunSession, force_arrow, frame_estimate
-from models.onnx_session import CONTACT, ModelFileError, PosteriorModel
-from physics.load import Press, held
-from physics.mechanics import Mechanics, theta_of
-from physics.msd.simulation import simulate
+from palpate.data.contact.features import FEATURES, contact_features
+from palpate.data.contact.film_features import FILM_FEATURES, dent_features, told_noise
+from palpate.data.contact.interaction import FIELD, Horizon, Interaction, InteractionBuilder
+from palpate.data.prepared import PreparedFrame
+from palpate.data.windows import FrameWindow
+from palpate.estimators.contract import ClipInfo, Said
+from palpate.estimators.estimate import Estimate, FrameEstimate, NoEstimate, mixture
+from palpate.estimators.model_settings import ModelEstimator
+from palpate.estimators.network.misfit import compared, largest_misfit
+from palpate.estimators.oblique import effective_misfit, is_oblique, remark, view_angle, widened
+from palpate.estimators.onset import onset_error, onset_perturbations
+from palpate.estimators.runs import Run, RunSession, force_arrow, frame_estimate
+from palpate.models.onnx_session import CONTACT, ModelFileError, PosteriorModel
+from palpate.physics.load import Press, held
+from palpate.physics.mechanics import Mechanics, theta_of
+from palpate.physics.msd.simulation import simulate
 
 LEAST_OBSERVATIONS = 2
 """Fewest frames after the onset in which the tissue was followed; the network was trained on no fewer."""

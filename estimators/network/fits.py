@@ -13,17 +13,17 @@ from operator import itemgetter
 
 import numpy as np
 
-from data.contact.features import FRAME_RATE, contact_surroundings, slot_times
-from data.contact.film_features import (
+from palpate.data.contact.features import FRAME_RATE, contact_surroundings, slot_times
+from palpate.data.contact.film_features import (
     dent_shapes,
     motion_in_film,
     shape_amounts,
 )
-from data.contact.interaction import Interaction
-from data.synthetic.settings import SceneSettings
-from estimators.direct.field import FilmProblem
-from estimators.direct.problem import ContactProblem, find_optimum
-from physics.mechanics import RECOMMENDED, Mechanics
+from palpate.data.contact.interaction import Interaction
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.estimators.direct.field import FilmProblem
+from palpate.estimators.direct.problem import ContactProblem, find_optimum
+from palpate.physics.mechanics import RECOMMENDED, Mechanics
 
 MECHANICS = Mechanics(scheme="dkd", window_error=1e-4)
 """The simulator of the fits."""

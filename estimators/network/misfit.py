@@ -14,16 +14,16 @@ from typing import Protocol
 import numpy as np
 from scipy.special import gammainccinv
 
-from data.contact.film import REACH, DentFilm
-from data.contact.interaction import Interaction
-from data.contact.patches import Patches
-from estimators.direct.field import MOVED, WALL
-from estimators.direct.motion import between_steps
-from estimators.direct.problem import DELAYS
-from physics.identifiability import fisher_information, log_jacobian
-from physics.load import held
-from physics.mechanics import Mechanics, theta_of
-from physics.msd.simulation import is_chaotic, simulate_sensitivities
+from palpate.data.contact.film import REACH, DentFilm
+from palpate.data.contact.interaction import Interaction
+from palpate.data.contact.patches import Patches
+from palpate.estimators.direct.field import MOVED, WALL
+from palpate.estimators.direct.motion import between_steps
+from palpate.estimators.direct.problem import DELAYS
+from palpate.physics.identifiability import fisher_information, log_jacobian
+from palpate.physics.load import held
+from palpate.physics.mechanics import Mechanics, theta_of
+from palpate.physics.msd.simulation import is_chaotic, simulate_sensitivities
 
 LARGEST_MISFIT = 1.5
 """A motion farther from the simulated one than this many σ is unlike those of the training, and the network's

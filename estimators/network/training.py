@@ -17,7 +17,7 @@ costs more than the network:
 
 from __future__ import annotations
 
-from physics.doors import INTERRUPTED, enter_door, interruptible, run_door
+from palpate.common.doors import INTERRUPTED, enter_door, interruptible, run_door
 
 if __name__ == "__main__":
     enter_door()  # before the slow imports
@@ -40,23 +40,33 @@ from rich.console import Console
 from rich.progress import Progress
 from torch import Tensor, nn
 
-from data.command_line import path_option, progress_bars, say, whole_number
-from data.contact.features import FEATURES, contact_features, contact_surroundings
-from data.contact.film_features import FILM_FEATURES, film_features
-from data.contact.interaction import CONTACT, FIELD, Interaction
-from data.synthetic.contacts import SimulatedContact, draw_contacts
-from data.synthetic.settings import SceneSettings
-from data.synthetic.truth import REGIMES
-from estimators.network.draws import NOISE, Drawn, draw_observed
-from estimators.network.fits import BOUNDS, EXPLAINED, FRAME_S, MECHANICS, SCENES, Films, Fits, fit_film, fit_motion
-from estimators.worker_pool import WorkerLost, run_tasks
-from models.evidence import box_prior, covering, preconditioned
-from models.expected_bound import bound_loss
-from models.posterior import ContactPosterior
-from physics.files import as_json, read_file
-from physics.likelihood import Likelihood, Linearised
-from physics.ownership import ForeignFile, replacing_own, require_own
-from physics.provenance import code_digest
+from palpate.common.command_line import path_option, progress_bars, say, whole_number
+from palpate.common.files import as_json, read_file
+from palpate.common.output import ForeignFile, replacing_own, require_own
+from palpate.common.provenance import code_digest
+from palpate.common.workers import WorkerLost, run_tasks
+from palpate.data.contact.features import FEATURES, contact_features, contact_surroundings
+from palpate.data.contact.film_features import FILM_FEATURES, film_features
+from palpate.data.contact.interaction import CONTACT, FIELD, Interaction
+from palpate.data.synthetic.contacts import SimulatedContact, draw_contacts
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.data.synthetic.truth import REGIMES
+from palpate.estimators.network.draws import NOISE, Drawn, draw_observed
+from palpate.estimators.network.fits import (
+    BOUNDS,
+    EXPLAINED,
+    FRAME_S,
+    MECHANICS,
+    SCENES,
+    Films,
+    Fits,
+    fit_film,
+    fit_motion,
+)
+from palpate.models.evidence import box_prior, covering, preconditioned
+from palpate.models.expected_bound import bound_loss
+from palpate.models.posterior import ContactPosterior
+from palpate.physics.likelihood import Likelihood, Linearised
 
 WEIGHTS, LOG, PREPARED = "posterior.pt", "training.jsonl", "prepared.pt"
 """Files of the output folder; at the end the first appears and the last is removed."""

@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from data.contact.features import FEATURES, contact_features
-from data.contact.film_features import FILM_FEATURES, dent_features
-from data.windows import window_indices
-from evaluation.ablation.watched import WatchedClip
-from models.carried_depth import carried
-from models.checkpoint import load_generator
-from models.contact_head import ContactHead
-from physics.mechanics import Mechanics
-from physics.msd.batch import MeshBatch, PressBatch
+from palpate.data.contact.features import FEATURES, contact_features
+from palpate.data.contact.film_features import FILM_FEATURES, dent_features
+from palpate.data.windows import window_indices
+from palpate.evaluation.ablation.watched import WatchedClip
+from palpate.models.carried_depth import carried
+from palpate.models.checkpoint import load_generator
+from palpate.models.contact_head import ContactHead
+from palpate.physics.mechanics import Mechanics
+from palpate.physics.msd.batch import MeshBatch, PressBatch
 
 
 class TrainedGenerator:

@@ -11,19 +11,19 @@ import dataclasses
 
 import numpy as np
 
-from data.contact.film import REACH, DentFilm
-from data.contact.interaction import Interaction
-from data.synthetic.scene import Scene
-from data.synthetic.truth import PressedMotion
-from estimators.direct.estimator import FITTED, LEAST_OBSERVATIONS
-from estimators.direct.field import FilmProblem
-from estimators.direct.motion import PressMotion, about_tissue
-from estimators.direct.patch import PatchMotion
-from estimators.direct.problem import ContactProblem
-from estimators.onset import BETWEEN
-from physics.identifiability import box_information
-from physics.load import Press, PressShape, held
-from physics.mechanics import RECOMMENDED
+from palpate.data.contact.film import REACH, DentFilm
+from palpate.data.contact.interaction import Interaction
+from palpate.data.synthetic.scene import Scene
+from palpate.data.synthetic.truth import PressedMotion
+from palpate.estimators.direct.estimator import FITTED, LEAST_OBSERVATIONS
+from palpate.estimators.direct.field import FilmProblem
+from palpate.estimators.direct.motion import PressMotion, about_tissue
+from palpate.estimators.direct.patch import PatchMotion
+from palpate.estimators.direct.problem import ContactProblem
+from palpate.estimators.onset import BETWEEN
+from palpate.physics.identifiability import box_information
+from palpate.physics.load import Press, PressShape, held
+from palpate.physics.mechanics import RECOMMENDED
 
 MECHANICS = FITTED
 """Simulator of the bounds."""

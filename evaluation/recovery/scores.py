@@ -16,14 +16,14 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from data.contact.interaction import FIELD
-from estimators.estimate import NINETY
-from estimators.onset import STAMP
-from evaluation.harness import OK, Row
-from evaluation.recovery.bounds import known
-from evaluation.recovery.suites import REGIMES
-from physics.identifiability import LIMIT, RATIOS, covariance
-from physics.mechanics import PARAMETERS
+from palpate.data.contact.interaction import FIELD
+from palpate.estimators.estimate import NINETY
+from palpate.estimators.onset import STAMP
+from palpate.evaluation.harness import OK, Row
+from palpate.evaluation.recovery.bounds import known
+from palpate.evaluation.recovery.suites import REGIMES
+from palpate.physics.identifiability import LIMIT, RATIOS, covariance
+from palpate.physics.mechanics import PARAMETERS
 
 QUANTITIES = (*PARAMETERS, "stiffness/damping", "force/damping")
 COLUMNS = (

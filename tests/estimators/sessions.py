@@ -8,16 +8,16 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from data.contact.geometry import FrameGeometry, GeometrySettings
-from data.contact.motion import ContactMotion
-from data.contact.refinement import ContactRun
-from data.prepared import PreparedFrame
-from data.settings import PrepareSettings
-from data.source.camera import Camera
-from data.source.frames import Frame
-from estimators.contract import ClipInfo, Said, Session
-from estimators.estimate import FrameEstimate, InteractionEstimate
-from physics.mesh import Mesh
+from palpate.data.contact.geometry import FrameGeometry, GeometrySettings
+from palpate.data.contact.motion import ContactMotion
+from palpate.data.contact.refinement import ContactRun
+from palpate.data.prepared import PreparedFrame
+from palpate.data.settings import PrepareSettings
+from palpate.data.source.camera import Camera
+from palpate.data.source.frames import Frame
+from palpate.estimators.contract import ClipInfo, Said, Session
+from palpate.estimators.estimate import FrameEstimate, InteractionEstimate
+from palpate.physics.mesh import Mesh
 
 SIZE = (214, 120)
 """Width and height of the pictures [px]."""

@@ -13,23 +13,23 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as some
 
-from data.clip import ClipInputs, ClipStream
-from data.contact.features import FEATURES
-from data.contact.film_features import FILM_FEATURES
-from data.masks.class_table import CLASSES
-from data.masks.sources import MaskError
-from data.prepared import STATUSES, PreparedFrame
-from data.settings import PrepareSettings
-from data.source.frames import Frame
-from data.synthetic.clip import SyntheticClip, make_clip
-from data.synthetic.settings import SceneSettings
-from data.synthetic.source import SyntheticSource, _Depth, _Masks, open_synthetic
-from estimators.contract import Estimator, Said
-from estimators.direct.estimator import WHOLE
-from estimators.estimate import Estimate, FrameEstimate, InteractionEstimate, ParticleField
-from estimators.network.fits import BOUNDS, MECHANICS
-from estimators.open import NAMES, EstimatorOptions, open_estimator
-from results.columns import INTERACTIONS, interaction_values
+from palpate.data.clip import ClipInputs, ClipStream
+from palpate.data.contact.features import FEATURES
+from palpate.data.contact.film_features import FILM_FEATURES
+from palpate.data.masks.class_table import CLASSES
+from palpate.data.masks.sources import MaskError
+from palpate.data.prepared import STATUSES, PreparedFrame
+from palpate.data.settings import PrepareSettings
+from palpate.data.source.frames import Frame
+from palpate.data.synthetic.clip import SyntheticClip, make_clip
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.data.synthetic.source import SyntheticSource, _Depth, _Masks, open_synthetic
+from palpate.estimators.contract import Estimator, Said
+from palpate.estimators.direct.estimator import WHOLE
+from palpate.estimators.estimate import Estimate, FrameEstimate, InteractionEstimate, ParticleField
+from palpate.estimators.network.fits import BOUNDS, MECHANICS
+from palpate.estimators.open import NAMES, EstimatorOptions, open_estimator
+from palpate.results.columns import INTERACTIONS, interaction_values
 from tests.estimators.sessions import SIZE, State, clip_info, follow, linked, sorted_out, touched
 from tests.inference_inputs import metadata, write_model, write_posterior
 from tests.physics.sheets import sheet

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from evaluation.harness import Row
-from evaluation.recovery.scores import Bound
-from evaluation.recovery.suites import REGIMES, suite_clip_seed
+from palpate.evaluation.harness import Row
+from palpate.evaluation.recovery.scores import Bound
+from palpate.evaluation.recovery.suites import REGIMES, suite_clip_seed
 
 TRUTH = np.array([0.5, 0.05, -0.1])
 BY_CONTACT = Bound("contact")

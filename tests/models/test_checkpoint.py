@@ -13,9 +13,9 @@ import pytest
 import torch
 import yaml
 
-from data.contact.features import FEATURES
-from data.contact.film_features import FILM_FEATURES
-from models.checkpoint import (
+from palpate.data.contact.features import FEATURES
+from palpate.data.contact.film_features import FILM_FEATURES
+from palpate.models.checkpoint import (
     CheckpointError,
     load_generator,
     load_posterior,
@@ -23,10 +23,10 @@ from models.checkpoint import (
     read_checkpoint,
     require_same_model,
 )
-from models.module import PhysicsInformedGAN
-from models.onnx_session import SHIPPED, PosteriorModel
-from models.posterior import ContactPosterior
-from physics.mechanics import RECOMMENDED, Bounds, Mechanics
+from palpate.models.module import PhysicsInformedGAN
+from palpate.models.onnx_session import SHIPPED, PosteriorModel
+from palpate.models.posterior import ContactPosterior
+from palpate.physics.mechanics import RECOMMENDED, Bounds, Mechanics
 
 SETTINGS = {
     "window": 1,

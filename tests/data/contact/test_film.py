@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
-from data.contact.film import (
+from palpate.data.contact.film import (
     FAR,
     LEAST_FAR,
     REACH,
@@ -22,9 +22,9 @@ from data.contact.film import (
     smooth_errors,
     window_around,
 )
-from data.labels import TISSUE, TOOL
-from data.source.camera import Camera, back_project
-from physics.mesh import Mesh, grid_mesh
+from palpate.data.labels import TISSUE, TOOL
+from palpate.data.source.camera import Camera, back_project
+from palpate.physics.mesh import Mesh, grid_mesh
 
 WIDTH, HEIGHT = 120, 96
 CENTRE = np.array([45, 57])

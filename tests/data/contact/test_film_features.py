@@ -7,9 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from data.contact.features import SLOTS, slot_times
-from data.contact.film import REACH, DentFilm, FilmNoise
-from data.contact.film_features import (
+from palpate.data.contact.features import SLOTS, slot_times
+from palpate.data.contact.film import REACH, DentFilm, FilmNoise
+from palpate.data.contact.film_features import (
     FILM_FEATURES,
     FOUNDATIONS,
     LARGE,
@@ -23,11 +23,11 @@ from data.contact.film_features import (
     motion_in_film,
     shape_amounts,
 )
-from data.contact.interaction import Interaction
-from data.source.camera import Camera, back_project
-from physics.load import Press, held
-from physics.mesh import grid_mesh
-from physics.observation import Observation
+from palpate.data.contact.interaction import Interaction
+from palpate.data.source.camera import Camera, back_project
+from palpate.physics.load import Press, held
+from palpate.physics.mesh import grid_mesh
+from palpate.physics.observation import Observation
 
 SIDE = 2 * REACH + 1
 PIXELS = SIDE * SIDE

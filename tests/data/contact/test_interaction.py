@@ -13,18 +13,18 @@ import cv2
 import numpy as np
 import pytest
 
-from data.cache import PreparedClip
-from data.clip import ClipStream
-from data.contact.interaction import Interaction
-from data.settings import PrepareSettings
-from data.source.frames import open_source
-from data.synthetic.clip import make_clip
-from data.synthetic.settings import SceneSettings
-from data.synthetic.source import open_synthetic
-from data.training.samples import SampleSettings, builder_of
-from estimators.contract import ClipInfo
-from estimators.runs import Run, RunTracker
-from physics.mechanics import Mechanics
+from palpate.data.cache import PreparedClip
+from palpate.data.clip import ClipStream
+from palpate.data.contact.interaction import Interaction
+from palpate.data.settings import PrepareSettings
+from palpate.data.source.frames import open_source
+from palpate.data.synthetic.clip import make_clip
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.data.synthetic.source import open_synthetic
+from palpate.data.training.samples import SampleSettings, builder_of
+from palpate.estimators.contract import ClipInfo
+from palpate.estimators.runs import Run, RunTracker
+from palpate.physics.mechanics import Mechanics
 from tests.data.clips import GRID, HEIGHT, SETTINGS, WIDTH, remove_frame, stored, write_clip
 
 MECHANICS = Mechanics()

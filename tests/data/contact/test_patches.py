@@ -6,18 +6,18 @@ import cv2
 import numpy as np
 import pytest
 
-from data.contact.film import REACH
-from data.contact.interaction import Interaction
-from data.contact.patches import LARGEST_SHIFT, MOST_SAMPLES, Patches, focal_length, footprint
-from data.source.camera import Camera, back_project
-from data.synthetic.clip import draw_press, synthetic_clip
-from data.synthetic.scene import Scene
-from data.synthetic.settings import SceneSettings
-from data.synthetic.source import PREPARE, open_synthetic
-from data.synthetic.truth import TrueMotion
-from estimators.contract import ClipInfo
-from evaluation.recovery.trial import observed_contacts
-from physics.mesh import Mesh, grid_mesh
+from palpate.data.contact.film import REACH
+from palpate.data.contact.interaction import Interaction
+from palpate.data.contact.patches import LARGEST_SHIFT, MOST_SAMPLES, Patches, focal_length, footprint
+from palpate.data.source.camera import Camera, back_project
+from palpate.data.synthetic.clip import draw_press, synthetic_clip
+from palpate.data.synthetic.scene import Scene
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.data.synthetic.source import PREPARE, open_synthetic
+from palpate.data.synthetic.truth import TrueMotion
+from palpate.estimators.contract import ClipInfo
+from palpate.evaluation.recovery.trial import observed_contacts
+from palpate.physics.mesh import Mesh, grid_mesh
 
 WIDTH, HEIGHT = 64, 48
 CAMERA = Camera(fx=90.0, fy=80.0, cx=30.5, cy=21.0, width=WIDTH, height=HEIGHT)

@@ -7,11 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from data.synthetic.contacts import CROP_RADIUS, FINE_MECHANICS, draw_contacts
-from data.synthetic.scene import crop_mesh, draw_scene
-from data.synthetic.settings import SceneSettings
-from physics.load import Press, held
-from physics.msd.simulation import simulate
+from palpate.data.synthetic.contacts import CROP_RADIUS, FINE_MECHANICS, draw_contacts
+from palpate.data.synthetic.scene import crop_mesh, draw_scene
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.physics.load import Press, held
+from palpate.physics.msd.simulation import simulate
 
 SETTINGS = SceneSettings(width=214, height=120)
 

@@ -9,22 +9,22 @@ import numpy as np
 import pytest
 import torch
 
-from data.clip import prepare
-from data.contact.features import FEATURES, SLOTS, contact_features
-from data.contact.film import REACH, FilmNoise
-from data.contact.film_features import FILM_FEATURES, dent_features
-from data.contact.interaction import Interaction
-from data.synthetic.contacts import draw_contacts
-from data.synthetic.settings import SceneSettings
-from data.training.batches import SampleDataset, collate, join_films
-from data.training.samples import SampleSettings, list_frames, make_interaction, make_sample
-from estimators.direct.field import FilmProblem
-from physics.load import held
-from physics.mechanics import Mechanics, theta_of
-from physics.msd import rollout_sensitivities
-from physics.msd.batch import MeshBatch, PressBatch
-from physics.msd.likelihoods import linearise_depth
-from physics.msd.simulation import simulate
+from palpate.data.clip import prepare
+from palpate.data.contact.features import FEATURES, SLOTS, contact_features
+from palpate.data.contact.film import REACH, FilmNoise
+from palpate.data.contact.film_features import FILM_FEATURES, dent_features
+from palpate.data.contact.interaction import Interaction
+from palpate.data.synthetic.contacts import draw_contacts
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.data.training.batches import SampleDataset, collate, join_films
+from palpate.data.training.samples import SampleSettings, list_frames, make_interaction, make_sample
+from palpate.estimators.direct.field import FilmProblem
+from palpate.physics.load import held
+from palpate.physics.mechanics import Mechanics, theta_of
+from palpate.physics.msd import rollout_sensitivities
+from palpate.physics.msd.batch import MeshBatch, PressBatch
+from palpate.physics.msd.likelihoods import linearise_depth
+from palpate.physics.msd.simulation import simulate
 from tests.data.clips import GRID, SETTINGS, write_clip
 
 SMOOTH = replace(GRID, smoothing=4.0)

@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from data.masks.sources import MaskClasses
-from data.source.layout import ClipLayout, InputError
-from data.training.cholecseg8k import check_clip, list_clips, main
-from data.training.splits import FRACTIONS, part_sizes, split_by_video, split_in_time, video_of
+from palpate.data.masks.sources import MaskClasses
+from palpate.data.source.layout import ClipLayout, InputError
+from palpate.data.training.cholecseg8k import check_clip, list_clips, main
+from palpate.data.training.splits import FRACTIONS, part_sizes, split_by_video, split_in_time, video_of
 from tests.data.clips import remove_frame, write_clip
 
 
@@ -148,7 +148,7 @@ def test_the_module_runs_as_a_program_without_torch(tmp_path):
     write_clip(tmp_path / "video01_00000", frames=3)
     root = Path(__file__).parents[3]
     code = (
-        "import sys; from data.training.cholecseg8k import main; "
+        "import sys; from palpate.data.training.cholecseg8k import main; "
         f"status = main([{str(tmp_path)!r}, '--cache', {str(tmp_path / 'cache')!r}]); "
         "assert not {'torch', 'lightning', 'matplotlib', 'scipy.stats'} & set(sys.modules); sys.exit(status)"
     )

@@ -7,14 +7,14 @@ import math
 
 import numpy as np
 
-from data.contact.film import DentFilm, FilmNoise
-from data.contact.interaction import Interaction
-from data.contact.patches import Patches
-from estimators.direct.field import FilmProblem
-from estimators.direct.slab_motion import SlabMotion
-from physics.fem.slab import Slab, slab_beneath
-from physics.load import Press, held
-from physics.observation import Observation
+from palpate.data.contact.film import DentFilm, FilmNoise
+from palpate.data.contact.interaction import Interaction
+from palpate.data.contact.patches import Patches
+from palpate.estimators.direct.field import FilmProblem
+from palpate.estimators.direct.slab_motion import SlabMotion
+from palpate.physics.fem.slab import Slab, slab_beneath
+from palpate.physics.load import Press, held
+from palpate.physics.observation import Observation
 from tests.estimators.direct.test_field import FRAME, MESH, SIDE, SIGMA, SIZE
 
 COARSE, FINE = (4, 4, 2), (8, 8, 3)

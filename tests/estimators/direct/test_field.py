@@ -9,23 +9,23 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from data.contact.film import REACH, DentFilm, FilmNoise, smooth_errors
-from data.contact.interaction import Interaction
-from data.contact.patches import Patches
-from data.source.camera import Camera, back_project
-from estimators.direct.error_model import rounding_covariance
-from estimators.direct.field import (
+from palpate.data.contact.film import REACH, DentFilm, FilmNoise, smooth_errors
+from palpate.data.contact.interaction import Interaction
+from palpate.data.contact.patches import Patches
+from palpate.data.source.camera import Camera, back_project
+from palpate.estimators.direct.error_model import rounding_covariance
+from palpate.estimators.direct.field import (
     OUTLIER,
     STILL_NEW,
     WALL,
     FilmProblem,
 )
-from estimators.direct.motion import PressMotion
-from estimators.direct.problem import Optimum, find_optimum
-from physics.load import Press, held
-from physics.mechanics import Mechanics
-from physics.mesh import Mesh, contact_normal, grid_mesh
-from physics.observation import Observation
+from palpate.estimators.direct.motion import PressMotion
+from palpate.estimators.direct.problem import Optimum, find_optimum
+from palpate.physics.load import Press, held
+from palpate.physics.mechanics import Mechanics
+from palpate.physics.mesh import Mesh, contact_normal, grid_mesh
+from palpate.physics.observation import Observation
 
 MECHANICS = Mechanics(time_step=0.0025, steps=160, scheme="dkd")
 FRAME = 0.04

@@ -7,15 +7,15 @@ import dataclasses
 import numpy as np
 import pytest
 
-from data.contact.film import REACH
-from data.contact.interaction import Interaction
-from estimators.direct.field import FilmProblem
-from estimators.direct.field_fit import ENOUGH, FITS, NARROW, ROUND, field_starts, first_draws, fit_field, raced
-from estimators.direct.problem import APART, Optimum
-from estimators.direct.sampling import sample_posterior
-from estimators.estimate import Estimate
-from physics.identifiability import box_information, covariance
-from physics.mechanics import RECOMMENDED, Bounds
+from palpate.data.contact.film import REACH
+from palpate.data.contact.interaction import Interaction
+from palpate.estimators.direct.field import FilmProblem
+from palpate.estimators.direct.field_fit import ENOUGH, FITS, NARROW, ROUND, field_starts, first_draws, fit_field, raced
+from palpate.estimators.direct.problem import APART, Optimum
+from palpate.estimators.direct.sampling import sample_posterior
+from palpate.estimators.estimate import Estimate
+from palpate.physics.identifiability import box_information, covariance
+from palpate.physics.mechanics import RECOMMENDED, Bounds
 from tests.estimators.direct.test_field import (
     LARGER,
     MECHANICS,

@@ -7,16 +7,16 @@ import dataclasses
 import numpy as np
 import pytest
 
-from data.contact.film import DentFilm, FilmNoise
-from data.contact.interaction import Interaction
-from data.contact.patches import Patches
-from estimators.direct.field import FilmProblem
-from estimators.direct.field_fit import fit_press
-from estimators.direct.motion import PressMotion
-from estimators.direct.patch import PatchMotion
-from physics.load import Press, PressShape
-from physics.mechanics import RECOMMENDED
-from physics.msd.simulation import simulate
+from palpate.data.contact.film import DentFilm, FilmNoise
+from palpate.data.contact.interaction import Interaction
+from palpate.data.contact.patches import Patches
+from palpate.estimators.direct.field import FilmProblem
+from palpate.estimators.direct.field_fit import fit_press
+from palpate.estimators.direct.motion import PressMotion
+from palpate.estimators.direct.patch import PatchMotion
+from palpate.physics.load import Press, PressShape
+from palpate.physics.mechanics import RECOMMENDED
+from palpate.physics.msd.simulation import simulate
 from tests.estimators.direct.test_field import (
     FRAME,
     LARGER,

@@ -7,10 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from data.contact.film import DentFilm, FilmNoise
-from estimators.direct.field import FilmProblem
-from estimators.direct.slab_descent import descend, find_tip, slab_start
-from estimators.direct.slab_motion import SlabMotion
+from palpate.data.contact.film import DentFilm, FilmNoise
+from palpate.estimators.direct.field import FilmProblem
+from palpate.estimators.direct.slab_descent import descend, find_tip, slab_start
+from palpate.estimators.direct.slab_motion import SlabMotion
 from tests.estimators.direct.slabs import (
     COARSE,
     LOGS,

@@ -9,20 +9,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from data.contact.film import DentFilm, FilmNoise
-from data.contact.interaction import Interaction
-from estimators.direct import estimator, slab_fit, slab_motion, slab_rivals
-from estimators.direct.contact_fit import LARGEST_MISFIT
-from estimators.direct.estimator import DirectEstimator
-from estimators.direct.field import FilmProblem
-from estimators.direct.slab_descent import descend
-from estimators.direct.slab_fit import BLIND, LOWER, UNLIKE, fit_slab, settled
-from estimators.direct.slab_motion import SlabMotion
-from estimators.direct.slab_posterior import Valley
-from estimators.estimate import NINETY, Estimate, NoEstimate
-from estimators.model_errors import MODEL_ERRORS
-from estimators.onset import BETWEEN
-from physics.fem.slab import slab_beneath
+from palpate.data.contact.film import DentFilm, FilmNoise
+from palpate.data.contact.interaction import Interaction
+from palpate.estimators.direct import estimator, slab_fit, slab_motion, slab_rivals
+from palpate.estimators.direct.contact_fit import LARGEST_MISFIT
+from palpate.estimators.direct.estimator import DirectEstimator
+from palpate.estimators.direct.field import FilmProblem
+from palpate.estimators.direct.slab_descent import descend
+from palpate.estimators.direct.slab_fit import BLIND, LOWER, UNLIKE, fit_slab, settled
+from palpate.estimators.direct.slab_motion import SlabMotion
+from palpate.estimators.direct.slab_posterior import Valley
+from palpate.estimators.estimate import NINETY, Estimate, NoEstimate
+from palpate.estimators.model_errors import MODEL_ERRORS
+from palpate.estimators.onset import BETWEEN
+from palpate.physics.fem.slab import slab_beneath
 from tests.estimators.direct.slabs import (
     COARSE,
     LOGS,

@@ -7,9 +7,9 @@ import math
 
 import numpy as np
 
-from data.contact.film import FilmNoise
-from estimators.direct.slab_motion import SlabMotion
-from estimators.direct.slab_posterior import follow_valley, moved_by_mesh
+from palpate.data.contact.film import FilmNoise
+from palpate.estimators.direct.slab_motion import SlabMotion
+from palpate.estimators.direct.slab_posterior import follow_valley, moved_by_mesh
 from tests.estimators.direct.slabs import (
     FINE,
     LOGS,

@@ -8,11 +8,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from estimators.direct.field import FilmProblem
-from estimators.direct.slab_descent import descend
-from estimators.direct.slab_motion import FirmRegion, SlabMotion
-from estimators.direct.slab_rivals import WAYS, Firm, averaged, fall, firm_regions, relaxation, with_firm_regions
-from physics.fem import NoEquilibrium
+from palpate.estimators.direct.field import FilmProblem
+from palpate.estimators.direct.slab_descent import descend
+from palpate.estimators.direct.slab_motion import FirmRegion, SlabMotion
+from palpate.estimators.direct.slab_rivals import (
+    WAYS,
+    Firm,
+    averaged,
+    fall,
+    firm_regions,
+    relaxation,
+    with_firm_regions,
+)
+from palpate.physics.fem import NoEquilibrium
 from tests.estimators.direct.slabs import (
     FINE,
     LOGS,

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from data.contact.features import SLOTS
-from data.contact.film import REACH, smooth_errors
-from data.contact.film_features import SHAPES, dent_shapes, motion_in_film, shape_amounts
-from data.synthetic.contacts import SimulatedContact, draw_contacts, hidden_by_tool
-from data.synthetic.settings import SceneSettings
-from estimators.direct.field import FilmProblem
-from estimators.network.draws import (
+from palpate.data.contact.features import SLOTS
+from palpate.data.contact.film import REACH, smooth_errors
+from palpate.data.contact.film_features import SHAPES, dent_shapes, motion_in_film, shape_amounts
+from palpate.data.synthetic.contacts import SimulatedContact, draw_contacts, hidden_by_tool
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.estimators.direct.field import FilmProblem
+from palpate.estimators.network.draws import (
     DELAY_RANGE,
     LEVEL,
     ROUNDING_NOISE,
@@ -20,7 +20,7 @@ from estimators.network.draws import (
     smooth_share,
     without_delays,
 )
-from estimators.network.fits import FRAME_S, MECHANICS, NOMINAL_NOISE, PARAMETERS, Films, fit_film
+from palpate.estimators.network.fits import FRAME_S, MECHANICS, NOMINAL_NOISE, PARAMETERS, Films, fit_film
 
 PIXELS = (2 * REACH + 1) ** 2
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from data.contact.features import SLOTS, contact_surroundings
-from data.contact.film_features import SHAPES
-from data.synthetic.contacts import SimulatedContact, draw_contacts
-from data.synthetic.settings import SceneSettings
-from estimators.network.draws import film_information, smooth_share, without_delays
-from estimators.network.fits import MECHANICS, NOMINAL_NOISE, Fits, motion_slopes, observed_exactly
-from physics.mechanics import theta_of
-from physics.msd.simulation import simulate
+from palpate.data.contact.features import SLOTS, contact_surroundings
+from palpate.data.contact.film_features import SHAPES
+from palpate.data.synthetic.contacts import SimulatedContact, draw_contacts
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.estimators.network.draws import film_information, smooth_share, without_delays
+from palpate.estimators.network.fits import MECHANICS, NOMINAL_NOISE, Fits, motion_slopes, observed_exactly
+from palpate.physics.mechanics import theta_of
+from palpate.physics.msd.simulation import simulate
 
 
 @pytest.fixture(scope="module")

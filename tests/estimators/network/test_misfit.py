@@ -8,16 +8,16 @@ import functools
 import numpy as np
 import pytest
 
-from data.contact.film import FilmNoise
-from data.contact.film_features import motion_in_film
-from data.contact.interaction import Interaction
-from data.synthetic.contacts import draw_contacts
-from data.synthetic.settings import SceneSettings
-from estimators.network.fits import MECHANICS
-from estimators.network.misfit import LARGEST_MISFIT, TAIL_PROBABILITY, compared, largest_misfit
-from physics.load import held
-from physics.mechanics import theta_of
-from physics.msd.simulation import simulate
+from palpate.data.contact.film import FilmNoise
+from palpate.data.contact.film_features import motion_in_film
+from palpate.data.contact.interaction import Interaction
+from palpate.data.synthetic.contacts import draw_contacts
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.estimators.network.fits import MECHANICS
+from palpate.estimators.network.misfit import LARGEST_MISFIT, TAIL_PROBABILITY, compared, largest_misfit
+from palpate.physics.load import held
+from palpate.physics.mechanics import theta_of
+from palpate.physics.msd.simulation import simulate
 
 NOISE = 5e-4
 SURE = 1e-8 * np.eye(3)

@@ -12,15 +12,25 @@ import pytest
 import torch
 from rich.progress import Progress
 
-from data.contact.features import FEATURES, SLOTS
-from data.contact.film_features import FILM_FEATURES
-from data.synthetic.contacts import SimulatedContact, draw_contacts
-from data.synthetic.settings import SceneSettings
-from data.synthetic.truth import damping_ratio, regime_of
-from estimators.network import training as contact_training
-from estimators.network.draws import CUT_SHARES, LEVEL, NOISE, REST_SHARE, draw_errors, draw_known, draw_observed
-from estimators.network.fits import BOUNDS, FRAME_S, MECHANICS, SCENES, Films, Fits, fit_motion
-from estimators.network.training import (
+from palpate.common.output import LIST
+from palpate.common.workers import WorkerLost
+from palpate.data.contact.features import FEATURES, SLOTS
+from palpate.data.contact.film_features import FILM_FEATURES
+from palpate.data.synthetic.contacts import SimulatedContact, draw_contacts
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.data.synthetic.truth import damping_ratio, regime_of
+from palpate.estimators.network import training as contact_training
+from palpate.estimators.network.draws import (
+    CUT_SHARES,
+    LEVEL,
+    NOISE,
+    REST_SHARE,
+    draw_errors,
+    draw_known,
+    draw_observed,
+)
+from palpate.estimators.network.fits import BOUNDS, FRAME_S, MECHANICS, SCENES, Films, Fits, fit_motion
+from palpate.estimators.network.training import (
     INTERRUPTED,
     PREPARED,
     WEIGHTS,
@@ -33,9 +43,7 @@ from estimators.network.training import (
     make_contacts,
     widened,
 )
-from estimators.worker_pool import WorkerLost
-from physics.identifiability import LIMIT, bounds
-from physics.ownership import LIST
+from palpate.physics.identifiability import LIMIT, bounds
 
 
 @pytest.fixture(scope="module")

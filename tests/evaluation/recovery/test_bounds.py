@@ -8,22 +8,22 @@ import functools
 import numpy as np
 import pytest
 
-from data.contact.film import REACH, DentFilm, FilmNoise
-from data.contact.interaction import Interaction
-from data.contact.patches import Patches
-from data.synthetic.clip import draw_press
-from data.synthetic.scene import Scene
-from data.synthetic.settings import SceneSettings
-from data.synthetic.truth import PressedMotion
-from estimators.direct.patch import PatchMotion
-from estimators.onset import BETWEEN, STAMP
-from evaluation.recovery.bounds import MECHANICS, contact_information, field_information, known
-from physics.identifiability import bounds, box_information, fisher_information
-from physics.load import Press, PressShape, held
-from physics.mechanics import RECOMMENDED, theta_of
-from physics.mesh import contact_normal
-from physics.msd.simulation import simulate
-from physics.observation import Observation
+from palpate.data.contact.film import REACH, DentFilm, FilmNoise
+from palpate.data.contact.interaction import Interaction
+from palpate.data.contact.patches import Patches
+from palpate.data.synthetic.clip import draw_press
+from palpate.data.synthetic.scene import Scene
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.data.synthetic.truth import PressedMotion
+from palpate.estimators.direct.patch import PatchMotion
+from palpate.estimators.onset import BETWEEN, STAMP
+from palpate.evaluation.recovery.bounds import MECHANICS, contact_information, field_information, known
+from palpate.physics.identifiability import bounds, box_information, fisher_information
+from palpate.physics.load import Press, PressShape, held
+from palpate.physics.mechanics import RECOMMENDED, theta_of
+from palpate.physics.mesh import contact_normal
+from palpate.physics.msd.simulation import simulate
+from palpate.physics.observation import Observation
 
 SIGMA = 1e-3
 SETTINGS = SceneSettings(

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from estimators.estimate import NINETY
-from evaluation.recovery.scores import (
+from palpate.estimators.estimate import NINETY
+from palpate.evaluation.recovery.scores import (
     COLUMNS,
     QUANTITIES,
     Bound,
@@ -17,7 +17,7 @@ from evaluation.recovery.scores import (
     score,
     score_all,
 )
-from evaluation.recovery.scores import (
+from palpate.evaluation.recovery.scores import (
     table as table_of,
 )
 from tests.evaluation.recovery_cases import BY_CONTACT, off_by, recovery

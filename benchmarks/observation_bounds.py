@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from palpate.benchmarks.shared import command_line, machine, print_table
-from palpate.data.contact.film import REACH
+from palpate.data.contact.depth_sequence import REACH
 from palpate.data.synthetic.contacts import FINE_MECHANICS, SimulatedContact, draw_contacts
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.truth import REGIMES, Regime

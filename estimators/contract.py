@@ -72,7 +72,7 @@ class ClipInfo:
         return cls(clip.source.fps, clip.source.size, clip.picture_camera, settings.geometry, settings.bridge_frames)
 
 
-Said = FrameEstimate | InteractionEstimate
+Output = FrameEstimate | InteractionEstimate
 
 
 class Session(Protocol):
@@ -82,13 +82,13 @@ class Session(Protocol):
     def seconds(self) -> Mapping[str, float]:
         """Time spent so far by stage [s]."""
 
-    def push(self, frame: PreparedFrame) -> Iterable[Said]:
+    def push(self, frame: PreparedFrame) -> Iterable[Output]:
         """The next frame; gives one `FrameEstimate` for each frame, in order and maybe late, and what has ended.
 
         The frame counts once all that is given has been taken.
         """
 
-    def finish(self) -> Iterable[Said]:
+    def finish(self) -> Iterable[Output]:
         """What is left at the clip's end."""
 
 

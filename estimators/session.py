@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 from palpate.data.prepared import PreparedFrame
-from palpate.estimators.contract import Said, Session
+from palpate.estimators.contract import Output, Session
 
 
-def estimates_of(session: Session, frames: Iterable[PreparedFrame]) -> Iterator[Said]:
+def estimates_of(session: Session, frames: Iterable[PreparedFrame]) -> Iterator[Output]:
     """Estimates of a clip's frames and runs of contact, as they are ready.
 
     Args:

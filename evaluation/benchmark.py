@@ -100,7 +100,8 @@ class Benchmark:
     observation: Literal["field", "contact"] | None = None
     """what direct and network look at: the whole dent (field, default), or the point that was touched (contact)"""
     bound: Literal["field", "contact"] = "field"
-    """Cramér–Rao bound that errors are compared with: of the film of the whole dent, or of the contact's point; with
+    """Cramér–Rao bound that errors are compared with: of the sequence of the whole dent, or of the contact's point;
+    with
     --onset between, of somebody who doesn't know the instants either"""
     size: str = "214x120"
     """width and height of the pictures; 854x480 is CholecSeg8k's"""

@@ -18,6 +18,7 @@ import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -49,8 +50,8 @@ def draw(frame: PreparedFrame, estimates: Sequence[FrameEstimate], index: int, t
     """
     picture, labels = frame.view
     overlay = draw_overlay(picture, picture.shape[1::-1], labels, estimates[index])
-    rows = [["picture", name] for name in PARAMETERS]
-    figure, places = plt.subplot_mosaic(rows, figsize=(12, 4.2), layout="constrained", width_ratios=(2, 1))
+    rows: list[list[Any]] = [["picture", name] for name in PARAMETERS]
+    figure, places = plt.subplot_mosaic(rows, figsize=(12, 4.2), layout="constrained", width_ratios=[2, 1])
     places["picture"].imshow(overlay)
     places["picture"].set_axis_off()
     times = np.array([each.time_s for each in estimates])

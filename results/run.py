@@ -24,7 +24,7 @@ from palpate.data.prepared import PreparedFrame
 from palpate.data.source.frames import discover, open_source
 from palpate.data.source.images import printable
 from palpate.estimators.calibration_file import Calibration, read_calibration
-from palpate.estimators.contract import ClipInfo, Said
+from palpate.estimators.contract import ClipInfo, Output
 from palpate.estimators.estimate import FrameEstimate
 from palpate.estimators.known_force import read_forces
 from palpate.estimators.open import DEPTH, EstimatorOptions, open_estimator, preparation
@@ -272,7 +272,7 @@ def _kept(clip: ClipStream, frames: deque[PreparedFrame], done: Callable[[], Non
         done()
 
 
-def _write(results: ClipResults, frames: deque[PreparedFrame], item: Said) -> None:
+def _write(results: ClipResults, frames: deque[PreparedFrame], item: Output) -> None:
     """Write an estimate; those of frames come in order."""
     if isinstance(item, FrameEstimate):
         results.write(frames.popleft(), item)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from palpate.data.contact.film import REACH
+from palpate.data.contact.depth_sequence import REACH
 from palpate.physics.jit import inlined, kernel
 from palpate.physics.mesh import Mesh
 

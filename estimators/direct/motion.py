@@ -148,7 +148,8 @@ class PressMotion:
         return np.empty((len(self.steps), len(self.vertices), 3, 0))
 
     def model_errors(self, sunk: np.ndarray, averages: bool) -> np.ndarray:
-        """As of `FilmMotion`: dents as wholes that lie aside, or are too deep; columns of every frame, then of all."""
+        """As of `SequenceMotion`: dents as wholes that lie aside, or are too deep; columns of every frame, then of
+        all."""
         frames, pixels = sunk.shape
         if not (averages and (self.astray or self.uneven)):
             return np.zeros((pixels, frames, 0))

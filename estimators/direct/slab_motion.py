@@ -211,8 +211,8 @@ class SlabMotion:
         return self.at(logs)[0]
 
     def model_errors(self, sunk: np.ndarray, averages: bool) -> np.ndarray:
-        """As of `FilmMotion`: a share `slab_motion` (`estimators.model_errors`) of all; a column a ring and part of the
-        time."""
+        """As of `SequenceMotion`: a share `slab_motion` (`estimators.model_errors`) of all; a column a ring and part of
+        the time."""
         side, times = math.isqrt(sunk.shape[1]) // 2, self.times
         apart = np.hypot(*np.mgrid[-side : side + 1, -side : side + 1]).ravel()
         load = self.contact.load_seconds if self.contact.released else math.inf

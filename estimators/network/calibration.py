@@ -34,8 +34,8 @@ import torch
 from palpate.common.command_line import path_option
 from palpate.common.files import file_sha256, read_file
 from palpate.data.contact.features import FEATURES, FRAME_RATE, KNOWN, LOADED, LOG_NOISE, REFERENCE_SPACING, SLOTS
-from palpate.data.contact.film_features import FILM_FEATURES, WITHIN
 from palpate.data.contact.interaction import PRESS
+from palpate.data.contact.sequence_features import SEQUENCE_FEATURES, WITHIN
 from palpate.data.masks.sources import MaskClasses
 from palpate.data.settings import PREPROCESSING_VERSION
 from palpate.data.source.layout import read_mapping
@@ -158,7 +158,7 @@ def calibration_of(options: argparse.Namespace) -> Calibration:
     )
     if options.between is None:
         return found
-    if model.inputs[CONTACT] != (FEATURES + FILM_FEATURES,):
+    if model.inputs[CONTACT] != (FEATURES + SEQUENCE_FEATURES,):
         raise ValueError(f"{options.model} has no input for the instants; leave --between out.")
     between = widths_of(results_of(options.between, model.sha256, None, BETWEEN))
     return dataclasses.replace(found, between=between, within_features=(FEATURES + WITHIN,))

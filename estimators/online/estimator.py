@@ -26,7 +26,7 @@ from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError
 from palpate.data.tracks.background import without_background
 from palpate.data.tracks.following import PointFollower, shrunk
-from palpate.estimators.contract import Chosen, ClipInfo, Said
+from palpate.estimators.contract import Chosen, ClipInfo, Output
 from palpate.estimators.estimate import FieldEstimate, InteractionEstimate, NoEstimate, ParticleField
 from palpate.estimators.online.driven import DrivenTissue
 from palpate.estimators.online.given import read_path, read_pins
@@ -91,7 +91,7 @@ class OnlineSession(RunSession):
         self._driven: _Followed | None = None
         self._reason, self._begun = "", -1
 
-    def push(self, frame: PreparedFrame) -> Iterator[Said]:
+    def push(self, frame: PreparedFrame) -> Iterator[Output]:
         """The next frame."""
         yield from self._ended(self._runs.push(frame))
         start = time.perf_counter()

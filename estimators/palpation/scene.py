@@ -30,7 +30,8 @@ MOST_CELLS = 24
 YOUNG, FORCES = (1.0, 1e12), (1e-6, 1e4)
 """What there is of Young's moduli [Pa], and of forces that a hand or an instrument presses with [N]."""
 PRESSED = 0.6
-"""Edges of the elements where a tool presses, over its radius: a slab's E was off by 1.5 % then (docs/reports/palpation.md)."""
+"""Edges of the elements where a tool presses, over its radius: a slab's E was off by 1.5 % then
+(docs/reports/palpation.md)."""
 FEWEST = 12
 """Points of a surface that is fitted, by three numbers, and moved, by six."""
 Row = tuple[float, float, float, float]

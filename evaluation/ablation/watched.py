@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palpate.data.contact.film import window_around
+from palpate.data.contact.depth_sequence import window_around
 from palpate.data.contact.interaction import Interaction, InteractionBuilder
 from palpate.data.labels import TISSUE
 from palpate.data.prepared import PreparedFrame

@@ -4,7 +4,8 @@
 
 Runs on every file that it knows under DIR, by name: `linear*.npz` and `neohookean*.npz` with `liver.msh` and
 `dirichlet-vertices.npy` beside them (a pulled liver of a foreign simulation; minutes each), and `beam_*.csv` (a
-silicone beam that is let go). Writes table.csv (file, measure, value); what the measures mean is in docs/reports/fem.md.
+silicone beam that is let go). Writes table.csv (file, measure, value); what the measures mean is in
+docs/reports/fem.md.
 """
 
 from __future__ import annotations

@@ -4,8 +4,8 @@
     python -m evaluation.real --pulled CLIP [--layout YAML] [--estimator direct|online] [--settings YAML] --output OUT
     python -m evaluation.real --pressed FOLDER --wrench CSV --output OUT
 
---data runs every known clip under a folder (docs/reports/real.md). A pulled clip shows tissue that an instrument holds and
-moves: the table has what the session of `infer.py --estimator direct` says of it, its skill in frames that were not
+--data runs every known clip under a folder (docs/reports/real.md). A pulled clip shows tissue that an instrument holds
+and moves: the table has what the session of `infer.py --estimator direct` says of it, its skill in frames that were not
 fitted included; `contact_frame_N` is the probability that tissue moves with the instrument. With `--estimator online`
 it is predicted ten frames ahead instead, by stiffness place by place and by a sheet of one number. A pressed one is a
 folder with `depth/` and a table of the force. Writes table.csv (clip, measure, value), figures/ and

@@ -139,7 +139,8 @@ def evaluate_prediction(clip: PulledClip, settings: OnlineSettings) -> Predictio
 def sheet_ratio(follow: Follow, frames: Sequence[GripFrame]) -> float:
     """Foundation over spring stiffness, of RATIOS, with which a sheet explains some frames best near the tool.
 
-    Least mean of error over motion of the nearest third of the points, in frames where these move: docs/reports/real.md.
+    Least mean of error over motion of the nearest third of the points, in frames where these move:
+    docs/reports/real.md.
 
     Raises:
         NothingMoves: they do in none.

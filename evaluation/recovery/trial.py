@@ -17,7 +17,7 @@ of a press on a sheet, and without the truth's on a slab:
 theta, estimate, covariance     true and estimated θ, shape [3], and the estimated covariance of log θ, shape [3, 3]
 information                     Fisher information of log θ and both delays from the contact's motion for σ = 1
                                 (`evaluation.recovery.bounds`), shape [5, 5]
-field_information               the same from the film of its dent with the film's noise
+field_information               the same from the sequence of its dent with the sequence's noise
 tracking                        tracked minus true displacement along the true direction, shape [M]
 onset_off, release_off          frames from the true onset, or release, to the one that was found
 place_off                       how far the contact was found from the true one [grid px]

@@ -96,7 +96,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--known-force", type=path_option, metavar="CSV", help=text)
     text = (
         "YAML file of what is known in newtons: a force, a stiffness, or what calibrate.py palpation wrote, and "
-        "measured forces to compare with (docs/reports/newtons.md); gives k_s, k_d and F in physical units (calibrated.csv)"
+        "measured forces to compare with (docs/forces.md); gives k_s, k_d and F in physical units (calibrated.csv)"
     )
     add("--calibration", type=path_option, metavar="FILE", help=text)
     add("--no-overlay", dest="overlay", action="store_false", help="leave the overlay video out")

@@ -40,8 +40,8 @@ from mlflow.exceptions import MlflowException
 from palpate.common.output import ForeignFile, replacing_own, require_own
 from palpate.common.settings import shown, sound
 from palpate.data.contact.features import FEATURES
-from palpate.data.contact.film_features import FILM_FEATURES
 from palpate.data.contact.geometry import GeometrySettings
+from palpate.data.contact.sequence_features import SEQUENCE_FEATURES
 from palpate.data.source.layout import InputError, read_mapping
 from palpate.data.training.datamodule import ClipDataModule
 from palpate.evaluation.paper.analysis import EvaluationError
@@ -167,7 +167,7 @@ class TrainCLI(LightningCLI):
     def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
         parser.add_argument("--tracking", type=bool, default=True, help="Log to MLflow, next to the run folder.")
         parser.link_arguments("data.samples.window", "model.window")
-        inputs = ("data.samples.observation", "data.geometry.smoothing", "data.samples.film")
+        inputs = ("data.samples.observation", "data.geometry.smoothing", "data.samples.sequence")
         parser.link_arguments(inputs, "model.contact_features", compute_fn=contact_features)
         for source, target, settings in (
             ("model.mechanics", "data.samples.mechanics", Mechanics),
@@ -272,11 +272,11 @@ class TrainCLI(LightningCLI):
             print(f"{name}: {path}")
 
 
-def contact_features(observation: str, smoothing: float, film: bool) -> int:
+def contact_features(observation: str, smoothing: float, sequence: bool) -> int:
     """Length of the contact's vector in the batches; 0 without the motion or its noise."""
     if observation != "trajectory" or not smoothing > 0:
         return 0
-    return FEATURES + FILM_FEATURES if film else FEATURES
+    return FEATURES + SEQUENCE_FEATURES if sequence else FEATURES
 
 
 def checkpoint_folder(run_folder: str | os.PathLike[str] | None) -> str:

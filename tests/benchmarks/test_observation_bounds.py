@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from palpate.benchmarks.observation_bounds import FINE_MECHANICS, FRAME, limits, observations
-from palpate.data.contact.film import REACH
+from palpate.data.contact.depth_sequence import REACH
 from palpate.data.synthetic.contacts import draw_contacts
 from palpate.data.synthetic.settings import SceneSettings
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from palpate.data.contact.features import FEATURES
-from palpate.data.contact.film_features import FILM_FEATURES
+from palpate.data.contact.sequence_features import SEQUENCE_FEATURES
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.data.synthetic.clip import SyntheticClip, make_clip
@@ -44,9 +44,9 @@ def posterior(tmp_path_factory: pytest.TempPathFactory) -> PosteriorModel:
 
 
 @pytest.fixture(scope="session")
-def film_posterior(tmp_path_factory: pytest.TempPathFactory) -> PosteriorModel:
+def sequence_posterior(tmp_path_factory: pytest.TempPathFactory) -> PosteriorModel:
     """The same that is told of the whole dent."""
-    return _exported(tmp_path_factory.mktemp("posterior"), FEATURES + FILM_FEATURES)
+    return _exported(tmp_path_factory.mktemp("posterior"), FEATURES + SEQUENCE_FEATURES)
 
 
 def _exported(folder: Path, features: int) -> PosteriorModel:

@@ -15,7 +15,7 @@ from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.data.source.camera import Camera
 from palpate.data.source.frames import Frame
-from palpate.estimators.contract import ClipInfo, Said, Session
+from palpate.estimators.contract import ClipInfo, Output, Session
 from palpate.estimators.estimate import FrameEstimate, InteractionEstimate
 from palpate.physics.mesh import Mesh
 
@@ -112,7 +112,7 @@ def follow(session: Session, frames: Iterable[PreparedFrame]) -> tuple[list[Fram
     return sorted_out(said)
 
 
-def sorted_out(said: Iterable[Said]) -> tuple[list[FrameEstimate], list[InteractionEstimate]]:
+def sorted_out(said: Iterable[Output]) -> tuple[list[FrameEstimate], list[InteractionEstimate]]:
     """Frames and runs of contact, each in the order in which they were said."""
     said = list(said)
     frames = [item for item in said if isinstance(item, FrameEstimate)]

@@ -14,7 +14,8 @@ BY_CONTACT = Bound("contact")
 
 
 def recovery(index: int = 0, **changes) -> Row:
-    """A clip whose θ was estimated exactly, with bounds of 0.1 for tracking noise of 0.001, and of 0.05 by its film.
+    """A clip whose θ was estimated exactly, with bounds of 0.1 for tracking noise of 0.001, and of 0.05 by its
+    sequence.
 
     Information of log θ alone [3, 3] is taken to be that of a press whose delays have no part in it.
     """

@@ -162,7 +162,7 @@ def test_direct_and_network_are_told_what_to_look_at():
 
 
 def test_the_bound_is_chosen_after_the_clips_were_measured(tmp_path, evaluated):
-    """The film's is 0.05 and the contact's 0.1."""
+    """The depth-change sequence's is 0.05 and the contact's 0.1."""
     found = []
     for bound in ((), ("--bound", "field"), ("--bound", "contact")):
         assert run(tmp_path, *bound) == 0
@@ -208,8 +208,8 @@ def test_another_seeds_folder_is_refused(tmp_path, evaluated, capsys):
         (("--size=-854x480",), "-854x480 is no size of pictures"),
         (("--size", "８５４x480"), "８５４x480 is no size of pictures"),
         (("--size", "854x4.8e2"), "854x4.8e2 is no size of pictures"),
-        (("--observation", "film"), "film"),
-        (("--bound", "film"), "film"),
+        (("--observation", "sequence"), "sequence"),
+        (("--bound", "sequence"), "sequence"),
     ],
 )
 def test_an_option_that_takes_something_else_is_wrong_usage(tmp_path, arguments, sentence, capsys):

@@ -321,7 +321,7 @@ class OnePixel:
         return np.einsum("nvc,vc->nv", moved, self.along), np.einsum("nvcd,vc->nvd", slopes, self.along)
 
 
-def test_with_a_film_the_bound_is_about_the_dent(make_told_batch):
+def test_with_a_sequence_the_bound_is_about_the_dent(make_told_batch):
     """Told as a dent of one pixel, the point gives nearly the same."""
     batch = make_told_batch()
     seen = batch["known_observation_a"]

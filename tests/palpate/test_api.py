@@ -69,7 +69,7 @@ def test_the_simulator_is_one_call_away(clip: Path) -> None:
         ({"mask": "automatic"}, TypeError, "there is no choice called mask"),
         ({"smoothing": 2.0}, ValueError, "smoothing is for --estimator direct and online"),
         ({"depth": "nonsense"}, ValueError, "'nonsense' is no depth preset"),
-        ({"layout": "missing.yaml"}, ValueError, "missing.yaml"),
+        ({"layout": "missing.yaml"}, ValueError, r"missing\.yaml"),
     ],
 )
 def test_a_choice_that_cannot_be_used_is_a_sentence(
@@ -85,7 +85,7 @@ def test_an_open_clip_takes_no_choices(clip: Path) -> None:
 
 
 def test_a_missing_clip_and_an_unknown_estimator_are_sentences(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="nothing.mp4"):
+    with pytest.raises(ValueError, match=r"nothing\.mp4"):
         palpate.estimate(tmp_path / "nothing.mp4")
     with pytest.raises(ValueError, match="nonsense"):
         palpate.estimate(tmp_path, "nonsense")

@@ -10,7 +10,7 @@ import pytest
 
 from palpate.data.contact import depth_change as changes
 from palpate.data.contact.dents import EARLIER, EARLY, LATE, LEAST_REST, RECOVERS, DentContacts, dent_geometry
-from palpate.data.contact.film import REACH
+from palpate.data.contact.depth_sequence import REACH
 from palpate.data.contact.geometry import NO_DENT, GeometrySettings, GeometryStatus, RestTissue
 from palpate.data.contact.interaction import Interaction
 from palpate.data.labels import TISSUE, TOOL
@@ -65,8 +65,8 @@ def test_a_drawn_press_without_a_tool_is_found_where_and_when_it_was(clip: Synth
     true = clip.scene.mesh.vertices[clip.scene.vertex, 2]
     assert first.mesh.vertices[first.vertex, 2] == pytest.approx(true, abs=0.002)
     assert contact.moved[:, 2].max() == pytest.approx(motion.contact[:, 2].max(), abs=0.003)
-    assert contact.film is not None
-    assert np.isfinite(contact.film.change[:, REACH, REACH]).all()
+    assert contact.sequence is not None
+    assert np.isfinite(contact.sequence.change[:, REACH, REACH]).all()
 
 
 def still(settings: SceneSettings, seed: int) -> SyntheticClip:

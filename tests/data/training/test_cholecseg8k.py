@@ -30,11 +30,11 @@ def narrow(monkeypatch, tmp_path):
 def test_clips_are_found_at_any_depth_and_a_video_beside_its_folder_is_the_same_clip(tmp_path):
     for name in ("a/video01/video01_00080", "a/video01/video01_00000", "video02/video02_00000"):
         write_clip(tmp_path / name, frames=3)
-    (tmp_path / "video02" / "video02_00000.mp4").write_bytes(b"film")
+    (tmp_path / "video02" / "video02_00000.mp4").write_bytes(b"depth-change sequence")
     found = list_clips(tmp_path, ClipLayout())
     assert [path.name for path in found] == ["video01_00000", "video01_00080", "video02_00000"]
     assert [video_of(path) for path in found] == ["video01", "video01", "video02"]
-    assert video_of(Path("films/gallbladder.mp4")) == "gallbladder"
+    assert video_of(Path("depth-change sequences/gallbladder.mp4")) == "gallbladder"
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="empty"):
         list_clips(tmp_path / "empty", ClipLayout())

@@ -1,4 +1,4 @@
-"""The film of a dent: what the camera did is taken off, what the depth's noise is like is measured far away."""
+"""The sequence of a dent: what the camera did is taken off, what the depth's noise is like is measured far away."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
-from palpate.data.contact.film import (
+from palpate.data.contact.depth_sequence import (
     FAR,
     LEAST_FAR,
     REACH,
     REST_KEPT,
     REST_LENGTH,
     REST_SHARE,
-    DentFilm,
-    FilmNoise,
-    FilmRecorder,
+    DepthSequence,
+    SequenceNoise,
+    SequenceRecorder,
     smooth_errors,
     window_around,
 )
@@ -47,11 +47,11 @@ MESH = mesh_of()
 VERTEX = int(np.flatnonzero((MESH.pixels == CENTRE).all(axis=1))[0])
 
 
-def recorder(sigma: float = SIGMA) -> FilmRecorder:
-    return FilmRecorder(MESH, VERTEX, sigma, (WIDTH, HEIGHT))
+def recorder(sigma: float = SIGMA) -> SequenceRecorder:
+    return SequenceRecorder(MESH, VERTEX, sigma, (WIDTH, HEIGHT))
 
 
-def noise_of(frames: np.ndarray, sigma: float = SIGMA) -> FilmNoise:
+def noise_of(frames: np.ndarray, sigma: float = SIGMA) -> SequenceNoise:
     """As measured in frames of errors [N, H, W] about tissue at rest."""
     made = recorder(sigma)
     for errors in frames:
@@ -116,7 +116,7 @@ def test_outside_the_picture_and_the_mesh_is_not_a_number(corner: tuple[int, int
     valid = (ROWS > 1) | (COLUMNS > 60)
     mesh = mesh_of(valid=valid)
     vertex = int(np.flatnonzero((mesh.pixels == corner).all(axis=1))[0])
-    change = FilmRecorder(mesh, vertex, SIGMA, (WIDTH, HEIGHT)).frame(REST, TISSUE_ALL)
+    change = SequenceRecorder(mesh, vertex, SIGMA, (WIDTH, HEIGHT)).frame(REST, TISSUE_ALL)
     there = np.pad(valid, REACH)[window_around(np.array(corner) + REACH)]
     np.testing.assert_array_equal(np.isfinite(change), there)
     np.testing.assert_allclose(change[there], 0, atol=1e-7)
@@ -136,7 +136,7 @@ def test_too_little_far_tissue_tells_nothing_of_the_camera() -> None:
 
 def test_of_white_noise_all_is_new_in_every_frame() -> None:
     noise = noise_of(SIGMA * white(0))
-    assert noise == FilmNoise(SIGMA, 0.0)
+    assert noise == SequenceNoise(SIGMA, 0.0)
     assert noise.total == SIGMA
 
 
@@ -189,16 +189,16 @@ def test_noise_is_not_that_of_tissue_that_moves() -> None:
     frames = SIGMA * white(6)
     frames[3:, :8, :40] += 0.03
     frames[5, 80:, 3] = 0.2
-    assert noise_of(frames) == FilmNoise(SIGMA, 0.0)
+    assert noise_of(frames) == SequenceNoise(SIGMA, 0.0)
 
 
 def test_before_a_second_frame_all_noise_counts_as_new() -> None:
     made = recorder()
-    assert made.noise == FilmNoise(SIGMA, 0.0)
+    assert made.noise == SequenceNoise(SIGMA, 0.0)
     made.frame(REST, TISSUE_ALL)
-    assert made.noise == FilmNoise(SIGMA, 0.0)
+    assert made.noise == SequenceNoise(SIGMA, 0.0)
     made.frame(REST, TISSUE_ALL)
-    assert made.noise == FilmNoise(0.0, pytest.approx(SIGMA), 1.0, 1.0)
+    assert made.noise == SequenceNoise(0.0, pytest.approx(SIGMA), 1.0, 1.0)
 
 
 def test_a_frame_without_much_tissue_is_passed_over() -> None:
@@ -211,21 +211,21 @@ def test_a_frame_without_much_tissue_is_passed_over() -> None:
     assert made.noise == noise_of(frames[[0, 2]])
 
 
-def test_a_film_holds_frames_times_and_size() -> None:
+def test_a_sequence_holds_frames_times_and_size() -> None:
     made = recorder()
     changes = [made.frame(REST + amount * dent(), TISSUE_ALL) for amount in (0.5, 1.0, 0.25)]
-    film = made.film(np.array([0.04, 0.08, 0.12]), changes, 2)
-    np.testing.assert_array_equal(film.change, np.stack(changes))
-    assert film.times.tolist() == [0.04, 0.08, 0.12]
-    assert film.size == (WIDTH, HEIGHT)
-    assert film.noise == made.noise
+    sequence = made.sequence(np.array([0.04, 0.08, 0.12]), changes, 2)
+    np.testing.assert_array_equal(sequence.change, np.stack(changes))
+    assert sequence.times.tolist() == [0.04, 0.08, 0.12]
+    assert sequence.size == (WIDTH, HEIGHT)
+    assert sequence.noise == made.noise
     for chosen in (np.array([True, False, True]), np.array([0, 2])):
-        part = film.chosen(chosen)
+        part = sequence.chosen(chosen)
         assert part.times.tolist() == [0.04, 0.12]
         np.testing.assert_array_equal(part.change, np.stack([changes[0], changes[2]]))
-        assert dataclasses.replace(part, times=film.times, change=film.change).noise == film.noise
-    empty = made.film(np.array([]), [], 0)
-    assert isinstance(empty, DentFilm)
+        assert dataclasses.replace(part, times=sequence.times, change=sequence.change).noise == sequence.noise
+    empty = made.sequence(np.array([]), [], 0)
+    assert isinstance(empty, DepthSequence)
     assert (empty.times.shape, empty.change.shape) == ((0,), (0, SIDE, SIDE))
 
 

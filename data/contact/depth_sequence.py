@@ -1,7 +1,8 @@
-"""The film of a dent: how the depth around a contact changes, frame by frame, and how noisy that is.
+"""The depth-change sequence of a dent: how the depth around a contact changes, frame by frame, and how noisy that is.
 
-A contact is one point of a dent; its surroundings sink with it and tell far more (docs/reports/identifiability.md). Pixels stay
-where they are while tissue moves: which of the mesh's vertices a pixel shows is for `data.contact.patches` to say.
+A contact is one point of a dent; its surroundings sink with it and tell far more (docs/reports/identifiability.md).
+Pixels stay where they are while tissue moves: which of the mesh's vertices a pixel shows is for `data.contact.patches`
+to say.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ FARTHEST_ALIKE = 12
 
 
 @dataclass(frozen=True)
-class FilmNoise:
+class SequenceNoise:
     """Errors of the depth of a clip's tissue."""
 
     in_time: float
@@ -66,7 +67,7 @@ class FilmNoise:
 
 
 @dataclass(frozen=True, eq=False)
-class DentFilm:
+class DepthSequence:
     """Depth around a contact over a run; N frames, S = 2·REACH + 1."""
 
     times: np.ndarray
@@ -74,7 +75,7 @@ class DentFilm:
     change: np.ndarray
     """Depth less that at rest, the camera's motion taken off, the contact's pixel in the middle, shape [N, S, S],
     float32 [scene units]; not a number where no tissue is seen."""
-    noise: FilmNoise
+    noise: SequenceNoise
     size: tuple[int, int]
     """Width and height of the picture that was brought to the grid [px]."""
 
@@ -82,19 +83,19 @@ class DentFilm:
         """Whether a pixel of a grid [h, w] is the mean of several of the picture."""
         return self.size[0] > grid_shape[1] or self.size[1] > grid_shape[0]
 
-    def chosen(self, frames: np.ndarray) -> DentFilm:
+    def chosen(self, frames: np.ndarray) -> DepthSequence:
         """Some of its frames: a mask [N] or indices."""
         return dataclasses.replace(self, times=self.times[frames], change=self.change[frames])
 
 
-class FilmRecorder:
-    """Gathers the film of one run of contact; memory doesn't grow with the picture.
+class SequenceRecorder:
+    """Gathers the depth-change sequence of one run of contact; memory doesn't grow with the picture.
 
     Args:
         mesh: tissue at rest.
         vertex: the contact.
         noise: standard deviation of the depth about the smoothed tissue [scene units].
-        size: as of `DentFilm`.
+        size: as of `DepthSequence`.
     """
 
     def __init__(self, mesh: Mesh, vertex: int, noise: float, size: tuple[int, int]) -> None:
@@ -117,7 +118,8 @@ class FilmRecorder:
         """The same of every two frames' difference."""
 
     def frame(self, depth: np.ndarray, labels: np.ndarray) -> np.ndarray | None:
-        """Change of the depth in a frame, shape [S, S] as of `DentFilm`; None where the camera's motion isn't known.
+        """Change of the depth in a frame, shape [S, S] as of `DepthSequence`; None where the camera's motion isn't
+        known.
 
         Args:
             depth: z, shape [h, w] [scene units], 0 = invalid.
@@ -163,28 +165,28 @@ class FilmRecorder:
         return np.array([pair.mean() if len(pair) else 0.0 for pair in known]), min(map(len, known))
 
     @property
-    def noise(self) -> FilmNoise:
+    def noise(self) -> SequenceNoise:
         """As measured so far; all of it counts as new in every frame where one frame alone was seen."""
         return self._noise_of(len(self._changes))
 
-    def _noise_of(self, count: int) -> FilmNoise:
+    def _noise_of(self, count: int) -> SequenceNoise:
         """As measured in the first frame and so many after it."""
         if self._still is None or not self._changes[:count]:
-            return FilmNoise(self._noise, 0.0)
+            return SequenceNoise(self._noise, 0.0)
         changes, total = np.mean(self._changes[:count], axis=0), self._noise**2
         first, later = self._pairs[0], sum(self._pairs[1 : count + 1])
         new = min(0.5 * changes[0], total)
         still = total - new
         if still < STILL_SHARE * new:
-            return FilmNoise(self._noise, 0.0, _alike(changes, later))
+            return SequenceNoise(self._noise, 0.0, _alike(changes, later))
         in_time = _alike(changes, later) if new > STILL_SHARE * still else 1.0
-        return FilmNoise(math.sqrt(new), math.sqrt(still), in_time, _alike(self._still - 0.5 * changes, first))
+        return SequenceNoise(math.sqrt(new), math.sqrt(still), in_time, _alike(self._still - 0.5 * changes, first))
 
-    def film(self, times: np.ndarray, changes: list[np.ndarray], known: int) -> DentFilm:
-        """The film of some frames, its noise as measured in the first frame and so many `known` ones after it."""
+    def sequence(self, times: np.ndarray, changes: list[np.ndarray], known: int) -> DepthSequence:
+        """The sequence of some frames, its noise as measured in the first frame and so many `known` ones after it."""
         size = 2 * REACH + 1
         stacked = np.stack(changes) if changes else np.empty((0, size, size), np.float32)
-        return DentFilm(np.asarray(times, np.float64), stacked, self._noise_of(known), self._size)
+        return DepthSequence(np.asarray(times, np.float64), stacked, self._noise_of(known), self._size)
 
 
 def window_around(centre: np.ndarray) -> tuple[slice, slice]:

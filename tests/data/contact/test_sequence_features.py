@@ -1,4 +1,4 @@
-"""A film told by a few shapes: orthonormal, sinking, found again in what is seen, and the vector that says so."""
+"""A sequence told by a few shapes: orthonormal, sinking, found again in what is seen, and the vector that says so."""
 
 from __future__ import annotations
 
@@ -7,23 +7,23 @@ import dataclasses
 import numpy as np
 import pytest
 
+from palpate.data.contact.depth_sequence import REACH, DepthSequence, SequenceNoise
 from palpate.data.contact.features import SLOTS, slot_times
-from palpate.data.contact.film import REACH, DentFilm, FilmNoise
-from palpate.data.contact.film_features import (
-    FILM_FEATURES,
+from palpate.data.contact.interaction import Interaction
+from palpate.data.contact.sequence_features import (
     FOUNDATIONS,
     LARGE,
     LEAST_SEEN,
     MARGIN,
     RIDGE,
+    SEQUENCE_FEATURES,
     SHAPES,
     dent_shapes,
-    film_features,
-    join_film_features,
-    motion_in_film,
+    join_sequence_features,
+    motion_in_sequence,
+    sequence_features,
     shape_amounts,
 )
-from palpate.data.contact.interaction import Interaction
 from palpate.data.source.camera import Camera, back_project
 from palpate.physics.load import Press, held
 from palpate.physics.mesh import grid_mesh
@@ -35,17 +35,19 @@ SPACING, NOISE, WITHIN = 0.0027, 1e-3, 0.04
 MIX = np.array([0.03, -0.01, 0.02, 0.004, -0.006, 0.01])
 
 
-def film_of(amounts: np.ndarray, times: np.ndarray, hidden: np.ndarray | None = None) -> DentFilm:
-    """A film that holds so much of the shapes [N, SHAPES]."""
+def sequence_of(amounts: np.ndarray, times: np.ndarray, hidden: np.ndarray | None = None) -> DepthSequence:
+    """A depth-change sequence that holds so much of the shapes [N, SHAPES]."""
     change = (np.asarray(amounts) @ dent_shapes().T).reshape(-1, SIDE, SIDE)
     if hidden is not None:
         change = np.where(hidden, np.nan, change)
-    return DentFilm(np.asarray(times, np.float64), change.astype(np.float32), FilmNoise(NOISE, 0.0), (214, 120))
+    return DepthSequence(
+        np.asarray(times, np.float64), change.astype(np.float32), SequenceNoise(NOISE, 0.0), (214, 120)
+    )
 
 
 def parts(vector: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Amounts and what is scaled, shape [SLOTS, SHAPES] each, and the two flags."""
-    assert (vector.dtype, vector.shape) == (np.float32, (FILM_FEATURES,))
+    assert (vector.dtype, vector.shape) == (np.float32, (SEQUENCE_FEATURES,))
     count = SLOTS * SHAPES
     found = vector[:count].reshape(SLOTS, SHAPES), vector[count : 2 * count].reshape(SLOTS, SHAPES)
     return *found, vector[2 * count :]
@@ -138,34 +140,34 @@ def test_factors_are_those_of_the_amounts_errors() -> None:
     np.testing.assert_allclose(found, expected, atol=0.04 * np.diag(expected).max())
 
 
-def test_without_a_film_the_vector_is_zero_and_says_so() -> None:
+def test_without_a_sequence_the_vector_is_zero_and_says_so() -> None:
     times = slot_times()
     hidden = np.ones((SLOTS, SIDE, SIDE), bool)
-    unseen = film_of(np.tile(MIX, (SLOTS, 1)), times, hidden)
-    empty = film_of(np.zeros((0, SHAPES)), np.zeros(0))
-    for film in (None, empty, unseen):
-        vector = film_features(film, SPACING, NOISE, WITHIN)
+    unseen = sequence_of(np.tile(MIX, (SLOTS, 1)), times, hidden)
+    empty = sequence_of(np.zeros((0, SHAPES)), np.zeros(0))
+    for sequence in (None, empty, unseen):
+        vector = sequence_features(sequence, SPACING, NOISE, WITHIN)
         np.testing.assert_array_equal(vector[:-2], 0)
         np.testing.assert_allclose(vector[-2:], [WITHIN / times[0], 0])
 
 
-def test_a_film_at_the_slots_is_told_as_it_is() -> None:
+def test_a_sequence_at_the_slots_is_told_as_it_is() -> None:
     times = slot_times()
     mixes = np.linspace(0, 1, SLOTS)[:, None] * MIX
-    amounts, scaled, flags = parts(film_features(film_of(mixes, times), SPACING, NOISE, 0.0))
+    amounts, scaled, flags = parts(sequence_features(sequence_of(mixes, times), SPACING, NOISE, 0.0))
     found = mixes / (1 + RIDGE)
     np.testing.assert_allclose(amounts, found / SPACING / LARGE, rtol=1e-5, atol=1e-8)
     np.testing.assert_allclose(scaled, np.arcsinh(found / (2 * NOISE)) / 5, rtol=1e-5, atol=1e-7)
     np.testing.assert_array_equal(flags, [0, 1])
 
 
-def test_between_frames_amounts_go_on_evenly_and_end_with_the_film() -> None:
+def test_between_frames_amounts_go_on_evenly_and_end_with_the_sequence() -> None:
     """Seen at 12.5 Hz for 0.4 s, one of its frames behind the tool."""
     times = 0.08 * np.arange(1, 6)
     mixes = np.array([1.0, 3.0, 100.0, 2.0, 1.0])[:, None] * MIX
     hidden = np.zeros((5, SIDE, SIDE), bool)
     hidden[2].reshape(-1)[: int((1 - LEAST_SEEN) * PIXELS) + 1] = True
-    amounts, _, flags = parts(film_features(film_of(mixes, times, hidden), SPACING, NOISE, WITHIN))
+    amounts, _, flags = parts(sequence_features(sequence_of(mixes, times, hidden), SPACING, NOISE, WITHIN))
     slots = slot_times()
     size = np.interp(slots, [0, 0.08, 0.16, 0.32, 0.4], [0, 1, 3, 2, 1]) * (slots < 0.4 + 1e-6)
     np.testing.assert_allclose(amounts, size[:, None] * MIX / (1 + RIDGE) / SPACING / LARGE, rtol=1e-5, atol=1e-8)
@@ -180,24 +182,25 @@ def test_joined_vectors_are_those_of_each() -> None:
     noise, within = np.array([1e-3, 2e-3, 5e-4]), np.array([0.0, 0.04, 0.02])
     mixes = generator.normal(0, 0.02, (3, SLOTS, SHAPES)).astype(np.float32)
     told = np.array([True, False, True])
-    joined = join_film_features(mixes / (1 + RIDGE), spacing, noise, within, told)
+    joined = join_sequence_features(mixes / (1 + RIDGE), spacing, noise, within, told)
     for index in range(3):
-        film = film_of(mixes[index], times) if told[index] else None
-        alone = film_features(film, spacing[index], noise[index], within[index])
+        sequence = sequence_of(mixes[index], times) if told[index] else None
+        alone = sequence_features(sequence, spacing[index], noise[index], within[index])
         np.testing.assert_allclose(joined[index], alone, rtol=2e-5, atol=1e-6)
-    assert (joined.dtype, joined.shape) == (np.float32, (3, FILM_FEATURES))
+    assert (joined.dtype, joined.shape) == (np.float32, (3, SEQUENCE_FEATURES))
 
 
 def followed(size: tuple[int, int]) -> Interaction:
-    """A point of a mesh of 8x8 pixels, followed over four frames; its film has three, the last without its pixel."""
+    """A point of a mesh of 8x8 pixels, followed over four frames; its sequence has three, the last without its
+    pixel."""
     camera = Camera(fx=10.0, fy=10.0, cx=3.5, cy=3.5, width=8, height=8)
     mesh = grid_mesh(back_project(np.full((8, 8), 0.5), camera), np.ones((8, 8), bool), max_edge=1.0)
     times = np.array([0.04, 0.08, 0.12, 0.16])
     observed = Observation.of_point(45, times, 0.001 * np.arange(12).reshape(4, 3), NOISE)
     change = np.zeros((3, SIDE, SIDE), np.float32)
     change[:, REACH, REACH] = 0.01, 0.02, np.nan
-    film = DentFilm(times[[0, 2, 3]], change, FilmNoise(NOISE, 0.0), size)
-    return Interaction(mesh, Press.at(45, np.array([0.0, 0.0, 1.0]), held(10, 40)), observed, 0.005, film)
+    sequence = DepthSequence(times[[0, 2, 3]], change, SequenceNoise(NOISE, 0.0), size)
+    return Interaction(mesh, Press.at(45, np.array([0.0, 0.0, 1.0]), held(10, 40)), observed, 0.005, sequence)
 
 
 def test_in_a_finer_picture_the_contact_moves_as_its_pixel_shows() -> None:
@@ -205,11 +208,11 @@ def test_in_a_finer_picture_the_contact_moves_as_its_pixel_shows() -> None:
     contact = followed((16, 16))
     ray = np.array([(45 % 8 - 3.5) / 10, (45 // 8 - 3.5) / 10, 1.0])
     expected = np.stack([0.01 * ray, contact.moved[1], 0.02 * ray, contact.moved[3]])
-    np.testing.assert_allclose(motion_in_film(contact), expected, rtol=1e-6)
+    np.testing.assert_allclose(motion_in_sequence(contact), expected, rtol=1e-6)
 
 
 @pytest.mark.parametrize("size", [(8, 8), (4, 8)])
 def test_in_another_picture_the_contact_moves_as_it_was_followed(size: tuple[int, int]) -> None:
     contact = followed(size)
-    np.testing.assert_array_equal(motion_in_film(contact), contact.moved)
-    np.testing.assert_array_equal(motion_in_film(dataclasses.replace(contact, film=None)), contact.moved)
+    np.testing.assert_array_equal(motion_in_sequence(contact), contact.moved)
+    np.testing.assert_array_equal(motion_in_sequence(dataclasses.replace(contact, sequence=None)), contact.moved)

@@ -125,7 +125,7 @@ INTERACTIONS: dict[str, str] = {
     "explanation": "which products of k_s, k_d and F are determined, with their relative errors",
     "noise": "standard deviation of every observed coordinate, scene units",
     "misfit": "root mean square of observed minus simulated displacement along the force over the noise; 1: it fits",
-    "outliers": "share of the observed pixels that lie so far from the fit that they count less; empty: all count equally",
+    "outliers": "share of the observed pixels so far from the fit that they count less; empty: all count equally",
     "modes": "tissues far apart that explain the motion about as well; above 1 the intervals span them all",
     "at_bound": "parameters that lie at the end of their admissible range",
     "status": "ok or no_estimate",

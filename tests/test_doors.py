@@ -18,7 +18,7 @@ DOORS = {
     "infer": ["infer.py"],
     "plan": ["plan.py"],
     "train": ["train.py"],
-    "palpate.__main__": ["-m", "palpate"],
+    "palpate.__main__": ["-m", "palpate", "infer"],
     "palpate.data.synthetic.__main__": ["-m", "data.synthetic"],
     "palpate.data.cholecseg8k": ["-m", "data.cholecseg8k"],
     "palpate.data.depth.photometric": ["-m", "data.depth.photometric"],

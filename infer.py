@@ -45,7 +45,7 @@ def _parser() -> argparse.ArgumentParser:
     text = f"auto, stored, {', '.join(preset_names())}, or a depth model's .onnx file"
     add("--depth", metavar="SOURCE", help=f"{text} (default: as the model was trained, else auto)")
     add("--depth-model", metavar="FILE", help="the .onnx file of a preset that ships none")
-    add("--depth-preset", metavar="PRESET", help="preset or .yaml file that says how to read --depth MODEL.onnx")
+    add("--depth-preset", metavar="PRESET", help="preset or .yaml file with the settings to read --depth MODEL.onnx")
     text = "annotation, automatic, or a segmentation model's .onnx file"
     add("--masks", metavar="SOURCE", help=f"{text} (default: annotation where there is one, else automatic)")
     text = "YAML file that names a folder's files (default: CholecSeg8k)"
@@ -69,7 +69,7 @@ def _parser() -> argparse.ArgumentParser:
     thickness = real_number("a thickness; give a positive length", 1e-6)
     text = "of --model fem: how thick the tissue is [scene units: depth over the clip's one scale]"
     add("--thickness", type=thickness, metavar="X", help=text)
-    text = "YAML file of online (default: as configs/online.yaml, which says what they mean)"
+    text = "YAML file of online (default: as configs/online.yaml, which explains them)"
     add("--settings", type=path_option, metavar="FILE", help=text)
     text = (
         "when a press begins: between frames, up to a frame's time from the first frame in contact (default, as in "
@@ -83,7 +83,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--observation", choices=OBSERVATIONS, help=text)
     text = (
         "of direct and network: a press is where masks show an instrument at tissue that moves with it (touching, "
-        "default), or where a dent comes, whether an instrument is seen or not (motion)"
+        "default), or where a dent appears, with or without an instrument in view (motion)"
     )
     add("--contact", choices=("touching", "motion"), help=text)
     text = (
@@ -95,13 +95,13 @@ def _parser() -> argparse.ArgumentParser:
     noise = real_number(f"a noise above the simulator's own error; give {LEAST_SIGMA:g} or more", LEAST_SIGMA)
     add("--noise", type=noise, metavar="X", help="of direct: noise of the depth [scene units] (default: as measured)")
     text = (
-        "table of a force that was measured in a part of the clip (columns time_s, force_N): tells it in newtons for "
+        "table of a force that was measured in a part of the clip (columns time_s, force_N): gives it in newtons for "
         "all of a run whose relative force is determined, in forces.csv"
     )
     add("--known-force", type=path_option, metavar="CSV", help=text)
     text = (
         "YAML file of what is known in newtons: a force, a stiffness, or what calibrate.py palpation wrote, and "
-        "measured forces to compare with (docs/newtons.md); tells k_s, k_d and F in physical units (calibrated.csv)"
+        "measured forces to compare with (docs/newtons.md); gives k_s, k_d and F in physical units (calibrated.csv)"
     )
     add("--calibration", type=path_option, metavar="FILE", help=text)
     add("--no-overlay", dest="overlay", action="store_false", help="leave the overlay video out")

@@ -60,15 +60,15 @@ CHECKPOINTS: dict[str, dict[str, Any]] = {
     "epoch_{epoch:03d}": {"every_n_epochs": 10, "save_top_k": -1},
     "last": {"every_n_epochs": 1},
 }
-"""When to save what, by file name (Bini 2026, section 3.5). `save_last` would follow the best checkpoint only, so last
-is its own; it comes last because it holds the others' state."""
-LONGEST_LOCK = 5.0
-"""Another program may keep the tracking database locked for so long [s]."""
-FEWEST_PROCESSES = 2
+"""Settings of the checkpoints by file name (Bini 2026, section 3.5). `save_last` would follow the best checkpoint only,
+so `last` is a checkpoint of its own; it comes last because it holds the others' state."""
+LOCK_TIMEOUT_S = 5.0
+"""Longest wait for another program that has the tracking database locked [s]."""
+MIN_PROCESSES = 2
 """Processes that may train together however few cores there are."""
-LARGEST_SEED = 2**32 - 1
-"""Of numpy's global generator."""
-TRAIN_CONTACTS = 8
+MAX_SEED = 2**32 - 1
+"""Largest seed of numpy's global generator."""
+BASELINE_CONTACTS = 8
 """Training pairs that the constant-θ baseline of the evaluation is fitted on, at most, evenly spaced."""
 
 
@@ -77,28 +77,28 @@ class UsageError(ValueError):
 
 
 class SentenceParser(LightningArgumentParser):
-    """Says what is wrong in a sentence, without the list of all options."""
+    """Reports errors in one sentence, without the list of all options."""
 
     def parse_path(self, cfg_path: str | os.PathLike[str], *arguments: Any, **options: Any) -> Namespace:
-        """As jsonargparse has it, once the file is known to be one that can be read."""
+        """Read a configuration file as jsonargparse does, after checking that it can be read."""
         try:
             settings = read_mapping(Path(cfg_path), "a configuration")
         except InputError as error:
             raise UsageError(str(error)) from error
         if not sound(settings):
-            raise UsageError(f"{cfg_path} nests too deeply, or holds a number beyond all use; correct the file.")
+            raise UsageError(f"{cfg_path} nests too deeply, or holds a number out of range; correct the file.")
         return super().parse_path(cfg_path, *arguments, **options)
 
     def error(self, message: str, ex: Exception | None = None) -> NoReturn:
         sentence = " ".join(message.split()).rstrip(".")
-        raise UsageError(f"{sentence}; train.py {{fit,validate,test,export}} --help lists what there is.") from ex
+        raise UsageError(f"{sentence}; train.py {{fit,validate,test,export}} --help lists all options.") from ex
 
 
 class RunRecord(SaveConfigCallback):
-    """What a run leaves beside its checkpoints: its configuration (in every checkpoint, too) and sample pictures."""
+    """Saves a run's configuration (in every checkpoint, too) and sample pictures."""
 
     def save_config(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
-        # Only rank 0 comes here, and `trainer.log_dir` would wait for the others.
+        # Only rank 0 calls this, and `trainer.log_dir` would wait for the others.
         for logger in trainer.loggers:
             if isinstance(logger, CSVLogger):
                 log_artifact(trainer, Path(logger.log_dir) / self.config_filename)
@@ -109,7 +109,7 @@ class RunRecord(SaveConfigCallback):
     def on_save_checkpoint(self, trainer: Trainer, pl_module: LightningModule, checkpoint: dict[str, Any]) -> None:
         checkpoint["configuration"] = self.parser.dump(self.config)
 
-    def on_validation_end(  # ty: ignore[incompatible-method-override]  of the one module there is
+    def on_validation_end(  # ty: ignore[incompatible-method-override]  there is one module
         self, trainer: Trainer, pl_module: PhysicsInformedGAN
     ) -> None:
         """Draw the first validation pair's next depth: real, predicted, and their difference."""
@@ -128,7 +128,7 @@ class RunRecord(SaveConfigCallback):
 
 
 class RunTrainer(Trainer):
-    """Lightning's trainer, and export."""
+    """Lightning's trainer with an `export` function."""
 
     def export(
         self,
@@ -140,7 +140,7 @@ class RunTrainer(Trainer):
         """Write encoder and parameter head of a checkpoint as one ONNX file for infer.py.
 
         Args:
-            model: network of the checkpoint's architecture.
+            model: network with the checkpoint's architecture.
             datamodule: preparation settings, which go into the file's metadata.
             ckpt_path: checkpoint file, or best or last of the run folder.
             output: file to write.
@@ -168,10 +168,10 @@ class TrainCLI(LightningCLI):
         return dict.fromkeys(("fit", "validate", "test", "export"), loaders)
 
     def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
-        parser.add_argument("--tracking", type=bool, default=True, help="Log to MLflow beside the run folder.")
+        parser.add_argument("--tracking", type=bool, default=True, help="Log to MLflow, next to the run folder.")
         parser.link_arguments("data.samples.window", "model.window")
-        told = ("data.samples.observation", "data.geometry.smoothing", "data.samples.film")
-        parser.link_arguments(told, "model.contact_features", compute_fn=contact_features)
+        inputs = ("data.samples.observation", "data.geometry.smoothing", "data.samples.film")
+        parser.link_arguments(inputs, "model.contact_features", compute_fn=contact_features)
         for source, target, settings in (
             ("model.mechanics", "data.samples.mechanics", Mechanics),
             ("model.bounds", "data.bounds", Bounds),
@@ -181,14 +181,14 @@ class TrainCLI(LightningCLI):
                 parser.link_arguments(f"{source}.{field.name}", f"{target}.{field.name}")
 
     def parse_arguments(self, parser: LightningArgumentParser, args: Any) -> None:
-        """As Lightning has it, with a seed that its libraries can draw from."""
+        """Parse as Lightning does, and check that its libraries accept the seed."""
         super().parse_arguments(parser, args)
         seed = self.config[self.config.subcommand].seed_everything
-        if isinstance(seed, int) and not 0 <= seed <= LARGEST_SEED:
-            raise UsageError(f"seed_everything is {shown(seed)}; give 0 to {LARGEST_SEED}.")
+        if isinstance(seed, int) and not 0 <= seed <= MAX_SEED:
+            raise UsageError(f"seed_everything is {shown(seed)}; give 0 to {MAX_SEED}.")
 
     def _parse_ckpt_path(self) -> None:
-        """Resolve and check `--ckpt_path`. Lightning's own version lets the checkpoint override the command line."""
+        """Resolve and check `--ckpt_path`; Lightning's own method lets the checkpoint override the command line."""
         config, command = self.config[self.config.subcommand], self.config.subcommand
         if config.ckpt_path in ("best", "last"):
             folder = Path(checkpoint_folder(config.trainer.default_root_dir))
@@ -205,11 +205,11 @@ class TrainCLI(LightningCLI):
         require_same_model(Path(config.ckpt_path), config.model.as_dict() | {"window": config.data.samples.window})
 
     def before_fit(self) -> None:
-        """Keep the checkpoints of another training, which this one would replace."""
+        """Refuse to replace the checkpoints of another training."""
         config = self.config[self.subcommand]  # ty: ignore[invalid-argument-type]  a command is required
         folder = Path(checkpoint_folder(config.trainer.default_root_dir))
-        goes_on = config.ckpt_path is not None and Path(config.ckpt_path).resolve().parent == folder.resolve()
-        if holds_training(folder) and not goes_on:
+        resumes = config.ckpt_path is not None and Path(config.ckpt_path).resolve().parent == folder.resolve()
+        if holds_training(folder) and not resumes:
             raise UsageError(
                 f"{folder.parent} holds a training already; add --ckpt_path last to go on with it, or give another "
                 "--trainer.default_root_dir."
@@ -224,10 +224,10 @@ class TrainCLI(LightningCLI):
             raise UsageError("data.root is empty; name the folder of the data set.")
         if trainer.check_val_every_n_epoch is not None and trainer.check_val_every_n_epoch < 1:
             raise UsageError(f"trainer.check_val_every_n_epoch is {trainer.check_val_every_n_epoch}; give 1 or more.")
-        most, asked = max(os.cpu_count() or 1, FEWEST_PROCESSES), str(trainer.devices)
-        count = int(asked) if asked.removeprefix("-").isdecimal() else 1
-        if not 1 <= count <= most and str(trainer.accelerator) in ("cpu", "auto"):
-            raise UsageError(f"trainer.devices is {asked}; give 1 to at most {most}, one for each core here.")
+        allowed, devices = max(os.cpu_count() or 1, MIN_PROCESSES), str(trainer.devices)
+        count = int(devices) if devices.removeprefix("-").isdecimal() else 1
+        if not 1 <= count <= allowed and str(trainer.accelerator) in ("cpu", "auto"):
+            raise UsageError(f"trainer.devices is {devices}; give 1 to at most {allowed}, one for each core here.")
         if trainer.strategy == "ddp" or (trainer.strategy == "auto" and str(trainer.devices) not in ("1", "auto")):
             # Each of the three backward passes reaches a part of the parameters only.
             trainer.strategy = "ddp_find_unused_parameters_true"
@@ -235,7 +235,7 @@ class TrainCLI(LightningCLI):
     def instantiate_classes(self) -> None:
         try:
             super().instantiate_classes()
-        except (ValueError, MisconfigurationException) as error:  # a setting's own check
+        except (ValueError, MisconfigurationException) as error:  # from the check of a setting
             raise UsageError(str(error)) from error
         checkpoint = self.config_init[self.subcommand].ckpt_path
         if checkpoint is not None:
@@ -251,15 +251,15 @@ class TrainCLI(LightningCLI):
             ModelCheckpoint(checkpoint_folder(folder), name, save_on_train_epoch_end=True, **always, **when)
             for name, when in CHECKPOINTS.items()
         ]
-        given = config.trainer.callbacks or []
-        given = given if isinstance(given, list) else [given]
-        # Lightning's own bar is rich's where that is installed, which says nothing while its output is no terminal.
+        callbacks = config.trainer.callbacks or []
+        callbacks = callbacks if isinstance(callbacks, list) else [callbacks]
+        # Lightning's default bar is rich's where that is installed, which prints nothing outside a terminal.
         bars = [] if config.trainer.enable_progress_bar is False else [TQDMProgressBar()]
-        config.trainer.callbacks = [*given, *checkpoints, *bars]
+        config.trainer.callbacks = [*callbacks, *checkpoints, *bars]
         return super().instantiate_trainer(**kwargs)
 
     def before_test(self) -> None:
-        """Refuse at once to replace a user's files by the evaluation's."""
+        """Refuse before the test to replace a user's files by the evaluation's."""
         config = self.config[self.subcommand]  # ty: ignore[invalid-argument-type]  a command is required
         require_own(*(evaluation_folder(config.trainer.default_root_dir) / name for name in FILES))
 
@@ -268,7 +268,7 @@ class TrainCLI(LightningCLI):
         if not self.trainer.is_global_zero:
             return
         folder = evaluation_folder(self.trainer.default_root_dir)
-        contacts = self.datamodule.interactions("train", TRAIN_CONTACTS)
+        contacts = self.datamodule.interactions("train", BASELINE_CONTACTS)
         files = write_evaluation(self.model.test_records, contacts, self.model.mechanics, self.model.bounds, folder)
         for name, path in files.items():
             log_artifact(self.trainer, path, "evaluation")
@@ -276,29 +276,29 @@ class TrainCLI(LightningCLI):
 
 
 def contact_features(observation: str, smoothing: float, film: bool) -> int:
-    """Length of the contact's vector in the batches; 0 where they have none, for want of a motion or its noise."""
+    """Length of the contact's vector in the batches; 0 without the motion or its noise."""
     if observation != "trajectory" or not smoothing > 0:
         return 0
     return FEATURES + FILM_FEATURES if film else FEATURES
 
 
 def checkpoint_folder(run_folder: str | os.PathLike[str] | None) -> str:
-    """Where a run keeps its checkpoints."""
+    """Folder of a run's checkpoints."""
     return str(Path(run_folder or ".") / "checkpoints")
 
 
 def evaluation_folder(run_folder: str | os.PathLike[str] | None) -> Path:
-    """Where `test` writes."""
+    """Folder of the files that `test` writes."""
     return Path(run_folder or ".") / "evaluation"
 
 
 def holds_training(checkpoints: Path) -> bool:
-    """Whether a folder of checkpoints has any."""
+    """Whether a folder holds checkpoints."""
     return any(checkpoints.glob("*.ckpt"))
 
 
 def run_loggers(folder: Path, tracking: bool) -> list[CSVLogger | MLFlowLogger]:
-    """CSV files in the run folder first (its folder also gets config.yaml), then MLflow beside the run folder."""
+    """A CSV logger in the run folder, where config.yaml goes as well, then MLflow in the folder above."""
     loggers: list[CSVLogger | MLFlowLogger] = [CSVLogger(folder, name="logs")]
     if tracking:
         root = folder.resolve().parent
@@ -310,30 +310,30 @@ def run_loggers(folder: Path, tracking: bool) -> list[CSVLogger | MLFlowLogger]:
 
 
 def _require_database(path: Path) -> None:
-    """Refuse a file in place of the tracking database that is none, which would be a traceback or minutes of trying.
+    """Refuse a file that is no tracking database, which would end in a traceback or in minutes of retries.
 
     Raises:
-        InputError: no database, a damaged or locked one, or one of another program or version.
+        InputError: the file is no database, is damaged or locked, or belongs to another program or version.
     """
     if not os.path.lexists(path):
         return
     try:
         if not path.is_file():
             raise sqlite3.DatabaseError("not a file")
-        with contextlib.closing(sqlite3.connect(path, timeout=LONGEST_LOCK)) as database:
-            [[found]] = database.execute("pragma quick_check(1)").fetchall()
+        with contextlib.closing(sqlite3.connect(path, timeout=LOCK_TIMEOUT_S)) as database:
+            [[verdict]] = database.execute("pragma quick_check(1)").fetchall()
             database.execute("begin immediate")  # refused while another program keeps it locked
             database.rollback()
-        if found != "ok":
-            raise sqlite3.DatabaseError(found)
+        if verdict != "ok":
+            raise sqlite3.DatabaseError(verdict)
         MlflowClient(f"sqlite:///{path}").search_experiments(max_results=1)
-    except Exception as error:  # SQLite's, SQLAlchemy's, Alembic's and MLflow's
-        told = " ".join(str(error).split())[:200]
-        raise InputError(f"{path} can't be used ({told}); move it away, or add --tracking false.") from error
+    except Exception as error:  # from SQLite, SQLAlchemy, Alembic or MLflow
+        reason = " ".join(str(error).split())[:200]
+        raise InputError(f"{path} can't be used ({reason}); move it away, or add --tracking false.") from error
 
 
 def log_artifact(trainer: Trainer, path: Path, folder: str | None = None) -> None:
-    """Copy a file to the run's MLflow artifacts, where it is tracked."""
+    """Copy a file to the run's MLflow artifacts, if the run is tracked."""
     for logger in trainer.loggers:
         if isinstance(logger, MLFlowLogger) and trainer.is_global_zero:
             logger.experiment.log_artifact(logger.run_id, str(path), folder)
@@ -363,13 +363,13 @@ def main(arguments: list[str] | None = None) -> int:
     except (InputError, TrainingDiverged, ParityError, EvaluationError, ForeignFile) as error:
         print(plain(f"train.py: {error}"), file=sys.stderr)
         return 1
-    except MlflowException as error:  # locked or lost in the middle
-        told = " ".join(str(error).split())[:200]
+    except MlflowException as error:  # the database was locked or lost during the run
+        reason = " ".join(str(error).split())[:200]
         advice = "go on with --ckpt_path last --tracking false"
-        print(plain(f"train.py: tracking failed ({told}); {advice}."), file=sys.stderr)
+        print(plain(f"train.py: tracking failed ({reason}); {advice}."), file=sys.stderr)
         return 1
     except OSError as error:
-        if error.strerror is None:  # not the file system's
+        if error.strerror is None:  # the error is not from the file system
             raise
         where = error.filename or "The run folder"
         print(plain(f"train.py: {where}: {error.strerror}; make room or choose another folder."), file=sys.stderr)

@@ -92,7 +92,7 @@ def one_contact(size: tuple[int, int], onset: str) -> tuple[float, float, float]
         scene, motion = draw_press(SUITES["clean"].settings(index, size), suite_clip_seed("validation", 0, index))
         clip = open_synthetic(synthetic_clip(scene, motion, index), PREPARE)
         frames, info = list(clip), ClipInfo.of(clip)
-        contact = estimator.told(observed_contacts(frames, info)[motion.onset_frame])
+        contact = estimator.as_trained(observed_contacts(frames, info)[motion.onset_frame])
         sessions = [estimator.start(info) for _ in range(RUNS)]
         whole = np.median([timed(session.estimate, contact, None)[1] for session in sessions])
         found.append((whole, 1e3 * np.median([session.seconds["network"] for session in sessions])))

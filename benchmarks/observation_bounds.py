@@ -23,7 +23,7 @@ import numpy as np
 
 from benchmarks.shared import command_line, machine, print_table
 from data.contact.film import REACH
-from data.synthetic.contacts import FINE, SimulatedContact, draw_contacts
+from data.synthetic.contacts import FINE_MECHANICS, SimulatedContact, draw_contacts
 from data.synthetic.settings import SceneSettings
 from data.synthetic.truth import REGIMES, Regime
 from estimators.direct.motion import PressMotion
@@ -34,7 +34,7 @@ from physics.identifiability import LIMIT, bounds, fisher_information, ratio_bou
 NOISE = 0.001
 SCENES, A_SCENE = 4, 3
 """Scenes of each regime, and contacts of each scene."""
-FRAME = round(1 / 25 / FINE.time_step)
+FRAME = round(1 / 25 / FINE_MECHANICS.time_step)
 """Steps a frame."""
 COLUMNS = ("regime", "observation", "k_s", "k_d", "F", "k_s/k_d", "F/k_d", "determined")
 
@@ -52,8 +52,8 @@ class Observed(NamedTuple):
 
 def observations(contact: SimulatedContact) -> dict[str, Observed]:
     """What each kind of observation sees."""
-    load = round(contact.interaction.load_seconds / FINE.time_step)
-    kinds = {"final": Observed(np.array([FINE.steps - 1])), "release": Observed(np.array([load - 1]))}
+    load = round(contact.interaction.load_seconds / FINE_MECHANICS.time_step)
+    kinds = {"final": Observed(np.array([FINE_MECHANICS.steps - 1])), "release": Observed(np.array([load - 1]))}
     for frames in (2, 4, 8, 16, 25):
         kinds[f"contact, K = {frames}"] = Observed(FRAME * np.arange(1, frames + 1) - 1)
     second = FRAME * np.arange(1, 26) - 1
@@ -70,8 +70,8 @@ def limits(contact: SimulatedContact, seen: Observed) -> np.ndarray:
     """Bounds on log k_s, log k_d, log |F|, log k_s/k_d and log F/k_d, shape [5]."""
     pressed = contact.interaction
     apart = np.abs(pressed.mesh.pixels - pressed.mesh.pixels[pressed.vertex]).max(axis=1)
-    vertices, times = np.flatnonzero(apart <= seen.reach), (seen.steps + 1) * FINE.time_step
-    motion = PressMotion(pressed, FINE, vertices, times, FRAME * FINE.time_step)
+    vertices, times = np.flatnonzero(apart <= seen.reach), (seen.steps + 1) * FINE_MECHANICS.time_step
+    motion = PressMotion(pressed, FINE_MECHANICS, vertices, times, FRAME * FINE_MECHANICS.time_step)
     slopes = motion.at(np.concatenate([np.log(np.abs(contact.theta)), np.zeros(2)]))[1]
     told = slopes[..., 2, :] if seen.reach else slopes
     information = known(fisher_information(told, NOISE), seen.onset)

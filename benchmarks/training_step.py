@@ -23,7 +23,7 @@ import torch
 
 from benchmarks.shared import command_line, machine, print_table, timed
 from data.synthetic.__main__ import main as make_clips
-from models.generator import Answer
+from models.generator import HeadOutput
 from models.module import PhysicsInformedGAN
 from train import main as train
 
@@ -42,7 +42,7 @@ def measure(config: Path, folder: Path) -> list[str]:
     steps, physics, gradients = [], [], []
     training_step, physics_loss = PhysicsInformedGAN.training_step, PhysicsInformedGAN._physics
 
-    def timed_physics(module: PhysicsInformedGAN, ab: Answer, ba: Answer, batch: dict) -> torch.Tensor:
+    def timed_physics(module: PhysicsInformedGAN, ab: HeadOutput, ba: HeadOutput, batch: dict) -> torch.Tensor:
         loss, forward = timed(physics_loss, module, ab, ba, batch)
         heads = [answer.theta if answer.mean is None else answer.mean for answer in (ab, ba)]
         _, gradient = timed(lambda: torch.autograd.grad(loss, heads, retain_graph=True, allow_unused=True))

@@ -30,5 +30,5 @@ __getattr__ = exported(
         "data.contact.interaction": ("Interaction",),
     }
 )
-# OpenCV reads it when it is first imported, which happens after this: MOST_PIXELS of data.source.images.
+# OpenCV reads this limit (MOST_PIXELS of data.source.images) when it is first imported, which happens later.
 os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", "33554432")

@@ -1,6 +1,6 @@
-"""Prepared clips on disk: a folder of a file a frame and one for the clip, under a key of all that it depends on.
+"""Prepared clips on disk: a folder with one file a frame and one for the clip, under a key of all its inputs.
 
-They are written frame by frame: memory does not grow with a clip's length.
+Clips are written frame by frame, so that memory does not grow with their length.
 """
 
 from __future__ import annotations
@@ -35,15 +35,15 @@ from physics.mesh import Mesh
 from physics.provenance import code_digest
 
 HASHED_BYTES = 64 * 2**20
-"""Models up to this size are known by their content, larger ones by size and time of change."""
+"""Largest model that enters a key by its content [bytes]; larger ones enter by size and time of change."""
 STALE_SECONDS = 86400.0
-"""Unfinished folders untouched for longer are left over from a killed process."""
+"""Age of an unfinished folder from which on it is left over from a killed process [s]."""
 MARKER = ".unfinished-clip"
-"""Tells a hidden folder of ours from a user's."""
-OWN = re.compile(r"(clip|\d+)\.npz")
-"""Names of an entry's files."""
+"""File that distinguishes an unfinished folder of this module from a user's hidden folder."""
+ENTRY_FILE = re.compile(r"(clip|\d+)\.npz")
+"""Pattern of the names of an entry's files."""
 NOT_STORED = (("depth", "threads"), ("depth", "device"), ("geometry", "force_direction"))
-"""Settings that a prepared clip does not depend on: where a model runs, and what samples make of the geometry."""
+"""Settings on which a prepared clip does not depend: where a model runs, and the force's direction of samples."""
 
 
 def cache_key(path: Path, settings: PrepareSettings, following: Iterable[Path] = ()) -> str:
@@ -52,7 +52,7 @@ def cache_key(path: Path, settings: PrepareSettings, following: Iterable[Path] =
     Args:
         path: frame folder or video file.
         settings: how it is prepared.
-        following: frame folders that carry the first one on.
+        following: frame folders that continue the first one.
 
     Raises:
         InputError: a model or a camera can't be found.
@@ -71,13 +71,14 @@ def cache_key(path: Path, settings: PrepareSettings, following: Iterable[Path] =
 
 
 def _file_states(path: Path) -> list[list[Any]]:
+    """Name, size and time of change of a clip's files."""
     files = [file for file in all_below(path) if file.is_file()] if path.is_dir() else [path]
     states = ((file, file.stat()) for file in files)
     return [[os.fspath(file.relative_to(path.parent)), state.st_size, state.st_mtime_ns] for file, state in states]
 
 
 def require_models(settings: PrepareSettings) -> list[tuple[Path, str]]:
-    """Depth and mask model files that the settings name, each with what says how to read it.
+    """Depth and mask model files that the settings name, each with the digest of its conventions.
 
     Raises:
         InputError: a file or preset does not exist.
@@ -89,17 +90,17 @@ def require_models(settings: PrepareSettings) -> list[tuple[Path, str]]:
         models.append((model, preset.identity))
     segmentation = mask_model(settings.masks)
     if segmentation is not None:
-        beside = segmentation.with_suffix(".yaml")
-        models.append((segmentation, file_sha256(beside) if isfile(beside) else ""))
+        settings_file = segmentation.with_suffix(".yaml")
+        models.append((segmentation, file_sha256(settings_file) if isfile(settings_file) else ""))
     return models
 
 
 def _model_state(model: Path, reading: str) -> list[Any]:
-    """State of a model; opening it would cost seconds where the cache has the clip."""
+    """State of a model's file; opening the model would cost seconds even where the cache has the clip."""
     state = model.stat()
     if state.st_size > HASHED_BYTES:
         return [reading, state.st_size, state.st_mtime_ns]
-    # A fresh checkout changes the time of the models that come with it, so what is small goes by its content.
+    # A fresh checkout changes the time of the models that come with it, so small ones enter by their content.
     return [reading, file_sha256(model)]
 
 
@@ -107,26 +108,27 @@ def _model_state(model: Path, reading: str) -> list[Any]:
 class PreparedClip:
     """A prepared clip, read from the cache; depth and meshes stay on disk until they are used.
 
-    Per-frame arrays, first axis F; what they mean is said at PreparedFrame and FrameGeometry, and a frame without the
-    thing holds NaN or -1.
+    Arrays without a description have an entry a frame (first axis F) of the field of that name in PreparedFrame or
+    FrameGeometry; a frame without a value holds NaN or -1.
     """
 
     folder: Path
-    """Its entry in the cache."""
+    """The clip's entry in the cache."""
     path: Path
-    """Where the clip itself lies."""
+    """Path of the clip itself."""
     name: str
-    """Its name."""
+    """Name of the clip."""
     sources: dict[str, str]
-    """Where `depth` and `masks` came from, in a word each."""
+    """Sources of `depth` and `masks`, a word each."""
     size: tuple[int, int]
     """Width and height of its pictures [px]."""
     status: np.ndarray
     contact: np.ndarray
     """Whether a frame is in contact, shape [F]."""
-    seen_out: np.ndarray
-    """Whether a frame was seen out of contact, shape [F]."""
+    out_of_contact: np.ndarray
+    """Whether a frame is known to be out of contact, shape [F]."""
     times: np.ndarray
+    """Time stamps of the frames, shape [F] [s]."""
     usable: np.ndarray
     """Whether a frame has depth, shape [F]."""
     consecutive: np.ndarray
@@ -172,7 +174,7 @@ class PreparedClip:
 
 
 class CacheEntry:
-    """Where a prepared clip lies in the cache."""
+    """Place of a prepared clip in the cache."""
 
     def __init__(self, cache_dir: Path, name: str, key: str) -> None:
         self.cache_dir, self.name = cache_dir, name
@@ -181,9 +183,9 @@ class CacheEntry:
 
     def load(self, path: Path) -> PreparedClip | None:
         """The prepared clip, or None where there is none; a damaged entry is removed."""
-        if not isdir(self.folder):  # a name that is too long for any folder, too
+        if not isdir(self.folder):  # no entry, or a name that is too long for any folder
             return None
-        with contextlib.suppress(Exception):  # by where a file is damaged, readers of zip files or arrays give up
+        with contextlib.suppress(Exception):  # readers of zip files or arrays raise, depending on the damage
             _require_whole(self.folder / "clip.npz", "sources")
             with np.load(self.folder / "clip.npz") as stored:
                 columns = dict(stored)
@@ -201,8 +203,8 @@ class CacheEntry:
         """Write a clip's frames into a folder of its own, which takes its place once they are complete.
 
         Args:
-            frames: all of them, in order.
-            sources, size: see `PreparedClip`.
+            frames: all frames of the clip, in order.
+            sources, size: fields of `PreparedClip`.
 
         Raises:
             InputError: the cache can't be written (full, read-only), or something else is in the clip's place.
@@ -224,34 +226,37 @@ class CacheEntry:
                 try:
                     os.rename(folder, self.folder)
                 except OSError as error:
-                    # Another process has finished the same entry first; it is the same, so ours goes.
+                    # Another process may have finished the same entry first; the two are equal, so this one is dropped.
                     if not (self.folder / "clip.npz").is_file():
                         if not os.path.lexists(self.folder):
                             raise
-                        told = "holds files of something else; move it away or change the cache"
-                        raise InputError(f"{self.folder} {told}.") from error
+                        problem = "holds files of something else; move it away or change the cache"
+                        raise InputError(f"{self.folder} {problem}.") from error
         except OSError as error:
-            why = error.strerror or error
-            raise InputError(f"{self.cache_dir} can't be written ({why}); free space or change the cache.") from error
+            reason = error.strerror or error
+            raise InputError(
+                f"{self.cache_dir} can't be written ({reason}); free space or change the cache."
+            ) from error
 
 
 def _remove(folder: Path) -> None:
     """Remove an entry's files, and the folder if nothing else is in it."""
     with contextlib.suppress(OSError):
         for path in folder.iterdir():
-            if OWN.fullmatch(path.name) and (path.is_symlink() or not path.is_dir()):
+            if ENTRY_FILE.fullmatch(path.name) and (path.is_symlink() or not path.is_dir()):
                 path.unlink()
         folder.rmdir()
 
 
 def _frame_file(folder: Path, index: int) -> Path:
+    """Path of a frame's file in an entry."""
     return folder / f"{index}.npz"
 
 
 def _require_whole(path: Path, name: str) -> None:
     """Raise an exception where a file is not as `numpy.savez` wrote it, with this array in it.
 
-    What is packed is none of ours, and may be far larger than it looks.
+    A compressed file is not one of this module's, and may unpack to far more than its size.
     """
     if not path.is_file():
         raise FileNotFoundError(path)
@@ -262,12 +267,12 @@ def _require_whole(path: Path, name: str) -> None:
 
 
 def _row(prepared: PreparedFrame) -> dict[str, Any]:
-    """What a prepared clip keeps of a frame beside its depth and mesh, by the names of PreparedClip's arrays."""
+    """Values of a frame other than depth, labels and mesh, by the names of PreparedClip's arrays."""
     geometry = prepared.geometry
     return {
         "status": prepared.status,
         "contact": prepared.in_contact,
-        "seen_out": prepared.seen_out,
+        "out_of_contact": prepared.out_of_contact,
         "times": prepared.frame.time_s,
         "usable": prepared.has_depth,
         "consecutive": prepared.consecutive,
@@ -283,7 +288,7 @@ def _row(prepared: PreparedFrame) -> dict[str, Any]:
 
 
 def remove_stale(cache_dir: Path) -> None:
-    """Remove unfinished folders that nobody has written to for a day."""
+    """Remove unfinished folders that no process has written to for `STALE_SECONDS`."""
     for folder in cache_dir.glob(".tmp-*"):
         with contextlib.suppress(FileNotFoundError):  # another process may be removing it as well
             if not (folder / MARKER).is_file() or time.time() - _newest(folder) <= STALE_SECONDS:
@@ -296,4 +301,5 @@ def remove_stale(cache_dir: Path) -> None:
 
 
 def _newest(folder: Path) -> float:
+    """Latest time of change in a folder and below [s since the epoch]."""
     return max(entry.stat().st_mtime for entry in (folder, *folder.rglob("*")))

@@ -1,4 +1,4 @@
-"""What the programs' command lines share: types of options, and what is told while they work."""
+"""Parts that the programs' command lines share: types of options, sentences and progress."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ from rich.text import Text
 from physics.doors import plain
 from physics.fields import LARGEST
 
-TOLD_SECONDS = 30.0
+PROGRESS_SECONDS = 30.0
 """Time between two lines of progress where the output is no terminal [s]."""
 LARGEST_NUMBER = 2**63 - 1
-"""Larger numbers are no counts, and no seeds of the libraries that draw."""
+"""Largest whole number of an option: larger ones are no counts, and no seeds of random generators."""
 
 
 def path_option(text: str) -> Path:
-    """A path on the command line; an unset shell variable would be the whole working folder.
+    """A path on the command line. An empty one, as of an unset shell variable, would be the whole working folder.
 
     Raises:
-        ArgumentTypeError: it is empty.
+        ArgumentTypeError: the path is empty.
     """
     if not text:
         raise argparse.ArgumentTypeError("is empty; name a file or folder")
@@ -64,7 +64,7 @@ def whole_number(least: int, most: int = LARGEST_NUMBER) -> Callable[[str], int]
 
 
 def real_number(wanted: str, least: float) -> Callable[[str], float]:
-    """Type of an option that takes numbers from `least` to LARGEST; `wanted` says in words what it is not otherwise.
+    """Type of an option that takes numbers from `least` to LARGEST; `wanted` describes them in the error message.
 
     The type raises ArgumentTypeError, as argparse wants it.
     """
@@ -82,53 +82,56 @@ def real_number(wanted: str, least: float) -> Callable[[str], float]:
 
 
 def say(console: Console, sentence: str, style: str = "") -> None:
-    """Print one line as it is: no markup, no wrapping, whatever bytes a file name holds."""
+    """Print one line literally: without markup and wrapping, whatever bytes a file name holds."""
     console.print(Text(plain(sentence), style=style), soft_wrap=True)
 
 
 class Rate(ProgressColumn):
-    """How many a second."""
+    """Speed of a task, in steps a second."""
 
     def render(self, task: Task) -> Text:
         """Text of the column."""
         return TaskProgressColumn.render_speed(task.finished_speed or task.speed)
 
 
-class ToldProgress(Progress):
-    """Progress where the output is no terminal, which shows no bars: a line now and then."""
+class LineProgress(Progress):
+    """Progress for an output that is no terminal and shows no bars: one line every `PROGRESS_SECONDS`."""
 
     def __init__(self, *columns: ProgressColumn, **options: Any) -> None:
         super().__init__(*columns, **options)
-        self._said = time.monotonic()
+        self._printed = time.monotonic()
 
     def update(self, task_id: TaskID, **fields: Any) -> None:
-        """As rich has it."""
+        """Update a task as rich does, and print a line where one is due."""
         super().update(task_id, **fields)
-        self._tell(task_id)
+        self._print_line(task_id)
 
     def advance(self, task_id: TaskID, advance: float = 1) -> None:
-        """As rich has it."""
+        """Advance a task as rich does, and print a line where one is due."""
         super().advance(task_id, advance)
-        self._tell(task_id)
+        self._print_line(task_id)
 
-    def _tell(self, task_id: TaskID) -> None:
-        if self.disable or time.monotonic() - self._said < TOLD_SECONDS:
+    def _print_line(self, task_id: TaskID) -> None:
+        if self.disable or time.monotonic() - self._printed < PROGRESS_SECONDS:
             return
-        self._said = time.monotonic()
+        self._printed = time.monotonic()
         task = next(task for task in self.tasks if task.id == task_id)
         total = "?" if task.total is None else f"{task.total:g}"
-        told = [f"{task.description}: {task.completed:g} of {total}", str(Rate().render(task))]
+        parts = [f"{task.description}: {task.completed:g} of {total}", str(Rate().render(task))]
         if task.time_remaining is not None:
-            told.append(f"{TimeRemainingColumn().render(task)} left")
-        self.console.print(", ".join(filter(None, told)), markup=False)  # neither is known from one step
+            parts.append(f"{TimeRemainingColumn().render(task)} left")
+        self.console.print(
+            ", ".join(filter(None, parts)), markup=False
+        )  # speed and time left are unknown after one step
 
 
 def progress_bars(console: Console, *, disable: bool = False) -> Progress:
-    """Bars with what is done, how fast and for how long still; without a terminal a line every half minute.
+    """Bars with progress, speed and time left; without a terminal, a line every half minute.
 
     Args:
-        disable: draw none.
+        console: console on which they appear.
+        disable: whether to draw nothing.
     """
     name, rest = TextColumn("{task.description}", markup=False), (BarColumn(), MofNCompleteColumn(), Rate())
-    kind = Progress if console.is_terminal else ToldProgress
+    kind = Progress if console.is_terminal else LineProgress
     return kind(name, *rest, TimeRemainingColumn(), console=console, disable=disable)

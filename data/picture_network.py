@@ -19,7 +19,9 @@ _INPUT_TYPES = {
     "tensor(double)": np.float64,
     "tensor(uint8)": np.uint8,
 }
+"""Numpy type of each accepted type of an input."""
 _PROVIDERS = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}
+"""Name in onnxruntime of each device."""
 
 
 class PictureNetwork:
@@ -29,7 +31,7 @@ class PictureNetwork:
         path: ONNX file.
         threads: intra-op threads, 0 = onnxruntime's choice.
         device: cpu or cuda.
-        raw: whether it may take 8-bit numbers, which hold no normalised picture.
+        raw: whether the network may take 8-bit numbers, which hold no normalised picture.
 
     Raises:
         InputError: no such file or device, not an ONNX model, or other inputs than one picture.
@@ -39,7 +41,7 @@ class PictureNetwork:
         self.path = path
         options = onnxruntime.SessionOptions()
         options.log_severity_level = 3
-        # More than there are cores wait for each other, busily.
+        # More threads than cores would only wait for each other, and load the cores meanwhile.
         options.intra_op_num_threads = min(threads, os.cpu_count() or 1)
         options.use_deterministic_compute = True
         if _PROVIDERS[device] not in onnxruntime.get_available_providers():
@@ -59,9 +61,9 @@ class PictureNetwork:
             raise InputError(f"{path} takes {found}, and not one colour picture; export it that way.")
         self._input = inputs[0]
         self.outputs = [entry.name for entry in session.get_outputs()]
-        """Names of what it gives."""
+        """Names of the network's outputs."""
         self.metadata: dict[str, str] = session.get_modelmeta().custom_metadata_map
-        """What its author wrote into the file."""
+        """Metadata that the file holds."""
 
     def fixed_size(self, axes: str) -> tuple[int | None, int | None]:
         """Height and width that the file prescribes [px], None where they are free.
@@ -72,7 +74,7 @@ class PictureNetwork:
         Raises:
             InputError: the file does not take one picture of three channels in that order.
         """
-        # Dimensions that are names or None are free.
+        # A dimension that is a name or None is free.
         fixed = [side if isinstance(side, int) else None for side in self._input.shape]
         sides = dict(zip(axes, fixed, strict=True))
         if sides["N"] not in (1, None) or sides["C"] not in (3, None):
@@ -109,11 +111,12 @@ def resized(picture: np.ndarray, height: int, width: int) -> np.ndarray:
 def network_input(
     picture: np.ndarray, factor: float, mean: Sequence[float], std: Sequence[float], axes: str
 ) -> np.ndarray:
-    """A picture [h, w, 3] as a network takes it: (picture · factor − mean)/std, float32, [1, 3, h, w] or [1, h, w, 3].
+    """A picture as a network's input: (picture · factor − mean)/std, float32, [1, 3, h, w] or [1, h, w, 3].
 
     Args:
-        factor: multiplies the 8-bit values.
-        mean, std: of the channels, in the picture's own order.
+        picture: values from 0 to 255, shape [h, w, 3].
+        factor: factor on the values.
+        mean, std: mean and standard deviation of the channels, in the picture's own order.
         axes: NCHW or NHWC.
     """
     values = (picture * np.float32(factor) - np.asarray(mean, np.float32)) / np.asarray(std, np.float32)
@@ -121,6 +124,6 @@ def network_input(
 
 
 def _first_line(error: Exception) -> str:
-    """First line of an error, short enough for a sentence, without the code and the path before onnxruntime's."""
+    """First line of an error, short enough for a sentence, without onnxruntime's code and path at its beginning."""
     line = (str(error).strip() or type(error).__name__).split("\n")[0]
     return re.sub(r"^\[ONNXRuntimeError\] : \d+ : \w+ : (Load model from .* failed:)?", "", line)[:200].rstrip(". ")

@@ -11,9 +11,9 @@ from data.contact.geometry import FrameGeometry
 from data.source.frames import Frame
 
 STATUSES = ("ok", "no_tool", "no_tissue", "no_contact", "bad_depth", "unreadable", "no_mask")
-"""`ok` means in contact; the others say why a frame gives no contact."""
-SEEN_OUT = ("no_tool", "no_contact")
-"""The frame was seen out of contact; with the other statuses but `ok` it isn't known whether it is in contact."""
+"""Statuses of a frame: `ok` means in contact; the others name the reason why a frame gives no contact."""
+OUT_OF_CONTACT = ("no_tool", "no_contact")
+"""Statuses of frames that are known to be out of contact; for all others but `ok` that is unknown."""
 
 
 def _unknown() -> np.ndarray:
@@ -29,7 +29,7 @@ class PreparedFrame:
     status: str
     """One of STATUSES."""
     detail: str
-    """Why the status is not `ok`, or what is wrong with a contact, one sentence; empty where nothing is."""
+    """Reason why the status is not `ok`, or what is wrong with a contact, one sentence; empty where nothing is."""
     depth: np.ndarray
     """z on the grid, shape [h, w], float32 in [0, 1] [scene units]; 0 = invalid."""
     labels: np.ndarray
@@ -39,24 +39,26 @@ class PreparedFrame:
     geometry: FrameGeometry | None = None
     """Contact and mesh where the status is `ok`."""
     contact_probability: float = math.nan
-    """Of contact, by whether tissue moves with the tool (`data.contact.evidence`); not a number where outlines and
-    depth say already that there is none."""
+    """Probability of contact, by whether tissue moves with the tool (`data.contact.evidence`); NaN where outlines and
+    depth already exclude contact."""
     undecided: bool = False
     """Whether the tool hovered before, and since then neither motion nor depth tells whether it touches."""
     distance: float = math.nan
-    """Distance of tool and tissue [scene units]; not a number where it was not measured."""
+    """Distance of tool and tissue [scene units]; NaN where it was not measured."""
     displacement: np.ndarray = field(default_factory=_unknown)
-    """Observed motion of the contact from this frame to the next, shape [3] [scene units]; NaN where it isn't known."""
+    """Observed motion of the contact from this frame to the next, shape [3] [scene units]; NaN where it is unknown."""
     backward: np.ndarray = field(default_factory=_unknown)
-    """Observed motion of this frame's contact back to the preceding frame, shape [3] [scene units]; NaN likewise."""
+    """Observed motion of this frame's contact back to the preceding frame, shape [3] [scene units]; NaN where it is
+    unknown."""
     rigid: np.ndarray = field(default_factory=_unknown)
     """Motion to the next frame if the contact moved rigidly with the tissue far from it, shape [3] [scene units]."""
     consecutive: bool = False
-    """Whether a next frame exists and bears the next number."""
+    """Whether a next frame exists and has the next number."""
     track_start: int = -1
-    """Index of the frame where this run of contact began, kept after its release; -1 where no onset was seen."""
+    """Index of the frame where this run of contact began, kept after its release; -1 where no onset was observed."""
     track_position: np.ndarray = field(default_factory=_unknown)
-    """Where the tissue point that was the contact at `track_start` is now, shape [3]; not a number once it is lost."""
+    """Current position of the tissue point that was the contact at `track_start`, shape [3] [scene units]; NaN once it
+    is lost."""
 
     @property
     def in_contact(self) -> bool:
@@ -65,13 +67,13 @@ class PreparedFrame:
 
     @property
     def hovers(self) -> bool:
-        """Whether the tool is at tissue in the picture, which does not move with it."""
+        """Whether the tool is at tissue in the picture that does not move with it."""
         return not self.in_contact and math.isfinite(self.contact_probability)
 
     @property
-    def seen_out(self) -> bool:
-        """Whether contact was seen not to be there in this very frame; that a tool hovers is known some frames late."""
-        return self.status in SEEN_OUT and not self.hovers
+    def out_of_contact(self) -> bool:
+        """Whether this very frame shows that there is no contact; that a tool hovers is known some frames later."""
+        return self.status in OUT_OF_CONTACT and not self.hovers
 
     @property
     def contact(self) -> FrameGeometry:

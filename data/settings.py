@@ -11,7 +11,7 @@ from data.masks.sources import MaskClasses
 from data.source.layout import ClipLayout
 
 PREPROCESSING_VERSION = 3
-"""Raised when the same pixels would give a network another input; exported models carry it."""
+"""Version of preparation, which rises when the same pixels give a network another input; exported models hold it."""
 
 
 @dataclass(frozen=True)
@@ -23,15 +23,16 @@ class PrepareSettings:
     geometry: GeometrySettings = field(default_factory=GeometrySettings)
     """Grid, mesh and contact."""
     masks: str = "auto"
-    """annotation, automatic, auto (annotation where the clip has it), or the path of an ONNX segmentation model."""
+    """Source of masks: annotation, automatic, auto (annotation where the clip has it), or the path of an ONNX
+    segmentation model."""
     classes: MaskClasses = field(default_factory=MaskClasses)
     """Which annotated classes are tool and tissue."""
     layout: ClipLayout = field(default_factory=ClipLayout)
     """How the clip's files are named."""
     bridge_frames: int = 2
-    """Contact that is missing on up to this many frames in a row counts as flicker: the run of contact goes on."""
+    """Largest number of frames in a row without contact that count as flicker and don't end a run of contact."""
     track_seconds: float = 1.0
-    """How long the contact's tissue point is followed from its onset, beyond its release [s]."""
+    """Time for which the contact's tissue point is followed from its onset, also after its release [s]."""
 
     def __post_init__(self) -> None:
         if self.bridge_frames < 0:
@@ -41,4 +42,4 @@ class PrepareSettings:
 
 
 NUMBERS = tuple(item.name for item in fields(PrepareSettings) if type(item.default) in (int, float))
-"""Its fields that are plain numbers; exported models carry them by these names."""
+"""Names of the fields of `PrepareSettings` that are plain numbers; exported models hold them under these names."""

@@ -1,7 +1,7 @@
 """The network's input: windows of the last K frames, built the same way for training and for inference.
 
-A window never reaches across a gap in the frame numbers. A frame without depth is held at the preceding one that has
-depth, and where a stretch is shorter than the window its first frame is repeated.
+A window never reaches across a gap in the frame numbers. The last depth before it stands for a frame without depth,
+and where a stretch is shorter than the window its first frame is repeated.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ def window_indices(frame: int, length: int, consecutive: np.ndarray, usable: np.
 
     Args:
         frame: index of the window's last frame.
-        length: K.
-        consecutive: whether frame i + 1 bears the number after frame i's, shape [F].
+        length: number of frames K.
+        consecutive: whether the number of frame i + 1 follows that of frame i, shape [F].
         usable: whether a frame has depth, shape [F].
 
     Returns:
@@ -32,7 +32,7 @@ def window_indices(frame: int, length: int, consecutive: np.ndarray, usable: np.
 
 
 def future_indices(frame: int, length: int, consecutive: np.ndarray, usable: np.ndarray) -> np.ndarray | None:
-    """Frames of the time-reversed window that ends at `frame`: the farthest future first (see window_indices)."""
+    """Frames of the time-reversed window that ends at `frame`: the farthest future first (see `window_indices`)."""
     last = frame
     while last < min(frame + length - 1, len(usable) - 1) and consecutive[last]:
         last += 1
@@ -40,6 +40,7 @@ def future_indices(frame: int, length: int, consecutive: np.ndarray, usable: np.
 
 
 def _held(frames: range, length: int, usable: np.ndarray) -> np.ndarray | None:
+    """Indices of a window's frames, each unusable one replaced by the last usable one before it; None without any."""
     kept: list[int] = []
     for index in frames:
         if usable[index]:
@@ -55,7 +56,7 @@ class FrameWindow:
     def __init__(self, length: int) -> None:
         """
         Args:
-            length: K.
+            length: number of frames K.
         """
         self.length = length
         self._depths: deque[np.ndarray] = deque(maxlen=length)

@@ -21,7 +21,7 @@ from data.source.layout import InputError, from_mapping, read_mapping
 from estimators.estimate import NINETY, NoEstimate
 from estimators.force_scale import (
     MASS,
-    SHEET,
+    SHEET_FACTOR,
     STIFFNESS,
     ClipLength,
     ForceScale,
@@ -173,7 +173,7 @@ class Calibration:
             here = [run for run in runs if run.pressing(at)[0]]
             if not here:
                 raise NoEstimate(
-                    f"Nothing is told in newtons: no press was estimated in contact at {given.force_time_s:g} s, when "
+                    f"No results in newtons: no press was estimated in contact at {given.force_time_s:g} s, when "
                     "the force is known."
                 )
             frame, log_sd = here[0].onset_frame, given.force_sd_N / given.force_N
@@ -183,7 +183,7 @@ class Calibration:
             forces = measured_presses(runs, self.measured, given.known_s)
             if not forces:
                 raise NoEstimate(
-                    f"Nothing is told in newtons: in no run of contact with an estimate {LEAST_KNOWN} or more forces "
+                    f"No results in newtons: in no run of contact with an estimate {LEAST_KNOWN} or more forces "
                     "are known."
                 )
             frames = ", ".join(str(frame) for frame, *_ in forces)
@@ -197,7 +197,7 @@ class Calibration:
         young, young_sd = self.young
         log_sd = math.hypot(young_sd, given.thickness_sd_m / given.thickness_m)
         source = f"palpation, E = {young:.4g} Pa, in a sheet of {1000 * given.thickness_m:g} mm"
-        return scale_by_stiffness(SHEET * young * given.thickness_m, log_sd, True, length, source)
+        return scale_by_stiffness(SHEET_FACTOR * young * given.thickness_m, log_sd, True, length, source)
 
 
 def read_calibration(path: Path) -> Calibration:

@@ -1,4 +1,4 @@
-"""The deepest dent, or bump, of tissue that is pressed where no tool is in view: what its force is proportional to.
+"""The deepest dent, or bump, of tissue that is pressed where no tool is in view, to which the force is proportional.
 
 On a linear sheet that is pressed on one patch every displacement is the force times a shape.
 """
@@ -10,12 +10,11 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.ndimage import gaussian_filter, median_filter
 
-MOST_REST = 64
-"""Depth maps at rest that are kept for their median."""
-LEAST_REST = 3
-MEDIAN, BLUR = 5, 2.0
+MOST_REST, LEAST_REST = 64, 3
+"""Most depth maps at rest that are kept for their median, and fewest that it needs."""
+MEDIAN_WIDTH, BLUR_SD = 5, 2.0
 """Widths of the filters against a depth sensor's noise [grid px]."""
-FARTHEST = 0.1
+MAX_CHANGE = 0.1
 """A larger change is the sensor's error [scene units]."""
 
 
@@ -23,7 +22,7 @@ class DentRecorder:
     """Follows a clip's deepest dent, a frame at a time.
 
     Args:
-        rest_s: when nothing presses [s].
+        rest_s: first and last time at which nothing presses [s].
     """
 
     def __init__(self, rest_s: tuple[float, float]) -> None:
@@ -33,16 +32,16 @@ class DentRecorder:
         self.frames: list[int] = []
         """Numbers of the frames after rest."""
         self.times: list[float] = []
-        """Their time stamps [s]."""
+        """Time stamps of these frames [s]."""
         self.depths: list[float] = []
-        """Their deepest dents [scene units]."""
+        """Deepest dents in these frames [scene units]."""
 
-    def see(self, number: int, time_s: float, depth: np.ndarray) -> None:
-        """The next frame.
+    def push(self, number: int, time_s: float, depth: np.ndarray) -> None:
+        """Record the next frame.
 
         Args:
-            number: of the frame.
-            time_s: its time stamp [s].
+            number: number of the frame.
+            time_s: time stamp of the frame [s].
             depth: z on the grid, shape [h, w] [scene units], 0 = invalid.
         """
         if time_s <= self._rest_s[1]:
@@ -67,8 +66,8 @@ def median_of_valid(maps: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def deepest(depth: np.ndarray, rest: np.ndarray) -> float:
-    """Largest smoothed change of depth against rest, whichever way it goes [scene units]."""
+    """Largest smoothed change of depth against rest, in either direction [scene units]."""
     change = np.where((depth > 0) & (rest > 0), rest - depth, 0)
-    change = median_filter(change, MEDIAN)
-    change[np.abs(change) > FARTHEST] = 0
-    return float(np.abs(gaussian_filter(change, BLUR)).max())
+    change = median_filter(change, MEDIAN_WIDTH)
+    change[np.abs(change) > MAX_CHANGE] = 0
+    return float(np.abs(gaussian_filter(change, BLUR_SD)).max())

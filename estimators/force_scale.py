@@ -1,9 +1,9 @@
-"""Newtons for what is estimated in scene units: one scale, from a known force, a known stiffness or palpations.
+"""Estimates in newtons instead of scene units: one scale, from a known force, a known stiffness or palpations.
 
 The simulator knows k_s, k_d and F up to one factor c, newtons a unit of force: in N per scene unit k_s is c·k_s, and
-F is c·F. What contacts have in common tells c elsewhere: the mass of a vertex, as the simulator has it (Bini 2026,
-table 1), so that c is the same, or the tissue's stiffness, so that c·k_s is. Then log c = g + bᵀφ with one unknown g,
-and with b = 0 or b = (-1, 0, 0). All are logarithms with normal errors, of which covariances follow exactly.
+F is c·F. A property that contacts share gives c elsewhere: either the mass of a vertex, as in the simulator (Bini 2026,
+table 1), so that c is the same, or the tissue's stiffness, so that c·k_s is the same. Then log c = g + bᵀφ with one
+unknown g, and with b = 0 or b = (-1, 0, 0). All are logarithms with normal errors, so covariances follow exactly.
 """
 
 from __future__ import annotations
@@ -19,30 +19,31 @@ from estimators.known_force import LEAST_KNOWN, KnownForce, fit_factor
 from physics.identifiability import LIMIT, covariance
 from physics.mechanics import PARAMETERS
 
-SHEET = 0.75
+SHEET_FACTOR = 0.75
 """k_s over E·thickness: the stiffness of a sheet of the mesh's springs, averaged over directions. With two sides and a
 diagonal in every square its area modulus is k_s, its shear modulus k_s/2 and so its Young's modulus 4/3 k_s."""
 MASS, STIFFNESS = "mass", "stiffness"
-SHARES = {MASS: np.zeros(3), STIFFNESS: np.array([-1.0, 0.0, 0.0])}
-"""b by what contacts have in common."""
-FORCE = np.array([0.0, 0.0, 1.0])
+EXPONENTS = {MASS: np.zeros(3), STIFFNESS: np.array([-1.0, 0.0, 0.0])}
+"""b by the property that contacts share."""
+FORCE_ROW = np.array([0.0, 0.0, 1.0])
+"""Row that picks log |F| from φ."""
 
 
 @dataclass(frozen=True)
 class ClipLength:
-    """What a scene unit of a clip is."""
+    """Length of a scene unit of a clip."""
 
     scale: float
     """Depth that is one scene unit, in the depth source's unit."""
     metres: float | None = None
-    """Of a scene unit, where depth is metric or a length is stated [m]."""
+    """Length of a scene unit, where depth is metric or a length is stated [m]."""
     log_sd: float = 0.0
-    """Standard deviation of its logarithm."""
+    """Standard deviation of the logarithm of `metres`."""
     stored: bool = False
     """Whether depth comes from files, whose unit is then taken to be the same in all clips."""
 
     def over(self, other: ClipLength) -> float | None:
-        """A scene unit of this clip over that of another; None where nobody knows."""
+        """A scene unit of this clip over that of another; None where it isn't known."""
         if self.metres is not None and other.metres is not None:
             return self.metres / other.metres
         return self.scale / other.scale if self.stored and other.stored else None
@@ -50,37 +51,36 @@ class ClipLength:
 
 @dataclass(frozen=True, eq=False)
 class PressedRun:
-    """What is kept of a run of contact that has an estimate; all logarithms are of k_s, k_d and |F|."""
+    """Summary of a run of contact that has an estimate; all logarithms are of k_s, k_d and |F|."""
 
     onset_frame: int
-    """Number of its first frame in contact."""
+    """Number of the first frame in contact."""
     begin: float
     """Time stamp of that frame [s]."""
     end: float
-    """When contact ended, or was seen last [s]."""
+    """Time at which contact ended, or was observed last [s]."""
     logs: np.ndarray
     """φ, shape [3]."""
     covariance: np.ndarray | None
-    """Of φ, shape [3, 3]; None from an estimator that knows none."""
+    """Covariance of φ, shape [3, 3]; None from an estimator without uncertainty."""
     expected: np.ndarray | None
-    """The same by which its verdict is given."""
+    """Covariance of φ by which the verdict is given, shape [3, 3]."""
     explained: bool
     """Whether the model explains the motion."""
 
     @classmethod
     def of(cls, run: InteractionEstimate) -> PressedRun | None:
-        """Of a run; None where it has no estimate, or one at zero."""
+        """Summarise a run; None where it has no estimate, or a parameter is zero."""
         found, contact = run.estimate, run.interaction
         if found is None or contact is None or not np.all(found.theta):
             return None
-        told = found.covariance is not None
         return cls(
             run.onset_frame,
             run.onset_time_s,
             run.onset_time_s + (contact.load_seconds if run.load_s is None else run.load_s),
             np.log(np.abs(found.theta)),
             found.covariance,
-            covariance(found.verdict_information) if told else None,
+            covariance(found.verdict_information) if found.covariance is not None else None,
             found.explained,
         )
 
@@ -91,20 +91,20 @@ class PressedRun:
 
 @dataclass(frozen=True, eq=False)
 class ForceScale:
-    """What turns estimates of a clip into newtons."""
+    """The scale that turns estimates of a clip into newtons."""
 
     log: float
     """g: log c, or log of c·k_s [N per unit of force, or N per scene unit]."""
     variance: float
-    """Of g."""
+    """Variance of g."""
     alike: str
-    """What contacts have in common, MASS or STIFFNESS."""
+    """The property that contacts share, MASS or STIFFNESS."""
     source: str
-    """What it comes from, in words."""
+    """Where the scale comes from, in words."""
     used: dict[int, float]
-    """Runs of this clip that told it by their first frames' numbers, with the weight of each in g."""
+    """Weight in g of every run of this clip that determined it, by the number of its first frame."""
     metric: bool = False
-    """Whether g comes from a stiffness in N/m, and so leans on the length of a scene unit."""
+    """Whether g comes from a stiffness in N/m, and so depends on the length of a scene unit."""
 
     def elsewhere(self, here: ClipLength, there: ClipLength) -> ForceScale:
         """The scale of another clip.
@@ -112,7 +112,7 @@ class ForceScale:
         c is a mass times the length of a scene unit over a time squared, c·k_s a stiffness in N/m times that length.
 
         Raises:
-            NoEstimate: how long a scene unit of one is in the other's isn't known.
+            NoEstimate: the ratio of the clips' scene units isn't known.
         """
         longer = there.over(here)
         if longer is None:
@@ -124,21 +124,21 @@ class ForceScale:
 
     def of(self, run: PressedRun, length: ClipLength) -> Physical:
         """A run in physical units."""
-        to_physical = np.eye(3) + SHARES[self.alike]
+        to_physical = np.eye(3) + EXPONENTS[self.alike]
         metric = length.metres is not None
         mean = to_physical @ run.logs + self.log
         if length.metres is not None:
             mean[:2] -= math.log(length.metres)
-        leans = np.array([self.metric - metric, self.metric - metric, self.metric], np.float64) * length.log_sd
+        length_error = np.array([self.metric - metric, self.metric - metric, self.metric], np.float64) * length.log_sd
         weight = self.used.get(run.onset_frame, 0.0)
 
         def spread(own: np.ndarray | None) -> np.ndarray | None:
             if own is None:
                 return None
-            # g = … - weight·(F's row)·φ where this run told it.
-            shared = -weight * to_physical @ own @ (FORCE + SHARES[self.alike])
+            # Where this run determined g, g = … - weight·(F's row)·φ.
+            shared = -weight * to_physical @ own @ (FORCE_ROW + EXPONENTS[self.alike])
             found = to_physical @ own @ to_physical.T + shared[:, None] + shared + self.variance
-            return found + np.outer(leans, leans)
+            return found + np.outer(length_error, length_error)
 
         return Physical(mean, spread(run.covariance), spread(run.expected), metric)
 
@@ -148,21 +148,21 @@ class Physical:
     """A run of contact in physical units."""
 
     logs: np.ndarray
-    """Of k_s, k_d and |F|, shape [3] [N/m, N·s/m and N; without a known length per scene unit]."""
+    """Logarithms of k_s, k_d and |F|, shape [3] [N/m, N·s/m, N; per scene unit where its length isn't known]."""
     covariance: np.ndarray | None
-    """Of them, shape [3, 3]."""
+    """Covariance of `logs`, shape [3, 3]."""
     expected: np.ndarray | None
-    """The same by which the verdict is given."""
+    """Covariance of `logs` by which the verdict is given, shape [3, 3]."""
     metric: bool
     """Whether stiffness and damping are per metre."""
 
     @property
     def determined(self) -> tuple[str, ...]:
-        """Names of what is known to within a factor e on either side of one standard deviation."""
+        """Names of the parameters whose log standard deviation is below `physics.identifiability.LIMIT`."""
         if self.expected is None:
             return ()
-        sure = np.sqrt(np.maximum(np.diag(self.expected), 0)) < LIMIT
-        return tuple(name for name, known in zip(PARAMETERS, sure, strict=True) if known)
+        determined = np.sqrt(np.maximum(np.diag(self.expected), 0)) < LIMIT
+        return tuple(name for name, known in zip(PARAMETERS, determined, strict=True) if known)
 
     @property
     def log_sd(self) -> np.ndarray | None:
@@ -176,15 +176,15 @@ def scale_by_force(
     """Scale from forces that are known in some runs.
 
     Args:
-        runs: of a clip.
+        runs: the runs of a clip.
         forces: first frame of a run, its force [N] and the standard deviation of the force's logarithm.
-        alike: MASS or STIFFNESS.
-        source: in words.
+        alike: the property that contacts share, MASS or STIFFNESS.
+        source: where the forces come from, in words.
 
     Raises:
-        NoEstimate: none of these runs tells a force well enough.
+        NoEstimate: the estimated force of none of these runs is determined.
     """
-    by_frame, row = {run.onset_frame: run for run in runs}, FORCE + SHARES[alike]
+    by_frame, row = {run.onset_frame: run for run in runs}, FORCE_ROW + EXPONENTS[alike]
     found: dict[int, tuple[float, float]] = {}
     why = "no press was estimated in the run of contact whose force is known"
     for frame, force, log_sd in forces:
@@ -201,7 +201,7 @@ def scale_by_force(
         own = 0.0 if run.covariance is None else float(row @ run.covariance @ row)
         found[frame] = math.log(force) - float(row @ run.logs), log_sd**2 + own
     if not found:
-        raise NoEstimate(f"Nothing is told in newtons: {why}.")
+        raise NoEstimate(f"No results in newtons: {why}.")
     precise = {frame: 1 / max(variance, 1e-12) for frame, (_, variance) in found.items()}
     total = sum(precise.values())
     weights = {frame: value / total for frame, value in precise.items()}
@@ -215,7 +215,7 @@ def measured_presses(
 ) -> list[tuple[int, float, float]]:
     """Forces of the runs that were measured within some seconds, as `scale_by_force` takes them.
 
-    The model's force is constant while it acts, so a run's is the mean of what was measured meanwhile.
+    The model's force is constant while it acts, so a run's force is the mean of the measurements in that time.
     """
     found = []
     for run in runs:
@@ -232,19 +232,19 @@ def scale_by_stiffness(value: float, log_sd: float, metric: bool, length: ClipLe
 
     Args:
         value: k_s [N/m, or N per scene unit].
-        log_sd: standard deviation of its logarithm.
-        metric: whether it is in N/m.
-        length: of a scene unit.
-        source: in words.
+        log_sd: standard deviation of the stiffness's logarithm.
+        metric: whether the stiffness is in N/m.
+        length: length of a scene unit.
+        source: where the stiffness comes from, in words.
 
     Raises:
-        NoEstimate: it is in N/m, and nobody knows how long a scene unit is.
+        NoEstimate: the stiffness is in N/m, and the length of a scene unit isn't known.
     """
     log = math.log(value)
     if metric:
         if length.metres is None:
             raise NoEstimate(
-                "Nothing is told in newtons: the stiffness is known in N/m, and the length of a scene unit isn't; "
+                "No results in newtons: the stiffness is known in N/m, and the length of a scene unit isn't; "
                 "give metres_per_depth."
             )
         log += math.log(length.metres)

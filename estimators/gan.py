@@ -1,7 +1,7 @@
 """The parameter network of a trained generator: θ of every frame in contact, and the motion that the simulator expects.
 
-Source: Bini 2026, section 3.4.4: per frame depth, mesh and contact; one forward pass; one forward simulation. The
-generator and the discriminators stay at home.
+Source: Bini 2026, section 3.4.4: per frame depth, mesh and contact; one forward pass; one forward simulation. Decoder
+and discriminators are not needed.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from physics.mechanics import SIGNS
 from physics.msd.simulation import simulate
 
 OBSERVATIONS = ("final", "release", "trajectory")
-SMALLEST = 1e-12
-"""Parameters nearer to 0 count as this before their logarithm is taken."""
+MIN_MAGNITUDE = 1e-12
+"""Smaller magnitudes of parameters count as this before their logarithm is taken."""
 
 
 class GanEstimator(ModelEstimator):
@@ -47,7 +47,7 @@ class GanEstimator(ModelEstimator):
     def __init__(self, model: ParameterModel) -> None:
         super().__init__(model)
         self.described = {"name": self.name}
-        """All is in the model's file."""
+        """All other settings are in the model's file."""
         self.observation: str = model.metadata.get("observation", "final")
         if self.observation not in OBSERVATIONS:
             raise ModelFileError(
@@ -60,22 +60,22 @@ class GanEstimator(ModelEstimator):
 
 
 class GanSession(RunSession):
-    """One clip; frames come one late, because the motion to the next frame is shown."""
+    """One clip; estimates come one frame late, because each includes the motion to the next frame."""
 
     def __init__(self, estimator: GanEstimator, clip: ClipInfo) -> None:
-        # Runs are followed at the clip's own frame rate; what a frame shows is simulated as the network was trained.
+        # Runs are followed at the clip's own frame rate; a frame's motion is simulated with the steps of the training.
         super().__init__(clip, estimator.mechanics)
         self.estimator = estimator
         self._window = FrameWindow(estimator.model.window)
-        self._seen = deque[tuple[bool, bool]](maxlen=estimator.model.window)
-        """Of the window's frames: whether they were seen out of contact, and in contact."""
+        self._contacts = deque[tuple[bool, bool]](maxlen=estimator.model.window)
+        """For each frame of the window whether it was observed out of contact, and whether in contact."""
         self._onset: PreparedFrame | None = None
         self._held: tuple[PreparedFrame, np.ndarray | None] | None = None
         self._log_sum, self._count = np.zeros(3), 0
-        """Sum of log |θ| over the frames in contact of the run under way, and how many they are."""
+        """Sum of log |θ| over the frames in contact of the current run, and their number."""
 
     def push(self, frame: PreparedFrame) -> Iterator[Said]:
-        """The next frame.
+        """Pass the next frame; yields the records of the frame before it and of runs that have ended.
 
         Raises:
             ModelFileError: the network gives a number that is not finite.
@@ -85,7 +85,7 @@ class GanSession(RunSession):
         self._held = frame, self._window.push(frame)
 
     def finish(self) -> Iterator[Said]:
-        """The last frame, and the run that the clip's end has cut off."""
+        """Yield the records of the last frame and of the run that the clip's end has cut off."""
         if self._held is not None:
             yield from self._pass(*self._held, None)
             self._held = None
@@ -95,7 +95,7 @@ class GanSession(RunSession):
         self, current: PreparedFrame, depth: np.ndarray | None, following: PreparedFrame | None
     ) -> Iterator[Said]:
         yield from self._ended(self._runs.push(current))
-        self._seen.append((current.seen_out, current.in_contact))
+        self._contacts.append((current.out_of_contact, current.in_contact))
         if current.track_start == current.frame.index:
             self._onset = current
         onset = self._onset if self._onset and current.track_start == self._onset.frame.index else None
@@ -103,34 +103,34 @@ class GanSession(RunSession):
         if contact is not None and run is not None and depth is not None:
             theta = self._theta(depth, current)
             if run.builder is not None and current.track_start == run.index:
-                self._log_sum += np.log(np.maximum(np.abs(theta.astype(np.float64)), SMALLEST))
+                self._log_sum += np.log(np.maximum(np.abs(theta.astype(np.float64)), MIN_MAGNITUDE))
                 self._count += 1
             lengths = self._displacements(theta, current, following, onset)
             direction = force_direction(contact.normal, current.displacement, self.clip.geometry)
             yield frame_estimate(
                 current,
                 self.clip,
-                Estimate(theta, told_verdict=_verdict(self._seen)),
+                Estimate(theta, told_verdict=_verdict(self._contacts)),
                 lengths=lengths,
                 arrow=force_arrow(theta, contact, self.clip, self.estimator.bounds, direction),
             )
         else:
             yield frame_estimate(current, self.clip)
         if not current.consecutive:
-            self._seen.clear()
+            self._contacts.clear()
 
     def _ended(self, run: Run | None) -> Iterator[InteractionEstimate]:
-        """The mean of log |θ| over a run's frames in contact."""
+        """Yield a run's record, whose log |θ| is the mean over its frames in contact."""
         if run is None:
             return
         if run.builder is None or run.passed:
             self._log_sum, self._count = np.zeros(3), 0
-            yield run.estimate(detail=run.unseen)
+            yield run.estimate(detail=run.unobserved)
             return
         theta = np.exp(self._log_sum / self._count) * SIGNS
         self._log_sum, self._count = np.zeros(3), 0
-        seen = run.builder.build(self.mechanics)
-        yield run.estimate(interaction=seen, estimate=Estimate(theta, told_verdict="undetermined"), detail=run.detail)
+        interaction, estimate = run.builder.build(self.mechanics), Estimate(theta, told_verdict="undetermined")
+        yield run.estimate(interaction=interaction, estimate=estimate, detail=run.detail)
 
     def _theta(self, window: np.ndarray, prepared: PreparedFrame) -> np.ndarray:
         """θ = [k_s, k_d, F] of a depth window, shape [3]."""
@@ -151,7 +151,7 @@ class GanSession(RunSession):
 
         `final`: the contact after T steps, and its motion to the next frame. `release`: the same after the load's last
         step. `trajectory`: the contact of the frame of onset, under load since then, at the time of the next frame, and
-        where its tissue point is then; None where the onset was not seen or lies further back than the horizon.
+        where its tissue point is then; None where the onset was not observed or lies further back than the horizon.
         """
         mechanics, observation = self.estimator.mechanics, self.estimator.observation
         steps, load_steps = mechanics.steps, mechanics.load_steps
@@ -178,13 +178,13 @@ class GanSession(RunSession):
         return length(path[-1]), None if observed is None else length(observed)
 
 
-def _verdict(seen: deque[tuple[bool, bool]]) -> str:
-    """Whether a window of consecutive frames shows contact begin, without which θ is undetermined."""
-    begins = any(out and touching for (out, _), (_, touching) in pairwise(seen))
+def _verdict(contacts: deque[tuple[bool, bool]]) -> str:
+    """The verdict on a window of consecutive frames: without the beginning of contact in it θ is undetermined."""
+    begins = any(out and touching for (out, _), (_, touching) in pairwise(contacts))
     return "onset_in_view" if begins else "undetermined"
 
 
 def length(vector: np.ndarray) -> float | None:
-    """Euclidean length; None where the vector has a number that is not finite."""
+    """Euclidean length of a vector; None where it has a number that is not finite."""
     found = float(np.linalg.norm(vector))
     return found if math.isfinite(found) else None

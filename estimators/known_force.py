@@ -1,7 +1,7 @@
-"""A force that was measured for a part of a motion, which tells it for the rest of it.
+"""The force of a whole motion from its measurement in a part of it.
 
-What moves linearly shows a force up to one factor: the deepest dent of a press, the relative force of a grip. The
-frames whose force is known tell the factor, and how far off it is; no length is needed.
+A linear motion determines its force up to one factor: the deepest dent of a press and the relative force of a grip are
+proportional to the force. The frames whose force is known give the factor and its error; no length is needed.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from estimators.estimate import NoEstimate
 
 COLUMNS = ("time_s", "force_N")
 LEAST_KNOWN = 3
-"""Fewer frames whose force is known tell no factor."""
+"""Fewest frames of known force that determine the factor."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,9 +25,9 @@ class KnownForce:
     """Measured forces; K of them."""
 
     times: np.ndarray
-    """Rising, in the clip's time, shape [K] [s]."""
+    """Times of the measurements in the clip's time, rising, shape [K] [s]."""
     force: np.ndarray
-    """Shape [K] [N]."""
+    """Measured forces, shape [K] [N]."""
 
     def at(self, times: np.ndarray) -> np.ndarray:
         """Force at some times, linear in between, not a number before the first and after the last, shape as given."""
@@ -39,53 +39,60 @@ class ForceCurve:
     """A force over time; T frames."""
 
     force: np.ndarray
-    """Shape [T] [N]."""
+    """Estimated force, shape [T] [N]."""
     sd: np.ndarray
-    """Its standard deviation, shape [T] [N]."""
+    """Standard deviation of the force, shape [T] [N]."""
     known: np.ndarray
-    """What was measured, shape [T] [N]; not a number where nothing was."""
+    """Measured force, shape [T] [N]; not a number where nothing was measured."""
     factor: float
-    """Force over what shows it."""
+    """Force over the quantity that is proportional to it."""
     factor_sd: float
-    """Its standard deviation."""
+    """Standard deviation of the factor."""
 
 
 def read_forces(path: Path) -> KnownForce:
     """Read a table of forces with the columns COLUMNS.
 
     Raises:
-        InputError: it can't be read, is too short, its times don't rise, or it holds something that is no number.
+        InputError: the table can't be read, is too short, its times don't rise, or a value is no number.
     """
     return KnownForce(*read_series(path, COLUMNS, "table of forces", LEAST_KNOWN).T)
 
 
-def fit_factor(shown: np.ndarray, force: np.ndarray) -> tuple[float, float, float]:
-    """Force over what shows it by least squares, its variance, and the standard deviation of what is left [N].
+def fit_factor(signal: np.ndarray, force: np.ndarray) -> tuple[float, float, float]:
+    """Force over a signal that is proportional to it, by least squares.
 
-    What is left changes slowly, so that the variance counts half of the frames.
-    """
-    square = float(shown @ shown)
-    factor = float(force @ shown) / square
-    left = float(np.square(force - factor * shown).sum()) / max(len(shown) - 1, 1)
-    return factor, 2 * left / square, math.sqrt(left)
-
-
-def predict_force(known: np.ndarray, shown: np.ndarray, shown_sd: np.ndarray) -> ForceCurve:
-    """Force of all frames from that of some.
+    Residuals change slowly, so that the variance counts half of the frames.
 
     Args:
-        known: measured, shape [T] [N]; not a number where it was not.
-        shown: what the force is proportional to, shape [T].
-        shown_sd: its standard deviation, shape [T].
+        signal: the signal, shape [K].
+        force: measured force, shape [K] [N].
+
+    Returns:
+        The factor, its variance, and the standard deviation of the residuals [N].
+    """
+    square = float(signal @ signal)
+    factor = float(force @ signal) / square
+    variance = float(np.square(force - factor * signal).sum()) / max(len(signal) - 1, 1)
+    return factor, 2 * variance / square, math.sqrt(variance)
+
+
+def predict_force(known: np.ndarray, signal: np.ndarray, signal_sd: np.ndarray) -> ForceCurve:
+    """Force in all frames from its measurement in some.
+
+    Args:
+        known: measured force, shape [T] [N]; not a number where nothing was measured.
+        signal: quantity that is proportional to the force, shape [T].
+        signal_sd: standard deviation of the signal, shape [T].
 
     Raises:
-        NoEstimate: too few frames are known, or nothing is shown in those.
+        NoEstimate: the force is known in too few frames, or the signal is 0 in all of those.
     """
     some = np.isfinite(known)
-    if some.sum() < LEAST_KNOWN or not shown[some].any():
+    if some.sum() < LEAST_KNOWN or not signal[some].any():
         raise NoEstimate(
-            f"The force is known in {int(some.sum())} frames that move; {LEAST_KNOWN} are needed to tell the others'."
+            f"The force is known in {int(some.sum())} frames that move; {LEAST_KNOWN} are needed for the other frames."
         )
-    factor, variance, left = fit_factor(shown[some], known[some])
-    sd = np.sqrt(variance * shown**2 + left**2 + (factor * shown_sd) ** 2)
-    return ForceCurve(factor * shown, sd, known, factor, math.sqrt(variance))
+    factor, variance, residual = fit_factor(signal[some], known[some])
+    sd = np.sqrt(variance * signal**2 + residual**2 + (factor * signal_sd) ** 2)
+    return ForceCurve(factor * signal, sd, known, factor, math.sqrt(variance))

@@ -1,4 +1,4 @@
-"""What an exported network says about how its input was prepared, read back as settings."""
+"""Preparation settings from an exported network's metadata."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from physics.mechanics import Bounds, Mechanics
 
 Settings = TypeVar("Settings")
 RETIRED = {"geometry.depth_radius": 0, "geometry.min_displacement": 1e-4}
-"""Settings of earlier versions, each with the one value that the program still has: where files say so, all is well."""
+"""Settings of earlier versions, each with the one value that the program still supports and files may state."""
 
 
 class ModelEstimator:
-    """What the estimators with a network have in common.
+    """Common part of the estimators with a network.
 
     Args:
         model: the exported network.
@@ -42,24 +42,24 @@ class ModelEstimator:
         self.model = model
 
     def preparation(self, chosen: Chosen) -> PrepareSettings:
-        """As the model was trained, with what the user chooses otherwise."""
+        """Preparation as in the model's training, with the user's choices."""
         return preparation_settings(self.model, chosen)
 
 
 def preparation_settings(model: ExportedModel, chosen: Chosen) -> PrepareSettings:
-    """How frames are to be prepared for a model: as it was trained, with what the user chooses otherwise.
+    """How frames are prepared for a model: as in its training, with the user's choices.
 
     Raises:
         ModelFileError: the metadata holds settings that this program does not know, or names a model file.
         ValueError: a chosen setting is impossible.
     """
     masks = chosen.masks
-    depth, given = section(model, "depth", DepthSettings), dict(chosen.depth)
-    if "source" not in given:
+    depth, wanted = section(model, "depth", DepthSettings), dict(chosen.depth)
+    if "source" not in wanted:
         _require_file(model, "depth", depth.source)
-    elif Path(given["source"]).name != depth.source:
-        # What the model's own depth network needs is not the chosen one's.
-        given = {"model": None, "preset": None} | given
+    elif Path(wanted["source"]).name != depth.source:
+        # The settings of the model's own depth network don't apply to the chosen one.
+        wanted = {"model": None, "preset": None} | wanted
     if masks is None:
         masks = model.metadata.get("masks", "auto")
         # Clips without annotation are the rule outside training.
@@ -67,7 +67,7 @@ def preparation_settings(model: ExportedModel, chosen: Chosen) -> PrepareSetting
         _require_file(model, "masks", masks)
     settings: dict[str, Any] = {name: model.metadata[name] for name in NUMBERS if name in model.metadata}
     settings |= {
-        "depth": dataclasses.replace(depth, **given),
+        "depth": dataclasses.replace(depth, **wanted),
         "geometry": dataclasses.replace(section(model, "geometry", GeometrySettings), **chosen.found),
         "masks": masks,
         "classes": section(model, "classes", MaskClasses),
@@ -81,7 +81,7 @@ def preparation_settings(model: ExportedModel, chosen: Chosen) -> PrepareSetting
 
 
 def _require_file(model: ExportedModel, option: str, name: str) -> None:
-    """Ask for a model file whose name, without a path, the metadata gives."""
+    """Raise a ModelFileError unless the model file that the metadata names, without its folder, exists here."""
     if name.endswith(".onnx") and not isfile(Path(name)):
         raise ModelFileError(
             f"{model.path} was trained with {option} from {name}; give that file's path as --{option}."
@@ -89,10 +89,10 @@ def _require_file(model: ExportedModel, option: str, name: str) -> None:
 
 
 def check_sources(settings: PrepareSettings) -> None:
-    """Open the depth and mask models that the settings name once, so that a wrong one is told before any work.
+    """Open the depth and mask models that the settings name once, so that a wrong one is reported before any work.
 
     Raises:
-        InputError: one can't be used.
+        InputError: a model can't be used.
     """
     depth = settings.depth
     segmentation = mask_model(settings.masks)

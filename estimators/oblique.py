@@ -1,9 +1,9 @@
 """Contacts pressed aslant to the line of sight: a dent may hide its own bottom, and its depth then looks too small.
 
-A point load's dent is about one grid cell (0.0027 scene units) wide and 0.01 to 0.06 deep. Seen from the side its near
-wall covers its bottom, so that the tracked contact is off by far more than the depth's noise. The motion alone doesn't
-always tell: softer, less deeply pressed tissue may explain it as well. `python -m evaluation.benchmark --suite oblique`
-shows what it does to estimates.
+A point load's dent is about one grid cell (0.0027 scene units) wide and 0.01 to 0.06 deep. In a view from the side its
+near wall covers its bottom, so that the tracked contact is off by far more than the depth's noise. The motion alone
+doesn't always reveal that: softer, less deeply pressed tissue may explain it as well. `python -m evaluation.benchmark
+--suite oblique` shows the effect on estimates.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from estimators.estimate import Estimate
 from physics.identifiability import box_information
 
 LARGEST_ANGLE = 5.0
-"""Presses at a larger angle to the line of sight are oblique [degrees]: there the bottom of a dent of 0.03 lies a whole
-grid cell aside. Of 36 validation clips tilted by up to 9 degrees, tracking was off by more than 2 σ in 28 of 29 above 4
+"""Presses at a larger angle to the line of sight are oblique [degrees]: there the bottom of a dent of 0.03 is a whole
+grid cell off. Of 36 validation clips tilted by up to 9 degrees, tracking was off by more than 2 σ in 28 of 29 above 4
 and in 4 of 7 below. Where tissue faces the camera, rounding to 8 bits turns the measured normal by more than this in
 about one clip of 200, by up to 6 degrees; noise of 0.004 by up to 2. (Development runs that no command repeats.)"""
 HIDDEN_ERROR = 0.015
@@ -40,7 +40,7 @@ def is_oblique(estimate: Estimate) -> bool:
 
 
 def effective_misfit(estimate: Estimate) -> float:
-    """The estimate's misfit, or that of the hidden error to be expected of an oblique contact where it is larger."""
+    """The estimate's misfit, or that of the expected hidden error of an oblique contact where it is larger."""
     return max(estimate.misfit, HIDDEN_ERROR / estimate.noise) if is_oblique(estimate) else estimate.misfit
 
 
@@ -50,10 +50,10 @@ def remark(estimate: Estimate) -> str:
 
 
 def widened(estimate: Estimate, misfit: float, box: np.ndarray) -> Estimate:
-    """The estimate with the covariance of a noise `misfit` times as large, within the box, added; so for its verdict.
+    """The estimate and its verdict with the covariance of a noise `misfit` times as large, within the box, added.
 
     Args:
         misfit: in units of the estimate's noise.
         box: lower and upper φ, shape [2, 3].
     """
-    return estimate.widened(np.linalg.inv(estimate.information / misfit**2 + box_information(box)))  # ty: ignore[unsupported-operator]  a contact that was seen
+    return estimate.widened(np.linalg.inv(estimate.information / misfit**2 + box_information(box)))  # ty: ignore[unsupported-operator]  a contact that was observed

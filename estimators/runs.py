@@ -1,4 +1,4 @@
-"""Runs of contact, gathered frame by frame: the part of a session that all estimators share."""
+"""Runs of contact, collected frame by frame: the part of a session that all estimators share."""
 
 from __future__ import annotations
 
@@ -14,41 +14,39 @@ from data.contact.evidence import SURE
 from data.contact.geometry import FrameGeometry
 from data.contact.interaction import ContactFrame, Horizon, Interaction, InteractionBuilder
 from data.contact.tissue_points import grid_to_picture
-from data.prepared import SEEN_OUT, PreparedFrame
+from data.prepared import OUT_OF_CONTACT, PreparedFrame
 from estimators.contract import ClipInfo
 from estimators.estimate import LARGEST_SLAB_ERROR, Estimate, FrameEstimate, InteractionEstimate, NoEstimate
 from estimators.grip.recorder import GripRecorder
 from physics.mechanics import Bounds, Mechanics
 
-NO_ONSET = (
-    "The onset of the contact was not seen, and without it the rest shape and the beginning of the load are unknown."
-)
-UNDECIDED = "Contact is not decided: the instrument hovered, and neither motion nor depth tells whether it touches since."
-PASSED = "No contact: the instrument moves, and the tissue beside it does not move with it."
-OUTLINES_ALONE = "Contact by outlines alone: nothing has moved yet that would tell whether tissue moves with the tool."
-NOT_SHOWN = "No displacement: the onset of contact was not seen, or lies beyond the model's horizon."
+NO_ONSET = "The onset of the contact was not observed; without it the rest shape and the load's beginning are unknown."
+UNDECIDED = "Contact is not decided: the instrument hovered, and neither motion nor depth shows whether it touches."
+PASSED = "No contact: the instrument moves, and the tissue next to it does not move with it."
+OUTLINES_ALONE = "Contact by outlines alone: nothing has moved yet that would show whether tissue moves with the tool."
+NOT_SHOWN = "No displacement: the onset of contact was not observed, or lies beyond the model's horizon."
 NOT_FOLLOWED = "The tissue at the contact could not be followed after its onset."
 FULL_ARROW = 0.3
 """Length of the drawn arrow of the largest admissible force, as a share of the contact point's depth."""
 
 
 class Run:
-    """One run of contact; its frames are dropped as they pass, what they tell of it is kept."""
+    """One run of contact; its frames are dropped as they pass, and only their observations are kept."""
 
     def __init__(self, first: PreparedFrame, clip: ClipInfo, seconds: float) -> None:
         frame = first.frame
         self.index, self.number, self.time_s, self.detail = frame.index, frame.number, frame.time_s, first.detail
-        """Of its first frame: index in the clip, number, time stamp [s], and what is wrong with the contact."""
+        """Index in the clip, number, time stamp [s] and warnings of the first frame."""
         self.last = frame.index
         """Index of the last frame in contact."""
         self.contact = math.nan
         """Largest probability of contact so far."""
         self.hovered = False
-        """Whether the tool was found to hover within it or right after it."""
+        """Whether the tool was found to hover within the run or right after it."""
         self.undecided = False
-        """Whether it begins or goes on where it is not decided that the tool touches."""
+        """Whether the run begins or goes on in a frame where contact is not decided."""
         self.builder: InteractionBuilder | None = None
-        """What is seen of it; None where its onset was not."""
+        """Builder of the interaction from its observations; None where the onset was not observed."""
         self.note(first)
         contact = first.geometry
         if contact is not None and first.track_start == frame.index:
@@ -56,31 +54,31 @@ class Run:
             self.builder = InteractionBuilder(*found, contact_frame(first), clip.geometry, seconds, clip.size)
 
     def note(self, current: PreparedFrame) -> None:
-        """What a frame within the run or right after it tells of whether there was contact."""
+        """Take in the contact probability of a frame within the run or right after it."""
         self.contact = float(np.fmax(self.contact, current.contact_probability))
         self.hovered |= current.hovers
         self.undecided |= current.undecided
 
     @property
     def passed(self) -> bool:
-        """Whether the tool only passed over the tissue: it hovered all the time, and nothing ever spoke for contact."""
+        """Whether the tool only passed over the tissue: it hovered all the time, and contact was never likely."""
         return self.hovered and not self.undecided and not self.contact >= SURE
 
     def add(self, current: PreparedFrame) -> None:
-        """A frame of the run, in contact or followed after it."""
+        """Add a frame of the run, in contact or followed after it."""
         if current.in_contact:
             self.last = current.frame.index
         if self.builder is not None:
             self.builder.add(contact_frame(current))
 
-    def estimate(self, **told) -> InteractionEstimate:
-        """The run's record, with what an estimator tells of it."""
+    def estimate(self, **results) -> InteractionEstimate:
+        """The run's record, with the results of an estimator as fields of `InteractionEstimate`."""
         load = None if self.builder is None else self.builder.load_seconds
-        return InteractionEstimate(self.index, self.number, self.time_s, load, **told)
+        return InteractionEstimate(self.index, self.number, self.time_s, load, **results)
 
     @property
-    def unseen(self) -> str:
-        """Why nothing can be estimated of a run that has no observation, or of none."""
+    def unobserved(self) -> str:
+        """Why nothing can be estimated of a run without observations, or without contact."""
         if self.passed:
             return PASSED
         if self.builder is None:
@@ -94,16 +92,16 @@ class RunTracker:
 
     Args:
         clip: the clip.
-        seconds: how long a run's motion counts [s].
+        seconds: longest motion of a run that counts, from its onset [s].
     """
 
     def __init__(self, clip: ClipInfo, seconds: float) -> None:
         self._clip, self._seconds = clip, seconds
         self.current: Run | None = None
-        """The run under way, after its release as well, as long as its tissue is followed."""
+        """The current run, after its release as well, as long as its tissue is followed."""
 
     def push(self, frame: PreparedFrame) -> Run | None:
-        """The next frame; gives a run that has ended before it."""
+        """Pass the next frame; returns the run that has ended before it, or None."""
         run = self.current
         if run is not None:
             if frame.frame.index - run.last <= self._clip.bridge_frames + 1:
@@ -113,7 +111,7 @@ class RunTracker:
                 return None
             missing = frame.frame.index - run.last
             if run.builder is None and not frame.in_contact and missing <= self._clip.bridge_frames:
-                return None  # it may be flicker
+                return None  # the gap may be flicker
         self.current = Run(frame, self._clip, self._seconds) if frame.in_contact else None
         return run
 
@@ -124,19 +122,19 @@ class RunTracker:
         return frame.in_contact and frame.track_start < 0 and missing <= self._clip.bridge_frames
 
     def finish(self) -> Run | None:
-        """The run that the clip's end has cut off."""
+        """Return the run that the clip's end has cut off, or None."""
         run, self.current = self.current, None
         return run
 
 
 class RunSession:
-    """What the sessions of all estimators share: the clip's runs of contact, and what is said of each at its end.
+    """The common part of all estimators' sessions: the clip's runs of contact, and the record of each at its end.
 
     Args:
         clip: the clip.
-        mechanics: of the estimator.
-        horizon: how much of a whole contact is looked at.
-        thickness: of the tissue, where a grip is to be explained by finite elements, too [scene units].
+        mechanics: constants of the estimator's simulator.
+        horizon: how much of a whole contact counts.
+        thickness: thickness of the tissue, where a grip is explained by finite elements as well [scene units].
     """
 
     def __init__(
@@ -151,11 +149,11 @@ class RunSession:
         self._grip: GripRecorder | None = None
 
     def finish(self) -> Iterator[FrameEstimate | InteractionEstimate]:
-        """The run that the clip's end has cut off."""
+        """Yield the record of the run that the clip's end has cut off."""
         yield from self._ended(self._runs.finish())
 
     def _follow(self, frame: PreparedFrame) -> None:
-        """Gather the motion around the instrument, too; for sessions that tell what a grip tells, after every frame."""
+        """Record the motion around the instrument, too; sessions that estimate grips call this after every frame."""
         run, start = self._runs.current, time.perf_counter()
         if run is None or self.clip.geometry.contact == "motion" or not self._follows(run):
             self._grip = None
@@ -166,26 +164,26 @@ class RunSession:
         self.seconds["grip"] += time.perf_counter() - start
 
     def _follows(self, run: Run) -> bool:
-        """Whether the motion around the instrument may be needed: nothing else tells of a run without an onset."""
+        """Whether the motion around the instrument may be needed: a run without an onset has no other observation."""
         return run.builder is None
 
     def _ended(self, run: Run | None) -> Iterator[InteractionEstimate]:
-        """What is said of a run, if one has ended: what the press tells, and the grip where that is nothing."""
+        """Yield the record of a run that has ended: of the press, and of the grip where the press is undetermined."""
         if run is None:
             return
         recorder, self._grip = self._grip, None
         if run.passed:
-            yield run.estimate(detail=run.unseen)
+            yield run.estimate(detail=run.unobserved)
             return
-        said = self._pressed(run)
-        if recorder is not None and said.verdict in ("", "undetermined"):
-            said = self._gripped(said, recorder, run.builder is None)
-        yield said
+        record = self._pressed(run)
+        if recorder is not None and record.verdict in ("", "undetermined"):
+            record = self._gripped(record, recorder, run.builder is None)
+        yield record
 
     def _pressed(self, run: Run) -> InteractionEstimate:
         contact = None if run.builder is None else run.builder.build(self.mechanics, self.horizon)
         if contact is None or len(contact.observation) == 0:
-            return run.estimate(detail=run.unseen)
+            return run.estimate(detail=run.unobserved)
         try:
             found, simulated, doubts = self._whole(contact)
         except NoEstimate as reason:
@@ -193,38 +191,39 @@ class RunSession:
         detail = f"{run.detail} {doubts}".strip()
         return run.estimate(interaction=contact, estimate=found, simulated=simulated, detail=detail)
 
-    def _gripped(self, said: InteractionEstimate, recorder: GripRecorder, only: bool) -> InteractionEstimate:
-        """What is said of a run, with what a grip tells; why that is nothing counts only where nothing else could."""
+    def _gripped(self, record: InteractionEstimate, recorder: GripRecorder, only: bool) -> InteractionEstimate:
+        """The record of a run with the estimate of its grip; failures are reported if that is the `only` estimate."""
         start = time.perf_counter()
         try:
-            found, told = recorder.estimate(), ""
+            found, sentence = recorder.estimate(), ""
         except NoEstimate as reason:
-            found, told = None, str(reason) if only else ""
+            found, sentence = None, str(reason) if only else ""
         self.seconds["grip"] += time.perf_counter() - start
         if found is not None and not found.explained:
             elsewhere = f", gripped elsewhere {found.rival:.2f}" if math.isfinite(found.rival) else ""
-            told = f"A sheet gripped by the instrument doesn't explain the motion (skill {found.skill:.2f}{elsewhere})."
+            skill = f"{found.skill:.2f}{elsewhere}"
+            sentence = f"A sheet gripped by the instrument doesn't explain the motion (skill {skill})."
         elif found is not None and found.slab_error > LARGEST_SLAB_ERROR:
-            told = f"A slab of this thickness leaves {found.slab_error:.0%} of the motion; F/E isn't known."
+            sentence = f"A slab of this thickness leaves {found.slab_error:.0%} of the motion; F/E isn't known."
         elif found is not None and not found.determined:
-            told = "A gripped sheet explains the motion, but neither its foundation nor its force over time is known."
-        return dataclasses.replace(said, grip=found, detail=f"{said.detail} {told}".strip())
+            sentence = "A gripped sheet explains the motion, but neither foundation nor force over time is known."
+        return dataclasses.replace(record, grip=found, detail=f"{record.detail} {sentence}".strip())
 
     def _whole(self, contact: Interaction) -> tuple[Estimate, tuple[np.ndarray, np.ndarray], str]:
-        """Of a whole contact: the estimate, the simulated motion as an `InteractionEstimate` has it, and doubts.
+        """The estimate of a whole contact, the simulated motion as an `InteractionEstimate` has it, and doubts.
 
         Raises:
-            NoEstimate: it can't be estimated.
+            NoEstimate: the contact can't be estimated.
         """
         raise NotImplementedError
 
 
 def contact_frame(frame: PreparedFrame) -> ContactFrame:
-    """What a prepared frame tells about its run of contact."""
+    """The part of a prepared frame that its run of contact keeps."""
     return ContactFrame(
         frame.frame.time_s,
         frame.in_contact,
-        frame.seen_out,
+        frame.out_of_contact,
         frame.consecutive,
         frame.track_position,
         frame.depth,
@@ -243,19 +242,22 @@ def frame_estimate(
     whole: bool = False,
     arrow: np.ndarray | None = None,
 ) -> FrameEstimate:
-    """The record of a frame; without an estimate it holds the status and what is known of the contact.
+    """The record of a frame; without an estimate it holds the status and the contact only.
 
     Args:
-        verdict: of a frame without an estimate.
-        lengths: of the simulated and the observed displacement [scene units].
-        doubts: sentences about what can't be trusted, behind the frame's own.
-        whole: whether they say already why no displacement is shown.
-        arrow: the force as it is drawn.
+        prepared: the frame.
+        clip: its clip.
+        estimate: the frame's estimate.
+        verdict: verdict of a frame without an estimate.
+        lengths: lengths of the simulated and the observed displacement [scene units].
+        doubts: sentences on why the estimate may be wrong, put after the frame's own.
+        whole: whether the doubts already say why no displacement is shown.
+        arrow: tail and tip of the drawn force, shape [2, 2] [px].
     """
     frame, contact = prepared.frame, prepared.geometry
-    untold = ""
+    outlines = ""
     if contact is not None and prepared.track_start < 0 and prepared.contact_probability < SURE:
-        untold = UNDECIDED if prepared.undecided else OUTLINES_ALONE
+        outlines = UNDECIDED if prepared.undecided else OUTLINES_ALONE
     missing = NOT_SHOWN if contact is not None and lengths[0] is None and not whole else ""
     u, v = None, None
     if contact is not None:
@@ -264,10 +266,10 @@ def frame_estimate(
         frame.number,
         frame.time_s,
         prepared.status,
-        detail=" ".join(filter(None, (prepared.detail or missing, untold, doubts))),
+        detail=" ".join(filter(None, (prepared.detail or missing, outlines, doubts))),
         estimate=estimate,
         verdict=verdict if estimate is None else estimate.verdict,
-        contact=True if contact is not None else False if prepared.status in SEEN_OUT else None,
+        contact=True if contact is not None else False if prepared.status in OUT_OF_CONTACT else None,
         contact_probability=float(prepared.contact_probability)
         if math.isfinite(prepared.contact_probability)
         else None,
@@ -283,7 +285,7 @@ def frame_estimate(
 def force_arrow(
     theta: np.ndarray, contact: FrameGeometry, clip: ClipInfo, bounds: Bounds, direction: np.ndarray
 ) -> np.ndarray | None:
-    """The force as it acts: tail and tip (u, v) [px] of an arrow that ends at the contact, as long as |F| is large."""
+    """Tail and tip (u, v), shape [2, 2] [px], of the drawn force: it ends at the contact, its length grows with |F|."""
     largest, camera = max(abs(value) for value in bounds.force), clip.camera
     tip = contact.tissue_point.astype(np.float64)
     tail = tip - direction * (FULL_ARROW * tip[2] * float(theta[2]) / largest)

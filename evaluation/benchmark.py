@@ -184,7 +184,7 @@ class Benchmark:
 
     def record(self) -> Mapping[str, Any]:
         """What the results depend on."""
-        found = {"seed": self.seed, "split": self.split, "seen": self.seen, "size": list(self.pixels)}
+        found: dict[str, Any] = {"seed": self.seed, "split": self.split, "seen": self.seen, "size": list(self.pixels)}
         found |= {"contact": self.contact}
         found |= {f"suite {name}": EVERY[name].describe() for name in self.suites}
         return found | {f"estimator {name}": describe(estimator) for name, estimator in self.estimators.items()}

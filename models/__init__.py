@@ -1,15 +1,15 @@
 """The networks, their training step, and their exported form.
 
 generator       encoder, parameter head and decoder; discriminator: the PatchGAN
-carried_depth   what physics alone makes of the next picture, for the decoder to start from
-posterior       θ of a contact with its covariance, and how well it can be known; contact_head: beside the picture
-expected_bound  the loss of what can be known; calibration: standard deviations that hold;
-                calibration_fit: which these are
+carried_depth   the next depth map as the simulator alone predicts it, from which the decoder starts
+posterior       θ of a contact with its covariance and expected bound; contact_head: the same with the picture added
+expected_bound  the loss of the expected bound
+calibration     settings of standard deviations with the right coverage; calibration_fit: fits them
 module          the training step; losses: its five terms; evidence: the physics term of a posterior
-augmentation    disturbed windows; records: what a test writes down; checkpoint: reading checkpoints
-onnx_export     a trained network as one ONNX file; onnx_calibration: one whose standard deviations hold
-onnx_session    running it, without torch
-weights/        the network that comes along, and its card
+augmentation    sensor noise on windows; records: one record a test pair; checkpoint: reading checkpoints
+onnx_export     writes a trained network as one ONNX file; onnx_calibration: calibrates such a file
+onnx_session    runs an exported network, without torch
+weights/        the networks that ship with the program, and their model cards
 """
 
 from physics.lazy import exported

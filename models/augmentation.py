@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 @dataclass(frozen=True)
 class AugmentationSettings:
-    """How the windows that the networks see are disturbed; what they are compared with never is."""
+    """Noise on the windows that enter the networks; the depth maps in the losses stay without it."""
 
     noise: float = 0.0
     """Standard deviation of Gaussian noise on every valid depth pixel [scene units]; 0 = none."""
@@ -23,7 +23,7 @@ class AugmentationSettings:
 
 
 class WindowAugmentation(nn.Module):
-    """Disturbs windows of depth maps, reproducibly: the same seed gives the same disturbance."""
+    """Adds noise to windows of depth maps, reproducibly: the same seed gives the same noise."""
 
     def __init__(self, settings: AugmentationSettings) -> None:
         super().__init__()
@@ -31,9 +31,9 @@ class WindowAugmentation(nn.Module):
         self.noise = RandomGaussianNoise(mean=0.0, std=settings.noise, p=1.0)
 
     def forward(self, window: Tensor, seed: int) -> Tensor:
-        """Window [B, K, H, W] with 0 = invalid → the disturbed window; invalid pixels stay invalid.
+        """Window [B, K, H, W] with 0 = invalid → the window with noise; invalid pixels stay invalid.
 
-        The global random state is left as it was, so that a resumed training sees what an uninterrupted one saw.
+        The global random state is left as it was, so that a resumed training gets the noise of an uninterrupted one.
         """
         if not self.settings.noise:
             return window

@@ -1,8 +1,8 @@
-"""A depth map carried along by the tissue under a press: what θ alone makes of the next picture.
+"""A depth map carried along by the tissue under a press: the next depth map as the simulator predicts it from θ alone.
 
-The rollout of θ says where the mesh's vertices are at the time of the map and at that of another frame. Both sheets are
-projected into the picture and rendered to depth; the map changes by their difference. All of it is differentiable by θ.
-Only the surroundings of the contact are carried: farther away, hardly anything moves.
+The rollout of θ gives the places of the mesh's vertices at the time of the map and at that of another frame. Both
+meshes are projected into the picture and rendered to depth; the map changes by their difference. All of it is
+differentiable by θ. Only the surroundings of the contact are carried: farther away, hardly anything moves.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from physics.mechanics import Mechanics
 from physics.msd import rollout
 from physics.msd.batch import MeshBatch, PressBatch
 
-REACH = 12
-"""Vertices up to so many rows and columns from the contact are carried."""
-HALF = REACH + 3
-"""The maps in which they move reach so many pixels from it: tissue shifts by a few of them at most."""
-SIDE = 2 * HALF + 1
-ITERATIONS = 8
-"""To find what a pixel shows: tissue that shifts by s pixels a pixel is found to s to this power."""
-INSIDE = 0.999
-"""Share of the tissue in what a pixel shows, from which on its slope counts."""
+CARRIED_RADIUS = 12
+"""Vertices up to this many rows and columns from the contact are carried [grid px]."""
+MAP_RADIUS = CARRIED_RADIUS + 3
+"""The maps in which the vertices move reach this far from the contact; tissue shifts by a few pixels [grid px]."""
+MAP_SIDE = 2 * MAP_RADIUS + 1
+ORIGIN_ITERATIONS = 8
+"""Iterations that find the tissue a pixel shows: for a shift that changes by s a pixel the error is s to this power."""
+MIN_TISSUE_SHARE = 0.999
+"""The slope at rest counts where at least this share of the interpolated pixels is tissue."""
 
 
 def carried(
     depth: Tensor, theta: Tensor, mesh: MeshBatch, load: PressBatch, course: Tensor, mechanics: Mechanics
 ) -> Tensor:
-    """Depth maps [B, 1, H, W] as they are at other times, if only θ's press moves the tissue: `shifted` by `change`."""
+    """Depth maps [B, 1, H, W] at other times, if only the press with θ moves the tissue: `shifted` by `change`."""
     return shifted(depth, change(theta.to(depth), mesh, load, course, mechanics))
 
 
@@ -43,18 +43,18 @@ def change(theta: Tensor, mesh: MeshBatch, load: PressBatch, course: Tensor, mec
 
     Args:
         theta: [k_s, k_d, F], physical units, shape [B, 3].
-        mesh: at rest, on the maps' grid.
-        load: of the rollout.
+        mesh: the tissue meshes at rest, on the maps' grid.
+        load: the presses of the rollout.
         course: steps since the rollout's beginning from which and to which the depth changes, shape [B, 2], int64;
-            beyond the rollout's last one, that.
+            steps beyond the rollout's last count as the last.
         mechanics: the rollout's constants.
     """
-    dent = _Dent(mesh, load, theta)
-    path = rollout(theta, mesh, load, mechanics, watch=dent.watched)
+    surroundings = _Surroundings(mesh, load, theta)
+    path = rollout(theta, mesh, load, mechanics, watch=surroundings.watched)
     path = torch.cat([torch.zeros_like(path[:, :1]), path], dim=1)
     index = course.clamp(max=path.shape[1] - 1)[:, :, None, None].expand(-1, -1, *path.shape[2:])
-    before, after = (dent.sunk(moved) for moved in path.gather(1, index).to(theta).unbind(1))
-    return dent.in_picture(after - before)
+    before, after = (surroundings.depth_change(moved) for moved in path.gather(1, index).to(theta).unbind(1))
+    return surroundings.in_picture(after - before)
 
 
 def change_of(kind: str, theta: Tensor, batch: Mapping[str, Any], side: str, mechanics: Mechanics) -> Tensor | None:
@@ -63,7 +63,7 @@ def change_of(kind: str, theta: Tensor, batch: Mapping[str, Any], side: str, mec
     Args:
         kind: one of `models.generator.DECODERS`.
         theta, mechanics: as in `change`.
-        batch: the data module's.
+        batch: a batch of the data module.
         side: a for forward in time, b for backward.
     """
     if kind != "physics":
@@ -73,10 +73,10 @@ def change_of(kind: str, theta: Tensor, batch: Mapping[str, Any], side: str, mec
 
 
 def shifted(depth: Tensor, by: Tensor | None) -> Tensor:
-    """Maps in [0, 1] with a change added, shape [B, 1, H, W]; invalid pixels (0) stay so, and without one all do.
+    """Maps in [0, 1] with a change added, shape [B, 1, H, W]; invalid pixels (0) stay so, and None changes nothing.
 
     Raises:
-        ValueError: the change is of another grid.
+        ValueError: the change is on another grid than the maps.
     """
     if by is None:
         return depth
@@ -85,7 +85,7 @@ def shifted(depth: Tensor, by: Tensor | None) -> Tensor:
     return torch.where(depth > 0, (depth + by).clamp(min=0.0, max=1.0), 0.0)
 
 
-class _Dent:
+class _Surroundings:
     """The tissue around B contacts as maps of S × S pixels, of the type of `like`; M vertices of each mesh move."""
 
     def __init__(self, mesh: MeshBatch, load: PressBatch, like: Tensor) -> None:
@@ -95,52 +95,53 @@ class _Dent:
         batch, contacts = len(starts), load.vertices[load.offsets[:-1]]
         centre = mesh.pixels[starts + contacts]
         apart = mesh.pixels - centre[sample]
-        near = (apart.abs() <= REACH).all(dim=1)
+        near = (apart.abs() <= CARRIED_RADIUS).all(dim=1)
         found = [near[first:last].nonzero()[:, 0] for first, last in pairwise(ends)]
         most = max(len(vertices) for vertices in found)
         self.watched = torch.stack(
             [torch.cat([own, contact.expand(most - len(own))]) for own, contact in zip(found, contacts, strict=True)]
         )
-        """Vertices within REACH of the contacts, each within its own mesh, shape [B, M]; filled up by the contacts."""
+        """Vertices near the contacts, numbered within their own mesh, shape [B, M]; padded by repeating the contact."""
         joined = self.watched + starts[:, None]
         vertices = mesh.vertices.to(like)
         self._vertices = vertices[joined]
-        self._places = ((apart[joined] + HALF) * like.new_tensor([SIDE, 1], dtype=torch.int64)).sum(dim=-1)
-        """Of the vertices in the maps, shape [B, M]."""
-        inner = (apart.abs() <= HALF).all(dim=1)
-        self._rest = vertices.new_zeros(batch, 2, SIDE, SIDE)
+        self._places = ((apart[joined] + MAP_RADIUS) * like.new_tensor([MAP_SIDE, 1], dtype=torch.int64)).sum(dim=-1)
+        """Flat indices of the vertices' pixels in the maps, shape [B, M]."""
+        inner = (apart.abs() <= MAP_RADIUS).all(dim=1)
+        self._rest = vertices.new_zeros(batch, 2, MAP_SIDE, MAP_SIDE)
         """Depth at rest, and 1 where there is tissue, shape [B, 2, S, S]."""
-        rows, columns = (apart[inner] + HALF).unbind(dim=1)
+        rows, columns = (apart[inner] + MAP_RADIUS).unbind(dim=1)
         self._rest[sample[inner], 0, rows, columns] = vertices[inner, 2]
         self._rest[sample[inner], 1, rows, columns] = 1.0
         self._camera = vertices.new_zeros(batch, 1, 3, 3)
         focal = [_focal_lengths(vertices[first:last], mesh.pixels[first:last]) for first, last in pairwise(ends)]
         self._camera[:, 0, [0, 1], [0, 1]] = torch.stack(focal)
         self._camera[:, 0, 2, 2] = 1.0
-        steps = torch.arange(SIDE, device=like.device)
+        steps = torch.arange(MAP_SIDE, device=like.device)
         grid = torch.stack(torch.meshgrid(steps, steps, indexing="ij"))
         self._pixels = grid.flip(0).to(like).expand(batch, -1, -1, -1)
         """Columns and rows of the maps, shape [B, 2, S, S]."""
-        rows, columns = (centre[:, :, None, None] + grid - HALF).unbind(dim=1)
+        rows, columns = (centre[:, :, None, None] + grid - MAP_RADIUS).unbind(dim=1)
         self._inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
         self._in_picture = rows.clamp(0, height - 1) * width + columns.clamp(0, width - 1)
 
-    def sunk(self, moved: Tensor) -> Tensor:
+    def depth_change(self, moved: Tensor) -> Tensor:
         """Change of every pixel's depth from rest at displacements [B, M, 3], shape [B, 1, S, S]."""
         shift = project_points(self._vertices + moved, self._camera) - project_points(self._vertices, self._camera)
         values = torch.cat([shift, moved[..., 2:]], dim=2).transpose(1, 2)
-        maps = values.new_zeros(len(values), 3, SIDE * SIDE)
-        maps = maps.scatter(2, self._places[:, None].expand(-1, 3, -1), values).view(-1, 3, SIDE, SIDE)
-        # What a pixel shows lay at rest where the shift leads to the pixel.
+        maps = values.new_zeros(len(values), 3, MAP_SIDE * MAP_SIDE)
+        maps = maps.scatter(2, self._places[:, None].expand(-1, 3, -1), values).view(-1, 3, MAP_SIDE, MAP_SIDE)
+        # The tissue that a pixel shows lay at rest where the shift leads to the pixel.
         origin = self._pixels
-        for _ in range(ITERATIONS):
+        for _ in range(ORIGIN_ITERATIONS):
             origin = self._pixels - _at(maps[:, :2], origin)
         rest = _at(self._rest, origin)
-        sloping = torch.where((rest[:, 1:] > INSIDE) & (self._rest[:, 1:] > 0), rest[:, :1] - self._rest[:, :1], 0.0)
+        on_tissue = (rest[:, 1:] > MIN_TISSUE_SHARE) & (self._rest[:, 1:] > 0)
+        sloping = torch.where(on_tissue, rest[:, :1] - self._rest[:, :1], 0.0)
         return _at(maps[:, 2:], origin) + sloping
 
     def in_picture(self, change: Tensor) -> Tensor:
-        """Maps [B, 1, S, S] in the whole picture, 0 elsewhere, shape [B, 1, H, W]."""
+        """Maps [B, 1, S, S] placed in the whole picture, 0 elsewhere, shape [B, 1, H, W]."""
         height, width = self._shape
         whole = change.new_zeros(len(change), height * width)
         known = torch.where(self._inside, change[:, 0], 0.0).flatten(1)
@@ -148,12 +149,12 @@ class _Dent:
 
 
 def _at(maps: Tensor, places: Tensor) -> Tensor:
-    """Maps [B, C, H, W] between their pixels, at columns and rows [B, 2, H, W]."""
+    """Maps [B, C, H, W] interpolated at columns and rows [B, 2, H, W]."""
     return remap(maps, places[:, 0], places[:, 1], align_corners=True)
 
 
 def _focal_lengths(vertices: Tensor, pixels: Tensor) -> Tensor:
-    """Along x and y, from where vertices [N, 3] are in the grid [N, 2], shape [2] [grid pixels]."""
+    """Focal lengths along x and y, from vertices [N, 3] and their rows and columns [N, 2], shape [2] [grid px]."""
     rays, places = vertices[:, :2] / vertices[:, 2:], pixels.flip(1).to(vertices)
     rays, places = rays - rays.mean(dim=0), places - places.mean(dim=0)
     return (rays * places).sum(dim=0) / rays.square().sum(dim=0)

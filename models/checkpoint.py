@@ -23,18 +23,18 @@ FIXED = (
     *("bounds.stiffness", "bounds.damping", "bounds.force"),
     *(f"mechanics.{field.name}" for field in fields(Mechanics)),
 )
-"""Model settings that a trained network can't change any more: its shape, and what its θ means."""
+"""Model settings that stay as they were in training: the network's shape, and the meaning of its θ."""
 
 WRITER = "python -m estimators.network.training"
-"""What writes pretrained posteriors."""
-STATE = {"state", "param_groups"}
-"""What a checkpoint keeps of an optimiser."""
-EXPORTED = "network."
-"""Before a weight's name in an exported posterior."""
+"""The command that writes pretrained posteriors, for messages."""
+OPTIMIZER_KEYS = {"state", "param_groups"}
+"""Keys of an optimiser's state in a checkpoint."""
+EXPORTED_PREFIX = "network."
+"""Prefix of a weight's name in an exported posterior."""
 EXPECTED_BOUND = ".expected_bound."
-"""In the names of weights by which verdicts are given."""
-SINCE = {"head": "parameters", "picture": True}
-"""What settings were that checkpoints of earlier versions don't name."""
+"""Part of the names of the weights behind the expected bound, by which verdicts are given."""
+EARLIER_DEFAULTS = {"head": "parameters", "picture": True}
+"""Values of the settings that checkpoints of earlier versions don't name."""
 
 
 class CheckpointError(ValueError):
@@ -42,7 +42,7 @@ class CheckpointError(ValueError):
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:
-    """Contents of a checkpoint of ours, on the CPU; reading it runs no code.
+    """Contents of a checkpoint that `train.py fit` wrote, on the CPU; reading it runs no code.
 
     Raises:
         CheckpointError: no such file, or not such a checkpoint.
@@ -61,10 +61,10 @@ def load_generator(path: Path) -> tuple[Generator, Mechanics, int]:
         The generator, the constants of its rollouts, and how many frames ahead it was trained to predict.
 
     Raises:
-        CheckpointError: it can't be read, or doesn't hold what its settings say.
+        CheckpointError: the file can't be read, or its weights don't fit its settings.
     """
     checkpoint = read_checkpoint(path)
-    settings = SINCE | checkpoint["hyper_parameters"]
+    settings = EARLIER_DEFAULTS | checkpoint["hyper_parameters"]
     try:
         generator = Generator(
             settings["window"],
@@ -90,13 +90,13 @@ def require_same_model(path: Path, configured: Mapping[str, Any]) -> None:
 
     Args:
         path: checkpoint.
-        configured: arguments of `PhysicsInformedGAN`, nested plain values.
+        configured: arguments of `PhysicsInformedGAN` as nested plain values.
 
     Raises:
         CheckpointError: the checkpoint can't be read, or one of `FIXED` differs; the message names it.
     """
     checkpoint = read_checkpoint(path)
-    trained = SINCE | checkpoint["hyper_parameters"]
+    trained = EARLIER_DEFAULTS | checkpoint["hyper_parameters"]
     for name in FIXED:
         was, now = _field(trained, name), _field(configured, name)
         if was != now:
@@ -130,14 +130,14 @@ def require_same_weights(path: Path, own: Mapping[str, torch.Tensor], *, resume:
         )
     states, loops = (checkpoint.get(name) for name in ("optimizer_states", "loops"))
     whole = isinstance(states, list) and isinstance(loops, dict) and isinstance(loops.get("fit_loop"), dict)
-    if resume and not (whole and all(isinstance(state, dict) and set(state) >= STATE for state in states)):
+    if resume and not (whole and all(isinstance(state, dict) and set(state) >= OPTIMIZER_KEYS for state in states)):
         raise CheckpointError(f"{path} holds no state of a training to go on from; give the last.ckpt of a run folder.")
 
 
 def load_posterior(posterior: ContactPosterior, path: Path) -> None:
-    """Give a contact posterior the weights of a file of ours, or of one that was exported; reading it runs no code.
+    """Load the weights of a file that WRITER wrote, or of an exported file, into a posterior; reading it runs no code.
 
-    The file knows no pictures: that projection stays as it is. An exported posterior's calibration is left behind.
+    The file has no projection of picture features, so the posterior's own stays. An exported calibration is left out.
 
     Raises:
         CheckpointError: no such file, not such a file, or one of another network or box.
@@ -163,23 +163,23 @@ def _exported(path: Path) -> dict[str, torch.Tensor]:
 
     try:
         model = onnx.load(path)
-        graph, told = model.graph, {entry.key: entry.value for entry in model.metadata_props}
+        graph, metadata = model.graph, {entry.key: entry.value for entry in model.metadata_props}
         weights = {
             name: torch.from_numpy(onnx.numpy_helper.to_array(item).copy())
             for item in graph.initializer
-            if (name := item.name.removeprefix(EXPORTED)) != item.name
+            if (name := item.name.removeprefix(EXPORTED_PREFIX)) != item.name
         }
-        box = Bounds(**json.loads(told[METADATA_KEY])["bounds"]).log_box
+        box = Bounds(**json.loads(metadata[METADATA_KEY])["bounds"]).log_box
     except OSError as error:
         raise CheckpointError(f"{path} can't be read ({error.strerror}); give a file that {WRITER} wrote.") from error
-    except Exception as error:  # protobuf's, JSON's, and of what is missing
+    except Exception as error:  # protobuf's, JSON's, and those of missing entries
         raise CheckpointError(f"{path} is no exported contact posterior; give one, or what {WRITER} wrote.") from error
-    # Of the box the exporter keeps what the network computes with.
+    # The exporter keeps the box in another form, so it is restored from the metadata.
     return weights | dict(zip(("lower", "upper"), torch.tensor(box, dtype=torch.float32), strict=True))
 
 
 def posterior_features(path: Path) -> int:
-    """Length of the vector that a contact posterior of a file of ours is told; reading it runs no code.
+    """Length of the contact's vector that a file's contact posterior takes as input; reading it runs no code.
 
     Raises:
         CheckpointError: no such file, or not such a file.
@@ -198,9 +198,9 @@ def _read(path: Path, writer: str) -> dict[str, Any]:
     if not zipfile.is_zipfile(path):  # not a checkpoint at all, or cut short
         raise CheckpointError(unreadable)
     try:
-        with warnings.catch_warnings(action="ignore"):  # torch's, about pickles that are none of its own
+        with warnings.catch_warnings(action="ignore"):  # torch warns of pickles that it did not write
             content = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # by where a file is damaged, readers of zip files, pickles or numbers give up
+    except Exception as error:  # zip, pickle or number readers fail, depending on the damage
         raise CheckpointError(unreadable) from error
     if not isinstance(content, dict):
         raise CheckpointError(unreadable)

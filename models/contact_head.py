@@ -1,4 +1,4 @@
-"""The generator's parameter head that says how sure it is: the contact's posterior, with the picture beside it."""
+"""The generator's parameter head with uncertainty: the posterior of the contact, with the picture as a second input."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ class ContactHead(nn.Module):
     the average pool nothing but zeros, then ReLU and the pool.
 
     Args:
-        channels: of the encoder's features.
+        channels: number of channels of the encoder's features.
         bounds: admissible box of θ and where the untrained head starts in it.
         contact_features: length of the contact's vector.
-        picture: whether it looks at the encoder's features at all.
+        picture: whether the head uses the encoder's features at all.
     """
 
     lower: Tensor
@@ -30,12 +30,12 @@ class ContactHead(nn.Module):
         super().__init__()
         if contact_features < 1:
             raise ValueError(
-                "head posterior is told of the contact's motion and its noise; set data.samples.observation to "
+                "head posterior needs the contact's motion and its noise; set data.samples.observation to "
                 "trajectory and data.geometry.smoothing above 0, or choose head parameters."
             )
         self.convolution = nn.Conv2d(channels, channels, 3, stride=2, padding=1) if picture else None
-        seen = channels if picture else 0
-        self.posterior = ContactPosterior(contact_features, torch.from_numpy(bounds.log_box), picture=seen)
+        picture_channels = channels if picture else 0
+        self.posterior = ContactPosterior(contact_features, torch.from_numpy(bounds.log_box), picture=picture_channels)
         self.register_buffer("lower", torch.tensor(bounds.lower), persistent=False)
         self.register_buffer("upper", torch.tensor(bounds.upper), persistent=False)
         with torch.no_grad():

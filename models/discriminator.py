@@ -15,7 +15,7 @@ class PatchDiscriminator(nn.Module):
     the fourth block has stride 1, which gives the 70 that the paper prints.
 
     Args:
-        channels: channels of the picture that is judged.
+        channels: channels of the depth map.
         width: channels of the first block (the paper has 64).
     """
 

@@ -1,4 +1,4 @@
-"""The evidence bound of contact posteriors: the physics loss of a head that says how sure it is.
+"""The evidence bound of contact posteriors: the physics loss of a head with uncertainty.
 
 q(φ) = N(mean, L·Lᵀ) over φ = (log k_s, log k_d, log |F|). The likelihood of an observed motion d is N(Φ(φ), σ²),
 linearised at the mean by the rollout's exact Jacobian; the prior is the Gaussian with the mean and the variance of the
@@ -12,10 +12,10 @@ from torch import Tensor
 
 from models.posterior import evidence_loss
 
-LONGEST_MOVE = 1.0
-"""A mean is moved no farther than this at once in any log-parameter: the linearisation reaches no farther."""
-PULL = 0.2
-"""Weight of the mean's pull against the covariance's; it changes how fast the two are learnt, not where they end."""
+MAX_MEAN_STEP = 1.0
+"""A mean moves at most this far at once in any log-parameter, because the linearisation holds no farther."""
+MEAN_WEIGHT = 0.2
+"""Weight of the mean's gradient against the covariance's; it changes how fast the two are learnt, not their optimum."""
 
 
 def negative_evidence(
@@ -24,8 +24,9 @@ def negative_evidence(
     """-E_q[log p(d|φ)] + KL(q‖prior), the mean over the batch: its value, with the gradient of `preconditioned`.
 
     Args:
-        mean, factor: of q, shapes [B, 3] and [B, 3, 3].
-        misfit, gradient, information: of the likelihood at the means (`physics.msd.likelihoods.linearise`).
+        mean, factor: mean and covariance factor L of q, shapes [B, 3] and [B, 3, 3].
+        misfit, gradient, information: the likelihood's value and derivatives at the means
+            (`physics.msd.likelihoods.linearise`).
         lower, upper: φ's box, shape [3].
 
     Returns:
@@ -48,17 +49,17 @@ def preconditioned(
     *,
     whiten: bool = True,
 ) -> Tensor:
-    """`evidence_loss` with the prior added and every mean's pull H·move replaced by √H·move, no longer than allowed.
+    """`evidence_loss` with the prior added and every mean's gradient H·move replaced by √H·move, of a limited length.
 
-    It vanishes where the bound's own does. What is known a hundred times better than something else would otherwise be
-    learnt ten thousand times faster, and one badly explained contact would drown all others.
+    It vanishes where the bound's own gradient does. A parameter that is known a hundred times better than another would
+    otherwise be learnt ten thousand times faster, and one badly explained contact would outweigh all others.
 
     Args:
-        mean, factor: of q, shapes [B, 3] and [B, 3, 3].
-        gradient, information: of the misfits at the means, shapes [B, 3] and [B, 3, 3], constants.
+        mean, factor: mean and covariance factor L of q, shapes [B, 3] and [B, 3, 3].
+        gradient, information: derivatives of the misfits at the means, shapes [B, 3] and [B, 3, 3], constants.
         lower, upper: φ's box, shape [3].
-        whiten: off for the plain pull, divided by the root of H's mean diagonal: at first, what can be known best may
-            well be learnt first.
+        whiten: False for the plain gradient, divided by the root of H's mean diagonal: early in training the best
+            known parameters may well be learnt first.
     """
     prior, away = _prior(mean, lower, upper)
     gradient, information = gradient + away @ prior, information + prior
@@ -66,24 +67,24 @@ def preconditioned(
     along = torch.einsum("brq,br->bq", vectors, gradient)
     move = torch.einsum("bpq,bq->bp", vectors, along / values)
     if whiten:
-        pull = PULL * torch.einsum("bpq,bq->bp", vectors, along * values.rsqrt())
+        pull = MEAN_WEIGHT * torch.einsum("bpq,bq->bp", vectors, along * values.rsqrt())
     else:
         pull = gradient / values.mean(dim=1, keepdim=True).sqrt()
-    shorter = (LONGEST_MOVE / move.abs().amax(dim=1).clamp(min=1e-12)).clamp(max=1.0)
+    shorter = (MAX_MEAN_STEP / move.abs().amax(dim=1).clamp(min=1e-12)).clamp(max=1.0)
     return evidence_loss(mean, factor, pull, information, shorter)
 
 
 def covering(mean: Tensor, factor: Tensor, best: Tensor, information: Tensor) -> Tensor:
     """Cross entropy of q and the likelihoods' own posteriors N(best, H⁻¹), the mean over the batch, up to a constant.
 
-    Least by the covariance where that is H⁻¹ and the square of the mean's own error: one network for all contacts finds
-    none of their optima exactly, and the evidence bound, whose covariance is H⁻¹ alone, would never tell. It is the
+    Over the covariance it is least at H⁻¹ plus the square of the mean's own error: one network for all contacts finds
+    none of their optima exactly, and the evidence bound, whose covariance is H⁻¹ alone, ignores that error. It is the
     loss of neural posterior estimation (Papamakarios & Murray 2016) with draws from N(best, H⁻¹) averaged out.
 
     Args:
-        mean, factor: of q, shapes [B, 3] and [B, 3, 3].
+        mean, factor: mean and covariance factor L of q, shapes [B, 3] and [B, 3, 3].
         best: optima of likelihood and prior, shape [B, 3].
-        information: H there, the prior's with it, shape [B, 3, 3], a constant.
+        information: H there, including the prior's precision, shape [B, 3, 3], a constant.
     """
     values, vectors = torch.linalg.eigh(information.double())
     spread = (vectors * values.rsqrt()[:, None]).to(factor)

@@ -17,16 +17,16 @@ from physics.mechanics import Bounds
 
 SMALLEST_SIDE = 16
 """Smallest height and width [pixels]: the features are a quarter of that and still leave a variance to normalise by."""
-WIDEST, MOST_BLOCKS = 256, 64
-"""Four times the paper's width has half a billion weights."""
+MAX_WIDTH, MAX_BLOCKS = 256, 64
+"""Largest width and number of residual blocks; four times the paper's width has half a billion weights."""
 DECODERS = ("direct", "residual", "physics")
 HEADS = ("parameters", "posterior")
 LEAST_DEPTH = 1e-3
 """Depths are kept this far from 0 and 1 before their logit is taken."""
 
 
-class Answer(NamedTuple):
-    """What a head says about a batch."""
+class HeadOutput(NamedTuple):
+    """Output of a head for a batch."""
 
     theta: Tensor
     """[k_s, k_d, F], physical units, F signed, shape [B, 3]."""
@@ -101,26 +101,27 @@ class Decoder(nn.Module):
 
     Source: Bini 2026, section 3.4.1.
     Upsampling resizes to a given size before a 3×3 convolution, so that odd sizes are met exactly.
-    Instance norm takes the level and the spread of a depth map away before the decoder sees it, and the tiled θ can't
-    bring them back. `residual` therefore adds the layers' answer to the current frame, in logit space, and `physics` to
-    what the rollout of θ makes of that (`models.carried_depth`), which is where it begins. Its layers aren't told θ as
-    well: they would undo a part of what the rollout says that θ changes.
+    Instance norm removes the level and the spread of a depth map before the decoder gets it, and the tiled θ can't
+    bring them back. `residual` therefore adds the layers' output to the current frame, in logit space; `physics` adds
+    it to the current frame carried along by the rollout of θ (`models.carried_depth`). Its layers don't get θ as an
+    input: they would undo a part of the change that the rollout of θ predicts.
     """
 
     def __init__(self, width: int, residual_blocks: int, kind: Literal["direct", "residual", "physics"]) -> None:
         super().__init__()
         self.kind = kind
         channels = 4 * width
-        told = 0 if kind == "physics" else 3
+        theta_channels = 0 if kind == "physics" else 3
         # No instance norm here: it would subtract a tiled constant, and θ would never reach the picture.
-        self.condition = nn.Sequential(nn.Conv2d(channels + told, channels, 1), nn.ReLU())
+        self.condition = nn.Sequential(nn.Conv2d(channels + theta_channels, channels, 1), nn.ReLU())
         self.blocks = nn.Sequential(*(ResidualBlock(channels) for _ in range(residual_blocks)))
         self.up_half = normalised_block(nn.Conv2d(channels, 2 * width, 3, padding=1, padding_mode="reflect"))
         self.up_full = normalised_block(nn.Conv2d(2 * width, width, 3, padding=1, padding_mode="reflect"))
         self.output = nn.Conv2d(width, 1, 7, padding=3, padding_mode="reflect")
         if kind != "direct":
             with torch.no_grad():
-                self.output.weight.mul_(0.1 if told else 0.0)  # start near the current frame, with a slope in tiled θ
+                # Training starts near the current frame, with a slope in tiled θ.
+                self.output.weight.mul_(0.1 if theta_channels else 0.0)
                 self.output.get_parameter("bias").zero_()
 
     def forward(self, features: Tensor, scaled_theta: Tensor, current: Tensor) -> Tensor:
@@ -153,7 +154,7 @@ class Generator(nn.Module):
         head: parameters (paper): θ from the window alone; posterior: a Gaussian over log θ from the contact's vector
             and the window; see `models.contact_head.ContactHead`.
         contact_features: length of the contact's vector; head posterior needs it.
-        picture: whether head posterior looks at the encoder's features.
+        picture: whether head posterior uses the encoder's features.
     """
 
     def __init__(
@@ -172,15 +173,15 @@ class Generator(nn.Module):
             if value not in choices:
                 raise ValueError(f"{name} is {value!r}; choose {' or '.join(choices)}.")
         if not picture and head != "posterior":
-            raise ValueError(f"picture is false and head {head}, which sees nothing else; choose head posterior.")
+            raise ValueError(f"picture is false and head {head}, which has no other input; choose head posterior.")
         if channels < 1 or width < 1 or residual_blocks < 0:
             raise ValueError(
                 f"channels is {channels}, width {width} and residual_blocks {residual_blocks}; "
                 "give at least 1 channel, a width of at least 1 and no negative number of blocks."
             )
-        if width > WIDEST or residual_blocks > MOST_BLOCKS:
+        if width > MAX_WIDTH or residual_blocks > MAX_BLOCKS:
             raise ValueError(
-                f"width is {width} and residual_blocks {residual_blocks}; give at most {WIDEST} and {MOST_BLOCKS}."
+                f"width is {width} and residual_blocks {residual_blocks}; give at most {MAX_WIDTH} and {MAX_BLOCKS}."
             )
         self.channels = channels
         self.encoder = nn.Sequential(
@@ -216,35 +217,35 @@ class Generator(nn.Module):
             raise ValueError(f"depth is {depth.shape[2]}×{depth.shape[3]}; give {SMALLEST_SIDE} pixels a side or more.")
         return self.encoder(depth)
 
-    def answer(self, features: Tensor, contact: Tensor | None = None) -> Answer:
-        """The head's answer to features [B, 4·width, H//4, W//4].
+    def answer(self, features: Tensor, contact: Tensor | None = None) -> HeadOutput:
+        """The head's output for features [B, 4·width, H//4, W//4].
 
         Args:
-            features: `encode`'s answer.
-            contact: the contact's vector, shape [B, contact_features]; head parameters has no use for it.
+            features: output of `encode`.
+            contact: the contact's vector, shape [B, contact_features]; head parameters ignores it.
 
         Raises:
             ValueError: head posterior without the contact's vector.
         """
         if isinstance(self.head, ParameterHead):
-            return Answer(self.head(features))
+            return HeadOutput(self.head(features))
         if contact is None:
             raise ValueError(
                 "the batch lacks the contacts' vectors; head posterior needs data.samples.observation trajectory and "
                 "data.geometry.smoothing above 0."
             )
         mean, factor = self.head(features, contact)
-        return Answer(self.head.theta(mean), mean, factor)
+        return HeadOutput(self.head.theta(mean), mean, factor)
 
     def estimate(self, depth: Tensor, contact: Tensor | None = None) -> Tensor:
         """P(E(D)): window [B, K, H, W] and contact's vector → θ [B, 3] (Bini 2026, below equation 12)."""
         return self.answer(self.encode(depth), contact).theta
 
     def decode(self, features: Tensor, theta: Tensor, current: Tensor) -> Tensor:
-        """Next depth map from features that are already there.
+        """Next depth map from encoded features.
 
         Args:
-            features: `encode`'s answer, shape [B, 4·width, H//4, W//4].
+            features: output of `encode`, shape [B, 4·width, H//4, W//4].
             theta: [k_s, k_d, F], physical units, shape [B, 3].
             current: the current frame's depth, with decoder physics carried along by the rollout of θ, shape
                 [B, 1, H, W]; its invalid pixels (0) stay invalid, because no network can know what a hole hides and a

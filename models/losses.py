@@ -3,7 +3,7 @@
 Source: Bini 2026, section 3.4.2. Depth is in [0, 1], normalised by the clip's fixed scale; 0 marks a pixel without a
 measurement. Such pixels are left out of every reconstruction term: a difference to "unknown" is not an error.
 A term that belongs to one generator is added over the two directions of time, and the cycle term, which both generators
-share, carries the paper's ½: each generator then sees exactly the paper's weights.
+share, carries the paper's ½: each generator is then trained with exactly the paper's weights.
 """
 
 from __future__ import annotations
@@ -104,8 +104,8 @@ def physics_loss(
     Args:
         theta: [k_s, k_d, F], physical units, shape [B, 3].
         mesh: the frames' tissue meshes.
-        load: where, along which direction and how long the force acts.
-        observation: contact displacements that were seen, and the steps at which [scene units].
+        load: place, direction and duration of the force.
+        observation: observed contact displacements [scene units], and their steps.
         mechanics: the rollout's constants.
 
     Returns:
@@ -125,14 +125,14 @@ def posterior_physics_loss(
     box: tuple[Tensor, Tensor],
     dent: DepthBatch | None = None,
 ) -> tuple[Tensor, Tensor]:
-    """The physics term of head posterior: the negative evidence bound of what was seen up to the sample's frame.
+    """The physics term of head posterior: the negative evidence bound of the observations up to the sample's frame.
 
     Args:
-        mean, factor: of the posterior of φ, shapes [B, 3] and [B, 3, 3].
+        mean, factor: mean and covariance factor of the posterior of φ, shapes [B, 3] and [B, 3, 3].
         noise: σ of every observed coordinate, shape [B] [scene units].
         mesh, load, observation, mechanics: as in `physics_loss`.
         box: φ's lower and upper bounds, shape [3] each.
-        dent: the tissue around the contact, which then counts instead of its point alone.
+        dent: observed depth of the tissue around the contact, which replaces the motion of its point alone.
 
     Returns:
         The bound [nats], a scalar, and the Fisher information at the means, shape [B, 3, 3], a constant.

@@ -16,7 +16,7 @@ from models.carried_depth import change_of, shifted
 from models.checkpoint import load_posterior
 from models.discriminator import PatchDiscriminator
 from models.expected_bound import bound_loss
-from models.generator import Answer, Generator
+from models.generator import Generator, HeadOutput
 from models.losses import (
     LossTerms,
     LossWeights,
@@ -54,20 +54,20 @@ class PhysicsInformedGAN(LightningModule):
         width: channels of the networks' first layer.
         residual_blocks: residual blocks of each decoder.
         decoder: direct (paper): the next depth map from features and θ alone; residual: as a change of the current one;
-            physics: as a change of what the rollout of θ makes of that.
+            physics: as a change of the current one carried along by the rollout of θ.
         head: parameters (paper): θ from the window, trained by the squared displacement error; posterior: θ with its
             covariance from the contact's motion and the window, trained by the evidence bound.
         contact_features: length of the contact's vector, for head posterior; train.py takes it from the data.
-        picture: whether head posterior looks at the encoder's features; without, what pictures add can be told.
-        pretrained: weights of head posterior that `estimators.network.training` wrote, or
-            `estimators.network.calibration` exported, taken over before training; shipped: those that come with the
+        picture: whether head posterior uses the encoder's features; switched off in ablations.
+        pretrained: weights of head posterior that `estimators.network.training` wrote or
+            `estimators.network.calibration` exported, loaded before training; shipped: those that come with the
             program.
         pretrained_rate: share of `learning_rate` at which pretrained heads are trained on; 0 keeps them as they are.
         bounds: admissible box of θ.
         mechanics: constants of the rollout.
         weights: λ of the five loss terms; a term of weight 0 is not computed, and without gan no discriminator trains.
-        augmentation: disturbances of the input windows while training.
-        learning_rate: Adam's, for all three optimisers.
+        augmentation: noise on the input windows in training.
+        learning_rate: Adam's rate, for all three optimisers.
         betas: Adam's momentum coefficients.
     """
 
@@ -132,10 +132,10 @@ class PhysicsInformedGAN(LightningModule):
         self._theta: dict[str, list[Tensor]] = {"train": [], "val": []}
 
     def on_fit_start(self) -> None:
-        """Take over the pretrained head, unless training goes on from a checkpoint.
+        """Load the pretrained head, unless training resumes from a checkpoint.
 
         Raises:
-            CheckpointError: the file is missing, not such a file, or of another box.
+            CheckpointError: the file is missing, holds no contact posterior, or was trained with another box.
         """
         if self.pretrained is not None and self.trainer.ckpt_path is None:
             path = SHIPPED if self.pretrained == "shipped" else Path(self.pretrained)
@@ -186,7 +186,7 @@ class PhysicsInformedGAN(LightningModule):
                 cycled_b = self.generator_ab.generate(with_current(window_a, fake_a), ab.theta, start_a)
                 cycle = cycle_loss(cycled_a, real_a, cycled_b, real_b)
         if weights.identity:
-            # Without a force physics leaves every map as it is.
+            # Without a force the simulator leaves every map as it is.
             unchanged_a = self.generator_ab.decode(features_a, null_parameters(ab.theta), real_a)
             unchanged_b = self.generator_ba.decode(features_b, null_parameters(ba.theta), real_b)
             identity = identity_loss(unchanged_a, real_a) + identity_loss(unchanged_b, real_b)
@@ -263,39 +263,39 @@ class PhysicsInformedGAN(LightningModule):
     def _change(self, theta: Tensor, batch: dict[str, Any], side: str) -> Tensor | None:
         return change_of(self.generator_ab.decoder.kind, theta, batch, side, self.mechanics)
 
-    def _physics(self, ab: Answer, ba: Answer, batch: dict[str, Any]) -> Tensor:
+    def _physics(self, ab: HeadOutput, ba: HeadOutput, batch: dict[str, Any]) -> Tensor:
         """L_physics in both directions of time (Bini 2026, figure 2)."""
         return self._physics_of(self.generator_ab, ab, batch, "a") + self._physics_of(self.generator_ba, ba, batch, "b")
 
-    def _physics_of(self, generator: Generator, answer: Answer, batch: dict[str, Any], side: str) -> Tensor:
+    def _physics_of(self, generator: Generator, output: HeadOutput, batch: dict[str, Any], side: str) -> Tensor:
         """The squared displacement error of a head's θ, or the negative evidence bound of its posterior.
 
-        The latter is about the frames up to the sample's own: a posterior is judged by what it was told. Unless the
-        head is pretrained, the bound by which verdicts are given is learnt beside it, from the information at the mean:
-        nothing better is known then, and how often such verdicts are right was not measured.
+        The bound counts the frames up to the sample's own, since the posterior had no later ones as input. Unless the
+        head is pretrained, the expected bound behind the verdicts is learnt at the same time, from the information at
+        the mean: nothing better is known then, and how often such verdicts are right was not measured.
         """
         mesh = batch[f"mesh_{side}"]
-        if answer.mean is None or answer.factor is None:
+        if output.mean is None or output.factor is None:
             load, observation = batch[f"load_{side}"], batch[f"observation_{side}"]
-            return physics_loss(answer.theta, mesh, load, observation, self.mechanics)
-        noise, load, seen = (batch[f"{name}_{side}"] for name in ("noise", "seen_load", "seen_observation"))
+            return physics_loss(output.theta, mesh, load, observation, self.mechanics)
+        noise, load, observed = (batch[f"{name}_{side}"] for name in ("noise", "known_load", "known_observation"))
         posterior = generator.posterior
         evidence, information = posterior_physics_loss(
-            answer.mean,
-            answer.factor,
+            output.mean,
+            output.factor,
             noise,
             mesh,
             load,
-            seen,
+            observed,
             self.mechanics,
             (posterior.lower, posterior.upper),
             batch.get(f"dent_{side}"),
         )
-        if self.pretrained is not None:  # it has learnt the bound where θ was known better
+        if self.pretrained is not None:  # pretraining learnt the bound at better known θ
             return evidence
         expected = posterior.expected_bound_factor(batch[f"contact_features_{side}"])
         error = bound_loss(expected, information.cpu().numpy())
-        return evidence + (error - error.detach())  # learnt beside it, and no part of its value
+        return evidence + (error - error.detach())  # adds its gradient, and nothing to the value
 
     def _judge(
         self,
@@ -305,7 +305,7 @@ class PhysicsInformedGAN(LightningModule):
         fake: Tensor,
         batch: dict[str, Any],
     ) -> Tensor:
-        """One step of a discriminator; its loss, detached."""
+        """Train a discriminator by one step and return its loss, detached."""
         self.toggle_optimizer(optimizer)
         loss = discriminator_loss(discriminator(real), discriminator(fake.detach()))
         self._step(optimizer, loss, batch)
@@ -313,7 +313,7 @@ class PhysicsInformedGAN(LightningModule):
         return loss.detach()
 
     def _augmented(self, window: Tensor, direction: int) -> Tensor:
-        """The window as the networks see it while training; the seed follows the step, so that resuming is exact."""
+        """The window with the noise of training; the seed follows the step, so that resuming is exact."""
         step = self.global_step if self._trainer is not None else 0
         return self.augmentation(window, seed=(2 * step + direction) * 1009 + self.global_rank)
 

@@ -1,6 +1,6 @@
-"""Calibration of an exported posterior: its standard deviations are made to hold, within the file itself.
+"""Calibration of an exported posterior: its standard deviations get the right coverage, within the file itself.
 
-Of any posterior, whatever trained it: nothing but the file is needed.
+It works for any exported posterior, however it was trained: nothing but the file is needed.
 """
 
 from __future__ import annotations
@@ -18,15 +18,16 @@ from models.onnx_export import PARITY_TOLERANCE, ParityError, require_own_model,
 from models.onnx_session import CONTACT, INPUT, LOG_COVARIANCE, LOG_MEAN, METADATA_KEY, PosteriorModel
 from physics.files import as_json, replacing
 
-PREFIX = "calibration/"
-"""Before the names of what is added to a file."""
-OWN = f"{PREFIX}own"
-"""Name within a calibrated file of the covariance that the network gives."""
-EXAMPLES = 7
+NAME_PREFIX = "calibration/"
+"""Prefix of the names of nodes that calibration adds to a file."""
+UNCALIBRATED = f"{NAME_PREFIX}own"
+"""Name within a calibrated file of the network's own covariance."""
+PARITY_BATCH = 7
+"""Samples on which the calibrated file is compared with torch."""
 
 
 class Widening(nn.Module):
-    """Covariances with calibrated standard deviations, by what the contacts' vectors tell and the means."""
+    """Calibrates the standard deviations of covariances, by the contacts' vectors and the means."""
 
     def __init__(self, calibration: Calibration) -> None:
         super().__init__()
@@ -34,15 +35,15 @@ class Widening(nn.Module):
 
     def forward(self, contact: Tensor, mean: Tensor, covariance: Tensor) -> Tensor:
         """Vectors [B, features], a network's means [B, 3] and covariances [B, 3, 3] → calibrated covariances."""
-        told, log_sd = self.calibration, 0.5 * torch.log(covariance.diagonal(dim1=1, dim2=2))
-        known = log_sd, _sum_of(contact, told.noise_features), mean @ torch.tensor(LOG_DAMPING)[:, None]
-        widened = _widened(told.whole, *known)
-        if told.known_features:
-            released = _sum_of(contact, told.known_features) - _sum_of(contact, told.loaded_features) > 0.5
-            widened = torch.where(released, widened, _widened(told.pressed, *known))
-        if told.within_features:
-            unknown = _sum_of(contact, told.within_features) > 0
-            between = torch.maximum(widened, _widened(told.between, *known))
+        settings, log_sd = self.calibration, 0.5 * torch.log(covariance.diagonal(dim1=1, dim2=2))
+        known = log_sd, _sum_of(contact, settings.noise_features), mean @ torch.tensor(LOG_DAMPING)[:, None]
+        widened = _widened(settings.whole, *known)
+        if settings.known_features:
+            released = _sum_of(contact, settings.known_features) - _sum_of(contact, settings.loaded_features) > 0.5
+            widened = torch.where(released, widened, _widened(settings.pressed, *known))
+        if settings.within_features:
+            unknown = _sum_of(contact, settings.within_features) > 0
+            between = torch.maximum(widened, _widened(settings.between, *known))
             widened = torch.where(unknown, between, widened)
         return covariance * (widened[:, :, None] * widened[:, None, :])
 
@@ -53,14 +54,14 @@ def calibrate(source: Path, output: Path, calibration: Calibration) -> float:
     Args:
         source: file that `models.onnx_export.export` wrote.
         output: file to write; it appears only when it is complete and agrees with torch.
-        calibration: of its standard deviations.
+        calibration: widths of its standard deviations.
 
     Returns:
         Largest difference of the covariances from torch's.
 
     Raises:
         ModelFileError: the file is no exported posterior.
-        ValueError: it is calibrated already.
+        ValueError: the file is calibrated already.
         ForeignFile: another file than an exported network is at `output`.
         ParityError: the difference is over 1e-5.
     """
@@ -68,7 +69,7 @@ def calibrate(source: Path, output: Path, calibration: Calibration) -> float:
     if plain.calibrated:
         raise ValueError(f"{source} is calibrated already; give the file that was exported from the training.")
     random = torch.Generator().manual_seed(0)
-    inputs = {name: torch.rand(EXAMPLES, *shape, generator=random) for name, shape in plain.inputs.items()}
+    inputs = {name: torch.rand(PARITY_BATCH, *shape, generator=random) for name, shape in plain.inputs.items()}
     contact, widening = inputs[CONTACT], Widening(calibration).eval()
     mean, own, _ = (torch.from_numpy(values).float() for values in plain(contact.numpy(), _numpy(inputs.get(INPUT))))
     model = onnx.load(source)
@@ -90,12 +91,12 @@ def calibrate(source: Path, output: Path, calibration: Calibration) -> float:
 
 
 def _append(graph: onnx.GraphProto, widening: onnx.ModelProto) -> None:
-    """Put a graph from (contact, mean, own) to the covariance behind one that gives the covariance, then called own."""
+    """Append a graph from (contact, mean, own) to the covariance to a graph whose covariance is then called own."""
     for node in graph.node:
         for names in (node.input, node.output):
-            names[:] = [OWN if name == LOG_COVARIANCE else name for name in names]
-    added = onnx.compose.add_prefix(widening, PREFIX).graph
-    outer = {f"{PREFIX}{name}": name for name in (CONTACT, LOG_MEAN, LOG_COVARIANCE)}
+            names[:] = [UNCALIBRATED if name == LOG_COVARIANCE else name for name in names]
+    added = onnx.compose.add_prefix(widening, NAME_PREFIX).graph
+    outer = {f"{NAME_PREFIX}{name}": name for name in (CONTACT, LOG_MEAN, LOG_COVARIANCE)}
     for node in added.node:
         for names in (node.input, node.output):
             names[:] = [outer.get(name, name) for name in names]
@@ -108,7 +109,7 @@ def _numpy(values: Tensor | None):
 
 
 def _sum_of(contact: Tensor, features: Sequence[int]) -> Tensor:
-    """Sum of some of a contact's features, 0 of none, shape [B, 1]."""
+    """Sum of some of a contact's features, 0 where there are none, shape [B, 1]."""
     return contact[:, list(features)].sum(dim=1, keepdim=True)
 
 

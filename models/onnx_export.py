@@ -1,8 +1,8 @@
-"""Trained network → one ONNX file that appears only when it agrees with torch, with what inference must know beside it.
+"""Trained network → one ONNX file with all metadata for inference; it appears only when it agrees with torch.
 
-A generator gives its encoder and parameter head. A contact posterior gives itself and the covariance of its expected
-bound; one that is a generator's head takes the depth window beside the contact's vector. `models.onnx_calibration`
-calibrates the file.
+Of a generator the encoder and the parameter head are exported, of a contact posterior the posterior itself and the
+covariance of its expected bound; a posterior that is a generator's head takes the depth window in addition to the
+contact's vector. `models.onnx_calibration` calibrates the file.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from models.onnx_session import (
     EXPECTED_BOUND,
     FORMAT_VERSION,
     INPUT,
+    MAX_FILE_BYTES,
     METADATA_KEY,
-    MOST_BYTES,
     POSTERIOR,
     ExportedModel,
     ParameterModel,
@@ -53,7 +53,7 @@ UNITS = {
 
 
 class ParityError(RuntimeError):
-    """The exported file computes something else than the network it was made from."""
+    """The exported file computes something else than the network from which it was made."""
 
 
 class _Parameters(nn.Module):
@@ -74,7 +74,7 @@ class _Parameters(nn.Module):
 
 
 class _Posterior(nn.Module):
-    """Mean and covariance, and that of the expected bound, by which verdicts are given."""
+    """Mean and covariance of the posterior, and the covariance of the expected bound, by which verdicts are given."""
 
     kind = PosteriorModel
 
@@ -88,7 +88,7 @@ class _Posterior(nn.Module):
         return self.network.posterior if isinstance(self.network, Generator) else self.network
 
     def examples(self, batch: int, window: tuple[int, int, int]) -> dict[str, Tensor]:
-        """Random inputs by their names in the file: contacts are spread like the training's."""
+        """Random inputs by their names in the file: contacts are spread like those of the training."""
         random, centre = torch.Generator().manual_seed(batch), self.posterior.centre
         contact = centre + self.posterior.scale * torch.randn(batch, len(centre), generator=random)
         depth = {INPUT: torch.rand(batch, *window, generator=random)} if isinstance(self.network, Generator) else {}
@@ -113,15 +113,15 @@ def export(
     Args:
         network: trained G_AB, or a posterior alone.
         output: file to write; it appears only when it is complete and agrees with torch.
-        metadata: JSON-able entries beside those written here (format version, kind, units, program versions); must hold
-            `input` (window, height, width).
+        metadata: JSON-able entries in addition to those written here (format version, kind, units, program versions);
+            must hold `input` (window, height, width).
 
     Returns:
-        Largest difference of the outputs over batches of 1, 2 and 7; of the expected bound's covariance, which is large
-        where nothing is known, relative to numbers above 1.
+        Largest difference of the outputs over batches of 1, 2 and 7. For the expected bound's covariance, which is
+        large where nothing is known, the difference is relative where numbers are above 1.
 
     Raises:
-        ForeignFile: another file than such a one is there.
+        ForeignFile: `output` exists and is no exported network.
         ParityError: the difference is over 1e-5.
     """
     versions = {package.__name__: package.__version__ for package in (torch, onnx, onnxruntime)}
@@ -133,8 +133,8 @@ def export(
     if isinstance(network, Generator) and isinstance(network.head, ParameterHead):
         exported = _Parameters(network)
     else:
-        blind = isinstance(network, Generator) and network.posterior.picture is None
-        exported = _Posterior(network.posterior if blind else network)
+        without_picture = isinstance(network, Generator) and network.posterior.picture is None
+        exported = _Posterior(network.posterior if without_picture else network)
         document |= {"head": POSTERIOR, "calibration": asdict(Calibration())}
     exported.cpu().eval()
     window = tuple(metadata["input"][name] for name in ("window", "height", "width"))
@@ -163,8 +163,8 @@ def require_own_model(path: Path) -> None:
     if not os.path.lexists(path):
         return
     try:
-        found = onnx.load_model_from_string(read_file(path, MOST_BYTES)).metadata_props
-    except Exception as error:  # by where a file is damaged, protobuf or onnx gives up
+        found = onnx.load_model_from_string(read_file(path, MAX_FILE_BYTES)).metadata_props
+    except Exception as error:  # protobuf or onnx fails, depending on the damage
         raise ForeignFile(path) from error
     if METADATA_KEY not in {entry.key for entry in found} or path.is_symlink():
         raise ForeignFile(path)
@@ -178,15 +178,15 @@ def parity(network: _Parameters | _Posterior, model: ExportedModel, window: tupl
         with torch.inference_mode():
             expected = [values.numpy() for values in network(*inputs.values())]
         found = model.run({name: values.numpy() for name, values in inputs.items()})
-        for name, wanted, given in zip(model.outputs, expected, found, strict=True):
+        for name, wanted, computed in zip(model.outputs, expected, found, strict=True):
             size = np.maximum(np.abs(wanted), 1) if name == EXPECTED_BOUND else 1
-            largest = max(largest, float(np.max(np.abs(given - wanted) / size)))
+            largest = max(largest, float(np.max(np.abs(computed - wanted) / size)))
     return largest
 
 
 def to_onnx(network: nn.Module, inputs: dict[str, Tensor], outputs: Sequence[str]) -> onnx.ModelProto:
     """A network as a graph with a dynamic batch, from examples of its inputs by their names."""
-    # The exporter tells of a missing torchvision, which nothing here uses, and of its dependencies' deprecations.
+    # The exporter warns of a missing torchvision, which nothing here uses, and of its dependencies' deprecations.
     logging.getLogger("torch.onnx._internal.exporter._registration").setLevel(logging.ERROR)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -23,11 +23,11 @@ from physics.fields import fits
 from physics.files import as_json, read_file
 
 SHIPPED = Path(__file__).resolve().parent / "weights" / "contact.onnx"
-"""The contact posterior that comes with the program; its card lies beside it."""
+"""The contact posterior that ships with the program; its model card lies in the same folder."""
 METADATA_KEY = "palpate"
 """Key of the custom metadata entry that holds everything inference needs, as one JSON document."""
-MOST_BYTES = 2**30
-"""Of a file; no network of ours has so many, and an ONNX file can't have more than twice that."""
+MAX_FILE_BYTES = 2**30
+"""Largest size of a model file; this program's networks are smaller, and ONNX allows no more than twice that."""
 FORMAT_VERSION = 1
 """Version of that document's layout; raised when a reader of the old layout would misread the new one."""
 POSTERIOR = "posterior"
@@ -37,12 +37,12 @@ CONTACT, LOG_MEAN, LOG_COVARIANCE = "contact", "log_mean", "log_covariance"
 EXPECTED_BOUND = "decisive_covariance"
 """Covariance by which verdicts are given, of `models.posterior.ExpectedBound`, under the name it has in files."""
 
-LARGEST = 1e9
-"""No number of the document is farther from 0."""
-DEEPEST = 8
-"""Levels of values within a field of the document; ours have four."""
+MAX_NUMBER = 1e9
+"""Largest absolute value of a number in the document."""
+MAX_LEVELS = 8
+"""Most levels of nested values within a field of the document; exports have four."""
 _SIZES = range(1, 4097)
-"""Of the depth window: frames, and pixels along a side."""
+"""Allowed sizes of the depth window: frames, and pixels along a side."""
 _FIELDS: dict[str, Any] = {
     "input": dict.fromkeys(("window", "height", "width"), _SIZES),
     **dict.fromkeys(("bounds", "mechanics", "geometry", "classes"), dict),
@@ -56,7 +56,7 @@ _FIELDS: dict[str, Any] = {
     "contact": {"press_seconds": tuple[float, float]},
     "calibration": {"whole": dict},
 }
-"""What the document's fields are, as `fits` takes it; files may lack all but the input's."""
+"""Types of the document's fields, as `fits` takes them; files may lack all but `input`."""
 
 
 class ModelFileError(ValueError):
@@ -71,17 +71,17 @@ class ExportedModel:
         threads: CPU threads for one call; None leaves the choice to ONNX Runtime.
 
     Raises:
-        ModelFileError: no such file, not an ONNX file, not a network of ours or of another kind, with metadata that
-            can't be used, or newer than this program.
+        ModelFileError: the file is missing, is no ONNX file, was not exported by this program or is of another kind,
+            has metadata that can't be used, or is newer than this program.
     """
 
     outputs: tuple[str, ...] = ()
-    """Names of what this kind gives."""
+    """Names of the outputs of this kind."""
 
     def __init__(self, path: str | Path, threads: int | None = None) -> None:
         self.path = Path(path)
         self._session, self.sha256 = _open_session(self.path, threads)
-        """`sha256`: of what was opened, whatever becomes of the file."""
+        """`sha256` is the hash of the content that was opened, whatever happens to the file later."""
         self.metadata: dict[str, Any] = _read_metadata(self.path, self._session)
         """Everything the export wrote: bounds, units, mechanics, preprocessing settings, calibration and versions."""
         size = self.metadata["input"]
@@ -93,21 +93,21 @@ class ExportedModel:
         """Shape of every input without the batch, by its name."""
 
     def run(self, values: Mapping[str, np.ndarray | None]) -> list[np.ndarray]:
-        """Outputs of this kind, float32, of a batch of inputs by their names.
+        """Outputs of this kind, float32, for a batch of inputs by their names.
 
         Raises:
             ValueError: an input is missing or has another shape.
             ModelFileError: the network fails, or takes more memory than there is.
         """
         for name, shape in self.inputs.items():
-            given = np.asarray(values[name]).shape
-            if given[1:] != shape or not given:
+            actual = np.asarray(values[name]).shape
+            if actual[1:] != shape or not actual:
                 expected = ", ".join(map(str, shape))
-                raise ValueError(f"{self.path}: {name} has shape {list(given)}; expected [B, {expected}].")
+                raise ValueError(f"{self.path}: {name} has shape {list(actual)}; expected [B, {expected}].")
         feed = {name: np.ascontiguousarray(values[name], np.float32) for name in self.inputs}
         try:
             return [np.asarray(value) for value in self._session.run(self.outputs, feed)]
-        except Exception as error:  # ONNX Runtime's have no class of their own in common
+        except Exception as error:  # ONNX Runtime's exceptions have no common class
             raise ModelFileError(f"{self.path} can't be run; export it again with train.py export.") from error
 
     def _require(self, inputs: dict[str, tuple[int, ...]]) -> None:
@@ -152,17 +152,17 @@ class PosteriorModel(ExportedModel):
     def __init__(self, path: str | Path, threads: int | None = None) -> None:
         super().__init__(path, threads)
         self.takes_depth = INPUT in self.inputs
-        """Whether it looks at the depth window as well."""
+        """Whether the network takes the depth window as well."""
         depth = {INPUT: (self.window, *self.input_size)} if self.takes_depth else {}
         self._require({CONTACT: (self.inputs.get(CONTACT) or (0,))[:1]} | depth)
-        told = self.metadata.get("calibration", {}).get("whole", {})
-        if "decisive" in told:
+        whole = self.metadata.get("calibration", {}).get("whole", {})
+        if "decisive" in whole:
             raise ModelFileError(
                 f"{self.path} gives its verdicts by standard deviations, as an earlier version did; export it again."
             )
         plain = json.loads(as_json(asdict(Widths())))
-        self.calibrated = plain | told != plain
-        """Whether its standard deviations are more than the network's own."""
+        self.calibrated = plain | whole != plain
+        """Whether its standard deviations are calibrated."""
 
     def __call__(
         self, contact: np.ndarray, depth: np.ndarray | None = None
@@ -199,46 +199,46 @@ def _open_session(path: Path, threads: int | None) -> tuple[onnxruntime.Inferenc
     if not path.is_file():
         raise ModelFileError(f"{path} is not a file; give the file that train.py export wrote.")
     options = onnxruntime.SessionOptions()
-    options.log_severity_level = 4  # what goes wrong is said once, below
+    options.log_severity_level = 4  # errors are reported once, below
     if threads is not None:
-        # More than there are cores wait for each other, busily.
+        # More threads than cores would wait for each other, busily.
         options.intra_op_num_threads = min(threads, os.cpu_count() or 1)
     available = onnxruntime.get_available_providers()
     providers = [name for name in ("CUDAExecutionProvider", "CPUExecutionProvider") if name in available]
     try:
-        content = read_file(path, MOST_BYTES)
+        content = read_file(path, MAX_FILE_BYTES)
         return (
             onnxruntime.InferenceSession(content, options, providers=providers),
             hashlib.sha256(content).hexdigest(),
         )
     except OSError as error:
         raise ModelFileError(f"{path} can't be read ({error.strerror}); check the file and its permissions.") from error
-    except Exception as error:  # ONNX Runtime's have no class of their own in common
+    except Exception as error:  # ONNX Runtime's exceptions have no common class
         raise ModelFileError(f"{path} is not a readable ONNX file; export it again with train.py export.") from error
 
 
 def _read_metadata(path: Path, session: onnxruntime.InferenceSession) -> dict[str, Any]:
-    """The document that our export wrote into a file.
+    """The document that the export wrote into a file.
 
     Raises:
-        ModelFileError: the file is not ours, newer than this program, or has a field that can't be used.
+        ModelFileError: the file lacks the document, is newer than this program, or has a field that can't be used.
     """
     try:
         metadata = json.loads(session.get_modelmeta().custom_metadata_map[METADATA_KEY])
         version = metadata["format_version"]
-        ours = fits(version, int) and set(_FIELDS["input"]) <= set(metadata["input"])
+        exported = fits(version, int) and set(_FIELDS["input"]) <= set(metadata["input"])
     except (KeyError, TypeError, ValueError, RecursionError):
-        ours = False
-    if not ours:
-        foreign = "is an ONNX file without palpate's metadata; give a file that train.py export wrote"
-        raise ModelFileError(f"{path} {foreign}.")
+        exported = False
+    if not exported:
+        problem = "is an ONNX file without palpate's metadata; give a file that train.py export wrote"
+        raise ModelFileError(f"{path} {problem}.")
     if version > FORMAT_VERSION:
-        told = f"has format {reprlib.repr(version)} and this program reads up to {FORMAT_VERSION}"
-        raise ModelFileError(f"{path} {told}; update the program.")
+        problem = f"has format {reprlib.repr(version)} and this program reads up to {FORMAT_VERSION}"
+        raise ModelFileError(f"{path} {problem}; update the program.")
     for name, value in metadata.items():
-        if not (_sound([name, value], DEEPEST) and fits(value, _FIELDS.get(name, Any))):
-            told = f"has unusable metadata, {reprlib.repr(name)}: {reprlib.repr(value)}"
-            raise ModelFileError(f"{path} {told}; export it again with train.py export.")
+        if not (_sound([name, value], MAX_LEVELS) and fits(value, _FIELDS.get(name, Any))):
+            problem = f"has unusable metadata, {reprlib.repr(name)}: {reprlib.repr(value)}"
+            raise ModelFileError(f"{path} {problem}; export it again with train.py export.")
     return metadata
 
 
@@ -249,7 +249,7 @@ def _sound(value: Any, levels: int) -> bool:
         return levels > 0 and all(_sound(each, levels - 1) for each in inner)
     if isinstance(value, str):
         return value.isprintable()
-    return value is None or abs(value) <= LARGEST
+    return value is None or abs(value) <= MAX_NUMBER
 
 
 def _described(inputs: Mapping[str, tuple[int, ...]]) -> str:

@@ -1,4 +1,4 @@
-"""Amortised posterior of one contact: mean and covariance of (log k_s, log k_d, log |F|) from what was seen of it.
+"""Amortised posterior of one contact: mean and covariance of (log k_s, log k_d, log |F|) given its observation.
 
 A residual network on the contact's features (`data.contact.features`); a picture's features may be added through a
 projection that starts at zero, so that it changes nothing until it helps.
@@ -16,7 +16,7 @@ from physics.identifiability import LIMIT
 LOG_SD_RANGE = (-5.0, 1.0)
 """Diagonal of a covariance's factor, in logarithms: standard deviations between 0.7 % and a factor e^2.7."""
 FACTOR_NUMBERS = 6
-"""Numbers that make a factor of a covariance: its diagonal's logarithms, and its slopes."""
+"""Count of numbers that make a factor of a covariance: its diagonal's logarithms, and its slopes."""
 
 
 class ResidualLayer(nn.Module):
@@ -49,13 +49,13 @@ def covariance_factor(raw: Tensor) -> Tensor:
 class ExpectedBound(nn.Module):
     """Factor L of a covariance L·Lᵀ whose standard deviations are about the medians of the Cramér–Rao bounds.
 
-    Those of k_s, k_d, |F| and of the ratios k_s/k_d and F/k_d, between 0.07 and 2.7. Nothing else about it is learnt:
-    its other directions mean nothing.
+    The bounds are those of k_s, k_d, |F| and of the ratios k_s/k_d and F/k_d, between 0.07 and 2.7. Nothing else about
+    the covariance is learnt: its other directions mean nothing.
 
     Args:
         features: length of the contact's vector.
-        width: of the hidden layers.
-        blocks: residual layers.
+        width: size of the hidden layers.
+        blocks: number of residual layers.
     """
 
     def __init__(self, features: int, width: int = 128, blocks: int = 2) -> None:
@@ -81,9 +81,9 @@ class ContactPosterior(nn.Module):
     Args:
         features: length of the contact's vector.
         box: lower and upper φ, shape [2, 3].
-        width: of the hidden layers.
-        blocks: residual layers.
-        picture: channels of the encoder's features; 0 = none.
+        width: size of the hidden layers.
+        blocks: number of residual layers.
+        picture: number of channels of the encoder's features; 0 = no picture.
     """
 
     lower: Tensor
@@ -125,25 +125,26 @@ class ContactPosterior(nn.Module):
         return mean, covariance_factor(raw[:, 3:])
 
     def expected_bound_factor(self, contact: Tensor) -> Tensor:
-        """Contact features [B, features] → factor [B, 3, 3] of `ExpectedBound`; trained for itself."""
+        """Contact features [B, features] → factor [B, 3, 3] of `ExpectedBound`, which has a loss of its own."""
         return self.expected_bound((contact - self.centre) / self.scale)
 
 
 def evidence_loss(mean: Tensor, factor: Tensor, gradient: Tensor, information: Tensor, weight: Tensor) -> Tensor:
     """Negative evidence bound of Gaussian posteriors, up to a constant, with the likelihood linearised at the mean.
 
-    -E_q[log p(d|φ)] + KL(q‖prior) for d = Φ(φ) + noise and Φ linear within the posterior's width has, by the mean, the
-    gradient of the misfit and the prior, and by the covariance Σ that of ½ tr(ΣH) - ½ log det Σ, with H the Fisher
-    information plus the prior's. The rollout's exact Jacobian gives both, so no sampling is needed.
+    The loss is -E_q[log p(d|φ)] + KL(q‖prior) for d = Φ(φ) + noise, with Φ linear within the posterior's width. Its
+    gradient by the mean is that of misfit and prior; its gradient by the covariance Σ is that of
+    ½ tr(ΣH) - ½ log det Σ, with H the Fisher information plus the prior's precision. The rollout's exact Jacobian gives
+    both, so no sampling is needed.
 
     Args:
-        mean, factor: of q, shapes [B, 3] and [B, 3, 3].
-        gradient: of misfit and prior by φ at the mean, shape [B, 3], a constant.
+        mean, factor: mean and covariance factor L of q, shapes [B, 3] and [B, 3, 3].
+        gradient: derivative of misfit and prior by φ at the mean, shape [B, 3], a constant.
         information: H there, shape [B, 3, 3], a constant.
-        weight: of every sample's mean, shape [B].
+        weight: weight of every sample's mean, shape [B].
 
     Returns:
-        Scalar whose gradient is the bound's.
+        Scalar with the gradient of the negative bound.
     """
     spread = 0.5 * (factor.transpose(1, 2) @ information @ factor).diagonal(dim1=1, dim2=2).sum(1)
     entropy = torch.log(factor.diagonal(dim1=1, dim2=2)).sum(1)

@@ -1,4 +1,4 @@
-"""What `train.py test` writes down for every pair of frames; `evaluation` makes the tables and figures of it."""
+"""The records that `train.py test` makes of every pair of frames, for the tables and figures of `evaluation.paper`."""
 
 from __future__ import annotations
 
@@ -31,17 +31,17 @@ def farthest_corner(theta: Tensor, lower: Tensor, upper: Tensor) -> Tensor:
 
 @torch.no_grad()
 def pair_records(batch: dict[str, Any], generator: Generator, mechanics: Mechanics) -> list[dict[str, Any]]:
-    """One record a pair of the batch, forward in time.
+    """One record for each pair of the batch, forward in time.
 
     Args:
-        batch: the data module's batch.
+        batch: a batch of the data module.
         generator: G_AB.
         mechanics: the rollout's constants.
 
     Returns:
         Dictionaries with: `clip` (name), `frame` (index of t), `theta` [3] (physical units), `trajectory` and
         `reference_trajectory` [T, 3] (contact vertex under θ, and under the literature's k_s, k_d with the same F
-        [scene units]), `mesh`, `load` and `observation` (what a simulation needs, and what was seen),
+        [scene units]), `mesh`, `load` and `observation` (the simulation's input, and the observed motion),
         `error_predicted`, `error_reference` (squared displacement errors [scene units²]), `next_depth_error`,
         `copy_error` (mean |Δz| of G_AB's picture, and of D_t itself, against D_t+1, over pixels valid in both), and
         `theta_sensitivity` (mean |Δz| of the picture when θ moves to the box's farthest corner).
@@ -62,7 +62,7 @@ def pair_records(batch: dict[str, Any], generator: Generator, mechanics: Mechani
         target = later[index] * (now[index] > 0)
         kept = observation.weight[index] > 0
         times = (_numpy(observation.steps[index][kept]) + 1) * mechanics.time_step
-        seen = _numpy(observation.displacement[index][kept])
+        observed = _numpy(observation.displacement[index][kept])
         records.append(
             {
                 "clip": clip,
@@ -72,7 +72,7 @@ def pair_records(batch: dict[str, Any], generator: Generator, mechanics: Mechani
                 "reference_trajectory": _numpy(reference[index]),
                 "mesh": sheet,
                 "load": press,
-                "observation": Observation.of_point(press.vertex, times, seen, math.nan),
+                "observation": Observation.of_point(press.vertex, times, observed, math.nan),
                 "error_predicted": float(error[index]),
                 "error_reference": float(reference_error[index]),
                 "next_depth_error": float(masked_l1(predicted[index], target)),

@@ -111,7 +111,7 @@ class ClipCalibration:
     def see(self, prepared: PreparedFrame) -> None:
         """The next frame."""
         if self._dents is not None:
-            self._dents.see(prepared.frame.number, prepared.frame.time_s, prepared.depth)
+            self._dents.push(prepared.frame.number, prepared.frame.time_s, prepared.depth)
 
     def add(self, run: InteractionEstimate) -> None:
         """The next run of contact."""
@@ -148,9 +148,7 @@ class ClipCalibration:
         if self.home or not self.calibration.of_one_clip:
             return self.calibration.scale(pressed, length) if self.calibration.tells else None
         if not isinstance(self.carried, tuple):
-            raise NoEstimate(
-                self.carried or "Nothing is told in newtons: the clip with the known force has no results."
-            )
+            raise NoEstimate(self.carried or "No results in newtons: the clip with the known force has no results.")
         scale, here = self.carried
         return scale.elsewhere(here, length)
 

@@ -64,7 +64,10 @@ FIELD = {
     column: text
     for name, what in (("distance_stiffness", "stretch"), ("shape_stiffness", "bending"))
     for column, text in (
-        (name, f"against {what}, the median over tissue where it is determined, {UNITS[name]}; all of it in fields.npz"),
+        (
+            name,
+            f"against {what}, the median over tissue where it is determined, {UNITS[name]}; all of it in fields.npz",
+        ),
         (f"{name}_low", "its 10 % quantile over that tissue, not an interval"),
         (f"{name}_high", "its 90 % quantile over that tissue, not an interval"),
         (f"{name}_log_sd", "standard deviation of the log of stiffness over its mean, the median over that tissue"),
@@ -83,7 +86,7 @@ FRAMES: dict[str, str] = {
     "time_s": "s",
     **ESTIMATED,
     "contact": "1 or 0; empty: undecided",
-    "contact_probability": "that tissue beside the tool moves with it; below 0.5 it hovers; empty: no contact to judge",
+    "contact_probability": "that tissue beside the tool moves with it or sinks under it; below 0.5 it hovers; empty: no contact to judge",
     "contact_distance": "scene units",
     "contact_u": "px of the source frame, column",
     "contact_v": "px of the source frame, row",

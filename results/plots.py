@@ -118,7 +118,10 @@ def draw_fits(runs: Sequence[InteractionEstimate], counts: Counter[str], title: 
     ]
     mapped = [
         run is not None
-        and (isinstance(run.told, FieldEstimate) or (isinstance(run.told, GripEstimate) and run.told.stiffness is not None))
+        and (
+            isinstance(run.told, FieldEstimate)
+            or (isinstance(run.told, GripEstimate) and run.told.stiffness is not None)
+        )
         for run in panels
     ]
     heights = [
@@ -389,9 +392,14 @@ def _draw_explained(axes: Axes, found: FieldEstimate) -> None:
     whole.set_axis_off()
     observed, predicted, left = found.course.T
     axes.plot(found.times, observed, "o-", ms=4, lw=1, color=OBSERVED, label="observed")
-    axes.plot(found.times, predicted, "o-", ms=4, lw=1, color=SIMULATED, label="simulated, moved by the instrument alone")
+    axes.plot(
+        found.times, predicted, "o-", ms=4, lw=1, color=SIMULATED, label="simulated, moved by the instrument alone"
+    )
     axes.fill_between(found.times, 0, left, color=FAR_COLOR, alpha=0.2, lw=0, label="difference of both")
-    axes.set(xlabel="time since the first frame in contact [s]", ylabel="motion of the tissue around\n(root mean square) [px]")
+    axes.set(
+        xlabel="time since the first frame in contact [s]",
+        ylabel="motion of the tissue around\n(root mean square) [px]",
+    )
     axes.set_ylim(0, 1.25 * _top(observed, predicted, left))
     axes.legend(loc="upper left", framealpha=0.85, fontsize=10)
     axes.grid(color=GRID, lw=0.8)
@@ -427,7 +435,7 @@ def _draw_field(axes: Axes, found: FieldEstimate) -> None:
             low, middle, high = (rows[f"{name}{end}"] for end in ("_low", "", "_high"))
             panels[1].plot(found.times, middle, "o-", ms=4, lw=1, color=color, label=f"{label}, median")
             panels[1].fill_between(found.times, low, high, color=color, alpha=0.2, lw=0, label="10 to 90 %")
-        panels[1].set(yscale="log", ylabel="stiffness where it is determined [relative]")
+        panels[1].set(yscale="log", ylabel="stiffness where it is\ndetermined [relative]")
     for panel in panels:
         panel.set(xlim=(found.times[0], max(found.times[-1], 1e-3)), xlabel="time since the first frame in contact [s]")
         panel.legend(loc="upper left", framealpha=0.85, fontsize=8.5)
@@ -441,16 +449,15 @@ def _draw_particles(axes: Axes, found: FieldEstimate, *, shape: bool) -> None:
     from matplotlib.colors import LogNorm
 
     _picture_axes(axes, found.picture, darkened=0.6)
-    values, known = (
-        (found.last.shape, found.last.shape_known) if shape else (found.last.distance, found.last.known)
-    )
+    values, known = (found.last.shape, found.last.shape_known) if shape else (found.last.distance, found.last.known)
     faces = found.last.faces[known[found.last.faces].all(axis=1)]
     what = "bending" if shape else "stretch"
     if len(faces):
         ratio = np.exp(np.log(values[faces] / np.median(values[known])).mean(axis=1))
         drawn = axes.tripcolor(
-            *found.places.T, faces, facecolors=ratio, cmap="coolwarm", norm=LogNorm(1 / MAP_RANGE, MAP_RANGE), alpha=0.8
-        )
+            *found.places.T, faces, facecolors=ratio, cmap="coolwarm", norm=LogNorm(1 / MAP_RANGE, MAP_RANGE),
+            alpha=0.8, edgecolors="none", antialiased=False,
+        )  # fmt: skip
         _ratio_bar(axes, drawn)
         told = f"stiffness against {what} over its median; darkened: not determined"
     else:

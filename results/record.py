@@ -123,7 +123,11 @@ def build_record(
             *warnings_of(source, frames, model, clip.sources, clip.settings.geometry.contact),
             *([] if results.stretched or causes["estimator"]["name"] != "online" else [UNDRIVEN]),
             *results.doubts[:1],
-            *([f"{len(results.doubts) - 1} more runs of contact likewise: interactions.csv"] if results.doubts[1:] else []),
+            *(
+                [f"{len(results.doubts) - 1} more runs of contact likewise: interactions.csv"]
+                if results.doubts[1:]
+                else []
+            ),
             *([results.calibration.reason] if results.calibration and results.calibration.reason else []),
         ],
         "timings_s": {stage: round(value, 4) for stage, value in seconds.items()},

@@ -408,7 +408,7 @@ def test_names_do_nothing_to_the_terminal(clips: Path, model: Path, capsys: pyte
 def test_missing_annotation_of_a_whole_clip(clips: Path, model: Path, capsys: pytest.CaptureFixture) -> None:
     write_video(clips / "film.mp4", FRAMES)
     assert call(clips, "--masks", "annotation") == 1
-    assert "film.mp4: a video or camera has no annotation masks; use --masks automatic" in capsys.readouterr().err
+    assert "film.mp4: a video has no annotation masks; use --masks automatic" in capsys.readouterr().err
     assert statuses(clips, "good")[-1] == "ok"
 
 

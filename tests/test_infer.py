@@ -482,7 +482,7 @@ def test_contact_from_the_first_frame_on_has_no_estimate(tmp_path: Path) -> None
     (row,) = runs(tmp_path / "out" / "clip")
     assert (row["onset_frame"], row["frames"], row["load_s"], row["stiffness"]) == ("10", "0", "", "")
     assert row["status"] == "no_estimate"
-    assert row["detail"].startswith("The onset of the contact was not seen")
+    assert row["detail"].startswith("The onset of the contact was not observed")
     assert record(tmp_path / "out" / "clip")["contacts"] == {"no_estimate": 1}
 
 

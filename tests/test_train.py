@@ -325,12 +325,12 @@ def test_a_bad_option_or_file_gets_a_sentence(config: Path, tmp_path: Path, caps
         ("model: {width: 4}".encode("utf-16"), "is not a configuration"),
         (b"", "is not a configuration; write a mapping"),
         (b"model: " + b"[" * 5000, "nests too deeply"),
-        (b"model: {width: " + b"[" * 20 + b"]" * 20 + b"}", "nests too deeply, or holds a number beyond all use"),
+        (b"model: {width: " + b"[" * 20 + b"]" * 20 + b"}", "nests too deeply, or holds a number out of range"),
         (b"model: {width: &a [*a]}", "is not a configuration (its references have no end); correct the file"),
         (BILLIONS, "is not a configuration (its references have no end); correct the file"),
-        (b"model: {width: " + b"9" * 400 + b"}", "nests too deeply, or holds a number beyond all use"),
-        (b"model: {width: 0x" + b"f" * 5000 + b"}", "nests too deeply, or holds a number beyond all use"),
-        (b"model: {learning_rate: .inf}", "nests too deeply, or holds a number beyond all use"),
+        (b"model: {width: " + b"9" * 400 + b"}", "nests too deeply, or holds a number out of range"),
+        (b"model: {width: 0x" + b"f" * 5000 + b"}", "nests too deeply, or holds a number out of range"),
+        (b"model: {learning_rate: .inf}", "nests too deeply, or holds a number out of range"),
         (b"model: {width: !!timestamp x}", "is not a configuration"),
         (None, "can't be read as a configuration (no file but a pipe or a device); check the path."),
     ],
@@ -415,7 +415,7 @@ def test_a_damaged_tracking_database_gets_a_sentence_at_once(config: Path, tmp_p
 
 @pytest.mark.parametrize("kind", ["immediate", "exclusive"])
 def test_a_locked_tracking_database_gets_a_sentence(config: Path, tmp_path: Path, capsys, monkeypatch, kind: str):
-    monkeypatch.setattr(train, "LONGEST_LOCK", 0.1)
+    monkeypatch.setattr(train, "LOCK_TIMEOUT_S", 0.1)
     MlflowClient(f"sqlite:///{tmp_path / 'mlflow.db'}").search_experiments()
     with contextlib.closing(sqlite3.connect(tmp_path / "mlflow.db", isolation_level=None)) as database:
         database.execute(f"begin {kind}")

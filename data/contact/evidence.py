@@ -189,11 +189,11 @@ class ContactEvidence:
         way = max((tip.tool for tip in tips), key=np.linalg.norm, default=np.full(2, math.nan))
         stands = hovered and bool(np.linalg.norm(way - self._way) < STANDS * self._speed)
         sunk = self._measured and before is not None and bool(tips) and _has_sunk(before, view)
-        said = _said(tips)
-        if stands or (hovered and not tips):
-            # Tissue that doesn't move says nothing beside a tool that doesn't move either.
-            said, self._odds, self._undecided = 0.0, _log_odds(PRIOR), True
-        odds = self._odds + float(np.clip(said + (STRONGEST if sunk else 0.0), -STRONGEST, STRONGEST))
+        # Tissue that doesn't move says nothing beside a tool that doesn't move either.
+        said = 0.0 if stands else float(np.clip(_said(tips), -STRONGEST, STRONGEST))
+        if stands or (hovered and (sunk or not tips)):
+            self._odds, self._undecided = _log_odds(PRIOR), True
+        odds = self._odds + min(said + (STRONGEST if sunk else 0.0), STRONGEST)
         probability = 1 / (1 + math.exp(-odds))
         self._arrives = stands or (sunk and probability >= THRESHOLD)
         length = float(np.linalg.norm(way))

@@ -102,7 +102,7 @@ class ContactFrame:
     """Time stamp [s]."""
     contact: bool
     """Whether the tool touches the tissue."""
-    seen_out: bool
+    out_of_contact: bool
     """Whether the frame was seen out of contact; without depth or mask nobody knows."""
     consecutive: bool
     """Whether the next frame bears the next number."""
@@ -165,7 +165,7 @@ class InteractionBuilder:
         self._count += 1
         if frame.contact:
             self.pressed, self._followed_on, self.load_seconds = index, frame.consecutive, None
-        elif index == self.pressed + 1 and self._followed_on and frame.seen_out:
+        elif index == self.pressed + 1 and self._followed_on and frame.out_of_contact:
             self.load_seconds = since
         position = np.asarray(frame.position, np.float32)
         if since >= self.seconds:

@@ -146,7 +146,7 @@ class ContactMotion:
         elif missing > self.bridge_frames:
             self.settle()
             self._refused = self._dented(after)
-            self._run = self._begin(after) if before.seen_out and not self._refused else None
+            self._run = self._begin(after) if before.out_of_contact and not self._refused else None
             self._left.clear()
 
     def _note_return(self, run: ContactRun, latest: PreparedFrame) -> None:

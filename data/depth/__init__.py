@@ -1,9 +1,9 @@
-"""How far everything is from the camera: a depth map a frame, in scene units.
+"""Depth of every pixel from the camera: one map a frame, in scene units.
 
-sources      maps of stored files or of a network, and what is frozen for a clip
+sources      maps of stored files or of a network, and the constants that are frozen for a clip
 normalise    the one normalisation to the clip's fixed scale, and the grid
 model        any depth network as an ONNX file: input, session, meaning of its output
-preset       the facts about a network, as YAML files in presets/
+preset       input and output conventions of a network, as YAML files in presets/
 photometric  builds the network that needs no training: brightness under a light at the camera
 """
 

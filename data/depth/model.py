@@ -21,7 +21,7 @@ class RawDepth:
     """A network's output at the picture's size, before it is turned into depth."""
 
     values: np.ndarray
-    """Output times the preset's factor, shape [H, W] float32; NaN and Inf as the network gave them."""
+    """Output times the preset's factor, shape [H, W] float32; NaN and Inf are kept."""
     focal: float | None = None
     """Focal length that the network estimated, as a multiple of the picture's width."""
 
@@ -40,7 +40,7 @@ class Placement:
     width: int
     """Width of the network's input [px]."""
     top: int
-    """First row of the picture in the input; above it lies the letterbox [px]."""
+    """First row of the picture in the input, below the letterbox [px]."""
     left: int
     """First column of the picture in the input [px]."""
     rows: int
@@ -122,7 +122,7 @@ class DepthModel:
 
     @property
     def identity(self) -> str:
-        """Digest of the model file and the preset; of external weights, which may be huge, name and size count."""
+        """Digest of the model file and the preset; external weights, which may be huge, enter by name and size."""
         with self.path.open("rb") as file:
             digest = hashlib.file_digest(file, "sha256")
         for weights in sorted(self.path.parent.glob(f"{glob.escape(self.path.name)}[_.]*")):

@@ -1,7 +1,7 @@
 """Depth of a clip's frames: from stored files or an ONNX model, and the one normalisation.
 
 Bini 2026, section 3.2.1, with its per-frame choices replaced by ones that are fixed for a whole clip: one scale without
-an offset, one focal length and one range of relative depth. What is frozen and how: docs/depth.md.
+an offset, one focal length and one range of relative depth. docs/depth.md describes how they are frozen.
 """
 
 from __future__ import annotations
@@ -24,27 +24,28 @@ from data.source.layout import ClipLayout, InputError, matches
 from physics.fields import require_choices
 
 FAR_QUANTILE = 0.999
-"""A frame's largest depth is this quantile of its valid depth: single wild pixels don't count."""
+"""Quantile of a frame's valid depth that is its largest depth, so that single outliers have no effect."""
 FAR_MULTIPLE = 3.0
-"""Depth beyond this multiple of the frame's median is background or a mismatch and does not stretch the scale."""
+"""Largest depth of a frame as a multiple of its median; larger depth is background or a mismatch."""
 CLIP_QUANTILE = 0.9
-"""A clip's largest depth is this quantile of its sampled frames' largest depths: a few bad frames don't count."""
-OUTSIDE = 255
+"""Quantile of the sampled frames' largest depths that is the clip's, so that a few bad frames have no effect."""
+OUTSIDE_LABEL = 255
+"""Label of pixels outside the camera's picture, after the removal of lens distortion."""
 MOST_THREADS = 1024
-"""Of one program."""
+"""Largest number of threads of one program."""
 
 
 @dataclass(frozen=True)
 class DepthSettings:
-    """Where depth comes from and what of it is fixed for a clip."""
+    """Source of depth, and the constants that are fixed for a clip."""
 
     source: str = "auto"
     """auto (stored where the clip has it, else photometric), stored, a preset's name, or the path of an .onnx file."""
     model: str | None = None
     """ONNX file for a preset that ships none; with any other source it is refused."""
     preset: str | None = None
-    """Preset (name or .yaml file) that says how to read an .onnx path; by default the .yaml file beside it. With any
-    other source it is refused."""
+    """Preset (name or .yaml file) with the conventions of an .onnx path; by default the .yaml file of its name in its
+    folder. With any other source it is refused."""
     near: float = 0.03
     """Nearest depth of a relative inverse model [any unit; after normalisation only near/far matters]."""
     far: float = 0.15
@@ -56,11 +57,11 @@ class DepthSettings:
     scale_seconds: float = 10.0
     """Duration from the first usable frame within which a clip's scale is estimated and then frozen [s]."""
     scale_samples: int = 24
-    """Frames used for it, evenly spaced."""
+    """Number of frames from which the scale is estimated, evenly spaced."""
     bits: Literal[8, 16] = 16
     """Quantisation of normalised depth (the paper stores 8 bits, 0.4 % of the range)."""
     rounded: Literal["grid", "picture"] = "grid"
-    """What is rounded to so many bits: the grid's depth, or the picture's before it is resized (paper)."""
+    """The map that is rounded to `bits`: the grid's, or the picture's before it is resized (paper)."""
     threads: int = 0
     """Threads of the depth model; 0 leaves it to onnxruntime."""
     device: Literal["cpu", "cuda"] = "cpu"
@@ -117,12 +118,11 @@ def open_depth(settings: DepthSettings, layout: ClipLayout, source: FrameSource)
 
 
 def estimate_scale(source: FrameSource, depth: DepthSource, settings: DepthSettings) -> tuple[float, float | None]:
-    """Freeze what is fixed for the clip and return its scale and its focal length.
+    """Freeze the clip's constants and return its scale and its focal length.
 
-    Reads evenly spaced frames from the first usable one on, for at most `scale_seconds` (a live source is watched
-    that long). A frame's largest depth is min(99.9 % quantile, 3 × median) of its valid depth, the clip's scale D_max
-    the 90 % quantile (lower sample) of those; `settings.scale`, else the `depth_scale` of the clip's own file for
-    stored depth, replaces it.
+    Reads evenly spaced frames from the first usable one on, for at most `scale_seconds`. A frame's largest depth is
+    min(99.9 % quantile, 3 × median) of its valid depth; the clip's scale D_max is the 90 % quantile (lower sample) of
+    those. `settings.scale`, else the `depth_scale` of the clip's own file for stored depth, replaces it.
 
     Returns:
         D_max [unit of the source] and the model's median focal length for the source's width [px], or None.
@@ -151,7 +151,7 @@ def _samples(
 ) -> Iterator[RawDepth]:
     """Thumbnails of the network's output for the frames that decide the scale.
 
-    Unusable frames give way to the next; why they are is added to `problems`.
+    Unusable frames are skipped in favour of the next, and the reasons are added to `problems`.
     """
     start = due = interval = 0.0
     taken = 0
@@ -187,7 +187,7 @@ def _largest_depth(depth: np.ndarray) -> float:
 def normalise(depth: np.ndarray, scale: float, bits: int = 16) -> np.ndarray:
     """Normalised depth z = min(D/D_max, 1), on the levels of an unsigned integer of `bits` bits.
 
-    There is no offset: it would put near geometry into the camera's centre.
+    There is no offset: it would move near geometry into the camera's centre.
 
     Args:
         depth: D, any shape [unit of the source], 0 (or anything not positive and finite) = invalid.
@@ -196,6 +196,9 @@ def normalise(depth: np.ndarray, scale: float, bits: int = 16) -> np.ndarray:
 
     Returns:
         z float32 of the same shape in [0, 1]; 0 = invalid, and a valid pixel never becomes 0.
+
+    Raises:
+        ValueError: the scale is not positive and finite.
     """
     if not 0 < scale < math.inf:
         raise ValueError(f"The depth scale is {scale}; give a positive number.")
@@ -222,6 +225,9 @@ def resize_depth(
 
     Returns:
         depth [h, w] float32 and labels [h, w] uint8.
+
+    Raises:
+        ValueError: the two maps differ in size.
     """
     if depth.ndim != 2 or depth.shape != labels.shape:
         raise ValueError(f"Depth {depth.shape} and labels {labels.shape} must be two maps of one size.")
@@ -240,7 +246,7 @@ def resize_depth(
     valid = depth > 0
     result = np.zeros((height, width), np.float32)
     for index, (value, member) in enumerate(zip(order, members, strict=True)):
-        if value == OUTSIDE:
+        if value == OUTSIDE_LABEL:
             continue
         usable = member * valid
         weight = resized(usable)

@@ -1,11 +1,11 @@
 """A depth model that needs no training: brightness under a light at the camera, as a small ONNX graph.
 
-In an endoscope the light sits beside the lens, so a matt surface of albedo ρ at the distance R along its ray sends back
+In an endoscope the light is next to the lens, so a matt surface of albedo ρ at the distance R along its ray sends back
 I ∝ ρ·cosθ/R², θ being the angle between its normal and the ray. With R = z/cosα, where α is the ray's angle to the
 optical axis, and a surface parallel to the image plane (θ = α), z = cos^1.5(α)·sqrt(ρ/I): relative depth for one albedo
 and one exposure.
 
-`python -m data.depth.photometric` writes it; the file that is shipped beside this module gives the same to the bit.
+`python -m data.depth.photometric` writes it; the file that is shipped in this folder gives bit-identical depth.
 """
 
 from __future__ import annotations
@@ -31,22 +31,24 @@ from physics.ownership import ForeignFile
 
 op: Any = opset18
 PRODUCER = "palpate"
+"""Producer's name in the model file, by which the module recognises its own."""
 SHIPPED = Path(__file__).with_name("photometric.onnx")
+"""The model that comes with this project."""
 CHANNELS = onnx.numpy_helper.from_array(np.array([[[[0.7]], [[0.3]], [[0]]]], np.float32))
 """Weights of the linear channels. Blood absorbs green and blue, so red varies least with albedo; green helps where red
 saturates."""
 WINDOW = 9
 """Window of the morphological filters [px of the network's input, 428 wide]: highlights and vessels are narrower."""
 TOLERANCE = 1.2
-"""Factor by which brightness may differ from the filtered one before it is pulled to it."""
+"""Largest ratio of brightness to the filtered brightness; larger differences are limited to it."""
 RADIUS = 18
-"""Half of the smoothing's kernel, three standard deviations [px of the network's input]."""
+"""Half width of the smoothing kernel, three standard deviations [px of the network's input]."""
 WEIGHTS = np.exp(-0.5 * (np.arange(-RADIUS, RADIUS + 1) / (RADIUS / 3)) ** 2)
 WEIGHTS /= WEIGHTS.sum()
 DOWN = onnx.numpy_helper.from_array(WEIGHTS.astype(np.float32).reshape(1, 1, -1, 1))
 ACROSS = onnx.numpy_helper.from_array(WEIGHTS.astype(np.float32).reshape(1, 1, 1, -1))
 DARKEST = 0.005
-"""Linear brightness (white = 1) under which sensor noise decides: such pixels are invalid (15 of 255 in sRGB)."""
+"""Least linear brightness (white = 1) of a valid pixel, 15 of 255 in sRGB; sensor noise dominates in darker ones."""
 
 
 @script()
@@ -93,8 +95,8 @@ def _centred(size):
 def build_photometric(field_of_view_deg: float = 60.0) -> onnx.ModelProto:
     """The model: input `image` [1, 3, H, W] sRGB in [0, 1], output `depth` [1, H, W], relative, 0 = too dark.
 
-    Every pixel is treated alike in every frame; nothing is normalised by the frame, so a change of exposure shows as a
-    change of depth.
+    Every pixel of every frame is treated in the same way; nothing is normalised by the frame, so a change of exposure
+    appears as a change of depth.
 
     Args:
         field_of_view_deg: horizontal field of view of the camera [degrees].
@@ -104,7 +106,7 @@ def build_photometric(field_of_view_deg: float = 60.0) -> onnx.ModelProto:
     """
     if not 0 < field_of_view_deg < 180:
         raise ValueError(f"The field of view is {field_of_view_deg}; give degrees between 0 and 180.")
-    # Pixels span so much from the left edge to the right one; pixels are square.
+    # Width of the picture at unit depth; pixels are square.
     span = 2 * math.tan(math.radians(field_of_view_deg) / 2)
 
     @script()
@@ -130,7 +132,7 @@ def write_photometric(path: Path, field_of_view_deg: float = 60.0) -> None:
     """Write the model to a file (under a temporary name first).
 
     Raises:
-        ForeignFile: another file than such a model is there.
+        ForeignFile: the path holds a file that is not such a model.
     """
     if os.path.lexists(path) and not _is_own(path):
         raise ForeignFile(path)
@@ -140,9 +142,10 @@ def write_photometric(path: Path, field_of_view_deg: float = 60.0) -> None:
 
 
 def _is_own(path: Path) -> bool:
+    """Whether a file is a model that this module wrote."""
     try:
         model = onnx.load_model_from_string(read_file(path))
-    except Exception:  # by where a file is damaged, protobuf or onnx gives up
+    except Exception:  # protobuf or onnx raises, depending on where a file is damaged
         return False
     return model.producer_name == PRODUCER and not path.is_symlink()
 

@@ -1,4 +1,4 @@
-"""What a depth network expects and gives: the facts that let any ONNX depth model plug in by configuration alone."""
+"""Input and output conventions of a depth network, so that any ONNX depth model works by configuration alone."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from physics.fields import require_choices
 from physics.files import digest_of
 
 PRESET_FOLDER = Path(__file__).parent / "presets"
+"""Folder of the presets that come with this project."""
 
 
 @dataclass(frozen=True)
@@ -24,16 +25,16 @@ class DepthPreset:
     name: str
     """Name in messages, in the cache key and in run.json."""
     kind: Literal["metric", "relative", "inverse", "relative_inverse", "canonical_inverse"]
-    """What the output D̂ means; `factor` multiplies it first.
+    """Meaning of the output D̂; `factor` multiplies it first.
     metric: depth D = D̂ [m].
     relative: depth up to one scale that holds for the whole clip, D = D̂.
     inverse: D = 1/D̂.
     relative_inverse: D = 1/(a·D̂ + b), with a and b from near, far and the clip's frozen range of D̂.
     canonical_inverse: D = f_px/(w·D̂) (DepthPro; f_px at the width w)."""
     obtain: str = ""
-    """Where the ONNX file comes from, printed when it is missing."""
+    """How to obtain the ONNX file, printed when it is missing."""
     model: str | None = None
-    """ONNX file shipped beside this module, used when the settings name none."""
+    """ONNX file that comes with this project, used when the settings name none."""
     output: str | tuple[str, ...] = ()
     """Accepted names of the depth output; none = the model's only output."""
     layout: Literal["NCHW", "NHWC"] = "NCHW"
@@ -123,15 +124,16 @@ def load_preset(name: str | Path) -> DepthPreset:
 
 
 def resolve_model(source: str, model: str | None, preset: str | None) -> tuple[Path, DepthPreset]:
-    """ONNX file and preset that the settings mean.
+    """ONNX file and preset that the settings name.
 
     Args:
         source: preset name, or path of an ONNX file.
         model: ONNX file for a preset.
-        preset: preset name or YAML file for an ONNX file; without it, a YAML file of the same stem beside the model.
+        preset: preset name or YAML file for an ONNX file; without it, the YAML file of the
+            same stem in the model's folder.
 
     Raises:
-        InputError: no file, or nothing that says how to read it.
+        InputError: no model file, or no preset for it.
     """
     if Path(source).suffix.lower() != ".onnx":
         chosen = load_preset(source)
@@ -147,10 +149,10 @@ def resolve_model(source: str, model: str | None, preset: str | None) -> tuple[P
     path = Path(source)
     if not isfile(path):
         raise InputError(f"{path} does not exist; check the path of the depth model.")
-    beside = path.with_suffix(".yaml")
-    if preset is None and not isfile(beside):
+    preset_file = path.with_suffix(".yaml")
+    if preset is None and not isfile(preset_file):
         raise InputError(
             f"Nothing says how to read the depth model {path}; give depth.preset ({', '.join(preset_names())}, or a "
-            f".yaml file), or put {beside.name} beside it."
+            f".yaml file), or put {preset_file.name} beside it."
         )
-    return path, load_preset(preset if preset is not None else beside)
+    return path, load_preset(preset if preset is not None else preset_file)

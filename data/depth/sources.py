@@ -1,4 +1,4 @@
-"""Depth maps of one clip's frames from stored files or from an ONNX model, with what is frozen for the clip."""
+"""Depth maps of one clip's frames from stored files or from an ONNX model, and the constants frozen for the clip."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from data.source.images import read_image
 from data.source.layout import ClipLayout, InputError, companion, matches, read_clip_file
 from physics.files import digest_of
 
-LEAST_VALID = 0.01
-"""A frame with less than this share of valid pixels has no usable depth."""
+LEAST_VALID_SHARE = 0.01
+"""Least share of valid pixels of a frame with usable depth."""
 RANGE_QUANTILES = (0.001, 0.999)
-"""Ends of a frame's range of relative inverse depth."""
-MOST_PIXELS = 16
-"""Stored maps have at most so many times their picture's pixels; larger ones are not even unpacked."""
+"""Quantiles at the ends of a frame's range of relative inverse depth."""
+LARGEST_MAP_RATIO = 16
+"""Largest ratio of a stored map's pixels to its picture's; larger maps are not even unpacked."""
 
 
 class DepthSource(ABC):
-    """Depth of one clip's frames. What a clip fixes is frozen by `freeze`, or by the first frame without it."""
+    """Depth of one clip's frames. `freeze` fixes the clip's constants; without it, the first frame does."""
 
     identity: str
-    """Digest of everything that the depth depends on beside the clip's own files and settings, for cache keys."""
+    """Digest of everything except the clip's own files and settings that the depth depends on, for cache keys."""
     metric: bool
     """Whether depth is in metres."""
     known_scale: float | None = None
-    """Depth that the clip's own file declares as z = 1."""
+    """Depth that the clip's own file declares as z = 1; None where it declares none."""
     from_picture: bool = False
     """Whether it is guessed from the picture alone, so that it may change where only the light or the view does."""
     depends_on_clip: bool = False
-    """Whether `freeze` has anything to fix."""
+    """Whether `freeze` has constants to fix."""
     focal: float | None = None
     """Focal length that the model estimated, fixed for the clip, as a multiple of the picture's width."""
 
@@ -49,11 +49,15 @@ class DepthSource(ABC):
 
     @abstractmethod
     def observe(self, frame: Frame) -> RawDepth:
-        """The frame's depth before anything that a clip fixes is applied; checked, so that some of it is usable."""
+        """The frame's depth before the clip's constants are applied.
+
+        Raises:
+            InputError: no usable part (see `check_map`).
+        """
 
     @abstractmethod
     def freeze(self, samples: Sequence[RawDepth]) -> None:
-        """Fix the clip's constants from samples of its frames (at least one; thumbnails will do)."""
+        """Fix the clip's constants from samples of its frames (at least one; thumbnails suffice)."""
 
     @abstractmethod
     def convert(self, raw: RawDepth) -> np.ndarray:
@@ -61,7 +65,7 @@ class DepthSource(ABC):
 
 
 class StoredDepth(DepthSource):
-    """Depth files of a clip folder: 8- or 16-bit PNG, NPY or NPZ, depth or disparity, as the layout says."""
+    """Depth files of a clip folder: 8- or 16-bit PNG, NPY or NPZ, depth or disparity, as the layout states."""
 
     metric = False
 
@@ -82,7 +86,7 @@ class StoredDepth(DepthSource):
             raise InputError(f"Frame {frame.number} has no image file, so it has no stored depth.")
         path = companion(self._layout, frame.path, self._pattern)
         height, width = frame.picture.shape[:2]
-        values, largest = _read_map(path, self._layout.depth_key, MOST_PIXELS * height * width)
+        values, largest = _read_map(path, self._layout.depth_key, LARGEST_MAP_RATIO * height * width)
         check_map(values, str(path), signed=False)
         factor = self._layout.depth_factor
         if self._layout.depth_kind == "disparity":
@@ -106,7 +110,7 @@ class StoredDepth(DepthSource):
 
 
 class ModelDepth(DepthSource):
-    """Depth by an ONNX model; its preset says what the output means."""
+    """Depth by an ONNX model; its preset states what the output means."""
 
     from_picture = True
 
@@ -176,7 +180,7 @@ def from_inverse(inverse: np.ndarray) -> np.ndarray:
 def from_relative_inverse(values: np.ndarray, ends: tuple[float, float], near: float, far: float) -> np.ndarray:
     """D = 1/(a·r + b) with D = far at r = ends[0] and D = near at r = ends[1], fixed for the clip.
 
-    Below the range D stays at far, where the formula would run to infinity; above it D goes on falling under near.
+    Below the range D stays at far, where the formula would diverge; above it D continues to fall below near.
     """
     low, high = ends
     share = np.maximum((values.astype(np.float64) - low) / (high - low), 0)
@@ -184,12 +188,12 @@ def from_relative_inverse(values: np.ndarray, ends: tuple[float, float], near: f
 
 
 def check_map(values: np.ndarray, named: str, *, signed: bool) -> None:
-    """Refuse a map without usable content; single invalid pixels are fine.
+    """Refuse a map without usable content; single invalid pixels are accepted.
 
     Args:
         values: shape [H, W].
         named: subject of the message.
-        signed: whether 0 and negative values mean something.
+        signed: whether 0 and negative values are valid.
 
     Raises:
         InputError: nothing finite, zero or constant everywhere, or under 1 % valid.
@@ -201,14 +205,14 @@ def check_map(values: np.ndarray, named: str, *, signed: bool) -> None:
     if not values[finite].any():
         raise InputError(f"{named} is zero everywhere; {remedy}.")
     valid = values[finite] if signed else values[finite & (values > 0)]
-    if len(valid) < LEAST_VALID * values.size:
+    if len(valid) < LEAST_VALID_SHARE * values.size:
         raise InputError(f"{named} is valid on {len(valid) / values.size:.1%} of its pixels; {remedy}.")
     if float(valid.max()) - float(valid.min()) <= 1e-6 * float(np.abs(valid).max()):
         raise InputError(f"{named} is the same everywhere ({float(valid[0]):g}); {remedy}.")
 
 
 def _read_map(path: Path, key: str | None, most: int) -> tuple[np.ndarray, float]:
-    """A stored map of at most so many pixels as float32 [H, W], and the value by which its integers are divided."""
+    """A stored map of at most `most` pixels as float32 [H, W], and the value by which its integers are divided."""
     if path.suffix.lower() in (".npy", ".npz"):
         array = _read_numpy(path, key, most)
         largest = 1.0
@@ -242,13 +246,13 @@ def _read_numpy(path: Path, key: str | None, most: int) -> np.ndarray:
             size = loaded.zip.getinfo(f"{name}.npy").file_size
         if size > 8 * most + 2**16:  # 8 bytes a pixel, and a header
             raise InputError(
-                f"{path} unpacks to {size / 2**20:.0f} MB, more than {MOST_PIXELS} times its picture's pixels; store "
-                "depth at the picture's size."
+                f"{path} unpacks to {size / 2**20:.0f} MB, more than {LARGEST_MAP_RATIO} times its picture's pixels; "
+                "store depth at the picture's size."
             )
         return loaded if name is None else loaded[name]
     except FileNotFoundError as error:
         raise InputError(f"{path} does not exist; store the frame's depth there or choose a depth model.") from error
     except InputError:
         raise
-    except Exception as error:  # a broken file raises zip, pickle, value or OS errors by where it is broken
+    except Exception as error:  # a damaged file raises zip, pickle, value or OS errors, depending on the place
         raise InputError(f"{path} can't be read as a numpy file; write it again with numpy.save.") from error

@@ -1,8 +1,8 @@
 """Where tool and tissue are in a frame: label maps from annotation, a network, or neither.
 
-sources           the common face MaskSource, annotation, and the choice between them
+sources           the common interface MaskSource, annotation masks, and the choice between the kinds
 onnx              any segmentation network as an ONNX file
-automatic         raw video without a network: an instrument by its shape, the lit rest as tissue
+automatic         raw video without a network: an instrument by its shape, other lit pixels as tissue
 instrument_bands  the straight edges of a shaft, for automatic
 class_table       CholecSeg8k's classes and colours
 """

@@ -1,8 +1,8 @@
-"""Tool and tissue masks of raw video without a learned model: an instrument by its shape, the lit rest as tissue.
+"""Tool and tissue masks of raw video without a learned model: instruments by shape, other lit pixels as tissue.
 
 An instrument is a band of straight parallel edges that enters from the picture's border, is paler than tissue of the
 same brightness, and, while it moves, moves against the tissue. The mode abstains (no tool pixel) when unsure.
-docs/masks.md reports what it reaches on real clips.
+docs/masks.md reports its accuracy on real clips.
 """
 
 from __future__ import annotations
@@ -17,44 +17,44 @@ from data.masks.instrument_bands import WORKING_SIZE, Band, find_bands
 from data.source.frames import Frame
 
 VERSION = 1
-"""Part of the masks' identity: raise it when the result changes."""
+"""Version of the method, part of the masks' identity; it must rise when the result changes."""
 SATURATED = 245
-"""Pixels whose brightest channel is at least this say nothing about colour [8-bit value]."""
-MARGIN = 60.0
-"""How far around a band its instrument is sought by colour [working px]."""
-SAME_COLOR = 0.1
-"""Redness above a band's at which a pixel around it is no longer its instrument."""
-DARKEST = 18
+"""Pixels whose brightest channel is at least this have no usable colour [8-bit value]."""
+COLOR_MARGIN = 60.0
+"""Distance around a band within which its instrument is sought by colour [working px]."""
+SAME_REDNESS = 0.1
+"""Excess of redness over a band's at which a pixel around the band no longer belongs to its instrument."""
+DARKEST_LIT = 18
 """Pixels whose brightest channel is below this are unlit or clipped [8-bit value]."""
 # Thresholds; pallor as in `pallor`, lengths in working pixels.
 MIN_LENGTH = 40.0
 """Shortest band [px]."""
 MAX_GAP = 1.2
 """Longest distance between a band and the border, as a multiple of the band's length."""
-COLORLESS = 0.12
-"""A band this pale is an instrument by its colour, if hardly red, with edges enough for COLORLESS_SUPPORT."""
+COLORLESS_PALLOR = 0.12
+"""Least pallor of a band that is an instrument by its colour; it must also pass the next two limits."""
 MAX_REDNESS = 0.08
 """Largest median redness of that band."""
 COLORLESS_SUPPORT = 0.65
 """Least summed length of that band's edges, as a multiple of its length."""
 SATURATED_SHARE = 0.2
 """A pale band with a larger share of saturated pixels is a highlight on tissue."""
-GROOVED = 0.02
-"""A band with the many sharp edges of jaws and joints needs only this pallor."""
+GROOVED_PALLOR = 0.02
+"""Least pallor of a band that is an instrument by the many sharp edges of its jaws and joints."""
 GROOVED_CONTRAST = 65.0
 """Least mean brightness gradient across that band (3x3 Sobel of 8-bit values)."""
 GROOVED_EDGES = 6
 """Least number of that band's edges."""
 GROOVED_SUPPORT = 1.8
 """Least summed length of that band's edges, as a multiple of its length."""
-MOVING = 0.03
-"""A band of several edges that moves against the tissue needs only this pallor."""
+MOVING_PALLOR = 0.03
+"""Least pallor of a band that is an instrument because it has several edges and moves against the tissue."""
 MOVING_EDGES = 4
 """Least number of that band's edges."""
 MIN_MOTION = 3.0
-"""Median motion against the tissue that counts [px a frame]."""
+"""Least median motion of that band against the tissue [px a frame]."""
 MAX_INSTRUMENTS = 3
-"""Instruments in one picture."""
+"""Largest number of instruments in one picture."""
 
 
 @dataclass(frozen=True)
@@ -62,16 +62,16 @@ class Look:
     """Colour maps of a working picture, each float32 [h, w]."""
 
     pale: np.ndarray
-    """See `pallor`."""
+    """Pallor (see `pallor`)."""
     red: np.ndarray
-    """See `redness`."""
+    """Redness (see `redness`)."""
     bright: np.ndarray
     """Brightest channel [8-bit value]."""
 
     def is_colorless(self, band: Band) -> bool:
         """Whether a band is paler than tissue and hardly red at all."""
         pale, red = (float(np.median(band_values(band, values))) for values in (self.pale, self.red))
-        return pale >= COLORLESS and red <= MAX_REDNESS
+        return pale >= COLORLESS_PALLOR and red <= MAX_REDNESS
 
 
 class AutomaticMasks:
@@ -84,7 +84,7 @@ class AutomaticMasks:
         self._last_gray: np.ndarray | None = None
 
     def reset(self) -> None:
-        """Forget the clip seen so far."""
+        """Forget the frames of the clip so far."""
         self._last_gray = None
 
     def __call__(self, frame: Frame) -> np.ndarray:
@@ -116,7 +116,7 @@ class AutomaticMasks:
         for band in find_bands(gray, field):
             if instruments == MAX_INSTRUMENTS:
                 break
-            # The strongest band stands for its instrument: what lies beside it is its shadow or the tissue it holds.
+            # The strongest band stands for its instrument: bands next to it are its shadow or the tissue it holds.
             if band_values(band, near).mean() < 0.1 and self._is_instrument(band, look, slopes, motion):
                 tool |= outline_tool(band, look, field)
                 near = cv2.dilate(tool.astype(np.uint8), np.ones((41, 41), np.uint8)).astype(bool)
@@ -132,11 +132,11 @@ class AutomaticMasks:
             return bool((band_values(band, look.bright) >= SATURATED).mean() < SATURATED_SHARE)
         paleness = float(np.median(band_values(band, look.pale)))
         many = band.edges >= GROOVED_EDGES and density >= GROOVED_SUPPORT
-        if many and paleness >= GROOVED:
+        if many and paleness >= GROOVED_PALLOR:
             across = sum(band_values(band, slope) * part for slope, part in zip(slopes, band.normal, strict=True))
             if np.abs(across).mean() >= GROOVED_CONTRAST:
                 return True
-        if paleness >= MOVING and band.edges >= MOVING_EDGES:
+        if paleness >= MOVING_PALLOR and band.edges >= MOVING_EDGES:
             return bool(np.median(band_values(band, motion)) >= MIN_MOTION)
         return False
 
@@ -148,11 +148,11 @@ class AutomaticMasks:
         first, second = (cv2.resize(g, size, interpolation=cv2.INTER_AREA) for g in (gray, self._last_gray))
         flow = self._flow.calc(first, second, None)  # ty: ignore[no-matching-overload]  no first guess
         rows, columns = (grid.ravel() for grid in np.mgrid[4 : size[1] : 8, 4 : size[0] : 8])
-        seen = field[rows * 2, columns * 2]
-        if seen.sum() < 3:  # three points make an affine motion; a black picture has none
+        inside = field[rows * 2, columns * 2]
+        if inside.sum() < 3:  # three points make an affine motion; a black picture has none
             return np.zeros(gray.shape, np.float32)
-        source = np.stack([columns, rows], axis=1)[seen].astype(np.float32)
-        target = source + flow[rows[seen], columns[seen]]
+        source = np.stack([columns, rows], axis=1)[inside].astype(np.float32)
+        target = source + flow[rows[inside], columns[inside]]
         matrix, _ = cv2.estimateAffine2D(source, target, method=cv2.RANSAC, ransacReprojThreshold=1.0, maxIters=200)
         if matrix is None:
             return np.zeros(gray.shape, np.float32)
@@ -165,9 +165,9 @@ class AutomaticMasks:
 def lit_picture(image: np.ndarray) -> np.ndarray:
     """Lit pixels of the endoscope's picture, bool [H, W], from RGB uint8 [H, W, 3].
 
-    The largest connected region that is not black: the dark surround and what is clipped to black are left out.
+    They are the largest connected region that is not black: the dark surround and clipped black pixels are left out.
     """
-    bright = (brightest_channel(cv2.blur(image, (5, 5))) > DARKEST).astype(np.uint8)
+    bright = (brightest_channel(cv2.blur(image, (5, 5))) > DARKEST_LIT).astype(np.uint8)
     _, regions, areas, _ = cv2.connectedComponentsWithStats(bright)
     if len(areas) < 2:
         return np.zeros(bright.shape, bool)
@@ -197,9 +197,9 @@ def redness(image: np.ndarray) -> np.ndarray:
 def pallor(red: np.ndarray, bright: np.ndarray, lit: np.ndarray) -> np.ndarray:
     """How much less red a pixel is than four fifths of the lit picture at its brightness, float32 [H, W].
 
-    Tissue is redder the darker it is; metal and plastic are not, so that comparing equal brightness tells a dark
-    instrument from pale tissue. What is equally bright may all be instrument, so less than 0.45 of the whole picture's
-    median redness is not expected anywhere.
+    Tissue is redder the darker it is; metal and plastic are not, so that a comparison at equal brightness separates a
+    dark instrument from pale tissue. All pixels of one brightness may be instrument, so the expected redness is at
+    least 0.45 of the whole picture's median.
 
     Args:
         red: redness, [H, W].
@@ -230,18 +230,18 @@ def band_values(band: Band, values: np.ndarray, low: float = 0.0, high: float | 
 def outline_tool(band: Band, look: Look, field: np.ndarray) -> np.ndarray:
     """Pixels of the instrument of a band, bool [h, w].
 
-    The band itself to the border; where it is an instrument by its colour, rather all connected pixels around that
-    share the colour: jaws and a second edge may lie outside the band.
+    They are the band itself, extended to the border. Where it is an instrument by its colour, they are all connected
+    pixels around it that share the colour: jaws and a second edge may lie outside the band.
     """
     core = np.zeros(field.shape, np.uint8)
     cv2.fillConvexPoly(core, band.outline(-band.gap - 2, band.length), 1)
     if not look.is_colorless(band):
         return (core > 0) & field
     around = np.zeros(field.shape, np.uint8)
-    cv2.fillConvexPoly(around, band.outline(-band.gap - 2, band.length + MARGIN, MARGIN), 1)
+    cv2.fillConvexPoly(around, band.outline(-band.gap - 2, band.length + COLOR_MARGIN, COLOR_MARGIN), 1)
     paleness, red = (float(np.median(band_values(band, values))) for values in (look.pale, look.red))
-    # Highlights on the instrument are inside the band, those on tissue beside it.
-    same = (look.pale > 0.5 * paleness) & (look.red < red + SAME_COLOR) & (look.bright < SATURATED)
+    # Highlights on the instrument are inside the band, those on tissue outside it.
+    same = (look.pale > 0.5 * paleness) & (look.red < red + SAME_REDNESS) & (look.bright < SATURATED)
     same |= (core > 0) & (look.pale > 0.3 * paleness)
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
     closed = cv2.morphologyEx((same & (around > 0) & field).astype(np.uint8), cv2.MORPH_CLOSE, kernel)

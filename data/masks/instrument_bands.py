@@ -1,4 +1,4 @@
-"""Finds bands of parallel straight edges that enter the picture from its border: what an instrument's shaft looks like.
+"""Finds bands of parallel straight edges that enter the picture from its border: such as an instrument's shaft.
 
 Straight edges come from the line segment detector of Grompone von Gioi 2010 (OpenCV's LSD). Lengths are in pixels of a
 working picture whose longer side is `WORKING_SIZE`.
@@ -14,15 +14,17 @@ import numpy as np
 WORKING_SIZE = 640
 """Longer side that pictures are brought to before edges are sought, so that lengths mean the same everywhere [px]."""
 SHORTEST_SEGMENT = 10.0
-"""Segments below this are noise [px]."""
+"""Shortest segment that is not noise [px]."""
 SHORTEST_BASE = 30.0
-"""A band needs at least one edge of this length [px]."""
+"""Least length of a band's longest edge [px]."""
 WIDEST_BAND = 110.0
-"""An instrument close to the camera is not wider than this [px]."""
+"""Width of the widest band: an instrument close to the camera [px]."""
 THINNEST_BAND = 6.0
-"""Two edges closer than this are one line, such as a vessel [px]."""
-PARALLEL = np.cos(np.radians(5.0))
-COLLINEAR = np.cos(np.radians(3.0))
+"""Width of the thinnest band; two closer edges are one line, such as a vessel [px]."""
+PARALLEL_COSINE = np.cos(np.radians(5.0))
+"""Least cosine of the angle between edges of one band."""
+COLLINEAR_COSINE = np.cos(np.radians(3.0))
+"""Least cosine of the angle between segments of one line."""
 BORDER_MARGIN = 4.0
 """Edges this close to the end of the endoscope's picture are its own outline [px]."""
 CAPTION_MARGIN = 0.1
@@ -34,11 +36,11 @@ class Band:
     """A straight strip between parallel edges; positions in pixels (u, v) of the working picture."""
 
     start: np.ndarray
-    """End of the centre line next to the border, [2]."""
+    """End of the centre line that is nearer to the border, shape [2]."""
     axis: np.ndarray
-    """Unit vector from the border inwards, [2]."""
+    """Unit vector from the border inwards, shape [2]."""
     length: float
-    """Length of the strip that edges were found along [px]."""
+    """Length of the strip along which edges were found [px]."""
     width: float
     """Distance between the outermost edges [px]."""
     gap: float
@@ -46,7 +48,7 @@ class Band:
     edges: int
     """Number of straight edges in the strip."""
     support: float
-    """Their summed length [px]."""
+    """Summed length of those edges [px]."""
 
     @property
     def normal(self) -> np.ndarray:
@@ -117,7 +119,7 @@ def _join(segments: np.ndarray) -> np.ndarray:
             first, last = segments[:, :2] - start, segments[:, 2:] - start
             step = last - first
             along = np.sort(np.stack([first @ axis, last @ axis]), axis=0)
-            same = (step @ axis) > COLLINEAR * np.linalg.norm(step, axis=1)
+            same = (step @ axis) > COLLINEAR_COSINE * np.linalg.norm(step, axis=1)
             near = (np.abs(first @ normal) < 2) & (np.abs(last @ normal) < 2)
             touching = free & same & near & (along[0] < 1.4 * length) & (along[1] > -0.4 * length)
             if not touching.any():
@@ -147,7 +149,7 @@ def _grow(
     first, last = segments[:, :2] - origin, segments[:, 2:] - origin
     across = (first + last) @ normal / 2
     along = np.sort(np.stack([first @ axis, last @ axis]), axis=0)
-    eligible = (np.abs(directions @ axis) > PARALLEL) & (across > -2) & (across < widest)
+    eligible = (np.abs(directions @ axis) > PARALLEL_COSINE) & (across > -2) & (across < widest)
     low, high = 0.0, lengths[base]
     member = np.zeros(len(segments), bool)
     member[base] = True

@@ -1,4 +1,4 @@
-"""Masks from any ONNX segmentation model, read through settings beside it; onnxruntime only.
+"""Masks from any ONNX segmentation model, read by settings stored next to it; only onnxruntime is needed.
 
 Settings stand in a YAML file of the model's name (`model.onnx` → `model.yaml`) or, as JSON, in the model's own metadata
 under the key `masks`. They name the channels that are tool and tissue; docs/masks.md has an example.
@@ -26,16 +26,17 @@ from physics.fields import require_choices
 from physics.files import file_sha256
 
 METADATA_KEY = "masks"
+"""Key of a model's metadata under which its settings may stand."""
 
 
 @dataclass(frozen=True)
 class SegmentationSettings:
-    """How a segmentation model wants its picture and what its output means."""
+    """Input convention of a segmentation model, and the meaning of its output."""
 
     tool: tuple[int, ...]
     """Output channels (or labels) that are tool."""
     tissue: tuple[int, ...] = ()
-    """Output channels (or labels) that are tissue; none = the lit rest of the picture."""
+    """Output channels (or labels) that are tissue; none = all other lit pixels."""
     output: Literal["logits", "sigmoid_logits", "probabilities", "labels"] = "logits"
     """Class logits (softmax over channels), independent logits (sigmoid each), probabilities, or one label a pixel."""
     threshold: float = 0.5
@@ -43,7 +44,7 @@ class SegmentationSettings:
     height: int | None = None
     """Input height [px]; by default the model's own, else the frame's rounded up to `multiple`."""
     width: int | None = None
-    """Input width [px], likewise."""
+    """Input width [px]; by default the model's own, else the frame's rounded up to `multiple`."""
     multiple: int = 32
     """Divisor of the input size where neither settings nor model fix it."""
     mean: tuple[float, float, float] = (0.485, 0.456, 0.406)
@@ -96,12 +97,12 @@ class OnnxMasks:
         image, settings = frame.picture, self.settings
         output, wanted = self._network.run(self._picture(image))[0], (settings.tool, settings.tissue)
         if settings.output == "labels":
-            # Mixed like probabilities below, so that a threshold of a half draws the outline midway.
+            # The maps are resized like the probabilities below, so that a threshold of a half draws the outline midway.
             labels = self._label_map(output)
             maps = [np.isin(labels, values).astype(np.float32) for values in wanted]
         else:
             probabilities = self._probabilities(output)
-            # Independent channels may overlap, exclusive ones add up.
+            # Independent channels may overlap; exclusive ones add up.
             combine = np.max if settings.output == "sigmoid_logits" else np.sum
             maps = [combine(probabilities[list(channels)], axis=0, initial=0) for channels in wanted]
         tool, tissue = (cv2.resize(each, image.shape[1::-1]) for each in maps)
@@ -151,20 +152,22 @@ class OnnxMasks:
 
 
 def read_settings(path: Path, metadata: dict[str, str]) -> SegmentationSettings:
-    """Settings of a model from the YAML file beside it, else from its metadata.
+    """Settings of a model from the YAML file of its name in its folder, else from its metadata.
 
     Raises:
         InputError: neither exists, an unknown key, or an impossible value.
     """
-    beside = path.with_suffix(".yaml")
-    if isfile(beside):
-        values, where = read_mapping(beside, "settings of a segmentation model"), str(beside)
+    settings_file = path.with_suffix(".yaml")
+    if isfile(settings_file):
+        values, where = read_mapping(settings_file, "settings of a segmentation model"), str(settings_file)
     elif METADATA_KEY in metadata:
         where = f"the metadata '{METADATA_KEY}' of {path}"
         try:
             values = json.loads(metadata[METADATA_KEY])
         except (ValueError, RecursionError) as error:
-            raise InputError(f"{where} is not JSON ({error}); write {beside.name} beside the model instead.") from error
+            raise InputError(
+                f"{where} is not JSON ({error}); write {settings_file.name} beside the model instead."
+            ) from error
     else:
-        raise InputError(f"{path} has no settings; write {beside.name} beside it that names its tool channels.")
+        raise InputError(f"{path} has no settings; write {settings_file.name} beside it that names its tool channels.")
     return from_mapping(SegmentationSettings, values, where)

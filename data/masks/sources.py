@@ -21,7 +21,7 @@ from data.source.images import read_image
 from data.source.layout import ClipLayout, InputError, companion, matches
 
 KINDS = ("annotation", "automatic", "auto")
-"""Where masks come from without a model; auto is annotation where the clip has masks, else automatic."""
+"""Kinds of masks that need no model; auto is annotation where the clip has masks, else automatic."""
 
 
 class MaskError(InputError):
@@ -57,7 +57,7 @@ class MaskSource(Protocol):
     """Gives the label map of a frame; frames come in order, since a source may look at their motion."""
 
     identity: str
-    """What the result depends on besides the frame, for cache keys and reports."""
+    """Everything except the frame that the result depends on, for cache keys and reports."""
 
     def __call__(self, frame: Frame) -> np.ndarray:
         """Label map uint8 [H, W] of a readable frame, at its size.
@@ -68,7 +68,7 @@ class MaskSource(Protocol):
         """
 
     def reset(self) -> None:
-        """Forget the clip seen so far."""
+        """Forget the frames of the clip so far."""
 
 
 def open_masks(kind: str, layout: ClipLayout, classes: MaskClasses, clip: Path) -> MaskSource:
@@ -76,12 +76,14 @@ def open_masks(kind: str, layout: ClipLayout, classes: MaskClasses, clip: Path) 
 
     Args:
         kind: one of KINDS, or the path of an ONNX segmentation model (see data.masks.onnx for its settings).
+        layout: how the clip's files are named.
+        classes: which annotated classes are tool and tissue.
         clip: the clip's folder or video file.
 
     Raises:
         InputError: an unknown kind, a model that can't be used, or a clip without annotation masks.
     """
-    # Imported here: only the chosen source's dependencies are needed.
+    # The imports stand here because only the dependencies of the chosen source are needed.
     model = mask_model(kind)
     if model is not None:
         from data.masks.onnx import OnnxMasks
@@ -95,7 +97,7 @@ def open_masks(kind: str, layout: ClipLayout, classes: MaskClasses, clip: Path) 
 
 
 def mask_model(kind: str) -> Path | None:
-    """The segmentation model that a kind of masks names, None where it needs none.
+    """The segmentation model that a kind of masks names; None for a kind that needs none.
 
     Raises:
         InputError: an unknown kind, or a model that does not exist.
@@ -110,18 +112,18 @@ def mask_model(kind: str) -> Path | None:
 
 
 def chosen_kind(kind: str, clip: Path, layout: ClipLayout) -> str:
-    """What `open_masks(kind, …)` uses for a clip: "auto" is resolved."""
+    """The kind of masks that `open_masks(kind, …)` uses for a clip, "auto" being resolved."""
     if kind != "auto":
         return kind
     return "annotation" if clip.is_dir() and has_masks(clip, layout) else "automatic"
 
 
 class AnnotationMasks:
-    """Masks stored beside the frames of a clip, by the layout's patterns and the classes' colours."""
+    """Masks stored with the frames of a clip, by the layout's patterns and the classes' colours."""
 
     def __init__(self, layout: ClipLayout, classes: MaskClasses, clip: Path) -> None:
         if not clip.is_dir() or not layout.mask_patterns:
-            what = "the layout names" if clip.is_dir() else "a video or camera has"
+            what = "the layout names" if clip.is_dir() else "a video has"
             raise InputError(f"{what} no annotation masks; use --masks automatic or a segmentation model.")
         if not has_masks(clip, layout):
             expected = layout.mask_patterns[0]
@@ -143,10 +145,10 @@ class AnnotationMasks:
 
 
 def mask_file(layout: ClipLayout, frame: Frame) -> tuple[Path, str]:
-    """The annotation mask of a folder's frame, and which of the layout's patterns it matches: the first that has one.
+    """The annotation mask of a folder's frame, and its pattern: the first of the layout's for which a file exists.
 
     Raises:
-        MaskError: there is none.
+        MaskError: no pattern has a file.
     """
     if frame.path is None:
         raise MaskError(f"Frame {frame.number} has no image file, so it has no annotation mask.")
@@ -211,7 +213,7 @@ def read_class_mask(path: Path, size: tuple[int, int], classes: MaskClasses) -> 
 
 def color_distance(image: np.ndarray, color: tuple[int, int, int]) -> np.ndarray:
     """L1 distance of every pixel [H, W, 3] from a colour, uint16 [H, W]."""
-    # absdiff saturates nothing here, and a sum over three uint8 needs more than 8 bits.
+    # absdiff of uint8 can't overflow, but a sum over three channels needs more than 8 bits.
     difference = cv2.absdiff(np.ascontiguousarray(image), np.array([*color, 0], np.float64))
     return difference.sum(axis=2, dtype=np.uint16)
 
@@ -219,7 +221,7 @@ def color_distance(image: np.ndarray, color: tuple[int, int, int]) -> np.ndarray
 def read_label_mask(path: Path, size: tuple[int, int], layout: ClipLayout) -> np.ndarray:
     """Label map of a grey mask with the layout's tool and tissue values, false tool blobs removed by an opening.
 
-    What the opening removes is neither tool nor tissue: it may be the corner of a true tool.
+    Pixels that the opening removes become neither tool nor tissue: they may be the corner of a true tool.
 
     Raises:
         MaskError: unusable file (see read_mask), or one in colour.

@@ -13,9 +13,9 @@ import numpy as np
 from data.source.layout import ClipLayout, from_mapping, read_clip_file, read_mapping
 
 MOST_SIDE = 4096
-"""Of a grid, and of a network's input [px]."""
-FAR = 1e6
-"""No picture is so many times as wide as its camera's focal length, or has its centre so many widths off."""
+"""Longest side of a grid, and of a network's input [px]."""
+MAX_RATIO = 1e6
+"""Largest ratio of a picture's width to its camera's focal length, and of its centre's offset to its width."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Camera:
             raise ValueError(f"The camera's picture is {self.width}x{self.height}; give its size in pixels.")
         if (
             max(self.width / self.fx, self.height / self.fy, abs(self.cx) / self.width, abs(self.cy) / self.height)
-            > FAR
+            > MAX_RATIO
         ):
             raise ValueError(
                 f"The camera's focal length ({self.fx:g}, {self.fy:g}) or centre ({self.cx:g}, {self.cy:g}) is none of "
@@ -86,7 +86,10 @@ def load_camera(path: str | Path) -> Camera:
 
 
 def _camera(entries: Any, where: str) -> Camera:
-    """Calibration tools write whole numbers with a point, numbers as text ("5e2" is text to YAML), and null."""
+    """A camera from a file's entries; `where` begins the error message.
+
+    Calibration tools write whole numbers with a point, numbers as text ("5e2" is text to YAML), and null.
+    """
     if isinstance(entries, dict):
         entries = {
             name: [_number(each) for each in value] if isinstance(value, list) else _number(value)
@@ -106,7 +109,7 @@ def _number(value: Any) -> Any:
 
 
 def clip_camera(clip: Path, layout: ClipLayout) -> Camera | None:
-    """The camera that a clip folder's `clip.json` or its layout gives, or None where neither does.
+    """The camera that a clip folder's `clip.json` gives, else its layout, or None where neither does.
 
     Raises:
         InputError: a camera is named and can't be used.

@@ -20,20 +20,21 @@ from data.source.images import printable, read_image, require_pixels
 from data.source.layout import IMAGE_SUFFIXES, ClipLayout, InputError, frame_files, list_folder, read_clip_file
 
 VIDEO_SUFFIXES = frozenset({".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".ts", ".wmv"})
+"""Endings of the names of video files."""
 EXACT_COUNT_SUFFIXES = frozenset({".mp4", ".m4v", ".mov", ".avi"})
 """Containers whose header holds the true number of frames; elsewhere it is the duration times the frame rate."""
-LEAST_FRAME = 10
-"""Bytes of a file without which there is no frame, whatever its header announces."""
+LEAST_FRAME_BYTES = 10
+"""Smallest size of a frame in a file [bytes]; it bounds the number of frames that a header can announce."""
 RESULT_FILE = "run.json"
-"""Marks a folder of our own results, whose overlay video is no input."""
-FASTEST = 1000.0
-"""A stored frame rate above this is a container's default, not a camera's [1/s]."""
-LARGEST_NUMBER = 2**53
+"""File that marks a folder of this project's results, whose overlay video is no input."""
+LARGEST_FPS = 1000.0
+"""Largest frame rate of a camera [1/s]; a stored one above this is a container's default."""
+LARGEST_FRAME_NUMBER = 2**53
 """Frame numbers below this are exact as floating-point numbers too."""
 MOST_FOLDERS = 5_000
-"""Of a search for clips, which takes a millisecond a folder; the largest data sets have hundreds."""
-LEAST_SIDE, MOST_ASPECT = 32, 4
-"""Smallest picture [px] and longest side over shortest; on smaller or longer ones OpenCV's optical flow crashes."""
+"""Largest number of folders that a search for clips opens, at a millisecond each; large data sets have hundreds."""
+LEAST_SIDE_PX, LARGEST_ASPECT = 32, 4
+"""Shortest side [px] and largest ratio of the sides of a picture; OpenCV's optical flow crashes on others."""
 
 
 @dataclass(frozen=True)
@@ -65,14 +66,17 @@ class FrameSource(ABC):
     """A clip that can be iterated over more than once."""
 
     name: str
+    """Name of the clip."""
     path: Path
+    """The clip's folder or video file."""
     size: tuple[int, int]
     """(width, height) of the first readable frame [px]; frames of another size come as errors."""
     fps: float
+    """Frame rate [1/s]."""
     length: int
     """Number of frames to expect; 0 where unknown."""
     warnings: list[str]
-    """What was wrong with the clip as a whole, filled while iterating."""
+    """Problems of the clip as a whole, filled while iterating."""
 
     @abstractmethod
     def __iter__(self) -> Iterator[Frame]:
@@ -89,10 +93,19 @@ class FrameSource(ABC):
 class FrameFolder(FrameSource):
     """Images of one folder: those that match the layout, else all images in natural order.
 
-    Other folders may carry it on; camera, frame rate and depth scale are the first one's.
+    Other folders may continue it; camera, frame rate and depth scale are those of the first one.
     """
 
     def __init__(self, path: Path, layout: ClipLayout, following: Sequence[Path] = ()) -> None:
+        """
+        Args:
+            path: folder of the clip's images.
+            layout: how the files are named.
+            following: folders that continue the clip, in order.
+
+        Raises:
+            InputError: a folder without images, images that can't be decoded, or frame numbers that repeat.
+        """
         self.path = path
         self.name = path.resolve().name
         self.warnings = []
@@ -120,7 +133,7 @@ class FrameFolder(FrameSource):
             try:
                 image = read_image(file)
             except InputError as problem:
-                problems.append(problem)  # Reported with its own row when iterating.
+                problems.append(problem)  # it is reported with its frame when iterating
                 continue
             return _picture_size(self.path, image)
         raise InputError(f"{self.path} holds {self.length} images and none can be decoded; {problems[0]}")
@@ -148,6 +161,14 @@ class VideoFile(FrameSource):
     """A video file with its own time stamps, upright; frames that the file announces but lacks come as errors."""
 
     def __init__(self, path: Path, fallback_fps: float = 25.0) -> None:
+        """
+        Args:
+            path: video file.
+            fallback_fps: frame rate where the file states none that a camera could have [1/s].
+
+        Raises:
+            InputError: an empty file, not a video, or pictures of an unusable size.
+        """
         self.path, self.name, self.warnings = path, path.stem, []
         if path.exists() and not path.is_file():
             raise InputError(f"{printable(path)} is no file; give the video itself.")
@@ -161,8 +182,8 @@ class VideoFile(FrameSource):
         if not done:
             raise InputError(f"{path} holds no frame that can be decoded; copy it again or convert it to MP4.")
         self.size = _picture_size(path, image)
-        self.fps = float(fps) if 0 < fps <= FASTEST else fallback_fps
-        self.length = max(int(min(count, path.stat().st_size // LEAST_FRAME)), 1) if math.isfinite(count) else 1
+        self.fps = float(fps) if 0 < fps <= LARGEST_FPS else fallback_fps
+        self.length = max(int(min(count, path.stat().st_size // LEAST_FRAME_BYTES)), 1) if math.isfinite(count) else 1
         self._exact = path.suffix.lower() in EXACT_COUNT_SUFFIXES
 
     def _open(self) -> cv2.VideoCapture:
@@ -185,10 +206,10 @@ class VideoFile(FrameSource):
             if start is None:
                 start = position
             else:
-                # Some containers stamp nothing: time must rise all the same.
+                # Some containers hold no time stamps; time must rise all the same.
                 gap = position - start - stamp if position - start > stamp else 1 / self.fps
                 stamp, longest = stamp + gap, max(longest, gap)
-                # A jump in the time stamps is a jump in the numbers: the frames around it are no neighbours.
+                # A jump in the time stamps is a jump in the numbers, so that the frames around it are no neighbours.
                 number += max(1, round(gap * self.fps))
             error = self.size_error(image, f"Frame {number} of {self.path}")
             rgb = None if error else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
@@ -196,7 +217,7 @@ class VideoFile(FrameSource):
             decoded += 1
         missing = self.length - decoded
         if not self._exact:
-            # A varying frame rate has fewer frames than the duration says: only time that nothing covers is missing.
+            # A varying frame rate gives fewer frames than the duration; only time that no frame covers is missing.
             uncovered = round(self.length - (stamp + longest) * self.fps)
             missing = uncovered if uncovered > max(2, 0.1 * self.fps) else 0
         if missing > 0:
@@ -210,19 +231,19 @@ def _picture_size(path: Path, image: np.ndarray) -> tuple[int, int]:
     """(width, height) of a clip's pictures.
 
     Raises:
-        InputError: they are too small or too long to see anything in them.
+        InputError: they are too small, or too long for their height.
     """
     height, width = image.shape[:2]
-    if min(width, height) < LEAST_SIDE or max(width, height) > MOST_ASPECT * min(width, height):
+    if min(width, height) < LEAST_SIDE_PX or max(width, height) > LARGEST_ASPECT * min(width, height):
         raise InputError(
-            f"{printable(path)} has pictures of {width}x{height}; give at least {LEAST_SIDE}x{LEAST_SIDE} and at most "
-            f"{MOST_ASPECT}:1."
+            f"{printable(path)} has pictures of {width}x{height}; give at least {LEAST_SIDE_PX}x{LEAST_SIDE_PX} "
+            f"and at most {LARGEST_ASPECT}:1."
         )
     return width, height
 
 
 def _folder_times(folder: Path, files: Sequence[tuple[int, Path]], fps: float, begin: float | None) -> Sequence[float]:
-    """Time stamps of a folder's frames [s], from `begin` on where other frames come before.
+    """Time stamps of a folder's frames [s], starting at `begin` where other frames come before.
 
     Raises:
         InputError: its clip.json gives times of other frames.
@@ -242,12 +263,12 @@ def _check_numbers(files: Sequence[tuple[int, Path]]) -> None:
     for (number, file), (following, other) in pairwise(files):
         if number == following:
             raise InputError(f"{printable(file)} and {printable(other)} are both frame {number}; remove one of them.")
-    if files[-1][0] > LARGEST_NUMBER:
-        raise InputError(f"{printable(files[-1][1])} has a frame number above {LARGEST_NUMBER}; rename the file.")
+    if files[-1][0] > LARGEST_FRAME_NUMBER:
+        raise InputError(f"{printable(files[-1][1])} has a frame number above {LARGEST_FRAME_NUMBER}; rename the file.")
 
 
 def open_source(path: Path | str, layout: ClipLayout, following: Sequence[Path] = ()) -> FrameSource:
-    """Open a clip: a folder of frames and those that carry it on, or a video file.
+    """Open a clip: a folder of frames with the folders that continue it, or a video file.
 
     Raises:
         InputError: the path does not exist or holds no frame.
@@ -262,7 +283,7 @@ def open_source(path: Path | str, layout: ClipLayout, following: Sequence[Path] 
 
 
 def discover(inputs: list[Path], layout: ClipLayout) -> list[Path]:
-    """Clips under the given paths, in natural order a path: video files, frame folders, folders of those.
+    """Clips under the given paths, in natural order within each: video files, frame folders, folders of those.
 
     Raises:
         InputError: a path does not exist, can't be listed, or holds no clip.
@@ -288,11 +309,11 @@ def _search(top: Path, layout: ClipLayout) -> list[Path]:
     """Clips in a folder and below, in natural order.
 
     Raises:
-        InputError: there is no end of folders.
+        InputError: there are more folders than `MOST_FOLDERS`.
         OSError: the folder can't be listed.
     """
     found: list[Path] = []
-    seen: set[tuple[int, int]] = set()  # links may lead in circles
+    visited: set[tuple[int, int]] = set()  # links may lead in circles
     left = [top]
     while left:
         folder = left.pop()
@@ -302,12 +323,12 @@ def _search(top: Path, layout: ClipLayout) -> list[Path]:
                 continue
             state = folder.stat()
             place = state.st_dev, state.st_ino
-            if place in seen or (folder / RESULT_FILE).is_file():
+            if place in visited or (folder / RESULT_FILE).is_file():
                 continue
-            seen.add(place)
-            if len(seen) > MOST_FOLDERS:
-                told = f"holds more than {MOST_FOLDERS} folders, links followed; give those of the clips"
-                raise InputError(f"{printable(top)} {told}.")
+            visited.add(place)
+            if len(visited) > MOST_FOLDERS:
+                problem = f"holds more than {MOST_FOLDERS} folders, links followed; give those of the clips"
+                raise InputError(f"{printable(top)} {problem}.")
             if frame_files(folder, layout):
                 found.append(folder)
                 continue
@@ -315,7 +336,7 @@ def _search(top: Path, layout: ClipLayout) -> list[Path]:
         except OSError:
             if folder == top:
                 raise
-            found.append(folder)  # which fails by itself, and the others go on
+            found.append(folder)  # opening it fails later, and the other clips go on
             continue
         left += reversed([e for e in entries if isdir(e) or e.suffix.lower() in VIDEO_SUFFIXES])
     return found

@@ -8,7 +8,7 @@ from collections.abc import Generator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
-# Decoder messages about broken files would bury our own sentence.
+# Messages of the decoder about broken files would hide the error message of this project.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 import cv2
 import numpy as np
@@ -17,32 +17,33 @@ from data.source.layout import InputError
 from physics.doors import plain
 from physics.files import read_file
 
-# The environment's level is read when OpenCV is first imported, which may have been elsewhere.
+# OpenCV reads the environment when it is first imported, which may have been before this module.
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 
 MOST_PIXELS = 2**25
-"""Larger pictures are not unpacked; those of 8K have fewer."""
+"""Largest picture that is unpacked [px]; those of 8K are smaller."""
 MOST_BYTES = 8 * MOST_PIXELS
-"""No picture's file is larger: four channels of 16 bits, not packed."""
-LONGEST = 600
-"""Letters of a path in a sentence."""
-_ONE_AT_A_TIME = threading.Lock()
-"""Else one thread would keep what another has put in descriptor 2's place."""
-_MOST = f"{MOST_PIXELS / 1e6:.0f} million pixels; store it smaller"
+"""Largest file of a picture [bytes]: four channels of 16 bits, not packed."""
+MOST_PATH_LETTERS = 600
+"""Largest number of letters of a path in an error message."""
+_STDERR_LOCK = threading.Lock()
+"""Lets one thread at a time redirect descriptor 2, else one would restore what another has put there."""
+_PIXEL_LIMIT = f"{MOST_PIXELS / 1e6:.0f} million pixels; store it smaller"
+"""End of the error message about a picture that is too large."""
 
 
 def read_image(path: Path, flags: int = cv2.IMREAD_COLOR_RGB, most: float = MOST_PIXELS) -> np.ndarray:
     """Read an image file by its bytes, so that any file name works: RGB uint8 [H, W, 3] by default.
 
     Args:
-        flags: OpenCV's.
-        most: pixels; a PNG that declares more is not unpacked, nor any picture that has more than `MOST_PIXELS`.
+        flags: flags of `cv2.imdecode`.
+        most: largest number of pixels of a PNG; no picture may have more than `MOST_PIXELS`.
 
     Raises:
         InputError: missing, empty, truncated, undecodable or too large file.
     """
     try:
-        if path.exists() and not path.is_file():  # a pipe would be waited for, a device has no end
+        if path.exists() and not path.is_file():  # reading a pipe would wait, reading a device has no end
             raise InputError(f"{printable(path)} is no file; put the picture itself there.")
         content = read_file(path, MOST_BYTES)
     except OSError as error:
@@ -52,8 +53,8 @@ def read_image(path: Path, flags: int = cv2.IMREAD_COLOR_RGB, most: float = MOST
     width, height = (int.from_bytes(content[place : place + 4], "big") for place in (16, 20))
     if content[12:16] == b"IHDR":
         if width * height > most != MOST_PIXELS:
-            told = f"is {width}x{height}, far larger than its picture; store it at that size"
-            raise InputError(f"{printable(path)} {told}.")
+            problem = f"is {width}x{height}, far larger than its picture; store it at that size"
+            raise InputError(f"{printable(path)} {problem}.")
         require_pixels(path, width, height)
         if _packed(content) > 9 * width * height + 2**12:  # more than four channels of 16 bits that can't be packed
             raise InputError(f"{printable(path)} is far larger than a picture of {width}x{height}; store it anew.")
@@ -64,7 +65,7 @@ def read_image(path: Path, flags: int = cv2.IMREAD_COLOR_RGB, most: float = MOST
                 image = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
         except cv2.error as error:
             if "MAX_IMAGE" in str(error):
-                raise InputError(f"{printable(path)} is more than {_MOST}.") from error
+                raise InputError(f"{printable(path)} is more than {_PIXEL_LIMIT}.") from error
     if image is None:
         raise InputError(f"{printable(path)} can't be decoded as an image (truncated or damaged); copy it again.")
     return image
@@ -72,9 +73,9 @@ def read_image(path: Path, flags: int = cv2.IMREAD_COLOR_RGB, most: float = MOST
 
 @contextmanager
 def _silence() -> Generator[None]:
-    """Keep descriptor 2 from what libpng prints there by itself; our sentence says that a file is damaged."""
-    with _ONE_AT_A_TIME, ExitStack() as after:
-        with suppress(OSError):  # closed by the shell
+    """Discard what libpng prints to descriptor 2 by itself; an error message of this project reports the damage."""
+    with _STDERR_LOCK, ExitStack() as after:
+        with suppress(OSError):  # the shell may have closed it
             kept = os.dup(2)
             after.callback(os.close, kept)
             after.callback(os.dup2, kept, 2)
@@ -91,11 +92,11 @@ def require_pixels(path: Path, width: int, height: int) -> None:
         InputError: it is larger than `MOST_PIXELS`.
     """
     if width * height > MOST_PIXELS:
-        raise InputError(f"{printable(path)} is {width}x{height}, more than {_MOST}.")
+        raise InputError(f"{printable(path)} is {width}x{height}, more than {_PIXEL_LIMIT}.")
 
 
 def _packed(content: bytes) -> int:
-    """Bytes of a PNG's packed pixels."""
+    """Size of a PNG's packed pixels [bytes]."""
     place, found = 8, 0
     while place + 8 <= len(content):
         size = int.from_bytes(content[place : place + 4], "big")
@@ -114,4 +115,8 @@ def _truncated(content: bytes) -> bool:
 def printable(path: Path) -> str:
     """The path as text that any terminal and file can hold; the middle of one of many folders is left out."""
     text = plain(os.fsencode(path).decode("utf-8", "replace"))
-    return text if len(text) <= LONGEST else f"{text[: LONGEST // 2]}…{text[-LONGEST // 2 :]}"
+    return (
+        text
+        if len(text) <= MOST_PATH_LETTERS
+        else f"{text[: MOST_PATH_LETTERS // 2]}…{text[-MOST_PATH_LETTERS // 2 :]}"
+    )

@@ -27,14 +27,15 @@ Settings = TypeVar("Settings")
 CLIP_FILE = "clip.json"
 """Optional file of a clip folder: fps, camera, depth scale and time stamps."""
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"})
+"""Endings of the names of image files."""
 FRAME_RATES = (1e-6, 1e6)
 """Lowest and highest frame rate of a clip [1/s]."""
-LARGEST_OPENING = 1001
-"""Of `mask_opening_px` [px]."""
-MOST_VALUES = 100_000
-"""Of a YAML file once its references are unfolded; without any it has fewer."""
-MOST_JSON, MOST_YAML = 2**24, 2**17
-"""Size of a file that describes something [bytes]: the time stamps of hours, and what is read in seconds."""
+LARGEST_OPENING_PX = 1001
+"""Largest `mask_opening_px` [px]."""
+MOST_YAML_VALUES = 100_000
+"""Largest number of values of a YAML file once its references are unfolded; a file without references has fewer."""
+MOST_JSON_BYTES, MOST_YAML_BYTES = 2**24, 2**17
+"""Largest JSON file (the time stamps of hours) and largest YAML file (read in seconds) [bytes]."""
 
 
 class InputError(ValueError):
@@ -70,7 +71,7 @@ class ClipLayout:
     fps: float = 25.0
     """Frame rate where the clip does not give one [1/s]."""
     camera: str | None = None
-    """Camera file (YAML or JSON) beside the layout file, else relative to the clip's folder."""
+    """Camera file (YAML or JSON) in the layout file's folder, else relative to the clip's folder."""
 
     def __post_init__(self) -> None:
         for name in ("image", "color_mask", "class_mask", "label_mask", "depth", "camera"):
@@ -86,8 +87,8 @@ class ClipLayout:
             raise ValueError(f"layout.fps is {self.fps:g}; give frames a second.")
         if self.mask_opening_px < 0:
             raise ValueError(f"layout.mask_opening_px is {self.mask_opening_px}; give 0 or more.")
-        if self.mask_opening_px > LARGEST_OPENING:
-            raise ValueError(f"layout.mask_opening_px is {self.mask_opening_px}; give at most {LARGEST_OPENING}.")
+        if self.mask_opening_px > LARGEST_OPENING_PX:
+            raise ValueError(f"layout.mask_opening_px is {self.mask_opening_px}; give at most {LARGEST_OPENING_PX}.")
         if self.label_mask is not None and not (self.tool_values and self.tissue_values):
             raise ValueError("layout.label_mask needs layout.tool_values and layout.tissue_values; give both.")
 
@@ -98,7 +99,7 @@ class ClipLayout:
 
 
 def load_layout(path: Path | str) -> ClipLayout:
-    """Read a layout from a YAML file; a camera file beside it becomes an absolute path.
+    """Read a layout from a YAML file; the path of a camera file in the same folder becomes absolute.
 
     Raises:
         InputError: unreadable file, unknown key or impossible value.
@@ -115,7 +116,7 @@ def from_mapping(kind: type[Settings], values: Any, where: str) -> Settings:
 
     Raises:
         InputError: no mapping, an unknown or a missing key, a value of another kind than the field's annotation, or an
-            impossible one; `where` tells the user in which file.
+            impossible one; `where`, the beginning of the message, names the file.
     """
     if not isinstance(values, dict):
         raise InputError(f"{where} is not a mapping of names to values; write one.")
@@ -142,13 +143,13 @@ def read_mapping(path: Path, meaning: str) -> dict[str, Any]:
     """
     is_json = path.suffix.lower() == ".json"
     try:
-        text = read_file(path, MOST_JSON if is_json else MOST_YAML).decode("utf-8")
+        text = read_file(path, MOST_JSON_BYTES if is_json else MOST_YAML_BYTES).decode("utf-8")
         values = json.loads(text) if is_json else _unfolded(text)
     except OSError as error:
         raise InputError(f"{path} can't be read as {meaning} ({error.strerror}); check the path.") from error
     except RecursionError as error:
         raise InputError(f"{path} is not {meaning} (it nests too deeply); correct the file.") from error
-    except Exception as error:  # YAML's own, and whatever its constructors meet in a value
+    except Exception as error:  # errors of YAML, and whatever its constructors raise on a value
         reason = " ".join(str(error).split())
         raise InputError(f"{path} is not {meaning} ({reason}); correct the file.") from error
     if not isinstance(values, dict):
@@ -157,11 +158,11 @@ def read_mapping(path: Path, meaning: str) -> dict[str, Any]:
 
 
 class _Loader(yaml.SafeLoader):
-    """Safe, and without mappings that merging others into them makes endless."""
+    """A safe loader that refuses mappings which merging others into them makes endless."""
 
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
         super().flatten_mapping(node)
-        if len(node.value) > MOST_VALUES:
+        if len(node.value) > MOST_YAML_VALUES:
             raise ValueError("its references have no end")
 
 
@@ -169,17 +170,17 @@ def _unfolded(text: str) -> Any:
     """Content of a YAML text.
 
     Raises:
-        ValueError: its references unfold to more than `MOST_VALUES`, or one holds itself.
-        yaml.YAMLError, RecursionError: it is none, or nests too deeply.
+        ValueError: its references unfold to more than `MOST_YAML_VALUES`, or one holds itself.
+        yaml.YAMLError, RecursionError: the text is not YAML, or nests too deeply.
     """
     values = yaml.load(text, _Loader)
-    if _count(values, {}) > MOST_VALUES:
+    if _count(values, {}) > MOST_YAML_VALUES:
         raise ValueError("its references have no end")
     return values
 
 
 def _count(value: Any, known: dict[int, float]) -> float:
-    """Values in a value with all references unfolded; infinite where one holds itself."""
+    """Number of values in a value with all references unfolded; infinite where one holds itself."""
     if not isinstance(value, (dict, list)):
         return 1
     if id(value) not in known:
@@ -256,7 +257,7 @@ def frame_files(clip: Path, layout: ClipLayout) -> list[tuple[int, Path]]:
     digits = [re.findall(r"\d+", path.stem) for path in images]
     numbers = [int(runs[-1]) if runs else -1 for runs in digits]
     steps = np.diff(numbers) if len(numbers) > 1 else np.array([1])
-    # Numbers that do not count frames (time stamps, every tenth frame) say nothing about which frames are neighbours.
+    # Numbers that do not count frames (time stamps, every tenth frame) don't show which frames are neighbours.
     if min(numbers, default=-1) < 0 or steps.min() < 1 or np.median(steps) != 1:
         numbers = list(range(len(images)))
     return list(zip(numbers, images, strict=True))

@@ -1,4 +1,4 @@
-"""Columns of numbers from a CSV file of whatever content."""
+"""Columns of numbers from a CSV file, whose content is not trusted."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from physics.fields import LARGEST
 from physics.files import read_file
 
 MOST_BYTES = 2**26
-"""Larger tables are not read; an hour of a sensor's 1000 rows a second has fewer."""
-MOST_TOLD = 120
-"""Letters of a reason in a sentence."""
+"""Largest table that is read [bytes]; an hour of a sensor at 1000 rows a second is smaller."""
+MOST_LETTERS = 120
+"""Largest number of letters of a reason in an error message."""
 
 
 def reason(error: Exception) -> str:
@@ -28,26 +28,26 @@ def reason(error: Exception) -> str:
     if isinstance(error, UnicodeError):
         return "it is no text"
     if isinstance(error, KeyError):
-        return f"there is no {plain(str(error))[:MOST_TOLD]}"
+        return f"there is no {plain(str(error))[:MOST_LETTERS]}"
     if isinstance(error, (TypeError, AttributeError, RecursionError)):
         return "it is built otherwise"
-    return plain(str(error))[:MOST_TOLD]
+    return plain(str(error))[:MOST_LETTERS]
 
 
 def read_columns(path: Path, columns: Sequence[str], what: str) -> np.ndarray:
     """Columns of a table with a head, shape [rows, columns]; they need not be finite.
 
     Args:
-        columns: their names; others are left out.
-        what: table it is to be, for the sentence.
+        columns: names of the columns; others are left out.
+        what: the kind of table that is expected, for the error message.
 
     Raises:
-        InputError: it can't be read, lacks a column, or holds something that is no number or beyond all use.
+        InputError: it can't be read, lacks a column, or holds something that is no number or larger than LARGEST.
     """
     give = f"give a CSV file with the columns {', '.join(columns)}"
     try:
         text = io.StringIO(read_file(path, MOST_BYTES).decode("utf-8-sig"), newline="")
-        rows = csv.DictReader(text, restval="")  # of a row that ends early
+        rows = csv.DictReader(text, restval="")  # the value of what a short row lacks
         found = [[float(row[name]) for name in columns] for row in rows]
     except (OSError, ValueError, KeyError, csv.Error) as error:
         raise InputError(f"{printable(path)} is no {what} ({reason(error)}); {give}.") from error
@@ -58,15 +58,15 @@ def read_columns(path: Path, columns: Sequence[str], what: str) -> np.ndarray:
 
 
 def read_series(path: Path, columns: Sequence[str], what: str, least: int) -> np.ndarray:
-    """Columns of a table over time, of which the first rises, shape [rows, columns]; all finite.
+    """Columns of a table over time, of which the first rises, shape [rows, columns]; all values are finite.
 
     Args:
-        columns: as of `read_columns`.
-        what: likewise.
-        least: rows.
+        columns: as in `read_columns`.
+        what: as in `read_columns`.
+        least: smallest number of rows.
 
     Raises:
-        InputError: as of `read_columns`; it is too short, holds a value that is not finite, or its times don't rise.
+        InputError: as in `read_columns`; or the table is too short, a value is not finite, or the times don't rise.
     """
     found = read_columns(path, columns, what)
     if len(found) < least:

@@ -1,9 +1,9 @@
 """Clips with known truth, drawn and observed with errors as real ones have.
 
-settings  every knob of a scene; clip: a clip from seed to frames, in memory or as files
-scene     the tissue sheet, the organ's outline, the tool's way; truth: θ, the force and the true motion of a press
-grip      tissue that the tool holds and moves, or only passes over; slab: finite elements, of no estimator's model
-surface   the deformed sheet as the camera sees it; tool: the grasper; render: the pictures
+settings  all settings of a scene; clip: a clip from seed to frames, in memory or as files
+scene     the tissue sheet, the organ's outline, the tool's entry; truth: θ, the force and the true motion of a press
+grip      tissue that the tool holds and moves, or only passes over; slab: a truth by finite elements
+surface   depth of the deformed sheet in every pixel; tool: the grasper; render: the pictures
 errors    noise, rounding and wrong outlines; files: how a clip is stored
 source    a clip in memory as a FrameSource; contacts: motions without pictures, many and cheap
 

@@ -1,7 +1,7 @@
 """Synthetic clips with known truth, in memory or in CholecSeg8k's folder layout.
 
 `python -m data.synthetic --output DIR --clips N` writes DIR/videoNN/videoNN_00000/ with each frame's picture, masks and
-depth, with clip.json (frame rate, camera, times), truth.json and truth.npz, and beside that folder a video of the clip.
+depth, with clip.json (frame rate, camera, times), truth.json and truth.npz, and next to it a video of the clip.
 Every clip is a video of its own, so that a split by video works; with --presses a video has several folders, each with
 its own truth. No training reads the truth.
 """
@@ -29,7 +29,7 @@ from data.synthetic.clip import clip_seed, write_clip
 from data.synthetic.settings import SceneSettings
 
 MOST_PRESSES = 1000
-"""Of a video; all are drawn before the first frame is written."""
+"""Largest number of presses in a video; all of them are drawn before the first frame is written."""
 SIZES = {"full": (854, 480), "medium": (428, 240), "small": (214, 120)}
 """Named picture sizes [px]: CholecSeg8k's, half of it, the network's input."""
 

@@ -21,15 +21,15 @@ from data.synthetic.render import Renderer
 from data.synthetic.scene import Scene, draw_scene
 from data.synthetic.settings import SceneSettings
 from data.synthetic.slab import SlabMotion, draw_slab
-from data.synthetic.truth import Motion, PressedMotion, draw_motion
+from data.synthetic.truth import PressedMotion, TrueMotion, draw_motion
 from physics.files import all_below, as_json, file_sha256, read_file
 
-MOST_BYTES = 2**28
-"""Larger files are told apart by size and time of change."""
+MOST_HASHED_BYTES = 2**28
+"""Files of more bytes are recognised by size and time of change instead of their hash."""
 MARKER = "synthetic.json"
-"""File of a clip's videoNN that tells which files this program wrote there, each with its hash."""
+"""File of a clip's videoNN that lists the files that this program wrote there, each with its hash."""
 FOLDER_FRAMES = 80
-"""CholecSeg8k's folders hold so many frames of a video and are named by their first."""
+"""Frames of a video in one folder of CholecSeg8k, which is named by its first frame."""
 
 
 @dataclass(frozen=True)
@@ -38,11 +38,12 @@ class SyntheticClip:
 
     scene: Scene
     """True geometry: sheet, mesh, contact vertex, direction, true cameras."""
-    motion: Motion
-    """Truth: what the tissue is made of, what the tool does, trajectories."""
+    motion: TrueMotion
+    """True parameters of the tissue, what the tool does, and trajectories."""
     camera: Camera
     """Camera that the clip claims, with its focal-length error."""
     seed: int
+    """Seed from which the clip was drawn."""
     images: np.ndarray
     """RGB, shape [F, H, W, 3], uint8."""
     labels: np.ndarray
@@ -69,7 +70,7 @@ def draw_truth(settings: SceneSettings, seed: int) -> tuple[Scene, PressedMotion
 
 
 def draw_press(settings: SceneSettings, seed: int) -> tuple[Scene, PressedMotion]:
-    """The same of a press on a sheet.
+    """Scene and true motion of a press on a sheet, without its pictures.
 
     Raises:
         SceneError: the settings leave nothing to draw.
@@ -78,7 +79,7 @@ def draw_press(settings: SceneSettings, seed: int) -> tuple[Scene, PressedMotion
     return scene, draw_motion(scene, np.random.default_rng([seed, 1]))
 
 
-def observe(scene: Scene, motion: Motion, seed: int) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+def observe(scene: Scene, motion: TrueMotion, seed: int) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Frames of a clip in order as a user's files would show them, with their errors of observation.
 
     Yields:
@@ -104,7 +105,7 @@ def make_clip(settings: SceneSettings, seed: int) -> SyntheticClip:
     return synthetic_clip(*draw_truth(settings, seed), seed)
 
 
-def synthetic_clip(scene: Scene, motion: Motion, seed: int) -> SyntheticClip:
+def synthetic_clip(scene: Scene, motion: TrueMotion, seed: int) -> SyntheticClip:
     """A clip in memory of a truth that was drawn already, observed as the scene's settings say."""
     images, labels, stored = map(np.stack, zip(*observe(scene, motion, seed), strict=True))
     camera = reported_camera(scene.camera, scene.settings)
@@ -144,7 +145,7 @@ def write_clip(
 
     Args:
         presses: folders of the video, each with a scene, θ and press of its own.
-        advance: called with the number of frames done since the last call.
+        advance: is called with the number of frames that were written since the last call.
 
     Raises:
         FileExistsError: the folder is there and holds a file that this program did not write, or it was made otherwise
@@ -190,7 +191,7 @@ def write_clip(
 
 
 def _swap(partial: Path, target: Path) -> None:
-    """Put a finished folder in its place; an earlier one of ours leaves only once the new one is there."""
+    """Put a finished folder in its place; an earlier one of this program is removed only once the new one is there."""
     earlier = partial.with_suffix(".earlier")
     try:
         if target.exists():
@@ -226,7 +227,7 @@ def _content(folder: Path) -> dict[str, str]:
         name = path.relative_to(folder).as_posix()
         if path.is_file() and not path.is_symlink():
             state = path.stat()
-            huge = state.st_size > MOST_BYTES
+            huge = state.st_size > MOST_HASHED_BYTES
             content[name] = f"{state.st_size} bytes, {state.st_mtime_ns}" if huge else file_sha256(path)
         elif path.is_symlink() or not path.is_dir() or not any(path.iterdir()):
             content[name] = ""
@@ -234,6 +235,7 @@ def _content(folder: Path) -> dict[str, str]:
 
 
 def _same_clip(truth: Path, settings: SceneSettings, seed: int) -> bool:
+    """Whether a truth file records these settings and this seed."""
     try:
         recorded = json.loads(read_file(truth))
     except (OSError, ValueError, RecursionError):

@@ -28,13 +28,14 @@ from physics.mesh import Mesh
 from physics.msd.simulation import simulate
 from physics.observation import Observation
 
-REACH = 40
-"""Half side of the part of the mesh that is kept [grid pixels]: no wave returns from farther away within a second."""
-FINE = Mechanics(time_step=0.0025, steps=400, scheme="dkd", window_error=1e-5)
+CROP_RADIUS = 40
+"""Half side of the part of the mesh that is kept [grid px]: no wave returns from farther away within a second."""
+FINE_MECHANICS = Mechanics(time_step=0.0025, steps=400, scheme="dkd", window_error=1e-5)
 """The simulator that makes the motions."""
-ATTEMPTS = 60
-SHORTEST = 0.02
-"""No press is shorter, whatever its delays [s]."""
+DRAWS_PER_CONTACT = 60
+"""Largest number of draws for each contact that is wanted."""
+SHORTEST_PRESS = 0.02
+"""Shortest press, whatever its delays [s]."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,8 @@ class SimulatedContact:
     """A contact, its motion without noise, and the truth that no training reads."""
 
     interaction: Interaction
-    """Motion at the frames' times, and where it is wanted the film; their noise is 0 and must be added."""
+    """Motion at the frames' times, and the depth-change sequence where one was asked for; both are without noise, which
+    must be added."""
     theta: np.ndarray
     """[k_s, k_d, F], shape [3]."""
 
@@ -53,27 +55,28 @@ def draw_contacts(
     """Contacts of one scene, each with its own tissue and timing; fewer where too many draws move too much or little.
 
     Args:
-        settings: what is drawn.
-        seed: of this scene.
-        count: contacts.
-        time_step: of the loads' steps [s].
-        within: the press begins, and ends, at most so long before or after the time stamps that say so [s].
-        film: whether the films of the dents are made as well, seen at the grid's size or at CholecSeg8k's in turn.
+        settings: ranges from which scene, tissue and timing are drawn.
+        seed: seed of this scene.
+        count: number of contacts.
+        time_step: duration of a step of the loads [s].
+        within: largest difference between the true and the stamped time of a press's begin, and of its end [s].
+        film: whether the depth-change sequences of the dents are made as well, in pictures of the grid's size or of
+            CholecSeg8k's, drawn for each contact.
     """
     scene = draw_scene(settings, np.random.default_rng([seed, 0]))
     generator = np.random.default_rng([seed, 1])
-    mesh, kept, _ = crop_mesh(scene.mesh, scene.vertex, REACH)
+    mesh, kept, _ = crop_mesh(scene.mesh, scene.vertex, CROP_RADIUS)
     vertex = int(np.searchsorted(kept, scene.vertex))
     grid = settings.grid_width, settings.grid_height
     patches = [Patches(mesh, vertex, size) for size in (grid, (854, 480))] if film else []
     press = _Pressed(scene, mesh, vertex, time_step, within, patches)
-    draws = (press.draw(generator) for _ in range(ATTEMPTS * count))
+    draws = (press.draw(generator) for _ in range(DRAWS_PER_CONTACT * count))
     return list(itertools.islice(filter(None, draws), count))
 
 
 @dataclass(frozen=True)
 class _Pressed:
-    """One scene's mesh under presses."""
+    """The mesh of one scene on which presses are drawn; see `draw_contacts` for the fields."""
 
     scene: Scene
     mesh: Mesh
@@ -88,23 +91,25 @@ class _Pressed:
         theta = draw_theta(settings, generator)
         stamped = max(1, round(generator.uniform(*settings.press_seconds) * settings.fps)) / settings.fps
         delay, release = generator.uniform(-self.within, self.within, 2) if self.within else (0.0, 0.0)
-        loaded = max(stamped + release - delay, SHORTEST) / FINE.time_step
+        loaded = max(stamped + release - delay, SHORTEST_PRESS) / FINE_MECHANICS.time_step
         low, high = settings.peak_displacement
-        pressed = simulate(theta, self.mesh, Press.at(self.vertex, direction, np.ones(round(loaded) or 1)), FINE)
+        pressed = simulate(
+            theta, self.mesh, Press.at(self.vertex, direction, np.ones(round(loaded) or 1)), FINE_MECHANICS
+        )
         if not low <= np.linalg.norm(pressed, axis=1).max() <= high:
             return None
         view = self.patches[int(generator.integers(len(self.patches)))] if self.patches else None
         watch = np.array([self.vertex]) if view is None else np.append(self.vertex, view.vertices)
-        steps = FINE.steps + math.ceil(self.within / FINE.time_step)
+        steps = FINE_MECHANICS.steps + math.ceil(self.within / FINE_MECHANICS.time_step)
         press = Press.at(self.vertex, direction, held(loaded, steps))
-        path = simulate(theta, self.mesh, press, FINE, watch=watch)
+        path = simulate(theta, self.mesh, press, FINE_MECHANICS, watch=watch)
         times = np.arange(1, round(settings.fps) + 1) / settings.fps
         if self.within:
-            after = FINE.time_step * np.arange(steps + 1)
+            after = FINE_MECHANICS.time_step * np.arange(steps + 1)
             curve = CubicSpline(after, np.concatenate([np.zeros_like(path[:1]), path]))
             moved = curve(np.maximum(times - delay, 0))
         else:
-            moved = path[np.rint(times / FINE.time_step).astype(np.int64) - 1]
+            moved = path[np.rint(times / FINE_MECHANICS.time_step).astype(np.int64) - 1]
         step = self.time_step
         load = Press.at(self.vertex, direction.astype(np.float32), held(round(stamped / step), round(1 / step)))
         observed = Observation.of_point(self.vertex, times, moved[:, 0], 0.0)
@@ -114,7 +119,7 @@ class _Pressed:
     def _film(
         self, view: Patches, moved: np.ndarray, times: np.ndarray, stamped: float, generator: np.random.Generator
     ) -> DentFilm:
-        """What is seen of displacements [N, V, 3] beside a tool that touches until a time [s]."""
+        """The depth-change sequence of displacements [N, V, 3], the tool hiding some pixels until a time [s]."""
         side = 2 * FILM_REACH + 1
         change = view.shown(view.sunk(moved), view.covering(moved)).reshape(len(times), side, side)
         change[np.ix_(times < stamped - 1e-9, *[np.ones(side, bool)] * 2)] += hidden_by_tool(generator)
@@ -122,7 +127,7 @@ class _Pressed:
 
 
 def hidden_by_tool(generator: np.random.Generator) -> np.ndarray:
-    """Not a number where a tool that touches the middle from any side hides a film's pixels, else 0, shape [S, S]."""
+    """NaN where a tool that touches the middle from a random side hides a sequence's pixels, else 0, shape [S, S]."""
     angle = generator.uniform(0, 2 * math.pi)
     rows, columns = np.mgrid[-FILM_REACH : FILM_REACH + 1, -FILM_REACH : FILM_REACH + 1]
     along = columns * math.cos(angle) + rows * math.sin(angle)

@@ -12,14 +12,12 @@ from data.synthetic.settings import SceneSettings
 
 MASK_ERROR_LENGTH = 6.0
 """Correlation length of the outlines' displacement [grid px]."""
-
-
 BIAS_LENGTH = 0.15
 """Correlation length of the depth's bias, as a share of the picture's width."""
 
 
 def depth_bias(settings: SceneSettings, generator: np.random.Generator) -> np.ndarray:
-    """Factor on a clip's depth that is wrong in the same way in all frames, shape [H, W], float32."""
+    """Factor on a clip's depth, the same in all frames: its smooth error, shape [H, W], float32."""
     shape = settings.grid_height, settings.grid_width
     if settings.depth_bias == 0:
         return np.ones((settings.height, settings.width), np.float32)

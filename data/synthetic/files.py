@@ -21,8 +21,8 @@ from data.synthetic.slab import SUBSTEPS as SLAB_SUBSTEPS
 from data.synthetic.truth import (
     ABSOLUTE_TOLERANCE,
     RELATIVE_TOLERANCE,
-    Motion,
     PressedMotion,
+    TrueMotion,
     damping_ratio,
     regime_of,
 )
@@ -106,7 +106,7 @@ def write_truth(folder: Path, scene: Scene, motion: PressedMotion | GrippedMotio
 
 
 def _own_entries(scene: Scene, motion: PressedMotion | GrippedMotion | SlabMotion) -> tuple[dict, dict[str, str]]:
-    """What is told of one kind of motion alone, and its arrays."""
+    """Entries of truth.json that one kind of motion alone has, and descriptions of its own arrays."""
     if isinstance(motion, PressedMotion):
         return _press_entries(scene, motion), PRESS_ARRAYS
     if isinstance(motion, GrippedMotion):
@@ -115,7 +115,8 @@ def _own_entries(scene: Scene, motion: PressedMotion | GrippedMotion | SlabMotio
     return known, SLAB_FORCE if isinstance(motion, PressedSlab) else SLAB_REACTION
 
 
-def _truth_entries(scene: Scene, motion: Motion, seed: int, own: dict, arrays: dict[str, str]) -> dict:
+def _truth_entries(scene: Scene, motion: TrueMotion, seed: int, own: dict, arrays: dict[str, str]) -> dict:
+    """Content of truth.json."""
     return {
         "seed": seed,
         "action": scene.settings.action,

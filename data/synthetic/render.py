@@ -1,7 +1,8 @@
 """Pictures of a synthetic scene: tissue and tool lit by a light at the camera.
 
 Radiance = albedo · cos(angle of incidence) / distance², plus highlights, then the sRGB curve: the model that
-`data.depth.photometric` inverts. Albedo and fine relief are fixed to the tissue and move with it: optical flow sees it.
+`data.depth.photometric` inverts. Albedo and fine relief are fixed to the tissue and move with it, so that optical flow
+can follow it.
 """
 
 from __future__ import annotations
@@ -14,14 +15,16 @@ import numpy as np
 from data.masks.class_table import CLASSES
 from data.source.camera import back_project
 from data.synthetic.scene import Scene
-from data.synthetic.surface import View, deformed_view, rest_view
+from data.synthetic.surface import SheetView, deformed_view, rest_view
 from data.synthetic.tool import draw_tool
-from data.synthetic.truth import Motion
+from data.synthetic.truth import TrueMotion
 
 GREY = {name: entry.grey for name, entry in CLASSES.items()}
+"""Grey code of every class."""
 ALBEDO = {"gallbladder": (0.80, 0.49, 0.34), "liver": (0.36, 0.12, 0.10), "abdominal wall": (0.62, 0.30, 0.24)}
 """Linear RGB of the tissues."""
 FAT_ALBEDO = (0.78, 0.62, 0.25)
+"""Linear RGB of fat."""
 EXPOSURE_DISTANCE = 0.5
 """Distance at which a white surface facing the light is at full scale [scene units]."""
 HIGHLIGHT_EXPONENT = 1500
@@ -33,7 +36,7 @@ FAT_LIFT = 0.04
 class Renderer:
     """Draws the frames of one scene."""
 
-    def __init__(self, scene: Scene, motion: Motion, generator: np.random.Generator) -> None:
+    def __init__(self, scene: Scene, motion: TrueMotion, generator: np.random.Generator) -> None:
         self.scene, self.motion = scene, motion
         self.noise = generator.spawn(1)[0]
         self.rest = rest_view(scene)
@@ -58,7 +61,7 @@ class Renderer:
         return self._digitised(picture), labels, depth
 
     def exact(self, index: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The same without noise, the picture in sRGB before it is rounded, shape [H, W, 3], float32 in [0, 1]."""
+        """A frame as of `frame` but without noise, its picture sRGB before rounding, [H, W, 3] float32 in [0, 1]."""
         view = deformed_view(self.scene, self.motion, index, self.rest)
         labels, light, depth = self.rest_labels.copy(), self.rest_light.copy(), view.depth.copy()
         if view.region[0].stop > 0:
@@ -68,7 +71,7 @@ class Renderer:
         if self.scene.settings.occlusion > 0:
             self._add_fat(index, labels, light, depth)
         if self.scene.settings.tool_in_view:
-            tool = draw_tool(self.scene, self.motion, index, view).seen(labels != GREY["fat"], depth)
+            tool = draw_tool(self.scene, self.motion, index, view).visible(labels != GREY["fat"], depth)
             labels[tool.rows, tool.columns] = GREY["grasper"]
             depth[tool.rows, tool.columns] = tool.depth
             light[tool.rows, tool.columns] = tool.light * np.square(EXPOSURE_DISTANCE / tool.depth)[:, None]
@@ -77,7 +80,7 @@ class Renderer:
         blurred = cv2.GaussianBlur(light.astype(np.float32), (0, 0), 0.15 * self.scene.settings.cell[0] + 0.05)
         return encode_srgb(np.clip(blurred, 0, 1)), labels, depth
 
-    def _tissue_light(self, view: View, region: tuple[slice, slice]) -> np.ndarray:
+    def _tissue_light(self, view: SheetView, region: tuple[slice, slice]) -> np.ndarray:
         """Linear light of the tissue over a region, shape [h, w, 3]."""
         # Smoothing and gradients need neighbours: the border of what is computed is not used.
         margin = math.ceil(4 * self.scene.settings.cell[0])
@@ -85,7 +88,7 @@ class Renderer:
         inner = tuple(slice(p.start - start, p.stop - start) for p, start in zip(region, starts, strict=True))
         outer = tuple(slice(start, part.stop + margin) for part, start in zip(region, starts, strict=True))
         maps = view.rest_u[outer], view.rest_v[outer]
-        # What comes into the picture is a mirror image of what is there: it can be followed.
+        # Tissue that enters the picture shows a mirror image of the texture inside it, so that it can be followed.
         albedo = cv2.remap(self.albedo, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
         bumps = cv2.remap(self.bumps, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
         rays = self.rays[outer]
@@ -108,7 +111,7 @@ class Renderer:
         course = index / max(settings.frames - 1, 1)
         drift = (self.fat_course[0] * (1 - course) + self.fat_course[1] * course) * 2 - 1
         center = (outline.center + 0.5 * drift * outline.axes + 0.5) * settings.cell - 0.5
-        # An ellipse of the organ's shape: its half-axes go with the root of its share of the area.
+        # The ellipse has the organ's shape: its half-axes scale with the root of its share of the area.
         axes = outline.axes * settings.cell * math.sqrt(settings.occlusion)
         columns = (np.arange(settings.width) - center[0]) / axes[0]
         rows = (np.arange(settings.height) - center[1]) / axes[1]

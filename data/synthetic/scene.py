@@ -1,4 +1,4 @@
-"""Geometry of a synthetic scene: the tissue sheet, the outline of the organ, where and whence the tool comes.
+"""Geometry of a synthetic scene: the tissue sheet, the outline of the organ, contact vertex and entry of the tool.
 
 The sheet is a smooth height field over the camera's rays, its normal at the contact within a few degrees of the line of
 sight, so that the depth map shows a press. The true mesh is the grid mesh of the undeformed organ on the network's
@@ -16,8 +16,8 @@ from data.source.camera import Camera, back_project
 from data.synthetic.settings import SceneSettings
 from physics.mesh import Mesh, contact_normal, grid_mesh
 
-NEAREST, FARTHEST = 0.33, 0.95
-"""Depths between which the whole sheet must lie [scene units]; beyond 1 the stored depth would saturate."""
+NEAREST_DEPTH, FARTHEST_DEPTH = 0.33, 0.95
+"""Depths between which the whole sheet must lie [scene units]; above 1 the stored depth would saturate."""
 CLEARANCE = 7.0
 """Distance of the tool from the organ in the frames next to contact, in the picture plane [grid px]."""
 
@@ -26,19 +26,19 @@ class SceneError(ValueError):
     """The settings leave no scene to draw; the message is a sentence that says what to change."""
 
 
-MOST_BYTES = 2**30
-"""Of a clip's motion."""
+MOST_MOTION_BYTES = 2**30
+"""Largest size of a clip's motion in memory [bytes]."""
 
 
 def require_room(values: int) -> None:
     """Refuse a motion of more numbers than memory should hold, before it is integrated.
 
     Raises:
-        SceneError: it is too long.
+        SceneError: it takes more than `MOST_MOTION_BYTES`.
     """
-    if 8 * values > MOST_BYTES:
-        told = f"takes {8 * values / 2**30:.1f} GB, more than {MOST_BYTES / 2**30:g}"
-        raise SceneError(f"The motion of all frames {told}; give fewer --frames, or a smaller grid.")
+    if 8 * values > MOST_MOTION_BYTES:
+        size = f"{8 * values / 2**30:.1f} GB, more than {MOST_MOTION_BYTES / 2**30:g}"
+        raise SceneError(f"The motion of all frames takes {size}; give fewer --frames, or a smaller grid.")
 
 
 @dataclass(frozen=True)
@@ -78,9 +78,9 @@ class Outline:
     """Outline of the organ in the grid: an ellipse with a wobble."""
 
     center: np.ndarray
-    """(column, row) [grid px], shape [2]."""
+    """Centre (column, row), shape [2] [grid px]."""
     axes: np.ndarray
-    """Half-axes along columns and rows [grid px], shape [2]."""
+    """Half-axes along columns and rows, shape [2] [grid px]."""
     wobble: np.ndarray
     """Relative amplitude and phase of harmonics 2, 3, … of the radius, shape [K, 2]."""
 
@@ -100,14 +100,17 @@ class Scene:
     """A still scene before contact."""
 
     settings: SceneSettings
+    """Settings from which the scene was drawn."""
     sheet: Sheet
+    """Undeformed tissue surface."""
     outline: Outline
+    """Outline of the organ on the grid."""
     camera: Camera
     """True camera of the full picture."""
     grid_camera: Camera
     """True camera of the grid."""
     mesh: Mesh
-    """Undeformed organ on the grid, nothing hidden; of a grip all tissue in the picture."""
+    """Undeformed organ on the grid, nothing hidden; for a grip, all tissue in the picture."""
     vertex: int
     """Contact vertex of the mesh."""
     direction: np.ndarray
@@ -140,9 +143,9 @@ def draw_scene(settings: SceneSettings, generator: np.random.Generator) -> Scene
         contact_ray = np.array([(column - grid_camera.cx) / grid_camera.fx, (row - grid_camera.cy) / grid_camera.fy])
         sheet = _draw_sheet(settings, contact_ray, generator)
         depth = sheet.depth(*rays)
-        if not (depth.min() > NEAREST and depth.max() < FARTHEST):
+        if not (depth.min() > NEAREST_DEPTH and depth.max() < FARTHEST_DEPTH):
             continue
-        # What a grip moves spreads beyond the organ.
+        # The motion that a grip causes spreads to tissue outside the organ.
         tissue = (outline.level(columns, rows) > 0) | (settings.action == "grip")
         mesh = grid_mesh(back_project(depth, grid_camera), tissue)
         vertices = np.flatnonzero((mesh.pixels == (row, column)).all(axis=1))
@@ -153,7 +156,7 @@ def draw_scene(settings: SceneSettings, generator: np.random.Generator) -> Scene
             return Scene(settings, sheet, outline, camera, grid_camera, mesh, vertex, normal, entry, exit_offset)
     raise SceneError(
         f"scene.distance {settings.distance} with scene.curvature {settings.curvature} and scene.max_tilt_deg "
-        f"{settings.max_tilt_deg} leaves the depths {NEAREST} to {FARTHEST}; choose smaller ones."
+        f"{settings.max_tilt_deg} leaves the depths {NEAREST_DEPTH} to {FARTHEST_DEPTH}; choose smaller ones."
     )
 
 
@@ -161,7 +164,8 @@ def crop_mesh(mesh: Mesh, vertex: int, reach: int) -> tuple[Mesh, np.ndarray, np
     """The part of a grid mesh within `reach` pixels of a vertex, its cut edge held.
 
     Returns:
-        The part, without triangles; which vertices it has, ascending, and whether they lie on the cut, shape [N] each.
+        The part, without triangles; the indices of its vertices, ascending, and whether they lie on the cut, shape [N]
+        each.
     """
     apart = np.abs(mesh.pixels - mesh.pixels[vertex]).max(axis=1)
     kept = np.flatnonzero(apart <= reach)
@@ -190,7 +194,7 @@ def _draw_entry(generator: np.random.Generator) -> np.ndarray:
 def _draw_outline(settings: SceneSettings, entry: np.ndarray, generator: np.random.Generator) -> Outline:
     size = np.array([settings.grid_width, settings.grid_height])
     axes = size * generator.uniform([0.30, 0.36], [0.36, 0.42])
-    # Shifted away from the tool's entry, so that the tool has room to be seen clear of the organ.
+    # The centre is shifted away from the tool's entry, so that the tool has room to appear clear of the organ.
     center = (size - 1) / 2 - entry * size * 0.07 + generator.uniform(-1, 1, 2) * size * 0.02
     wobble = np.stack((generator.uniform(0, [0.05, 0.04, 0.03]), generator.uniform(0, 2 * np.pi, 3)), axis=1)
     return Outline(center, axes, wobble)

@@ -1,4 +1,4 @@
-"""What a synthetic scene may look like and how badly it is observed: every knob of the synthetic data set.
+"""Settings of a synthetic scene: its geometry, tissue and time course, and the errors with which it is observed.
 
 The same settings and the same seed give the same clip. Lengths are scene units (the tissue lies at z of about 0.5),
 times seconds.
@@ -48,36 +48,36 @@ class SceneSettings:
     """Keep only draws whose largest displacement of the contact vertex lies in this range [scene units]."""
     action: Literal["press", "grip"] = "press"
     """What the tool does: press with a force, or hold tissue from its first frame in contact to the clip's last and
-    move it across the line of sight, as far as peak_displacement says; force and regime mean nothing then."""
+    move it across the line of sight, as far as peak_displacement states; force and regime have no effect then."""
     spread: Range = (12.0, 30.0)
-    """Over which distance the motion of a grip dies away, √(3·stiffness/foundation), drawn log-uniformly [grid px]."""
+    """Distance over which the motion of a grip dies away, √(3·stiffness/foundation), drawn log-uniformly [grid px]."""
     relaxation: Range = (0.002, 0.01)
     """Damping over foundation of gripped tissue, drawn log-uniformly [s]."""
     regions: float = 1.0
-    """Stiffness of gripped tissue on one side of a line that passes by the grip over that on the other."""
+    """Stiffness of gripped tissue on one side of a line near the grip, divided by that on the other."""
     breathing: Range = (0.0, 0.0)
-    """How far all tissue of a grip is carried to and fro in the background, drawn uniformly [grid px]."""
+    """Distance over which breathing carries all tissue of a grip to and fro, drawn uniformly [grid px]."""
     tissue: Literal["sheet", "slab"] = "sheet"
-    """What lies beneath the surface: a sheet of springs, which is what estimators fit, or a soft slab of finite
-    elements, for which stiffness, damping, force, regime, delays, spread, relaxation, regions and breathing mean
-    nothing: its force is the one that reaches a draw from peak_displacement if the slab were linear."""
+    """Model of the tissue: a sheet of springs, which is what estimators fit, or a soft slab of finite elements, for
+    which stiffness, damping, force, regime, delays, spread, relaxation, regions and breathing have no effect: its force
+    is the one with which a linear slab would reach a displacement drawn from peak_displacement."""
     slab_young: Range = (60.0, 600.0)
-    """E of a slab, drawn log-uniformly [force/scene unit²]."""
+    """Young's modulus E of a slab, drawn log-uniformly [force/scene unit²]."""
     slab_poisson: float = 0.45
-    """ν of a slab."""
+    """Poisson's ratio ν of a slab."""
     slab_density: float = 1500.0
     """Density of a slab [mass/scene unit³]."""
     slab_thickness: Range = (0.05, 0.08)
-    """Of a slab, drawn log-uniformly [scene units]."""
+    """Thickness of a slab, drawn log-uniformly [scene units]."""
     slab_damping: Range = (10.0, 300.0)
     """Force per momentum of a slab, proportional to mass, drawn log-uniformly; (0, 0) is none [1/s]."""
     slab_branch: Range = (0.0, 0.0)
     """Stiffness of a relaxing branch over the slow one's (standard linear solid), drawn log-uniformly; (0, 0) is
     none."""
     slab_branch_time: Range = (0.05, 0.3)
-    """Time in which it relaxes, drawn log-uniformly [s]."""
+    """Relaxation time of that branch, drawn log-uniformly [s]."""
     slab_inclusion: float = 1.0
-    """E of a ball inside a slab over that around; 1 is none."""
+    """E of a ball inside a slab, divided by E around it; 1 is none."""
     patch_radius: Range = (0.0, 0.0)
     """A press acts on the vertices nearer than this, as 1 - (r/R)², R drawn uniformly [grid px]; 0 = on the contact
     vertex alone."""
@@ -88,15 +88,15 @@ class SceneSettings:
     rise: Range = (1 / 3, 1 / 3)
     """Share of the time in contact over which a force that holds rises, drawn uniformly."""
     fall: Range = (1 / 3, 1 / 3)
-    """Share over which it falls; with the share of its rise at most 1."""
+    """Share of the time in contact over which it falls, drawn uniformly; rise and fall sum to at most 1."""
     press_seconds: Range = (0.25, 0.5)
     """Time in contact [s], rounded to whole frames."""
     onset_fraction: Range = (0.15, 0.25)
     """The first frame in contact, as a share of the clip's frames; a tool that grips passes over the tissue before, and
-    only that at 1."""
+    never touches it at 1."""
     onset_delay: Range = (0.0, 0.0)
     """Share of a frame interval by which the force starts after the time stamp of the first frame in contact; drawn
-    uniformly from this range. Frames of a real video don't wait for the tool."""
+    uniformly from this range. A real press, too, starts between two frames."""
     release_delay: Range = (0.0, 0.0)
     """Share of a frame interval by which the force ends after the time stamp of the first frame after contact."""
     distance: Range = (0.45, 0.6)
@@ -104,11 +104,11 @@ class SceneSettings:
     max_tilt_deg: float = 0.2
     """Largest angle between the contact normal and the line of sight [degrees]."""
     curvature: Range = (0.4, 1.1)
-    """How fast the tissue recedes from its contact: z grows by half of this times the squared slope of the ray."""
+    """Curvature of the surface around its contact: z grows by half of this times the squared slope of the ray."""
     relief: float = 0.012
     """Amplitude of the tissue's random low-frequency waves, as a share of the depth."""
     stiffness_variation: float = 0.0
-    """Standard deviation of log k_s over a smooth field of the springs: truth from another model than the fitted."""
+    """Standard deviation of log k_s over a smooth field of the springs; the fitted model is homogeneous."""
     nonlinearity: float = 0.0
     """β of the spring law k_s·e·(1 + β(e/0.01)²), e the elongation [scene units]: stiffening springs, 0 is linear."""
     depth_noise: float = 0.0
@@ -116,8 +116,8 @@ class SceneSettings:
     depth_noise_correlation: float = 0.0
     """Standard deviation of the blur of the depth noise [px], which keeps the noise's size; 0 is white noise."""
     depth_bias: float = 0.0
-    """Standard deviation of log of a smooth factor on the depth that stays through the clip: what a network that sees
-    one picture gets wrong."""
+    """Standard deviation of log of a smooth factor on the depth that stays through the clip: the systematic error of a
+    network that estimates depth from one picture."""
     depth_bits: Literal[8, 16] = 16
     """Bits of the stored depth; 8 rounds to 1/255 scene units."""
     scale_flicker: float = 0.0
@@ -131,11 +131,11 @@ class SceneSettings:
     image_noise: float = 0.008
     """Standard deviation of the picture's noise, as a share of full scale."""
     highlights: float = 0.5
-    """Brightness of the wet tissue's mirror images of the light at 0.5 scene units, as a share of full scale."""
+    """Brightness of the highlights on wet tissue at 0.5 scene units, as a share of full scale."""
     tool_in_view: bool = True
-    """Draw the tool; otherwise what presses or grips isn't seen, as a probe from behind or a jet of air isn't."""
+    """Draw the tool; otherwise what presses or grips is invisible, such as a probe from behind or a jet of air."""
     circle: bool = False
-    """Black out what lies outside a round endoscope picture."""
+    """Black out pixels outside a round endoscope picture."""
 
     def __post_init__(self) -> None:
         for name, (lowest, highest) in _LIMITS.items():
@@ -159,10 +159,10 @@ class SceneSettings:
                 ("stiffness", math.sqrt(self.stiffness[1] / self.mass)),
                 ("damping", self.damping[1] / self.mass),
             ):
-                if fastest > FASTEST:
+                if fastest > LARGEST_RATE:
                     raise ValueError(
                         f"scene.{name} up to {getattr(self, name)[1]:g} with scene.mass {self.mass:g} moves at "
-                        f"{fastest:.3g}/s; give less, or more mass, for {FASTEST:g}/s at most."
+                        f"{fastest:.3g}/s; give less, or more mass, for {LARGEST_RATE:g}/s at most."
                     )
         if self.depth_bits not in (8, 16):
             raise ValueError(f"scene.depth_bits is {self.depth_bits}; give 8 or 16.")
@@ -173,8 +173,8 @@ class SceneSettings:
         return self.width / self.grid_width, self.height / self.grid_height
 
 
-FASTEST = 1e4
-"""Of a sheet, thirty times the defaults' rates; the truth is integrated by steps that follow them [1/s]."""
+LARGEST_RATE = 1e4
+"""Largest rate of a sheet, thirty times that of the defaults; it decides how short the integrator's steps are [1/s]."""
 _LIMITS = {
     "width": (64, MOST_SIDE),
     "height": (48, MOST_SIDE),

@@ -1,8 +1,9 @@
-"""True motion of a soft slab beneath the surface, pressed or held and moved by a tool: a truth that no estimator fits.
+"""True motion of a soft slab beneath the surface that a tool presses, or holds and moves.
 
 Finite elements (`physics.fem`) of neo-Hookean material with inertia, held at the bottom and all around; some slabs have
-a stiffer ball inside. What resists is damping proportional to mass, or a standard linear solid. Lengths are scene
-units, and forces those of the other truths: E is a force over an area in them.
+a stiffer ball inside. The motion is damped in proportion to mass, or by a standard linear solid. No estimator fits this
+law on this mesh. Lengths are scene units, and the unit of force is that of the other synthetic motions, so that E is in
+that unit an area.
 """
 
 from __future__ import annotations
@@ -12,60 +13,62 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data.synthetic.grip import draw_course, draw_way
+from data.synthetic.grip import draw_course, draw_tip_path
 from data.synthetic.scene import Scene, SceneError, require_room
 from data.synthetic.settings import SceneSettings
-from data.synthetic.truth import Motion, draw_contact_frames, draw_shape, force_factor
+from data.synthetic.truth import TrueMotion, draw_contact_frames, draw_shape, force_factor
 from physics.fem import Inertia, Material, NoEquilibrium, Relaxation, box, find_equilibrium, simulate
 from physics.fem.slab import Slab, layered
 from physics.load import Grip, Load, Press
 
 LAW = "neo_hookean"
+"""Material law of the slab."""
 SUBSTEPS = 2
 """Time steps a frame."""
 TOLERANCE = 1e-7
-"""Of the balance of forces in every time step."""
+"""Relative tolerance of the balance of forces in every time step."""
 CELLS = (8, 8, 3)
-"""Along columns, rows and depth, of quadratic elements."""
-WIDE = 72 / 214
-"""From the contact to the slab's sides, as a share of the picture's width."""
-CROWDED = 3.0
-"""How much the cells crowd around the contact: nodes lie at sinh(CROWDED s)/sinh(CROWDED), s even from -1 to 1."""
+"""Cells of quadratic elements along columns, rows and depth."""
+HALF_WIDTH = 72 / 214
+"""Distance from the contact to the slab's sides, as a share of the picture's width."""
+CROWDING = 3.0
+"""Concentration of the cells around the contact: nodes lie at sinh(CROWDING s)/sinh(CROWDING), s even from -1 to 1."""
 GROWTH = 1.6
-"""Thickness of a layer over that of the one above it."""
-GRIPPED = 11.5
+"""Thickness of a layer, divided by that of the layer above it."""
+GRIP_RADIUS = 11.5
 """Radius of the tissue between the jaws, around the contact [grid px]."""
-BALL = (0.018, 0.03)
-"""Radius of an inclusion, drawn uniformly [scene units]."""
+BALL_RADIUS = (0.018, 0.03)
+"""Range of the radius of an inclusion, drawn uniformly [scene units]."""
 
 
 @dataclass(frozen=True)
 class SlabTissue:
-    """What a slab is made of."""
+    """Material of a slab."""
 
     young: float
-    """E outside the inclusion, slowly (where there is a relaxing branch) [force/scene unit²]."""
+    """E outside the inclusion, of the slow branch where there is a relaxing one [force/scene unit²]."""
     poisson: float
-    """ν."""
+    """Poisson's ratio ν."""
     density: float
-    """[mass/scene unit³]."""
+    """Density [mass/scene unit³]."""
     thickness: float
-    """[scene units]."""
+    """Thickness [scene units]."""
     damping: float
     """Force per momentum, proportional to mass; 0 = none [1/s]."""
     branch: float
-    """γ, stiffness of the relaxing branch over the slow one's; 0 = none."""
+    """γ, stiffness of the relaxing branch divided by that of the slow one; 0 = none."""
     branch_time: float
-    """τ [s]."""
+    """Relaxation time τ of that branch [s]."""
     inclusion: float
-    """E of a ball inside over that around; 1 = none."""
+    """E of a ball inside, divided by E around it; 1 = none."""
 
 
 @dataclass(frozen=True)
-class SlabMotion(Motion):
-    """What truly happened in a clip whose tissue is a slab."""
+class SlabMotion(TrueMotion):
+    """True motion of a clip whose tissue is a slab."""
 
     tissue: SlabTissue
+    """Material of the slab."""
 
     @property
     def peak(self) -> float:
@@ -75,7 +78,7 @@ class SlabMotion(Motion):
 
 @dataclass(frozen=True)
 class PressedSlab(SlabMotion):
-    """The tool presses with a force."""
+    """True motion of a slab that a tool presses with a force."""
 
     force: np.ndarray
     """Signed force at the frames' times, just after them, shape [F]."""
@@ -83,16 +86,16 @@ class PressedSlab(SlabMotion):
 
 @dataclass(frozen=True)
 class GrippedSlab(SlabMotion):
-    """The tool holds tissue from its first frame in contact to the clip's end."""
+    """True motion of a slab that a tool holds from its first frame in contact to the clip's end."""
 
     course: np.ndarray
-    """The tip from where the contact vertex is, in the picture, shape [F, 2] [grid px]; 0 in contact."""
+    """Offset of the tip from the contact vertex in the picture, shape [F, 2] [grid px]; 0 in contact."""
     reaction: np.ndarray
-    """What holds the gripped tissue, along the picture's axes, shape [F, 2]."""
+    """Force that holds the gripped tissue, along the picture's axes, shape [F, 2]."""
 
 
 def draw_tissue(settings: SceneSettings, generator: np.random.Generator) -> SlabTissue:
-    """What a slab is made of, numbers over a factor log-uniformly."""
+    """Draw the material of a slab; ranges that begin above 0 are drawn log-uniformly, the others uniformly."""
 
     def between(ends: tuple[float, float]) -> float:
         return math.exp(generator.uniform(*np.log(ends))) if ends[0] > 0 else float(generator.uniform(*ends))
@@ -110,7 +113,7 @@ def draw_tissue(settings: SceneSettings, generator: np.random.Generator) -> Slab
 
 
 def draw_slab(scene: Scene, generator: np.random.Generator) -> PressedSlab | GrippedSlab:
-    """Draw a slab and what the tool does to it, and integrate.
+    """Draw a slab and its load, and integrate.
 
     Raises:
         SceneError: the surface bends too much for a slab below it, the tool has no room, the clip is too long, or
@@ -130,8 +133,8 @@ def _build(scene: Scene, tissue: SlabTissue) -> Slab:
     """The slab under the surface around the contact, its sides along the contact's normal."""
     places, _ = box((1.0, 1.0, 1.0), CELLS)
     row, column = scene.mesh.pixels[scene.vertex]
-    wide = WIDE * scene.settings.grid_width
-    offset = [wide * np.sinh(CROWDED * (2 * share - 1)) / math.sinh(CROWDED) for share in places[:, :2].T]
+    wide = HALF_WIDTH * scene.settings.grid_width
+    offset = [wide * np.sinh(CROWDING * (2 * share - 1)) / math.sinh(CROWDING) for share in places[:, :2].T]
     pixel = np.stack([column + offset[0], row + offset[1]])
     camera = scene.grid_camera
     x, y = (pixel[0] - camera.cx) / camera.fx, (pixel[1] - camera.cy) / camera.fy
@@ -141,27 +144,27 @@ def _build(scene: Scene, tissue: SlabTissue) -> Slab:
     nodes = np.stack([x * depth, y * depth, depth], axis=1) - below[:, None] * scene.direction
     side = (places[:, :2] == 0).any(axis=1) | (places[:, :2] == 1).any(axis=1)
     held = side | (places[:, 2] == 1)
-    if scene.settings.action == "press":  # beyond its outline the organ is attached
+    if scene.settings.action == "press":  # outside its outline the organ is attached
         held |= scene.outline.level(*pixel) <= 0
     top = np.flatnonzero(places[:, 2] == 0).reshape(CELLS[0] + 1, CELLS[1] + 1)
     grid = pixel[0, top[:, 0]], pixel[1, top[0]]
     try:
         return layered(nodes, held, CELLS, grid, (float(column), float(row)), order=2)
     except ValueError as error:
-        told = "choose a smaller scene.curvature, scene.relief or scene.slab_thickness"
-        raise SceneError(f"Below this surface a slab folds ({error}); {told}.") from error
+        remedy = "choose a smaller scene.curvature, scene.relief or scene.slab_thickness"
+        raise SceneError(f"Below this surface a slab folds ({error}); {remedy}.") from error
 
 
 def _material(body: Slab, scene: Scene, tissue: SlabTissue, generator: np.random.Generator) -> Material:
-    """With a ball of other stiffness beneath and beside the contact, where one is wanted."""
-    radius, angle = generator.uniform(*BALL), generator.uniform(0, 2 * np.pi)
-    aside = generator.uniform(0.3, 1.2) * radius
+    """The slab's material; the settings may ask for a ball of other stiffness obliquely beneath the contact."""
+    radius, angle = generator.uniform(*BALL_RADIUS), generator.uniform(0, 2 * np.pi)
+    offset = generator.uniform(0.3, 1.2) * radius
     if tissue.inclusion == 1:
         return Material(LAW, tissue.young, tissue.poisson)
-    # Its top reaches to an eighth of the thickness.
+    # The ball's top is an eighth of the thickness below the surface.
     deep = min(radius + tissue.thickness / 8, tissue.thickness)
     middle = scene.mesh.vertices[scene.vertex] - deep * scene.direction
-    middle = middle + aside * np.array([math.cos(angle), math.sin(angle), 0.0])
+    middle = middle + offset * np.array([math.cos(angle), math.sin(angle), 0.0])
     centre = body.solid.rest[body.solid.elements[:, :4]].mean(axis=1)
     inside = np.linalg.norm(centre - middle, axis=1) < radius
     return Material(LAW, tissue.young * np.where(inside, tissue.inclusion, 1.0), tissue.poisson)
@@ -170,7 +173,7 @@ def _material(body: Slab, scene: Scene, tissue: SlabTissue, generator: np.random
 def _follow(
     scene: Scene, body: Slab, material: Material, tissue: SlabTissue, load: Load, onset: int, force: float = 0.0
 ) -> tuple[dict, np.ndarray]:
-    """Fields of a `Motion` but the release, and the reactions of every step [T, N, 3]."""
+    """Fields of a `SlabMotion` except the release, by name, and the reactions of every step [T, N, 3]."""
     settings = scene.settings
     row, column = scene.mesh.pixels.T
     shown = np.flatnonzero(
@@ -196,6 +199,7 @@ def _follow(
 def _press(
     scene: Scene, body: Slab, material: Material, tissue: SlabTissue, generator: np.random.Generator
 ) -> PressedSlab:
+    """Press the slab with the force that would reach a drawn displacement if the slab were linear."""
     settings = scene.settings
     onset, release = draw_contact_frames(settings, generator)
     wanted = generator.uniform(*settings.peak_displacement)
@@ -207,7 +211,7 @@ def _press(
     time = np.arange(1, SUBSTEPS * (settings.frames - 1 - onset) + 1) / (settings.fps * SUBSTEPS)
     pressed = time < load + 1e-9
     factor = np.where(pressed, force_factor(shape, time, load), 0.0)
-    # The force that would sink it as far in the end, if it were linear.
+    # A linear slab at rest sinks by `sunk` under a unit force.
     linear = Material("linear", material.young, material.poisson)
     soft = find_equilibrium(body.solid, linear, body.held, forces=shares[:, None] * direction).displacement
     sunk = body.between(scene.mesh.pixels[[scene.vertex]]) @ soft @ scene.direction
@@ -224,16 +228,17 @@ def _press(
 def _pull(
     scene: Scene, body: Slab, material: Material, tissue: SlabTissue, generator: np.random.Generator
 ) -> GrippedSlab:
+    """Move the slab's gripped nodes along a drawn path."""
     settings = scene.settings
     onset = round(generator.uniform(*settings.onset_fraction) * settings.frames)
-    way, course = draw_way(scene, generator), draw_course(onset, settings, generator)
+    path, course = draw_tip_path(scene, generator), draw_course(onset, settings, generator)
     apart = np.hypot(body.columns[:, None] - body.place[0], body.rows - body.place[1])
-    nodes = body.top[apart < GRIPPED]
+    nodes = body.top[apart < GRIP_RADIUS]
     steps = SUBSTEPS * (settings.frames - 1 - onset)
     if steps < 1:
         raise SceneError("The tool never holds the slab; give a smaller scene.onset_fraction.")
-    path = way(np.arange(1, steps + 1) / steps) * scene.spacing
-    moved = np.concatenate([path, np.zeros((steps, 1))], axis=1)
+    targets = path(np.arange(1, steps + 1) / steps) * scene.spacing
+    moved = np.concatenate([targets, np.zeros((steps, 1))], axis=1)
     grip = Grip(nodes, np.repeat(moved[:, None], len(nodes), axis=1))
     known, reaction = _follow(scene, body, material, tissue, grip, onset)
     holding = np.zeros((settings.frames, 2))

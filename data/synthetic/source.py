@@ -1,4 +1,4 @@
-"""A synthetic clip in memory as a clip to prepare: benchmarks of a thousand clips write no files."""
+"""A synthetic clip in memory as a source of frames, so that benchmarks of a thousand clips write no files."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ PREPARE = PrepareSettings(
 )
 """How clips are prepared that serve the benchmark, and what the contact posterior is trained for."""
 _LABELS = np.full(256, OTHER, np.uint8)
+"""Label of every grey class code."""
 _LABELS[CLASSES["grasper"].grey], _LABELS[CLASSES["gallbladder"].grey] = TOOL, TISSUE
 
 
@@ -44,6 +45,8 @@ class SyntheticSource(FrameSource):
 
 
 class _Depth(DepthSource):
+    """Observed depth of a synthetic clip."""
+
     identity, metric, known_scale = "synthetic", False, 1.0
 
     def __init__(self, clip: SyntheticClip) -> None:
@@ -54,14 +57,16 @@ class _Depth(DepthSource):
         return RawDepth(self._depth[frame.index])
 
     def freeze(self, samples: Sequence[RawDepth]) -> None:
-        """Nothing of it depends on the clip's frames."""
+        """Nothing of synthetic depth depends on the clip's frames."""
 
     def convert(self, raw: RawDepth) -> np.ndarray:
-        """It is depth already."""
+        """Synthetic depth needs no conversion."""
         return raw.values
 
 
 class _Masks:
+    """Observed masks of a synthetic clip."""
+
     identity = "synthetic"
 
     def __init__(self, clip: SyntheticClip) -> None:
@@ -72,7 +77,7 @@ class _Masks:
         return _LABELS[self._labels[frame.index]]
 
     def reset(self) -> None:
-        """There is nothing to forget."""
+        """Nothing is remembered from frame to frame."""
 
 
 def open_synthetic(clip: SyntheticClip, settings: PrepareSettings) -> ClipStream:

@@ -1,4 +1,4 @@
-"""The deformed tissue sheet as the camera sees it: exact depth and, for every pixel, which rest point is visible.
+"""View of the deformed tissue sheet: exact depth and, for every pixel, the rest position of the visible tissue point.
 
 Each grid vertex carries the patch of tissue up to half-way to its neighbours, which sinks as much as the vertex does;
 steep ramps join the patches. So the depth of a grid pixel is its own vertex's, also when a full-size map is resized to
@@ -12,46 +12,46 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data.synthetic.scene import NEAREST, Scene
-from data.synthetic.truth import Motion
+from data.synthetic.scene import NEAREST_DEPTH, Scene
+from data.synthetic.truth import TrueMotion
 
-PATCH = 0.49
+HALF_PATCH = 0.49
 """Half-width of a vertex's patch as a share of a grid cell."""
-VISIBLE = 1e-5
-"""Displacements below this are not drawn [scene units]."""
-EDGE = 1e-6
+SMALLEST_DRAWN = 1e-5
+"""Smallest displacement that is drawn [scene units]."""
+EDGE_TOLERANCE = 1e-6
 """Tolerance of barycentric coordinates: pixels on a common edge belong to both triangles."""
 
 
 @dataclass(frozen=True)
-class View:
-    """What the camera sees of the sheet in one frame, tool aside."""
+class SheetView:
+    """The sheet in the camera's view in one frame, without the tool."""
 
     depth: np.ndarray
     """z of every pixel, shape [H, W], float32 [scene units]."""
     rest_u: np.ndarray
     """Column where the visible tissue point lay at rest, shape [H, W], float32 [px]."""
     rest_v: np.ndarray
-    """Row where it lay at rest, shape [H, W], float32 [px]."""
+    """Row where the visible tissue point lay at rest, shape [H, W], float32 [px]."""
     region: tuple[slice, slice]
     """Rows and columns outside which nothing has moved."""
 
 
-def rest_view(scene: Scene) -> View:
+def rest_view(scene: Scene) -> SheetView:
     """The sheet at rest."""
     camera = scene.camera
     columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     depth = scene.sheet.depth((columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy)
-    return View(
+    return SheetView(
         depth.astype(np.float32), columns.astype(np.float32), rows.astype(np.float32), (slice(0, 0), slice(0, 0))
     )
 
 
-def deformed_view(scene: Scene, motion: Motion, frame: int, rest: View) -> View:
+def deformed_view(scene: Scene, motion: TrueMotion, frame: int, rest: SheetView) -> SheetView:
     """The sheet in a frame: the rest view with the moving region drawn anew."""
     displacement = np.zeros((*scene.mesh.grid_shape, 3))
     displacement[tuple(scene.mesh.pixels[motion.moving].T)] = motion.field[frame]
-    moved = np.abs(displacement).max(axis=2) > VISIBLE
+    moved = np.abs(displacement).max(axis=2) > SMALLEST_DRAWN
     if not moved.any():
         return rest
     (top, left), (bottom, right) = _moved_range(scene, displacement, moved)
@@ -62,14 +62,14 @@ def deformed_view(scene: Scene, motion: Motion, frame: int, rest: View) -> View:
     depth[region][drawn] = 1 / inverse[drawn]
     map_u[region][drawn] = weighted_u[drawn] / inverse[drawn]
     map_v[region][drawn] = weighted_v[drawn] / inverse[drawn]
-    return View(depth, map_u, map_v, region)
+    return SheetView(depth, map_u, map_v, region)
 
 
 def _moved_range(scene: Scene, displacement: np.ndarray, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """First and last row and column to be drawn anew, shape [2] each; beyond the grid where its edge moves inwards."""
+    """First and last row and column to be drawn anew, shape [2] each; outside the grid where its edge moves inwards."""
     low, high = (f(np.argwhere(moved), axis=0) for f in (np.min, np.max))
     last = np.array(moved.shape) - 1
-    shift = scene.grid_camera.fx * np.abs(displacement[..., :2]).max() / NEAREST
+    shift = scene.grid_camera.fx * np.abs(displacement[..., :2]).max() / NEAREST_DEPTH
     beyond = np.where((low == 0) | (high == last), math.ceil(shift) + 1, 0)
     return np.maximum(low - 2, -beyond), np.minimum(high + 2, last + beyond)
 
@@ -77,7 +77,7 @@ def _moved_range(scene: Scene, displacement: np.ndarray, moved: np.ndarray) -> t
 def _lattice(
     scene: Scene, displacement: np.ndarray, rows: tuple[int, int], columns: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Deformed sheet over an inclusive range of the grid, four nodes a vertex; beyond the grid it moves as at its edge.
+    """Deformed sheet over an inclusive range of the grid, four nodes a vertex; outside the grid it moves as its edge.
 
     Returns:
         Column, row [px] and z [scene units] of the nodes in the picture, shape [3, h, w], and their column and row at
@@ -105,14 +105,14 @@ def _lattice(
 
 def _patch_edges(vertices: np.ndarray) -> np.ndarray:
     """Both edges of each vertex's patch along one axis [grid px], shape [2 n]."""
-    return (vertices[:, None] + np.array([-PATCH, PATCH])).ravel()
+    return (vertices[:, None] + np.array([-HALF_PATCH, HALF_PATCH])).ravel()
 
 
 def _between(values: np.ndarray, axis: int) -> np.ndarray:
     """Values at both edges of each patch along an axis, interpolated between the vertices; shape [..., 2 n, ...]."""
     values = np.moveaxis(values, axis, 0)
     before, after = np.concatenate((values[:1], values[:-1])), np.concatenate((values[1:], values[-1:]))
-    edges = np.stack(((1 - PATCH) * values + PATCH * before, (1 - PATCH) * values + PATCH * after), axis=1)
+    edges = np.stack([(1 - HALF_PATCH) * values + HALF_PATCH * neighbour for neighbour in (before, after)], axis=1)
     return np.moveaxis(edges.reshape(-1, *values.shape[1:]), 0, axis)
 
 
@@ -134,8 +134,8 @@ def _rasterise(
     values = np.stack([np.ones_like(depth), *attributes.reshape(len(attributes), -1)]) / depth
     index = np.arange(u.size).reshape(nodes.shape[1:])
     corners = (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:])
-    first, below, opposite, beside = (corner.ravel() for corner in corners)
-    triangles = np.concatenate((np.stack((first, below, opposite)), np.stack((first, opposite, beside))), axis=1)
+    first, below, opposite, right_of = (corner.ravel() for corner in corners)
+    triangles = np.concatenate((np.stack((first, below, opposite)), np.stack((first, opposite, right_of))), axis=1)
     left, right = max(math.ceil(u.min()), 0), min(math.floor(u.max()), size[0] - 1)
     top, bottom = max(math.ceil(v.min()), 0), min(math.floor(v.max()), size[1] - 1)
     shape = (bottom - top + 1, right - left + 1)
@@ -159,8 +159,8 @@ def _covered(u: np.ndarray, v: np.ndarray, shape: tuple[int, int]) -> tuple[np.n
     Returns:
         Flat pixel [N], barycentric weights [3, N] and triangle [N] of every pixel centre inside a triangle.
     """
-    left, right = np.ceil(u.min(axis=0) - EDGE), np.floor(u.max(axis=0) + EDGE)
-    top, bottom = np.ceil(v.min(axis=0) - EDGE), np.floor(v.max(axis=0) + EDGE)
+    left, right = np.ceil(u.min(axis=0) - EDGE_TOLERANCE), np.floor(u.max(axis=0) + EDGE_TOLERANCE)
+    top, bottom = np.ceil(v.min(axis=0) - EDGE_TOLERANCE), np.floor(v.max(axis=0) + EDGE_TOLERANCE)
     left, right = np.maximum(left, 0), np.minimum(right, shape[1] - 1)
     top, bottom = np.maximum(top, 0), np.minimum(bottom, shape[0] - 1)
     across = np.maximum(right - left + 1, 0).astype(np.int64)
@@ -173,6 +173,6 @@ def _covered(u: np.ndarray, v: np.ndarray, shape: tuple[int, int]) -> tuple[np.n
     areas = np.stack([du[i] * dv[j] - du[j] * dv[i] for i, j in ((1, 2), (2, 0), (0, 1))])
     total = areas.sum(axis=0)
     weights = areas / np.where(total == 0, np.inf, total)
-    inside = (weights >= -EDGE).all(axis=0) & (total != 0)
+    inside = (weights >= -EDGE_TOLERANCE).all(axis=0) & (total != 0)
     pixel = (row[inside] * shape[1] + column[inside]).astype(np.int64)
     return pixel, weights[:, inside], triangle[inside]

@@ -14,31 +14,31 @@ import numpy as np
 from data.synthetic.grip import GrippedMotion
 from data.synthetic.scene import Scene
 from data.synthetic.slab import GrippedSlab
-from data.synthetic.surface import View
-from data.synthetic.truth import Motion
+from data.synthetic.surface import SheetView
+from data.synthetic.truth import TrueMotion
 
 SHAFT_RADIUS = 0.021
 """Radius of the shaft [scene units]."""
 TIP_START = 0.5
-"""Where the tool begins, before the contact vertex [grid px]."""
+"""Distance along the axis from the contact vertex to where the tool begins [grid px]."""
 TIP_GAP = 0.3
 """Gap between the tip and the contact vertex along the line of sight [cells of the contact's depth]."""
 GAP_SLOPE = 2.0
-"""How fast the tool rises from the tissue along and across its axis [cells a grid px]."""
+"""Rise of the tool from the tissue along and across its axis [cells a grid px]."""
 KEEL_LENGTH, KEEL_WIDTH = 1.8, 0.8
 """Part of the tip that follows the contact vertex into its dent [grid px]."""
 LARGEST_GAP = 0.035
-"""Clearance of the jaws from the tissue that the rise stops at [scene units]."""
-LIFT = 0.03
-"""Clearance of the tool when it is not in contact [scene units]."""
+"""Largest clearance of the jaws from the tissue in contact [scene units]."""
+FREE_CLEARANCE = 0.03
+"""Clearance of the tool from the tissue when it is not in contact [scene units]."""
 AXIS_SLOPE = 0.006
 """Growth of inverse depth towards the entry, a grid px, relative to the tip's: a straight line in space."""
-APPROACH, FARTHEST_RETREAT = 5.0, 60.0
-"""Speed [grid px a frame] away from contact, and how far the tool draws back."""
-WIDTHS = ((0.0, 1.6), (2.0, 1.6), (7.0, 3.6), (16.0, 4.6), (19.0, 5.4), (21.0, 5.4))
+RETREAT_SPEED, FARTHEST_RETREAT = 5.0, 60.0
+"""Speed of the tool away from contact [grid px a frame], and the distance after which it stops [grid px]."""
+HALF_WIDTHS = ((0.0, 1.6), (2.0, 1.6), (7.0, 3.6), (16.0, 4.6), (19.0, 5.4), (21.0, 5.4))
 """Half-width [grid px] against the distance along the axis: tip, jaws, joint; the shaft follows."""
-SLIT = (4.0, 15.0, 0.5)
-"""Where the two jaws show a gap: from, to, half-width [grid px]."""
+JAW_SLIT = (4.0, 15.0, 0.5)
+"""Gap between the two jaws: where it begins and ends along the axis, and its half-width [grid px]."""
 
 
 @dataclass(frozen=True)
@@ -52,17 +52,22 @@ class Tool:
     depth: np.ndarray
     """z, shape [P] [scene units]."""
     light: np.ndarray
-    """Reflected light on the way back to the camera before the distance's falloff, shape [P, 3], linear RGB."""
+    """Reflected light before its falloff with distance, shape [P, 3], linear RGB."""
 
-    def seen(self, bare: np.ndarray, depth: np.ndarray) -> Tool:
-        """The pixels that are bare of other things, shape [H, W], or nearer to the camera than their depth [H, W]."""
+    def visible(self, bare: np.ndarray, depth: np.ndarray) -> Tool:
+        """The tool's pixels that nothing hides.
+
+        Args:
+            bare: pixels where nothing lies before the tissue, bool [H, W].
+            depth: depth of what else is in the picture, shape [H, W] [scene units].
+        """
         pixels = self.rows, self.columns
-        seen = bare[pixels] | (self.depth < depth[pixels])
-        return Tool(self.rows[seen], self.columns[seen], self.depth[seen], self.light[seen])
+        kept = bare[pixels] | (self.depth < depth[pixels])
+        return Tool(self.rows[kept], self.columns[kept], self.depth[kept], self.light[kept])
 
 
-def tip_offset(scene: Scene, motion: Motion, frame: int) -> np.ndarray:
-    """The tip from the contact vertex in the picture, shape [2] [grid px]; 0 exactly in the frames of contact.
+def tip_offset(scene: Scene, motion: TrueMotion, frame: int) -> np.ndarray:
+    """Offset of the tip from the contact vertex in the picture, shape [2] [grid px]; 0 exactly in frames in contact.
 
     A tool that presses draws back along its entry, out of the organ.
     """
@@ -71,16 +76,16 @@ def tip_offset(scene: Scene, motion: Motion, frame: int) -> np.ndarray:
     if motion.in_contact[frame]:
         return np.zeros(2)
     away = motion.onset_frame - 1 - frame if frame < motion.onset_frame else frame - motion.release_frame
-    return (scene.exit_offset + min(APPROACH * away, FARTHEST_RETREAT)) * scene.entry
+    return (scene.exit_offset + min(RETREAT_SPEED * away, FARTHEST_RETREAT)) * scene.entry
 
 
-def draw_tool(scene: Scene, motion: Motion, frame: int, view: View) -> Tool:
+def draw_tool(scene: Scene, motion: TrueMotion, frame: int, view: SheetView) -> Tool:
     """Pixels, depth and brightness of the tool in a frame."""
     camera, settings = scene.camera, scene.settings
     offset, touching = tip_offset(scene, motion, frame), bool(motion.in_contact[frame])
     vertex = scene.mesh.vertices[scene.vertex] + motion.contact[frame]
     contact = vertex[:2] / vertex[2] * [camera.fx, camera.fy] + [camera.cx, camera.cy]
-    tip_depth = vertex[2] if touching else vertex[2] - LIFT
+    tip_depth = vertex[2] if touching else vertex[2] - FREE_CLEARANCE
     columns = (np.arange(camera.width) - contact[0]) / settings.cell[0] - offset[0]
     rows = (np.arange(camera.height) - contact[1]) / settings.cell[1] - offset[1]
     along = columns * scene.entry[0] + rows[:, None] * scene.entry[1]
@@ -93,7 +98,7 @@ def draw_tool(scene: Scene, motion: Motion, frame: int, view: View) -> Tool:
     bulge = np.sqrt(1 - np.square(section))
     depth = axis_depth - half_width * bulge * axis_depth / scene.grid_camera.fx
     rise = GAP_SLOPE * (np.maximum(along - KEEL_LENGTH, 0) + np.abs(across))
-    gap = np.minimum((TIP_GAP + rise) * scene.spacing, LARGEST_GAP) if touching else LIFT
+    gap = np.minimum((TIP_GAP + rise) * scene.spacing, LARGEST_GAP) if touching else FREE_CLEARANCE
     depth = np.minimum(depth, view.depth[row, column] - gap)
     if touching:
         keel = (along <= KEEL_LENGTH) & (np.abs(across) <= KEEL_WIDTH)
@@ -102,26 +107,26 @@ def draw_tool(scene: Scene, motion: Motion, frame: int, view: View) -> Tool:
 
 
 def _half_width(along: np.ndarray, shaft: np.ndarray) -> np.ndarray:
-    """Half-width of the tool [grid px] along its axis; `shaft` is the shaft's there."""
+    """Half-width of the tool at places along its axis; `shaft` is that of the shaft there [grid px]."""
     # Jaws and joint of narrow pictures must not outgrow the shaft.
-    return np.where(along < WIDTHS[-1][0], np.minimum(jaw_width(along), shaft), shaft)
+    return np.where(along < HALF_WIDTHS[-1][0], np.minimum(jaw_width(along), shaft), shaft)
 
 
 def jaw_width(along: np.ndarray) -> np.ndarray:
     """Half-width of jaws and joint at places along their axis [grid px]."""
-    return np.interp(along, *np.array(WIDTHS).T)
+    return np.interp(along, *np.array(HALF_WIDTHS).T)
 
 
 def _light(along: np.ndarray, across: np.ndarray, section: np.ndarray, bulge: np.ndarray) -> np.ndarray:
     """Brushed metal: a cylinder lit from the camera, with a bright streak, a dark slit between the jaws and rings."""
-    joint = WIDTHS[-1][0]
+    joint = HALF_WIDTHS[-1][0]
     jaws = along < joint
     grey = np.where(jaws, 0.42, 0.13) * (0.25 + 0.75 * bulge)
     streak = np.exp(-0.5 * np.square((section - 0.25) / 0.12)) + 0.5 * np.exp(-0.5 * np.square((section + 0.45) / 0.1))
     grey += np.where(jaws, 0.5, 0.28) * streak
-    start, stop, width = SLIT
+    start, stop, width = JAW_SLIT
     grey[(along > start) & (along < stop) & (np.abs(across) < width)] = 0.02
-    # Teeth on the jaws, a ring where the shaft begins.
+    # The jaws have teeth, and a ring marks where the shaft begins.
     grey *= np.where((along > 3) & (along < stop), 1 - 0.15 * (np.sin(2 * math.pi * along / 1.3) > 0), 1.0)
     grey[np.abs(along - joint) < 0.6] *= 0.35
     return grey[:, None] * np.array([0.98, 1.0, 1.03])

@@ -1,8 +1,8 @@
 """True motion of a synthetic scene: θ, the force in time, and the sheet's motion by an adaptive integrator.
 
-Same model as Bini 2026, section 3.3 (m ẍ + k_d ẋ + springs = F·n), another integrator: DOP853, an eighth-order
-Runge-Kutta method with step control, so that recovering θ with the fitted scheme proves something (see
-docs/identifiability.md, "Recovery of known parameters").
+The model is that of Bini 2026, section 3.3 (m ẍ + k_d ẋ + springs = F·n). The integrator is another one, DOP853, an
+eighth-order Runge-Kutta method with step control, so that recovering θ with the fitted scheme is a test of that scheme
+(see docs/identifiability.md, "Recovery of known parameters").
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from data.synthetic.settings import SceneSettings
 from physics.load import Press, PressShape
 
 SAMPLE_STEP = 0.005
-"""Time between samples of the stored response [s], Bini 2026's Δt."""
+"""Time between samples of the stored response: Δt of Bini 2026 [s]."""
 RELATIVE_TOLERANCE, ABSOLUTE_TOLERANCE = 1e-6, 1e-9
 """Local error of the integrator; positions come out within about 1e-6 scene units."""
 STIFFENING_LENGTH = 0.01
@@ -30,16 +30,17 @@ WINDOW_LEAK = 1e-6
 """Largest displacement allowed where the window cuts the mesh [scene units]."""
 VARIATION_LENGTH = 6.0
 """Correlation length of the spring-to-spring variation [grid px]."""
-ROUNDING = 1e-9
-"""Of times [s]."""
+TIME_TOLERANCE = 1e-9
+"""Times closer than this are equal [s]."""
 
 Regime = Literal["under-damped", "critical", "over-damped"]
 REGIMES: tuple[Regime, ...] = get_args(Regime)
+"""All regimes, by rising damping ratio."""
 
 
 @dataclass(frozen=True)
-class Motion:
-    """What truly happened in a clip, as far as its pictures show it."""
+class TrueMotion:
+    """True motion of a clip's tissue, whatever its model."""
 
     onset_frame: int
     """First frame in contact, before which the tissue is at rest; the number of frames where there is none."""
@@ -62,8 +63,8 @@ class Motion:
 
 
 @dataclass(frozen=True)
-class PressedMotion(Motion):
-    """What truly happened in a clip whose tool presses with a force."""
+class PressedMotion(TrueMotion):
+    """True motion of a sheet that a tool presses with a force."""
 
     theta: np.ndarray
     """[k_s, k_d, F], float64, F signed."""
@@ -77,7 +78,7 @@ class PressedMotion(Motion):
     force: np.ndarray
     """Signed force at the frames' times, just after them, shape [F]."""
     shape: PressShape
-    """Over which patch it acts, which way, and how it comes and goes."""
+    """Patch, direction and time course of the force."""
 
     @property
     def load_seconds(self) -> float:
@@ -92,7 +93,7 @@ class PressedMotion(Motion):
 
 
 @dataclass(frozen=True)
-class Window:
+class MeshWindow:
     """The part of the mesh that moves."""
 
     vertices: np.ndarray
@@ -108,17 +109,17 @@ class Window:
     held: np.ndarray
     """Vertices that don't move, shape [M], bool."""
     cut: np.ndarray
-    """Vertices on the window's own border, shape [M], bool."""
+    """Vertices where the window cuts the mesh, shape [M], bool."""
     contact: int
     """Row of the contact vertex."""
     pressed: np.ndarray
     """Rows of the vertices under the tool, shape [P]."""
     shares: np.ndarray
-    """Of the force on each, shape [P], sum 1."""
+    """Share of the force on each of them, shape [P], sum 1."""
 
 
 def regime_of(zeta: float) -> Regime:
-    """Regime of a damping ratio, as the tables of docs/identifiability.md tell them apart."""
+    """Regime of a damping ratio, with the limits of the tables in docs/identifiability.md."""
     return "under-damped" if zeta < 0.7 else "critical" if zeta <= 1.4 else "over-damped"
 
 
@@ -128,10 +129,10 @@ def damping_ratio(stiffness: float, damping: float, mass: float) -> float:
 
 
 def draw_theta(settings: SceneSettings, generator: np.random.Generator) -> np.ndarray:
-    """θ log-uniform in the box, restricted to the wanted regime.
+    """Draw θ [k_s, k_d, F] log-uniformly from the settings' ranges, shape [3], until it has the wanted regime.
 
     Raises:
-        SceneError: the box holds (almost) no θ of that regime.
+        SceneError: the ranges hold (almost) no θ of that regime.
     """
     for _ in range(10_000):
         stiffness, damping = (math.exp(generator.uniform(*np.log(r))) for r in (settings.stiffness, settings.damping))
@@ -154,7 +155,7 @@ def draw_motion(scene: Scene, generator: np.random.Generator) -> PressedMotion:
     low, high = settings.peak_displacement
     onset, release = draw_contact_frames(settings, generator)
     variation = _stiffness_field(settings, generator)
-    # Streams of their own: θ and the frames of contact don't depend on the delays.
+    # The delays have random streams of their own, so that θ and the frames of contact don't depend on them.
     ranges = settings.onset_delay, settings.release_delay
     delays = [
         float(stream.uniform(*share)) / settings.fps for stream, share in zip(generator.spawn(2), ranges, strict=True)
@@ -193,7 +194,7 @@ def simulate_motion(
         variation: relative stiffness over the grid, shape [h, w]; None is 1 everywhere.
         delay, release_delay: from those frames' time stamps to the start and the end of the force [s], at most a frame
             interval each.
-        shape: of the press; None = in the middle of what the settings allow, along the normal.
+        shape: shape of the press; None = the middle of what the settings allow, along the normal.
 
     Raises:
         SceneError: the force ends before it starts.
@@ -212,7 +213,7 @@ def simulate_motion(
     contact = np.zeros((settings.frames, 3))
     contact[onset:] = frames[:, window.contact]
     force = np.zeros(settings.frames)
-    pressed = (after > -ROUNDING) & (after < load - ROUNDING)
+    pressed = (after > -TIME_TOLERANCE) & (after < load - TIME_TOLERANCE)
     force[onset:][pressed] = theta[2] * force_factor(shape, after[pressed], load)
     return PressedMotion(
         theta=theta,
@@ -256,7 +257,7 @@ def _stiffness_field(settings: SceneSettings, generator: np.random.Generator) ->
 
 
 def draw_shape(settings: SceneSettings, load: float, generator: np.random.Generator) -> PressShape:
-    """How a force acts that lasts so long [s], drawn as the settings say."""
+    """Shape of a press that lasts for `load` [s], drawn as the settings state."""
     radius, tilt, rise, fall = (
         float(generator.uniform(*ends))
         for ends in (settings.patch_radius, settings.force_tilt_deg, settings.rise, settings.fall)
@@ -268,13 +269,13 @@ def draw_shape(settings: SceneSettings, load: float, generator: np.random.Genera
 
 
 def middle_shape(settings: SceneSettings, load: float) -> PressShape:
-    """The same in the middle of each range, along the normal."""
+    """Shape of a press with every number in the middle of its range, along the normal."""
     radius, rise, fall = (sum(ends) / 2 for ends in (settings.patch_radius, settings.rise, settings.fall))
     return PressShape(radius, (0.0, 0.0), *_course(settings, load, rise, fall))
 
 
 def _course(settings: SceneSettings, load: float, rise: float, fall: float) -> tuple[float, float]:
-    """How long a force rises and falls that lasts so long [s], from the shares of one that holds [s]."""
+    """Times in which a force that lasts for `load` rises and falls [s]; `rise` and `fall` are its shares for `hold`."""
     if settings.profile == "hold":
         return rise * load, fall * load
     return (load if settings.profile == "ramp" else 0.0), 0.0
@@ -297,14 +298,14 @@ def _peak_under_load(
 
 
 def _reach(scene: Scene, theta: np.ndarray, duration: float) -> int:
-    """Radius that the motion reaches [grid px]: a wave's front, or diffusion's where damping rules."""
+    """Radius that the motion reaches [grid px]: that of a wave's front, or of diffusion where damping dominates."""
     stiffness, damping, _ = theta
     wave = 1.42 * math.sqrt(stiffness / scene.settings.mass) * duration
     diffusion = 3 * math.sqrt(stiffness / damping * duration)
     return math.ceil(min(wave, diffusion)) + 8
 
 
-def cut_window(scene: Scene, radius: int, variation: np.ndarray | None, shape: PressShape | None = None) -> Window:
+def cut_window(scene: Scene, radius: int, variation: np.ndarray | None, shape: PressShape | None = None) -> MeshWindow:
     """Vertices within `radius` grid px of the contact and the springs among them; the cut border is held."""
     mesh, vertices, cut = crop_mesh(scene.mesh, scene.vertex, radius)
     count = np.arange(len(mesh.springs))
@@ -323,7 +324,7 @@ def cut_window(scene: Scene, radius: int, variation: np.ndarray | None, shape: P
     held = mesh.rim.copy()
     held[pressed] = False
     lengths = np.linalg.norm(edges, axis=1)
-    return Window(vertices, difference, edges, lengths, relative, held, cut, contact, pressed, shares)
+    return MeshWindow(vertices, difference, edges, lengths, relative, held, cut, contact, pressed, shares)
 
 
 def _integrate(
@@ -334,11 +335,11 @@ def _integrate(
     fine: np.ndarray,
     variation: np.ndarray | None,
     shape: PressShape,
-) -> tuple[Window, np.ndarray, np.ndarray]:
-    """Window, all its displacements at the coarse times [C, M, 3], and the contact's at the fine times [R, 3].
+) -> tuple[MeshWindow, np.ndarray, np.ndarray]:
+    """The window, all its displacements at the coarse times [C, M, 3], and the contact's at the fine times [R, 3].
 
-    Times count from the start of the force, before which all is at rest. The window grows until nothing moves where it
-    cuts the mesh.
+    Times count from the start of the force, before which the tissue is at rest. The window grows until nothing moves
+    where it cuts the mesh.
     """
     radius = _reach(scene, theta, max(coarse[-1], fine[-1]))
     largest = max(scene.mesh.grid_shape)
@@ -351,8 +352,8 @@ def _integrate(
         radius = math.ceil(1.5 * radius)
 
 
-def _next_to_cut(window: Window, displaced: np.ndarray) -> np.ndarray:
-    """Displacements of the vertices that a spring joins to the window's own border."""
+def _next_to_cut(window: MeshWindow, displaced: np.ndarray) -> np.ndarray:
+    """Displacements of the vertices that a spring joins to the cut."""
     touching = abs(window.difference) @ window.cut.astype(np.float64)
     neighbours = (abs(window.difference).T @ touching) > 0
     return displaced[:, neighbours]
@@ -360,14 +361,14 @@ def _next_to_cut(window: Window, displaced: np.ndarray) -> np.ndarray:
 
 def _solve(
     scene: Scene,
-    window: Window,
+    window: MeshWindow,
     theta: np.ndarray,
     load: float,
     coarse: np.ndarray,
     fine: np.ndarray,
     shape: PressShape,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Integrate press and release one after the other: the force jumps between them."""
+    """Integrate press and release separately, since the force may jump between them."""
     settings = scene.settings
     count = len(window.vertices)
     state = np.zeros(6 * count)
@@ -396,7 +397,7 @@ def _solve(
 
 def _rate(
     settings: SceneSettings,
-    window: Window,
+    window: MeshWindow,
     theta: np.ndarray,
     direction: np.ndarray,
     load: float,

@@ -24,7 +24,7 @@ from physics.msd.batch import DepthBatch, MeshBatch, ObservationBatch, PressBatc
 
 
 class SampleDataset(Dataset):
-    """Samples of prepared clips."""
+    """Samples of prepared clips; `places` names the clip and the frame of each."""
 
     def __init__(self, clips: Sequence[PreparedClip], places: Sequence[Place], settings: SampleSettings) -> None:
         self.clips, self.places, self.settings = list(clips), list(places), settings
@@ -46,22 +46,23 @@ def collate(samples: Sequence[Sample]) -> dict[str, Any]:
     Returns:
         `window_a`, `window_b` [B, K, h, w] float32; `mesh_a`, `mesh_b` MeshBatch; `load_a`, `load_b` PressBatch;
         `observation_a`, `observation_b` ObservationBatch (padded with weight 0); `course_a`, `course_b` [B, 2] int64,
-        the rollout's steps at the window's last frame and the one that is predicted; `clip` names; `frame` [B] int64.
-        For trajectories of clips whose noise is known, also what was known of the contact at frame t, the same on both
+        the rollout's steps at the window's last frame and at the predicted one; `clip` names; `frame` [B] int64.
+        For trajectories of clips whose noise is known, also what was known of the contact at frame t, equal on both
         sides: `contact_features_a`, … [B, FEATURES] float32 (`data.contact.features`), `noise_a`, … [B] float32
-        [scene units], `seen_load_a`, … PressBatch and `seen_observation_a`, … ObservationBatch. Where films are wanted
-        these vectors tell of them, too (`data.contact.film_features`), and `dent_a`, … DepthBatch holds them.
+        [scene units], `known_load_a`, … PressBatch and `known_observation_a`, … ObservationBatch. Where
+        depth-change sequences are asked for, these vectors describe them, too (`data.contact.film_features`), and
+        `dent_a`, … DepthBatch holds them.
     """
     batch: dict[str, Any] = {
         "clip": [sample.clip for sample in samples],
         "frame": torch.tensor([sample.frame for sample in samples]),
     }
-    seen = [sample.seen for sample in samples if sample.seen is not None]
-    known = len(seen) == len(samples)
-    filmed = known and any(interaction.film is not None for interaction in seen)
-    told = functools.partial(dent_features, within=0.0) if filmed else contact_features
-    features = np.stack([told(interaction) for interaction in seen]) if known else None
-    dents = join_films(seen) if filmed else None
+    known = [sample.known for sample in samples if sample.known is not None]
+    all_known = len(known) == len(samples)
+    filmed = all_known and any(interaction.film is not None for interaction in known)
+    features_of = functools.partial(dent_features, within=0.0) if filmed else contact_features
+    features = np.stack([features_of(interaction) for interaction in known]) if all_known else None
+    dents = join_films(known) if filmed else None
     for side in ("a", "b"):
         interactions: list[Interaction] = [getattr(sample, f"interaction_{side}") for sample in samples]
         windows = np.stack([getattr(sample, f"window_{side}") for sample in samples])
@@ -69,25 +70,26 @@ def collate(samples: Sequence[Sample]) -> dict[str, Any]:
         batch[f"course_{side}"] = torch.tensor([getattr(sample, f"course_{side}") for sample in samples])
         batch[f"mesh_{side}"] = MeshBatch.from_meshes([interaction.mesh for interaction in interactions])
         batch[f"load_{side}"], batch[f"observation_{side}"] = _join(interactions)
-        if known:
+        if all_known:
             batch[f"contact_features_{side}"] = torch.from_numpy(features)
-            batch[f"noise_{side}"] = torch.tensor([interaction.noise for interaction in seen], dtype=torch.float32)
-            batch[f"seen_load_{side}"], batch[f"seen_observation_{side}"] = _join(seen)
+            batch[f"noise_{side}"] = torch.tensor([interaction.noise for interaction in known], dtype=torch.float32)
+            batch[f"known_load_{side}"], batch[f"known_observation_{side}"] = _join(known)
         if dents is not None:
             batch[f"dent_{side}"] = dents
     return batch
 
 
 def _join(interactions: Sequence[Interaction]) -> tuple[PressBatch, ObservationBatch]:
+    """Loads and observations of some interactions, as batches."""
     observations = [interaction.observation for interaction in interactions]
     loads = PressBatch.of([interaction.load for interaction in interactions])
     return loads, ObservationBatch.of(observations, interactions[0].time_step)
 
 
 def join_films(contacts: Sequence[Interaction]) -> DepthBatch:
-    """What was seen of the tissue around some contacts.
+    """The depth-change sequences of some contacts, as a batch.
 
-    Of a contact without any film its own motion counts, as the middle pixel's. In a finer picture than the grid the
+    A contact without a sequence gives its own motion, as the middle pixel's. In a finer picture than the grid the
     middle pixels are left out: they are means of very different depths.
     """
     parts = [_film_parts(contact) for contact in contacts]
@@ -97,7 +99,7 @@ def join_films(contacts: Sequence[Interaction]) -> DepthBatch:
         for column in zip(*((steps, change) for _, steps, change in parts), strict=True)
     )
     most = max(len(view.vertices) for view in views)
-    # The contact's vertex fills up: far ones would have to be simulated.
+    # The contact's vertex pads the list, since a far one would have to be simulated.
     vertices = [
         np.pad(view.vertices, (0, most - len(view.vertices)), constant_values=contact.vertex)
         for view, contact in zip(views, contacts, strict=True)
@@ -116,7 +118,7 @@ def join_films(contacts: Sequence[Interaction]) -> DepthBatch:
 
 
 def _film_parts(contact: Interaction) -> tuple[Patches, np.ndarray, np.ndarray]:
-    """What its pixels show, and steps [N] and changes [N, P] of one contact; not a number where nothing was seen."""
+    """Patches that a contact's pixels show, steps [N] and depth changes [N, P], NaN where nothing was observed."""
     film, side = contact.film, 2 * REACH + 1
     if film is None or not len(film.times):
         patches = Patches(contact.mesh, contact.vertex, contact.mesh.grid_shape[::-1])
@@ -135,7 +137,7 @@ def _film_parts(contact: Interaction) -> tuple[Patches, np.ndarray, np.ndarray]:
 
 
 def _film_noise(contact: Interaction) -> float:
-    """σ of every pixel's independent error [scene units]; of pixels whose errors go together, as fewer would have."""
+    """σ of every pixel's error [scene units]; larger where errors are correlated in time, as of fewer pixels."""
     film, noise = contact.film, told_noise(contact)
-    alike = film is not None and len(film.times) and not film.noise.rounded
-    return noise * math.sqrt(film.noise.alike_in_time) if alike else noise
+    correlated = film is not None and len(film.times) and not film.noise.rounded
+    return noise * math.sqrt(film.noise.alike_in_time) if correlated else noise

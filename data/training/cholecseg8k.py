@@ -34,16 +34,16 @@ from data.training.samples import SampleSettings, list_frames
 from data.training.splits import video_of
 from physics.doors import plain
 
-BORDER = ((255, 255, 255), (0, 0, 0))
-"""Colours that are no class but expected: the 1-px border, and pixels nobody labelled."""
-SHOWN_PROBLEMS = 5
-"""Problems printed of a clip."""
+UNLABELLED_COLORS = ((255, 255, 255), (0, 0, 0))
+"""Colours of no class that masks hold nevertheless: of the 1-px border, and of unlabelled pixels."""
+MOST_SHOWN_PROBLEMS = 5
+"""Largest number of problems of a clip that are printed."""
 
 
 def list_clips(root: Path | str, layout: ClipLayout) -> list[Path]:
     """Frame folders at any depth under `root`, in natural order; where there are none, the video files.
 
-    A synthetic clip has a video beside its folder: the two are one clip.
+    A synthetic clip has a video next to its folder: the two are one clip.
 
     Raises:
         InputError: no such folder, or no clip in it.
@@ -54,9 +54,9 @@ def list_clips(root: Path | str, layout: ClipLayout) -> list[Path]:
 
 
 def join_folders(paths: Iterable[Path], layout: ClipLayout) -> dict[Path, tuple[Path, ...]]:
-    """Clips by their first folder, each with the folders that carry it on.
+    """Clips by their first folder, each with the folders that continue it.
 
-    Such folders are of one video, say the same in `clip.json`, and their frame numbers follow on: CholecSeg8k cuts a
+    Such folders are of one video, agree in `clip.json`, and their frame numbers are consecutive: CholecSeg8k cuts a
     video every 80 frames, and contact does not end there.
 
     Args:
@@ -76,7 +76,7 @@ def join_folders(paths: Iterable[Path], layout: ClipLayout) -> dict[Path, tuple[
 
 
 def _extent(path: Path, layout: ClipLayout) -> tuple[int | None, int | None, dict[str, Any] | None]:
-    """First and last frame number of a folder and what else its `clip.json` says; none of what can't be read."""
+    """First and last frame number of a folder and its `clip.json` without times; None each where they can't be read."""
     with contextlib.suppress(OSError, InputError):
         described = {name: value for name, value in read_clip_file(path).items() if name != "times"}
         numbers = [number for number, _ in frame_files(path, layout)]
@@ -87,27 +87,27 @@ def _extent(path: Path, layout: ClipLayout) -> tuple[int | None, int | None, dic
 
 @dataclass(frozen=True)
 class ClipCheck:
-    """What a clip's files hold."""
+    """Result of reading a clip's files."""
 
     size: tuple[int, int]
     """(width, height) of its pictures [px]."""
     unknown_share: float
-    """Share of mask pixels whose colour or value is no class."""
+    """Share of mask pixels whose colour or value belongs to no class."""
     problems: list[str]
-    """One sentence each."""
+    """Problems of the clip, one sentence each."""
 
 
 def check_clip(
     path: Path, layout: ClipLayout, classes: MaskClasses, *, masks: bool = True, following: Sequence[Path] = ()
 ) -> ClipCheck:
-    """Read every frame and mask of a clip and tell what is wrong.
+    """Read every frame and mask of a clip and list what is wrong.
 
     Args:
         path: frame folder or video file.
         layout: how its files are named.
-        classes: the tolerance with which colours are read.
+        classes: settings with the tolerance of the masks' colours.
         masks: whether annotation masks are expected.
-        following: frame folders that carry the first one on.
+        following: frame folders that continue the first one.
 
     Raises:
         InputError: the clip can't be opened.
@@ -126,25 +126,26 @@ def check_clip(
 
 
 def _unknown_share(frame: Frame, layout: ClipLayout, classes: MaskClasses) -> float:
-    """Share of a frame's mask that is no class and no border."""
+    """Share of the pixels of a frame's mask that belong to no class and no border."""
     file, pattern = mask_file(layout, frame)
     mask = read_mask(file, frame.picture.shape[:2])
     if pattern == layout.label_mask:
         known = np.isin(mask, layout.tool_values + layout.tissue_values)
     elif mask.ndim == 2:
-        known = np.isin(mask, [entry.grey for entry in CLASSES.values()] + [color[0] for color in BORDER])
+        known = np.isin(mask, [entry.grey for entry in CLASSES.values()] + [color[0] for color in UNLABELLED_COLORS])
     else:
-        # Of the colours that occur: a mask has few. Packed, since sorting rows of three is ten times slower.
+        # A mask has few colours, so only those are compared. They are packed into one number each, since sorting rows
+        # of three is ten times slower.
         packed, place = np.unique(mask @ np.array([1 << 16, 1 << 8, 1], np.uint32), return_inverse=True)
         found = np.stack((packed >> 16, packed >> 8 & 255, packed & 255), axis=1).astype(np.uint8)
-        colors = [entry.color for entry in CLASSES.values()] + list(BORDER)
+        colors = [entry.color for entry in CLASSES.values()] + list(UNLABELLED_COLORS)
         distance = np.min([color_distance(found[None], color)[0] for color in colors], axis=0)
         known = (distance <= classes.tolerance)[place]
     return float(1 - known.mean())
 
 
 def print_table(clips: Sequence[PreparedClip], checks: dict[Path, ClipCheck], console: Console) -> None:
-    """Table of what each clip holds and what of it can be used: frames in contact (`ok`), pairs as the paper's."""
+    """Print a table of the clips: frames, problems, and what training can use: frames in contact (`ok`) and pairs."""
     headings = ("frames", "size", "gaps", "no class", "pairs")
     numbers = (Column(heading, justify="right", no_wrap=True) for heading in headings)
     title = f"{len(clips)} clips"
@@ -208,10 +209,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print_table(clips, checks, console)
     for clip in clips:
         problems = checks[clip.path].problems
-        for problem in problems[:SHOWN_PROBLEMS]:
+        for problem in problems[:MOST_SHOWN_PROBLEMS]:
             say(errors, f"{clip.name}: {problem}")
-        if len(problems) > SHOWN_PROBLEMS:
-            say(errors, f"{clip.name}: and {len(problems) - SHOWN_PROBLEMS} more such.")
+        if len(problems) > MOST_SHOWN_PROBLEMS:
+            say(errors, f"{clip.name}: and {len(problems) - MOST_SHOWN_PROBLEMS} more such.")
     for path, reason in failures.items():
         say(errors, f"{path.name} failed: {reason}")
     if not any(clip.contact.any() for clip in clips) and clips:

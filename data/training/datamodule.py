@@ -29,17 +29,17 @@ from physics.fields import fits
 from physics.mechanics import Bounds, require_stable
 
 TRAINED_ON = dict[Literal["depth", "masks"], tuple[str, ...]]
-"""Where depth and masks came from, as `fits` takes it."""
+"""Type of a record of where depth and masks came from, for `fits`."""
 LARGEST_BATCH = 2**16
-"""Samples of a batch."""
+"""Largest number of samples of a batch."""
 
 
 @dataclass(frozen=True)
 class LoadingSettings:
-    """How samples are divided, and how they become batches."""
+    """How samples are divided among the splits and joined into batches."""
 
     batch_size: int = 2
-    """Samples a batch and process."""
+    """Number of samples in a batch of one process."""
     num_workers: int = 0
     """Processes that load samples; 0 loads in the training process."""
     fractions: tuple[float, float, float] = FRACTIONS
@@ -47,7 +47,7 @@ class LoadingSettings:
     videos: NamedVideos = field(default_factory=NamedVideos)
     """Videos or folders of each split by name, instead of by share."""
     seed: int = 0
-    """Draws the split and the order of the samples."""
+    """Seed of the split and of the order of the samples."""
 
     def __post_init__(self) -> None:
         if self.batch_size < 1 or self.num_workers < 0:
@@ -70,7 +70,7 @@ class ClipDataModule(LightningDataModule):
         root: folder of the data set.
         layout: YAML file that says how the clips' files are named; none = CholecSeg8k's names.
         cache: folder of prepared clips; shared between runs and processes.
-        samples: which frames become samples; train.py takes the geometry from beside it, mechanics from the model.
+        samples: which frames become samples; train.py takes its geometry from `geometry`, its mechanics from the model.
         loading: splits and batches.
         bounds: admissible box, checked for stability on the training meshes; train.py takes it from the model.
         preparation: the other fields of PrepareSettings: depth, geometry, masks, classes, bridge_frames.
@@ -90,7 +90,7 @@ class ClipDataModule(LightningDataModule):
         self.root, self.cache = Path(root), Path(cache)
         self.samples, self.loading, self.bounds = samples, loading, bounds
         self.mechanics = samples.mechanics
-        # jsonargparse reads this call: what it is given here is no option, and every other field is one.
+        # jsonargparse reads this call: every field of PrepareSettings that it doesn't set is an option.
         self.preparation = PrepareSettings(
             layout=ClipLayout() if layout is None else load_layout(layout),
             track_seconds=self.mechanics.steps * self.mechanics.time_step,
@@ -140,13 +140,13 @@ class ClipDataModule(LightningDataModule):
         rank_zero_info(self.summary())
 
     def summary(self) -> str:
-        """What the splits hold and what was left out, in two sentences."""
+        """Sizes of the splits and frames left out, in two sentences."""
         sizes = ", ".join(f"{len(self.places[split])} {split}" for split in SPLITS)
         reasons = _listed(self.left_out) or "none"
         return f"{self.root}: samples {sizes}, from {len(self.clips)} clips. Frames left out: {reasons}."
 
     def train_dataloader(self) -> DataLoader:
-        """Shuffled batches, in an order that depends on seed and epoch only, so that a resumed run sees the same."""
+        """Shuffled batches, in an order that depends on seed and epoch only, so that a resumed run gets the same."""
         return self._loader("train", shuffle=True)
 
     def val_dataloader(self) -> DataLoader:
@@ -165,7 +165,7 @@ class ClipDataModule(LightningDataModule):
         return [make_interaction(self.clips[clip], frame, self.samples) for clip, frame in places]
 
     def state_dict(self) -> dict[str, Any]:
-        """What a checkpoint keeps of the data: where depth and masks of the clips came from."""
+        """Record of the data for a checkpoint: where depth and masks of the clips came from."""
         return {
             "trained_on": {name: sorted({clip.sources[name] for clip in self.clips}) for name in ("depth", "masks")},
         }
@@ -174,14 +174,14 @@ class ClipDataModule(LightningDataModule):
         """Take over a checkpoint's record, for `metadata`.
 
         Raises:
-            InputError: it is none.
+            InputError: the checkpoint holds no such record.
         """
         if "trained_on" not in state_dict or not fits(state_dict["trained_on"], TRAINED_ON):
             raise InputError("The checkpoint doesn't say what it was trained on; give one that train.py fit wrote.")
         self.trained_on = state_dict["trained_on"]
 
     def metadata(self) -> dict[str, Any]:
-        """What inference must repeat, JSON-able; no file path of this machine."""
+        """Settings that inference must repeat, as JSON values; they hold no file path of this machine."""
         depth = dataclasses.asdict(self.preparation.depth)
         for name in ("model", "threads", "device"):
             depth.pop(name)
@@ -200,7 +200,7 @@ class ClipDataModule(LightningDataModule):
         }
 
     def _load(self, *, show: bool) -> list[PreparedClip]:
-        """All prepared clips, from the cache where they are there."""
+        """All prepared clips, from the cache where it has them."""
         if not self.clips:
             clips, failures = prepare_all(self._found(), self.preparation, self.cache, show=show)
             if not clips:
@@ -218,7 +218,7 @@ class ClipDataModule(LightningDataModule):
         return self.clips
 
     def _found(self) -> dict[Path, tuple[Path, ...]]:
-        """Clips to prepare, each with the folders that carry it on; none reaches into another split."""
+        """Clips to prepare, each with the folders that continue it; none reaches into another split."""
         layout = self.preparation.layout
         paths = list_clips(self.root, layout)
         if not self.loading.videos:
@@ -230,7 +230,7 @@ class ClipDataModule(LightningDataModule):
         return {first: rest for own in divided.values() for first, rest in join_folders(own, layout).items()}
 
     def _require_stable(self, places: Sequence[Place]) -> None:
-        """Check the box on the training meshes."""
+        """Check the stability of the admissible box on the training meshes."""
         if self.samples.observation == "trajectory":
             places = [(clip, int(self.clips[clip].track_start[frame])) for clip, frame in places]
         for clip, frame in sorted(set(places)):
@@ -238,11 +238,12 @@ class ClipDataModule(LightningDataModule):
             require_stable(mesh.springs, len(mesh.vertices), self.bounds, self.mechanics)
 
     def _nothing_found(self) -> str:
+        """Error message about a data set without samples."""
         counts = sum((clip.counts for clip in self.clips), Counter())
-        seen = _listed(counts)
+        statuses = _listed(counts)
         if not counts["ok"]:
             return (
-                f"{self.root} has no frame in contact ({seen}); check masks and classes, or raise "
+                f"{self.root} has no frame in contact ({statuses}); check masks and classes, or raise "
                 "geometry.contact_pixels or geometry.contact_distance."
             )
         reasons = _listed(self.left_out)
@@ -253,7 +254,7 @@ class ClipDataModule(LightningDataModule):
     def _loader(self, split: str, *, shuffle: bool) -> DataLoader:
         dataset = SampleDataset(self.clips, self.places[split], self.samples)
         world, rank = (1, 0) if self.trainer is None else (self.trainer.world_size, self.trainer.global_rank)
-        # A DistributedSampler of our own keeps Lightning from putting one in whose order ignores our seed.
+        # This DistributedSampler keeps Lightning from adding one whose order ignores the seed of the settings.
         sampler = DistributedSampler(dataset, world, rank, shuffle=shuffle, seed=self.loading.seed)
         return DataLoader(
             dataset,
@@ -266,4 +267,5 @@ class ClipDataModule(LightningDataModule):
 
 
 def _listed(counts: Counter[str]) -> str:
+    """Counts and their reasons as text, the most frequent first."""
     return ", ".join(f"{count} {reason}" for reason, count in counts.most_common())

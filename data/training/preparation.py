@@ -23,13 +23,13 @@ def prepare_all(
     """Prepare clips, or read them from the cache.
 
     Args:
-        found: frame folders or video files, each with the folders that carry it on.
+        found: frame folders or video files, each with the folders that continue it.
         settings: how to prepare them.
         cache_dir: folder of the cache.
         show: whether to draw a progress bar on standard error.
 
     Returns:
-        The prepared clips, and why others could not be prepared.
+        The prepared clips, and the reason for each that could not be prepared.
     """
     clips, failures = [], {}
     with progress_bars(Console(stderr=True), disable=not show) as bar:
@@ -52,8 +52,8 @@ def prepare_all(
 
 def _reason(error: Exception) -> str:
     """One sentence about why a clip failed, for a user."""
-    told = " ".join(str(error).split())
+    message = " ".join(str(error).split())
     if isinstance(error, InputError):
-        return told
+        return message
     logging.getLogger(__name__).debug("a clip failed", exc_info=error)
-    return f"unexpected {type(error).__name__} ({told}); report it with the clip's files."
+    return f"unexpected {type(error).__name__} ({message}); report it with the clip's files."

@@ -23,37 +23,39 @@ from physics.mechanics import Mechanics
 from physics.observation import Observation
 
 LONGEST_WINDOW = 256
-"""Frames; ten seconds."""
+"""Largest window [frames]: ten seconds at 25 frames a second."""
 
 
 @dataclass(frozen=True)
 class SampleSettings:
-    """Which frames become samples, and what of their motion the simulation is compared with."""
+    """Which frames become samples, and with which part of their motion the simulation is compared."""
 
     window: int = 1
     """Frames in the network's input, K; 1 is the paper's."""
     observation: Literal["final", "release", "trajectory"] = "final"
-    """final (paper): the motion of one frame against the end of the rollout. release: against the rollout at the end of
-    its load. trajectory: the contact's whole motion since its onset, at the frames' own time stamps."""
+    """final (paper): the motion to the next frame is compared with the end of the rollout. release: it is compared with
+    the rollout at the end of its load. trajectory: the contact's whole motion since its onset is compared, at the
+    frames' own time stamps."""
     horizon: int = 1
-    """Frames from a sample's current frame to the one that is predicted; 1 is the paper's, where most of what changes
-    is noise. More need observation trajectory."""
+    """Frames from a sample's current frame to the predicted one; 1 is the paper's, at which most of the change is
+    noise. More need observation trajectory."""
     min_deformation: float = 0.0
-    """Samples whose observed motion, less the rigid motion, is shorter are left out [scene units]; 0 keeps all."""
+    """Least observed motion of a sample, less the rigid motion [scene units]; 0 keeps all samples."""
     min_clip_deformation: float = 0.0
-    """Clips are left out whose contact moves less than this from frame to frame, less the rigid motion, root mean
-    square over their pairs [scene units]: there the camera moves and nothing deforms (Bini 2026, section 3.1, which
-    does not say how it chose its clips); 0 keeps all."""
+    """Least motion of a clip's contact from frame to frame, less the rigid motion, root mean square over its pairs
+    [scene units]; 0 keeps all clips. Below it the camera moves and nothing deforms. Bini 2026, section 3.1, leaves such
+    clips out and does not state by which rule."""
     onset_within: int | None = None
-    """A trajectory's frame is a sample where its onset is less than this many frames back; none = the window, farther
-    back than which no network can see. One that is told the contact's motion beside the window can have more."""
+    """A trajectory's frame is a sample where its onset is less than this many frames back; none = the window's length,
+    beyond which a network has no input. A network that gets the contact's motion in addition to the window can use
+    more."""
     film: bool = False
-    """Whether the depth of all tissue around the contact is told and compared beside the contact's own motion; needs
-    observation trajectory."""
+    """Whether the depth-change sequence of all tissue around the contact is a network's input and is compared, in
+    addition to the contact's own motion; needs observation trajectory."""
     geometry: GeometrySettings = field(default_factory=GeometrySettings)
-    """The force's direction is taken from here."""
+    """Geometry settings, which decide the force's direction."""
     mechanics: Mechanics = field(default_factory=Mechanics)
-    """The rollout's time base."""
+    """Mechanics with the rollout's time steps."""
 
     def __post_init__(self) -> None:
         require_choices(self, "samples.")
@@ -82,19 +84,19 @@ class Sample:
     window_b: np.ndarray
     """Depth of the frames from t + horizon on, the farthest first, that one last, shape [K, h, w], float32."""
     interaction_a: Interaction
-    """Contact forward in time."""
+    """Interaction forward in time."""
     interaction_b: Interaction
-    """Contact backward in time; for trajectories that forward, since a damped system does not run backward."""
+    """Interaction backward in time; for trajectories the forward one, since a damped system does not run backward."""
     clip: str
     """Name of the clip."""
     frame: int
     """Index of t."""
     course_a: tuple[int, int]
-    """Steps of the rollout of `interaction_a` at frame t and at the one that is predicted."""
+    """Steps of the rollout of `interaction_a` at frame t and at the predicted frame."""
     course_b: tuple[int, int]
-    """The same the other way, of `interaction_b`."""
-    seen: Interaction | None = None
-    """`interaction_a` as it was known at frame t; none but for trajectories of a clip whose noise is known."""
+    """Steps of the rollout of `interaction_b` at frame t + horizon and at frame t, which is predicted."""
+    known: Interaction | None = None
+    """`interaction_a` as far as it was known at frame t, for trajectories of a clip whose noise is known, else None."""
 
 
 def list_frames(clip: PreparedClip, settings: SampleSettings) -> tuple[list[int], Counter[str]]:
@@ -111,12 +113,16 @@ def list_frames(clip: PreparedClip, settings: SampleSettings) -> tuple[list[int]
 
 
 def make_sample(clip: PreparedClip, frame: int, settings: SampleSettings) -> Sample:
-    """The sample of a frame that `list_frames` gave."""
+    """The sample of a frame that `list_frames` gave.
+
+    Raises:
+        ValueError: no depth around the frame.
+    """
     earlier = window_indices(frame, settings.window, clip.consecutive, clip.usable)
     later = future_indices(frame + settings.horizon, settings.window, clip.consecutive, clip.usable)
     if earlier is None or later is None:
         raise ValueError(f"{clip.path} has no depth around frame {frame}; take a frame that list_frames gave.")
-    backward = seen = None
+    backward = known = None
     if settings.observation != "trajectory":
         forward = make_interaction(clip, frame, settings)
         backward = _pair(clip, frame + 1, clip.backward, settings)
@@ -129,9 +135,9 @@ def make_sample(clip: PreparedClip, frame: int, settings: SampleSettings) -> Sam
         first, last = np.rint(since / settings.mechanics.time_step).astype(int).tolist()
         onward, course = (first, last), (last, first)
         if forward.noise > 0:
-            seen = run.build(settings.mechanics, until=float(since[0]))
+            known = run.build(settings.mechanics, until=float(since[0]))
     window_a, window_b = (np.stack([clip.depth(index) for index in indices]) for indices in (earlier, later))
-    return Sample(window_a, window_b, forward, backward or forward, clip.name, frame, onward, course, seen)
+    return Sample(window_a, window_b, forward, backward or forward, clip.name, frame, onward, course, known)
 
 
 def make_interaction(clip: PreparedClip, frame: int, settings: SampleSettings) -> Interaction:
@@ -144,14 +150,21 @@ def make_interaction(clip: PreparedClip, frame: int, settings: SampleSettings) -
 def builder_of(
     clip: PreparedClip, onset: int, settings: SampleSettings, *, film_until: int | None = None
 ) -> InteractionBuilder:
-    """The run of contact that began at an onset, all its frames gathered; its film up to a frame, or none."""
+    """Builder of the run of contact that began at an onset, with all its frames.
+
+    Args:
+        clip: prepared clip.
+        onset: index of the run's first frame.
+        settings: settings of the samples.
+        film_until: index of the last frame of the depth-change sequence; None = keep no sequence.
+    """
 
     def frame_of(index: int) -> ContactFrame:
         filmed = film_until is not None and index <= film_until
         return ContactFrame(
             float(clip.times[index]),
             bool(clip.contact[index]),
-            bool(clip.seen_out[index]),
+            bool(clip.out_of_contact[index]),
             bool(clip.consecutive[index]),
             clip.track_position[index],
             clip.depth(index) if filmed else None,
@@ -190,7 +203,7 @@ def _judge_pair(clip: PreparedClip, frame: int, settings: SampleSettings) -> str
 
 
 def _deformations(clip: PreparedClip, settings: SampleSettings) -> np.ndarray:
-    """Observed motion of the contact to the next frame, less the rigid motion, shape [F, 3]."""
+    """Observed motion of the contact to the next frame, less the rigid motion, shape [F, 3] [scene units]."""
     rigid = np.nan_to_num(clip.rigid) if settings.geometry.rigid_motion == "keep" else 0.0
     return clip.displacement - rigid
 

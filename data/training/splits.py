@@ -15,10 +15,11 @@ from data.cache import PreparedClip
 from data.training.samples import SampleSettings
 
 SPLITS = ("train", "val", "test")
+"""Names of the splits."""
 FRACTIONS = (0.7, 0.2, 0.1)
 """Share of videos in each split (Bini 2026, section 3.1)."""
 LEAST_VIDEOS = 3
-"""A data set of fewer videos is split in time instead."""
+"""Least number of videos of a data set that is split by video; others are split in time."""
 
 Item = TypeVar("Item")
 Place = tuple[int, int]
@@ -29,15 +30,16 @@ Place = tuple[int, int]
 class NamedVideos:
     """Which videos are in which split; a name is a video's (video01) or one of its folders' (video01_00080).
 
-    What is not named is left out, so that the names also say which clips were curated (Bini 2026, section 3.1).
+    Videos that are not named are left out, so that the names also record which clips were curated (Bini 2026, section
+    3.1).
     """
 
     train: tuple[str, ...] = ()
-    """To learn from; empty where none are named."""
+    """Videos to train on; empty where none are named."""
     val: tuple[str, ...] = ()
-    """To choose the best checkpoint by."""
+    """Videos by which the best checkpoint is chosen."""
     test: tuple[str, ...] = ()
-    """To evaluate on."""
+    """Videos to evaluate on."""
 
     def __post_init__(self) -> None:
         given = astuple(self)
@@ -120,7 +122,7 @@ def split_samples(
     """Samples of each split: as named, else by video, or in time where there are fewer than three videos with samples.
 
     Returns:
-        The samples of each split, and what to warn of (it follows the data set's name), or an empty string.
+        The samples of each split, and a warning (it follows the data set's name) or an empty string.
     """
     if named:
         return {split: [place for place in found if named.holds(split, clips[place[0]].path)] for split in SPLITS}, ""
@@ -143,7 +145,7 @@ def split_samples(
 
 
 def _units(clips: Sequence[PreparedClip], found: Sequence[Place], settings: SampleSettings) -> list[list[Place]]:
-    """What a split in time does not divide: single samples, or whole runs of contact where there are runs enough.
+    """Groups that a split in time keeps together: single samples, or whole runs of contact where there are enough.
 
     A trajectory's samples share their observation.
     """

@@ -48,6 +48,15 @@ class FilmMotion(Protocol):
         """Displacements as finer time steps have them, shape [N, V, 3]."""
         ...
 
+    def model_errors(self, sunk: np.ndarray, averages: bool) -> np.ndarray:
+        """Columns whose sum, with independent normal factors, is what the model itself gets wrong, shape [P, N, B].
+
+        Args:
+            sunk: change of the depth of every pixel of a square, shape [N, P] [scene units].
+            averages: whether a pixel is the mean of several of the picture.
+        """
+        ...
+
 
 M = TypeVar("M", bound=FilmMotion)
 
@@ -88,6 +97,29 @@ class FilmProblem(Generic[M]):
         self.seen = np.isfinite(self.observed)
         """Pixels that show tissue which is known, shape [N, P], bool; all of `look` comes to be known by it."""
 
+    @classmethod
+    def of_press(
+        cls,
+        contact: Interaction,
+        mechanics: Mechanics,
+        within: float = 0.0,
+        noise: float | None = None,
+        kind: type[PressMotion] = PressMotion,
+    ) -> FilmProblem[PressMotion]:
+        """The film of a sheet that is pressed.
+
+        Args:
+            contact, noise: as above.
+            mechanics: of the fits.
+            within: as of `PressMotion`.
+            kind: of motion: what is fitted of the press.
+        """
+
+        def motion(vertices: np.ndarray, times: np.ndarray) -> PressMotion:
+            return kind(contact, mechanics, vertices, times, within)
+
+        return FilmProblem(contact, motion, noise, kind.parts)
+
     def _seen_to_move(self) -> np.ndarray:
         """Pixels whose motion is clear without a model, shape [P], bool."""
         return (np.abs(np.nan_to_num(self.observed)) > MOVED * self.film.noise.total).sum(axis=0) >= SEVERAL
@@ -123,14 +155,12 @@ class FilmProblem(Generic[M]):
         self._whitener = self._whitening(np.where(np.isfinite(change), change, 0.0), weight)
 
     def model_errors(self, sunk: np.ndarray) -> np.ndarray:
-        """Columns whose sum, with independent normal factors, is what the model itself gets wrong, shape [P, N, B].
-
-        A sheet is taken to be exact.
+        """What the model itself gets wrong: `model_errors` of the motion, shape [P, N, B].
 
         Args:
             sunk: change of every pixel's depth, shape [N, P] [scene units].
         """
-        return np.zeros((*sunk.T.shape, 0))
+        return self.motion.model_errors(sunk, self.patches.averages)
 
     def _whitening(self, sunk: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Whitening of every pixel's errors over time [P, N, N], common errors as they leave it, what they cost."""
@@ -210,42 +240,7 @@ class FilmProblem(Generic[M]):
         sigma = np.sqrt(self.film.noise.total**2 + self._walls[used])
         return float(np.sqrt(np.square(left / sigma).mean())) if len(left) else 0.0
 
-
-class FieldProblem(FilmProblem[PressMotion]):
-    """The same of a sheet.
-
-    Args:
-        contact, noise: as above.
-        mechanics: of the fits.
-        within: as of `PressMotion`.
-        kind: of motion: what is fitted of the press.
-    """
-
-    def __init__(
-        self,
-        contact: Interaction,
-        mechanics: Mechanics,
-        within: float = 0.0,
-        noise: float | None = None,
-        kind: type[PressMotion] = PressMotion,
-    ) -> None:
-        super().__init__(
-            contact, lambda vertices, times: kind(contact, mechanics, vertices, times, within), noise, kind.parts
-        )
-
-    def model_errors(self, sunk: np.ndarray) -> np.ndarray:
-        """As of `FilmProblem`: dents as wholes that lie aside, or are too deep; columns of every frame, then of all."""
-        motion, (frames, pixels) = self.motion, sunk.shape
-        if not (self.patches.averages and (motion.astray or motion.uneven)):
-            return super().model_errors(sunk)
-        side = math.isqrt(pixels)
-        down, across = np.array(np.gradient(sunk.reshape(frames, side, side), axis=(1, 2)))
-        ways = [motion.astray * down, motion.astray * across, motion.uneven * sunk]
-        common = math.sqrt(0.5) * np.stack([way.reshape(frames, pixels).T for way in ways], axis=-1)
-        each = common[:, :, None] * np.eye(frames)[:, :, None]
-        return np.concatenate([each.reshape(pixels, frames, -1), common], axis=2)
-
-    def coarser(self) -> FieldProblem:
+    def coarser(self: FilmProblem[PressMotion]) -> FilmProblem[PressMotion]:
         """The same with coarse time steps, to search with; it has not looked at anything of its own yet."""
         found = copy.copy(self)
         found.motion = self.motion.coarser()

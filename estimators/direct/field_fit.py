@@ -19,8 +19,8 @@ from estimators.direct.contact_fit import (
     trusted_information,
     widened_if_oblique,
 )
-from estimators.direct.field import FieldProblem
-from estimators.direct.motion import about_tissue
+from estimators.direct.field import FilmProblem
+from estimators.direct.motion import PressMotion, about_tissue
 from estimators.direct.patch import PatchMotion
 from estimators.direct.problem import (
     CANDIDATES,
@@ -62,7 +62,7 @@ NARROW = 0.1
 """Where all standard deviations of log θ are smaller the posterior is as good as normal, and needs no draws."""
 
 
-def fit_field(problem: FieldProblem, tissue: np.ndarray) -> Estimate:
+def fit_field(problem: FilmProblem[PressMotion], tissue: np.ndarray) -> Estimate:
     """Fit a film; `tissue` is the box of φ, shape [2, 3].
 
     Where the contact is pressed aslant to the line of sight its uncertainty is widened (`estimators.oblique`).
@@ -70,7 +70,7 @@ def fit_field(problem: FieldProblem, tissue: np.ndarray) -> Estimate:
     return concluded(problem, field_optima(problem, tissue), tissue)
 
 
-def field_optima(problem: FieldProblem, tissue: np.ndarray) -> list[Optimum]:
+def field_optima(problem: FilmProblem[PressMotion], tissue: np.ndarray) -> list[Optimum]:
     """Optima of a film's fit, the best first; the problem has looked at that one. Arguments as of `fit_field`."""
     box = problem.motion.box(tissue)
     found = []
@@ -85,7 +85,7 @@ def field_optima(problem: FieldProblem, tissue: np.ndarray) -> list[Optimum]:
     return optima
 
 
-def concluded(problem: FieldProblem, optima: Sequence[Optimum], tissue: np.ndarray) -> Estimate:
+def concluded(problem: FilmProblem[PressMotion], optima: Sequence[Optimum], tissue: np.ndarray) -> Estimate:
     """What optima of a film's fit say: the posterior around them and its verdict; `tissue` as of `fit_field`."""
     box = problem.motion.box(tissue)
     prior = box_information(box)
@@ -126,24 +126,24 @@ def fit_press(
     chance (Schwarz 1978).
 
     Args:
-        contact, mechanics, within, noise: as of `FieldProblem`.
+        contact, mechanics, within, noise: as of `FilmProblem.of_press`.
         tissue: the box of φ, shape [2, 3].
     """
-    step = FieldProblem(contact, mechanics, within, noise)
+    step = FilmProblem.of_press(contact, mechanics, within, noise)
     plain = field_optima(step, tissue)
     # Whether a step is refuted shows before its posterior is sampled, which takes as long as all the rest.
     best = combine(plain, box_information(step.motion.box(tissue)))[2]
     misfit, counted = step.misfit(best.logs), step.counted
     if misfit < LEAST_EXCESS or (misfit**2 - 1) * math.sqrt(counted / 2) < REFUTES:
         return concluded(step, plain, tissue)
-    patch = FieldProblem(contact, mechanics, within, noise, PatchMotion)
+    patch = FilmProblem.of_press(contact, mechanics, within, noise, PatchMotion)
     shaped = fit_field(patch, tissue)
     further = patch.motion.box(tissue).shape[1] - step.motion.box(tissue).shape[1]
     explained = counted * (misfit**2 - shaped.misfit**2)
     return shaped if explained > further * math.log(counted) else concluded(step, plain, tissue)
 
 
-def field_starts(problem: FieldProblem, box: np.ndarray) -> np.ndarray:
+def field_starts(problem: FilmProblem[PressMotion], box: np.ndarray) -> np.ndarray:
     """Parameters with the smallest misfits among many, each with the force and the delay that suit it best, [S, D].
 
     Tissue is taken to stay in its pixels, which is true of most of a dent.
@@ -177,7 +177,7 @@ def field_starts(problem: FieldProblem, box: np.ndarray) -> np.ndarray:
     return apart(candidates, misfits, low, high, motion.starts)
 
 
-def raced(problem: FieldProblem, starts: np.ndarray, box: np.ndarray) -> np.ndarray:
+def raced(problem: FilmProblem[PressMotion], starts: np.ndarray, box: np.ndarray) -> np.ndarray:
     """Of starts [S, D] those that lead farthest, and where to: at most FITS, by successive halving.
 
     Every round (Jamieson & Talwalkar 2016) decides for every start anew what the pixels show, and leaves the better
@@ -214,7 +214,9 @@ def first_draws(optima: Sequence[Optimum], scale: float, prior: np.ndarray) -> M
     return Mixture(np.tile(0.5 * shares / shares.sum(), 2), np.tile(places, (2, 1)), np.array(widths))
 
 
-def _sample(problem: FieldProblem, optima: Sequence[Optimum], best: Optimum, box: np.ndarray, scale: float) -> Draws:
+def _sample(
+    problem: FilmProblem[PressMotion], optima: Sequence[Optimum], best: Optimum, box: np.ndarray, scale: float
+) -> Draws:
     """The posterior around the optima, σ² being `scale` times as large as the film says."""
     prior = box_information(box)
     error = problem.motion.finer(best.logs) - problem.motion.quick(best.logs)

@@ -147,6 +147,18 @@ class PressMotion:
         """Derivatives of the displacements by all parameters beside φ and the delays, shape [N, M, 3, D']."""
         return np.empty((len(self.steps), len(self.vertices), 3, 0))
 
+    def model_errors(self, sunk: np.ndarray, averages: bool) -> np.ndarray:
+        """As of `FilmMotion`: dents as wholes that lie aside, or are too deep; columns of every frame, then of all."""
+        frames, pixels = sunk.shape
+        if not (averages and (self.astray or self.uneven)):
+            return np.zeros((pixels, frames, 0))
+        side = math.isqrt(pixels)
+        down, across = np.array(np.gradient(sunk.reshape(frames, side, side), axis=(1, 2)))
+        ways = [self.astray * down, self.astray * across, self.uneven * sunk]
+        common = math.sqrt(0.5) * np.stack([way.reshape(frames, pixels).T for way in ways], axis=-1)
+        each = common[:, :, None] * np.eye(frames)[:, :, None]
+        return np.concatenate([each.reshape(pixels, frames, -1), common], axis=2)
+
     def finer(self, logs: np.ndarray) -> np.ndarray:
         """The displacements with a quarter of the time step, shape [N, M, 3]: what the steps' own error is."""
         mechanics = dataclasses.replace(self.mechanics, time_step=self.mechanics.time_step / FINER)

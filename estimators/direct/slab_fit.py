@@ -9,7 +9,6 @@ among the errors. The posterior, its valley followed, holds besides what a finer
 from __future__ import annotations
 
 import dataclasses
-import math
 
 import numpy as np
 
@@ -30,11 +29,6 @@ from physics.mechanics import theta_of
 
 BLIND = 4.5
 """Tissue nearer to the contact isn't compared [grid px]."""
-RINGS = 6.0, 8.0
-"""Between rings around the contact [grid px]: the slab's own error is the same within one and a part of the time, and
-independent elsewhere."""
-EARLY = 2.5
-"""Frames after the press begins, and after it ends, that are parts of their own."""
 UNLIKE = MODEL_ERRORS.slab_young**2 + np.diag(np.square([0.0, MODEL_ERRORS.slab_damping, MODEL_ERRORS.slab_force]))
 """Covariance of (log E, log d, log |F|) by what law and tip get wrong: of log E, and of log d/E and log F/E besides."""
 UNLIKE_FIRM = MODEL_ERRORS.firm_young**2 + np.diag(np.square([0.0, MODEL_ERRORS.firm_damping, MODEL_ERRORS.firm_force]))
@@ -43,21 +37,6 @@ FINE, FINER = (10, 10, 3), (12, 12, 4)
 """Cells of the quadratic elements whose small motions are fitted, and of those by which their error is measured."""
 LOWER = 1.0
 """Fall of χ²/2 along the valley from which on a better fit is looked for there."""
-
-
-class SlabProblem(FilmProblem[SlabMotion]):
-    """A film against a slab, which is known to be off by `slab_motion` of the model errors."""
-
-    def model_errors(self, sunk: np.ndarray) -> np.ndarray:
-        """As of `FilmProblem`: a column a ring and part of the time."""
-        side = self.film.change.shape[1] // 2
-        apart = np.hypot(*np.mgrid[-side : side + 1, -side : side + 1]).ravel()
-        times, load = self.film.times, self.contact.load_seconds if self.contact.released else math.inf
-        early = EARLY * float(np.diff(times, prepend=0.0).min())
-        part = np.searchsorted([early, load, load + early], times) if load > early else np.searchsorted([early], times)
-        ring = np.searchsorted(RINGS, apart)
-        cells = ring[:, None] * (1 + part.max()) + part
-        return MODEL_ERRORS.slab_motion * sunk.T[..., None] * (cells[..., None] == np.unique(cells))
 
 
 def fit_slab(
@@ -87,12 +66,12 @@ def fit_slab(
 
     def problem_of(
         place: tuple[float, float], relaxing: bool = False, body: Slab = fine, region: FirmRegion | None = None
-    ) -> SlabProblem:
+    ) -> FilmProblem[SlabMotion]:
         def motion(vertices: np.ndarray, times: np.ndarray) -> SlabMotion:
             pixels = contact.mesh.pixels[vertices]
             return SlabMotion(contact, slab, pixels, times, within, relaxing, body, place, region)
 
-        return SlabProblem(beside, motion, noise)
+        return FilmProblem(beside, motion, noise)
 
     beside = _beside_tip(contact)
     place = find_tip(problem_of, slab.place)
@@ -127,7 +106,7 @@ def fit_slab(
     return found, (np.append(0.0, problem.motion.times), np.append(0.0, path))
 
 
-def settled(problem: SlabProblem) -> tuple[np.ndarray, Valley, float]:
+def settled(problem: FilmProblem[SlabMotion]) -> tuple[np.ndarray, Valley, float]:
     """Parameters of the least χ², the valley around them, and the square of the misfit, by which χ² is scaled."""
     box, logs = problem.motion.box, slab_start(problem)
     for outliers, enough in ((False, ROUGH), (True, DONE)):

@@ -19,6 +19,7 @@ import numpy as np
 
 from data.contact.interaction import Interaction
 from estimators.direct.motion import between_steps
+from estimators.model_errors import MODEL_ERRORS
 from physics.fem import Inertia, Material, NoEquilibrium, Relaxation, simulate
 from physics.fem.dynamics import Direction
 from physics.fem.modes import Modes
@@ -45,6 +46,11 @@ USUAL_YOUNG = 150.0
 """E for which modes of a body are best."""
 SLIGHT = 0.01
 """Difference of a parameter, for derivatives of small motions."""
+RINGS = 6.0, 8.0
+"""Between rings around the contact [grid px]: the slab's own error is the same within one and a part of the time, and
+independent elsewhere."""
+EARLY = 2.5
+"""Frames after the press begins, and after it ends, that are parts of their own."""
 RELAXING_BOX = np.log([[5.0, 0.05, 1e-3, 0.01], [5e3, 20.0, 10.0, 2.0]])
 """Ends of φ of a standard linear solid."""
 
@@ -203,6 +209,18 @@ class SlabMotion:
     def finer(self, logs: np.ndarray) -> np.ndarray:
         """The displacements of `at`: what finer steps change is less than what finer elements do, shape [N, V, 3]."""
         return self.at(logs)[0]
+
+    def model_errors(self, sunk: np.ndarray, averages: bool) -> np.ndarray:
+        """As of `FilmMotion`: a share `slab_motion` (`estimators.model_errors`) of all; a column a ring and part of the
+        time."""
+        side, times = math.isqrt(sunk.shape[1]) // 2, self.times
+        apart = np.hypot(*np.mgrid[-side : side + 1, -side : side + 1]).ravel()
+        load = self.contact.load_seconds if self.contact.released else math.inf
+        early = EARLY * float(np.diff(times, prepend=0.0).min())
+        part = np.searchsorted([early, load, load + early], times) if load > early else np.searchsorted([early], times)
+        ring = np.searchsorted(RINGS, apart)
+        cells = ring[:, None] * (1 + part.max()) + part
+        return MODEL_ERRORS.slab_motion * sunk.T[..., None] * (cells[..., None] == np.unique(cells))
 
     def _since(self, logs: np.ndarray) -> np.ndarray:
         """The instants since the beginning of the press, shape [N] [s]."""

@@ -1,8 +1,8 @@
-"""The contact posterior: θ, its uncertainty and a verdict from what was seen of a contact so far.
+"""The contact posterior: θ, its uncertainty and a verdict from the observation of a contact so far.
 
-estimator  the exported network at work, a session a clip
-misfit     how far what was seen lies from the simulated motion
-training   trains it without labels; `python -m estimators.network.training` is the door
-calibration  exports it, or makes its standard deviations hold; a door of its own
-fits       observed motions with what explains them; draws: as they might have been observed, for the fine stage
+estimator    runs the exported network, a session a clip
+misfit       how far the observation lies from the simulated motion
+training     trains the network without labels; `python -m estimators.network.training` is the door
+calibration  exports the network, or calibrates its standard deviations; a door of its own
+fits         motions with the parameters that explain them; draws: noisy observations of them, for the fine stage
 """

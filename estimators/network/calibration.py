@@ -8,9 +8,9 @@
 The first exports what `estimators.network.training` wrote. The second calibrates any exported posterior, also one that
 `train.py export` wrote, by results of the benchmark with that file.
 
-It is done by `models.calibration_fit`, once for whole contacts, once for those whose release has not been seen
-(--pressed), and for a network that is told how well the instants are known, once for those whose aren't (--between).
-Truth of validation clips serves this and nothing else; no weight of the network changes.
+`models.calibration_fit` fits the widths once for whole contacts, once for contacts before their release (--pressed),
+and, for a network with an input for how well the instants are known, once for unknown instants (--between). The truth
+of validation clips is used for this and nothing else; no weight of the network changes.
 """
 
 from __future__ import annotations
@@ -51,16 +51,16 @@ from models.posterior import ContactPosterior
 from physics.files import file_sha256, read_file
 
 RESULTS, RECORD = "results.jsonl", "run.json"
-"""What the benchmark leaves in a folder."""
-MOST_BYTES = 2**27
-"""Of a file of results."""
+"""Files that the benchmark writes into its folder."""
+MAX_RESULTS_BYTES = 2**27
+"""Largest size of a file of results."""
 
 
 def widths_of(rows: Sequence[Mapping[str, Any]]) -> Widths:
-    """What makes the intervals of the network hold, all suites together.
+    """Widths with which the network's intervals have the right coverage, over all suites together.
 
     Args:
-        rows: of `evaluation.benchmark`.
+        rows: results of `evaluation.benchmark`.
 
     Raises:
         ValueError: too few results.
@@ -74,13 +74,13 @@ def widths_of(rows: Sequence[Mapping[str, Any]]) -> Widths:
 
 
 def check_record(folder: Path, model_sha256: str, seen: str | None, onset: str = STAMP) -> None:
-    """Refuse results that are of something else than what is to be calibrated.
+    """Refuse results that don't belong to the calibration.
 
     Args:
-        folder: of the benchmark.
-        model_sha256: of the file that is calibrated.
-        seen: how much of the contacts must have been seen.
-        onset: what the network must have been told of the instants.
+        folder: output folder of the benchmark.
+        model_sha256: hash of the file that is calibrated.
+        seen: required value of the benchmark's option --seen.
+        onset: required value of the benchmark's option --onset.
 
     Raises:
         ValueError: no record, another split than validation, other frames, or another file.
@@ -100,27 +100,27 @@ def check_record(folder: Path, model_sha256: str, seen: str | None, onset: str =
 
 
 def results_of(folders: Sequence[Path], model_sha256: str, seen: str | None, onset: str = STAMP) -> list[dict]:
-    """What some folders hold, refused as by `check_record`.
+    """Results in some folders, each checked by `check_record`, whose arguments these are.
 
     Raises:
-        ValueError: also where results can't be read.
+        ValueError: as `check_record` does, or results can't be read.
     """
     rows = []
     for folder in folders:
         check_record(folder, model_sha256, seen, onset)
         try:
-            rows += map(json.loads, read_file(folder / RESULTS, MOST_BYTES).splitlines())
+            rows += map(json.loads, read_file(folder / RESULTS, MAX_RESULTS_BYTES).splitlines())
         except (OSError, ValueError, RecursionError) as error:
             raise ValueError(f"{folder / RESULTS} holds no results; run the benchmark into {folder} anew.") from error
     return rows
 
 
 def metadata(weights: Path, features: int) -> dict[str, object]:
-    """What inference needs beside the network: how clips are prepared, the simulator and the admissible box.
+    """Metadata for inference: how clips are prepared, the simulator and the admissible box.
 
     Args:
-        weights: of the network.
-        features: length of the vector that it is told.
+        weights: file of the network's weights.
+        features: length of the network's input vector.
     """
     geometry = dataclasses.asdict(PREPARE.geometry)
     depth = dataclasses.asdict(PREPARE.depth) | {"source": "auto"}
@@ -144,11 +144,11 @@ def metadata(weights: Path, features: int) -> dict[str, object]:
 
 
 def calibration_of(options: argparse.Namespace) -> Calibration:
-    """What the results of the benchmark say.
+    """Calibration from the results of the benchmark.
 
     Raises:
         ModelFileError: the file is no exported posterior.
-        ValueError: results of something else, or too few.
+        ValueError: the results belong to something else, or are too few.
     """
     model = PosteriorModel(options.model)
     whole = widths_of(results_of(options.validation, model.sha256, None))
@@ -159,7 +159,7 @@ def calibration_of(options: argparse.Namespace) -> Calibration:
     if options.between is None:
         return found
     if model.inputs[CONTACT] != (FEATURES + FILM_FEATURES,):
-        raise ValueError(f"{options.model} is told nothing of the instants; leave --between out.")
+        raise ValueError(f"{options.model} has no input for the instants; leave --between out.")
     between = widths_of(results_of(options.between, model.sha256, None, BETWEEN))
     return dataclasses.replace(found, between=between, within_features=(FEATURES + WITHIN,))
 
@@ -182,9 +182,9 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     results = options.validation, options.pressed
     if options.model is not None and None in results:
-        parser.error("give --validation and --pressed beside --model.")
+        parser.error("give --validation and --pressed with --model.")
     if options.weights is not None and (*results, options.between) != (None, None, None):
-        parser.error("give --model beside results; --weights are exported as they are.")
+        parser.error("give --model with results; --weights are exported as they are.")
     try:
         if options.model is not None:
             calibration = calibration_of(options)

@@ -1,6 +1,6 @@
-"""Contacts as they might have been observed: errors, cut-off windows and what is told of them, drawn around their fits.
+"""Simulated observations of contacts: errors, cut-off windows and missing depth changes, drawn around their fits.
 
-A likelihood is a parabola around its fit, so a draw costs no rollout.
+The logarithm of a likelihood is a parabola around its fit, so a draw costs no rollout.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ NOISE = (3e-4, 6e-3)
 ROUNDING_SHARE, LEVEL = 0.25, 1 / 255
 """Share of samples whose depth is rounded instead, as 8 bits do, and the rounding's step [scene units]."""
 ROUNDING_NOISE = LEVEL / math.sqrt(12)
-"""Its error's standard deviation [scene units]."""
+"""Standard deviation of the rounding error [scene units]."""
 REST_SHARE = 0.1
 """Error of the rest position, in σ: the rest surface is an average of many depths (`benchmarks.tracking_errors`)."""
 CUT_SHARES = 0.5, 0.2
-"""Shares of samples that end under the tool, as live frames see them, and anywhere before the second is over."""
+"""Shares of samples that end under the tool, as in live frames, and anywhere before the second is over."""
 FILM_SHARE = 0.85
-"""Share of samples that are told of the film, where there is one."""
+"""Share of samples whose features include the depth-change sequence, where there is one."""
 DELAY_RANGE = 2.0
-"""Of every delay, from -1 to 1, in units of `within`."""
-STEEPEST = 0.004
-"""Steepest tissue at rest whose depth is rounded [scene units a pixel]."""
+"""Width of every delay's range, from -1 to 1, in units of `within`."""
+MAX_REST_SLOPE = 0.004
+"""Largest slope of the resting tissue whose depth is rounded [scene units a pixel]."""
 
 
 def draw_errors(motion: np.ndarray, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Errors of observed motions, shape [B, SLOTS], and the noise level that each is said to have, [B] [scene units].
+    """Errors of observed motions, shape [B, SLOTS], and the stated noise level of each, [B] [scene units].
 
     A part of the samples is rounded like 8-bit depth, the others have Gaussian noise. The rest position has an error of
-    its own: it is no depth that was rounded once, but comes from a surface through many.
+    its own: it is no single rounded depth, but comes from a surface through many.
     """
     count = len(motion)
     noise = np.exp(generator.uniform(*np.log(NOISE), size=count))
@@ -52,7 +52,7 @@ def draw_errors(motion: np.ndarray, generator: np.random.Generator) -> tuple[np.
 
 
 def draw_known(loaded: np.ndarray, generator: np.random.Generator) -> np.ndarray:
-    """Which slots are seen, shape [B, SLOTS]: all, those up to one under the tool, or the first few.
+    """Which slots are observed, shape [B, SLOTS]: all, those up to one under the tool, or the first few.
 
     Args:
         loaded: whether a slot is under load, shape [B, SLOTS].
@@ -66,54 +66,55 @@ def draw_known(loaded: np.ndarray, generator: np.random.Generator) -> np.ndarray
 
 @dataclasses.dataclass(frozen=True)
 class Drawn:
-    """Contacts as they might have been observed, with their likelihood's parabola; B samples."""
+    """Simulated observations of contacts, with the parabola of their log likelihood; B samples."""
 
     features: np.ndarray
-    """What is told of them, shape [B, FEATURES], or with films [B, FEATURES + FILM_FEATURES], float32."""
+    """Input of the network, shape [B, FEATURES], with depth-change sequences [B, FEATURES + FILM_FEATURES], float32."""
     logs: np.ndarray
     """φ that explains each motion without its errors, shape [B, 3]."""
     information: np.ndarray
-    """Fisher information of what was seen, shape [B, 3, 3]."""
+    """Fisher information of the observations, shape [B, 3, 3]."""
     pull: np.ndarray
-    """Σ slopes·error/σ² of what was seen, shape [B, 3]: the errors move the likelihood's optimum by its share."""
+    """Σ slopes·error/σ² of the observations, shape [B, 3]; by it the errors move the likelihood's optimum."""
 
 
 def draw_observed(
     fits: Fits,
     count: int,
     generator: np.random.Generator,
-    seen: Callable[[np.ndarray], np.ndarray] | None = None,
+    choose_slots: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> Drawn:
     """Contacts of the fits with new errors.
 
     Args:
-        fits: to draw from.
-        count: samples, B.
-        generator: draws contacts, errors and what is seen.
-        seen: from the slots under load to those that are seen, shapes [B, SLOTS]; none = `draw_known`.
+        fits: contacts with the parameters that explain them.
+        count: number of samples, B.
+        generator: draws contacts, errors and observed slots.
+        choose_slots: gives the observed slots of the slots under load, shapes [B, SLOTS]; None = `draw_known`.
     """
     index = generator.integers(len(fits.logs), size=count)
     motion, loaded, spacing = fits.motion[index], fits.loaded[index], fits.spacing[index]
     error, noise = draw_errors(motion, generator)
-    known = draw_known(loaded, generator) if seen is None else seen(loaded)
+    known = draw_known(loaded, generator) if choose_slots is None else choose_slots(loaded)
     slopes = fits.slopes[index] * (known / noise[:, None])[..., None]
     information = np.einsum("btp,btq->bpq", slopes, slopes)
     pull = np.einsum("btp,bt->bp", slopes, error * known / noise[:, None])
     films = fits.films
     if films is not None:
-        told = generator.random(count) < FILM_SHARE
-        beside = draw_film_errors(films, index, noise, generator)
-        # The contact's own pixel is one of the film's: its error is the film's, and it may show neighbours as well.
-        error[told] = (films.middle[index] - motion + beside.middle)[told]
-        noise = np.where(told & (noise == ROUNDING_NOISE), ROUNDED * noise, noise)
-        more, pulled = film_information(films.slopes[index], films.factors[index], beside.amounts, noise, known)
-        information[told], pull[told] = more[told], pulled[told]
+        with_film = generator.random(count) < FILM_SHARE
+        film_errors = draw_film_errors(films, index, noise, generator)
+        # The contact's own pixel belongs to the depth-change sequence: it has the sequence's error, and may show
+        # neighbouring tissue as well.
+        error[with_film] = (films.middle[index] - motion + film_errors.middle)[with_film]
+        noise = np.where(with_film & (noise == ROUNDING_NOISE), ROUNDED * noise, noise)
+        more, pulled = film_information(films.slopes[index], films.factors[index], film_errors.amounts, noise, known)
+        information[with_film], pull[with_film] = more[with_film], pulled[with_film]
     within = fits.within[index]
     along = (motion + error) / spacing[:, None]
     features = join_features(along, known, loaded * known, fits.around[index], spacing, noise)
     if films is not None:
-        amounts = (films.amounts[index] + beside.amounts) * known[..., None]
-        more = join_film_features(amounts, spacing, noise, within, told)
+        amounts = (films.amounts[index] + film_errors.amounts) * known[..., None]
+        more = join_film_features(amounts, spacing, noise, within, with_film)
         features = np.concatenate([features, more], axis=1)
     logs = fits.logs[index]
     information, pull = without_delays(information, pull, logs[:, 3:])
@@ -122,25 +123,25 @@ def draw_observed(
 
 @dataclasses.dataclass(frozen=True)
 class FilmErrors:
-    """Errors of B films."""
+    """Errors of B depth-change sequences."""
 
     amounts: np.ndarray
-    """Of the shapes' amounts, shape [B, SLOTS, SHAPES] [scene units]."""
+    """Errors of the shapes' amounts, shape [B, SLOTS, SHAPES] [scene units]."""
     middle: np.ndarray
-    """Of the middle pixel, shape [B, SLOTS] [scene units]."""
+    """Errors of the middle pixel, shape [B, SLOTS] [scene units]."""
 
 
 def draw_film_errors(films: Films, index: np.ndarray, noise: np.ndarray, generator: np.random.Generator) -> FilmErrors:
-    """Errors of some films: noise, or rounding where the noise is that of rounding, and the rest surface's.
+    """Errors of depth-change sequences: noise, or rounding where the noise is that of rounding, and the rest surface's.
 
     Args:
-        films: all.
-        index: which of them, shape [B].
-        noise: of every pixel, shape [B] [scene units].
+        films: all sequences.
+        index: indices of the sequences to draw for, shape [B].
+        noise: standard deviation of every pixel, shape [B] [scene units].
     """
     shapes, factors = dent_shapes(), films.factors[index]
     middle = shapes[len(shapes) // 2]
-    # Jointly normal: what the middle pixel's error has beyond the amounts' share of it.
+    # The middle pixel's error is jointly normal with the amounts' errors: their share of it, and an independent rest.
     normal = generator.standard_normal((len(index), SLOTS, SHAPES), dtype=np.float32)
     amounts = (factors @ normal[..., None])[..., 0]
     share = middle @ factors
@@ -151,7 +152,7 @@ def draw_film_errors(films: Films, index: np.ndarray, noise: np.ndarray, generat
     if len(rounded):
         change = films.change[index[rounded]].astype(np.float32)
         side = math.isqrt(change.shape[2])
-        slopes = generator.uniform(-1, 1, (2, len(rounded), 1)).astype(np.float32) * STEEPEST
+        slopes = generator.uniform(-1, 1, (2, len(rounded), 1)).astype(np.float32) * MAX_REST_SLOPE
         places = np.mgrid[:side, :side].reshape(2, 1, -1)
         depth = (
             change + (np.float32(LEVEL) * generator.random((len(rounded), 1)) + (slopes * places).sum(axis=0))[:, None]
@@ -175,13 +176,13 @@ def smooth_share() -> np.ndarray:
 def film_information(
     slopes: np.ndarray, factors: np.ndarray, errors: np.ndarray, noise: np.ndarray, known: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Information [B, D, D] and pull [B, D] of films, their errors independent but for the rest surface's.
+    """Information [B, D, D] and pull [B, D] of depth-change sequences; slots share the rest surface's error only.
 
     Args:
-        slopes, factors: of `Films`, of B films.
-        errors: of the amounts, shape [B, SLOTS, SHAPES] [scene units].
-        noise: of every pixel, shape [B] [scene units].
-        known: whether a slot is seen, shape [B, SLOTS].
+        slopes, factors: those of `Films`, of B sequences.
+        errors: errors of the amounts, shape [B, SLOTS, SHAPES] [scene units].
+        noise: standard deviation of every pixel, shape [B] [scene units].
+        known: whether a slot is observed, shape [B, SLOTS].
     """
     whiten = np.linalg.inv(factors) * (known / noise[:, None])[..., None, None]
     smooth = noise[:, None, None, None] * smooth_share()
@@ -200,8 +201,8 @@ def without_delays(information: np.ndarray, pull: np.ndarray, delays: np.ndarray
     """Information [B, 3, 3] and pull [B, 3] of φ where the delays are unknown within their range.
 
     Args:
-        information, pull: of all parameters, shapes [B, D, D] and [B, D].
-        delays: that explain the motions, shape [B, D - 3]; their prior is about 0.
+        information, pull: those of all parameters, shapes [B, D, D] and [B, D].
+        delays: the delays that explain the motions, shape [B, D - 3]; their prior is centred at 0.
     """
     count = delays.shape[1]
     if not count:

@@ -1,4 +1,4 @@
-"""The contact posterior at work: θ, its uncertainty and a verdict for every frame, from what was seen so far."""
+"""Sessions of the contact posterior: θ, its uncertainty and a verdict for every frame, from the observation so far."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from physics.mechanics import Mechanics, theta_of
 from physics.msd.simulation import simulate
 
 LEAST_OBSERVATIONS = 2
-"""Frames after the onset in which the tissue was followed; the network never saw fewer."""
+"""Fewest frames after the onset in which the tissue was followed; the network was trained on no fewer."""
 TOO_EARLY = "The contact's tissue was not followed over two frames after its onset yet."
 NO_NOISE = "The depth's noise isn't known; prepare with geometry.smoothing above 0."
 UNEXPLAINED = "The model does not explain the motion, which lies {:.2g} times the noise from it; intervals are widened."
-ROUNDING = 1e-6
-"""Of times [s]."""
-EDGE = 0.02
-"""A mean within this share of the box's end (in logarithms) lies at it."""
+TIME_TOLERANCE = 1e-6
+"""Times that differ by less are equal [s]."""
+BOUND_MARGIN = 0.02
+"""A mean closer to a bound than this share of the box (in logarithms) counts as at the bound."""
 
 
 class NetworkEstimator(ModelEstimator):
@@ -43,9 +43,9 @@ class NetworkEstimator(ModelEstimator):
     Args:
         model: the exported network.
         onset: when a press begins, one of `estimators.onset.ONSETS`.
-        horizon: how much of a whole contact is looked at.
-        observation: what of it, one of `data.contact.interaction.OBSERVATIONS`. By the contact's point alone the
-            network is told of no dent, and depth windows are blank.
+        horizon: how much of a whole contact counts.
+        observation: which kind of observation, one of `data.contact.interaction.OBSERVATIONS`. With the contact's point
+            alone the network gets no depth-change sequence, and depth windows are blank.
 
     Raises:
         ModelFileError: its metadata can't be used.
@@ -58,9 +58,9 @@ class NetworkEstimator(ModelEstimator):
         super().__init__(model)
         self.onset, self.horizon, self.observation = onset, horizon, observation
         self.described = {"name": self.name, "onset": onset, "observation": observation, "horizon": horizon}
-        """What is not in the model's file."""
+        """The settings that are not in the model's file."""
         self.sees_film = model.inputs[CONTACT] == (FEATURES + FILM_FEATURES,)
-        """Whether it is told of the whole dent, and of how well the instants of the press are known."""
+        """Whether the network takes the depth-change sequence, and how well the instants of the press are known."""
         self.press_seconds: tuple[float, float] = tuple(
             model.metadata.get("contact", {}).get("press_seconds", (0.0, math.inf))
         )
@@ -70,28 +70,28 @@ class NetworkEstimator(ModelEstimator):
         """Open a session."""
         return NetworkSession(self, clip)
 
-    def told(self, contact: Interaction) -> Interaction:
-        """A contact as far as it resembles what the network was trained on.
+    def as_trained(self, contact: Interaction) -> Interaction:
+        """The part of a contact's observation that resembles the training.
 
-        It knows presses of certain lengths, or their beginning. Of a longer press it is told the beginning, of a
-        shorter one what was seen before the release.
+        The network was trained on presses of certain lengths, and on their beginnings. A longer press is cut to its
+        beginning, a shorter one to its observation before the release.
 
         Raises:
-            NoEstimate: the noise isn't known, or too little is left.
+            NoEstimate: the noise isn't known, or too few observations are left.
         """
         if not (math.isfinite(contact.noise) and contact.noise > 0):
             raise NoEstimate(NO_NOISE)
         if self.observation != FIELD:
             contact = dataclasses.replace(contact, film=None)
         load, (shortest, longest) = contact.load_seconds, self.press_seconds
-        if not shortest - ROUNDING <= load <= longest + ROUNDING:
-            contact = contact.observed(contact.observation.times <= min(load, longest) + ROUNDING)
+        if not shortest - TIME_TOLERANCE <= load <= longest + TIME_TOLERANCE:
+            contact = contact.observed(contact.observation.times <= min(load, longest) + TIME_TOLERANCE)
         if len(contact.observation) < LEAST_OBSERVATIONS:
             raise NoEstimate(TOO_EARLY)
         return contact
 
     def features(self, contact: Interaction, within: float) -> np.ndarray:
-        """What the network is told of a contact whose instants are known so well [s], shape [features]."""
+        """The network's input for a contact whose instants are known to `within` [s], shape [features]."""
         return dent_features(contact, within) if self.sees_film else contact_features(contact)
 
     def judged(
@@ -103,9 +103,12 @@ class NetworkEstimator(ModelEstimator):
         covariance: np.ndarray,
         expected: np.ndarray,
     ) -> Estimate:
-        """What the network says of a contact, mean [3] and covariances [3, 3], with how well it explains the motion.
+        """The estimate of a contact from the network's outputs, with how well it explains the motion.
 
         Args:
+            contact: the observation.
+            mechanics: the simulator.
+            mean, covariance, expected: the network's outputs, shapes [3], [3, 3] and [3, 3].
             within: the press began, and ended, at most so long before or after the time stamps [s].
         """
         box = self.bounds.log_box
@@ -117,7 +120,7 @@ class NetworkEstimator(ModelEstimator):
             noise=told_noise(contact) if self.sees_film else contact.noise,
             misfit=misfit,
             largest_misfit=largest_misfit(len(contact.observation)),
-            at_bound=np.minimum(mean - box[0], box[1] - mean) < EDGE * (box[1] - box[0]),
+            at_bound=np.minimum(mean - box[0], box[1] - mean) < BOUND_MARGIN * (box[1] - box[0]),
             expected_information=np.linalg.inv(expected),
             view_angle=view_angle(contact),
         )
@@ -132,7 +135,7 @@ class NetworkSession(RunSession):
         self._onset_error = onset_error(estimator.onset, clip.fps)
         self._window = FrameWindow(estimator.model.window)
         self._depths: list[tuple[float, np.ndarray]] = []
-        """Depth windows of the run under way by the time since its onset [s], where the model looks at them."""
+        """Depth windows of the current run with their times since its onset [s], where the model takes windows."""
 
     def push(self, frame: PreparedFrame) -> Iterator[Said]:
         """The next frame.
@@ -142,7 +145,7 @@ class NetworkSession(RunSession):
         """
         depth = self._window.push(frame) if self.estimator.model.takes_depth else None
         if depth is not None and self.estimator.observation != FIELD:
-            depth = np.zeros_like(depth)  # as where no pixel has a depth
+            depth = np.zeros_like(depth)  # no pixel has a depth
         ended = self._runs.push(frame)
         run = self._runs.current
         yield from self._ended(ended)
@@ -156,11 +159,11 @@ class NetworkSession(RunSession):
         yield self._frame(frame, run, depth)
 
     def estimate(self, contact: Interaction, depth: np.ndarray | None) -> Estimate:
-        """Posterior of a contact from what was seen of it.
+        """Posterior of a contact from its observation.
 
         Args:
-            contact: as `NetworkEstimator.told` leaves it.
-            depth: window [K, h, w], where the model looks at it.
+            contact: as `NetworkEstimator.as_trained` gives it.
+            depth: window [K, h, w], where the model takes one.
 
         Raises:
             ModelFileError: the network gives a number that is not finite.
@@ -178,7 +181,7 @@ class NetworkSession(RunSession):
             raise ModelFileError(f"{path} gives a number that is not finite; export another checkpoint.")
         start = time.perf_counter()
         judged = [
-            estimator.judged(each, self.mechanics, within, *told) for each, *told in zip(contacts, *found, strict=True)
+            estimator.judged(each, self.mechanics, within, *own) for each, *own in zip(contacts, *found, strict=True)
         ]
         self.seconds["simulation"] += time.perf_counter() - start
         whole = mixture(judged)
@@ -193,7 +196,7 @@ class NetworkSession(RunSession):
             return frame_estimate(frame, self.clip, verdict="undetermined")
         contact = run.builder.build(self.mechanics, until=frame.frame.time_s - run.time_s)
         try:
-            found = self.estimate(self.estimator.told(contact), depth)
+            found = self.estimate(self.estimator.as_trained(contact), depth)
         except NoEstimate as reason:
             return frame_estimate(frame, self.clip, verdict="undetermined", doubts=str(reason), whole=True)
         arrow = force_arrow(found.theta, frame.geometry, self.clip, self.estimator.bounds, contact.direction)
@@ -201,20 +204,20 @@ class NetworkSession(RunSession):
         return frame_estimate(frame, self.clip, found, lengths=lengths, doubts=_doubts(found), arrow=arrow)
 
     def _whole(self, contact: Interaction) -> tuple[Estimate, tuple[np.ndarray, np.ndarray], str]:
-        told = self.estimator.told(contact)
-        last = told.observation.times[-1] + ROUNDING
+        known = self.estimator.as_trained(contact)
+        last = known.observation.times[-1] + TIME_TOLERANCE
         depth = next((window for since, window in reversed(self._depths) if since <= last), None)
-        found = self.estimate(told, depth)
+        found = self.estimate(known, depth)
         path = simulate(found.theta, contact.mesh, contact.load.until(contact.steps), self.mechanics)
         times = self.mechanics.time_step * np.arange(1, len(path) + 1)
         return found, (times, path @ np.asarray(contact.direction, np.float64)), _doubts(found)
 
     def _lengths(
-        self, found: Estimate, contact: Interaction, frame: PreparedFrame, seen: InteractionBuilder
+        self, found: Estimate, contact: Interaction, frame: PreparedFrame, builder: InteractionBuilder
     ) -> tuple[float | None, float | None]:
         """Lengths of the simulated and of the observed displacement of the contact's tissue in this frame."""
-        steps = round((frame.frame.time_s - seen.start) / self.mechanics.time_step)
-        moved = frame.track_position - seen.rest
+        steps = round((frame.frame.time_s - builder.start) / self.mechanics.time_step)
+        moved = frame.track_position - builder.rest
         observed = float(np.linalg.norm(moved)) if np.isfinite(moved).all() else None
         if steps == 0:
             return 0.0, observed
@@ -228,5 +231,5 @@ class NetworkSession(RunSession):
 
 
 def _doubts(found: Estimate) -> str:
-    """Sentences on what can't be trusted."""
+    """Sentences on why the estimate may be wrong."""
     return f"{'' if found.explained else UNEXPLAINED.format(found.misfit)} {remark(found)}".strip()

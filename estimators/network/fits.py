@@ -1,7 +1,7 @@
-"""Observed contact motions with what explains them: the material of the posterior's fine training stage.
+"""Contact motions with the parameters that explain them: the data of the posterior's fine training stage.
 
-Every motion is explained once by least squares; around that fit its likelihood is a known parabola, whatever noise,
-rounding or cut-off window is drawn on top (`estimators.network.draws`).
+Every motion is explained once by least squares; around that fit its log likelihood is a known parabola, whatever noise,
+rounding or cut-off window is drawn in addition (`estimators.network.draws`).
 """
 
 from __future__ import annotations
@@ -21,46 +21,46 @@ from data.contact.film_features import (
 )
 from data.contact.interaction import Interaction
 from data.synthetic.settings import SceneSettings
-from estimators.direct.field import FieldProblem
+from estimators.direct.field import FilmProblem
 from estimators.direct.problem import ContactProblem, find_optimum
 from physics.mechanics import RECOMMENDED, Mechanics
 
 MECHANICS = Mechanics(scheme="dkd", window_error=1e-4)
-"""The fitted simulator."""
+"""The simulator of the fits."""
 BOUNDS = RECOMMENDED
-"""Admissible box, the prior."""
-FRAME = 1 / FRAME_RATE
-"""Where instants aren't known, a press begins and ends at most so long before or after the time stamps [s]."""
+"""Admissible box of θ, and so the prior."""
+FRAME_S = 1 / FRAME_RATE
+"""Where instants aren't known, a press begins and ends at most this long before or after the time stamps [s]."""
 SCENES = SceneSettings(width=214, height=120)
-"""What contacts are drawn from."""
+"""Settings of the scenes from which contacts are drawn."""
 EXPLAINED = 2e-4
 """A fit explains a motion without noise where its RMS residual is below this [scene units]."""
 PARAMETERS = 5
-"""φ and both delays."""
-NOMINAL = 1e-3
-"""σ in which residuals of motions without noise are counted [scene units]."""
+"""Number of parameters: φ and both delays."""
+NOMINAL_NOISE = 1e-3
+"""σ by which residuals of motions without noise are divided [scene units]."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Fits:
-    """Contacts with what explains their motions, as arrays; N contacts, D parameters: φ, and two delays or none."""
+    """N contacts with the parameters that explain their motions, as arrays; D parameters: φ, and two delays or none."""
 
     motion: np.ndarray
     """Motion against the force's direction at the slots, without noise, shape [N, SLOTS] [scene units]."""
     logs: np.ndarray
-    """Parameters that explain it, shape [N, D]."""
+    """Parameters that explain the motion, shape [N, D]."""
     slopes: np.ndarray
-    """Derivatives of the motion by them there, shape [N, SLOTS, D] [scene units]."""
+    """Derivatives of the motion by these parameters at the slots, shape [N, SLOTS, D] [scene units]."""
     loaded: np.ndarray
-    """Whether a slot is under load, as the time stamps say, shape [N, SLOTS]."""
+    """Whether a slot is under load by the time stamps, shape [N, SLOTS]."""
     around: np.ndarray
     """`Surroundings.vector`, shape [N, 40]."""
     spacing: np.ndarray
-    """Shape [N] [scene units]."""
+    """Spacing of the mesh at the contact, shape [N] [scene units]."""
     within: np.ndarray
-    """What is known of the instants, shape [N] [s]; where it is 0 the delays are 0 and have no derivatives."""
+    """Largest delay of the press's instants, shape [N] [s]; where it is 0 the delays are 0 and have no derivatives."""
     films: Films | None = None
-    """Of the same contacts."""
+    """Depth-change sequences of the same contacts."""
 
     @classmethod
     def of(
@@ -71,7 +71,7 @@ class Fits:
         within: Sequence[float] | None = None,
         films: Films | None = None,
     ) -> Fits:
-        """Contacts without noise, with the parameters [D] of each and the slopes [SLOTS, D] there."""
+        """Make the arrays from contacts without noise, with each one's parameters [D] and slopes [SLOTS, D]."""
         slots, surroundings = slot_times() + 1e-9, [contact_surroundings(contact) for contact in contacts]
         return cls(
             motion=np.stack([-(contact.moved @ contact.direction) for contact in contacts]).astype(np.float64),
@@ -87,28 +87,28 @@ class Fits:
 
 @dataclasses.dataclass(frozen=True)
 class Films:
-    """Films without noise of N contacts, P pixels each, as arrays."""
+    """Depth-change sequences without noise of N contacts, P pixels each, as arrays."""
 
     change: np.ndarray
-    """Shape [N, SLOTS, P], float16 [scene units]; not a number where the tool is."""
+    """Depth change, shape [N, SLOTS, P], float16 [scene units]; not a number where the tool is."""
     amounts: np.ndarray
-    """Of the shapes in it, shape [N, SLOTS, SHAPES] [scene units]."""
+    """Amounts of the dent's shapes in the change, shape [N, SLOTS, SHAPES] [scene units]."""
     slopes: np.ndarray
-    """Derivatives of these by the parameters, shape [N, SLOTS, SHAPES, D]."""
+    """Derivatives of the amounts by the parameters, shape [N, SLOTS, SHAPES, D]."""
     factors: np.ndarray
-    """How errors of pixels spread in the amounts, as of `shape_amounts`, shape [N, SLOTS, SHAPES, SHAPES]."""
+    """Factors of the amounts' error covariances, as `shape_amounts` gives them, shape [N, SLOTS, SHAPES, SHAPES]."""
     middle: np.ndarray
-    """The contact's motion as its own pixel shows it, like `Fits.motion`, shape [N, SLOTS] [scene units]."""
+    """The contact's motion in its own pixel, as in `Fits.motion`, shape [N, SLOTS] [scene units]."""
 
 
 def observed_exactly(contact: Interaction) -> ContactProblem:
     """The problem of explaining a motion without noise."""
-    return ContactProblem(contact, MECHANICS, NOMINAL)
+    return ContactProblem(contact, MECHANICS, NOMINAL_NOISE)
 
 
 def motion_slopes(problem: ContactProblem, logs: np.ndarray) -> np.ndarray:
     """Derivatives of the motion against the force's direction by its parameters [D], shape [SLOTS, D] [scene units]."""
-    jacobian = NOMINAL * problem.jacobian(logs).reshape(-1, 3, len(logs))
+    jacobian = NOMINAL_NOISE * problem.jacobian(logs).reshape(-1, 3, len(logs))
     return -np.einsum("tdp,d->tp", jacobian, problem.direction)
 
 
@@ -116,7 +116,7 @@ def fit_motion(task: tuple[Interaction, np.ndarray]) -> tuple[np.ndarray, np.nda
     """φ [3] that explains a motion, its slopes along the force [SLOTS, 3], and the RMS residual [scene units].
 
     Args:
-        task: the contact without noise, and where to start.
+        task: the contact without noise, and the start of the fit [3].
     """
     problem = observed_exactly(task[0])
     best, rms = _explained(problem, task[1])
@@ -129,7 +129,7 @@ def _explained(problem: ContactProblem, start: np.ndarray) -> tuple[np.ndarray, 
 
     def fitted(begin: np.ndarray) -> tuple[float, np.ndarray]:
         end = find_optimum(problem, begin, low, high)
-        return NOMINAL * math.sqrt(2 * end.cost / len(problem.moved)), end.logs
+        return NOMINAL_NOISE * math.sqrt(2 * end.cost / len(problem.moved)), end.logs
 
     begin = np.concatenate([start, np.zeros(len(low) - len(start))])
     rms, best = fitted(np.clip(begin, low + 1e-3, high - 1e-3))
@@ -141,18 +141,18 @@ def _explained(problem: ContactProblem, start: np.ndarray) -> tuple[np.ndarray, 
 
 
 def fit_film(task: tuple[Interaction, np.ndarray, float]) -> tuple[np.ndarray, np.ndarray, float, tuple]:
-    """The same with the instants of the press unknown, and with its film, where these are so.
+    """`fit_motion` for a contact with a depth-change sequence, whose instants may be unknown.
 
     Args:
-        task: the contact and its film without noise, where to start [3], and how well its instants are known [s].
+        task: the contact without noise, the start of the fit [3], and the largest delay of its instants [s].
 
     Returns:
-        Parameters [5], slopes [SLOTS, 5], RMS residual [scene units], and the film's `Films` without N.
+        Parameters [5], slopes [SLOTS, 5], RMS residual [scene units], and the arrays of `Films` without N.
     """
     contact, start, within = task
-    problem = ContactProblem(contact, MECHANICS, NOMINAL, within)
+    problem = ContactProblem(contact, MECHANICS, NOMINAL_NOISE, within)
     best, rms = _explained(problem, start)
-    field = FieldProblem(contact, MECHANICS, within, NOMINAL)
+    field = FilmProblem.of_press(contact, MECHANICS, within, NOMINAL_NOISE)
     field.look(best)
     tangent = np.where(field.seen[..., None], field.tangent(best)[1], 0.0)
     change = np.where(field.seen, field.observed, np.nan)
@@ -164,5 +164,5 @@ def fit_film(task: tuple[Interaction, np.ndarray, float]) -> tuple[np.ndarray, n
 
 
 def _padded(values: np.ndarray) -> np.ndarray:
-    """Values [..., 3], or [..., 5], with delays that are known, shape [..., 5]."""
+    """Values [..., 3] padded by zeros for known delays, or values [..., 5] as they are, shape [..., 5]."""
     return np.concatenate([values, np.zeros((*values.shape[:-1], PARAMETERS - values.shape[-1]))], axis=-1)

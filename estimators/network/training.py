@@ -3,16 +3,16 @@
     python -m estimators.network.training --output runs/contact [--contacts 3200]
 
 The loss is the evidence bound: the trajectory residual with its σ is the likelihood, the admissible box the prior (a
-Gaussian with the box's mean and variance). It reads motions, films of dents and noise levels, never θ; of half of the
-presses the instants are unknown, and their delays are marginalised. Four stages, because a rollout costs more than the
-network:
+Gaussian with the box's mean and variance). It reads motions, depth-change sequences and noise levels, never θ; of half
+of the presses the instants are unknown, and their delays are marginalised. There are four stages, because a rollout
+costs more than the network:
  1. `rough`: rollouts at the network's own mean, with σ raised by a share of the motion: an under-damped response has an
-    optimum for every number of swings, and only the wide view shows which is right.
+    optimum for every number of swings, and only a wide likelihood leads to the right one.
  2. `fit`: every motion is explained once, by least squares from the network's estimate (or from several starts).
  3. `fine`: the likelihood is linearised at those fits (exact Jacobians), so that noise, rounding and cut-off windows
-    are drawn anew for every step without a rollout. The covariance comes to hold the network's own error, too
+    are drawn anew for every step without a rollout. The covariance learns to include the network's own error
     (`models.evidence.covering`).
- 4. `bound`: a network of its own learns how large the Cramér–Rao bound is at those fits; verdicts go by it.
+ 4. `bound`: a second network learns the size of the Cramér–Rao bound at those fits, by which verdicts are given.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from data.synthetic.contacts import SimulatedContact, draw_contacts
 from data.synthetic.settings import SceneSettings
 from data.synthetic.truth import REGIMES
 from estimators.network.draws import NOISE, Drawn, draw_observed
-from estimators.network.fits import BOUNDS, EXPLAINED, FRAME, MECHANICS, SCENES, Films, Fits, fit_film, fit_motion
+from estimators.network.fits import BOUNDS, EXPLAINED, FRAME_S, MECHANICS, SCENES, Films, Fits, fit_film, fit_motion
 from estimators.worker_pool import WorkerLost, run_tasks
 from models.evidence import box_prior, covering, preconditioned
 from models.expected_bound import bound_loss
@@ -59,24 +59,24 @@ from physics.ownership import ForeignFile, replacing_own, require_own
 from physics.provenance import code_digest
 
 WEIGHTS, LOG, PREPARED = "posterior.pt", "training.jsonl", "prepared.pt"
-"""Files of the output folder; the first appears when all is done, the last goes then."""
-KINDS = {FIELD: FEATURES + FILM_FEATURES, CONTACT: FEATURES}
-"""What a posterior may be told: of the whole dent, or of the contact's motion alone; and the length of that."""
+"""Files of the output folder; at the end the first appears and the last is removed."""
+INPUT_LENGTHS = {FIELD: FEATURES + FILM_FEATURES, CONTACT: FEATURES}
+"""Length of the network's input by its kind: with the depth-change sequence, or the contact's motion alone."""
 CONTACTS_A_SCENE = 8
 LEAST_STEPS = 4
-"""A stage's learning rate rises over three steps, and falls."""
+"""Fewest steps of a stage: its learning rate rises over three steps, and falls."""
 ROUGH_BATCH, ROUGH_RATE = 64, 1e-3
 """Samples a step of the rough stage, and its largest learning rate."""
-UNKNOWN = 1_000_003
-"""Added to the seed of contacts whose instants are unknown."""
+SEED_OFFSET = 1_000_003
+"""Number added to the seed for contacts whose instants are unknown."""
 FINE_BATCH, FINE_RATE = 512, 2e-3
-"""The same of the last two stages."""
-COVERING = 0.3
-"""Weight of the covariance's loss beside the means'; they share the network, and nothing else."""
-EXAMPLES, LEAST_SPREAD = 2000, 0.02
-"""Samples that the inputs' centre and scale are taken from, and the least scale of a film's inputs."""
-BLUR = 0.3, 0.03
-"""σ of the rough stage is raised by this share of a contact's largest motion, at its beginning and its end."""
+"""Samples a step of the last two stages, and their largest learning rate."""
+COVARIANCE_WEIGHT = 0.3
+"""Weight of the covariance's loss relative to the means'; the two share the network, and nothing else."""
+SCALE_SAMPLES, LEAST_SCALE = 2000, 0.02
+"""Samples that set the inputs' centre and scale, and the least scale of the depth-change sequence's inputs."""
+BLUR_SHARES = 0.3, 0.03
+"""Shares of a contact's largest motion by which σ is raised at the beginning and at the end of the rough stage."""
 
 
 class TrainingError(ValueError):
@@ -96,9 +96,9 @@ class Trainer:
     def __init__(self, contacts: list[SimulatedContact], seed: int, within: Sequence[float] | None = None) -> None:
         """
         Args:
-            contacts: with films where the posterior is to see them.
+            contacts: with depth-change sequences where the posterior takes them.
             seed: another seed gives other weights and errors.
-            within: how well the instants of each are known [s]; None = exactly.
+            within: largest error of each contact's instants [s]; None = no error.
         """
         torch.manual_seed(seed)
         self.contacts = contacts
@@ -106,8 +106,8 @@ class Trainer:
         self.films = contacts[0].interaction.film is not None
         self.generator = np.random.default_rng([seed, 17])
         self.surroundings = [contact_surroundings(contact.interaction) for contact in contacts]
-        self.posterior = ContactPosterior(KINDS[FIELD if self.films else CONTACT], torch.tensor(BOUNDS.log_box))
-        sample = [self.draw() for _ in range(EXAMPLES)]
+        self.posterior = ContactPosterior(INPUT_LENGTHS[FIELD if self.films else CONTACT], torch.tensor(BOUNDS.log_box))
+        sample = [self.draw() for _ in range(SCALE_SAMPLES)]
         self.posterior.standardise(torch.tensor(np.stack([features for _, features in sample])))
         self.threads = ThreadPoolExecutor()
 
@@ -116,20 +116,20 @@ class Trainer:
         index = int(self.generator.integers(len(self.contacts)))
         contact, noise = self.contacts[index].interaction, math.exp(self.generator.uniform(*np.log(NOISE)))
         error = self.generator.normal(0, noise, len(contact.observation))[:, None] * contact.direction
-        seen = dataclasses.replace(contact, observation=contact.observation.moved(contact.moved + error, noise))
-        return seen, self.features(seen, index)
+        observed = dataclasses.replace(contact, observation=contact.observation.moved(contact.moved + error, noise))
+        return observed, self.features(observed, index)
 
     def features(self, contact: Interaction, index: int) -> np.ndarray:
-        """What is told of a contact in the first stages: not its film, which a rough look needs not."""
-        told = contact_features(contact, self.surroundings[index])
+        """The network's input for a contact in the first two stages, which leave the depth-change sequence out."""
+        motion = contact_features(contact, self.surroundings[index])
         if not self.films:
-            return told
+            return motion
         spacing = self.surroundings[index].spacing
-        return np.concatenate([told, film_features(None, spacing, contact.noise, self.within[index])])
+        return np.concatenate([motion, film_features(None, spacing, contact.noise, self.within[index])])
 
     def rough_loss(self, done: float) -> Tensor:
-        """The evidence bound by rollouts at the means, a scalar; `done` is the share of the stage's steps before."""
-        blur = BLUR[0] * (BLUR[1] / BLUR[0]) ** done
+        """The evidence bound by rollouts at the means, a scalar; `done` is the finished share of the stage's steps."""
+        blur = BLUR_SHARES[0] * (BLUR_SHARES[1] / BLUR_SHARES[0]) ** done
         batch = [self.draw() for _ in range(ROUGH_BATCH)]
         mean, factor = self.posterior(torch.from_numpy(np.stack([features for _, features in batch])))
         contacts = [contact for contact, _ in batch]
@@ -141,15 +141,15 @@ class Trainer:
         return preconditioned(mean, factor, gradient, information, *box, whiten=False)
 
     def fit(self, progress: Progress, workers: int | None = None) -> Fits:
-        """Second stage: what explains every motion; motions that nothing explains are left out and counted.
+        """Second stage: the parameters that explain every motion; motions without any are left out and counted.
 
         Args:
-            progress: gets a bar.
-            workers: processes; None = one a core, 0 = in this one.
+            progress: display for the stage's progress bar.
+            workers: number of processes; None = one a core, 0 = in this one.
 
         Raises:
-            TrainingError: nothing explains any motion.
-            WorkerLost: a process was killed.
+            TrainingError: no motion could be explained.
+            WorkerLost: a worker process was killed.
         """
         contacts = [contact.interaction for contact in self.contacts]
         quiet = [
@@ -175,14 +175,14 @@ class Trainer:
         logs, slopes = zip(*(found[index][:2] for index in kept), strict=True)
         within = [self.within[index] for index in kept]
         fits = Fits.of([contacts[index] for index in kept], logs, slopes, within, films)
-        if self.films:  # the first stage has seen none of them
-            examples = torch.from_numpy(draw_observed(fits, EXAMPLES, self.generator).features)
-            self.posterior.standardise(examples, least=LEAST_SPREAD, first=FEATURES)
+        if self.films:  # the first stage had none of these inputs
+            examples = torch.from_numpy(draw_observed(fits, SCALE_SAMPLES, self.generator).features)
+            self.posterior.standardise(examples, least=LEAST_SCALE, first=FEATURES)
         return fits
 
 
 def fine_loss(posterior: ContactPosterior, drawn: Drawn) -> Tensor:
-    """The evidence bound's pull of the means, every likelihood linearised at its own fit, and `covering`; a scalar."""
+    """`preconditioned` for the means, every likelihood linearised at its own fit, plus `covering`; a scalar."""
     mean, factor = posterior(torch.from_numpy(drawn.features))
     box = posterior.lower, posterior.upper
     information, logs = torch.from_numpy(drawn.information), torch.from_numpy(drawn.logs)
@@ -192,16 +192,16 @@ def fine_loss(posterior: ContactPosterior, drawn: Drawn) -> Tensor:
     prior, middle = (values.double() for values in box_prior(*box))
     whole = information + prior
     best = logs + torch.linalg.solve(whole, pull - (logs - middle) @ prior)
-    return moved + COVERING * covering(mean.detach(), factor, best.to(mean), whole)
+    return moved + COVARIANCE_WEIGHT * covering(mean.detach(), factor, best.to(mean), whole)
 
 
 def expected_loss(posterior: ContactPosterior, drawn: Drawn) -> Tensor:
-    """`bound_loss` of what the posterior expects, a scalar."""
+    """`bound_loss` of the posterior's expected bound, a scalar."""
     return bound_loss(posterior.expected_bound_factor(torch.from_numpy(drawn.features)), drawn.information)
 
 
 def descend(network: nn.Module, loss_of: Callable[[int], Tensor], steps: int, rate: float) -> Iterator[float]:
-    """Descend a network's loss, a function of the step's number; gives it after each step."""
+    """Minimise a network's loss, a function of the step's number; yields the loss of each step."""
     optimizer = torch.optim.AdamW(network.parameters(), lr=rate, weight_decay=1e-4)
     rise = max(0.1, 3 / steps)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, rate, total_steps=steps, pct_start=rise)
@@ -216,7 +216,7 @@ def descend(network: nn.Module, loss_of: Callable[[int], Tensor], steps: int, ra
 
 
 def _ahead(thread: ThreadPoolExecutor, draw: Callable[[], Drawn]) -> Iterator[Drawn]:
-    """What is drawn, the next one while the last is in use."""
+    """Draws, of which the next is made in a thread while the last is in use."""
     following = thread.submit(draw)
     while True:
         drawn = following.result()
@@ -239,15 +239,15 @@ def make_contacts(
     """About `count` contacts of many scenes, the regimes in turn, as in the benchmark.
 
     Args:
-        count: contacts.
+        count: number of contacts.
         seed: another seed gives other scenes.
-        progress: gets a bar.
-        workers: processes; None = one a core, 0 = in this one.
-        within, film: as of `draw_contacts`.
+        progress: display for the progress bar.
+        workers: number of processes; None = one a core, 0 = in this one.
+        within, film: as in `draw_contacts`.
 
     Raises:
-        TrainingError: none could be drawn.
-        WorkerLost: a process was killed.
+        TrainingError: no contact could be drawn.
+        WorkerLost: a worker process was killed.
     """
     seeds = np.random.SeedSequence((seed, 0xC0)).generate_state(-(-count // CONTACTS_A_SCENE)).tolist()
     turns = [dataclasses.replace(SCENES, regime=regime) for regime in REGIMES]
@@ -270,8 +270,8 @@ def build_parser() -> argparse.ArgumentParser:
     add = parser.add_argument
     add("--output", type=path_option, required=True, help=f"folder for {WEIGHTS} and {LOG}")
     add("--contacts", type=whole_number(1), default=3200, help="motions to train on (default %(default)s)")
-    text = "what the posterior is told: of the whole dent, or of the contact's motion alone (default %(default)s)"
-    add("--observation", choices=list(KINDS), default=FIELD, help=text)
+    text = "input of the posterior: the depth of the whole dent, or the contact's motion alone (default %(default)s)"
+    add("--observation", choices=list(INPUT_LENGTHS), default=FIELD, help=text)
     steps = whole_number(LEAST_STEPS)
     add("--rough-steps", type=steps, default=800, help="(default %(default)s)")
     add("--fine-steps", type=steps, default=16000, help="(default %(default)s)")
@@ -288,7 +288,7 @@ def train(options: argparse.Namespace) -> None:
     Raises:
         OSError: the output folder can't be written, or a user's file is in the way.
         TrainingError: there is nothing to train on.
-        WorkerLost: a process was killed.
+        WorkerLost: a worker process was killed.
     """
     options.output.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(max(1, (os.cpu_count() or 1) // 2))
@@ -296,7 +296,7 @@ def train(options: argparse.Namespace) -> None:
     require_own(options.output / WEIGHTS, options.output / PREPARED)
     _require_log(options.output / LOG)
     with progress_bars(Console()) as progress, (options.output / LOG).open("a") as log:
-        posterior = ContactPosterior(KINDS[options.observation], torch.tensor(BOUNDS.log_box))
+        posterior = ContactPosterior(INPUT_LENGTHS[options.observation], torch.tensor(BOUNDS.log_box))
 
         def stage(name: str, network: nn.Module, loss_of: Callable[[int], Tensor], steps: int, rate: float) -> None:
             losses = progress.track(descend(network, loss_of, steps, rate), steps, description=name)
@@ -329,35 +329,35 @@ def train(options: argparse.Namespace) -> None:
 
 
 def _require_log(path: Path) -> None:
-    """Raise a ForeignFile where something else than such a log is in its place; ours grows with every training."""
+    """Raise a ForeignFile where a file is at the path that is no training log; every training appends to its log."""
     if os.path.lexists(path):
         try:
-            ours = all("stage" in json.loads(line) for line in read_file(path).splitlines())
+            is_log = all("stage" in json.loads(line) for line in read_file(path).splitlines())
         except (OSError, ValueError, TypeError, RecursionError):
-            ours = False
-        if not ours or path.is_symlink():
+            is_log = False
+        if not is_log or path.is_symlink():
             raise ForeignFile(path)
 
 
 def _trainer(options: argparse.Namespace, progress: Progress) -> Trainer:
-    """On contacts whose instants are known, and with films on as many whose instants aren't."""
+    """The trainer, with depth-change sequences on contacts of which half have unknown instants."""
     made = functools.partial(make_contacts, progress=progress, workers=options.workers)
     if options.observation == CONTACT:
         return Trainer(made(options.contacts, options.seed), options.seed)
     half = -(-options.contacts // 2)
-    parts = [made(half, options.seed, film=True), made(half, options.seed + UNKNOWN, within=FRAME, film=True)]
-    within = [0.0] * len(parts[0]) + [FRAME] * len(parts[1])
+    parts = [made(half, options.seed, film=True), made(half, options.seed + SEED_OFFSET, within=FRAME_S, film=True)]
+    within = [0.0] * len(parts[0]) + [FRAME_S] * len(parts[1])
     return Trainer([*parts[0], *parts[1]], options.seed, within)
 
 
 def _prepared_by(options: argparse.Namespace) -> dict[str, object]:
-    """What the first stages depend on."""
+    """Everything that the results of the first two stages depend on."""
     names = ("observation", "contacts", "rough_steps", "seed")
     return {"code": code_digest(), **{name: getattr(options, name) for name in names}}
 
 
 def _keep_prepared(path: Path, options: argparse.Namespace, posterior: ContactPosterior, fits: Fits) -> None:
-    """Keep what the first stages found, so that an interrupted training goes on from there."""
+    """Store the results of the first two stages, so that an interrupted training goes on from there."""
     arrays = {field.name: getattr(fits, field.name) for field in dataclasses.fields(Fits)}
     films = arrays.pop("films")
     parts = {name: torch.from_numpy(values) for name, values in arrays.items()}
@@ -370,7 +370,7 @@ def _keep_prepared(path: Path, options: argparse.Namespace, posterior: ContactPo
 
 
 def _read_prepared(path: Path, options: argparse.Namespace, posterior: ContactPosterior) -> Fits | None:
-    """What was kept, its weights given to the posterior; None where there is nothing that fits the options."""
+    """The stored fits, with the stored weights loaded into the posterior; None where none belong to the options."""
     try:
         kept = torch.load(path, map_location="cpu", weights_only=True)
         if kept["by"] != _prepared_by(options):

@@ -39,8 +39,9 @@ from physics.robust import affine_motion
 FIELD_ALONE = "This estimator tells relative stiffness place by place (fields.npz), not k_s, k_d or F."
 UNDRIVEN = "Not enough tissue moved with the instrument to tell its stiffness anywhere."
 
-NUMBERS = ("skill", "field_known", "shape_known") + tuple(
-    f"{name}{end}" for name in ("distance_stiffness", "shape_stiffness") for end in ("_low", "", "_high")
+NUMBERS = (
+    *("skill", "field_known", "shape_known"),
+    *(f"{name}{end}" for name in ("distance_stiffness", "shape_stiffness") for end in ("_low", "", "_high")),
 )
 """Of `ParticleField.numbers`: what is drawn over a run's frames."""
 

@@ -12,7 +12,7 @@ import torch
 
 from data.contact.interaction import Interaction
 from evaluation.paper.baselines import fit_constant_theta, no_motion_errors, simulate_contacts
-from evaluation.paper.collapse import as_told, conclude, spread_of
+from evaluation.paper.collapse import as_reported, conclude, spread_of
 from evaluation.paper.motion import median_share, motion_row, settle
 from evaluation.paper.statistics import Statistics, compare, describe, format_number, summarise
 from models.records import with_reference_tissue
@@ -28,7 +28,7 @@ REGIMES = {
     "mean of predicted θ": "error_mean_theta",
     NO_MOTION: "error_no_motion",
 }
-"""What was simulated, in the order of tables, and its column in the table of frames."""
+"""Column of the table of frames by simulated parameters, in the order of tables."""
 MEASURED = [
     "clip",
     "frame",
@@ -38,7 +38,7 @@ MEASURED = [
     "copy_error",
     "theta_sensitivity",
 ]
-"""Columns of the table of frames that the records know already."""
+"""Columns of the table of frames that come from the records."""
 DEFINITIONS = (
     f"Reference θ: k_s = {REFERENCE_STIFFNESS}, k_d = {REFERENCE_DAMPING} from the literature, F and all else "
     "identical. Constant θ: fitted on training contacts. Mean of predicted θ: over the test frames. No motion: F = 0."
@@ -56,7 +56,7 @@ class Evaluation:
     """Everything measured on the test frames."""
 
     frames: pd.DataFrame
-    """One row a test frame, in order of clip and frame: parameters as told, displacement errors by regime [scene
+    """One row a test frame, in order of clip and frame: parameters as reported, displacement errors by regime [scene
     units²], errors of the next depth map [scene units], settling of the predicted motion."""
     trajectories: np.ndarray
     """Displacement of the contact vertex under the predicted θ, shape [n, T, 3] [scene units]."""
@@ -76,13 +76,15 @@ class Evaluation:
     constant: np.ndarray
     """The constant θ, F signed; not a number without training contacts."""
     training_error: float
-    """Its mean displacement error on the training contacts [scene units²]."""
+    """Mean displacement error of the constant θ on the training contacts [scene units²]."""
     conclusion: str
+    """Verdict on collapse and on the comparison with baselines, in one sentence."""
     sentences: tuple[str, ...]
+    """All comparisons and definitions, in one sentence each."""
 
 
 def describe_depth(depth: Mapping[str, Statistics]) -> str:
-    """Whether θ reaches the decoded picture."""
+    """One sentence on how far θ changes the decoded picture."""
     moved, error, change = (depth[name]["mean"].value for name in ("sensitivity", "decoder", "copy"))
     share = moved / change if change else np.nan
     return (
@@ -119,7 +121,7 @@ def analyse(
         for name in ("theta", "trajectory", "reference_trajectory")
     )
     frames = pd.DataFrame(records, columns=MEASURED)
-    frames[list(PARAMETERS)] = as_told(theta, bounds)
+    frames[list(PARAMETERS)] = as_reported(theta, bounds)
     constant, training_error = fit_constant_theta(training, bounds, mechanics)
     frames["error_constant"] = simulate_contacts(constant, contacts, mechanics)[1] if training else np.nan
     frames["error_mean_theta"] = simulate_contacts(theta.mean(axis=0), contacts, mechanics)[1]
@@ -138,8 +140,8 @@ def analyse(
         motion[name]["median of highest peak"] = median_share(trajectories)
     settling = {name: frames[["clip", "frame"]].join(settling) for name, (_, settling) in simulated.items()}
 
-    seen = [(one.observation.times.tobytes(), one.moved.tobytes()) for one in contacts]
-    observed = set(zip(clips, seen, strict=True))
+    motions = [(one.observation.times.tobytes(), one.moved.tobytes()) for one in contacts]
+    observed = set(zip(clips, motions, strict=True))
     spread = spread_of(frames, bounds, len(observed))
     return Evaluation(
         frames=frames.join(simulated[PREDICTED][1]),

@@ -1,4 +1,4 @@
-"""What an estimate has to beat: one constant θ for everything, and no motion at all.
+"""Baselines that an estimate has to beat: one constant θ for everything, and no motion at all.
 
 A predictor that has collapsed to a constant looks good against badly chosen constants, so the constant here is the best
 one that the training contacts allow.
@@ -22,16 +22,16 @@ from physics.msd.likelihoods import displacement_error
 
 BATCH = 2
 """Contacts simulated together."""
-STARTS = 8
+FIT_STARTS = 8
 """Starting points of the constant-θ fit: θ₀ and a Sobol sequence over the admissible box; a power of 2."""
-REFINED = 2
-"""Best starting points that are refined with L-BFGS-B."""
-ITERATIONS = 10
-"""Most L-BFGS-B iterations for each of them."""
-WARP = 1000.0
-"""The search resolves θ down to this fraction of a range's far end, relative to θ above it."""
+REFINED_STARTS = 2
+"""Number of best starting points that are refined with L-BFGS-B."""
+MAX_ITERATIONS = 10
+"""Most L-BFGS-B iterations for each of these."""
+SEARCH_RANGE = 1000.0
+"""The search is even for θ below a range's far end over this number, and exponential above."""
 NOT_FINITE_ERROR = 1e12
-"""Objective where the simulation isn't finite: high enough for the line search to turn back."""
+"""Objective where the simulation isn't finite: large enough for the line search to shorten its step."""
 
 
 def no_motion_errors(contacts: Sequence[Interaction], mechanics: Mechanics) -> np.ndarray:
@@ -58,7 +58,7 @@ def simulate_contacts(
     """Simulate every contact with its own θ.
 
     Args:
-        theta: parameters, shape [n, 3], or [3] for the same in all contacts.
+        theta: parameters, shape [n, 3], or [3] for one θ in all contacts.
         contacts: the n contacts.
         mechanics: the rollout's constants.
 
@@ -76,7 +76,7 @@ def simulate_contacts(
 def _warped_box(bounds: Bounds) -> tuple[Tensor, Tensor, Tensor]:
     """The scale [3] at which each parameter's search turns from even to exponential, and the box in its coordinates."""
     lower, upper = torch.tensor([bounds.lower, bounds.upper], dtype=torch.float64)
-    scale = torch.maximum(lower.abs(), upper.abs()) / WARP
+    scale = torch.maximum(lower.abs(), upper.abs()) / SEARCH_RANGE
     return scale, torch.asinh(lower / scale), torch.asinh(upper / scale)
 
 
@@ -126,15 +126,15 @@ def fit_constant_theta(
             return NOT_FINITE_ERROR, np.zeros(3)
         return total, slope.numpy()
 
-    starts = qmc.Sobol(3, scramble=False).random(STARTS)
+    starts = qmc.Sobol(3, scramble=False).random(FIT_STARTS)
     starts[0] = to_unit(torch.tensor(bounds.initial, dtype=torch.float64), bounds)  # instead of the box's corner
     values = [objective(start)[0] for start in starts]
     refined = [
         minimize(
             objective, starts[index], jac=True, method="L-BFGS-B", bounds=[(0.0, 1.0)] * 3,
-            options={"maxiter": ITERATIONS, "maxfun": 2 * ITERATIONS},
+            options={"maxiter": MAX_ITERATIONS, "maxfun": 2 * MAX_ITERATIONS},
         )
-        for index in np.argsort(values, kind="stable")[:REFINED]
+        for index in np.argsort(values, kind="stable")[:REFINED_STARTS]
     ]  # fmt: skip
     best = min(refined, key=lambda result: result.fun)
     return to_theta(torch.from_numpy(best.x), bounds).numpy(), float(best.fun) * scale / len(contacts)

@@ -1,8 +1,8 @@
 """Does the estimate follow the frames, or has it collapsed to a constant?
 
 Bini 2026 reports k_s = 0.508 ± 0.003 on a range of [0, 1] whose middle is where an untrained sigmoid sits: a spread of
-0.3 % of the range. A constant predictor has a spread of 0 and, if well chosen, a good error too. So the check asks two
-things: how far the estimates spread, and whether they explain the observed motion better than constants do.
+0.3 % of the range. A constant predictor has a spread of 0 and, if well chosen, a good error too. So the check has two
+questions: how far the estimates spread, and whether they explain the observed motion better than constants do.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ MINIMUM_VARIATION = 0.2
 AT_BOUND = 0.01
 """A value closer than this fraction of the range to an end counts as lying at the bound."""
 MINIMUM_CONTACTS = 3
-"""Fewer different motions may well have the same θ."""
+"""Fewest different motions for a verdict: fewer may well have the same θ."""
 
 
-def as_told(theta: np.ndarray, bounds: Bounds) -> np.ndarray:
+def as_reported(theta: np.ndarray, bounds: Bounds) -> np.ndarray:
     """θ [..., 3] with the force as a magnitude, unless its range crosses 0."""
     return np.abs(theta) if bounds.force[1] <= 0 else theta
 
 
 def spread_of(frames: pd.DataFrame, bounds: Bounds, contacts: int) -> pd.DataFrame:
-    """Spread of the parameters, as told, over the test frames in the admissible box.
+    """Spread of the parameters, as reported, over the test frames in the admissible box.
 
     Args:
         frames: one row a test frame with its `clip` and parameters.
         bounds: the box.
-        contacts: different observed motions behind the frames.
+        contacts: number of different observed motions behind the frames.
 
     Returns:
         One row a parameter. `sd` is the sample SD over all frames, of which a constant predictor has 0; `low` and
@@ -42,7 +42,7 @@ def spread_of(frames: pd.DataFrame, bounds: Bounds, contacts: int) -> pd.DataFra
         `between_clips_sd` the SD of the clips' means, `within_clips_sd` that around the own clip's mean, `at_bound` the
         fraction of frames at an end of the range.
     """
-    low, high = np.sort(as_told(np.array([bounds.lower, bounds.upper]), bounds), axis=0)
+    low, high = np.sort(as_reported(np.array([bounds.lower, bounds.upper]), bounds), axis=0)
     values = frames[list(PARAMETERS)]
     by_clip, width = values.groupby(frames["clip"]), high - low
     spread = values.agg(["mean", "std", "min", "max"]).T.set_axis(["mean", "sd", "minimum", "maximum"], axis="columns")

@@ -1,4 +1,4 @@
-"""Figure 3 of Bini 2026, the estimates by frame, and a next depth map beside the real one."""
+"""Figure 3 of Bini 2026, the estimates by frame, and a predicted next depth map next to the real one."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PERCENTILES = (10, 25, 50, 75, 90)
-MEDIAN, INNER, OUTER = "#14532d", "#86c59b", "#ecd9b0"
+MEDIAN_COLOUR, INNER_COLOUR, OUTER_COLOUR = "#14532d", "#86c59b", "#ecd9b0"
 ACCENT, GREY, WARM, LIGHT, BOX = "#1d4e89", "#667085", "#b4432b", "#d0d5dd", "#eef4fb"
 LITERATURE = {"stiffness": REFERENCE_STIFFNESS, "damping": REFERENCE_DAMPING}
 
@@ -34,9 +34,9 @@ def _draw_heat_map(figure: Figure, axes: Axes, times: np.ndarray, relative: np.n
 
 def _draw_fan(axes: Axes, times: np.ndarray, relative: np.ndarray, release: np.ndarray) -> None:
     low, lower, median, upper, high = np.percentile(relative, PERCENTILES, axis=0)
-    axes.fill_between(times, low, high, color=OUTER, lw=0, label="10–90th percentile")
-    axes.fill_between(times, lower, upper, color=INNER, lw=0, label="25–75th percentile")
-    axes.plot(times, median, color=MEDIAN, lw=2, label="median")
+    axes.fill_between(times, low, high, color=OUTER_COLOUR, lw=0, label="10–90th percentile")
+    axes.fill_between(times, lower, upper, color=INNER_COLOUR, lw=0, label="25–75th percentile")
+    axes.plot(times, median, color=MEDIAN_COLOUR, lw=2, label="median")
     axes.axvspan(release.min(), release.max(), color=GREY, alpha=0.15, lw=0)
     axes.axvline(np.median(release), color=GREY, lw=1.3, ls="--", label="release (median)")
     axes.set(xlim=(0, times[-1]), xlabel="time since first contact [s]", ylabel="relative displacement [–]")
@@ -109,11 +109,11 @@ def draw_theta(frames: pd.DataFrame, spread: pd.DataFrame, constant: np.ndarray)
 
 
 def draw_next_depth(real: np.ndarray, predicted: np.ndarray) -> Figure:
-    """Real next depth map beside the predicted one and their absolute difference.
+    """Real next depth map, the predicted one, and their absolute difference, side by side.
 
     Args:
         real: D_t+1, shape [H, W] [scene units], 0 = invalid.
-        predicted: G_AB's answer, same shape.
+        predicted: output of G_AB, same shape.
     """
 
     from matplotlib.figure import Figure

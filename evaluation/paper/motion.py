@@ -1,4 +1,4 @@
-"""Simulated motions: when the released tissue comes to rest (Bini 2026, section 4.2), and what can't be believed."""
+"""Simulated motions: when the released tissue comes to rest (Bini 2026, section 4.2), and which are not credible."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def median_share(trajectories: np.ndarray) -> float:
 
 
 def amplification(theta: np.ndarray, contacts: Sequence[Interaction], mechanics: Mechanics) -> np.ndarray:
-    """How much a trajectory answers to a minute change of F, shape [n]; about 1 where the motion is regular.
+    """How much a trajectory changes with a minute change of F, shape [n]; about 1 where the motion is regular.
 
     Largest displacement between the trajectories of F and F·(1 + 1e-4), relative to the peak and to 1e-4; infinite
     where a trajectory isn't finite.
@@ -90,7 +90,7 @@ def motion_row(
 
     Args:
         settling: from `settle`.
-        theta: what was simulated, shape [n, 3].
+        theta: simulated parameters, shape [n, 3].
         contacts: the n contacts.
         mechanics: the rollout's constants.
     """

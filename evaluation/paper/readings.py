@@ -1,12 +1,12 @@
-"""What the paper's own numbers say about the choices that it leaves open, by simulation at its θ, without any training.
+"""Which of the choices that the paper leaves open agree with its own numbers, by simulation at its θ, without training.
 
     python -m evaluation.paper.readings [--contacts 16] [--seed 0]
 
 Bini 2026 prints θ = (0.508 ± 0.0027, 0.09 ± 0.0162, 7.79 ± 0.1841), tissue that settles to 5 % within 0.9 s, a median
 that rises to 63 to 65 % of the highest peak, and two mean squared errors, 0.00428 with its θ and 0.00467 with the
-literature's k_s and k_d (sections 4.1 and 4.2, table 2). Foundation, rim, direction of the force, damping and what is
-compared are not all given. Every reading of them is simulated on contacts of synthetic sheets, and its numbers stand
-beside the paper's. Exit status: 0 done, 2 wrong usage, 130 interrupted.
+literature's k_s and k_d (sections 4.1 and 4.2, table 2). Foundation, rim, direction of the force, damping and the
+compared instant are not all given. Every reading of them is simulated on contacts of synthetic sheets, and its numbers
+are compared with the paper's. Exit status: 0 done, 2 wrong usage, 130 interrupted.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ ERROR, REFERENCE_ERROR = 0.00428, 0.00467
 ANCHORS = (0.0, 0.1, 1.0)
 DIRECTIONS = ("inward", "outward", "along")
 PLACES = ("inside", "outline")
-SETTLED_S = 0.9
-"""When the paper's tissue is at rest [s]; its rollout ends 0.75 s after the release."""
+REST_TIME_S = 0.9
+"""Time at which the paper's tissue is at rest [s]; its rollout ends 0.75 s after the release."""
 COLUMNS = (
     "foundation",
     "rim",
@@ -78,7 +78,7 @@ class Reading:
     direction: str = "inward"
     """One of DIRECTIONS: along the normal away from the camera, towards it, or in the sheet's plane."""
     damping: Literal["implicit", "explicit"] = "implicit"
-    """Euler's damping."""
+    """How Euler's scheme takes the damping."""
 
     @property
     def mechanics(self) -> Mechanics:
@@ -101,7 +101,7 @@ class Reading:
 
 
 def readings() -> list[Reading]:
-    """All that are compared: foundation, rim and place in every combination; direction and damping by themselves."""
+    """All compared readings: foundation, rim and place in every combination; direction and damping by themselves."""
     combined = itertools.starmap(Reading, itertools.product(ANCHORS, ("fixed", "free"), PLACES))
     return [*combined, *(Reading(direction=each) for each in DIRECTIONS[1:]), Reading(damping="explicit")]
 
@@ -128,9 +128,9 @@ def measure(reading: Reading, scenes: Sequence[Scene], theta: np.ndarray) -> dic
     """A reading's numbers, by COLUMNS.
 
     Args:
-        reading: what is simulated.
+        reading: the reading to simulate.
         scenes: sheets with their contacts.
-        theta: one θ each, shape [n, 3].
+        theta: θ of each contact, shape [n, 3].
     """
     mechanics = reading.mechanics
     tissue = np.broadcast_to([REFERENCE_STIFFNESS, REFERENCE_DAMPING], (len(theta), 2))
@@ -163,14 +163,14 @@ def _root_mean_square(vectors: np.ndarray) -> float:
 
 
 def foundation_for(seconds: float, scenes: Sequence[Scene], theta: np.ndarray) -> float:
-    """The foundation, as a multiple of k_s, with which half of the contacts are at rest so long after the start.
+    """The foundation, as a multiple of k_s, with which half of the contacts are at rest that long after the start.
 
     Found by bisection between the least and the largest of ANCHORS, to a thousandth.
     """
     low, high = min(ANCHORS), max(ANCHORS)
     while high - low > 1e-3:
         middle = (low + high) / 2
-        # What isn't at rest within the horizon takes longer than it.
+        # A contact that isn't at rest within the horizon takes longer.
         late = not measure_settling(Reading(anchor=middle), scenes, theta) <= seconds
         low, high = (middle, high) if late else (low, middle)
     return (low + high) / 2
@@ -201,12 +201,11 @@ def main(arguments: list[str] | None = None) -> int:
     scenes, theta = draw_contacts(options.contacts, options.seed)
     sizes = sorted(len(scene.mesh.vertices) for scene in scenes)
     rows = [list(map(format_number, measure(reading, scenes, theta).values())) for reading in readings()]
-    told = f"{len(scenes)} contacts on sheets of {sizes[0]} to {sizes[-1]} vertices"
-    print(f"{told}, θ as the paper's, seed {options.seed}; lengths in scene units")
+    amount = f"{len(scenes)} contacts on sheets of {sizes[0]} to {sizes[-1]} vertices"
+    print(f"{amount}, θ as the paper's, seed {options.seed}; lengths in scene units")
     print(to_markdown(list(COLUMNS), rows))
-    print(
-        f"At rest {SETTLED_S} s after the start: foundation {foundation_for(SETTLED_S, scenes, theta):.3f} k_s, inside."
-    )
+    foundation = foundation_for(REST_TIME_S, scenes, theta)
+    print(f"At rest {REST_TIME_S} s after the start: foundation {foundation:.3f} k_s, inside.")
     return 0
 
 

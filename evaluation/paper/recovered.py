@@ -1,10 +1,10 @@
-"""What `train.py test` says of synthetic clips beside their truth: are stiffness, damping and force recovered?
+"""Compares the estimates of `train.py test` on synthetic clips with their truth: are k_s, k_d and F recovered?
 
     python -m evaluation.paper.recovered EVALUATION CLIPS
 
 EVALUATION is the folder that `train.py test` wrote, CLIPS the data set of `python -m data.synthetic` that it was tested
-on. Prints a table: how far estimates are from the truth, and whether they rank the contacts as the truth does, beside
-the constant whose logarithm is the truth's mean, which no estimate was told. Exit status: 0 done, 1 something is
+on. Prints a table: how far estimates are from the truth, and whether they rank the contacts as the truth does, compared
+with the constant whose logarithm is the truth's mean, which no estimator knows. Exit status: 0 done, 1 something is
 missing, 2 wrong usage.
 """
 
@@ -35,7 +35,7 @@ from physics.fields import LARGEST
 from physics.files import read_file
 from physics.mechanics import PARAMETERS
 
-LEAST = 1e-9
+MIN_MAGNITUDE = 1e-9
 """Smaller estimates count as this, so that they have a logarithm."""
 COLUMNS = ("quantity", "truth", "estimate", "typical factor off", "of the constant", "rank correlation", "p")
 
@@ -54,9 +54,9 @@ def read_contacts(evaluation: Path, clips: Path) -> pd.DataFrame:
         if not (frames[list(PARAMETERS)].abs() <= LARGEST).all(axis=None):
             raise ValueError(f"an estimate that is no number up to {LARGEST:g}")
     except (OSError, ValueError, KeyError) as error:
-        told = f"holds no per_frame.csv of train.py test ({reason(error)}); test a network"
-        raise ValueError(f"{evaluation} {told}.") from error
-    magnitudes = np.maximum(frames[list(PARAMETERS)].abs().to_numpy(), LEAST)
+        problem = f"holds no per_frame.csv of train.py test ({reason(error)}); test a network"
+        raise ValueError(f"{evaluation} {problem}.") from error
+    magnitudes = np.maximum(frames[list(PARAMETERS)].abs().to_numpy(), MIN_MAGNITUDE)
     for name in REPORTED:
         frames[name] = np.prod(magnitudes ** np.array(COMBINATIONS[name]), axis=1)
     truths = {}
@@ -65,8 +65,8 @@ def read_contacts(evaluation: Path, clips: Path) -> pd.DataFrame:
         try:
             truths[clip] = true_values(json.loads(read_file(file, MOST_BYTES))["theta"])
         except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-            told = f"is no truth of data.synthetic ({reason(error)}); give the clips' folder"
-            raise ValueError(f"{file} {told}.") from error
+            problem = f"is no truth of data.synthetic ({reason(error)}); give the clips' folder"
+            raise ValueError(f"{file} {problem}.") from error
     return frames.join(pd.DataFrame.from_dict(truths, orient="index").add_prefix("true_"), on="clip")
 
 

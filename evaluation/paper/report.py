@@ -14,7 +14,7 @@ import torch
 from data.contact.interaction import Interaction
 from evaluation.page import as_png, render_page
 from evaluation.paper.analysis import NO_MOTION, Evaluation, EvaluationError, Record, analyse
-from evaluation.paper.collapse import as_told
+from evaluation.paper.collapse import as_reported
 from evaluation.paper.figures import draw_response, draw_theta
 from evaluation.paper.statistics import MINIMUM_FOR_WILCOXON, SIGNIFICANCE, Statistics, format_number
 from evaluation.tables import to_markdown
@@ -91,14 +91,14 @@ def write_evaluation(
     tables = reading_tables(found, len(training))
     figures = {
         "figure3.png": as_png(draw_response(found.trajectories, found.frames["release_s"].to_numpy(), mechanics)),
-        "theta.png": as_png(draw_theta(found.frames, found.spread, as_told(found.constant, bounds))),
+        "theta.png": as_png(draw_theta(found.frames, found.spread, as_reported(found.constant, bounds))),
     }
     conclusion, listed = f"> {found.conclusion}\n", "".join(f"- {sentence}\n" for sentence in found.sentences)
-    told = f"{conclusion}\n{listed}"
+    lead = f"{conclusion}\n{listed}"
     texts = {
-        "table2.md": "\n".join(("# Simulation error\n", told, tables["errors"], tables["tests"], tables["motion"])),
+        "table2.md": "\n".join(("# Simulation error\n", lead, tables["errors"], tables["tests"], tables["motion"])),
         "table2.csv": statistics_table(found).to_csv(index=False),
-        "collapse.md": "\n".join(("# Collapse check\n", told, tables["spread"], tables["constant"], tables["depth"])),
+        "collapse.md": "\n".join(("# Collapse check\n", lead, tables["spread"], tables["constant"], tables["depth"])),
         "collapse.csv": found.spread.to_csv(index_label="parameter"),
         "settling.csv": found.settling.to_csv(index=False),
         "per_frame.csv": found.frames.to_csv(index=False),
@@ -128,18 +128,18 @@ def _table(title: str, table: pd.DataFrame, *notes: str) -> str:
 
 
 def _amounts(found: Evaluation) -> str:
-    """How much was tested."""
+    """Number of test frames and clips, in words."""
     frames, clips = len(found.frames), found.frames["clip"].nunique()
     return f"{frames} test frame{'s' * (frames != 1)} of {clips} clip{'s' * (clips != 1)}"
 
 
 def _shares(errors: Mapping[str, float]) -> dict[str, float]:
-    """Errors [%] of that of a simulation in which nothing moves; not a number where nothing did."""
+    """Errors as shares [%] of the error without motion; not a number where nothing moved."""
     return {name: 100 * error / (errors[NO_MOTION] or math.nan) for name, error in errors.items()}
 
 
 def _filled(lines: Mapping[str, str], columns: Mapping[str, Statistics]) -> pd.DataFrame:
-    """Statistics for reading, a column each; a line is a label and a template."""
+    """Table of statistics for reading, with a column for each; a line is a label and a template."""
     cells = {name: [text.format(**found) for text in lines.values()] for name, found in columns.items()}
     return pd.DataFrame(cells, index=list(lines))
 
@@ -157,7 +157,7 @@ def reading_tables(found: Evaluation, contacts: int) -> dict[str, str]:
             f"How well simulations follow the observed motion ({_amounts(found)})",
             pd.DataFrame({"mean squared error [scene units²]": errors, "of that without motion [%]": _shares(errors)}),
             "θ: stiffness k_s, damping k_d and force F. Predicted: estimated from the pictures, frame by frame. The "
-            "others are what it is compared with: reference, the literature's k_s and k_d; constant, one θ for all, "
+            "others are baselines: reference, the literature's k_s and k_d; constant, one θ for all, "
             "fitted on the training clips; the mean of all predictions; and tissue that does not move at all.",
         ),
         "estimates": _table(f"What was estimated, in normalised units ({_amounts(found)})", estimates),
@@ -178,7 +178,7 @@ def reading_tables(found: Evaluation, contacts: int) -> dict[str, str]:
             "Tests and BCa intervals take frames as independent, and frames of one clip are not. 10,000 resamples.",
         ),
         "motion": _table(
-            "When do the simulations settle, and can they be believed?",
+            "When do the simulations settle, and are they regular?",
             found.motion,
             "Settling time: from release until the displacement stays within 5 % of its peak, of those that settled "
             "within the simulated horizon; the others are counted.",

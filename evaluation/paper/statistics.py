@@ -1,7 +1,7 @@
 """Means, intervals and paired tests of the evaluation's errors (Bini 2026, section 4.1 and table 2).
 
-Frames of one clip are autocorrelated, so beside the paper's tests, which take frames as independent, every mean and
-every difference also gets a bootstrap over whole clips.
+Frames of one clip are autocorrelated, and the paper's tests take frames as independent, so every mean and every
+difference also gets a bootstrap over whole clips.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def _too_small(count: int, needed: int, unit: str) -> str:
 
 
 def _bootstrap(samples: Sequence[np.ndarray], mean: Callable, method: Literal["BCa", "percentile"]) -> Statistic:
-    """Interval of a mean over resamples of what belongs together."""
+    """Interval of a mean over paired resamples."""
     result = stats.bootstrap(
         samples, mean, paired=True, vectorized=True, n_resamples=RESAMPLES, confidence_level=CONFIDENCE, method=method,
         batch=RESAMPLES_AT_ONCE, rng=np.random.default_rng(0),
@@ -127,13 +127,13 @@ def compare(regime: ArrayLike, baseline: ArrayLike, clips: ArrayLike) -> Statist
     names, difference = np.asarray(clips)[finite], before - after
     empty = _too_small(len(difference), 1, "pairs")
     few = _too_small(int(np.count_nonzero(difference)), MINIMUM_FOR_WILCOXON, "non-zero differences")
-    alike = _too_small(len(difference), 2, "pairs")
-    # Differences that agree to rounding have no spread to test against; t would be the rounding's.
+    no_spread = _too_small(len(difference), 2, "pairs")
+    # Differences that agree to rounding have no spread to test against; t would only measure the rounding.
     if difference.std() <= 1e-12 * difference.abs().max():
-        alike = "all differences are equal"
+        no_spread = "all differences are equal"
     unscaled = empty or ("" if before.mean() > 0 else "the baseline's error is 0")
     w, w_p = (math.nan, math.nan) if few else stats.wilcoxon(difference)
-    t, t_p = (math.nan, math.nan) if alike else stats.ttest_1samp(difference, 0.0)
+    t, t_p = (math.nan, math.nan) if no_spread else stats.ttest_1samp(difference, 0.0)
     return {
         "mean_difference": Statistic(difference.mean(), note=empty),
         "relative_change_percent": Statistic(100 * (after.mean() / (before.mean() or math.nan) - 1), note=unscaled),
@@ -141,9 +141,9 @@ def compare(regime: ArrayLike, baseline: ArrayLike, clips: ArrayLike) -> Statist
         "difference_clip_interval": clip_interval(difference, names),
         "wilcoxon_w": Statistic(w, note=few),
         "wilcoxon_p": Statistic(w_p, note=few),
-        "t": Statistic(t, note=alike),
-        "t_p": Statistic(t_p, note=alike),
-        "cohens_d": Statistic(t / np.sqrt(len(difference)), note=alike),
+        "t": Statistic(t, note=no_spread),
+        "t_p": Statistic(t_p, note=no_spread),
+        "cohens_d": Statistic(t / np.sqrt(len(difference)), note=no_spread),
         "n": Statistic(len(difference)),
         "clips": Statistic(len(np.unique(names))),
         "left_out": Statistic(int(np.count_nonzero(~finite))),

@@ -16,7 +16,7 @@ from data.contact.interaction import Interaction
 from data.synthetic.scene import Scene
 from data.synthetic.truth import PressedMotion
 from estimators.direct.estimator import FITTED, LEAST_OBSERVATIONS
-from estimators.direct.field import FieldProblem
+from estimators.direct.field import FilmProblem
 from estimators.direct.motion import PressMotion, about_tissue
 from estimators.direct.patch import PatchMotion
 from estimators.direct.problem import ContactProblem
@@ -50,7 +50,7 @@ def field_information(contact: Interaction, scene: Scene, motion: PressedMotion)
     truth, logs, within = _truth(contact, scene, motion)
     offset = scene.mesh.pixels[scene.vertex] - contact.mesh.pixels[contact.vertex]
     recentred = dataclasses.replace(truth, film=_recentred(film, offset))
-    problem = FieldProblem(recentred, MECHANICS, within, kind=_kind(motion))
+    problem = FilmProblem.of_press(recentred, MECHANICS, within, kind=_kind(motion))
     problem.look(_all(problem, logs, motion))
     return _squared(_of_tissue(problem, logs, motion))
 
@@ -83,14 +83,14 @@ def _kind(motion: PressedMotion) -> type[PressMotion]:
     return PressMotion if motion.shape == PressShape() else PatchMotion
 
 
-def _all(problem: ContactProblem | FieldProblem, logs: np.ndarray, motion: PressedMotion) -> np.ndarray:
+def _all(problem: ContactProblem | FilmProblem[PressMotion], logs: np.ndarray, motion: PressedMotion) -> np.ndarray:
     """True parameters of a problem, from φ and the delays."""
     press = problem.motion
     return press.parameters(logs, motion.shape) if isinstance(press, PatchMotion) else logs
 
 
 def _of_tissue(
-    problem: ContactProblem | FieldProblem, logs: np.ndarray, motion: PressedMotion, unit: float = 1.0
+    problem: ContactProblem | FilmProblem[PressMotion], logs: np.ndarray, motion: PressedMotion, unit: float = 1.0
 ) -> np.ndarray:
     """Information of log θ and the delays at the truth, shape [5, 5] ([4, 4]), the press's shape being unknown.
 

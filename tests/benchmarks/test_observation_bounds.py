@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from benchmarks.observation_bounds import FINE, FRAME, limits, observations
+from benchmarks.observation_bounds import FINE_MECHANICS, FRAME, limits, observations
 from data.contact.film import REACH
 from data.synthetic.contacts import draw_contacts
 from data.synthetic.settings import SceneSettings
@@ -11,7 +11,7 @@ from data.synthetic.settings import SceneSettings
 def test_more_observations_never_tell_less() -> None:
     contact = draw_contacts(SceneSettings(width=214, height=120, regime="critical"), 3, 1, 0.005)[0]
     kinds = observations(contact)
-    assert kinds["final"].steps.tolist() == [FINE.steps - 1]
+    assert kinds["final"].steps.tolist() == [FINE_MECHANICS.steps - 1]
     assert kinds["contact, K = 4"].steps.tolist() == [FRAME - 1, 2 * FRAME - 1, 3 * FRAME - 1, 4 * FRAME - 1]
     found = {name: limits(contact, seen) for name, seen in kinds.items()}
     assert (found["final"] > 100).all()  # one vector, almost along one direction, for three unknowns

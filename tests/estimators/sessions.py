@@ -57,6 +57,8 @@ class State:
     """How far from rest the followed tissue is [scene units]; None where it is lost."""
     probability: float = math.nan
     """Of contact, by whether tissue moves with the tool."""
+    undecided: bool = False
+    """Whether the tool hovered before, and nothing tells whether it touches since."""
 
 
 class _Linked(ContactMotion):
@@ -93,6 +95,7 @@ def linked(states: Sequence[State], geometry: FrameGeometry, bridge_frames: int 
                 LABELS if seen else None,
                 geometry if state.status == "ok" else None,
                 contact_probability=state.probability,
+                undecided=state.undecided,
             )
         )
         if index:

@@ -14,7 +14,7 @@ import yaml
 from data.source.layout import InputError
 from estimators.calibration_file import Calibration, read_calibration
 from estimators.estimate import NINETY, NoEstimate
-from estimators.force_scale import MASS, SHEET, STIFFNESS
+from estimators.force_scale import MASS, SHEET_FACTOR, STIFFNESS
 from tests.estimators.test_force_scale import KNOWN, METRIC, OTHER, UNKNOWN
 
 FORCE = {"force_N": 4.0, "force_sd_N": 0.2, "force_time_s": 0.5}
@@ -70,7 +70,7 @@ def test_palpations_tell_the_stiffness_of_a_sheet(tmp_path: Path) -> None:
     (tmp_path / "calibration.json").write_text(json.dumps(found))
     calibration = read(tmp_path, palpation="calibration.json", thickness_m=0.004, thickness_sd_m=0.0002)
     scale = calibration.scale([], METRIC)
-    assert math.exp(scale.log) == pytest.approx(SHEET * 1e4 * 0.004 * 0.2)
+    assert math.exp(scale.log) == pytest.approx(SHEET_FACTOR * 1e4 * 0.004 * 0.2)
     assert scale.variance == pytest.approx(0.1**2 + 0.05**2)
     assert scale.source == "palpation, E = 1e+04 Pa, in a sheet of 4 mm"
     (tmp_path / "sheet.json").write_text(json.dumps({**found, "thickness_m": 0.004, "verdict": "young"}))

@@ -17,7 +17,7 @@ def seen(depths: list[float], noise: float = 0.0) -> DentRecorder:
         frame = 0.5 + depth * SHAPE + chance.normal(0, noise, SHAPE.shape)
         frame[:3] = 0  # invalid
         frame[number % 20, 5] = 0.9  # a wild pixel
-        recorder.see(number, 0.1 * number, frame.astype(np.float32))
+        recorder.push(number, 0.1 * number, frame.astype(np.float32))
     return recorder
 
 
@@ -33,11 +33,11 @@ def test_dents_either_way_are_in_proportion_and_noise_is_smoothed() -> None:
 def test_without_rest_there_is_no_dent_and_rest_is_bounded() -> None:
     short, long = DentRecorder((0.0, 1.0)), DentRecorder((0.0, 1e3))
     for number in range(LEAST_REST - 1):
-        short.see(number, 0.1 * number, np.ones((4, 4)))
-    short.see(99, 2.0, np.ones((4, 4)))
+        short.push(number, 0.1 * number, np.ones((4, 4)))
+    short.push(99, 2.0, np.ones((4, 4)))
     assert short.depths == []
     for number in range(3 * MOST_REST):
-        long.see(number, number, np.ones((4, 4)))
+        long.push(number, number, np.ones((4, 4)))
     assert len(long._at_rest) == MOST_REST
 
 

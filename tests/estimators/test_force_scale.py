@@ -11,7 +11,7 @@ import pytest
 from estimators.estimate import NoEstimate
 from estimators.force_scale import (
     MASS,
-    SHEET,
+    SHEET_FACTOR,
     STIFFNESS,
     ClipLength,
     ForceScale,
@@ -161,4 +161,4 @@ def test_a_sheet_of_the_mesh_s_springs_is_four_thirds_of_their_stiffness_stiff()
     turns = [np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]) for a in angles]
     area = energy(np.eye(2)) / 2  # W = 2K e² of e·1
     shear = np.mean([energy(turn @ np.diag([1.0, -1.0]) @ turn.T) for turn in turns]) / 2  # W = 2μ e²
-    assert pytest.approx(4 * area * shear / (area + shear)) == 1 / SHEET
+    assert pytest.approx(4 * area * shear / (area + shear)) == 1 / SHEET_FACTOR

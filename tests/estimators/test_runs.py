@@ -10,8 +10,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as some
 
-from data.prepared import SEEN_OUT, STATUSES, PreparedFrame
-from estimators.runs import NO_ONSET, NOT_FOLLOWED, OUTLINES_ALONE, PASSED, Run, RunTracker, frame_estimate
+from data.prepared import OUT_OF_CONTACT, STATUSES, PreparedFrame
+from estimators.runs import NO_ONSET, NOT_FOLLOWED, OUTLINES_ALONE, PASSED, UNDECIDED, Run, RunTracker, frame_estimate
 from physics.mechanics import Mechanics
 from tests.estimators.sessions import State, clip_info, linked, prepared_frame, touched
 from tests.physics.sheets import sheet
@@ -46,7 +46,7 @@ def whole_clip_runs(frames: list[PreparedFrame], bridge_frames: int) -> list[See
     for first, *_, last in ([*run, run[-1]] for run in runs):
         onset_seen = frames[first].track_start == first
         after = frames[last + 1] if last + 1 < len(frames) else None
-        released = after is not None and frames[last].consecutive and after.status in SEEN_OUT
+        released = after is not None and frames[last].consecutive and after.status in OUT_OF_CONTACT
         load = after.frame.time_s - frames[first].frame.time_s if onset_seen and released else None
         found.append(Seen(first, last, onset_seen, load))
     return found
@@ -110,8 +110,8 @@ def test_small_clips(words: str, runs: list[Seen]) -> None:
 
 def test_why_nothing_is_known_of_a_run() -> None:
     unseen, unfollowed = (tracked_runs(linked(clip_of(words), CONTACT), 2)[0] for words in ("oon", "noon"))
-    assert unseen.unseen == NO_ONSET
-    assert unfollowed.unseen == f"{unfollowed.detail} {NOT_FOLLOWED}".strip()
+    assert unseen.unobserved == NO_ONSET
+    assert unfollowed.unobserved == f"{unfollowed.detail} {NOT_FOLLOWED}".strip()
     assert len(unfollowed.builder.build(Mechanics()).observation) == 0
 
 
@@ -124,12 +124,25 @@ def judged(*probabilities: float) -> list[PreparedFrame]:
 def test_a_run_whose_tool_hovers_was_none_unless_tissue_ever_moved_with_it() -> None:
     passing, released, unknown = judged(0.7, 0.1, 0.0), judged(0.7, 0.95, 0.6, 0.2), judged(0.7, 0.8, 0.7)
     (run,) = tracked_runs(passing, 2)
-    assert (run.passed, run.unseen, run.estimate().load_s) == (True, PASSED, None)
+    assert (run.passed, run.unobserved, run.estimate().load_s) == (True, PASSED, None)
     for frames in (released, unknown):
         (run,) = tracked_runs(frames, 2)
-        assert (run.passed, run.unseen) == (False, NO_ONSET)
+        assert (run.passed, run.unobserved) == (False, NO_ONSET)
     # A tool that hovers long after another run says nothing of it.
     assert [run.passed for run in tracked_runs(judged(0.7, *[math.nan] * 4, 0.7, 0.1), 2)] == [False, True]
+
+
+def test_a_run_that_begins_where_a_hovering_tool_stops_is_undecided() -> None:
+    """It may be a press: that the tool hovers before and afterwards speaks against neither."""
+    hovers = State("no_contact", probability=0.1)
+    stands, sunk = State("ok", probability=0.7, undecided=True), State("ok", probability=0.99)
+    frames = linked([State("no_contact"), hovers, stands, stands, hovers], CONTACT)
+    (run,) = tracked_runs(frames, 2)
+    assert (run.passed, run.unseen) == (False, f"{UNDECIDED} {NO_ONSET}")
+    told = frame_estimate(frames[2], clip_info(), whole=True)
+    assert (told.status, told.contact, told.contact_probability, told.detail) == ("ok", True, 0.7, UNDECIDED)
+    (run,) = tracked_runs(linked([State("no_contact"), hovers, stands, sunk, hovers], CONTACT), 2)
+    assert (run.passed, run.unseen) == (False, NO_ONSET)
 
 
 def test_contact_after_hovering_has_no_onset() -> None:

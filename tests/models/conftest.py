@@ -73,8 +73,8 @@ def make_told_batch(make_batch) -> Callable[..., dict[str, Any]]:
         for side in ("a", "b"):
             batch[f"mesh_{side}"], batch[f"load_{side}"] = batch["mesh_a"], batch["load_a"]
             batch[f"observation_{side}"] = batch["observation_a"]
-            batch[f"seen_load_{side}"] = batch["load_a"]
-            batch[f"seen_observation_{side}"] = ObservationBatch(
+            batch[f"known_load_{side}"] = batch["load_a"]
+            batch[f"known_observation_{side}"] = ObservationBatch(
                 torch.tensor([[3, 7], [3, 0]]),
                 torch.tensor([[0.0, 0.0, 0.01], [0.0, 0.0, 0.02]]).expand(2, 2, 3),
                 torch.tensor([[1.0, 1.0], [1.0, 0.0]]),

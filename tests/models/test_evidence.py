@@ -8,7 +8,7 @@ import torch
 from scipy.linalg import sqrtm
 from torch.distributions import MultivariateNormal, kl_divergence
 
-from models.evidence import LONGEST_MOVE, PULL, box_prior, covering, negative_evidence
+from models.evidence import MAX_MEAN_STEP, MEAN_WEIGHT, box_prior, covering, negative_evidence
 from physics.likelihood import Linearised
 
 LOWER, UPPER = (torch.log(torch.tensor(values)) for values in ([0.05, 0.005, 0.01], [1.0, 0.5, 0.3]))
@@ -63,7 +63,7 @@ def test_gradient_by_the_covariance_is_the_bound_s_and_by_the_mean_its_precondit
     for pulled, gradient, item in zip(by_mean.numpy(), mean.grad.numpy(), found, strict=True):
         hessian = item.information + prior
         longest = np.abs(np.linalg.solve(hessian, len(found) * gradient)).max()
-        expected = PULL * min(1, LONGEST_MOVE / longest) * np.linalg.solve(sqrtm(hessian).real, gradient)
+        expected = MEAN_WEIGHT * min(1, MAX_MEAN_STEP / longest) * np.linalg.solve(sqrtm(hessian).real, gradient)
         np.testing.assert_allclose(pulled, expected, rtol=1e-6)
 
 
@@ -88,7 +88,7 @@ def test_a_badly_explained_contact_does_not_drown_the_others():
     mean = mean.requires_grad_()
     negative_evidence(mean, factor, *parabolas([worst, *found[1:]]), LOWER.double(), UPPER.double()).backward()
     sizes = mean.grad.norm(dim=1)
-    assert sizes[0] < 5 * LONGEST_MOVE * sizes[1:].max()
+    assert sizes[0] < 5 * MAX_MEAN_STEP * sizes[1:].max()
 
 
 def test_of_what_was_not_seen_the_prior_alone_is_left():

@@ -8,7 +8,7 @@ import torch
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from models.expected_bound import FARTHEST, bound_loss
+from models.expected_bound import MAX_LOG_DISTANCE, bound_loss
 from models.posterior import ExpectedBound
 from physics.identifiability import LIMIT, bounds, covariance, ratio_bounds
 
@@ -27,7 +27,7 @@ def factor_of(information: np.ndarray) -> torch.Tensor:
 def test_the_true_bound_costs_nothing() -> None:
     information = informations(50, 0)
     logs = np.log(np.concatenate([bounds(information), ratio_bounds(information)], axis=1) / LIMIT)
-    near = np.abs(logs).max(axis=1) < FARTHEST
+    near = np.abs(logs).max(axis=1) < MAX_LOG_DISTANCE
     assert near.sum() > 20
     assert float(bound_loss(factor_of(information[near]), information[near])) == pytest.approx(0, abs=1e-6)
 
@@ -38,7 +38,7 @@ def test_a_bound_off_by_a_factor_costs_its_logarithm(factor: float, seed: int) -
     """Whatever the direction: all seven numbers are off by as much."""
     information = informations(20, seed)
     logs = np.log(np.concatenate([bounds(information), ratio_bounds(information)], axis=1) / LIMIT)
-    information = information[np.abs(logs).max(axis=1) < FARTHEST]
+    information = information[np.abs(logs).max(axis=1) < MAX_LOG_DISTANCE]
     assume(len(information) > 0)
     found = float(bound_loss(factor * factor_of(information), information))
     assert found == pytest.approx(abs(np.log(factor)), abs=1e-6)
@@ -69,7 +69,7 @@ def test_the_worst_parameter_counts_beside_each() -> None:
 
 def test_what_is_not_known_at_all_counts_as_far_from_the_limit() -> None:
     """No information is a bound of 30,000; what is said of it need not be as much."""
-    far = LIMIT * np.exp(FARTHEST)
+    far = LIMIT * np.exp(MAX_LOG_DISTANCE)
     shared = np.array([[1.0, 0.5, 0.0], [0.5, 1.0, 0.5], [0.0, 0.5, 1.0]])
     root = torch.from_numpy(far * np.linalg.cholesky(shared))[None]
     assert float(bound_loss(root, np.zeros((1, 3, 3)))) == pytest.approx(0, abs=1e-6)

@@ -290,7 +290,7 @@ def test_the_expected_bound_is_learnt_beside_the_evidence(make_told_batch, tmp_p
         generator = module.generator_ab
         posterior = generator.posterior
         answer = generator.answer(generator.encode(batch["window_a"]), batch["contact_features_a"])
-        seen = (batch[f"{name}_a"] for name in ("noise", "mesh", "seen_load", "seen_observation"))
+        seen = (batch[f"{name}_a"] for name in ("noise", "mesh", "known_load", "known_observation"))
         box = posterior.lower, posterior.upper
         _, information = posterior_physics_loss(answer.mean, answer.factor, *seen, module.mechanics, box)
         return float(bound_loss(posterior.expected_bound_factor(batch["contact_features_a"]), information.numpy()))
@@ -307,7 +307,7 @@ def test_the_bound_is_about_what_was_seen_until_the_frame(make_told_batch):
     expected = build(**POSTERIOR).generator_losses(batch)[0].physics
     batch["observation_a"].displacement = torch.full((2, 1, 3), 9.0)
     assert torch.equal(build(**POSTERIOR).generator_losses(batch)[0].physics, expected)
-    batch["seen_observation_a"].displacement = torch.zeros(2, 2, 3)
+    batch["known_observation_a"].displacement = torch.zeros(2, 2, 3)
     assert not torch.equal(build(**POSTERIOR).generator_losses(batch)[0].physics, expected)
 
 
@@ -324,7 +324,7 @@ class OnePixel:
 def test_with_a_film_the_bound_is_about_the_dent(make_told_batch):
     """Told as a dent of one pixel, the point gives nearly the same."""
     batch = make_told_batch()
-    seen = batch["seen_observation_a"]
+    seen = batch["known_observation_a"]
     along = batch["load_a"].direction[:, None]
     point = ObservationBatch(seen.steps, seen.displacement * 0 + 0.01 * along, seen.weight)
     dent = DepthBatch(
@@ -340,7 +340,7 @@ def test_with_a_film_the_bound_is_about_the_dent(make_told_batch):
     generator = module.generator_ab
     answer = generator.answer(generator.encode(batch["window_a"]), batch["contact_features_a"])
     box = generator.posterior.lower, generator.posterior.upper
-    told = batch["noise_a"], batch["mesh_a"], batch["seen_load_a"], point, module.mechanics, box
+    told = batch["noise_a"], batch["mesh_a"], batch["known_load_a"], point, module.mechanics, box
     found = [posterior_physics_loss(answer.mean, answer.factor, *told, view) for view in (None, dent)]
     # The dent says nothing across the force, along which the contact moves.
     torch.testing.assert_close(found[0][1], found[1][1], rtol=1e-4, atol=1e-4 * float(found[0][1].max()))
@@ -348,7 +348,7 @@ def test_with_a_film_the_bound_is_about_the_dent(make_told_batch):
     for side in ("a", "b"):
         batch[f"dent_{side}"] = dent
     before = build(**POSTERIOR).generator_losses(batch)[0].physics
-    batch["seen_observation_a"].displacement = torch.zeros(2, 2, 3)
+    batch["known_observation_a"].displacement = torch.zeros(2, 2, 3)
     assert torch.equal(build(**POSTERIOR).generator_losses(batch)[0].physics, before)
     dent.change = dent.change + 0.01
     assert not torch.equal(build(**POSTERIOR).generator_losses(batch)[0].physics, before)

@@ -89,7 +89,7 @@ def test_another_clip_gets_the_scale_of_the_one_with_the_known_force(tmp_path: P
     lost = ClipCalibration(home.calibration, home=False, carried=carried_from({}))
     lost.add(GOOD)
     lost.conclude(UNKNOWN)
-    assert lost.rows[0]["detail"] == "Nothing is told in newtons: the clip with the known force has no results."
+    assert lost.rows[0]["detail"] == "No results in newtons: the clip with the known force has no results."
 
 
 def test_measured_forces_beside_estimated_ones(tmp_path: Path) -> None:

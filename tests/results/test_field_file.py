@@ -14,21 +14,9 @@ from results.columns import FIELD, FRAMES, row
 from results.field_file import FieldFile
 from results.field_overlay import MIDDLE, OPACITY, SOFT, STIFF, colors, draw_field
 from results.writer import ClipResults
+from tests.results.fields import FIELD_SEEN
 from tests.results.test_writer import FRAME, SIZE
 
-REST = np.array([[0, 0, 1], [1, 0, 1], [0, 1, 1], [1, 1, 1]], float)
-FIELD_SEEN = ParticleField(
-    onset_frame=3,
-    rest=REST,
-    faces=np.array([[0, 1, 2], [1, 3, 2]]),
-    tetrahedra=np.empty((0, 4), int),
-    positions=REST + 0.5,
-    pixels=np.array([[4, 4], [44, 4], [4, 34], [44, 34]], float),
-    distance=np.array([4.0, 4.0, 4.0, 64.0]),
-    shape=np.full(4, 0.01),
-    known=np.array([True, True, True, False]),
-    gap=0.25,
-)
 SAID = FrameEstimate(5, 0.2, "ok", field=FIELD_SEEN)
 
 
@@ -41,11 +29,14 @@ def test_a_file_holds_every_frame_and_every_run_once(tmp_path: Path) -> None:
     with np.load(tmp_path / "fields.npz", allow_pickle=False) as found:
         runs = [f"run_{run}/{name}" for run in (3, 9) for name in ("rest", "faces")]
         names = ("run", "positions", "pixels", "distance", "shape", "known")
+        names += ("distance_log_sd", "shape_log_sd", "shape_known")
         assert sorted(found.files) == sorted([*runs, *(f"frame_{n}/{name}" for n in (5, 6, 9) for name in names)])
         assert found["frame_9/run"] == 9
         np.testing.assert_array_equal(found["frame_9/distance"], second.distance)
         np.testing.assert_array_equal(found["frame_5/positions"], FIELD_SEEN.positions)
         np.testing.assert_array_equal(found["frame_5/known"], FIELD_SEEN.known)
+        np.testing.assert_array_equal(found["frame_5/shape_known"], FIELD_SEEN.shape_known)
+        np.testing.assert_allclose(found["frame_5/distance_log_sd"], FIELD_SEEN.distance_log_sd, rtol=1e-6)
         np.testing.assert_array_equal(found["run_3/faces"], FIELD_SEEN.faces)
     volume = FieldFile(tmp_path / "volume.npz")
     volume.write(5, dataclasses.replace(FIELD_SEEN, tetrahedra=np.array([[0, 1, 2, 3]])))
@@ -60,14 +51,22 @@ def test_columns_tell_quantiles_where_it_is_known() -> None:
         "distance_stiffness": "4",
         "distance_stiffness_low": "4",
         "distance_stiffness_high": "4",
-        "shape_stiffness": "0.01",
-        "shape_stiffness_low": "0.01",
-        "shape_stiffness_high": "0.01",
+        "distance_stiffness_log_sd": "0.3",
+        "shape_stiffness": "",
+        "shape_stiffness_low": "",
+        "shape_stiffness_high": "",
+        "shape_stiffness_log_sd": "",
         "field_known": "0.75",
+        "shape_known": "0",
+        "skill": "0.75",
         "gap": "0.25",
     }
+    assert FIELD_SEEN.verdict == "stiffness_ratios"
     nothing = dataclasses.replace(FIELD_SEEN, known=np.zeros(4, bool), gap=None)
-    assert nothing.numbers() == {"field_known": 0.0}
+    assert nothing.numbers() == {"field_known": 0.0, "shape_known": 0.0, "skill": 0.75}
+    assert nothing.verdict == "undetermined"
+    bent = dataclasses.replace(nothing, shape_known=np.array([True, False, False, False]))
+    assert (bent.verdict, bent.numbers()["shape_stiffness"]) == ("stiffness_ratios", 0.01)
     assert "relative" in FRAMES["distance_stiffness"]
 
 
@@ -76,7 +75,7 @@ def test_results_keep_no_field_of_a_frame(tmp_path: Path) -> None:
     count, frames = 600, 2000
     positions = np.random.default_rng(0).normal(size=(count, 3))
     faces = np.arange(count).reshape(-1, 3)
-    none, told = np.empty((0, 4), int), (positions[:, 0], positions[:, 1], positions[:, 2] > 0, 0.1)
+    none, told = np.empty((0, 4), int), (*positions.T, positions[:, 0], *2 * [positions[:, 2] > 0], 0.5, 0.1)
     one = ParticleField(0, positions, faces, none, positions, positions[:, :2], *told)
     size = sum(value.nbytes for value in vars(one).values() if isinstance(value, np.ndarray))
     with ClipResults(tmp_path / "clip", SIZE, 25.0, overlay=False, fields=True) as output:
@@ -89,7 +88,6 @@ def test_results_keep_no_field_of_a_frame(tmp_path: Path) -> None:
                 before = tracemalloc.get_traced_memory()[0]
         grown = tracemalloc.get_traced_memory()[0] - before
         tracemalloc.stop()
-    assert output.fields == frames
     assert grown < 0.1 * frames * size
 
 
@@ -105,3 +103,10 @@ def test_only_what_is_known_is_painted_and_no_tool() -> None:
     np.testing.assert_allclose(canvas[20, 14], blend, atol=1)
     np.testing.assert_array_equal(canvas[20, 5], [100] * 3)  # the tool
     np.testing.assert_array_equal(canvas[32, 40], [100] * 3)  # the corner that isn't known
+    untouched = np.full((40, 50, 3), 100, np.uint8)
+    draw_field(untouched, dataclasses.replace(FIELD_SEEN, known=np.zeros(4, bool)), 1.0)
+    np.testing.assert_array_equal(untouched, 100)  # no small picture either
+    draw_field(untouched, dataclasses.replace(FIELD_SEEN, known=np.zeros(4, bool), shape_known=np.ones(4, bool)), 1.0)
+    painted = (untouched != 100).any(axis=2)
+    assert painted.any()
+    assert not painted[:, :25].any()  # the small picture alone

@@ -23,6 +23,7 @@ from results.columns import UNITS
 from results.plots import INK, MOST_PANELS, NOTICE, OBSERVED, draw_fits, draw_summary, write_figure
 from results.verdicts import COLORS, state
 from tests.estimators.estimates import CONTACT, ESTIMATE, GOOD, LOAD_STEPS, MECHANICS, NONE, frame_in_contact
+from tests.results.fields import FIELD_SEEN, PULL, TIMES
 
 
 def clip(
@@ -389,3 +390,46 @@ def test_the_picture_counts_the_runs_that_are_not_drawn() -> None:
     (empty,) = fits()
     assert heading(empty) == "no contact was found"
     assert not empty.axison
+
+
+def test_a_field_that_was_found_is_told_and_shown() -> None:
+    run = dataclasses.replace(NONE, field=PULL, detail=PULL.explanation)
+    assert run.verdict == "stiffness_ratios"
+    (axes,) = fits(run)
+    assert heading(axes) == "stiffness ratios, 75% of the motion explained: contact from frame 1 (0.000 s)"
+    assert to_rgb(axes.texts[0].get_color()) == pytest.approx(color_of("stiffness_ratios"))
+    assert "leaves 25% of the motion; stiffness is determined at 75% of the particles" in axes.get_title("left")
+    motion, picture = axes.child_axes
+    np.testing.assert_allclose(curve(motion, "observed"), (TIMES, [0, 2, 5]))
+    np.testing.assert_allclose(curve(motion, "simulated, moved by the instrument alone"), (TIMES, [0, 1.5, 4.2]))
+    assert extent(motion.collections[0]).y1 == pytest.approx(1.0)
+    np.testing.assert_array_equal(picture.images[0].get_array(), PULL.picture)
+    arrows = [(item.get_offsets().tolist(), item.U.tolist(), item.V.tolist()) for item in picture.collections]
+    assert arrows == [([[10.0, 10.0]], [3.0], [4.0]), ([[10.0, 10.0]], [3.0], [3.0])]
+    figure = draw_fits([run], Counter({"stiffness_ratios": 1}), "clip")
+    assert figure.get_supxlabel().startswith("Runs of contact: 1, with an estimate: 1.")
+
+
+def test_a_field_is_on_the_summary_with_its_map_and_its_course() -> None:
+    run = dataclasses.replace(NONE, field=PULL)
+    frames = [
+        FrameEstimate(1, 0.0, "ok", verdict="undetermined"),
+        FrameEstimate(2, 0.04, "ok", verdict="stiffness_ratios"),
+    ]
+    strip, below = draw_summary(frames, Counter({"stiffness_ratios": 1}), [run], title="clip").axes
+    assert heading(strip) == "stiffness ratios on 1 of 1 runs of contact; 2 frames in contact"
+    assert legend(strip) == ["stiffness ratios: 1", "undetermined: 1"]
+    shares, course, mapped = below.child_axes
+    np.testing.assert_allclose(curve(shares, "motion explained so far"), (TIMES[1:], [0.7, 0.75]))
+    np.testing.assert_allclose(curve(shares, "particles determined against stretch"), (TIMES, [0, 0.5, 0.75]))
+    np.testing.assert_allclose(curve(course, "against stretch, median"), (TIMES[1:], [3, 4]))
+    (triangles,) = mapped.collections
+    assert len(triangles.get_paths()) == 1  # of two, since a corner of the other one isn't known
+    np.testing.assert_allclose(triangles.get_array(), [1.0])
+    nothing = dataclasses.replace(FIELD_SEEN, known=np.zeros(4, bool), skill=0.2)
+    run = dataclasses.replace(NONE, field=dataclasses.replace(PULL, last=nothing))
+    assert run.verdict == "undetermined"
+    _, below = draw_summary(frames, Counter({"undetermined": 1}), [run], title="clip").axes
+    shares, mapped = below.child_axes
+    assert not mapped.collections
+    assert mapped.get_title("left") == "stiffness: determined nowhere"

@@ -23,6 +23,7 @@ from results.store import PROGRAM, OutputError, is_up_to_date, own_files, partia
 from results.verdicts import state
 from results.writer import ClipResults
 from tests.estimators.estimates import GOOD, NONE, frame_in_contact
+from tests.results.fields import PULL
 from tests.results.test_stiffness_overlay import field_of, grip_of
 
 SIZE = (64, 48)
@@ -89,7 +90,7 @@ def test_a_known_force_tells_that_of_all_frames_in_newtons(tmp_path: Path) -> No
     assert all(float(row["force_N_low"]) <= float(row["force_N"]) <= float(row["force_N_high"]) for row in found)
     said = [row["detail"] for row in rows(tmp_path / "clip" / "interactions.csv")]
     assert "force" not in said[0]
-    assert said[2].endswith("The force is known in 0 frames that move; 3 are needed to tell the others'.")
+    assert said[2].endswith("The force is known in 0 frames that move; 3 are needed for the other frames.")
     assert "forces.csv" in own_files(tmp_path / "clip")
 
 
@@ -206,3 +207,28 @@ def test_a_user_s_files_stay_beside_new_results(tmp_path: Path) -> None:
         write_clip(folder, "third")
     assert (folder / "overlay.mp4").read_text() == "mine"
     assert read_record(folder)["fingerprint"] == "second"
+
+
+@pytest.mark.usefixtures("blank_pictures")
+def test_fields_that_are_not_explained_or_not_determined_are_gathered_as_doubts(tmp_path: Path) -> None:
+    lost = dataclasses.replace(PULL.last, known=np.zeros(4, bool))
+    runs = [
+        dataclasses.replace(PULL, last=dataclasses.replace(lost, skill=skill), stretched=stretched)
+        for skill, stretched in ((0.0, True), (0.6, True), (0.6, False), (float("nan"), False))
+    ]
+    with ClipResults(tmp_path / "clip", SIZE, 25.0, overlay=False) as output:
+        for field in (PULL, *runs):
+            output.add(dataclasses.replace(NONE, field=field))
+        assert output.counts == {"stiffness_ratios": 1, "undetermined": 4}
+        assert output.stretched
+        first, second = output.doubts
+        output.finish({"program": PROGRAM}, title="clip", subtitle="")
+    assert first.startswith("contact from frame 1: The fit does not explain the motion: tissue simulated under the")
+    assert "leaves 100% of the motion (65% at most count as explained), so no stiffness is given or coloured." in first
+    assert "leaves 40% of the motion, but no place's stiffness is determined" in second
+    found = rows(tmp_path / "clip" / "interactions.csv")
+    assert [(row["status"], row["verdict"], row["determined"]) for row in found[:2]] == [
+        ("ok", "stiffness_ratios", "stiffness_ratios"),
+        ("ok", "undetermined", ""),
+    ]
+    assert [row["skill"] for row in found] == ["0.75", "0", "0.6", "0.6", ""]

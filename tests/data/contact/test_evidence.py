@@ -10,10 +10,14 @@ import cv2
 import numpy as np
 import pytest
 
+from data.clip import ClipStream
 from data.contact.evidence import PRIOR, SURE, THRESHOLD, ContactEvidence
 from data.labels import TISSUE, TOOL
 from data.prepared import PreparedFrame
-from data.source.frames import Frame
+from data.settings import PrepareSettings
+from data.source.frames import Frame, open_source
+from data.synthetic.clip import clip_seed, write_clip
+from data.synthetic.settings import SceneSettings
 
 HEIGHT, WIDTH = 280, 440
 TIP = np.array([160.0, 140.0])
@@ -117,8 +121,8 @@ def test_a_frame_whose_tool_hovers_has_no_contact_and_says_why() -> None:
     for frame in frames:
         evidence.judge(frame)
     assert [frame.status for frame in frames] == ["ok", "no_contact", "no_contact", "no_contact"]
-    assert (frames[0].hovers, frames[0].seen_out) == (False, False)
-    assert (frames[1].hovers, frames[1].seen_out, frames[1].in_contact) == (True, False, False)
+    assert (frames[0].hovers, frames[0].out_of_contact) == (False, False)
+    assert (frames[1].hovers, frames[1].out_of_contact, frames[1].in_contact) == (True, False, False)
     assert "does not move with it, so it hovers" in frames[1].detail
 
 
@@ -150,11 +154,78 @@ def test_a_tool_that_was_seen_to_come_to_the_tissue_has_met_it(distance: float, 
     assert [frame.status for frame in frames[1:]] == [expected] * 3
 
 
+COMES = np.array([(3.0 * min(index, 4), 0.0) for index in range(9)])
+"""A tool passes, arrives in frame 4 and then stands still."""
+
+
+def on_grid(number: int, view: View, sunk: float) -> PreparedFrame:
+    """A frame whose depth, on a grid of a quarter of the picture's size, has a dent before the tool's tip."""
+    frame = prepared(number, view)
+    height, width = HEIGHT // 4, WIDTH // 4
+    row, column = np.mgrid[:height, :width]
+    tip = (TIP + COMES[4]) / 4
+    away = np.hypot(column - tip[0] - 4, row - tip[1])
+    noise = np.random.default_rng(number).normal(0, 0.0005, (height, width))
+    frame.depth = (0.5 + sunk * np.exp(-away / 3) + noise).astype(np.float32)
+    frame.labels = cv2.resize(frame.picture_labels, (width, height), interpolation=cv2.INTER_NEAREST)
+    return frame
+
+
+def pressing(depth: float, **options: bool) -> list[PreparedFrame]:
+    """That tool's frames, under which the tissue sinks by `depth` a frame from the fifth on [scene units]."""
+    evidence = ContactEvidence(**options)
+    frames = [on_grid(number, view, depth * max(number - 4, 0)) for number, view in enumerate(drawn(COMES))]
+    for frame in frames:
+        evidence.judge(frame)
+    return frames
+
+
+def test_a_tool_that_comes_to_a_stand_is_not_called_hovering() -> None:
+    """It may press from the frame in which it arrives; nothing tells."""
+    frames = pressing(0.0)
+    assert [frame.hovers for frame in frames] == [False] + [True] * 3 + [False] * 5
+    assert [frame.status for frame in frames] == ["ok"] + ["no_contact"] * 3 + ["ok"] * 5
+    assert [frame.undecided for frame in frames] == [False] * 4 + [True] * 5
+    for frame in frames[4:]:
+        assert frame.contact_probability == pytest.approx(PRIOR, abs=0.12)
+        assert (frame.in_contact, frame.detail) == (True, "")
+
+
+def test_tissue_that_sinks_beside_a_tool_is_pressed() -> None:
+    """Where depth is measured; what is guessed from pictures leaves it undecided."""
+    frames = pressing(0.004)
+    assert [frame.hovers for frame in frames] == [False] + [True] * 3 + [False] * 5
+    assert [frame.contact_probability > SURE for frame in frames] == [False] * 5 + [True] * 4
+    assert [frame.undecided for frame in frames] == [False] * 4 + [True] + [False] * 4
+    guessed = pressing(0.004, measured=False)
+    assert all(frame.undecided and frame.contact_probability < SURE for frame in guessed[4:])
+
+
+def test_tissue_that_sinks_under_a_sliding_tool_is_not_passed_over() -> None:
+    """It does not follow the tool across, and lies deeper beside it than before."""
+    evidence, views = ContactEvidence(), drawn(line((3.0, 0.0), 6))
+    frames = [on_grid(number, view, 0.02 * (number > 3)) for number, view in enumerate(views)]
+    for frame in frames:
+        evidence.judge(frame)
+    assert [frame.hovers for frame in frames[:3]] == [False, True, True]
+    assert not frames[3].hovers  # the press may have begun here
+    assert (frames[4].status, frames[4].undecided) == ("ok", True)
+
+
+def test_a_tool_that_moves_on_hovers_again() -> None:
+    ways = np.concatenate([COMES, COMES[-1] + line((0.0, 4.0), 4)[1:]])
+    evidence = ContactEvidence()
+    frames = [prepared(number, view) for number, view in enumerate(drawn(ways))]
+    for frame in frames:
+        evidence.judge(frame)
+    assert [frame.hovers for frame in frames] == [False] + [True] * 3 + [False] * 5 + [True] * 3
+
+
 def test_frames_without_contact_have_no_probability() -> None:
     frame = prepared(0, drawn(line((0, 0), 1))[0], status="no_tool")
     ContactEvidence().judge(frame)
     assert math.isnan(frame.contact_probability)
-    assert (frame.hovers, frame.seen_out) == (False, True)
+    assert (frame.hovers, frame.out_of_contact) == (False, True)
 
 
 def changed(views: list[View], wider: int) -> list[View]:
@@ -182,6 +253,24 @@ def cholecystectomy(data: Path, first: int, stop: int) -> list[View]:
     pictures = [cv2.cvtColor(cv2.imread(f"{stem}.png"), cv2.COLOR_BGR2RGB) for stem in stems]
     masks = [cv2.imread(f"{stem}_watershed_mask.png", cv2.IMREAD_GRAYSCALE) == 31 for stem in stems]
     return list(zip(pictures, masks, strict=True))
+
+
+@pytest.mark.slow
+def test_no_pressed_frame_of_a_demo_clip_is_called_hovering(tmp_path: Path) -> None:
+    """Neither as a video nor as a folder with its true depth, both with automatic masks."""
+    write_clip(tmp_path, 2, SceneSettings(frames=32), clip_seed(1, 1))
+    folder = tmp_path / "video02/video02_00000"
+    with np.load(folder / "truth.npz") as truth:
+        pressed = truth["in_contact"].astype(bool)
+    assert pressed.sum() == 9
+    settings = PrepareSettings(masks="automatic")
+    for path in (folder, folder.with_suffix(".mp4")):
+        frames = list(ClipStream(open_source(path, settings.layout), settings))
+        assert [frame.status for frame in frames if pressed[frame.frame.index]] == ["ok"] * 9
+        passing = [frame.hovers for frame in frames if not pressed[frame.frame.index]]
+        assert sum(passing) == 8  # the tool is in view, and its motion is known
+        if path == folder:
+            assert max(frame.contact_probability for frame in frames if pressed[frame.frame.index]) > SURE
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from data.synthetic.clip import draw_press, synthetic_clip
 from data.synthetic.scene import Scene
 from data.synthetic.settings import SceneSettings
 from data.synthetic.source import PREPARE, open_synthetic
-from data.synthetic.truth import Motion
+from data.synthetic.truth import TrueMotion
 from estimators.contract import ClipInfo
 from evaluation.recovery.trial import observed_contacts
 from physics.mesh import Mesh, grid_mesh
@@ -365,7 +365,7 @@ def test_turning_adds_up_to_what_is_shown_after_it() -> None:
     np.testing.assert_allclose(total, last - first, atol=5e-5)
 
 
-def clip_of(seed: int, size: tuple[int, int]) -> tuple[Interaction, Scene, Motion]:
+def clip_of(seed: int, size: tuple[int, int]) -> tuple[Interaction, Scene, TrueMotion]:
     """The contact of a rendered clip without noise, as it is gathered, and its truth."""
     settings = SceneSettings(
         width=size[0], height=size[1], frames=11, press_seconds=(0.16, 0.16), onset_fraction=(0.2, 0.25)
@@ -376,7 +376,7 @@ def clip_of(seed: int, size: tuple[int, int]) -> tuple[Interaction, Scene, Motio
     return contacts[motion.onset_frame], scene, motion
 
 
-def truly_shown(contact: Interaction, scene: Scene, motion: Motion) -> np.ndarray:
+def truly_shown(contact: Interaction, scene: Scene, motion: TrueMotion) -> np.ndarray:
     """What the patches say of the true motion, shape of the film's change."""
     film = contact.film
     assert film is not None

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from data.synthetic.contacts import FINE, REACH, draw_contacts
+from data.synthetic.contacts import CROP_RADIUS, FINE_MECHANICS, draw_contacts
 from data.synthetic.scene import crop_mesh, draw_scene
 from data.synthetic.settings import SceneSettings
 from physics.load import Press, held
@@ -18,14 +18,14 @@ SETTINGS = SceneSettings(width=214, height=120)
 
 def test_a_cropped_mesh_moves_like_the_whole() -> None:
     scene = draw_scene(SETTINGS, np.random.default_rng(3))
-    mesh, kept, _ = crop_mesh(scene.mesh, scene.vertex, REACH)
+    mesh, kept, _ = crop_mesh(scene.mesh, scene.vertex, CROP_RADIUS)
     vertex = int(np.flatnonzero(kept == scene.vertex)[0])
     assert len(mesh.vertices) < len(scene.mesh.vertices)
     np.testing.assert_array_equal(mesh.vertices[vertex], scene.mesh.vertices[scene.vertex])
     theta = np.array([1.0, 0.01, -0.05])  # the fastest waves of the ranges
-    exact = dataclasses.replace(FINE, window_error=0.0)
+    exact = dataclasses.replace(FINE_MECHANICS, window_error=0.0)
     whole, cropped = (
-        simulate(theta, sheet, Press.at(pressed, scene.direction, held(160, FINE.steps)), exact)
+        simulate(theta, sheet, Press.at(pressed, scene.direction, held(160, FINE_MECHANICS.steps)), exact)
         for sheet, pressed in ((scene.mesh, scene.vertex), (mesh, vertex))
     )
     assert np.abs(cropped - whole).max() < 1e-3 * np.abs(whole).max()
@@ -45,12 +45,17 @@ def test_draws_keep_to_their_ranges() -> None:
         np.testing.assert_allclose(contact.interaction.observation.times, np.arange(1, 26) / 25)
 
 
-def test_a_press_may_outlast_the_second_that_is_told() -> None:
+def test_a_press_may_outlast_the_second_that_is_stored() -> None:
     long = dataclasses.replace(SETTINGS, press_seconds=(1.2, 1.3))
     for contact in draw_contacts(long, 11, 2, 0.005):
         seen = contact.interaction
         assert not seen.released
-        loaded = simulate(contact.theta, seen.mesh, Press.at(seen.vertex, seen.direction, np.ones(FINE.steps)), FINE)
+        loaded = simulate(
+            contact.theta,
+            seen.mesh,
+            Press.at(seen.vertex, seen.direction, np.ones(FINE_MECHANICS.steps)),
+            FINE_MECHANICS,
+        )
         np.testing.assert_allclose(seen.moved, loaded[15::16], atol=1e-7)
 
 
@@ -88,10 +93,10 @@ def test_presses_begin_within_a_frame_of_their_stamps() -> None:
     for contact in draw_contacts(SETTINGS, 11, 12, 0.005, within=0.04):
         seen = contact.interaction
         assert seen.load_seconds == pytest.approx(0.04 * round(seen.load_seconds / 0.04))  # as the stamps say
-        pressed = simulate(contact.theta, seen.mesh, Press.at(seen.vertex, seen.direction, np.ones(64)), FINE)
+        pressed = simulate(contact.theta, seen.mesh, Press.at(seen.vertex, seen.direction, np.ones(64)), FINE_MECHANICS)
         along = np.concatenate([[0.0], pressed @ seen.direction])
         since = seen.observation.times[:3] - tried[:, None]
-        left = np.interp(since, FINE.time_step * np.arange(65), along) - seen.along[:3]
+        left = np.interp(since, FINE_MECHANICS.time_step * np.arange(65), along) - seen.along[:3]
         misfits = np.abs(left).max(axis=1)
         assert misfits.min() < 0.01 * np.abs(along).max()
         began.append(tried[misfits.argmin()])
@@ -103,7 +108,7 @@ def test_presses_begin_within_a_frame_of_their_stamps() -> None:
 def test_motions_follow_the_fitted_simulator() -> None:
     contact = draw_contacts(SETTINGS, 7, 1, 0.005)[0]
     seen = contact.interaction
-    coarse = dataclasses.replace(FINE, time_step=seen.time_step, steps=seen.load.steps)
+    coarse = dataclasses.replace(FINE_MECHANICS, time_step=seen.time_step, steps=seen.load.steps)
     path = simulate(contact.theta, seen.mesh, seen.load, coarse)
     assert np.abs(path[seen.observation.steps(seen.time_step)] - seen.moved).max() < 5e-4
 

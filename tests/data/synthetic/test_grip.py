@@ -11,7 +11,7 @@ import pytest
 from scipy.sparse.linalg import spsolve
 
 from data.synthetic.clip import draw_truth, make_clip, write_clip
-from data.synthetic.grip import BEYOND, HELD, GrippedMotion, edge_anchor, lattice_matrix
+from data.synthetic.grip import GRIP_RADIUS, MARGIN_PX, GrippedMotion, edge_anchor, lattice_matrix
 from data.synthetic.scene import Scene
 from data.synthetic.settings import SceneSettings
 from data.synthetic.tool import tip_offset
@@ -84,14 +84,14 @@ def test_tissue_goes_on_beyond_what_is_integrated() -> None:
 
 def test_a_slow_grip_is_an_equilibrium(truth: tuple[Scene, GrippedMotion]) -> None:
     scene, motion = truth
-    rows, columns = (side + 2 * BEYOND for side in scene.mesh.grid_shape)
+    rows, columns = (side + 2 * MARGIN_PX for side in scene.mesh.grid_shape)
     still = np.zeros((rows, columns))
-    place = scene.mesh.pixels[scene.vertex] + BEYOND
+    place = scene.mesh.pixels[scene.vertex] + MARGIN_PX
     matrix = lattice_matrix(still, motion.anchor + edge_anchor(still, motion.anchor, place))
     row, column = np.mgrid[:rows, :columns]
-    held = (np.hypot(row - place[0], column - place[1]) <= HELD).ravel()
+    held = (np.hypot(row - place[0], column - place[1]) <= GRIP_RADIUS).ravel()
     inner = np.zeros((rows, columns), bool)
-    inner[tuple(scene.mesh.pixels.T + BEYOND)] = True
+    inner[tuple(scene.mesh.pixels.T + MARGIN_PX)] = True
     free = ~held
     moved = in_picture(scene, motion)
     for frame in (6, 11):
@@ -122,7 +122,7 @@ def test_the_tool_is_where_the_gripped_tissue_is(truth: tuple[Scene, GrippedMoti
     length = np.linalg.norm(motion.contact[-1])
     assert GRIP.peak_displacement[0] * 0.99 < length < GRIP.peak_displacement[1] * 1.01
     assert not motion.course.any()
-    near = np.hypot(*(scene.mesh.pixels - scene.mesh.pixels[scene.vertex]).T) <= HELD
+    near = np.hypot(*(scene.mesh.pixels - scene.mesh.pixels[scene.vertex]).T) <= GRIP_RADIUS
     moved = in_picture(scene, motion)
     np.testing.assert_allclose(moved[:, near], moved[:, [scene.vertex]].repeat(near.sum(), axis=1), atol=1e-4)
 

@@ -12,9 +12,9 @@ from data.synthetic.clip import SyntheticClip, make_clip
 from data.synthetic.render import GREY, Renderer, encode_srgb
 from data.synthetic.scene import Scene, draw_scene
 from data.synthetic.settings import SceneSettings
-from data.synthetic.surface import View, deformed_view, rest_view
+from data.synthetic.surface import SheetView, deformed_view, rest_view
 from data.synthetic.tool import tip_offset
-from data.synthetic.truth import Motion, simulate_motion
+from data.synthetic.truth import TrueMotion, simulate_motion
 
 SMALL = SceneSettings(
     width=214, height=120, frames=24, onset_fraction=(0.15, 0.2), press_seconds=(0.2, 0.3), image_noise=0.0
@@ -25,7 +25,7 @@ ONSET, RELEASE = 4, 12
 
 
 @pytest.fixture(scope="module", params=[SMALL, DOUBLE], ids=["grid size", "double size"])
-def case(request: pytest.FixtureRequest) -> tuple[Scene, Motion, View]:
+def case(request: pytest.FixtureRequest) -> tuple[Scene, TrueMotion, SheetView]:
     scene = draw_scene(request.param, np.random.default_rng(2))
     return scene, simulate_motion(scene, THETA, ONSET, RELEASE), rest_view(scene)
 
@@ -39,7 +39,7 @@ def tissue_tool(labels: np.ndarray) -> np.ndarray:
     return np.select([labels == GREY["gallbladder"], labels == GREY["grasper"]], [1, 2], 0).astype(np.uint8)
 
 
-def projected(scene: Scene, motion: Motion, frame: int) -> np.ndarray:
+def projected(scene: Scene, motion: TrueMotion, frame: int) -> np.ndarray:
     """Columns, rows [px of the picture] and z of the moving vertices, shape [3, M]."""
     points = scene.mesh.vertices[motion.moving].astype(float) + motion.field[frame]
     x, y, z = points.T
@@ -56,7 +56,7 @@ def test_the_rest_depth_of_a_plane_is_the_planes() -> None:
     np.testing.assert_allclose(rest_view(scene).depth, (normal @ contact) / (rays @ normal), atol=1e-6)
 
 
-def test_deformed_depth_is_that_of_the_vertices(case: tuple[Scene, Motion, View]) -> None:
+def test_deformed_depth_is_that_of_the_vertices(case: tuple[Scene, TrueMotion, SheetView]) -> None:
     scene, motion, rest = case
     frame = RELEASE
     view = deformed_view(scene, motion, frame, rest)
@@ -72,7 +72,7 @@ def test_deformed_depth_is_that_of_the_vertices(case: tuple[Scene, Motion, View]
         assert errors[still].max() < 1e-4
 
 
-def test_visible_points_are_where_their_rest_points_went(case: tuple[Scene, Motion, View]) -> None:
+def test_visible_points_are_where_their_rest_points_went(case: tuple[Scene, TrueMotion, SheetView]) -> None:
     scene, motion, rest = case
     view = deformed_view(scene, motion, RELEASE, rest)
     outside = np.ones_like(view.depth, bool)
@@ -88,7 +88,7 @@ def test_visible_points_are_where_their_rest_points_went(case: tuple[Scene, Moti
     assert np.abs(flow - moved)[smooth].max() < 0.5
 
 
-def test_a_frame_at_rest_is_the_rest_view(case: tuple[Scene, Motion, View]) -> None:
+def test_a_frame_at_rest_is_the_rest_view(case: tuple[Scene, TrueMotion, SheetView]) -> None:
     scene, motion, rest = case
     assert deformed_view(scene, motion, ONSET, rest) is rest
 
@@ -173,7 +173,7 @@ def test_the_circle_blacks_out_the_corners() -> None:
     assert clip.depth[:, 60, 107].all()
 
 
-def test_shading_has_no_seam_around_the_moving_region(case: tuple[Scene, Motion, View]) -> None:
+def test_shading_has_no_seam_around_the_moving_region(case: tuple[Scene, TrueMotion, SheetView]) -> None:
     scene, motion, rest = case
     renderer = Renderer(scene, motion, np.random.default_rng(0))
     rows, columns = deformed_view(scene, motion, RELEASE, rest).region

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from data.synthetic.scene import CLEARANCE, FARTHEST, NEAREST, SceneError, Sheet, draw_scene
+from data.synthetic.scene import CLEARANCE, FARTHEST_DEPTH, NEAREST_DEPTH, SceneError, Sheet, draw_scene
 from data.synthetic.settings import SceneSettings
 
 SMALL = SceneSettings(width=214, height=120)
@@ -52,8 +52,8 @@ def test_contact_lies_on_the_organ_and_faces_the_camera(seed: int) -> None:
     assert scene.outline.level(np.array(column), np.array(row)) > 5
     tip = np.array([column, row]) + scene.exit_offset * scene.entry
     assert scene.outline.level(*tip) < -CLEARANCE + 1
-    assert scene.mesh.vertices[:, 2].min() > NEAREST
-    assert scene.mesh.vertices[:, 2].max() < FARTHEST
+    assert scene.mesh.vertices[:, 2].min() > NEAREST_DEPTH
+    assert scene.mesh.vertices[:, 2].max() < FARTHEST_DEPTH
 
 
 def test_tilt_is_what_was_asked_for() -> None:

@@ -148,6 +148,6 @@ def test_a_clips_files_tell_the_slab(settings: SceneSettings, tmp_path: Path) ->
 def test_slabs_that_cant_be_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(SceneError, match="never holds"):
         draw_truth(dataclasses.replace(PULL, onset_fraction=(1.0, 1.0)), SEED)
-    monkeypatch.setattr(slab, "WIDE", 0.7)
+    monkeypatch.setattr(slab, "HALF_WIDTH", 0.7)
     with pytest.raises(SceneError, match="a slab folds"):
         draw_truth(PRESS, SEED)

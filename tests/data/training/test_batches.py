@@ -18,7 +18,7 @@ from data.synthetic.contacts import draw_contacts
 from data.synthetic.settings import SceneSettings
 from data.training.batches import SampleDataset, collate, join_films
 from data.training.samples import SampleSettings, list_frames, make_interaction, make_sample
-from estimators.direct.field import FieldProblem
+from estimators.direct.field import FilmProblem
 from physics.load import held
 from physics.mechanics import Mechanics, theta_of
 from physics.msd import rollout_sensitivities
@@ -31,7 +31,7 @@ SMOOTH = replace(GRID, smoothing=4.0)
 TOLD = SampleSettings(window=2, observation="trajectory", onset_within=9, geometry=SMOOTH)
 MECHANICS = Mechanics(scheme="dkd", window_error=1e-4)
 PIXELS = (2 * REACH + 1) ** 2
-KEYS = ("contact_features", "noise", "seen_load", "seen_observation")
+KEYS = ("contact_features", "noise", "known_load", "known_observation")
 
 
 @pytest.fixture(scope="module")
@@ -62,10 +62,10 @@ def test_features_are_those_of_the_contact_cut_off_at_the_frame(clip):
             assert batch[f"contact_features_{side}"].shape == (4, FEATURES)
             np.testing.assert_array_equal(batch[f"contact_features_{side}"][row].numpy(), expected)
             assert batch[f"noise_{side}"][row].item() == pytest.approx(float(clip.noise[3]))
-    seen = batch["seen_observation_a"]
+    seen = batch["known_observation_a"]
     assert seen.weight.sum(dim=1).tolist() == [0, 1, 3, 7]
     assert torch.equal(seen.steps[3], torch.tensor([7, 15, 23, 31, 39, 47, 55]))
-    assert batch["seen_load_a"].factor.sum(dim=1).tolist() == [0, 8, 24, 40]  # in contact in frames 3 to 7, out in 8
+    assert batch["known_load_a"].factor.sum(dim=1).tolist() == [0, 8, 24, 40]  # in contact in frames 3 to 7, out in 8
     assert batch["observation_a"].weight.sum(dim=1).tolist() == [8, 8, 8, 8]
 
 
@@ -82,9 +82,9 @@ def test_nothing_that_is_told_comes_from_later_frames(clip, frame: int):
     for side in ("a", "b"):
         assert torch.equal(now[f"contact_features_{side}"], known[f"contact_features_{side}"])
         for name in ("direction", "factor", "vertices"):
-            ours, theirs = (getattr(batch[f"seen_load_{side}"], name) for batch in (now, known))
+            ours, theirs = (getattr(batch[f"known_load_{side}"], name) for batch in (now, known))
             assert torch.equal(ours, theirs)
-        ours, theirs = (batch[f"seen_observation_{side}"].displacement for batch in (now, known))
+        ours, theirs = (batch[f"known_observation_{side}"].displacement for batch in (now, known))
         assert torch.equal(ours, theirs)
 
 
@@ -95,7 +95,7 @@ def test_without_a_known_noise_or_a_trajectory_nothing_is_told(clip, tmp_path):
     for prepared, settings in ((plain, trajectory), (clip, final)):
         batch = batch_of(prepared, [3, 4], settings)
         assert not [key for key in batch if key.startswith(KEYS)]
-        assert make_sample(prepared, 3, settings).seen is None
+        assert make_sample(prepared, 3, settings).known is None
 
 
 def test_frames_up_to_a_second_after_the_onset_become_samples(clip):
@@ -103,7 +103,7 @@ def test_frames_up_to_a_second_after_the_onset_become_samples(clip):
     frames, left_out = list_frames(clip, replace(TOLD, onset_within=6))
     assert frames == [3, 4, 5, 6, 7, 8]
     assert left_out == {"no_tool": 3, "onset too far back": 3}
-    assert make_sample(clip, 8, TOLD).seen.observation.steps(0.005).tolist() == [7, 15, 23, 31, 39]
+    assert make_sample(clip, 8, TOLD).known.observation.steps(0.005).tolist() == [7, 15, 23, 31, 39]
 
 
 def test_a_contact_of_unknown_noise_is_left_out_where_the_noise_is_asked_for(clip):
@@ -119,8 +119,8 @@ def test_dents_are_told_and_joined_where_they_are_wanted(clip) -> None:
     samples = [make_sample(clip, frame, filmed) for frame in (4, 6)]
     batch = collate(samples)
     for row, sample in enumerate(samples):
-        assert sample.seen.film is not None
-        expected = dent_features(sample.seen, within=0.0)
+        assert sample.known.film is not None
+        expected = dent_features(sample.known, within=0.0)
         for side in ("a", "b"):
             assert batch[f"contact_features_{side}"].shape == (2, FEATURES + FILM_FEATURES)
             np.testing.assert_array_equal(batch[f"contact_features_{side}"][row].numpy(), expected)
@@ -162,7 +162,7 @@ def test_training_and_the_direct_fit_have_one_likelihood() -> None:
     film = replace(contact.film, change=contact.film.change + drawn, noise=FilmNoise(1e-3, 0.0))
     contact = replace(contact, film=film, observation=contact.observation.moved(contact.moved, 1e-3))
     logs = np.log(np.abs(theta)) + np.array([0.1, -0.05, 0.1])
-    problem = FieldProblem(contact, MECHANICS)
+    problem = FilmProblem.of_press(contact, MECHANICS)
     problem.look(logs)
     residual, jacobian = problem.linearise(logs)
     dent, here = join_films([contact]), torch.from_numpy(theta_of(logs))[None]

@@ -10,7 +10,7 @@ import numpy as np
 from data.contact.film import DentFilm, FilmNoise
 from data.contact.interaction import Interaction
 from data.contact.patches import Patches
-from estimators.direct.slab_fit import SlabProblem
+from estimators.direct.field import FilmProblem
 from estimators.direct.slab_motion import SlabMotion
 from physics.fem.slab import Slab, slab_beneath
 from physics.load import Press, held
@@ -57,15 +57,15 @@ def seen(logs: np.ndarray, seed: int, cells: tuple[int, int, int], relaxing: boo
     return dataclasses.replace(contact, film=DentFilm(TIMES, change.astype(np.float32), FilmNoise(SIGMA, 0.0), SIZE))
 
 
-def empty_problem(cells: tuple[int, int, int] = COARSE) -> SlabProblem:
+def empty_problem(cells: tuple[int, int, int] = COARSE) -> FilmProblem[SlabMotion]:
     """A film of nothing, which `shows` fills."""
     film = DentFilm(TIMES, np.zeros((10, SIDE, SIDE), np.float32), FilmNoise(SIGMA, 0.0), SIZE)
     contact = dataclasses.replace(contact_of(), film=film)
     slab = slab_of(cells)
-    return SlabProblem(contact, lambda vertices, times: SlabMotion(contact, slab, MESH.pixels[vertices], times))
+    return FilmProblem(contact, lambda vertices, times: SlabMotion(contact, slab, MESH.pixels[vertices], times))
 
 
-def shows(problem: SlabProblem, moved: np.ndarray, near: np.ndarray | None = None) -> None:
+def shows(problem: FilmProblem[SlabMotion], moved: np.ndarray, near: np.ndarray | None = None) -> None:
     """Let the film show a motion without noise; pixels show the patches that they do at a motion `near`."""
     covering = problem.patches.covering(moved if near is None else near)
     problem.observed = problem.patches.shown(problem.patches.sunk(moved), covering)

@@ -18,7 +18,7 @@ from estimators.direct.field import (
     OUTLIER,
     STILL_NEW,
     WALL,
-    FieldProblem,
+    FilmProblem,
 )
 from estimators.direct.motion import PressMotion
 from estimators.direct.problem import Optimum, find_optimum
@@ -118,9 +118,9 @@ def problem_of(
     mechanics: Mechanics = MECHANICS,
     noise: float | None = None,
     **look: bool,
-) -> FieldProblem:
+) -> FilmProblem[PressMotion]:
     """A problem that was looked at."""
-    problem = FieldProblem(contact, mechanics, within, noise)
+    problem = FilmProblem.of_press(contact, mechanics, within, noise)
     problem.look(logs_of() if logs is None else logs, **look)
     return problem
 
@@ -131,7 +131,9 @@ def central_differences(function, logs: np.ndarray, step: float = 1e-5) -> np.nd
     return np.stack(columns, axis=-1)
 
 
-def expected_covariance(problem: FieldProblem, change: np.ndarray, weight: np.ndarray, steep: np.ndarray) -> np.ndarray:
+def expected_covariance(
+    problem: FilmProblem[PressMotion], change: np.ndarray, weight: np.ndarray, steep: np.ndarray
+) -> np.ndarray:
     """Covariance of all seen pixels' errors, frame by frame, brute force, shape [seen, seen].
 
     Args:
@@ -170,7 +172,7 @@ def test_a_contact_without_a_film_is_refused() -> None:
     contact = contact_of()
     for film in (None, contact.film.chosen(np.zeros(len(TIMES), bool))):
         with pytest.raises(ValueError, match="has no film"):
-            FieldProblem(dataclasses.replace(contact, film=film), MECHANICS)
+            FilmProblem.of_press(dataclasses.replace(contact, film=film), MECHANICS)
 
 
 @pytest.mark.parametrize(
@@ -378,7 +380,7 @@ def test_the_error_of_the_steps_is_taken_off() -> None:
     """Films that were made with a quarter of the step are explained by the true parameters."""
     fine = dataclasses.replace(MECHANICS, time_step=MECHANICS.time_step / 4, steps=4 * MECHANICS.steps)
     theta = REGIMES["under-damped"]
-    problem = FieldProblem(contact_of(theta, mechanics=fine), MECHANICS, noise=1e-5)
+    problem = FilmProblem.of_press(contact_of(theta, mechanics=fine), MECHANICS, noise=1e-5)
     problem.look(logs_of(theta))
     assert np.abs(problem.residual(logs_of(theta))).max() > 0.5
     problem.look(logs_of(theta), finer=True)

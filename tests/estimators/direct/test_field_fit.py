@@ -9,7 +9,7 @@ import pytest
 
 from data.contact.film import REACH
 from data.contact.interaction import Interaction
-from estimators.direct.field import FieldProblem
+from estimators.direct.field import FilmProblem
 from estimators.direct.field_fit import ENOUGH, FITS, NARROW, ROUND, field_starts, first_draws, fit_field, raced
 from estimators.direct.problem import APART, Optimum
 from estimators.direct.sampling import sample_posterior
@@ -36,7 +36,7 @@ BOX = Bounds((0.1, 1.0), (0.008, 0.2), (-0.2, -0.02), initial=(0.3, 0.05, -0.05)
 
 
 def fit(contact: Interaction, within: float = 0.0) -> Estimate:
-    return fit_field(FieldProblem(contact, MECHANICS, within), BOX)
+    return fit_field(FilmProblem.of_press(contact, MECHANICS, within), BOX)
 
 
 def errors(estimate: Estimate, theta: tuple[float, float, float]) -> np.ndarray:
@@ -46,7 +46,7 @@ def errors(estimate: Estimate, theta: tuple[float, float, float]) -> np.ndarray:
 
 def test_starts_are_the_candidates_that_explain_the_film_best() -> None:
     theta = REGIMES["critical"]
-    problem = FieldProblem(contact_of(theta), MECHANICS)
+    problem = FilmProblem.of_press(contact_of(theta), MECHANICS)
     starts = field_starts(problem, BOX)
     assert 1 <= len(starts) <= problem.motion.starts
     assert ((starts >= BOX[0]) & (starts <= BOX[1])).all()
@@ -64,7 +64,7 @@ def test_starts_are_the_candidates_that_explain_the_film_best() -> None:
 
 def test_starts_have_the_delay_that_suits_them() -> None:
     theta, delay = REGIMES["under-damped"], 0.5
-    problem = FieldProblem(contact_of(theta, delay, delay), MECHANICS, WITHIN)
+    problem = FilmProblem.of_press(contact_of(theta, delay, delay), MECHANICS, WITHIN)
     starts = field_starts(problem, problem.motion.box(BOX))
     assert starts.shape[1] == 5
     np.testing.assert_array_equal(starts[:, 3], starts[:, 4])
@@ -75,7 +75,9 @@ def test_a_hidden_pixel_does_not_change_the_starts() -> None:
     contact = contact_of()
     spoiled = errors_of(0, 0.0)
     spoiled[:, 0, :2] = np.nan
-    starts, others = (field_starts(FieldProblem(each, MECHANICS), BOX) for each in (contact, noisy(contact, spoiled)))
+    starts, others = (
+        field_starts(FilmProblem.of_press(each, MECHANICS), BOX) for each in (contact, noisy(contact, spoiled))
+    )
     np.testing.assert_allclose(starts, others, atol=0.02)
 
 
@@ -84,8 +86,8 @@ def test_starts_are_as_good_beside_a_hole_in_the_tissue() -> None:
     contact = contact_of(mesh=curved_mesh((12, 13)))
     change = contact_of().film.change.copy()
     change[:, REACH - 4, REACH - 4] = np.nan
-    starts = field_starts(FieldProblem(with_change(contact, change), MECHANICS), BOX)
-    np.testing.assert_allclose(starts[0], field_starts(FieldProblem(contact_of(), MECHANICS), BOX)[0], atol=0.1)
+    starts = field_starts(FilmProblem.of_press(with_change(contact, change), MECHANICS), BOX)
+    np.testing.assert_allclose(starts[0], field_starts(FilmProblem.of_press(contact_of(), MECHANICS), BOX)[0], atol=0.1)
 
 
 class Basins:

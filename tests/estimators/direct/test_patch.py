@@ -10,7 +10,7 @@ import pytest
 from data.contact.film import DentFilm, FilmNoise
 from data.contact.interaction import Interaction
 from data.contact.patches import Patches
-from estimators.direct.field import FieldProblem
+from estimators.direct.field import FilmProblem
 from estimators.direct.field_fit import fit_press
 from estimators.direct.motion import PressMotion
 from estimators.direct.patch import PatchMotion
@@ -155,7 +155,7 @@ def test_a_press_without_a_shape_is_what_it_was() -> None:
 def test_whole_dents_may_lie_aside_and_be_too_deep() -> None:
     """As random errors of that kind, drawn; where a pixel of the grid is one of the picture nothing is."""
     random, frames = np.random.default_rng(3), len(TIMES)
-    problem = FieldProblem(film_of(SHAPE), MECHANICS, kind=PatchMotion)
+    problem = FilmProblem.of_press(film_of(SHAPE), MECHANICS, kind=PatchMotion)
     rows, columns = np.mgrid[:SIDE, :SIDE]
     depth = 0.02 * np.exp(-((rows - 6.5) ** 2 + (columns - 8.0) ** 2) / 18)
     sunk = np.linspace(0.2, 1, frames)[:, None, None] * depth
@@ -170,6 +170,8 @@ def test_whole_dents_may_lie_aside_and_be_too_deep() -> None:
     places = np.concatenate([deep + (frames - 1) * SIDE**2, deep + 3 * SIDE**2])
     expected = np.cov(drawn.reshape(4000, -1)[:, places].T)
     np.testing.assert_allclose(found[places] @ found[places].T, expected, atol=0.1 * np.diag(expected).max())
-    coarse = FieldProblem(film_of(SHAPE, size=(MESH.grid_shape[1], MESH.grid_shape[0])), MECHANICS, kind=PatchMotion)
+    coarse = FilmProblem.of_press(
+        film_of(SHAPE, size=(MESH.grid_shape[1], MESH.grid_shape[0])), MECHANICS, kind=PatchMotion
+    )
     assert coarse.model_errors(sunk.reshape(frames, -1)).shape[2] == 0
-    assert FieldProblem(film_of(SHAPE), MECHANICS).model_errors(sunk.reshape(frames, -1)).shape[2] == 0
+    assert FilmProblem.of_press(film_of(SHAPE), MECHANICS).model_errors(sunk.reshape(frames, -1)).shape[2] == 0

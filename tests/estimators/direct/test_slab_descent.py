@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from data.contact.film import DentFilm, FilmNoise
+from estimators.direct.field import FilmProblem
 from estimators.direct.slab_descent import descend, find_tip, slab_start
-from estimators.direct.slab_fit import SlabProblem
 from estimators.direct.slab_motion import SlabMotion
 from tests.estimators.direct.slabs import (
     COARSE,
@@ -30,11 +30,11 @@ def test_the_tips_middle_is_found() -> None:
     empty = DentFilm(TIMES, np.zeros((10, SIDE, SIDE), np.float32), FilmNoise(SIGMA, 0.0), SIZE)
     contact = dataclasses.replace(contact, film=empty)
 
-    def problem_of(tried: tuple[float, float]) -> SlabProblem:
+    def problem_of(tried: tuple[float, float]) -> FilmProblem[SlabMotion]:
         def motion(vertices: np.ndarray, times: np.ndarray) -> SlabMotion:
             return SlabMotion(contact, slab, MESH.pixels[vertices], times, place=tried)
 
-        found = SlabProblem(contact, motion)
+        found = FilmProblem(contact, motion)
         moved = SlabMotion(contact, slab, MESH.pixels[found.patches.vertices], TIMES, place=place).at(LOGS)[0]
         found.observed = found.patches.shown(found.patches.sunk(moved), found.patches.covering(moved))
         return found
@@ -47,7 +47,7 @@ def test_the_tips_middle_is_found() -> None:
 @pytest.mark.slow
 def test_a_start_is_near_and_a_descent_goes_down() -> None:
     contact = seen(LOGS, 1, COARSE)
-    problem = SlabProblem(contact, lambda vertices, times: SlabMotion(contact, slab_of(), MESH.pixels[vertices], times))
+    problem = FilmProblem(contact, lambda vertices, times: SlabMotion(contact, slab_of(), MESH.pixels[vertices], times))
     start = slab_start(problem)
     assert np.abs(start - LOGS).max() < 1.0
     far = LOGS + 0.5 * np.eye(3)[0]

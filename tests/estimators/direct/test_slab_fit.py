@@ -14,8 +14,9 @@ from data.contact.interaction import Interaction
 from estimators.direct import estimator, slab_fit, slab_motion, slab_rivals
 from estimators.direct.contact_fit import LARGEST_MISFIT
 from estimators.direct.estimator import DirectEstimator
+from estimators.direct.field import FilmProblem
 from estimators.direct.slab_descent import descend
-from estimators.direct.slab_fit import BLIND, LOWER, UNLIKE, SlabProblem, fit_slab, settled
+from estimators.direct.slab_fit import BLIND, LOWER, UNLIKE, fit_slab, settled
 from estimators.direct.slab_motion import SlabMotion
 from estimators.direct.slab_posterior import Valley
 from estimators.estimate import NINETY, Estimate, NoEstimate
@@ -98,7 +99,7 @@ def test_the_slabs_own_error_is_a_share_of_its_motion_in_rings_and_parts_of_the_
     contact = dataclasses.replace(
         contact_of(), film=DentFilm(TIMES, np.zeros((10, SIDE, SIDE), np.float32), FilmNoise(SIGMA, 0.0), SIZE)
     )
-    problem = SlabProblem(contact, lambda vertices, times: SlabMotion(contact, slab_of(), MESH.pixels[vertices], times))
+    problem = FilmProblem(contact, lambda vertices, times: SlabMotion(contact, slab_of(), MESH.pixels[vertices], times))
     sunk = np.random.default_rng(1).normal(size=(10, SIDE * SIDE))
     columns = problem.model_errors(sunk)
     assert columns.shape == (SIDE * SIDE, 10, 12)  # three rings, early, held, released and later

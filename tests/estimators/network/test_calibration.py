@@ -202,15 +202,15 @@ def test_an_exported_posterior_is_calibrated_by_its_results(tmp_path, capsys) ->
     assert (
         main(["--model", str(plain), "--output", str(tmp_path / "no.onnx"), *results, "--between", *pressed[1:]]) == 1
     )
-    assert "is told nothing of the instants" in capsys.readouterr().err
+    assert "has no input for the instants" in capsys.readouterr().err
     assert not (tmp_path / "no.onnx").exists()
 
 
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        (["--model", "x.onnx"], "give --validation and --pressed beside --model"),
-        (["--weights", "x.pt", "--pressed", "results"], "give --model beside results"),
+        (["--model", "x.onnx"], "give --validation and --pressed with --model"),
+        (["--weights", "x.pt", "--pressed", "results"], "give --model with results"),
         (["--weights", "x.pt", "--model", "x.onnx"], "not allowed with argument"),
     ],
 )

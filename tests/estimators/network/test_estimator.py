@@ -133,7 +133,7 @@ def test_without_a_noise_level_there_is_no_estimate(network: NetworkEstimator, p
 @pytest.mark.parametrize("noise", [math.nan, math.inf, 0.0])
 def test_a_noise_level_is_a_positive_number(network: NetworkEstimator, contact: Interaction, noise: float) -> None:
     with pytest.raises(NoEstimate) as refused:
-        network.told(moved(contact, contact.moved, noise))
+        network.as_trained(moved(contact, contact.moved, noise))
     assert str(refused.value) == NO_NOISE
 
 
@@ -199,7 +199,7 @@ def test_presses_unlike_the_training_s_are_told_in_part(
     pressed = dataclasses.replace(
         contact, observation=observation, load=dataclasses.replace(contact.load, factor=factor)
     )
-    found = network.told(pressed).observation
+    found = network.as_trained(pressed).observation
     np.testing.assert_array_equal(found.times, observation.times[:told])
     np.testing.assert_array_equal(found.displacement, observation.displacement[:, :told])
 
@@ -298,8 +298,8 @@ def test_by_the_point_alone_the_network_is_told_of_no_dent(
 ) -> None:
     point, dent = (NetworkEstimator(film_posterior, STAMP, observation=seen) for seen in (CONTACT, FIELD))
     expected = estimated(dent, contact)
-    np.testing.assert_array_equal(estimated(point, point.told(filmed)).theta, expected.theta)
-    assert not np.allclose(estimated(dent, dent.told(filmed)).theta, expected.theta, rtol=1e-6)
+    np.testing.assert_array_equal(estimated(point, point.as_trained(filmed)).theta, expected.theta)
+    assert not np.allclose(estimated(dent, dent.as_trained(filmed)).theta, expected.theta, rtol=1e-6)
 
 
 def test_a_network_that_is_told_of_the_dent_is_told_how_well_the_instants_are_known(

@@ -10,7 +10,7 @@ from data.contact.film import REACH, smooth_errors
 from data.contact.film_features import SHAPES, dent_shapes, motion_in_film, shape_amounts
 from data.synthetic.contacts import SimulatedContact, draw_contacts, hidden_by_tool
 from data.synthetic.settings import SceneSettings
-from estimators.direct.field import FieldProblem
+from estimators.direct.field import FilmProblem
 from estimators.network.draws import (
     DELAY_RANGE,
     LEVEL,
@@ -20,7 +20,7 @@ from estimators.network.draws import (
     smooth_share,
     without_delays,
 )
-from estimators.network.fits import FRAME, MECHANICS, NOMINAL, PARAMETERS, Films, fit_film
+from estimators.network.fits import FRAME_S, MECHANICS, NOMINAL_NOISE, PARAMETERS, Films, fit_film
 
 PIXELS = (2 * REACH + 1) ** 2
 
@@ -133,10 +133,10 @@ def test_drawn_rounding_is_that_of_the_pixels() -> None:
 def pressed() -> SimulatedContact:
     """A contact of one scene with its film; what draws its press is known to a frame."""
     settings = SceneSettings(width=214, height=120, regime="critical")
-    return draw_contacts(settings, 5, 1, MECHANICS.time_step, FRAME, film=True)[0]
+    return draw_contacts(settings, 5, 1, MECHANICS.time_step, FRAME_S, film=True)[0]
 
 
-@pytest.mark.parametrize("within", [FRAME, 0.0])
+@pytest.mark.parametrize("within", [FRAME_S, 0.0])
 def test_an_exact_film_is_explained(pressed: SimulatedContact, within: float) -> None:
     contact = pressed.interaction
     start = np.log(np.abs(pressed.theta))
@@ -161,7 +161,7 @@ def test_an_exact_film_is_explained(pressed: SimulatedContact, within: float) ->
         assert not slopes[:, 3:].any()
         assert not tangents[..., 3:].any()
     # Of the amounts, derivatives are those of what the pixels show.
-    field = FieldProblem(contact, MECHANICS, within, NOMINAL)
+    field = FilmProblem.of_press(contact, MECHANICS, within, NOMINAL_NOISE)
     own = logs[: 5 if within else 3]
     field.look(own)
     for column, step in enumerate(1e-4 * np.eye(len(own))[:3]):

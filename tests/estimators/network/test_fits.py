@@ -10,7 +10,7 @@ from data.contact.film_features import SHAPES
 from data.synthetic.contacts import SimulatedContact, draw_contacts
 from data.synthetic.settings import SceneSettings
 from estimators.network.draws import film_information, smooth_share, without_delays
-from estimators.network.fits import MECHANICS, NOMINAL, Fits, motion_slopes, observed_exactly
+from estimators.network.fits import MECHANICS, NOMINAL_NOISE, Fits, motion_slopes, observed_exactly
 from physics.mechanics import theta_of
 from physics.msd.simulation import simulate
 
@@ -56,8 +56,8 @@ def test_the_problem_without_noise_counts_in_a_nominal_one(contacts: list[Simula
     contact = contacts[0]
     logs = np.log(np.abs(contact.theta)) + np.array([0.2, -0.1, 0.1])
     problem, path = observed_exactly(contact.interaction), simulated(contact, logs)
-    assert (problem.sigma, set(problem.noise)) == (NOMINAL, {NOMINAL})
-    residual = (path - contact.interaction.moved) / NOMINAL
+    assert (problem.sigma, set(problem.noise)) == (NOMINAL_NOISE, {NOMINAL_NOISE})
+    residual = (path - contact.interaction.moved) / NOMINAL_NOISE
     np.testing.assert_allclose(problem.residual(logs).reshape(-1, 3), residual, atol=1e-6)
 
 

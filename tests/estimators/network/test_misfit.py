@@ -14,7 +14,7 @@ from data.contact.interaction import Interaction
 from data.synthetic.contacts import draw_contacts
 from data.synthetic.settings import SceneSettings
 from estimators.network.fits import MECHANICS
-from estimators.network.misfit import CHANCE, LARGEST_MISFIT, compared, largest_misfit
+from estimators.network.misfit import LARGEST_MISFIT, TAIL_PROBABILITY, compared, largest_misfit
 from physics.load import held
 from physics.mechanics import theta_of
 from physics.msd.simulation import simulate
@@ -82,5 +82,5 @@ def test_few_observations_may_lie_farther_from_the_motion_by_chance() -> None:
     """As rarely as 25 lie beyond 1.5 σ."""
     assert largest_misfit(25) == pytest.approx(LARGEST_MISFIT, abs=0.005)
     assert largest_misfit(40) == LARGEST_MISFIT
-    draws = np.random.default_rng(0).normal(size=(400_000, 5))
-    assert np.mean(np.sqrt(np.square(draws).mean(axis=1)) > largest_misfit(5)) == pytest.approx(CHANCE, rel=0.25)
+    misfits = np.sqrt(np.square(np.random.default_rng(0).normal(size=(400_000, 5))).mean(axis=1))
+    assert np.mean(misfits > largest_misfit(5)) == pytest.approx(TAIL_PROBABILITY, rel=0.25)

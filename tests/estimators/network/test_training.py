@@ -19,7 +19,7 @@ from data.synthetic.settings import SceneSettings
 from data.synthetic.truth import damping_ratio, regime_of
 from estimators.network import training as contact_training
 from estimators.network.draws import CUT_SHARES, LEVEL, NOISE, REST_SHARE, draw_errors, draw_known, draw_observed
-from estimators.network.fits import BOUNDS, FRAME, MECHANICS, SCENES, Films, Fits, fit_motion
+from estimators.network.fits import BOUNDS, FRAME_S, MECHANICS, SCENES, Films, Fits, fit_motion
 from estimators.network.training import (
     INTERRUPTED,
     PREPARED,
@@ -49,7 +49,7 @@ def contacts() -> list[SimulatedContact]:
 def filmed() -> list[SimulatedContact]:
     """Two contacts with films, of the second of which the instants are known to a frame only."""
     settings = SceneSettings(width=214, height=120, regime="critical")
-    return [draw_contacts(settings, 3, 1, MECHANICS.time_step, within, film=True)[0] for within in (0.0, FRAME)]
+    return [draw_contacts(settings, 3, 1, MECHANICS.time_step, within, film=True)[0] for within in (0.0, FRAME_S)]
 
 
 def test_a_fit_explains_its_motion(contacts: list[SimulatedContact]) -> None:
@@ -185,9 +185,9 @@ def test_contacts_and_fits_are_the_same_in_processes_of_their_own(contacts: list
 
 @pytest.mark.slow
 def test_films_and_their_fits_are_the_same_in_processes_of_their_own(filmed: list[SimulatedContact]) -> None:
-    fits, same = (Trainer(filmed, 0, [0.0, FRAME]).fit(Progress(disable=True), workers) for workers in (0, 2))
+    fits, same = (Trainer(filmed, 0, [0.0, FRAME_S]).fit(Progress(disable=True), workers) for workers in (0, 2))
     assert fits.logs.shape == (2, 5)
-    assert fits.within.tolist() == [0.0, FRAME]
+    assert fits.within.tolist() == [0.0, FRAME_S]
     for holder, other, kind in ((fits, same, Fits), (fits.films, same.films, Films)):
         for field in dataclasses.fields(kind):
             if field.name != "films":
@@ -236,7 +236,7 @@ def made(
     return asked
 
 
-MADE = {"contact": [(0.0, False)], "field": [(0.0, True), (FRAME, True)]}
+MADE = {"contact": [(0.0, False)], "field": [(0.0, True), (FRAME_S, True)]}
 """Contacts whose instants are known, and with films as many whose instants aren't."""
 
 

@@ -62,8 +62,12 @@ def test_every_frame_in_contact_has_a_field(results: Path) -> None:
             assert (row["distance_stiffness"] != "") == known.any()
             if known.any():
                 assert float(row["distance_stiffness"]) == pytest.approx(np.median(distance[known]), rel=1e-5)
-        assert not fields["frame_10/known"].any()
-        assert fields["frame_15/known"].any()
+            assert row["verdict"] == ("stiffness_ratios" if known.any() else "undetermined")
+        assert table[0]["skill"] == ""
+        assert float(table[-1]["skill"]) > 0.35
+        assert np.isfinite(fields["frame_15/distance_log_sd"]).all()
+        # No sheet moves as this tissue does, which is drawn by a formula: any field explains it as well.
+        assert not fields["frame_15/known"].any()
         assert all(row["stiffness"] == row["force"] == "" for row in table)
 
 
@@ -80,15 +84,19 @@ def test_particles_are_drawn_where_their_tissue_is(results: Path) -> None:
     assert np.median(np.linalg.norm((there - here)[away], axis=1)) < 1.5 * pixel
 
 
-def test_a_run_says_that_theta_is_not_told(results: Path) -> None:
+def test_a_run_says_what_is_explained_and_that_theta_is_not_told(results: Path) -> None:
     (run,) = rows(results / "pulled", "interactions.csv")
-    assert (run["onset_frame"], run["status"], run["verdict"]) == ("10", "no_estimate", "")
+    assert (run["onset_frame"], run["status"], run["verdict"]) == ("10", "ok", "undetermined")
+    assert float(run["skill"]) > 0.35
+    assert "no place's stiffness is determined" in run["explanation"]
     assert "relative stiffness place by place (fields.npz)" in run["detail"]
     assert "Fitted to the first frames: steps of" in run["detail"]
     record = json.loads((results / "pulled" / "run.json").read_text())
     assert "relative" in record["units"]["distance_stiffness"]
     assert record["estimator"]["particles"] == 150
     assert not any("stretch" in warning for warning in record["warnings"])
+    assert any(warning.endswith(run["explanation"]) for warning in record["warnings"])
+    assert record["contacts"] == {"undetermined": 1}
 
 
 def test_a_clip_without_a_driving_tool_says_so_in_a_sentence(results: Path) -> None:
@@ -111,6 +119,21 @@ def test_bad_settings_end_in_a_sentence(tmp_path: Path, capsys: pytest.CaptureFi
 GIVEN = "particles: 150\nbackground: keep\nthickness: 0.05\npins: pins.png\npath: given/path.csv\n"
 PINNED = 190
 """Column from which the mask is white [px]."""
+
+
+def test_an_invented_path_is_no_field_and_a_warning(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    """The gripper is told to go the other way than the tissue does: nothing is told or coloured of what that learns."""
+    told = write_given(tmp_path, "0,50,60,0.3\n0.2,70,48,0.3\n")
+    (tmp_path / "online.yaml").write_text("particles: 150\nbackground: keep\nstrain: 0.01\npath: given/path.csv\n")
+    assert infer.main([str(write_annotated(tmp_path / "clip", SHARES)), *told, "--no-overlay"]) == 0
+    said = " ".join(capsys.readouterr().err.split())
+    assert "contact from frame 10: The fit does not explain the motion: tissue simulated under the instrument" in said
+    (run,) = rows(tmp_path / "out" / "clip", "interactions.csv")
+    assert (run["status"], run["verdict"]) == ("ok", "undetermined")
+    assert float(run["skill"]) < 0.35
+    table = rows(tmp_path / "out" / "clip", "parameters.csv")
+    assert {row["distance_stiffness"] for row in table} == {""}
+    assert {row["field_known"] for row in table} == {"0"}
 
 
 def write_given(folder: Path, rows_told: str = "0,50,60,0.3\n0.2,40,66,0.28\n") -> list[str]:

@@ -46,7 +46,7 @@ def test_no_motion_error_is_the_simulation_without_force():
 
 
 def test_fit_explains_contacts_that_share_one_theta(monkeypatch):
-    monkeypatch.setattr(baselines, "ITERATIONS", 40)
+    monkeypatch.setattr(baselines, "MAX_ITERATIONS", 40)
     contacts = [contact(TRUE, vertex=vertex) for vertex in (14, 15, 20)]
     theta, error = fit_constant_theta(contacts, BOUNDS, MECHANICS)
     assert error < 1e-3 * no_motion_errors(contacts, MECHANICS).mean()

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from evaluation.paper.collapse import as_told, conclude, describe_spread, spread_of
+from evaluation.paper.collapse import as_reported, conclude, describe_spread, spread_of
 from evaluation.paper.statistics import compare
 from physics.mechanics import PARAMETERS, Bounds
 
@@ -20,7 +20,7 @@ def _theta(spread, seed=0):
 
 
 def _spread(theta, clips=CLIPS, bounds=BOUNDS, contacts=100):
-    frames = pd.DataFrame(as_told(theta, bounds), columns=list(PARAMETERS)).assign(clip=clips)
+    frames = pd.DataFrame(as_reported(theta, bounds), columns=list(PARAMETERS)).assign(clip=clips)
     return spread_of(frames, bounds, contacts)
 
 

@@ -181,9 +181,9 @@ class _Formatter(argparse.RawDescriptionHelpFormatter, argparse.ArgumentDefaults
 
 
 class _Parser(ArgumentParser):
-    def format_help(self, *formatter: Any) -> str:
+    def format_help(self, formatter: argparse.HelpFormatter | None = None) -> str:
         """As jsonargparse has it, with options spelt as a user writes them."""
-        text = re.sub(r"--\w+", lambda option: option[0].replace("_", "-"), super().format_help(*formatter))
+        text = re.sub(r"--\w+", lambda option: option[0].replace("_", "-"), super().format_help(formatter))
         return text.replace("[ITEM,...]", "NAME …    ")
 
 

@@ -1,8 +1,8 @@
 # make demo  — everything from nothing: clips, training, evaluation, export, inference on a video file
 # make test  — lint and all tests; make test-fast leaves the slow ones out
 # make bench — what is timed, against what (see benchmarks/)
-# make model — trains, calibrates and exports the contact posterior that comes along (docs/identifiability.md)
-# make paper — trains the paper's own design for its 100 epochs, small, and evaluates it (docs/paper.md); goes on where it stopped
+# make model — trains, calibrates and exports the contact posterior that comes along (docs/reports/identifiability.md)
+# make paper — trains the paper's own design for its 100 epochs, small, and evaluates it (docs/reports/paper.md); goes on where it stopped
 # make gan   — the same of the recommended system, which starts from that posterior
 PYTHON ?= python3
 BIN := .venv/bin

@@ -4,7 +4,7 @@ rollout             the differentiable rollout against plain torch
 inference           where the time of inference goes: encoder and head alone, and every stage of infer.py
 fem                 a body at rest, its tangents and its adjoint against element count, beside scikit-fem
 training_step       where the time of a training step goes
-physics_plots       the pictures of docs/physics.md
+physics_plots       the pictures of docs/reports/physics.md
 newtons             forces of synthetic clips in newtons, of which the force of one is known
 observation_bounds  what each kind of observation can tell about θ
 following           following tissue points: time a frame, and error where the motion is known

@@ -7,7 +7,7 @@ A frame whose annotation holds no tool counts as a false positive where any tool
 
 from __future__ import annotations
 
-from physics.doors import enter_door, run_door
+from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":
     enter_door()  # before the slow imports
@@ -18,11 +18,11 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.shared import command_line, machine, print_table, timed
-from data.masks.automatic import TOOL, AutomaticMasks
-from data.masks.sources import AnnotationMasks, MaskClasses, MaskError
-from data.source.frames import discover, open_source
-from data.source.layout import ClipLayout, InputError, load_layout
+from palpate.benchmarks.shared import command_line, machine, print_table, timed
+from palpate.data.masks.automatic import TOOL, AutomaticMasks
+from palpate.data.masks.sources import AnnotationMasks, MaskClasses, MaskError
+from palpate.data.source.frames import discover, open_source
+from palpate.data.source.layout import ClipLayout, InputError, load_layout
 
 COLUMNS = ("clip", "found", "IoU, all", "IoU, found", "precision, found", "false positives", "ms a frame")
 

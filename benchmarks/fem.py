@@ -9,7 +9,7 @@ scikit-fem assembles the linear law and solves it with SciPy, as its examples do
 
 from __future__ import annotations
 
-from physics.doors import enter_door, run_door
+from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":
     enter_door()  # before the slow imports
@@ -23,11 +23,11 @@ import skfem
 from skfem.helpers import ddot, sym_grad, trace
 from skfem.models.elasticity import lame_parameters
 
-from benchmarks.shared import command_line, machine, print_table
-from physics.fem.equilibrium import Equilibrium, find_equilibrium
-from physics.fem.lattice import box
-from physics.fem.laws import LAWS, Material
-from physics.fem.solid import Solid, make_solid
+from palpate.benchmarks.shared import command_line, machine, print_table
+from palpate.physics.fem.equilibrium import Equilibrium, find_equilibrium
+from palpate.physics.fem.lattice import box
+from palpate.physics.fem.laws import LAWS, Material
+from palpate.physics.fem.solid import Solid, make_solid
 
 YOUNG, POISSON, SHARE = 1e3, 0.4, 0.05
 """E [Pa], ν, and the force over E times the cube's face."""

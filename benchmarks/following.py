@@ -8,7 +8,7 @@ of the points that move by more than 10 px, in the last frame; their share of th
 
 from __future__ import annotations
 
-from physics.doors import enter_door, run_door
+from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":
     enter_door()  # before the slow imports
@@ -18,8 +18,8 @@ import time
 import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from benchmarks.shared import command_line, machine, print_table, timed
-from data.tracks.following import PointFollower
+from palpate.benchmarks.shared import command_line, machine, print_table, timed
+from palpate.data.tracks.following import PointFollower
 
 WIDTH, HEIGHT, FRAMES = 854, 480, 25
 PULL, DECAY = np.array([30.0, -26.0]), 60.0

@@ -10,7 +10,7 @@ one call of the network that ships, with what it is told and how well the simula
 
 from __future__ import annotations
 
-from physics.doors import enter_door, run_door
+from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":
     enter_door()  # before the slow imports
@@ -25,22 +25,22 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.shared import command_line, machine, print_table, timed
-from data.contact.features import FEATURES
-from data.synthetic.__main__ import main as make_clips
-from data.synthetic.clip import draw_press, synthetic_clip
-from data.synthetic.source import PREPARE, open_synthetic
-from estimators.contract import ClipInfo
-from estimators.network.estimator import NetworkEstimator
-from estimators.onset import ONSETS
-from estimators.open import EstimatorOptions, open_estimator
-from evaluation.recovery.suites import GRID_SIZE, SUITES, suite_clip_seed
-from evaluation.recovery.trial import observed_contacts
-from infer import main as infer
-from models.generator import Generator
-from models.onnx_export import export
-from models.onnx_session import ParameterModel, PosteriorModel, open_model
-from physics.mechanics import RECOMMENDED
+from palpate.benchmarks.shared import command_line, machine, print_table, timed
+from palpate.command.infer import main as infer
+from palpate.data.contact.features import FEATURES
+from palpate.data.synthetic.__main__ import main as make_clips
+from palpate.data.synthetic.clip import draw_press, synthetic_clip
+from palpate.data.synthetic.source import PREPARE, open_synthetic
+from palpate.estimators.contract import ClipInfo
+from palpate.estimators.network.estimator import NetworkEstimator
+from palpate.estimators.onset import ONSETS
+from palpate.estimators.open import EstimatorOptions, open_estimator
+from palpate.evaluation.recovery.suites import GRID_SIZE, SUITES, suite_clip_seed
+from palpate.evaluation.recovery.trial import observed_contacts
+from palpate.models.generator import Generator
+from palpate.models.onnx_export import export
+from palpate.models.onnx_session import ParameterModel, PosteriorModel, open_model
+from palpate.physics.mechanics import RECOMMENDED
 
 SIZE = 120, 214
 """Height and width of the networks' input."""

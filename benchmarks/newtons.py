@@ -9,7 +9,7 @@ are off in calibrated.csv, whether their 90 % intervals hold, and the same with 
 
 from __future__ import annotations
 
-from physics.doors import enter_door, run_door
+from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":
     enter_door()  # before the slow imports
@@ -26,16 +26,16 @@ import numpy as np
 import yaml
 from rich.console import Console
 
-import infer
-from data.command_line import path_option, say
-from data.source.layout import InputError, read_mapping
-from estimators.estimate import NINETY, NoEstimate
-from estimators.force_scale import MASS, ClipLength, PressedRun, scale_by_force
-from estimators.onset import ONSETS, STAMP
-from evaluation.file_table import FileTable
-from physics.files import all_below
-from physics.ownership import replacing_own
-from results.store import CALIBRATED, INTERACTIONS, OutputError, writing
+from palpate.command import infer
+from palpate.common.command_line import path_option, say
+from palpate.common.files import all_below
+from palpate.common.output import replacing_own
+from palpate.data.source.layout import InputError, read_mapping
+from palpate.estimators.estimate import NINETY, NoEstimate
+from palpate.estimators.force_scale import MASS, ClipLength, PressedRun, scale_by_force
+from palpate.estimators.onset import ONSETS, STAMP
+from palpate.evaluation.file_table import FileTable
+from palpate.results.store import CALIBRATED, INTERACTIONS, OutputError, writing
 
 NEWTONS = 25.0
 """A unit of force."""

@@ -11,7 +11,7 @@ estimate.
 
 from __future__ import annotations
 
-from physics.doors import enter_door, run_door
+from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":
     enter_door()  # before the slow imports
@@ -21,15 +21,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.shared import command_line, machine, print_table
-from data.contact.film import REACH
-from data.synthetic.contacts import FINE_MECHANICS, SimulatedContact, draw_contacts
-from data.synthetic.settings import SceneSettings
-from data.synthetic.truth import REGIMES, Regime
-from estimators.direct.motion import PressMotion
-from estimators.onset import BETWEEN, STAMP
-from evaluation.recovery.bounds import known
-from physics.identifiability import LIMIT, bounds, fisher_information, ratio_bounds
+from palpate.benchmarks.shared import command_line, machine, print_table
+from palpate.data.contact.depth_sequence import REACH
+from palpate.data.synthetic.contacts import FINE_MECHANICS, SimulatedContact, draw_contacts
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.data.synthetic.truth import REGIMES, Regime
+from palpate.estimators.direct.motion import PressMotion
+from palpate.estimators.onset import BETWEEN, STAMP
+from palpate.evaluation.recovery.bounds import known
+from palpate.physics.identifiability import LIMIT, bounds, fisher_information, ratio_bounds
 
 NOISE = 0.001
 SCENES, A_SCENE = 4, 3

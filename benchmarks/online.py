@@ -9,7 +9,7 @@ frames. "longer thread" is the CPU time of that which has most to do; "wall" is 
 
 from __future__ import annotations
 
-from physics.doors import enter_door, run_door
+from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":
     enter_door()  # before the slow imports
@@ -20,11 +20,11 @@ from typing import Literal, get_args, get_type_hints
 
 import numpy as np
 
-from benchmarks.shared import command_line, machine, print_table
-from estimators.online.objective import Objective
-from estimators.online.session import SNAPSHOTS, Method, Session
-from evaluation.online.sequences import SEQUENCES, Pull
-from physics.pbd.stiffness import Stiffness
+from palpate.benchmarks.shared import command_line, machine, print_table
+from palpate.estimators.online.objective import Objective
+from palpate.estimators.online.session import SNAPSHOTS, Method, Session
+from palpate.evaluation.online.sequences import SEQUENCES, Pull
+from palpate.physics.pbd.stiffness import Stiffness
 
 PAPER = {"thin-shell-1": 0.9, "volume-1": 2.6}
 """Seconds a step of sheets and blocks (Liang 2024, section III)."""

@@ -2,12 +2,12 @@
 
     python -m benchmarks.photometric_depth [--sequence FOLDER]
 
-prints the table of docs/depth.md. Nothing is fitted but one scale a clip.
+prints the table of docs/reports/depth.md. Nothing is fitted but one scale a clip.
 """
 
 from __future__ import annotations
 
-from physics.doors import enter_door, run_door
+from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":
     enter_door()  # before the slow imports
@@ -19,14 +19,14 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import spearmanr
 
-from benchmarks.shared import command_line, machine, print_table, timed
-from data.depth.normalise import DepthSettings, open_depth
-from data.labels import TISSUE, TOOL
-from data.masks.sources import MaskClasses, open_masks
-from data.source.frames import open_source
-from data.source.layout import ClipLayout, load_layout
-from data.synthetic.clip import clip_seed, write_clip
-from data.synthetic.settings import SceneSettings
+from palpate.benchmarks.shared import command_line, machine, print_table, timed
+from palpate.data.depth.normalise import DepthSettings, open_depth
+from palpate.data.labels import TISSUE, TOOL
+from palpate.data.masks.sources import MaskClasses, open_masks
+from palpate.data.source.frames import open_source
+from palpate.data.source.layout import ClipLayout, load_layout
+from palpate.data.synthetic.clip import clip_seed, write_clip
+from palpate.data.synthetic.settings import SceneSettings
 
 FAR_MULTIPLE = 3.0
 """Stored depth beyond this multiple of a frame's median is a mismatch of the stereo network, as in data.depth."""

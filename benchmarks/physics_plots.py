@@ -1,4 +1,4 @@
-"""The pictures of docs/physics.md: stability, windows, chaos.
+"""The pictures of docs/reports/physics.md: stability, windows, chaos.
 
     python -m benchmarks.physics_plots
 
@@ -7,7 +7,7 @@ from the checkout; they go to docs/figures.
 
 from __future__ import annotations
 
-from physics.doors import enter_door, run_door
+from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":
     enter_door()  # before the slow imports
@@ -18,12 +18,12 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from benchmarks.shared import command_line
-from physics.load import Press, held
-from physics.mechanics import Mechanics, highest_frequency
-from physics.mesh import Mesh, grid_mesh
-from physics.msd.cone import GRID_EIGENVALUE, exact_radii, window_radii
-from physics.msd.simulation import simulate, simulate_sensitivities
+from palpate.benchmarks.shared import command_line
+from palpate.physics.load import Press, held
+from palpate.physics.mechanics import Mechanics, highest_frequency
+from palpate.physics.mesh import Mesh, grid_mesh
+from palpate.physics.msd.cone import GRID_EIGENVALUE, exact_radii, window_radii
+from palpate.physics.msd.simulation import simulate, simulate_sensitivities
 
 FIGURES = Path("docs/figures")
 NORMAL = np.array([0.1, 0.2, -0.97])

@@ -9,7 +9,7 @@ line through tissue that the query asked for.
 
 from __future__ import annotations
 
-from physics.doors import enter_door, run_door
+from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":
     enter_door()  # before the slow imports
@@ -22,10 +22,10 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.shared import machine
-from data.command_line import path_option, whole_number
-from planning import find_plan, open_table, read_plan_scene, simulate_press
-from planning.roadmap import EdgeCosts
+from palpate.benchmarks.shared import machine
+from palpate.common.command_line import path_option, whole_number
+from palpate.planning import find_plan, open_table, read_plan_scene, simulate_press
+from palpate.planning.roadmap import EdgeCosts
 
 SCENE = Path(__file__).parents[1] / "configs" / "scenes" / "two_curtains.yaml"
 

@@ -8,7 +8,7 @@ come from one run. It takes 12 GB of memory.
 
 from __future__ import annotations
 
-from physics.doors import enter_door, run_door
+from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":
     enter_door()  # before the slow imports
@@ -27,11 +27,11 @@ import torch
 from rich.progress import track
 from torch import Tensor
 
-from benchmarks.shared import command_line, machine, print_table, timed
-from physics.load import Press, held
-from physics.mechanics import Mechanics
-from physics.mesh import Mesh, contact_normal, grid_mesh, nearest_vertex
-from physics.msd import MeshBatch, PressBatch, rollout
+from palpate.benchmarks.shared import command_line, machine, print_table, timed
+from palpate.physics.load import Press, held
+from palpate.physics.mechanics import Mechanics
+from palpate.physics.mesh import Mesh, contact_normal, grid_mesh, nearest_vertex
+from palpate.physics.msd import MeshBatch, PressBatch, rollout
 
 GRID = (120, 214)
 """Height and width of the network's depth grid [px]; the ellipse on it has 14,800 vertices, like the paper's meshes."""

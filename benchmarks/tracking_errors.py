@@ -9,7 +9,7 @@ counts in units of the σ that the clip was told to have.
 
 from __future__ import annotations
 
-from physics.doors import enter_door, run_door
+from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":
     enter_door()  # before the slow imports
@@ -22,20 +22,20 @@ from typing import NamedTuple
 import numpy as np
 from rich.progress import track
 
-from benchmarks.shared import command_line, machine, print_table
-from data.contact.interaction import Interaction
-from data.synthetic.clip import draw_press, synthetic_clip
-from data.synthetic.scene import Scene, SceneError
-from data.synthetic.source import PREPARE, open_synthetic
-from data.synthetic.truth import PressedMotion
-from estimators.contract import ClipInfo
-from estimators.direct import error_model
-from estimators.direct.error_model import STEP, sawtooth
-from estimators.worker_pool import run_tasks
-from evaluation.recovery.bounds import MECHANICS
-from evaluation.recovery.suites import SUITES, suite_clip_seed
-from evaluation.recovery.trial import observed_contacts
-from physics.likelihood import Likelihood
+from palpate.benchmarks.shared import command_line, machine, print_table
+from palpate.common.workers import run_tasks
+from palpate.data.contact.interaction import Interaction
+from palpate.data.synthetic.clip import draw_press, synthetic_clip
+from palpate.data.synthetic.scene import Scene, SceneError
+from palpate.data.synthetic.source import PREPARE, open_synthetic
+from palpate.data.synthetic.truth import PressedMotion
+from palpate.estimators.contract import ClipInfo
+from palpate.estimators.direct import error_model
+from palpate.estimators.direct.error_model import STEP, sawtooth
+from palpate.evaluation.recovery.bounds import MECHANICS
+from palpate.evaluation.recovery.suites import SUITES, suite_clip_seed
+from palpate.evaluation.recovery.trial import observed_contacts
+from palpate.physics.likelihood import Likelihood
 
 NAMES = ("clean", "8bit", "noisy")
 """Suites, which observe the same truth; the noise of `clean` and `noisy` differs in its size alone."""

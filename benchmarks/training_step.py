@@ -9,7 +9,7 @@ step (Bini 2026, section 3.1). The first step is left out: it compiles and warms
 
 from __future__ import annotations
 
-from physics.doors import enter_door, run_door
+from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":
     enter_door()  # before the slow imports
@@ -21,11 +21,11 @@ from unittest.mock import patch
 import numpy as np
 import torch
 
-from benchmarks.shared import command_line, machine, print_table, timed
-from data.synthetic.__main__ import main as make_clips
-from models.generator import HeadOutput
-from models.module import PhysicsInformedGAN
-from train import main as train
+from palpate.benchmarks.shared import command_line, machine, print_table, timed
+from palpate.command.train import main as train
+from palpate.data.synthetic.__main__ import main as make_clips
+from palpate.models.generator import HeadOutput
+from palpate.models.module import PhysicsInformedGAN
 
 PAPER_STEPS = 415
 CONFIGURATIONS = tuple(Path("configs", f"{name}.yaml") for name in ("paper", "recommended", "smoke"))
@@ -64,8 +64,8 @@ def measure(config: Path, folder: Path) -> list[str]:
         "trainer.enable_progress_bar": False,
         "trainer.enable_model_summary": False,
         "data.root": folder / "clips",
-        "data.cache": folder / "cache",
-        "data.depth.source": "stored",
+        "palpate.data.cache": folder / "cache",
+        "palpate.data.depth.source": "stored",
         "data.loading.fractions": "[0.5, 0.25, 0.25]",
         "tracking": False,
     }

@@ -24,15 +24,15 @@ from typing import Any
 
 import numpy as np
 
-from data.depth.preset import resolve_model
-from data.masks.sources import mask_model
-from data.prepared import PreparedFrame
-from data.settings import PrepareSettings
-from data.source.camera import clip_camera
-from data.source.layout import InputError
-from physics.files import all_below, as_json, digest_of, file_sha256
-from physics.mesh import Mesh
-from physics.provenance import code_digest
+from palpate.common.files import all_below, as_json, digest_of, file_sha256
+from palpate.common.provenance import code_digest
+from palpate.data.depth.preset import resolve_model
+from palpate.data.masks.sources import mask_model
+from palpate.data.prepared import PreparedFrame
+from palpate.data.settings import PrepareSettings
+from palpate.data.source.camera import clip_camera
+from palpate.data.source.layout import InputError
+from palpate.physics.mesh import Mesh
 
 HASHED_BYTES = 64 * 2**20
 """Largest model that enters a key by its content [bytes]; larger ones enter by size and time of change."""

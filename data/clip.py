@@ -17,19 +17,19 @@ from pathlib import Path
 
 import numpy as np
 
-from data.cache import CacheEntry, PreparedClip, cache_key
-from data.contact.dents import DentContacts
-from data.contact.evidence import ContactEvidence
-from data.contact.geometry import GeometryStatus, frame_geometry
-from data.contact.motion import ContactMotion
-from data.depth.normalise import estimate_scale, normalise, open_depth, resize_depth
-from data.depth.sources import DepthSource
-from data.masks.sources import MaskError, MaskSource, chosen_kind, open_masks
-from data.prepared import PreparedFrame
-from data.settings import PrepareSettings
-from data.source.camera import Camera, Undistortion, clip_camera
-from data.source.frames import Frame, FrameSource, open_source
-from data.source.layout import InputError
+from palpate.data.cache import CacheEntry, PreparedClip, cache_key
+from palpate.data.contact.dents import DentContacts
+from palpate.data.contact.evidence import ContactEvidence
+from palpate.data.contact.geometry import GeometryStatus, frame_geometry
+from palpate.data.contact.motion import ContactMotion
+from palpate.data.depth.normalise import estimate_scale, normalise, open_depth, resize_depth
+from palpate.data.depth.sources import DepthSource
+from palpate.data.masks.sources import MaskError, MaskSource, chosen_kind, open_masks
+from palpate.data.prepared import PreparedFrame
+from palpate.data.settings import PrepareSettings
+from palpate.data.source.camera import Camera, Undistortion, clip_camera
+from palpate.data.source.frames import Frame, FrameSource, open_source
+from palpate.data.source.layout import InputError
 
 
 @dataclass(frozen=True)

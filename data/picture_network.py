@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import onnxruntime
 
-from data.source.layout import InputError
+from palpate.data.source.layout import InputError
 
 _INPUT_TYPES = {
     "tensor(float)": np.float32,

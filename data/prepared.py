@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from data.contact.geometry import FrameGeometry
-from data.source.frames import Frame
+from palpate.data.contact.geometry import FrameGeometry
+from palpate.data.source.frames import Frame
 
 STATUSES = ("ok", "no_tool", "no_tissue", "no_contact", "bad_depth", "unreadable", "no_mask")
 """Statuses of a frame: `ok` means in contact; the others name the reason why a frame gives no contact."""

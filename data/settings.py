@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, fields
 
-from data.contact.geometry import GeometrySettings
-from data.depth.normalise import DepthSettings
-from data.masks.sources import MaskClasses
-from data.source.layout import ClipLayout
+from palpate.data.contact.geometry import GeometrySettings
+from palpate.data.depth.normalise import DepthSettings
+from palpate.data.masks.sources import MaskClasses
+from palpate.data.source.layout import ClipLayout
 
 PREPROCESSING_VERSION = 3
 """Version of preparation, which rises when the same pixels give a network another input; exported models hold it."""

@@ -10,7 +10,7 @@ from collections import deque
 
 import numpy as np
 
-from data.prepared import PreparedFrame
+from palpate.data.prepared import PreparedFrame
 
 
 def window_indices(frame: int, length: int, consecutive: np.ndarray, usable: np.ndarray) -> np.ndarray | None:

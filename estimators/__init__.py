@@ -17,16 +17,17 @@ model_settings  an exported network's preparation, and what both networks' estim
 worker_pool     many tasks in a few processes
 """
 
-from physics.lazy import exported
+from palpate.common.lazy import exported
 
 __getattr__ = exported(
+    __name__,
     {
-        "estimators.open": ("EstimatorOptions", "open_estimator"),
-        "estimators.contract": ("Chosen", "ClipInfo", "Estimator", "Session"),
-        "estimators.estimate": ("Estimate", "FrameEstimate", "InteractionEstimate", "NoEstimate"),
-        "estimators.network.estimator": ("NetworkEstimator",),
-        "estimators.gan": ("GanEstimator",),
-        "estimators.direct.estimator": ("DirectEstimator",),
-        "estimators.online.estimator": ("OnlineEstimator",),
-    }
+        "palpate.estimators.open": ("EstimatorOptions", "open_estimator"),
+        "palpate.estimators.contract": ("Chosen", "ClipInfo", "Estimator", "Session"),
+        "palpate.estimators.estimate": ("Estimate", "FrameEstimate", "InteractionEstimate", "NoEstimate"),
+        "palpate.estimators.network.estimator": ("NetworkEstimator",),
+        "palpate.estimators.gan": ("GanEstimator",),
+        "palpate.estimators.direct.estimator": ("DirectEstimator",),
+        "palpate.estimators.online.estimator": ("OnlineEstimator",),
+    },
 )

@@ -16,10 +16,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-from data.source.images import printable
-from data.source.layout import InputError, from_mapping, read_mapping
-from estimators.estimate import NINETY, NoEstimate
-from estimators.force_scale import (
+from palpate.common.files import read_file
+from palpate.common.settings import fits
+from palpate.data.source.images import printable
+from palpate.data.source.layout import InputError, from_mapping, read_mapping
+from palpate.estimators.estimate import NINETY, NoEstimate
+from palpate.estimators.force_scale import (
     MASS,
     SHEET_FACTOR,
     STIFFNESS,
@@ -30,9 +32,7 @@ from estimators.force_scale import (
     scale_by_force,
     scale_by_stiffness,
 )
-from estimators.known_force import LEAST_KNOWN, KnownForce, read_forces
-from physics.fields import fits
-from physics.files import read_file
+from palpate.estimators.known_force import LEAST_KNOWN, KnownForce, read_forces
 
 MOST_BYTES = 2**24
 """Of a file of palpations."""

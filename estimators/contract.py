@@ -6,14 +6,14 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from data.clip import ClipStream
-from data.contact.geometry import GeometrySettings
-from data.depth.normalise import DepthSettings
-from data.prepared import PreparedFrame
-from data.settings import PrepareSettings
-from data.source.camera import Camera
-from data.source.layout import ClipLayout
-from estimators.estimate import FrameEstimate, InteractionEstimate
+from palpate.data.clip import ClipStream
+from palpate.data.contact.geometry import GeometrySettings
+from palpate.data.depth.normalise import DepthSettings
+from palpate.data.prepared import PreparedFrame
+from palpate.data.settings import PrepareSettings
+from palpate.data.source.camera import Camera
+from palpate.data.source.layout import ClipLayout
+from palpate.estimators.estimate import FrameEstimate, InteractionEstimate
 
 SMOOTHING = 4.0
 """Default width over which the resting shape is smoothed, where no model tells [grid px]."""
@@ -72,7 +72,7 @@ class ClipInfo:
         return cls(clip.source.fps, clip.source.size, clip.picture_camera, settings.geometry, settings.bridge_frames)
 
 
-Said = FrameEstimate | InteractionEstimate
+Output = FrameEstimate | InteractionEstimate
 
 
 class Session(Protocol):
@@ -82,13 +82,13 @@ class Session(Protocol):
     def seconds(self) -> Mapping[str, float]:
         """Time spent so far by stage [s]."""
 
-    def push(self, frame: PreparedFrame) -> Iterable[Said]:
+    def push(self, frame: PreparedFrame) -> Iterable[Output]:
         """The next frame; gives one `FrameEstimate` for each frame, in order and maybe late, and what has ended.
 
         The frame counts once all that is given has been taken.
         """
 
-    def finish(self) -> Iterable[Said]:
+    def finish(self) -> Iterable[Output]:
         """What is left at the clip's end."""
 
 

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from data.contact.interaction import Interaction
-from estimators.grip.stiffness_field import StiffnessField
-from physics.identifiability import LIMIT, bounds, combination_bounds, covariance, describe, verdict
-from physics.load import PressShape
-from physics.mechanics import PARAMETERS
+from palpate.data.contact.interaction import Interaction
+from palpate.estimators.grip.stiffness_field import StiffnessField
+from palpate.physics.identifiability import LIMIT, bounds, combination_bounds, covariance, describe, verdict
+from palpate.physics.load import PressShape
+from palpate.physics.mechanics import PARAMETERS
 
 NINETY = 1.6448536269514722
 """Standard deviations on either side of the mean that hold 90 % of a normal distribution."""

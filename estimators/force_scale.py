@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimators.estimate import InteractionEstimate, NoEstimate
-from estimators.known_force import LEAST_KNOWN, KnownForce, fit_factor
-from physics.identifiability import LIMIT, covariance
-from physics.mechanics import PARAMETERS
+from palpate.estimators.estimate import InteractionEstimate, NoEstimate
+from palpate.estimators.known_force import LEAST_KNOWN, KnownForce, fit_factor
+from palpate.physics.identifiability import LIMIT, covariance
+from palpate.physics.mechanics import PARAMETERS
 
 SHEET_FACTOR = 0.75
 """k_s over E·thickness: the stiffness of a sheet of the mesh's springs, averaged over directions. With two sides and a

@@ -14,17 +14,17 @@ from itertools import pairwise
 
 import numpy as np
 
-from data.contact.geometry import force_direction
-from data.prepared import PreparedFrame
-from data.windows import FrameWindow
-from estimators.contract import ClipInfo, Said
-from estimators.estimate import Estimate, InteractionEstimate
-from estimators.model_settings import ModelEstimator
-from estimators.runs import Run, RunSession, force_arrow, frame_estimate
-from models.onnx_session import ModelFileError, ParameterModel
-from physics.load import Press, held
-from physics.mechanics import SIGNS
-from physics.msd.simulation import simulate
+from palpate.data.contact.geometry import force_direction
+from palpate.data.prepared import PreparedFrame
+from palpate.data.windows import FrameWindow
+from palpate.estimators.contract import ClipInfo, Output
+from palpate.estimators.estimate import Estimate, InteractionEstimate
+from palpate.estimators.model_settings import ModelEstimator
+from palpate.estimators.runs import Run, RunSession, force_arrow, frame_estimate
+from palpate.models.onnx_session import ModelFileError, ParameterModel
+from palpate.physics.load import Press, held
+from palpate.physics.mechanics import SIGNS
+from palpate.physics.msd.simulation import simulate
 
 OBSERVATIONS = ("final", "release", "trajectory")
 MIN_MAGNITUDE = 1e-12
@@ -74,7 +74,7 @@ class GanSession(RunSession):
         self._log_sum, self._count = np.zeros(3), 0
         """Sum of log |θ| over the frames in contact of the current run, and their number."""
 
-    def push(self, frame: PreparedFrame) -> Iterator[Said]:
+    def push(self, frame: PreparedFrame) -> Iterator[Output]:
         """Pass the next frame; yields the records of the frame before it and of runs that have ended.
 
         Raises:
@@ -84,7 +84,7 @@ class GanSession(RunSession):
             yield from self._pass(*self._held, frame)
         self._held = frame, self._window.push(frame)
 
-    def finish(self) -> Iterator[Said]:
+    def finish(self) -> Iterator[Output]:
         """Yield the records of the last frame and of the run that the clip's end has cut off."""
         if self._held is not None:
             yield from self._pass(*self._held, None)
@@ -93,7 +93,7 @@ class GanSession(RunSession):
 
     def _pass(
         self, current: PreparedFrame, depth: np.ndarray | None, following: PreparedFrame | None
-    ) -> Iterator[Said]:
+    ) -> Iterator[Output]:
         yield from self._ended(self._runs.push(current))
         self._contacts.append((current.out_of_contact, current.in_contact))
         if current.track_start == current.frame.index:

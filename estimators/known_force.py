@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from data.source.table import read_series
-from estimators.estimate import NoEstimate
+from palpate.data.source.table import read_series
+from palpate.estimators.estimate import NoEstimate
 
 COLUMNS = ("time_s", "force_N")
 LEAST_KNOWN = 3

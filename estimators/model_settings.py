@@ -9,17 +9,17 @@ from os.path import isfile
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
-from data.contact.geometry import GeometrySettings
-from data.depth.model import DepthModel
-from data.depth.normalise import DepthSettings
-from data.depth.preset import resolve_model
-from data.masks.onnx import OnnxMasks
-from data.masks.sources import MaskClasses, mask_model
-from data.settings import NUMBERS, PrepareSettings
-from estimators.contract import Chosen
-from models.onnx_session import ExportedModel, ModelFileError
-from physics.fields import fits
-from physics.mechanics import Bounds, Mechanics
+from palpate.common.settings import fits
+from palpate.data.contact.geometry import GeometrySettings
+from palpate.data.depth.model import DepthModel
+from palpate.data.depth.normalise import DepthSettings
+from palpate.data.depth.preset import resolve_model
+from palpate.data.masks.onnx import OnnxMasks
+from palpate.data.masks.sources import MaskClasses, mask_model
+from palpate.data.settings import NUMBERS, PrepareSettings
+from palpate.estimators.contract import Chosen
+from palpate.models.onnx_session import ExportedModel, ModelFileError
+from palpate.physics.mechanics import Bounds, Mechanics
 
 Settings = TypeVar("Settings")
 RETIRED = {"geometry.depth_radius": 0, "geometry.min_displacement": 1e-4}

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from data.contact.interaction import Interaction
-from estimators.estimate import Estimate
-from physics.identifiability import box_information
+from palpate.data.contact.interaction import Interaction
+from palpate.estimators.estimate import Estimate
+from palpate.physics.identifiability import box_information
 
 LARGEST_ANGLE = 5.0
 """Presses at a larger angle to the line of sight are oblique [degrees]: there the bottom of a dent of 0.03 is a whole

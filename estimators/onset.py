@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from data.contact.interaction import Interaction
+from palpate.data.contact.interaction import Interaction
 
 BETWEEN, STAMP = "between", "stamp"
 ONSETS = (BETWEEN, STAMP)

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
-from data.contact.interaction import FIELD, Horizon
-from estimators.contract import Estimator
-from estimators.direct.estimator import DirectEstimator
-from estimators.gan import GanEstimator
-from estimators.network.estimator import NetworkEstimator
-from estimators.online.estimator import OnlineEstimator
-from estimators.online.settings import OnlineSettings, load_settings
-from estimators.onset import BETWEEN, STAMP
-from models.onnx_session import SHIPPED, ModelFileError, PosteriorModel, open_model
+from palpate.data.contact.interaction import FIELD, Horizon
+from palpate.data.settings import PrepareSettings
+from palpate.data.source.camera import load_camera
+from palpate.data.source.layout import ClipLayout, load_layout
+from palpate.estimators.contract import Chosen, Estimator
+from palpate.estimators.direct.estimator import DirectEstimator
+from palpate.estimators.gan import GanEstimator
+from palpate.estimators.model_settings import check_sources
+from palpate.estimators.network.estimator import NetworkEstimator
+from palpate.estimators.online.estimator import OnlineEstimator
+from palpate.estimators.online.settings import OnlineSettings, load_settings
+from palpate.estimators.onset import BETWEEN, STAMP
+from palpate.models.onnx_session import SHIPPED, ModelFileError, PosteriorModel, open_model
 
 OF_THETA = ("network", "gan", "direct")
 """Those that tell stiffness, damping and force of a press."""
@@ -21,6 +26,8 @@ NAMES = (*OF_THETA, "online")
 SHEET, FEM = "sheet", "fem"
 MODELS = (SHEET, FEM)
 """What `direct` fits: a sheet of springs, or a slab of finite elements."""
+DEPTH = {"depth": "source", "depth_model": "model", "depth_preset": "preset", "threads": "threads"}
+"""Arguments of `preparation` that are fields of `DepthSettings`."""
 
 
 @dataclass(frozen=True)
@@ -105,3 +112,46 @@ def _open_online(options: EstimatorOptions) -> OnlineEstimator:
         if getattr(options, name) is not None:
             raise ValueError(f"--{name} is not for --estimator online; leave it out.")
     return OnlineEstimator(OnlineSettings() if options.settings is None else load_settings(options.settings))
+
+
+def preparation(
+    estimator: Estimator,
+    *,
+    masks: str | None = None,
+    layout: str | Path | ClipLayout | None = None,
+    camera: str | Path | None = None,
+    contact: str | None = None,
+    smoothing: float | None = None,
+    **depth: Any,
+) -> PrepareSettings:
+    """How an estimator's frames are prepared, with what is chosen for them; None = the estimator's choice.
+
+    Args:
+        estimator: opened.
+        masks: `annotation`, `automatic`, or a segmentation network's .onnx file.
+        layout: YAML file that names a folder's files, or what such a file says.
+        camera: YAML or JSON file of the camera of clips that bring none of their own.
+        contact: `touching` or `motion`: how a press is found (estimators direct and network).
+        smoothing: width over which the resting shape is smoothed [grid px] (estimators direct and online).
+        depth: of `DEPTH`: where depth comes from (`stored`, a preset's name, or an .onnx file), and how.
+
+    Raises:
+        ValueError: something chosen can't be used, or not by this estimator.
+        TypeError: there is no such choice.
+    """
+    if unknown := set(depth) - set(DEPTH):
+        raise TypeError(f"there is no choice called {', '.join(sorted(unknown))}; choose {', '.join(DEPTH)}.")
+    if smoothing is not None and estimator.name not in ("direct", "online"):
+        raise ValueError(
+            "geometry.smoothing is for --estimator direct and online; a network's preparation is as it was trained."
+        )
+    if contact is not None and estimator.name not in ("direct", "network"):
+        raise ValueError("geometry.contact is for --estimator direct and network; leave it out.")
+    found = layout if isinstance(layout, ClipLayout) else ClipLayout() if layout is None else load_layout(Path(layout))
+    if camera is not None:
+        load_camera(Path(camera))
+        found = replace(found, camera=str(Path(camera).resolve()))
+    chosen = {DEPTH[name]: value for name, value in depth.items() if value is not None}
+    settings = estimator.preparation(Chosen(found, masks, chosen, smoothing, contact))
+    check_sources(settings)
+    return settings

@@ -10,15 +10,15 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from data.contact.evidence import SURE
-from data.contact.geometry import FrameGeometry
-from data.contact.interaction import ContactFrame, Horizon, Interaction, InteractionBuilder
-from data.contact.tissue_points import grid_to_picture
-from data.prepared import OUT_OF_CONTACT, PreparedFrame
-from estimators.contract import ClipInfo
-from estimators.estimate import LARGEST_SLAB_ERROR, Estimate, FrameEstimate, InteractionEstimate, NoEstimate
-from estimators.grip.recorder import GripRecorder
-from physics.mechanics import Bounds, Mechanics
+from palpate.data.contact.evidence import SURE
+from palpate.data.contact.geometry import FrameGeometry
+from palpate.data.contact.interaction import ContactFrame, Horizon, Interaction, InteractionBuilder
+from palpate.data.contact.tissue_points import grid_to_picture
+from palpate.data.prepared import OUT_OF_CONTACT, PreparedFrame
+from palpate.estimators.contract import ClipInfo
+from palpate.estimators.estimate import LARGEST_SLAB_ERROR, Estimate, FrameEstimate, InteractionEstimate, NoEstimate
+from palpate.estimators.grip.recorder import GripRecorder
+from palpate.physics.mechanics import Bounds, Mechanics
 
 NO_ONSET = "The onset of the contact was not observed; without it the rest shape and the load's beginning are unknown."
 UNDECIDED = "Contact is not decided: the instrument hovered, and neither motion nor depth shows whether it touches."

@@ -14,12 +14,13 @@ file_table   what every file of a folder gives, as table.csv
 tables       rows as CSV and as Markdown; page: Markdown and figures as one HTML page
 """
 
-from physics.lazy import exported
+from palpate.common.lazy import exported
 
 __getattr__ = exported(
+    __name__,
     {
-        "evaluation.paper.report": ("write_evaluation",),
-        "evaluation.recovery.suites": ("SUITES",),
-        "evaluation.recovery.scores": ("Scores",),
-    }
+        "palpate.evaluation.paper.report": ("write_evaluation",),
+        "palpate.evaluation.recovery.suites": ("SUITES",),
+        "palpate.evaluation.recovery.scores": ("Scores",),
+    },
 )

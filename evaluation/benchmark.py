@@ -17,7 +17,7 @@ suites:
 
 from __future__ import annotations
 
-from physics.doors import enter_door, run_door
+from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":
     enter_door()  # before the slow imports
@@ -32,27 +32,27 @@ from typing import Any, ClassVar, Literal
 
 from rich.progress import Progress
 
-from data.contact.interaction import CONTACT
-from data.depth.normalise import MOST_THREADS
-from estimators.direct.estimator import LEAST_SIGMA
-from estimators.open import FEM, EstimatorOptions
-from evaluation.harness import OK, Report, Row, require_within, run
-from evaluation.page import as_png
-from evaluation.recovery.constant import constant_estimate
-from evaluation.recovery.details import detail_table
-from evaluation.recovery.estimators import CONSTANT, DIRECT, NAMES, Candidate, describe
-from evaluation.recovery.grips import grip_table
-from evaluation.recovery.scores import Bound, Scores, score_all, table
-from evaluation.recovery.slabs import slab_table
-from evaluation.recovery.suites import (
+from palpate.common.settings import LARGEST
+from palpate.data.contact.interaction import CONTACT
+from palpate.data.depth.normalise import MOST_THREADS
+from palpate.estimators.direct.estimator import LEAST_SIGMA
+from palpate.estimators.open import FEM, EstimatorOptions
+from palpate.evaluation.harness import OK, Report, Row, require_within, run
+from palpate.evaluation.page import as_png
+from palpate.evaluation.recovery.constant import constant_estimate
+from palpate.evaluation.recovery.details import detail_table
+from palpate.evaluation.recovery.estimators import CONSTANT, DIRECT, NAMES, Candidate, describe
+from palpate.evaluation.recovery.grips import grip_table
+from palpate.evaluation.recovery.scores import Bound, Scores, score_all, table
+from palpate.evaluation.recovery.slabs import slab_table
+from palpate.evaluation.recovery.suites import (
     EVERY,
     GRID_SIZE,
     LARGEST_SEED,
     SUITES,
     suite_clip_seed,
 )
-from evaluation.recovery.trial import MOTION, Trial, run_trial
-from physics.fields import LARGEST
+from palpate.evaluation.recovery.trial import MOTION, Trial, run_trial
 
 LARGEST_SIZE = 4096
 """Of pictures [px]."""
@@ -100,7 +100,8 @@ class Benchmark:
     observation: Literal["field", "contact"] | None = None
     """what direct and network look at: the whole dent (field, default), or the point that was touched (contact)"""
     bound: Literal["field", "contact"] = "field"
-    """Cramér–Rao bound that errors are compared with: of the film of the whole dent, or of the contact's point; with
+    """Cramér–Rao bound that errors are compared with: of the sequence of the whole dent, or of the contact's point;
+    with
     --onset between, of somebody who doesn't know the instants either"""
     size: str = "214x120"
     """width and height of the pictures; 854x480 is CholecSeg8k's"""
@@ -222,7 +223,7 @@ class Benchmark:
 
     def report(self, rows: Mapping[tuple, Row]) -> Report:
         """Tables of presses, of grips and of slabs, and figures of presses."""
-        from evaluation.recovery.figures import figures
+        from palpate.evaluation.recovery.figures import figures
 
         order = sorted(self.wanted, key=lambda key: (NAMES.index(key[2]), self.suites.index(key[0]), key[1]))
         found = [rows[key] for key in order if key in rows]
@@ -261,7 +262,7 @@ def _failures(rows: Sequence[Row]) -> list[tuple[str, str]]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the benchmark that the command line asks for; returns the exit status."""
-    return run(Benchmark, arguments, "evaluation.benchmark", DOCUMENTATION)
+    return run(Benchmark, arguments, "palpate.evaluation.benchmark", DOCUMENTATION)
 
 
 if __name__ == "__main__":

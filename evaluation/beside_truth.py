@@ -8,7 +8,7 @@ files. Exit status: 0 all shown; 1 some are of no such clip, or have no estimate
 
 from __future__ import annotations
 
-from physics.doors import enter_door, run_door
+from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":
     enter_door()  # before the slow imports
@@ -26,14 +26,14 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from data.command_line import path_option, say
-from data.source.table import MOST_BYTES, reason
-from estimators.estimate import COMBINATIONS, REPORTED, SYMBOLS
-from physics.doors import plain
-from physics.fields import LARGEST
-from physics.files import read_file
-from physics.mechanics import PARAMETERS
-from results.store import INTERACTIONS, RECORD
+from palpate.common.command_line import path_option, say
+from palpate.common.doors import plain
+from palpate.common.files import read_file
+from palpate.common.settings import LARGEST
+from palpate.data.source.table import MOST_BYTES, reason
+from palpate.estimators.estimate import COMBINATIONS, REPORTED, SYMBOLS
+from palpate.physics.mechanics import PARAMETERS
+from palpate.results.store import INTERACTIONS, RECORD
 
 UNIT = {"damping_over_stiffness": "s"}
 """Of quantities that are not in scene units alone."""

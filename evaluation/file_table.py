@@ -8,12 +8,12 @@ from pathlib import Path
 
 from rich.console import Console
 
-from data.command_line import path_option, say
-from data.source.layout import InputError
-from evaluation.tables import to_csv
-from physics.doors import interruptible
-from physics.ownership import replacing_own, require_own
-from results.store import writing
+from palpate.common.command_line import path_option, say
+from palpate.common.doors import interruptible
+from palpate.common.output import replacing_own, require_own
+from palpate.common.tables import to_csv
+from palpate.data.source.layout import InputError
+from palpate.results.store import writing
 
 COLUMNS = ("file", "measure", "value")
 

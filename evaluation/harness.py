@@ -25,17 +25,17 @@ from rich.progress import Progress
 from rich.table import Table
 from rich.text import Text
 
-from data.command_line import progress_bars, say
-from data.source.layout import InputError
-from estimators.worker_pool import WorkerLost, run_tasks
-from evaluation.page import render_page
-from evaluation.tables import to_cell
-from models.onnx_session import ModelFileError
-from physics.doors import INTERRUPTED, interruptible, plain
-from physics.files import as_json, read_file, replacing
-from physics.ownership import replacing_own, require_own
-from physics.provenance import code_digest
-from results.store import OutputError, writing
+from palpate.common.command_line import progress_bars, say
+from palpate.common.doors import INTERRUPTED, interruptible, plain
+from palpate.common.files import as_json, read_file, replacing
+from palpate.common.output import replacing_own, require_own
+from palpate.common.provenance import code_digest
+from palpate.common.tables import to_cell
+from palpate.common.workers import WorkerLost, run_tasks
+from palpate.data.source.layout import InputError
+from palpate.evaluation.page import render_page
+from palpate.models.onnx_session import ModelFileError
+from palpate.results.store import OutputError, writing
 
 RESULTS, RECORD = "results.jsonl", "run.json"
 FORMAT_VERSION = 5
@@ -181,9 +181,9 @@ class _Formatter(argparse.RawDescriptionHelpFormatter, argparse.ArgumentDefaults
 
 
 class _Parser(ArgumentParser):
-    def format_help(self, formatter: argparse.HelpFormatter | None = None) -> str:
+    def format_help(self, *arguments: Any, **options: Any) -> str:
         """As jsonargparse has it, with options spelt as a user writes them."""
-        text = re.sub(r"--\w+", lambda option: option[0].replace("_", "-"), super().format_help(formatter))
+        text = re.sub(r"--\w+", lambda option: option[0].replace("_", "-"), super().format_help(*arguments, **options))
         return text.replace("[ITEM,...]", "NAME …    ")
 
 

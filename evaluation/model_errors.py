@@ -12,7 +12,7 @@ thickness (minutes a clip).
 
 from __future__ import annotations
 
-from physics.doors import enter_door, run_door
+from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":
     enter_door()  # before the slow imports
@@ -28,13 +28,13 @@ import numpy as np
 import yaml
 from rich.console import Console
 
-from data.command_line import path_option, progress_bars, say, whole_number
-from estimators.model_errors import FILE, read_entries
-from estimators.open import FEM, EstimatorOptions
-from evaluation.harness import Row
-from evaluation.recovery.suites import EVERY, LARGEST_SEED, suite_clip_seed
-from evaluation.recovery.trial import Trial, run_trial
-from physics.files import replacing
+from palpate.common.command_line import path_option, progress_bars, say, whole_number
+from palpate.common.files import replacing
+from palpate.estimators.model_errors import FILE, read_entries
+from palpate.estimators.open import FEM, EstimatorOptions
+from palpate.evaluation.harness import Row
+from palpate.evaluation.recovery.suites import EVERY, LARGEST_SEED, suite_clip_seed
+from palpate.evaluation.recovery.trial import Trial, run_trial
 
 SPLIT = "validation"
 PARTS = {"grip": ("retraction", "foundation", "regions"), "pull": ("fem",)}

@@ -12,17 +12,18 @@ onnx_session    runs an exported network, without torch
 weights/        the networks that ship with the program, and their model cards
 """
 
-from physics.lazy import exported
+from palpate.common.lazy import exported
 
 __getattr__ = exported(
+    __name__,
     {
-        "models.generator": ("Generator",),
-        "models.discriminator": ("PatchDiscriminator",),
-        "models.posterior": ("ContactPosterior",),
-        "models.module": ("PhysicsInformedGAN",),
-        "models.losses": ("LossWeights",),
-        "models.calibration": ("Calibration",),
-        "models.onnx_export": ("export",),
-        "models.onnx_session": ("ModelFileError", "ParameterModel", "PosteriorModel", "open_model"),
-    }
+        "palpate.models.generator": ("Generator",),
+        "palpate.models.discriminator": ("PatchDiscriminator",),
+        "palpate.models.posterior": ("ContactPosterior",),
+        "palpate.models.module": ("PhysicsInformedGAN",),
+        "palpate.models.losses": ("LossWeights",),
+        "palpate.models.calibration": ("Calibration",),
+        "palpate.models.onnx_export": ("export",),
+        "palpate.models.onnx_session": ("ModelFileError", "ParameterModel", "PosteriorModel", "open_model"),
+    },
 )

@@ -15,7 +15,7 @@ from statistics import NormalDist
 import numpy as np
 from scipy.optimize import minimize
 
-from models.calibration import LOG_DAMPING, Widths
+from palpate.models.calibration import LOG_DAMPING, Widths
 
 LEVEL = 0.9
 """Share of truths that the calibrated intervals hold."""

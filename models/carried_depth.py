@@ -16,9 +16,9 @@ from kornia.geometry.camera.perspective import project_points
 from kornia.geometry.transform import remap
 from torch import Tensor
 
-from physics.mechanics import Mechanics
-from physics.msd import rollout
-from physics.msd.batch import MeshBatch, PressBatch
+from palpate.physics.mechanics import Mechanics
+from palpate.physics.msd import rollout
+from palpate.physics.msd.batch import MeshBatch, PressBatch
 
 CARRIED_RADIUS = 12
 """Vertices up to this many rows and columns from the contact are carried [grid px]."""

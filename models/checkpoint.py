@@ -13,10 +13,10 @@ from typing import Any
 import torch
 import yaml
 
-from models.generator import Generator
-from models.onnx_session import METADATA_KEY
-from models.posterior import ContactPosterior
-from physics.mechanics import Bounds, Mechanics
+from palpate.models.generator import Generator
+from palpate.models.onnx_session import METADATA_KEY
+from palpate.models.posterior import ContactPosterior
+from palpate.physics.mechanics import Bounds, Mechanics
 
 FIXED = (
     *("window", "width", "residual_blocks", "decoder", "head", "picture"),

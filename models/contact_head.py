@@ -6,8 +6,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from models.posterior import ContactPosterior
-from physics.mechanics import SIGNS, Bounds
+from palpate.models.posterior import ContactPosterior
+from palpate.physics.mechanics import SIGNS, Bounds
 
 
 class ContactHead(nn.Module):

@@ -10,7 +10,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from models.posterior import evidence_loss
+from palpate.models.posterior import evidence_loss
 
 MAX_MEAN_STEP = 1.0
 """A mean moves at most this far at once in any log-parameter, because the linearisation holds no farther."""

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from physics.identifiability import LIMIT, RATIOS, bounds, ratio_bounds
+from palpate.physics.identifiability import LIMIT, RATIOS, bounds, ratio_bounds
 
 MAX_LOG_DISTANCE = 2.0
 """Log bounds farther than this from the limit are clipped to it: no verdict depends on them."""

@@ -11,9 +11,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from models.contact_head import ContactHead
-from models.posterior import ContactPosterior
-from physics.mechanics import Bounds
+from palpate.models.contact_head import ContactHead
+from palpate.models.posterior import ContactPosterior
+from palpate.physics.mechanics import Bounds
 
 SMALLEST_SIDE = 16
 """Smallest height and width [pixels]: the features are a quarter of that and still leave a variance to normalise by."""

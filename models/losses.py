@@ -14,11 +14,11 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
-from models.evidence import negative_evidence
-from physics.mechanics import SIGNS, Bounds, Mechanics
-from physics.msd import rollout, rollout_sensitivities
-from physics.msd.batch import DepthBatch, MeshBatch, ObservationBatch, PressBatch
-from physics.msd.likelihoods import displacement_error, linearise, linearise_depth
+from palpate.models.evidence import negative_evidence
+from palpate.physics.mechanics import SIGNS, Bounds, Mechanics
+from palpate.physics.msd import rollout, rollout_sensitivities
+from palpate.physics.msd.batch import DepthBatch, MeshBatch, ObservationBatch, PressBatch
+from palpate.physics.msd.likelihoods import displacement_error, linearise, linearise_depth
 
 
 @dataclass(frozen=True)

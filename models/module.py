@@ -11,13 +11,13 @@ from lightning.pytorch import LightningModule
 from lightning.pytorch.core.optimizer import LightningOptimizer
 from torch import Tensor
 
-from models.augmentation import AugmentationSettings, WindowAugmentation
-from models.carried_depth import change_of, shifted
-from models.checkpoint import load_posterior
-from models.discriminator import PatchDiscriminator
-from models.expected_bound import bound_loss
-from models.generator import Generator, HeadOutput
-from models.losses import (
+from palpate.models.augmentation import AugmentationSettings, WindowAugmentation
+from palpate.models.carried_depth import change_of, shifted
+from palpate.models.checkpoint import load_posterior
+from palpate.models.discriminator import PatchDiscriminator
+from palpate.models.expected_bound import bound_loss
+from palpate.models.generator import Generator, HeadOutput
+from palpate.models.losses import (
     LossTerms,
     LossWeights,
     cycle_loss,
@@ -29,9 +29,9 @@ from models.losses import (
     posterior_physics_loss,
     regularisation_loss,
 )
-from models.onnx_session import SHIPPED
-from models.records import pair_records
-from physics.mechanics import PARAMETERS, Bounds, Mechanics
+from palpate.models.onnx_session import SHIPPED
+from palpate.models.records import pair_records
+from palpate.physics.mechanics import PARAMETERS, Bounds, Mechanics
 
 
 class TrainingDiverged(ValueError):

@@ -13,10 +13,10 @@ import onnx
 import torch
 from torch import Tensor, nn
 
-from models.calibration import LOG_DAMPING, Calibration, Widths
-from models.onnx_export import PARITY_TOLERANCE, ParityError, require_own_model, to_onnx
-from models.onnx_session import CONTACT, INPUT, LOG_COVARIANCE, LOG_MEAN, METADATA_KEY, PosteriorModel
-from physics.files import as_json, replacing
+from palpate.common.files import as_json, replacing
+from palpate.models.calibration import LOG_DAMPING, Calibration, Widths
+from palpate.models.onnx_export import PARITY_TOLERANCE, ParityError, require_own_model, to_onnx
+from palpate.models.onnx_session import CONTACT, INPUT, LOG_COVARIANCE, LOG_MEAN, METADATA_KEY, PosteriorModel
 
 NAME_PREFIX = "calibration/"
 """Prefix of the names of nodes that calibration adds to a file."""

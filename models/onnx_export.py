@@ -22,9 +22,11 @@ import onnxruntime
 import torch
 from torch import Tensor, nn
 
-from models.calibration import Calibration
-from models.generator import Generator, ParameterHead
-from models.onnx_session import (
+from palpate.common.files import as_json, read_file, replacing
+from palpate.common.output import ForeignFile
+from palpate.models.calibration import Calibration
+from palpate.models.generator import Generator, ParameterHead
+from palpate.models.onnx_session import (
     CONTACT,
     EXPECTED_BOUND,
     FORMAT_VERSION,
@@ -36,9 +38,7 @@ from models.onnx_session import (
     ParameterModel,
     PosteriorModel,
 )
-from models.posterior import ContactPosterior
-from physics.files import as_json, read_file, replacing
-from physics.ownership import ForeignFile
+from palpate.models.posterior import ContactPosterior
 
 OPSET = 18
 PARITY_BATCHES = (1, 2, 7)

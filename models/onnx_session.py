@@ -18,9 +18,9 @@ from typing import Any, Literal
 import numpy as np
 import onnxruntime
 
-from models.calibration import Widths
-from physics.fields import fits
-from physics.files import as_json, read_file
+from palpate.common.files import as_json, read_file
+from palpate.common.settings import fits
+from palpate.models.calibration import Widths
 
 SHIPPED = Path(__file__).resolve().parent / "weights" / "contact.onnx"
 """The contact posterior that ships with the program; its model card lies in the same folder."""

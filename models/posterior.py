@@ -11,7 +11,7 @@ import math
 import torch
 from torch import Tensor, nn
 
-from physics.identifiability import LIMIT
+from palpate.physics.identifiability import LIMIT
 
 LOG_SD_RANGE = (-5.0, 1.0)
 """Diagonal of a covariance's factor, in logarithms: standard deviations between 0.7 % and a factor e^2.7."""

@@ -9,13 +9,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from models.carried_depth import change_of, shifted
-from models.generator import Generator
-from models.losses import masked_l1
-from physics.mechanics import REFERENCE_DAMPING, REFERENCE_STIFFNESS, Mechanics
-from physics.msd import rollout
-from physics.msd.likelihoods import displacement_error
-from physics.observation import Observation
+from palpate.models.carried_depth import change_of, shifted
+from palpate.models.generator import Generator
+from palpate.models.losses import masked_l1
+from palpate.physics.mechanics import REFERENCE_DAMPING, REFERENCE_STIFFNESS, Mechanics
+from palpate.physics.msd import rollout
+from palpate.physics.msd.likelihoods import displacement_error
+from palpate.physics.observation import Observation
 
 
 def with_reference_tissue(theta: Tensor) -> Tensor:

@@ -12,19 +12,19 @@ endless_sheet    how such a sheet without an end answers a force
 fem              soft bodies of tetrahedra: laws, rest, motion, exact derivatives
 pbd              extended position-based dynamics: particles that constraints join, fields of stiffness, adjoint
 msd              mass–spring–damper sheets, with a numpy door and a torch door
-jit              compiled loops; lazy: package faces; provenance: digest of the code
 files            whole files or none, and reading that ends; ownership: which of them may be replaced
 fields           values of settings; doors: how programs end
 """
 
-from physics.lazy import exported
+from palpate.common.lazy import exported
 
 __getattr__ = exported(
+    __name__,
     {
-        "physics.mesh": ("Mesh", "contact_normal", "grid_mesh", "nearest_vertex"),
-        "physics.load": ("Grip", "Press", "PressShape", "held", "ramped"),
-        "physics.observation": ("Observation",),
-        "physics.likelihood": ("Likelihood",),
-        "physics.mechanics": ("Bounds", "Mechanics"),
-    }
+        "palpate.physics.mesh": ("Mesh", "contact_normal", "grid_mesh", "nearest_vertex"),
+        "palpate.physics.load": ("Grip", "Press", "PressShape", "held", "ramped"),
+        "palpate.physics.observation": ("Observation",),
+        "palpate.physics.likelihood": ("Likelihood",),
+        "palpate.physics.mechanics": ("Bounds", "Mechanics"),
+    },
 )

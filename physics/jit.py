@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from physics.provenance import code_digest
+from palpate.common.provenance import code_digest
 
 try:
     import fcntl

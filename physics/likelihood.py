@@ -10,12 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from physics.identifiability import fisher_information, log_jacobian
-from physics.load import Press
-from physics.mechanics import Mechanics, theta_of
-from physics.mesh import Mesh
-from physics.msd.simulation import is_chaotic, simulate_sensitivities
-from physics.observation import Observation
+from palpate.physics.identifiability import fisher_information, log_jacobian
+from palpate.physics.load import Press
+from palpate.physics.mechanics import Mechanics, theta_of
+from palpate.physics.mesh import Mesh
+from palpate.physics.msd.simulation import is_chaotic, simulate_sensitivities
+from palpate.physics.observation import Observation
 
 
 class Linearised(NamedTuple):

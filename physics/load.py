@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from physics.mesh import Mesh
+from palpate.physics.mesh import Mesh
 
 
 @dataclass(frozen=True, eq=False)

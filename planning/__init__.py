@@ -7,13 +7,14 @@ roadmap    probabilistic road map and A*
 pictures   the plan drawn
 """
 
-from physics.lazy import exported
+from palpate.common.lazy import exported
 
 __getattr__ = exported(
+    __name__,
     {
-        "planning.scene": ("PlanScene", "SoftObject", "read_plan_scene"),
-        "planning.press": ("PressCurve", "simulate_press"),
-        "planning.cost_table": ("CostTable", "open_table"),
-        "planning.roadmap": ("Blocked", "Plan", "find_plan"),
-    }
+        "palpate.planning.scene": ("PlanScene", "SoftObject", "read_plan_scene"),
+        "palpate.planning.press": ("PressCurve", "simulate_press"),
+        "palpate.planning.cost_table": ("CostTable", "open_table"),
+        "palpate.planning.roadmap": ("Blocked", "Plan", "find_plan"),
+    },
 )

@@ -15,11 +15,11 @@ from pathlib import Path
 
 import numpy as np
 
-from physics.files import digest_of
-from physics.ownership import replacing_own, require_own
-from physics.provenance import code_digest
-from planning.press import MOST_FORCE, STEPS, simulate_press
-from planning.scene import SoftObject
+from palpate.common.files import digest_of
+from palpate.common.output import replacing_own, require_own
+from palpate.common.provenance import code_digest
+from palpate.planning.press import MOST_FORCE, STEPS, simulate_press
+from palpate.planning.scene import SoftObject
 
 PLACES = 9
 """Along the width, ends included."""

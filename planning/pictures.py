@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from planning.press import PressCurve
-from planning.roadmap import MILLI, Plan
-from planning.scene import Placed, PlanScene
+from palpate.planning.press import PressCurve
+from palpate.planning.roadmap import MILLI, Plan
+from palpate.planning.scene import Placed, PlanScene
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

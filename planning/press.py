@@ -12,9 +12,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from estimators.palpation import Skin, cover
-from physics.fem import Material, NoEquilibrium, box, find_equilibrium, make_solid
-from planning.scene import SoftObject
+from palpate.estimators.palpation import Skin, cover
+from palpate.physics.fem import Material, NoEquilibrium, box, find_equilibrium, make_solid
+from palpate.planning.scene import SoftObject
 
 MOST_FORCE = 20.0
 """[N]."""

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import KDTree
 
-from planning.cost_table import CostTable
-from planning.scene import Placed, PlanScene
+from palpate.planning.cost_table import CostTable
+from palpate.planning.scene import Placed, PlanScene
 
 NODES, NEIGHBOURS = 300, 10
 MILLI = 1000.0

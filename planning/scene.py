@@ -12,9 +12,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from data.source.images import printable
-from data.source.layout import InputError, from_mapping, read_mapping
-from estimators.palpation.scene import YOUNG
+from palpate.data.source.images import printable
+from palpate.data.source.layout import InputError, from_mapping, read_mapping
+from palpate.estimators.palpation.scene import YOUNG
 
 Side = Literal["bottom", "top", "left", "right"]
 Pair = tuple[float, float]

@@ -11,14 +11,15 @@ overlay   the video; field_overlay, stiffness_overlay: stiffness on it; spool: f
 field_file  stiffness in fields.npz
 """
 
-from physics.lazy import exported
+from palpate.common.lazy import exported
 
 __getattr__ = exported(
+    __name__,
     {
-        "results.writer": ("ClipResults",),
-        "results.store": ("OutputError", "ResultStore", "read_record"),
-        "results.columns": ("FRAMES", "INTERACTIONS"),
-        "results.overlay": ("draw_overlay", "open_video"),
-        "results.plots": ("draw_fits", "draw_summary", "write_figure"),
-    }
+        "palpate.results.writer": ("ClipResults",),
+        "palpate.results.store": ("OutputError", "ResultStore", "read_record"),
+        "palpate.results.columns": ("FRAMES", "INTERACTIONS"),
+        "palpate.results.overlay": ("draw_overlay", "open_video"),
+        "palpate.results.plots": ("draw_fits", "draw_summary", "write_figure"),
+    },
 )

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from data.prepared import PreparedFrame
-from estimators.calibration_file import Calibration
-from estimators.dent import DentRecorder
-from estimators.estimate import NINETY, GripEstimate, InteractionEstimate, NoEstimate
-from estimators.force_scale import ClipLength, ForceScale, Physical, PressedRun
-from estimators.known_force import KnownForce, predict_force
-from physics.mechanics import PARAMETERS
+from palpate.data.prepared import PreparedFrame
+from palpate.estimators.calibration_file import Calibration
+from palpate.estimators.dent import DentRecorder
+from palpate.estimators.estimate import NINETY, GripEstimate, InteractionEstimate, NoEstimate
+from palpate.estimators.force_scale import ClipLength, ForceScale, Physical, PressedRun
+from palpate.estimators.known_force import KnownForce, predict_force
+from palpate.physics.mechanics import PARAMETERS
 
 CALIBRATED: dict[str, str] = {
     "onset_frame": "number of the run's first frame in contact",

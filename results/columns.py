@@ -5,9 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from estimators.estimate import LEAST_SKILL, NINETY, REPORTED, SYMBOLS, FieldEstimate, GripEstimate, InteractionEstimate
-from estimators.known_force import KnownForce, predict_force
-from physics.mechanics import PARAMETERS
+from palpate.estimators.estimate import (
+    LEAST_SKILL,
+    NINETY,
+    REPORTED,
+    SYMBOLS,
+    FieldEstimate,
+    GripEstimate,
+    InteractionEstimate,
+)
+from palpate.estimators.known_force import KnownForce, predict_force
+from palpate.physics.mechanics import PARAMETERS
 
 ESTIMATED = {
     column: text.format(SYMBOLS[name])
@@ -86,7 +94,8 @@ FRAMES: dict[str, str] = {
     "time_s": "s",
     **ESTIMATED,
     "contact": "1 or 0; empty: undecided",
-    "contact_probability": "that tissue beside the tool moves with it or sinks under it; below 0.5 it hovers; empty: no contact to judge",
+    "contact_probability": "that tissue next to the tool moves with it or sinks under it; below 0.5 it hovers; "
+    "empty: no contact to judge",
     "contact_distance": "scene units",
     "contact_u": "px of the source frame, column",
     "contact_v": "px of the source frame, row",
@@ -116,7 +125,7 @@ INTERACTIONS: dict[str, str] = {
     "explanation": "which products of k_s, k_d and F are determined, with their relative errors",
     "noise": "standard deviation of every observed coordinate, scene units",
     "misfit": "root mean square of observed minus simulated displacement along the force over the noise; 1: it fits",
-    "outliers": "share of the film's pixels that lie so far from the fit that they count less; empty: all count alike",
+    "outliers": "share of the observed pixels so far from the fit that they count less; empty: all count equally",
     "modes": "tissues far apart that explain the motion about as well; above 1 the intervals span them all",
     "at_bound": "parameters that lie at the end of their admissible range",
     "status": "ok or no_estimate",

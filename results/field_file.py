@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from estimators.estimate import ParticleField
+from palpate.estimators.estimate import ParticleField
 
 
 class FieldFile:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from data.labels import TOOL
-from estimators.estimate import ParticleField
+from palpate.data.labels import TOOL
+from palpate.estimators.estimate import ParticleField
 
 OPACITY = 0.55
 RANGE = 4.0

@@ -15,12 +15,12 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from data.labels import TISSUE, TOOL
-from estimators.estimate import FrameEstimate, ParticleField
-from results.columns import UNITS
-from results.field_overlay import RANGE, draw_field
-from results.stiffness_overlay import StiffnessMap
-from results.verdicts import COLORS, FAR, MEANINGS, Color, in_words, is_far, numbers, state
+from palpate.data.labels import TISSUE, TOOL
+from palpate.estimators.estimate import FrameEstimate, ParticleField
+from palpate.results.columns import UNITS
+from palpate.results.field_overlay import RANGE, draw_field
+from palpate.results.stiffness_overlay import StiffnessMap
+from palpate.results.verdicts import COLORS, FAR, MEANINGS, Color, in_words, is_far, numbers, state
 
 try:
     import av

@@ -14,13 +14,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from data.contact.interaction import Interaction
-from estimators.estimate import LEAST_SKILL, NINETY, FieldEstimate, FrameEstimate, GripEstimate, InteractionEstimate
-from estimators.grip.stiffness_field import StiffnessField
-from estimators.known_force import KnownForce
-from results.calibrated import Curve
-from results.columns import UNITS
-from results.verdicts import COLORS, FAR, digits, in_words, is_far, numbers, state
+from palpate.data.contact.interaction import Interaction
+from palpate.estimators.estimate import (
+    LEAST_SKILL,
+    NINETY,
+    FieldEstimate,
+    FrameEstimate,
+    GripEstimate,
+    InteractionEstimate,
+)
+from palpate.estimators.grip.stiffness_field import StiffnessField
+from palpate.estimators.known_force import KnownForce
+from palpate.results.calibrated import Curve
+from palpate.results.columns import UNITS
+from palpate.results.verdicts import COLORS, FAR, digits, in_words, is_far, numbers, state
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -14,18 +14,18 @@ from os.path import isfile
 from pathlib import Path
 from typing import Any
 
-from data.clip import ClipStream
-from data.settings import PREPROCESSING_VERSION, PrepareSettings
-from data.source.frames import FrameSource
-from data.source.images import MOST_BYTES
-from estimators.contract import Estimator
-from estimators.estimate import FrameEstimate
-from models.onnx_session import ExportedModel, PosteriorModel
-from physics.files import all_below, digest_of, file_sha256
-from physics.provenance import code_digest
-from results import columns
-from results.store import INTERACTIONS, PROGRAM, TABLE, WRITTEN, own_files
-from results.writer import ClipResults
+from palpate.common.files import all_below, digest_of, file_sha256
+from palpate.common.provenance import code_digest
+from palpate.data.clip import ClipStream
+from palpate.data.settings import PREPROCESSING_VERSION, PrepareSettings
+from palpate.data.source.frames import FrameSource
+from palpate.data.source.images import MOST_BYTES
+from palpate.estimators.contract import Estimator
+from palpate.estimators.estimate import FrameEstimate
+from palpate.models.onnx_session import ExportedModel, PosteriorModel
+from palpate.results import columns
+from palpate.results.store import INTERACTIONS, PROGRAM, TABLE, WRITTEN, own_files
+from palpate.results.writer import ClipResults
 
 FORMAT_VERSION = 1
 """Version of the record's layout."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -16,24 +16,22 @@ from rich.progress import Progress
 from rich.table import Table
 from rich.text import Text
 
-from data.clip import ClipStream
-from data.command_line import progress_bars, say
-from data.prepared import PreparedFrame
-from data.source.camera import load_camera
-from data.source.frames import discover, open_source
-from data.source.images import printable
-from data.source.layout import ClipLayout, load_layout
-from estimators.calibration_file import Calibration, read_calibration
-from estimators.contract import Chosen, ClipInfo, Said
-from estimators.estimate import FrameEstimate
-from estimators.known_force import read_forces
-from estimators.model_settings import check_sources
-from estimators.open import EstimatorOptions, open_estimator
-from physics.doors import INTERRUPTED, interruptible, plain
-from physics.files import file_sha256
-from results.calibrated import ClipCalibration, carried_from, comparison_sentence
-from results.record import build_record, depends_on, describe, fingerprint_of, model_of
-from results.store import (
+from palpate.common.command_line import progress_bars, say
+from palpate.common.doors import INTERRUPTED, interruptible, plain
+from palpate.common.files import file_sha256
+from palpate.data.clip import ClipStream
+from palpate.data.prepared import PreparedFrame
+from palpate.data.source.frames import discover, open_source
+from palpate.data.source.images import printable
+from palpate.estimators.calibration_file import Calibration, read_calibration
+from palpate.estimators.contract import ClipInfo, Output
+from palpate.estimators.estimate import FrameEstimate
+from palpate.estimators.known_force import read_forces
+from palpate.estimators.open import DEPTH, EstimatorOptions, open_estimator, preparation
+from palpate.estimators.session import estimates_of
+from palpate.results.calibrated import ClipCalibration, carried_from, comparison_sentence
+from palpate.results.record import build_record, depends_on, describe, fingerprint_of, model_of
+from palpate.results.store import (
     CALIBRATED,
     COMPARED,
     COMPARISON,
@@ -46,7 +44,7 @@ from results.store import (
     is_up_to_date,
     read_record,
 )
-from results.writer import ClipResults
+from palpate.results.writer import ClipResults
 
 WORDS = {
     "depth.model": "--depth-model",
@@ -106,23 +104,14 @@ class Batch:
                 thickness=options.thickness,
             )
         )
-        if options.smoothing is not None and self.estimator.name not in ("direct", "online"):
-            raise ValueError(
-                "--smoothing is for --estimator direct and online; a network's preparation is as it was trained."
-            )
-        if options.contact is not None and self.estimator.name not in ("direct", "network"):
-            raise ValueError("--contact is for --estimator direct and network; leave it out.")
         if self.calibration is not None and self.estimator.name == "online":
             raise ValueError("--calibration is for estimators of forces; --estimator online knows none, leave it out.")
         if self.calibration is not None and self.known is not None:
             raise ValueError(
                 "--known-force and --calibration both tell newtons; give known forces in the latter's file."
             )
-        depth = {"source": options.depth, "model": options.depth_model, "preset": options.depth_preset}
-        depth = {name: value for name, value in depth.items() if value is not None} | {"threads": options.threads}
-        chosen = Chosen(_chosen_layout(options), options.masks, depth, options.smoothing, options.contact)
-        self.settings = self.estimator.preparation(chosen)
-        check_sources(self.settings)
+        chosen = ("masks", "layout", "camera", "contact", "smoothing", *DEPTH)
+        self.settings = preparation(self.estimator, **{name: getattr(options, name) for name in chosen})
         self.store = ResultStore(options.output)
         self.fields = self.estimator.name == "online"
 
@@ -149,11 +138,8 @@ class Batch:
                 clip, started = ClipStream(source, self.settings), time.perf_counter()
                 session = self.estimator.start(ClipInfo.of(clip))
                 frames: deque[PreparedFrame] = deque()
-                for frame in clip:
-                    frames.append(frame)
-                    _write(results, frames, session.push(frame))
-                    progress.advance(task)
-                _write(results, frames, session.finish())
+                for item in estimates_of(session, _kept(clip, frames, lambda: progress.advance(task))):
+                    _write(results, frames, item)
                 if self.calibration is not None:
                     stored = clip.sources["depth"] == "stored"
                     results.calibrate(self.calibration.length(clip.scale, clip.metric, stored))
@@ -278,13 +264,20 @@ def counts_of(record: Mapping[str, Any]) -> dict[str, int]:
     )
 
 
-def _write(results: ClipResults, frames: deque[PreparedFrame], said: Iterable[Said]) -> None:
-    """Write what a session says; its frames' estimates come in order."""
-    for item in said:
-        if isinstance(item, FrameEstimate):
-            results.write(frames.popleft(), item)
-        else:
-            results.add(replace(item, detail=in_options(item.detail)))
+def _kept(clip: ClipStream, frames: deque[PreparedFrame], done: Callable[[], None]) -> Iterator[PreparedFrame]:
+    """A clip's frames, each of which is kept until its estimate is written."""
+    for frame in clip:
+        frames.append(frame)
+        yield frame
+        done()
+
+
+def _write(results: ClipResults, frames: deque[PreparedFrame], item: Output) -> None:
+    """Write an estimate; those of frames come in order."""
+    if isinstance(item, FrameEstimate):
+        results.write(frames.popleft(), item)
+    else:
+        results.add(replace(item, detail=in_options(item.detail)))
 
 
 def run(options: argparse.Namespace) -> int:
@@ -311,19 +304,6 @@ def run(options: argparse.Namespace) -> int:
         say(console, f"Interrupted: {finished} of {len(paths)} clips are complete; run the same command to continue.")
         return INTERRUPTED
     return int(any(outcome.state == FAILED for outcome in outcomes))
-
-
-def _chosen_layout(options: argparse.Namespace) -> ClipLayout:
-    """How the clips' files are named, with the camera given on the command line.
-
-    Raises:
-        ValueError: a file can't be used.
-    """
-    layout = load_layout(options.layout) if options.layout else ClipLayout()
-    if options.camera:
-        load_camera(options.camera)
-        layout = replace(layout, camera=str(options.camera.resolve()))
-    return layout
 
 
 def _table(outcomes: list[Outcome]) -> Table:

@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 from scipy.spatial import KDTree
 
-from data.labels import TOOL
-from estimators.estimate import GripEstimate
-from estimators.grip.stiffness_field import StiffnessField
-from results.field_overlay import painted
+from palpate.data.labels import TOOL
+from palpate.estimators.estimate import GripEstimate
+from palpate.estimators.grip.stiffness_field import StiffnessField
+from palpate.results.field_overlay import painted
 
 STEP = 16
 """Side of the map's squares [px of the field's picture]."""

@@ -15,8 +15,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from physics.files import as_json, file_sha256, read_file
-from physics.ownership import ForeignFile
+from palpate.common.files import as_json, file_sha256, read_file
+from palpate.common.output import ForeignFile
 
 TABLE, OVERLAY, SUMMARY, RECORD = "parameters.csv", "overlay.mp4", "summary.png", "run.json"
 INTERACTIONS, FIT, FORCES, FIELDS = "interactions.csv", "fit.png", "forces.csv", "fields.npz"

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from estimators.estimate import SYMBOLS, FrameEstimate, InteractionEstimate
-from physics.mechanics import PARAMETERS
+from palpate.estimators.estimate import SYMBOLS, FrameEstimate, InteractionEstimate
+from palpate.physics.mechanics import PARAMETERS
 
 Color = tuple[int, int, int]
 

@@ -11,19 +11,19 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from data.prepared import PreparedFrame
-from estimators.estimate import FrameEstimate, InteractionEstimate, NoEstimate
-from estimators.force_scale import ClipLength
-from estimators.known_force import KnownForce
-from results import columns, store
-from results.calibrated import CALIBRATED, COMPARED, ClipCalibration
-from results.field_file import FieldFile
-from results.overlay import draw_overlay, open_video
-from results.plots import MOST_PANELS, draw_comparison, draw_fits, draw_summary, write_figure
-from results.spool import FrameSpool, Waiting
-from results.stiffness_overlay import StiffnessMap, stiffness_map
-from results.store import writing
-from results.verdicts import in_words, state
+from palpate.data.prepared import PreparedFrame
+from palpate.estimators.estimate import FrameEstimate, InteractionEstimate, NoEstimate
+from palpate.estimators.force_scale import ClipLength
+from palpate.estimators.known_force import KnownForce
+from palpate.results import columns, store
+from palpate.results.calibrated import CALIBRATED, COMPARED, ClipCalibration
+from palpate.results.field_file import FieldFile
+from palpate.results.overlay import draw_overlay, open_video
+from palpate.results.plots import MOST_PANELS, draw_comparison, draw_fits, draw_summary, write_figure
+from palpate.results.spool import FrameSpool, Waiting
+from palpate.results.stiffness_overlay import StiffnessMap, stiffness_map
+from palpate.results.store import writing
+from palpate.results.verdicts import in_words, state
 
 
 class ClipResults:

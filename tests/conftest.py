@@ -24,8 +24,8 @@ def real_data() -> Path:
 def blank_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """No pictures are drawn, which takes longer than all else about a short clip, where no test looks at them."""
     for draw in ("draw_summary", "draw_fits", "draw_comparison"):
-        monkeypatch.setattr(f"results.writer.{draw}", lambda *_, **__: None)
-    monkeypatch.setattr("results.writer.write_figure", lambda path, _: path.write_bytes(b"a picture"))
+        monkeypatch.setattr(f"palpate.results.writer.{draw}", lambda *_, **__: None)
+    monkeypatch.setattr("palpate.results.writer.write_figure", lambda path, _: path.write_bytes(b"a picture"))
 
 
 @pytest.fixture

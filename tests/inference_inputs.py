@@ -12,12 +12,12 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-from data.contact.geometry import GeometrySettings
-from data.depth.normalise import DepthSettings
-from data.masks.sources import MaskClasses
-from data.settings import PREPROCESSING_VERSION
-from models.onnx_session import EXPECTED_BOUND, FORMAT_VERSION, METADATA_KEY, POSTERIOR
-from physics.mechanics import Bounds, Mechanics
+from palpate.data.contact.geometry import GeometrySettings
+from palpate.data.depth.normalise import DepthSettings
+from palpate.data.masks.sources import MaskClasses
+from palpate.data.settings import PREPROCESSING_VERSION
+from palpate.models.onnx_session import EXPECTED_BOUND, FORMAT_VERSION, METADATA_KEY, POSTERIOR
+from palpate.physics.mechanics import Bounds, Mechanics
 
 THETA = (0.5, 0.09, -0.4)
 """θ that `write_model` gives for a window of zero depth."""

@@ -14,27 +14,31 @@ from pathlib import Path
 
 import pytest
 
-from data.synthetic.clip import write_clip as write_synthetic
-from data.synthetic.settings import SceneSettings
+from palpate.data.synthetic.clip import write_clip as write_synthetic
+from palpate.data.synthetic.settings import SceneSettings
 from tests.inference_inputs import write_model
 
 ROOT = Path(__file__).resolve().parents[1]
+BELOW_RESULTS = {"estimators", "models", "data", "physics", "common"}
 FLOORS = {
-    "physics": set(),
-    "data": {"physics"},
-    "models": {"physics"},
-    "estimators": {"models", "data", "physics"},
-    "planning": {"estimators", "models", "data", "physics"},
-    "results": {"estimators", "models", "data", "physics"},
-    "evaluation": {"results", "estimators", "models", "data", "physics"},
-    "benchmarks": {"train", "infer", "planning", "evaluation", "results", "estimators", "models", "data", "physics"},
+    "common": set(),
+    "physics": {"common"},
+    "data": {"physics", "common"},
+    "models": {"physics", "common"},
+    "estimators": BELOW_RESULTS - {"estimators"},
+    "planning": BELOW_RESULTS,
+    "results": BELOW_RESULTS,
+    "palpate": BELOW_RESULTS | {"results", "planning"},
+    "evaluation": BELOW_RESULTS | {"results", "palpate"},
+    "command": BELOW_RESULTS | {"results", "planning", "palpate", "evaluation"},
+    "benchmarks": BELOW_RESULTS | {"results", "planning", "palpate", "evaluation", "command"},
 }
-"""What of the project each package may import: downwards only, and models and data not each other. Benchmarks are
-doors of their own, and time the doors of training and inference as well."""
+"""What of the project each room may import: downwards only, and models and data not each other. `palpate` is the
+public face alone, `command` what a user types; benchmarks are doors of their own, and time the others as well."""
 FENCES = {
-    "lightning": ("train.py", "models/module.py", "data/training/datamodule.py"),
-    "lightning.pytorch.loggers": ("train.py",),
-    "mlflow": ("train.py",),
+    "lightning": ("palpate/command/train.py", "models/module.py", "data/training/datamodule.py"),
+    "lightning.pytorch.loggers": ("palpate/command/train.py",),
+    "mlflow": ("palpate/command/train.py",),
     "cv2": ("data/", "results/", "evaluation/"),
     "matplotlib": ("planning/pictures.py", "results/plots.py", "evaluation/", "benchmarks/"),
     "pandas": ("evaluation/",),
@@ -42,11 +46,11 @@ FENCES = {
 }
 """Where a library may be imported, by whatever door."""
 LIGHT_DOORS = {
-    "calibrate": "estimators.palpation.material_fit",
-    "infer": "estimators.direct.sampling",
-    "plan": "planning.roadmap",
-    "data.synthetic.__main__": "data.synthetic.truth",
-    "data.cholecseg8k": "data.contact.tracking",
+    "palpate.command.calibrate": "palpate.estimators.palpation.material_fit",
+    "palpate.command.infer": "palpate.estimators.direct.sampling",
+    "palpate.command.plan": "palpate.planning.roadmap",
+    "palpate.data.synthetic.__main__": "palpate.data.synthetic.truth",
+    "palpate.data.cholecseg8k": "palpate.data.contact.tracking",
 }
 """Programs that run where no network is trained, and something that each of them reaches."""
 HEAVY = (
@@ -66,10 +70,19 @@ MOST_NAMES = 15
 
 @cache
 def modules() -> dict[str, Path]:
-    """Files of the project by their dotted names, tests left out."""
-    files = [*ROOT.glob("*.py"), *(path for package in FLOORS for path in (ROOT / package).rglob("*.py"))]
-    names = {path.relative_to(ROOT).with_suffix("").as_posix().replace("/", "."): path for path in files}
+    """Files of the project by the names under which they are imported, tests left out."""
+    files = [*ROOT.glob("palpate/*.py"), *ROOT.glob("palpate/command/*.py")]
+    found = {path.relative_to(ROOT): path for path in files}
+    rooms = [room for room in FLOORS if room not in ("palpate", "command")]
+    found |= {Path("palpate", path.relative_to(ROOT)): path for room in rooms for path in (ROOT / room).rglob("*.py")}
+    names = {name.with_suffix("").as_posix().replace("/", "."): path for name, path in found.items()}
     return {name.removesuffix(".__init__"): names[name] for name in sorted(names)}
+
+
+def room_of(module: str) -> str:
+    """Which of the FLOORS a module stands on."""
+    room = module.split(".")[1] if "." in module else "palpate"
+    return room if room in FLOORS else "palpate"
 
 
 def name_of(path: Path) -> str:
@@ -103,6 +116,10 @@ def imported(path: Path, *, within_functions: bool = True) -> set[str]:
     return found
 
 
+def is_face(call: ast.Call) -> bool:
+    return isinstance(call.func, ast.Name) and call.func.id == "exported"
+
+
 @cache
 def faces() -> dict[str, dict[str, str]]:
     """What every package exports: the module that defines a name, by the name."""
@@ -110,7 +127,7 @@ def faces() -> dict[str, dict[str, str]]:
     for package, path in modules().items():
         if path.name == "__init__.py":
             calls = [node for node in ast.walk(tree_of(path)) if isinstance(node, ast.Call)]
-            homes = ast.literal_eval(calls[0].args[0]) if calls else {}
+            homes = next((ast.literal_eval(call.args[1]) for call in calls if is_face(call)), {})
             found[package] = {name: home for home, names in homes.items() for name in names}
     return found
 
@@ -126,9 +143,10 @@ def is_inside(module: str, package: str) -> bool:
 
 
 def test_the_layout_is_found() -> None:
-    assert {"infer", "train", "physics.msd", "physics.msd.rollouts", "data.clip", "models.module"} <= set(modules())
-    assert "data.training.samples" in reached_at_once("estimators.network.training") | set(modules())
-    assert not [name for name in modules() if name.rpartition(".")[2] in ("utils", "helpers", "common", "misc")]
+    wanted = ("palpate", "palpate.command.train", "palpate.physics.msd", "palpate.data.clip", "palpate.models.module")
+    assert set(wanted) <= set(modules())
+    assert "palpate.data.training.samples" in reached_at_once("palpate.estimators.network.training") | set(modules())
+    assert not [name for name in modules() if name.rpartition(".")[2] in ("utils", "helpers", "misc")]
 
 
 def test_imports_name_files_in_full() -> None:
@@ -143,15 +161,15 @@ def test_imports_name_files_in_full() -> None:
     assert vague == []
 
 
-@pytest.mark.parametrize("package", FLOORS)
-def test_imports_go_downwards(package: str) -> None:
-    forbidden = {*FLOORS, "calibrate", "plan", "train", "infer", "tests"} - FLOORS[package] - {package}
+@pytest.mark.parametrize("room", FLOORS)
+def test_imports_go_downwards(room: str) -> None:
     upward = [
         f"{module} imports {name}"
         for module, path in modules().items()
-        if is_inside(module, package)
+        if room_of(module) == room
         for name in sorted(imported(path))
-        if name.split(".")[0] in forbidden
+        if name.split(".")[0] in ("infer", "train", "calibrate", "plan", "tests", *FLOORS)
+        and (not is_inside(name, "palpate") or room_of(name) not in FLOORS[room] | {room})
     ]
     assert upward == []
 
@@ -174,14 +192,15 @@ def test_libraries_stay_behind_their_fence(library: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("library", "user"), [("matplotlib", "results.plots"), ("scipy.stats", "estimators.direct.sampling")]
+    ("library", "user"),
+    [("matplotlib", "palpate.results.plots"), ("scipy.stats", "palpate.estimators.direct.sampling")],
 )
 def test_what_loads_slowly_is_loaded_only_where_it_is_used(library: str, user: str) -> None:
     assert any(is_inside(name, library) for name in imported(modules()[user]))
     at_once = [
         name_of(path)
         for module, path in modules().items()
-        if module.split(".")[0] not in ("evaluation", "benchmarks")
+        if room_of(module) not in ("evaluation", "benchmarks")
         and any(is_inside(name, library) for name in imported(path, within_functions=False))
     ]
     assert at_once == []
@@ -219,7 +238,7 @@ class Ban:
         if any(name == entry or name.startswith(entry + ".") for entry in banned):
             raise ImportError(name + " is banned here")
 sys.meta_path.insert(0, Ban())
-import infer
+from palpate.command import infer
 for name, model in (("network", []), ("gan", ["--model", {str(tmp_path / "parameters.onnx")!r}]), ("direct", [])):
     output = {str(tmp_path)!r} + "/" + name
     assert infer.main([{str(clip)!r}, "--output", output, "--estimator", name, *model]) == 0, name
@@ -261,15 +280,17 @@ for package in packages:
 print(*sorted({{name for name in sys.modules if name.split(".")[0] not in sys.stdlib_module_names}} - set(packages)))
 """
     done = subprocess.run([sys.executable, "-S", "-c", program], cwd=ROOT, capture_output=True, text=True, timeout=60)
-    assert done.stdout.split() == ["__main__", "physics.lazy"] or done.stdout.split() == ["physics.lazy"], done.stderr
+    assert done.stdout.split() == ["__main__", "palpate.common.lazy"] or done.stdout.split() == [
+        "palpate.common.lazy"
+    ], done.stderr
 
 
 def test_json_is_written_by_one_function() -> None:
-    """`physics.files.as_json`, which leaves no number in it that JSON doesn't know."""
+    """`common.files.as_json`, which leaves no number in it that JSON doesn't know."""
     writers = [
         f"{name_of(path)}, line {node.lineno}"
         for module, path in modules().items()
-        if module != "physics.files"
+        if module != "palpate.common.files"
         for node in ast.walk(tree_of(path))
         if (isinstance(node, ast.Attribute) and ast.unparse(node) in ("json.dump", "json.dumps", "json.JSONEncoder"))
         or (isinstance(node, ast.Attribute) and node.attr == "to_json")

@@ -16,9 +16,9 @@ import cv2
 import numpy as np
 import pytest
 
-import infer
-from data.contact.geometry import GeometrySettings
-from results import store as result_store
+from palpate.command import infer
+from palpate.data.contact.geometry import GeometrySettings
+from palpate.results import store as result_store
 from tests.inference_inputs import GRID, SIZE, encode, metadata, write_clip, write_model, write_video
 
 pytestmark = pytest.mark.usefixtures("blank_pictures")
@@ -667,7 +667,7 @@ def test_full_output_folder(
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr("results.writer.write_figure", full)
+        patch.setattr("palpate.results.writer.write_figure", full)
         assert call(clips) == 1
     told = capsys.readouterr().err
     assert "the output folder is full; free some space or choose another --output." in told

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import yaml
 
-import calibrate
-from evaluation.palpation.synthetic import BODIES, TOOL, observe, press
+from palpate.command import calibrate
+from palpate.evaluation.palpation.synthetic import BODIES, TOOL, observe, press
 from tests.evaluation.palpation.test_door import write_hold, write_probes
 
 

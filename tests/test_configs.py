@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 import yaml
 
-import train
-from estimators.online.bounds import PAPER
-from estimators.online.fitting import BENDINGS
-from estimators.online.settings import OnlineSettings, load_settings
-from physics.mechanics import Mechanics
+from palpate.command import train
+from palpate.estimators.online.bounds import PAPER
+from palpate.estimators.online.fitting import BENDINGS
+from palpate.estimators.online.settings import OnlineSettings, load_settings
+from palpate.physics.mechanics import Mechanics
 
 # Lightning warns of arguments given from Python beside pytest's own on the command line.
 pytestmark = pytest.mark.filterwarnings("ignore:LightningCLI's args parameter")
@@ -105,13 +105,13 @@ STATED = {
     "data.samples.observation": "final",
     "data.loading.batch_size": 2,
     "data.loading.fractions": [0.7, 0.2, 0.1],
-    "data.masks": "annotation",
+    "palpate.data.masks": "annotation",
     "data.classes.tool": ["grasper"],
     "data.classes.tissue": ["gallbladder"],
     "data.classes.tolerance": 5,
-    "data.depth.source": "depthpro",
-    "data.depth.bits": 8,
-    "data.depth.rounded": "picture",
+    "palpate.data.depth.source": "depthpro",
+    "palpate.data.depth.bits": 8,
+    "palpate.data.depth.rounded": "picture",
     "data.geometry.height": 120,
     "data.geometry.width": 214,
     "data.geometry.max_edge": 0.05,

@@ -12,13 +12,13 @@ import cv2
 import numpy as np
 import pytest
 
-import infer
-from data.contact.motion import FRAYED
-from data.synthetic.clip import write_clip as write_synthetic
-from data.synthetic.settings import SceneSettings
-from estimators.estimate import NINETY
-from results.columns import FRAMES, INTERACTIONS
-from results.writer import ClipResults
+from palpate.command import infer
+from palpate.data.contact.motion import FRAYED
+from palpate.data.synthetic.clip import write_clip as write_synthetic
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.estimators.estimate import NINETY
+from palpate.results.columns import FRAMES, INTERACTIONS
+from palpate.results.writer import ClipResults
 from tests.inference_inputs import metadata, write_clip, write_model, write_video
 
 pytestmark = pytest.mark.usefixtures("blank_pictures")  # the fixture `done` has drawn ones
@@ -82,8 +82,8 @@ def test_closing_table_is_readable_on_a_narrow_terminal(
 
 def test_folder_and_video_give_complete_results(inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     assert call(inputs, tmp_path) == 0
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["film", "folder"]
-    for name in ("film", "folder"):
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["sequence", "folder"]
+    for name in ("sequence", "folder"):
         assert sorted(path.name for path in (tmp_path / name).iterdir()) == FILES
         table = rows(tmp_path / name)
         assert len(table) == 8
@@ -137,7 +137,7 @@ def test_other_settings_replace_only_our_results_and_only_when_asked(
     assert f"{tmp_path / 'folder'}: holds results of other settings" in told.err
     assert "--overwrite replaces them" in told.err
     assert contents(tmp_path / "folder") == before
-    assert len(rows(tmp_path / "film")) == 8
+    assert len(rows(tmp_path / "sequence")) == 8
     assert call(inputs, tmp_path, "--depth", "photometric", "--no-overlay", "--overwrite", clips="clips/folder") == 0
     after = contents(tmp_path / "folder")
     assert before.keys() - after.keys() == {"overlay.mp4"}
@@ -221,7 +221,7 @@ def test_output_among_the_inputs_is_no_input(inputs: Path, tmp_path: Path) -> No
     for _ in range(2):
         assert call(tmp_path, tmp_path / "clips" / "folder", "--model", str(inputs / "parameters.onnx")) == 0
     made = sorted(path.name for path in (tmp_path / "clips" / "folder").iterdir() if path.is_dir())
-    assert made == ["film", "folder"]
+    assert made == ["sequence", "folder"]
 
 
 def test_clip_beside_its_results_is_never_replaced(inputs: Path, tmp_path: Path) -> None:
@@ -251,19 +251,19 @@ def test_interruption_keeps_finished_clips_and_continues(
     with monkeypatch.context() as patch:
         patch.setattr(ClipResults, "write", interrupt)
         assert call(inputs, tmp_path) == 130
-    assert [path.name for path in tmp_path.iterdir()] == ["film"]
+    assert [path.name for path in tmp_path.iterdir()] == ["sequence"]
     assert "1 of 2 clips are complete; run the same command to continue" in capsys.readouterr().err
-    before = (tmp_path / "film" / "run.json").stat().st_mtime_ns
+    before = (tmp_path / "sequence" / "run.json").stat().st_mtime_ns
     assert call(inputs, tmp_path) == 0
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["film", "folder"]
-    assert (tmp_path / "film" / "run.json").stat().st_mtime_ns == before
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["sequence", "folder"]
+    assert (tmp_path / "sequence" / "run.json").stat().st_mtime_ns == before
 
 
 def test_one_failing_clip_does_not_stop_the_others(inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     shutil.copytree(inputs / "clips", tmp_path / "clips")
     (tmp_path / "clips" / "broken.mp4").write_bytes(b"no video")
     assert call(tmp_path, tmp_path / "out", "--model", str(inputs / "parameters.onnx")) == 1
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["film", "folder"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["sequence", "folder"]
     told = capsys.readouterr()
     assert "broken.mp4" in told.err
     assert "failed" in told.out
@@ -275,7 +275,7 @@ def test_unexpected_error_is_one_sentence_unless_debugging(
     def fail(*_: object) -> None:
         raise RuntimeError("two\nlines")
 
-    monkeypatch.setattr("results.run.open_source", fail)
+    monkeypatch.setattr("palpate.results.run.open_source", fail)
     assert call(inputs, tmp_path, clips="clips/film.mp4") == 1
     told = capsys.readouterr().err.strip()
     assert told.startswith("failed: ")
@@ -505,7 +505,7 @@ def test_what_is_wrong_with_a_contact_is_told_beside_the_reason_for_no_estimate(
     layout = json.loads((folder / "clip.json").read_text(encoding="utf-8"))
     layout["times"] = layout["times"][: onset + seen + 1]
     (folder / "clip.json").write_text(json.dumps(layout), encoding="utf-8")
-    monkeypatch.setattr("data.contact.motion.frayed_share", lambda *_: 0.25)
+    monkeypatch.setattr("palpate.data.contact.motion.frayed_share", lambda *_: 0.25)
     assert direct(folder, tmp_path / "out", "--no-overlay") == 0
     (row,) = runs(tmp_path / "out" / "clip")
     assert (row["onset_frame"], row["frames"], row["status"]) == (str(onset), str(seen), "no_estimate")
@@ -602,7 +602,7 @@ def test_an_interruption_while_pictures_are_drawn_leaves_nothing_half_written(
         raise KeyboardInterrupt
 
     write_clip(tmp_path / "clip", 4, 9)
-    monkeypatch.setattr("results.writer.write_figure", interrupt)
+    monkeypatch.setattr("palpate.results.writer.write_figure", interrupt)
     assert direct(tmp_path / "clip", tmp_path / "out") == 130
     assert list((tmp_path / "out").iterdir()) == []
     assert "0 of 1 clips are complete" in capsys.readouterr().err

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-import plan
-from planning import cost_table
+from palpate.command import plan
+from palpate.planning import cost_table
 from tests.planning.cases import quick_press
 from tests.planning.test_scene import SHIPPED
 

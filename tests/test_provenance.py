@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from physics.provenance import NOT_PREPARATION, PACKAGES, code_digest
+from palpate.common.provenance import NOT_PREPARATION, PACKAGES, code_digest
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 DECIDING = ("data", "estimators", "models", "physics", "results")
@@ -21,10 +21,10 @@ SETUP = tomllib.loads((CHECKOUT / "pyproject.toml").read_text(encoding="utf-8"))
 FINGERPRINTS = """
 import sys
 from pathlib import Path
-from data.settings import PrepareSettings
-from physics.provenance import ROOT, code_digest
-from estimators.open import EstimatorOptions, open_estimator
-from results.record import depends_on, fingerprint_of
+from palpate.data.settings import PrepareSettings
+from palpate.common.provenance import ROOT, code_digest
+from palpate.estimators.open import EstimatorOptions, open_estimator
+from palpate.results.record import depends_on, fingerprint_of
 
 def told():
     code_digest.cache_clear()
@@ -116,7 +116,7 @@ def test_a_constant_changed_in_any_module_changes_the_fingerprint(lay_out, tmp_p
 @pytest.mark.parametrize("part", ["all", "preparation", "kernels"])
 def test_installed_the_digest_is_the_checkout_s(tmp_path: Path, monkeypatch, part) -> None:
     expected = code_digest(part)
-    monkeypatch.setattr("physics.provenance.ROOT", installed(tmp_path))
+    monkeypatch.setattr("palpate.common.provenance.ROOT", installed(tmp_path))
     assert code_digest.__wrapped__(part) == expected
 
 

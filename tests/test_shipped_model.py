@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data.synthetic.clip import write_clip
-from data.synthetic.settings import SceneSettings
-from estimators.estimate import NINETY
-from estimators.network.estimator import NetworkEstimator
-from estimators.open import EstimatorOptions, open_estimator
-from infer import main
-from models.onnx_session import SHIPPED, PosteriorModel
+from palpate.command.infer import main
+from palpate.data.synthetic.clip import write_clip
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.estimators.estimate import NINETY
+from palpate.estimators.network.estimator import NetworkEstimator
+from palpate.estimators.open import EstimatorOptions, open_estimator
+from palpate.models.onnx_session import SHIPPED, PosteriorModel
 
 GAN = SHIPPED.with_name("gan.onnx")
 LARGEST = 6e6

@@ -19,12 +19,12 @@ import yaml
 from mlflow import MlflowClient
 from mlflow.exceptions import MlflowException
 
-import train
-from data.contact.features import FEATURES
-from data.synthetic import __main__ as synthetic
-from models.onnx_session import ParameterModel, PosteriorModel
-from models.posterior import ContactPosterior
-from physics.mechanics import Bounds
+from palpate.command import train
+from palpate.data.contact.features import FEATURES
+from palpate.data.synthetic import __main__ as synthetic
+from palpate.models.onnx_session import ParameterModel, PosteriorModel
+from palpate.models.posterior import ContactPosterior
+from palpate.physics.mechanics import Bounds
 from tests.data.clips import write_clip
 
 # Lightning warns of arguments given from Python beside pytest's own on the command line.
@@ -347,7 +347,7 @@ def test_a_configuration_that_is_none_is_named(config: Path, tmp_path: Path, cap
 @pytest.mark.parametrize(
     ("option", "told"),
     [
-        ("data.depth.threads", "depth.threads is 100000; give at most 1024"),
+        ("palpate.data.depth.threads", "depth.threads is 100000; give at most 1024"),
         ("data.loading.num_workers", "num_workers 100000; give at most 65536 and 1024"),
         ("data.loading.batch_size", "batch_size is 100000 and"),
         ("data.geometry.height", "geometry.height is 100000; give at most 4096"),
@@ -615,8 +615,8 @@ def test_paper_yaml_trains_resumes_and_evaluates_a_root_in_the_real_layout(tmp_p
         "model.width": 4,
         "model.residual_blocks": 1,
         "data.root": tmp_path / "data",
-        "data.cache": tmp_path / "cache",
-        "data.depth.source": "stored",
+        "palpate.data.cache": tmp_path / "cache",
+        "palpate.data.depth.source": "stored",
         "data.geometry.height": 48,
         "data.geometry.width": 64,
         "data.loading.videos.train": f"[{','.join(names[:7])}]",

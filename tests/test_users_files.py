@@ -17,31 +17,28 @@ import pytest
 import yaml
 from matplotlib.figure import Figure
 
-import calibrate
-import infer
-import plan
-import train
-from benchmarks import newtons
-from data.clip import prepare
-from data.depth.photometric import write_photometric
-from data.source.layout import InputError
-from data.synthetic import __main__ as synthetic
-from data.synthetic import clip as synthetic_clips
-from estimators.palpation.curves import Grasp
-from evaluation.ablation import terms
-from evaluation.benchmark import Benchmark
-from evaluation.benchmark import main as measure
-from evaluation.foreign import __main__ as foreign
-from evaluation.online import __main__ as online
-from evaluation.online.compare import Case
-from evaluation.palpation import __main__ as palpation
-from evaluation.palpation import frank
-from evaluation.real import __main__ as real
-from evaluation.recovery import figures
-from physics.files import replacing
-from physics.ownership import ForeignFile
-from planning import cost_table
-from results.store import OutputError
+from palpate.benchmarks import newtons
+from palpate.command import calibrate, infer, plan, train
+from palpate.common.files import replacing
+from palpate.common.output import ForeignFile
+from palpate.data.clip import prepare
+from palpate.data.depth.photometric import write_photometric
+from palpate.data.source.layout import InputError
+from palpate.data.synthetic import __main__ as synthetic
+from palpate.data.synthetic import clip as synthetic_clips
+from palpate.estimators.palpation.curves import Grasp
+from palpate.evaluation.ablation import terms
+from palpate.evaluation.benchmark import Benchmark
+from palpate.evaluation.benchmark import main as measure
+from palpate.evaluation.foreign import __main__ as foreign
+from palpate.evaluation.online import __main__ as online
+from palpate.evaluation.online.compare import Case
+from palpate.evaluation.palpation import __main__ as palpation
+from palpate.evaluation.palpation import frank
+from palpate.evaluation.real import __main__ as real
+from palpate.evaluation.recovery import figures
+from palpate.planning import cost_table
+from palpate.results.store import OutputError
 from tests.data.clips import SETTINGS
 from tests.data.clips import write_clip as write_tiny
 from tests.data.synthetic.test_clip import quick_frames, quick_truth

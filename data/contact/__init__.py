@@ -7,19 +7,26 @@ evidence       whether tissue moves with the tool, frame by frame; coupling: how
 motion         the contact's motion from frame to frame and since its onset
 tracking       tissue points followed by optical flow; template: found again by their look
 tissue_points  places in a picture as points in space; refinement: where a young contact presses
-film           depth around a contact from frame to frame; patches: which of the mesh's vertices its pixels show
-interaction    the frames of a run of contact as mesh, load, observation and film
-features       an interaction as the vector that networks read; film_features: its film likewise
+sequence           depth around a contact from frame to frame; patches: which of the mesh's vertices its pixels show
+interaction    the frames of a run of contact as mesh, load, observation and depth-change sequence
+features       an interaction as the vector that networks read; sequence_features: its depth-change sequence likewise
 """
 
-from physics.lazy import exported
+from palpate.common.lazy import exported
 
 __getattr__ = exported(
+    __name__,
     {
-        "data.contact.geometry": ("Contact", "FrameGeometry", "GeometrySettings", "find_contact", "frame_geometry"),
-        "data.contact.motion": ("ContactMotion",),
-        "data.contact.tracking": ("TissueTracker",),
-        "data.contact.interaction": ("ContactFrame", "Interaction", "InteractionBuilder"),
-        "data.contact.features": ("contact_features",),
-    }
+        "palpate.data.contact.geometry": (
+            "Contact",
+            "FrameGeometry",
+            "GeometrySettings",
+            "find_contact",
+            "frame_geometry",
+        ),
+        "palpate.data.contact.motion": ("ContactMotion",),
+        "palpate.data.contact.tracking": ("TissueTracker",),
+        "palpate.data.contact.interaction": ("ContactFrame", "Interaction", "InteractionBuilder"),
+        "palpate.data.contact.features": ("contact_features",),
+    },
 )

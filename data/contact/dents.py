@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from data.contact.depth_change import LEAST_REST, SCALES, DepthChange, RestingTissue, picture_motion
-from data.contact.geometry import (
+from palpate.data.contact.depth_change import LEAST_REST, SCALES, DepthChange, RestingTissue, picture_motion
+from palpate.data.contact.geometry import (
     FrameGeometry,
     GeometrySettings,
     GeometryStatus,
@@ -23,9 +23,9 @@ from data.contact.geometry import (
     smooth_rest,
     tissue_mesh,
 )
-from data.prepared import PreparedFrame
-from data.source.camera import Camera, back_project
-from physics.mesh import contact_normal, nearest_vertex
+from palpate.data.prepared import PreparedFrame
+from palpate.data.source.camera import Camera, back_project
+from palpate.physics.mesh import contact_normal, nearest_vertex
 
 EARLIER, LATE = 3, 8
 """Frames wait for so many others, while nothing presses and while something does: when a dent is clear, or clearly

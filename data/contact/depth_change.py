@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from data.contact.geometry import LEAST_NOISE
-from data.contact.outlines import inside, near
-from data.labels import TISSUE, TOOL
-from data.prepared import PreparedFrame
-from physics.robust import median_sd, trimmed_fit
+from palpate.common.robust import median_sd, trimmed_fit
+from palpate.data.contact.geometry import LEAST_NOISE
+from palpate.data.contact.outlines import inside, near
+from palpate.data.labels import TISSUE, TOOL
+from palpate.data.prepared import PreparedFrame
 
 MOST_REST, LEAST_REST = 8, 3
 """Frames at rest that are remembered; fewer don't tell what tissue was like."""

@@ -18,13 +18,13 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from data.contact.coupling import Beside, log_ratio
-from data.contact.depth_change import RestingTissue, picture_motion
-from data.contact.geometry import FrameGeometry
-from data.contact.outlines import near
-from data.labels import TOOL
-from data.prepared import PreparedFrame
-from data.tracks.following import lit_field, shrunk, tool_distance
+from palpate.data.contact.coupling import Beside, log_ratio
+from palpate.data.contact.depth_change import RestingTissue, picture_motion
+from palpate.data.contact.geometry import FrameGeometry
+from palpate.data.contact.outlines import near
+from palpate.data.labels import TOOL
+from palpate.data.prepared import PreparedFrame
+from palpate.data.tracks.following import lit_field, shrunk, tool_distance
 
 PRIOR = 0.7
 """Probability that a tool whose outline touches tissue touches it, before anything has moved."""

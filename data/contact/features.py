@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data.contact.interaction import Interaction
-from physics.mesh import Mesh
+from palpate.data.contact.interaction import Interaction
+from palpate.physics.mesh import Mesh
 
 FRAME_RATE = 25.0
 """Motion is resampled to this rate [1/s]."""

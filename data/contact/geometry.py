@@ -15,12 +15,12 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import KDTree
 
-from data.contact.outlines import tool_depth
-from data.contact.surface import smooth_surface
-from data.labels import TISSUE, TOOL
-from data.source.camera import MOST_SIDE, Camera, back_project
-from physics.fields import require_choices
-from physics.mesh import Mesh, contact_normal, grid_mesh, nearest_vertex
+from palpate.common.settings import require_choices
+from palpate.data.contact.outlines import tool_depth
+from palpate.data.contact.surface import smooth_surface
+from palpate.data.labels import TISSUE, TOOL
+from palpate.data.source.camera import MOST_SIDE, Camera, back_project
+from palpate.physics.mesh import Mesh, contact_normal, grid_mesh, nearest_vertex
 
 COARSE_POINTS = 1000
 """Number of tool points in each pass of the two-pass search (Bini 2026, section 3.2.2)."""

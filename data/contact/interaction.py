@@ -13,12 +13,12 @@ from typing import Literal
 
 import numpy as np
 
-from data.contact.film import DentFilm, FilmRecorder
-from data.contact.geometry import GeometrySettings, force_direction
-from physics.load import Press, held
-from physics.mechanics import Mechanics
-from physics.mesh import Mesh
-from physics.observation import Observation
+from palpate.data.contact.depth_sequence import DepthSequence, SequenceRecorder
+from palpate.data.contact.geometry import GeometrySettings, force_direction
+from palpate.physics.load import Press, held
+from palpate.physics.mechanics import Mechanics
+from palpate.physics.mesh import Mesh
+from palpate.physics.observation import Observation
 
 PRESS = "press"
 Horizon = int | Literal["press"] | None
@@ -42,7 +42,7 @@ class Interaction:
     """The followed points."""
     time_step: float
     """Of the load [s]."""
-    film: DentFilm | None = None
+    sequence: DepthSequence | None = None
     """Depth of all tissue around the contact; None where it wasn't kept or its noise isn't known."""
 
     @property
@@ -86,12 +86,12 @@ class Interaction:
         return self.moved.astype(np.float64) @ np.asarray(self.direction, np.float64)
 
     def observed(self, instants: np.ndarray) -> Interaction:
-        """The same as seen at some of its instants only, a mask or indices; its film as far as the last of them."""
-        observation, film = self.observation.chosen(instants), self.film
-        if film is not None:
+        """The same as seen at some of its instants only, a mask or indices; its sequence as far as the last of them."""
+        observation, sequence = self.observation.chosen(instants), self.sequence
+        if sequence is not None:
             last = observation.times[-1] if len(observation) else -math.inf
-            film = film.chosen(film.times <= last + SAME_INSTANT)
-        return dataclasses.replace(self, observation=observation, film=film)
+            sequence = sequence.chosen(sequence.times <= last + SAME_INSTANT)
+        return dataclasses.replace(self, observation=observation, sequence=sequence)
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ class ContactFrame:
     position: np.ndarray
     """Where the followed tissue is, shape [3] [scene units]; not a number where it is lost."""
     depth: np.ndarray | None = None
-    """z on the grid, shape [h, w] [scene units], 0 = invalid; None where no film is kept."""
+    """z on the grid, shape [h, w] [scene units], 0 = invalid; None where no depth-change sequence is kept."""
     labels: np.ndarray | None = None
     """Label map on the grid, shape [h, w]."""
 
@@ -123,7 +123,7 @@ class InteractionBuilder:
         onset: the first frame in contact.
         settings: the force's direction is taken from here.
         seconds: how long the motion counts [s].
-        size: width and height of the pictures [px]; None = keep no film.
+        size: width and height of the pictures [px]; None = keep no depth-change sequence.
     """
 
     def __init__(
@@ -155,9 +155,9 @@ class InteractionBuilder:
         self._count, self._followed_on = 1, onset.consecutive
         self._seen: list[tuple[int, float, np.ndarray]] = []
         known = math.isfinite(self.noise)
-        self._recorder = FilmRecorder(mesh, vertex, self.noise, size) if size is not None and known else None
-        self._film: list[tuple[int, float, np.ndarray]] = []
-        self._film_of(onset)
+        self._recorder = SequenceRecorder(mesh, vertex, self.noise, size) if size is not None and known else None
+        self._sequence: list[tuple[int, float, np.ndarray]] = []
+        self._sequence_of(onset)
 
     def add(self, frame: ContactFrame) -> None:
         """The next frame."""
@@ -172,12 +172,12 @@ class InteractionBuilder:
             return
         if np.isfinite(position).all():
             self._seen.append((index, since, position))
-        change = self._film_of(frame)
+        change = self._sequence_of(frame)
         if change is not None:
-            self._film.append((index, since, change))
+            self._sequence.append((index, since, change))
 
-    def _film_of(self, frame: ContactFrame) -> np.ndarray | None:
-        """What a frame adds to the film."""
+    def _sequence_of(self, frame: ContactFrame) -> np.ndarray | None:
+        """What a frame adds to the depth-change sequence."""
         if self._recorder is None or frame.depth is None or frame.labels is None:
             return None
         return self._recorder.frame(frame.depth, frame.labels)
@@ -207,9 +207,11 @@ class InteractionBuilder:
         direction = force_direction(self.normal, farthest, self.settings)
         press = Press.at(self.vertex, direction, held(loaded, steps))
         observation = Observation.of_point(self.vertex, np.array([since for since, _ in seen]), moved, self.noise)
-        film = None
+        sequence = None
         if self._recorder is not None:
-            kept = [(since, change) for index, since, change in self._film if counts(index, since)]
-            known = sum(until is None or since <= until for _, since, _ in self._film)
-            film = self._recorder.film(np.array([since for since, _ in kept]), [change for _, change in kept], known)
-        return Interaction(self.mesh, press, observation, step, film)
+            kept = [(since, change) for index, since, change in self._sequence if counts(index, since)]
+            known = sum(until is None or since <= until for _, since, _ in self._sequence)
+            sequence = self._recorder.sequence(
+                np.array([since for since, _ in kept]), [change for _, change in kept], known
+            )
+        return Interaction(self.mesh, press, observation, step, sequence)

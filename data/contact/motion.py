@@ -13,24 +13,24 @@ from collections import deque
 
 import numpy as np
 
-from data.contact.dents import dent_geometry
-from data.contact.geometry import LEAST_NOISE, TISSUE, GeometryStatus, frame_geometry
-from data.contact.outlines import frayed_share, inside, uncover
-from data.contact.refinement import REFINE_FRAMES, ContactRun, picture_pixel, settle_run
-from data.contact.rest_depth import RestDepth
-from data.contact.surface import smooth_surface
-from data.contact.template import TissueTemplate
-from data.contact.tissue_points import (
+from palpate.data.contact.dents import dent_geometry
+from palpate.data.contact.geometry import LEAST_NOISE, TISSUE, GeometryStatus, frame_geometry
+from palpate.data.contact.outlines import frayed_share, inside, uncover
+from palpate.data.contact.refinement import REFINE_FRAMES, ContactRun, picture_pixel, settle_run
+from palpate.data.contact.rest_depth import RestDepth
+from palpate.data.contact.surface import smooth_surface
+from palpate.data.contact.template import TissueTemplate
+from palpate.data.contact.tissue_points import (
     grid_to_picture,
     lift,
     picture_to_grid,
     reference_pixels,
     rigid_motion,
 )
-from data.contact.tracking import TissueTracker
-from data.prepared import PreparedFrame
-from data.settings import PrepareSettings
-from data.source.camera import Camera
+from palpate.data.contact.tracking import TissueTracker
+from palpate.data.prepared import PreparedFrame
+from palpate.data.settings import PrepareSettings
+from palpate.data.source.camera import Camera
 
 LOST = "The tissue that was touched first is not followed here or has no depth; nothing of its motion is observed."
 FRAYED = (

@@ -9,7 +9,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from data.labels import TISSUE, TOOL
+from palpate.data.labels import TISSUE, TOOL
 
 FRAY = 2
 """Outlines are uncertain by this much [grid pixels]."""

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from data.contact.film import REACH
-from physics.jit import inlined, kernel
-from physics.mesh import Mesh
+from palpate.data.contact.depth_sequence import REACH
+from palpate.physics.jit import inlined, kernel
+from palpate.physics.mesh import Mesh
 
 LARGEST_SHIFT = 2
 """Patches that come from farther away than this are not known [grid pixels]."""

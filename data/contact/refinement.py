@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data.contact.geometry import TISSUE, TOOL, move_contact
-from data.contact.outlines import near, uncover
-from data.contact.template import TissueTemplate
-from data.contact.tissue_points import grid_to_picture, picture_to_grid
-from data.prepared import PreparedFrame
+from palpate.data.contact.geometry import TISSUE, TOOL, move_contact
+from palpate.data.contact.outlines import near, uncover
+from palpate.data.contact.template import TissueTemplate
+from palpate.data.contact.tissue_points import grid_to_picture, picture_to_grid
+from palpate.data.prepared import PreparedFrame
 
 REFINE_REACH = 3
 """The tissue that yields most is looked for this far from where the contact was detected, and from the outline where

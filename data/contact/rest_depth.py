@@ -7,10 +7,10 @@ from collections import deque
 import cv2
 import numpy as np
 
-from data.contact.geometry import TISSUE, TOOL, RestTissue
-from data.contact.outlines import near
-from data.labels import OTHER
-from data.prepared import PreparedFrame
+from palpate.data.contact.geometry import TISSUE, TOOL, RestTissue
+from palpate.data.contact.outlines import near
+from palpate.data.labels import OTHER
+from palpate.data.prepared import PreparedFrame
 
 FRAMES = 8
 """Frames before a contact whose depths are averaged."""

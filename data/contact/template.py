@@ -5,8 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from data.contact.outlines import near
-from data.labels import TISSUE, TOOL
+from palpate.data.contact.outlines import near
+from palpate.data.labels import TISSUE, TOOL
 
 RADIUS = 32
 """Half side of the patch [px]."""

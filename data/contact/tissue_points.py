@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from data.contact.geometry import TISSUE
-from data.source.camera import Camera
+from palpate.data.contact.geometry import TISSUE
+from palpate.data.source.camera import Camera
 
 LIFT_REACH = 8
 """Farthest tissue that gives a covered point its depth [grid pixels]."""

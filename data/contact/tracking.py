@@ -10,7 +10,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from data.labels import TISSUE, TOOL
+from palpate.data.labels import TISSUE, TOOL
 
 RADIUS = 8.0
 """Of the neighbourhood of a point; doubled twice where too few pixels of it can be used [px of the full picture]."""

@@ -7,13 +7,14 @@ preset       input and output conventions of a network, as YAML files in presets
 photometric  builds the network that needs no training: brightness under a light at the camera
 """
 
-from physics.lazy import exported
+from palpate.common.lazy import exported
 
 __getattr__ = exported(
+    __name__,
     {
-        "data.depth.normalise": ("DepthSettings", "estimate_scale", "open_depth"),
-        "data.depth.sources": ("DepthSource", "ModelDepth", "StoredDepth"),
-        "data.depth.model": ("DepthModel",),
-        "data.depth.preset": ("DepthPreset", "load_preset", "preset_names"),
-    }
+        "palpate.data.depth.normalise": ("DepthSettings", "estimate_scale", "open_depth"),
+        "palpate.data.depth.sources": ("DepthSource", "ModelDepth", "StoredDepth"),
+        "palpate.data.depth.model": ("DepthModel",),
+        "palpate.data.depth.preset": ("DepthPreset", "load_preset", "preset_names"),
+    },
 )

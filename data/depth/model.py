@@ -11,9 +11,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from data.depth.preset import DepthPreset
-from data.picture_network import PictureNetwork, network_input, resized
-from data.source.layout import InputError
+from palpate.data.depth.preset import DepthPreset
+from palpate.data.picture_network import PictureNetwork, network_input, resized
+from palpate.data.source.layout import InputError
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Depth of a clip's frames: from stored files or an ONNX model, and the one normalisation.
 
 Bini 2026, section 3.2.1, with its per-frame choices replaced by ones that are fixed for a whole clip: one scale without
-an offset, one focal length and one range of relative depth. docs/depth.md describes how they are frozen.
+an offset, one focal length and one range of relative depth. docs/reports/depth.md describes how they are frozen.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from data.depth.model import DepthModel, RawDepth
-from data.depth.preset import resolve_model
-from data.depth.sources import DepthSource, ModelDepth, StoredDepth
-from data.labels import TISSUE, TOOL
-from data.source.camera import clip_camera
-from data.source.frames import FrameSource
-from data.source.layout import ClipLayout, InputError, matches
-from physics.fields import require_choices
+from palpate.common.settings import require_choices
+from palpate.data.depth.model import DepthModel, RawDepth
+from palpate.data.depth.preset import resolve_model
+from palpate.data.depth.sources import DepthSource, ModelDepth, StoredDepth
+from palpate.data.labels import TISSUE, TOOL
+from palpate.data.source.camera import clip_camera
+from palpate.data.source.frames import FrameSource
+from palpate.data.source.layout import ClipLayout, InputError, matches
 
 FAR_QUANTILE = 0.999
 """Quantile of a frame's valid depth that is its largest depth, so that single outliers have no effect."""

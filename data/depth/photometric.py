@@ -10,7 +10,7 @@ and one exposure.
 
 from __future__ import annotations
 
-from physics.doors import enter_door, run_door
+from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":
     enter_door()  # before the slow imports
@@ -26,8 +26,8 @@ import onnx
 from onnx.inliner import inline_local_functions
 from onnxscript import FLOAT, opset18, script
 
-from physics.files import read_file, replacing
-from physics.ownership import ForeignFile
+from palpate.common.files import read_file, replacing
+from palpate.common.output import ForeignFile
 
 op: Any = opset18
 PRODUCER = "palpate"

@@ -9,10 +9,10 @@ from os.path import isfile
 from pathlib import Path
 from typing import Literal
 
-from data.source.camera import MOST_SIDE
-from data.source.layout import InputError, from_mapping, read_mapping
-from physics.fields import require_choices
-from physics.files import digest_of
+from palpate.common.files import digest_of
+from palpate.common.settings import require_choices
+from palpate.data.source.camera import MOST_SIDE
+from palpate.data.source.layout import InputError, from_mapping, read_mapping
 
 PRESET_FOLDER = Path(__file__).parent / "presets"
 """Folder of the presets that come with this project."""

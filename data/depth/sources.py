@@ -9,11 +9,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from data.depth.model import DepthModel, RawDepth
-from data.source.frames import Frame
-from data.source.images import read_image
-from data.source.layout import ClipLayout, InputError, companion, matches, read_clip_file
-from physics.files import digest_of
+from palpate.common.files import digest_of
+from palpate.data.depth.model import DepthModel, RawDepth
+from palpate.data.source.frames import Frame
+from palpate.data.source.images import read_image
+from palpate.data.source.layout import ClipLayout, InputError, companion, matches, read_clip_file
 
 LEAST_VALID_SHARE = 0.01
 """Least share of valid pixels of a frame with usable depth."""

@@ -7,13 +7,14 @@ instrument_bands  the straight edges of a shaft, for automatic
 class_table       CholecSeg8k's classes and colours
 """
 
-from physics.lazy import exported
+from palpate.common.lazy import exported
 
 __getattr__ = exported(
+    __name__,
     {
-        "data.masks.sources": ("MaskClasses", "MaskError", "MaskSource", "open_masks", "read_mask"),
-        "data.masks.onnx": ("OnnxMasks", "SegmentationSettings"),
-        "data.masks.automatic": ("AutomaticMasks",),
-        "data.masks.class_table": ("CLASSES",),
-    }
+        "palpate.data.masks.sources": ("MaskClasses", "MaskError", "MaskSource", "open_masks", "read_mask"),
+        "palpate.data.masks.onnx": ("OnnxMasks", "SegmentationSettings"),
+        "palpate.data.masks.automatic": ("AutomaticMasks",),
+        "palpate.data.masks.class_table": ("CLASSES",),
+    },
 )

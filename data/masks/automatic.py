@@ -2,7 +2,7 @@
 
 An instrument is a band of straight parallel edges that enters from the picture's border, is paler than tissue of the
 same brightness, and, while it moves, moves against the tissue. The mode abstains (no tool pixel) when unsure.
-docs/masks.md reports its accuracy on real clips.
+docs/reports/masks.md reports its accuracy on real clips.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from data.labels import TISSUE, TOOL
-from data.masks.instrument_bands import WORKING_SIZE, Band, find_bands
-from data.source.frames import Frame
+from palpate.data.labels import TISSUE, TOOL
+from palpate.data.masks.instrument_bands import WORKING_SIZE, Band, find_bands
+from palpate.data.source.frames import Frame
 
 VERSION = 1
 """Version of the method, part of the masks' identity; it must rise when the result changes."""

@@ -1,7 +1,7 @@
 """Masks from any ONNX segmentation model, read by settings stored next to it; only onnxruntime is needed.
 
 Settings stand in a YAML file of the model's name (`model.onnx` → `model.yaml`) or, as JSON, in the model's own metadata
-under the key `masks`. They name the channels that are tool and tissue; docs/masks.md has an example.
+under the key `masks`. They name the channels that are tool and tissue; docs/reports/masks.md has an example.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ import cv2
 import numpy as np
 from scipy.special import expit, softmax
 
-from data.labels import TISSUE, TOOL
-from data.masks.automatic import lit_picture
-from data.picture_network import PictureNetwork, network_input, resized
-from data.source.camera import MOST_SIDE
-from data.source.frames import Frame
-from data.source.layout import InputError, from_mapping, read_mapping
-from physics.fields import require_choices
-from physics.files import file_sha256
+from palpate.common.files import file_sha256
+from palpate.common.settings import require_choices
+from palpate.data.labels import TISSUE, TOOL
+from palpate.data.masks.automatic import lit_picture
+from palpate.data.picture_network import PictureNetwork, network_input, resized
+from palpate.data.source.camera import MOST_SIDE
+from palpate.data.source.frames import Frame
+from palpate.data.source.layout import InputError, from_mapping, read_mapping
 
 METADATA_KEY = "masks"
 """Key of a model's metadata under which its settings may stand."""

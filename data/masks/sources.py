@@ -14,11 +14,11 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from data.labels import OTHER, TISSUE, TOOL
-from data.masks.class_table import CLASSES
-from data.source.frames import Frame
-from data.source.images import read_image
-from data.source.layout import ClipLayout, InputError, companion, matches
+from palpate.data.labels import OTHER, TISSUE, TOOL
+from palpate.data.masks.class_table import CLASSES
+from palpate.data.source.frames import Frame
+from palpate.data.source.images import read_image
+from palpate.data.source.layout import ClipLayout, InputError, companion, matches
 
 KINDS = ("annotation", "automatic", "auto")
 """Kinds of masks that need no model; auto is annotation where the clip has masks, else automatic."""
@@ -86,12 +86,12 @@ def open_masks(kind: str, layout: ClipLayout, classes: MaskClasses, clip: Path) 
     # The imports stand here because only the dependencies of the chosen source are needed.
     model = mask_model(kind)
     if model is not None:
-        from data.masks.onnx import OnnxMasks
+        from palpate.data.masks.onnx import OnnxMasks
 
         return OnnxMasks(model)
     if chosen_kind(kind, clip, layout) == "annotation":
         return AnnotationMasks(layout, classes, clip)
-    from data.masks.automatic import AutomaticMasks
+    from palpate.data.masks.automatic import AutomaticMasks
 
     return AutomaticMasks()
 

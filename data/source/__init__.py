@@ -6,12 +6,13 @@ camera  intrinsics, back-projection, removal of lens distortion
 images  image files by their bytes, and paths as text; table: columns of numbers
 """
 
-from physics.lazy import exported
+from palpate.common.lazy import exported
 
 __getattr__ = exported(
+    __name__,
     {
-        "data.source.frames": ("Frame", "FrameFolder", "FrameSource", "VideoFile", "discover", "open_source"),
-        "data.source.layout": ("ClipLayout", "InputError", "load_layout"),
-        "data.source.camera": ("Camera", "back_project", "load_camera"),
-    }
+        "palpate.data.source.frames": ("Frame", "FrameFolder", "FrameSource", "VideoFile", "discover", "open_source"),
+        "palpate.data.source.layout": ("ClipLayout", "InputError", "load_layout"),
+        "palpate.data.source.camera": ("Camera", "back_project", "load_camera"),
+    },
 )

@@ -10,7 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from data.source.layout import ClipLayout, from_mapping, read_clip_file, read_mapping
+from palpate.data.source.layout import ClipLayout, from_mapping, read_clip_file, read_mapping
 
 MOST_SIDE = 4096
 """Longest side of a grid, and of a network's input [px]."""

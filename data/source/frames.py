@@ -16,8 +16,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from data.source.images import printable, read_image, require_pixels
-from data.source.layout import IMAGE_SUFFIXES, ClipLayout, InputError, frame_files, list_folder, read_clip_file
+from palpate.data.source.images import printable, read_image, require_pixels
+from palpate.data.source.layout import IMAGE_SUFFIXES, ClipLayout, InputError, frame_files, list_folder, read_clip_file
 
 VIDEO_SUFFIXES = frozenset({".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".ts", ".wmv"})
 """Endings of the names of video files."""

@@ -13,9 +13,9 @@ os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 import cv2
 import numpy as np
 
-from data.source.layout import InputError
-from physics.doors import plain
-from physics.files import read_file
+from palpate.common.doors import plain
+from palpate.common.files import read_file
+from palpate.data.source.layout import InputError
 
 # OpenCV reads the environment when it is first imported, which may have been before this module.
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)

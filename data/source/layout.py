@@ -19,8 +19,8 @@ from typing import Any, Literal, TypeVar, get_type_hints
 import numpy as np
 import yaml
 
-from physics.fields import described, fits, shown
-from physics.files import read_file
+from palpate.common.files import read_file
+from palpate.common.settings import described, fits, shown
 
 Settings = TypeVar("Settings")
 

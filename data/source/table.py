@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from data.source.images import printable
-from data.source.layout import InputError
-from physics.doors import plain
-from physics.fields import LARGEST
-from physics.files import read_file
+from palpate.common.doors import plain
+from palpate.common.files import read_file
+from palpate.common.settings import LARGEST
+from palpate.data.source.images import printable
+from palpate.data.source.layout import InputError
 
 MOST_BYTES = 2**26
 """Largest table that is read [bytes]; an hour of a sensor at 1000 rows a second is smaller."""

@@ -10,14 +10,15 @@ source    a clip in memory as a FrameSource; contacts: motions without pictures,
 `python -m data.synthetic` is the door.
 """
 
-from physics.lazy import exported
+from palpate.common.lazy import exported
 
 __getattr__ = exported(
+    __name__,
     {
-        "data.synthetic.settings": ("SceneSettings",),
-        "data.synthetic.clip": ("SyntheticClip", "clip_seed", "make_clip", "write_clip"),
-        "data.synthetic.scene": ("Scene", "SceneError", "draw_scene"),
-        "data.synthetic.source": ("SyntheticSource", "open_synthetic"),
-        "data.synthetic.contacts": ("SimulatedContact", "draw_contacts"),
-    }
+        "palpate.data.synthetic.settings": ("SceneSettings",),
+        "palpate.data.synthetic.clip": ("SyntheticClip", "clip_seed", "make_clip", "write_clip"),
+        "palpate.data.synthetic.scene": ("Scene", "SceneError", "draw_scene"),
+        "palpate.data.synthetic.source": ("SyntheticSource", "open_synthetic"),
+        "palpate.data.synthetic.contacts": ("SimulatedContact", "draw_contacts"),
+    },
 )

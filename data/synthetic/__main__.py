@@ -8,7 +8,7 @@ its own truth. No training reads the truth.
 
 from __future__ import annotations
 
-from physics.doors import enter_door, run_door
+from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":
     enter_door()  # before the slow imports
@@ -24,9 +24,9 @@ from typing import Any
 
 from rich.console import Console
 
-from data.command_line import path_option, progress_bars, say, whole_number
-from data.synthetic.clip import clip_seed, write_clip
-from data.synthetic.settings import SceneSettings
+from palpate.common.command_line import path_option, progress_bars, say, whole_number
+from palpate.data.synthetic.clip import clip_seed, write_clip
+from palpate.data.synthetic.settings import SceneSettings
 
 MOST_PRESSES = 1000
 """Largest number of presses in a video; all of them are drawn before the first frame is written."""

@@ -13,16 +13,16 @@ from pathlib import Path
 
 import numpy as np
 
-from data.source.camera import Camera
-from data.synthetic.errors import depth_bias, observe_depth, observe_labels, reported_camera, stored_to_depth
-from data.synthetic.files import open_video, write_frame, write_truth
-from data.synthetic.grip import GrippedMotion, draw_grip
-from data.synthetic.render import Renderer
-from data.synthetic.scene import Scene, draw_scene
-from data.synthetic.settings import SceneSettings
-from data.synthetic.slab import SlabMotion, draw_slab
-from data.synthetic.truth import PressedMotion, TrueMotion, draw_motion
-from physics.files import all_below, as_json, file_sha256, read_file
+from palpate.common.files import all_below, as_json, file_sha256, read_file
+from palpate.data.source.camera import Camera
+from palpate.data.synthetic.errors import depth_bias, observe_depth, observe_labels, reported_camera, stored_to_depth
+from palpate.data.synthetic.files import open_video, write_frame, write_truth
+from palpate.data.synthetic.grip import GrippedMotion, draw_grip
+from palpate.data.synthetic.render import Renderer
+from palpate.data.synthetic.scene import Scene, draw_scene
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.data.synthetic.slab import SlabMotion, draw_slab
+from palpate.data.synthetic.truth import PressedMotion, TrueMotion, draw_motion
 
 MOST_HASHED_BYTES = 2**28
 """Files of more bytes are recognised by size and time of change instead of their hash."""

@@ -14,19 +14,19 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from data.contact.film import REACH as FILM_REACH
-from data.contact.film import DentFilm, FilmNoise
-from data.contact.interaction import Interaction
-from data.contact.patches import Patches
-from data.synthetic.scene import Scene, crop_mesh, draw_scene
-from data.synthetic.settings import SceneSettings
-from data.synthetic.tool import TIP_START, jaw_width
-from data.synthetic.truth import draw_theta
-from physics.load import Press, held
-from physics.mechanics import Mechanics
-from physics.mesh import Mesh
-from physics.msd.simulation import simulate
-from physics.observation import Observation
+from palpate.data.contact.depth_sequence import REACH as SEQUENCE_REACH
+from palpate.data.contact.depth_sequence import DepthSequence, SequenceNoise
+from palpate.data.contact.interaction import Interaction
+from palpate.data.contact.patches import Patches
+from palpate.data.synthetic.scene import Scene, crop_mesh, draw_scene
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.data.synthetic.tool import TIP_START, jaw_width
+from palpate.data.synthetic.truth import draw_theta
+from palpate.physics.load import Press, held
+from palpate.physics.mechanics import Mechanics
+from palpate.physics.mesh import Mesh
+from palpate.physics.msd.simulation import simulate
+from palpate.physics.observation import Observation
 
 CROP_RADIUS = 40
 """Half side of the part of the mesh that is kept [grid px]: no wave returns from farther away within a second."""
@@ -50,7 +50,7 @@ class SimulatedContact:
 
 
 def draw_contacts(
-    settings: SceneSettings, seed: int, count: int, time_step: float, within: float = 0.0, film: bool = False
+    settings: SceneSettings, seed: int, count: int, time_step: float, within: float = 0.0, sequence: bool = False
 ) -> list[SimulatedContact]:
     """Contacts of one scene, each with its own tissue and timing; fewer where too many draws move too much or little.
 
@@ -60,7 +60,7 @@ def draw_contacts(
         count: number of contacts.
         time_step: duration of a step of the loads [s].
         within: largest difference between the true and the stamped time of a press's begin, and of its end [s].
-        film: whether the depth-change sequences of the dents are made as well, in pictures of the grid's size or of
+        sequence: whether the depth-change sequences of the dents are made as well, in pictures of the grid's size or of
             CholecSeg8k's, drawn for each contact.
     """
     scene = draw_scene(settings, np.random.default_rng([seed, 0]))
@@ -68,7 +68,7 @@ def draw_contacts(
     mesh, kept, _ = crop_mesh(scene.mesh, scene.vertex, CROP_RADIUS)
     vertex = int(np.searchsorted(kept, scene.vertex))
     grid = settings.grid_width, settings.grid_height
-    patches = [Patches(mesh, vertex, size) for size in (grid, (854, 480))] if film else []
+    patches = [Patches(mesh, vertex, size) for size in (grid, (854, 480))] if sequence else []
     press = _Pressed(scene, mesh, vertex, time_step, within, patches)
     draws = (press.draw(generator) for _ in range(DRAWS_PER_CONTACT * count))
     return list(itertools.islice(filter(None, draws), count))
@@ -113,23 +113,23 @@ class _Pressed:
         step = self.time_step
         load = Press.at(self.vertex, direction.astype(np.float32), held(round(stamped / step), round(1 / step)))
         observed = Observation.of_point(self.vertex, times, moved[:, 0], 0.0)
-        film = None if view is None else self._film(view, moved[:, 1:], times, stamped, generator)
-        return SimulatedContact(Interaction(self.mesh, load, observed, step, film), theta)
+        sequence = None if view is None else self._sequence(view, moved[:, 1:], times, stamped, generator)
+        return SimulatedContact(Interaction(self.mesh, load, observed, step, sequence), theta)
 
-    def _film(
+    def _sequence(
         self, view: Patches, moved: np.ndarray, times: np.ndarray, stamped: float, generator: np.random.Generator
-    ) -> DentFilm:
+    ) -> DepthSequence:
         """The depth-change sequence of displacements [N, V, 3], the tool hiding some pixels until a time [s]."""
-        side = 2 * FILM_REACH + 1
+        side = 2 * SEQUENCE_REACH + 1
         change = view.shown(view.sunk(moved), view.covering(moved)).reshape(len(times), side, side)
         change[np.ix_(times < stamped - 1e-9, *[np.ones(side, bool)] * 2)] += hidden_by_tool(generator)
-        return DentFilm(times, change.astype(np.float32), FilmNoise(0.0, 0.0), view.size)
+        return DepthSequence(times, change.astype(np.float32), SequenceNoise(0.0, 0.0), view.size)
 
 
 def hidden_by_tool(generator: np.random.Generator) -> np.ndarray:
     """NaN where a tool that touches the middle from a random side hides a sequence's pixels, else 0, shape [S, S]."""
     angle = generator.uniform(0, 2 * math.pi)
-    rows, columns = np.mgrid[-FILM_REACH : FILM_REACH + 1, -FILM_REACH : FILM_REACH + 1]
+    rows, columns = np.mgrid[-SEQUENCE_REACH : SEQUENCE_REACH + 1, -SEQUENCE_REACH : SEQUENCE_REACH + 1]
     along = columns * math.cos(angle) + rows * math.sin(angle)
     across = rows * math.cos(angle) - columns * math.sin(angle)
     return np.where((along >= TIP_START) & (np.abs(across) <= jaw_width(along)), np.nan, 0.0)

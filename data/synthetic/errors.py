@@ -7,8 +7,8 @@ import dataclasses
 import cv2
 import numpy as np
 
-from data.source.camera import Camera
-from data.synthetic.settings import SceneSettings
+from palpate.data.source.camera import Camera
+from palpate.data.synthetic.settings import SceneSettings
 
 MASK_ERROR_LENGTH = 6.0
 """Correlation length of the outlines' displacement [grid px]."""

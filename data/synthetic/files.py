@@ -11,14 +11,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from data.masks.class_table import CLASSES
-from data.synthetic.errors import reported_camera
-from data.synthetic.grip import SUBSTEPS, GrippedMotion
-from data.synthetic.scene import Scene
-from data.synthetic.settings import SceneSettings
-from data.synthetic.slab import LAW, PressedSlab, SlabMotion
-from data.synthetic.slab import SUBSTEPS as SLAB_SUBSTEPS
-from data.synthetic.truth import (
+from palpate.common.files import as_json
+from palpate.data.masks.class_table import CLASSES
+from palpate.data.synthetic.errors import reported_camera
+from palpate.data.synthetic.grip import SUBSTEPS, GrippedMotion
+from palpate.data.synthetic.scene import Scene
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.data.synthetic.slab import LAW, PressedSlab, SlabMotion
+from palpate.data.synthetic.slab import SUBSTEPS as SLAB_SUBSTEPS
+from palpate.data.synthetic.truth import (
     ABSOLUTE_TOLERANCE,
     RELATIVE_TOLERANCE,
     PressedMotion,
@@ -26,8 +27,7 @@ from data.synthetic.truth import (
     damping_ratio,
     regime_of,
 )
-from physics.files import as_json
-from physics.mechanics import PARAMETERS
+from palpate.physics.mechanics import PARAMETERS
 
 UNITS = {
     "length": "scene units (stored depth divided by its type's largest value)",

@@ -16,9 +16,9 @@ from scipy.sparse import coo_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
 from scipy.special import k0e, k1e
 
-from data.synthetic.scene import Scene, SceneError, require_room
-from data.synthetic.settings import SceneSettings
-from data.synthetic.truth import TrueMotion
+from palpate.data.synthetic.scene import Scene, SceneError, require_room
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.data.synthetic.truth import TrueMotion
 
 SUBSTEPS = 8
 """Time steps of the integrator a frame."""

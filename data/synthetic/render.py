@@ -12,12 +12,12 @@ import math
 import cv2
 import numpy as np
 
-from data.masks.class_table import CLASSES
-from data.source.camera import back_project
-from data.synthetic.scene import Scene
-from data.synthetic.surface import SheetView, deformed_view, rest_view
-from data.synthetic.tool import draw_tool
-from data.synthetic.truth import TrueMotion
+from palpate.data.masks.class_table import CLASSES
+from palpate.data.source.camera import back_project
+from palpate.data.synthetic.scene import Scene
+from palpate.data.synthetic.surface import SheetView, deformed_view, rest_view
+from palpate.data.synthetic.tool import draw_tool
+from palpate.data.synthetic.truth import TrueMotion
 
 GREY = {name: entry.grey for name, entry in CLASSES.items()}
 """Grey code of every class."""

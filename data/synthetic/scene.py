@@ -2,7 +2,7 @@
 
 The sheet is a smooth height field over the camera's rays, its normal at the contact within a few degrees of the line of
 sight, so that the depth map shows a press. The true mesh is the grid mesh of the undeformed organ on the network's
-grid, the very topology that is later fitted (docs/identifiability.md).
+grid, the very topology that is later fitted (docs/reports/identifiability.md).
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data.source.camera import Camera, back_project
-from data.synthetic.settings import SceneSettings
-from physics.mesh import Mesh, contact_normal, grid_mesh
+from palpate.data.source.camera import Camera, back_project
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.physics.mesh import Mesh, contact_normal, grid_mesh
 
 NEAREST_DEPTH, FARTHEST_DEPTH = 0.33, 0.95
 """Depths between which the whole sheet must lie [scene units]; above 1 the stored depth would saturate."""

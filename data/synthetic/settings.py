@@ -10,8 +10,8 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from data.source.camera import MOST_SIDE
-from data.source.layout import FRAME_RATES
+from palpate.data.source.camera import MOST_SIDE
+from palpate.data.source.layout import FRAME_RATES
 
 Range = tuple[float, float]
 

@@ -13,13 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data.synthetic.grip import draw_course, draw_tip_path
-from data.synthetic.scene import Scene, SceneError, require_room
-from data.synthetic.settings import SceneSettings
-from data.synthetic.truth import TrueMotion, draw_contact_frames, draw_shape, force_factor
-from physics.fem import Inertia, Material, NoEquilibrium, Relaxation, box, find_equilibrium, simulate
-from physics.fem.slab import Slab, layered
-from physics.load import Grip, Load, Press
+from palpate.data.synthetic.grip import draw_course, draw_tip_path
+from palpate.data.synthetic.scene import Scene, SceneError, require_room
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.data.synthetic.truth import TrueMotion, draw_contact_frames, draw_shape, force_factor
+from palpate.physics.fem import Inertia, Material, NoEquilibrium, Relaxation, box, find_equilibrium, simulate
+from palpate.physics.fem.slab import Slab, layered
+from palpate.physics.load import Grip, Load, Press
 
 LAW = "neo_hookean"
 """Material law of the slab."""

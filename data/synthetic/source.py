@@ -7,16 +7,16 @@ from pathlib import Path
 
 import numpy as np
 
-from data.clip import ClipInputs, ClipStream
-from data.contact.geometry import GeometrySettings
-from data.depth.model import RawDepth
-from data.depth.normalise import DepthSettings
-from data.depth.sources import DepthSource
-from data.masks.class_table import CLASSES
-from data.masks.sources import OTHER, TISSUE, TOOL
-from data.settings import PrepareSettings
-from data.source.frames import Frame, FrameSource
-from data.synthetic.clip import SyntheticClip
+from palpate.data.clip import ClipInputs, ClipStream
+from palpate.data.contact.geometry import GeometrySettings
+from palpate.data.depth.model import RawDepth
+from palpate.data.depth.normalise import DepthSettings
+from palpate.data.depth.sources import DepthSource
+from palpate.data.masks.class_table import CLASSES
+from palpate.data.masks.sources import OTHER, TISSUE, TOOL
+from palpate.data.settings import PrepareSettings
+from palpate.data.source.frames import Frame, FrameSource
+from palpate.data.synthetic.clip import SyntheticClip
 
 PREPARE = PrepareSettings(
     depth=DepthSettings(source="stored"), geometry=GeometrySettings(smoothing=4, rigid_motion="subtract")

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data.synthetic.scene import NEAREST_DEPTH, Scene
-from data.synthetic.truth import TrueMotion
+from palpate.data.synthetic.scene import NEAREST_DEPTH, Scene
+from palpate.data.synthetic.truth import TrueMotion
 
 HALF_PATCH = 0.49
 """Half-width of a vertex's patch as a share of a grid cell."""

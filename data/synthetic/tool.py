@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data.synthetic.grip import GrippedMotion
-from data.synthetic.scene import Scene
-from data.synthetic.slab import GrippedSlab
-from data.synthetic.surface import SheetView
-from data.synthetic.truth import TrueMotion
+from palpate.data.synthetic.grip import GrippedMotion
+from palpate.data.synthetic.scene import Scene
+from palpate.data.synthetic.slab import GrippedSlab
+from palpate.data.synthetic.surface import SheetView
+from palpate.data.synthetic.truth import TrueMotion
 
 SHAFT_RADIUS = 0.021
 """Radius of the shaft [scene units]."""

@@ -2,7 +2,7 @@
 
 The model is that of Bini 2026, section 3.3 (m ẍ + k_d ẋ + springs = F·n). The integrator is another one, DOP853, an
 eighth-order Runge-Kutta method with step control, so that recovering θ with the fitted scheme is a test of that scheme
-(see docs/identifiability.md, "Recovery of known parameters").
+(see docs/reports/identifiability.md, "Recovery of known parameters").
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from scipy.integrate import solve_ivp
 from scipy.ndimage import gaussian_filter
 from scipy.sparse import csr_array
 
-from data.synthetic.scene import Scene, SceneError, crop_mesh, require_room
-from data.synthetic.settings import SceneSettings
-from physics.load import Press, PressShape
+from palpate.data.synthetic.scene import Scene, SceneError, crop_mesh, require_room
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.physics.load import Press, PressShape
 
 SAMPLE_STEP = 0.005
 """Time between samples of the stored response: Δt of Bini 2026 [s]."""
@@ -119,7 +119,7 @@ class MeshWindow:
 
 
 def regime_of(zeta: float) -> Regime:
-    """Regime of a damping ratio, with the limits of the tables in docs/identifiability.md."""
+    """Regime of a damping ratio, with the limits of the tables in docs/reports/identifiability.md."""
     return "under-damped" if zeta < 0.7 else "critical" if zeta <= 1.4 else "over-damped"
 
 

@@ -6,6 +6,9 @@ measuring    the same where a model tells about where
 background   the camera's own motion taken off
 """
 
-from physics.lazy import exported
+from palpate.common.lazy import exported
 
-__getattr__ = exported({"data.tracks.following": ("PointFollower",), "data.tracks.background": ("without_background",)})
+__getattr__ = exported(
+    __name__,
+    {"palpate.data.tracks.following": ("PointFollower",), "palpate.data.tracks.background": ("without_background",)},
+)

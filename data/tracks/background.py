@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from physics.robust import affine_motion
+from palpate.common.robust import affine_motion
 
 FAR = 60.0
 """Points farther from the tool than this percentile are the background [%]."""

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from data.tracks.linking import Linker, patterns, resemblance
-from data.tracks.measuring import Measured, fine, measure
+from palpate.data.tracks.linking import Linker, patterns, resemblance
+from palpate.data.tracks.measuring import Measured, fine, measure
 
 SPACING = 8
 """Of the grid of points [px]."""

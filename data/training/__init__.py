@@ -7,14 +7,15 @@ preparation  all clips of a data set, one after the other
 cholecseg8k  checks a data set and prepares it; `python -m data.cholecseg8k` is the door
 """
 
-from physics.lazy import exported
+from palpate.common.lazy import exported
 
 __getattr__ = exported(
+    __name__,
     {
-        "data.training.samples": ("Sample", "SampleSettings", "make_interaction", "make_sample"),
-        "data.training.splits": ("split_by_video", "split_samples"),
-        "data.training.batches": ("SampleDataset", "collate"),
-        "data.training.datamodule": ("ClipDataModule", "LoadingSettings"),
-        "data.training.preparation": ("prepare_all",),
-    }
+        "palpate.data.training.samples": ("Sample", "SampleSettings", "make_interaction", "make_sample"),
+        "palpate.data.training.splits": ("split_by_video", "split_samples"),
+        "palpate.data.training.batches": ("SampleDataset", "collate"),
+        "palpate.data.training.datamodule": ("ClipDataModule", "LoadingSettings"),
+        "palpate.data.training.preparation": ("prepare_all",),
+    },
 )

@@ -12,15 +12,15 @@ import torch
 from torch.nn.utils.rnn import pad_sequence
 from torch.utils.data import Dataset
 
-from data.cache import PreparedClip
-from data.contact.features import contact_features
-from data.contact.film import REACH, smooth_errors
-from data.contact.film_features import dent_features, told_noise
-from data.contact.interaction import Interaction
-from data.contact.patches import Patches
-from data.training.samples import Sample, SampleSettings, make_sample
-from data.training.splits import Place
-from physics.msd.batch import DepthBatch, MeshBatch, ObservationBatch, PressBatch
+from palpate.data.cache import PreparedClip
+from palpate.data.contact.depth_sequence import REACH, smooth_errors
+from palpate.data.contact.features import contact_features
+from palpate.data.contact.interaction import Interaction
+from palpate.data.contact.patches import Patches
+from palpate.data.contact.sequence_features import dent_features, told_noise
+from palpate.data.training.samples import Sample, SampleSettings, make_sample
+from palpate.data.training.splits import Place
+from palpate.physics.msd.batch import DepthBatch, MeshBatch, ObservationBatch, PressBatch
 
 
 class SampleDataset(Dataset):
@@ -50,7 +50,7 @@ def collate(samples: Sequence[Sample]) -> dict[str, Any]:
         For trajectories of clips whose noise is known, also what was known of the contact at frame t, equal on both
         sides: `contact_features_a`, … [B, FEATURES] float32 (`data.contact.features`), `noise_a`, … [B] float32
         [scene units], `known_load_a`, … PressBatch and `known_observation_a`, … ObservationBatch. Where
-        depth-change sequences are asked for, these vectors describe them, too (`data.contact.film_features`), and
+        depth-change sequences are asked for, these vectors describe them, too (`data.contact.sequence_features`), and
         `dent_a`, … DepthBatch holds them.
     """
     batch: dict[str, Any] = {
@@ -59,10 +59,10 @@ def collate(samples: Sequence[Sample]) -> dict[str, Any]:
     }
     known = [sample.known for sample in samples if sample.known is not None]
     all_known = len(known) == len(samples)
-    filmed = all_known and any(interaction.film is not None for interaction in known)
-    features_of = functools.partial(dent_features, within=0.0) if filmed else contact_features
+    with_sequence = all_known and any(interaction.sequence is not None for interaction in known)
+    features_of = functools.partial(dent_features, within=0.0) if with_sequence else contact_features
     features = np.stack([features_of(interaction) for interaction in known]) if all_known else None
-    dents = join_films(known) if filmed else None
+    dents = join_sequences(known) if with_sequence else None
     for side in ("a", "b"):
         interactions: list[Interaction] = [getattr(sample, f"interaction_{side}") for sample in samples]
         windows = np.stack([getattr(sample, f"window_{side}") for sample in samples])
@@ -86,13 +86,13 @@ def _join(interactions: Sequence[Interaction]) -> tuple[PressBatch, ObservationB
     return loads, ObservationBatch.of(observations, interactions[0].time_step)
 
 
-def join_films(contacts: Sequence[Interaction]) -> DepthBatch:
+def join_sequences(contacts: Sequence[Interaction]) -> DepthBatch:
     """The depth-change sequences of some contacts, as a batch.
 
     A contact without a sequence gives its own motion, as the middle pixel's. In a finer picture than the grid the
     middle pixels are left out: they are means of very different depths.
     """
-    parts = [_film_parts(contact) for contact in contacts]
+    parts = [_sequence_parts(contact) for contact in contacts]
     views = [view for view, _, _ in parts]
     steps, change = (
         pad_sequence([torch.from_numpy(part) for part in column], batch_first=True)
@@ -112,15 +112,15 @@ def join_films(contacts: Sequence[Interaction]) -> DepthBatch:
         steps=steps,
         change=torch.where(weight, change, 0.0),
         weight=weight.float(),
-        noise=torch.tensor([_film_noise(contact) for contact in contacts], dtype=torch.float32),
+        noise=torch.tensor([_sequence_noise(contact) for contact in contacts], dtype=torch.float32),
         common=torch.from_numpy(smooth_errors(1.0).astype(np.float32)),
     )
 
 
-def _film_parts(contact: Interaction) -> tuple[Patches, np.ndarray, np.ndarray]:
+def _sequence_parts(contact: Interaction) -> tuple[Patches, np.ndarray, np.ndarray]:
     """Patches that a contact's pixels show, steps [N] and depth changes [N, P], NaN where nothing was observed."""
-    film, side = contact.film, 2 * REACH + 1
-    if film is None or not len(film.times):
+    sequence, side = contact.sequence, 2 * REACH + 1
+    if sequence is None or not len(sequence.times):
         patches = Patches(contact.mesh, contact.vertex, contact.mesh.grid_shape[::-1])
         moved = np.zeros((len(contact.observation), len(patches.vertices), 3))
         place = int(np.flatnonzero(patches.vertices == contact.vertex)[0])
@@ -128,16 +128,16 @@ def _film_parts(contact: Interaction) -> tuple[Patches, np.ndarray, np.ndarray]:
         change = np.full((len(moved), side * side), np.nan, np.float32)
         change[:, side * side // 2] = patches.sunk(moved)[:, place]
         return patches, contact.observation.steps(contact.time_step), change
-    patches = Patches(contact.mesh, contact.vertex, film.size)
-    change = film.change.reshape(len(film.times), -1).copy()
+    patches = Patches(contact.mesh, contact.vertex, sequence.size)
+    change = sequence.change.reshape(len(sequence.times), -1).copy()
     if patches.averages:
         near = np.abs(np.mgrid[-REACH : REACH + 1, -REACH : REACH + 1]).max(axis=0).ravel() <= 1
         change[:, near] = np.nan
-    return patches, np.rint(film.times / contact.time_step).astype(np.int64) - 1, change
+    return patches, np.rint(sequence.times / contact.time_step).astype(np.int64) - 1, change
 
 
-def _film_noise(contact: Interaction) -> float:
+def _sequence_noise(contact: Interaction) -> float:
     """σ of every pixel's error [scene units]; larger where errors are correlated in time, as of fewer pixels."""
-    film, noise = contact.film, told_noise(contact)
-    correlated = film is not None and len(film.times) and not film.noise.rounded
-    return noise * math.sqrt(film.noise.alike_in_time) if correlated else noise
+    sequence, noise = contact.sequence, told_noise(contact)
+    correlated = sequence is not None and len(sequence.times) and not sequence.noise.rounded
+    return noise * math.sqrt(sequence.noise.alike_in_time) if correlated else noise

@@ -21,18 +21,18 @@ from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
 
-from data.cache import PreparedClip, require_models
-from data.command_line import path_option, say
-from data.depth.normalise import DepthSettings
-from data.masks.class_table import CLASSES
-from data.masks.sources import MaskClasses, MaskError, color_distance, mask_file, read_mask
-from data.settings import PrepareSettings
-from data.source.frames import Frame, discover, open_source
-from data.source.layout import ClipLayout, InputError, frame_files, load_layout, read_clip_file
-from data.training.preparation import prepare_all
-from data.training.samples import SampleSettings, list_frames
-from data.training.splits import video_of
-from physics.doors import plain
+from palpate.common.command_line import path_option, say
+from palpate.common.doors import plain
+from palpate.data.cache import PreparedClip, require_models
+from palpate.data.depth.normalise import DepthSettings
+from palpate.data.masks.class_table import CLASSES
+from palpate.data.masks.sources import MaskClasses, MaskError, color_distance, mask_file, read_mask
+from palpate.data.settings import PrepareSettings
+from palpate.data.source.frames import Frame, discover, open_source
+from palpate.data.source.layout import ClipLayout, InputError, frame_files, load_layout, read_clip_file
+from palpate.data.training.preparation import prepare_all
+from palpate.data.training.samples import SampleSettings, list_frames
+from palpate.data.training.splits import video_of
 
 UNLABELLED_COLORS = ((255, 255, 255), (0, 0, 0))
 """Colours of no class that masks hold nevertheless: of the 1-px border, and of unlabelled pixels."""

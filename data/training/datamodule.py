@@ -15,18 +15,18 @@ from lightning.pytorch.utilities import rank_zero_info, rank_zero_warn
 from torch.utils.data import DataLoader
 from torch.utils.data.distributed import DistributedSampler
 
-from data.cache import PreparedClip
-from data.contact.interaction import Interaction
-from data.depth.normalise import MOST_THREADS
-from data.settings import NUMBERS, PREPROCESSING_VERSION, PrepareSettings
-from data.source.layout import ClipLayout, InputError, load_layout
-from data.training.batches import SampleDataset, collate
-from data.training.cholecseg8k import join_folders, list_clips
-from data.training.preparation import prepare_all
-from data.training.samples import SampleSettings, list_frames, make_interaction
-from data.training.splits import FRACTIONS, SPLITS, NamedVideos, Place, split_samples
-from physics.fields import fits
-from physics.mechanics import Bounds, require_stable
+from palpate.common.settings import fits
+from palpate.data.cache import PreparedClip
+from palpate.data.contact.interaction import Interaction
+from palpate.data.depth.normalise import MOST_THREADS
+from palpate.data.settings import NUMBERS, PREPROCESSING_VERSION, PrepareSettings
+from palpate.data.source.layout import ClipLayout, InputError, load_layout
+from palpate.data.training.batches import SampleDataset, collate
+from palpate.data.training.cholecseg8k import join_folders, list_clips
+from palpate.data.training.preparation import prepare_all
+from palpate.data.training.samples import SampleSettings, list_frames, make_interaction
+from palpate.data.training.splits import FRACTIONS, SPLITS, NamedVideos, Place, split_samples
+from palpate.physics.mechanics import Bounds, require_stable
 
 TRAINED_ON = dict[Literal["depth", "masks"], tuple[str, ...]]
 """Type of a record of where depth and masks came from, for `fits`."""

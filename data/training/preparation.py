@@ -8,13 +8,13 @@ from pathlib import Path
 
 from rich.console import Console
 
-from data.cache import PreparedClip
-from data.clip import ClipStream, prepare
-from data.command_line import progress_bars
-from data.prepared import PreparedFrame
-from data.settings import PrepareSettings
-from data.source.layout import InputError
-from physics.doors import interruptible, plain
+from palpate.common.command_line import progress_bars
+from palpate.common.doors import interruptible, plain
+from palpate.data.cache import PreparedClip
+from palpate.data.clip import ClipStream, prepare
+from palpate.data.prepared import PreparedFrame
+from palpate.data.settings import PrepareSettings
+from palpate.data.source.layout import InputError
 
 
 def prepare_all(

@@ -13,14 +13,14 @@ from typing import Literal
 
 import numpy as np
 
-from data.cache import PreparedClip
-from data.contact.geometry import GeometrySettings, force_direction
-from data.contact.interaction import ContactFrame, Interaction, InteractionBuilder
-from data.windows import future_indices, window_indices
-from physics.fields import require_choices
-from physics.load import Press, held
-from physics.mechanics import Mechanics
-from physics.observation import Observation
+from palpate.common.settings import require_choices
+from palpate.data.cache import PreparedClip
+from palpate.data.contact.geometry import GeometrySettings, force_direction
+from palpate.data.contact.interaction import ContactFrame, Interaction, InteractionBuilder
+from palpate.data.windows import future_indices, window_indices
+from palpate.physics.load import Press, held
+from palpate.physics.mechanics import Mechanics
+from palpate.physics.observation import Observation
 
 LONGEST_WINDOW = 256
 """Largest window [frames]: ten seconds at 25 frames a second."""
@@ -49,7 +49,7 @@ class SampleSettings:
     """A trajectory's frame is a sample where its onset is less than this many frames back; none = the window's length,
     beyond which a network has no input. A network that gets the contact's motion in addition to the window can use
     more."""
-    film: bool = False
+    sequence: bool = False
     """Whether the depth-change sequence of all tissue around the contact is a network's input and is compared, in
     addition to the contact's own motion; needs observation trajectory."""
     geometry: GeometrySettings = field(default_factory=GeometrySettings)
@@ -66,8 +66,10 @@ class SampleSettings:
                 f"horizon is {self.horizon} and observation {self.observation}; give at least 1 frame, and more only "
                 "with observation trajectory."
             )
-        if self.film and self.observation != "trajectory":
-            raise ValueError(f"film needs observation trajectory, not {self.observation}; choose that, or film false.")
+        if self.sequence and self.observation != "trajectory":
+            raise ValueError(
+                f"sequence needs observation trajectory, not {self.observation}; choose that, or sequence false."
+            )
         if self.onset_within is not None and self.onset_within < 1:
             raise ValueError(f"onset_within is {self.onset_within}; give at least 1, or leave it out.")
         for name in ("min_deformation", "min_clip_deformation"):
@@ -129,8 +131,8 @@ def make_sample(clip: PreparedClip, frame: int, settings: SampleSettings) -> Sam
         onward = course = 0, _pair_steps(settings)
     else:
         onset = int(clip.track_start[frame])
-        run = builder_of(clip, onset, settings, film_until=frame if settings.film else None)
-        forward = dataclasses.replace(run.build(settings.mechanics), film=None)
+        run = builder_of(clip, onset, settings, sequence_until=frame if settings.sequence else None)
+        forward = dataclasses.replace(run.build(settings.mechanics), sequence=None)
         since = clip.times[[frame, frame + settings.horizon]] - clip.times[onset]
         first, last = np.rint(since / settings.mechanics.time_step).astype(int).tolist()
         onward, course = (first, last), (last, first)
@@ -148,7 +150,7 @@ def make_interaction(clip: PreparedClip, frame: int, settings: SampleSettings) -
 
 
 def builder_of(
-    clip: PreparedClip, onset: int, settings: SampleSettings, *, film_until: int | None = None
+    clip: PreparedClip, onset: int, settings: SampleSettings, *, sequence_until: int | None = None
 ) -> InteractionBuilder:
     """Builder of the run of contact that began at an onset, with all its frames.
 
@@ -156,19 +158,19 @@ def builder_of(
         clip: prepared clip.
         onset: index of the run's first frame.
         settings: settings of the samples.
-        film_until: index of the last frame of the depth-change sequence; None = keep no sequence.
+        sequence_until: index of the last frame of the depth-change sequence; None = keep no sequence.
     """
 
     def frame_of(index: int) -> ContactFrame:
-        filmed = film_until is not None and index <= film_until
+        with_sequence = sequence_until is not None and index <= sequence_until
         return ContactFrame(
             float(clip.times[index]),
             bool(clip.contact[index]),
             bool(clip.out_of_contact[index]),
             bool(clip.consecutive[index]),
             clip.track_position[index],
-            clip.depth(index) if filmed else None,
-            clip.labels(index) if filmed else None,
+            clip.depth(index) if with_sequence else None,
+            clip.labels(index) if with_sequence else None,
         )
 
     run = InteractionBuilder(
@@ -179,7 +181,7 @@ def builder_of(
         frame_of(onset),
         settings.geometry,
         settings.mechanics.seconds,
-        None if film_until is None else clip.size,
+        None if sequence_until is None else clip.size,
     )
     for index in range(onset + 1, len(clip)):
         if clip.track_start[index] != onset:

@@ -11,8 +11,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from data.cache import PreparedClip
-from data.training.samples import SampleSettings
+from palpate.data.cache import PreparedClip
+from palpate.data.training.samples import SampleSettings
 
 SPLITS = ("train", "val", "test")
 """Names of the splits."""

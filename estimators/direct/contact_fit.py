@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from estimators.direct.error_model import log_likelihoods, variance_scale
-from estimators.direct.motion import about_tissue
-from estimators.direct.problem import (
+from palpate.estimators.direct.error_model import log_likelihoods, variance_scale
+from palpate.estimators.direct.motion import about_tissue
+from palpate.estimators.direct.problem import (
     ContactProblem,
     Optimum,
     combine,
@@ -18,10 +18,10 @@ from estimators.direct.problem import (
     evidence_shares,
     find_optimum,
 )
-from estimators.direct.sampling import Draws, Mixture, sample_posterior
-from estimators.estimate import Estimate
-from estimators.oblique import effective_misfit, is_oblique, view_angle
-from physics.identifiability import bounds, box_information
+from palpate.estimators.direct.sampling import Draws, Mixture, sample_posterior
+from palpate.estimators.estimate import Estimate
+from palpate.estimators.oblique import effective_misfit, is_oblique, view_angle
+from palpate.physics.identifiability import bounds, box_information
 
 LARGEST_MISFIT = 1.5
 """The model does not explain what lies farther from its best fit than this many σ."""

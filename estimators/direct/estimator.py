@@ -1,8 +1,8 @@
 """The direct estimator: θ of one contact from its motion through the simulator, without a trained network.
 
-The strongest classical rival of a network (docs/identifiability.md). Levenberg–Marquardt with a trust region finds what
-explains the film of a dent best (`estimators.direct.field`), as a step on a vertex or as a press of any shape
-(`estimators.direct.patch`), or the motion of its one followed point
+The strongest classical rival of a network (docs/reports/identifiability.md). Levenberg–Marquardt with a trust region
+finds what explains the sequence of a dent best (`estimators.direct.field`), as a step on a vertex or as a press of any
+shape (`estimators.direct.patch`), or the motion of its one followed point
 (`estimators.direct.problem`), in φ = (log k_s, log k_d, log |F|) and, where the instants are not known, in the delays
 of the press (`estimators.direct.motion`). Around these optima the posterior is sampled (`estimators.direct.sampling`),
 with a uniform prior on the box of these: mean and covariance of φ are the estimate.
@@ -19,26 +19,26 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from data.contact.interaction import FIELD, OBSERVATIONS, Horizon, Interaction
-from data.prepared import PreparedFrame
-from data.settings import PrepareSettings
-from estimators.contract import Chosen, ClipInfo, Said
-from estimators.direct.contact_fit import fit_contact
-from estimators.direct.field_fit import fit_press
-from estimators.direct.problem import ContactProblem
-from estimators.direct.slab_fit import fit_slab
-from estimators.direct.slab_motion import DENSITY, LAW, POISSON, SLAB_BOUNDS
-from estimators.estimate import Estimate, NoEstimate
-from estimators.oblique import remark
-from estimators.onset import onset_error
-from estimators.runs import Run, RunSession, frame_estimate
-from physics.load import held
-from physics.mechanics import PARAMETERS, RECOMMENDED, Bounds, Mechanics
-from physics.msd.simulation import simulate
+from palpate.data.contact.interaction import FIELD, OBSERVATIONS, Horizon, Interaction
+from palpate.data.prepared import PreparedFrame
+from palpate.data.settings import PrepareSettings
+from palpate.estimators.contract import Chosen, ClipInfo, Output
+from palpate.estimators.direct.contact_fit import fit_contact
+from palpate.estimators.direct.field_fit import fit_press
+from palpate.estimators.direct.problem import ContactProblem
+from palpate.estimators.direct.slab_fit import fit_slab
+from palpate.estimators.direct.slab_motion import DENSITY, LAW, POISSON, SLAB_BOUNDS
+from palpate.estimators.estimate import Estimate, NoEstimate
+from palpate.estimators.oblique import remark
+from palpate.estimators.onset import onset_error
+from palpate.estimators.runs import Run, RunSession, frame_estimate
+from palpate.physics.load import held
+from palpate.physics.mechanics import PARAMETERS, RECOMMENDED, Bounds, Mechanics
+from palpate.physics.msd.simulation import simulate
 
 LEAST_SIGMA = 3e-5
-"""A smaller σ is refused [scene units]: that is the fitted simulator's own error (docs/identifiability.md), which would
-be taken for motion of the tissue."""
+"""A smaller σ is refused [scene units]: that is the fitted simulator's own error (docs/reports/identifiability.md),
+which would be taken for motion of the tissue."""
 WHOLE = "This estimator fits whole runs of contact: see interactions.csv."
 """The depth of all visible tissue around the contact, or the motion of the one point that the tool touched first."""
 LEAST_OBSERVATIONS = 3
@@ -115,7 +115,7 @@ class DirectSession(RunSession):
         self.estimator = estimator
         self._within = onset_error(estimator.onset, clip.fps)
 
-    def push(self, frame: PreparedFrame) -> Iterator[Said]:
+    def push(self, frame: PreparedFrame) -> Iterator[Output]:
         """The next frame."""
         yield from self._ended(self._runs.push(frame))
         self._follow(frame)
@@ -127,9 +127,9 @@ class DirectSession(RunSession):
     def fit(self, contact: Interaction) -> tuple[Estimate, tuple[np.ndarray, np.ndarray]]:
         """Fit θ to one contact; gives the estimate and the simulated motion, as of `simulated_motion`.
 
-        By the film of its dent where there is one and it is asked for; then the press may be of any shape, too. Where
-        the beginning of the press isn't known its delay is fitted as well, and the information is what there would be
-        if it were known. Where the contact is pressed aslant to the line of sight its uncertainty is widened
+        By the sequence of its dent where there is one and it is asked for; then the press may be of any shape, too.
+        Where the beginning of the press isn't known its delay is fitted as well, and the information is what there
+        would be if it were known. Where the contact is pressed aslant to the line of sight its uncertainty is widened
         (`estimators.oblique`), because what it was fitted to may not be the bottom of the dent.
 
         Raises:
@@ -143,13 +143,13 @@ class DirectSession(RunSession):
             raise NoEstimate(
                 f"The contact was followed over {count} frames after its onset; {LEAST_OBSERVATIONS} are needed."
             )
-        film = contact.film
-        filmed = film is not None and len(film.times) >= LEAST_OBSERVATIONS
+        sequence = contact.sequence
+        with_sequence = sequence is not None and len(sequence.times) >= LEAST_OBSERVATIONS
         if estimator.thickness is not None:
-            if not filmed:
+            if not with_sequence:
                 raise NoEstimate("A slab needs the depth around the contact, and too few frames show it.")
             return fit_slab(contact, estimator.thickness, self._within, estimator.noise)
-        if estimator.observation == FIELD and filmed:
+        if estimator.observation == FIELD and with_sequence:
             found = fit_press(contact, self.mechanics, self._within, estimator.noise, estimator.log_box)
         else:
             problem = ContactProblem(contact, self.mechanics, noise, self._within)

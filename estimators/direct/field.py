@@ -16,12 +16,12 @@ from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
-from data.contact.film import FilmNoise, smooth_errors
-from data.contact.interaction import Interaction
-from data.contact.patches import Patches
-from estimators.direct.error_model import rounding_covariance
-from estimators.direct.motion import PressMotion
-from physics.mechanics import Mechanics
+from palpate.data.contact.depth_sequence import SequenceNoise, smooth_errors
+from palpate.data.contact.interaction import Interaction
+from palpate.data.contact.patches import Patches
+from palpate.estimators.direct.error_model import rounding_covariance
+from palpate.estimators.direct.motion import PressMotion
+from palpate.physics.mechanics import Mechanics
 
 OUTLIER = 4.0
 """Residuals of more than this many standard deviations count as if they had as many."""
@@ -37,7 +37,7 @@ HIDDEN = 1e6
 """Standard deviation of what isn't seen [σ]."""
 
 
-class FilmMotion(Protocol):
+class SequenceMotion(Protocol):
     """How V vertices move at N instants, by D parameters: of a sheet, or of a slab beneath."""
 
     def at(self, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -58,22 +58,23 @@ class FilmMotion(Protocol):
         ...
 
 
-M = TypeVar("M", bound=FilmMotion)
+M = TypeVar("M", bound=SequenceMotion)
 
 
-class FilmProblem(Generic[M]):
-    """Weighted residuals of a film and their derivatives by all parameters of a press; V vertices, P pixels, N frames.
+class SequenceProblem(Generic[M]):
+    """Weighted residuals of a sequence and their derivatives by all parameters of a press; V vertices, P pixels, N
+    frames.
 
     What the pixels show must be decided first (`look`).
 
     Args:
-        contact: with its film.
+        contact: with its depth-change sequence.
         motion: makes the model of some vertices [V] at some instants [N] [s].
-        noise: σ of every pixel in every frame [scene units]; None = as the film says.
+        noise: σ of every pixel in every frame [scene units]; None = as the depth-change sequence says.
         parts: as of `Patches`.
 
     Raises:
-        ValueError: the contact has no film.
+        ValueError: the contact has no depth-change sequence.
     """
 
     def __init__(
@@ -83,15 +84,19 @@ class FilmProblem(Generic[M]):
         noise: float | None = None,
         parts: int = 1,
     ) -> None:
-        if contact.film is None or not len(contact.film.times):
-            raise ValueError("the contact has no film; gather it with frames that have depth and labels.")
-        film = contact.film if noise is None else dataclasses.replace(contact.film, noise=FilmNoise(noise, 0.0))
-        self.contact, self.film = contact, film
-        self.patches = Patches(contact.mesh, contact.vertex, film.size, parts=parts)
-        self.motion = motion(self.patches.vertices, film.times)
-        self.observed = film.change.reshape(len(film.times), -1).astype(np.float64)
+        if contact.sequence is None or not len(contact.sequence.times):
+            raise ValueError("the contact has no sequence; gather it with frames that have depth and labels.")
+        sequence = (
+            contact.sequence
+            if noise is None
+            else dataclasses.replace(contact.sequence, noise=SequenceNoise(noise, 0.0))
+        )
+        self.contact, self.sequence = contact, sequence
+        self.patches = Patches(contact.mesh, contact.vertex, sequence.size, parts=parts)
+        self.motion = motion(self.patches.vertices, sequence.times)
+        self.observed = sequence.change.reshape(len(sequence.times), -1).astype(np.float64)
         """Shape [N, P] [scene units]."""
-        self._smooth = smooth_errors(film.noise.total)
+        self._smooth = smooth_errors(sequence.noise.total)
         self.offset: np.ndarray | float = 0.0
         """Error of the simulator's own steps, taken off all its displacements, shape [N, V, 3] [scene units]."""
         self.seen = np.isfinite(self.observed)
@@ -105,8 +110,8 @@ class FilmProblem(Generic[M]):
         within: float = 0.0,
         noise: float | None = None,
         kind: type[PressMotion] = PressMotion,
-    ) -> FilmProblem[PressMotion]:
-        """The film of a sheet that is pressed.
+    ) -> SequenceProblem[PressMotion]:
+        """The depth-change sequence of a sheet that is pressed.
 
         Args:
             contact, noise: as above.
@@ -118,11 +123,11 @@ class FilmProblem(Generic[M]):
         def motion(vertices: np.ndarray, times: np.ndarray) -> PressMotion:
             return kind(contact, mechanics, vertices, times, within)
 
-        return FilmProblem(contact, motion, noise, kind.parts)
+        return SequenceProblem(contact, motion, noise, kind.parts)
 
     def _seen_to_move(self) -> np.ndarray:
         """Pixels whose motion is clear without a model, shape [P], bool."""
-        return (np.abs(np.nan_to_num(self.observed)) > MOVED * self.film.noise.total).sum(axis=0) >= SEVERAL
+        return (np.abs(np.nan_to_num(self.observed)) > MOVED * self.sequence.noise.total).sum(axis=0) >= SEVERAL
 
     def look(self, logs: np.ndarray, *, finer: bool = False, outliers: bool = False) -> None:
         """Decide what the pixels show, and how their errors belong together, by parameters [D] near the best.
@@ -138,7 +143,7 @@ class FilmProblem(Generic[M]):
         """Of `Patches`, shape [N, P, K]."""
         self._turning = self.patches.turning(moved, slopes)
         self._looked_at = np.array(logs)
-        change, total = self.change(moved, logs), self.film.noise.total
+        change, total = self.change(moved, logs), self.sequence.noise.total
         left = change - self.observed
         self.seen = np.isfinite(left)
         # By what is seen, too: else a model that moves nothing would explain everything.
@@ -164,7 +169,7 @@ class FilmProblem(Generic[M]):
 
     def _whitening(self, sunk: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Whitening of every pixel's errors over time [P, N, N], common errors as they leave it, what they cost."""
-        noise, frames = self.film.noise, len(sunk)
+        noise, frames = self.sequence.noise, len(sunk)
         new = noise.alike_in_time * noise.in_time**2 + noise.total**2 * (1 / weight - 1)
         new = np.where(self.seen, new, (HIDDEN * noise.total) ** 2).T
         walls = np.sqrt(np.where(self.seen, self._walls, 0.0)).T
@@ -231,16 +236,16 @@ class FilmProblem(Generic[M]):
     @property
     def counted(self) -> float:
         """How many independent values of pixels that move were seen, by the last look."""
-        return float((self.seen & self.moving).sum()) / self.film.noise.alike_in_time
+        return float((self.seen & self.moving).sum()) / self.sequence.noise.alike_in_time
 
     def misfit(self, logs: np.ndarray) -> float:
         """Root mean square of the residuals of pixels that move, in standard deviations; outliers count in full."""
         used = self.seen & self.moving
         left = (self.change(self.motion.at(logs)[0] + self.offset, logs) - self.observed)[used]
-        sigma = np.sqrt(self.film.noise.total**2 + self._walls[used])
+        sigma = np.sqrt(self.sequence.noise.total**2 + self._walls[used])
         return float(np.sqrt(np.square(left / sigma).mean())) if len(left) else 0.0
 
-    def coarser(self: FilmProblem[PressMotion]) -> FilmProblem[PressMotion]:
+    def coarser(self: SequenceProblem[PressMotion]) -> SequenceProblem[PressMotion]:
         """The same with coarse time steps, to search with; it has not looked at anything of its own yet."""
         found = copy.copy(self)
         found.motion = self.motion.coarser()

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from data.contact.interaction import Interaction
-from estimators.direct.contact_fit import (
+from palpate.data.contact.interaction import Interaction
+from palpate.estimators.direct.contact_fit import (
     AT_BOUND,
     DELAY_AT_END,
     JUDGES,
@@ -19,10 +19,10 @@ from estimators.direct.contact_fit import (
     trusted_information,
     widened_if_oblique,
 )
-from estimators.direct.field import FilmProblem
-from estimators.direct.motion import PressMotion, about_tissue
-from estimators.direct.patch import PatchMotion
-from estimators.direct.problem import (
+from palpate.estimators.direct.field import SequenceProblem
+from palpate.estimators.direct.motion import PressMotion, about_tissue
+from palpate.estimators.direct.patch import PatchMotion
+from palpate.estimators.direct.problem import (
     CANDIDATES,
     DELAYS,
     Optimum,
@@ -33,11 +33,11 @@ from estimators.direct.problem import (
     evidence_shares,
     find_optimum,
 )
-from estimators.direct.sampling import Draws, Mixture, sample_posterior
-from estimators.estimate import Estimate
-from estimators.oblique import view_angle
-from physics.identifiability import box_information
-from physics.mechanics import Mechanics
+from palpate.estimators.direct.sampling import Draws, Mixture, sample_posterior
+from palpate.estimators.estimate import Estimate
+from palpate.estimators.oblique import view_angle
+from palpate.physics.identifiability import box_information
+from palpate.physics.mechanics import Mechanics
 
 FITS = 3
 """Starts that are fitted to the end; where there are more, the best of them."""
@@ -62,16 +62,16 @@ NARROW = 0.1
 """Where all standard deviations of log θ are smaller the posterior is as good as normal, and needs no draws."""
 
 
-def fit_field(problem: FilmProblem[PressMotion], tissue: np.ndarray) -> Estimate:
-    """Fit a film; `tissue` is the box of φ, shape [2, 3].
+def fit_field(problem: SequenceProblem[PressMotion], tissue: np.ndarray) -> Estimate:
+    """Fit a depth-change sequence; `tissue` is the box of φ, shape [2, 3].
 
     Where the contact is pressed aslant to the line of sight its uncertainty is widened (`estimators.oblique`).
     """
     return concluded(problem, field_optima(problem, tissue), tissue)
 
 
-def field_optima(problem: FilmProblem[PressMotion], tissue: np.ndarray) -> list[Optimum]:
-    """Optima of a film's fit, the best first; the problem has looked at that one. Arguments as of `fit_field`."""
+def field_optima(problem: SequenceProblem[PressMotion], tissue: np.ndarray) -> list[Optimum]:
+    """Optima of a sequence's fit, the best first; the problem has looked at that one. Arguments as of `fit_field`."""
     box = problem.motion.box(tissue)
     found = []
     for logs in raced(problem.coarser(), field_starts(problem, box), box):
@@ -85,8 +85,8 @@ def field_optima(problem: FilmProblem[PressMotion], tissue: np.ndarray) -> list[
     return optima
 
 
-def concluded(problem: FilmProblem[PressMotion], optima: Sequence[Optimum], tissue: np.ndarray) -> Estimate:
-    """What optima of a film's fit say: the posterior around them and its verdict; `tissue` as of `fit_field`."""
+def concluded(problem: SequenceProblem[PressMotion], optima: Sequence[Optimum], tissue: np.ndarray) -> Estimate:
+    """What optima of a sequence's fit say: the posterior around them and its verdict; `tissue` as of `fit_field`."""
     box = problem.motion.box(tissue)
     prior = box_information(box)
     mean, spread, best = combine(optima, prior)
@@ -102,7 +102,7 @@ def concluded(problem: FilmProblem[PressMotion], optima: Sequence[Optimum], tiss
         theta=problem.motion.theta(mean),
         covariance=spread[:3, :3],
         information=information[:3, :3],
-        noise=problem.film.noise.total,
+        noise=problem.sequence.noise.total,
         misfit=problem.misfit(best.logs),
         largest_misfit=LARGEST_MISFIT,
         at_bound=np.minimum(best.logs - box[0], box[1] - best.logs)[:3] < AT_BOUND,
@@ -120,30 +120,30 @@ def concluded(problem: FilmProblem[PressMotion], optima: Sequence[Optimum], tiss
 def fit_press(
     contact: Interaction, mechanics: Mechanics, within: float, noise: float | None, tissue: np.ndarray
 ) -> Estimate:
-    """Fit a film by a step on the contact vertex and, where that is refuted, by a press of any shape.
+    """Fit a depth-change sequence by a step on the contact vertex and, where that is refuted, by a press of any shape.
 
     The shape (`estimators.direct.patch`) is kept where it explains more than so many further parameters would by
     chance (Schwarz 1978).
 
     Args:
-        contact, mechanics, within, noise: as of `FilmProblem.of_press`.
+        contact, mechanics, within, noise: as of `SequenceProblem.of_press`.
         tissue: the box of φ, shape [2, 3].
     """
-    step = FilmProblem.of_press(contact, mechanics, within, noise)
+    step = SequenceProblem.of_press(contact, mechanics, within, noise)
     plain = field_optima(step, tissue)
     # Whether a step is refuted shows before its posterior is sampled, which takes as long as all the rest.
     best = combine(plain, box_information(step.motion.box(tissue)))[2]
     misfit, counted = step.misfit(best.logs), step.counted
     if misfit < LEAST_EXCESS or (misfit**2 - 1) * math.sqrt(counted / 2) < REFUTES:
         return concluded(step, plain, tissue)
-    patch = FilmProblem.of_press(contact, mechanics, within, noise, PatchMotion)
+    patch = SequenceProblem.of_press(contact, mechanics, within, noise, PatchMotion)
     shaped = fit_field(patch, tissue)
     further = patch.motion.box(tissue).shape[1] - step.motion.box(tissue).shape[1]
     explained = counted * (misfit**2 - shaped.misfit**2)
     return shaped if explained > further * math.log(counted) else concluded(step, plain, tissue)
 
 
-def field_starts(problem: FilmProblem[PressMotion], box: np.ndarray) -> np.ndarray:
+def field_starts(problem: SequenceProblem[PressMotion], box: np.ndarray) -> np.ndarray:
     """Parameters with the smallest misfits among many, each with the force and the delay that suit it best, [S, D].
 
     Tissue is taken to stay in its pixels, which is true of most of a dent.
@@ -151,12 +151,12 @@ def field_starts(problem: FilmProblem[PressMotion], box: np.ndarray) -> np.ndarr
     from scipy.stats.qmc import Sobol  # takes seconds to load
 
     low, high = box
-    motion, film = problem.motion, problem.film
+    motion, sequence = problem.motion, problem.sequence
     candidates = low + Sobol(len(low), rng=0).random(CANDIDATES) * (high - low)
     candidates[:, motion.centred] = 0
     delays = DELAYS if motion.within else np.zeros(1)
     observed = problem.observed
-    still = problem.patches.covering(np.zeros((len(film.times), len(problem.patches.vertices), 3)))
+    still = problem.patches.covering(np.zeros((len(sequence.times), len(problem.patches.vertices), 3)))
     misfits = np.empty(len(candidates))
     for index, candidate in enumerate(candidates):
         path, ratio = motion.coarse_path(candidate)
@@ -177,7 +177,7 @@ def field_starts(problem: FilmProblem[PressMotion], box: np.ndarray) -> np.ndarr
     return apart(candidates, misfits, low, high, motion.starts)
 
 
-def raced(problem: FilmProblem[PressMotion], starts: np.ndarray, box: np.ndarray) -> np.ndarray:
+def raced(problem: SequenceProblem[PressMotion], starts: np.ndarray, box: np.ndarray) -> np.ndarray:
     """Of starts [S, D] those that lead farthest, and where to: at most FITS, by successive halving.
 
     Every round (Jamieson & Talwalkar 2016) decides for every start anew what the pixels show, and leaves the better
@@ -215,9 +215,9 @@ def first_draws(optima: Sequence[Optimum], scale: float, prior: np.ndarray) -> M
 
 
 def _sample(
-    problem: FilmProblem[PressMotion], optima: Sequence[Optimum], best: Optimum, box: np.ndarray, scale: float
+    problem: SequenceProblem[PressMotion], optima: Sequence[Optimum], best: Optimum, box: np.ndarray, scale: float
 ) -> Draws:
-    """The posterior around the optima, σ² being `scale` times as large as the film says."""
+    """The posterior around the optima, σ² being `scale` times as large as the depth-change sequence says."""
     prior = box_information(box)
     error = problem.motion.finer(best.logs) - problem.motion.quick(best.logs)
 

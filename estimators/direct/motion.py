@@ -14,11 +14,11 @@ from typing import Self
 
 import numpy as np
 
-from data.contact.interaction import Interaction
-from physics.identifiability import log_jacobian
-from physics.load import Press, PressShape, held
-from physics.mechanics import Mechanics, theta_of
-from physics.msd.simulation import is_chaotic, simulate, simulate_sensitivities
+from palpate.data.contact.interaction import Interaction
+from palpate.physics.identifiability import log_jacobian
+from palpate.physics.load import Press, PressShape, held
+from palpate.physics.mechanics import Mechanics, theta_of
+from palpate.physics.msd.simulation import is_chaotic, simulate, simulate_sensitivities
 
 COARSE_STEP = 0.005
 """Time step of simulations without derivatives [s]: off by up to 0.1 σ for the stiffest tissue."""
@@ -148,7 +148,8 @@ class PressMotion:
         return np.empty((len(self.steps), len(self.vertices), 3, 0))
 
     def model_errors(self, sunk: np.ndarray, averages: bool) -> np.ndarray:
-        """As of `FilmMotion`: dents as wholes that lie aside, or are too deep; columns of every frame, then of all."""
+        """As of `SequenceMotion`: dents as wholes that lie aside, or are too deep; columns of every frame, then of
+        all."""
         frames, pixels = sunk.shape
         if not (averages and (self.astray or self.uneven)):
             return np.zeros((pixels, frames, 0))

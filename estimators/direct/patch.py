@@ -12,8 +12,8 @@ import math
 
 import numpy as np
 
-from estimators.direct.motion import PressMotion
-from physics.load import Press, PressShape
+from palpate.estimators.direct.motion import PressMotion
+from palpate.physics.load import Press, PressShape
 
 RADII = (1.0, 8.0)
 """Of patches [grid pixels]: at the least it is one vertex, and dents are seen as far as 7."""
@@ -32,7 +32,7 @@ class PatchMotion(PressMotion):
     starts = 8
     """Wide dents are deep, and from a start that is off pixels seem to show other tissue than they do."""
     looks = 4
-    """With two an exact film of an over-damped press was left with a seventh of its fall wrong."""
+    """With two an exact depth-change sequence of an over-damped press was left with a seventh of its fall wrong."""
     parts = 3
     """Whole pixels jump from patch to patch at a dent's wall, many at once, and that looks like another course of the
     force: from the truth itself fits of two clips ended 1.2 to 2.9 bounds off in the ratios, 0.1 to 1.2 with parts."""

@@ -9,11 +9,11 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from scipy.optimize import least_squares
 
-from data.contact.interaction import Interaction
-from estimators.direct.motion import PressMotion, between_steps
-from physics.identifiability import fisher_information
-from physics.likelihood import Likelihood, Linearised
-from physics.mechanics import Mechanics
+from palpate.data.contact.interaction import Interaction
+from palpate.estimators.direct.motion import PressMotion, between_steps
+from palpate.physics.identifiability import fisher_information
+from palpate.physics.likelihood import Likelihood, Linearised
+from palpate.physics.mechanics import Mechanics
 
 CANDIDATES = 128
 """Points of a Sobol sequence over the box among which the starts are chosen: an under-damped response has many local

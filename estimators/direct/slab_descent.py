@@ -1,4 +1,4 @@
-"""Where the fit of a slab to a film begins, and how it goes down to the least χ².
+"""Where the fit of a slab to a depth-change sequence begins, and how it goes down to the least χ².
 
 The middle of the tip is a pixel or two from the contact's vertex, and is found first, from small motions. Then a trust
 region goes down by exact derivatives of the motion. (On six drawn slabs, 0.3 to 0.8 off in every logarithm at first, it
@@ -15,11 +15,11 @@ from collections.abc import Callable
 import numpy as np
 from scipy.optimize import least_squares
 
-from estimators.direct.contact_fit import AT_BOUND
-from estimators.direct.field import FilmProblem
-from estimators.direct.slab_motion import SlabMotion
-from estimators.estimate import NoEstimate
-from physics.identifiability import box_information
+from palpate.estimators.direct.contact_fit import AT_BOUND
+from palpate.estimators.direct.field import SequenceProblem
+from palpate.estimators.direct.slab_motion import SlabMotion
+from palpate.estimators.estimate import NoEstimate
+from palpate.physics.identifiability import box_information
 
 DIFFERENCE = 0.02
 """Of a parameter, for derivatives."""
@@ -34,8 +34,9 @@ EVALUATIONS = 10
 """With all that is seen, and again without outliers."""
 
 
-def slab_start(problem: FilmProblem[SlabMotion]) -> np.ndarray:
-    """Of a grid of parameters those that explain the film best if nothing strains much, with the force that suits."""
+def slab_start(problem: SequenceProblem[SlabMotion]) -> np.ndarray:
+    """Of a grid of parameters those that explain the sequence best if nothing strains much, with the force that
+    suits."""
     motion = problem.motion
     low, high = motion.box
     still = problem.patches.covering(np.zeros((len(motion.times), len(problem.patches.vertices), 3)))
@@ -55,12 +56,12 @@ def slab_start(problem: FilmProblem[SlabMotion]) -> np.ndarray:
 
 
 def find_tip(
-    problem_of: Callable[[tuple[float, float]], FilmProblem[SlabMotion]], place: tuple[float, float]
+    problem_of: Callable[[tuple[float, float]], SequenceProblem[SlabMotion]], place: tuple[float, float]
 ) -> tuple[float, float]:
-    """Column and row of the tip's middle that explain a film better, from small motions [grid px].
+    """Column and row of the tip's middle that explain a depth-change sequence better, from small motions [grid px].
 
     Args:
-        problem_of: the film with the tip in some place.
+        problem_of: the depth-change sequence with the tip in some place.
         place: where it is taken to be.
     """
     problem, *beside = (problem_of((place[0] + x, place[1] + y)) for x, y in ((0, 0), (BESIDE, 0), (0, BESIDE)))
@@ -81,7 +82,7 @@ def find_tip(
     return place[0] + float(column), place[1] + float(row)
 
 
-def descend(problem: FilmProblem[SlabMotion], start: np.ndarray, box: np.ndarray, enough: float) -> np.ndarray:
+def descend(problem: SequenceProblem[SlabMotion], start: np.ndarray, box: np.ndarray, enough: float) -> np.ndarray:
     """Parameters [D] of the least χ² near a start within a box [2, D].
 
     Args:

@@ -1,4 +1,4 @@
-"""A film of a dent fitted by a slab of finite elements, from a grid of starts to verdict.
+"""A depth-change sequence of a dent fitted by a slab of finite elements, from a grid of starts to verdict.
 
 Tissue right under the tip is left out: how the tip presses there is known least. What the slab itself gets wrong counts
 among the errors. The posterior, its valley followed, holds besides what a finer mesh changes
@@ -12,20 +12,20 @@ import dataclasses
 
 import numpy as np
 
-from data.contact.interaction import Interaction
-from estimators.direct.contact_fit import AT_BOUND, DELAY_AT_END, LARGEST_MISFIT, widened_if_oblique
-from estimators.direct.field import FilmProblem
-from estimators.direct.slab_descent import DONE, ROUGH, descend, find_tip, slab_start
-from estimators.direct.slab_motion import FirmRegion, SlabMotion
-from estimators.direct.slab_posterior import Valley, follow_valley, moved_by_mesh
-from estimators.direct.slab_rivals import averaged, firm_regions, relaxation, with_firm_regions
-from estimators.estimate import Estimate, NoEstimate
-from estimators.model_errors import MODEL_ERRORS
-from estimators.oblique import view_angle
-from physics.fem import NoBody
-from physics.fem.slab import Slab, slab_beneath
-from physics.identifiability import box_information
-from physics.mechanics import theta_of
+from palpate.data.contact.interaction import Interaction
+from palpate.estimators.direct.contact_fit import AT_BOUND, DELAY_AT_END, LARGEST_MISFIT, widened_if_oblique
+from palpate.estimators.direct.field import SequenceProblem
+from palpate.estimators.direct.slab_descent import DONE, ROUGH, descend, find_tip, slab_start
+from palpate.estimators.direct.slab_motion import FirmRegion, SlabMotion
+from palpate.estimators.direct.slab_posterior import Valley, follow_valley, moved_by_mesh
+from palpate.estimators.direct.slab_rivals import averaged, firm_regions, relaxation, with_firm_regions
+from palpate.estimators.estimate import Estimate, NoEstimate
+from palpate.estimators.model_errors import MODEL_ERRORS
+from palpate.estimators.oblique import view_angle
+from palpate.physics.fem import NoBody
+from palpate.physics.fem.slab import Slab, slab_beneath
+from palpate.physics.identifiability import box_information
+from palpate.physics.mechanics import theta_of
 
 BLIND = 4.5
 """Tissue nearer to the contact isn't compared [grid px]."""
@@ -42,13 +42,13 @@ LOWER = 1.0
 def fit_slab(
     contact: Interaction, thickness: float, within: float = 0.0, noise: float | None = None
 ) -> tuple[Estimate, tuple[np.ndarray, np.ndarray]]:
-    """Fit a film.
+    """Fit a depth-change sequence.
 
     Args:
-        contact: with a film of three frames or more.
+        contact: with a depth-change sequence of three frames or more.
         thickness: of the tissue [scene units].
         within: as of `SlabMotion`.
-        noise: σ of every pixel in every frame [scene units]; None = as the film says.
+        noise: σ of every pixel in every frame [scene units]; None = as the depth-change sequence says.
 
     Returns:
         the estimate, its θ being (E, d, F) as of `estimators.direct.slab_motion`; times since the onset [s] and the
@@ -66,12 +66,12 @@ def fit_slab(
 
     def problem_of(
         place: tuple[float, float], relaxing: bool = False, body: Slab = fine, region: FirmRegion | None = None
-    ) -> FilmProblem[SlabMotion]:
+    ) -> SequenceProblem[SlabMotion]:
         def motion(vertices: np.ndarray, times: np.ndarray) -> SlabMotion:
             pixels = contact.mesh.pixels[vertices]
             return SlabMotion(contact, slab, pixels, times, within, relaxing, body, place, region)
 
-        return FilmProblem(beside, motion, noise)
+        return SequenceProblem(beside, motion, noise)
 
     beside = _beside_tip(contact)
     place = find_tip(problem_of, slab.place)
@@ -92,7 +92,7 @@ def fit_slab(
         theta=theta_of(np.clip(valley.mean + shift, *box[:, :3])),
         covariance=spread,
         information=information[:3, :3],
-        noise=problem.film.noise.total,
+        noise=problem.sequence.noise.total,
         misfit=misfit,
         largest_misfit=LARGEST_MISFIT,
         at_bound=np.minimum(logs - box[0], box[1] - logs)[:3] < AT_BOUND,
@@ -106,7 +106,7 @@ def fit_slab(
     return found, (np.append(0.0, problem.motion.times), np.append(0.0, path))
 
 
-def settled(problem: FilmProblem[SlabMotion]) -> tuple[np.ndarray, Valley, float]:
+def settled(problem: SequenceProblem[SlabMotion]) -> tuple[np.ndarray, Valley, float]:
     """Parameters of the least χ², the valley around them, and the square of the misfit, by which χ² is scaled."""
     box, logs = problem.motion.box, slab_start(problem)
     for outliers, enough in ((False, ROUGH), (True, DONE)):
@@ -125,10 +125,10 @@ def settled(problem: FilmProblem[SlabMotion]) -> tuple[np.ndarray, Valley, float
 
 
 def _beside_tip(contact: Interaction) -> Interaction:
-    """The contact with a film that doesn't show the tissue under the tip."""
-    if contact.film is None:
-        raise ValueError("the contact has no film; gather it with frames that have depth and labels.")
-    side = contact.film.change.shape[1] // 2
+    """The contact with a depth-change sequence that doesn't show the tissue under the tip."""
+    if contact.sequence is None:
+        raise ValueError("the contact has no depth-change sequence; gather it with frames that have depth and labels.")
+    side = contact.sequence.change.shape[1] // 2
     rows, columns = np.mgrid[-side : side + 1, -side : side + 1]
-    change = np.where(np.hypot(rows, columns) < BLIND, np.nan, contact.film.change)
-    return dataclasses.replace(contact, film=dataclasses.replace(contact.film, change=change))
+    change = np.where(np.hypot(rows, columns) < BLIND, np.nan, contact.sequence.change)
+    return dataclasses.replace(contact, sequence=dataclasses.replace(contact.sequence, change=change))

@@ -17,16 +17,16 @@ from functools import cached_property
 
 import numpy as np
 
-from data.contact.interaction import Interaction
-from estimators.direct.motion import between_steps
-from estimators.model_errors import MODEL_ERRORS
-from physics.fem import Inertia, Material, NoEquilibrium, Relaxation, simulate
-from physics.fem.dynamics import Direction
-from physics.fem.modes import Modes
-from physics.fem.slab import Slab
-from physics.fem.solid import Solid
-from physics.load import Press, held
-from physics.mechanics import Bounds, theta_of
+from palpate.data.contact.interaction import Interaction
+from palpate.estimators.direct.motion import between_steps
+from palpate.estimators.model_errors import MODEL_ERRORS
+from palpate.physics.fem import Inertia, Material, NoEquilibrium, Relaxation, simulate
+from palpate.physics.fem.dynamics import Direction
+from palpate.physics.fem.modes import Modes
+from palpate.physics.fem.slab import Slab
+from palpate.physics.fem.solid import Solid
+from palpate.physics.load import Press, held
+from palpate.physics.mechanics import Bounds, theta_of
 
 LAW = "stable_neo_hookean"
 """It can be followed, too, where elements are pressed flat on the way to the best fit."""
@@ -211,8 +211,8 @@ class SlabMotion:
         return self.at(logs)[0]
 
     def model_errors(self, sunk: np.ndarray, averages: bool) -> np.ndarray:
-        """As of `FilmMotion`: a share `slab_motion` (`estimators.model_errors`) of all; a column a ring and part of the
-        time."""
+        """As of `SequenceMotion`: a share `slab_motion` (`estimators.model_errors`) of all; a column a ring and part of
+        the time."""
         side, times = math.isqrt(sunk.shape[1]) // 2, self.times
         apart = np.hypot(*np.mgrid[-side : side + 1, -side : side + 1]).ravel()
         load = self.contact.load_seconds if self.contact.released else math.inf

@@ -1,4 +1,4 @@
-"""What a film of a dent tells of a slab around the best fit: along the common scale, and by a finer mesh.
+"""What a sequence of a dent tells of a slab around the best fit: along the common scale, and by a finer mesh.
 
 E, d and F rise together along a valley that is far from normal: the larger they are the less inertia tells them apart.
 So χ² is followed along it, d and F (and the delays) fitted at every E, with small motions by the slab's modes, to which
@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimators.direct.field import FilmProblem
-from estimators.direct.slab_descent import DIFFERENCE
-from estimators.direct.slab_motion import SlabMotion
-from physics.identifiability import box_information
+from palpate.estimators.direct.field import SequenceProblem
+from palpate.estimators.direct.slab_descent import DIFFERENCE
+from palpate.estimators.direct.slab_motion import SlabMotion
+from palpate.physics.identifiability import box_information
 
 LONGEST, GROWTH = 0.2, 1.3
 """Steps along the valley, of log E: the first, a standard deviation of the normal distribution around the fit, at most;
@@ -44,7 +44,7 @@ class Valley(NamedTuple):
     """By so much χ²/2 is less there than where it began."""
 
 
-def follow_valley(problem: FilmProblem[SlabMotion], logs: np.ndarray, box: np.ndarray, scale: float) -> Valley:
+def follow_valley(problem: SequenceProblem[SlabMotion], logs: np.ndarray, box: np.ndarray, scale: float) -> Valley:
     """Follow χ² along the common scale from a fit.
 
     Args:
@@ -102,7 +102,7 @@ def follow_valley(problem: FilmProblem[SlabMotion], logs: np.ndarray, box: np.nd
     return Valley(mean, covariance, best[0], scale * (value - best[1]))
 
 
-def moved_by_mesh(problem: FilmProblem[SlabMotion], finer: SlabMotion, logs: np.ndarray) -> np.ndarray:
+def moved_by_mesh(problem: SequenceProblem[SlabMotion], finer: SlabMotion, logs: np.ndarray) -> np.ndarray:
     """By how much (log E, log d, log |F|) of a fit would be other by a finer mesh, to first order, shape [3]."""
     change = shown_change(problem, finer.by_modes(logs) - problem.motion.by_modes(logs))
     prior = box_information(problem.motion.box)
@@ -110,6 +110,6 @@ def moved_by_mesh(problem: FilmProblem[SlabMotion], finer: SlabMotion, logs: np.
     return -np.linalg.solve(jacobian.T @ jacobian + prior, jacobian.T @ change)[:3]
 
 
-def shown_change(problem: FilmProblem[SlabMotion], moved: np.ndarray) -> np.ndarray:
+def shown_change(problem: SequenceProblem[SlabMotion], moved: np.ndarray) -> np.ndarray:
     """What a small difference in the places' motion [N, V, 3] makes of the whitened residual."""
     return problem.whitened(np.nan_to_num(problem.patches.shown(problem.patches.sunk(moved), problem.covering)))

@@ -1,8 +1,8 @@
-"""What else explains the film of a dent than a slab that is alike throughout and damped in proportion to its mass.
+"""What else explains the sequence of a dent than a slab that is alike throughout and damped in proportion to its mass.
 
 Tissue may be firmer in some place beneath: a handful of places is compared to first order, the likeliest are fitted
 anew, and the posterior is the mean over these fits and that of alike tissue (Bayesian model averaging). And it may
-relax: where a standard linear solid explains the film better than damping does, with a firm region or without, that
+relax: where a standard linear solid explains the sequence better than damping does, with a firm region or without, that
 model is refuted, however small its misfit.
 """
 
@@ -15,12 +15,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimators.direct.field import FilmProblem
-from estimators.direct.slab_descent import DONE, ROUGH, descend
-from estimators.direct.slab_motion import FirmRegion, SlabMotion
-from estimators.direct.slab_posterior import shown_change
-from estimators.estimate import NoEstimate
-from physics.identifiability import box_information
+from palpate.estimators.direct.field import SequenceProblem
+from palpate.estimators.direct.slab_descent import DONE, ROUGH, descend
+from palpate.estimators.direct.slab_motion import FirmRegion, SlabMotion
+from palpate.estimators.direct.slab_posterior import shown_change
+from palpate.estimators.estimate import NoEstimate
+from palpate.physics.identifiability import box_information
 
 REGION = 9.0
 """Radius of a firm region [grid px]; its top lies an eighth of the thickness deep."""
@@ -43,13 +43,14 @@ class Firm(NamedTuple):
     """A fit with a firm region, beside that of tissue that is alike throughout."""
 
     gain: float
-    """Logarithm of how much likelier it makes the film: that it was picked from many, and fitted, is not paid for."""
+    """Logarithm of how much likelier it makes the sequence: that it was picked from many, and fitted, is not paid
+    for."""
     shift: np.ndarray
     """Of (log E, log d, log |F|) away from that fit, shape [3]."""
 
 
 def firm_regions(
-    problem: FilmProblem[SlabMotion], logs: np.ndarray, thickness: float, scale: float
+    problem: SequenceProblem[SlabMotion], logs: np.ndarray, thickness: float, scale: float
 ) -> list[tuple[FirmRegion, np.ndarray]]:
     """Regions beneath that may be firm, likeliest first to first order, and where the fit of each may begin [D].
 
@@ -88,10 +89,10 @@ def firm_regions(
 
 
 def with_firm_regions(
-    plain: FilmProblem[SlabMotion],
+    plain: SequenceProblem[SlabMotion],
     logs: np.ndarray,
     regions: list[tuple[FirmRegion, np.ndarray]],
-    problem_of: Callable[[FirmRegion], FilmProblem[SlabMotion]],
+    problem_of: Callable[[FirmRegion], SequenceProblem[SlabMotion]],
     scale: float,
 ) -> list[Firm]:
     """Fits of the likeliest firm regions, firmer by each of FIRMER; those that can't be followed are left out.
@@ -99,7 +100,7 @@ def with_firm_regions(
     Args:
         plain: of tissue that is alike throughout, fitted, at parameters `logs`.
         regions: likeliest first, with where their fits begin.
-        problem_of: the film with a region.
+        problem_of: the depth-change sequence with a region.
         scale: as of `follow_valley`.
     """
     found = []
@@ -131,9 +132,13 @@ def averaged(fits: list[Firm]) -> tuple[float, np.ndarray, np.ndarray]:
 
 
 def relaxation(
-    plain: FilmProblem[SlabMotion], logs: np.ndarray, other: FilmProblem[SlabMotion], fits: list[Firm], scale: float
+    plain: SequenceProblem[SlabMotion],
+    logs: np.ndarray,
+    other: SequenceProblem[SlabMotion],
+    fits: list[Firm],
+    scale: float,
 ) -> str:
-    """A sentence where a standard linear solid explains a film better than the best fit of a slab damped by mass.
+    """A sentence where a standard linear solid explains a sequence better than the best fit of a slab damped by mass.
 
     Args:
         plain: fitted, at parameters `logs`.
@@ -159,7 +164,9 @@ def relaxation(
     )
 
 
-def fall(plain: FilmProblem[SlabMotion], logs: np.ndarray, other: FilmProblem[SlabMotion], others: np.ndarray) -> float:
+def fall(
+    plain: SequenceProblem[SlabMotion], logs: np.ndarray, other: SequenceProblem[SlabMotion], others: np.ndarray
+) -> float:
     """Of χ²/2, as a fit weights it, from that fit to another, by the pixels that show tissue in both."""
     after = other.change(other.motion.at(others)[0], others)
     before = plain.change(plain.motion.at(logs)[0], logs)

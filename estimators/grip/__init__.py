@@ -8,6 +8,8 @@ pull_motion, pull_fit  force over E by a slab of finite elements, where its thic
 whitening    neighbours' errors made independent, and how many of them are alike
 """
 
-from physics.lazy import exported
+from palpate.common.lazy import exported
 
-__getattr__ = exported({"estimators.grip.lattice": ("GripFrame", "NothingMoves", "SheetFit", "fit_sheet")})
+__getattr__ = exported(
+    __name__, {"palpate.estimators.grip.lattice": ("GripFrame", "NothingMoves", "SheetFit", "fit_sheet")}
+)

@@ -17,8 +17,8 @@ import numpy as np
 from scipy.optimize import minimize, minimize_scalar
 from scipy.sparse import csr_array
 
-from physics.robust import affine_terms
-from physics.sheet import Equilibrium, equilibrium
+from palpate.common.robust import affine_terms
+from palpate.physics.sheet import Equilibrium, equilibrium
 
 PIECE = 7
 """Side of a piece of tissue, in grid spacings of the points, over which what a sheet can't explain is alike."""

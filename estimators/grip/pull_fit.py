@@ -16,15 +16,15 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import least_squares
 
-from estimators.direct.slab_motion import SLAB_BOUNDS
-from estimators.estimate import NoEstimate
-from estimators.grip.lattice import PIECE, along_last
-from estimators.grip.pull_motion import PullMotion
-from estimators.grip.sheet import LEAST_SCALE, LINK, THIRD, SeenFrame
-from estimators.model_errors import MODEL_ERRORS
-from physics.fem.slab import Slab
-from physics.identifiability import box_information
-from physics.robust import affine_terms, error_scale, student_weights
+from palpate.common.robust import affine_terms, error_scale, student_weights
+from palpate.estimators.direct.slab_motion import SLAB_BOUNDS
+from palpate.estimators.estimate import NoEstimate
+from palpate.estimators.grip.lattice import PIECE, along_last
+from palpate.estimators.grip.pull_motion import PullMotion
+from palpate.estimators.grip.sheet import LEAST_SCALE, LINK, THIRD, SeenFrame
+from palpate.estimators.model_errors import MODEL_ERRORS
+from palpate.physics.fem.slab import Slab
+from palpate.physics.identifiability import box_information
 
 DENSE = 48.0
 """Of points that began farther from the tool every third one along both axes counts [px]."""

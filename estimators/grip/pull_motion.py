@@ -11,10 +11,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.interpolate import BSpline
 
-from estimators.direct.slab_motion import DENSITY, POISSON
-from physics.fem import Inertia, Material, simulate
-from physics.fem.slab import Slab
-from physics.load import Grip
+from palpate.estimators.direct.slab_motion import DENSITY, POISSON
+from palpate.physics.fem import Inertia, Material, simulate
+from palpate.physics.fem.slab import Slab
+from palpate.physics.load import Grip
 
 CELLS = 6, 6, 2
 """Of the slab, along columns, rows and depth, of quadratic elements: linear ones are far too stiff beside the grip."""

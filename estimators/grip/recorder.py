@@ -13,21 +13,21 @@ from typing import Any
 
 import numpy as np
 
-from data.contact.geometry import FrameGeometry
-from data.labels import TOOL
-from data.prepared import PreparedFrame
-from data.tracks.background import without_background
-from data.tracks.following import PointFollower, Shown, shrunk
-from estimators.estimate import NINETY, GripEstimate, NoEstimate
-from estimators.grip.lattice import LEAST_FRAMES, LEAST_MOTION, GripFrame, SheetFit, fit_sheet, skill
-from estimators.grip.pull_fit import fit_pull
-from estimators.grip.pull_motion import CELLS
-from estimators.grip.sheet import Measuring, NoSheet, SeenFrame, fit_foundation
-from estimators.grip.stiffness_field import StiffnessField
-from estimators.grip.stiffness_fit import fit_stiffness
-from estimators.model_errors import MODEL_ERRORS
-from physics.fem import NoBody
-from physics.fem.slab import slab_beneath
+from palpate.data.contact.geometry import FrameGeometry
+from palpate.data.labels import TOOL
+from palpate.data.prepared import PreparedFrame
+from palpate.data.tracks.background import without_background
+from palpate.data.tracks.following import PointFollower, Shown, shrunk
+from palpate.estimators.estimate import NINETY, GripEstimate, NoEstimate
+from palpate.estimators.grip.lattice import LEAST_FRAMES, LEAST_MOTION, GripFrame, SheetFit, fit_sheet, skill
+from palpate.estimators.grip.pull_fit import fit_pull
+from palpate.estimators.grip.pull_motion import CELLS
+from palpate.estimators.grip.sheet import Measuring, NoSheet, SeenFrame, fit_foundation
+from palpate.estimators.grip.stiffness_field import StiffnessField
+from palpate.estimators.grip.stiffness_fit import fit_stiffness
+from palpate.estimators.model_errors import MODEL_ERRORS
+from palpate.physics.fem import NoBody
+from palpate.physics.fem.slab import slab_beneath
 
 DRIVEN = 24.0
 """Points that began nearer to the tool move with it [px]."""

@@ -1,11 +1,11 @@
 """How firmly gripped tissue is attached, and what holds it, with the grip's motion unknown.
 
 Points beside an instrument are followed badly: windows that hold its edge are dragged along or held back by it. Taken
-as a prescribed displacement they bias foundation and force by a quarter and more (docs/real.md). Here they are
+as a prescribed displacement they bias foundation and force by a quarter and more (docs/reports/real.md). Here they are
 observations as all others are, with their told noise, and the forces on every place at the instrument are unknown, also
 on tissue that it hides; an endless sheet (`physics.endless_sheet`) answers these, and an affine background moves on its
 own. Far points tell the sum of the forces, and how fast the motion dies away, whatever happens at the grip. Errors of
-points are Student's (`physics.robust`), whose scale is found in every frame: a sheet is not tissue. Neighbours' errors
+points are Student's (`common.robust`), whose scale is found in every frame: a sheet is not tissue. Neighbours' errors
 are alike (`estimators.grip.whitening`).
 
 Followed points are filtered, which biases them where neighbours lie on one side. So once a sheet explains them, they
@@ -23,11 +23,11 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 from scipy.sparse import csr_array
 
-from estimators.grip.lattice import PIECE, SPREAD, TYPICAL_ANCHOR, along_last, evenly
-from estimators.grip.whitening import MEASURED_REACH, REACH, Whitening, alike_points, correlated_points
-from estimators.model_errors import MODEL_ERRORS
-from physics.endless_sheet import response
-from physics.robust import error_scale, median_sd, student_loss, student_weights
+from palpate.common.robust import error_scale, median_sd, student_loss, student_weights
+from palpate.estimators.grip.lattice import PIECE, SPREAD, TYPICAL_ANCHOR, along_last, evenly
+from palpate.estimators.grip.whitening import MEASURED_REACH, REACH, Whitening, alike_points, correlated_points
+from palpate.estimators.model_errors import MODEL_ERRORS
+from palpate.physics.endless_sheet import response
 
 LOADED = 32.0
 """Forces act on tissue that began nearer to the tool [px]."""

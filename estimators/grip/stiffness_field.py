@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimators.grip.lattice import bilinear
-from estimators.grip.sheet import EXCESS
-from physics.identifiability import LIMIT
+from palpate.estimators.grip.lattice import bilinear
+from palpate.estimators.grip.sheet import EXCESS
+from palpate.physics.identifiability import LIMIT
 
 LEARNT = 0.7
 """What is known must be surer than what was expected before anything was seen, by this factor."""

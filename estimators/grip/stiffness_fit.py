@@ -21,11 +21,11 @@ import numpy as np
 from scipy.linalg import block_diag, cho_factor, cho_solve, cholesky
 from scipy.optimize import least_squares
 
-from estimators.grip.lattice import SPREAD, TYPICAL_ANCHOR, bilinear, continued, lattice_springs, smoothness
-from estimators.grip.sheet import ENERGY, EXCESS, LEAST_SCALE, LINK, MOST_LOADED, TINY, NoSheet, SeenFrame
-from estimators.grip.stiffness_field import MOVES, StiffnessField
-from physics.robust import affine_terms, error_scale, student_weights
-from physics.sheet import Equilibrium, equilibrium
+from palpate.common.robust import affine_terms, error_scale, student_weights
+from palpate.estimators.grip.lattice import SPREAD, TYPICAL_ANCHOR, bilinear, continued, lattice_springs, smoothness
+from palpate.estimators.grip.sheet import ENERGY, EXCESS, LEAST_SCALE, LINK, MOST_LOADED, TINY, NoSheet, SeenFrame
+from palpate.estimators.grip.stiffness_field import MOVES, StiffnessField
+from palpate.physics.sheet import Equilibrium, equilibrium
 
 LOADED = 24.0
 """Tissue that began nearer to the tool may be loaded by it [px]."""

@@ -15,7 +15,7 @@ of validation clips is used for this and nothing else; no weight of the network 
 
 from __future__ import annotations
 
-from physics.doors import enter_door, run_door
+from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":
     enter_door()  # before the slow imports
@@ -31,24 +31,24 @@ from typing import Any
 import numpy as np
 import torch
 
-from data.command_line import path_option
-from data.contact.features import FEATURES, FRAME_RATE, KNOWN, LOADED, LOG_NOISE, REFERENCE_SPACING, SLOTS
-from data.contact.film_features import FILM_FEATURES, WITHIN
-from data.contact.interaction import PRESS
-from data.masks.sources import MaskClasses
-from data.settings import PREPROCESSING_VERSION
-from data.source.layout import read_mapping
-from data.synthetic.source import PREPARE
-from estimators.network.fits import BOUNDS, MECHANICS, SCENES
-from estimators.onset import BETWEEN, STAMP
-from models.calibration import Calibration, Widths
-from models.calibration_fit import fit_widths
-from models.checkpoint import load_posterior, posterior_features
-from models.onnx_calibration import calibrate
-from models.onnx_export import export
-from models.onnx_session import CONTACT, PosteriorModel
-from models.posterior import ContactPosterior
-from physics.files import file_sha256, read_file
+from palpate.common.command_line import path_option
+from palpate.common.files import file_sha256, read_file
+from palpate.data.contact.features import FEATURES, FRAME_RATE, KNOWN, LOADED, LOG_NOISE, REFERENCE_SPACING, SLOTS
+from palpate.data.contact.interaction import PRESS
+from palpate.data.contact.sequence_features import SEQUENCE_FEATURES, WITHIN
+from palpate.data.masks.sources import MaskClasses
+from palpate.data.settings import PREPROCESSING_VERSION
+from palpate.data.source.layout import read_mapping
+from palpate.data.synthetic.source import PREPARE
+from palpate.estimators.network.fits import BOUNDS, MECHANICS, SCENES
+from palpate.estimators.onset import BETWEEN, STAMP
+from palpate.models.calibration import Calibration, Widths
+from palpate.models.calibration_fit import fit_widths
+from palpate.models.checkpoint import load_posterior, posterior_features
+from palpate.models.onnx_calibration import calibrate
+from palpate.models.onnx_export import export
+from palpate.models.onnx_session import CONTACT, PosteriorModel
+from palpate.models.posterior import ContactPosterior
 
 RESULTS, RECORD = "results.jsonl", "run.json"
 """Files that the benchmark writes into its folder."""
@@ -158,7 +158,7 @@ def calibration_of(options: argparse.Namespace) -> Calibration:
     )
     if options.between is None:
         return found
-    if model.inputs[CONTACT] != (FEATURES + FILM_FEATURES,):
+    if model.inputs[CONTACT] != (FEATURES + SEQUENCE_FEATURES,):
         raise ValueError(f"{options.model} has no input for the instants; leave --between out.")
     between = widths_of(results_of(options.between, model.sha256, None, BETWEEN))
     return dataclasses.replace(found, between=between, within_features=(FEATURES + WITHIN,))

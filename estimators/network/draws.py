@@ -12,10 +12,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from data.contact.features import SLOTS, join_features
-from data.contact.film import smooth_errors
-from data.contact.film_features import ROUNDED, SHAPES, dent_shapes, join_film_features
-from estimators.network.fits import Films, Fits
+from palpate.data.contact.depth_sequence import smooth_errors
+from palpate.data.contact.features import SLOTS, join_features
+from palpate.data.contact.sequence_features import ROUNDED, SHAPES, dent_shapes, join_sequence_features
+from palpate.estimators.network.fits import DepthSequences, Fits
 
 NOISE = (3e-4, 6e-3)
 """σ is drawn log-uniformly from this range [scene units]."""
@@ -27,7 +27,7 @@ REST_SHARE = 0.1
 """Error of the rest position, in σ: the rest surface is an average of many depths (`benchmarks.tracking_errors`)."""
 CUT_SHARES = 0.5, 0.2
 """Shares of samples that end under the tool, as in live frames, and anywhere before the second is over."""
-FILM_SHARE = 0.85
+SEQUENCE_SHARE = 0.85
 """Share of samples whose features include the depth-change sequence, where there is one."""
 DELAY_RANGE = 2.0
 """Width of every delay's range, from -1 to 1, in units of `within`."""
@@ -69,7 +69,7 @@ class Drawn:
     """Simulated observations of contacts, with the parabola of their log likelihood; B samples."""
 
     features: np.ndarray
-    """Input of the network, shape [B, FEATURES], with depth-change sequences [B, FEATURES + FILM_FEATURES], float32."""
+    """Input of the network, shape [B, FEATURES], with sequences [B, FEATURES + SEQUENCE_FEATURES], float32."""
     logs: np.ndarray
     """φ that explains each motion without its errors, shape [B, 3]."""
     information: np.ndarray
@@ -99,22 +99,24 @@ def draw_observed(
     slopes = fits.slopes[index] * (known / noise[:, None])[..., None]
     information = np.einsum("btp,btq->bpq", slopes, slopes)
     pull = np.einsum("btp,bt->bp", slopes, error * known / noise[:, None])
-    films = fits.films
-    if films is not None:
-        with_film = generator.random(count) < FILM_SHARE
-        film_errors = draw_film_errors(films, index, noise, generator)
+    sequences = fits.sequences
+    if sequences is not None:
+        with_sequence = generator.random(count) < SEQUENCE_SHARE
+        sequence_errors = draw_sequence_errors(sequences, index, noise, generator)
         # The contact's own pixel belongs to the depth-change sequence: it has the sequence's error, and may show
         # neighbouring tissue as well.
-        error[with_film] = (films.middle[index] - motion + film_errors.middle)[with_film]
-        noise = np.where(with_film & (noise == ROUNDING_NOISE), ROUNDED * noise, noise)
-        more, pulled = film_information(films.slopes[index], films.factors[index], film_errors.amounts, noise, known)
-        information[with_film], pull[with_film] = more[with_film], pulled[with_film]
+        error[with_sequence] = (sequences.middle[index] - motion + sequence_errors.middle)[with_sequence]
+        noise = np.where(with_sequence & (noise == ROUNDING_NOISE), ROUNDED * noise, noise)
+        more, pulled = sequence_information(
+            sequences.slopes[index], sequences.factors[index], sequence_errors.amounts, noise, known
+        )
+        information[with_sequence], pull[with_sequence] = more[with_sequence], pulled[with_sequence]
     within = fits.within[index]
     along = (motion + error) / spacing[:, None]
     features = join_features(along, known, loaded * known, fits.around[index], spacing, noise)
-    if films is not None:
-        amounts = (films.amounts[index] + film_errors.amounts) * known[..., None]
-        more = join_film_features(amounts, spacing, noise, within, with_film)
+    if sequences is not None:
+        amounts = (sequences.amounts[index] + sequence_errors.amounts) * known[..., None]
+        more = join_sequence_features(amounts, spacing, noise, within, with_sequence)
         features = np.concatenate([features, more], axis=1)
     logs = fits.logs[index]
     information, pull = without_delays(information, pull, logs[:, 3:])
@@ -122,7 +124,7 @@ def draw_observed(
 
 
 @dataclasses.dataclass(frozen=True)
-class FilmErrors:
+class SequenceErrors:
     """Errors of B depth-change sequences."""
 
     amounts: np.ndarray
@@ -131,15 +133,17 @@ class FilmErrors:
     """Errors of the middle pixel, shape [B, SLOTS] [scene units]."""
 
 
-def draw_film_errors(films: Films, index: np.ndarray, noise: np.ndarray, generator: np.random.Generator) -> FilmErrors:
+def draw_sequence_errors(
+    sequences: DepthSequences, index: np.ndarray, noise: np.ndarray, generator: np.random.Generator
+) -> SequenceErrors:
     """Errors of depth-change sequences: noise, or rounding where the noise is that of rounding, and the rest surface's.
 
     Args:
-        films: all sequences.
+        depth-change sequences: all sequences.
         index: indices of the sequences to draw for, shape [B].
         noise: standard deviation of every pixel, shape [B] [scene units].
     """
-    shapes, factors = dent_shapes(), films.factors[index]
+    shapes, factors = dent_shapes(), sequences.factors[index]
     middle = shapes[len(shapes) // 2]
     # The middle pixel's error is jointly normal with the amounts' errors: their share of it, and an independent rest.
     normal = generator.standard_normal((len(index), SLOTS, SHAPES), dtype=np.float32)
@@ -150,7 +154,7 @@ def draw_film_errors(films: Films, index: np.ndarray, noise: np.ndarray, generat
     amounts, alone = noise[:, None, None] * amounts, noise[:, None] * alone
     rounded = np.flatnonzero(noise == ROUNDING_NOISE)
     if len(rounded):
-        change = films.change[index[rounded]].astype(np.float32)
+        change = sequences.change[index[rounded]].astype(np.float32)
         side = math.isqrt(change.shape[2])
         slopes = generator.uniform(-1, 1, (2, len(rounded), 1)).astype(np.float32) * MAX_REST_SLOPE
         places = np.mgrid[:side, :side].reshape(2, 1, -1)
@@ -163,7 +167,7 @@ def draw_film_errors(films: Films, index: np.ndarray, noise: np.ndarray, generat
         amounts[rounded] = (part @ (part.transpose(0, 1, 3, 2) @ mixed))[..., 0]
         alone[rounded] = error[:, :, side * side // 2]
     still = noise[:, None] * (generator.standard_normal((len(index), SHAPES)) @ smooth_share().T)
-    return FilmErrors(amounts + still[:, None], alone + (still @ middle)[:, None])
+    return SequenceErrors(amounts + still[:, None], alone + (still @ middle)[:, None])
 
 
 @functools.cache
@@ -173,13 +177,13 @@ def smooth_share() -> np.ndarray:
     return np.linalg.cholesky(smooth @ smooth.T + 1e-12 * np.eye(SHAPES))
 
 
-def film_information(
+def sequence_information(
     slopes: np.ndarray, factors: np.ndarray, errors: np.ndarray, noise: np.ndarray, known: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Information [B, D, D] and pull [B, D] of depth-change sequences; slots share the rest surface's error only.
 
     Args:
-        slopes, factors: those of `Films`, of B sequences.
+        slopes, factors: those of `DepthSequences`, of B sequences.
         errors: errors of the amounts, shape [B, SLOTS, SHAPES] [scene units].
         noise: standard deviation of every pixel, shape [B] [scene units].
         known: whether a slot is observed, shape [B, SLOTS].

@@ -9,22 +9,22 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from data.contact.features import FEATURES, contact_features
-from data.contact.film_features import FILM_FEATURES, dent_features, told_noise
-from data.contact.interaction import FIELD, Horizon, Interaction, InteractionBuilder
-from data.prepared import PreparedFrame
-from data.windows import FrameWindow
-from estimators.contract import ClipInfo, Said
-from estimators.estimate import Estimate, FrameEstimate, NoEstimate, mixture
-from estimators.model_settings import ModelEstimator
-from estimators.network.misfit import compared, largest_misfit
-from estimators.oblique import effective_misfit, is_oblique, remark, view_angle, widened
-from estimators.onset import onset_error, onset_perturbations
-from estimators.runs import Run, RunSession, force_arrow, frame_estimate
-from models.onnx_session import CONTACT, ModelFileError, PosteriorModel
-from physics.load import Press, held
-from physics.mechanics import Mechanics, theta_of
-from physics.msd.simulation import simulate
+from palpate.data.contact.features import FEATURES, contact_features
+from palpate.data.contact.interaction import FIELD, Horizon, Interaction, InteractionBuilder
+from palpate.data.contact.sequence_features import SEQUENCE_FEATURES, dent_features, told_noise
+from palpate.data.prepared import PreparedFrame
+from palpate.data.windows import FrameWindow
+from palpate.estimators.contract import ClipInfo, Output
+from palpate.estimators.estimate import Estimate, FrameEstimate, NoEstimate, mixture
+from palpate.estimators.model_settings import ModelEstimator
+from palpate.estimators.network.misfit import compared, largest_misfit
+from palpate.estimators.oblique import effective_misfit, is_oblique, remark, view_angle, widened
+from palpate.estimators.onset import onset_error, onset_perturbations
+from palpate.estimators.runs import Run, RunSession, force_arrow, frame_estimate
+from palpate.models.onnx_session import CONTACT, ModelFileError, PosteriorModel
+from palpate.physics.load import Press, held
+from palpate.physics.mechanics import Mechanics, theta_of
+from palpate.physics.msd.simulation import simulate
 
 LEAST_OBSERVATIONS = 2
 """Fewest frames after the onset in which the tissue was followed; the network was trained on no fewer."""
@@ -59,7 +59,7 @@ class NetworkEstimator(ModelEstimator):
         self.onset, self.horizon, self.observation = onset, horizon, observation
         self.described = {"name": self.name, "onset": onset, "observation": observation, "horizon": horizon}
         """The settings that are not in the model's file."""
-        self.sees_film = model.inputs[CONTACT] == (FEATURES + FILM_FEATURES,)
+        self.sees_sequence = model.inputs[CONTACT] == (FEATURES + SEQUENCE_FEATURES,)
         """Whether the network takes the depth-change sequence, and how well the instants of the press are known."""
         self.press_seconds: tuple[float, float] = tuple(
             model.metadata.get("contact", {}).get("press_seconds", (0.0, math.inf))
@@ -82,7 +82,7 @@ class NetworkEstimator(ModelEstimator):
         if not (math.isfinite(contact.noise) and contact.noise > 0):
             raise NoEstimate(NO_NOISE)
         if self.observation != FIELD:
-            contact = dataclasses.replace(contact, film=None)
+            contact = dataclasses.replace(contact, sequence=None)
         load, (shortest, longest) = contact.load_seconds, self.press_seconds
         if not shortest - TIME_TOLERANCE <= load <= longest + TIME_TOLERANCE:
             contact = contact.observed(contact.observation.times <= min(load, longest) + TIME_TOLERANCE)
@@ -92,7 +92,7 @@ class NetworkEstimator(ModelEstimator):
 
     def features(self, contact: Interaction, within: float) -> np.ndarray:
         """The network's input for a contact whose instants are known to `within` [s], shape [features]."""
-        return dent_features(contact, within) if self.sees_film else contact_features(contact)
+        return dent_features(contact, within) if self.sees_sequence else contact_features(contact)
 
     def judged(
         self,
@@ -117,7 +117,7 @@ class NetworkEstimator(ModelEstimator):
             theta=theta_of(mean),
             covariance=covariance,
             information=information,
-            noise=told_noise(contact) if self.sees_film else contact.noise,
+            noise=told_noise(contact) if self.sees_sequence else contact.noise,
             misfit=misfit,
             largest_misfit=largest_misfit(len(contact.observation)),
             at_bound=np.minimum(mean - box[0], box[1] - mean) < BOUND_MARGIN * (box[1] - box[0]),
@@ -137,7 +137,7 @@ class NetworkSession(RunSession):
         self._depths: list[tuple[float, np.ndarray]] = []
         """Depth windows of the current run with their times since its onset [s], where the model takes windows."""
 
-    def push(self, frame: PreparedFrame) -> Iterator[Said]:
+    def push(self, frame: PreparedFrame) -> Iterator[Output]:
         """The next frame.
 
         Raises:
@@ -170,7 +170,7 @@ class NetworkSession(RunSession):
         """
         estimator, start = self.estimator, time.perf_counter()
         contacts, within = [contact], self._onset_error
-        if not estimator.sees_film:
+        if not estimator.sees_sequence:
             contacts, within = onset_perturbations(contact, self._onset_error, LEAST_OBSERVATIONS), 0.0
         features = [estimator.features(each, within) for each in contacts]
         window = None if depth is None else np.repeat(depth[None], len(contacts), axis=0)

@@ -13,17 +13,17 @@ from operator import itemgetter
 
 import numpy as np
 
-from data.contact.features import FRAME_RATE, contact_surroundings, slot_times
-from data.contact.film_features import (
+from palpate.data.contact.features import FRAME_RATE, contact_surroundings, slot_times
+from palpate.data.contact.interaction import Interaction
+from palpate.data.contact.sequence_features import (
     dent_shapes,
-    motion_in_film,
+    motion_in_sequence,
     shape_amounts,
 )
-from data.contact.interaction import Interaction
-from data.synthetic.settings import SceneSettings
-from estimators.direct.field import FilmProblem
-from estimators.direct.problem import ContactProblem, find_optimum
-from physics.mechanics import RECOMMENDED, Mechanics
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.estimators.direct.field import SequenceProblem
+from palpate.estimators.direct.problem import ContactProblem, find_optimum
+from palpate.physics.mechanics import RECOMMENDED, Mechanics
 
 MECHANICS = Mechanics(scheme="dkd", window_error=1e-4)
 """The simulator of the fits."""
@@ -59,7 +59,7 @@ class Fits:
     """Spacing of the mesh at the contact, shape [N] [scene units]."""
     within: np.ndarray
     """Largest delay of the press's instants, shape [N] [s]; where it is 0 the delays are 0 and have no derivatives."""
-    films: Films | None = None
+    sequences: DepthSequences | None = None
     """Depth-change sequences of the same contacts."""
 
     @classmethod
@@ -69,7 +69,7 @@ class Fits:
         logs: Sequence[np.ndarray],
         slopes: Sequence[np.ndarray],
         within: Sequence[float] | None = None,
-        films: Films | None = None,
+        sequences: DepthSequences | None = None,
     ) -> Fits:
         """Make the arrays from contacts without noise, with each one's parameters [D] and slopes [SLOTS, D]."""
         slots, surroundings = slot_times() + 1e-9, [contact_surroundings(contact) for contact in contacts]
@@ -81,12 +81,12 @@ class Fits:
             around=np.stack([item.vector for item in surroundings]),
             spacing=np.array([item.spacing for item in surroundings]),
             within=np.zeros(len(surroundings)) if within is None else np.asarray(within, np.float64),
-            films=films,
+            sequences=sequences,
         )
 
 
 @dataclasses.dataclass(frozen=True)
-class Films:
+class DepthSequences:
     """Depth-change sequences without noise of N contacts, P pixels each, as arrays."""
 
     change: np.ndarray
@@ -140,25 +140,25 @@ def _explained(problem: ContactProblem, start: np.ndarray) -> tuple[np.ndarray, 
     return best, rms
 
 
-def fit_film(task: tuple[Interaction, np.ndarray, float]) -> tuple[np.ndarray, np.ndarray, float, tuple]:
+def fit_sequence(task: tuple[Interaction, np.ndarray, float]) -> tuple[np.ndarray, np.ndarray, float, tuple]:
     """`fit_motion` for a contact with a depth-change sequence, whose instants may be unknown.
 
     Args:
         task: the contact without noise, the start of the fit [3], and the largest delay of its instants [s].
 
     Returns:
-        Parameters [5], slopes [SLOTS, 5], RMS residual [scene units], and the arrays of `Films` without N.
+        Parameters [5], slopes [SLOTS, 5], RMS residual [scene units], and the arrays of `DepthSequences` without N.
     """
     contact, start, within = task
     problem = ContactProblem(contact, MECHANICS, NOMINAL_NOISE, within)
     best, rms = _explained(problem, start)
-    field = FilmProblem.of_press(contact, MECHANICS, within, NOMINAL_NOISE)
+    field = SequenceProblem.of_press(contact, MECHANICS, within, NOMINAL_NOISE)
     field.look(best)
     tangent = np.where(field.seen[..., None], field.tangent(best)[1], 0.0)
     change = np.where(field.seen, field.observed, np.nan)
     amounts, factors = shape_amounts(change)
     slopes = np.einsum("tij,tkj,pk,tpd->tid", factors, factors, dent_shapes(), tangent)
-    middle = -(motion_in_film(contact).astype(np.float64) @ contact.direction)
+    middle = -(motion_in_sequence(contact).astype(np.float64) @ contact.direction)
     parts = change.astype(np.float16), amounts, _padded(slopes), factors, middle
     return _padded(best), _padded(motion_slopes(problem, best)), rms, parts
 

@@ -14,16 +14,16 @@ from typing import Protocol
 import numpy as np
 from scipy.special import gammainccinv
 
-from data.contact.film import REACH, DentFilm
-from data.contact.interaction import Interaction
-from data.contact.patches import Patches
-from estimators.direct.field import MOVED, WALL
-from estimators.direct.motion import between_steps
-from estimators.direct.problem import DELAYS
-from physics.identifiability import fisher_information, log_jacobian
-from physics.load import held
-from physics.mechanics import Mechanics, theta_of
-from physics.msd.simulation import is_chaotic, simulate_sensitivities
+from palpate.data.contact.depth_sequence import REACH, DepthSequence
+from palpate.data.contact.interaction import Interaction
+from palpate.data.contact.patches import Patches
+from palpate.estimators.direct.field import MOVED, WALL
+from palpate.estimators.direct.motion import between_steps
+from palpate.estimators.direct.problem import DELAYS
+from palpate.physics.identifiability import fisher_information, log_jacobian
+from palpate.physics.load import held
+from palpate.physics.mechanics import Mechanics, theta_of
+from palpate.physics.msd.simulation import is_chaotic, simulate_sensitivities
 
 LARGEST_MISFIT = 1.5
 """A motion farther from the simulated one than this many σ is unlike those of the training, and the network's
@@ -87,20 +87,20 @@ class _PointComparison:
 class _PixelComparison:
     """The pixels around the contact that move."""
 
-    def __init__(self, contact: Interaction, film: DentFilm) -> None:
-        patches = Patches(contact.mesh, contact.vertex, film.size, PIXEL_RADIUS)
-        self._patches, self.times, self._noise = patches, film.times, film.noise.total
+    def __init__(self, contact: Interaction, sequence: DepthSequence) -> None:
+        patches = Patches(contact.mesh, contact.vertex, sequence.size, PIXEL_RADIUS)
+        self._patches, self.times, self._noise = patches, sequence.times, sequence.noise.total
         near = np.s_[REACH - PIXEL_RADIUS : REACH + PIXEL_RADIUS + 1]
-        self._change = film.change[:, near, near].reshape(len(film.times), -1).astype(np.float64)
+        self._change = sequence.change[:, near, near].reshape(len(sequence.times), -1).astype(np.float64)
         self.vertices = np.append(contact.vertex, patches.vertices)
         # Pixels that are never hidden; together they show nearly the same tissue all the time.
         own = patches.own()
         clear = np.isfinite(self._change).all(axis=0) & (own >= 0)
-        self._shown, self.observed = own[clear], np.full(len(film.times), np.nan)
+        self._shown, self.observed = own[clear], np.full(len(sequence.times), np.nan)
         if clear.any():
             self.observed = self._change[:, clear].mean(axis=1)
-        frames = np.unique(np.linspace(0, len(film.times) - 1, MAX_FRAMES).round().astype(int))
-        self.compared_times, self._change = film.times[frames], self._change[frames]
+        frames = np.unique(np.linspace(0, len(sequence.times) - 1, MAX_FRAMES).round().astype(int))
+        self.compared_times, self._change = sequence.times[frames], self._change[frames]
 
     def signal(self, path: np.ndarray) -> np.ndarray:
         return self._patches.sunk(path[:, 1 + self._shown], self._shown).mean(axis=1)
@@ -119,9 +119,9 @@ class _PixelComparison:
 
 def _comparison(contact: Interaction) -> _Comparison:
     """The comparison for a contact: of pixels where there are any, else of the followed point."""
-    film = contact.film
-    if film is not None and len(film.times) and film.is_finer_than(contact.mesh.grid_shape):
-        found = _PixelComparison(contact, film)
+    sequence = contact.sequence
+    if sequence is not None and len(sequence.times) and sequence.is_finer_than(contact.mesh.grid_shape):
+        found = _PixelComparison(contact, sequence)
         if np.isfinite(found.observed).all():
             return found
     return _PointComparison(contact)

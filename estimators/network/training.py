@@ -17,7 +17,7 @@ costs more than the network:
 
 from __future__ import annotations
 
-from physics.doors import INTERRUPTED, enter_door, interruptible, run_door
+from palpate.common.doors import INTERRUPTED, enter_door, interruptible, run_door
 
 if __name__ == "__main__":
     enter_door()  # before the slow imports
@@ -40,27 +40,37 @@ from rich.console import Console
 from rich.progress import Progress
 from torch import Tensor, nn
 
-from data.command_line import path_option, progress_bars, say, whole_number
-from data.contact.features import FEATURES, contact_features, contact_surroundings
-from data.contact.film_features import FILM_FEATURES, film_features
-from data.contact.interaction import CONTACT, FIELD, Interaction
-from data.synthetic.contacts import SimulatedContact, draw_contacts
-from data.synthetic.settings import SceneSettings
-from data.synthetic.truth import REGIMES
-from estimators.network.draws import NOISE, Drawn, draw_observed
-from estimators.network.fits import BOUNDS, EXPLAINED, FRAME_S, MECHANICS, SCENES, Films, Fits, fit_film, fit_motion
-from estimators.worker_pool import WorkerLost, run_tasks
-from models.evidence import box_prior, covering, preconditioned
-from models.expected_bound import bound_loss
-from models.posterior import ContactPosterior
-from physics.files import as_json, read_file
-from physics.likelihood import Likelihood, Linearised
-from physics.ownership import ForeignFile, replacing_own, require_own
-from physics.provenance import code_digest
+from palpate.common.command_line import path_option, progress_bars, say, whole_number
+from palpate.common.files import as_json, read_file
+from palpate.common.output import ForeignFile, replacing_own, require_own
+from palpate.common.provenance import code_digest
+from palpate.common.workers import WorkerLost, run_tasks
+from palpate.data.contact.features import FEATURES, contact_features, contact_surroundings
+from palpate.data.contact.interaction import CONTACT, FIELD, Interaction
+from palpate.data.contact.sequence_features import SEQUENCE_FEATURES, sequence_features
+from palpate.data.synthetic.contacts import SimulatedContact, draw_contacts
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.data.synthetic.truth import REGIMES
+from palpate.estimators.network.draws import NOISE, Drawn, draw_observed
+from palpate.estimators.network.fits import (
+    BOUNDS,
+    EXPLAINED,
+    FRAME_S,
+    MECHANICS,
+    SCENES,
+    DepthSequences,
+    Fits,
+    fit_motion,
+    fit_sequence,
+)
+from palpate.models.evidence import box_prior, covering, preconditioned
+from palpate.models.expected_bound import bound_loss
+from palpate.models.posterior import ContactPosterior
+from palpate.physics.likelihood import Likelihood, Linearised
 
 WEIGHTS, LOG, PREPARED = "posterior.pt", "training.jsonl", "prepared.pt"
 """Files of the output folder; at the end the first appears and the last is removed."""
-INPUT_LENGTHS = {FIELD: FEATURES + FILM_FEATURES, CONTACT: FEATURES}
+INPUT_LENGTHS = {FIELD: FEATURES + SEQUENCE_FEATURES, CONTACT: FEATURES}
 """Length of the network's input by its kind: with the depth-change sequence, or the contact's motion alone."""
 CONTACTS_A_SCENE = 8
 LEAST_STEPS = 4
@@ -103,10 +113,12 @@ class Trainer:
         torch.manual_seed(seed)
         self.contacts = contacts
         self.within = [0.0] * len(contacts) if within is None else list(within)
-        self.films = contacts[0].interaction.film is not None
+        self.sequences = contacts[0].interaction.sequence is not None
         self.generator = np.random.default_rng([seed, 17])
         self.surroundings = [contact_surroundings(contact.interaction) for contact in contacts]
-        self.posterior = ContactPosterior(INPUT_LENGTHS[FIELD if self.films else CONTACT], torch.tensor(BOUNDS.log_box))
+        self.posterior = ContactPosterior(
+            INPUT_LENGTHS[FIELD if self.sequences else CONTACT], torch.tensor(BOUNDS.log_box)
+        )
         sample = [self.draw() for _ in range(SCALE_SAMPLES)]
         self.posterior.standardise(torch.tensor(np.stack([features for _, features in sample])))
         self.threads = ThreadPoolExecutor()
@@ -122,10 +134,10 @@ class Trainer:
     def features(self, contact: Interaction, index: int) -> np.ndarray:
         """The network's input for a contact in the first two stages, which leave the depth-change sequence out."""
         motion = contact_features(contact, self.surroundings[index])
-        if not self.films:
+        if not self.sequences:
             return motion
         spacing = self.surroundings[index].spacing
-        return np.concatenate([motion, film_features(None, spacing, contact.noise, self.within[index])])
+        return np.concatenate([motion, sequence_features(None, spacing, contact.noise, self.within[index])])
 
     def rough_loss(self, done: float) -> Tensor:
         """The evidence bound by rollouts at the means, a scalar; `done` is the finished share of the stage's steps."""
@@ -160,8 +172,8 @@ class Trainer:
             starts = self.posterior.eval()(torch.from_numpy(np.stack(quiet)))[0].double().numpy()
         self.posterior.train()
         tasks: list[tuple] = list(zip(contacts, starts, self.within, strict=True))
-        if self.films:
-            fitted = run_tasks(fit_film, tasks, workers, ordered=True)
+        if self.sequences:
+            fitted = run_tasks(fit_sequence, tasks, workers, ordered=True)
         else:
             fitted = run_tasks(fit_motion, [task[:2] for task in tasks], workers, ordered=True)
         found: list[tuple] = list(progress.track(fitted, len(tasks), description="fits"))
@@ -169,13 +181,15 @@ class Trainer:
         print(f"{len(kept)} of {len(found)} motions explained to {EXPLAINED:g}")
         if not kept:
             raise TrainingError("No motion could be explained; give more --contacts.")
-        films = None
-        if self.films:
-            films = Films(*(np.stack(part) for part in zip(*(found[index][3] for index in kept), strict=True)))
+        sequences = None
+        if self.sequences:
+            sequences = DepthSequences(
+                *(np.stack(part) for part in zip(*(found[index][3] for index in kept), strict=True))
+            )
         logs, slopes = zip(*(found[index][:2] for index in kept), strict=True)
         within = [self.within[index] for index in kept]
-        fits = Fits.of([contacts[index] for index in kept], logs, slopes, within, films)
-        if self.films:  # the first stage had none of these inputs
+        fits = Fits.of([contacts[index] for index in kept], logs, slopes, within, sequences)
+        if self.sequences:  # the first stage had none of these inputs
             examples = torch.from_numpy(draw_observed(fits, SCALE_SAMPLES, self.generator).features)
             self.posterior.standardise(examples, least=LEAST_SCALE, first=FEATURES)
         return fits
@@ -229,12 +243,12 @@ def _tensor(values) -> Tensor:
 
 
 def _scene_contacts(task: tuple[SceneSettings, int, float, bool]) -> list[SimulatedContact]:
-    settings, seed, within, film = task
-    return draw_contacts(settings, seed, CONTACTS_A_SCENE, MECHANICS.time_step, within, film)
+    settings, seed, within, sequence = task
+    return draw_contacts(settings, seed, CONTACTS_A_SCENE, MECHANICS.time_step, within, sequence)
 
 
 def make_contacts(
-    count: int, seed: int, progress: Progress, workers: int | None = None, within: float = 0.0, film: bool = False
+    count: int, seed: int, progress: Progress, workers: int | None = None, within: float = 0.0, sequence: bool = False
 ) -> list[SimulatedContact]:
     """About `count` contacts of many scenes, the regimes in turn, as in the benchmark.
 
@@ -243,7 +257,7 @@ def make_contacts(
         seed: another seed gives other scenes.
         progress: display for the progress bar.
         workers: number of processes; None = one a core, 0 = in this one.
-        within, film: as in `draw_contacts`.
+        within, depth-change sequence: as in `draw_contacts`.
 
     Raises:
         TrainingError: no contact could be drawn.
@@ -251,7 +265,7 @@ def make_contacts(
     """
     seeds = np.random.SeedSequence((seed, 0xC0)).generate_state(-(-count // CONTACTS_A_SCENE)).tolist()
     turns = [dataclasses.replace(SCENES, regime=regime) for regime in REGIMES]
-    tasks = [(turns[number % len(turns)], scene, within, film) for number, scene in enumerate(seeds)]
+    tasks = [(turns[number % len(turns)], scene, within, sequence) for number, scene in enumerate(seeds)]
     drawn = run_tasks(_scene_contacts, tasks, workers, ordered=True)
     scenes = progress.track(drawn, len(tasks), description="scenes")
     found = [contact for contacts in scenes for contact in contacts]
@@ -345,7 +359,10 @@ def _trainer(options: argparse.Namespace, progress: Progress) -> Trainer:
     if options.observation == CONTACT:
         return Trainer(made(options.contacts, options.seed), options.seed)
     half = -(-options.contacts // 2)
-    parts = [made(half, options.seed, film=True), made(half, options.seed + SEED_OFFSET, within=FRAME_S, film=True)]
+    parts = [
+        made(half, options.seed, sequence=True),
+        made(half, options.seed + SEED_OFFSET, within=FRAME_S, sequence=True),
+    ]
     within = [0.0] * len(parts[0]) + [FRAME_S] * len(parts[1])
     return Trainer([*parts[0], *parts[1]], options.seed, within)
 
@@ -359,11 +376,12 @@ def _prepared_by(options: argparse.Namespace) -> dict[str, object]:
 def _keep_prepared(path: Path, options: argparse.Namespace, posterior: ContactPosterior, fits: Fits) -> None:
     """Store the results of the first two stages, so that an interrupted training goes on from there."""
     arrays = {field.name: getattr(fits, field.name) for field in dataclasses.fields(Fits)}
-    films = arrays.pop("films")
+    sequences = arrays.pop("sequences")
     parts = {name: torch.from_numpy(values) for name, values in arrays.items()}
-    if films is not None:
+    if sequences is not None:
         parts |= {
-            f"films.{field.name}": torch.from_numpy(getattr(films, field.name)) for field in dataclasses.fields(Films)
+            f"sequences.{field.name}": torch.from_numpy(getattr(sequences, field.name))
+            for field in dataclasses.fields(DepthSequences)
         }
     with replacing_own(path) as partial:
         torch.save({"by": _prepared_by(options), "posterior": posterior.state_dict(), "fits": parts}, partial)
@@ -379,8 +397,10 @@ def _read_prepared(path: Path, options: argparse.Namespace, posterior: ContactPo
     except (OSError, RuntimeError, EOFError, KeyError, TypeError, pickle.UnpicklingError):
         return None
     arrays = {name: values.numpy() for name, values in kept["fits"].items()}
-    films = {name.removeprefix("films."): arrays.pop(name) for name in list(arrays) if name.startswith("films.")}
-    return Fits(**arrays, films=Films(**films) if films else None)
+    sequences = {
+        name.removeprefix("sequences."): arrays.pop(name) for name in list(arrays) if name.startswith("sequences.")
+    }
+    return Fits(**arrays, sequences=DepthSequences(**sequences) if sequences else None)
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -13,16 +13,17 @@ fitting    time step, foundation and bending of one clip, by its first frames
 estimator  the door: a sheet or a volume for every run of contact; settings: as configs/online.yaml holds them
 """
 
-from physics.lazy import exported
+from palpate.common.lazy import exported
 
 __getattr__ = exported(
+    __name__,
     {
-        "estimators.online.matching": ("Chamfer", "Tracks"),
-        "estimators.online.mapping": ("Mapping", "Residual", "map_residual"),
-        "estimators.online.bounds": ("Bounds",),
-        "estimators.online.objective": ("Objective", "Weights"),
-        "estimators.online.session": ("Method", "Session"),
-        "estimators.online.settings": ("OnlineSettings", "load_settings"),
-        "estimators.online.estimator": ("OnlineEstimator",),
-    }
+        "palpate.estimators.online.matching": ("Chamfer", "Tracks"),
+        "palpate.estimators.online.mapping": ("Mapping", "Residual", "map_residual"),
+        "palpate.estimators.online.bounds": ("Bounds",),
+        "palpate.estimators.online.objective": ("Objective", "Weights"),
+        "palpate.estimators.online.session": ("Method", "Session"),
+        "palpate.estimators.online.settings": ("OnlineSettings", "load_settings"),
+        "palpate.estimators.online.estimator": ("OnlineEstimator",),
+    },
 )

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from physics.pbd.stiffness import Stiffness
+from palpate.physics.pbd.stiffness import Stiffness
 
 
 @dataclass(frozen=True)

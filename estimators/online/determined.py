@@ -17,13 +17,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from estimators.grip.lattice import length
-from estimators.grip.stiffness_fit import ROUGHNESS
-from estimators.online.fitting import LEAST
-from estimators.online.gauss_newton import KNOTS, bumps
-from estimators.online.objective import Objective
-from physics.identifiability import LIMIT
-from physics.pbd.stiffness import Stiffness
+from palpate.estimators.grip.lattice import length
+from palpate.estimators.grip.stiffness_fit import ROUGHNESS
+from palpate.estimators.online.fitting import LEAST
+from palpate.estimators.online.gauss_newton import KNOTS, bumps
+from palpate.estimators.online.objective import Objective
+from palpate.physics.identifiability import LIMIT
+from palpate.physics.pbd.stiffness import Stiffness
 
 LEARNT = 0.5
 """What is known must be surer than before anything was seen, by this factor: three quarters of what is said of it, at

@@ -9,15 +9,15 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import KDTree
 
-from estimators.estimate import LEAST_SKILL
-from estimators.online.determined import Determined
-from estimators.online.fitting import BENDINGS, Fit, fit_motion, uniform
-from estimators.online.matching import Chamfer, Match, Tracks
-from estimators.online.objective import Objective
-from estimators.online.session import Frame, Session
-from estimators.online.settings import MOST_FITTED, OnlineSettings, Start
-from estimators.online.surface import Surface
-from physics.load import Grip
+from palpate.estimators.estimate import LEAST_SKILL
+from palpate.estimators.online.determined import Determined
+from palpate.estimators.online.fitting import BENDINGS, Fit, fit_motion, uniform
+from palpate.estimators.online.matching import Chamfer, Match, Tracks
+from palpate.estimators.online.objective import Objective
+from palpate.estimators.online.session import Frame, Session
+from palpate.estimators.online.settings import MOST_FITTED, OnlineSettings, Start
+from palpate.estimators.online.surface import Surface
+from palpate.physics.load import Grip
 
 LEAST_GRIPPED = 3
 """Fewer points followed near the instrument don't tell how it moves the tissue."""

@@ -15,26 +15,26 @@ from pathlib import Path
 
 import numpy as np
 
-from data.contact.tissue_points import grid_to_picture
-from data.labels import TISSUE, TOOL
-from data.prepared import PreparedFrame
-from data.settings import PrepareSettings
-from data.source.camera import back_project
-from data.source.images import printable
-from data.source.layout import InputError
-from data.tracks.background import without_background
-from data.tracks.following import PointFollower, shrunk
-from estimators.contract import Chosen, ClipInfo, Said
-from estimators.estimate import FieldEstimate, InteractionEstimate, NoEstimate, ParticleField
-from estimators.online.driven import DrivenTissue
-from estimators.online.given import read_path, read_pins
-from estimators.online.settings import FILES, OnlineSettings
-from estimators.online.surface import make_surface
-from estimators.online.visibility import facing, uncovered
-from estimators.runs import Run, RunSession, frame_estimate
-from physics.files import file_sha256
-from physics.mechanics import Mechanics
-from physics.robust import affine_motion
+from palpate.common.files import file_sha256
+from palpate.common.robust import affine_motion
+from palpate.data.contact.tissue_points import grid_to_picture
+from palpate.data.labels import TISSUE, TOOL
+from palpate.data.prepared import PreparedFrame
+from palpate.data.settings import PrepareSettings
+from palpate.data.source.camera import back_project
+from palpate.data.source.images import printable
+from palpate.data.source.layout import InputError
+from palpate.data.tracks.background import without_background
+from palpate.data.tracks.following import PointFollower, shrunk
+from palpate.estimators.contract import Chosen, ClipInfo, Output
+from palpate.estimators.estimate import FieldEstimate, InteractionEstimate, NoEstimate, ParticleField
+from palpate.estimators.online.driven import DrivenTissue
+from palpate.estimators.online.given import read_path, read_pins
+from palpate.estimators.online.settings import FILES, OnlineSettings
+from palpate.estimators.online.surface import make_surface
+from palpate.estimators.online.visibility import facing, uncovered
+from palpate.estimators.runs import Run, RunSession, frame_estimate
+from palpate.physics.mechanics import Mechanics
 
 FIELD_ALONE = "This estimator tells relative stiffness place by place (fields.npz), not k_s, k_d or F."
 UNDRIVEN = "Not enough tissue moved with the instrument to tell its stiffness anywhere."
@@ -91,7 +91,7 @@ class OnlineSession(RunSession):
         self._driven: _Followed | None = None
         self._reason, self._begun = "", -1
 
-    def push(self, frame: PreparedFrame) -> Iterator[Said]:
+    def push(self, frame: PreparedFrame) -> Iterator[Output]:
         """The next frame."""
         yield from self._ended(self._runs.push(frame))
         start = time.perf_counter()
@@ -272,5 +272,5 @@ def _described(path: Path) -> dict[str, str]:
 
 def _continued(points: np.ndarray, motion: np.ndarray, places: np.ndarray) -> np.ndarray:
     """An affine motion that is known at some points [P, 2], not a number elsewhere, at places [N, 2]."""
-    known = np.isfinite(motion).all(axis=1)
+    known = np.asarray(np.isfinite(motion).all(axis=1))
     return affine_motion(points, motion, known, places) if known.any() else np.zeros_like(places)

@@ -13,11 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimators.grip.lattice import length
-from physics.load import Grip
-from physics.pbd.body import Body
-from physics.pbd.simulation import Stepping, simulate
-from physics.pbd.stiffness import Stiffness
+from palpate.estimators.grip.lattice import length
+from palpate.physics.load import Grip
+from palpate.physics.pbd.body import Body
+from palpate.physics.pbd.simulation import Stepping, simulate
+from palpate.physics.pbd.stiffness import Stiffness
 
 TIME_STEPS = (1.0, 2.0, 4.0, 8.0)
 """A frame's time over √(m/k): from tissue that hangs back to tissue that is at rest in every frame."""

@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import solve
 
-from estimators.online.objective import Objective, Terms
-from physics.pbd.stiffness import Stiffness
+from palpate.estimators.online.objective import Objective, Terms
+from palpate.physics.pbd.stiffness import Stiffness
 
 KNOTS = 12, 4
 """Of distances and of shapes, from which fields change by smooth bumps; the cost goes with their number."""

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from data.source.frames import Frame
-from data.source.images import printable, read_image
-from data.source.layout import InputError
-from data.source.table import read_series
-from estimators.estimate import NoEstimate
+from palpate.data.source.frames import Frame
+from palpate.data.source.images import printable, read_image
+from palpate.data.source.layout import InputError
+from palpate.data.source.table import read_series
+from palpate.estimators.estimate import NoEstimate
 
 WHITE = 128
 """Where all channels have this much of 255 a mask is white."""

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csr_array
 
-from estimators.online.matching import Match
-from physics.pbd.potential import Potential
+from palpate.estimators.online.matching import Match
+from palpate.physics.pbd.potential import Potential
 
 
 @dataclass(frozen=True)

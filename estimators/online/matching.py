@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 from scipy.sparse import csr_array
 
-from estimators.online.nearest import gathered, grid_of
+from palpate.estimators.online.nearest import gathered, grid_of
 
 
 class Match(Protocol):

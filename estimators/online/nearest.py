@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from physics.jit import inlined, kernel
+from palpate.physics.jit import inlined, kernel
 
 STRAYS = 0.02
 """The grid spans the points but for such a share at either end of an axis: what lies beyond belongs to its border, so

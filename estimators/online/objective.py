@@ -12,14 +12,14 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csr_array
 
-from estimators.online.bounds import PAPER, Bounds
-from estimators.online.mapping import Mapping, Residual, map_residual
-from estimators.online.matching import Match
-from physics.load import Grip
-from physics.pbd.body import Body
-from physics.pbd.potential import Potential
-from physics.pbd.simulation import Motion, Stepping, simulate
-from physics.pbd.stiffness import Stiffness
+from palpate.estimators.online.bounds import PAPER, Bounds
+from palpate.estimators.online.mapping import Mapping, Residual, map_residual
+from palpate.estimators.online.matching import Match
+from palpate.physics.load import Grip
+from palpate.physics.pbd.body import Body
+from palpate.physics.pbd.potential import Potential
+from palpate.physics.pbd.simulation import Motion, Stepping, simulate
+from palpate.physics.pbd.stiffness import Stiffness
 
 
 @dataclass(frozen=True)

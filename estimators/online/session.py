@@ -10,13 +10,13 @@ from typing import Literal
 
 import numpy as np
 
-from estimators.online.adam import Adam
-from estimators.online.gauss_newton import GaussNewton
-from estimators.online.mapping import Residual
-from estimators.online.matching import Match
-from estimators.online.objective import Objective, Terms
-from physics.fields import require_choices
-from physics.pbd.stiffness import Stiffness
+from palpate.common.settings import require_choices
+from palpate.estimators.online.adam import Adam
+from palpate.estimators.online.gauss_newton import GaussNewton
+from palpate.estimators.online.mapping import Residual
+from palpate.estimators.online.matching import Match
+from palpate.estimators.online.objective import Objective, Terms
+from palpate.physics.pbd.stiffness import Stiffness
 
 SNAPSHOTS, WINDOW = 4, 20
 """How many earlier states should stay at rest, and of how many frames (Liang 2024, section II-C)."""

@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, get_type_hints
 
-from data.source.layout import from_mapping, read_mapping
-from estimators.online.bounds import Bounds
-from estimators.online.mapping import Mapping
-from estimators.online.objective import Objective, Weights
-from estimators.online.session import Method
-from physics.fields import require_choices
-from physics.pbd.simulation import Stepping
+from palpate.common.settings import require_choices
+from palpate.data.source.layout import from_mapping, read_mapping
+from palpate.estimators.online.bounds import Bounds
+from palpate.estimators.online.mapping import Mapping
+from palpate.estimators.online.objective import Objective, Weights
+from palpate.estimators.online.session import Method
+from palpate.physics.pbd.simulation import Stepping
 
 LEAST_PARTICLES, MOST_PARTICLES = 30, 10_000
 FILES = ("pins", "path")

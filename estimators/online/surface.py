@@ -10,22 +10,22 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 
-from data.contact.geometry import GeometrySettings
-from data.contact.surface import smooth_surface
-from data.contact.tissue_points import grid_to_picture
-from data.labels import TISSUE, TOOL
-from data.prepared import PreparedFrame
-from data.source.camera import Camera, back_project
-from data.source.images import printable
-from data.tracks.background import FAR
-from data.tracks.following import shrunk, tool_distance
-from estimators.estimate import NoEstimate
-from estimators.grip.recorder import DRIVEN
-from estimators.online.given import GripperPath, Pins
-from physics.fem.solid import outer_faces
-from physics.mesh import Mesh, contact_normal, grid_mesh
-from physics.pbd.body import Body, make_body
-from physics.pbd.layers import layered
+from palpate.data.contact.geometry import GeometrySettings
+from palpate.data.contact.surface import smooth_surface
+from palpate.data.contact.tissue_points import grid_to_picture
+from palpate.data.labels import TISSUE, TOOL
+from palpate.data.prepared import PreparedFrame
+from palpate.data.source.camera import Camera, back_project
+from palpate.data.source.images import printable
+from palpate.data.tracks.background import FAR
+from palpate.data.tracks.following import shrunk, tool_distance
+from palpate.estimators.estimate import NoEstimate
+from palpate.estimators.grip.recorder import DRIVEN
+from palpate.estimators.online.given import GripperPath, Pins
+from palpate.physics.fem.solid import outer_faces
+from palpate.physics.mesh import Mesh, contact_normal, grid_mesh
+from palpate.physics.pbd.body import Body, make_body
+from palpate.physics.pbd.layers import layered
 
 NEAREST = 8
 """Triangles around a point that are looked at for the one that holds it."""

@@ -14,17 +14,18 @@ descent     the same by a numeric gradient after the paper's, to compare with
 scene       the file that names a surface and what was pressed on it
 """
 
-from physics.lazy import exported
+from palpate.common.lazy import exported
 
 __getattr__ = exported(
+    __name__,
     {
-        "estimators.palpation.curves": ("Hold", "Probe", "read_grasp", "read_hold", "read_probes"),
-        "estimators.palpation.indentation": ("Indenter", "fit_indentation"),
-        "estimators.palpation.region": ("fit_region",),
-        "estimators.palpation.relaxation": ("fit_relaxation",),
-        "estimators.palpation.grasp": ("fit_grasp",),
-        "estimators.palpation.skin": ("Skin", "cover"),
-        "estimators.palpation.bench": ("Palpation",),
-        "estimators.palpation.material_fit": ("FitSettings", "fit_material"),
-    }
+        "palpate.estimators.palpation.curves": ("Hold", "Probe", "read_grasp", "read_hold", "read_probes"),
+        "palpate.estimators.palpation.indentation": ("Indenter", "fit_indentation"),
+        "palpate.estimators.palpation.region": ("fit_region",),
+        "palpate.estimators.palpation.relaxation": ("fit_relaxation",),
+        "palpate.estimators.palpation.grasp": ("fit_grasp",),
+        "palpate.estimators.palpation.skin": ("Skin", "cover"),
+        "palpate.estimators.palpation.bench": ("Palpation",),
+        "palpate.estimators.palpation.material_fit": ("FitSettings", "fit_material"),
+    },
 )

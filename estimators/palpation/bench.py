@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimators.palpation.registration import placed, register, thinned
-from estimators.palpation.skin import Match, Skin
-from physics.fem import Equilibrium, Material, find_equilibrium
-from physics.fem.linear_system import LinearSystem
+from palpate.estimators.palpation.registration import placed, register, thinned
+from palpate.estimators.palpation.skin import Match, Skin
+from palpate.physics.fem import Equilibrium, Material, find_equilibrium
+from palpate.physics.fem.linear_system import LinearSystem
 
 FACTORED = 60_000
 """Unknowns up to which a body's matrix is factorised for all of a fit's systems: some seconds and a gigabyte."""

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from data.source.images import printable
-from data.source.layout import InputError
-from data.source.table import MOST_BYTES, read_columns
-from physics.files import read_file
+from palpate.common.files import read_file
+from palpate.data.source.images import printable
+from palpate.data.source.layout import InputError
+from palpate.data.source.table import MOST_BYTES, read_columns
 
 PROBES = ("probe", "contact_x", "contact_y", "contact_z", "depth_mm", "fn_N")
 HOLD = ("t_s", "force_N", "displacement_mm")

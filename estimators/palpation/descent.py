@@ -1,6 +1,6 @@
 """A descent after the parameter estimation of Frank 2010 (algorithm 1): ICP, then a step down the error's gradient.
 
-`docs/palpation.md` lists what differs from the paper's.
+`docs/reports/palpation.md` lists what differs from the paper's.
 """
 
 from __future__ import annotations
@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimators.palpation.bench import SHOWN, Bench, Palpation, beside_the_tool
-from estimators.palpation.material_fit import POISSON, FitSettings, MaterialFit
-from estimators.palpation.registration import placed, register
-from estimators.palpation.skin import Match, Skin
-from physics.fem import Equilibrium, NoEquilibrium
+from palpate.estimators.palpation.bench import SHOWN, Bench, Palpation, beside_the_tool
+from palpate.estimators.palpation.material_fit import POISSON, FitSettings, MaterialFit
+from palpate.estimators.palpation.registration import placed, register
+from palpate.estimators.palpation.skin import Match, Skin
+from palpate.physics.fem import Equilibrium, NoEquilibrium
 
 STEP = 1e-3
 """Of log E or ν, below which none is tried."""

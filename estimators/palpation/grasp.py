@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimators.palpation.curves import Grasp
+from palpate.estimators.palpation.curves import Grasp
 
 BETWEEN = (2.0, 8.0)
 """Forces within which the slope is taken [N]: below the jaws may still be arriving, above its shape decides."""

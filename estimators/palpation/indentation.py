@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.special import stdtrit
 
-from estimators.palpation.curves import LEAST
+from palpate.estimators.palpation.curves import LEAST
 
 Shape = Literal["sphere", "flat", "cone"]
 

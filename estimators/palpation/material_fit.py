@@ -14,10 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimators.palpation.bench import GRAZING, OUTLIER, Bench, Palpation, Progress
-from estimators.palpation.registration import turned
-from estimators.palpation.skin import Skin
-from physics.fem import Equilibrium, NoEquilibrium
+from palpate.estimators.palpation.bench import GRAZING, OUTLIER, Bench, Palpation, Progress
+from palpate.estimators.palpation.registration import turned
+from palpate.estimators.palpation.skin import Skin
+from palpate.physics.fem import Equilibrium, NoEquilibrium
 
 POISSON = (0.0, 0.495)
 """Range of ν that is looked at; below 0 no tissue lies, above it the elements lock."""

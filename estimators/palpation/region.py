@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.spatial.distance import cdist
 
-from estimators.palpation.curves import Probe
+from palpate.estimators.palpation.curves import Probe
 
 DEPTHS = 10
 """At which curves are compared, evenly down to the median probe's largest."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from estimators.palpation.skin import Match
+from palpate.estimators.palpation.skin import Match
 
 KEPT = 0.7
 """Share of the pairs, those closest, that align."""

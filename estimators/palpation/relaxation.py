@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize, minimize_scalar, nnls
 
-from estimators.palpation.curves import LEAST, Hold
-from physics.fem import Relaxation
+from palpate.estimators.palpation.curves import LEAST, Hold
+from palpate.physics.fem import Relaxation
 
 A_DECADE = 2
 """Branches."""

@@ -10,18 +10,18 @@ from typing import Any, Literal
 
 import numpy as np
 
-from data.source.images import printable
-from data.source.layout import InputError, from_mapping, read_mapping
-from data.source.table import read_columns
-from estimators.palpation.bench import Palpation
-from estimators.palpation.material_fit import FitSettings
-from estimators.palpation.skin import Skin, cover
-from estimators.palpation.views import View, join_views
-from physics.fem import NoBody, make_solid, mesh_surface
-from physics.fem.curved import curve
-from physics.fem.refinement import around
-from physics.fields import LARGEST
-from physics.files import read_file
+from palpate.common.files import read_file
+from palpate.common.settings import LARGEST
+from palpate.data.source.images import printable
+from palpate.data.source.layout import InputError, from_mapping, read_mapping
+from palpate.data.source.table import read_columns
+from palpate.estimators.palpation.bench import Palpation
+from palpate.estimators.palpation.material_fit import FitSettings
+from palpate.estimators.palpation.skin import Skin, cover
+from palpate.estimators.palpation.views import View, join_views
+from palpate.physics.fem import NoBody, make_solid, mesh_surface
+from palpate.physics.fem.curved import curve
+from palpate.physics.fem.refinement import around
 
 MOST_BYTES = 2**26
 """Of a surface's file."""
@@ -30,7 +30,8 @@ MOST_CELLS = 24
 YOUNG, FORCES = (1.0, 1e12), (1e-6, 1e4)
 """What there is of Young's moduli [Pa], and of forces that a hand or an instrument presses with [N]."""
 PRESSED = 0.6
-"""Edges of the elements where a tool presses, over its radius: a slab's E was off by 1.5 % then (docs/palpation.md)."""
+"""Edges of the elements where a tool presses, over its radius: a slab's E was off by 1.5 % then
+(docs/reports/palpation.md)."""
 FEWEST = 12
 """Points of a surface that is fitted, by three numbers, and moved, by six."""
 Row = tuple[float, float, float, float]

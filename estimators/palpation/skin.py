@@ -13,9 +13,9 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 
-from physics.fem import Solid
-from physics.fem.solid import EDGES
-from physics.fem.surface import areas, closest, even_shares, nearest
+from palpate.physics.fem import Solid
+from palpate.physics.fem.solid import EDGES
+from palpate.physics.fem.surface import areas, closest, even_shares, nearest
 
 SHARP = 0.8
 """Cosine of the angle between triangles below which their edge is sharp."""

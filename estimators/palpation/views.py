@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimators.palpation.registration import placed, register, thinned
-from estimators.palpation.skin import Match
+from palpate.estimators.palpation.registration import placed, register, thinned
+from palpate.estimators.palpation.skin import Match
 
 OVERLAP, SURROUNDED = 0.4, 0.5
 """Shares of a view's points by which it is aligned: with the views before it, and with all others around it."""

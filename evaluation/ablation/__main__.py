@@ -8,7 +8,7 @@ Writes table.csv, and prints it; what is finished is kept in DIR, and the same c
 
 from __future__ import annotations
 
-from physics.doors import enter_door, run_door
+from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":
     enter_door()  # before the slow imports
@@ -16,8 +16,8 @@ if __name__ == "__main__":
 import sys
 from collections.abc import Sequence
 
-from evaluation.ablation import next_depth, terms
-from evaluation.harness import run
+from palpate.evaluation.ablation import next_depth, terms
+from palpate.evaluation.harness import run
 
 STUDIES = {"terms": (terms.Terms, terms.DOCUMENTATION), "next-depth": (next_depth.NextDepth, next_depth.__doc__)}
 

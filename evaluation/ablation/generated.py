@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from data.contact.features import FEATURES, contact_features
-from data.contact.film_features import FILM_FEATURES, dent_features
-from data.windows import window_indices
-from evaluation.ablation.watched import WatchedClip
-from models.carried_depth import carried
-from models.checkpoint import load_generator
-from models.contact_head import ContactHead
-from physics.mechanics import Mechanics
-from physics.msd.batch import MeshBatch, PressBatch
+from palpate.data.contact.features import FEATURES, contact_features
+from palpate.data.contact.sequence_features import SEQUENCE_FEATURES, dent_features
+from palpate.data.windows import window_indices
+from palpate.evaluation.ablation.watched import WatchedClip
+from palpate.models.carried_depth import carried
+from palpate.models.checkpoint import load_generator
+from palpate.models.contact_head import ContactHead
+from palpate.physics.mechanics import Mechanics
+from palpate.physics.msd.batch import MeshBatch, PressBatch
 
 
 class TrainedGenerator:
@@ -39,8 +39,8 @@ class TrainedGenerator:
         told = None
         if isinstance(head, ContactHead):
             seen = clip.run.build(self.mechanics, until=clip.since(now))
-            filmed = len(head.posterior.centre) == FEATURES + FILM_FEATURES
-            told = torch.from_numpy(dent_features(seen, within=0.0) if filmed else contact_features(seen))[None]
+            with_sequence = len(head.posterior.centre) == FEATURES + SEQUENCE_FEATURES
+            told = torch.from_numpy(dent_features(seen, within=0.0) if with_sequence else contact_features(seen))[None]
         return self.generator.answer(features, told).theta[0].double().numpy()
 
     @torch.no_grad()

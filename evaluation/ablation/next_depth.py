@@ -26,21 +26,21 @@ import pandas as pd
 import torch
 from rich.progress import Progress
 
-from data.synthetic.scene import SceneError
-from estimators.estimate import FrameEstimate
-from estimators.onset import STAMP
-from estimators.open import EstimatorOptions
-from evaluation.ablation.generated import TrainedGenerator, carried_ahead
-from evaluation.ablation.watched import WatchedClip, watch
-from evaluation.harness import Report, Row, require_within
-from evaluation.recovery.bounds import MECHANICS
-from evaluation.recovery.estimators import opened
-from evaluation.recovery.suites import LARGEST_SEED, SUITES, suite_clip_seed
-from models.checkpoint import CheckpointError
-from models.onnx_session import SHIPPED, open_model
-from models.records import farthest_corner
-from physics.fields import LARGEST
-from results.record import sha256_of
+from palpate.common.settings import LARGEST
+from palpate.data.synthetic.scene import SceneError
+from palpate.estimators.estimate import FrameEstimate
+from palpate.estimators.onset import STAMP
+from palpate.estimators.open import EstimatorOptions
+from palpate.evaluation.ablation.generated import TrainedGenerator, carried_ahead
+from palpate.evaluation.ablation.watched import WatchedClip, watch
+from palpate.evaluation.harness import Report, Row, require_within
+from palpate.evaluation.recovery.bounds import MECHANICS
+from palpate.evaluation.recovery.estimators import opened
+from palpate.evaluation.recovery.suites import LARGEST_SEED, SUITES, suite_clip_seed
+from palpate.models.checkpoint import CheckpointError
+from palpate.models.onnx_session import SHIPPED, open_model
+from palpate.models.records import farthest_corner
+from palpate.results.record import sha256_of
 
 NOISES = 2.0
 """Pixels count whose depth changes by more than so many times its noise."""

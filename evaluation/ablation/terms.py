@@ -24,17 +24,17 @@ import numpy as np
 import pandas as pd
 from rich.progress import Progress
 
-from estimators.network.training import LEAST_STEPS, TrainingError
-from evaluation.ablation.generated import TrainedGenerator
-from evaluation.ablation.next_depth import absolute_errors, copies
-from evaluation.ablation.watched import WatchedClip, watch
-from evaluation.harness import Report, Row, require_within
-from evaluation.recovery.bounds import MECHANICS
-from evaluation.recovery.suites import suite_clip_seed
-from models.checkpoint import CheckpointError
-from physics.fields import LARGEST
-from physics.mechanics import PARAMETERS
-from results.store import OutputError, writing
+from palpate.common.settings import LARGEST
+from palpate.estimators.network.training import LEAST_STEPS, TrainingError
+from palpate.evaluation.ablation.generated import TrainedGenerator
+from palpate.evaluation.ablation.next_depth import absolute_errors, copies
+from palpate.evaluation.ablation.watched import WatchedClip, watch
+from palpate.evaluation.harness import Report, Row, require_within
+from palpate.evaluation.recovery.bounds import MECHANICS
+from palpate.evaluation.recovery.suites import suite_clip_seed
+from palpate.models.checkpoint import CheckpointError
+from palpate.physics.mechanics import PARAMETERS
+from palpate.results.store import OutputError, writing
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIGURATION = "configs/smoke.yaml"

@@ -7,18 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data.contact.film import window_around
-from data.contact.interaction import Interaction, InteractionBuilder
-from data.labels import TISSUE
-from data.prepared import PreparedFrame
-from data.synthetic.clip import draw_press, synthetic_clip
-from data.synthetic.scene import Scene, SceneError
-from data.synthetic.source import PREPARE, open_synthetic
-from data.synthetic.truth import PressedMotion, simulate_motion
-from estimators.contract import ClipInfo
-from estimators.runs import RunTracker
-from evaluation.recovery.bounds import MECHANICS
-from evaluation.recovery.suites import SUITES
+from palpate.data.contact.depth_sequence import window_around
+from palpate.data.contact.interaction import Interaction, InteractionBuilder
+from palpate.data.labels import TISSUE
+from palpate.data.prepared import PreparedFrame
+from palpate.data.synthetic.clip import draw_press, synthetic_clip
+from palpate.data.synthetic.scene import Scene, SceneError
+from palpate.data.synthetic.source import PREPARE, open_synthetic
+from palpate.data.synthetic.truth import PressedMotion, simulate_motion
+from palpate.estimators.contract import ClipInfo
+from palpate.estimators.runs import RunTracker
+from palpate.evaluation.recovery.bounds import MECHANICS
+from palpate.evaluation.recovery.suites import SUITES
 
 FIRST = 2
 """Frames after the onset from which on a network says something."""

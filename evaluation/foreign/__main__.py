@@ -4,12 +4,13 @@
 
 Runs on every file that it knows under DIR, by name: `linear*.npz` and `neohookean*.npz` with `liver.msh` and
 `dirichlet-vertices.npy` beside them (a pulled liver of a foreign simulation; minutes each), and `beam_*.csv` (a
-silicone beam that is let go). Writes table.csv (file, measure, value); what the measures mean is in docs/fem.md.
+silicone beam that is let go). Writes table.csv (file, measure, value); what the measures mean is in
+docs/reports/fem.md.
 """
 
 from __future__ import annotations
 
-from physics.doors import enter_door, run_door
+from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":
     enter_door()  # before the slow imports
@@ -19,13 +20,13 @@ from typing import Any
 
 from rich.console import Console
 
-from data.command_line import progress_bars, say
-from evaluation.file_table import FileTable, folder_parser
-from evaluation.foreign.beam import Ringing, judge_beams, read_ringing
-from evaluation.foreign.liver import MATERIALS, judge_pull
-from physics.doors import INTERRUPTED
-from physics.files import all_below
-from results.store import OutputError
+from palpate.common.command_line import progress_bars, say
+from palpate.common.doors import INTERRUPTED
+from palpate.common.files import all_below
+from palpate.evaluation.file_table import FileTable, folder_parser
+from palpate.evaluation.foreign.beam import Ringing, judge_beams, read_ringing
+from palpate.evaluation.foreign.liver import MATERIALS, judge_pull
+from palpate.results.store import OutputError
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -19,12 +19,12 @@ from scipy.optimize import least_squares
 from scipy.sparse import diags_array
 from scipy.sparse.linalg import eigsh
 
-from data.source.layout import InputError
-from data.source.table import MOST_BYTES, reason
-from physics.fem import Material, Relaxation, box, make_solid
-from physics.fem.laws import respond
-from physics.fields import LARGEST
-from physics.files import read_file
+from palpate.common.files import read_file
+from palpate.common.settings import LARGEST
+from palpate.data.source.layout import InputError
+from palpate.data.source.table import MOST_BYTES, reason
+from palpate.physics.fem import Material, Relaxation, box, make_solid
+from palpate.physics.fem.laws import respond
 
 LENGTHS = (0.1, 0.03, 0.03)
 """[m]."""

@@ -9,12 +9,12 @@ from zipfile import ZipFile
 
 import numpy as np
 
-from data.source.layout import InputError
-from data.source.table import reason
-from estimators.estimate import NINETY
-from evaluation.foreign.surface_fit import SurfaceFit, fit_surface
-from physics.fem import Material, NoEquilibrium, Solid, make_solid
-from physics.files import read_file
+from palpate.common.files import read_file
+from palpate.data.source.layout import InputError
+from palpate.data.source.table import reason
+from palpate.estimators.estimate import NINETY
+from palpate.evaluation.foreign.surface_fit import SurfaceFit, fit_surface
+from palpate.physics.fem import Material, NoEquilibrium, Solid, make_solid
 
 MATERIALS = {"linear": Material("linear", 20e3, 0.45), "neohookean": Material("neo_hookean", 4500.0, 0.49)}
 """By the beginning of a file's name. The second is what the data say of themselves; the first is the one at which all

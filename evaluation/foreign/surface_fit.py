@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from physics.fem import Equilibrium, Material, NoEquilibrium, Solid, find_equilibrium
-from physics.fem.surface import nearest
+from palpate.physics.fem import Equilibrium, Material, NoEquilibrium, Solid, find_equilibrium
+from palpate.physics.fem.surface import nearest
 
 STRAIN = 0.4
 """By how much a step of the fit may strain an element: beyond, its matches are others and its prediction is off."""

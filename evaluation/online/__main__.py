@@ -11,7 +11,7 @@ run: --sequences thin-shell-1 --starts k1 --frames 30 --particles 150 --points 1
 
 from __future__ import annotations
 
-from physics.doors import enter_door, run_door
+from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":
     enter_door()  # before the slow imports
@@ -26,17 +26,27 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from data.command_line import path_option, progress_bars, say, whole_number
-from evaluation.online.compare import BATCH, HORIZON, METHODS, OPTIMIZER, STARTS, Case, run_case, summary, told_by
-from evaluation.online.figures import draw_all, table
-from evaluation.online.sequences import SEQUENCES, Pull
-from evaluation.page import as_png, render_page
-from evaluation.tables import to_csv
-from physics.doors import INTERRUPTED, interruptible
-from physics.files import digest_of, read_file
-from physics.ownership import replacing_own, require_own
-from physics.provenance import code_digest
-from results.store import OutputError, writing
+from palpate.common.command_line import path_option, progress_bars, say, whole_number
+from palpate.common.doors import INTERRUPTED, interruptible
+from palpate.common.files import digest_of, read_file
+from palpate.common.output import replacing_own, require_own
+from palpate.common.provenance import code_digest
+from palpate.common.tables import to_csv
+from palpate.evaluation.online.compare import (
+    BATCH,
+    HORIZON,
+    METHODS,
+    OPTIMIZER,
+    STARTS,
+    Case,
+    run_case,
+    summary,
+    told_by,
+)
+from palpate.evaluation.online.figures import draw_all, table
+from palpate.evaluation.online.sequences import SEQUENCES, Pull
+from palpate.evaluation.page import as_png, render_page
+from palpate.results.store import OutputError, writing
 
 COLUMNS = ("sequence", "start", "method", "measure", "value")
 TITLE = "The online estimator on simulated pulls"

@@ -11,10 +11,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from estimators.online.adam import Adam
-from estimators.online.matching import Match
-from estimators.online.objective import Objective
-from physics.pbd.stiffness import Stiffness
+from palpate.estimators.online.adam import Adam
+from palpate.estimators.online.matching import Match
+from palpate.estimators.online.objective import Objective
+from palpate.physics.pbd.stiffness import Stiffness
 
 FRAMES, EPOCHS = 30, 25
 """Of the training trajectory, and how often it is gone through (Liang 2024, section III-D)."""

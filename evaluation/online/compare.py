@@ -11,12 +11,12 @@ import numpy as np
 from scipy.spatial import KDTree
 from scipy.stats import spearmanr
 
-from estimators.online.matching import Chamfer
-from estimators.online.objective import Objective
-from estimators.online.session import Method, Session
-from evaluation.online.batch_fit import EPOCHS, FRAMES, fit_batch
-from evaluation.online.sequences import Pull
-from physics.pbd.stiffness import Stiffness
+from palpate.estimators.online.matching import Chamfer
+from palpate.estimators.online.objective import Objective
+from palpate.estimators.online.session import Method, Session
+from palpate.evaluation.online.batch_fit import EPOCHS, FRAMES, fit_batch
+from palpate.evaluation.online.sequences import Pull
+from palpate.physics.pbd.stiffness import Stiffness
 
 BATCH = "PBD-DiffCloud"
 METHODS = ("PBD", BATCH, "PBD-RM", "PBD-RM-ON")

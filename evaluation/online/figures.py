@@ -7,9 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 from matplotlib.figure import Figure
 
-from evaluation.online.compare import BATCH, HORIZON, METHODS, STARTS, Case
-from evaluation.online.sequences import Pull
-from evaluation.tables import to_markdown
+from palpate.common.tables import to_markdown
+from palpate.evaluation.online.compare import BATCH, HORIZON, METHODS, STARTS, Case
+from palpate.evaluation.online.sequences import Pull
 
 Cases = Mapping[tuple[str, str, str], Case]
 """By sequence, start and method."""

@@ -15,12 +15,12 @@ import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 from scipy.sparse import csr_array, diags_array
 
-from estimators.online.matching import Chamfer, Match, Tracks
-from physics.fem.equilibrium import Energy, settle
-from physics.fem.lattice import box
-from physics.fem.laws import Material
-from physics.fem.solid import make_solid, outer_faces
-from physics.pbd.body import Body, make_body
+from palpate.estimators.online.matching import Chamfer, Match, Tracks
+from palpate.physics.fem.equilibrium import Energy, settle
+from palpate.physics.fem.lattice import box
+from palpate.physics.fem.laws import Material
+from palpate.physics.fem.solid import make_solid, outer_faces
+from palpate.physics.pbd.body import Body, make_body
 
 SIDE = 0.12
 """Of a sheet [m]."""

@@ -4,12 +4,12 @@
 
 Runs on every CSV file under DIR whose columns it knows, whatever its name: probes of a region (probe, contact_x …,
 depth_mm, fn_N), indentations that are held (t_s, force_N, displacement_mm), grasps (force_N, gripper_width_m; the name
-tells day and object). Writes table.csv (file, measure, value); what the measures mean is in docs/palpation.md.
+tells day and object). Writes table.csv (file, measure, value); what the measures mean is in docs/reports/palpation.md.
 """
 
 from __future__ import annotations
 
-from physics.doors import enter_door, run_door
+from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":
     enter_door()  # before the slow imports
@@ -21,17 +21,17 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from data.command_line import progress_bars, say
-from estimators.palpation import fit_grasp, read_grasp, read_hold, read_probes
-from estimators.palpation.curves import HOLD, KINDS, PROBES, kind_of
-from estimators.palpation.grasp import GraspSlope
-from evaluation.file_table import FileTable, folder_parser
-from evaluation.palpation.grasping import GraspName, judge_grasps
-from evaluation.palpation.probing import judge_probing
-from evaluation.palpation.relaxation import judge_relaxation
-from physics.doors import INTERRUPTED
-from physics.files import all_below
-from results.store import OutputError
+from palpate.common.command_line import progress_bars, say
+from palpate.common.doors import INTERRUPTED
+from palpate.common.files import all_below
+from palpate.estimators.palpation import fit_grasp, read_grasp, read_hold, read_probes
+from palpate.estimators.palpation.curves import HOLD, KINDS, PROBES, kind_of
+from palpate.estimators.palpation.grasp import GraspSlope
+from palpate.evaluation.file_table import FileTable, folder_parser
+from palpate.evaluation.palpation.grasping import GraspName, judge_grasps
+from palpate.evaluation.palpation.probing import judge_probing
+from palpate.evaluation.palpation.relaxation import judge_relaxation
+from palpate.results.store import OutputError
 
 SUMMARISED = {
     "probing": (

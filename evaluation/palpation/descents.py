@@ -13,7 +13,7 @@ value).
 
 from __future__ import annotations
 
-from physics.doors import enter_door, run_door
+from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":
     enter_door()  # before the slow imports
@@ -25,15 +25,15 @@ from typing import Any
 
 from rich.console import Console
 
-from data.command_line import path_option, say
-from estimators.palpation import FitSettings, fit_material
-from estimators.palpation.bench import Progress
-from estimators.palpation.descent import descend
-from evaluation.file_table import FileTable
-from evaluation.palpation.frank import FORCES, PLACE, POISSON, STARTS, YOUNG, true_press
-from evaluation.palpation.synthetic import BODIES, TOOL, observe
-from physics.fem.refinement import around
-from results.store import OutputError
+from palpate.common.command_line import path_option, say
+from palpate.estimators.palpation import FitSettings, fit_material
+from palpate.estimators.palpation.bench import Progress
+from palpate.estimators.palpation.descent import descend
+from palpate.evaluation.file_table import FileTable
+from palpate.evaluation.palpation.frank import FORCES, PLACE, POISSON, STARTS, YOUNG, true_press
+from palpate.evaluation.palpation.synthetic import BODIES, TOOL, observe
+from palpate.physics.fem.refinement import around
+from palpate.results.store import OutputError
 
 CELLS, SPACING = 7, 1 / 24
 """Of the mesh, without shorter elements where the tool presses, and of the surface over the body's size: the descent

@@ -9,7 +9,7 @@ of `frank.FORCES` bring that of log E down to `WANTED`. `frank` presses where th
 
 from __future__ import annotations
 
-from physics.doors import enter_door, run_door
+from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":
     enter_door()  # before the slow imports
@@ -19,11 +19,11 @@ import math
 
 import numpy as np
 
-from estimators.palpation.bench import Bench
-from estimators.palpation.material_fit import information
-from evaluation.palpation.frank import FORCES, POISSON, YOUNG
-from evaluation.palpation.synthetic import BODIES, SENSORS, TOOL, Body, observe
-from physics.fem import Material, find_equilibrium
+from palpate.estimators.palpation.bench import Bench
+from palpate.estimators.palpation.material_fit import information
+from palpate.evaluation.palpation.frank import FORCES, POISSON, YOUNG
+from palpate.evaluation.palpation.synthetic import BODIES, SENSORS, TOOL, Body, observe
+from palpate.physics.fem import Material, find_equilibrium
 
 PLACES, ANGLE = (0.1, 0.35, 0.6), 0.5
 """As `Body.contact` takes them."""

@@ -10,7 +10,7 @@ table.csv (file, measure, value) and the paper's figures: error_mask.png (4), si
 
 from __future__ import annotations
 
-from physics.doors import enter_door, run_door
+from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":
     enter_door()  # before the slow imports
@@ -25,18 +25,18 @@ import numpy as np
 from matplotlib.figure import Figure
 from rich.console import Console
 
-from data.command_line import path_option, say
-from estimators.estimate import NINETY
-from estimators.palpation import FitSettings, Palpation, Skin, fit_material
-from estimators.palpation.bench import surface_error
-from estimators.palpation.registration import placed
-from evaluation.file_table import FileTable
-from evaluation.page import as_png
-from evaluation.palpation.synthetic import BODIES, SENSORS, TOOL, observe, press
-from physics.fem import Equilibrium, Material, NoEquilibrium, find_equilibrium
-from physics.fem.refinement import around
-from physics.ownership import replacing_own, require_own
-from results.store import OutputError, writing
+from palpate.common.command_line import path_option, say
+from palpate.common.output import replacing_own, require_own
+from palpate.estimators.estimate import NINETY
+from palpate.estimators.palpation import FitSettings, Palpation, Skin, fit_material
+from palpate.estimators.palpation.bench import surface_error
+from palpate.estimators.palpation.registration import placed
+from palpate.evaluation.file_table import FileTable
+from palpate.evaluation.page import as_png
+from palpate.evaluation.palpation.synthetic import BODIES, SENSORS, TOOL, observe, press
+from palpate.physics.fem import Equilibrium, Material, NoEquilibrium, find_equilibrium
+from palpate.physics.fem.refinement import around
+from palpate.results.store import OutputError, writing
 
 FIGURES = ("error_mask.png", "six_forces.png", "error_surface.png")
 YOUNG, POISSON = 1e4, 0.42

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimators.palpation.grasp import GraspSlope
+from palpate.estimators.palpation.grasp import GraspSlope
 
 ORDER = ("softest", "softer", "soft", "medium", "hard", "harder", "hardest")
 """Words of a name that rank it, softest first."""

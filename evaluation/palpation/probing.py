@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from estimators.palpation import Probe, fit_region
-from estimators.palpation.region import LEAST_PROBES
+from palpate.estimators.palpation import Probe, fit_region
+from palpate.estimators.palpation.region import LEAST_PROBES
 
 FOLDS = 5
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from estimators.estimate import NINETY
-from estimators.palpation import Hold, fit_relaxation
+from palpate.estimators.estimate import NINETY
+from palpate.estimators.palpation import Hold, fit_relaxation
 
 
 def judge_relaxation(hold: Hold) -> dict[str, object]:

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from estimators.palpation import Palpation, Skin, cover
-from physics.fem import Equilibrium, Material, box, find_equilibrium, make_solid, mesh_surface
-from physics.fem.curved import curve
-from physics.fem.refinement import Longest, around, refine
+from palpate.estimators.palpation import Palpation, Skin, cover
+from palpate.physics.fem import Equilibrium, Material, box, find_equilibrium, make_solid, mesh_surface
+from palpate.physics.fem.curved import curve
+from palpate.physics.fem.refinement import Longest, around, refine
 
 SENSORS = {"stereo": 0.0003, "time of flight": 0.001}
 """Noise along the line of sight [m]."""

@@ -11,11 +11,12 @@ recovered   compares estimates with the truth of synthetic clips
 readings    simulates the choices that the paper leaves open, at its θ, without any training
 """
 
-from physics.lazy import exported
+from palpate.common.lazy import exported
 
 __getattr__ = exported(
+    __name__,
     {
-        "evaluation.paper.report": ("write_evaluation",),
-        "evaluation.paper.analysis": ("Evaluation", "EvaluationError", "analyse"),
-    }
+        "palpate.evaluation.paper.report": ("write_evaluation",),
+        "palpate.evaluation.paper.analysis": ("Evaluation", "EvaluationError", "analyse"),
+    },
 )

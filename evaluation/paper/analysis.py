@@ -10,13 +10,13 @@ import numpy as np
 import pandas as pd
 import torch
 
-from data.contact.interaction import Interaction
-from evaluation.paper.baselines import fit_constant_theta, no_motion_errors, simulate_contacts
-from evaluation.paper.collapse import as_reported, conclude, spread_of
-from evaluation.paper.motion import median_share, motion_row, settle
-from evaluation.paper.statistics import Statistics, compare, describe, format_number, summarise
-from models.records import with_reference_tissue
-from physics.mechanics import PARAMETERS, REFERENCE_DAMPING, REFERENCE_STIFFNESS, Bounds, Mechanics
+from palpate.data.contact.interaction import Interaction
+from palpate.evaluation.paper.baselines import fit_constant_theta, no_motion_errors, simulate_contacts
+from palpate.evaluation.paper.collapse import as_reported, conclude, spread_of
+from palpate.evaluation.paper.motion import median_share, motion_row, settle
+from palpate.evaluation.paper.statistics import Statistics, compare, describe, format_number, summarise
+from palpate.models.records import with_reference_tissue
+from palpate.physics.mechanics import PARAMETERS, REFERENCE_DAMPING, REFERENCE_STIFFNESS, Bounds, Mechanics
 
 Record = Mapping[str, Any]
 

@@ -14,11 +14,11 @@ from scipy.optimize import minimize
 from scipy.stats import qmc
 from torch import Tensor
 
-from data.contact.interaction import Interaction
-from physics.mechanics import Bounds, Mechanics
-from physics.msd import rollout
-from physics.msd.batch import MeshBatch, ObservationBatch, PressBatch
-from physics.msd.likelihoods import displacement_error
+from palpate.data.contact.interaction import Interaction
+from palpate.physics.mechanics import Bounds, Mechanics
+from palpate.physics.msd import rollout
+from palpate.physics.msd.batch import MeshBatch, ObservationBatch, PressBatch
+from palpate.physics.msd.likelihoods import displacement_error
 
 BATCH = 2
 """Contacts simulated together."""

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from evaluation.paper.statistics import MINIMUM_FOR_WILCOXON, SIGNIFICANCE, Statistics, format_number, judge
-from physics.mechanics import PARAMETERS, Bounds
+from palpate.evaluation.paper.statistics import MINIMUM_FOR_WILCOXON, SIGNIFICANCE, Statistics, format_number, judge
+from palpate.physics.mechanics import PARAMETERS, Bounds
 
 MINIMUM_SPREAD = 0.02
 """Below this SD as a fraction of the admissible range a parameter counts as constant, unless SD/|mean| is large."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from physics.mechanics import REFERENCE_DAMPING, REFERENCE_STIFFNESS, Mechanics
+from palpate.physics.mechanics import REFERENCE_DAMPING, REFERENCE_STIFFNESS, Mechanics
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

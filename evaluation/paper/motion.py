@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from data.contact.interaction import Interaction
-from evaluation.paper.baselines import simulate_contacts
-from physics.mechanics import Mechanics
+from palpate.data.contact.interaction import Interaction
+from palpate.evaluation.paper.baselines import simulate_contacts
+from palpate.physics.mechanics import Mechanics
 
 SETTLED_FRACTION = 0.05
 """At rest means a displacement of at most this fraction of the trajectory's peak."""

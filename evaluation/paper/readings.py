@@ -11,7 +11,7 @@ are compared with the paper's. Exit status: 0 done, 2 wrong usage, 130 interrupt
 
 from __future__ import annotations
 
-from physics.doors import enter_door, run_door
+from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":
     enter_door()  # before the slow imports
@@ -25,16 +25,16 @@ from typing import Literal
 
 import numpy as np
 
-from data.command_line import whole_number
-from data.synthetic.scene import Scene, draw_scene
-from data.synthetic.settings import SceneSettings
-from evaluation.paper.motion import median_share, settle
-from evaluation.paper.statistics import format_number
-from evaluation.tables import to_markdown
-from physics.load import Press, held
-from physics.mechanics import REFERENCE_DAMPING, REFERENCE_STIFFNESS, Mechanics
-from physics.mesh import contact_normal
-from physics.msd import simulate
+from palpate.common.command_line import whole_number
+from palpate.common.tables import to_markdown
+from palpate.data.synthetic.scene import Scene, draw_scene
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.evaluation.paper.motion import median_share, settle
+from palpate.evaluation.paper.statistics import format_number
+from palpate.physics.load import Press, held
+from palpate.physics.mechanics import REFERENCE_DAMPING, REFERENCE_STIFFNESS, Mechanics
+from palpate.physics.mesh import contact_normal
+from palpate.physics.msd import simulate
 
 THETA, SPREAD = np.array([0.508, 0.09, -7.79]), np.array([0.0027, 0.0162, 0.1841])
 """Mean and standard deviation of the paper's estimates over its test frames (section 4.2), F signed."""

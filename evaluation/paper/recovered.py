@@ -10,7 +10,7 @@ missing, 2 wrong usage.
 
 from __future__ import annotations
 
-from physics.doors import enter_door, run_door
+from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":
     enter_door()  # before the slow imports
@@ -25,15 +25,15 @@ import pandas as pd
 from rich.console import Console
 from scipy import stats
 
-from data.command_line import path_option, say
-from data.source.table import MOST_BYTES, reason
-from estimators.estimate import COMBINATIONS, REPORTED
-from evaluation.beside_truth import true_values
-from evaluation.paper.statistics import format_number
-from evaluation.tables import to_markdown
-from physics.fields import LARGEST
-from physics.files import read_file
-from physics.mechanics import PARAMETERS
+from palpate.common.command_line import path_option, say
+from palpate.common.files import read_file
+from palpate.common.settings import LARGEST
+from palpate.common.tables import to_markdown
+from palpate.data.source.table import MOST_BYTES, reason
+from palpate.estimators.estimate import COMBINATIONS, REPORTED
+from palpate.evaluation.beside_truth import true_values
+from palpate.evaluation.paper.statistics import format_number
+from palpate.physics.mechanics import PARAMETERS
 
 MIN_MAGNITUDE = 1e-9
 """Smaller estimates count as this, so that they have a logarithm."""

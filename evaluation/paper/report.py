@@ -11,17 +11,17 @@ from pathlib import Path
 import pandas as pd
 import torch
 
-from data.contact.interaction import Interaction
-from evaluation.page import as_png, render_page
-from evaluation.paper.analysis import NO_MOTION, Evaluation, EvaluationError, Record, analyse
-from evaluation.paper.collapse import as_reported
-from evaluation.paper.figures import draw_response, draw_theta
-from evaluation.paper.statistics import MINIMUM_FOR_WILCOXON, SIGNIFICANCE, Statistics, format_number
-from evaluation.tables import to_markdown
-from physics.files import as_json
-from physics.mechanics import PARAMETERS, Bounds, Mechanics
-from physics.ownership import ForeignFile, replacing_own
-from results.record import versions
+from palpate.common.files import as_json
+from palpate.common.output import ForeignFile, replacing_own
+from palpate.common.tables import to_markdown
+from palpate.data.contact.interaction import Interaction
+from palpate.evaluation.page import as_png, render_page
+from palpate.evaluation.paper.analysis import NO_MOTION, Evaluation, EvaluationError, Record, analyse
+from palpate.evaluation.paper.collapse import as_reported
+from palpate.evaluation.paper.figures import draw_response, draw_theta
+from palpate.evaluation.paper.statistics import MINIMUM_FOR_WILCOXON, SIGNIFICANCE, Statistics, format_number
+from palpate.physics.mechanics import PARAMETERS, Bounds, Mechanics
+from palpate.results.record import versions
 
 FILES = (
     *("figure3.png", "theta.png", "table2.md", "table2.csv", "collapse.md", "collapse.csv"),

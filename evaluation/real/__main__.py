@@ -4,8 +4,8 @@
     python -m evaluation.real --pulled CLIP [--layout YAML] [--estimator direct|online] [--settings YAML] --output OUT
     python -m evaluation.real --pressed FOLDER --wrench CSV --output OUT
 
---data runs every known clip under a folder (docs/real.md). A pulled clip shows tissue that an instrument holds and
-moves: the table has what the session of `infer.py --estimator direct` says of it, its skill in frames that were not
+--data runs every known clip under a folder (docs/reports/real.md). A pulled clip shows tissue that an instrument holds
+and moves: the table has what the session of `infer.py --estimator direct` says of it, its skill in frames that were not
 fitted included; `contact_frame_N` is the probability that tissue moves with the instrument. With `--estimator online`
 it is predicted ten frames ahead instead, by stiffness place by place and by a sheet of one number. A pressed one is a
 folder with `depth/` and a table of the force. Writes table.csv (clip, measure, value), figures/ and
@@ -14,7 +14,7 @@ report.html; the same command judges again what could not be judged. Not a medic
 
 from __future__ import annotations
 
-from physics.doors import enter_door, run_door
+from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":
     enter_door()  # before the slow imports
@@ -30,20 +30,20 @@ import pandas as pd
 from matplotlib.figure import Figure
 from rich.progress import Progress
 
-from data.source.layout import InputError
-from estimators.estimate import NoEstimate
-from estimators.grip.lattice import NothingMoves
-from estimators.online.settings import FILES, OnlineSettings, load_settings
-from evaluation.harness import OK, Report, Row, run
-from evaluation.page import as_png
-from evaluation.real.figures import draw_prediction, draw_press
-from evaluation.real.predicted import evaluate_prediction
-from evaluation.real.pressed import evaluate_press
-from evaluation.real.pulled import PulledClip, evaluate_pull
-from evaluation.tables import to_cell, to_markdown
-from physics.doors import interruptible
-from physics.provenance import ROOT
-from results.plots import draw_summary
+from palpate.common.doors import interruptible
+from palpate.common.provenance import ROOT
+from palpate.common.tables import to_cell, to_markdown
+from palpate.data.source.layout import InputError
+from palpate.estimators.estimate import NoEstimate
+from palpate.estimators.grip.lattice import NothingMoves
+from palpate.estimators.online.settings import FILES, OnlineSettings, load_settings
+from palpate.evaluation.harness import OK, Report, Row, run
+from palpate.evaluation.page import as_png
+from palpate.evaluation.real.figures import draw_prediction, draw_press
+from palpate.evaluation.real.predicted import evaluate_prediction
+from palpate.evaluation.real.pressed import evaluate_press
+from palpate.evaluation.real.pulled import PulledClip, evaluate_pull
+from palpate.results.plots import draw_summary
 
 COLUMNS = ("clip", "measure", "value")
 TITLE = "Real clips, judged on what was kept back"
@@ -195,7 +195,7 @@ def measures_table(rows: Sequence[Row]) -> pd.DataFrame:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Judge what the command line names; returns the exit status."""
-    return run(Real, arguments, "evaluation.real", __doc__)
+    return run(Real, arguments, "palpate.evaluation.real", __doc__)
 
 
 if __name__ == "__main__":

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 from matplotlib.figure import Figure
 
-from estimators.estimate import NINETY
-from evaluation.real.predicted import Prediction
-from evaluation.real.pressed import Press
+from palpate.estimators.estimate import NINETY
+from palpate.evaluation.real.predicted import Prediction
+from palpate.evaluation.real.pressed import Press
 
 ARROWS = 5
 """Every so many points along an axis get an arrow."""

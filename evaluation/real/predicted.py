@@ -13,22 +13,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data.clip import ClipStream
-from data.labels import TOOL
-from data.masks.sources import MaskClasses, MaskError, open_masks
-from data.source.frames import open_source
-from data.source.layout import InputError
-from data.tracks.following import MARGIN, PointFollower, shrunk
-from estimators.contract import Chosen
-from estimators.estimate import NoEstimate
-from estimators.grip.lattice import LEAST_MOTION, GripFrame, NothingMoves, lattice_springs, length
-from estimators.grip.recorder import DRIVEN
-from estimators.online.driven import DrivenTissue
-from estimators.online.estimator import OnlineEstimator
-from estimators.online.settings import OnlineSettings
-from estimators.online.surface import Surface, make_surface
-from evaluation.real.pulled import PulledClip
-from physics.sheet import equilibrium
+from palpate.data.clip import ClipStream
+from palpate.data.labels import TOOL
+from palpate.data.masks.sources import MaskClasses, MaskError, open_masks
+from palpate.data.source.frames import open_source
+from palpate.data.source.layout import InputError
+from palpate.data.tracks.following import MARGIN, PointFollower, shrunk
+from palpate.estimators.contract import Chosen
+from palpate.estimators.estimate import NoEstimate
+from palpate.estimators.grip.lattice import LEAST_MOTION, GripFrame, NothingMoves, lattice_springs, length
+from palpate.estimators.grip.recorder import DRIVEN
+from palpate.estimators.online.driven import DrivenTissue
+from palpate.estimators.online.estimator import OnlineEstimator
+from palpate.estimators.online.settings import OnlineSettings
+from palpate.estimators.online.surface import Surface, make_surface
+from palpate.evaluation.real.pulled import PulledClip
+from palpate.physics.sheet import equilibrium
 
 FROM, AHEAD = (3, 4, 5), 10
 """Predicted is from these frames after the first, so many frames on (Liang 2024, section III: its horizon)."""
@@ -139,7 +139,8 @@ def evaluate_prediction(clip: PulledClip, settings: OnlineSettings) -> Predictio
 def sheet_ratio(follow: Follow, frames: Sequence[GripFrame]) -> float:
     """Foundation over spring stiffness, of RATIOS, with which a sheet explains some frames best near the tool.
 
-    Least mean of error over motion of the nearest third of the points, in frames where these move: docs/real.md.
+    Least mean of error over motion of the nearest third of the points, in frames where these move:
+    docs/reports/real.md.
 
     Raises:
         NothingMoves: they do in none.

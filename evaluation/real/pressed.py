@@ -13,12 +13,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from data.source.images import read_image
-from data.source.layout import InputError, list_folder
-from data.source.table import read_columns
-from estimators.estimate import NINETY
-from estimators.known_force import predict_force
-from physics.identifiability import LIMIT
+from palpate.data.source.images import read_image
+from palpate.data.source.layout import InputError, list_folder
+from palpate.data.source.table import read_columns
+from palpate.estimators.estimate import NINETY
+from palpate.estimators.known_force import predict_force
+from palpate.physics.identifiability import LIMIT
 
 UNIT = 0.05
 """Of the stored depth [mm]."""

@@ -11,12 +11,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from data.clip import ClipStream
-from data.source.frames import open_source
-from data.source.layout import ClipLayout, load_layout
-from estimators.contract import Chosen, ClipInfo
-from estimators.estimate import FrameEstimate, GripEstimate, InteractionEstimate, NoEstimate
-from estimators.open import EstimatorOptions, open_estimator
+from palpate.data.clip import ClipStream
+from palpate.data.source.frames import open_source
+from palpate.data.source.layout import ClipLayout, load_layout
+from palpate.estimators.contract import Chosen, ClipInfo
+from palpate.estimators.estimate import FrameEstimate, GripEstimate, InteractionEstimate, NoEstimate
+from palpate.estimators.open import EstimatorOptions, open_estimator
 
 
 @dataclass(frozen=True)

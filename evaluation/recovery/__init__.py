@@ -9,12 +9,13 @@ scores      of presses, errors, coverage and verdicts of many; details: a row a 
 grips       the table of clips whose tool grips tissue; slabs: of those whose truth are finite elements
 """
 
-from physics.lazy import exported
+from palpate.common.lazy import exported
 
 __getattr__ = exported(
+    __name__,
     {
-        "evaluation.recovery.suites": ("SUITES", "Suite"),
-        "evaluation.recovery.trial": ("Trial", "run_trial"),
-        "evaluation.recovery.scores": ("Scores", "score_all"),
-    }
+        "palpate.evaluation.recovery.suites": ("SUITES", "Suite"),
+        "palpate.evaluation.recovery.trial": ("Trial", "run_trial"),
+        "palpate.evaluation.recovery.scores": ("Scores", "score_all"),
+    },
 )

@@ -11,19 +11,19 @@ import dataclasses
 
 import numpy as np
 
-from data.contact.film import REACH, DentFilm
-from data.contact.interaction import Interaction
-from data.synthetic.scene import Scene
-from data.synthetic.truth import PressedMotion
-from estimators.direct.estimator import FITTED, LEAST_OBSERVATIONS
-from estimators.direct.field import FilmProblem
-from estimators.direct.motion import PressMotion, about_tissue
-from estimators.direct.patch import PatchMotion
-from estimators.direct.problem import ContactProblem
-from estimators.onset import BETWEEN
-from physics.identifiability import box_information
-from physics.load import Press, PressShape, held
-from physics.mechanics import RECOMMENDED
+from palpate.data.contact.depth_sequence import REACH, DepthSequence
+from palpate.data.contact.interaction import Interaction
+from palpate.data.synthetic.scene import Scene
+from palpate.data.synthetic.truth import PressedMotion
+from palpate.estimators.direct.estimator import FITTED, LEAST_OBSERVATIONS
+from palpate.estimators.direct.field import SequenceProblem
+from palpate.estimators.direct.motion import PressMotion, about_tissue
+from palpate.estimators.direct.patch import PatchMotion
+from palpate.estimators.direct.problem import ContactProblem
+from palpate.estimators.onset import BETWEEN
+from palpate.physics.identifiability import box_information
+from palpate.physics.load import Press, PressShape, held
+from palpate.physics.mechanics import RECOMMENDED
 
 MECHANICS = FITTED
 """Simulator of the bounds."""
@@ -43,14 +43,14 @@ def contact_information(contact: Interaction, scene: Scene, motion: PressedMotio
 
 
 def field_information(contact: Interaction, scene: Scene, motion: PressedMotion) -> np.ndarray | None:
-    """The same from what the film of its dent shows, with the film's own noise; None without a film."""
-    film = contact.film
-    if film is None or len(film.times) < LEAST_OBSERVATIONS:
+    """The same from what the sequence of its dent shows, with the sequence's own noise; None without a sequence."""
+    sequence = contact.sequence
+    if sequence is None or len(sequence.times) < LEAST_OBSERVATIONS:
         return None
     truth, logs, within = _truth(contact, scene, motion)
     offset = scene.mesh.pixels[scene.vertex] - contact.mesh.pixels[contact.vertex]
-    recentred = dataclasses.replace(truth, film=_recentred(film, offset))
-    problem = FilmProblem.of_press(recentred, MECHANICS, within, kind=_kind(motion))
+    recentred = dataclasses.replace(truth, sequence=_recentred(sequence, offset))
+    problem = SequenceProblem.of_press(recentred, MECHANICS, within, kind=_kind(motion))
     problem.look(_all(problem, logs, motion))
     return _squared(_of_tissue(problem, logs, motion))
 
@@ -75,7 +75,7 @@ def _truth(contact: Interaction, scene: Scene, motion: PressedMotion) -> tuple[I
     press = Press.at(scene.vertex, scene.direction, held(seconds / step, MECHANICS.steps))
     delays = np.array([motion.delay, motion.release_delay])[: 1 + contact.released] / within
     logs = np.concatenate([np.log(np.abs(motion.theta)), delays])
-    return dataclasses.replace(contact, mesh=scene.mesh, load=press, time_step=step, film=None), logs, within
+    return dataclasses.replace(contact, mesh=scene.mesh, load=press, time_step=step, sequence=None), logs, within
 
 
 def _kind(motion: PressedMotion) -> type[PressMotion]:
@@ -83,14 +83,14 @@ def _kind(motion: PressedMotion) -> type[PressMotion]:
     return PressMotion if motion.shape == PressShape() else PatchMotion
 
 
-def _all(problem: ContactProblem | FilmProblem[PressMotion], logs: np.ndarray, motion: PressedMotion) -> np.ndarray:
+def _all(problem: ContactProblem | SequenceProblem[PressMotion], logs: np.ndarray, motion: PressedMotion) -> np.ndarray:
     """True parameters of a problem, from φ and the delays."""
     press = problem.motion
     return press.parameters(logs, motion.shape) if isinstance(press, PatchMotion) else logs
 
 
 def _of_tissue(
-    problem: ContactProblem | FilmProblem[PressMotion], logs: np.ndarray, motion: PressedMotion, unit: float = 1.0
+    problem: ContactProblem | SequenceProblem[PressMotion], logs: np.ndarray, motion: PressedMotion, unit: float = 1.0
 ) -> np.ndarray:
     """Information of log θ and the delays at the truth, shape [5, 5] ([4, 4]), the press's shape being unknown.
 
@@ -105,16 +105,16 @@ def _of_tissue(
     return about_tissue(information, prior, len(logs))
 
 
-def _recentred(film: DentFilm, offset: np.ndarray) -> DentFilm:
-    """The film of what lies so many rows and columns away, as far as it shows that."""
-    change = np.full_like(film.change, np.nan)
+def _recentred(sequence: DepthSequence, offset: np.ndarray) -> DepthSequence:
+    """The depth-change sequence of what lies so many rows and columns away, as far as it shows that."""
+    change = np.full_like(sequence.change, np.nan)
     size = 2 * REACH + 1
     sources, targets = [], []
     for away in offset.tolist():
         sources.append(slice(max(away, 0), size + min(away, 0)))
         targets.append(slice(max(-away, 0), size + min(-away, 0)))
-    change[:, targets[0], targets[1]] = film.change[:, sources[0], sources[1]]
-    return dataclasses.replace(film, change=change)
+    change[:, targets[0], targets[1]] = sequence.change[:, sources[0], sources[1]]
+    return dataclasses.replace(sequence, change=change)
 
 
 def _squared(information: np.ndarray) -> np.ndarray:

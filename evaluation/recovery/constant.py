@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from rich.progress import Progress
 
-from data.synthetic.clip import draw_press
-from data.synthetic.scene import SceneError
-from estimators.estimate import Estimate
-from estimators.worker_pool import run_tasks
-from evaluation.recovery.suites import FITTED_ON, SUITES, suite_clip_seed
-from physics.mechanics import theta_of
+from palpate.common.workers import run_tasks
+from palpate.data.synthetic.clip import draw_press
+from palpate.data.synthetic.scene import SceneError
+from palpate.estimators.estimate import Estimate
+from palpate.evaluation.recovery.suites import FITTED_ON, SUITES, suite_clip_seed
+from palpate.physics.mechanics import theta_of
 
 CLIPS = 60
 """Truths whose mean it is: over all clips its error is then within 1 % of the least."""

@@ -34,11 +34,11 @@ import numpy as np
 import pandas as pd
 from scipy.stats import bootstrap, kstest, norm
 
-from estimators.estimate import NINETY
-from evaluation.harness import Row
-from evaluation.recovery.scores import QUANTITIES, Scores, constant_error, rms
-from physics.identifiability import LIMIT
-from physics.mechanics import PARAMETERS
+from palpate.estimators.estimate import NINETY
+from palpate.evaluation.harness import Row
+from palpate.evaluation.recovery.scores import QUANTITIES, Scores, constant_error, rms
+from palpate.physics.identifiability import LIMIT
+from palpate.physics.mechanics import PARAMETERS
 
 COLUMNS = ("estimator", "suite", "regime", "parameter", "quantity", "n", "value", "low", "high", "note")
 RESAMPLES = 2000

@@ -6,10 +6,10 @@ import functools
 from pathlib import Path
 from typing import Any
 
-from estimators.contract import Estimator
-from estimators.estimate import Estimate
-from estimators.open import FEM, OF_THETA, EstimatorOptions, open_estimator
-from models.onnx_session import ModelFileError, PosteriorModel
+from palpate.estimators.contract import Estimator
+from palpate.estimators.estimate import Estimate
+from palpate.estimators.open import FEM, OF_THETA, EstimatorOptions, open_estimator
+from palpate.models.onnx_session import ModelFileError, PosteriorModel
 
 CONSTANT, DIRECT = "constant", "direct"
 """What ignores its input, and the estimator that fits grips."""

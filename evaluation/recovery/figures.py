@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.stats import norm
 
-from evaluation.recovery.estimators import CONSTANT
-from evaluation.recovery.scores import QUANTITIES, Scores, rms
-from evaluation.recovery.suites import REGIMES
-from physics.identifiability import LIMIT
-from physics.mechanics import PARAMETERS
+from palpate.evaluation.recovery.estimators import CONSTANT
+from palpate.evaluation.recovery.scores import QUANTITIES, Scores, rms
+from palpate.evaluation.recovery.suites import REGIMES
+from palpate.physics.identifiability import LIMIT
+from palpate.physics.mechanics import PARAMETERS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

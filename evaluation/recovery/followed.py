@@ -14,8 +14,8 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.spatial.distance import cdist
 
-from estimators.grip.whitening import matern
-from physics.robust import median_sd
+from palpate.common.robust import median_sd
+from palpate.estimators.grip.whitening import matern
 
 CLASSES = 0.12, 0.15, 0.2, 0.3, 0.5, 1.0, 4.0
 """Told noises between which points are equally good [px]."""

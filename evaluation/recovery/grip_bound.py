@@ -16,10 +16,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 
-from estimators.grip.sheet import SIZE, load_precision, loaded_cells
-from evaluation.recovery.followed import Following
-from physics.endless_sheet import response
-from physics.robust import affine_terms
+from palpate.common.robust import affine_terms
+from palpate.estimators.grip.sheet import SIZE, load_precision, loaded_cells
+from palpate.evaluation.recovery.followed import Following
+from palpate.physics.endless_sheet import response
 
 STEP = 0.01
 """Of log foundation, for derivatives."""

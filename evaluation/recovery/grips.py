@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from evaluation.harness import Row
-from evaluation.recovery.scores import coverage, rms
-from physics.identifiability import LIMIT
+from palpate.evaluation.harness import Row
+from palpate.evaluation.recovery.scores import coverage, rms
+from palpate.physics.identifiability import LIMIT
 
 COLUMNS = ("suite", "quantity", "n", "rmse", "bound", "ratio", "coverage90", "value")
 

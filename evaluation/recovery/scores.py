@@ -1,8 +1,8 @@
 """From results to numbers: errors in logarithms against the Cramér–Rao bound, and `table.csv`.
 
-Errors and bounds are of log θ, so 0.1 means about 10 %. The bound of a clip is that of the film of its dent with the
-film's own noise (`field`), or that of its contact's true trajectory under the suite's measured tracking noise, which is
-pooled over all its clips (`contact`). `constant_rmse_log` is the error of the
+Errors and bounds are of log θ, so 0.1 means about 10 %. The bound of a clip is that of the sequence of its dent with
+the sequence's own noise (`field`), or that of its contact's true trajectory under the suite's measured tracking noise,
+which is pooled over all its clips (`contact`). `constant_rmse_log` is the error of the
 best constant for exactly the clips of a row, their own mean: nothing that ignores its input can do better. The
 estimator `constant` is fitted on another split and does worse. What doesn't exist is not a number.
 """
@@ -16,14 +16,14 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from data.contact.interaction import FIELD
-from estimators.estimate import NINETY
-from estimators.onset import STAMP
-from evaluation.harness import OK, Row
-from evaluation.recovery.bounds import known
-from evaluation.recovery.suites import REGIMES
-from physics.identifiability import LIMIT, RATIOS, covariance
-from physics.mechanics import PARAMETERS
+from palpate.data.contact.interaction import FIELD
+from palpate.estimators.estimate import NINETY
+from palpate.estimators.onset import STAMP
+from palpate.evaluation.harness import OK, Row
+from palpate.evaluation.recovery.bounds import known
+from palpate.evaluation.recovery.suites import REGIMES
+from palpate.physics.identifiability import LIMIT, RATIOS, covariance
+from palpate.physics.mechanics import PARAMETERS
 
 QUANTITIES = (*PARAMETERS, "stiffness/damping", "force/damping")
 COLUMNS = (
@@ -114,7 +114,8 @@ class Bound:
     """Whether the instants of the press are known: one of `estimators.onset.ONSETS`."""
 
     def information(self, rows: Sequence[Row], sigma: float) -> np.ndarray:
-        """Information of log θ, shape [n, 3, 3]; nothing where there is no film. `sigma`: of the tracked contact."""
+        """Information of log θ, shape [n, 3, 3]; nothing where there is no sequence. `sigma`: of the tracked
+        contact."""
         name, unit = ("field_information", 1.0) if self.observation == FIELD else ("information", sigma**2)
         found = [row.get(name, np.zeros((5, 5))) / unit for row in rows]
         return known(np.array(found).reshape(-1, 5, 5), self.onset)

@@ -36,13 +36,13 @@ import numpy as np
 import pandas as pd
 from scipy.stats import spearmanr
 
-from data.synthetic.slab import SlabTissue
-from estimators.estimate import COMBINATIONS, NINETY
-from estimators.open import FEM
-from evaluation.harness import Row
-from evaluation.recovery.bounds import MECHANICS
-from evaluation.recovery.grips import curve_errors
-from evaluation.recovery.scores import coverage, rms
+from palpate.data.synthetic.slab import SlabTissue
+from palpate.estimators.estimate import COMBINATIONS, NINETY
+from palpate.estimators.open import FEM
+from palpate.evaluation.harness import Row
+from palpate.evaluation.recovery.bounds import MECHANICS
+from palpate.evaluation.recovery.grips import curve_errors
+from palpate.evaluation.recovery.scores import coverage, rms
 
 Quantity = tuple[str, int, float]
 """Its name, of how many it is, and its value."""

@@ -14,8 +14,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from data.synthetic.settings import SceneSettings
-from data.synthetic.truth import REGIMES
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.data.synthetic.truth import REGIMES
 
 GRID_SIZE = (214, 120)
 """Width and height of pictures of the network's input size [px]."""

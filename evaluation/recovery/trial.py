@@ -17,7 +17,7 @@ of a press on a sheet, and without the truth's on a slab:
 theta, estimate, covariance     true and estimated θ, shape [3], and the estimated covariance of log θ, shape [3, 3]
 information                     Fisher information of log θ and both delays from the contact's motion for σ = 1
                                 (`evaluation.recovery.bounds`), shape [5, 5]
-field_information               the same from the film of its dent with the film's noise
+field_information               the same from the sequence of its dent with the sequence's noise
 tracking                        tracked minus true displacement along the true direction, shape [M]
 onset_off, release_off          frames from the true onset, or release, to the one that was found
 place_off                       how far the contact was found from the true one [grid px]
@@ -62,30 +62,30 @@ from scipy.ndimage import map_coordinates
 from scipy.spatial import KDTree
 from scipy.stats import spearmanr
 
-from data.contact.interaction import Horizon, Interaction
-from data.labels import TOOL
-from data.prepared import PreparedFrame
-from data.synthetic.clip import draw_truth, synthetic_clip
-from data.synthetic.grip import GrippedMotion
-from data.synthetic.scene import Scene, SceneError
-from data.synthetic.settings import SceneSettings
-from data.synthetic.slab import GrippedSlab, PressedSlab, SlabMotion
-from data.synthetic.source import PREPARE, open_synthetic
-from data.synthetic.truth import PressedMotion
-from data.tracks.following import SPACING, PointFollower
-from estimators.contract import ClipInfo
-from estimators.estimate import NINETY, Estimate, FrameEstimate, GripEstimate, InteractionEstimate
-from estimators.grip.stiffness_field import StiffnessField
-from estimators.oblique import is_oblique
-from estimators.open import FEM, EstimatorOptions
-from estimators.runs import RunTracker
-from evaluation.harness import OK, Row, attempted
-from evaluation.recovery.bounds import MECHANICS, contact_information, field_information
-from evaluation.recovery.estimators import Candidate, opened
-from evaluation.recovery.followed import measure_following
-from evaluation.recovery.grip_bound import grip_bound
-from evaluation.recovery.suites import EVERY, GRID_SIZE
-from physics.doors import interruptible
+from palpate.common.doors import interruptible
+from palpate.data.contact.interaction import Horizon, Interaction
+from palpate.data.labels import TOOL
+from palpate.data.prepared import PreparedFrame
+from palpate.data.synthetic.clip import draw_truth, synthetic_clip
+from palpate.data.synthetic.grip import GrippedMotion
+from palpate.data.synthetic.scene import Scene, SceneError
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.data.synthetic.slab import GrippedSlab, PressedSlab, SlabMotion
+from palpate.data.synthetic.source import PREPARE, open_synthetic
+from palpate.data.synthetic.truth import PressedMotion
+from palpate.data.tracks.following import SPACING, PointFollower
+from palpate.estimators.contract import ClipInfo
+from palpate.estimators.estimate import NINETY, Estimate, FrameEstimate, GripEstimate, InteractionEstimate
+from palpate.estimators.grip.stiffness_field import StiffnessField
+from palpate.estimators.oblique import is_oblique
+from palpate.estimators.open import FEM, EstimatorOptions
+from palpate.estimators.runs import RunTracker
+from palpate.evaluation.harness import OK, Row, attempted
+from palpate.evaluation.recovery.bounds import MECHANICS, contact_information, field_information
+from palpate.evaluation.recovery.estimators import Candidate, opened
+from palpate.evaluation.recovery.followed import measure_following
+from palpate.evaluation.recovery.grip_bound import grip_bound
+from palpate.evaluation.recovery.suites import EVERY, GRID_SIZE
 
 MOTION = "motion"
 """How contacts are found where no tool is in view: by their dents."""

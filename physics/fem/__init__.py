@@ -13,15 +13,16 @@ modes          small motions by eigenmodes, for many E and dampings of one body
 linear_system  symmetric sparse systems, factorised or iterated
 """
 
-from physics.lazy import exported
+from palpate.common.lazy import exported
 
 __getattr__ = exported(
+    __name__,
     {
-        "physics.fem.laws": ("LAWS", "Material"),
-        "physics.fem.solid": ("Solid", "make_solid"),
-        "physics.fem.lattice": ("box",),
-        "physics.fem.meshing": ("Meshed", "NoBody", "mesh_surface"),
-        "physics.fem.equilibrium": ("Equilibrium", "NoEquilibrium", "find_equilibrium"),
-        "physics.fem.dynamics": ("Inertia", "Motion", "Relaxation", "simulate"),
-    }
+        "palpate.physics.fem.laws": ("LAWS", "Material"),
+        "palpate.physics.fem.solid": ("Solid", "make_solid"),
+        "palpate.physics.fem.lattice": ("box",),
+        "palpate.physics.fem.meshing": ("Meshed", "NoBody", "mesh_surface"),
+        "palpate.physics.fem.equilibrium": ("Equilibrium", "NoEquilibrium", "find_equilibrium"),
+        "palpate.physics.fem.dynamics": ("Inertia", "Motion", "Relaxation", "simulate"),
+    },
 )

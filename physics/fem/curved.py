@@ -10,8 +10,8 @@ import dataclasses
 
 import numpy as np
 
-from physics.fem.solid import EDGES, Solid
-from physics.fem.surface import areas, nearest, rows_needed
+from palpate.physics.fem.solid import EDGES, Solid
+from palpate.physics.fem.surface import areas, nearest, rows_needed
 
 LEAST = 0.3
 """Of det F, below which a middle goes back half of its way."""

@@ -17,11 +17,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_array
 
-from physics.fem.equilibrium import TOLERANCE, Energy, applied, settle
-from physics.fem.laws import Material, Response
-from physics.fem.linear_system import LinearSystem
-from physics.fem.solid import Solid
-from physics.load import Load
+from palpate.physics.fem.equilibrium import TOLERANCE, Energy, applied, settle
+from palpate.physics.fem.laws import Material, Response
+from palpate.physics.fem.linear_system import LinearSystem
+from palpate.physics.fem.solid import Solid
+from palpate.physics.load import Load
 
 
 @dataclass(frozen=True)

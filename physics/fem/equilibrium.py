@@ -13,10 +13,10 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import csr_array, diags_array
 
-from physics.fem.laws import Material, Response, respond
-from physics.fem.linear_system import LinearSystem
-from physics.fem.solid import Solid
-from physics.load import Grip, Load
+from palpate.physics.fem.laws import Material, Response, respond
+from palpate.physics.fem.linear_system import LinearSystem
+from palpate.physics.fem.solid import Solid
+from palpate.physics.load import Grip, Load
 
 TOLERANCE = 1e-10
 """Largest force out of balance, over the largest sum of the elements' forces at a node."""

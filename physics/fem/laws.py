@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from physics.fem.polar import rotations, spins
+from palpate.physics.fem.polar import rotations, spins
 
 _IDENTITY = np.eye(9)
 _TRANSPOSED = np.eye(9)[np.arange(9).reshape(3, 3).T.ravel()]

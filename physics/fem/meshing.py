@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import label
 
-from physics.fem.lattice import fill_cells
-from physics.fem.refinement import Longest, refine
-from physics.fem.solid import FACES, qualities
-from physics.fem.surface import areas, nearest, rows_needed
+from palpate.physics.fem.lattice import fill_cells
+from palpate.physics.fem.refinement import Longest, refine
+from palpate.physics.fem.solid import FACES, qualities
+from palpate.physics.fem.surface import areas, nearest, rows_needed
 
 WORST = 0.05
 """Lowest quality of an element that drawing leaves (`qualities`; a lattice's are 0.35 to 0.71)."""

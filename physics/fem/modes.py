@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from physics.fem.dynamics import Relaxation
-from physics.fem.equilibrium import Energy
-from physics.fem.laws import Material
-from physics.fem.linear_system import LinearSystem
-from physics.fem.solid import Solid
+from palpate.physics.fem.dynamics import Relaxation
+from palpate.physics.fem.equilibrium import Energy
+from palpate.physics.fem.laws import Material
+from palpate.physics.fem.linear_system import LinearSystem
+from palpate.physics.fem.solid import Solid
 
 MOST = 120
 """Modes. On a slab of 2,280 unknowns motions are off by 1e-10 of the largest."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from physics.jit import kernel
+from palpate.physics.jit import kernel
 
 _SWEEPS = 40
 

@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.spatial import KDTree
 
-from physics.fem.solid import EDGES
+from palpate.physics.fem.solid import EDGES
 
 Longest = Callable[[np.ndarray], np.ndarray]
 """How long edges may be at most around places [P, 3], shape [P], positive [m]."""

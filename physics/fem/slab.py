@@ -14,10 +14,10 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 
-from physics.fem.lattice import box
-from physics.fem.meshing import NoBody
-from physics.fem.solid import EDGES, Solid, make_solid
-from physics.mesh import Mesh
+from palpate.physics.fem.lattice import box
+from palpate.physics.fem.meshing import NoBody
+from palpate.physics.fem.solid import EDGES, Solid, make_solid
+from palpate.physics.mesh import Mesh
 
 CELLS = (10, 10, 3)
 """Along columns, rows and depth: 1,500 tetrahedra."""

@@ -8,12 +8,13 @@ grid_kernel   the compiled loops, on grid_layout; cone: which part of the mesh m
 autograd      torch's view of the compiled rollout; torch_backend: every derivative, any device
 """
 
-from physics.lazy import exported
+from palpate.common.lazy import exported
 
 __getattr__ = exported(
+    __name__,
     {
-        "physics.msd.rollouts": ("rollout", "rollout_sensitivities"),
-        "physics.msd.simulation": ("simulate", "simulate_sensitivities"),
-        "physics.msd.batch": ("DepthBatch", "MeshBatch", "ObservationBatch", "PressBatch"),
-    }
+        "palpate.physics.msd.rollouts": ("rollout", "rollout_sensitivities"),
+        "palpate.physics.msd.simulation": ("simulate", "simulate_sensitivities"),
+        "palpate.physics.msd.batch": ("DepthBatch", "MeshBatch", "ObservationBatch", "PressBatch"),
+    },
 )

@@ -16,8 +16,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from physics.mechanics import Mechanics
-from physics.msd.simulation import Case, is_chaotic, require_inside, watched_rollout
+from palpate.physics.mechanics import Mechanics
+from palpate.physics.msd.simulation import Case, is_chaotic, require_inside, watched_rollout
 
 
 class UnreliableGradient(RuntimeWarning):

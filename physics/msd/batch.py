@@ -11,9 +11,9 @@ import torch
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
-from physics.load import Press
-from physics.mesh import Mesh
-from physics.observation import Observation
+from palpate.physics.load import Press
+from palpate.physics.mesh import Mesh
+from palpate.physics.observation import Observation
 
 
 def _joined(arrays: Iterable[np.ndarray], dtype: type, axis: int = 0) -> Tensor:

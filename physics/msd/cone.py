@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.fft import dct
 
-from physics.mechanics import Mechanics
-from physics.msd.reference import integrator
+from palpate.physics.mechanics import Mechanics
+from palpate.physics.msd.reference import integrator
 
 GRID_EIGENVALUE = 9.0
 """Upper bound on the eigenvalues of the graph Laplacian of springs right, down and along one diagonal."""

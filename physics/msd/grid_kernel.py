@@ -16,8 +16,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from physics.jit import inlined, kernel
-from physics.msd.grid_layout import LENGTH, LINK, MOBILE, REST_PLANES
+from palpate.physics.jit import inlined, kernel
+from palpate.physics.msd.grid_layout import LENGTH, LINK, MOBILE, REST_PLANES
 
 FORWARD_PLANES, SENSITIVITY_PLANES = 6, 24
 """Planes of a state without and with derivatives."""

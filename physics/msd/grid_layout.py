@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from physics.jit import kernel
-from physics.mesh import Mesh
-from physics.msd.reference import NORM_GUARD
+from palpate.physics.jit import kernel
+from palpate.physics.mesh import Mesh
+from palpate.physics.msd.reference import NORM_GUARD
 
 PITCHES = (80, 144, 272, 528, 1040)
 """Row lengths for which code is compiled on demand; no powers of two, whose planes would share cache sets."""

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from physics.msd.batch import DepthBatch, ObservationBatch
+from palpate.physics.msd.batch import DepthBatch, ObservationBatch
 
 
 def displacement_error(trajectory: Tensor, observation: ObservationBatch) -> Tensor:

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csr_array
 
-from physics.load import Grip, Load, Press
-from physics.mechanics import Mechanics
-from physics.mesh import Mesh
+from palpate.physics.load import Grip, Load, Press
+from palpate.physics.mechanics import Mechanics
+from palpate.physics.mesh import Mesh
 
 NORM_GUARD = 1e-18
 """Added under every square root [scene units²], so that a spring of zero length has a direction: none."""

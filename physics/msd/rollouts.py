@@ -10,11 +10,11 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from physics import jit
-from physics.mechanics import Mechanics
-from physics.msd import torch_backend
-from physics.msd.autograd import CompiledRollout
-from physics.msd.batch import MeshBatch, PressBatch
+from palpate.physics import jit
+from palpate.physics.mechanics import Mechanics
+from palpate.physics.msd import torch_backend
+from palpate.physics.msd.autograd import CompiledRollout
+from palpate.physics.msd.batch import MeshBatch, PressBatch
 
 DEFAULT = Mechanics()
 

@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from physics.mechanics import Mechanics
-from physics.msd.reference import NORM_GUARD
+from palpate.physics.mechanics import Mechanics
+from palpate.physics.msd.reference import NORM_GUARD
 
 STENCIL = ((0, 1), (1, 0), (1, 1))
 """Rows and columns from a spring's first to its second pixel on a grid mesh: right, down, diagonal."""

@@ -9,13 +9,14 @@ constraint_kernel  compiled values, gradients and second derivatives of one cons
 sweep_kernel       compiled time steps; adjoint_kernel: back through them; potential_kernel: the energy
 """
 
-from physics.lazy import exported
+from palpate.common.lazy import exported
 
 __getattr__ = exported(
+    __name__,
     {
-        "physics.pbd.body": ("Body", "make_body"),
-        "physics.pbd.stiffness": ("Stiffness",),
-        "physics.pbd.simulation": ("Motion", "Stepping", "simulate"),
-        "physics.pbd.potential": ("Potential",),
-    }
+        "palpate.physics.pbd.body": ("Body", "make_body"),
+        "palpate.physics.pbd.stiffness": ("Stiffness",),
+        "palpate.physics.pbd.simulation": ("Motion", "Stepping", "simulate"),
+        "palpate.physics.pbd.potential": ("Potential",),
+    },
 )

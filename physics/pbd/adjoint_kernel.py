@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from physics.jit import inlined, kernel
-from physics.pbd.constraint_kernel import (
+from palpate.physics.jit import inlined, kernel
+from palpate.physics.pbd.constraint_kernel import (
     add,
     dot,
     rotation_of,
@@ -20,7 +20,7 @@ from physics.pbd.constraint_kernel import (
     swelled_bent,
     warped_bent,
 )
-from physics.pbd.sweep_kernel import begun, stepped, sweep
+from palpate.physics.pbd.sweep_kernel import begun, stepped, sweep
 
 
 @inlined

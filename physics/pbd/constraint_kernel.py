@@ -16,8 +16,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from physics.jit import inlined
-from physics.pbd.body import NORM_GUARD
+from palpate.physics.jit import inlined
+from palpate.physics.pbd.body import NORM_GUARD
 
 _TURNS = 60
 _SETTLED = 1e-19

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from physics.pbd.body import Body
-from physics.pbd.potential_kernel import energy_bend, energy_slope
+from palpate.physics.pbd.body import Body
+from palpate.physics.pbd.potential_kernel import energy_bend, energy_slope
 
 
 @dataclass

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from physics.jit import kernel
-from physics.pbd.constraint_kernel import (
+from palpate.physics.jit import kernel
+from palpate.physics.pbd.constraint_kernel import (
     add,
     dot,
     less,

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from physics.jit import COMPILED, say_slow
-from physics.load import Grip
-from physics.pbd.adjoint_kernel import sweep_adjoint
-from physics.pbd.body import Body
-from physics.pbd.potential import unturned
-from physics.pbd.stiffness import Stiffness, gather, spread
-from physics.pbd.sweep_kernel import sweep_forward
+from palpate.physics.jit import COMPILED, say_slow
+from palpate.physics.load import Grip
+from palpate.physics.pbd.adjoint_kernel import sweep_adjoint
+from palpate.physics.pbd.body import Body
+from palpate.physics.pbd.potential import unturned
+from palpate.physics.pbd.stiffness import Stiffness, gather, spread
+from palpate.physics.pbd.sweep_kernel import sweep_forward
 
 
 @dataclass(frozen=True)

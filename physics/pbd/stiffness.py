@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from physics.pbd.body import Body
+from palpate.physics.pbd.body import Body
 
 
 class Stiffness(NamedTuple):

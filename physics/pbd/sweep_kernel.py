@@ -9,8 +9,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from physics.jit import inlined, kernel
-from physics.pbd.constraint_kernel import add, dot, rotation_of, row, sides, stretched, swelled, turned_back, warped
+from palpate.physics.jit import inlined, kernel
+from palpate.physics.pbd.constraint_kernel import (
+    add,
+    dot,
+    rotation_of,
+    row,
+    sides,
+    stretched,
+    swelled,
+    turned_back,
+    warped,
+)
 
 
 @inlined

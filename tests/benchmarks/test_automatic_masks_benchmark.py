@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from benchmarks.automatic_masks import main, summary
+from palpate.benchmarks.automatic_masks import main, summary
 
 
 def test_scores_of_a_hand_made_case():

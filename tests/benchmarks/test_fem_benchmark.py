@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks import fem
-from physics.fem.laws import LAWS
+from palpate.benchmarks import fem
+from palpate.physics.fem.laws import LAWS
 
 
 def test_every_law_and_scikit_fem_get_a_row() -> None:

@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 import yaml
 
-from benchmarks import inference
-from benchmarks.inference import NETWORKS, encoder_and_head, exported, one_contact, stages
-from data.synthetic.clip import write_clip
-from data.synthetic.settings import SceneSettings
-from models.onnx_session import open_model
+from palpate.benchmarks import inference
+from palpate.benchmarks.inference import NETWORKS, encoder_and_head, exported, one_contact, stages
+from palpate.data.synthetic.clip import write_clip
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.models.onnx_session import open_model
 from tests.test_architecture import ROOT
 
 

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from benchmarks import newtons
-from benchmarks.newtons import MEASURED, NEWTONS, judge, measured_force, read_truths
-from estimators.estimate import NINETY, NoEstimate
-from evaluation.file_table import FileTable
+from palpate.benchmarks import newtons
+from palpate.benchmarks.newtons import MEASURED, NEWTONS, judge, measured_force, read_truths
+from palpate.estimators.estimate import NINETY, NoEstimate
+from palpate.evaluation.file_table import FileTable
 
 OFF = {"a": 0.0, "b": 0.1, "c": -0.3}
 """Of the logarithms of estimated forces; their standard deviation is told as SD."""

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from benchmarks.observation_bounds import FINE_MECHANICS, FRAME, limits, observations
-from data.contact.film import REACH
-from data.synthetic.contacts import draw_contacts
-from data.synthetic.settings import SceneSettings
+from palpate.benchmarks.observation_bounds import FINE_MECHANICS, FRAME, limits, observations
+from palpate.data.contact.depth_sequence import REACH
+from palpate.data.synthetic.contacts import draw_contacts
+from palpate.data.synthetic.settings import SceneSettings
 
 
 def test_more_observations_never_tell_less() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks import online
+from palpate.benchmarks import online
 
 
 def test_costs_are_those_of_steps_with_snapshots(monkeypatch: pytest.MonkeyPatch) -> None:

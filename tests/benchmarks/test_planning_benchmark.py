@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import planning
-from planning import cost_table
+from palpate.benchmarks import planning
+from palpate.planning import cost_table
 from tests.planning.cases import quick_press
 
 

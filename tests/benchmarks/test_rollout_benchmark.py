@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks import rollout
-from benchmarks.rollout import BASELINE, NUMBA, STENCIL, Turn, make_task, measure, require_same, take_turn
-from physics import jit
+from palpate.benchmarks import rollout
+from palpate.benchmarks.rollout import BASELINE, NUMBA, STENCIL, Turn, make_task, measure, require_same, take_turn
+from palpate.physics import jit
 
 SMALL = 0.01
 """Of the paper's vertices."""
@@ -43,7 +43,7 @@ def test_ratios_are_to_the_baseline_of_the_same_run(monkeypatch, capsys):
     monkeypatch.setattr(rollout, "ROUNDS", 1)
     found = []
     monkeypatch.setattr(rollout, "measure", lambda *setting: found.append(measure(*setting)) or found[-1])
-    monkeypatch.setattr("sys.argv", ["benchmarks.rollout"])
+    monkeypatch.setattr("sys.argv", ["palpate.benchmarks.rollout"])
     rollout.main()
     names = [[row["contender"] for row in rows] for rows in found]
     assert names == [[BASELINE, *NUMBA, STENCIL], [BASELINE, *NUMBA]]

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks import tracking_errors as benchmark
-from benchmarks.tracking_errors import FRAMES, STEP, ClipErrors, measure_clip, stacked, statistics
-from data.synthetic.scene import SceneError
-from evaluation.recovery.suites import suite_clip_seed
+from palpate.benchmarks import tracking_errors as benchmark
+from palpate.benchmarks.tracking_errors import FRAMES, STEP, ClipErrors, measure_clip, stacked, statistics
+from palpate.data.synthetic.scene import SceneError
+from palpate.evaluation.recovery.suites import suite_clip_seed
 
 TIMES = np.arange(1, FRAMES + 1)
 

@@ -8,11 +8,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from data.cache import CacheEntry, PreparedClip
-from data.clip import ClipStream
-from data.contact.geometry import GeometrySettings
-from data.masks.class_table import CLASSES
-from data.settings import PrepareSettings
+from palpate.data.cache import CacheEntry, PreparedClip
+from palpate.data.clip import ClipStream
+from palpate.data.contact.geometry import GeometrySettings
+from palpate.data.masks.class_table import CLASSES
+from palpate.data.settings import PrepareSettings
 
 WIDTH, HEIGHT = 128, 96
 FOCAL = 100.0

@@ -15,12 +15,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data.cache import MARKER, CacheEntry, cache_key
-from data.clip import ClipStream, prepare
-from data.depth.normalise import DepthSettings
-from data.prepared import PreparedFrame
-from data.source.frames import open_source
-from data.source.layout import ClipLayout, InputError
+from palpate.data.cache import MARKER, CacheEntry, cache_key
+from palpate.data.clip import ClipStream, prepare
+from palpate.data.depth.normalise import DepthSettings
+from palpate.data.prepared import PreparedFrame
+from palpate.data.source.frames import open_source
+from palpate.data.source.layout import ClipLayout, InputError
 from tests.data.clips import GRID, SETTINGS, write_clip
 
 
@@ -73,7 +73,7 @@ def test_cache_is_reused_and_invalidated_by_files_settings_and_code(tmp_path, mo
         assert cache_key(folder, changed) != known
     os.utime(folder / "frame_2_endo.png", ns=(1, 1))
     assert cache_key(folder, SETTINGS) != known
-    monkeypatch.setattr("data.cache.code_digest", lambda part: "another")
+    monkeypatch.setattr("palpate.data.cache.code_digest", lambda part: "another")
     touched = cache_key(folder, SETTINGS)
     monkeypatch.undo()
     assert cache_key(folder, SETTINGS) != touched

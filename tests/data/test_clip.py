@@ -9,14 +9,14 @@ import cv2
 import numpy as np
 import pytest
 
-from data.clip import ClipStream, prepare
-from data.contact.geometry import GeometrySettings
-from data.contact.tissue_points import grid_to_picture, lift, picture_to_grid, rigid_motion
-from data.depth.normalise import DepthSettings
-from data.settings import PrepareSettings
-from data.source.frames import open_source
-from data.source.layout import ClipLayout, load_layout
-from data.windows import FrameWindow, future_indices, window_indices
+from palpate.data.clip import ClipStream, prepare
+from palpate.data.contact.geometry import GeometrySettings
+from palpate.data.contact.tissue_points import grid_to_picture, lift, picture_to_grid, rigid_motion
+from palpate.data.depth.normalise import DepthSettings
+from palpate.data.settings import PrepareSettings
+from palpate.data.source.frames import open_source
+from palpate.data.source.layout import ClipLayout, load_layout
+from palpate.data.windows import FrameWindow, future_indices, window_indices
 from tests.data.clips import DEPTH_STEP, FOCAL, GRID, SETTINGS, SLOPE, remove_frame, write_clip
 
 

@@ -8,17 +8,17 @@ from pathlib import Path
 import pytest
 import torch
 
-from data.contact.features import FEATURES
-from data.contact.film_features import FILM_FEATURES
-from data.prepared import PreparedFrame
-from data.settings import PrepareSettings
-from data.synthetic.clip import SyntheticClip, make_clip
-from data.synthetic.settings import SceneSettings
-from data.synthetic.source import open_synthetic
-from estimators.network.fits import BOUNDS, MECHANICS
-from models.onnx_export import export
-from models.onnx_session import PosteriorModel
-from models.posterior import ContactPosterior
+from palpate.data.contact.features import FEATURES
+from palpate.data.contact.sequence_features import SEQUENCE_FEATURES
+from palpate.data.prepared import PreparedFrame
+from palpate.data.settings import PrepareSettings
+from palpate.data.synthetic.clip import SyntheticClip, make_clip
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.data.synthetic.source import open_synthetic
+from palpate.estimators.network.fits import BOUNDS, MECHANICS
+from palpate.models.onnx_export import export
+from palpate.models.onnx_session import PosteriorModel
+from palpate.models.posterior import ContactPosterior
 from tests.estimators.sessions import SIZE, clip_info
 from tests.inference_inputs import metadata
 
@@ -44,9 +44,9 @@ def posterior(tmp_path_factory: pytest.TempPathFactory) -> PosteriorModel:
 
 
 @pytest.fixture(scope="session")
-def film_posterior(tmp_path_factory: pytest.TempPathFactory) -> PosteriorModel:
+def sequence_posterior(tmp_path_factory: pytest.TempPathFactory) -> PosteriorModel:
     """The same that is told of the whole dent."""
-    return _exported(tmp_path_factory.mktemp("posterior"), FEATURES + FILM_FEATURES)
+    return _exported(tmp_path_factory.mktemp("posterior"), FEATURES + SEQUENCE_FEATURES)
 
 
 def _exported(folder: Path, features: int) -> PosteriorModel:

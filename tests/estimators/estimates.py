@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from data.contact.interaction import Interaction
-from estimators.estimate import NINETY, Estimate, FrameEstimate, InteractionEstimate
-from physics.load import Press, held
-from physics.mechanics import Mechanics
-from physics.mesh import contact_normal
-from physics.observation import Observation
+from palpate.data.contact.interaction import Interaction
+from palpate.estimators.estimate import NINETY, Estimate, FrameEstimate, InteractionEstimate
+from palpate.physics.load import Press, held
+from palpate.physics.mechanics import Mechanics
+from palpate.physics.mesh import contact_normal
+from palpate.physics.observation import Observation
 from tests.physics.sheets import sheet
 
 MECHANICS = Mechanics(time_step=0.0025, steps=400, scheme="dkd")

@@ -8,16 +8,16 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from data.contact.geometry import FrameGeometry, GeometrySettings
-from data.contact.motion import ContactMotion
-from data.contact.refinement import ContactRun
-from data.prepared import PreparedFrame
-from data.settings import PrepareSettings
-from data.source.camera import Camera
-from data.source.frames import Frame
-from estimators.contract import ClipInfo, Said, Session
-from estimators.estimate import FrameEstimate, InteractionEstimate
-from physics.mesh import Mesh
+from palpate.data.contact.geometry import FrameGeometry, GeometrySettings
+from palpate.data.contact.motion import ContactMotion
+from palpate.data.contact.refinement import ContactRun
+from palpate.data.prepared import PreparedFrame
+from palpate.data.settings import PrepareSettings
+from palpate.data.source.camera import Camera
+from palpate.data.source.frames import Frame
+from palpate.estimators.contract import ClipInfo, Output, Session
+from palpate.estimators.estimate import FrameEstimate, InteractionEstimate
+from palpate.physics.mesh import Mesh
 
 SIZE = (214, 120)
 """Width and height of the pictures [px]."""
@@ -112,7 +112,7 @@ def follow(session: Session, frames: Iterable[PreparedFrame]) -> tuple[list[Fram
     return sorted_out(said)
 
 
-def sorted_out(said: Iterable[Said]) -> tuple[list[FrameEstimate], list[InteractionEstimate]]:
+def sorted_out(said: Iterable[Output]) -> tuple[list[FrameEstimate], list[InteractionEstimate]]:
     """Frames and runs of contact, each in the order in which they were said."""
     said = list(said)
     frames = [item for item in said if isinstance(item, FrameEstimate)]

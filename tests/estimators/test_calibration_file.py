@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 import yaml
 
-from data.source.layout import InputError
-from estimators.calibration_file import Calibration, read_calibration
-from estimators.estimate import NINETY, NoEstimate
-from estimators.force_scale import MASS, SHEET_FACTOR, STIFFNESS
+from palpate.data.source.layout import InputError
+from palpate.estimators.calibration_file import Calibration, read_calibration
+from palpate.estimators.estimate import NINETY, NoEstimate
+from palpate.estimators.force_scale import MASS, SHEET_FACTOR, STIFFNESS
 from tests.estimators.test_force_scale import KNOWN, METRIC, OTHER, UNKNOWN
 
 FORCE = {"force_N": 4.0, "force_sd_N": 0.2, "force_time_s": 0.5}

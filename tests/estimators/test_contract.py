@@ -13,28 +13,28 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as some
 
-from data.clip import ClipInputs, ClipStream
-from data.contact.features import FEATURES
-from data.contact.film_features import FILM_FEATURES
-from data.masks.class_table import CLASSES
-from data.masks.sources import MaskError
-from data.prepared import STATUSES, PreparedFrame
-from data.settings import PrepareSettings
-from data.source.frames import Frame
-from data.synthetic.clip import SyntheticClip, make_clip
-from data.synthetic.settings import SceneSettings
-from data.synthetic.source import SyntheticSource, _Depth, _Masks, open_synthetic
-from estimators.contract import Estimator, Said
-from estimators.direct.estimator import WHOLE
-from estimators.estimate import Estimate, FrameEstimate, InteractionEstimate, ParticleField
-from estimators.network.fits import BOUNDS, MECHANICS
-from estimators.open import NAMES, EstimatorOptions, open_estimator
-from results.columns import INTERACTIONS, interaction_values
+from palpate.data.clip import ClipInputs, ClipStream
+from palpate.data.contact.features import FEATURES
+from palpate.data.contact.sequence_features import SEQUENCE_FEATURES
+from palpate.data.masks.class_table import CLASSES
+from palpate.data.masks.sources import MaskError
+from palpate.data.prepared import STATUSES, PreparedFrame
+from palpate.data.settings import PrepareSettings
+from palpate.data.source.frames import Frame
+from palpate.data.synthetic.clip import SyntheticClip, make_clip
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.data.synthetic.source import SyntheticSource, _Depth, _Masks, open_synthetic
+from palpate.estimators.contract import Estimator, Output
+from palpate.estimators.direct.estimator import WHOLE
+from palpate.estimators.estimate import Estimate, FrameEstimate, InteractionEstimate, ParticleField
+from palpate.estimators.network.fits import BOUNDS, MECHANICS
+from palpate.estimators.open import NAMES, EstimatorOptions, open_estimator
+from palpate.results.columns import INTERACTIONS, interaction_values
 from tests.estimators.sessions import SIZE, State, clip_info, follow, linked, sorted_out, touched
 from tests.inference_inputs import metadata, write_model, write_posterior
 from tests.physics.sheets import sheet
 
-ESTIMATORS = (*NAMES, "network with depth", "network with film", "online with a volume")
+ESTIMATORS = (*NAMES, "network with depth", "network with depth-change sequence", "online with a volume")
 FPS = (25.0, 30.0)
 MESH = sheet(7, 7)
 NORMAL = np.array([0.0, 0.0, -1.0])
@@ -52,11 +52,11 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, EstimatorOption
     thick.write_text("particles: 90\nthickness: 0.1\nstrain: 0.002\n")
     document = metadata(3, **common, bounds=dataclasses.asdict(BOUNDS), mechanics=dataclasses.asdict(MECHANICS))
     write_posterior(folder / "depth.onnx", document, FEATURES)
-    write_posterior(folder / "film.onnx", document, FEATURES + FILM_FEATURES)
+    write_posterior(folder / "depth-change sequence.onnx", document, FEATURES + SEQUENCE_FEATURES)
     return {
         "network": EstimatorOptions("network"),
         "network with depth": EstimatorOptions(model=folder / "depth.onnx"),
-        "network with film": EstimatorOptions(model=folder / "film.onnx"),
+        "network with depth-change sequence": EstimatorOptions(model=folder / "depth-change sequence.onnx"),
         "gan": EstimatorOptions("gan", folder / "gan.onnx"),
         "direct": EstimatorOptions("direct", onset="stamp"),
         "online": EstimatorOptions("online", settings=coarse),
@@ -86,18 +86,18 @@ def clips(frames: list[PreparedFrame]) -> list[list[PreparedFrame]]:
 
 
 @pytest.fixture(scope="module")
-def alone(estimator: Estimator, clips: list[list[PreparedFrame]]) -> list[list[Said]]:
+def alone(estimator: Estimator, clips: list[list[PreparedFrame]]) -> list[list[Output]]:
     """What the estimator says of each clip when nothing else is open."""
     return [said_of(estimator, frames, fps) for frames, fps in zip(clips, FPS, strict=True)]
 
 
-def said_of(estimator: Estimator, frames: Iterable[PreparedFrame], fps: float = 25.0) -> list[Said]:
+def said_of(estimator: Estimator, frames: Iterable[PreparedFrame], fps: float = 25.0) -> list[Output]:
     """All that is said of a clip."""
     told, runs = follow(estimator.start(clip_info(fps)), frames)
     return [*told, *runs]
 
 
-def exactly(said: Iterable[Said]) -> list[str]:
+def exactly(said: Iterable[Output]) -> list[str]:
     """Everything that is said, to the last digit."""
     found = []
     for item in said:
@@ -113,11 +113,11 @@ def exactly(said: Iterable[Said]) -> list[str]:
 
 
 def test_sessions_side_by_side_say_what_they_say_alone(
-    estimator: Estimator, clips: list[list[PreparedFrame]], alone: list[list[Said]]
+    estimator: Estimator, clips: list[list[PreparedFrame]], alone: list[list[Output]]
 ) -> None:
     """At 25 and 30 frames a second, frame by frame in turn."""
     sessions = [estimator.start(clip_info(fps)) for fps in FPS]
-    said: list[list[Said]] = [[], []]
+    said: list[list[Output]] = [[], []]
     for pair in zip_longest(*clips):
         for session, frame, heard in zip(sessions, pair, said, strict=True):
             if frame is not None:
@@ -137,12 +137,12 @@ def test_sessions_side_by_side_say_what_they_say_alone(
     assert not np.allclose(first.estimate.theta, second.estimate.theta, rtol=1e-3)
 
 
-def fields_of(said: Iterable[Said]) -> list[ParticleField]:
+def fields_of(said: Iterable[Output]) -> list[ParticleField]:
     """Fields of stiffness of the frames that have one."""
     return [item.field for item in said if isinstance(item, FrameEstimate) and item.field is not None]
 
 
-def test_fields_are_the_online_estimator_s_alone(estimator: Estimator, alone: list[list[Said]]) -> None:
+def test_fields_are_the_online_estimator_s_alone(estimator: Estimator, alone: list[list[Output]]) -> None:
     for said in alone:
         fields = fields_of(said)
         assert (fields != []) == (estimator.name == "online")
@@ -155,7 +155,7 @@ def test_fields_are_the_online_estimator_s_alone(estimator: Estimator, alone: li
             assert ((field.shape > 0) & (field.shape < 0.02)).all()
 
 
-def test_a_stream_is_told_once_and_in_order(clips: list[list[PreparedFrame]], alone: list[list[Said]]) -> None:
+def test_a_stream_is_told_once_and_in_order(clips: list[list[PreparedFrame]], alone: list[list[Output]]) -> None:
     for frames, said in zip(clips, alone, strict=True):
         told, runs = sorted_out(said)
         assert [item.frame for item in told] == [frame.frame.number for frame in frames]
@@ -173,7 +173,7 @@ def begins(frame: PreparedFrame) -> bool:
 
 
 def test_every_estimate_has_its_verdict_its_covariance_and_its_words(
-    estimator: Estimator, alone: list[list[Said]]
+    estimator: Estimator, alone: list[list[Output]]
 ) -> None:
     said = [item for clip in alone for item in clip]
     estimates = [item.estimate for item in said if item.estimate is not None]
@@ -249,7 +249,7 @@ def test_nothing_of_a_clip_stays_with_the_estimator(estimator: Estimator, clips:
 
 
 def test_finishing_twice_or_without_frames_does_no_harm(
-    estimator: Estimator, clips: list[list[PreparedFrame]], alone: list[list[Said]]
+    estimator: Estimator, clips: list[list[PreparedFrame]], alone: list[list[Output]]
 ) -> None:
     empty = estimator.start(clip_info())
     assert [*empty.finish(), *empty.finish()] == []

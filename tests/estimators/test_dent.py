@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimators.dent import LEAST_REST, MOST_REST, DentRecorder, deepest, median_of_valid
+from palpate.estimators.dent import LEAST_REST, MOST_REST, DentRecorder, deepest, median_of_valid
 
 ROWS, COLUMNS = np.mgrid[:60, :80]
 SHAPE = np.exp(-((ROWS - 30) ** 2 + (COLUMNS - 40) ** 2) / (2 * 12.0**2))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from estimators.estimate import (
+from palpate.estimators.estimate import (
     COMBINATIONS,
     NINETY,
     REPORTED,
@@ -17,8 +17,8 @@ from estimators.estimate import (
     FrameEstimate,
     mixture,
 )
-from physics.identifiability import LIMIT
-from physics.mechanics import PARAMETERS
+from palpate.physics.identifiability import LIMIT
+from palpate.physics.mechanics import PARAMETERS
 
 THETA = np.array([0.5, 0.06, -0.1])
 CORRELATED = np.array([[0.10, 0.08, 0.05], [0.08, 0.12, 0.06], [0.05, 0.06, 0.20]])

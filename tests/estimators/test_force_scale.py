@@ -8,8 +8,8 @@ import math
 import numpy as np
 import pytest
 
-from estimators.estimate import NoEstimate
-from estimators.force_scale import (
+from palpate.estimators.estimate import NoEstimate
+from palpate.estimators.force_scale import (
     MASS,
     SHEET_FACTOR,
     STIFFNESS,
@@ -20,7 +20,7 @@ from estimators.force_scale import (
     scale_by_force,
     scale_by_stiffness,
 )
-from estimators.known_force import KnownForce
+from palpate.estimators.known_force import KnownForce
 from tests.estimators.estimates import GOOD, NONE
 
 UNKNOWN = ClipLength(1.0)

@@ -11,18 +11,18 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from data.clip import ClipStream
-from data.contact.geometry import FrameGeometry
-from data.prepared import PreparedFrame
-from data.source.frames import open_source
-from estimators import gan
-from estimators.contract import Chosen, ClipInfo
-from estimators.estimate import FrameEstimate, InteractionEstimate
-from estimators.gan import GanEstimator
-from models.onnx_session import ModelFileError, ParameterModel
-from physics.load import Press, held
-from physics.mechanics import PARAMETERS, Mechanics
-from physics.msd.simulation import simulate
+from palpate.data.clip import ClipStream
+from palpate.data.contact.geometry import FrameGeometry
+from palpate.data.prepared import PreparedFrame
+from palpate.data.source.frames import open_source
+from palpate.estimators import gan
+from palpate.estimators.contract import Chosen, ClipInfo
+from palpate.estimators.estimate import FrameEstimate, InteractionEstimate
+from palpate.estimators.gan import GanEstimator
+from palpate.models.onnx_session import ModelFileError, ParameterModel
+from palpate.physics.load import Press, held
+from palpate.physics.mechanics import PARAMETERS, Mechanics
+from palpate.physics.msd.simulation import simulate
 from tests.estimators.sessions import follow
 from tests.inference_inputs import SLOPE, THETA, metadata, write_clip, write_model
 

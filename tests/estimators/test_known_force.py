@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data.source.layout import InputError
-from estimators.estimate import NINETY, NoEstimate
-from estimators.known_force import KnownForce, fit_factor, predict_force, read_forces
+from palpate.data.source.layout import InputError
+from palpate.estimators.estimate import NINETY, NoEstimate
+from palpate.estimators.known_force import KnownForce, fit_factor, predict_force, read_forces
 
 
 def test_the_factor_is_that_of_least_squares() -> None:

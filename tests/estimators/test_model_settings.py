@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from data.contact.geometry import GeometrySettings
-from data.depth.normalise import DepthSettings
-from data.source.frames import InputError
-from estimators.contract import Chosen
-from estimators.gan import GanEstimator
-from estimators.model_settings import check_sources, preparation_settings
-from models.onnx_session import ModelFileError, ParameterModel
+from palpate.data.contact.geometry import GeometrySettings
+from palpate.data.depth.normalise import DepthSettings
+from palpate.data.source.frames import InputError
+from palpate.estimators.contract import Chosen
+from palpate.estimators.gan import GanEstimator
+from palpate.estimators.model_settings import check_sources, preparation_settings
+from palpate.models.onnx_session import ModelFileError, ParameterModel
 from tests.inference_inputs import GRID, metadata, write_model
 
 

@@ -8,11 +8,19 @@ import math
 import numpy as np
 import pytest
 
-from data.contact.interaction import Interaction
-from estimators.estimate import Estimate
-from estimators.oblique import HIDDEN_ERROR, LARGEST_ANGLE, effective_misfit, is_oblique, remark, view_angle, widened
-from physics.load import Press
-from physics.observation import Observation
+from palpate.data.contact.interaction import Interaction
+from palpate.estimators.estimate import Estimate
+from palpate.estimators.oblique import (
+    HIDDEN_ERROR,
+    LARGEST_ANGLE,
+    effective_misfit,
+    is_oblique,
+    remark,
+    view_angle,
+    widened,
+)
+from palpate.physics.load import Press
+from palpate.physics.observation import Observation
 from tests.physics.sheets import sheet
 
 MESH = sheet(5, 5)

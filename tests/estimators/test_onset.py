@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from data.contact.interaction import Interaction
-from estimators.onset import onset_error, onset_perturbations
-from physics.load import Press, held
-from physics.mesh import grid_mesh
-from physics.observation import Observation
+from palpate.data.contact.interaction import Interaction
+from palpate.estimators.onset import onset_error, onset_perturbations
+from palpate.physics.load import Press, held
+from palpate.physics.mesh import grid_mesh
+from palpate.physics.observation import Observation
 
 STEP = 0.005
 CONTACT = Interaction(

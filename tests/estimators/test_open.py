@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from estimators.open import EstimatorOptions, open_estimator
+from palpate.estimators.open import EstimatorOptions, open_estimator
 from tests.inference_inputs import write_model
 
 

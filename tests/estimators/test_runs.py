@@ -10,9 +10,18 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as some
 
-from data.prepared import OUT_OF_CONTACT, STATUSES, PreparedFrame
-from estimators.runs import NO_ONSET, NOT_FOLLOWED, OUTLINES_ALONE, PASSED, UNDECIDED, Run, RunTracker, frame_estimate
-from physics.mechanics import Mechanics
+from palpate.data.prepared import OUT_OF_CONTACT, STATUSES, PreparedFrame
+from palpate.estimators.runs import (
+    NO_ONSET,
+    NOT_FOLLOWED,
+    OUTLINES_ALONE,
+    PASSED,
+    UNDECIDED,
+    Run,
+    RunTracker,
+    frame_estimate,
+)
+from palpate.physics.mechanics import Mechanics
 from tests.estimators.sessions import State, clip_info, linked, prepared_frame, touched
 from tests.physics.sheets import sheet
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from evaluation.real.pressed import BLUR, UNIT
-from evaluation.real.pulled import PulledClip
+from palpate.evaluation.real.pressed import BLUR, UNIT
+from palpate.evaluation.real.pulled import PulledClip
 from tests.inference_inputs import encode
 
 SIZE = 240, 176

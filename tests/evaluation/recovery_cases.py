@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from evaluation.harness import Row
-from evaluation.recovery.scores import Bound
-from evaluation.recovery.suites import REGIMES, suite_clip_seed
+from palpate.evaluation.harness import Row
+from palpate.evaluation.recovery.scores import Bound
+from palpate.evaluation.recovery.suites import REGIMES, suite_clip_seed
 
 TRUTH = np.array([0.5, 0.05, -0.1])
 BY_CONTACT = Bound("contact")
@@ -14,7 +14,8 @@ BY_CONTACT = Bound("contact")
 
 
 def recovery(index: int = 0, **changes) -> Row:
-    """A clip whose θ was estimated exactly, with bounds of 0.1 for tracking noise of 0.001, and of 0.05 by its film.
+    """A clip whose θ was estimated exactly, with bounds of 0.1 for tracking noise of 0.001, and of 0.05 by its
+    sequence.
 
     Information of log θ alone [3, 3] is taken to be that of a press whose delays have no part in it.
     """

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from evaluation.benchmark import Benchmark, main
-from evaluation.harness import options
-from evaluation.recovery import constant
-from evaluation.recovery.scores import COLUMNS
-from evaluation.recovery.suites import SUITES
-from physics.doors import INTERRUPTED
+from palpate.common.doors import INTERRUPTED
+from palpate.evaluation.benchmark import Benchmark, main
+from palpate.evaluation.harness import options
+from palpate.evaluation.recovery import constant
+from palpate.evaluation.recovery.scores import COLUMNS
+from palpate.evaluation.recovery.suites import SUITES
 from tests.evaluation.recovery_cases import off_by, recovery
 
 
@@ -30,7 +30,7 @@ def evaluated(monkeypatch):
         ]
 
     monkeypatch.setattr(Benchmark, "work", staticmethod(evaluate))
-    monkeypatch.setattr("evaluation.recovery.figures.figures", lambda scores: [])
+    monkeypatch.setattr("palpate.evaluation.recovery.figures.figures", lambda scores: [])
     monkeypatch.setattr(constant, "draw_log_theta", lambda task: np.array([-1.0, -3.0, -2.5]) + 0.1 * task[0])
     return seen
 
@@ -45,7 +45,7 @@ def read(path):
 
 
 def test_tables_and_figures_are_written(tmp_path, evaluated, monkeypatch):
-    monkeypatch.setattr("evaluation.recovery.figures.figures", lambda scores: [("recovery.png", Figure())])
+    monkeypatch.setattr("palpate.evaluation.recovery.figures.figures", lambda scores: [("recovery.png", Figure())])
     assert run(tmp_path, "--suite", "clean", "8bit", "--estimator", "direct", "constant") == 0
     rows = read(tmp_path / "table.csv")
     assert tuple(rows[0]) == COLUMNS
@@ -150,7 +150,7 @@ def test_pictures_of_another_size_are_another_folder_s(tmp_path, evaluated, monk
 
 
 def chosen(*arguments):
-    return options(Benchmark, ["--output", "x", *arguments], "evaluation.benchmark", "")
+    return options(Benchmark, ["--output", "x", *arguments], "palpate.evaluation.benchmark", "")
 
 
 def test_direct_and_network_are_told_what_to_look_at():
@@ -162,7 +162,7 @@ def test_direct_and_network_are_told_what_to_look_at():
 
 
 def test_the_bound_is_chosen_after_the_clips_were_measured(tmp_path, evaluated):
-    """The film's is 0.05 and the contact's 0.1."""
+    """The depth-change sequence's is 0.05 and the contact's 0.1."""
     found = []
     for bound in ((), ("--bound", "field"), ("--bound", "contact")):
         assert run(tmp_path, *bound) == 0
@@ -208,8 +208,8 @@ def test_another_seeds_folder_is_refused(tmp_path, evaluated, capsys):
         (("--size=-854x480",), "-854x480 is no size of pictures"),
         (("--size", "８５４x480"), "８５４x480 is no size of pictures"),
         (("--size", "854x4.8e2"), "854x4.8e2 is no size of pictures"),
-        (("--observation", "film"), "film"),
-        (("--bound", "film"), "film"),
+        (("--observation", "sequence"), "sequence"),
+        (("--bound", "sequence"), "sequence"),
     ],
 )
 def test_an_option_that_takes_something_else_is_wrong_usage(tmp_path, arguments, sentence, capsys):

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from evaluation.beside_truth import main, true_values
+from palpate.evaluation.beside_truth import main, true_values
 
 THETA = {"stiffness": 0.4, "damping": 0.02, "force": -0.05}
 ROW = {

@@ -13,7 +13,8 @@ import pandas as pd
 import pytest
 from rich.progress import Progress
 
-from evaluation.harness import (
+from palpate.common.doors import INTERRUPTED
+from palpate.evaluation.harness import (
     RESULTS,
     Report,
     Row,
@@ -26,8 +27,7 @@ from evaluation.harness import (
     run,
     write,
 )
-from physics.doors import INTERRUPTED
-from results.store import OutputError
+from palpate.results.store import OutputError
 from tests.evaluation.recovery_cases import recovery
 
 KEYS = ("suite", "index", "estimator")
@@ -107,7 +107,7 @@ def test_suites_and_estimators_may_be_added(tmp_path):
 
 def test_another_version_of_the_program_is_noticed(tmp_path, monkeypatch):
     Store(tmp_path, WANTED, KEYS).append([recovery(0)])
-    monkeypatch.setattr("evaluation.harness.code_digest", lambda: "other")
+    monkeypatch.setattr("palpate.evaluation.harness.code_digest", lambda: "other")
     assert Store(tmp_path, WANTED, KEYS).outdated
 
 

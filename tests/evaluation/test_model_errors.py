@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estimators.model_errors import FILE, MODEL_ERRORS, read_entries
-from evaluation import model_errors as module
-from evaluation.harness import Row
-from evaluation.model_errors import ENOUGH, grip_errors, main, model_sd, pull_errors, updated, write_entries
-from evaluation.recovery.trial import Trial
+from palpate.estimators.model_errors import FILE, MODEL_ERRORS, read_entries
+from palpate.evaluation import model_errors as module
+from palpate.evaluation.harness import Row
+from palpate.evaluation.model_errors import ENOUGH, grip_errors, main, model_sd, pull_errors, updated, write_entries
+from palpate.evaluation.recovery.trial import Trial
 
 VALUES = vars(MODEL_ERRORS)
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import torch
 
-from physics.load import Press, held
-from physics.mechanics import Mechanics
-from physics.mesh import contact_normal, grid_mesh
-from physics.msd.batch import MeshBatch, ObservationBatch, PressBatch
+from palpate.physics.load import Press, held
+from palpate.physics.mechanics import Mechanics
+from palpate.physics.mesh import contact_normal, grid_mesh
+from palpate.physics.msd.batch import MeshBatch, ObservationBatch, PressBatch
 
 HEIGHT, WIDTH = 40, 48
 MECHANICS = Mechanics(steps=24, load_steps=8)

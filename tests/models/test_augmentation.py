@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from models.augmentation import AugmentationSettings, WindowAugmentation
+from palpate.models.augmentation import AugmentationSettings, WindowAugmentation
 
 
 def test_off_by_default():

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 import torch
 
-from data.synthetic.clip import draw_press, synthetic_clip
-from data.synthetic.settings import SceneSettings
-from data.synthetic.source import PREPARE, open_synthetic
-from estimators.contract import ClipInfo
-from evaluation.recovery.trial import observed_contacts
-from models.carried_depth import carried, change_of, shifted
-from physics.mechanics import Mechanics
-from physics.msd import rollout
-from physics.msd.batch import MeshBatch, PressBatch
+from palpate.data.synthetic.clip import draw_press, synthetic_clip
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.data.synthetic.source import PREPARE, open_synthetic
+from palpate.estimators.contract import ClipInfo
+from palpate.evaluation.recovery.trial import observed_contacts
+from palpate.models.carried_depth import carried, change_of, shifted
+from palpate.physics.mechanics import Mechanics
+from palpate.physics.msd import rollout
+from palpate.physics.msd.batch import MeshBatch, PressBatch
 
 MECHANICS = Mechanics(steps=24, load_steps=8)
 SECOND = Mechanics(scheme="dkd")

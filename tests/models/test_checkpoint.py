@@ -13,9 +13,9 @@ import pytest
 import torch
 import yaml
 
-from data.contact.features import FEATURES
-from data.contact.film_features import FILM_FEATURES
-from models.checkpoint import (
+from palpate.data.contact.features import FEATURES
+from palpate.data.contact.sequence_features import SEQUENCE_FEATURES
+from palpate.models.checkpoint import (
     CheckpointError,
     load_generator,
     load_posterior,
@@ -23,10 +23,10 @@ from models.checkpoint import (
     read_checkpoint,
     require_same_model,
 )
-from models.module import PhysicsInformedGAN
-from models.onnx_session import SHIPPED, PosteriorModel
-from models.posterior import ContactPosterior
-from physics.mechanics import RECOMMENDED, Bounds, Mechanics
+from palpate.models.module import PhysicsInformedGAN
+from palpate.models.onnx_session import SHIPPED, PosteriorModel
+from palpate.models.posterior import ContactPosterior
+from palpate.physics.mechanics import RECOMMENDED, Bounds, Mechanics
 
 SETTINGS = {
     "window": 1,
@@ -193,7 +193,7 @@ def test_a_pretrained_posterior_answers_as_it_did_with_any_picture(pretrained):
 
 def test_the_shipped_posterior_is_taken_over_as_it_was_exported() -> None:
     """The mean is the file's; the covariance is what it was before it was calibrated."""
-    posterior = ContactPosterior(FEATURES + FILM_FEATURES, torch.from_numpy(RECOMMENDED.log_box))
+    posterior = ContactPosterior(FEATURES + SEQUENCE_FEATURES, torch.from_numpy(RECOMMENDED.log_box))
     load_posterior(posterior, SHIPPED)
     contact = posterior.centre + posterior.scale * torch.randn(5, len(posterior.centre))
     mean, _, bound = PosteriorModel(SHIPPED)(contact.numpy())

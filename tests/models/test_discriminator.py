@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import nn
 
-from models.discriminator import PatchDiscriminator
+from palpate.models.discriminator import PatchDiscriminator
 
 
 def test_receptive_field_is_70_pixels():

@@ -8,8 +8,8 @@ import torch
 from scipy.linalg import sqrtm
 from torch.distributions import MultivariateNormal, kl_divergence
 
-from models.evidence import MAX_MEAN_STEP, MEAN_WEIGHT, box_prior, covering, negative_evidence
-from physics.likelihood import Linearised
+from palpate.models.evidence import MAX_MEAN_STEP, MEAN_WEIGHT, box_prior, covering, negative_evidence
+from palpate.physics.likelihood import Linearised
 
 LOWER, UPPER = (torch.log(torch.tensor(values)) for values in ([0.05, 0.005, 0.01], [1.0, 0.5, 0.3]))
 

@@ -8,9 +8,9 @@ import torch
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from models.expected_bound import MAX_LOG_DISTANCE, bound_loss
-from models.posterior import ExpectedBound
-from physics.identifiability import LIMIT, bounds, covariance, ratio_bounds
+from palpate.models.expected_bound import MAX_LOG_DISTANCE, bound_loss
+from palpate.models.posterior import ExpectedBound
+from palpate.physics.identifiability import LIMIT, bounds, covariance, ratio_bounds
 
 
 def informations(count: int, seed: int) -> np.ndarray:

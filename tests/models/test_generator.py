@@ -7,9 +7,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from models.discriminator import PatchDiscriminator
-from models.generator import Generator
-from physics.mechanics import Bounds
+from palpate.models.discriminator import PatchDiscriminator
+from palpate.models.generator import Generator
+from palpate.physics.mechanics import Bounds
 
 SMALL = {"width": 4, "residual_blocks": 1}
 

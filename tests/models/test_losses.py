@@ -7,7 +7,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models.losses import (
+from palpate.models.losses import (
     LossTerms,
     LossWeights,
     cycle_loss,
@@ -19,8 +19,8 @@ from models.losses import (
     physics_loss,
     regularisation_loss,
 )
-from physics.mechanics import Bounds, Mechanics
-from physics.msd import rollout
+from palpate.physics.mechanics import Bounds, Mechanics
+from palpate.physics.msd import rollout
 
 MECHANICS = Mechanics(steps=24, load_steps=8)
 

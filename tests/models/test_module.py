@@ -10,14 +10,14 @@ import torch
 from lightning.pytorch import Trainer
 from torch.utils.data import DataLoader
 
-from models.augmentation import AugmentationSettings
-from models.carried_depth import carried
-from models.expected_bound import bound_loss
-from models.losses import LossWeights, posterior_physics_loss
-from models.module import PhysicsInformedGAN, TrainingDiverged, with_current
-from models.posterior import ContactPosterior
-from physics.mechanics import Bounds, Mechanics
-from physics.msd.batch import DepthBatch, ObservationBatch
+from palpate.models.augmentation import AugmentationSettings
+from palpate.models.carried_depth import carried
+from palpate.models.expected_bound import bound_loss
+from palpate.models.losses import LossWeights, posterior_physics_loss
+from palpate.models.module import PhysicsInformedGAN, TrainingDiverged, with_current
+from palpate.models.posterior import ContactPosterior
+from palpate.physics.mechanics import Bounds, Mechanics
+from palpate.physics.msd.batch import DepthBatch, ObservationBatch
 
 MECHANICS = Mechanics(steps=24, load_steps=8)
 BOUNDS = Bounds(force=(-0.3, 0.0), initial=(0.5, 0.1, -0.05))
@@ -230,7 +230,7 @@ def test_a_weight_of_zero_switches_its_term_off(make_told_batch, monkeypatch, se
         "regularisation": ("regularisation_loss",),
     }
     for name in functions[term]:
-        monkeypatch.setattr(f"models.module.{name}", None)  # calling it would fail
+        monkeypatch.setattr(f"palpate.models.module.{name}", None)  # calling it would fail
     module = build(Watched, **settings | {"weights": LossWeights(**{"physics": 1.0, term: 0.0})})
     found = module.generator_losses(batch)[0].items()
     assert full[term] != 0 or term == "regularisation"  # bounded heads never leave the box
@@ -321,7 +321,7 @@ class OnePixel:
         return np.einsum("nvc,vc->nv", moved, self.along), np.einsum("nvcd,vc->nvd", slopes, self.along)
 
 
-def test_with_a_film_the_bound_is_about_the_dent(make_told_batch):
+def test_with_a_sequence_the_bound_is_about_the_dent(make_told_batch):
     """Told as a dent of one pixel, the point gives nearly the same."""
     batch = make_told_batch()
     seen = batch["known_observation_a"]

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 import torch
 
-from models.calibration import Calibration, Widths
-from models.checkpoint import CheckpointError, load_posterior
-from models.generator import Generator
-from models.onnx_calibration import calibrate
-from models.onnx_export import ParityError, export
-from models.onnx_session import ModelFileError, PosteriorModel
-from models.posterior import ContactPosterior
-from physics.mechanics import Bounds
+from palpate.models.calibration import Calibration, Widths
+from palpate.models.checkpoint import CheckpointError, load_posterior
+from palpate.models.generator import Generator
+from palpate.models.onnx_calibration import calibrate
+from palpate.models.onnx_export import ParityError, export
+from palpate.models.onnx_session import ModelFileError, PosteriorModel
+from palpate.models.posterior import ContactPosterior
+from palpate.physics.mechanics import Bounds
 
 METADATA = {"input": {"window": 1, "height": 24, "width": 40}}
 WHOLE = Widths((1.0, 2.0, 0.5), (1.0, 0.8, 0.5), (0.0, 0.2, 0.1), (0.0, 0.3, -0.2))
@@ -127,7 +127,7 @@ def test_what_can_t_be_calibrated_is_refused_and_leaves_no_file(plain: Path, tmp
     export(Generator(1, 4, 1, BOUNDS), tmp_path / "parameters.onnx", METADATA)
     with pytest.raises(ModelFileError, match="takes depth"):
         calibrate(tmp_path / "parameters.onnx", twice, Calibration(WHOLE))
-    monkeypatch.setattr("models.onnx_calibration.PARITY_TOLERANCE", -1.0)
+    monkeypatch.setattr("palpate.models.onnx_calibration.PARITY_TOLERANCE", -1.0)
     with pytest.raises(ParityError, match="differ from torch"):
         calibrate(plain, twice, Calibration(WHOLE))
     assert not twice.exists()

@@ -12,13 +12,13 @@ import onnx
 import pytest
 import torch
 
-from data.depth.photometric import build_photometric
-from models.generator import Generator
-from models.onnx_export import PARITY_TOLERANCE, ParityError, _Posterior, export, parity, require_own_model
-from models.onnx_session import METADATA_KEY, ModelFileError, ParameterModel, PosteriorModel
-from models.posterior import ContactPosterior
-from physics.mechanics import Bounds
-from physics.ownership import ForeignFile
+from palpate.common.output import ForeignFile
+from palpate.data.depth.photometric import build_photometric
+from palpate.models.generator import Generator
+from palpate.models.onnx_export import PARITY_TOLERANCE, ParityError, _Posterior, export, parity, require_own_model
+from palpate.models.onnx_session import METADATA_KEY, ModelFileError, ParameterModel, PosteriorModel
+from palpate.models.posterior import ContactPosterior
+from palpate.physics.mechanics import Bounds
 
 SIZE = (24, 40)
 METADATA = {"input": {"window": 1, "height": 24, "width": 40}}
@@ -66,7 +66,7 @@ class Blocked:
             raise ImportError(name + " is blocked")
 sys.meta_path.insert(0, Blocked())
 import numpy as np
-from models.onnx_session import ParameterModel
+from palpate.models.onnx_session import ParameterModel
 model = ParameterModel({str(path)!r})
 depth = np.load({str(tmp_path / "depth.npy")!r})
 print(json.dumps([model(depth[:batch]).tolist() for batch in (1, 2, 7)]))
@@ -79,7 +79,7 @@ print(json.dumps([model(depth[:batch]).tolist() for batch in (1, 2, 7)]))
 
 
 def test_a_file_that_differs_from_torch_is_never_left(tmp_path, monkeypatch):
-    monkeypatch.setattr("models.onnx_export.parity", lambda network, model, window: 0.01)
+    monkeypatch.setattr("palpate.models.onnx_export.parity", lambda network, model, window: 0.01)
     with pytest.raises(ParityError, match=r"differs from torch by 0\.01"):
         export(Generator(width=4, residual_blocks=0), tmp_path / "parameters.onnx", METADATA)
     assert list(tmp_path.iterdir()) == []

@@ -11,8 +11,8 @@ import onnxruntime
 import pytest
 from onnx import TensorProto, helper
 
-from data.picture_network import PictureNetwork
-from models.onnx_session import (
+from palpate.data.picture_network import PictureNetwork
+from palpate.models.onnx_session import (
     FORMAT_VERSION,
     METADATA_KEY,
     ModelFileError,

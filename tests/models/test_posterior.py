@@ -7,7 +7,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from models.posterior import ContactPosterior, evidence_loss
+from palpate.models.posterior import ContactPosterior, evidence_loss
 
 BOX = torch.tensor([[-3.0, -5.0, -4.0], [0.0, -0.7, -1.2]])
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from physics.load import Press
-from physics.mesh import Mesh
-from physics.msd.batch import MeshBatch, PressBatch
+from palpate.physics.load import Press
+from palpate.physics.mesh import Mesh
+from palpate.physics.msd.batch import MeshBatch, PressBatch
 from tests.physics.sheets import pressed
 
 

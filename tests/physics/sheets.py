@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from physics.load import Grip, Press, held
-from physics.mesh import Mesh, contact_normal, grid_mesh
-from physics.msd.simulation import simulate
+from palpate.physics.load import Grip, Press, held
+from palpate.physics.mesh import Mesh, contact_normal, grid_mesh
+from palpate.physics.msd.simulation import simulate
 
 
 def surface(height: int, width: int, depth: float = 0.5) -> np.ndarray:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimators.grip.lattice import lattice_springs
-from physics.endless_sheet import response
-from physics.sheet import equilibrium
+from palpate.estimators.grip.lattice import lattice_springs
+from palpate.physics.endless_sheet import response
+from palpate.physics.sheet import equilibrium
 
 
 @pytest.mark.parametrize("anchor", [0.01, 0.3])

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from physics.identifiability import (
+from palpate.physics.identifiability import (
     LIMIT,
     RATIOS,
     bounds,
@@ -23,8 +23,8 @@ from physics.identifiability import (
     ratio_bounds,
     verdict,
 )
-from physics.mechanics import Mechanics
-from physics.msd.simulation import simulate, simulate_sensitivities
+from palpate.physics.mechanics import Mechanics
+from palpate.physics.msd.simulation import simulate, simulate_sensitivities
 from tests.physics.sheets import pressed, sheet
 
 MECHANICS = Mechanics(time_step=0.0025, scheme="dkd")

@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from physics import jit
-from physics.jit import Kernel, say_slow
-from physics.mechanics import Mechanics
-from physics.msd.simulation import simulate, simulate_sensitivities
+from palpate.physics import jit
+from palpate.physics.jit import Kernel, say_slow
+from palpate.physics.mechanics import Mechanics
+from palpate.physics.msd.simulation import simulate, simulate_sensitivities
 from tests.physics.sheets import gripped, pressed, sheet, whole_field
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -52,8 +52,8 @@ def test_without_numba_everything_works_and_says_once_that_it_is_slower():
         import numpy as np, torch
         from test_jit import ARGUMENTS
         from tests.physics.batches import batch_of
-        from physics.msd.rollouts import rollout
-        from physics.msd.simulation import simulate, simulate_sensitivities
+        from palpate.physics.msd.rollouts import rollout
+        from palpate.physics.msd.simulation import simulate, simulate_sensitivities
         trajectory = simulate(*ARGUMENTS, dtype=np.float64)
         simulate_sensitivities(*ARGUMENTS)
         mesh, load = batch_of([ARGUMENTS[1]], [14])
@@ -127,8 +127,8 @@ def copied(tmp_path) -> Path:
 SHOW = """
     import numpy as np
     from test_jit import ARGUMENTS
-    from physics import jit
-    from physics.msd import simulation as msd_kernel
+    from palpate.physics import jit
+    from palpate.physics.msd import simulation as msd_kernel
     assert jit.__file__.startswith(FOLDER)
     print(jit.code_folder())
     print(msd_kernel.simulate(*ARGUMENTS, dtype=np.TYPE)[-1].tolist())

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 import torch
 
-from benchmarks.rollout import make_task, memory_above, take_turn
-from physics import jit
-from physics.msd.rollouts import rollout
+from palpate.benchmarks.rollout import make_task, memory_above, take_turn
+from palpate.physics import jit
+from palpate.physics.msd.rollouts import rollout
 from tests.physics.batches import batch_of
 from tests.physics.sheets import sheet
 
@@ -39,7 +39,7 @@ def test_distributed_training_has_the_gradient_of_one_process(tmp_path):
         from torch.nn.parallel import DistributedDataParallel
         from tests.physics.batches import batch_of
         from tests.physics.sheets import sheet
-        from physics.msd.rollouts import rollout
+        from palpate.physics.msd.rollouts import rollout
 
         rank = int(sys.argv[1])
         store = "file://" + sys.argv[2]

@@ -7,13 +7,13 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from physics.identifiability import fisher_information, log_jacobian
-from physics.likelihood import Likelihood
-from physics.load import Press, ramped
-from physics.mechanics import Mechanics, theta_of
-from physics.mesh import contact_normal
-from physics.msd.simulation import simulate, simulate_sensitivities
-from physics.observation import Observation
+from palpate.physics.identifiability import fisher_information, log_jacobian
+from palpate.physics.likelihood import Likelihood
+from palpate.physics.load import Press, ramped
+from palpate.physics.mechanics import Mechanics, theta_of
+from palpate.physics.mesh import contact_normal
+from palpate.physics.msd.simulation import simulate, simulate_sensitivities
+from palpate.physics.observation import Observation
 from tests.physics.sheets import pressed, sheet
 
 MECHANICS = Mechanics(time_step=0.0025, scheme="dkd")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from physics.load import Grip, Press, PressShape, held, ramped
+from palpate.physics.load import Grip, Press, PressShape, held, ramped
 from tests.physics.sheets import sheet
 
 Z = np.array([0.0, 0.0, -1.0])

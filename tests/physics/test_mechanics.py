@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from physics.mechanics import Bounds, Mechanics, UnstableConfiguration, highest_frequency, require_stable
+from palpate.physics.mechanics import Bounds, Mechanics, UnstableConfiguration, highest_frequency, require_stable
 from tests.physics.sheets import sheet
 
 

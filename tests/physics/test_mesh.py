@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from physics.mesh import contact_normal, grid_mesh, nearest_vertex
+from palpate.physics.mesh import contact_normal, grid_mesh, nearest_vertex
 from tests.physics.sheets import hand_mesh, surface
 
 

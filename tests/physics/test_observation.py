@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from physics.observation import Observation
+from palpate.physics.observation import Observation
 
 TIMES = np.array([0.1, 0.2, 0.4])
 

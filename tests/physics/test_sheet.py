@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from physics.sheet import equilibrium
+from palpate.physics.sheet import equilibrium
 
 NODES, LINKS, AXES = 12, 25, 2
 STEP = 1e-6

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from planning.press import PressCurve, blocked_out
-from planning.scene import SoftObject
+from palpate.planning.press import PressCurve, blocked_out
+from palpate.planning.scene import SoftObject
 
 
 def quick_press(kind: SoftObject, radius: float, place: np.ndarray, angle: float) -> PressCurve:

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from physics.ownership import ForeignFile
-from planning import cost_table
-from planning.cost_table import ANGLES, PLACES, CostTable, completed, digest, grid_of, mirrored, open_table
-from planning.press import PressCurve, simulate_press
-from planning.scene import SoftObject
+from palpate.common.output import ForeignFile
+from palpate.planning import cost_table
+from palpate.planning.cost_table import ANGLES, PLACES, CostTable, completed, digest, grid_of, mirrored, open_table
+from palpate.planning.press import PressCurve, simulate_press
+from palpate.planning.scene import SoftObject
 from tests.planning.cases import quick_press
 
 CURTAIN = SoftObject(size=(0.04, 0.006, 0.05), young=2e4, cells=(4, 1, 3), longest=0.01)

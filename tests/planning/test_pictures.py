@@ -7,9 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from planning.pictures import Pressed, draw_plan, force_along
-from planning.roadmap import Plan
-from planning.scene import read_plan_scene
+from palpate.planning.pictures import Pressed, draw_plan, force_along
+from palpate.planning.roadmap import Plan
+from palpate.planning.scene import read_plan_scene
 from tests.planning.cases import quick_press
 from tests.planning.test_scene import SHIPPED
 

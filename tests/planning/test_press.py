@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from physics.ownership import ForeignFile
-from planning import cost_table, open_table, simulate_press
-from planning.press import PressCurve, blocked_out
-from planning.scene import SoftObject
+from palpate.common.output import ForeignFile
+from palpate.planning import cost_table, open_table, simulate_press
+from palpate.planning.press import PressCurve, blocked_out
+from palpate.planning.scene import SoftObject
 from tests.planning.cases import quick_press
 
 KIND = SoftObject((0.02, 0.01, 0.02), 3000.0, 0.4, ("top", "bottom"), longest=0.004, cells=(2, 1, 2))

@@ -8,10 +8,10 @@ import itertools
 import numpy as np
 import pytest
 
-from planning import Blocked, CostTable, find_plan, read_plan_scene
-from planning.cost_table import grid_of, mirrored
-from planning.roadmap import EdgeCosts, _shortest
-from planning.scene import Placed, PlanScene
+from palpate.planning import Blocked, CostTable, find_plan, read_plan_scene
+from palpate.planning.cost_table import grid_of, mirrored
+from palpate.planning.roadmap import EdgeCosts, _shortest
+from palpate.planning.scene import Placed, PlanScene
 from tests.planning.test_scene import SHIPPED
 
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import yaml
 
-from data.source.layout import InputError
-from planning import read_plan_scene
-from planning.scene import Placed
+from palpate.data.source.layout import InputError
+from palpate.planning import read_plan_scene
+from palpate.planning.scene import Placed
 from tests.test_architecture import ROOT
 
 SHIPPED = ROOT / "configs" / "scenes" / "two_curtains.yaml"

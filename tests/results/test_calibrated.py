@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 import yaml
 
-from data.prepared import PreparedFrame
-from data.source.frames import Frame
-from estimators.calibration_file import read_calibration
-from estimators.estimate import GripEstimate
-from estimators.force_scale import ClipLength
-from results.calibrated import (
+from palpate.data.prepared import PreparedFrame
+from palpate.data.source.frames import Frame
+from palpate.estimators.calibration_file import read_calibration
+from palpate.estimators.estimate import GripEstimate
+from palpate.estimators.force_scale import ClipLength
+from palpate.results.calibrated import (
     CALIBRATED,
     COMPARED,
     NEWTONS,
@@ -27,9 +27,9 @@ from results.calibrated import (
     carried_from,
     comparison_sentence,
 )
-from results.plots import draw_comparison
-from results.store import own_files
-from results.writer import ClipResults
+from palpate.results.plots import draw_comparison
+from palpate.results.store import own_files
+from palpate.results.writer import ClipResults
 from tests.estimators.estimates import GOOD, NONE
 
 UNKNOWN, METRIC = ClipLength(1.0), ClipLength(0.5, 0.5)

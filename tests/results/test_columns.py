@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from estimators.estimate import FrameEstimate, GripEstimate, InteractionEstimate
-from physics.identifiability import bounds
-from results.columns import FRAMES, INTERACTIONS, interaction_values, row
+from palpate.estimators.estimate import FrameEstimate, GripEstimate, InteractionEstimate
+from palpate.physics.identifiability import bounds
+from palpate.results.columns import FRAMES, INTERACTIONS, interaction_values, row
 from tests.estimators.estimates import ESTIMATE, GOOD, frame_in_contact
 
 PROMISED = (

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from data.labels import TOOL
-from estimators.estimate import FrameEstimate, ParticleField
-from results.columns import FIELD, FRAMES, row
-from results.field_file import FieldFile
-from results.field_overlay import MIDDLE, OPACITY, SOFT, STIFF, colors, draw_field
-from results.writer import ClipResults
+from palpate.data.labels import TOOL
+from palpate.estimators.estimate import FrameEstimate, ParticleField
+from palpate.results.columns import FIELD, FRAMES, row
+from palpate.results.field_file import FieldFile
+from palpate.results.field_overlay import MIDDLE, OPACITY, SOFT, STIFF, colors, draw_field
+from palpate.results.writer import ClipResults
 from tests.results.fields import FIELD_SEEN
 from tests.results.test_writer import FRAME, SIZE
 

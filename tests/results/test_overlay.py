@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 import pytest
 
-from estimators.estimate import FrameEstimate
-from results import overlay
-from results.columns import UNITS
-from results.overlay import canvas_size, draw_overlay, open_video, shade, text, text_width, wrap_text
-from results.verdicts import COLORS
+from palpate.estimators.estimate import FrameEstimate
+from palpate.results import overlay
+from palpate.results.columns import UNITS
+from palpate.results.overlay import canvas_size, draw_overlay, open_video, shade, text, text_width, wrap_text
+from palpate.results.verdicts import COLORS
 from tests.estimators.estimates import frame_in_contact
 
 SIZE = (640, 360)

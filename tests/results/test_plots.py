@@ -16,12 +16,12 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 
-from estimators.estimate import FrameEstimate, GripEstimate, InteractionEstimate
-from estimators.grip.stiffness_field import StiffnessField
-from physics.load import held
-from results.columns import UNITS
-from results.plots import INK, MOST_PANELS, NOTICE, OBSERVED, draw_fits, draw_summary, write_figure
-from results.verdicts import COLORS, state
+from palpate.estimators.estimate import FrameEstimate, GripEstimate, InteractionEstimate
+from palpate.estimators.grip.stiffness_field import StiffnessField
+from palpate.physics.load import held
+from palpate.results.columns import UNITS
+from palpate.results.plots import INK, MOST_PANELS, NOTICE, OBSERVED, draw_fits, draw_summary, write_figure
+from palpate.results.verdicts import COLORS, state
 from tests.estimators.estimates import CONTACT, ESTIMATE, GOOD, LOAD_STEPS, MECHANICS, NONE, frame_in_contact
 from tests.results.fields import FIELD_SEEN, PULL, TIMES
 

@@ -11,20 +11,20 @@ from typing import Any
 
 import pytest
 
-from data.clip import ClipStream
-from data.depth.normalise import DepthSettings
-from data.settings import PrepareSettings
-from data.source.frames import open_source
-from data.source.layout import ClipLayout
-from estimators.contract import Chosen, ClipInfo
-from estimators.estimate import FrameEstimate
-from estimators.gan import GanEstimator
-from estimators.model_settings import preparation_settings
-from estimators.open import EstimatorOptions, open_estimator
-from models.calibration import Calibration, Widths
-from models.onnx_session import ParameterModel, PosteriorModel
-from results import record as recording
-from results.record import (
+from palpate.data.clip import ClipStream
+from palpate.data.depth.normalise import DepthSettings
+from palpate.data.settings import PrepareSettings
+from palpate.data.source.frames import open_source
+from palpate.data.source.layout import ClipLayout
+from palpate.estimators.contract import Chosen, ClipInfo
+from palpate.estimators.estimate import FrameEstimate
+from palpate.estimators.gan import GanEstimator
+from palpate.estimators.model_settings import preparation_settings
+from palpate.estimators.open import EstimatorOptions, open_estimator
+from palpate.models.calibration import Calibration, Widths
+from palpate.models.onnx_session import ParameterModel, PosteriorModel
+from palpate.results import record as recording
+from palpate.results.record import (
     UNCALIBRATED,
     build_record,
     depends_on,
@@ -34,8 +34,8 @@ from results.record import (
     versions,
     warnings_of,
 )
-from results.store import write_record
-from results.writer import ClipResults
+from palpate.results.store import write_record
+from palpate.results.writer import ClipResults
 from tests.inference_inputs import metadata, write_clip, write_model, write_posterior
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from results.spool import FrameSpool, Waiting
+from palpate.results.spool import FrameSpool, Waiting
 from tests.estimators.estimates import frame_in_contact
 
 ESTIMATE = frame_in_contact("undetermined", (0.25, 0.125, -2.0), contact=True)

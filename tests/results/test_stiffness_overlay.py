@@ -6,11 +6,11 @@ import dataclasses
 
 import numpy as np
 
-from data.labels import TISSUE, TOOL
-from estimators.estimate import GripEstimate
-from estimators.grip.stiffness_field import StiffnessField
-from results.field_overlay import OPACITY, colors
-from results.stiffness_overlay import DARKENED, KNOWN, LOOSE, UNKNOWN, stiffness_map
+from palpate.data.labels import TISSUE, TOOL
+from palpate.estimators.estimate import GripEstimate
+from palpate.estimators.grip.stiffness_field import StiffnessField
+from palpate.results.field_overlay import OPACITY, colors
+from palpate.results.stiffness_overlay import DARKENED, KNOWN, LOOSE, UNKNOWN, stiffness_map
 
 HEIGHT, WIDTH = 96, 192
 GREY = 100

@@ -16,8 +16,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from results import store as result_store
-from results.store import (
+from palpate.results import store as result_store
+from palpate.results.store import (
     FIT,
     MARKER,
     OVERLAY,

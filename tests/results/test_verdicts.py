@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from estimators.estimate import FrameEstimate
-from results.verdicts import COLORS, MEANINGS, digits, is_far, numbers, state
+from palpate.estimators.estimate import FrameEstimate
+from palpate.results.verdicts import COLORS, MEANINGS, digits, is_far, numbers, state
 
 VALUES = {
     **dict.fromkeys(("stiffness_sd", "damping_sd", "force_sd"), 0.0123),

@@ -12,16 +12,16 @@ import cv2
 import numpy as np
 import pytest
 
-from data.labels import TISSUE
-from data.prepared import PreparedFrame
-from data.source.frames import Frame
-from estimators.estimate import GripEstimate
-from estimators.known_force import KnownForce
-from results.columns import FORCES, FRAMES, INTERACTIONS
-from results.plots import MOST_PANELS
-from results.store import PROGRAM, OutputError, is_up_to_date, own_files, partial_folder, read_record
-from results.verdicts import state
-from results.writer import ClipResults
+from palpate.data.labels import TISSUE
+from palpate.data.prepared import PreparedFrame
+from palpate.data.source.frames import Frame
+from palpate.estimators.estimate import GripEstimate
+from palpate.estimators.known_force import KnownForce
+from palpate.results.columns import FORCES, FRAMES, INTERACTIONS
+from palpate.results.plots import MOST_PANELS
+from palpate.results.store import PROGRAM, OutputError, is_up_to_date, own_files, partial_folder, read_record
+from palpate.results.verdicts import state
+from palpate.results.writer import ClipResults
 from tests.estimators.estimates import GOOD, NONE, frame_in_contact
 from tests.results.fields import PULL
 from tests.results.test_stiffness_overlay import field_of, grip_of
@@ -184,7 +184,7 @@ def test_an_interruption_while_files_are_moved_ends_with_the_new_results(
             raise KeyboardInterrupt
         replace(source, target)
 
-    monkeypatch.setattr("results.store.os.replace", interrupt)
+    monkeypatch.setattr("palpate.results.store.os.replace", interrupt)
     with pytest.raises(KeyboardInterrupt):
         write_clip(folder, "second")
     assert left[0] < 0

@@ -8,8 +8,8 @@ import math
 import numpy as np
 import pytest
 
-from data.contact import coupling as module
-from data.contact.coupling import FEWEST, Beside, log_ratio
+from palpate.data.contact import coupling as module
+from palpate.data.contact.coupling import FEWEST, Beside, log_ratio
 
 WAY = np.array([3.0, -1.0])
 

@@ -8,22 +8,22 @@ import cv2
 import numpy as np
 import pytest
 
-from data.contact import depth_change as changes
-from data.contact.dents import EARLIER, EARLY, LATE, LEAST_REST, RECOVERS, DentContacts, dent_geometry
-from data.contact.film import REACH
-from data.contact.geometry import NO_DENT, GeometrySettings, GeometryStatus, RestTissue
-from data.contact.interaction import Interaction
-from data.labels import TISSUE, TOOL
-from data.prepared import PreparedFrame
-from data.settings import PrepareSettings
-from data.source.camera import Camera
-from data.source.frames import Frame
-from data.synthetic.clip import SyntheticClip, make_clip, synthetic_clip
-from data.synthetic.settings import SceneSettings
-from data.synthetic.source import open_synthetic
-from data.synthetic.truth import PressedMotion
-from estimators.contract import ClipInfo
-from evaluation.recovery.trial import observed_contacts
+from palpate.data.contact import depth_change as changes
+from palpate.data.contact.dents import EARLIER, EARLY, LATE, LEAST_REST, RECOVERS, DentContacts, dent_geometry
+from palpate.data.contact.depth_sequence import REACH
+from palpate.data.contact.geometry import NO_DENT, GeometrySettings, GeometryStatus, RestTissue
+from palpate.data.contact.interaction import Interaction
+from palpate.data.labels import TISSUE, TOOL
+from palpate.data.prepared import PreparedFrame
+from palpate.data.settings import PrepareSettings
+from palpate.data.source.camera import Camera
+from palpate.data.source.frames import Frame
+from palpate.data.synthetic.clip import SyntheticClip, make_clip, synthetic_clip
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.data.synthetic.source import open_synthetic
+from palpate.data.synthetic.truth import PressedMotion
+from palpate.estimators.contract import ClipInfo
+from palpate.evaluation.recovery.trial import observed_contacts
 
 UNSEEN = SceneSettings(width=214, height=120, frames=36, tool_in_view=False, depth_noise=0.001)
 MOTION = PrepareSettings(geometry=GeometrySettings(smoothing=4.0, rigid_motion="subtract", contact="motion"))
@@ -65,8 +65,8 @@ def test_a_drawn_press_without_a_tool_is_found_where_and_when_it_was(clip: Synth
     true = clip.scene.mesh.vertices[clip.scene.vertex, 2]
     assert first.mesh.vertices[first.vertex, 2] == pytest.approx(true, abs=0.002)
     assert contact.moved[:, 2].max() == pytest.approx(motion.contact[:, 2].max(), abs=0.003)
-    assert contact.film is not None
-    assert np.isfinite(contact.film.change[:, REACH, REACH]).all()
+    assert contact.sequence is not None
+    assert np.isfinite(contact.sequence.change[:, REACH, REACH]).all()
 
 
 def still(settings: SceneSettings, seed: int) -> SyntheticClip:

@@ -10,14 +10,14 @@ import cv2
 import numpy as np
 import pytest
 
-from data.clip import ClipStream
-from data.contact.evidence import PRIOR, SURE, THRESHOLD, ContactEvidence
-from data.labels import TISSUE, TOOL
-from data.prepared import PreparedFrame
-from data.settings import PrepareSettings
-from data.source.frames import Frame, open_source
-from data.synthetic.clip import clip_seed, write_clip
-from data.synthetic.settings import SceneSettings
+from palpate.data.clip import ClipStream
+from palpate.data.contact.evidence import PRIOR, SURE, THRESHOLD, ContactEvidence
+from palpate.data.labels import TISSUE, TOOL
+from palpate.data.prepared import PreparedFrame
+from palpate.data.settings import PrepareSettings
+from palpate.data.source.frames import Frame, open_source
+from palpate.data.synthetic.clip import clip_seed, write_clip
+from palpate.data.synthetic.settings import SceneSettings
 
 HEIGHT, WIDTH = 280, 440
 TIP = np.array([160.0, 140.0])

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from data.contact.features import (
+from palpate.data.contact.features import (
     FEATURES,
     SLOTS,
     contact_features,
@@ -16,10 +16,10 @@ from data.contact.features import (
     join_features,
     slot_times,
 )
-from data.contact.interaction import Interaction
-from physics.load import Press, held
-from physics.mesh import grid_mesh
-from physics.observation import Observation
+from palpate.data.contact.interaction import Interaction
+from palpate.physics.load import Press, held
+from palpate.physics.mesh import grid_mesh
+from palpate.physics.observation import Observation
 
 
 @pytest.fixture

@@ -10,15 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from data.contact.geometry import (
+from palpate.data.contact.geometry import (
     GeometrySettings,
     GeometryStatus,
     find_contact,
     force_direction,
     frame_geometry,
 )
-from data.source.camera import Camera, Undistortion, back_project, load_camera
-from data.source.layout import InputError
+from palpate.data.source.camera import Camera, Undistortion, back_project, load_camera
+from palpate.data.source.layout import InputError
 
 CAMERA = Camera(100.0, 110.0, 31.5, 23.5, 64, 48)
 SETTINGS = GeometrySettings(height=48, width=64)

@@ -13,18 +13,18 @@ import cv2
 import numpy as np
 import pytest
 
-from data.cache import PreparedClip
-from data.clip import ClipStream
-from data.contact.interaction import Interaction
-from data.settings import PrepareSettings
-from data.source.frames import open_source
-from data.synthetic.clip import make_clip
-from data.synthetic.settings import SceneSettings
-from data.synthetic.source import open_synthetic
-from data.training.samples import SampleSettings, builder_of
-from estimators.contract import ClipInfo
-from estimators.runs import Run, RunTracker
-from physics.mechanics import Mechanics
+from palpate.data.cache import PreparedClip
+from palpate.data.clip import ClipStream
+from palpate.data.contact.interaction import Interaction
+from palpate.data.settings import PrepareSettings
+from palpate.data.source.frames import open_source
+from palpate.data.synthetic.clip import make_clip
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.data.synthetic.source import open_synthetic
+from palpate.data.training.samples import SampleSettings, builder_of
+from palpate.estimators.contract import ClipInfo
+from palpate.estimators.runs import Run, RunTracker
+from palpate.physics.mechanics import Mechanics
 from tests.data.clips import GRID, HEIGHT, SETTINGS, WIDTH, remove_frame, stored, write_clip
 
 MECHANICS = Mechanics()
@@ -74,11 +74,11 @@ def require_same(first: Interaction, second: Interaction) -> None:
         for field, value in ours.items():
             np.testing.assert_array_equal(value, theirs[field], err_msg=f"{name}.{field}", strict=True)
     assert first.time_step == second.time_step
-    assert (first.film is None) == (second.film is None)
-    if first.film is not None and second.film is not None:
-        assert (first.film.noise, first.film.size) == (second.film.noise, second.film.size)
-        np.testing.assert_array_equal(first.film.times, second.film.times)
-        np.testing.assert_array_equal(first.film.change, second.film.change, strict=True)
+    assert (first.sequence is None) == (second.sequence is None)
+    if first.sequence is not None and second.sequence is not None:
+        assert (first.sequence.noise, first.sequence.size) == (second.sequence.noise, second.sequence.size)
+        np.testing.assert_array_equal(first.sequence.times, second.sequence.times)
+        np.testing.assert_array_equal(first.sequence.change, second.sequence.change, strict=True)
 
 
 def require_one_builder(runs: dict[int, Run], prepared: PreparedClip, settings: PrepareSettings) -> None:
@@ -87,7 +87,7 @@ def require_one_builder(runs: dict[int, Run], prepared: PreparedClip, settings: 
     onsets = np.flatnonzero(prepared.track_start == np.arange(len(prepared))).tolist()
     assert onsets == list(runs)
     for onset, run in runs.items():
-        batch = builder_of(prepared, onset, samples, film_until=len(prepared) - 1)
+        batch = builder_of(prepared, onset, samples, sequence_until=len(prepared) - 1)
         assert (run.builder.pressed, run.builder.load_seconds) == (batch.pressed, batch.load_seconds)
         for horizon in (None, 3, "press"):
             for until in (None, *(0.04 * count for count in (0, 3, 4, 9))):
@@ -124,7 +124,7 @@ def test_a_noisy_synthetic_clip_whose_drift_is_subtracted(tmp_path: Path) -> Non
     clip = open_synthetic(make_clip(scene, 4), settings)
     runs = tracked(clip)
     assert [run.builder.noise > 0 for run in runs.values()] == [True]
-    assert [len(run.builder.build(MECHANICS).film.times) > 5 for run in runs.values()] == [True]
+    assert [len(run.builder.build(MECHANICS).sequence.times) > 5 for run in runs.values()] == [True]
     require_one_builder(runs, stored(clip, tmp_path), settings)
 
 

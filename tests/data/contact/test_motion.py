@@ -9,14 +9,14 @@ import cv2
 import numpy as np
 import pytest
 
-from data.contact.geometry import TISSUE, TOOL, GeometrySettings, frame_geometry, move_contact
-from data.contact.motion import DENTED, LOST, ContactMotion
-from data.contact.refinement import REFINE_FRAMES, pressed_pixel
-from data.prepared import PreparedFrame
-from data.settings import PrepareSettings
-from data.source.camera import Camera
-from data.source.frames import Frame
-from physics.mesh import contact_normal
+from palpate.data.contact.geometry import TISSUE, TOOL, GeometrySettings, frame_geometry, move_contact
+from palpate.data.contact.motion import DENTED, LOST, ContactMotion
+from palpate.data.contact.refinement import REFINE_FRAMES, pressed_pixel
+from palpate.data.prepared import PreparedFrame
+from palpate.data.settings import PrepareSettings
+from palpate.data.source.camera import Camera
+from palpate.data.source.frames import Frame
+from palpate.physics.mesh import contact_normal
 
 HEIGHT, WIDTH = 48, 64
 CAMERA = Camera(80.0, 80.0, 31.5, 23.5, WIDTH, HEIGHT)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from data.contact.geometry import TISSUE, TOOL
-from data.contact.outlines import frayed_share, inside, near, tool_depth, uncover
+from palpate.data.contact.geometry import TISSUE, TOOL
+from palpate.data.contact.outlines import frayed_share, inside, near, tool_depth, uncover
 
 NOISE = 0.001
 SHAPE = (20, 24)

@@ -6,18 +6,18 @@ import cv2
 import numpy as np
 import pytest
 
-from data.contact.film import REACH
-from data.contact.interaction import Interaction
-from data.contact.patches import LARGEST_SHIFT, MOST_SAMPLES, Patches, focal_length, footprint
-from data.source.camera import Camera, back_project
-from data.synthetic.clip import draw_press, synthetic_clip
-from data.synthetic.scene import Scene
-from data.synthetic.settings import SceneSettings
-from data.synthetic.source import PREPARE, open_synthetic
-from data.synthetic.truth import TrueMotion
-from estimators.contract import ClipInfo
-from evaluation.recovery.trial import observed_contacts
-from physics.mesh import Mesh, grid_mesh
+from palpate.data.contact.depth_sequence import REACH
+from palpate.data.contact.interaction import Interaction
+from palpate.data.contact.patches import LARGEST_SHIFT, MOST_SAMPLES, Patches, focal_length, footprint
+from palpate.data.source.camera import Camera, back_project
+from palpate.data.synthetic.clip import draw_press, synthetic_clip
+from palpate.data.synthetic.scene import Scene
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.data.synthetic.source import PREPARE, open_synthetic
+from palpate.data.synthetic.truth import TrueMotion
+from palpate.estimators.contract import ClipInfo
+from palpate.evaluation.recovery.trial import observed_contacts
+from palpate.physics.mesh import Mesh, grid_mesh
 
 WIDTH, HEIGHT = 64, 48
 CAMERA = Camera(fx=90.0, fy=80.0, cx=30.5, cy=21.0, width=WIDTH, height=HEIGHT)
@@ -81,7 +81,7 @@ def samples_of(size: tuple[int, int]) -> np.ndarray:
 
 
 def window_pixels() -> np.ndarray:
-    """Row and column of every pixel of a film from the contact, shape [P, 2]."""
+    """Row and column of every pixel of a depth-change sequence from the contact, shape [P, 2]."""
     return np.mgrid[-REACH : REACH + 1, -REACH : REACH + 1].reshape(2, -1).T
 
 
@@ -377,32 +377,32 @@ def clip_of(seed: int, size: tuple[int, int]) -> tuple[Interaction, Scene, TrueM
 
 
 def truly_shown(contact: Interaction, scene: Scene, motion: TrueMotion) -> np.ndarray:
-    """What the patches say of the true motion, shape of the film's change."""
-    film = contact.film
-    assert film is not None
-    frames = motion.onset_frame + np.rint(film.times * scene.settings.fps).astype(int)
+    """What the patches say of the true motion, shape of the depth-change sequence's change."""
+    sequence = contact.sequence
+    assert sequence is not None
+    frames = motion.onset_frame + np.rint(sequence.times * scene.settings.fps).astype(int)
     whole = np.zeros((len(frames), len(scene.mesh.vertices), 3))
     whole[:, motion.moving] = motion.field[frames]
-    patches = Patches(scene.mesh, scene.vertex, film.size)
+    patches = Patches(scene.mesh, scene.vertex, sequence.size)
     moved = whole[:, patches.vertices]
-    return patches.shown(patches.sunk(moved), patches.covering(moved)).reshape(film.change.shape)
+    return patches.shown(patches.sunk(moved), patches.covering(moved)).reshape(sequence.change.shape)
 
 
 @pytest.mark.parametrize("seed", [2])
 def test_rendered_clips_show_what_patches_say(seed: int) -> None:
     contact, scene, motion = clip_of(seed, (214, 120))
     np.testing.assert_array_equal(contact.mesh.pixels[contact.vertex], scene.mesh.pixels[scene.vertex])
-    assert contact.film is not None
-    assert contact.film.size == (214, 120)
+    assert contact.sequence is not None
+    assert contact.sequence.size == (214, 120)
     expected = truly_shown(contact, scene, motion)
     assert np.isfinite(expected).all()
     assert expected.max() > 0.02
-    seen = np.isfinite(contact.film.change)
-    under = contact.film.times < motion.load_seconds - 1e-6
+    seen = np.isfinite(contact.sequence.change)
+    under = contact.sequence.times < motion.load_seconds - 1e-6
     assert not seen[under].all(axis=(1, 2)).any()  # the tool is in the way
     assert seen[~under].all()
     assert seen.mean() > 0.85
-    np.testing.assert_allclose(contact.film.change[seen], expected[seen], atol=1e-4)
+    np.testing.assert_allclose(contact.sequence.change[seen], expected[seen], atol=1e-4)
 
 
 @pytest.mark.slow
@@ -410,8 +410,8 @@ def test_rendered_clips_show_what_patches_say(seed: int) -> None:
 def test_patches_ends_are_where_the_renderers_are(seed: int, size: tuple[int, int]) -> None:
     """All but a few pixels at a dent's walls, whose samples lie at the end of a patch, agree."""
     contact, scene, motion = clip_of(seed, size)
-    assert contact.film is not None
-    apart = np.abs(contact.film.change - truly_shown(contact, scene, motion))
+    assert contact.sequence is not None
+    apart = np.abs(contact.sequence.change - truly_shown(contact, scene, motion))
     apart = apart[np.isfinite(apart)]
     assert (apart > 3e-4).mean() < 0.02
     assert np.sqrt(np.square(apart).mean()) < 4e-4

@@ -6,12 +6,12 @@ import cv2
 import numpy as np
 import pytest
 
-from data.contact.geometry import TISSUE, TOOL, GeometrySettings, RestTissue, frame_geometry
-from data.contact.rest_depth import FRAMES, RestDepth
-from data.labels import OTHER
-from data.prepared import PreparedFrame
-from data.source.camera import Camera
-from data.source.frames import Frame
+from palpate.data.contact.geometry import TISSUE, TOOL, GeometrySettings, RestTissue, frame_geometry
+from palpate.data.contact.rest_depth import FRAMES, RestDepth
+from palpate.data.labels import OTHER
+from palpate.data.prepared import PreparedFrame
+from palpate.data.source.camera import Camera
+from palpate.data.source.frames import Frame
 
 HEIGHT, WIDTH = 60, 80
 ROWS, COLUMNS = np.mgrid[:HEIGHT, :WIDTH]

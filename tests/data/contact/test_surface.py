@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from data.contact.surface import smooth_surface
+from palpate.data.contact.surface import smooth_surface
 
 ROWS, COLUMNS = np.mgrid[:40, :60]
 PLANE = (0.5 + 0.002 * COLUMNS - 0.001 * ROWS).astype(np.float32)

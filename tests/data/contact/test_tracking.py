@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from data.contact import tracking
-from data.contact.tracking import TissueTracker
+from palpate.data.contact import tracking
+from palpate.data.contact.tracking import TissueTracker
 
 HEIGHT, WIDTH = 240, 320
 

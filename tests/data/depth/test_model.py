@@ -13,11 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from onnx import TensorProto, helper, numpy_helper
 
-from data.depth.model import DepthModel, place, preprocess
-from data.depth.normalise import DepthSettings, estimate_scale, open_depth
-from data.depth.preset import DepthPreset, load_preset
-from data.source.frames import Frame, FrameSource
-from data.source.layout import ClipLayout, InputError
+from palpate.data.depth.model import DepthModel, place, preprocess
+from palpate.data.depth.normalise import DepthSettings, estimate_scale, open_depth
+from palpate.data.depth.preset import DepthPreset, load_preset
+from palpate.data.source.frames import Frame, FrameSource
+from palpate.data.source.layout import ClipLayout, InputError
 
 HEIGHT, WIDTH = 48, 80
 GREY = np.broadcast_to(np.linspace(51, 204, WIDTH).round().astype(np.uint8)[:, None], (HEIGHT, WIDTH, 3))

@@ -12,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from data.depth.model import RawDepth
-from data.depth.normalise import DepthSettings, estimate_scale, normalise, open_depth, resize_depth
-from data.depth.sources import DepthSource, StoredDepth, check_map, positive
-from data.source.frames import Frame, FrameSource, open_source
-from data.source.layout import ClipLayout, InputError
+from palpate.data.depth.model import RawDepth
+from palpate.data.depth.normalise import DepthSettings, estimate_scale, normalise, open_depth, resize_depth
+from palpate.data.depth.sources import DepthSource, StoredDepth, check_map, positive
+from palpate.data.source.frames import Frame, FrameSource, open_source
+from palpate.data.source.layout import ClipLayout, InputError
 
 
 class Frames(FrameSource):

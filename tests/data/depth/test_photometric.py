@@ -10,8 +10,8 @@ import numpy as np
 import onnxruntime
 import pytest
 
-from data.depth.photometric import DARKEST, SHIPPED, build_photometric, write_photometric
-from physics.ownership import ForeignFile
+from palpate.common.output import ForeignFile
+from palpate.data.depth.photometric import DARKEST, SHIPPED, build_photometric, write_photometric
 
 HEIGHT, WIDTH = 240, 428
 HALF = math.tan(math.radians(30))

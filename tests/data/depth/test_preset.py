@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from data.depth.preset import DepthPreset, load_preset, preset_names, resolve_model
-from data.source.layout import InputError
+from palpate.data.depth.preset import DepthPreset, load_preset, preset_names, resolve_model
+from palpate.data.source.layout import InputError
 
 SHIPPED = [
     "depth-anything-v2",

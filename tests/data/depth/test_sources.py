@@ -11,15 +11,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from data.depth.sources import (
+from palpate.data.depth.sources import (
     StoredDepth,
     check_map,
     from_inverse,
     from_relative_inverse,
     positive,
 )
-from data.source.frames import Frame
-from data.source.layout import ClipLayout, InputError
+from palpate.data.source.frames import Frame
+from palpate.data.source.layout import ClipLayout, InputError
 
 HEIGHT, WIDTH = 24, 32
 RAMP = np.broadcast_to(np.linspace(0.25, 0.75, WIDTH), (HEIGHT, WIDTH)).astype(np.float32)

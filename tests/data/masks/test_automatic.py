@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from data.masks.automatic import (
+from palpate.data.masks.automatic import (
     AutomaticMasks,
     band_values,
     brightest_channel,
@@ -15,10 +15,10 @@ from data.masks.automatic import (
     picture_field,
     redness,
 )
-from data.masks.instrument_bands import Band, find_bands, straight_edges
-from data.masks.sources import AnnotationMasks, MaskClasses
-from data.source.frames import Frame, open_source
-from data.source.layout import ClipLayout
+from palpate.data.masks.instrument_bands import Band, find_bands, straight_edges
+from palpate.data.masks.sources import AnnotationMasks, MaskClasses
+from palpate.data.source.frames import Frame, open_source
+from palpate.data.source.layout import ClipLayout
 
 HEIGHT, WIDTH = 360, 640
 

@@ -10,10 +10,10 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from data.masks.onnx import OnnxMasks
-from data.masks.sources import MaskClasses, mask_model, open_masks
-from data.source.frames import Frame
-from data.source.layout import ClipLayout, InputError
+from palpate.data.masks.onnx import OnnxMasks
+from palpate.data.masks.sources import MaskClasses, mask_model, open_masks
+from palpate.data.source.frames import Frame
+from palpate.data.source.layout import ClipLayout, InputError
 
 WEIGHTS = np.array([[0, 0, 0], [8, -8, 0], [-8, 8, 0]], np.float32)
 """Class logits from (R, G, B): 0 other, 1 rises with red over green, 2 with green over red."""

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from data.masks.automatic import AutomaticMasks
-from data.masks.class_table import CLASSES
-from data.masks.sources import (
+from palpate.data.masks.automatic import AutomaticMasks
+from palpate.data.masks.class_table import CLASSES
+from palpate.data.masks.sources import (
     AnnotationMasks,
     MaskClasses,
     MaskError,
@@ -21,8 +21,8 @@ from data.masks.sources import (
     read_class_mask,
     read_label_mask,
 )
-from data.source.frames import Frame, open_source
-from data.source.layout import ClipLayout, InputError, load_layout
+from palpate.data.source.frames import Frame, open_source
+from palpate.data.source.layout import ClipLayout, InputError, load_layout
 
 LAYOUT, CLASSES_USED = ClipLayout(), MaskClasses()
 SIZE = (20, 30)

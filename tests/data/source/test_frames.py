@@ -16,11 +16,11 @@ import cv2
 import numpy as np
 import pytest
 
-from data.source import frames
-from data.source.camera import load_camera
-from data.source.frames import FrameFolder, VideoFile, discover, open_source
-from data.source.images import read_image
-from data.source.layout import ClipLayout, InputError, load_layout
+from palpate.data.source import frames
+from palpate.data.source.camera import load_camera
+from palpate.data.source.frames import FrameFolder, VideoFile, discover, open_source
+from palpate.data.source.images import read_image
+from palpate.data.source.layout import ClipLayout, InputError, load_layout
 
 LAYOUT = ClipLayout()
 CHECKOUT = Path(__file__).resolve().parents[3]
@@ -329,7 +329,7 @@ def test_other_pictures_are_not_unpacked_either(tmp_path):
     program = f"""
 import re
 from pathlib import Path
-from data.source.images import read_image
+from palpate.data.source.images import read_image
 try:
     read_image(Path({str(tmp_path / "large.jpg")!r}))
 except ValueError as error:
@@ -344,7 +344,7 @@ except ValueError as error:
 
 def test_a_video_that_declares_more_than_anybody_takes_is_not_decoded(tmp_path, monkeypatch):
     path = make_video(tmp_path / "v.avi", 3)
-    monkeypatch.setattr("data.source.images.MOST_PIXELS", 64 * 48 - 1)
+    monkeypatch.setattr("palpate.data.source.images.MOST_PIXELS", 64 * 48 - 1)
     with pytest.raises(InputError, match=r"v\.avi is 64x48, more than .* million pixels; store it smaller"):
         open_source(path, LAYOUT)
 

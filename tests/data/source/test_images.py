@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import pytest
 
-from data.source.images import read_image
-from data.source.layout import InputError
+from palpate.data.source.images import read_image
+from palpate.data.source.layout import InputError
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg"])

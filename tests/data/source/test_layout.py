@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from data.source.camera import Camera, clip_camera, load_camera
-from data.source.layout import (
+from palpate.data.source.camera import Camera, clip_camera, load_camera
+from palpate.data.source.layout import (
     ClipLayout,
     InputError,
     clip_folder,

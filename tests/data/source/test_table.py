@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data.source.layout import InputError
-from data.source.table import read_columns, reason
+from palpate.data.source.layout import InputError
+from palpate.data.source.table import read_columns, reason
 
 
 def test_columns_come_in_the_order_that_is_asked_for(tmp_path: Path) -> None:

@@ -17,18 +17,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from data.depth.normalise import DepthSettings, open_depth
-from data.masks.class_table import CLASSES
-from data.masks.sources import MaskClasses, open_masks
-from data.source.frames import discover, open_source
-from data.source.layout import ClipLayout
-from data.synthetic import clip as clips
-from data.synthetic.__main__ import field_help, main, picture_size
-from data.synthetic.clip import MARKER, SyntheticClip, clip_seed, folder_start, make_clip, write_clip
-from data.synthetic.files import open_video
-from data.synthetic.settings import SceneSettings
-from data.training.cholecseg8k import join_folders, list_clips
-from physics.files import file_sha256
+from palpate.common.files import file_sha256
+from palpate.data.depth.normalise import DepthSettings, open_depth
+from palpate.data.masks.class_table import CLASSES
+from palpate.data.masks.sources import MaskClasses, open_masks
+from palpate.data.source.frames import discover, open_source
+from palpate.data.source.layout import ClipLayout
+from palpate.data.synthetic import clip as clips
+from palpate.data.synthetic.__main__ import field_help, main, picture_size
+from palpate.data.synthetic.clip import MARKER, SyntheticClip, clip_seed, folder_start, make_clip, write_clip
+from palpate.data.synthetic.files import open_video
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.data.training.cholecseg8k import join_folders, list_clips
 
 SMALL = SceneSettings(
     width=108,

@@ -7,11 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from data.synthetic.contacts import CROP_RADIUS, FINE_MECHANICS, draw_contacts
-from data.synthetic.scene import crop_mesh, draw_scene
-from data.synthetic.settings import SceneSettings
-from physics.load import Press, held
-from physics.msd.simulation import simulate
+from palpate.data.synthetic.contacts import CROP_RADIUS, FINE_MECHANICS, draw_contacts
+from palpate.data.synthetic.scene import crop_mesh, draw_scene
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.physics.load import Press, held
+from palpate.physics.msd.simulation import simulate
 
 SETTINGS = SceneSettings(width=214, height=120)
 
@@ -67,21 +67,21 @@ def test_the_same_seed_gives_the_same_contacts() -> None:
     assert not np.array_equal(first[0].theta, draw_contacts(SETTINGS, 6, 1, 0.005)[0].theta)
 
 
-def test_films_show_the_motion_beside_the_tool() -> None:
+def test_sequences_show_the_motion_beside_the_tool() -> None:
     """A pixel of the grid's size shows the vertex that lies there; one of larger pictures the mean of several."""
     plain = draw_contacts(SETTINGS, 11, 1, 0.005)[0]
-    assert plain.interaction.film is None
-    contacts = [contact.interaction for contact in draw_contacts(SETTINGS, 11, 8, 0.005, film=True)]
-    assert {contact.film.size for contact in contacts} == {(214, 120), (854, 480)}
+    assert plain.interaction.sequence is None
+    contacts = [contact.interaction for contact in draw_contacts(SETTINGS, 11, 8, 0.005, sequence=True)]
+    assert {contact.sequence.size for contact in contacts} == {(214, 120), (854, 480)}
     for contact in contacts:
-        film, moved = contact.film, contact.moved[:, 2]
-        assert (film.change.shape, film.noise.total) == ((25, 15, 15), 0.0)
-        np.testing.assert_array_equal(film.times, contact.observation.times)
-        exact = film.size == (214, 120)
-        np.testing.assert_allclose(film.change[:, 7, 7], moved, atol=1e-5 if exact else 0.3 * moved.max())
+        sequence, moved = contact.sequence, contact.moved[:, 2]
+        assert (sequence.change.shape, sequence.noise.total) == ((25, 15, 15), 0.0)
+        np.testing.assert_array_equal(sequence.times, contact.observation.times)
+        exact = sequence.size == (214, 120)
+        np.testing.assert_allclose(sequence.change[:, 7, 7], moved, atol=1e-5 if exact else 0.3 * moved.max())
         # The tool is there until the frame whose time stamp says that it has let go.
-        touches = film.times < contact.load_seconds - 1e-9
-        hidden = ~np.isfinite(film.change)
+        touches = sequence.times < contact.load_seconds - 1e-9
+        hidden = ~np.isfinite(sequence.change)
         assert hidden[touches].any(axis=(1, 2)).all()
         assert not hidden[~touches].any()
         assert hidden.mean(axis=(1, 2)).max() < 0.3

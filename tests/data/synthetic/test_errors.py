@@ -7,9 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from data.source.camera import Camera
-from data.synthetic.errors import depth_bias, observe_depth, observe_labels, reported_camera, stored_to_depth
-from data.synthetic.settings import SceneSettings
+from palpate.data.source.camera import Camera
+from palpate.data.synthetic.errors import depth_bias, observe_depth, observe_labels, reported_camera, stored_to_depth
+from palpate.data.synthetic.settings import SceneSettings
 
 SMALL = SceneSettings(width=214, height=120)
 DEPTH = np.linspace(0.4, 0.8, 120 * 214, dtype=np.float32).reshape(120, 214)

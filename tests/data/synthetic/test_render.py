@@ -7,14 +7,14 @@ import dataclasses
 import numpy as np
 import pytest
 
-from data.contact.geometry import GeometrySettings, GeometryStatus, frame_geometry
-from data.synthetic.clip import SyntheticClip, make_clip
-from data.synthetic.render import GREY, Renderer, encode_srgb
-from data.synthetic.scene import Scene, draw_scene
-from data.synthetic.settings import SceneSettings
-from data.synthetic.surface import SheetView, deformed_view, rest_view
-from data.synthetic.tool import tip_offset
-from data.synthetic.truth import TrueMotion, simulate_motion
+from palpate.data.contact.geometry import GeometrySettings, GeometryStatus, frame_geometry
+from palpate.data.synthetic.clip import SyntheticClip, make_clip
+from palpate.data.synthetic.render import GREY, Renderer, encode_srgb
+from palpate.data.synthetic.scene import Scene, draw_scene
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.data.synthetic.surface import SheetView, deformed_view, rest_view
+from palpate.data.synthetic.tool import tip_offset
+from palpate.data.synthetic.truth import TrueMotion, simulate_motion
 
 SMALL = SceneSettings(
     width=214, height=120, frames=24, onset_fraction=(0.15, 0.2), press_seconds=(0.2, 0.3), image_noise=0.0

@@ -8,8 +8,8 @@ import math
 import numpy as np
 import pytest
 
-from data.synthetic.scene import CLEARANCE, FARTHEST_DEPTH, NEAREST_DEPTH, SceneError, Sheet, draw_scene
-from data.synthetic.settings import SceneSettings
+from palpate.data.synthetic.scene import CLEARANCE, FARTHEST_DEPTH, NEAREST_DEPTH, SceneError, Sheet, draw_scene
+from palpate.data.synthetic.settings import SceneSettings
 
 SMALL = SceneSettings(width=214, height=120)
 

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data.synthetic import slab
-from data.synthetic.clip import draw_truth, write_clip
-from data.synthetic.scene import Scene, SceneError
-from data.synthetic.settings import SceneSettings
-from data.synthetic.slab import GrippedSlab, PressedSlab, SlabMotion
+from palpate.data.synthetic import slab
+from palpate.data.synthetic.clip import draw_truth, write_clip
+from palpate.data.synthetic.scene import Scene, SceneError
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.data.synthetic.slab import GrippedSlab, PressedSlab, SlabMotion
 
 PRESS = SceneSettings(
     width=107, height=60, grid_width=107, grid_height=60, frames=24, tissue="slab", patch_radius=(3.5, 3.5),

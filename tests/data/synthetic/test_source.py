@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from data.clip import prepare
-from data.contact.geometry import GeometrySettings
-from data.depth.normalise import DepthSettings
-from data.settings import PrepareSettings
-from data.synthetic.clip import make_clip, write_clip
-from data.synthetic.settings import SceneSettings
-from data.synthetic.source import open_synthetic
+from palpate.data.clip import prepare
+from palpate.data.contact.geometry import GeometrySettings
+from palpate.data.depth.normalise import DepthSettings
+from palpate.data.settings import PrepareSettings
+from palpate.data.synthetic.clip import make_clip, write_clip
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.data.synthetic.source import open_synthetic
 from tests.data.clips import stored
 
 SCENE = SceneSettings(

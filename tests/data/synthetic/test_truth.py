@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from data.synthetic.scene import Scene, SceneError, draw_scene
-from data.synthetic.settings import SceneSettings
-from data.synthetic.truth import (
+from palpate.data.synthetic.scene import Scene, SceneError, draw_scene
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.data.synthetic.truth import (
     SAMPLE_STEP,
     PressedMotion,
     cut_window,
@@ -23,9 +23,9 @@ from data.synthetic.truth import (
     regime_of,
     simulate_motion,
 )
-from physics.load import Press, PressShape, held
-from physics.mechanics import Mechanics
-from physics.msd.simulation import simulate
+from palpate.physics.load import Press, PressShape, held
+from palpate.physics.mechanics import Mechanics
+from palpate.physics.msd.simulation import simulate
 
 SMALL = SceneSettings(width=214, height=120, frames=24, onset_fraction=(0.15, 0.2))
 THETA = np.array([0.5, 0.04, -0.05])
@@ -87,7 +87,7 @@ def test_first_instants_follow_the_closed_form(scene: Scene, motion: PressedMoti
 
 
 def test_a_wider_window_changes_nothing(scene: Scene, motion: PressedMotion, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("data.synthetic.truth._reach", lambda *_: 200)
+    monkeypatch.setattr("palpate.data.synthetic.truth._reach", lambda *_: 200)
     whole = simulate_motion(scene, THETA, ONSET, RELEASE)
     assert len(whole.moving) == len(scene.mesh.vertices)
     np.testing.assert_allclose(whole.response, motion.response, atol=3e-6)

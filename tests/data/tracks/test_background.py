@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from data.tracks.background import LEAST, without_background
+from palpate.data.tracks.background import LEAST, without_background
 
 AFFINE = np.array([[0.02, -0.01], [0.015, 0.03], [2.0, -5.0]])
 """Motion by column, by row, and everywhere."""

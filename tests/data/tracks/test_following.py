@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from data.tracks.following import (
+from palpate.data.tracks.following import (
     BORDER,
     DRAGGED,
     EDGED,

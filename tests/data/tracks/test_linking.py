@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from data.tracks.linking import (
+from palpate.data.tracks.linking import (
     ASTRAY,
     GREY,
     LOCAL,

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from data.tracks.measuring import Fine, Measured, fine, measure
+from palpate.data.tracks.measuring import Fine, Measured, fine, measure
 from tests.data.tracks.test_following import HEIGHT, NO_TOOL, WIDTH, Motion, bulge, shift, texture, warped
 
 POINTS = np.stack(np.meshgrid(np.arange(24, WIDTH - 20, 8), np.arange(24, HEIGHT - 20, 8)), axis=-1).reshape(-1, 2)

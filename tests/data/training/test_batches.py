@@ -9,22 +9,22 @@ import numpy as np
 import pytest
 import torch
 
-from data.clip import prepare
-from data.contact.features import FEATURES, SLOTS, contact_features
-from data.contact.film import REACH, FilmNoise
-from data.contact.film_features import FILM_FEATURES, dent_features
-from data.contact.interaction import Interaction
-from data.synthetic.contacts import draw_contacts
-from data.synthetic.settings import SceneSettings
-from data.training.batches import SampleDataset, collate, join_films
-from data.training.samples import SampleSettings, list_frames, make_interaction, make_sample
-from estimators.direct.field import FilmProblem
-from physics.load import held
-from physics.mechanics import Mechanics, theta_of
-from physics.msd import rollout_sensitivities
-from physics.msd.batch import MeshBatch, PressBatch
-from physics.msd.likelihoods import linearise_depth
-from physics.msd.simulation import simulate
+from palpate.data.clip import prepare
+from palpate.data.contact.depth_sequence import REACH, SequenceNoise
+from palpate.data.contact.features import FEATURES, SLOTS, contact_features
+from palpate.data.contact.interaction import Interaction
+from palpate.data.contact.sequence_features import SEQUENCE_FEATURES, dent_features
+from palpate.data.synthetic.contacts import draw_contacts
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.data.training.batches import SampleDataset, collate, join_sequences
+from palpate.data.training.samples import SampleSettings, list_frames, make_interaction, make_sample
+from palpate.estimators.direct.field import SequenceProblem
+from palpate.physics.load import held
+from palpate.physics.mechanics import Mechanics, theta_of
+from palpate.physics.msd import rollout_sensitivities
+from palpate.physics.msd.batch import MeshBatch, PressBatch
+from palpate.physics.msd.likelihoods import linearise_depth
+from palpate.physics.msd.simulation import simulate
 from tests.data.clips import GRID, SETTINGS, write_clip
 
 SMOOTH = replace(GRID, smoothing=4.0)
@@ -115,32 +115,32 @@ def test_a_contact_of_unknown_noise_is_left_out_where_the_noise_is_asked_for(cli
 
 
 def test_dents_are_told_and_joined_where_they_are_wanted(clip) -> None:
-    filmed = replace(TOLD, film=True)
-    samples = [make_sample(clip, frame, filmed) for frame in (4, 6)]
+    with_sequence = replace(TOLD, sequence=True)
+    samples = [make_sample(clip, frame, with_sequence) for frame in (4, 6)]
     batch = collate(samples)
     for row, sample in enumerate(samples):
-        assert sample.known.film is not None
+        assert sample.known.sequence is not None
         expected = dent_features(sample.known, within=0.0)
         for side in ("a", "b"):
-            assert batch[f"contact_features_{side}"].shape == (2, FEATURES + FILM_FEATURES)
+            assert batch[f"contact_features_{side}"].shape == (2, FEATURES + SEQUENCE_FEATURES)
             np.testing.assert_array_equal(batch[f"contact_features_{side}"][row].numpy(), expected)
     dent = batch["dent_a"]
     assert (dent.steps.shape, dent.change.shape) == ((2, 3), (2, 3, PIXELS))
     for vertices, view in zip(dent.vertices.tolist(), dent.views, strict=True):
         assert set(vertices) == set(view.vertices.tolist())  # no far vertex fills up
     assert "dent_a" not in batch_of(clip, [4, 6])
-    with pytest.raises(ValueError, match="film needs observation trajectory, not final"):
-        SampleSettings(film=True)
+    with pytest.raises(ValueError, match="depth-change sequence needs observation trajectory, not final"):
+        SampleSettings(sequence=True)
 
 
 @pytest.mark.parametrize("fine", [False, True])
-def test_joined_films_change_as_the_vertices_sink(fine: bool) -> None:
-    """Of a simulated contact whose film is exact; the middle pixels of a fine picture are left out."""
+def test_joined_sequences_change_as_the_vertices_sink(fine: bool) -> None:
+    """Of a simulated contact whose sequence is exact; the middle pixels of a fine picture are left out."""
     contact, theta = contact_of(fine)
-    film = replace(contact.film, noise=FilmNoise(1e-3, 0.0))
-    noisy = replace(contact, film=film, observation=contact.observation.moved(contact.moved, 1e-3))
-    dent = join_films([noisy, noisy.observed(np.arange(5))])
-    seen = np.isfinite(contact.film.change.reshape(SLOTS, PIXELS))
+    sequence = replace(contact.sequence, noise=SequenceNoise(1e-3, 0.0))
+    noisy = replace(contact, sequence=sequence, observation=contact.observation.moved(contact.moved, 1e-3))
+    dent = join_sequences([noisy, noisy.observed(np.arange(5))])
+    seen = np.isfinite(contact.sequence.change.reshape(SLOTS, PIXELS))
     left_out = seen & (dent.weight[0].numpy() == 0)
     middle = np.abs(np.mgrid[-REACH : REACH + 1, -REACH : REACH + 1]).max(axis=0).ravel() <= 1
     assert left_out.any(axis=0).tolist() == (middle & fine).tolist()
@@ -158,14 +158,14 @@ def test_joined_films_change_as_the_vertices_sink(fine: bool) -> None:
 def test_training_and_the_direct_fit_have_one_likelihood() -> None:
     """At one θ, of noise that is independent but for the rest surface's: the same pull and the same information."""
     contact, theta = contact_of(False)
-    drawn = np.random.default_rng(0).normal(0, 1e-3, contact.film.change.shape).astype(np.float32)
-    film = replace(contact.film, change=contact.film.change + drawn, noise=FilmNoise(1e-3, 0.0))
-    contact = replace(contact, film=film, observation=contact.observation.moved(contact.moved, 1e-3))
+    drawn = np.random.default_rng(0).normal(0, 1e-3, contact.sequence.change.shape).astype(np.float32)
+    sequence = replace(contact.sequence, change=contact.sequence.change + drawn, noise=SequenceNoise(1e-3, 0.0))
+    contact = replace(contact, sequence=sequence, observation=contact.observation.moved(contact.moved, 1e-3))
     logs = np.log(np.abs(theta)) + np.array([0.1, -0.05, 0.1])
-    problem = FilmProblem.of_press(contact, MECHANICS)
+    problem = SequenceProblem.of_press(contact, MECHANICS)
     problem.look(logs)
     residual, jacobian = problem.linearise(logs)
-    dent, here = join_films([contact]), torch.from_numpy(theta_of(logs))[None]
+    dent, here = join_sequences([contact]), torch.from_numpy(theta_of(logs))[None]
     mesh, load = MeshBatch.from_meshes([contact.mesh]), PressBatch.of([contact.load])
     motion = rollout_sensitivities(here, mesh, load, MECHANICS, watch=dent.vertices)
     misfit, gradient, information = (values[0].numpy() for values in linearise_depth(*motion, here, dent))
@@ -174,10 +174,10 @@ def test_training_and_the_direct_fit_have_one_likelihood() -> None:
     np.testing.assert_allclose(information, jacobian.T @ jacobian, rtol=1e-5)
 
 
-def test_without_a_film_the_contact_s_own_motion_counts() -> None:
-    contact = replace(contact_of(False)[0], film=None)
+def test_without_a_sequence_the_contact_s_own_motion_counts() -> None:
+    contact = replace(contact_of(False)[0], sequence=None)
     contact = replace(contact, observation=contact.observation.moved(contact.moved, 2e-3))
-    dent = join_films([contact])
+    dent = join_sequences([contact])
     assert dent.weight.sum() == dent.weight[..., PIXELS // 2].sum() == SLOTS
     # It is pressed nearly along the line of sight, so that what its pixel sinks by is its whole motion.
     sunk = np.linalg.norm(contact.moved, axis=1) / np.linalg.norm(contact.mesh.vertices[contact.vertex])
@@ -190,6 +190,6 @@ def test_without_a_film_the_contact_s_own_motion_counts() -> None:
 def contact_of(fine: bool) -> tuple[Interaction, np.ndarray]:
     """A simulated contact, exactly seen in a picture of the grid's size or a larger one, and its θ."""
     settings = SceneSettings(width=214, height=120, regime="critical")
-    found = (draw_contacts(settings, seed, 1, MECHANICS.time_step, film=True) for seed in range(30))
-    drawn = next(each[0] for each in found if each and (each[0].interaction.film.size == (854, 480)) == fine)
+    found = (draw_contacts(settings, seed, 1, MECHANICS.time_step, sequence=True) for seed in range(30))
+    drawn = next(each[0] for each in found if each and (each[0].interaction.sequence.size == (854, 480)) == fine)
     return drawn.interaction, drawn.theta

@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from data.masks.sources import MaskClasses
-from data.source.layout import ClipLayout, InputError
-from data.training.cholecseg8k import check_clip, list_clips, main
-from data.training.splits import FRACTIONS, part_sizes, split_by_video, split_in_time, video_of
+from palpate.data.masks.sources import MaskClasses
+from palpate.data.source.layout import ClipLayout, InputError
+from palpate.data.training.cholecseg8k import check_clip, list_clips, main
+from palpate.data.training.splits import FRACTIONS, part_sizes, split_by_video, split_in_time, video_of
 from tests.data.clips import remove_frame, write_clip
 
 
@@ -30,11 +30,11 @@ def narrow(monkeypatch, tmp_path):
 def test_clips_are_found_at_any_depth_and_a_video_beside_its_folder_is_the_same_clip(tmp_path):
     for name in ("a/video01/video01_00080", "a/video01/video01_00000", "video02/video02_00000"):
         write_clip(tmp_path / name, frames=3)
-    (tmp_path / "video02" / "video02_00000.mp4").write_bytes(b"film")
+    (tmp_path / "video02" / "video02_00000.mp4").write_bytes(b"depth-change sequence")
     found = list_clips(tmp_path, ClipLayout())
     assert [path.name for path in found] == ["video01_00000", "video01_00080", "video02_00000"]
     assert [video_of(path) for path in found] == ["video01", "video01", "video02"]
-    assert video_of(Path("films/gallbladder.mp4")) == "gallbladder"
+    assert video_of(Path("depth-change sequences/gallbladder.mp4")) == "gallbladder"
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="empty"):
         list_clips(tmp_path / "empty", ClipLayout())
@@ -148,7 +148,7 @@ def test_the_module_runs_as_a_program_without_torch(tmp_path):
     write_clip(tmp_path / "video01_00000", frames=3)
     root = Path(__file__).parents[3]
     code = (
-        "import sys; from data.training.cholecseg8k import main; "
+        "import sys; from palpate.data.training.cholecseg8k import main; "
         f"status = main([{str(tmp_path)!r}, '--cache', {str(tmp_path / 'cache')!r}]); "
         "assert not {'torch', 'lightning', 'matplotlib', 'scipy.stats'} & set(sys.modules); sys.exit(status)"
     )

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 import torch
 
-from data.source.layout import InputError
-from data.training.datamodule import ClipDataModule, LoadingSettings
-from data.training.samples import SampleSettings
-from physics.mechanics import Bounds, Mechanics, UnstableConfiguration
-from physics.msd import rollout
-from physics.msd.likelihoods import displacement_error
+from palpate.data.source.layout import InputError
+from palpate.data.training.datamodule import ClipDataModule, LoadingSettings
+from palpate.data.training.samples import SampleSettings
+from palpate.physics.mechanics import Bounds, Mechanics, UnstableConfiguration
+from palpate.physics.msd import rollout
+from palpate.physics.msd.likelihoods import displacement_error
 from tests.data.clips import GRID, write_clip
 
 

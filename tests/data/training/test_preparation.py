@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from data.training import preparation
-from data.training.preparation import prepare_all
+from palpate.data.training import preparation
+from palpate.data.training.preparation import prepare_all
 from tests.data.clips import SETTINGS, write_clip
 
 

@@ -11,17 +11,17 @@ import cv2
 import numpy as np
 import pytest
 
-from data.clip import ClipStream, prepare
-from data.contact.geometry import GeometrySettings, GeometryStatus, frame_geometry
-from data.depth.normalise import DepthSettings, normalise, resize_depth
-from data.labels import TISSUE, TOOL
-from data.source.camera import Camera, back_project
-from data.source.frames import open_source
-from data.source.layout import ClipLayout, InputError
-from data.training.cholecseg8k import join_folders, list_clips, main
-from data.training.datamodule import ClipDataModule, LoadingSettings
-from data.training.samples import SampleSettings, list_frames, make_interaction
-from data.training.splits import NamedVideos
+from palpate.data.clip import ClipStream, prepare
+from palpate.data.contact.geometry import GeometrySettings, GeometryStatus, frame_geometry
+from palpate.data.depth.normalise import DepthSettings, normalise, resize_depth
+from palpate.data.labels import TISSUE, TOOL
+from palpate.data.source.camera import Camera, back_project
+from palpate.data.source.frames import open_source
+from palpate.data.source.layout import ClipLayout, InputError
+from palpate.data.training.cholecseg8k import join_folders, list_clips, main
+from palpate.data.training.datamodule import ClipDataModule, LoadingSettings
+from palpate.data.training.samples import SampleSettings, list_frames, make_interaction
+from palpate.data.training.splits import NamedVideos
 from tests.data.clips import EDGE, GRID, HEIGHT, SETTINGS, WIDTH, write_clip
 
 NEAREST = replace(GRID, contact="nearest", min_tool_pixels=1, displacement="redetected")

@@ -8,17 +8,17 @@ import cv2
 import numpy as np
 import pytest
 
-from data.clip import prepare
-from data.contact.geometry import GeometrySettings
-from data.contact.interaction import Interaction
-from data.training.samples import (
+from palpate.data.clip import prepare
+from palpate.data.contact.geometry import GeometrySettings
+from palpate.data.contact.interaction import Interaction
+from palpate.data.training.samples import (
     SampleSettings,
     builder_of,
     list_frames,
     make_interaction,
     make_sample,
 )
-from physics.mechanics import Mechanics
+from palpate.physics.mechanics import Mechanics
 from tests.data.clips import DEPTH_STEP, GRID, HEIGHT, SETTINGS, WIDTH, remove_frame, write_clip
 
 PAIRS = SampleSettings(geometry=GRID)

@@ -1,4 +1,4 @@
-"""Slabs beneath a surface, and films of their dents, for tests."""
+"""Slabs beneath a surface, and depth-change sequences of their dents, for tests."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import math
 
 import numpy as np
 
-from data.contact.film import DentFilm, FilmNoise
-from data.contact.interaction import Interaction
-from data.contact.patches import Patches
-from estimators.direct.field import FilmProblem
-from estimators.direct.slab_motion import SlabMotion
-from physics.fem.slab import Slab, slab_beneath
-from physics.load import Press, held
-from physics.observation import Observation
+from palpate.data.contact.depth_sequence import DepthSequence, SequenceNoise
+from palpate.data.contact.interaction import Interaction
+from palpate.data.contact.patches import Patches
+from palpate.estimators.direct.field import SequenceProblem
+from palpate.estimators.direct.slab_motion import SlabMotion
+from palpate.physics.fem.slab import Slab, slab_beneath
+from palpate.physics.load import Press, held
+from palpate.physics.observation import Observation
 from tests.estimators.direct.test_field import FRAME, MESH, SIDE, SIGMA, SIZE
 
 COARSE, FINE = (4, 4, 2), (8, 8, 3)
@@ -46,7 +46,7 @@ def motion_of(released: bool = True, times: np.ndarray = TIMES, **options) -> Sl
 
 
 def seen(logs: np.ndarray, seed: int, cells: tuple[int, int, int], relaxing: bool = False) -> Interaction:
-    """A contact whose film shows a slab with these parameters, with noise."""
+    """A contact whose depth-change sequence shows a slab with these parameters, with noise."""
     contact = contact_of()
     patches = Patches(MESH, VERTEX, SIZE)
     motion = SlabMotion(contact, slab_of(cells), MESH.pixels[patches.vertices], TIMES, relaxing=relaxing)
@@ -54,18 +54,20 @@ def seen(logs: np.ndarray, seed: int, cells: tuple[int, int, int], relaxing: boo
     assert np.abs(moved).max() > 5 * SIGMA
     change = patches.shown(patches.sunk(moved), patches.covering(moved)).reshape(-1, SIDE, SIDE)
     change = change + np.random.default_rng(seed).normal(0, SIGMA, change.shape)
-    return dataclasses.replace(contact, film=DentFilm(TIMES, change.astype(np.float32), FilmNoise(SIGMA, 0.0), SIZE))
+    return dataclasses.replace(
+        contact, sequence=DepthSequence(TIMES, change.astype(np.float32), SequenceNoise(SIGMA, 0.0), SIZE)
+    )
 
 
-def empty_problem(cells: tuple[int, int, int] = COARSE) -> FilmProblem[SlabMotion]:
-    """A film of nothing, which `shows` fills."""
-    film = DentFilm(TIMES, np.zeros((10, SIDE, SIDE), np.float32), FilmNoise(SIGMA, 0.0), SIZE)
-    contact = dataclasses.replace(contact_of(), film=film)
+def empty_problem(cells: tuple[int, int, int] = COARSE) -> SequenceProblem[SlabMotion]:
+    """A depth-change sequence of nothing, which `shows` fills."""
+    sequence = DepthSequence(TIMES, np.zeros((10, SIDE, SIDE), np.float32), SequenceNoise(SIGMA, 0.0), SIZE)
+    contact = dataclasses.replace(contact_of(), sequence=sequence)
     slab = slab_of(cells)
-    return FilmProblem(contact, lambda vertices, times: SlabMotion(contact, slab, MESH.pixels[vertices], times))
+    return SequenceProblem(contact, lambda vertices, times: SlabMotion(contact, slab, MESH.pixels[vertices], times))
 
 
-def shows(problem: FilmProblem[SlabMotion], moved: np.ndarray, near: np.ndarray | None = None) -> None:
-    """Let the film show a motion without noise; pixels show the patches that they do at a motion `near`."""
+def shows(problem: SequenceProblem[SlabMotion], moved: np.ndarray, near: np.ndarray | None = None) -> None:
+    """Let the sequence show a motion without noise; pixels show the patches that they do at a motion `near`."""
     covering = problem.patches.covering(moved if near is None else near)
     problem.observed = problem.patches.shown(problem.patches.sunk(moved), covering)

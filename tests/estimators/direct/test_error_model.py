@@ -7,8 +7,8 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import chi2, norm
 
-from estimators.direct import error_model
-from estimators.direct.error_model import (
+from palpate.estimators.direct import error_model
+from palpate.estimators.direct.error_model import (
     ASTRAY,
     BLUR,
     REST,

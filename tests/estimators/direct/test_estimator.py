@@ -7,26 +7,26 @@ import dataclasses
 import numpy as np
 import pytest
 
-from data.contact.interaction import Interaction
-from data.prepared import PreparedFrame
-from estimators.direct import contact_fit, error_model
-from estimators.direct import problem as contact_problem
-from estimators.direct.contact_fit import trusted_information
-from estimators.direct.error_model import log_likelihoods
-from estimators.direct.estimator import WHOLE, DirectEstimator
-from estimators.direct.problem import ContactProblem, Optimum, combine, count_modes
-from estimators.direct.sampling import Draws, sample_posterior
-from estimators.estimate import Estimate, NoEstimate
-from estimators.oblique import HIDDEN_ERROR
-from estimators.onset import BETWEEN, STAMP
-from estimators.runs import NOT_FOLLOWED
-from physics.identifiability import bounds, covariance
-from physics.likelihood import Likelihood
-from physics.load import Press, held
-from physics.mechanics import RECOMMENDED, Bounds, Mechanics, theta_of
-from physics.mesh import Mesh, contact_normal
-from physics.msd.simulation import simulate
-from physics.observation import Observation
+from palpate.data.contact.interaction import Interaction
+from palpate.data.prepared import PreparedFrame
+from palpate.estimators.direct import contact_fit, error_model
+from palpate.estimators.direct import problem as contact_problem
+from palpate.estimators.direct.contact_fit import trusted_information
+from palpate.estimators.direct.error_model import log_likelihoods
+from palpate.estimators.direct.estimator import WHOLE, DirectEstimator
+from palpate.estimators.direct.problem import ContactProblem, Optimum, combine, count_modes
+from palpate.estimators.direct.sampling import Draws, sample_posterior
+from palpate.estimators.estimate import Estimate, NoEstimate
+from palpate.estimators.oblique import HIDDEN_ERROR
+from palpate.estimators.onset import BETWEEN, STAMP
+from palpate.estimators.runs import NOT_FOLLOWED
+from palpate.physics.identifiability import bounds, covariance
+from palpate.physics.likelihood import Likelihood
+from palpate.physics.load import Press, held
+from palpate.physics.mechanics import RECOMMENDED, Bounds, Mechanics, theta_of
+from palpate.physics.mesh import Mesh, contact_normal
+from palpate.physics.msd.simulation import simulate
+from palpate.physics.observation import Observation
 from tests.estimators.sessions import clip_info, follow, prepared_frame, touched
 from tests.physics.sheets import sheet
 

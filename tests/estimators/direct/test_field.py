@@ -9,23 +9,23 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from data.contact.film import REACH, DentFilm, FilmNoise, smooth_errors
-from data.contact.interaction import Interaction
-from data.contact.patches import Patches
-from data.source.camera import Camera, back_project
-from estimators.direct.error_model import rounding_covariance
-from estimators.direct.field import (
+from palpate.data.contact.depth_sequence import REACH, DepthSequence, SequenceNoise, smooth_errors
+from palpate.data.contact.interaction import Interaction
+from palpate.data.contact.patches import Patches
+from palpate.data.source.camera import Camera, back_project
+from palpate.estimators.direct.error_model import rounding_covariance
+from palpate.estimators.direct.field import (
     OUTLIER,
     STILL_NEW,
     WALL,
-    FilmProblem,
+    SequenceProblem,
 )
-from estimators.direct.motion import PressMotion
-from estimators.direct.problem import Optimum, find_optimum
-from physics.load import Press, held
-from physics.mechanics import Mechanics
-from physics.mesh import Mesh, contact_normal, grid_mesh
-from physics.observation import Observation
+from palpate.estimators.direct.motion import PressMotion
+from palpate.estimators.direct.problem import Optimum, find_optimum
+from palpate.physics.load import Press, held
+from palpate.physics.mechanics import Mechanics
+from palpate.physics.mesh import Mesh, contact_normal, grid_mesh
+from palpate.physics.observation import Observation
 
 MECHANICS = Mechanics(time_step=0.0025, steps=160, scheme="dkd")
 FRAME = 0.04
@@ -68,13 +68,13 @@ def logs_of(theta: tuple[float, float, float] = THETA, *delays: float) -> np.nda
 def contact_of(
     theta: tuple[float, float, float] = THETA,
     *delays: float,
-    noise: FilmNoise | None = None,
+    noise: SequenceNoise | None = None,
     size: tuple[int, int] = SIZE,
     released: bool = True,
     mechanics: Mechanics = MECHANICS,
     mesh: Mesh = MESH,
 ) -> Interaction:
-    """A contact whose film is exactly what the simulator with these parameters shows; its point doesn't move."""
+    """A contact whose sequence is exactly what the simulator with these parameters shows; its point doesn't move."""
     factor = held(LOAD / mechanics.time_step if released else mechanics.steps, mechanics.steps)
     vertex = int(np.flatnonzero((mesh.pixels == (16, 17)).all(axis=1))[0])
     press = Press.at(vertex, contact_normal(mesh, vertex), factor)
@@ -84,15 +84,15 @@ def contact_of(
     moved = PressMotion(still, mechanics, patches.vertices, TIMES, WITHIN if delays else 0.0)
     moved, _ = moved.at(logs_of(theta, *delays))
     change = patches.shown(patches.sunk(moved), patches.covering(moved)).reshape(-1, SIDE, SIDE)
-    film = DentFilm(TIMES, change.astype(np.float32), noise or FilmNoise(SIGMA, 0.0), size)
-    return dataclasses.replace(still, film=film)
+    sequence = DepthSequence(TIMES, change.astype(np.float32), noise or SequenceNoise(SIGMA, 0.0), size)
+    return dataclasses.replace(still, sequence=sequence)
 
 
 def with_change(contact: Interaction, change: np.ndarray) -> Interaction:
-    """The same with another film [N, S, S] (or [N, P])."""
-    assert contact.film is not None
-    change = np.asarray(change, np.float32).reshape(contact.film.change.shape)
-    return dataclasses.replace(contact, film=dataclasses.replace(contact.film, change=change))
+    """The same with another depth-change sequence [N, S, S] (or [N, P])."""
+    assert contact.sequence is not None
+    change = np.asarray(change, np.float32).reshape(contact.sequence.change.shape)
+    return dataclasses.replace(contact, sequence=dataclasses.replace(contact.sequence, change=change))
 
 
 def errors_of(seed: int, sigma: float = SIGMA) -> np.ndarray:
@@ -100,14 +100,14 @@ def errors_of(seed: int, sigma: float = SIGMA) -> np.ndarray:
 
 
 def noisy(contact: Interaction, errors: np.ndarray) -> Interaction:
-    assert contact.film is not None
-    return with_change(contact, contact.film.change + errors)
+    assert contact.sequence is not None
+    return with_change(contact, contact.sequence.change + errors)
 
 
 def shorter(contact: Interaction, frames: int = 5) -> Interaction:
-    """Its film's first frames: all pixels' covariance is large."""
-    assert contact.film is not None
-    return dataclasses.replace(contact, film=contact.film.chosen(np.arange(frames)))
+    """Its depth-change sequence's first frames: all pixels' covariance is large."""
+    assert contact.sequence is not None
+    return dataclasses.replace(contact, sequence=contact.sequence.chosen(np.arange(frames)))
 
 
 def problem_of(
@@ -118,9 +118,9 @@ def problem_of(
     mechanics: Mechanics = MECHANICS,
     noise: float | None = None,
     **look: bool,
-) -> FilmProblem[PressMotion]:
+) -> SequenceProblem[PressMotion]:
     """A problem that was looked at."""
-    problem = FilmProblem.of_press(contact, mechanics, within, noise)
+    problem = SequenceProblem.of_press(contact, mechanics, within, noise)
     problem.look(logs_of() if logs is None else logs, **look)
     return problem
 
@@ -132,7 +132,7 @@ def central_differences(function, logs: np.ndarray, step: float = 1e-5) -> np.nd
 
 
 def expected_covariance(
-    problem: FilmProblem[PressMotion], change: np.ndarray, weight: np.ndarray, steep: np.ndarray
+    problem: SequenceProblem[PressMotion], change: np.ndarray, weight: np.ndarray, steep: np.ndarray
 ) -> np.ndarray:
     """Covariance of all seen pixels' errors, frame by frame, brute force, shape [seen, seen].
 
@@ -140,7 +140,7 @@ def expected_covariance(
         problem: looked at.
         change, weight, steep: what the pixels show, how much they count, and their walls, shape [N, P] each.
     """
-    noise, (frames, pixels) = problem.film.noise, change.shape
+    noise, (frames, pixels) = problem.sequence.noise, change.shape
     frame, pixel = (part.ravel() for part in np.indices((frames, pixels)))
     same, alike = pixel[:, None] == pixel, frame[:, None] == frame
     new = noise.alike_in_time * noise.in_time**2 + noise.total**2 * (1 / weight.ravel() - 1)
@@ -161,18 +161,18 @@ def expected_covariance(
 
 
 NOISES = {
-    "new": FilmNoise(SIGMA, 0.0),
-    "blurred": FilmNoise(SIGMA, 0.0, 3.0),
-    "still": FilmNoise(0.8 * SIGMA, 0.6 * SIGMA, 2.0, 4.0),
-    "rounded": FilmNoise(0.1 * SIGMA, SIGMA, 1.0, 2.5),
+    "new": SequenceNoise(SIGMA, 0.0),
+    "blurred": SequenceNoise(SIGMA, 0.0, 3.0),
+    "still": SequenceNoise(0.8 * SIGMA, 0.6 * SIGMA, 2.0, 4.0),
+    "rounded": SequenceNoise(0.1 * SIGMA, SIGMA, 1.0, 2.5),
 }
 
 
-def test_a_contact_without_a_film_is_refused() -> None:
+def test_a_contact_without_a_sequence_is_refused() -> None:
     contact = contact_of()
-    for film in (None, contact.film.chosen(np.zeros(len(TIMES), bool))):
-        with pytest.raises(ValueError, match="has no film"):
-            FilmProblem.of_press(dataclasses.replace(contact, film=film), MECHANICS)
+    for sequence in (None, contact.sequence.chosen(np.zeros(len(TIMES), bool))):
+        with pytest.raises(ValueError, match="has no depth-change sequence"):
+            SequenceProblem.of_press(dataclasses.replace(contact, sequence=sequence), MECHANICS)
 
 
 @pytest.mark.parametrize(
@@ -182,7 +182,7 @@ def test_whitened_products_are_those_of_the_inverse_covariance(name: str, size: 
     """Also where a third of the pixels is hidden, and where outliers count less."""
     contact = shorter(contact_of(noise=NOISES[name], size=size))
     generator = np.random.default_rng(0)
-    change = contact.film.change.reshape(-1, PIXELS).copy()
+    change = contact.sequence.change.reshape(-1, PIXELS).copy()
     change += generator.normal(0, SIGMA, change.shape)
     change[generator.random(change.shape) < 1 / 3] = np.nan
     change[2, 40:60] += 0.02
@@ -192,7 +192,7 @@ def test_whitened_products_are_those_of_the_inverse_covariance(name: str, size: 
     steep = problem.patches.steepness(problem.motion.at(logs_of())[0])
     assert (steep.max() > 1e-3) == (size == LARGER)
     apart = np.abs(np.where(problem.seen, shown - problem.observed, 0))
-    apart = apart / np.sqrt(problem.film.noise.total**2 + (WALL * steep) ** 2)
+    apart = apart / np.sqrt(problem.sequence.noise.total**2 + (WALL * steep) ** 2)
     weight = np.where(apart > OUTLIER, (OUTLIER / np.maximum(apart, 1e-9)) ** 2, 1.0)
     assert problem.outliers == pytest.approx((weight < 1).sum() / problem.seen.sum())
     assert 5 < (weight < 1).sum() < 30
@@ -207,7 +207,7 @@ def test_whitened_products_are_those_of_the_inverse_covariance(name: str, size: 
 
 def test_what_is_hidden_does_not_count() -> None:
     contact = contact_of()
-    change = contact.film.change + errors_of(1)
+    change = contact.sequence.change + errors_of(1)
     change[:3, :, REACH:] = np.nan
     problem = problem_of(with_change(contact, change))
     np.testing.assert_array_equal(problem.seen, np.isfinite(change).reshape(len(TIMES), -1))
@@ -221,7 +221,7 @@ def test_what_is_hidden_does_not_count() -> None:
     assert (np.linalg.eigvalsh(whole - information) > 0).all()
 
 
-def test_noise_of_the_films_size_has_unit_variance() -> None:
+def test_noise_of_the_sequences_size_has_unit_variance() -> None:
     problem = problem_of(contact_of())
     squares = [np.square(problem.whitened(errors_of(seed).reshape(-1, PIXELS))).sum() for seed in range(20)]
     count = len(TIMES) * PIXELS
@@ -280,7 +280,7 @@ def test_derivatives_of_the_motion_are_those_of_central_differences(
     ],
 )
 def test_derivatives_of_the_residual_are_those_of_central_differences(
-    theta: tuple[float, float, float], noise: FilmNoise, size: tuple[int, int]
+    theta: tuple[float, float, float], noise: SequenceNoise, size: tuple[int, int]
 ) -> None:
     """What the pixels show is kept; in larger pictures it turns as at the look."""
     logs = logs_of(theta)
@@ -334,13 +334,13 @@ def test_a_release_that_was_not_seen_is_no_parameter() -> None:
 
 
 @pytest.mark.parametrize("size", [SIZE, LARGER])
-def test_an_exact_film_leaves_nothing(size: tuple[int, int]) -> None:
+def test_an_exact_sequence_leaves_nothing(size: tuple[int, int]) -> None:
     problem = problem_of(contact_of(size=size))
     np.testing.assert_allclose(problem.residual(logs_of()), 0, atol=1e-4)
     assert problem.misfit(logs_of()) < 1e-4
     assert problem.outliers == 0
     # In it, what moves clearly is what sinks by more than three standard deviations at any time.
-    largest = np.abs(contact_of(size=size).film.change).reshape(len(TIMES), -1).max(axis=0)
+    largest = np.abs(contact_of(size=size).sequence.change).reshape(len(TIMES), -1).max(axis=0)
     np.testing.assert_array_equal(problem.moving, largest > 3 * SIGMA)
     assert 20 < problem.moving.sum() < PIXELS
 
@@ -348,20 +348,20 @@ def test_an_exact_film_leaves_nothing(size: tuple[int, int]) -> None:
 def test_the_misfit_is_that_of_pixels_that_move() -> None:
     contact = noisy(contact_of(), 2 * errors_of(5))
     problem = problem_of(contact)
-    exact = contact_of().film.change.astype(np.float64)
+    exact = contact_of().sequence.change.astype(np.float64)
     moving = np.abs(exact).max(axis=0) > 3 * SIGMA
-    moving |= (np.abs(contact.film.change) > 3 * SIGMA).sum(axis=0) >= 3
-    left = (contact.film.change - exact)[:, moving]
+    moving |= (np.abs(contact.sequence.change) > 3 * SIGMA).sum(axis=0) >= 3
+    left = (contact.sequence.change - exact)[:, moving]
     assert problem.misfit(logs_of()) == pytest.approx(np.sqrt(np.square(left / SIGMA).mean()), rel=1e-4)
     assert problem.misfit(logs_of()) == pytest.approx(2, rel=0.1)
-    assert problem_of(contact, noise=4 * SIGMA).film.noise == FilmNoise(4 * SIGMA, 0.0)
+    assert problem_of(contact, noise=4 * SIGMA).sequence.noise == SequenceNoise(4 * SIGMA, 0.0)
 
 
 def test_a_model_that_moves_nothing_does_not_explain_a_dent() -> None:
     contact = contact_of()
     nothing = logs_of() - np.array([0.0, 0.0, 9.0])
     problem = problem_of(contact, nothing)
-    seen = contact.film.change.reshape(len(TIMES), -1).astype(np.float64)
+    seen = contact.sequence.change.reshape(len(TIMES), -1).astype(np.float64)
     moving = (np.abs(seen) > 3 * SIGMA).sum(axis=0) >= 3
     assert moving.any()
     np.testing.assert_array_equal(problem.moving, moving)
@@ -377,10 +377,10 @@ def test_a_model_that_moves_nothing_does_not_explain_a_dent() -> None:
 
 
 def test_the_error_of_the_steps_is_taken_off() -> None:
-    """Films that were made with a quarter of the step are explained by the true parameters."""
+    """Depth-change sequences that were made with a quarter of the step are explained by the true parameters."""
     fine = dataclasses.replace(MECHANICS, time_step=MECHANICS.time_step / 4, steps=4 * MECHANICS.steps)
     theta = REGIMES["under-damped"]
-    problem = FilmProblem.of_press(contact_of(theta, mechanics=fine), MECHANICS, noise=1e-5)
+    problem = SequenceProblem.of_press(contact_of(theta, mechanics=fine), MECHANICS, noise=1e-5)
     problem.look(logs_of(theta))
     assert np.abs(problem.residual(logs_of(theta))).max() > 0.5
     problem.look(logs_of(theta), finer=True)
@@ -418,7 +418,10 @@ def test_an_outlier_does_not_move_the_fit(place: Literal["middle", "wall", "far"
 def test_fits_are_off_as_their_information_says() -> None:
     """Where noise is blurred, and its size and likeness are told, by less: what is narrow suffers less from it."""
     ends = [-3.0, -5.0, -4.0], [0.0, -2.0, -1.0]
-    for noise, blur, low, high in ((NOISES["new"], 0.0, 0.5, 1.7), (FilmNoise(SIGMA, 0.0, 4 * np.pi), 1.0, 0.1, 1.3)):
+    for noise, blur, low, high in (
+        (NOISES["new"], 0.0, 0.5, 1.7),
+        (SequenceNoise(SIGMA, 0.0, 4 * np.pi), 1.0, 0.1, 1.3),
+    ):
         contact, found = contact_of(noise=noise), []
         for seed in range(16):
             errors = errors_of(100 + seed)

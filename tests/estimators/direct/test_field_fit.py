@@ -7,15 +7,15 @@ import dataclasses
 import numpy as np
 import pytest
 
-from data.contact.film import REACH
-from data.contact.interaction import Interaction
-from estimators.direct.field import FilmProblem
-from estimators.direct.field_fit import ENOUGH, FITS, NARROW, ROUND, field_starts, first_draws, fit_field, raced
-from estimators.direct.problem import APART, Optimum
-from estimators.direct.sampling import sample_posterior
-from estimators.estimate import Estimate
-from physics.identifiability import box_information, covariance
-from physics.mechanics import RECOMMENDED, Bounds
+from palpate.data.contact.depth_sequence import REACH
+from palpate.data.contact.interaction import Interaction
+from palpate.estimators.direct.field import SequenceProblem
+from palpate.estimators.direct.field_fit import ENOUGH, FITS, NARROW, ROUND, field_starts, first_draws, fit_field, raced
+from palpate.estimators.direct.problem import APART, Optimum
+from palpate.estimators.direct.sampling import sample_posterior
+from palpate.estimators.estimate import Estimate
+from palpate.physics.identifiability import box_information, covariance
+from palpate.physics.mechanics import RECOMMENDED, Bounds
 from tests.estimators.direct.test_field import (
     LARGER,
     MECHANICS,
@@ -36,7 +36,7 @@ BOX = Bounds((0.1, 1.0), (0.008, 0.2), (-0.2, -0.02), initial=(0.3, 0.05, -0.05)
 
 
 def fit(contact: Interaction, within: float = 0.0) -> Estimate:
-    return fit_field(FilmProblem.of_press(contact, MECHANICS, within), BOX)
+    return fit_field(SequenceProblem.of_press(contact, MECHANICS, within), BOX)
 
 
 def errors(estimate: Estimate, theta: tuple[float, float, float]) -> np.ndarray:
@@ -44,16 +44,16 @@ def errors(estimate: Estimate, theta: tuple[float, float, float]) -> np.ndarray:
     return np.log(estimate.theta / theta) / estimate.log_sd
 
 
-def test_starts_are_the_candidates_that_explain_the_film_best() -> None:
+def test_starts_are_the_candidates_that_explain_the_sequence_best() -> None:
     theta = REGIMES["critical"]
-    problem = FilmProblem.of_press(contact_of(theta), MECHANICS)
+    problem = SequenceProblem.of_press(contact_of(theta), MECHANICS)
     starts = field_starts(problem, BOX)
     assert 1 <= len(starts) <= problem.motion.starts
     assert ((starts >= BOX[0]) & (starts <= BOX[1])).all()
     for index, start in enumerate(starts):
         apart = np.abs(starts[:index] - start)[:, :2] / (BOX[1] - BOX[0])[:2]
         assert (apart.max(axis=1, initial=0) > APART).all() or index == 0
-    # Of a film that is told to the last digit, the best is nearest to the truth where it matters: one is near.
+    # Of a sequence that is told to the last digit, the best is nearest to the truth where it matters: one is near.
     assert np.abs(starts[0] - logs_of(theta)).max() < 0.7
     costs = []
     for start in starts:
@@ -64,7 +64,7 @@ def test_starts_are_the_candidates_that_explain_the_film_best() -> None:
 
 def test_starts_have_the_delay_that_suits_them() -> None:
     theta, delay = REGIMES["under-damped"], 0.5
-    problem = FilmProblem.of_press(contact_of(theta, delay, delay), MECHANICS, WITHIN)
+    problem = SequenceProblem.of_press(contact_of(theta, delay, delay), MECHANICS, WITHIN)
     starts = field_starts(problem, problem.motion.box(BOX))
     assert starts.shape[1] == 5
     np.testing.assert_array_equal(starts[:, 3], starts[:, 4])
@@ -76,18 +76,20 @@ def test_a_hidden_pixel_does_not_change_the_starts() -> None:
     spoiled = errors_of(0, 0.0)
     spoiled[:, 0, :2] = np.nan
     starts, others = (
-        field_starts(FilmProblem.of_press(each, MECHANICS), BOX) for each in (contact, noisy(contact, spoiled))
+        field_starts(SequenceProblem.of_press(each, MECHANICS), BOX) for each in (contact, noisy(contact, spoiled))
     )
     np.testing.assert_allclose(starts, others, atol=0.02)
 
 
 def test_starts_are_as_good_beside_a_hole_in_the_tissue() -> None:
-    """A film shows all pixels that tissue was known in at rest, up to the hole."""
+    """A depth-change sequence shows all pixels that tissue was known in at rest, up to the hole."""
     contact = contact_of(mesh=curved_mesh((12, 13)))
-    change = contact_of().film.change.copy()
+    change = contact_of().sequence.change.copy()
     change[:, REACH - 4, REACH - 4] = np.nan
-    starts = field_starts(FilmProblem.of_press(with_change(contact, change), MECHANICS), BOX)
-    np.testing.assert_allclose(starts[0], field_starts(FilmProblem.of_press(contact_of(), MECHANICS), BOX)[0], atol=0.1)
+    starts = field_starts(SequenceProblem.of_press(with_change(contact, change), MECHANICS), BOX)
+    np.testing.assert_allclose(
+        starts[0], field_starts(SequenceProblem.of_press(contact_of(), MECHANICS), BOX)[0], atol=0.1
+    )
 
 
 class Basins:
@@ -123,7 +125,7 @@ def test_a_few_starts_stay_where_they_are() -> None:
     assert not problem.looks
 
 
-def test_an_exact_film_gives_the_parameters_back() -> None:
+def test_an_exact_sequence_gives_the_parameters_back() -> None:
     theta = REGIMES["critical"]
     estimate = fit(contact_of(theta))
     assert (np.abs(errors(estimate, theta)) < 0.3).all()
@@ -140,7 +142,7 @@ def test_an_exact_film_gives_the_parameters_back() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [SIZE, LARGER])
 @pytest.mark.parametrize("theta", REGIMES.values(), ids=REGIMES)
-def test_exact_films_made_with_fine_steps_give_the_parameters_back(
+def test_exact_sequences_made_with_fine_steps_give_the_parameters_back(
     theta: tuple[float, float, float], size: tuple[int, int]
 ) -> None:
     """The steps' own error is taken off, so that even small noise finds the truth."""
@@ -216,7 +218,7 @@ def test_what_the_model_does_not_explain_widens_the_estimate() -> None:
     """One half of the dent sinks by half more, the other by half less."""
     theta = REGIMES["critical"]
     contact = contact_of(theta)
-    more = 0.5 * contact.film.change * np.sign(np.arange(-REACH, REACH + 1))
+    more = 0.5 * contact.sequence.change * np.sign(np.arange(-REACH, REACH + 1))
     plain, spoiled = fit(contact), fit(noisy(contact, more))
     assert spoiled.misfit > 1.5
     assert (spoiled.log_sd > 1.3 * plain.log_sd).all()

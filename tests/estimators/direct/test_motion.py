@@ -7,13 +7,13 @@ import dataclasses
 import numpy as np
 import pytest
 
-from data.contact.interaction import Interaction
-from estimators.direct.motion import about_tissue
-from estimators.direct.problem import ContactProblem
-from physics.identifiability import box_information, covariance
-from physics.load import Press, held
-from physics.mechanics import RECOMMENDED
-from physics.msd.simulation import simulate
+from palpate.data.contact.interaction import Interaction
+from palpate.estimators.direct.motion import about_tissue
+from palpate.estimators.direct.problem import ContactProblem
+from palpate.physics.identifiability import box_information, covariance
+from palpate.physics.load import Press, held
+from palpate.physics.mechanics import RECOMMENDED
+from palpate.physics.msd.simulation import simulate
 from tests.estimators.direct.test_estimator import (
     DIRECTION,
     LOAD,

@@ -7,16 +7,16 @@ import dataclasses
 import numpy as np
 import pytest
 
-from data.contact.film import DentFilm, FilmNoise
-from data.contact.interaction import Interaction
-from data.contact.patches import Patches
-from estimators.direct.field import FilmProblem
-from estimators.direct.field_fit import fit_press
-from estimators.direct.motion import PressMotion
-from estimators.direct.patch import PatchMotion
-from physics.load import Press, PressShape
-from physics.mechanics import RECOMMENDED
-from physics.msd.simulation import simulate
+from palpate.data.contact.depth_sequence import DepthSequence, SequenceNoise
+from palpate.data.contact.interaction import Interaction
+from palpate.data.contact.patches import Patches
+from palpate.estimators.direct.field import SequenceProblem
+from palpate.estimators.direct.field_fit import fit_press
+from palpate.estimators.direct.motion import PressMotion
+from palpate.estimators.direct.patch import PatchMotion
+from palpate.physics.load import Press, PressShape
+from palpate.physics.mechanics import RECOMMENDED
+from palpate.physics.msd.simulation import simulate
 from tests.estimators.direct.test_field import (
     FRAME,
     LARGER,
@@ -51,13 +51,13 @@ def pressed(shape: PressShape, seconds: float = LOAD, theta=THETA, watch: np.nda
     return path[np.rint(TIMES / MECHANICS.time_step).astype(int) - 1]
 
 
-def film_of(shape: PressShape, theta=THETA, size: tuple[int, int] = LARGER) -> Interaction:
-    """A contact whose film is exactly that of a press of a shape."""
+def sequence_of(shape: PressShape, theta=THETA, size: tuple[int, int] = LARGER) -> Interaction:
+    """A contact whose depth-change sequence is exactly that of a press of a shape."""
     patches = Patches(MESH, CONTACT.vertex, size)
     moved = pressed(shape, theta=theta, watch=patches.vertices)
     change = patches.shown(patches.sunk(moved), patches.covering(moved)).reshape(-1, SIDE, SIDE)
-    film = DentFilm(TIMES, change.astype(np.float32), FilmNoise(SIGMA, 0.0), size)
-    return dataclasses.replace(CONTACT, film=film)
+    sequence = DepthSequence(TIMES, change.astype(np.float32), SequenceNoise(SIGMA, 0.0), size)
+    return dataclasses.replace(CONTACT, sequence=sequence)
 
 
 @pytest.mark.parametrize("delays", [(), (0.3, -0.2)])
@@ -130,7 +130,7 @@ def test_a_step_is_fitted_as_one() -> None:
 @pytest.mark.parametrize("name", ["under-damped", "over-damped"])
 def test_a_press_of_any_shape_is_found_with_its_tissue(name: str) -> None:
     theta = REGIMES[name]
-    found = fit_press(film_of(SHAPE, theta), MECHANICS, 0.0, None, RECOMMENDED.log_box)
+    found = fit_press(sequence_of(SHAPE, theta), MECHANICS, 0.0, None, RECOMMENDED.log_box)
     assert found.shape is not None
     assert found.misfit < 0.3
     assert (np.abs(np.log(found.theta / theta)) < 0.5 * found.log_sd).all()
@@ -155,7 +155,7 @@ def test_a_press_without_a_shape_is_what_it_was() -> None:
 def test_whole_dents_may_lie_aside_and_be_too_deep() -> None:
     """As random errors of that kind, drawn; where a pixel of the grid is one of the picture nothing is."""
     random, frames = np.random.default_rng(3), len(TIMES)
-    problem = FilmProblem.of_press(film_of(SHAPE), MECHANICS, kind=PatchMotion)
+    problem = SequenceProblem.of_press(sequence_of(SHAPE), MECHANICS, kind=PatchMotion)
     rows, columns = np.mgrid[:SIDE, :SIDE]
     depth = 0.02 * np.exp(-((rows - 6.5) ** 2 + (columns - 8.0) ** 2) / 18)
     sunk = np.linspace(0.2, 1, frames)[:, None, None] * depth
@@ -170,8 +170,8 @@ def test_whole_dents_may_lie_aside_and_be_too_deep() -> None:
     places = np.concatenate([deep + (frames - 1) * SIDE**2, deep + 3 * SIDE**2])
     expected = np.cov(drawn.reshape(4000, -1)[:, places].T)
     np.testing.assert_allclose(found[places] @ found[places].T, expected, atol=0.1 * np.diag(expected).max())
-    coarse = FilmProblem.of_press(
-        film_of(SHAPE, size=(MESH.grid_shape[1], MESH.grid_shape[0])), MECHANICS, kind=PatchMotion
+    coarse = SequenceProblem.of_press(
+        sequence_of(SHAPE, size=(MESH.grid_shape[1], MESH.grid_shape[0])), MECHANICS, kind=PatchMotion
     )
     assert coarse.model_errors(sunk.reshape(frames, -1)).shape[2] == 0
-    assert FilmProblem.of_press(film_of(SHAPE), MECHANICS).model_errors(sunk.reshape(frames, -1)).shape[2] == 0
+    assert SequenceProblem.of_press(sequence_of(SHAPE), MECHANICS).model_errors(sunk.reshape(frames, -1)).shape[2] == 0

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import multivariate_t
 from scipy.stats.qmc import Sobol
 
-from estimators.direct.sampling import ENOUGH, FREEDOM, ROUND, ROUNDS, Draws, Mixture, sample_posterior
+from palpate.estimators.direct.sampling import ENOUGH, FREEDOM, ROUND, ROUNDS, Draws, Mixture, sample_posterior
 
 BOX = np.array([[-3.0, -2.0, -4.0], [3.0, 2.0, 4.0]])
 KNOWN = BOX[0] + Sobol(3, rng=0).random(128) * (BOX[1] - BOX[0])

@@ -7,10 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from data.contact.film import DentFilm, FilmNoise
-from estimators.direct.field import FilmProblem
-from estimators.direct.slab_descent import descend, find_tip, slab_start
-from estimators.direct.slab_motion import SlabMotion
+from palpate.data.contact.depth_sequence import DepthSequence, SequenceNoise
+from palpate.estimators.direct.field import SequenceProblem
+from palpate.estimators.direct.slab_descent import descend, find_tip, slab_start
+from palpate.estimators.direct.slab_motion import SlabMotion
 from tests.estimators.direct.slabs import (
     COARSE,
     LOGS,
@@ -24,17 +24,17 @@ from tests.estimators.direct.test_field import MESH, SIDE, SIGMA, SIZE
 
 
 def test_the_tips_middle_is_found() -> None:
-    """The film of a tip that presses beside the contact's vertex."""
+    """The depth-change sequence of a tip that presses beside the contact's vertex."""
     place = (VERTEX_PLACE[0] + 1.3, VERTEX_PLACE[1] - 0.8)
     contact, slab = contact_of(), slab_of()
-    empty = DentFilm(TIMES, np.zeros((10, SIDE, SIDE), np.float32), FilmNoise(SIGMA, 0.0), SIZE)
-    contact = dataclasses.replace(contact, film=empty)
+    empty = DepthSequence(TIMES, np.zeros((10, SIDE, SIDE), np.float32), SequenceNoise(SIGMA, 0.0), SIZE)
+    contact = dataclasses.replace(contact, sequence=empty)
 
-    def problem_of(tried: tuple[float, float]) -> FilmProblem[SlabMotion]:
+    def problem_of(tried: tuple[float, float]) -> SequenceProblem[SlabMotion]:
         def motion(vertices: np.ndarray, times: np.ndarray) -> SlabMotion:
             return SlabMotion(contact, slab, MESH.pixels[vertices], times, place=tried)
 
-        found = FilmProblem(contact, motion)
+        found = SequenceProblem(contact, motion)
         moved = SlabMotion(contact, slab, MESH.pixels[found.patches.vertices], TIMES, place=place).at(LOGS)[0]
         found.observed = found.patches.shown(found.patches.sunk(moved), found.patches.covering(moved))
         return found
@@ -47,7 +47,9 @@ def test_the_tips_middle_is_found() -> None:
 @pytest.mark.slow
 def test_a_start_is_near_and_a_descent_goes_down() -> None:
     contact = seen(LOGS, 1, COARSE)
-    problem = FilmProblem(contact, lambda vertices, times: SlabMotion(contact, slab_of(), MESH.pixels[vertices], times))
+    problem = SequenceProblem(
+        contact, lambda vertices, times: SlabMotion(contact, slab_of(), MESH.pixels[vertices], times)
+    )
     start = slab_start(problem)
     assert np.abs(start - LOGS).max() < 1.0
     far = LOGS + 0.5 * np.eye(3)[0]

@@ -9,20 +9,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from data.contact.film import DentFilm, FilmNoise
-from data.contact.interaction import Interaction
-from estimators.direct import estimator, slab_fit, slab_motion, slab_rivals
-from estimators.direct.contact_fit import LARGEST_MISFIT
-from estimators.direct.estimator import DirectEstimator
-from estimators.direct.field import FilmProblem
-from estimators.direct.slab_descent import descend
-from estimators.direct.slab_fit import BLIND, LOWER, UNLIKE, fit_slab, settled
-from estimators.direct.slab_motion import SlabMotion
-from estimators.direct.slab_posterior import Valley
-from estimators.estimate import NINETY, Estimate, NoEstimate
-from estimators.model_errors import MODEL_ERRORS
-from estimators.onset import BETWEEN
-from physics.fem.slab import slab_beneath
+from palpate.data.contact.depth_sequence import DepthSequence, SequenceNoise
+from palpate.data.contact.interaction import Interaction
+from palpate.estimators.direct import estimator, slab_fit, slab_motion, slab_rivals
+from palpate.estimators.direct.contact_fit import LARGEST_MISFIT
+from palpate.estimators.direct.estimator import DirectEstimator
+from palpate.estimators.direct.field import SequenceProblem
+from palpate.estimators.direct.slab_descent import descend
+from palpate.estimators.direct.slab_fit import BLIND, LOWER, UNLIKE, fit_slab, settled
+from palpate.estimators.direct.slab_motion import SlabMotion
+from palpate.estimators.direct.slab_posterior import Valley
+from palpate.estimators.estimate import NINETY, Estimate, NoEstimate
+from palpate.estimators.model_errors import MODEL_ERRORS
+from palpate.estimators.onset import BETWEEN
+from palpate.physics.fem.slab import slab_beneath
 from tests.estimators.direct.slabs import (
     COARSE,
     LOGS,
@@ -47,13 +47,13 @@ def coarsely(monkeypatch: pytest.MonkeyPatch, contact: Interaction, cells: tuple
 
 
 @pytest.mark.slow
-def test_a_fit_recovers_what_made_the_film(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_fit_recovers_what_made_the_sequence(monkeypatch: pytest.MonkeyPatch) -> None:
     contact = seen(LOGS, 1, COARSE)
     found = coarsely(monkeypatch, contact, COARSE)
     assert found.explained
     assert not found.refuted
     assert 0.8 < found.misfit < 1.2
-    # Besides what the film tells, law and tip are not the tissue's.
+    # Besides what the depth-change sequence tells, law and tip are not the tissue's.
     assert np.linalg.eigvalsh(found.covariance - UNLIKE).min() > 0
     low, high = (found.numbers()[f"force_over_stiffness_{end}"] for end in ("low", "high"))
     assert math.log(high / low) / (2 * NINETY) == pytest.approx(0.12, abs=0.02)
@@ -97,9 +97,12 @@ def test_a_fit_stays_where_a_better_one_cannot_be_followed(monkeypatch: pytest.M
 
 def test_the_slabs_own_error_is_a_share_of_its_motion_in_rings_and_parts_of_the_time() -> None:
     contact = dataclasses.replace(
-        contact_of(), film=DentFilm(TIMES, np.zeros((10, SIDE, SIDE), np.float32), FilmNoise(SIGMA, 0.0), SIZE)
+        contact_of(),
+        sequence=DepthSequence(TIMES, np.zeros((10, SIDE, SIDE), np.float32), SequenceNoise(SIGMA, 0.0), SIZE),
     )
-    problem = FilmProblem(contact, lambda vertices, times: SlabMotion(contact, slab_of(), MESH.pixels[vertices], times))
+    problem = SequenceProblem(
+        contact, lambda vertices, times: SlabMotion(contact, slab_of(), MESH.pixels[vertices], times)
+    )
     sunk = np.random.default_rng(1).normal(size=(10, SIDE * SIDE))
     columns = problem.model_errors(sunk)
     assert columns.shape == (SIDE * SIDE, 10, 12)  # three rings, early, held, released and later
@@ -119,24 +122,24 @@ def test_the_slabs_own_error_is_a_share_of_its_motion_in_rings_and_parts_of_the_
 @pytest.mark.slow
 def test_tissue_under_the_tip_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
     contact = seen(LOGS, 1, COARSE)
-    assert contact.film is not None
+    assert contact.sequence is not None
     rows, columns = np.mgrid[:SIDE, :SIDE] - SIDE // 2
     near = np.hypot(rows, columns) < BLIND
-    other = contact.film.change + np.where(near, np.float32(0.02), np.float32(0))
-    spoiled = dataclasses.replace(contact, film=dataclasses.replace(contact.film, change=other))
+    other = contact.sequence.change + np.where(near, np.float32(0.02), np.float32(0))
+    spoiled = dataclasses.replace(contact, sequence=dataclasses.replace(contact.sequence, change=other))
     one, two = (coarsely(monkeypatch, each, COARSE) for each in (contact, spoiled))
     np.testing.assert_array_equal(one.theta, two.theta)
 
 
 def test_the_estimator_fits_a_slab_where_a_thickness_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    film = DentFilm(TIMES, np.zeros((10, SIDE, SIDE), np.float32), FilmNoise(SIGMA, 0.0), SIZE)
-    contact, asked = dataclasses.replace(contact_of(), film=film), []
+    sequence = DepthSequence(TIMES, np.zeros((10, SIDE, SIDE), np.float32), SequenceNoise(SIGMA, 0.0), SIZE)
+    contact, asked = dataclasses.replace(contact_of(), sequence=sequence), []
     told = Estimate(np.array(THETA), np.eye(3)), (TIMES, TIMES)
     monkeypatch.setattr(estimator, "fit_slab", lambda *given: asked.append(given) or told)
     session = DirectEstimator(BETWEEN, noise=0.002, thickness=THICKNESS).start(clip_info(25.0))
     assert session.fit(contact) is told
     assert asked == [(contact, THICKNESS, 0.04, 0.002)]
-    for blind in (contact_of(), dataclasses.replace(contact, film=film.chosen(np.arange(2)))):
+    for blind in (contact_of(), dataclasses.replace(contact, sequence=sequence.chosen(np.arange(2)))):
         with pytest.raises(NoEstimate, match="A slab needs the depth around the contact"):
             session.fit(blind)
     for wrong in ({"thickness": 0.0}, {"thickness": math.inf}, {"thickness": 0.1, "observation": "contact"}):

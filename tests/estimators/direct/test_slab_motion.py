@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from estimators.direct import slab_motion
-from estimators.direct.slab_motion import DENSITY, PATCH, FirmRegion, SlabMotion
-from physics.fem import Inertia, Material, find_equilibrium, simulate
-from physics.fem.slab import slab_beneath
-from physics.load import Press, held
+from palpate.estimators.direct import slab_motion
+from palpate.estimators.direct.slab_motion import DENSITY, PATCH, FirmRegion, SlabMotion
+from palpate.physics.fem import Inertia, Material, find_equilibrium, simulate
+from palpate.physics.fem.slab import slab_beneath
+from palpate.physics.load import Press, held
 from tests.estimators.direct.slabs import (
     COARSE,
     LOAD,

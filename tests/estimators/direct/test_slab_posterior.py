@@ -7,9 +7,9 @@ import math
 
 import numpy as np
 
-from data.contact.film import FilmNoise
-from estimators.direct.slab_motion import SlabMotion
-from estimators.direct.slab_posterior import follow_valley, moved_by_mesh
+from palpate.data.contact.depth_sequence import SequenceNoise
+from palpate.estimators.direct.slab_motion import SlabMotion
+from palpate.estimators.direct.slab_posterior import follow_valley, moved_by_mesh
 from tests.estimators.direct.slabs import (
     FINE,
     LOGS,
@@ -43,7 +43,7 @@ def test_the_valley_is_as_long_as_inertia_leaves_it() -> None:
 
 def test_where_chi_square_is_nearly_quadratic_the_valley_is_the_normal_distribution() -> None:
     problem = empty_problem()
-    problem.film = dataclasses.replace(problem.film, noise=FilmNoise(SIGMA / 30, 0.0))
+    problem.sequence = dataclasses.replace(problem.sequence, noise=SequenceNoise(SIGMA / 30, 0.0))
     problem.model_errors = lambda sunk: np.zeros((*sunk.T.shape, 0))  # ty: ignore[invalid-assignment]  none here
     shows(problem, problem.motion.at(LOGS)[0])
     problem.look(LOGS)
@@ -55,7 +55,7 @@ def test_where_chi_square_is_nearly_quadratic_the_valley_is_the_normal_distribut
 def test_a_finer_mesh_changes_a_fit_by_what_it_shows() -> None:
     problem = empty_problem(FINE)
     small = LOGS - np.array([0.0, 0.0, 4.0])
-    problem.film = dataclasses.replace(problem.film, noise=FilmNoise(SIGMA / 50, 0.0))
+    problem.sequence = dataclasses.replace(problem.sequence, noise=SequenceNoise(SIGMA / 50, 0.0))
     shows(problem, problem.motion.at(small)[0])
     problem.look(small)
     np.testing.assert_array_equal(moved_by_mesh(problem, problem.motion, small), 0.0)

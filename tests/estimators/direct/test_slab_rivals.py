@@ -8,11 +8,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from estimators.direct.field import FilmProblem
-from estimators.direct.slab_descent import descend
-from estimators.direct.slab_motion import FirmRegion, SlabMotion
-from estimators.direct.slab_rivals import WAYS, Firm, averaged, fall, firm_regions, relaxation, with_firm_regions
-from physics.fem import NoEquilibrium
+from palpate.estimators.direct.field import SequenceProblem
+from palpate.estimators.direct.slab_descent import descend
+from palpate.estimators.direct.slab_motion import FirmRegion, SlabMotion
+from palpate.estimators.direct.slab_rivals import (
+    WAYS,
+    Firm,
+    averaged,
+    fall,
+    firm_regions,
+    relaxation,
+    with_firm_regions,
+)
+from palpate.physics.fem import NoEquilibrium
 from tests.estimators.direct.slabs import (
     FINE,
     LOGS,
@@ -36,8 +44,10 @@ def test_a_firm_region_is_noticed_where_it_lies_and_taken_into_account() -> None
     def with_regions(beginnings: list[tuple[FirmRegion, np.ndarray]], alike: np.ndarray) -> list[Firm]:
         contact, slab, pixels = problem.contact, problem.motion.slab, MESH.pixels
 
-        def problem_with(region: FirmRegion) -> FilmProblem[SlabMotion]:
-            found = FilmProblem(contact, lambda v, times: SlabMotion(contact, slab, pixels[v], times, region=region))
+        def problem_with(region: FirmRegion) -> SequenceProblem[SlabMotion]:
+            found = SequenceProblem(
+                contact, lambda v, times: SlabMotion(contact, slab, pixels[v], times, region=region)
+            )
             found.observed = problem.observed
             return found
 
@@ -73,11 +83,11 @@ def test_regions_that_cannot_be_followed_are_left_out(monkeypatch: pytest.Monkey
             raise NoEquilibrium("no equilibrium.")
         return followed(self, logs, *told)
 
-    def problem_with(region: FirmRegion | None, relaxing: bool = False) -> FilmProblem[SlabMotion]:
+    def problem_with(region: FirmRegion | None, relaxing: bool = False) -> SequenceProblem[SlabMotion]:
         def motion(vertices: np.ndarray, times: np.ndarray) -> SlabMotion:
             return SlabMotion(problem.contact, slab, pixels[vertices], times, relaxing=relaxing, region=region)
 
-        return FilmProblem(problem.contact, motion)
+        return SequenceProblem(problem.contact, motion)
 
     regions = firm_regions(problem, LOGS, THICKNESS, 1.0)
     monkeypatch.setattr(SlabMotion, "_followed", fails)

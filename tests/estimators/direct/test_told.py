@@ -7,11 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from data.contact.interaction import Interaction
-from estimators.direct.estimator import doubts, simulated_motion
-from physics.load import held
-from physics.mechanics import RECOMMENDED
-from physics.msd.simulation import simulate
+from palpate.data.contact.interaction import Interaction
+from palpate.estimators.direct.estimator import doubts, simulated_motion
+from palpate.physics.load import held
+from palpate.physics.mechanics import RECOMMENDED
+from palpate.physics.msd.simulation import simulate
 from tests.estimators.estimates import CONTACT, ESTIMATE, LOAD_STEPS, MECHANICS
 
 SHIFT = 8 * MECHANICS.time_step

@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from estimators.grip.lattice import bilinear, continued, lattice_springs, smoothness
+from palpate.estimators.grip.lattice import bilinear, continued, lattice_springs, smoothness
 
 BEYOND = 3
 

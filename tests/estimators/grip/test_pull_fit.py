@@ -8,14 +8,14 @@ import math
 import numpy as np
 import pytest
 
-from estimators.estimate import NoEstimate
-from estimators.grip import pull_fit
-from estimators.grip.pull_fit import PullFit, _Problem, fit_pull
-from estimators.grip.pull_motion import PullMotion
-from estimators.grip.sheet import SeenFrame
-from estimators.model_errors import MODEL_ERRORS
-from physics.fem import Inertia, Material, simulate
-from physics.load import Grip
+from palpate.estimators.estimate import NoEstimate
+from palpate.estimators.grip import pull_fit
+from palpate.estimators.grip.pull_fit import PullFit, _Problem, fit_pull
+from palpate.estimators.grip.pull_motion import PullMotion
+from palpate.estimators.grip.sheet import SeenFrame
+from palpate.estimators.model_errors import MODEL_ERRORS
+from palpate.physics.fem import Inertia, Material, simulate
+from palpate.physics.load import Grip
 from tests.estimators.grip.test_pull_motion import CELL, FOCAL, slab_of
 
 SPACING, FRAME, FRAMES, SUBSTEPS = 8, 0.04, 15, 2

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
-from estimators.direct.slab_motion import DENSITY, POISSON
-from estimators.grip.pull_motion import KNOTS, STEPS, PullMotion
-from physics.fem import Inertia, Material, find_equilibrium, simulate
-from physics.fem.slab import Slab, slab_beneath
-from physics.load import Grip
-from physics.mesh import grid_mesh
+from palpate.estimators.direct.slab_motion import DENSITY, POISSON
+from palpate.estimators.grip.pull_motion import KNOTS, STEPS, PullMotion
+from palpate.physics.fem import Inertia, Material, find_equilibrium, simulate
+from palpate.physics.fem.slab import Slab, slab_beneath
+from palpate.physics.load import Grip
+from palpate.physics.mesh import grid_mesh
 from tests.physics.fem.test_slab import NORMAL, THICKNESS
 
 SIDE, FOCAL = 121, 150.0

@@ -10,16 +10,16 @@ import cv2
 import numpy as np
 import pytest
 
-from data.labels import TISSUE, TOOL
-from data.prepared import PreparedFrame
-from data.source.frames import Frame
-from data.tracks.background import without_background
-from estimators.estimate import LEAST_LEAD, LEAST_SKILL, NINETY, NoEstimate
-from estimators.grip import recorder as module
-from estimators.grip.lattice import GripFrame, fit_sheet
-from estimators.grip.pull_fit import PullFit
-from estimators.grip.recorder import GripRecorder, _mean_skill, _rival_skill
-from physics.mesh import Mesh, grid_mesh
+from palpate.data.labels import TISSUE, TOOL
+from palpate.data.prepared import PreparedFrame
+from palpate.data.source.frames import Frame
+from palpate.data.tracks.background import without_background
+from palpate.estimators.estimate import LEAST_LEAD, LEAST_SKILL, NINETY, NoEstimate
+from palpate.estimators.grip import recorder as module
+from palpate.estimators.grip.lattice import GripFrame, fit_sheet
+from palpate.estimators.grip.pull_fit import PullFit
+from palpate.estimators.grip.recorder import GripRecorder, _mean_skill, _rival_skill
+from palpate.physics.mesh import Mesh, grid_mesh
 
 WIDTH, HEIGHT, FPS = 320, 240, 25.0
 TIP = np.array([60.0, 120.0])

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from estimators.grip.sheet import (
+from palpate.estimators.grip.sheet import (
     DENSE,
     LOOKS,
     SIZE,
@@ -19,8 +19,8 @@ from estimators.grip.sheet import (
     frame_correlation,
     information,
 )
-from estimators.model_errors import MODEL_ERRORS
-from physics.endless_sheet import response
+from palpate.estimators.model_errors import MODEL_ERRORS
+from palpate.physics.endless_sheet import response
 
 SPACING, NOISE = 8, 0.1
 ANCHOR = 0.05

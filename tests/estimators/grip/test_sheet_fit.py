@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from estimators.grip.lattice import (
+from palpate.estimators.grip.lattice import (
     BEYOND,
     LEAST_AROUND,
     LEAST_GRIPPED,
@@ -29,7 +29,7 @@ from estimators.grip.lattice import (
     length,
     skill,
 )
-from physics.sheet import equilibrium
+from palpate.physics.sheet import equilibrium
 
 SPACING, COLUMNS, ROWS = 8, 20, 16
 NOISE = 0.02

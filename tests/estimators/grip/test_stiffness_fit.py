@@ -8,12 +8,12 @@ import math
 import numpy as np
 import pytest
 
-from data.synthetic.grip import lattice_matrix
-from estimators.grip import stiffness_fit
-from estimators.grip.sheet import NoSheet, SeenFrame
-from estimators.grip.stiffness_field import StiffnessField
-from estimators.grip.stiffness_fit import _Problem, fit_stiffness
-from physics.sheet import equilibrium
+from palpate.data.synthetic.grip import lattice_matrix
+from palpate.estimators.grip import stiffness_fit
+from palpate.estimators.grip.sheet import NoSheet, SeenFrame
+from palpate.estimators.grip.stiffness_field import StiffnessField
+from palpate.estimators.grip.stiffness_fit import _Problem, fit_stiffness
+from palpate.physics.sheet import equilibrium
 
 SPACING, NOISE, FACTOR, ANCHOR = 8, 0.1, 3.0, 0.1
 ROWS, COLUMNS, BEYOND = 36, 44, 16

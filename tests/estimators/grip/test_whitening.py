@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.distance import cdist
 
-from estimators.grip.whitening import REACH, Whitening, alike_points, correlated_points, matern
+from palpate.estimators.grip.whitening import REACH, Whitening, alike_points, correlated_points, matern
 
 
 def grid(side: int, spacing: int = 8) -> np.ndarray:

@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 import torch
 
-from data.contact.features import FEATURES, KNOWN, REFERENCE_SPACING
-from estimators.estimate import NINETY
-from estimators.network.calibration import check_record, main, widths_of
-from estimators.network.fits import BOUNDS
-from evaluation.harness import Store
-from models.calibration import LOG_DAMPING
-from models.calibration_fit import conformal_scale, fit_exponents
-from models.onnx_export import export
-from models.onnx_session import PosteriorModel
-from models.posterior import ContactPosterior
-from results.record import sha256_of
+from palpate.data.contact.features import FEATURES, KNOWN, REFERENCE_SPACING
+from palpate.estimators.estimate import NINETY
+from palpate.estimators.network.calibration import check_record, main, widths_of
+from palpate.estimators.network.fits import BOUNDS
+from palpate.evaluation.harness import Store
+from palpate.models.calibration import LOG_DAMPING
+from palpate.models.calibration_fit import conformal_scale, fit_exponents
+from palpate.models.onnx_export import export
+from palpate.models.onnx_session import PosteriorModel
+from palpate.models.posterior import ContactPosterior
+from palpate.results.record import sha256_of
 from tests.evaluation.recovery_cases import off_by, recovery
 
 METADATA = {"input": {"window": 1, "height": 120, "width": 214}}

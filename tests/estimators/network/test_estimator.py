@@ -8,25 +8,25 @@ import math
 import numpy as np
 import pytest
 
-from data.contact.features import FEATURES, contact_features, contact_spacing
-from data.contact.film_features import FILM_FEATURES, film_features
-from data.contact.interaction import CONTACT, FIELD, Interaction, InteractionBuilder
-from data.contact.motion import FRAYED, LOST
-from data.prepared import PreparedFrame
-from data.synthetic.clip import SyntheticClip
-from data.synthetic.source import open_synthetic
-from estimators.contract import Chosen, ClipInfo
-from estimators.estimate import NINETY, Estimate, FrameEstimate, NoEstimate
-from estimators.network.estimator import NO_NOISE, TOO_EARLY, UNEXPLAINED, NetworkEstimator
-from estimators.network.fits import BOUNDS, MECHANICS
-from estimators.network.misfit import LARGEST_MISFIT, compared
-from estimators.oblique import HIDDEN_ERROR, LARGEST_ANGLE, OBLIQUE
-from estimators.onset import BETWEEN, STAMP
-from estimators.runs import contact_frame
-from physics.load import held
-from physics.mechanics import theta_of
-from physics.msd.simulation import simulate
-from physics.observation import Observation
+from palpate.data.contact.features import FEATURES, contact_features, contact_spacing
+from palpate.data.contact.interaction import CONTACT, FIELD, Interaction, InteractionBuilder
+from palpate.data.contact.motion import FRAYED, LOST
+from palpate.data.contact.sequence_features import SEQUENCE_FEATURES, sequence_features
+from palpate.data.prepared import PreparedFrame
+from palpate.data.synthetic.clip import SyntheticClip
+from palpate.data.synthetic.source import open_synthetic
+from palpate.estimators.contract import Chosen, ClipInfo
+from palpate.estimators.estimate import NINETY, Estimate, FrameEstimate, NoEstimate
+from palpate.estimators.network.estimator import NO_NOISE, TOO_EARLY, UNEXPLAINED, NetworkEstimator
+from palpate.estimators.network.fits import BOUNDS, MECHANICS
+from palpate.estimators.network.misfit import LARGEST_MISFIT, compared
+from palpate.estimators.oblique import HIDDEN_ERROR, LARGEST_ANGLE, OBLIQUE
+from palpate.estimators.onset import BETWEEN, STAMP
+from palpate.estimators.runs import contact_frame
+from palpate.physics.load import held
+from palpate.physics.mechanics import theta_of
+from palpate.physics.msd.simulation import simulate
+from palpate.physics.observation import Observation
 from tests.estimators.sessions import SIZE, clip_info, follow
 
 
@@ -38,13 +38,13 @@ def network(posterior) -> NetworkEstimator:
 
 @pytest.fixture(scope="module")
 def contact(pressed, frames: list[PreparedFrame]) -> Interaction:
-    """The clip's run of contact, as it was seen to its end, without its film."""
+    """The clip's run of contact, as it was seen to its end, without its depth-change sequence."""
     return built(pressed, frames, None)
 
 
 @pytest.fixture(scope="module")
-def filmed(pressed, frames: list[PreparedFrame]) -> Interaction:
-    """The same with its film."""
+def with_sequence(pressed, frames: list[PreparedFrame]) -> Interaction:
+    """The same with its depth-change sequence."""
     return built(pressed, frames, SIZE)
 
 
@@ -150,7 +150,7 @@ def test_what_is_wrong_with_a_contact_is_told_beside_why_it_has_no_estimate(
     network: NetworkEstimator, pressed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Outlines that disagree with the depth are a remark of the onset's frame."""
-    monkeypatch.setattr("data.contact.motion.frayed_share", lambda *_: 0.25)
+    monkeypatch.setattr("palpate.data.contact.motion.frayed_share", lambda *_: 0.25)
     prepared = open_synthetic(pressed, network.preparation(Chosen()))
     results, (run,) = follow(network.start(ClipInfo.of(prepared)), prepared)
     onset = pressed.motion.onset_frame
@@ -168,7 +168,7 @@ def remarked(frames: list[PreparedFrame]) -> list[PreparedFrame]:
 def test_remarks_stay_beside_what_the_network_says(
     network: NetworkEstimator, pressed, frames: list[PreparedFrame], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("estimators.network.estimator.largest_misfit", lambda _: 1.0)
+    monkeypatch.setattr("palpate.estimators.network.estimator.largest_misfit", lambda _: 1.0)
     results = frame_estimates(network, remarked(frames))
     onset, release = pressed.motion.onset_frame, pressed.motion.release_frame
     assert [item.detail for item in results[onset : onset + 2]] == [f"{LOST} {TOO_EARLY}"] * 2
@@ -282,7 +282,7 @@ def test_a_press_that_began_between_frames_is_known_less(network: NetworkEstimat
 def test_frames_of_an_oblique_press_say_so(
     network: NetworkEstimator, pressed, frames: list[PreparedFrame], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("estimators.network.estimator.view_angle", lambda _: 17.4)
+    monkeypatch.setattr("palpate.estimators.network.estimator.view_angle", lambda _: 17.4)
     onset, release = pressed.motion.onset_frame, pressed.motion.release_frame
     results, (run,) = follow(network.start(clip_info()), frames)
     told = OBLIQUE.format(17.4)
@@ -294,29 +294,29 @@ def test_frames_of_an_oblique_press_say_so(
 
 
 def test_by_the_point_alone_the_network_is_told_of_no_dent(
-    film_posterior, contact: Interaction, filmed: Interaction
+    sequence_posterior, contact: Interaction, with_sequence: Interaction
 ) -> None:
-    point, dent = (NetworkEstimator(film_posterior, STAMP, observation=seen) for seen in (CONTACT, FIELD))
+    point, dent = (NetworkEstimator(sequence_posterior, STAMP, observation=seen) for seen in (CONTACT, FIELD))
     expected = estimated(dent, contact)
-    np.testing.assert_array_equal(estimated(point, point.as_trained(filmed)).theta, expected.theta)
-    assert not np.allclose(estimated(dent, dent.as_trained(filmed)).theta, expected.theta, rtol=1e-6)
+    np.testing.assert_array_equal(estimated(point, point.as_trained(with_sequence)).theta, expected.theta)
+    assert not np.allclose(estimated(dent, dent.as_trained(with_sequence)).theta, expected.theta, rtol=1e-6)
 
 
 def test_a_network_that_is_told_of_the_dent_is_told_how_well_the_instants_are_known(
-    network: NetworkEstimator, film_posterior, contact: Interaction, filmed: Interaction
+    network: NetworkEstimator, sequence_posterior, contact: Interaction, with_sequence: Interaction
 ) -> None:
-    """It answers once, for all instants together, with or without a film."""
-    assert not network.sees_film
+    """It answers once, for all instants together, with or without a depth-change sequence."""
+    assert not network.sees_sequence
     spacing = contact_spacing(contact.mesh, contact.vertex)
     for onset, within in ((STAMP, 0.0), (BETWEEN, 0.04)):
-        told = NetworkEstimator(film_posterior, onset)
-        assert told.sees_film
-        for seen in (contact, filmed):
+        told = NetworkEstimator(sequence_posterior, onset)
+        assert told.sees_sequence
+        for seen in (contact, with_sequence):
             found = estimated(told, seen)
-            more = film_features(seen.film, spacing, seen.noise, within)
+            more = sequence_features(seen.sequence, spacing, seen.noise, within)
             features = np.concatenate([contact_features(seen), more])
-            assert features.shape == (FEATURES + FILM_FEATURES,)
-            assert more[-2:].tolist() == [within / 0.04, seen.film is not None]  # in frames
+            assert features.shape == (FEATURES + SEQUENCE_FEATURES,)
+            assert more[-2:].tolist() == [within / 0.04, seen.sequence is not None]  # in frames
             np.testing.assert_array_equal(told.features(seen, within), features)
             logs, covariance, _ = (values[0] for values in told.model(features[None], None))
             np.testing.assert_allclose(found.theta, theta_of(logs), rtol=1e-6)

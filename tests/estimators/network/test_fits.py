@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from data.contact.features import SLOTS, contact_surroundings
-from data.contact.film_features import SHAPES
-from data.synthetic.contacts import SimulatedContact, draw_contacts
-from data.synthetic.settings import SceneSettings
-from estimators.network.draws import film_information, smooth_share, without_delays
-from estimators.network.fits import MECHANICS, NOMINAL_NOISE, Fits, motion_slopes, observed_exactly
-from physics.mechanics import theta_of
-from physics.msd.simulation import simulate
+from palpate.data.contact.features import SLOTS, contact_surroundings
+from palpate.data.contact.sequence_features import SHAPES
+from palpate.data.synthetic.contacts import SimulatedContact, draw_contacts
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.estimators.network.draws import sequence_information, smooth_share, without_delays
+from palpate.estimators.network.fits import MECHANICS, NOMINAL_NOISE, Fits, motion_slopes, observed_exactly
+from palpate.physics.mechanics import theta_of
+from palpate.physics.msd.simulation import simulate
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +39,7 @@ def test_fits_hold_what_they_are_made_of(contacts: list[SimulatedContact]) -> No
     np.testing.assert_array_equal(fits.slopes, slopes)
     np.testing.assert_array_equal(fits.spacing, [item.spacing for item in around])
     np.testing.assert_array_equal(fits.within, np.zeros(2))
-    assert fits.films is None
+    assert fits.sequences is None
     np.testing.assert_array_equal(Fits.of(pressed, logs, slopes, [0.0, 0.04]).within, [0.0, 0.04])
     assert (fits.motion.dtype, fits.motion.shape, fits.around.shape) == (np.float64, (2, SLOTS), (2, 40))
     for index, contact in enumerate(pressed):
@@ -77,13 +77,13 @@ def test_slopes_are_those_of_the_simulated_motion(
         assert (np.abs(found).max(axis=0) > 1e-3).all()
 
 
-def test_information_of_a_film_is_that_of_all_its_errors_together() -> None:
+def test_information_of_a_sequence_is_that_of_all_its_errors_together() -> None:
     """Against the covariance of every amount in every frame, in which the rest surface's error is one for all."""
     generator = np.random.default_rng(0)
     factors = np.tril(generator.normal(size=(1, SLOTS, SHAPES, SHAPES))) + 2 * np.eye(SHAPES)
     slopes, errors = generator.normal(size=(1, SLOTS, SHAPES, 5)), generator.normal(size=(1, SLOTS, SHAPES))
     noise, known = np.array([0.3]), (np.arange(SLOTS) < 9)[None].astype(float)
-    information, pull = film_information(slopes, factors, errors, noise, known)
+    information, pull = sequence_information(slopes, factors, errors, noise, known)
     common = np.tile(smooth_share(), (9, 1))
     covariance = common @ common.T
     for frame, factor in enumerate(factors[0, :9]):

@@ -8,16 +8,16 @@ import functools
 import numpy as np
 import pytest
 
-from data.contact.film import FilmNoise
-from data.contact.film_features import motion_in_film
-from data.contact.interaction import Interaction
-from data.synthetic.contacts import draw_contacts
-from data.synthetic.settings import SceneSettings
-from estimators.network.fits import MECHANICS
-from estimators.network.misfit import LARGEST_MISFIT, TAIL_PROBABILITY, compared, largest_misfit
-from physics.load import held
-from physics.mechanics import theta_of
-from physics.msd.simulation import simulate
+from palpate.data.contact.depth_sequence import SequenceNoise
+from palpate.data.contact.interaction import Interaction
+from palpate.data.contact.sequence_features import motion_in_sequence
+from palpate.data.synthetic.contacts import draw_contacts
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.estimators.network.fits import MECHANICS
+from palpate.estimators.network.misfit import LARGEST_MISFIT, TAIL_PROBABILITY, compared, largest_misfit
+from palpate.physics.load import held
+from palpate.physics.mechanics import theta_of
+from palpate.physics.msd.simulation import simulate
 
 NOISE = 5e-4
 SURE = 1e-8 * np.eye(3)
@@ -28,14 +28,14 @@ def contact_of(within: float) -> tuple[Interaction, np.ndarray]:
     """A contact in a fine picture with noise, and its φ; its press begins and ends so long from the time stamps [s]."""
     settings = SceneSettings(width=214, height=120, regime="critical")
     for seed in range(20):
-        drawn = draw_contacts(settings, seed, 1, MECHANICS.time_step, within, film=True)
-        if drawn and drawn[0].interaction.film.size == (854, 480):
+        drawn = draw_contacts(settings, seed, 1, MECHANICS.time_step, within, sequence=True)
+        if drawn and drawn[0].interaction.sequence.size == (854, 480):
             break
     contact, generator = drawn[0].interaction, np.random.default_rng(0)
-    change = contact.film.change + generator.normal(0, NOISE, contact.film.change.shape).astype(np.float32)
-    film = dataclasses.replace(contact.film, change=change, noise=FilmNoise(NOISE, 0.0))
+    change = contact.sequence.change + generator.normal(0, NOISE, contact.sequence.change.shape).astype(np.float32)
+    sequence = dataclasses.replace(contact.sequence, change=change, noise=SequenceNoise(NOISE, 0.0))
     observation = contact.observation.moved(contact.moved, NOISE)
-    return dataclasses.replace(contact, film=film, observation=observation), np.log(np.abs(drawn[0].theta))
+    return dataclasses.replace(contact, sequence=sequence, observation=observation), np.log(np.abs(drawn[0].theta))
 
 
 @pytest.mark.parametrize("within", [0.0, 0.04])
@@ -52,8 +52,8 @@ def test_a_fine_picture_is_explained_by_what_its_pixels_show(within: float) -> N
     # Delays that other tissue within it needs are not those that this tissue's mean suggests.
     other = np.array([0.3, -0.3, 0.3])
     assert compared(contact, MECHANICS, logs + other, np.outer(other, other) + SURE, within)[0] < 1.6 * misfit
-    shown = contact.observation.moved(motion_in_film(contact), NOISE)
-    point = dataclasses.replace(contact, observation=shown, film=None)
+    shown = contact.observation.moved(motion_in_sequence(contact), NOISE)
+    point = dataclasses.replace(contact, observation=shown, sequence=None)
     unlike, same = compared(point, MECHANICS, logs, SURE, within)
     assert unlike > 1.5 * misfit
     np.testing.assert_allclose(information, same, rtol=1e-5)
@@ -62,7 +62,7 @@ def test_a_fine_picture_is_explained_by_what_its_pixels_show(within: float) -> N
 @pytest.mark.parametrize(("began", "ended", "left"), [(4, 4, 0.02), (-6, -6, 0.02), (4, 2, 0.25), (0, 5, 0.25)])
 def test_a_press_at_other_instants_is_explained_where_they_are_unknown(began: int, ended: int, left: float) -> None:
     """Both delays in steps."""
-    contact = dataclasses.replace(contact_of(0.0)[0], film=None)
+    contact = dataclasses.replace(contact_of(0.0)[0], sequence=None)
     logs, steps = np.log([0.4, 0.03, 0.05]), contact.observation.steps(MECHANICS.time_step)
     loaded = round(contact.load_seconds / MECHANICS.time_step) + ended - began
     press = dataclasses.replace(contact.load, factor=held(loaded, MECHANICS.steps + 6))

@@ -12,15 +12,25 @@ import pytest
 import torch
 from rich.progress import Progress
 
-from data.contact.features import FEATURES, SLOTS
-from data.contact.film_features import FILM_FEATURES
-from data.synthetic.contacts import SimulatedContact, draw_contacts
-from data.synthetic.settings import SceneSettings
-from data.synthetic.truth import damping_ratio, regime_of
-from estimators.network import training as contact_training
-from estimators.network.draws import CUT_SHARES, LEVEL, NOISE, REST_SHARE, draw_errors, draw_known, draw_observed
-from estimators.network.fits import BOUNDS, FRAME_S, MECHANICS, SCENES, Films, Fits, fit_motion
-from estimators.network.training import (
+from palpate.common.output import LIST
+from palpate.common.workers import WorkerLost
+from palpate.data.contact.features import FEATURES, SLOTS
+from palpate.data.contact.sequence_features import SEQUENCE_FEATURES
+from palpate.data.synthetic.contacts import SimulatedContact, draw_contacts
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.data.synthetic.truth import damping_ratio, regime_of
+from palpate.estimators.network import training as contact_training
+from palpate.estimators.network.draws import (
+    CUT_SHARES,
+    LEVEL,
+    NOISE,
+    REST_SHARE,
+    draw_errors,
+    draw_known,
+    draw_observed,
+)
+from palpate.estimators.network.fits import BOUNDS, FRAME_S, MECHANICS, SCENES, DepthSequences, Fits, fit_motion
+from palpate.estimators.network.training import (
     INTERRUPTED,
     PREPARED,
     WEIGHTS,
@@ -33,9 +43,7 @@ from estimators.network.training import (
     make_contacts,
     widened,
 )
-from estimators.worker_pool import WorkerLost
-from physics.identifiability import LIMIT, bounds
-from physics.ownership import LIST
+from palpate.physics.identifiability import LIMIT, bounds
 
 
 @pytest.fixture(scope="module")
@@ -46,10 +54,10 @@ def contacts() -> list[SimulatedContact]:
 
 
 @pytest.fixture(scope="module")
-def filmed() -> list[SimulatedContact]:
-    """Two contacts with films, of the second of which the instants are known to a frame only."""
+def with_sequence() -> list[SimulatedContact]:
+    """Two contacts with depth-change sequences, of the second of which the instants are known to a frame only."""
     settings = SceneSettings(width=214, height=120, regime="critical")
-    return [draw_contacts(settings, 3, 1, MECHANICS.time_step, within, film=True)[0] for within in (0.0, FRAME_S)]
+    return [draw_contacts(settings, 3, 1, MECHANICS.time_step, within, sequence=True)[0] for within in (0.0, FRAME_S)]
 
 
 def test_a_fit_explains_its_motion(contacts: list[SimulatedContact]) -> None:
@@ -184,13 +192,13 @@ def test_contacts_and_fits_are_the_same_in_processes_of_their_own(contacts: list
 
 
 @pytest.mark.slow
-def test_films_and_their_fits_are_the_same_in_processes_of_their_own(filmed: list[SimulatedContact]) -> None:
-    fits, same = (Trainer(filmed, 0, [0.0, FRAME_S]).fit(Progress(disable=True), workers) for workers in (0, 2))
+def test_sequences_and_their_fits_are_the_same_in_processes_of_their_own(with_sequence: list[SimulatedContact]) -> None:
+    fits, same = (Trainer(with_sequence, 0, [0.0, FRAME_S]).fit(Progress(disable=True), workers) for workers in (0, 2))
     assert fits.logs.shape == (2, 5)
     assert fits.within.tolist() == [0.0, FRAME_S]
-    for holder, other, kind in ((fits, same, Fits), (fits.films, same.films, Films)):
+    for holder, other, kind in ((fits, same, Fits), (fits.sequences, same.sequences, DepthSequences)):
         for field in dataclasses.fields(kind):
-            if field.name != "films":
+            if field.name != "sequences":
                 np.testing.assert_array_equal(getattr(holder, field.name), getattr(other, field.name))
 
 
@@ -206,7 +214,7 @@ def test_films_and_their_fits_are_the_same_in_processes_of_their_own(filmed: lis
         ("--seed", "-1", "-1 is less than 0"),
         ("--seed", str(2**63), "is more than"),
         ("--workers", "-1", "-1 is less than 0"),
-        ("--observation", "film", "invalid choice: 'film'"),
+        ("--observation", "sequence", "invalid choice: 'depth-change sequence'"),
     ],
 )
 def test_numbers_that_would_end_a_training_late_are_refused_at_once(
@@ -221,14 +229,14 @@ def test_numbers_that_would_end_a_training_late_are_refused_at_once(
 
 @pytest.fixture
 def made(
-    contacts: list[SimulatedContact], filmed: list[SimulatedContact], monkeypatch: pytest.MonkeyPatch
+    contacts: list[SimulatedContact], with_sequence: list[SimulatedContact], monkeypatch: pytest.MonkeyPatch
 ) -> list[tuple[float, bool]]:
     """How contacts were asked for: drawing takes no time, and steps hardly any."""
     asked = []
 
-    def make(*_: object, within: float = 0.0, film: bool = False, **__: object) -> list[SimulatedContact]:
-        asked.append((within, film))
-        return [filmed[within > 0]] if film else contacts[:2]
+    def make(*_: object, within: float = 0.0, sequence: bool = False, **__: object) -> list[SimulatedContact]:
+        asked.append((within, sequence))
+        return [with_sequence[within > 0]] if sequence else contacts[:2]
 
     monkeypatch.setattr(contact_training, "make_contacts", make)
     monkeypatch.setattr(contact_training, "ROUGH_BATCH", 8)
@@ -237,7 +245,7 @@ def made(
 
 
 MADE = {"contact": [(0.0, False)], "field": [(0.0, True), (FRAME_S, True)]}
-"""Contacts whose instants are known, and with films as many whose instants aren't."""
+"""Contacts whose instants are known, and with depth-change sequences as many whose instants aren't."""
 
 
 def short(folder: Path, observation: str = "contact", *options: str) -> int:
@@ -255,7 +263,7 @@ def steps_of(*names: str) -> list[tuple[str, int]]:
     return [(name, step) for name in names for step in (1, 2, 3, 4)]
 
 
-@pytest.mark.parametrize(("observation", "told"), [("contact", FEATURES), ("field", FEATURES + FILM_FEATURES)])
+@pytest.mark.parametrize(("observation", "told"), [("contact", FEATURES), ("field", FEATURES + SEQUENCE_FEATURES)])
 def test_a_training_leaves_its_weights_and_its_record(
     observation: str, told: int, made: list[tuple[float, bool]], tmp_path: Path
 ) -> None:

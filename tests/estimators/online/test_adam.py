@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimators.online.adam import Adam
+from palpate.estimators.online.adam import Adam
 
 
 def test_the_first_step_is_the_rate_against_the_sign():

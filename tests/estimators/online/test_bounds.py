@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimators.online.bounds import PAPER, Bounds
-from physics.pbd.stiffness import Stiffness
+from palpate.estimators.online.bounds import PAPER, Bounds
+from palpate.physics.pbd.stiffness import Stiffness
 
 FIELDS = Stiffness(np.array([0.2, 5.0, 9.9]), np.array([0.005, 0.01, 0.019]), 7.0)
 

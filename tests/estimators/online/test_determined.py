@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
-from estimators.estimate import LEAST_SKILL
-from estimators.online.driven import DrivenTissue
-from estimators.online.fitting import uniform
-from estimators.online.session import Method
-from estimators.online.settings import Start
-from estimators.online.surface import Surface, make_surface
-from physics.load import Grip
-from physics.pbd.simulation import simulate
-from physics.pbd.stiffness import Stiffness
+from palpate.estimators.estimate import LEAST_SKILL
+from palpate.estimators.online.driven import DrivenTissue
+from palpate.estimators.online.fitting import uniform
+from palpate.estimators.online.session import Method
+from palpate.estimators.online.settings import Start
+from palpate.estimators.online.surface import Surface, make_surface
+from palpate.physics.load import Grip
+from palpate.physics.pbd.simulation import simulate
+from palpate.physics.pbd.stiffness import Stiffness
 from tests.estimators.online.test_driven import AWAY, CAMERA, GEOMETRY, HEIGHT, POINTS, SETTINGS, first_frame
 
 STEPPING = dataclasses.replace(SETTINGS.stepping, time_step=4.0, foundation=0.02)

@@ -10,19 +10,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data.contact.geometry import GeometrySettings
-from data.labels import OTHER, TISSUE, TOOL
-from data.prepared import PreparedFrame
-from data.source.camera import Camera
-from data.source.frames import Frame
-from estimators.estimate import NoEstimate
-from estimators.online import fitting
-from estimators.online.bounds import PAPER, Bounds
-from estimators.online.driven import DrivenTissue
-from estimators.online.given import GripperPath
-from estimators.online.session import Method
-from estimators.online.settings import OnlineSettings
-from estimators.online.surface import Surface, make_surface
+from palpate.data.contact.geometry import GeometrySettings
+from palpate.data.labels import OTHER, TISSUE, TOOL
+from palpate.data.prepared import PreparedFrame
+from palpate.data.source.camera import Camera
+from palpate.data.source.frames import Frame
+from palpate.estimators.estimate import NoEstimate
+from palpate.estimators.online import fitting
+from palpate.estimators.online.bounds import PAPER, Bounds
+from palpate.estimators.online.driven import DrivenTissue
+from palpate.estimators.online.given import GripperPath
+from palpate.estimators.online.session import Method
+from palpate.estimators.online.settings import OnlineSettings
+from palpate.estimators.online.surface import Surface, make_surface
 
 WIDTH, HEIGHT, DEPTH = 240, 160, 0.5
 CAMERA = Camera.from_field_of_view(60.0, WIDTH, HEIGHT)

@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 import pytest
 
-import infer
-from data.masks.class_table import CLASSES
-from estimators.online import driven
-from estimators.online.matching import Chamfer
+from palpate.command import infer
+from palpate.data.masks.class_table import CLASSES
+from palpate.estimators.online import driven
+from palpate.estimators.online.matching import Chamfer
 from tests.evaluation.real_clips import pull_pictures, tissue_motion, tool_mask, write
 
 SHARES = np.linspace(0, 1, 6)

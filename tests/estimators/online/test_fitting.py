@@ -7,10 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from estimators.online.fitting import FOUNDATIONS, Fit, fit_motion, uniform
-from physics.load import Grip
-from physics.pbd.simulation import Stepping, simulate
-from physics.pbd.stiffness import Stiffness
+from palpate.estimators.online.fitting import FOUNDATIONS, Fit, fit_motion, uniform
+from palpate.physics.load import Grip
+from palpate.physics.pbd.simulation import Stepping, simulate
+from palpate.physics.pbd.stiffness import Stiffness
 from tests.physics.pbd.particles import block, sheet
 
 BODY = sheet(6, 5, pinned_rows=1)

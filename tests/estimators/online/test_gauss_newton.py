@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from scipy.sparse import eye_array
 
-from estimators.online import gauss_newton
-from estimators.online.gauss_newton import CHANGE, DRAWN, KNOTS, GaussNewton, bumps, roughness
-from estimators.online.matching import Tracks
-from estimators.online.objective import Objective, Weights
-from estimators.online.session import Method, Session
-from physics.pbd.body import Body
-from physics.pbd.stiffness import Stiffness
+from palpate.estimators.online import gauss_newton
+from palpate.estimators.online.gauss_newton import CHANGE, DRAWN, KNOTS, GaussNewton, bumps, roughness
+from palpate.estimators.online.matching import Tracks
+from palpate.estimators.online.objective import Objective, Weights
+from palpate.estimators.online.session import Method, Session
+from palpate.physics.pbd.body import Body
+from palpate.physics.pbd.stiffness import Stiffness
 from tests.estimators.online.test_objective import BODIES
 from tests.physics.pbd.particles import sheet
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data.source.layout import InputError
-from estimators.online.given import read_path, read_pins
+from palpate.data.source.layout import InputError
+from palpate.estimators.online.given import read_path, read_pins
 from tests.evaluation.real_clips import write
 
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array, eye_array
 
-from estimators.online.mapping import Mapping, map_residual
-from estimators.online.matching import Chamfer, Tracks
-from physics.pbd.potential import Potential
+from palpate.estimators.online.mapping import Mapping, map_residual
+from palpate.estimators.online.matching import Chamfer, Tracks
+from palpate.physics.pbd.potential import Potential
 from tests.physics.pbd.particles import block, sheet
 
 

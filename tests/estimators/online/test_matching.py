@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from estimators.online.matching import Chamfer, Tracks
+from palpate.estimators.online.matching import Chamfer, Tracks
 
 RANDOM = np.random.default_rng(0)
 POINTS, CLOUD = RANDOM.normal(size=(20, 3)), RANDOM.normal(size=(90, 3))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimators.online.nearest import grid_of
+from palpate.estimators.online.nearest import grid_of
 
 RANDOM = np.random.default_rng(0)
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.sparse import eye_array
 
-from estimators.online.matching import Chamfer, Tracks
-from estimators.online.objective import Objective, Weights
-from physics.pbd.body import Body
-from physics.pbd.simulation import Stepping, simulate
-from physics.pbd.stiffness import Stiffness
+from palpate.estimators.online.matching import Chamfer, Tracks
+from palpate.estimators.online.objective import Objective, Weights
+from palpate.physics.pbd.body import Body
+from palpate.physics.pbd.simulation import Stepping, simulate
+from palpate.physics.pbd.stiffness import Stiffness
 from tests.physics.pbd.particles import block, sheet
 
 BODIES = {"sheet": sheet(6, 5, pinned_rows=1), "block": block((2, 2, 1))}

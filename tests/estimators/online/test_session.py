@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy.sparse import eye_array
 
-from estimators.online.matching import Tracks
-from estimators.online.objective import Objective
-from estimators.online.session import SNAPSHOTS, WINDOW, Method, Session
-from physics.load import Grip
-from physics.pbd.simulation import Stepping, simulate
-from physics.pbd.stiffness import Stiffness
+from palpate.estimators.online.matching import Tracks
+from palpate.estimators.online.objective import Objective
+from palpate.estimators.online.session import SNAPSHOTS, WINDOW, Method, Session
+from palpate.physics.load import Grip
+from palpate.physics.pbd.simulation import Stepping, simulate
+from palpate.physics.pbd.stiffness import Stiffness
 from tests.physics.pbd.particles import sheet
 
 BODY = sheet(9, 6, pinned_rows=1)

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from data.source.layout import InputError
-from estimators.online.bounds import Bounds
-from estimators.online.session import Method
-from estimators.online.settings import OnlineSettings, load_settings
+from palpate.data.source.layout import InputError
+from palpate.estimators.online.bounds import Bounds
+from palpate.estimators.online.session import Method
+from palpate.estimators.online.settings import OnlineSettings, load_settings
 
 
 @pytest.fixture

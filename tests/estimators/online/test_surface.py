@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data.labels import OTHER, TISSUE
-from estimators.estimate import NoEstimate
-from estimators.online.given import GripperPath, Pins
-from estimators.online.surface import Surface, make_surface
+from palpate.data.labels import OTHER, TISSUE
+from palpate.estimators.estimate import NoEstimate
+from palpate.estimators.online.given import GripperPath, Pins
+from palpate.estimators.online.surface import Surface, make_surface
 from tests.estimators.online.test_driven import CAMERA, DEPTH, GEOMETRY, HEIGHT, PER_PIXEL, WIDTH, first_frame
 
 THICKNESS, PARTICLES = 0.1, 300

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from estimators.online.visibility import facing, uncovered
+from palpate.estimators.online.visibility import facing, uncovered
 from tests.physics.pbd.particles import sheet
 
 BODY = sheet(9, 8)

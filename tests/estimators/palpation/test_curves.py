@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data.source.layout import InputError
-from estimators.palpation import read_grasp, read_hold, read_probes
+from palpate.data.source.layout import InputError
+from palpate.estimators.palpation import read_grasp, read_hold, read_probes
 
 
 def test_probes_are_sorted_by_depth_and_slips_left_out(tmp_path: Path) -> None:

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estimators.palpation import FitSettings, fit_material
-from estimators.palpation.bench import Bench
-from estimators.palpation.descent import ASIDE, STEP, descend
-from evaluation.palpation.synthetic import BODIES, observe, press
-from physics.fem import NoEquilibrium
+from palpate.estimators.palpation import FitSettings, fit_material
+from palpate.estimators.palpation.bench import Bench
+from palpate.estimators.palpation.descent import ASIDE, STEP, descend
+from palpate.evaluation.palpation.synthetic import BODIES, observe, press
+from palpate.physics.fem import NoEquilibrium
 
 BODY = dataclasses.replace(BODIES["slab"], size=0.08)
 

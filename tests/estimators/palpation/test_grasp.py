@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimators.palpation import fit_grasp
-from estimators.palpation.curves import Grasp
+from palpate.estimators.palpation import fit_grasp
+from palpate.estimators.palpation.curves import Grasp
 
 
 def test_the_slope_of_a_spring_whose_width_is_read_every_other_frame() -> None:

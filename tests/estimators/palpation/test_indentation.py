@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimators.palpation import Indenter, fit_indentation
+from palpate.estimators.palpation import Indenter, fit_indentation
 
 DEPTH = np.linspace(0, 3, 13)
 INDENTERS = [Indenter("sphere", 4.0, 0.45), Indenter("flat", 2.0), Indenter("cone", 30.0, 0.3)]

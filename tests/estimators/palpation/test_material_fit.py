@@ -7,11 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from estimators.palpation import FitSettings, Palpation, Skin, fit_material
-from estimators.palpation.bench import Bench
-from estimators.palpation.material_fit import _states, information
-from estimators.palpation.registration import MOST_ALIGNED, placed, thinned
-from evaluation.palpation.synthetic import BODIES, observe, press
+from palpate.estimators.palpation import FitSettings, Palpation, Skin, fit_material
+from palpate.estimators.palpation.bench import Bench
+from palpate.estimators.palpation.material_fit import _states, information
+from palpate.estimators.palpation.registration import MOST_ALIGNED, placed, thinned
+from palpate.evaluation.palpation.synthetic import BODIES, observe, press
 
 BODY = dataclasses.replace(BODIES["slab"], size=0.08)
 

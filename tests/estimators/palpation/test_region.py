@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimators.palpation import Probe, fit_region
+from palpate.estimators.palpation import Probe, fit_region
 
 DEPTH = np.linspace(0, 3, 8)
 

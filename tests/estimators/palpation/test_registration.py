@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from estimators.palpation.registration import placed, register
-from evaluation.palpation.synthetic import sphere
+from palpate.estimators.palpation.registration import placed, register
+from palpate.evaluation.palpation.synthetic import sphere
 
 
 def test_a_pose_is_found_though_a_part_is_dented() -> None:

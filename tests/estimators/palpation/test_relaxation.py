@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimators.palpation import Hold, fit_relaxation
-from estimators.palpation.relaxation import Viscoelastic
+from palpate.estimators.palpation import Hold, fit_relaxation
+from palpate.estimators.palpation.relaxation import Viscoelastic
 
 TIMES = np.arange(0, 12, 0.1)
 RAMP = 2.0

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import yaml
 
-from data.source.layout import InputError
-from estimators.palpation.scene import FEWEST, read_scene
+from palpate.data.source.layout import InputError
+from palpate.estimators.palpation.scene import FEWEST, read_scene
 from tests.estimators.palpation.test_views import RADII, views
 
 PRESS = {"force": [0, 0, -1], "contact": [0, 0, 0.045], "points": "seen.csv"}

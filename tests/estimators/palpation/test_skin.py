@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimators.palpation import cover
-from estimators.palpation.skin import Match
-from physics.fem import box, make_solid
+from palpate.estimators.palpation import cover
+from palpate.estimators.palpation.skin import Match
+from palpate.physics.fem import box, make_solid
 
 
 def surface(count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from estimators.palpation.registration import placed
-from estimators.palpation.views import View, join_views
-from evaluation.palpation.synthetic import sphere
-from physics.fem import make_solid, mesh_surface
+from palpate.estimators.palpation.registration import placed
+from palpate.estimators.palpation.views import View, join_views
+from palpate.evaluation.palpation.synthetic import sphere
+from palpate.physics.fem import make_solid, mesh_surface
 
 RADII = np.array([0.05, 0.04, 0.045])
 """Of an ellipsoid with a bump, which no turn maps onto itself [m]."""

@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estimators.estimate import FrameEstimate
-from estimators.onset import STAMP
-from estimators.open import EstimatorOptions, open_estimator
-from evaluation.ablation.generated import TrainedGenerator, carried_ahead
-from evaluation.ablation.watched import WatchedClip, watch
-from evaluation.recovery.bounds import MECHANICS
-from evaluation.recovery.suites import suite_clip_seed
-from models.generator import LEAST_DEPTH
-from models.onnx_session import SHIPPED
+from palpate.estimators.estimate import FrameEstimate
+from palpate.estimators.onset import STAMP
+from palpate.estimators.open import EstimatorOptions, open_estimator
+from palpate.evaluation.ablation.generated import TrainedGenerator, carried_ahead
+from palpate.evaluation.ablation.watched import WatchedClip, watch
+from palpate.evaluation.recovery.bounds import MECHANICS
+from palpate.evaluation.recovery.suites import suite_clip_seed
+from palpate.models.generator import LEAST_DEPTH
+from palpate.models.onnx_session import SHIPPED
 from tests.evaluation.ablation.trained_generators import write_checkpoint
 
 

@@ -8,13 +8,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from estimators.onset import STAMP
-from estimators.open import EstimatorOptions
-from evaluation.ablation.__main__ import main
-from evaluation.ablation.next_depth import NextDepthTask, correlation, moments, next_depth_errors, table
-from evaluation.harness import Row
-from evaluation.recovery.suites import suite_clip_seed
-from models.onnx_session import SHIPPED
+from palpate.estimators.onset import STAMP
+from palpate.estimators.open import EstimatorOptions
+from palpate.evaluation.ablation.__main__ import main
+from palpate.evaluation.ablation.next_depth import NextDepthTask, correlation, moments, next_depth_errors, table
+from palpate.evaluation.harness import Row
+from palpate.evaluation.recovery.suites import suite_clip_seed
+from palpate.models.onnx_session import SHIPPED
 from tests.evaluation.ablation.trained_generators import write_checkpoint
 
 

@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data.synthetic.clip import write_clip
-from data.synthetic.settings import SceneSettings
-from estimators.network.training import TrainingError
-from evaluation.ablation import __main__ as door
-from evaluation.ablation import terms
-from evaluation.ablation.generated import TrainedGenerator
-from evaluation.ablation.terms import compared, judge, judged_clips, table, train
-from evaluation.harness import Row
-from physics.doors import INTERRUPTED
-from results.store import OutputError
+from palpate.common.doors import INTERRUPTED
+from palpate.data.synthetic.clip import write_clip
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.estimators.network.training import TrainingError
+from palpate.evaluation.ablation import __main__ as door
+from palpate.evaluation.ablation import terms
+from palpate.evaluation.ablation.generated import TrainedGenerator
+from palpate.evaluation.ablation.terms import compared, judge, judged_clips, table, train
+from palpate.evaluation.harness import Row
+from palpate.results.store import OutputError
 from tests.evaluation.ablation.trained_generators import write_checkpoint
 
 TRUTH = np.array([[-1.0, -3.0, -2.0], [-0.5, -2.0, -3.0], [-0.1, -4.0, -2.5]])

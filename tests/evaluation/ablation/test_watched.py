@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from data.labels import TISSUE
-from data.synthetic.scene import SceneError
-from evaluation.ablation.watched import WatchedClip, watch
-from evaluation.recovery.suites import SUITES, suite_clip_seed
+from palpate.data.labels import TISSUE
+from palpate.data.synthetic.scene import SceneError
+from palpate.evaluation.ablation.watched import WatchedClip, watch
+from palpate.evaluation.recovery.suites import SUITES, suite_clip_seed
 
 
 @pytest.fixture(scope="module")
@@ -53,5 +53,5 @@ def test_a_clip_without_a_scene_is_none(monkeypatch: pytest.MonkeyPatch) -> None
     def hopeless(*_: object) -> None:
         raise SceneError("nothing moves so far")
 
-    monkeypatch.setattr("evaluation.ablation.watched.draw_press", hopeless)
+    monkeypatch.setattr("palpate.evaluation.ablation.watched.draw_press", hopeless)
     assert watch("clean", 0, 1) is None

@@ -8,12 +8,12 @@ from typing import Literal
 import torch
 import yaml
 
-from data.contact.features import FEATURES
-from data.contact.film_features import FILM_FEATURES
-from models.checkpoint import load_posterior
-from models.module import PhysicsInformedGAN
-from models.onnx_session import SHIPPED
-from physics.mechanics import RECOMMENDED, Mechanics
+from palpate.data.contact.features import FEATURES
+from palpate.data.contact.sequence_features import SEQUENCE_FEATURES
+from palpate.models.checkpoint import load_posterior
+from palpate.models.module import PhysicsInformedGAN
+from palpate.models.onnx_session import SHIPPED
+from palpate.physics.mechanics import RECOMMENDED, Mechanics
 
 
 def write_checkpoint(path: Path, decoder: Literal["direct", "residual", "physics"] = "physics") -> Path:
@@ -24,7 +24,7 @@ def write_checkpoint(path: Path, decoder: Literal["direct", "residual", "physics
         residual_blocks=1,
         decoder=decoder,
         head="posterior",
-        contact_features=FEATURES + FILM_FEATURES,
+        contact_features=FEATURES + SEQUENCE_FEATURES,
         bounds=RECOMMENDED,
         mechanics=Mechanics(scheme="dkd", window_error=1e-4),
     )

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from evaluation.foreign.liver import HELD, MATERIALS, MESH
-from physics.fem import box, find_equilibrium, make_solid
+from palpate.evaluation.foreign.liver import HELD, MATERIALS, MESH
+from palpate.physics.fem import box, find_equilibrium, make_solid
 
 FORCES = {
     "linear": np.array([[1.5, 0.0, 2.0], [1.2, 0.4, 2.4]]),

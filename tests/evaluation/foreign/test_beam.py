@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data.source.layout import InputError
-from evaluation.foreign import beam
-from evaluation.foreign.beam import (
+from palpate.data.source.layout import InputError
+from palpate.evaluation.foreign import beam
+from palpate.evaluation.foreign.beam import (
     Ringing,
     fit_solid,
     judge_beams,
@@ -20,7 +20,7 @@ from evaluation.foreign.beam import (
     ringing_of,
     tip_mass,
 )
-from physics.fem import Relaxation
+from palpate.physics.fem import Relaxation
 from tests.evaluation.foreign.pulls import write_beam
 
 SOLID = 2.2e5, Relaxation(0.3, 0.04)

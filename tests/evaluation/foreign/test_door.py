@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from evaluation.foreign import __main__ as door
+from palpate.evaluation.foreign import __main__ as door
 from tests.evaluation.foreign.pulls import write_beam, write_pull
 
 
@@ -26,7 +26,7 @@ def test_every_file_gets_its_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     write_beam(data / "beam" / "beam_load52_a.csv", 4.3, 1.5)
     write_beam(data / "beam" / "beam_load101_a.csv", 3.3, 1.1)
     (data / "beam" / "beam_load20.csv").write_text("nothing")
-    monkeypatch.setattr("evaluation.foreign.beam.MESHES", ((4, 1, 1), (8, 2, 2)))
+    monkeypatch.setattr("palpate.evaluation.foreign.beam.MESHES", ((4, 1, 1), (8, 2, 2)))
     assert door.main(["--data", str(data), "--output", str(tmp_path / "out")]) == 1
     found = table(tmp_path / "out")
     assert float(found["liver/linear_s1.npz", "force error, median where above 1 N"]) < 1e-4

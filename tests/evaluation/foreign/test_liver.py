@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data.source.layout import InputError
-from evaluation.foreign.liver import HELD, MESH, judge_pull, read_gmsh, read_pull
+from palpate.data.source.layout import InputError
+from palpate.evaluation.foreign.liver import HELD, MESH, judge_pull, read_gmsh, read_pull
 from tests.evaluation.foreign.pulls import FORCES, write_mesh, write_pull
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluation.foreign.liver import judge_pull, read_pull
-from evaluation.foreign.surface_fit import SurfaceFit, fit_surface
+from palpate.evaluation.foreign.liver import judge_pull, read_pull
+from palpate.evaluation.foreign.surface_fit import SurfaceFit, fit_surface
 from tests.evaluation.foreign.pulls import FORCES, write_pull
 
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.sparse import eye_array
 
-from estimators.online.matching import Chamfer, Tracks
-from estimators.online.objective import Objective
-from evaluation.online.batch_fit import fit_batch
-from physics.pbd.stiffness import Stiffness
+from palpate.estimators.online.matching import Chamfer, Tracks
+from palpate.estimators.online.objective import Objective
+from palpate.evaluation.online.batch_fit import fit_batch
+from palpate.physics.pbd.stiffness import Stiffness
 from tests.physics.pbd.particles import sheet
 
 BODY = sheet(5, 4, pinned_rows=1)

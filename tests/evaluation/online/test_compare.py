@@ -7,11 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from estimators.online.objective import Objective
-from estimators.online.session import Method, Session
-from evaluation.online.compare import BATCH, HORIZON, STARTS, Case, run_case, summary, told_by
-from evaluation.online.sequences import SEQUENCES, Pull
-from physics.pbd.stiffness import Stiffness
+from palpate.estimators.online.objective import Objective
+from palpate.estimators.online.session import Method, Session
+from palpate.evaluation.online.compare import BATCH, HORIZON, STARTS, Case, run_case, summary, told_by
+from palpate.evaluation.online.sequences import SEQUENCES, Pull
+from palpate.physics.pbd.stiffness import Stiffness
 
 FRAMES, EVERY = 14, 3
 

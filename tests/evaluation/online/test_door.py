@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from evaluation.online.__main__ import case_path, main
+from palpate.evaluation.online.__main__ import case_path, main
 
 SMALL = ["--sequences", "thin-shell-1", "--starts", "k2", "--frames", "14", "--every", "3"]
 SMALL += ["--particles", "64", "--points", "80", "--match", "tracks"]
@@ -34,7 +34,7 @@ def test_a_run_goes_on_where_it_was(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 
 def test_the_paper_s_combination_runs(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
-    """Clouds and Adam, as docs/online.md names the command."""
+    """Clouds and Adam, as docs/reports/online.md names the command."""
     told = [*SMALL, "--match", "chamfer", "--optimizer", "adam", "--methods", "PBD", "PBD-RM-ON"]
     assert main([*told, "--output", str(tmp_path)]) == 0
     out = " ".join(capsys.readouterr().out.split())

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from evaluation.online.compare import METHODS, Case
-from evaluation.online.figures import draw_all, instants
-from evaluation.online.sequences import SEQUENCES, Pull
+from palpate.evaluation.online.compare import METHODS, Case
+from palpate.evaluation.online.figures import draw_all, instants
+from palpate.evaluation.online.sequences import SEQUENCES, Pull
 
 FRAMES = 12
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
-from evaluation.online.sequences import BLOCK, FINE, FINE_CELLS, KEYPOINTS, NOISE, SEQUENCES, SIDE, STIFF, Pull
+from palpate.evaluation.online.sequences import BLOCK, FINE, FINE_CELLS, KEYPOINTS, NOISE, SEQUENCES, SIDE, STIFF, Pull
 
 FRAMES, PARTICLES, POINTS = 8, 80, 200
 

@@ -9,12 +9,12 @@ from types import SimpleNamespace
 import pytest
 from rich.console import Console
 
-from estimators.palpation.bench import Progress
-from evaluation.file_table import FileTable
-from evaluation.palpation import descents
-from evaluation.palpation.descents import MOST, arrival, compare
-from evaluation.palpation.frank import YOUNG
-from evaluation.palpation.synthetic import BODIES, press
+from palpate.estimators.palpation.bench import Progress
+from palpate.evaluation.file_table import FileTable
+from palpate.evaluation.palpation import descents
+from palpate.evaluation.palpation.descents import MOST, arrival, compare
+from palpate.evaluation.palpation.frank import YOUNG
+from palpate.evaluation.palpation.synthetic import BODIES, press
 
 
 def test_e_has_arrived_once_it_stays_near() -> None:

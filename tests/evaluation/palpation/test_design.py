@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from evaluation.palpation import design
-from evaluation.palpation.synthetic import BODIES, SENSORS
+from palpate.evaluation.palpation import design
+from palpate.evaluation.palpation.synthetic import BODIES, SENSORS
 
 
 @pytest.mark.slow

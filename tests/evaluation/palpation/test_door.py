@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estimators.palpation.grasp import GraspSlope
-from evaluation.palpation import __main__ as door
-from evaluation.palpation.grasping import GraspName, judge_grasps
+from palpate.estimators.palpation.grasp import GraspSlope
+from palpate.evaluation.palpation import __main__ as door
+from palpate.evaluation.palpation.grasping import GraspName, judge_grasps
 from tests.estimators.palpation.test_region import probes
 from tests.estimators.palpation.test_relaxation import ramp_and_hold
 

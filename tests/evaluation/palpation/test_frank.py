@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from estimators.palpation import FitSettings
-from estimators.palpation.bench import surface_error
-from evaluation.file_table import FileTable
-from evaluation.palpation import frank
-from evaluation.palpation.frank import FIGURES, POISSON, SIX, STARTS, YOUNG
-from evaluation.palpation.synthetic import BODIES, SENSORS, observe, press
-from physics.fem import Material, NoEquilibrium
+from palpate.estimators.palpation import FitSettings
+from palpate.estimators.palpation.bench import surface_error
+from palpate.evaluation.file_table import FileTable
+from palpate.evaluation.palpation import frank
+from palpate.evaluation.palpation.frank import FIGURES, POISSON, SIX, STARTS, YOUNG
+from palpate.evaluation.palpation.synthetic import BODIES, SENSORS, observe, press
+from palpate.physics.fem import Material, NoEquilibrium
 
 BODY = dataclasses.replace(BODIES["slab"], size=0.08)
 

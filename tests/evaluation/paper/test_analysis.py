@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from data.contact.interaction import Interaction
-from evaluation.paper.analysis import (
+from palpate.data.contact.interaction import Interaction
+from palpate.evaluation.paper.analysis import (
     CONSTANT,
     PREDICTED,
     REFERENCE,
@@ -15,7 +15,7 @@ from evaluation.paper.analysis import (
     analyse_depth,
     describe_depth,
 )
-from evaluation.paper.baselines import no_motion_errors, simulate_contacts
+from palpate.evaluation.paper.baselines import no_motion_errors, simulate_contacts
 from tests.evaluation.simple_contacts import BOUNDS, MECHANICS, contact, record
 
 SOFT, HARD = np.array([0.2, 0.02, -0.05]), np.array([1.5, 0.15, -0.2])

@@ -8,9 +8,15 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from evaluation.paper import baselines
-from evaluation.paper.baselines import fit_constant_theta, no_motion_errors, simulate_contacts, to_theta, to_unit
-from physics.mechanics import Bounds
+from palpate.evaluation.paper import baselines
+from palpate.evaluation.paper.baselines import (
+    fit_constant_theta,
+    no_motion_errors,
+    simulate_contacts,
+    to_theta,
+    to_unit,
+)
+from palpate.physics.mechanics import Bounds
 from tests.evaluation.simple_contacts import BOUNDS, MECHANICS, STEPS, contact, observing
 
 TRUE = np.array([0.6, 0.05, -0.08])

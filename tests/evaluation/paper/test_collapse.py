@@ -4,9 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from evaluation.paper.collapse import as_reported, conclude, describe_spread, spread_of
-from evaluation.paper.statistics import compare
-from physics.mechanics import PARAMETERS, Bounds
+from palpate.evaluation.paper.collapse import as_reported, conclude, describe_spread, spread_of
+from palpate.evaluation.paper.statistics import compare
+from palpate.physics.mechanics import PARAMETERS, Bounds
 
 BOUNDS = Bounds()
 SIGNED = Bounds(force=(-10, 10))

@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from evaluation.paper.figures import draw_next_depth, draw_response, draw_theta
-from physics.mechanics import PARAMETERS, Mechanics
+from palpate.evaluation.paper.figures import draw_next_depth, draw_response, draw_theta
+from palpate.physics.mechanics import PARAMETERS, Mechanics
 
 MECHANICS = Mechanics(time_step=0.01, steps=100, load_steps=25)
 LOAD = np.clip(MECHANICS.times / 0.25, 0, 1) * np.where(

@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from evaluation.paper.motion import amplification, median_share, motion_row, settle
-from physics.mechanics import Mechanics
+from palpate.evaluation.paper.motion import amplification, median_share, motion_row, settle
+from palpate.physics.mechanics import Mechanics
 from tests.evaluation.simple_contacts import MECHANICS as SHORT
 from tests.evaluation.simple_contacts import contact
 

@@ -8,10 +8,10 @@ import math
 import numpy as np
 import pytest
 
-from data.synthetic.scene import draw_scene
-from data.synthetic.settings import SceneSettings
-from evaluation.paper import readings as module
-from evaluation.paper.readings import (
+from palpate.data.synthetic.scene import draw_scene
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.evaluation.paper import readings as module
+from palpate.evaluation.paper.readings import (
     COLUMNS,
     ERROR,
     REFERENCE_ERROR,
@@ -26,7 +26,7 @@ from evaluation.paper.readings import (
     motions,
     readings,
 )
-from physics.mesh import grid_mesh
+from palpate.physics.mesh import grid_mesh
 
 SMALL = SceneSettings(width=86, height=48, grid_width=86, grid_height=48)
 

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from evaluation.paper.recovered import COLUMNS, main, read_contacts, recovery_row
+from palpate.evaluation.paper.recovered import COLUMNS, main, read_contacts, recovery_row
 
 TRUTHS = {"video10_00000": (0.2, 0.02, -0.1), "video10_00080": (0.4, 0.08, -0.2), "video10_00160": (0.8, 0.32, -0.4)}
 

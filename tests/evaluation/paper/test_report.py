@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from evaluation.page import render_page
-from evaluation.paper.analysis import REGIMES, EvaluationError
-from evaluation.paper.report import COMPARISONS, ERRORS, write_evaluation
-from evaluation.paper.statistics import format_number
-from physics.ownership import LIST
+from palpate.common.output import LIST
+from palpate.evaluation.page import render_page
+from palpate.evaluation.paper.analysis import REGIMES, EvaluationError
+from palpate.evaluation.paper.report import COMPARISONS, ERRORS, write_evaluation
+from palpate.evaluation.paper.statistics import format_number
 from tests.evaluation.simple_contacts import BOUNDS, MECHANICS, contact, record
 
 SOFT, HARD = np.array([0.2, 0.02, -0.05]), np.array([1.5, 0.15, -0.2])
@@ -200,7 +200,7 @@ def test_text_of_the_page_is_escaped():
 
 @pytest.fixture
 def undrawn(monkeypatch):
-    monkeypatch.setattr("evaluation.paper.report.as_png", lambda figure: b"")
+    monkeypatch.setattr("palpate.evaluation.paper.report.as_png", lambda figure: b"")
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -227,7 +227,7 @@ def test_a_write_that_fails_keeps_the_earlier_file(records, tmp_path, monkeypatc
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("physics.files.os.replace", full)
+    monkeypatch.setattr("palpate.common.files.os.replace", full)
     with pytest.raises(EvaluationError, match="No space left on device"):
         write_evaluation(records[:1], [], MECHANICS, BOUNDS, tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["table2.md"]

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy import stats
 
-from evaluation.paper.statistics import (
+from palpate.evaluation.paper.statistics import (
     MINIMUM_FOR_WILCOXON,
     SIGNIFICANCE,
     Statistic,

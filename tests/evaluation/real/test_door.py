@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 import pytest
 
-from evaluation.harness import options, write
-from evaluation.real.__main__ import COLUMNS, KNOWN, Real, main
-from evaluation.real.pulled import PulledClip
-from physics.ownership import LIST
+from palpate.common.output import LIST
+from palpate.evaluation.harness import options, write
+from palpate.evaluation.real.__main__ import COLUMNS, KNOWN, Real, main
+from palpate.evaluation.real.pulled import PulledClip
 from tests.evaluation.real_clips import LAYOUT, pull_clip, ramp, write_press, write_wrench
 
 FACTOR = 0.35
@@ -87,7 +87,7 @@ def test_an_interruption_keeps_what_is_finished(
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("evaluation.real.__main__.evaluate_press", interrupt)
+    monkeypatch.setattr("palpate.evaluation.real.__main__.evaluate_press", interrupt)
     assert main([*pulled(inputs, "pull"), *pressed(inputs), "--output", str(tmp_path / "part")]) == 130
     assert list(rows(tmp_path / "part")) == ["pull"]
     assert "Interrupted; what is finished is kept" in capsys.readouterr().err
@@ -118,7 +118,7 @@ def test_what_nobody_expected_of_a_clip_is_a_sentence_and_the_other_is_judged(
     def fail(*_: object) -> None:
         raise ZeroDivisionError("of something")
 
-    monkeypatch.setattr("evaluation.real.__main__.evaluate_pull", fail)
+    monkeypatch.setattr("palpate.evaluation.real.__main__.evaluate_pull", fail)
     assert main([*pulled(inputs, "pull"), *pressed(inputs), "--output", str(tmp_path)]) == 1
     found = rows(tmp_path)
     told = "unexpected ZeroDivisionError (of something); please report it with the clip."
@@ -221,4 +221,4 @@ def test_two_clips_of_one_name_are_both_judged(tmp_path: Path) -> None:
 
 
 def chosen(output: Path, *arguments: str) -> Real:
-    return options(Real, ["--output", str(output), *arguments], "evaluation.real", "")
+    return options(Real, ["--output", str(output), *arguments], "palpate.evaluation.real", "")

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data.source.layout import InputError
-from estimators.grip.lattice import GripFrame, NothingMoves
-from estimators.online.settings import OnlineSettings
-from evaluation.real.__main__ import main
-from evaluation.real.predicted import (
+from palpate.data.source.layout import InputError
+from palpate.estimators.grip.lattice import GripFrame, NothingMoves
+from palpate.estimators.online.settings import OnlineSettings
+from palpate.evaluation.real.__main__ import main
+from palpate.evaluation.real.predicted import (
     AHEAD,
     RATIOS,
     Follow,
@@ -21,7 +21,7 @@ from evaluation.real.predicted import (
     sheet_motion,
     sheet_ratio,
 )
-from evaluation.real.pulled import PulledClip
+from palpate.evaluation.real.pulled import PulledClip
 from tests.evaluation.real_clips import SIZE, pull_clip, tool_mask
 
 SETTINGS = OnlineSettings(particles=200)

@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data.source.layout import InputError
-from evaluation.real.pressed import (
+from palpate.data.source.layout import InputError
+from palpate.evaluation.real.pressed import (
     CLOCK,
     damping_time,
     deepest_dent,
     evaluate_press,
     measured_force,
 )
-from physics.identifiability import LIMIT
+from palpate.physics.identifiability import LIMIT
 from tests.evaluation.real_clips import deep, ramp, write, write_press, write_wrench
 
 FACTOR = 0.35

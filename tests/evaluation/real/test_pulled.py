@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data.source.layout import InputError
-from estimators.estimate import NoEstimate
-from estimators.grip.lattice import GripFrame
-from evaluation.real.predicted import follow_clip, nearby_frame, read_views
-from evaluation.real.pulled import Pull, PulledClip, evaluate_pull
+from palpate.data.source.layout import InputError
+from palpate.estimators.estimate import NoEstimate
+from palpate.estimators.grip.lattice import GripFrame
+from palpate.evaluation.real.predicted import follow_clip, nearby_frame, read_views
+from palpate.evaluation.real.pulled import Pull, PulledClip, evaluate_pull
 from tests.evaluation.real_clips import pull_clip, tissue_motion, tool_mask, write
 
 SHARES = np.linspace(0, 3, 13)

@@ -8,22 +8,22 @@ import functools
 import numpy as np
 import pytest
 
-from data.contact.film import REACH, DentFilm, FilmNoise
-from data.contact.interaction import Interaction
-from data.contact.patches import Patches
-from data.synthetic.clip import draw_press
-from data.synthetic.scene import Scene
-from data.synthetic.settings import SceneSettings
-from data.synthetic.truth import PressedMotion
-from estimators.direct.patch import PatchMotion
-from estimators.onset import BETWEEN, STAMP
-from evaluation.recovery.bounds import MECHANICS, contact_information, field_information, known
-from physics.identifiability import bounds, box_information, fisher_information
-from physics.load import Press, PressShape, held
-from physics.mechanics import RECOMMENDED, theta_of
-from physics.mesh import contact_normal
-from physics.msd.simulation import simulate
-from physics.observation import Observation
+from palpate.data.contact.depth_sequence import REACH, DepthSequence, SequenceNoise
+from palpate.data.contact.interaction import Interaction
+from palpate.data.contact.patches import Patches
+from palpate.data.synthetic.clip import draw_press
+from palpate.data.synthetic.scene import Scene
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.data.synthetic.truth import PressedMotion
+from palpate.estimators.direct.patch import PatchMotion
+from palpate.estimators.onset import BETWEEN, STAMP
+from palpate.evaluation.recovery.bounds import MECHANICS, contact_information, field_information, known
+from palpate.physics.identifiability import bounds, box_information, fisher_information
+from palpate.physics.load import Press, PressShape, held
+from palpate.physics.mechanics import RECOMMENDED, theta_of
+from palpate.physics.mesh import contact_normal
+from palpate.physics.msd.simulation import simulate
+from palpate.physics.observation import Observation
 
 SIGMA = 1e-3
 SETTINGS = SceneSettings(
@@ -45,7 +45,7 @@ def truth() -> tuple[Scene, PressedMotion]:
 
 
 def contact_of(
-    aside: tuple[int, int] = (0, 0), *, released: bool = True, noise: FilmNoise | None = None
+    aside: tuple[int, int] = (0, 0), *, released: bool = True, noise: SequenceNoise | None = None
 ) -> Interaction:
     """The true contact as it would be observed without errors, found so many rows and columns beside where it is."""
     scene, motion = truth()
@@ -67,7 +67,7 @@ def contact_of(
         Press.at(vertex, contact_normal(mesh, vertex), load),
         Observation.of_point(vertex, times, motion.contact[frames], SIGMA),
         MECHANICS.time_step,
-        DentFilm(times, change, noise or FilmNoise(SIGMA, 0.0), (214, 120)),
+        DepthSequence(times, change, noise or SequenceNoise(SIGMA, 0.0), (214, 120)),
     )
 
 
@@ -124,11 +124,11 @@ def test_a_dent_tells_more_than_its_deepest_point(found: tuple[np.ndarray, np.nd
     assert (field > 0).all()
 
 
-def test_the_films_noise_counts(found: tuple[np.ndarray, np.ndarray]) -> None:
+def test_the_sequences_noise_counts(found: tuple[np.ndarray, np.ndarray]) -> None:
     """Independent errors of twice the size tell a quarter."""
-    larger = field_information(contact_of(noise=FilmNoise(2 * SIGMA, 0.0)), *truth())
+    larger = field_information(contact_of(noise=SequenceNoise(2 * SIGMA, 0.0)), *truth())
     np.testing.assert_allclose(larger, found[1] / 4, rtol=1e-6)
-    alike = field_information(contact_of(noise=FilmNoise(SIGMA, 0.0, 4.0)), *truth())
+    alike = field_information(contact_of(noise=SequenceNoise(SIGMA, 0.0, 4.0)), *truth())
     for less in (larger, alike):
         assert np.linalg.eigvalsh(found[1] - less).min() > -1e-6 * np.abs(found[1]).max()
 
@@ -137,11 +137,11 @@ def test_what_was_observed_itself_does_not_count(found: tuple[np.ndarray, np.nda
     """Only when, and what was hidden, does."""
     contact = contact_of()
     generator = np.random.default_rng(0)
-    film = contact.film
-    noisy = film.change + generator.normal(0, SIGMA, film.change.shape).astype(np.float32)
+    sequence = contact.sequence
+    noisy = sequence.change + generator.normal(0, SIGMA, sequence.change.shape).astype(np.float32)
     spoiled = dataclasses.replace(
         contact,
-        film=dataclasses.replace(film, change=noisy),
+        sequence=dataclasses.replace(sequence, change=noisy),
         observation=contact.observation.moved(contact.moved + 0.01, 7.0),
     )
     np.testing.assert_allclose(field_information(spoiled, *truth()), found[1], rtol=1e-9)
@@ -149,31 +149,31 @@ def test_what_was_observed_itself_does_not_count(found: tuple[np.ndarray, np.nda
 
 
 @pytest.mark.parametrize("aside", [(0, 1), (-1, 0), (1, -1)])
-def test_the_film_of_a_contact_found_one_pixel_aside_is_recentred(aside: tuple[int, int]) -> None:
+def test_the_sequence_of_a_contact_found_one_pixel_aside_is_recentred(aside: tuple[int, int]) -> None:
     """It tells what the true contact's does without the rows and columns that it doesn't show."""
     contact = contact_of()
-    change = contact.film.change.copy()
+    change = contact.sequence.change.copy()
     for axis, away in enumerate(aside):
         if away:
             lost = [slice(None)] * 3
             lost[1 + axis] = slice(None, away) if away > 0 else slice(away, None)
             change[tuple(lost)] = np.nan
-    cut = dataclasses.replace(contact, film=dataclasses.replace(contact.film, change=change))
+    cut = dataclasses.replace(contact, sequence=dataclasses.replace(contact.sequence, change=change))
     expected = field_information(cut, *truth())
     np.testing.assert_allclose(field_information(contact_of(aside), *truth()), expected, rtol=1e-9)
 
 
 def test_a_tool_takes_what_it_hides_from_the_right_pixels() -> None:
-    """Hidden in the middle of the true contact, wherever the film's own middle is."""
+    """Hidden in the middle of the true contact, wherever the depth-change sequence's own middle is."""
     found = []
     for aside in ((0, 0), (1, 1)):
         contact = contact_of(aside)
-        change = contact.film.change.copy()
+        change = contact.sequence.change.copy()
         change[:, REACH - aside[0], REACH - aside[1]] = np.nan
         if aside == (0, 0):
             change[:, 0], change[:, :, 0] = np.nan, np.nan
-        film = dataclasses.replace(contact.film, change=change)
-        found.append(field_information(dataclasses.replace(contact, film=film), *truth()))
+        sequence = dataclasses.replace(contact.sequence, change=change)
+        found.append(field_information(dataclasses.replace(contact, sequence=sequence), *truth()))
     np.testing.assert_allclose(found[0], found[1], rtol=1e-9)
 
 
@@ -187,10 +187,10 @@ def test_where_the_release_was_not_seen_nothing_is_known_of_it() -> None:
         assert np.isfinite(known(information, BETWEEN)).all()
 
 
-def test_without_a_film_there_is_no_information_of_it() -> None:
+def test_without_a_sequence_there_is_no_information_of_it() -> None:
     contact = contact_of()
-    assert field_information(dataclasses.replace(contact, film=None), *truth()) is None
-    short = dataclasses.replace(contact, film=contact.film.chosen(np.arange(2)))
+    assert field_information(dataclasses.replace(contact, sequence=None), *truth()) is None
+    short = dataclasses.replace(contact, sequence=contact.sequence.chosen(np.arange(2)))
     assert field_information(short, *truth()) is None
 
 

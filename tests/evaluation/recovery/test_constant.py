@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from rich.progress import Progress
 
-from evaluation.recovery import constant
-from evaluation.recovery.constant import constant_estimate
-from evaluation.recovery.suites import suite_clip_seed
+from palpate.evaluation.recovery import constant
+from palpate.evaluation.recovery.constant import constant_estimate
+from palpate.evaluation.recovery.suites import suite_clip_seed
 
 
 def test_it_is_the_mean_of_what_can_be_drawn(monkeypatch: pytest.MonkeyPatch) -> None:

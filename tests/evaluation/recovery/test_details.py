@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from evaluation.recovery.details import COLUMNS, detail_table, ranks, true_verdicts
-from evaluation.recovery.scores import score_all
+from palpate.evaluation.recovery.details import COLUMNS, detail_table, ranks, true_verdicts
+from palpate.evaluation.recovery.scores import score_all
 from tests.evaluation.recovery_cases import BY_CONTACT, off_by, recovery
 
 

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from estimators.open import EstimatorOptions
-from evaluation.recovery.estimators import describe, opened
-from models.onnx_session import SHIPPED, ModelFileError
-from results.record import sha256_of
+from palpate.estimators.open import EstimatorOptions
+from palpate.evaluation.recovery.estimators import describe, opened
+from palpate.models.onnx_session import SHIPPED, ModelFileError
+from palpate.results.record import sha256_of
 from tests.inference_inputs import write_model
 
 

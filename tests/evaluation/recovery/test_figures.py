@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from evaluation.recovery.figures import LEVELS, coverage_curve, draw_recovery, figures
-from evaluation.recovery.scores import score_all
+from palpate.evaluation.recovery.figures import LEVELS, coverage_curve, draw_recovery, figures
+from palpate.evaluation.recovery.scores import score_all
 from tests.evaluation.recovery_cases import BY_CONTACT, TRUTH, off_by, recovery
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from evaluation.recovery.followed import Following, measure_following, ring_correlation
+from palpate.evaluation.recovery.followed import Following, measure_following, ring_correlation
 
 SPACING = 8
 TRUE = Following(np.empty(0), 6.0, 0.1, np.array([[1.0, 0.5], [0.5, 1.0]]))

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from estimators.grip.sheet import SIZE, load_precision, loaded_cells
-from evaluation.recovery.followed import Following
-from evaluation.recovery.grip_bound import GripBound, grip_bound
-from physics.endless_sheet import response
+from palpate.estimators.grip.sheet import SIZE, load_precision, loaded_cells
+from palpate.evaluation.recovery.followed import Following
+from palpate.evaluation.recovery.grip_bound import GripBound, grip_bound
+from palpate.physics.endless_sheet import response
 
 SPACING, LOG = 8, np.log(0.2)
 PULLS = np.array([0.6, 1.0])
@@ -56,7 +56,7 @@ def bound() -> GripBound:
 
 @pytest.fixture(autouse=True)
 def no_prior(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("evaluation.recovery.grip_bound.load_precision", partial(load_precision, energy=1e9))
+    monkeypatch.setattr("palpate.evaluation.recovery.grip_bound.load_precision", partial(load_precision, energy=1e9))
 
 
 def test_the_bound_is_that_of_all_unknowns_at_once() -> None:

@@ -8,18 +8,18 @@ import math
 import numpy as np
 import pytest
 
-from data.synthetic.clip import draw_truth
-from data.synthetic.grip import GrippedMotion
-from data.synthetic.render import rest_view
-from data.synthetic.settings import SceneSettings
-from data.synthetic.surface import deformed_view
-from estimators.grip.stiffness_field import StiffnessField
-from estimators.open import EstimatorOptions
-from evaluation.harness import Row
-from evaluation.recovery import trial
-from evaluation.recovery.grips import grip_table
-from evaluation.recovery.suites import GRIP_SUITES
-from evaluation.recovery.trial import Trial, moving_frames, picture_motion, run_trial
+from palpate.data.synthetic.clip import draw_truth
+from palpate.data.synthetic.grip import GrippedMotion
+from palpate.data.synthetic.render import rest_view
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.data.synthetic.surface import deformed_view
+from palpate.estimators.grip.stiffness_field import StiffnessField
+from palpate.estimators.open import EstimatorOptions
+from palpate.evaluation.harness import Row
+from palpate.evaluation.recovery import trial
+from palpate.evaluation.recovery.grips import grip_table
+from palpate.evaluation.recovery.suites import GRIP_SUITES
+from palpate.evaluation.recovery.trial import Trial, moving_frames, picture_motion, run_trial
 
 SMALL = {
     "width": 214, "height": 120, "frames": 10, "action": "grip", "onset_fraction": (0.0, 0.0), "spread": (12.0, 12.0),

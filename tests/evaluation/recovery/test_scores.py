@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from estimators.estimate import NINETY
-from evaluation.recovery.scores import (
+from palpate.estimators.estimate import NINETY
+from palpate.evaluation.recovery.scores import (
     COLUMNS,
     QUANTITIES,
     Bound,
@@ -17,7 +17,7 @@ from evaluation.recovery.scores import (
     score,
     score_all,
 )
-from evaluation.recovery.scores import (
+from palpate.evaluation.recovery.scores import (
     table as table_of,
 )
 from tests.evaluation.recovery_cases import BY_CONTACT, off_by, recovery
@@ -147,11 +147,11 @@ def test_a_suites_bound_follows_its_measured_noise():
     rows = [recovery(0), recovery(0, suite="noisy", tracking=np.array([0.003, -0.003]))]
     bounds = [scores.bounds[0, 0] for scores in score_all(rows, BY_CONTACT)]
     assert bounds == pytest.approx([0.1, 0.3])
-    # The film knows its own.
+    # The depth-change sequence knows its own.
     assert [scores.bounds[0, 0] for scores in score_all(rows)] == pytest.approx([0.05, 0.05])
 
 
-def test_without_a_film_the_film_bounds_nothing():
+def test_without_a_sequence_the_sequence_bounds_nothing():
     rows = [recovery(0), recovery(1, field_information=None)]
     assert table(rows)["all", "stiffness"]["n"] == 2
     assert table(rows, Bound())["all", "stiffness"]["n"] == 1

@@ -10,14 +10,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from estimators.estimate import NINETY, GripEstimate
-from estimators.open import EstimatorOptions
-from evaluation.benchmark import Benchmark
-from evaluation.harness import Row
-from evaluation.recovery import trial
-from evaluation.recovery.slabs import slab_table
-from evaluation.recovery.suites import SLAB_SUITES, suite_clip_seed
-from evaluation.recovery.trial import Trial, run_trial
+from palpate.estimators.estimate import NINETY, GripEstimate
+from palpate.estimators.open import EstimatorOptions
+from palpate.evaluation.benchmark import Benchmark
+from palpate.evaluation.harness import Row
+from palpate.evaluation.recovery import trial
+from palpate.evaluation.recovery.slabs import slab_table
+from palpate.evaluation.recovery.suites import SLAB_SUITES, suite_clip_seed
+from palpate.evaluation.recovery.trial import Trial, run_trial
 
 YOUNG = np.array([80.0, 120.0, 200.0, 300.0, 500.0, 550.0])
 DENSITY, DAMPING = 1500.0, 40.0

@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from data.synthetic.clip import clip_seed, draw_press
-from data.synthetic.scene import draw_scene
-from evaluation.recovery.suites import FITTED_ON, GRID_SIZE, REGIMES, SPLITS, SUITES, suite_clip_seed
+from palpate.data.synthetic.clip import clip_seed, draw_press
+from palpate.data.synthetic.scene import draw_scene
+from palpate.evaluation.recovery.suites import FITTED_ON, GRID_SIZE, REGIMES, SPLITS, SUITES, suite_clip_seed
 
 NAMES = ["clean", "8bit", "noisy", "flicker", "mask-error", "focal-error", "occlusion", "mismatch"]
 NAMES += ["oblique", "late-onset", "patch"]

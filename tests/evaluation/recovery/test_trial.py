@@ -8,23 +8,23 @@ import functools
 import numpy as np
 import pytest
 
-from data.contact.interaction import Interaction
-from data.synthetic.clip import draw_press, synthetic_clip
-from data.synthetic.scene import SceneError
-from estimators.estimate import Estimate, InteractionEstimate
-from estimators.onset import BETWEEN, STAMP
-from estimators.open import EstimatorOptions
-from evaluation.harness import Row
-from evaluation.recovery import constant
-from evaluation.recovery import trial as recovery
-from evaluation.recovery.bounds import MECHANICS, contact_information, known
-from evaluation.recovery.constant import draw_log_theta
-from evaluation.recovery.suites import SUITES, suite_clip_seed
-from evaluation.recovery.trial import Trial, TrueClip, run_trial
-from physics.identifiability import bounds, fisher_information, log_jacobian
-from physics.load import Press, held
-from physics.msd.simulation import simulate, simulate_sensitivities
-from physics.observation import Observation
+from palpate.data.contact.interaction import Interaction
+from palpate.data.synthetic.clip import draw_press, synthetic_clip
+from palpate.data.synthetic.scene import SceneError
+from palpate.estimators.estimate import Estimate, InteractionEstimate
+from palpate.estimators.onset import BETWEEN, STAMP
+from palpate.estimators.open import EstimatorOptions
+from palpate.evaluation.harness import Row
+from palpate.evaluation.recovery import constant
+from palpate.evaluation.recovery import trial as recovery
+from palpate.evaluation.recovery.bounds import MECHANICS, contact_information, known
+from palpate.evaluation.recovery.constant import draw_log_theta
+from palpate.evaluation.recovery.suites import SUITES, suite_clip_seed
+from palpate.evaluation.recovery.trial import Trial, TrueClip, run_trial
+from palpate.physics.identifiability import bounds, fisher_information, log_jacobian
+from palpate.physics.load import Press, held
+from palpate.physics.msd.simulation import simulate, simulate_sensitivities
+from palpate.physics.observation import Observation
 from tests.estimators.sessions import clip_info
 
 CONSTANT = Estimate(np.exp([-1, -3, -2.5]) * [1, 1, -1], np.eye(3), told_verdict="undetermined")

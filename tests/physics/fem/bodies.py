@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from physics.fem.lattice import box
-from physics.fem.solid import Solid, make_solid
+from palpate.physics.fem.lattice import box
+from palpate.physics.fem.solid import Solid, make_solid
 
 
 def block(cells: int = 2, order: int = 1, *, seed: int | None = None) -> Solid:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from evaluation.palpation.synthetic import sphere
-from physics.fem import box, make_solid, mesh_surface
-from physics.fem.curved import curve
-from physics.fem.solid import Solid
+from palpate.evaluation.palpation.synthetic import sphere
+from palpate.physics.fem import box, make_solid, mesh_surface
+from palpate.physics.fem.curved import curve
+from palpate.physics.fem.solid import Solid
 
 BALL = 4 / 3 * np.pi
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from physics.fem.dynamics import Direction, Inertia, Motion, Relaxation, simulate
-from physics.fem.lattice import box
-from physics.fem.laws import LAWS, Material, respond
-from physics.fem.solid import Solid, make_solid
-from physics.load import Grip, Press
+from palpate.physics.fem.dynamics import Direction, Inertia, Motion, Relaxation, simulate
+from palpate.physics.fem.lattice import box
+from palpate.physics.fem.laws import LAWS, Material, respond
+from palpate.physics.fem.solid import Solid, make_solid
+from palpate.physics.load import Grip, Press
 from tests.physics.fem.bodies import block, clamped
 
 YOUNG, DENSITY = 2e5, 1000.0

@@ -7,12 +7,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from physics.fem import linear_system
-from physics.fem.equilibrium import NoEquilibrium, applied, find_equilibrium
-from physics.fem.lattice import box
-from physics.fem.laws import LAWS, Material
-from physics.fem.solid import Solid, make_solid
-from physics.load import Grip, Press
+from palpate.physics.fem import linear_system
+from palpate.physics.fem.equilibrium import NoEquilibrium, applied, find_equilibrium
+from palpate.physics.fem.lattice import box
+from palpate.physics.fem.laws import LAWS, Material
+from palpate.physics.fem.solid import Solid, make_solid
+from palpate.physics.load import Grip, Press
 from tests.physics.fem.bodies import block, clamped
 
 STEP = 1e-5

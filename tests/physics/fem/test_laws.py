@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from physics.fem.laws import LAWS, Material, respond
+from palpate.physics.fem.laws import LAWS, Material, respond
 from tests.physics.fem.bodies import rotation
 
 MU, LAM, STEP = 3.0, 7.0, 1e-6

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from physics.fem import box
-from physics.fem.meshing import WORST, Meshed, NoBody, mesh_surface
-from physics.fem.refinement import around
-from physics.fem.solid import make_solid, qualities
+from palpate.physics.fem import box
+from palpate.physics.fem.meshing import WORST, Meshed, NoBody, mesh_surface
+from palpate.physics.fem.refinement import around
+from palpate.physics.fem.solid import make_solid, qualities
 
 
 def globe(rows: int = 12, columns: int = 24) -> tuple[np.ndarray, np.ndarray]:

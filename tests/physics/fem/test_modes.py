@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from physics.fem.dynamics import Inertia, Relaxation, simulate
-from physics.fem.laws import Material
-from physics.fem.modes import Modes
-from physics.load import Press
+from palpate.physics.fem.dynamics import Inertia, Relaxation, simulate
+from palpate.physics.fem.laws import Material
+from palpate.physics.fem.modes import Modes
+from palpate.physics.load import Press
 from tests.physics.fem.bodies import clamped
 from tests.physics.fem.test_dynamics import DENSITY, bar
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from physics.fem import Material, box, find_equilibrium, make_solid
-from physics.fem.meshing import WORST
-from physics.fem.refinement import GROWTH, around, refine
-from physics.fem.solid import EDGES, qualities
+from palpate.physics.fem import Material, box, find_equilibrium, make_solid
+from palpate.physics.fem.meshing import WORST
+from palpate.physics.fem.refinement import GROWTH, around, refine
+from palpate.physics.fem.solid import EDGES, qualities
 
 PLACE = np.array([[0.5, 0.5, 1.0]])
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from physics.fem import NoBody
-from physics.fem.slab import slab_beneath
-from physics.mesh import Mesh, grid_mesh
+from palpate.physics.fem import NoBody
+from palpate.physics.fem.slab import slab_beneath
+from palpate.physics.mesh import Mesh, grid_mesh
 
 SIDE, FOCAL = 81, 100.0
 PIXELS = np.stack(np.meshgrid(np.arange(SIDE), np.arange(SIDE), indexing="ij"), axis=-1)

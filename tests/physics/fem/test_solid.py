@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from physics.fem.lattice import box, fill_cells
-from physics.fem.laws import LAWS, respond
-from physics.fem.solid import make_solid, qualities
+from palpate.physics.fem.lattice import box, fill_cells
+from palpate.physics.fem.laws import LAWS, respond
+from palpate.physics.fem.solid import make_solid, qualities
 from tests.physics.fem.bodies import block, rotation
 
 

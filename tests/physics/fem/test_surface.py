@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 
-from physics.fem.surface import closest, nearest
+from palpate.physics.fem.surface import closest, nearest
 
 
 def test_the_closest_place_of_a_triangle_is_the_closest() -> None:

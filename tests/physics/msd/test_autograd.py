@@ -15,11 +15,11 @@ import pytest
 import torch
 from torch.utils.data import DataLoader, Dataset
 
-from physics import jit
-from physics.mechanics import Mechanics
-from physics.msd import autograd as msd_autograd
-from physics.msd.autograd import UnreliableGradient
-from physics.msd.rollouts import rollout, rollout_sensitivities
+from palpate.physics import jit
+from palpate.physics.mechanics import Mechanics
+from palpate.physics.msd import autograd as msd_autograd
+from palpate.physics.msd.autograd import UnreliableGradient
+from palpate.physics.msd.rollouts import rollout, rollout_sensitivities
 from tests.physics.batches import batch_of
 from tests.physics.sheets import sheet
 
@@ -97,8 +97,8 @@ def test_ctrl_c_ends_a_long_rollout():
         import torch
         from tests.physics.sheets import sheet
         from tests.physics.batches import batch_of
-        from physics.mechanics import Mechanics
-        from physics.msd.rollouts import rollout
+        from palpate.physics.mechanics import Mechanics
+        from palpate.physics.msd.rollouts import rollout
         torch.set_num_threads(2)
         mesh, load = batch_of([sheet(8, 8)] * 2, [27, 28])
         theta = torch.tensor([[0.7, 0.05, -0.1]] * 2)

@@ -7,8 +7,8 @@ import itertools
 import numpy as np
 import pytest
 
-from physics.mechanics import Mechanics
-from physics.msd.cone import INSIDE, Reach, exact_radii, window_radii
+from palpate.physics.mechanics import Mechanics
+from palpate.physics.msd.cone import INSIDE, Reach, exact_radii, window_radii
 
 
 def test_exact_radii_are_what_a_walk_there_and_back_allows():

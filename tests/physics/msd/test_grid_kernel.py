@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from physics import jit
-from physics.mechanics import Mechanics
-from physics.msd.grid_kernel import specialised
-from physics.msd.simulation import simulate_sensitivities
+from palpate.physics import jit
+from palpate.physics.mechanics import Mechanics
+from palpate.physics.msd.grid_kernel import specialised
+from palpate.physics.msd.simulation import simulate_sensitivities
 from tests.physics.sheets import hand_mesh, pressed, sheet, whole_field
 
 pytestmark = pytest.mark.skipif(not jit.COMPILED, reason="numba isn't installed")

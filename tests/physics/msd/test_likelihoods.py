@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from physics.likelihood import Likelihood
-from physics.mechanics import Mechanics
-from physics.msd import rollout_sensitivities
-from physics.msd.batch import DepthBatch, ObservationBatch
-from physics.msd.likelihoods import displacement_error, linearise, linearise_depth
-from physics.observation import Observation
+from palpate.physics.likelihood import Likelihood
+from palpate.physics.mechanics import Mechanics
+from palpate.physics.msd import rollout_sensitivities
+from palpate.physics.msd.batch import DepthBatch, ObservationBatch
+from palpate.physics.msd.likelihoods import displacement_error, linearise, linearise_depth
+from palpate.physics.observation import Observation
 from tests.physics.batches import batch_of
 from tests.physics.sheets import pressed, sheet
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from physics.mechanics import Mechanics
-from physics.msd.reference import free_vertices, integrator, spring_force, spring_tangents, steps
+from palpate.physics.mechanics import Mechanics
+from palpate.physics.msd.reference import free_vertices, integrator, spring_force, spring_tangents, steps
 from tests.physics.sheets import gripped, hand_mesh, position_form_force, pressed, sheet
 
 

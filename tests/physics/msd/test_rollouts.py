@@ -8,14 +8,14 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from physics import jit
-from physics.load import Press, ramped
-from physics.mechanics import Bounds, Mechanics
-from physics.mesh import contact_normal
-from physics.msd import reference
-from physics.msd.batch import MeshBatch
-from physics.msd.rollouts import rollout, rollout_sensitivities
-from physics.msd.simulation import simulate_sensitivities
+from palpate.physics import jit
+from palpate.physics.load import Press, ramped
+from palpate.physics.mechanics import Bounds, Mechanics
+from palpate.physics.mesh import contact_normal
+from palpate.physics.msd import reference
+from palpate.physics.msd.batch import MeshBatch
+from palpate.physics.msd.rollouts import rollout, rollout_sensitivities
+from palpate.physics.msd.simulation import simulate_sensitivities
 from tests.physics.batches import batch_of, joined
 from tests.physics.sheets import hand_mesh, pressed, sheet
 

@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from scipy.integrate import solve_ivp
 
-from physics import jit
-from physics.load import Grip, Load, Press, held, ramped
-from physics.mechanics import RECOMMENDED, Bounds, Mechanics
-from physics.mesh import Mesh, contact_normal, grid_mesh, nearest_vertex
-from physics.msd import grid_layout, reference
-from physics.msd.simulation import Case, simulate, simulate_sensitivities, watched_rollout
+from palpate.physics import jit
+from palpate.physics.load import Grip, Load, Press, held, ramped
+from palpate.physics.mechanics import RECOMMENDED, Bounds, Mechanics
+from palpate.physics.mesh import Mesh, contact_normal, grid_mesh, nearest_vertex
+from palpate.physics.msd import grid_layout, reference
+from palpate.physics.msd.simulation import Case, simulate, simulate_sensitivities, watched_rollout
 from tests.physics.sheets import (
     energy,
     gripped,

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 import torch
 
-from physics.mechanics import Mechanics
-from physics.mesh import grid_mesh
-from physics.msd.rollouts import rollout
-from physics.msd.torch_backend import edge_steps, integrator, is_grid, watched_trajectory
+from palpate.physics.mechanics import Mechanics
+from palpate.physics.mesh import grid_mesh
+from palpate.physics.msd.rollouts import rollout
+from palpate.physics.msd.torch_backend import edge_steps, integrator, is_grid, watched_trajectory
 from tests.physics.batches import batch_of
 from tests.physics.sheets import sheet, surface
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from physics.fem.lattice import box
-from physics.fem.solid import outer_faces
-from physics.pbd.body import Body, make_body
+from palpate.physics.fem.lattice import box
+from palpate.physics.fem.solid import outer_faces
+from palpate.physics.pbd.body import Body, make_body
 
 
 def sheet(rows: int, columns: int, spacing: float = 0.005, *, mass: float = 1.0, pinned_rows: int = 0) -> Body:

@@ -10,9 +10,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from physics.fem.polar import rotations
-from physics.pbd.body import NORM_GUARD, Body
-from physics.pbd.simulation import Stepping
+from palpate.physics.fem.polar import rotations
+from palpate.physics.pbd.body import NORM_GUARD, Body
+from palpate.physics.pbd.simulation import Stepping
 
 
 def distance(points: np.ndarray, rest: float) -> tuple[float, np.ndarray]:

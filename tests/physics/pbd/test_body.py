@@ -8,7 +8,7 @@ import itertools
 import numpy as np
 import pytest
 
-from physics.pbd.body import make_body
+from palpate.physics.pbd.body import make_body
 from tests.physics.pbd.particles import block, sheet
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from physics.fem.solid import outer_faces
-from physics.pbd.layers import layered
+from palpate.physics.fem.solid import outer_faces
+from palpate.physics.pbd.layers import layered
 from tests.physics.pbd.particles import sheet
 
 DOWN = np.array([0.0, 0.0, -1.0])

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from physics.pbd.body import make_body
-from physics.pbd.simulation import Stepping
+from palpate.physics.pbd.body import make_body
+from palpate.physics.pbd.simulation import Stepping
 from tests.physics.fem.bodies import rotation
 from tests.physics.pbd.plain import distance, project, shape, steps, volume
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from physics.pbd.potential import Potential
+from palpate.physics.pbd.potential import Potential
 from tests.physics.fem.bodies import rotation
 from tests.physics.pbd.particles import block, sheet
 from tests.physics.pbd.plain import constraint

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from physics.load import Grip
-from physics.pbd.body import Body
-from physics.pbd.potential import Potential
-from physics.pbd.simulation import Stepping, simulate
-from physics.pbd.stiffness import Stiffness, spread
+from palpate.physics.load import Grip
+from palpate.physics.pbd.body import Body
+from palpate.physics.pbd.potential import Potential
+from palpate.physics.pbd.simulation import Stepping, simulate
+from palpate.physics.pbd.stiffness import Stiffness, spread
 from tests.physics.pbd.particles import block, sheet
 from tests.physics.pbd.plain import steps
 

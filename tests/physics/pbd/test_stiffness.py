@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from physics.pbd.stiffness import Stiffness, gather, spread
+from palpate.physics.pbd.stiffness import Stiffness, gather, spread
 from tests.physics.pbd.particles import block, sheet
 
 BODY = block((2, 1, 1))

@@ -1,0 +1,12 @@
+"""The ground floor, which knows nothing of the field: what every program needs of files, settings and a terminal.
+
+doors         how programs begin and end; command_line: types of options, sentences, progress bars
+files         whole files or none, and reading that ends; output: which files this program may replace
+settings      values of settings that come from files; tables: CSV files
+lazy          package faces that load nothing; provenance: digest of the code
+workers       processes that work through tasks
+"""
+
+from palpate.common.lazy import exported
+
+__getattr__ = exported(__name__, {})

@@ -1,0 +1,137 @@
+"""Parts that the programs' command lines share: types of options, sentences and progress."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    Task,
+    TaskID,
+    TaskProgressColumn,
+    TextColumn,
+    TimeRemainingColumn,
+)
+from rich.text import Text
+
+from palpate.common.doors import plain
+from palpate.common.settings import LARGEST
+
+PROGRESS_SECONDS = 30.0
+"""Time between two lines of progress where the output is no terminal [s]."""
+LARGEST_NUMBER = 2**63 - 1
+"""Largest whole number of an option: larger ones are no counts, and no seeds of random generators."""
+
+
+def path_option(text: str) -> Path:
+    """A path on the command line. An empty one, as of an unset shell variable, would be the whole working folder.
+
+    Raises:
+        ArgumentTypeError: the path is empty.
+    """
+    if not text:
+        raise argparse.ArgumentTypeError("is empty; name a file or folder")
+    return Path(text)
+
+
+def whole_number(least: int, most: int = LARGEST_NUMBER) -> Callable[[str], int]:
+    """Type of an option that takes whole numbers from `least` to `most`.
+
+    The type raises ArgumentTypeError, as argparse wants it.
+    """
+
+    def whole(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            raise argparse.ArgumentTypeError(f"'{text}' is not a whole number") from None
+        if value < least:
+            raise argparse.ArgumentTypeError(f"{value} is less than {least}")
+        if value > most:
+            raise argparse.ArgumentTypeError(f"{value} is more than {most}")
+        return value
+
+    return whole
+
+
+def real_number(wanted: str, least: float) -> Callable[[str], float]:
+    """Type of an option that takes numbers from `least` to LARGEST; `wanted` describes them in the error message.
+
+    The type raises ArgumentTypeError, as argparse wants it.
+    """
+
+    def real(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not least <= value <= LARGEST:
+            raise argparse.ArgumentTypeError(f"'{text}' is not {wanted}")
+        return value
+
+    return real
+
+
+def say(console: Console, sentence: str, style: str = "") -> None:
+    """Print one line literally: without markup and wrapping, whatever bytes a file name holds."""
+    console.print(Text(plain(sentence), style=style), soft_wrap=True)
+
+
+class Rate(ProgressColumn):
+    """Speed of a task, in steps a second."""
+
+    def render(self, task: Task) -> Text:
+        """Text of the column."""
+        return TaskProgressColumn.render_speed(task.finished_speed or task.speed)
+
+
+class LineProgress(Progress):
+    """Progress for an output that is no terminal and shows no bars: one line every `PROGRESS_SECONDS`."""
+
+    def __init__(self, *columns: ProgressColumn, **options: Any) -> None:
+        super().__init__(*columns, **options)
+        self._printed = time.monotonic()
+
+    def update(self, task_id: TaskID, **fields: Any) -> None:
+        """Update a task as rich does, and print a line where one is due."""
+        super().update(task_id, **fields)
+        self._print_line(task_id)
+
+    def advance(self, task_id: TaskID, advance: float = 1) -> None:
+        """Advance a task as rich does, and print a line where one is due."""
+        super().advance(task_id, advance)
+        self._print_line(task_id)
+
+    def _print_line(self, task_id: TaskID) -> None:
+        if self.disable or time.monotonic() - self._printed < PROGRESS_SECONDS:
+            return
+        self._printed = time.monotonic()
+        task = next(task for task in self.tasks if task.id == task_id)
+        total = "?" if task.total is None else f"{task.total:g}"
+        parts = [f"{task.description}: {task.completed:g} of {total}", str(Rate().render(task))]
+        if task.time_remaining is not None:
+            parts.append(f"{TimeRemainingColumn().render(task)} left")
+        self.console.print(
+            ", ".join(filter(None, parts)), markup=False
+        )  # speed and time left are unknown after one step
+
+
+def progress_bars(console: Console, *, disable: bool = False) -> Progress:
+    """Bars with progress, speed and time left; without a terminal, a line every half minute.
+
+    Args:
+        console: console on which they appear.
+        disable: whether to draw nothing.
+    """
+    name, rest = TextColumn("{task.description}", markup=False), (BarColumn(), MofNCompleteColumn(), Rate())
+    kind = Progress if console.is_terminal else LineProgress
+    return kind(name, *rest, TimeRemainingColumn(), console=console, disable=disable)

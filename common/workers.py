@@ -1,0 +1,82 @@
+"""Many independent tasks in a few processes of one native thread each."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from typing import TypeVar
+
+from palpate.common.doors import interruptible
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+_LIMITS = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "NUMBA_NUM_THREADS",
+    "OPENCV_FOR_THREADS_NUM",
+)
+
+
+class WorkerLost(RuntimeError):
+    """A worker process ended by itself; the message is a sentence."""
+
+
+def run_tasks(
+    function: Callable[[Task], Result], tasks: Sequence[Task], workers: int | None, *, ordered: bool = False
+) -> Iterator[Result]:
+    """Results of all tasks, in the order in which they are done.
+
+    Leaving the loop early, as Ctrl-C does, ends the workers at once.
+
+    Args:
+        function: importable by its name.
+        workers: processes; 0 = in this one, one after the other; None = one for each of the machine's cores.
+        ordered: in the order of the tasks instead.
+
+    Raises:
+        WorkerLost: a process was killed, most likely for want of memory.
+    """
+    if workers == 0 or not tasks:
+        with interruptible():
+            yield from map(function, tasks)
+        return
+    others = set(multiprocessing.active_children())
+    processes = min(workers or os.cpu_count() or 1, len(tasks))
+    pool = ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn"))
+    try:
+        with _as_workers_start():
+            futures = [pool.submit(function, task) for task in tasks]
+        for future in futures if ordered else as_completed(futures):
+            yield future.result()
+        pool.shutdown()
+    except BrokenProcessPool as error:
+        raise WorkerLost("A worker process was killed, maybe for want of memory; use fewer --workers.") from error
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+        for process in set(multiprocessing.active_children()) - others:
+            process.terminate()
+
+
+@contextlib.contextmanager
+def _as_workers_start() -> Generator[None]:
+    """Let processes that start now use one native thread, which libraries read when they are loaded.
+
+    And let them never see Ctrl-C, not even while they import: this one decides what comes of it.
+    """
+    before = dict(os.environ)
+    os.environ.update(dict.fromkeys(_LIMITS, "1"))
+    signals = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, signals)
+        for name in _LIMITS:
+            del os.environ[name]
+        os.environ.update(before)

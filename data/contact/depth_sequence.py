@@ -1,0 +1,224 @@
+"""The depth-change sequence of a dent: how the depth around a contact changes, frame by frame, and how noisy that is.
+
+A contact is one point of a dent; its surroundings sink with it and tell far more (docs/reports/identifiability.md).
+Pixels stay where they are while tissue moves: which of the mesh's vertices a pixel shows is for `data.contact.patches`
+to say.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from palpate.data.labels import TISSUE
+from palpate.physics.mesh import Mesh
+
+REACH = 7
+"""Pixels up to so many rows and columns from the contact are compared: `python -m benchmarks.observation_bounds` prints
+what they tell beside what more and fewer do."""
+FAR = 25
+"""The depth's noise and the camera's motion are measured at least so far from the contact [grid pixels]."""
+LEAST_FAR = 200
+"""Fewer such pixels tell neither."""
+ASTRAY = 4.0
+"""Changes from frame to frame that are larger than this many standard deviations aren't noise."""
+STILL_SHARE = 0.1
+"""A part of the noise that stays the same over time is told from none where it is this share of the other, in
+variance."""
+ROUNDED = 0.5
+"""Errors that stay belong to rounding where those that are new are less than this share of them."""
+CHANCE = 3.0
+"""Correlations of neighbouring pixels' noise below so many standard deviations of none's are chance. At 854x480 pixels
+of the grid share pixels of the picture, and 0.05 is none."""
+REST_SHARE, REST_LENGTH = 0.1, 5.0
+"""Standard deviation of the rest surface's error [σ], and the distance over which it is alike [grid pixels]."""
+REST_KEPT = 0.99
+"""Share of its variance that is taken into account."""
+FARTHEST_ALIKE = 12
+"""Noise of pixels farther apart than this is independent [grid pixels]."""
+
+
+@dataclass(frozen=True)
+class SequenceNoise:
+    """Errors of the depth of a clip's tissue."""
+
+    in_time: float
+    """Standard deviation of what is new in every frame [scene units]."""
+    in_place: float
+    """Standard deviation of what stays while tissue is still: rounding, the rest surface's error [scene units]."""
+    alike_in_time: float = 1.0
+    """Independent pixels are this many times fewer than pixels: neighbours' new errors go together."""
+    alike_in_place: float = 1.0
+    """The same of errors that stay."""
+
+    @property
+    def rounded(self) -> bool:
+        """Whether they are those of rounding: hardly any is new while tissue is still."""
+        return self.in_time < ROUNDED * self.in_place
+
+    @property
+    def total(self) -> float:
+        """Standard deviation of a pixel's error [scene units]."""
+        return math.hypot(self.in_time, self.in_place)
+
+
+@dataclass(frozen=True, eq=False)
+class DepthSequence:
+    """Depth around a contact over a run; N frames, S = 2·REACH + 1."""
+
+    times: np.ndarray
+    """Since the onset, shape [N] [s]."""
+    change: np.ndarray
+    """Depth less that at rest, the camera's motion taken off, the contact's pixel in the middle, shape [N, S, S],
+    float32 [scene units]; not a number where no tissue is seen."""
+    noise: SequenceNoise
+    size: tuple[int, int]
+    """Width and height of the picture that was brought to the grid [px]."""
+
+    def is_finer_than(self, grid_shape: tuple[int, int]) -> bool:
+        """Whether a pixel of a grid [h, w] is the mean of several of the picture."""
+        return self.size[0] > grid_shape[1] or self.size[1] > grid_shape[0]
+
+    def chosen(self, frames: np.ndarray) -> DepthSequence:
+        """Some of its frames: a mask [N] or indices."""
+        return dataclasses.replace(self, times=self.times[frames], change=self.change[frames])
+
+
+class SequenceRecorder:
+    """Gathers the depth-change sequence of one run of contact; memory doesn't grow with the picture.
+
+    Args:
+        mesh: tissue at rest.
+        vertex: the contact.
+        noise: standard deviation of the depth about the smoothed tissue [scene units].
+        size: as of `DepthSequence`.
+    """
+
+    def __init__(self, mesh: Mesh, vertex: int, noise: float, size: tuple[int, int]) -> None:
+        self._noise, self._size = noise, size
+        self._rest = np.full(mesh.grid_shape, np.nan)
+        self._rest[tuple(mesh.pixels.T)] = mesh.vertices[:, 2]
+        centre = mesh.pixels[vertex]
+        self._window = np.pad(self._rest, REACH, constant_values=np.nan)[window_around(centre + REACH)]
+        self._centre = centre
+        apart = np.abs(mesh.pixels - centre).max(axis=1)
+        self._far = mesh.pixels[apart >= FAR]
+        places = (self._far - centre) / FAR
+        self._columns = np.column_stack([np.ones(len(places)), places])
+        self._before: np.ndarray | None = None
+        self._still: np.ndarray | None = None
+        """`_products` of the first frame's errors."""
+        self._pairs: list[int] = []
+        """How many neighbours' products there are in it, and in every two frames' difference."""
+        self._changes: list[np.ndarray] = []
+        """The same of every two frames' difference."""
+
+    def frame(self, depth: np.ndarray, labels: np.ndarray) -> np.ndarray | None:
+        """Change of the depth in a frame, shape [S, S] as of `DepthSequence`; None where the camera's motion isn't
+        known.
+
+        Args:
+            depth: z, shape [h, w] [scene units], 0 = invalid.
+            labels: label map, shape [h, w].
+        """
+        seen = np.where((labels == TISSUE) & (depth > 0), depth, np.nan)
+        # Scale and tilt are the camera's or the depth network's; they are relative to the distance.
+        far, rest = seen[tuple(self._far.T)], self._rest[tuple(self._far.T)]
+        known = np.isfinite(far)
+        relative = np.where(known, far / rest - 1, 0.0)
+        for _ in range(3):
+            if known.sum() < LEAST_FAR:
+                return None
+            motion = np.linalg.lstsq(self._columns[known], relative[known], rcond=None)[0]
+            left = relative - self._columns @ motion
+            known &= np.abs(left) <= ASTRAY * np.sqrt(np.mean(np.square(left[known]))) + 1e-12
+        self._measure(np.where(np.isfinite(far), left * rest, np.nan))
+        rows, columns = np.mgrid[-REACH : REACH + 1, -REACH : REACH + 1] / FAR
+        moved = motion[0] + motion[1] * rows + motion[2] * columns
+        window = np.pad(seen, REACH, constant_values=np.nan)[window_around(self._centre + REACH)]
+        return (window - self._window * (1 + moved)).astype(np.float32)
+
+    def _measure(self, left: np.ndarray) -> None:
+        """Measure the noise: errors of the far pixels [Q], and what is new since the frame before."""
+        first = self._before is None
+        values, largest = (left, 1.0) if first else (left - self._before, math.sqrt(2))
+        products, pairs = self._products(values, largest * ASTRAY * self._noise)
+        self._pairs.append(pairs)
+        if first:
+            self._still = products
+        else:
+            self._changes.append(products)
+        self._before = left
+
+    def _products(self, left: np.ndarray, largest: float) -> tuple[np.ndarray, int]:
+        """Mean square of the far pixels' values, mean products with the lower and the right neighbours', [3]; how many
+        of the scarcer ones there are.
+        """
+        picture = np.full(self._rest.shape, np.nan)
+        picture[tuple(self._far.T)] = np.where(np.abs(left) <= largest, left, np.nan)
+        pairs = picture * picture, picture[1:] * picture[:-1], picture[:, 1:] * picture[:, :-1]
+        known = [pair[np.isfinite(pair)] for pair in pairs]
+        return np.array([pair.mean() if len(pair) else 0.0 for pair in known]), min(map(len, known))
+
+    @property
+    def noise(self) -> SequenceNoise:
+        """As measured so far; all of it counts as new in every frame where one frame alone was seen."""
+        return self._noise_of(len(self._changes))
+
+    def _noise_of(self, count: int) -> SequenceNoise:
+        """As measured in the first frame and so many after it."""
+        if self._still is None or not self._changes[:count]:
+            return SequenceNoise(self._noise, 0.0)
+        changes, total = np.mean(self._changes[:count], axis=0), self._noise**2
+        first, later = self._pairs[0], sum(self._pairs[1 : count + 1])
+        new = min(0.5 * changes[0], total)
+        still = total - new
+        if still < STILL_SHARE * new:
+            return SequenceNoise(self._noise, 0.0, _alike(changes, later))
+        in_time = _alike(changes, later) if new > STILL_SHARE * still else 1.0
+        return SequenceNoise(math.sqrt(new), math.sqrt(still), in_time, _alike(self._still - 0.5 * changes, first))
+
+    def sequence(self, times: np.ndarray, changes: list[np.ndarray], known: int) -> DepthSequence:
+        """The sequence of some frames, its noise as measured in the first frame and so many `known` ones after it."""
+        size = 2 * REACH + 1
+        stacked = np.stack(changes) if changes else np.empty((0, size, size), np.float32)
+        return DepthSequence(np.asarray(times, np.float64), stacked, self._noise_of(known), self._size)
+
+
+def window_around(centre: np.ndarray) -> tuple[slice, slice]:
+    """Rows and columns within REACH of a pixel (row, column)."""
+    row, column = (int(value) for value in centre)
+    return np.s_[row - REACH : row + REACH + 1, column - REACH : column + REACH + 1]
+
+
+def _alike(products: np.ndarray, pairs: int) -> float:
+    """How many pixels count as one, from mean square and products with both neighbours, shape [3], of so many pairs.
+
+    The correlation of noise that was blurred by a Gaussian falls as ρ^(k²).
+    """
+    square, *beside = products
+    found = 1.0
+    for product in beside if square > 0 else ():
+        correlation = min(product / square, 0.999)
+        if correlation > CHANCE / math.sqrt(max(pairs, 1)):
+            found *= 1 + 2 * float(np.power(correlation, np.arange(1, FARTHEST_ALIKE + 1) ** 2).sum())
+    return found
+
+
+def smooth_errors(sigma: float) -> np.ndarray:
+    """Columns whose sum, with independent normal factors, is the rest surface's error, shape [P, K] [as σ]."""
+    return sigma * _smooth_shapes()
+
+
+@functools.cache
+def _smooth_shapes() -> np.ndarray:
+    places = np.mgrid[-REACH : REACH + 1, -REACH : REACH + 1].reshape(2, -1).T
+    squares = np.square(places[:, None] - places).sum(axis=-1)
+    values, vectors = np.linalg.eigh(np.exp(-0.5 * squares / REST_LENGTH**2))
+    values, vectors = values[::-1], vectors[:, ::-1]
+    count = int(np.searchsorted(np.cumsum(values) / values.sum(), REST_KEPT)) + 1
+    return REST_SHARE * vectors[:, :count] * np.sqrt(values[:count])

@@ -1,0 +1,38 @@
+"""Tissue stiffness, damping and tool force from ordinary laparoscopic video, without force sensors or labels.
+
+    import palpate
+    for run in palpate.estimate("clip.mp4"):
+        print(run.onset_frame, run.verdict, run.estimate)
+
+api        what a script calls: estimate, open_clip, open_estimator, calibrate, plan
+command    what a user types; __main__: the command `palpate`
+common     files, settings, terminals; knows nothing of the field
+physics    simulators and their derivatives: simulate (numpy), rollout (torch), Mechanics
+data       from pixels to an Interaction: one run of contact, its mesh, load and observed motion
+models     networks, losses, exported files
+estimators from an Interaction to an Estimate: network, gan, direct, online
+planning   instrument paths; results: what is written; evaluation: what is measured; benchmarks: what is timed
+
+Research software. Not a medical device.
+"""
+
+from pathlib import Path
+
+_CHECKOUT = Path(__file__).resolve().parents[1]
+if (_CHECKOUT / "pyproject.toml").is_file():
+    # In a checkout the rooms lie beside this folder. The links in it are for type checkers, which don't run this.
+    __path__.insert(0, str(_CHECKOUT))
+
+from palpate.common.lazy import exported  # noqa: E402  found by what stands above
+
+__getattr__ = exported(
+    __name__,
+    {
+        "palpate.api": ("calibrate", "estimate", "open_clip", "open_estimator", "plan"),
+        "palpate.data.contact.interaction": ("Interaction",),
+        "palpate.estimators.estimate": ("Estimate", "InteractionEstimate"),
+        "palpate.physics.mechanics": ("Mechanics",),
+        "palpate.physics.msd.rollouts": ("rollout",),
+        "palpate.physics.msd.simulation": ("simulate",),
+    },
+)

@@ -1,0 +1,57 @@
+"""One command for every program of the project.
+
+    palpate infer | train | export | calibrate | plan | benchmark | synthetic …
+
+`palpate COMMAND --help` lists a command's options. Not a medical device.
+"""
+
+from __future__ import annotations
+
+from palpate.common.doors import enter_door, run_door
+
+if __name__ == "__main__":
+    enter_door()  # before the slow imports
+
+import importlib
+import sys
+
+COMMANDS = {
+    "infer": "palpate.command.infer",
+    "train": "palpate.command.train",
+    "export": "palpate.command.train",
+    "calibrate": "palpate.command.calibrate",
+    "plan": "palpate.command.plan",
+    "benchmark": "palpate.evaluation.benchmark",
+    "synthetic": "palpate.data.synthetic.__main__",
+}
+"""Modules whose `main` takes a command's arguments."""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command that the first argument names, with the others; returns the exit status."""
+    name, *rest = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
+    if name in ("--help", "-h"):
+        print(__doc__)
+        return 0
+    if name not in COMMANDS:
+        print(f"palpate: there is no command {name!r}; choose {', '.join(COMMANDS)}.", file=sys.stderr)
+        return 2
+    try:
+        command = importlib.import_module(COMMANDS[name])
+    except ModuleNotFoundError as error:
+        if name not in ("train", "export", "benchmark"):
+            raise
+        print(f"palpate: {name} needs {error.name}; install 'palpate[train]'.", file=sys.stderr)
+        return 2
+    sys.argv[:] = [f"palpate {name}"]  # what the command calls itself in its messages
+    return command.main(["export", *rest] if name == "export" else rest)
+
+
+def command() -> None:
+    """The installed command `palpate`."""
+    enter_door()
+    run_door(main)
+
+
+if __name__ == "__main__":
+    run_door(main)

@@ -1,0 +1,117 @@
+"""What a script calls; `palpate infer`, `calibrate` and `plan` do the same for files and folders."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from palpate.data.clip import ClipStream
+from palpate.data.source.frames import open_source
+from palpate.estimators.contract import ClipInfo, Estimator
+from palpate.estimators.estimate import InteractionEstimate
+from palpate.estimators.open import EstimatorOptions, preparation
+from palpate.estimators.open import open_estimator as open_by_options
+from palpate.estimators.palpation.descent import descend
+from palpate.estimators.palpation.material_fit import MaterialFit, fit_material
+from palpate.estimators.palpation.scene import read_scene
+from palpate.estimators.session import estimates_of
+from palpate.planning.cost_table import open_table
+from palpate.planning.roadmap import EdgeCosts, Plan, find_plan
+from palpate.planning.scene import read_plan_scene
+
+
+def open_estimator(name: str | None = None, **options: Any) -> Estimator:
+    """Open an estimator; one may serve many clips.
+
+    Args:
+        name: `network` (default), `gan`, `direct` or `online`.
+        options: fields of `palpate.estimators.open.EstimatorOptions`: model, onset, observation, noise, thickness, …
+
+    Raises:
+        ModelFileError: the model's file can't be used, or not with these options.
+        ValueError: options that don't belong together.
+    """
+    return open_by_options(EstimatorOptions(name, **options))
+
+
+def open_clip(path: str | Path, estimator: Estimator | None = None, **choices: Any) -> ClipStream:
+    """Open a video file or a folder of frames: iterate over it for prepared frames.
+
+    Args:
+        path: the clip.
+        estimator: that the frames are for; None = the network that comes along.
+        choices: as of `palpate.estimators.open.preparation`: masks, depth, layout, camera, contact, smoothing, …
+
+    Raises:
+        ValueError: the clip or a choice can't be used; a sentence that names it.
+    """
+    settings = preparation(estimator or open_estimator(), **choices)
+    return ClipStream(open_source(Path(path), settings.layout), settings)
+
+
+def estimate(
+    clip: str | Path | ClipStream, estimator: str | Estimator | None = None, **choices: Any
+) -> list[InteractionEstimate]:
+    """Estimate every run of contact in a clip.
+
+    Args:
+        clip: a video file, a folder of frames, or a clip opened for this estimator.
+        estimator: its name, or opened; None = the network that comes along.
+        choices: as of `open_clip`, where the clip is a path.
+
+    Returns:
+        One a run, in order: `interaction` holds what was observed, `estimate` or `grip` what follows from it, `verdict`
+        what that determines, and `detail` why nothing more does.
+
+    Raises:
+        ValueError: the clip, the estimator or a choice can't be used; a sentence that names it.
+    """
+    opened = open_estimator(estimator) if estimator is None or isinstance(estimator, str) else estimator
+    if isinstance(clip, ClipStream):
+        if choices:
+            raise TypeError(f"the clip is open already; give {', '.join(choices)} to open_clip.")
+    else:
+        clip = open_clip(clip, opened, **choices)
+    said = estimates_of(opened.start(ClipInfo.of(clip)), clip)
+    return [item for item in said if isinstance(item, InteractionEstimate)]
+
+
+OPTIMIZERS: Mapping[str, Callable[..., MaterialFit]] = {"gauss-newton": fit_material, "gradient": descend}
+"""Fits of Young's modulus and Poisson's ratio: by exact derivatives, or the paper's numeric descent."""
+
+
+def calibrate(scene: str | Path, optimizer: str = "gauss-newton") -> MaterialFit:
+    """Young's modulus [Pa] and Poisson's ratio from surfaces under known forces (Frank 2010, section IV).
+
+    Args:
+        scene: YAML file as of `palpate calibrate palpation`.
+        optimizer: one of `OPTIMIZERS`.
+
+    Raises:
+        InputError: the scene can't be used.
+        NoEquilibrium: the body can't bear the forces.
+    """
+    read = read_scene(Path(scene))
+    return OPTIMIZERS[optimizer](read.skin, read.held, read.palpations, read.settings)
+
+
+def plan(scene: str | Path, cache: str | Path, alpha: float | None = None) -> Plan:
+    """The cheapest path of an instrument's tip past tissue that gives way (Frank 2010, section VII).
+
+    Args:
+        scene: YAML file as of `palpate plan`.
+        cache: folder of simulated presses, which is filled where it lacks any.
+        alpha: 0 = the shortest path, 1 = the gentlest; None = as the scene has it.
+
+    Raises:
+        InputError: the scene can't be used.
+        Blocked: there is no path.
+    """
+    read = read_plan_scene(Path(scene))
+    if alpha is not None:
+        read = dataclasses.replace(read, alpha=alpha)
+    Path(cache).mkdir(parents=True, exist_ok=True)
+    tables = {name: open_table(kind, read.tip_radius, Path(cache))[0] for name, kind in read.kinds.items()}
+    return find_plan(EdgeCosts(read, tables))

@@ -1,0 +1,176 @@
+"""From measured forces to material constants.
+
+    palpate calibrate palpation SCENE.yaml --output OUT [--optimizer gradient]
+    palpate calibrate curves FILE.csv … --output OUT [--indenter sphere --size MM] [--poisson NU]
+
+palpation   Young's modulus and Poisson's ratio from a surface, and forces with the deformed surfaces that they leave
+            (Frank 2010). Writes calibration.json and errors.csv, the distance of every point from the fitted surface.
+curves      a modulus [kPa] for every probe where the indenter is stated, a stiffness [N/mm] otherwise, from tables of
+            probes (probe, contact_x …, depth_mm, fn_N); a relaxation from tables of a hold (t_s, force_N,
+            displacement_mm). Writes curves.csv.
+
+Not a medical device.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from palpate.common.command_line import path_option, real_number, say
+from palpate.common.files import as_json
+from palpate.common.output import replacing_own, require_own
+from palpate.data.source.layout import InputError
+from palpate.estimators.estimate import NINETY
+from palpate.estimators.palpation import Indenter, fit_indentation, fit_material, fit_relaxation, read_hold, read_probes
+from palpate.estimators.palpation.bench import surface_error
+from palpate.estimators.palpation.curves import HOLD, kind_of
+from palpate.estimators.palpation.descent import descend
+from palpate.estimators.palpation.scene import Scene, read_scene
+from palpate.physics.fem import NoEquilibrium
+from palpate.results.store import OutputError, writing
+
+CURVES = ("file", "curve", "quantity", "value", "low", "high", "unit")
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """Command line."""
+    parser = argparse.ArgumentParser(
+        prog="palpate calibrate",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog="Exit status: 0 done; 1 something could not be; 2 wrong usage; 130 interrupted.",
+    )
+    doors = parser.add_subparsers(dest="what", required=True)
+    palpation = doors.add_parser("palpation", help="surfaces under forces")
+    palpation.add_argument("scene", type=path_option, metavar="SCENE.yaml", help="see docs/reports/palpation.md")
+    text = "gauss-newton: exact derivatives (default); gradient: a numeric descent after the paper's"
+    palpation.add_argument("--optimizer", choices=("gauss-newton", "gradient"), default="gauss-newton", help=text)
+    text = "of the sheet that the tissue's surface is on video, told to infer.py --calibration"
+    thickness = real_number("a positive number", 1e-6)
+    palpation.add_argument("--sheet-thickness", type=thickness, metavar="MM", help=text)
+    curves = doors.add_parser("curves", help="forces over depth or time")
+    curves.add_argument("files", nargs="+", type=path_option, metavar="FILE", help="tables")
+    curves.add_argument("--indenter", choices=("sphere", "flat", "cone"), help="its shape (default: unknown)")
+    size = real_number("a positive number", 1e-6)
+    curves.add_argument("--size", type=size, metavar="MM", help="its radius, of a cone its half-angle in degrees")
+    poisson = real_number("from 0 to 0.5", 0.0)
+    curves.add_argument("--poisson", type=poisson, default=0.5, metavar="NU", help="of the tissue (default 0.5)")
+    for door in (palpation, curves):
+        door.add_argument("--output", type=path_option, required=True, metavar="OUT", help="folder of the results")
+    return parser
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Calibrate what the command line names; returns the exit status."""
+    parser, console = build_parser(), Console(stderr=True)
+    options: Any = parser.parse_args(arguments)
+    indenter = None
+    if options.what == "curves" and (options.indenter is None) != (options.size is None):
+        parser.error("--indenter and --size belong together; give both, or none where the indenter is not known.")
+    if options.what == "curves" and options.indenter is not None:
+        try:
+            indenter = Indenter(options.indenter, options.size, options.poisson)
+        except ValueError as error:
+            parser.error(str(error))
+    names = ("curves.csv",) if options.what == "curves" else ("calibration.json", "errors.csv")
+    try:
+        with writing(options.output):
+            require_own(*(options.output / name for name in names))
+        if options.what == "curves":
+            return _curves(options.files, indenter, options.output, console)
+        return _palpation(options.scene, options.optimizer, options.sheet_thickness, options.output, console)
+    except (InputError, OutputError) as error:
+        say(console, str(error), "red")
+        return 1
+
+
+def _palpation(path: Path, optimizer: str, thickness: float | None, output: Path, console: Console) -> int:
+    scene = read_scene(path)
+    for note in scene.notes:
+        say(console, f"surface: {note}", "yellow")
+    with writing(output):  # before what takes minutes
+        output.mkdir(parents=True, exist_ok=True)
+    fit = fit_material if optimizer == "gauss-newton" else descend
+    try:
+        found = fit(scene.skin, scene.held, scene.palpations, scene.settings, told=lambda line: say(console, line))
+    except (ValueError, NoEquilibrium) as error:
+        raise InputError(f"{path}: {error}") from error
+    record: dict[str, object] = {
+        "law": scene.settings.law,
+        "optimizer": optimizer,
+        "young_pa": found.young,
+        "poisson": found.poisson,
+        "surface_error_rms_m": found.noise,
+        "equilibria": found.solves,
+        "poses": [pose.tolist() for pose in found.poses],
+        "source": f"{len(scene.palpations)} palpations of {path.name}",
+    }
+    if thickness is not None:
+        record["thickness_m"] = thickness / 1000
+    if np.isfinite(found.covariance).all():
+        half = NINETY * found.young_sd
+        record |= {
+            "young_low_pa": found.young * np.exp(-half),
+            "young_high_pa": found.young * np.exp(half),
+            "poisson_sd": found.poisson_sd,
+            "covariance_of_log_young_and_poisson": found.covariance.tolist(),
+            "verdict": found.verdict,
+        }
+    _write(output, "calibration.json", as_json(record, indent=1) + "\n")
+    _write(output, "errors.csv", _errors(scene, found.rests, found.poses))
+    low, high = (record.get(f"young_{end}_pa") for end in ("low", "high"))
+    interval = "" if low is None else f" (90 %: {low:.4g} to {high:.4g})"
+    doubt = ""
+    if "verdict" in record:
+        doubt = f" ± {found.poisson_sd:.2g}" + ("" if found.verdict == "determined" else ", not determined")
+    print(f"E = {found.young:.4g} Pa{interval}, ν = {found.poisson:.3f}{doubt}; {found.solves} equilibria")
+    say(console, f"written: {output}/calibration.json, {output}/errors.csv")
+    return 0
+
+
+def _errors(scene: Scene, rests: list, poses: list[np.ndarray]) -> str:
+    rows = ["palpation,point,error_mm"]
+    for number, (rest, each, pose) in enumerate(zip(rests, scene.palpations, poses, strict=True), start=1):
+        errors = 1000 * np.sqrt(surface_error(scene.skin, rest, each, pose))
+        rows += [f"{number},{i},{'' if np.isnan(error) else f'{error:.4f}'}" for i, error in enumerate(errors)]
+    return "\n".join(rows) + "\n"
+
+
+def _curves(files: list[Path], indenter: Indenter | None, output: Path, console: Console) -> int:
+    text, status = io.StringIO(), 0
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(CURVES)
+    for path in files:
+        try:
+            if kind_of(path) == HOLD:
+                fit = fit_relaxation(read_hold(path), branches=1)
+                if fit.solid is None:
+                    raise InputError(f"{path}: the force falls to nothing or not at all; no standard linear solid.")
+                table.writerow([path.name, "hold", "relaxing share", f"{1 - fit.relaxed_share:.6g}", "", "", ""])
+                table.writerow([path.name, "hold", "relaxation time", f"{fit.solid.time:.6g}", "", "", "s"])
+                continue
+            for probe in read_probes(path):
+                found = fit_indentation(probe.depth, probe.force, indenter)
+                name = "stiffness, indenter unknown" if indenter is None else f"Young's modulus, {indenter.shape}"
+                numbers = [f"{value:.6g}" for value in (found.value, found.low, found.high)]
+                table.writerow([path.name, probe.name, name, *numbers, found.unit])
+        except (InputError, ValueError) as error:
+            say(console, str(error), "red")
+            status = 1
+    _write(output, "curves.csv", text.getvalue())
+    say(console, f"written: {output}/curves.csv")
+    return status
+
+
+def _write(output: Path, name: str, text: str) -> None:
+    with writing(output):
+        output.mkdir(parents=True, exist_ok=True)
+        with replacing_own(output / name) as partial:
+            partial.write_text(text, encoding="utf-8")

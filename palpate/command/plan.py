@@ -1,0 +1,132 @@
+"""The cheapest way of an instrument's tip through a plane with tissue that gives way (Frank 2010, section VII).
+
+    palpate plan SCENE.yaml --output OUT [--alpha A] [--cache DIR]
+
+Presses on every kind of tissue are simulated once and kept in the cache (default OUT/presses); another scene with the
+same tissue finds them there. Writes plan.json and plan.png: the way, what it costs and what the shortest way would have
+cost, the tissue pushed aside and the forces along both. Not a medical device.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from palpate.common.command_line import path_option, progress_bars, real_number, say
+from palpate.common.files import as_json
+from palpate.common.output import replacing_own, require_own
+from palpate.data.source.layout import InputError
+from palpate.physics.fem import NoEquilibrium
+from palpate.planning import Blocked, find_plan, open_table, read_plan_scene, simulate_press
+from palpate.planning.pictures import Pressed, draw_plan, force_along
+from palpate.planning.roadmap import MILLI, EdgeCosts, Plan
+from palpate.planning.scene import PlanScene
+from palpate.results.store import OutputError, writing
+
+NAMES = ("plan.json", "plan.png")
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """Command line."""
+    parser = argparse.ArgumentParser(
+        prog="palpate plan",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog="Exit status: 0 a way was found; 1 there is none, or something could not be; 2 wrong usage; "
+        "130 interrupted.",
+    )
+    parser.add_argument("scene", type=path_option, metavar="SCENE.yaml", help="as configs/scenes/two_curtains.yaml")
+    parser.add_argument("--output", type=path_option, required=True, metavar="OUT", help="folder of the results")
+    share = real_number("a number from 0 on", 0.0)
+    parser.add_argument("--alpha", type=share, metavar="A", help="0 = the shortest way, 1 = the gentlest")
+    parser.add_argument("--cache", type=path_option, metavar="DIR", help="of simulated presses")
+    return parser
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Plan what the command line names; returns the exit status."""
+    parser, console = build_parser(), Console(stderr=True)
+    options: Any = parser.parse_args(arguments)
+    if options.alpha is not None and options.alpha > 1:
+        parser.error(f"--alpha is {options.alpha:g}; give 0 to 1.")
+    try:
+        with writing(options.output):
+            require_own(*(options.output / name for name in NAMES))
+        scene = read_plan_scene(options.scene)
+        if options.alpha is not None:
+            scene = dataclasses.replace(scene, alpha=options.alpha)
+        return _plan(scene, options.output, options.cache or options.output / "presses", console)
+    except (InputError, OutputError) as error:
+        say(console, str(error), "red")
+    except (Blocked, NoEquilibrium, ValueError) as error:
+        say(console, f"{options.scene}: {error}", "red")
+    return 1
+
+
+def _plan(scene: PlanScene, output: Path, cache: Path, console: Console) -> int:
+    for folder in (output, cache):  # before what takes minutes
+        with writing(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+    tables = {}
+    for name, kind in scene.kinds.items():
+        with progress_bars(console) as progress, writing(cache):
+            bar = progress.add_task(f"presses on {name}", total=None)
+            tables[name], simulated = open_table(
+                kind, scene.tip_radius, cache, lambda done, of, bar=bar: progress.update(bar, completed=done, total=of)
+            )
+        say(console, f"{name}: {simulated} presses simulated" if simulated else f"{name}: presses found in the cache")
+    begun = time.perf_counter()
+    costs = EdgeCosts(scene, tables)
+    plan = find_plan(costs)
+    seconds = time.perf_counter() - begun
+    direct = find_plan(EdgeCosts(dataclasses.replace(scene, alpha=0.0), tables))
+    direct = costs.plan(direct.places)
+    ways = {"planned": (plan, _simulated(costs, plan)), "shortest": (direct, _simulated(costs, direct))}
+    numbers = {name: _numbers(*way) for name, way in ways.items()}
+    record = {
+        "alpha": scene.alpha,
+        "plan": numbers["planned"],
+        "shortest": numbers["shortest"],
+        "query_s": round(seconds, 4),
+        "lines_through_tissue": costs.crossings,
+        "units": "places m, deformation mJ, way mm, cost α·deformation + (1 - α)·way, largest_force N",
+    }
+    with writing(output):
+        with replacing_own(output / NAMES[0]) as partial:
+            partial.write_text(as_json(record, indent=1) + "\n", encoding="utf-8")
+        with replacing_own(output / NAMES[1]) as partial:
+            draw_plan(scene, plan, direct, ways["planned"][1], ways["shortest"][1]).savefig(partial, dpi=110)
+    for name, found in numbers.items():
+        print(
+            f"{name}: cost {found['cost']:.2f} (deformation {found['deformation']:.2f} mJ, way {found['way']:.1f} mm), "
+            f"largest force {found['largest_force']:.2f} N"
+        )
+    say(console, f"written: {output}/{NAMES[0]}, {output}/{NAMES[1]}")
+    return 0
+
+
+def _simulated(costs: EdgeCosts, plan: Plan) -> list[Pressed]:
+    """The presses of a way."""
+    scene, starts, ends = costs.scene, plan.places[:-1], plan.places[1:]
+    gone = np.cumsum(np.linalg.norm(ends - starts, axis=1)) - np.linalg.norm(ends - starts, axis=1)
+    presses = []
+    for found in costs.presses(starts, ends):
+        kind = scene.kinds[found.kind]
+        for row, line in enumerate(found.lines):
+            curve = simulate_press(kind, scene.tip_radius, found.places[row], float(found.angles[row]))
+            begin, length = float(gone[line] + found.reached[row]), float(found.lengths[row])
+            presses.append(Pressed(found.kind, found.piece, kind.height, curve, begin, length))
+    return presses
+
+
+def _numbers(plan: Plan, presses: list[Pressed]) -> dict[str, Any]:
+    """Of a way, as the record has them."""
+    numbers = {"cost": plan.cost, "deformation": plan.deformation, "way": plan.way}
+    numbers["largest_force"] = float(force_along(presses, plan.way / MILLI)[1].max())
+    return {"places": np.round(plan.places, 6).tolist()} | numbers

@@ -1,0 +1,380 @@
+"""Train, validate, test or export the parameter network, from one configuration file.
+
+    palpate train fit -c configs/paper.yaml [--trainer.max_epochs 5 …] [--ckpt_path last]
+    palpate train validate|test -c configs/paper.yaml --ckpt_path best
+    palpate train export -c configs/paper.yaml --ckpt_path best --output parameters.onnx
+
+`--ckpt_path` is a file, or `best` or `last` of the run folder (`trainer.default_root_dir`), which also gets logs,
+pictures and the evaluation. Exit status: 0 done, 1 failed, 2 wrong usage, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import sqlite3
+import sys
+import warnings
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, NoReturn
+
+from palpate.common.doors import INTERRUPTED, by_interrupt, interruptible, plain
+
+os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")  # read when mlflow is imported
+os.environ.setdefault("DO_NOT_TRACK", "true")
+os.environ.setdefault("MLFLOW_LOGGING_LEVEL", "WARNING")
+
+import yaml
+from jsonargparse import Namespace
+from lightning.pytorch import LightningModule, Trainer
+from lightning.pytorch.callbacks import ModelCheckpoint, TQDMProgressBar
+from lightning.pytorch.cli import LightningArgumentParser, LightningCLI, SaveConfigCallback
+from lightning.pytorch.loggers import CSVLogger, MLFlowLogger
+from lightning.pytorch.utilities import disable_possible_user_warnings
+from lightning.pytorch.utilities.exceptions import MisconfigurationException
+from mlflow import MlflowClient
+from mlflow.exceptions import MlflowException
+
+from palpate.common.output import ForeignFile, replacing_own, require_own
+from palpate.common.settings import shown, sound
+from palpate.data.contact.features import FEATURES
+from palpate.data.contact.geometry import GeometrySettings
+from palpate.data.contact.sequence_features import SEQUENCE_FEATURES
+from palpate.data.source.layout import InputError, read_mapping
+from palpate.data.training.datamodule import ClipDataModule
+from palpate.evaluation.paper.analysis import EvaluationError
+from palpate.evaluation.paper.figures import draw_next_depth
+from palpate.evaluation.paper.report import FILES, write_evaluation
+from palpate.models.checkpoint import CheckpointError, read_checkpoint, require_same_model, require_same_weights
+from palpate.models.module import PhysicsInformedGAN, TrainingDiverged
+from palpate.models.onnx_export import ParityError, export
+from palpate.physics.mechanics import Bounds, Mechanics, UnstableConfiguration
+
+CHECKPOINTS: dict[str, dict[str, Any]] = {
+    "best": {"monitor": "val/physics"},
+    "epoch_{epoch:03d}": {"every_n_epochs": 10, "save_top_k": -1},
+    "last": {"every_n_epochs": 1},
+}
+"""Settings of the checkpoints by file name (Bini 2026, section 3.5). `save_last` would follow the best checkpoint only,
+so `last` is a checkpoint of its own; it comes last because it holds the others' state."""
+LOCK_TIMEOUT_S = 5.0
+"""Longest wait for another program that has the tracking database locked [s]."""
+MIN_PROCESSES = 2
+"""Processes that may train together however few cores there are."""
+MAX_SEED = 2**32 - 1
+"""Largest seed of numpy's global generator."""
+BASELINE_CONTACTS = 8
+"""Training pairs that the constant-θ baseline of the evaluation is fitted on, at most, evenly spaced."""
+
+
+class UsageError(ValueError):
+    """The command line or the configuration can't be followed, in one sentence."""
+
+
+class SentenceParser(LightningArgumentParser):
+    """Reports errors in one sentence, without the list of all options."""
+
+    def parse_path(self, cfg_path: str | os.PathLike[str], *arguments: Any, **options: Any) -> Namespace:
+        """Read a configuration file as jsonargparse does, after checking that it can be read."""
+        try:
+            settings = read_mapping(Path(cfg_path), "a configuration")
+        except InputError as error:
+            raise UsageError(str(error)) from error
+        if not sound(settings):
+            raise UsageError(f"{cfg_path} nests too deeply, or holds a number out of range; correct the file.")
+        return super().parse_path(cfg_path, *arguments, **options)
+
+    def error(self, message: str, ex: Exception | None = None) -> NoReturn:
+        sentence = " ".join(message.split()).rstrip(".")
+        raise UsageError(f"{sentence}; train.py {{fit,validate,test,export}} --help lists all options.") from ex
+
+
+class RunRecord(SaveConfigCallback):
+    """Saves a run's configuration (in every checkpoint, too) and sample pictures."""
+
+    def save_config(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
+        # Only rank 0 calls this, and `trainer.log_dir` would wait for the others.
+        for logger in trainer.loggers:
+            if isinstance(logger, CSVLogger):
+                log_artifact(trainer, Path(logger.log_dir) / self.config_filename)
+            else:  # the model's settings are logged as its hyperparameters
+                settings = yaml.safe_load(self.parser.dump(self.config))
+                logger.log_hyperparams({name: settings[name] for name in ("seed_everything", "trainer", "data")})
+
+    def on_save_checkpoint(self, trainer: Trainer, pl_module: LightningModule, checkpoint: dict[str, Any]) -> None:
+        checkpoint["configuration"] = self.parser.dump(self.config)
+
+    def on_validation_end(  # ty: ignore[incompatible-method-override]  there is one module
+        self, trainer: Trainer, pl_module: PhysicsInformedGAN
+    ) -> None:
+        """Draw the first validation pair's next depth: real, predicted, and their difference."""
+        if trainer.sanity_checking or not trainer.is_global_zero or pl_module.sample is None:
+            return
+        real, predicted = (picture.detach().float().cpu().numpy() for picture in pl_module.sample)
+        path = Path(trainer.default_root_dir) / "samples" / f"next_depth_epoch_{trainer.current_epoch:03d}.png"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with contextlib.suppress(ForeignFile), replacing_own(path) as partial:  # a user's picture stays
+            draw_next_depth(real, predicted).savefig(partial)
+        log_artifact(trainer, path, "samples")
+
+    def on_exception(self, trainer: Trainer, pl_module: LightningModule, exception: BaseException) -> None:
+        if by_interrupt(exception) and trainer.state.fn == "fit":
+            print("Interrupted. Add --ckpt_path last to the same command to go on after the last finished epoch.")
+
+
+class RunTrainer(Trainer):
+    """Lightning's trainer with an `export` function."""
+
+    def export(
+        self,
+        model: PhysicsInformedGAN,
+        datamodule: ClipDataModule,
+        ckpt_path: str | None = None,
+        output: str = "parameters.onnx",
+    ) -> None:
+        """Write encoder and parameter head of a checkpoint as one ONNX file for infer.py.
+
+        Args:
+            model: network with the checkpoint's architecture.
+            datamodule: preparation settings, which go into the file's metadata.
+            ckpt_path: checkpoint file, or best or last of the run folder.
+            output: file to write.
+        """
+        checkpoint = read_checkpoint(Path(ckpt_path))  # ty: ignore[invalid-argument-type]  the command line resolves it
+        model.load_state_dict(checkpoint["state_dict"])
+        datamodule.load_state_dict(checkpoint.get(ClipDataModule.__name__, {}))
+        metadata: dict[str, Any] = datamodule.metadata() | {
+            "bounds": model.hparams["bounds"],
+            "mechanics": model.hparams["mechanics"],
+            "config_sha256": hashlib.sha256(checkpoint.get("configuration", "").encode()).hexdigest(),
+        }
+        geometry, generator = metadata["geometry"], model.generator_ab
+        size = {"window": generator.channels, "height": geometry["height"], "width": geometry["width"]}
+        difference = export(generator, Path(output), metadata | {"input": size})
+        print(f"{output}: written; largest difference from torch over batches of 1, 2 and 7 is {difference:.1e}")
+
+
+class TrainCLI(LightningCLI):
+    """Command line: one configuration file, any field of which can be overridden."""
+
+    @staticmethod
+    def subcommands() -> dict[str, set[str]]:
+        loaders = {"model", "dataloaders", "train_dataloaders", "val_dataloaders", "datamodule", "weights_only"}
+        return dict.fromkeys(("fit", "validate", "test", "export"), loaders)
+
+    def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
+        parser.add_argument("--tracking", type=bool, default=True, help="Log to MLflow, next to the run folder.")
+        parser.link_arguments("data.samples.window", "model.window")
+        inputs = ("data.samples.observation", "data.geometry.smoothing", "data.samples.sequence")
+        parser.link_arguments(inputs, "model.contact_features", compute_fn=contact_features)
+        for source, target, settings in (
+            ("model.mechanics", "data.samples.mechanics", Mechanics),
+            ("model.bounds", "data.bounds", Bounds),
+            ("data.geometry", "data.samples.geometry", GeometrySettings),
+        ):
+            for field in fields(settings):
+                parser.link_arguments(f"{source}.{field.name}", f"{target}.{field.name}")
+
+    def parse_arguments(self, parser: LightningArgumentParser, args: Any) -> None:
+        """Parse as Lightning does, and check that its libraries accept the seed."""
+        super().parse_arguments(parser, args)
+        seed = self.config[self.config.subcommand].seed_everything
+        if isinstance(seed, int) and not 0 <= seed <= MAX_SEED:
+            raise UsageError(f"seed_everything is {shown(seed)}; give 0 to {MAX_SEED}.")
+
+    def _parse_ckpt_path(self) -> None:
+        """Resolve and check `--ckpt_path`; Lightning's own method lets the checkpoint override the command line."""
+        config, command = self.config[self.config.subcommand], self.config.subcommand
+        if config.ckpt_path in ("best", "last"):
+            folder = Path(checkpoint_folder(config.trainer.default_root_dir))
+            path = folder / f"{config.ckpt_path}.ckpt"
+            if command == "fit" and not holds_training(folder):
+                print(f"There is no {path} yet; training starts from the beginning.")
+                config.ckpt_path = None
+                return
+            config.ckpt_path = str(path)
+        if config.ckpt_path is None:
+            if command != "fit":
+                raise UsageError(f"{command} needs a trained network; add --ckpt_path FILE, best or last.")
+            return
+        require_same_model(Path(config.ckpt_path), config.model.as_dict() | {"window": config.data.samples.window})
+
+    def before_fit(self) -> None:
+        """Refuse to replace the checkpoints of another training."""
+        config = self.config[self.subcommand]  # ty: ignore[invalid-argument-type]  a command is required
+        folder = Path(checkpoint_folder(config.trainer.default_root_dir))
+        resumes = config.ckpt_path is not None and Path(config.ckpt_path).resolve().parent == folder.resolve()
+        if holds_training(folder) and not resumes:
+            raise UsageError(
+                f"{folder.parent} holds a training already; add --ckpt_path last to go on with it, or give another "
+                "--trainer.default_root_dir."
+            )
+
+    def before_instantiate_classes(self) -> None:
+        config = self.config[self.subcommand]  # ty: ignore[invalid-argument-type]  a command is required
+        trainer = config.trainer
+        if str(trainer.default_root_dir) == "":
+            raise UsageError("trainer.default_root_dir is empty; name the run folder.")
+        if config.data.root == "":
+            raise UsageError("data.root is empty; name the folder of the data set.")
+        if trainer.check_val_every_n_epoch is not None and trainer.check_val_every_n_epoch < 1:
+            raise UsageError(f"trainer.check_val_every_n_epoch is {trainer.check_val_every_n_epoch}; give 1 or more.")
+        allowed, devices = max(os.cpu_count() or 1, MIN_PROCESSES), str(trainer.devices)
+        count = int(devices) if devices.removeprefix("-").isdecimal() else 1
+        if not 1 <= count <= allowed and str(trainer.accelerator) in ("cpu", "auto"):
+            raise UsageError(f"trainer.devices is {devices}; give 1 to at most {allowed}, one for each core here.")
+        if trainer.strategy == "ddp" or (trainer.strategy == "auto" and str(trainer.devices) not in ("1", "auto")):
+            # Each of the three backward passes reaches a part of the parameters only.
+            trainer.strategy = "ddp_find_unused_parameters_true"
+
+    def instantiate_classes(self) -> None:
+        try:
+            super().instantiate_classes()
+        except (ValueError, MisconfigurationException) as error:  # from the check of a setting
+            raise UsageError(str(error)) from error
+        checkpoint = self.config_init[self.subcommand].ckpt_path
+        if checkpoint is not None:
+            require_same_weights(Path(checkpoint), self.model.state_dict(), resume=self.subcommand == "fit")
+
+    def instantiate_trainer(self, **kwargs: Any) -> Trainer:
+        config = self.config_init[self.subcommand]
+        folder = Path(config.trainer.default_root_dir)
+        if config.trainer.logger in (None, True):
+            kwargs["logger"] = run_loggers(folder, tracking=config.tracking and self.subcommand != "export")
+        always: dict[str, Any] = {"auto_insert_metric_name": False, "enable_version_counter": False}
+        checkpoints = [
+            ModelCheckpoint(checkpoint_folder(folder), name, save_on_train_epoch_end=True, **always, **when)
+            for name, when in CHECKPOINTS.items()
+        ]
+        callbacks = config.trainer.callbacks or []
+        callbacks = callbacks if isinstance(callbacks, list) else [callbacks]
+        # Lightning's default bar is rich's where that is installed, which prints nothing outside a terminal.
+        bars = [] if config.trainer.enable_progress_bar is False else [TQDMProgressBar()]
+        config.trainer.callbacks = [*callbacks, *checkpoints, *bars]
+        return super().instantiate_trainer(**kwargs)
+
+    def before_test(self) -> None:
+        """Refuse before the test to replace a user's files by the evaluation's."""
+        config = self.config[self.subcommand]  # ty: ignore[invalid-argument-type]  a command is required
+        require_own(*(evaluation_folder(config.trainer.default_root_dir) / name for name in FILES))
+
+    def after_test(self) -> None:
+        """Write the paper's table 2 and figure 3, the collapse check and the baselines."""
+        if not self.trainer.is_global_zero:
+            return
+        folder = evaluation_folder(self.trainer.default_root_dir)
+        contacts = self.datamodule.interactions("train", BASELINE_CONTACTS)
+        files = write_evaluation(self.model.test_records, contacts, self.model.mechanics, self.model.bounds, folder)
+        for name, path in files.items():
+            log_artifact(self.trainer, path, "evaluation")
+            print(f"{name}: {path}")
+
+
+def contact_features(observation: str, smoothing: float, sequence: bool) -> int:
+    """Length of the contact's vector in the batches; 0 without the motion or its noise."""
+    if observation != "trajectory" or not smoothing > 0:
+        return 0
+    return FEATURES + SEQUENCE_FEATURES if sequence else FEATURES
+
+
+def checkpoint_folder(run_folder: str | os.PathLike[str] | None) -> str:
+    """Folder of a run's checkpoints."""
+    return str(Path(run_folder or ".") / "checkpoints")
+
+
+def evaluation_folder(run_folder: str | os.PathLike[str] | None) -> Path:
+    """Folder of the files that `test` writes."""
+    return Path(run_folder or ".") / "evaluation"
+
+
+def holds_training(checkpoints: Path) -> bool:
+    """Whether a folder holds checkpoints."""
+    return any(checkpoints.glob("*.ckpt"))
+
+
+def run_loggers(folder: Path, tracking: bool) -> list[CSVLogger | MLFlowLogger]:
+    """A CSV logger in the run folder, where config.yaml goes as well, then MLflow in the folder above."""
+    loggers: list[CSVLogger | MLFlowLogger] = [CSVLogger(folder, name="logs")]
+    if tracking:
+        root = folder.resolve().parent
+        root.mkdir(parents=True, exist_ok=True)
+        _require_database(root / "mlflow.db")
+        database = f"sqlite:///{root / 'mlflow.db'}"
+        loggers.append(MLFlowLogger(folder.name, tracking_uri=database, artifact_location=str(root / "mlflow")))
+    return loggers
+
+
+def _require_database(path: Path) -> None:
+    """Refuse a file that is no tracking database, which would end in a traceback or in minutes of retries.
+
+    Raises:
+        InputError: the file is no database, is damaged or locked, or belongs to another program or version.
+    """
+    if not os.path.lexists(path):
+        return
+    try:
+        if not path.is_file():
+            raise sqlite3.DatabaseError("not a file")
+        with contextlib.closing(sqlite3.connect(path, timeout=LOCK_TIMEOUT_S)) as database:
+            [[verdict]] = database.execute("pragma quick_check(1)").fetchall()
+            database.execute("begin immediate")  # refused while another program keeps it locked
+            database.rollback()
+        if verdict != "ok":
+            raise sqlite3.DatabaseError(verdict)
+        MlflowClient(f"sqlite:///{path}").search_experiments(max_results=1)
+    except Exception as error:  # from SQLite, SQLAlchemy, Alembic or MLflow
+        reason = " ".join(str(error).split())[:200]
+        raise InputError(f"{path} can't be used ({reason}); move it away, or add --tracking false.") from error
+
+
+def log_artifact(trainer: Trainer, path: Path, folder: str | None = None) -> None:
+    """Copy a file to the run's MLflow artifacts, if the run is tracked."""
+    for logger in trainer.loggers:
+        if isinstance(logger, MLFlowLogger) and trainer.is_global_zero:
+            logger.experiment.log_artifact(logger.run_id, str(path), folder)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line and return the exit status."""
+    warnings.filterwarnings("ignore", message=".*LeafSpec.*")  # Lightning about torch's internals
+    disable_possible_user_warnings()  # guesses about worker counts
+    try:
+        with interruptible():
+            TrainCLI(
+                PhysicsInformedGAN,
+                ClipDataModule,
+                save_config_callback=RunRecord,
+                trainer_class=RunTrainer,
+                trainer_defaults={"default_root_dir": "runs/train"},
+                parser_class=SentenceParser,
+                seed_everything_default=0,
+                parser_kwargs={"description": __doc__},
+                auto_configure_optimizers=False,
+                args=arguments,
+            )
+    except (UsageError, CheckpointError, UnstableConfiguration, MisconfigurationException) as error:
+        print(plain(f"train.py: {error}"), file=sys.stderr)
+        return 2
+    except (InputError, TrainingDiverged, ParityError, EvaluationError, ForeignFile) as error:
+        print(plain(f"train.py: {error}"), file=sys.stderr)
+        return 1
+    except MlflowException as error:  # the database was locked or lost during the run
+        reason = " ".join(str(error).split())[:200]
+        advice = "go on with --ckpt_path last --tracking false"
+        print(plain(f"train.py: tracking failed ({reason}); {advice}."), file=sys.stderr)
+        return 1
+    except OSError as error:
+        if error.strerror is None:  # the error is not from the file system
+            raise
+        where = error.filename or "The run folder"
+        print(plain(f"train.py: {where}: {error.strerror}; make room or choose another folder."), file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except SystemExit as error:  # Lightning turns Ctrl-C into exit status 1
+        if not by_interrupt(error):
+            raise
+        return INTERRUPTED
+    return 0

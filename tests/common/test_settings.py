@@ -1,0 +1,115 @@
+"""Values from files are what their field's annotation says."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Literal
+
+import pytest
+
+from palpate.common.settings import described, fits, shown, sound
+from palpate.data.contact.geometry import GeometrySettings
+from palpate.data.depth.normalise import DepthSettings
+from palpate.data.depth.preset import DepthPreset
+from palpate.data.masks.onnx import SegmentationSettings
+from palpate.data.training.samples import SampleSettings
+
+
+@pytest.mark.parametrize(
+    ("kind", "good", "bad"),
+    [
+        (float, [1, 1.5, -1e12], [True, "1", None, [1.0], math.nan, math.inf, 10**400, 1.1e15]),
+        (int, [3, 10**12], [3.0, True, "3", -(10**16), 10**5000]),
+        (str | None, ["a", None], [1, ["a"]]),
+        (Literal["a", "b"], ["a", "b"], ["c", ["a"], {}]),
+        (tuple[float, float], [[1, 2.0], (1, 2)], [[1.0], [1, 2, 3], [1, "2"], "ab", 2]),
+        (tuple[str, ...], [[], ["a"], ("a", "b")], ["ab", [1], None]),
+        (range(1, 3), [1, 2], [0, 3, 1.0, True, "1"]),
+        (dict[str, int], [{}, {"a": 1}], [{"a": "1"}, {1: 1}, []]),
+        ({"a": int, "b": str}, [{}, {"a": 1, "other": None}], [{"a": "1"}, {"a": 1, "b": 1}, [], None]),
+    ],
+)
+def test_kinds_of_values(kind: object, good: list, bad: list):
+    assert [fits(value, kind) for value in good] == [True] * len(good)
+    assert [fits(value, kind) for value in bad] == [False] * len(bad)
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        (str, "text"),
+        (float | None, "a number or null"),
+        (Literal["a", 2], "one of a, 2"),
+        (tuple[int, ...], "[a whole number, …]"),
+        (tuple[float, float] | bool, "[a number, a number] or true or false"),
+    ],
+)
+def test_an_annotation_in_words(kind: object, words: str):
+    assert described(kind) == words
+
+
+@pytest.mark.parametrize(
+    ("kind", "choice", "told"),
+    [
+        (DepthSettings, {"bits": 12}, "depth.bits is 12; give one of 8, 16."),
+        (DepthSettings, {"device": "gpu"}, "depth.device is 'gpu'; give one of cpu, cuda."),
+        (
+            GeometrySettings,
+            {"displacement": "guessed"},
+            "geometry.displacement is 'guessed'; give one of tracked, redetected.",
+        ),
+        (
+            SampleSettings,
+            {"observation": "all"},
+            "samples.observation is 'all'; give one of final, release, trajectory.",
+        ),
+        (DepthPreset, {"name": "own", "kind": "depth"}, "kind is 'depth'; give one of metric, "),
+        (SegmentationSettings, {"tool": (1,), "axes": "hwc"}, "axes is 'hwc'; give one of nchw, nhwc."),
+    ],
+)
+def test_what_is_one_of_a_few_is_checked_from_python_too(kind: type, choice: dict, told: str):
+    with pytest.raises(ValueError, match=re.escape(told)):
+        kind(**choice)
+
+
+def in_itself() -> list:
+    circle: list = []
+    circle.append(circle)
+    return circle
+
+
+def doubled(levels: int) -> list:
+    """A list in a list, twice in each: few objects, and more to write than there is paper."""
+    return [doubled(levels - 1)] * 2 if levels else [1]
+
+
+def deep(levels: int) -> list:
+    found: list = [1]
+    for _ in range(levels):
+        found = [found]
+    return found
+
+
+@pytest.mark.parametrize(
+    ("value", "told"),
+    [
+        ("a" * 10**6, "'aaaaa"),
+        (10**5000, "a number beyond ±1e+15"),
+        ([10**5000], "[a number beyond ±1e+15]"),
+        (in_itself(), "[[["),
+        (doubled(40), "[[["),
+        (deep(900), "[[["),
+        ({"a": 1.5, "b": None}, "{'a': 1.5, 'b': None}"),
+    ],
+    ids=["long", "huge", "huge inside", "circle", "doubled", "deep", "plain"],
+)
+def test_a_value_is_shown_in_few_words(value: object, told: str):
+    assert shown(value).startswith(told)
+    assert len(shown(value)) < 1000
+
+
+@pytest.mark.parametrize("value", [10**400, [math.nan], {"a": [math.inf]}, in_itself(), doubled(40), deep(900)])
+def test_what_nobody_means_is_not_sound(value: object):
+    assert not sound({"model": value})
+    assert sound({"model": [1, 2.5, -(10**12), None, True, "a", {"b": doubled(3)}]})

@@ -1,0 +1,243 @@
+"""The sequence of a dent: what the camera did is taken off, what the depth's noise is like is measured far away."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter, gaussian_filter1d
+
+from palpate.data.contact.depth_sequence import (
+    FAR,
+    LEAST_FAR,
+    REACH,
+    REST_KEPT,
+    REST_LENGTH,
+    REST_SHARE,
+    DepthSequence,
+    SequenceNoise,
+    SequenceRecorder,
+    smooth_errors,
+    window_around,
+)
+from palpate.data.labels import TISSUE, TOOL
+from palpate.data.source.camera import Camera, back_project
+from palpate.physics.mesh import Mesh, grid_mesh
+
+WIDTH, HEIGHT = 120, 96
+CENTRE = np.array([45, 57])
+"""Row and column of the contact."""
+SIDE = 2 * REACH + 1
+CAMERA = Camera.from_field_of_view(60, WIDTH, HEIGHT)
+SIGMA = 1e-3
+STEP = 1 / 255
+"""Of depth in 8 bits."""
+ROWS, COLUMNS = np.mgrid[:HEIGHT, :WIDTH]
+REST = (0.5 + 0.02 * np.sin(COLUMNS / 31) + 0.0007 * ROWS).astype(np.float32)
+TISSUE_ALL = np.full((HEIGHT, WIDTH), TISSUE, np.uint8)
+
+
+def mesh_of(depth: np.ndarray = REST, valid: np.ndarray | None = None) -> Mesh:
+    return grid_mesh(back_project(depth, CAMERA), np.ones(depth.shape, bool) if valid is None else valid, max_edge=1.0)
+
+
+MESH = mesh_of()
+VERTEX = int(np.flatnonzero((MESH.pixels == CENTRE).all(axis=1))[0])
+
+
+def recorder(sigma: float = SIGMA) -> SequenceRecorder:
+    return SequenceRecorder(MESH, VERTEX, sigma, (WIDTH, HEIGHT))
+
+
+def noise_of(frames: np.ndarray, sigma: float = SIGMA) -> SequenceNoise:
+    """As measured in frames of errors [N, H, W] about tissue at rest."""
+    made = recorder(sigma)
+    for errors in frames:
+        assert made.frame(REST + errors, TISSUE_ALL) is not None
+    return made.noise
+
+
+def white(seed: int, count: int = 12) -> np.ndarray:
+    return np.random.default_rng(seed).normal(size=(count, HEIGHT, WIDTH))
+
+
+def blurred(noise: np.ndarray, blur: float) -> np.ndarray:
+    """Neighbours mixed, of the same size as before."""
+    mixed = gaussian_filter(noise, (0, blur, blur), mode="wrap")
+    return mixed / mixed.std()
+
+
+def dent() -> np.ndarray:
+    """A dent around the contact that ends before the tissue that is far, shape [H, W]."""
+    apart = np.hypot(ROWS - CENTRE[0], COLUMNS - CENTRE[1])
+    return 0.03 * np.exp(-0.5 * (apart / 4) ** 2) * (apart < FAR)
+
+
+def test_the_change_of_a_still_camera_is_the_dent_itself() -> None:
+    change = recorder().frame(REST + dent(), TISSUE_ALL)
+    assert (change.dtype, change.shape) == (np.float32, (SIDE, SIDE))
+    np.testing.assert_allclose(change, dent()[window_around(CENTRE)], atol=2e-7)
+    assert change[REACH, REACH] == pytest.approx(0.03, abs=2e-7)
+
+
+@pytest.mark.parametrize("motion", [(0.02, 0, 0), (0, 0.01, -0.004), (-0.013, -0.006, 0.009)], ids=str)
+def test_scale_and_tilt_of_the_whole_depth_are_taken_off(motion: tuple[float, float, float]) -> None:
+    """Relative to the distance, as a camera or a depth network changes them."""
+    scale, down, across = motion
+    moved = scale + (down * (ROWS - CENTRE[0]) + across * (COLUMNS - CENTRE[1])) / FAR
+    change = recorder().frame(REST * (1 + moved) + dent(), TISSUE_ALL)
+    np.testing.assert_allclose(change, dent()[window_around(CENTRE)], atol=3e-7)
+
+
+def test_some_far_tissue_may_move_otherwise() -> None:
+    depth = REST * 1.01 + dent()
+    depth[:10, :40] += 0.05
+    change = recorder().frame(depth, TISSUE_ALL)
+    np.testing.assert_allclose(change, dent()[window_around(CENTRE)], atol=3e-7)
+
+
+def test_what_is_hidden_is_not_a_number() -> None:
+    depth, labels = REST + dent(), TISSUE_ALL.copy()
+    row, column = CENTRE
+    labels[row, column : column + 40] = TOOL
+    depth[row - 3, column - 2] = 0
+    hidden = np.zeros((SIDE, SIDE), bool)
+    hidden[REACH, REACH:] = True
+    hidden[REACH - 3, REACH - 2] = True
+    change = recorder().frame(depth, labels)
+    np.testing.assert_array_equal(np.isnan(change), hidden)
+    np.testing.assert_allclose(change[~hidden], dent()[window_around(CENTRE)][~hidden], atol=2e-7)
+
+
+@pytest.mark.parametrize("corner", [(3, 2), (HEIGHT - 4, WIDTH - 1)])
+def test_outside_the_picture_and_the_mesh_is_not_a_number(corner: tuple[int, int]) -> None:
+    valid = (ROWS > 1) | (COLUMNS > 60)
+    mesh = mesh_of(valid=valid)
+    vertex = int(np.flatnonzero((mesh.pixels == corner).all(axis=1))[0])
+    change = SequenceRecorder(mesh, vertex, SIGMA, (WIDTH, HEIGHT)).frame(REST, TISSUE_ALL)
+    there = np.pad(valid, REACH)[window_around(np.array(corner) + REACH)]
+    np.testing.assert_array_equal(np.isfinite(change), there)
+    np.testing.assert_allclose(change[there], 0, atol=1e-7)
+    assert not there.all()
+
+
+def test_too_little_far_tissue_tells_nothing_of_the_camera() -> None:
+    labels = np.where(np.abs(np.stack([ROWS, COLUMNS]) - CENTRE[:, None, None]).max(axis=0) < FAR, TISSUE, TOOL)
+    labels = labels.astype(np.uint8)
+    made = recorder()
+    assert made.frame(REST, labels) is None
+    labels[0, : LEAST_FAR - 100] = labels[-1, :99] = TISSUE
+    assert made.frame(REST, labels) is None
+    labels[-1, 99] = TISSUE
+    assert made.frame(REST, labels) is not None
+
+
+def test_of_white_noise_all_is_new_in_every_frame() -> None:
+    noise = noise_of(SIGMA * white(0))
+    assert noise == SequenceNoise(SIGMA, 0.0)
+    assert noise.total == SIGMA
+
+
+def test_what_is_rounded_stays_in_its_place() -> None:
+    rounded = np.rint(REST.astype(np.float64) / STEP) * STEP - REST
+    sigma = STEP / math.sqrt(12)
+    noise = noise_of(np.repeat(rounded[None], 4, axis=0), sigma)
+    assert noise.in_time == pytest.approx(0, abs=1e-3 * sigma)
+    assert noise.in_place == pytest.approx(sigma, rel=1e-6)
+    # Rounding errors of slanting tissue go together, those of neighbours in one row more than those in one column.
+    assert noise.alike_in_time == 1
+    assert noise.alike_in_place > 2
+
+
+@pytest.mark.parametrize("share", [0.4, 0.8])
+def test_noise_in_time_and_in_place_are_told_apart(share: float) -> None:
+    in_place = SIGMA * math.sqrt(share)
+    in_time = SIGMA * math.sqrt(1 - share)
+    noise = noise_of(in_time * white(1) + in_place * white(2, 1))
+    assert noise.in_time == pytest.approx(in_time, rel=0.01)
+    assert noise.in_place == pytest.approx(in_place, rel=0.01)
+    assert noise.total == pytest.approx(SIGMA, rel=1e-9)
+    assert (noise.alike_in_time, noise.alike_in_place) == (1, 1)
+
+
+@pytest.mark.parametrize("blur", [0.6, 1.0, 1.5])
+def test_blurred_noise_makes_neighbours_alike(blur: float) -> None:
+    """The sum of all correlations of noise that was blurred with a kernel w is 1/Σw² an axis: about 4πσ² for both."""
+    kernel = gaussian_filter1d(np.eye(49)[24], blur)
+    expected = np.square(kernel).sum() ** -2
+    assert expected == pytest.approx(4 * math.pi * blur**2, rel=0.12)
+    new = noise_of(SIGMA * blurred(white(3), blur))
+    assert (new.in_time, new.in_place, new.alike_in_place) == (SIGMA, 0.0, 1.0)
+    assert new.alike_in_time == pytest.approx(expected, rel=0.08)
+    still = noise_of(np.repeat(SIGMA * blurred(white(5, 1), blur), 3, axis=0))
+    assert still.in_place == pytest.approx(SIGMA, rel=1e-3)
+    assert still.alike_in_place == pytest.approx(expected, rel=0.2)
+
+
+def test_errors_that_stay_are_as_alike_beside_new_ones_that_are_not() -> None:
+    kernel = gaussian_filter1d(np.eye(49)[24], 1.0)
+    noise = noise_of(0.6 * SIGMA * white(4) + 0.8 * SIGMA * blurred(white(5, 1), 1.0))
+    assert noise.alike_in_time == 1
+    assert noise.in_place == pytest.approx(0.8 * SIGMA, rel=0.02)
+    assert noise.alike_in_place == pytest.approx(np.square(kernel).sum() ** -2, rel=0.2)
+
+
+def test_noise_is_not_that_of_tissue_that_moves() -> None:
+    """A few wild pixels, and what another instrument does far away, don't count."""
+    frames = SIGMA * white(6)
+    frames[3:, :8, :40] += 0.03
+    frames[5, 80:, 3] = 0.2
+    assert noise_of(frames) == SequenceNoise(SIGMA, 0.0)
+
+
+def test_before_a_second_frame_all_noise_counts_as_new() -> None:
+    made = recorder()
+    assert made.noise == SequenceNoise(SIGMA, 0.0)
+    made.frame(REST, TISSUE_ALL)
+    assert made.noise == SequenceNoise(SIGMA, 0.0)
+    made.frame(REST, TISSUE_ALL)
+    assert made.noise == SequenceNoise(0.0, pytest.approx(SIGMA), 1.0, 1.0)
+
+
+def test_a_frame_without_much_tissue_is_passed_over() -> None:
+    """Noise in time is then that between the frames beside it."""
+    frames, none = SIGMA * white(7, 3), np.full((HEIGHT, WIDTH), TOOL, np.uint8)
+    made = recorder()
+    made.frame(REST + frames[0], TISSUE_ALL)
+    assert made.frame(REST + frames[1], none) is None
+    made.frame(REST + frames[2], TISSUE_ALL)
+    assert made.noise == noise_of(frames[[0, 2]])
+
+
+def test_a_sequence_holds_frames_times_and_size() -> None:
+    made = recorder()
+    changes = [made.frame(REST + amount * dent(), TISSUE_ALL) for amount in (0.5, 1.0, 0.25)]
+    sequence = made.sequence(np.array([0.04, 0.08, 0.12]), changes, 2)
+    np.testing.assert_array_equal(sequence.change, np.stack(changes))
+    assert sequence.times.tolist() == [0.04, 0.08, 0.12]
+    assert sequence.size == (WIDTH, HEIGHT)
+    assert sequence.noise == made.noise
+    for chosen in (np.array([True, False, True]), np.array([0, 2])):
+        part = sequence.chosen(chosen)
+        assert part.times.tolist() == [0.04, 0.12]
+        np.testing.assert_array_equal(part.change, np.stack([changes[0], changes[2]]))
+        assert dataclasses.replace(part, times=sequence.times, change=sequence.change).noise == sequence.noise
+    empty = made.sequence(np.array([]), [], 0)
+    assert isinstance(empty, DepthSequence)
+    assert (empty.times.shape, empty.change.shape) == ((0,), (0, SIDE, SIDE))
+
+
+def test_smooth_errors_are_those_of_a_gaussian_process() -> None:
+    columns = smooth_errors(1e-3)
+    places = np.mgrid[: 2 * REACH + 1, : 2 * REACH + 1].reshape(2, -1).T
+    apart = np.linalg.norm(places[:, None] - places, axis=2)
+    expected = (REST_SHARE * 1e-3) ** 2 * np.exp(-0.5 * (apart / REST_LENGTH) ** 2)
+    found = columns @ columns.T
+    # As few columns as hold so much of it.
+    assert np.trace(found) >= REST_KEPT * np.trace(expected)
+    assert np.trace(found) - np.square(columns[:, -1]).sum() < REST_KEPT * np.trace(expected)
+    np.testing.assert_allclose(columns.T @ columns, np.diag(np.square(columns).sum(axis=0)), atol=1e-15)
+    np.testing.assert_allclose(found, expected, atol=0.06 * (REST_SHARE * 1e-3) ** 2)
+    assert np.linalg.eigvalsh(expected - found).min() > -1e-9 * expected.max()

@@ -1,0 +1,41 @@
+"""Every notebook in examples/ runs, and what it prints is true."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import matplotlib.pyplot as plt
+import pytest
+
+from tests.conftest import CHECKOUT
+
+
+def run(path: Path) -> dict[str, Any]:
+    """Names that a notebook leaves."""
+    names: dict[str, Any] = {}
+    for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
+        if cell["cell_type"] == "code":
+            exec("".join(cell["source"]), names)
+    return names
+
+
+@pytest.mark.slow
+def test_press_pull_and_simulator(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    mpl.use("Agg")
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    try:
+        names = run(CHECKOUT / "examples" / "press_pull_simulate.ipynb")
+        assert len(plt.get_fignums()) == 2
+    finally:
+        plt.close("all")
+    told = capsys.readouterr().out
+    assert told.startswith("determined\nstiffness: ")
+    truth = names["truth"]
+    for mean, name in zip(names["press_run"].estimate.theta, ("stiffness", "damping", "force"), strict=True):
+        assert mean == pytest.approx(truth[name], rel=0.1)
+    assert "relative_force" in names["pull_run"].grip.determined or names["pull_run"].verdict == "foundation"

@@ -1,0 +1,91 @@
+"""The public face: the same numbers as the program's, and sentences for what can't be done."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import palpate
+from palpate.command import infer
+from palpate.data.synthetic.clip import write_clip
+from palpate.data.synthetic.settings import SceneSettings
+
+SCENE = SceneSettings(
+    width=214,
+    height=120,
+    frames=22,
+    onset_fraction=(0.15, 0.2),
+    press_seconds=(0.3, 0.3),
+    stiffness=(0.4, 0.4),
+    damping=(0.03, 0.03),
+    force=(-0.05, -0.05),
+    depth_noise=0.0005,
+)
+
+
+@pytest.fixture(scope="module")
+def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_clip(tmp_path_factory.mktemp("clips"), 1, SCENE, 3)
+
+
+@pytest.mark.usefixtures("blank_pictures")
+@pytest.mark.parametrize("name", ["network", "direct"])
+def test_estimate_gives_the_numbers_that_the_program_writes(clip: Path, tmp_path: Path, name: str) -> None:
+    found = palpate.estimate(clip, name)
+    assert infer.main([str(clip), "--output", str(tmp_path), "--estimator", name, "--no-overlay"]) == 0
+    with (tmp_path / clip.name / "interactions.csv").open(encoding="utf-8", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert [run.onset_frame for run in found] == [int(row["onset_frame"]) for row in rows]
+    assert [run.verdict for run in found] == [row["verdict"] for row in rows]
+    for run, row in zip(found, rows, strict=True):
+        assert isinstance(run, palpate.InteractionEstimate)
+        assert isinstance(run.interaction, palpate.Interaction)
+        assert isinstance(run.estimate, palpate.Estimate)
+        written = [float(row[column]) for column in ("stiffness", "damping", "force")]
+        np.testing.assert_allclose(np.abs(run.estimate.theta), written, rtol=1e-5)
+
+
+def test_an_opened_estimator_serves_many_clips_and_an_opened_clip_is_taken_as_it_is(clip: Path) -> None:
+    estimator = palpate.open_estimator("network")
+    first = palpate.estimate(clip, estimator)
+    again = palpate.estimate(palpate.open_clip(clip, estimator), estimator)
+    np.testing.assert_array_equal(first[0].estimate.theta, again[0].estimate.theta)
+
+
+def test_the_simulator_is_one_call_away(clip: Path) -> None:
+    run = palpate.estimate(clip, palpate.open_estimator("direct", onset="stamp"))[0]
+    contact, mechanics = run.interaction, palpate.Mechanics()
+    path = palpate.simulate(run.estimate.theta, contact.mesh, contact.load, mechanics)
+    assert path.shape == (contact.load.steps, 3)
+    assert (path @ contact.load.direction).min() < -0.005  # it is pressed in
+
+
+@pytest.mark.parametrize(
+    ("choices", "error", "sentence"),
+    [
+        ({"mask": "automatic"}, TypeError, "there is no choice called mask"),
+        ({"smoothing": 2.0}, ValueError, "smoothing is for --estimator direct and online"),
+        ({"depth": "nonsense"}, ValueError, "'nonsense' is no depth preset"),
+        ({"layout": "missing.yaml"}, ValueError, r"missing\.yaml"),
+    ],
+)
+def test_a_choice_that_cannot_be_used_is_a_sentence(
+    clip: Path, choices: dict[str, object], error: type[Exception], sentence: str
+) -> None:
+    with pytest.raises(error, match=sentence):
+        palpate.estimate(clip, **choices)
+
+
+def test_an_open_clip_takes_no_choices(clip: Path) -> None:
+    with pytest.raises(TypeError, match="the clip is open already; give masks to open_clip"):
+        palpate.estimate(palpate.open_clip(clip), masks="automatic")
+
+
+def test_a_missing_clip_and_an_unknown_estimator_are_sentences(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"nothing\.mp4"):
+        palpate.estimate(tmp_path / "nothing.mp4")
+    with pytest.raises(ValueError, match="nonsense"):
+        palpate.estimate(tmp_path, "nonsense")

@@ -1,0 +1,50 @@
+"""The command `palpate`."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+
+import pytest
+
+from palpate.__main__ import COMMANDS, main
+
+
+def test_help_names_every_command(capsys: pytest.CaptureFixture) -> None:
+    assert main([]) == main(["--help"]) == 0
+    told = capsys.readouterr().out
+    assert all(name in told for name in COMMANDS)
+
+
+def test_an_unknown_command_is_a_sentence(capsys: pytest.CaptureFixture) -> None:
+    assert main(["nonsense"]) == 2
+    assert "there is no command 'nonsense'; choose infer, train," in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_is_a_program(name: str) -> None:
+    assert callable(importlib.import_module(COMMANDS[name]).main)
+
+
+def test_a_command_gets_the_arguments_behind_its_name(
+    capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["palpate"])
+    with pytest.raises(SystemExit) as end:
+        main(["infer", "--version"])
+    assert end.value.code == 0
+    assert capsys.readouterr().out.startswith("palpate ")
+    with pytest.raises(SystemExit):
+        main(["plan", "--help"])
+    assert capsys.readouterr().out.startswith("usage: palpate plan")
+
+
+def test_training_without_its_libraries_says_what_to_install(
+    capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def missing(name: str) -> None:
+        raise ModuleNotFoundError(f"No module named {name!r}", name="lightning")
+
+    monkeypatch.setattr(importlib, "import_module", missing)
+    assert main(["export"]) == 2
+    assert "export needs lightning; install 'palpate[train]'" in capsys.readouterr().err

@@ -1,0 +1,78 @@
+"""What an installation gives: one package, whatever the user's own folders are called."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import sysconfig
+import venv
+from pathlib import Path
+
+import pytest
+
+from palpate.data.synthetic.clip import write_clip
+from tests.conftest import CHECKOUT
+from tests.palpate.test_api import SCENE
+
+pytestmark = pytest.mark.slow
+FOLDERS = ("common", "physics", "data", "models", "estimators", "planning", "results", "evaluation", "benchmarks")
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A fresh environment with the wheel, and with the libraries of this one, but not its link to the checkout."""
+    folder = tmp_path_factory.mktemp("wheel")
+    sources = folder / "sources"
+    shutil.copytree(
+        CHECKOUT, sources, symlinks=True, ignore=shutil.ignore_patterns(".venv", ".git", "runs", "build", "*.egg-info")
+    )
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet"]
+    subprocess.run([*pip, "wheel", "--no-deps", "--wheel-dir", folder, sources], check=True, timeout=300)
+    (wheel,) = folder.glob("palpate-*.whl")
+    home = folder / "environment"
+    venv.create(home, with_pip=False)
+    site = home / "lib" / f"python{sys.version_info.major}.{sys.version_info.minor}" / "site-packages"
+    subprocess.run([*pip, "install", "--no-deps", "--target", site, wheel], check=True, timeout=300)
+    (site / "libraries.pth").write_text(sysconfig.get_paths()["purelib"] + "\n")
+    return home
+
+
+def test_only_palpate_stands_in_site_packages(installed: Path) -> None:
+    (site,) = installed.glob("lib/*/site-packages")
+    names = {path.name.split("-")[0] for path in site.iterdir()} - {"libraries.pth", "__pycache__"}
+    assert names == {"palpate", "bin"}
+    assert {path.name for path in (site / "palpate").iterdir() if path.is_dir()} >= {*FOLDERS, "command"}
+
+
+def test_it_estimates_in_a_folder_with_packages_of_the_same_names(installed: Path, tmp_path: Path) -> None:
+    for name in ("data", "models"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").write_text("OWN = True\n")
+    clip = write_clip(tmp_path / "clips", 1, SCENE, 3)
+    program = f"""
+import data, models, sys
+import palpate
+assert data.OWN and models.OWN
+assert {str(installed)!r} in palpate.__file__, palpate.__file__
+(run,) = palpate.estimate({str(clip)!r})
+print(run.onset_frame, run.verdict, *run.estimate.theta)
+assert "torch" not in sys.modules
+"""
+    python = installed / "bin" / "python"
+    done = subprocess.run([python, "-c", program], cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    import palpate
+
+    (run,) = palpate.estimate(clip)
+    frame, verdict, *theta = done.stdout.split()
+    assert (int(frame), verdict) == (run.onset_frame, run.verdict)
+    assert [float(value) for value in theta] == pytest.approx(run.estimate.theta, rel=1e-6)
+
+
+def test_the_command_of_the_installation_writes_results(installed: Path, tmp_path: Path) -> None:
+    clip = write_clip(tmp_path / "clips", 1, SCENE, 3)
+    command = [installed / "bin" / "python", "-m", "palpate", "infer", clip, "--output", "out", "--no-overlay"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "out" / clip.name / "interactions.csv").is_file()

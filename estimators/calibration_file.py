@@ -234,6 +234,8 @@ def _palpated(path: Path) -> tuple[float, float]:
 
 
 def _interval(values: Mapping[str, Any], path: Path) -> tuple[float, float]:
+    if values.get("young_pa", 0) is None:
+        raise InputError(f"{printable(path)} says that nothing is determined; press harder and give that file.")
     names = ("young_pa", "young_low_pa", "young_high_pa")
     if not all(fits(values.get(name), float) and values[name] > 0 for name in names):
         raise InputError(

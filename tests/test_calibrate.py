@@ -5,49 +5,114 @@ from __future__ import annotations
 import csv
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 
 from palpate.command import calibrate
-from palpate.evaluation.palpation.synthetic import BODIES, TOOL, observe, press
+from palpate.data.source.images import read_image
+from palpate.data.source.layout import InputError
+from palpate.estimators.calibration_file import read_calibration
+from palpate.estimators.palpation import Palpation, Skin
+from palpate.estimators.palpation.bench import Progress
+from palpate.estimators.palpation.material_fit import MaterialFit
+from palpate.evaluation.palpation import example
+from palpate.evaluation.palpation.example import scene_files
+from palpate.evaluation.palpation.synthetic import BODIES, observe, press
+from palpate.physics.fem import Material, find_equilibrium
 from tests.evaluation.palpation.test_door import write_hold, write_probes
 
 
-def write_scene(folder: Path, edge: float | None = None, **changed: object) -> Path:
+def write_scene(folder: Path, **changed: object) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
-    truth = press(BODIES["ball"], 1e4, 0.42, 0.8, (0.1, 0.5), 5, law="corotational", edge=edge)
+    truth = press(BODIES["ball"], 1e4, 0.42, 0.8, (0.1, 0.5), 5, law="corotational")
     seen = observe(*truth, "stereo", 0, count=600)
-    vertices, triangles = BODIES["ball"].surface(0.0035)
-    rows = [f"v {x} {y} {z}" for x, y, z in vertices] + [f"f {a} {b} {c}" for a, b, c in triangles + 1]
-    (folder / "rest.obj").write_text("\n".join(rows))
-    (folder / "seen.csv").write_text("x,y,z\n" + "\n".join(",".join(map(str, point)) for point in seen.points))
-    palpation = {
-        "force": seen.force.tolist(),
-        "contact": seen.contact.tolist(),
-        "points": "seen.csv",
-        "pose": seen.pose.tolist(),
-        "tool_radius": TOOL,
-        "hole": 1.1 * TOOL,
-    }
-    scene = {"surface": "rest.obj", "held_axis": "z", "held_below": 0.012, "cells": 5, "palpations": [palpation]}
+    scene, surface, points = scene_files(BODIES["ball"].surface(0.0035), seen, 0.012, 5)
+    (folder / "rest.obj").write_text(surface)
+    (folder / "seen.csv").write_text(points)
     (folder / "scene.yaml").write_text(yaml.safe_dump(scene | changed))
     return folder / "scene.yaml"
 
 
+@pytest.fixture(scope="module")
+def example_scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("example")
+    assert example.main(["--output", str(folder)]) == 0
+    return folder / "scene.yaml"
+
+
+def strict(path: Path) -> dict[str, Any]:
+    def refuse(name: str) -> None:
+        raise AssertionError(f"{name} in {path}")
+
+    return json.loads(path.read_text(), parse_constant=refuse)
+
+
 @pytest.mark.slow
-def test_a_palpation_becomes_a_modulus(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    scene = write_scene(tmp_path, 0.6 * TOOL)  # a truth on plain cells lies half a millimetre off the surface
-    assert calibrate.main(["palpation", str(scene), "--output", str(tmp_path / "out")]) == 0
-    record = json.loads((tmp_path / "out" / "calibration.json").read_text())
-    assert record["young_pa"] == pytest.approx(1e4, rel=0.2)
-    assert record["young_low_pa"] < record["young_pa"] < record["young_high_pa"]
-    assert record["verdict"] in ("determined", "young")
-    assert "Pa" in capsys.readouterr().out
-    errors = np.genfromtxt(tmp_path / "out" / "errors.csv", delimiter=",", names=True)["error_mm"]
-    assert 0.1 < np.sqrt(np.nanmean(errors**2)) < 1
+def test_the_example_s_stiffness_is_found_and_drawn(
+    example_scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert calibrate.main(["palpation", str(example_scene), "--output", str(tmp_path)]) == 0
+    record = strict(tmp_path / "calibration.json")
+    assert record["young_pa"] == pytest.approx(example.YOUNG, rel=0.1)
+    assert record["young_low_pa"] < example.YOUNG < record["young_high_pa"]
+    assert record["poisson"] == pytest.approx(example.POISSON, abs=3 * record["poisson_sd"])
+    assert record["verdict"] == "determined"
+    assert capsys.readouterr().out.startswith("E = 1.0")
+    errors = np.genfromtxt(tmp_path / "errors.csv", delimiter=",", names=True)["error_mm"]
+    assert 0.1 < np.sqrt(np.nanmean(errors**2)) < 0.4
     assert np.isnan(errors).any()
+    picture = read_image(tmp_path / "errors.png")
+    assert picture.shape == (620, 1480, 3)
+    assert np.unique(picture.reshape(-1, 3), axis=0).shape[0] > 200
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("optimizer", ["gauss-newton", "gradient"])
+def test_a_reversed_force_is_a_sentence(
+    example_scene: Path, optimizer: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = yaml.safe_load(example_scene.read_text())
+    right = scene["palpations"][0]
+    scene["palpations"] = [right, right | {"force": [-component for component in right["force"]]}]
+    path = example_scene.with_name("reversed.yaml")
+    path.write_text(yaml.safe_dump(scene))
+    options = ["--optimizer", optimizer, "--output", str(tmp_path)]
+    assert calibrate.main(["palpation", str(path), *options]) == 1
+    told = " ".join(capsys.readouterr().err.split())
+    assert "reversed.yaml: the surface moved against the force of palpation 2; give what the tool does to" in told
+    assert not list(tmp_path.iterdir())
+
+
+def test_where_nothing_is_determined_no_number_is_given(
+    example_scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a reversed force gave once: 4.6 GPa, from nothing to infinity."""
+
+    def fit(skin: Skin, held: np.ndarray, palpations: list[Palpation], *_: object, **__: object) -> MaterialFit:
+        (each,) = palpations
+        zero = np.zeros_like(skin.body.rest)
+        rest = find_equilibrium(skin.body, Material("linear", 4.6e9, 0.3), held, forces=zero)
+        path = [Progress(4.6e9, 0.3, 3, 5)]
+        return MaterialFit(4.6e9, 0.3, np.diag([1e6, 0.02]), [each.pose], [rest], 3e-4, path)
+
+    monkeypatch.setattr(calibrate, "fit_material", fit)
+    assert calibrate.main(["palpation", str(example_scene), "--output", str(tmp_path)]) == 0
+    record = strict(tmp_path / "calibration.json")
+    assert record["verdict"] == "nothing determined"
+    assert (record["young_pa"], record["poisson"]) == (None, None)
+    assert "young_low_pa" not in record
+    told = capsys.readouterr().out
+    assert told.startswith("nothing determined: the surface moved too little for points 0.3 mm off")
+    with pytest.raises(InputError, match=r"calibration.json says that nothing is determined; press harder"):
+        read_calibration(write_use(tmp_path))
+
+
+def write_use(folder: Path) -> Path:
+    (folder / "known.yaml").write_text("palpation: calibration.json\nthickness_m: 0.004\n")
+    return folder / "known.yaml"
 
 
 def test_curves_say_what_their_numbers_are(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from palpate.estimators.palpation.bench import SHOWN, Bench, Palpation, beside_the_tool
-from palpate.estimators.palpation.material_fit import POISSON, FitSettings, MaterialFit
+from palpate.estimators.palpation.material_fit import POISSON, FitSettings, MaterialFit, require_along
 from palpate.estimators.palpation.registration import placed, register
 from palpate.estimators.palpation.skin import Match, Skin
 from palpate.physics.fem import Equilibrium, NoEquilibrium
@@ -49,7 +49,9 @@ def descend(
 
     Raises:
         NoEquilibrium: the body bears the forces at no stiffness that was tried.
+        ValueError: a reversed force.
     """
+    require_along(Bench(skin, held, palpations, settings.law), settings)  # a bench of its own: it counts equilibria
     error = _Error(Bench(skin, held, palpations, settings.law))
     bench = error.bench
     values = np.array([np.log(settings.young), np.clip(settings.poisson, *POISSON)])

@@ -18,6 +18,7 @@ from palpate.estimators.palpation.bench import GRAZING, OUTLIER, Bench, Palpatio
 from palpate.estimators.palpation.registration import turned
 from palpate.estimators.palpation.skin import Skin
 from palpate.physics.fem import Equilibrium, NoEquilibrium
+from palpate.physics.identifiability import LIMIT
 
 POISSON = (0.0, 0.495)
 """Range of ν that is looked at; below 0 no tissue lies, above it the elements lock."""
@@ -41,6 +42,14 @@ FARTHEST, WIDEST = 10.0, 0.15
 STRIDE = 0.1
 """Of a pose's standard deviation as the tool tells it: what a step moves it by where the body leaves it open, as a ball
 its turns. Facets pull it to and fro there."""
+NOTHING = "nothing determined"
+"""The verdict where not even E is."""
+REVERSED = 5.0
+"""Standard deviations below zero, from which on a compliance says that a force is reversed."""
+LIKELY = (0.0, 0.4, 0.49)
+"""ν for which that must hold as well as for the one that a fit begins at: with it tissue bulges out beside a tool."""
+VISIBLE = 0.2
+"""Of the noise: the motion that most of the moved points show less than tells no sign."""
 BEGUN = 0.03
 """Of the body's size: displacement by the linear law at which points are matched first."""
 
@@ -95,7 +104,9 @@ class MaterialFit:
 
     @property
     def verdict(self) -> str:
-        """Whether ν is `determined` too, or `young` alone."""
+        """Whether ν is `determined` too, `young` alone, or `NOTHING`: E's interval spans a factor e, or more."""
+        if not self.young_sd < LIMIT:
+            return NOTHING
         return "determined" if self.poisson_sd < KNOWN else "young"
 
 
@@ -135,11 +146,12 @@ def fit_material(
 
     Raises:
         NoEquilibrium: the body can't bear the forces at any stiffness that was tried.
-        ValueError: a contact off the surface, or too few points beside the hole.
+        ValueError: a contact off the surface, too few points beside the hole, or a reversed force.
     """
     bench = Bench(skin, held, palpations, settings.law)
     poisson = float(np.clip(settings.poisson, *POISSON))
     rests, scale = begun(bench, settings.young, poisson)
+    _require_along(bench, settings.young, rests)
     young = settings.young / scale
     system = found = _System(bench, _states(bench, rests, scale), np.zeros(2), bench.poses, poisson).solved()
     path = [_told(bench, young, poisson, found)]
@@ -185,8 +197,67 @@ def _told(bench: Bench, young: float, poisson: float, found: _System) -> Progres
 def begun(bench: Bench, young: float, poisson: float) -> tuple[list[Equilibrium], float]:
     """The bodies by the linear law, and by how much E is too high for them to move by BEGUN of their size."""
     rests = bench.linear(young, poisson)
+    return rests, _scale(bench, rests)
+
+
+def _scale(bench: Bench, rests: Sequence[Equilibrium]) -> float:
     farthest = max(float(np.abs(rest.displacement).max()) for rest in rests)
-    return rests, BEGUN * float(np.ptp(bench.skin.vertices, axis=0).max()) / max(farthest, 1e-300)
+    return BEGUN * float(np.ptp(bench.skin.vertices, axis=0).max()) / max(farthest, 1e-300)
+
+
+def require_along(bench: Bench, settings: FitSettings) -> None:
+    """Require forces onto the body: the reaction, which a sensor in the tool's handle feels, is their negative.
+
+    Raises:
+        ValueError: a surface moved against its force, whatever ν is.
+    """
+    _require_along(bench, settings.young, bench.linear(settings.young, float(np.clip(settings.poisson, *POISSON))))
+
+
+def _require_along(bench: Bench, young: float, rests: Sequence[Equilibrium]) -> None:
+    """The same, of bodies by the linear law."""
+    against = _against(bench, rests)
+    for poisson in LIKELY:
+        if against.any():
+            against &= _against(bench, bench.linear(young, poisson))
+    if against.any():
+        names = " and ".join(str(1 + number) for number in np.flatnonzero(against))
+        raise ValueError(
+            f"the surface moved against the force of palpation {names}; give what the tool does to the body, the "
+            "negative of what a sensor in its handle feels."
+        )
+
+
+def _against(bench: Bench, rests: Sequence[Equilibrium]) -> np.ndarray:
+    """Whether a surface moved against its force, of every palpation, shape [O], bool.
+
+    By Hooke's law displacements go with the compliance 1/E: a regression on them of the points' distances from the
+    surface at rest, the pose unknown beside it, gives a compliance below zero then.
+    """
+    still, states = np.zeros_like(bench.skin.vertices), []
+    scale = _scale(bench, rests)
+    for rest in rests:
+        moved = scale * (bench.skin.shares @ rest.displacement)
+        slopes = np.stack([moved, still], axis=-1)
+        states.append(_State(still, slopes, np.zeros(0), np.zeros(0)))
+    system = _System(bench, states, np.zeros(2), bench.poses, 0.0)
+    against = np.zeros(len(rests), bool)
+    for which, each in enumerate(bench.palpations):
+        own = system.which == which
+        jacobian, weight, residual = (
+            np.delete(system.jacobian[own], 1, axis=1),
+            system.weight[own],
+            system.residual[own],
+        )
+        known = np.diag([0.0, *[each.pose_turn**-2] * 3, *[each.pose_shift**-2] * 3])
+        weighted = weight[:, None] * jacobian
+        normal, right = jacobian.T @ weighted, -weighted.T @ residual
+        found = np.linalg.solve(normal + bench.noise**2 * known, right)
+        noise = float(np.sqrt(np.mean(weight * np.square(residual + jacobian @ found))))
+        sd = noise * float(np.sqrt(np.linalg.inv(normal + noise**2 * known)[0, 0]))
+        shown = float(np.quantile(np.abs(found[0] * jacobian[:, 0]), 0.95))
+        against[which] = found[0] < -REVERSED * sd and shown > VISIBLE * noise
+    return against
 
 
 def information(bench: Bench, rest: Equilibrium, noise: float) -> np.ndarray:

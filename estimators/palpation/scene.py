@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -17,6 +18,7 @@ from palpate.data.source.layout import InputError, from_mapping, read_mapping
 from palpate.data.source.table import read_columns
 from palpate.estimators.palpation.bench import Palpation
 from palpate.estimators.palpation.material_fit import FitSettings
+from palpate.estimators.palpation.registration import placed
 from palpate.estimators.palpation.skin import Skin, cover
 from palpate.estimators.palpation.views import View, join_views
 from palpate.physics.fem import NoBody, make_solid, mesh_surface
@@ -34,6 +36,12 @@ PRESSED = 0.6
 (docs/reports/palpation.md)."""
 FEWEST = 12
 """Points of a surface that is fitted, by three numbers, and moved, by six."""
+BODY, COMMON = 2.0, (0.005, 0.5)
+"""Largest body whose size is taken for metres, and what palpated bodies commonly measure [m]."""
+REACH = 10.0
+"""From which on a sensor's distance is taken for another unit [m]."""
+UNITS = {"millimetres": 1e-3, "centimetres": 1e-2}
+"""That lengths are given in by mistake, over a metre."""
 Row = tuple[float, float, float, float]
 
 
@@ -138,30 +146,25 @@ def read_scene(path: Path) -> Scene:
         InputError: it, or a file that it names, can't be read or can't be.
     """
     scene = from_mapping(SceneFile, read_mapping(path, "a palpation scene"), printable(path))
-    palpations = []
-    for number, values in enumerate(scene.palpations, start=1):
-        where = f"{printable(path)}, palpation {number}"
-        each = from_mapping(PalpationFile, values, where)
-        points = read_columns(path.parent / each.points, ("x", "y", "z"), "table of points")
-        points = points[np.isfinite(points).all(axis=1)]
-        if len(points) < FEWEST:
-            told = f"holds {len(points)} points; give the surface as it was seen under the force, {FEWEST} at least"
-            raise InputError(f"{printable(path.parent / each.points)} {told}.")
-        palpations.append(
-            Palpation(
-                np.array(each.force),
-                np.array(each.contact),
-                points,
-                np.array(each.pose, np.float64),
-                each.tool_radius,
-                each.hole,
-                each.pose_shift,
-                each.pose_turn,
-            )
-        )
-    vertices, triangles, notes = _surface(scene, path)
+    views = _views(scene, path)
+    extent = _Extent.of([placed(each.pose, each.vertices) for each in views])
+    axis = "xyz".index(scene.held_axis)
+    inside = np.clip(np.zeros(3), extent.low, extent.high)
+    _require_metres(
+        f"{printable(path)}: held_below, {scene.held_below:g},",
+        lambda unit: extent.near(
+            np.where(np.arange(3) == axis, unit * scene.held_below, inside), 3 if unit == 1 else 0
+        ),
+    )
+    if scene.thickness is not None:
+        _require_size(f"{printable(path)}: thickness", scene.thickness, extent.size)
+    palpations = [
+        _palpation(values, f"{printable(path)}, palpation {number}", path.parent, extent)
+        for number, values in enumerate(scene.palpations, start=1)
+    ]
+    vertices, triangles, notes = _surface(scene, views)
     try:
-        floor = "xyz".index(scene.held_axis), scene.held_below
+        floor = axis, scene.held_below
         radius = min(each.tool_radius for each in palpations)
         crowded = around(np.array([each.contact for each in palpations]), radius, PRESSED * radius)
         meshed = mesh_surface(
@@ -187,15 +190,102 @@ def read_scene(path: Path) -> Scene:
     return Scene(cover(body, vertices, triangles, below), held, palpations, settings, (*notes, *meshed.notes))
 
 
-def _surface(scene: SceneFile, path: Path) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+@dataclass(frozen=True, eq=False)
+class _Extent:
+    """Of the surface at rest, along x, y and z, each of shape [3] [m]."""
+
+    low: np.ndarray
+    high: np.ndarray
+
+    @classmethod
+    def of(cls, surfaces: list[np.ndarray]) -> _Extent:
+        """Of surfaces' vertices, each [V, 3]."""
+        vertices = np.concatenate(surfaces)
+        return cls(vertices.min(axis=0), vertices.max(axis=0))
+
+    @property
+    def size(self) -> float:
+        """Longest side [m]."""
+        return float((self.high - self.low).max())
+
+    def near(self, place: np.ndarray, sizes: float) -> bool:
+        """Whether a place [3] lies within so many of its sizes."""
+        away = np.linalg.norm(place - np.clip(place, self.low, self.high))
+        return bool(away <= sizes * self.size)
+
+
+def _palpation(values: dict[str, Any], where: str, folder: Path, extent: _Extent) -> Palpation:
+    each = from_mapping(PalpationFile, values, where)
+    for name in ("tool_radius", "hole"):
+        _require_size(f"{where}: {name}", getattr(each, name), extent.size)
+    _require_size(f"{where}: pose_shift", each.pose_shift, REACH / 10)
+    _require_pose(where, each.pose)
+    contact = np.array(each.contact)
+    told = f"{where}: contact, {list(each.contact)},"
+    _require_metres(told, lambda unit: extent.near(unit * contact, 3 if unit == 1 else 0.1))
+    points = read_columns(folder / each.points, ("x", "y", "z"), "table of points")
+    points = points[np.isfinite(points).all(axis=1)]
+    if len(points) < FEWEST:
+        told = f"holds {len(points)} points; give the surface as it was seen under the force, {FEWEST} at least"
+        raise InputError(f"{printable(folder / each.points)} {told}.")
+    _require_body(printable(folder / each.points), points)
+    return Palpation(
+        np.array(each.force),
+        contact,
+        points,
+        np.array(each.pose, np.float64),
+        each.tool_radius,
+        each.hole,
+        each.pose_shift,
+        each.pose_turn,
+    )
+
+
+def _views(scene: SceneFile, path: Path) -> list[View]:
+    """What shows the body at rest: one surface, or views."""
+    if scene.surface is not None:
+        given = [ViewFile(scene.surface)]
+    else:
+        wheres = [f"{printable(path)}, view {number}" for number in range(1, 1 + len(scene.views))]
+        given = [from_mapping(ViewFile, values, where) for values, where in zip(scene.views, wheres, strict=True)]
+        for each, where in zip(given, wheres, strict=True):
+            _require_pose(where, each.pose)
+    views = []
+    for each in given:
+        vertices, triangles = read_obj(path.parent / each.surface)
+        _require_body(printable(path.parent / each.surface), vertices)
+        views.append(View(vertices, triangles, np.array(each.pose, np.float64)))
+    return views
+
+
+def _require_metres(what: str, fits: Callable[[float], bool]) -> None:
+    """Require a length that fits as it is; raises InputError where it fits in another unit, over a metre, instead."""
+    likely = [name for name, unit in UNITS.items() if not fits(1.0) and fits(unit)]
+    if likely:
+        raise InputError(f"{what} looks like {' or '.join(likely)}; give all lengths of the scene in metres.")
+
+
+def _require_size(what: str, length: float, most: float) -> None:
+    _require_metres(f"{what}, {length:g},", lambda unit: unit * length <= most)
+
+
+def _require_pose(where: str, pose: tuple[Row, Row, Row, Row]) -> None:
+    _require_size(f"{where}: the shift of pose", math.hypot(*(row[3] for row in pose[:3])), REACH)
+
+
+def _require_body(what: str, points: np.ndarray) -> None:
+    """Of points on a body [P, 3]; a few that are far off count no more than the rest."""
+    size = float(np.ptp(np.quantile(points, (0.05, 0.95), axis=0), axis=0).max())
+    low, high = COMMON
+    _require_metres(
+        f"{what}, {size:.3g} m wide,", lambda unit: size <= BODY if unit == 1 else low <= unit * size <= high
+    )
+
+
+def _surface(scene: SceneFile, views: list[View]) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
     """Vertices [V, 3] and triangles [F, 3] of the body at rest, and what is to be said of them."""
     if scene.surface is not None:
-        return *read_obj(path.parent / scene.surface), ()
-    given = [
-        from_mapping(ViewFile, values, f"{printable(path)}, view {number}")
-        for number, values in enumerate(scene.views, start=1)
-    ]
-    views = [View(*read_obj(path.parent / each.surface), np.array(each.pose, np.float64)) for each in given]
+        return views[0].vertices, views[0].triangles, ()
     joined = join_views(views)
     told = f"{len(views)} views were joined; where they overlap they lie {1000 * joined.apart:.2g} mm apart (rms)."
     return joined.vertices, joined.triangles, (told,)

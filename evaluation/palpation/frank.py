@@ -29,13 +29,13 @@ from palpate.common.command_line import path_option, say
 from palpate.common.output import replacing_own, require_own
 from palpate.estimators.estimate import NINETY
 from palpate.estimators.palpation import FitSettings, Palpation, Skin, fit_material
-from palpate.estimators.palpation.bench import surface_error
-from palpate.estimators.palpation.registration import placed
+from palpate.estimators.palpation.bench import across, surface_distance, surface_error
 from palpate.evaluation.file_table import FileTable
 from palpate.evaluation.page import as_png
 from palpate.evaluation.palpation.synthetic import BODIES, SENSORS, TOOL, observe, press
 from palpate.physics.fem import Equilibrium, Material, NoEquilibrium, find_equilibrium
 from palpate.physics.fem.refinement import around
+from palpate.results.plots import draw_surface_errors
 from palpate.results.store import OutputError, writing
 
 FIGURES = ("error_mask.png", "six_forces.png", "error_surface.png")
@@ -153,11 +153,12 @@ def _paper(name: str, coarse: bool, table: FileTable) -> dict[str, bytes]:
     for young in (exact.young, exact.young / 2):
         forces = skin.pressed(seen.contact, seen.tool_radius, seen.force)
         rest = find_equilibrium(skin.body, Material("corotational", young, exact.poisson), held, forces=forces)
-        errors.append(1000 * np.sqrt(surface_error(skin, rest, seen, exact.poses[0])))
+        errors.append(1000 * surface_distance(skin, rest, seen, exact.poses[0]))
     youngs = YOUNG * np.geomspace(0.4, 2.5, 3 if coarse else 7)
     ratios = np.linspace(0.1, 0.47, 2 if coarse else 5)
     surface = _error_surface(skin, held, seen, exact.poses[0], youngs, ratios)
-    figures = [_draw_masks(placed(exact.poses[0], seen.points), errors)]
+    title = f"{name}: a press of {np.linalg.norm(seen.force):g} N and what its simulation leaves"
+    figures = [draw_surface_errors(1000 * across(seen, exact.poses[0]), *errors, 1000 * seen.hole, title)]
     figures += [_draw_six(SIX[: len(found)], values, [fit.young_sd for fit in found])]
     figures += [_draw_surface(youngs, ratios, surface, (exact.young, exact.poisson))]
     return dict(zip(FIGURES, map(as_png, figures), strict=True))
@@ -180,19 +181,6 @@ def _error_surface(
             start = rest.displacement
             found[row, column] = 1000 * np.sqrt(np.nanmean(surface_error(skin, rest, seen, pose)))
     return found
-
-
-def _draw_masks(points: np.ndarray, errors: Sequence[np.ndarray]) -> Figure:
-    figure = Figure(figsize=(10, 4.6), layout="constrained")
-    for number, (title, error) in enumerate(zip(("as fitted", "half as stiff"), errors, strict=True)):
-        axes = figure.add_subplot(1, 2, number + 1)
-        masked = np.isnan(error)
-        axes.scatter(*1000 * points[masked, :2].T, s=6, color="0.85", label="masked: the tool's hole")
-        drawn = axes.scatter(*1000 * points[~masked, :2].T, s=6, c=error[~masked], cmap="inferno", vmin=0, vmax=2)
-        axes.set(title=title, xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
-        axes.legend(loc="upper right", fontsize=8)
-    figure.colorbar(drawn, ax=figure.axes, label="distance from the simulated surface [mm]")
-    return figure
 
 
 def _draw_six(forces: Sequence[float], values: np.ndarray, sds: Sequence[float]) -> Figure:

@@ -4,7 +4,8 @@
     palpate calibrate curves FILE.csv … --output OUT [--indenter sphere --size MM] [--poisson NU]
 
 palpation   Young's modulus and Poisson's ratio from a surface, and forces with the deformed surfaces that they leave
-            (Frank 2010). Writes calibration.json and errors.csv, the distance of every point from the fitted surface.
+            (Frank 2010). Writes calibration.json, errors.csv, the distance of every point from the fitted surface, and
+            errors.png, where these lie, beside those of a body half as stiff.
 curves      a modulus [kPa] for every probe where the indenter is stated, a stiffness [N/mm] otherwise, from tables of
             probes (probe, contact_x …, depth_mm, fn_N); a relaxation from tables of a hold (t_s, force_N,
             displacement_mm). Writes curves.csv.
@@ -17,8 +18,9 @@ from __future__ import annotations
 import argparse
 import csv
 import io
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Console
@@ -29,13 +31,19 @@ from palpate.common.output import replacing_own, require_own
 from palpate.data.source.layout import InputError
 from palpate.estimators.estimate import NINETY
 from palpate.estimators.palpation import Indenter, fit_indentation, fit_material, fit_relaxation, read_hold, read_probes
-from palpate.estimators.palpation.bench import surface_error
+from palpate.estimators.palpation.bench import across, half_as_stiff, surface_distance, surface_error
 from palpate.estimators.palpation.curves import HOLD, kind_of
 from palpate.estimators.palpation.descent import descend
+from palpate.estimators.palpation.material_fit import NOTHING, MaterialFit
 from palpate.estimators.palpation.scene import Scene, read_scene
 from palpate.physics.fem import NoEquilibrium
+from palpate.results.plots import draw_surface_errors, write_figure
 from palpate.results.store import OutputError, writing
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+PALPATION = ("calibration.json", "errors.csv", "errors.png")
 CURVES = ("file", "curve", "quantity", "value", "low", "high", "unit")
 
 
@@ -79,7 +87,7 @@ def main(arguments: list[str] | None = None) -> int:
             indenter = Indenter(options.indenter, options.size, options.poisson)
         except ValueError as error:
             parser.error(str(error))
-    names = ("curves.csv",) if options.what == "curves" else ("calibration.json", "errors.csv")
+    names = ("curves.csv",) if options.what == "curves" else PALPATION
     try:
         with writing(options.output):
             require_own(*(options.output / name for name in names))
@@ -102,37 +110,57 @@ def _palpation(path: Path, optimizer: str, thickness: float | None, output: Path
         found = fit(scene.skin, scene.held, scene.palpations, scene.settings, told=lambda line: say(console, line))
     except (ValueError, NoEquilibrium) as error:
         raise InputError(f"{path}: {error}") from error
+    known = optimizer == "gauss-newton"
+    nothing = known and found.verdict == NOTHING
+    verdict = found.verdict if known else None
     record: dict[str, object] = {
         "law": scene.settings.law,
         "optimizer": optimizer,
-        "young_pa": found.young,
-        "poisson": found.poisson,
+        "young_pa": None if nothing else found.young,
+        "poisson": None if nothing else found.poisson,
         "surface_error_rms_m": found.noise,
         "equilibria": found.solves,
-        "poses": [pose.tolist() for pose in found.poses],
+        "poses": found.poses,
         "source": f"{len(scene.palpations)} palpations of {path.name}",
     }
     if thickness is not None:
         record["thickness_m"] = thickness / 1000
-    if np.isfinite(found.covariance).all():
+    if verdict is not None:
+        record["verdict"] = verdict
+    if known and not nothing:
         half = NINETY * found.young_sd
         record |= {
             "young_low_pa": found.young * np.exp(-half),
             "young_high_pa": found.young * np.exp(half),
             "poisson_sd": found.poisson_sd,
-            "covariance_of_log_young_and_poisson": found.covariance.tolist(),
-            "verdict": found.verdict,
+            "covariance_of_log_young_and_poisson": found.covariance,
         }
     _write(output, "calibration.json", as_json(record, indent=1) + "\n")
     _write(output, "errors.csv", _errors(scene, found.rests, found.poses))
+    with writing(output), replacing_own(output / PALPATION[2]) as partial:
+        write_figure(partial, _picture(scene, found))
+    say(console, f"written: {', '.join(f'{output}/{name}' for name in PALPATION)}")
+    if nothing:
+        noise = f"points {1000 * found.noise:.2g} mm off the simulated surface (rms)"
+        print(f"{NOTHING}: the surface moved too little for {noise}; press harder, or give more pictures.")
+        return 0
     low, high = (record.get(f"young_{end}_pa") for end in ("low", "high"))
     interval = "" if low is None else f" (90 %: {low:.4g} to {high:.4g})"
     doubt = ""
-    if "verdict" in record:
-        doubt = f" ± {found.poisson_sd:.2g}" + ("" if found.verdict == "determined" else ", not determined")
+    if verdict is not None:
+        doubt = f" ± {found.poisson_sd:.2g}" + ("" if verdict == "determined" else ", not determined")
     print(f"E = {found.young:.4g} Pa{interval}, ν = {found.poisson:.3f}{doubt}; {found.solves} equilibria")
-    say(console, f"written: {output}/calibration.json, {output}/errors.csv")
     return 0
+
+
+def _picture(scene: Scene, found: MaterialFit) -> Figure:
+    """What the first palpation's simulation leaves, beside that of half as stiff a body where that bears the force."""
+    each, pose, softer = scene.palpations[0], found.poses[0], None
+    fitted = 1000 * surface_distance(scene.skin, found.rests[0], each, pose)
+    with suppress(NoEquilibrium):
+        softer = 1000 * surface_distance(scene.skin, half_as_stiff(found.rests[0]), each, pose)
+    title = f"Palpation 1 of {len(scene.palpations)}, {np.linalg.norm(each.force):.3g} N: what its simulation leaves"
+    return draw_surface_errors(1000 * across(each, pose), fitted, softer, 1000 * each.hole, title)
 
 
 def _errors(scene: Scene, rests: list, poses: list[np.ndarray]) -> str:

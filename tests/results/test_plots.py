@@ -20,7 +20,16 @@ from palpate.estimators.estimate import FrameEstimate, GripEstimate, Interaction
 from palpate.estimators.grip.stiffness_field import StiffnessField
 from palpate.physics.load import held
 from palpate.results.columns import UNITS
-from palpate.results.plots import INK, MOST_PANELS, NOTICE, OBSERVED, draw_fits, draw_summary, write_figure
+from palpate.results.plots import (
+    INK,
+    MOST_PANELS,
+    NOTICE,
+    OBSERVED,
+    draw_fits,
+    draw_summary,
+    draw_surface_errors,
+    write_figure,
+)
 from palpate.results.verdicts import COLORS, state
 from tests.estimators.estimates import CONTACT, ESTIMATE, GOOD, LOAD_STEPS, MECHANICS, NONE, frame_in_contact
 from tests.results.fields import FIELD_SEEN, PULL, TIMES
@@ -433,3 +442,31 @@ def test_a_field_is_on_the_summary_with_its_map_and_its_course() -> None:
     shares, mapped = below.child_axes
     assert not mapped.collections
     assert mapped.get_title("left") == "stiffness: determined nowhere"
+
+
+def test_surface_errors_share_a_scale_on_which_half_the_stiffness_shows() -> None:
+    """A dent as deep again, in noise that is larger, of which cells leave little and the difference nothing."""
+    chance = np.random.default_rng(4)
+    places = chance.uniform(-40, 40, (6000, 2))
+    away = np.linalg.norm(places, axis=1)
+    fitted = np.where(away < 16, np.nan, chance.normal(0, 0.3, len(places)))
+    dent = 0.6 * np.exp(-(((away - 16) / 8) ** 2))
+    figure = draw_surface_errors(places, fitted, fitted + dent, 16.0, "a press of 0.5 N")
+    *panels, bar = figure.axes
+    (one, two, three) = (axes.collections[0] for axes in panels)
+    assert one.get_clim() == two.get_clim() == three.get_clim()
+    low, high = one.get_clim()
+    assert (low, bar.get_ylabel()) == (-high, "measured less simulated surface [mm]")
+    texts = " ".join(text.get_text() for text in figure.texts).replace("\n", " ")
+    assert f"All panels on one scale of ± {high:.2f} mm" in texts
+    assert NOTICE in texts
+    first, second, third = (np.asarray(each.get_array()) for each in (one, two, three))
+    np.testing.assert_allclose(third, second - first, atol=1e-12)
+    reached = np.quantile(np.abs(np.stack([first, second])), 0.98, axis=1) / high
+    assert reached[1] > 0.9
+    assert reached[0] < 0.6 * reached[1]
+    beside = (away >= 16) & (away < 24)
+    names = [axes.get_title() for axes in panels]
+    assert names[0] == f"as fitted\n{fitted[beside].mean():+.2f} mm beside the tool"
+    assert names[2] == f"half as stiff less as fitted\n{dent[beside].mean():+.2f} mm beside the tool"
+    assert len(draw_surface_errors(places, fitted, None, 16.0, "a press").axes) == 2

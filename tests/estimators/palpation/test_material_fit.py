@@ -9,7 +9,7 @@ import pytest
 
 from palpate.estimators.palpation import FitSettings, Palpation, Skin, fit_material
 from palpate.estimators.palpation.bench import Bench
-from palpate.estimators.palpation.material_fit import _states, information
+from palpate.estimators.palpation.material_fit import NOTHING, _states, information, require_along
 from palpate.estimators.palpation.registration import MOST_ALIGNED, placed, thinned
 from palpate.evaluation.palpation.synthetic import BODIES, observe, press
 
@@ -118,6 +118,30 @@ def test_noise_at_sharp_edges_does_not_look_like_a_dent(slab: tuple[Skin, np.nda
     off = np.log([fit.young / 1e4 for fit in found])
     assert abs(off.mean()) < found[0].young_sd
     assert np.abs(off).max() < 3 * found[0].young_sd
+
+
+def test_a_reversed_force_is_refused_and_a_pull_is_none(slab: tuple[Skin, np.ndarray, Palpation]) -> None:
+    """Whether it presses or pulls: what counts is that the surface moved along it."""
+    skin, held, seen = slab
+    truth = press(BODY, 1e4, 0.42, -1.0, (0.1, 0.5), 4, law="corotational")
+    pulled = observe(*truth, "stereo", 3, count=800)
+    for each in (seen, pulled):
+        turned = dataclasses.replace(each, force=-each.force)
+        for number, palpations in ((1, [turned]), (2, [seen, turned])):
+            with pytest.raises(ValueError, match=rf"moved against the force of palpation {number}; give what the tool"):
+                fit_material(skin, held, palpations)
+        require_along(Bench(skin, held, [each], "corotational"), FitSettings())
+
+
+def test_nothing_is_determined_by_a_press_that_moves_nothing(slab: tuple[Skin, np.ndarray, Palpation]) -> None:
+    """A fiftieth of the force moves the surface by less than the noise, and either sign fits as well."""
+    skin, held, seen = slab
+    truth = press(BODY, 1e4, 0.42, 0.02, (0.1, 0.5), 4, law="corotational")
+    faint = observe(*truth, "time of flight", 3, count=800)
+    for force in (faint.force, -faint.force):
+        found = fit_material(skin, held, [dataclasses.replace(faint, force=force)])
+        assert (found.young_sd > 0.5, found.verdict) == (True, NOTHING)
+    assert fit_material(skin, held, [seen]).verdict != NOTHING
 
 
 def test_a_pose_is_found_by_a_part_of_the_points() -> None:

@@ -1,0 +1,94 @@
+"""An example for `calibrate.py palpation`: a slab of known stiffness that was pressed, in a few seconds.
+
+    python -m evaluation.palpation.example --output OUT
+    python calibrate.py palpation OUT/scene.yaml --output RESULTS
+
+Writes scene.yaml, rest.obj and seen.csv: a slab of 9 × 9 × 3 cm with E = 10 kPa and ν = 0.42 under a press of 0.5 N,
+seen by a stereo sensor (0.3 mm of noise) whose pose is off by some millimetres, as `synthetic` has it.
+"""
+
+from __future__ import annotations
+
+from palpate.common.doors import enter_door, run_door
+
+if __name__ == "__main__":
+    enter_door()  # before the slow imports
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from rich.console import Console
+
+from palpate.common.command_line import path_option, say
+from palpate.common.output import replacing_own, require_own
+from palpate.estimators.palpation import Palpation
+from palpate.evaluation.palpation.synthetic import BODIES, TOOL, observe, press
+from palpate.results.store import OutputError, writing
+
+FILES = ("scene.yaml", "rest.obj", "seen.csv")
+YOUNG, POISSON, FORCE, PLACE = 1e4, 0.42, 0.5, (0.35, 0.5)
+"""The truth, co-rotational [Pa], and with what [N] and where is pressed, as `Body.contact` takes it."""
+CELLS, EDGE, SPACING = 4, 0.6 * TOOL, 0.003
+"""Of the truth's mesh: cells along the slab, longest edge where the tool presses, and the scan's triangles [m]."""
+POINTS, SEED = 4000, 73600
+
+
+def scene_files(surface: tuple[np.ndarray, np.ndarray], seen: Palpation, held_below: float, cells: int) -> tuple:
+    """Content of FILES, in their order: fields of the scene, and two texts.
+
+    Args:
+        surface: at rest, vertices [V, 3] [m] and triangles [F, 3].
+        seen: the one palpation.
+        held_below: as `SceneFile.held_below` [m].
+        cells: of the fit's mesh.
+    """
+    palpation = {
+        "force": seen.force.tolist(),
+        "contact": seen.contact.tolist(),
+        "points": FILES[2],
+        "pose": seen.pose.tolist(),
+        "tool_radius": seen.tool_radius,
+        "hole": seen.hole,
+    }
+    scene = {"surface": FILES[1], "held_axis": "z", "held_below": held_below, "cells": cells, "palpations": [palpation]}
+    rows = [f"v {x:.7g} {y:.7g} {z:.7g}" for x, y, z in surface[0]]
+    rows += [f"f {a} {b} {c}" for a, b, c in surface[1] + 1]
+    points = [f"{x:.7g},{y:.7g},{z:.7g}" for x, y, z in seen.points]
+    return scene, "\n".join([*rows, ""]), "\n".join(["x,y,z", *points, ""])
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Write the example; returns the exit status."""
+    parser = argparse.ArgumentParser(
+        prog="python -m evaluation.palpation.example",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog="Exit status: 0 done; 1 it could not be written; 2 wrong usage; 130 interrupted.",
+    )
+    parser.add_argument("--output", type=path_option, required=True, metavar="OUT", help="folder of the example")
+    options: Any = parser.parse_args(arguments)
+    console, output = Console(stderr=True), Path(options.output)
+    try:
+        with writing(output):
+            require_own(*(output / name for name in FILES))
+        truth = press(BODIES["slab"], YOUNG, POISSON, FORCE, PLACE, CELLS, "corotational", SPACING, EDGE)
+        seen = observe(*truth, "stereo", SEED, count=POINTS)
+        scene, *texts = scene_files((truth[0].vertices, truth[0].triangles), seen, 0.0, 5)
+        told = f"# Lengths in metres. The truth: E = {YOUNG:g} Pa, ν = {POISSON:g}.\n"
+        with writing(output):
+            output.mkdir(parents=True, exist_ok=True)
+            for name, text in zip(FILES, [told + yaml.safe_dump(scene, sort_keys=False), *texts], strict=True):
+                with replacing_own(output / name) as partial:
+                    partial.write_text(text, encoding="utf-8")
+    except OutputError as error:
+        say(console, str(error), "red")
+        return 1
+    say(console, f"written: {', '.join(f'{output}/{name}' for name in FILES)}; the truth is E = {YOUNG:g} Pa")
+    return 0
+
+
+if __name__ == "__main__":
+    run_door(main)

@@ -32,6 +32,7 @@ DOORS = {
     "palpate.evaluation.palpation.__main__": ["-m", "evaluation.palpation"],
     "palpate.evaluation.palpation.descents": ["-m", "evaluation.palpation.descents"],
     "palpate.evaluation.palpation.design": ["-m", "evaluation.palpation.design"],
+    "palpate.evaluation.palpation.example": ["-m", "evaluation.palpation.example"],
     "palpate.evaluation.palpation.frank": ["-m", "evaluation.palpation.frank"],
     "palpate.evaluation.paper.readings": ["-m", "evaluation.paper.readings"],
     "palpate.evaluation.paper.recovered": ["-m", "evaluation.paper.recovered"],

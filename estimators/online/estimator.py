@@ -272,5 +272,5 @@ def _described(path: Path) -> dict[str, str]:
 
 def _continued(points: np.ndarray, motion: np.ndarray, places: np.ndarray) -> np.ndarray:
     """An affine motion that is known at some points [P, 2], not a number elsewhere, at places [N, 2]."""
-    known: np.ndarray = np.isfinite(motion).all(axis=1)
+    known = np.asarray(np.isfinite(motion).all(axis=1))
     return affine_motion(points, motion, known, places) if known.any() else np.zeros_like(places)

@@ -494,12 +494,14 @@ def _draw_field(axes: Axes, found: FieldEstimate) -> None:
         panels.append(whole.inset_axes((0.37, 0, 0.22, 1)))
         for name, color, label in kinds:
             low, middle, high = (rows[f"{name}{end}"] for end in ("_low", "", "_high"))
+            if np.isnan(middle).all():
+                continue
             panels[1].plot(found.times, middle, "o-", ms=4, lw=1, color=color, label=f"{label}, median")
             panels[1].fill_between(found.times, low, high, color=color, alpha=0.2, lw=0, label="10 to 90 %")
         panels[1].set(yscale="log", ylabel="stiffness where it is\ndetermined [relative]")
     for panel in panels:
         panel.set(xlim=(found.times[0], max(found.times[-1], 1e-3)), xlabel="time since the first frame in contact [s]")
-        panel.legend(loc="upper left", framealpha=0.85, fontsize=8.5)
+        panel.legend(loc="upper left" if panel is axes else "best", framealpha=0.85, fontsize=8.5)
         panel.grid(color=GRID, lw=0.8)
     shape = not found.last.known.any() and found.last.shape_known.any()
     _draw_particles(whole.inset_axes((0.62, 0, 0.34, 1)), found, shape=bool(shape))

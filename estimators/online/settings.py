@@ -68,7 +68,7 @@ class OnlineSettings:
     background: Literal["subtract", "keep"] = "subtract"
     """Whether the affine motion of the tissue farthest from the instrument, a moving camera's, is taken off."""
     strain: float = 0.03
-    """Stiffness is known where an edge was once longer or shorter than at rest by more than this share."""
+    """Stiffness can be known only where an edge was once longer or shorter than at rest by more than this share."""
     fitted: int = 5
     """Time step, foundation and the stiffness of shapes are fitted to the first so many frames of a run, by simulation
     alone, within the bounds; the values given here hold until then. 0 = they hold throughout."""

@@ -20,7 +20,7 @@ from palpate.physics.pbd.stiffness import Stiffness
 from tests.estimators.online.test_driven import AWAY, CAMERA, GEOMETRY, HEIGHT, POINTS, SETTINGS, first_frame
 
 STEPPING = dataclasses.replace(SETTINGS.stepping, time_step=4.0, foundation=0.02)
-WAY = np.array([-24.0, 0.0])
+WAY = np.array([-32.0, 0.0])
 """Of the grip [px]."""
 FOLLOWING = 0.1
 """Standard deviation of followed points by axis [px]."""
@@ -36,7 +36,7 @@ def stiffness(sheet: Surface) -> np.ndarray:
     return np.where(sheet.pixels[:, 1] < HEIGHT / 2, 4.0, 1.0)
 
 
-def followed(sheet: Surface, frames: int = 30) -> np.ndarray:
+def followed(sheet: Surface, frames: int = 40) -> np.ndarray:
     """What is followed of a pull of that sheet, shape [frames, P, 2] [px]."""
     body, gripped = sheet.body, sheet.gripped
     rest, usual = body.rest[gripped], uniform(body, 1.0, 0.01)

@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from scipy.stats import spearmanr
 
 from palpate.command import infer
 from palpate.data.masks.class_table import CLASSES
@@ -251,3 +252,28 @@ def test_a_path_that_can_t_be_used_is_a_sentence(
         (run,) = rows(tmp_path / "out" / "clip", "interactions.csv")
         said = run["detail"]
     assert sentence in said
+
+
+@pytest.mark.slow
+def test_a_real_pull_is_explained_and_both_optimisers_colour_only_what_they_agree_on(
+    real_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    """Where tissue has stretched their maps rank as 0.1."""
+    layout = Path(__file__).parents[3] / "configs/layouts/recover_tissue.yaml"
+    found = []
+    for optimizer in ("adam", "gauss-newton"):
+        (tmp_path / "online.yaml").write_text(f"particles: 300\nmethod:\n  optimizer: {optimizer}\n")
+        told = ["--estimator", "online", "--settings", str(tmp_path / "online.yaml"), "--layout", str(layout)]
+        output = tmp_path / optimizer
+        assert infer.main([str(real_data / "recover_tissue"), *told, "--output", str(output), "--no-overlay"]) == 0
+        (run,) = rows(output / "recover_tissue", "interactions.csv")
+        assert run["status"] == "ok"
+        assert float(run["skill"]) > 0.35
+        said = " ".join(capsys.readouterr().err.split())
+        assert ("no place's stiffness is determined" in said) == (run["verdict"] == "undetermined")
+        with np.load(output / "recover_tissue" / "fields.npz", allow_pickle=False) as fields:
+            found.append((fields["frame_20/distance"], fields["frame_20/known"]))
+    (one, first), (other, second) = found
+    both = first & second
+    assert both.sum() < 3 or spearmanr(one[both], other[both])[0] > 0.7
+    assert first.mean() < 0.3

@@ -2,9 +2,10 @@
 
 doors         how programs begin and end; command_line: types of options, sentences, progress bars
 files         whole files or none, and reading that ends; output: which files this program may replace
-settings      values of settings that come from files; tables: CSV files
+settings      values of settings that come from files; tables: rows as CSV and as Markdown
 lazy          package faces that load nothing; provenance: digest of the code
 workers       processes that work through tasks
+robust        Student's errors, spreads by medians, affine motions of points
 """
 
 from palpate.common.lazy import exported

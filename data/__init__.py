@@ -8,7 +8,6 @@ tracks     hundreds of tissue points followed over a clip
 clip       ClipStream, the one path from pictures to prepared frames; settings: what decides it
 prepared   what a prepared frame holds; labels: what a pixel shows; windows: the network's input
 cache      prepared clips on disk
-command_line  what the programs' command lines share: types of options, sentences, bars
 synthetic  clips with known truth
 training   samples, splits and batches; cholecseg8k: the door that prepares a data set
 """

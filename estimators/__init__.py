@@ -14,7 +14,7 @@ force_scale     newtons for scene units by a known force or stiffness; calibrati
 model_errors    what fits get wrong besides what residuals tell, as measured on drawn clips
 dent            what a press that no tool shows is told by
 model_settings  an exported network's preparation, and what both networks' estimators share
-worker_pool     many tasks in a few processes
+session         runs a session over a clip: the one way in which frames become estimates
 """
 
 from palpate.common.lazy import exported

@@ -62,6 +62,8 @@ def open_estimator(options: EstimatorOptions) -> Estimator:
         ModelFileError: the model's file can't be used, or not with these options.
         ValueError: options that don't belong together.
     """
+    if options.name is not None and options.name not in NAMES:
+        raise ValueError(f"there is no estimator {options.name}; choose {', '.join(NAMES)}.")
     if options.name == "online":
         return _open_online(options)
     if options.settings is not None:

@@ -11,7 +11,7 @@ online       the online estimator on simulated pulls, as its paper shows it; a d
 palpation    measured forces on tissue, judged on what was kept back; a door of its own
 foreign      the finite elements on other people's data; a door of its own
 file_table   what every file of a folder gives, as table.csv
-tables       rows as CSV and as Markdown; page: Markdown and figures as one HTML page
+page         Markdown and figures as one HTML page; result_figure: the README's picture, a door of its own
 """
 
 from palpate.common.lazy import exported

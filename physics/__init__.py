@@ -3,17 +3,15 @@
 mechanics        constants of the simulator, θ and its admissible box
 mesh             the tissue surface: vertices, springs, held rim, contact vertex and normal
 load             how a tool acts on a mesh: Press or Grip
-observation      what was seen of followed points
+observation      what was observed of followed points
 likelihood       how well a θ explains an observation, and its derivatives
 identifiability  what a motion can tell about θ: information, bounds, verdict
-robust           Student's errors, spreads by medians, affine motions of points
+jit              compiled loops
 sheet            a gripped sheet at rest: the quasi-static limit
 endless_sheet    how such a sheet without an end answers a force
 fem              soft bodies of tetrahedra: laws, rest, motion, exact derivatives
 pbd              extended position-based dynamics: particles that constraints join, fields of stiffness, adjoint
 msd              mass–spring–damper sheets, with a numpy door and a torch door
-files            whole files or none, and reading that ends; ownership: which of them may be replaced
-fields           values of settings; doors: how programs end
 """
 
 from palpate.common.lazy import exported

@@ -18,6 +18,7 @@ DOORS = {
     "infer": ["infer.py"],
     "plan": ["plan.py"],
     "train": ["train.py"],
+    "palpate.__main__": ["-m", "palpate", "infer"],
     "palpate.data.synthetic.__main__": ["-m", "data.synthetic"],
     "palpate.data.cholecseg8k": ["-m", "data.cholecseg8k"],
     "palpate.data.depth.photometric": ["-m", "data.depth.photometric"],
@@ -34,6 +35,7 @@ DOORS = {
     "palpate.evaluation.palpation.frank": ["-m", "evaluation.palpation.frank"],
     "palpate.evaluation.paper.readings": ["-m", "evaluation.paper.readings"],
     "palpate.evaluation.paper.recovered": ["-m", "evaluation.paper.recovered"],
+    "palpate.evaluation.result_figure": ["-m", "evaluation.result_figure"],
     "palpate.evaluation.model_errors": ["-m", "evaluation.model_errors"],
     "palpate.evaluation.real.__main__": ["-m", "evaluation.real"],
     "palpate.benchmarks.automatic_masks": ["-m", "benchmarks.automatic_masks"],
@@ -57,10 +59,12 @@ time.sleep(20)
 """
 
 
+FILES = modules() | {path.stem: path for path in ROOT.glob("*.py")}
+"""Where the programs stand."""
+
+
 def test_these_are_all() -> None:
-    found = {
-        name for name, path in modules().items() if re.search(r'^if __name__ == "__main__"', path.read_text(), re.M)
-    }
+    found = {name for name, path in FILES.items() if re.search(r'^if __name__ == "__main__"', path.read_text(), re.M)}
     assert found == set(DOORS)
 
 
@@ -75,7 +79,7 @@ def test_an_interrupt_during_imports_is_quiet(door: str, tmp_path: Path) -> None
 
 @pytest.mark.parametrize("door", DOORS)
 def test_the_last_line_is_the_guarded_run(door: str) -> None:
-    assert re.search(r'\n\nif __name__ == "__main__":\n    run_door\(main\b[^\n]*\)\n\Z', modules()[door].read_text())
+    assert re.search(r'\n\nif __name__ == "__main__":\n    run_door\(main\b[^\n]*\)\n\Z', FILES[door].read_text())
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ evidence       whether tissue moves with the tool, frame by frame; coupling: how
 motion         the contact's motion from frame to frame and since its onset
 tracking       tissue points followed by optical flow; template: found again by their look
 tissue_points  places in a picture as points in space; refinement: where a young contact presses
-sequence           depth around a contact from frame to frame; patches: which of the mesh's vertices its pixels show
+depth_sequence  depth around a contact from frame to frame; patches: which of the mesh's vertices its pixels show
 interaction    the frames of a run of contact as mesh, load, observation and depth-change sequence
 features       an interaction as the vector that networks read; sequence_features: its depth-change sequence likewise
 """

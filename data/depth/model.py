@@ -111,7 +111,7 @@ class DepthModel:
             device: cpu or cuda.
 
         Raises:
-            InputError: not an ONNX model, other inputs or outputs than the preset says, or no such device.
+            InputError: not an ONNX model, other inputs or outputs than the preset states, or no such device.
         """
         self.path, self.preset = path, preset
         self._network = PictureNetwork(path, threads=threads, device=device, raw=True)

@@ -106,7 +106,7 @@ def make_clip(settings: SceneSettings, seed: int) -> SyntheticClip:
 
 
 def synthetic_clip(scene: Scene, motion: TrueMotion, seed: int) -> SyntheticClip:
-    """A clip in memory of a truth that was drawn already, observed as the scene's settings say."""
+    """A clip in memory of a truth that was drawn already, observed as the scene's settings state."""
     images, labels, stored = map(np.stack, zip(*observe(scene, motion, seed), strict=True))
     camera = reported_camera(scene.camera, scene.settings)
     return SyntheticClip(scene, motion, camera, seed, images, labels, stored_to_depth(stored))

@@ -8,8 +8,7 @@ bounds     sigmoid bounds on the fields; adam, gauss_newton: the optimisers
 session    one clip's state and field, frame by frame: PBD, PBD-RM, PBD-RM-ON
 given      a mask of what is pinned and the gripper's path, of a user
 surface    particles of the tissue in a frame; driven: these under an instrument that is followed
-visibility which of these the camera sees
-determined what the instrument alone explains of the motion, and where that tells the stiffness
+visibility which of these the camera sees; determined: what the motion determines of the field
 fitting    time step, foundation and bending of one clip, by its first frames
 estimator  the door: a sheet or a volume for every run of contact; settings: as configs/online.yaml holds them
 """

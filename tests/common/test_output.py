@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from palpate.common import output
 from palpate.common.output import LIST, ForeignFile, replacing_own, require_own
-from palpate.physics import ownership
 
 
 def write(path: Path, text: str) -> None:
@@ -118,7 +118,7 @@ def test_a_huge_file_that_is_none_of_ours_is_not_read(tmp_path: Path, monkeypatc
     """Of 12 GB and in no list, or listed and larger than memory: its hash alone, in pieces."""
     with (tmp_path / "a").open("wb") as file:
         file.truncate(12 * 2**30)
-    monkeypatch.setattr(ownership, "file_sha256", lambda path: pytest.fail("it was read"))
+    monkeypatch.setattr(output, "file_sha256", lambda path: pytest.fail("it was read"))
     with pytest.raises(ForeignFile):
         require_own(tmp_path / "a")
 

@@ -87,5 +87,5 @@ def test_an_open_clip_takes_no_choices(clip: Path) -> None:
 def test_a_missing_clip_and_an_unknown_estimator_are_sentences(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"nothing\.mp4"):
         palpate.estimate(tmp_path / "nothing.mp4")
-    with pytest.raises(ValueError, match="nonsense"):
+    with pytest.raises(ValueError, match="there is no estimator nonsense; choose network, gan, direct, online"):
         palpate.estimate(tmp_path, "nonsense")

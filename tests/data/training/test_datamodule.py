@@ -157,7 +157,7 @@ def test_without_contact_or_onset_one_sentence_says_what_to_do(tmp_path):
     with pytest.raises(InputError, match=r"no frame in contact \(4 no_tool\); check"):
         module(tmp_path)
     write_clip(tmp_path / "more" / "data" / "video01_00000", contact=(0, 1), frames=4)
-    with pytest.raises(InputError, match=r"2 onset not seen.*observation final"):
+    with pytest.raises(InputError, match=r"2 onset not observed.*observation final"):
         module(tmp_path / "more", observation="trajectory", window=8)
 
 

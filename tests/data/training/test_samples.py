@@ -151,7 +151,7 @@ def test_contact_without_onset_gives_no_trajectory(tmp_path):
     clip = prepare(write_clip(tmp_path / "clip", contact=(0, 1, 2), frames=6), SETTINGS, tmp_path / "cache")
     frames, left_out = list_frames(clip, TRAJECTORY)
     assert frames == []
-    assert left_out == {"onset not seen": 3, "no_tool": 3}
+    assert left_out == {"onset not observed": 3, "no_tool": 3}
 
 
 def test_rigid_motion_can_be_left_out(tmp_path):

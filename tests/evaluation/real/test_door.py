@@ -108,8 +108,7 @@ def test_a_clip_where_nothing_moves_is_a_sentence_and_the_other_is_judged(
     assert [path.name for path in (tmp_path / "figures").glob("*.png")] == ["1.png"]
     assert sentence in (tmp_path / "report.html").read_text(encoding="utf-8")
     told = capsys.readouterr().err
-    assert told.count("still: ") == 1
-    assert told.count(sentence.split()[0]) >= 1
+    assert told.count(f"still: {found['still']['status']}") == 1
     assert "Traceback" not in told
 
 
@@ -183,7 +182,7 @@ def test_an_output_that_can_t_be_written_is_a_sentence(
     (tmp_path / "file").write_text("")
     assert main([*pressed(inputs), "--output", str(tmp_path / "file")]) == 2
     told = capsys.readouterr().err
-    assert "choose another --output" in told
+    assert "is a file; give a folder as --output" in told
     assert "written:" not in told
 
 

@@ -15,7 +15,8 @@ INSTALLED := .venv/.installed
 
 $(INSTALLED): pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[train,video,dev]"
+	@echo "Installing the libraries that constraints.txt pins into .venv; this takes a minute or two ..."
+	@$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[train,video,dev]"
 	touch $@
 
 lint: $(INSTALLED)

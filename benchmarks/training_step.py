@@ -64,8 +64,8 @@ def measure(config: Path, folder: Path) -> list[str]:
         "trainer.enable_progress_bar": False,
         "trainer.enable_model_summary": False,
         "data.root": folder / "clips",
-        "palpate.data.cache": folder / "cache",
-        "palpate.data.depth.source": "stored",
+        "data.cache": folder / "cache",
+        "data.depth.source": "stored",
         "data.loading.fractions": "[0.5, 0.25, 0.25]",
         "tracking": False,
     }

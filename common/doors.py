@@ -6,11 +6,13 @@ A program calls `enter_door` before its slow imports, and `run_door` at its end,
 from __future__ import annotations
 
 import contextlib
+import importlib
 import io
 import os
 import signal
 import sys
 from collections.abc import Callable, Generator
+from types import ModuleType
 from typing import Any, NoReturn
 
 INTERRUPTED = 130
@@ -86,6 +88,20 @@ def interruptible() -> Generator[None]:
         if by_interrupt(error):
             raise KeyboardInterrupt from error
         raise
+
+
+def load_program(module: str) -> ModuleType:
+    """Import a program's module, however slowly; Ctrl-C meanwhile ends the program at once and quietly.
+
+    Raises:
+        ModuleNotFoundError: there is none, or it needs a library that is not installed.
+    """
+    before = signal.getsignal(signal.SIGINT)
+    _quit_at_interrupt()
+    try:
+        return importlib.import_module(module)
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def by_interrupt(error: BaseException | None) -> bool:

@@ -262,7 +262,7 @@ def _failures(rows: Sequence[Row]) -> list[tuple[str, str]]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the benchmark that the command line asks for; returns the exit status."""
-    return run(Benchmark, arguments, "palpate.evaluation.benchmark", DOCUMENTATION)
+    return run(Benchmark, arguments, "evaluation.benchmark", DOCUMENTATION)
 
 
 if __name__ == "__main__":

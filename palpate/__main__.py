@@ -7,12 +7,11 @@
 
 from __future__ import annotations
 
-from palpate.common.doors import enter_door, run_door
+from palpate.common.doors import enter_door, load_program, run_door
 
 if __name__ == "__main__":
     enter_door()  # before the slow imports
 
-import importlib
 import sys
 
 COMMANDS = {
@@ -37,7 +36,7 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"palpate: there is no command {name!r}; choose {', '.join(COMMANDS)}.", file=sys.stderr)
         return 2
     try:
-        command = importlib.import_module(COMMANDS[name])
+        command = load_program(COMMANDS[name])
     except ModuleNotFoundError as error:
         if name not in ("train", "export", "benchmark"):
             raise

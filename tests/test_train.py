@@ -347,7 +347,7 @@ def test_a_configuration_that_is_none_is_named(config: Path, tmp_path: Path, cap
 @pytest.mark.parametrize(
     ("option", "told"),
     [
-        ("palpate.data.depth.threads", "depth.threads is 100000; give at most 1024"),
+        ("data.depth.threads", "depth.threads is 100000; give at most 1024"),
         ("data.loading.num_workers", "num_workers 100000; give at most 65536 and 1024"),
         ("data.loading.batch_size", "batch_size is 100000 and"),
         ("data.geometry.height", "geometry.height is 100000; give at most 4096"),
@@ -615,8 +615,8 @@ def test_paper_yaml_trains_resumes_and_evaluates_a_root_in_the_real_layout(tmp_p
         "model.width": 4,
         "model.residual_blocks": 1,
         "data.root": tmp_path / "data",
-        "palpate.data.cache": tmp_path / "cache",
-        "palpate.data.depth.source": "stored",
+        "data.cache": tmp_path / "cache",
+        "data.depth.source": "stored",
         "data.geometry.height": 48,
         "data.geometry.width": 64,
         "data.loading.videos.train": f"[{','.join(names[:7])}]",

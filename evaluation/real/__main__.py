@@ -195,7 +195,7 @@ def measures_table(rows: Sequence[Row]) -> pd.DataFrame:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Judge what the command line names; returns the exit status."""
-    return run(Real, arguments, "palpate.evaluation.real", __doc__)
+    return run(Real, arguments, "evaluation.real", __doc__)
 
 
 if __name__ == "__main__":

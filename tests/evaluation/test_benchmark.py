@@ -150,7 +150,7 @@ def test_pictures_of_another_size_are_another_folder_s(tmp_path, evaluated, monk
 
 
 def chosen(*arguments):
-    return options(Benchmark, ["--output", "x", *arguments], "palpate.evaluation.benchmark", "")
+    return options(Benchmark, ["--output", "x", *arguments], "evaluation.benchmark", "")
 
 
 def test_direct_and_network_are_told_what_to_look_at():

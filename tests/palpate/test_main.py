@@ -45,6 +45,6 @@ def test_training_without_its_libraries_says_what_to_install(
     def missing(name: str) -> None:
         raise ModuleNotFoundError(f"No module named {name!r}", name="lightning")
 
-    monkeypatch.setattr(importlib, "import_module", missing)
+    monkeypatch.setattr("palpate.__main__.load_program", missing)
     assert main(["export"]) == 2
     assert "export needs lightning; install 'palpate[train]'" in capsys.readouterr().err

@@ -221,4 +221,4 @@ def test_two_clips_of_one_name_are_both_judged(tmp_path: Path) -> None:
 
 
 def chosen(output: Path, *arguments: str) -> Real:
-    return options(Real, ["--output", str(output), *arguments], "palpate.evaluation.real", "")
+    return options(Real, ["--output", str(output), *arguments], "evaluation.real", "")

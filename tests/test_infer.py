@@ -82,8 +82,8 @@ def test_closing_table_is_readable_on_a_narrow_terminal(
 
 def test_folder_and_video_give_complete_results(inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     assert call(inputs, tmp_path) == 0
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["sequence", "folder"]
-    for name in ("sequence", "folder"):
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["film", "folder"]
+    for name in ("film", "folder"):
         assert sorted(path.name for path in (tmp_path / name).iterdir()) == FILES
         table = rows(tmp_path / name)
         assert len(table) == 8
@@ -137,7 +137,7 @@ def test_other_settings_replace_only_our_results_and_only_when_asked(
     assert f"{tmp_path / 'folder'}: holds results of other settings" in told.err
     assert "--overwrite replaces them" in told.err
     assert contents(tmp_path / "folder") == before
-    assert len(rows(tmp_path / "sequence")) == 8
+    assert len(rows(tmp_path / "film")) == 8
     assert call(inputs, tmp_path, "--depth", "photometric", "--no-overlay", "--overwrite", clips="clips/folder") == 0
     after = contents(tmp_path / "folder")
     assert before.keys() - after.keys() == {"overlay.mp4"}
@@ -221,7 +221,7 @@ def test_output_among_the_inputs_is_no_input(inputs: Path, tmp_path: Path) -> No
     for _ in range(2):
         assert call(tmp_path, tmp_path / "clips" / "folder", "--model", str(inputs / "parameters.onnx")) == 0
     made = sorted(path.name for path in (tmp_path / "clips" / "folder").iterdir() if path.is_dir())
-    assert made == ["sequence", "folder"]
+    assert made == ["film", "folder"]
 
 
 def test_clip_beside_its_results_is_never_replaced(inputs: Path, tmp_path: Path) -> None:
@@ -251,19 +251,19 @@ def test_interruption_keeps_finished_clips_and_continues(
     with monkeypatch.context() as patch:
         patch.setattr(ClipResults, "write", interrupt)
         assert call(inputs, tmp_path) == 130
-    assert [path.name for path in tmp_path.iterdir()] == ["sequence"]
+    assert [path.name for path in tmp_path.iterdir()] == ["film"]
     assert "1 of 2 clips are complete; run the same command to continue" in capsys.readouterr().err
-    before = (tmp_path / "sequence" / "run.json").stat().st_mtime_ns
+    before = (tmp_path / "film" / "run.json").stat().st_mtime_ns
     assert call(inputs, tmp_path) == 0
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["sequence", "folder"]
-    assert (tmp_path / "sequence" / "run.json").stat().st_mtime_ns == before
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["film", "folder"]
+    assert (tmp_path / "film" / "run.json").stat().st_mtime_ns == before
 
 
 def test_one_failing_clip_does_not_stop_the_others(inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     shutil.copytree(inputs / "clips", tmp_path / "clips")
     (tmp_path / "clips" / "broken.mp4").write_bytes(b"no video")
     assert call(tmp_path, tmp_path / "out", "--model", str(inputs / "parameters.onnx")) == 1
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["sequence", "folder"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["film", "folder"]
     told = capsys.readouterr()
     assert "broken.mp4" in told.err
     assert "failed" in told.out

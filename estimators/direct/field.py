@@ -85,7 +85,9 @@ class SequenceProblem(Generic[M]):
         parts: int = 1,
     ) -> None:
         if contact.sequence is None or not len(contact.sequence.times):
-            raise ValueError("the contact has no sequence; gather it with frames that have depth and labels.")
+            raise ValueError(
+                "the contact has no depth-change sequence; gather it with frames that have depth and labels."
+            )
         sequence = (
             contact.sequence
             if noise is None

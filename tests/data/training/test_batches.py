@@ -129,7 +129,7 @@ def test_dents_are_told_and_joined_where_they_are_wanted(clip) -> None:
     for vertices, view in zip(dent.vertices.tolist(), dent.views, strict=True):
         assert set(vertices) == set(view.vertices.tolist())  # no far vertex fills up
     assert "dent_a" not in batch_of(clip, [4, 6])
-    with pytest.raises(ValueError, match="depth-change sequence needs observation trajectory, not final"):
+    with pytest.raises(ValueError, match="sequence needs observation trajectory, not final"):
         SampleSettings(sequence=True)
 
 

@@ -214,7 +214,7 @@ def test_sequences_and_their_fits_are_the_same_in_processes_of_their_own(with_se
         ("--seed", "-1", "-1 is less than 0"),
         ("--seed", str(2**63), "is more than"),
         ("--workers", "-1", "-1 is less than 0"),
-        ("--observation", "sequence", "invalid choice: 'depth-change sequence'"),
+        ("--observation", "sequence", "invalid choice: 'sequence'"),
     ],
 )
 def test_numbers_that_would_end_a_training_late_are_refused_at_once(

@@ -27,6 +27,7 @@ from palpate.data.source.layout import InputError
 from palpate.data.synthetic import __main__ as synthetic
 from palpate.data.synthetic import clip as synthetic_clips
 from palpate.estimators.palpation.curves import Grasp
+from palpate.estimators.palpation.material_fit import NOTHING
 from palpate.evaluation.ablation import terms
 from palpate.evaluation.benchmark import Benchmark
 from palpate.evaluation.benchmark import main as measure
@@ -65,7 +66,7 @@ PLACES = {
     "judge_newtons": ("table.csv", "calibration.yaml", "results/notes.txt"),
     "judge_online": ("table.csv", "report.html", "figures/figure_5.png", "cases/notes.txt", "cases/x.npz"),
     "calibrate_curves": ("curves.csv", "notes.txt"),
-    "calibrate_palpation": ("calibration.json", "errors.csv", "notes.txt"),
+    "calibrate_palpation": ("calibration.json", "errors.csv", "errors.png", "notes.txt"),
     "plan_way": ("plan.json", "plan.png", "presses/notes.txt"),
     "benchmark": ("table.csv", "details.csv", "figures/errors.png", "results.jsonl", "run.json"),
     "train_network": ("checkpoints/best.ckpt", "checkpoints/last.ckpt", "checkpoints/notes.txt"),
@@ -134,6 +135,7 @@ def quick(monkeypatch: pytest.MonkeyPatch, blank_pictures: None) -> None:
     tissue = SimpleNamespace(notes=[], skin=None, held=None, palpations=[], settings=settings)
     patch(calibrate, "read_scene", lambda path: tissue)
     patch(calibrate, "fit_material", lambda *arguments, told: quick_material())
+    patch(calibrate, "_picture", lambda scene, found: Figure((1, 1)))
     patch(Benchmark, "work", staticmethod(lambda trial: [recovery(trial.index)]))
     patch(figures, "figures", lambda scores: [("errors.png", Figure((1, 1)))])
 
@@ -168,7 +170,7 @@ def quick_material() -> SimpleNamespace:
         np.full((2, 2), np.nan),
         {"young": 1e4 * random.random(), "poisson": 0.4, "noise": 0.0, "solves": 0},
     )
-    return SimpleNamespace(**found, covariance=unknown, poses=[], rests=[])
+    return SimpleNamespace(**found, verdict=NOTHING, covariance=unknown, poses=[], rests=[])
 
 
 def runs_of(inputs: Path) -> dict[str, Run]:
@@ -309,7 +311,7 @@ def test_these_doors_write_where_nothing_is_in_the_way(inputs: Path) -> None:
         "judge_newtons": {"table.csv", "calibration.yaml"},
         "judge_online": {"table.csv", "report.html", "figure_5.png", "thin-shell-1_k1_PBD.npz"},
         "calibrate_curves": {"curves.csv"},
-        "calibrate_palpation": {"calibration.json", "errors.csv"},
+        "calibrate_palpation": {"calibration.json", "errors.csv", "errors.png"},
         "plan_way": {"plan.json", "plan.png"},
         "benchmark": {"table.csv", "details.csv", "errors.png", "results.jsonl", "run.json"},
         "train_network": {"last.ckpt", "best.ckpt"},

@@ -214,7 +214,7 @@ def _judge_run(clip: PreparedClip, frame: int, settings: SampleSettings) -> str:
     """Why a frame gives no trajectory, or an empty string."""
     onset = int(clip.track_start[frame])
     if onset < 0:
-        return "onset not seen" if clip.contact[frame] else clip.status[frame]
+        return "onset not observed" if clip.contact[frame] else clip.status[frame]
     if frame - onset >= (settings.onset_within or settings.window):
         return "onset outside the window" if settings.onset_within is None else "onset too far back"
     predicted = frame + settings.horizon

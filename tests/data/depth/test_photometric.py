@@ -154,10 +154,10 @@ def test_the_shipped_file_is_what_the_function_builds():
 def test_the_door_writes_a_model_for_another_endoscope(tmp_path):
     path = tmp_path / "wide" / "mine.onnx"
     command = [sys.executable, "-m", "data.depth.photometric", "--output", str(path), "--field-of-view-deg"]
-    done = subprocess.run([*command, "90"], capture_output=True, text=True, check=True, cwd=SHIPPED.parents[1])
+    done = subprocess.run([*command, "90"], capture_output=True, text=True, check=True, cwd=SHIPPED.parents[2])
     assert str(path) in done.stdout
     assert [file.name for file in path.parent.iterdir()] == ["mine.onnx"]
-    wrong = subprocess.run([*command, "200"], capture_output=True, text=True, check=False, cwd=SHIPPED.parents[1])
+    wrong = subprocess.run([*command, "200"], capture_output=True, text=True, check=False, cwd=SHIPPED.parents[2])
     assert wrong.returncode == 2
     assert "The field of view is 200" in wrong.stderr
     assert "Traceback" not in wrong.stderr

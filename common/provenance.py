@@ -9,9 +9,11 @@ from typing import Literal
 
 ROOT = Path(__file__).resolve().parents[1]
 """Folder that holds the project's packages: the checkout, or where they are installed."""
-PACKAGES = ("data", "estimators", "evaluation", "models", "physics", "planning", "results")
+PACKAGES = ("common", "data", "estimators", "evaluation", "models", "physics", "planning", "results")
 NOT_PREPARATION = ("data/synthetic/", "data/training/")
 """What a prepared clip does not depend on."""
+PREPARATION = ("common/robust.py", "physics/mesh.py")
+"""What it depends on outside data/."""
 KINDS = ("*.py", "*.yaml", "*.onnx")
 Part = Literal["all", "preparation", "kernels"]
 
@@ -37,5 +39,5 @@ def _belongs(name: str, part: Part) -> bool:
     if part == "kernels":
         return name.startswith("physics/")
     if part == "preparation":
-        return name == "physics/mesh.py" or (name.startswith("data/") and not name.startswith(NOT_PREPARATION))
+        return name in PREPARATION or (name.startswith("data/") and not name.startswith(NOT_PREPARATION))
     return not name.startswith("models/weights/")  # an estimator's network is known by the hash of its own file

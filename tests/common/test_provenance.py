@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from palpate.common.provenance import NOT_PREPARATION, PACKAGES, code_digest
+from palpate.common.provenance import NOT_PREPARATION, PACKAGES, PREPARATION, code_digest
 
-CHECKOUT = Path(__file__).resolve().parents[1]
-DECIDING = ("data", "estimators", "models", "physics", "results")
+CHECKOUT = Path(__file__).resolve().parents[2]
+DECIDING = ("common", "data", "estimators", "models", "physics", "results")
 """Packages on which a user's results depend."""
 SETUP = tomllib.loads((CHECKOUT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
 FINGERPRINTS = """
@@ -43,23 +43,31 @@ print(ROOT, *told())
 """Prints fingerprint and digests of the program as it is, with every file that is named replaced in turn, and again."""
 
 
+def folder_of(package: str) -> Path:
+    """Where a package's files stand in the checkout."""
+    room, _, rest = package.removeprefix("palpate.").partition(".")
+    found = SETUP["package-dir"].get(f"palpate.{room}")
+    return CHECKOUT / package.replace(".", "/") if found is None else CHECKOUT / found / rest.replace(".", "/")
+
+
 def installed(site: Path) -> Path:
-    """What a wheel of the project unpacks to: the packages that are listed, and their data."""
+    """What a wheel of the project unpacks to: the packages that are listed, and their data; the folder of the rooms."""
     for package in SETUP["packages"]:
-        folder = CHECKOUT / package.replace(".", "/")
-        (site / folder.relative_to(CHECKOUT)).mkdir()
+        target, folder = site / package.replace(".", "/"), folder_of(package)
+        target.mkdir()
         for pattern in ("*.py", *SETUP["package-data"].get(package, ())):
             for path in folder.glob(pattern):
-                copy = site / path.relative_to(CHECKOUT)
+                copy = target / path.relative_to(folder)
                 copy.parent.mkdir(exist_ok=True)
                 shutil.copyfile(path, copy)
     (site / "palpate-1.dist-info").mkdir()
     (site / "palpate-1.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: palpate\nVersion: 1\n")
-    return site
+    return site / "palpate"
 
 
 def checked_out(folder: Path) -> Path:
     """A copy of the checkout's packages."""
+    shutil.copytree(CHECKOUT / "palpate", folder / "palpate", symlinks=True)
     for package in PACKAGES:
         shutil.copytree(CHECKOUT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copyfile(CHECKOUT / "pyproject.toml", folder / "pyproject.toml")
@@ -98,7 +106,7 @@ def test_a_constant_changed_in_any_module_changes_the_fingerprint(lay_out, tmp_p
         capture_output=True,
         text=True,
         cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1"},
+        env=os.environ | {"PYTHONPATH": str(tmp_path / "tree"), "PYTHONDONTWRITEBYTECODE": "1"},
         check=True,
     )
     first, *edited, last = (line.rsplit(" ", 3) for line in done.stdout.splitlines())
@@ -109,7 +117,7 @@ def test_a_constant_changed_in_any_module_changes_the_fingerprint(lay_out, tmp_p
     for name, _, preparation, kernels in edited:
         path = Path(name).relative_to(tree).as_posix()
         prepares = path.startswith("data/") and not path.startswith(NOT_PREPARATION)
-        assert (preparation != first[2]) == (prepares or path == "physics/mesh.py"), path
+        assert (preparation != first[2]) == (prepares or path in PREPARATION), path
         assert (kernels != first[3]) == path.startswith("physics/"), path
 
 
@@ -122,8 +130,10 @@ def test_installed_the_digest_is_the_checkout_s(tmp_path: Path, monkeypatch, par
 
 def test_every_package_of_the_tree_is_installed() -> None:
     found = {path.parent.relative_to(CHECKOUT) for path in CHECKOUT.glob("[!.]*/**/__init__.py")}
-    assert {".".join(path.parts) for path in found if path.parts[0] != "tests"} == set(SETUP["packages"])
-    assert {package.split(".")[0] for package in SETUP["packages"]} == {*PACKAGES, "benchmarks"}
+    names = {".".join(path.parts) for path in found if path.parts[0] != "tests"}
+    assert {name if name.startswith("palpate") else f"palpate.{name}" for name in names} == set(SETUP["packages"])
+    rooms = {package.split(".")[1] for package in SETUP["packages"] if "." in package}
+    assert rooms == {*PACKAGES, "benchmarks", "command"}
     # A folder without __init__.py would be left out of a wheel.
     assert {
         path.parent.relative_to(CHECKOUT) for package in PACKAGES for path in CHECKOUT.glob(f"{package}/**/*.py")
@@ -131,7 +141,9 @@ def test_every_package_of_the_tree_is_installed() -> None:
 
 
 def test_a_prepared_clip_depends_on_what_preparing_it_imports() -> None:
-    program = "import sys, data.clip; print(*(vars(module).get('__file__') for module in list(sys.modules.values())))"
+    program = (
+        "import sys, palpate.data.clip; print(*(vars(each).get('__file__') for each in list(sys.modules.values())))"
+    )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=CHECKOUT, check=True)
     imported = {Path(name).relative_to(CHECKOUT).as_posix() for name in done.stdout.split() if f"{CHECKOUT}/" in name}
     ours = {name for name in imported if name.split("/")[0] in PACKAGES}
@@ -139,6 +151,6 @@ def test_a_prepared_clip_depends_on_what_preparing_it_imports() -> None:
     assert not [name for name in ours if name.startswith(NOT_PREPARATION)]
     others = {name for name in ours if not name.startswith("data/")}
     # The helpers load modules, name sources, show names, read files and refuse settings; no array depends on them.
-    names = ("lazy", "provenance", "doors", "fields", "files")
-    helpers = {f"physics/{name}.py" for name in names}
-    assert others - helpers == {"physics/__init__.py", "physics/mesh.py"}
+    names = ("__init__", "lazy", "provenance", "doors", "settings", "files")
+    helpers = {f"common/{name}.py" for name in names}
+    assert others - helpers == {"physics/__init__.py", *PREPARATION}

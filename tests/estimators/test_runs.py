@@ -147,11 +147,11 @@ def test_a_run_that_begins_where_a_hovering_tool_stops_is_undecided() -> None:
     stands, sunk = State("ok", probability=0.7, undecided=True), State("ok", probability=0.99)
     frames = linked([State("no_contact"), hovers, stands, stands, hovers], CONTACT)
     (run,) = tracked_runs(frames, 2)
-    assert (run.passed, run.unseen) == (False, f"{UNDECIDED} {NO_ONSET}")
+    assert (run.passed, run.unobserved) == (False, f"{UNDECIDED} {NO_ONSET}")
     told = frame_estimate(frames[2], clip_info(), whole=True)
     assert (told.status, told.contact, told.contact_probability, told.detail) == ("ok", True, 0.7, UNDECIDED)
     (run,) = tracked_runs(linked([State("no_contact"), hovers, stands, sunk, hovers], CONTACT), 2)
-    assert (run.passed, run.unseen) == (False, NO_ONSET)
+    assert (run.passed, run.unobserved) == (False, NO_ONSET)
 
 
 def test_contact_after_hovering_has_no_onset() -> None:

@@ -138,7 +138,7 @@ def test_what_is_trained_and_judged_is_kept(
     assert lines[0] == ",".join(terms.COLUMNS)
     assert [line.split(",")[:3] for line in lines[1:3]] == [["clean", "full", "2"], ["clean", "no-gan", "2"]]
     assert lines[2].startswith("clean,no-gan,2,1,1,1,")
-    assert "no-gan" in capsys.readouterr().err
+    assert "no-gan" in capsys.readouterr().out
     assert door.main([*command, "--steps", "9"]) == 2
     assert "holds results of another steps" in " ".join(capsys.readouterr().err.split())
 

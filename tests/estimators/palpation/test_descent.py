@@ -72,7 +72,7 @@ def test_no_start_is_looked_for_without_an_end(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_the_page_lists_what_differs_from_the_paper_s_algorithm_1() -> None:
-    page = (Path(__file__).parents[3] / "docs" / "palpation.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[3] / "docs" / "reports" / "palpation.md").read_text(encoding="utf-8")
     table = page[page.index("| what | algorithm 1 |") :].split("\n\n")[0]
     here = {row[0]: row[2] for row in re.findall(r"^\| ([^|]+) \| ([^|]+) \| ([^|]+) \|$", table, re.MULTILINE)}
     assert here.keys() >= {"parameters", "step", "end", "gradient", "error", "palpations", "start"}

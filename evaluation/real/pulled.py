@@ -17,6 +17,7 @@ from palpate.data.source.layout import ClipLayout, load_layout
 from palpate.estimators.contract import Chosen, ClipInfo
 from palpate.estimators.estimate import FrameEstimate, GripEstimate, InteractionEstimate, NoEstimate
 from palpate.estimators.open import EstimatorOptions, open_estimator
+from palpate.estimators.session import estimates_of
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ def evaluate_pull(clip: PulledClip, measures: dict[str, object]) -> Pull:
     estimator = open_estimator(EstimatorOptions("direct"))
     stream = ClipStream(open_source(clip.path, clip.layout), estimator.preparation(Chosen(clip.layout)))
     session = estimator.start(ClipInfo.of(stream))
-    said = [item for frame in stream for item in session.push(frame)] + list(session.finish())
+    said = list(estimates_of(session, stream))
     frames = [item for item in said if isinstance(item, FrameEstimate)]
     runs = [item for item in said if isinstance(item, InteractionEstimate)]
     measures |= {"frames": len(frames), "frames in contact": sum(item.contact is True for item in frames)}

@@ -80,6 +80,7 @@ from palpate.estimators.grip.stiffness_field import StiffnessField
 from palpate.estimators.oblique import is_oblique
 from palpate.estimators.open import FEM, EstimatorOptions
 from palpate.estimators.runs import RunTracker
+from palpate.estimators.session import estimates_of
 from palpate.evaluation.harness import OK, Row, attempted
 from palpate.evaluation.recovery.bounds import MECHANICS, contact_information, field_information
 from palpate.evaluation.recovery.estimators import Candidate, opened
@@ -223,7 +224,7 @@ def answers(
 ) -> list[FrameEstimate | InteractionEstimate]:
     """Everything that the session that users run says of a clip."""
     session = opened(candidate).start(clip)
-    return [item for frame in frames for item in session.push(frame)] + list(session.finish())
+    return list(estimates_of(session, frames))
 
 
 def _pressed(onset: int, answer: Estimate | list) -> Row:

@@ -11,19 +11,7 @@ import pytest
 import palpate
 from palpate.command import infer
 from palpate.data.synthetic.clip import write_clip
-from palpate.data.synthetic.settings import SceneSettings
-
-SCENE = SceneSettings(
-    width=214,
-    height=120,
-    frames=22,
-    onset_fraction=(0.15, 0.2),
-    press_seconds=(0.3, 0.3),
-    stiffness=(0.4, 0.4),
-    damping=(0.03, 0.03),
-    force=(-0.05, -0.05),
-    depth_noise=0.0005,
-)
+from tests.test_infer import SCENE
 
 
 @pytest.fixture(scope="module")

@@ -120,7 +120,9 @@ def test_without_any_folder_to_write_to_it_compiles_all_the_same(monkeypatch):
 @pytest.fixture
 def copied(tmp_path) -> Path:
     """A checkout of the simulator of its own, without compiled code."""
-    shutil.copytree(ROOT / "physics", tmp_path / "physics", ignore=shutil.ignore_patterns("__pycache__"))
+    for room in ("palpate", "common", "physics"):
+        shutil.copytree(ROOT / room, tmp_path / room, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
     return tmp_path
 
 

@@ -80,7 +80,7 @@ def test_distributed_training_has_the_gradient_of_one_process(tmp_path):
 
 def test_no_index_leaves_its_array(tmp_path):
     # numba's own check, which raises where an index lies outside, over all meshes and random masks.
-    chosen = ["tests/physics/msd/test_compiled.py", "-k", "any_mask or (compiled_equals_plain and default)"]
+    chosen = ["tests/physics/msd/test_simulation.py", "-k", "any_mask or (compiled_equals_plain and default)"]
     result = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *chosen],
         cwd=ROOT,

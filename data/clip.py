@@ -21,6 +21,7 @@ from palpate.data.cache import CacheEntry, PreparedClip, cache_key
 from palpate.data.contact.dents import DentContacts
 from palpate.data.contact.evidence import ContactEvidence
 from palpate.data.contact.geometry import GeometryStatus, frame_geometry
+from palpate.data.contact.light_contacts import LightContacts
 from palpate.data.contact.motion import ContactMotion
 from palpate.data.depth.normalise import estimate_scale, normalise, open_depth, resize_depth
 from palpate.data.depth.sources import DepthSource
@@ -89,6 +90,11 @@ class ClipStream:
         """Intrinsics of the grid."""
 
     @property
+    def guesses_depth(self) -> bool:
+        """Whether depth is guessed from the pictures alone, so that light is what is measured."""
+        return self._depth.from_picture
+
+    @property
     def identity(self) -> tuple[str, str]:
         """What depth and masks depend on besides the clip's own files and settings."""
         return self._depth.identity, self._masks.identity
@@ -130,8 +136,22 @@ class ClipStream:
         if geometry.contact != "touching":
             yield from self._prepared()
             return
+        if self.guesses_depth:
+            yield from self._by_light(LightContacts(self.camera, geometry))
+            return
+        yield from self._by_evidence()
+
+    def _by_light(self, contacts: LightContacts) -> Iterator[PreparedFrame]:
+        for prepared in self._by_evidence():
+            with self._timed("contact"):
+                decided = contacts.push(prepared)
+            yield from decided
+        yield from contacts.finish()
+
+    def _by_evidence(self) -> Iterator[PreparedFrame]:
+        geometry = self.settings.geometry
         near = geometry.contact_distance or math.inf
-        evidence, before = ContactEvidence(near, measured=not self._depth.from_picture), None
+        evidence, before = ContactEvidence(near, measured=not self.guesses_depth), None
         for prepared in self._prepared():
             with self._timed("contact"):
                 evidence.judge(prepared)

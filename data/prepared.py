@@ -43,6 +43,10 @@ class PreparedFrame:
     depth already exclude contact."""
     undecided: bool = False
     """Whether the tool hovered before, and since then neither motion nor depth tells whether it touches."""
+    light: np.ndarray | None = None
+    """Logarithm of the tissue's light, as of `data.brightness.light.log_light`; None where it isn't looked at."""
+    press: tuple[int, int] | None = None
+    """Grid pixel (u, v) of the dent by whose darkening a press was found; None where outlines tell the contact."""
     distance: float = math.nan
     """Distance of tool and tissue [scene units]; NaN where it was not measured."""
     displacement: np.ndarray = field(default_factory=_unknown)

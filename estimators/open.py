@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from palpate.data.contact.interaction import FIELD, Horizon
+from palpate.data.contact.interaction import BRIGHTNESS, Horizon
 from palpate.data.settings import PrepareSettings
 from palpate.data.source.camera import load_camera
 from palpate.data.source.layout import ClipLayout, load_layout
@@ -42,7 +42,8 @@ class EstimatorOptions:
     onset: str | None = None
     """When a press begins, one of `estimators.onset.ONSETS`; None = between frames, as in real videos."""
     observation: str | None = None
-    """What `direct` and `network` look at, one of `data.contact.interaction.OBSERVATIONS`; None = the whole dent."""
+    """What `direct` and `network` look at, one of `data.contact.interaction.OBSERVATIONS`; None = the whole dent,
+    of pictures without depth its light."""
     noise: float | None = None
     """σ that `direct` is told [scene units]; None = the clip's own estimate."""
     horizon: Horizon = None
@@ -68,9 +69,8 @@ def open_estimator(options: EstimatorOptions) -> Estimator:
         return _open_online(options)
     if options.settings is not None:
         raise ValueError(f"--settings {options.settings} is for --estimator online; leave it out.")
-    seen = options.observation or FIELD
     if options.name == "direct":
-        return _open_direct(options, seen)
+        return _open_direct(options)
     if options.thickness is not None:
         raise ValueError("--thickness is for --estimator direct --model fem; leave it out.")
     if options.noise is not None:
@@ -82,7 +82,9 @@ def open_estimator(options: EstimatorOptions) -> Estimator:
     if options.name not in (None, kind):
         raise ModelFileError(f"{model.path} is of the estimator {kind}; give --estimator {kind}, or leave it out.")
     if isinstance(model, PosteriorModel):
-        return NetworkEstimator(model, options.onset or BETWEEN, options.horizon, seen)
+        if options.observation == BRIGHTNESS:
+            raise ValueError("--observation brightness is for --estimator direct; the network sees depth.")
+        return NetworkEstimator(model, options.onset or BETWEEN, options.horizon, options.observation)
     if options.onset not in (None, STAMP):
         raise ModelFileError(f"{model.path} knows nothing of when a press begins; leave --onset {options.onset} out.")
     if options.horizon is not None:
@@ -92,7 +94,7 @@ def open_estimator(options: EstimatorOptions) -> Estimator:
     return GanEstimator(model)
 
 
-def _open_direct(options: EstimatorOptions, seen: str) -> DirectEstimator:
+def _open_direct(options: EstimatorOptions) -> DirectEstimator:
     model = SHEET if options.model is None else str(options.model)
     if model not in MODELS:
         raise ValueError(f"--estimator direct needs no network; give --model fem, or leave --model {model} out.")
@@ -102,7 +104,7 @@ def _open_direct(options: EstimatorOptions, seen: str) -> DirectEstimator:
         raise ValueError("--thickness is for --model fem; a sheet has none, so leave it out.")
     return DirectEstimator(
         options.onset or BETWEEN,
-        seen,
+        options.observation,
         options.horizon,
         options.noise,
         thickness=options.thickness,

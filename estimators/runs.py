@@ -10,12 +10,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from palpate.data.brightness.sequence import RestingLight
 from palpate.data.contact.evidence import SURE
 from palpate.data.contact.geometry import FrameGeometry
 from palpate.data.contact.interaction import ContactFrame, Horizon, Interaction, InteractionBuilder
 from palpate.data.contact.tissue_points import grid_to_picture
 from palpate.data.prepared import OUT_OF_CONTACT, PreparedFrame
 from palpate.estimators.contract import ClipInfo
+from palpate.estimators.direct.brightness_fit import fit_brightness
 from palpate.estimators.estimate import LARGEST_SLAB_ERROR, Estimate, FrameEstimate, InteractionEstimate, NoEstimate
 from palpate.estimators.grip.recorder import GripRecorder
 from palpate.physics.mechanics import Bounds, Mechanics
@@ -26,6 +28,7 @@ PASSED = "No contact: the instrument moves, and the tissue next to it does not m
 OUTLINES_ALONE = "Contact by outlines alone: nothing has moved yet that would show whether tissue moves with the tool."
 NOT_SHOWN = "No displacement: the onset of contact was not observed, or lies beyond the model's horizon."
 NOT_FOLLOWED = "The tissue at the contact could not be followed after its onset."
+BY_LIGHT = "By the brightness of the tissue, for want of measured depth; lengths and forces are up to its distance."
 FULL_ARROW = 0.3
 """Length of the drawn arrow of the largest admissible force, as a share of the contact point's depth."""
 
@@ -33,7 +36,9 @@ FULL_ARROW = 0.3
 class Run:
     """One run of contact; its frames are dropped as they pass, and only their observations are kept."""
 
-    def __init__(self, first: PreparedFrame, clip: ClipInfo, seconds: float) -> None:
+    def __init__(
+        self, first: PreparedFrame, clip: ClipInfo, seconds: float, rest_light: np.ndarray | None = None
+    ) -> None:
         frame = first.frame
         self.index, self.number, self.time_s, self.detail = frame.index, frame.number, frame.time_s, first.detail
         """Index in the clip, number, time stamp [s] and warnings of the first frame."""
@@ -51,7 +56,8 @@ class Run:
         contact = first.geometry
         if contact is not None and first.track_start == frame.index:
             found = contact.mesh, contact.vertex, contact.normal, contact.noise
-            self.builder = InteractionBuilder(*found, contact_frame(first), clip.geometry, seconds, clip.size)
+            first_seen = contact_frame(first)
+            self.builder = InteractionBuilder(*found, first_seen, clip.geometry, seconds, clip.size, rest_light)
 
     def note(self, current: PreparedFrame) -> None:
         """Take in the contact probability of a frame within the run or right after it."""
@@ -97,11 +103,18 @@ class RunTracker:
 
     def __init__(self, clip: ClipInfo, seconds: float) -> None:
         self._clip, self._seconds = clip, seconds
+        self._light = RestingLight()
         self.current: Run | None = None
         """The current run, after its release as well, as long as its tissue is followed."""
 
     def push(self, frame: PreparedFrame) -> Run | None:
         """Pass the next frame; returns the run that has ended before it, or None."""
+        ended = self._push(frame)
+        if self.current is None and frame.light is not None:
+            self._light.push(frame.light)
+        return ended
+
+    def _push(self, frame: PreparedFrame) -> Run | None:
         run = self.current
         if run is not None:
             if frame.frame.index - run.last <= self._clip.bridge_frames + 1:
@@ -112,7 +125,8 @@ class RunTracker:
             missing = frame.frame.index - run.last
             if run.builder is None and not frame.in_contact and missing <= self._clip.bridge_frames:
                 return None  # the gap may be flicker
-        self.current = Run(frame, self._clip, self._seconds) if frame.in_contact else None
+        rest = self._light.median() if len(self._light) else None
+        self.current = Run(frame, self._clip, self._seconds, rest) if frame.in_contact else None
         return run
 
     def _belongs(self, frame: PreparedFrame, run: Run) -> bool:
@@ -143,6 +157,8 @@ class RunSession:
         self.clip, self.horizon, self._thickness = clip, horizon, thickness
         self.mechanics = mechanics.matched(1 / clip.fps)
         """The simulator, its steps matched to the clip's frame rate."""
+        self.by_light = False
+        """Whether a press is fitted to the light of the tissue, where it is known."""
         self.seconds: dict[str, float] = defaultdict(float)
         """Time spent so far by stage [s]."""
         self._runs = RunTracker(clip, self.mechanics.seconds)
@@ -182,10 +198,16 @@ class RunSession:
 
     def _pressed(self, run: Run) -> InteractionEstimate:
         contact = None if run.builder is None else run.builder.build(self.mechanics, self.horizon)
-        if contact is None or len(contact.observation) == 0:
+        if contact is None or not (len(contact.observation) or contact.shows_light):
             return run.estimate(detail=run.unobserved)
         try:
-            found, simulated, doubts = self._whole(contact)
+            if self.by_light and contact.shows_light:
+                start = time.perf_counter()
+                contact, found, simulated = fit_brightness(contact, 1 / self.clip.fps)
+                self.seconds["fit"] += time.perf_counter() - start
+                doubts = f"{BY_LIGHT} {found.refuted}".strip()
+            else:
+                found, simulated, doubts = self._whole(contact)
         except NoEstimate as reason:
             return run.estimate(interaction=contact, detail=f"{run.detail} {reason}".strip())
         detail = f"{run.detail} {doubts}".strip()
@@ -228,6 +250,7 @@ def contact_frame(frame: PreparedFrame) -> ContactFrame:
         frame.track_position,
         frame.depth,
         frame.labels,
+        frame.light,
     )
 
 

@@ -13,6 +13,7 @@ from typing import Literal
 
 import numpy as np
 
+from palpate.data.brightness.sequence import BrightnessRecorder, BrightnessSequence
 from palpate.data.contact.depth_sequence import DepthSequence, SequenceRecorder
 from palpate.data.contact.geometry import GeometrySettings, force_direction
 from palpate.physics.load import Press, held
@@ -23,9 +24,10 @@ from palpate.physics.observation import Observation
 PRESS = "press"
 Horizon = int | Literal["press"] | None
 """How much of a contact's motion counts: so many frames after its onset, those under the tool, or all."""
-FIELD, CONTACT = "field", "contact"
-OBSERVATIONS = (FIELD, CONTACT)
-"""What of a contact is looked at: the depth of all tissue around it, or the motion of the point that was touched."""
+FIELD, CONTACT, BRIGHTNESS = "field", "contact", "brightness"
+OBSERVATIONS = (FIELD, CONTACT, BRIGHTNESS)
+"""What of a contact is looked at: the depth of all tissue around it, the motion of the point that was touched, or the
+light of the tissue around it."""
 SAME_INSTANT = 1e-6
 """Times nearer to each other than this are one [s]."""
 
@@ -44,6 +46,8 @@ class Interaction:
     """Of the load [s]."""
     sequence: DepthSequence | None = None
     """Depth of all tissue around the contact; None where it wasn't kept or its noise isn't known."""
+    brightness: BrightnessSequence | None = None
+    """Light around the contact; None where it wasn't kept, or nothing was seen of it at rest."""
 
     @property
     def vertex(self) -> int:
@@ -71,6 +75,11 @@ class Interaction:
         return int(self.observation.steps(self.time_step)[-1]) + 1
 
     @property
+    def shows_light(self) -> bool:
+        """Whether any frame shows the light around the contact."""
+        return self.brightness is not None and len(self.brightness.times) > 0
+
+    @property
     def noise(self) -> float:
         """Standard deviation of the contact's observed displacement along the camera's axis [scene units]."""
         return self.observation.depth_noise
@@ -87,11 +96,13 @@ class Interaction:
 
     def observed(self, instants: np.ndarray) -> Interaction:
         """The same as seen at some of its instants only, a mask or indices; its sequence as far as the last of them."""
-        observation, sequence = self.observation.chosen(instants), self.sequence
+        observation, sequence, brightness = self.observation.chosen(instants), self.sequence, self.brightness
+        last = observation.times[-1] + SAME_INSTANT if len(observation) else -math.inf
         if sequence is not None:
-            last = observation.times[-1] if len(observation) else -math.inf
-            sequence = sequence.chosen(sequence.times <= last + SAME_INSTANT)
-        return dataclasses.replace(self, observation=observation, sequence=sequence)
+            sequence = sequence.chosen(sequence.times <= last)
+        if brightness is not None:
+            brightness = brightness.chosen(brightness.times <= last)
+        return dataclasses.replace(self, observation=observation, sequence=sequence, brightness=brightness)
 
 
 @dataclass(frozen=True)
@@ -112,6 +123,8 @@ class ContactFrame:
     """z on the grid, shape [h, w] [scene units], 0 = invalid; None where no depth-change sequence is kept."""
     labels: np.ndarray | None = None
     """Label map on the grid, shape [h, w]."""
+    light: np.ndarray | None = None
+    """Logarithm of the tissue's light, as of `data.brightness.light.log_light`; None where it isn't looked at."""
 
 
 class InteractionBuilder:
@@ -124,6 +137,7 @@ class InteractionBuilder:
         settings: the force's direction is taken from here.
         seconds: how long the motion counts [s].
         size: width and height of the pictures [px]; None = keep no depth-change sequence.
+        rest_light: light of the tissue at rest, as of `log_light`; None = keep no brightness sequence.
     """
 
     def __init__(
@@ -136,6 +150,7 @@ class InteractionBuilder:
         settings: GeometrySettings,
         seconds: float,
         size: tuple[int, int] | None = None,
+        rest_light: np.ndarray | None = None,
     ) -> None:
         self.mesh, self.vertex, self.normal, self.settings = mesh, vertex, normal, settings
         # In single precision, and positions below: what networks are trained on, whatever a frame comes from.
@@ -158,6 +173,8 @@ class InteractionBuilder:
         self._recorder = SequenceRecorder(mesh, vertex, self.noise, size) if size is not None and known else None
         self._sequence: list[tuple[int, float, np.ndarray]] = []
         self._sequence_of(onset)
+        self._light = None if rest_light is None else BrightnessRecorder(rest_light, mesh.pixels[vertex])
+        self._brightness: list[tuple[int, float, np.ndarray]] = []
 
     def add(self, frame: ContactFrame) -> None:
         """The next frame."""
@@ -175,6 +192,9 @@ class InteractionBuilder:
         change = self._sequence_of(frame)
         if change is not None:
             self._sequence.append((index, since, change))
+        light = None if self._light is None or frame.light is None else self._light.frame(frame.light)
+        if light is not None:
+            self._brightness.append((index, since, light))
 
     def _sequence_of(self, frame: ContactFrame) -> np.ndarray | None:
         """What a frame adds to the depth-change sequence."""
@@ -214,4 +234,8 @@ class InteractionBuilder:
             sequence = self._recorder.sequence(
                 np.array([since for since, _ in kept]), [change for _, change in kept], known
             )
-        return Interaction(self.mesh, press, observation, step, sequence)
+        brightness = None
+        if self._light is not None:
+            lit = [(since, light) for index, since, light in self._brightness if counts(index, since)]
+            brightness = self._light.sequence(np.array([since for since, _ in lit]), [light for _, light in lit])
+        return Interaction(self.mesh, press, observation, step, sequence, brightness)

@@ -145,8 +145,10 @@ class ContactMotion:
                 self._run = None
         elif missing > self.bridge_frames:
             self.settle()
-            self._refused = self._dented(after)
-            self._run = self._begin(after) if before.out_of_contact and not self._refused else None
+            # What has darkened since is compared with the light at rest, whatever touched the tissue before.
+            self._refused = after.press is None and self._dented(after)
+            began = (before.out_of_contact or after.press is not None) and not self._refused
+            self._run = self._begin(after) if began else None
             self._left.clear()
 
     def _note_return(self, run: ContactRun, latest: PreparedFrame) -> None:
@@ -173,7 +175,7 @@ class ContactMotion:
             with contextlib.suppress(GeometryStatus):
                 noise = self._noise(onset)
                 rest = self._rest.at(onset)
-                if self.settings.contact == "motion":
+                if self.settings.contact == "motion" or onset.press is not None:
                     resting = dent_geometry(onset, onset.contact.pixel, self.camera, self.settings, rest)
                 else:
                     resting = frame_geometry(onset.depth, onset.labels, self.camera, self.settings, rest)
@@ -183,7 +185,7 @@ class ContactMotion:
                     onset.detail = FRAYED.format(share=share)
         pixel = picture_pixel(onset, self.size)
         template = TissueTemplate(*onset.view, pixel)
-        young = [] if math.isfinite(onset.contact.noise) else None
+        young = [] if math.isfinite(onset.contact.noise) and onset.press is None else None
         return ContactRun(onset, pixel, template, np.zeros(3), young)
 
     def _noise(self, onset: PreparedFrame) -> float:

@@ -19,12 +19,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from palpate.data.contact.interaction import FIELD, OBSERVATIONS, Horizon, Interaction
+from palpate.data.brightness.light import log_light
+from palpate.data.contact.interaction import BRIGHTNESS, CONTACT, FIELD, OBSERVATIONS, Horizon, Interaction
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.estimators.contract import Chosen, ClipInfo, Output
 from palpate.estimators.direct.contact_fit import fit_contact
 from palpate.estimators.direct.field_fit import fit_press
+from palpate.estimators.direct.motion import FITTED
 from palpate.estimators.direct.problem import ContactProblem
 from palpate.estimators.direct.slab_fit import fit_slab
 from palpate.estimators.direct.slab_motion import DENSITY, LAW, POISSON, SLAB_BOUNDS
@@ -44,16 +46,14 @@ WHOLE = "This estimator fits whole runs of contact: see interactions.csv."
 LEAST_OBSERVATIONS = 3
 """Frames after the onset in which the tissue was followed."""
 
-FITTED = Mechanics(time_step=0.0025, steps=400, scheme="dkd", window_error=1e-6)
-"""The default integrator; its own error must lie below the noise: of second order, with half the paper's step."""
-
 
 class DirectEstimator:
     """Fits every run of contact when it has ended; needs no network.
 
     Args:
         onset: when a press begins, one of `estimators.onset.ONSETS`.
-        observation: what is compared, one of `data.contact.interaction.OBSERVATIONS`.
+        observation: what is compared, one of `data.contact.interaction.OBSERVATIONS`; None = the light of the tissue
+            where depth is guessed from the pictures, else the depth of all of it.
         horizon: how much of a contact is looked at.
         noise: σ of every observed coordinate [scene units], at least LEAST_SIGMA; None = the clip's own depth noise.
         mechanics: integrator of the fitted model.
@@ -70,7 +70,7 @@ class DirectEstimator:
     def __init__(
         self,
         onset: str,
-        observation: str = FIELD,
+        observation: str | None = None,
         horizon: Horizon = None,
         noise: float | None = None,
         mechanics: Mechanics = FITTED,
@@ -79,11 +79,11 @@ class DirectEstimator:
     ) -> None:
         if noise is not None and not LEAST_SIGMA <= noise < math.inf:
             raise ValueError(f"noise is {noise}; give a length of {LEAST_SIGMA:g} or more, or leave it out.")
-        if observation not in OBSERVATIONS:
+        if observation not in (None, *OBSERVATIONS):
             raise ValueError(f"observation is {observation!r}; choose {' or '.join(OBSERVATIONS)}.")
         if thickness is not None and not 0 < thickness < math.inf:
             raise ValueError(f"thickness is {thickness}; give a positive length in scene units.")
-        if thickness is not None and observation != FIELD:
+        if thickness is not None and observation not in (None, FIELD):
             raise ValueError("a slab is fitted to all visible tissue; leave --observation contact out.")
         if bounds is None:
             bounds = RECOMMENDED if thickness is None else SLAB_BOUNDS
@@ -112,11 +112,14 @@ class DirectSession(RunSession):
 
     def __init__(self, estimator: DirectEstimator, clip: ClipInfo) -> None:
         super().__init__(clip, estimator.mechanics, estimator.horizon, estimator.thickness)
+        self.by_light = estimator.observation in (None, BRIGHTNESS) and estimator.thickness is None
         self.estimator = estimator
         self._within = onset_error(estimator.onset, clip.fps)
 
     def push(self, frame: PreparedFrame) -> Iterator[Output]:
         """The next frame."""
+        if self.estimator.observation == BRIGHTNESS and frame.visible and frame.light is None:
+            frame.light = log_light(*frame.view, frame.depth.shape)
         yield from self._ended(self._runs.push(frame))
         self._follow(frame)
         yield frame_estimate(frame, self.clip, doubts=WHOLE if frame.in_contact else "", whole=True)
@@ -149,7 +152,7 @@ class DirectSession(RunSession):
             if not with_sequence:
                 raise NoEstimate("A slab needs the depth around the contact, and too few frames show it.")
             return fit_slab(contact, estimator.thickness, self._within, estimator.noise)
-        if estimator.observation == FIELD and with_sequence:
+        if estimator.observation != CONTACT and with_sequence:
             found = fit_press(contact, self.mechanics, self._within, estimator.noise, estimator.log_box)
         else:
             problem = ContactProblem(contact, self.mechanics, noise, self._within)

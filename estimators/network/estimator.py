@@ -54,9 +54,11 @@ class NetworkEstimator(ModelEstimator):
     name = "network"
     model: PosteriorModel
 
-    def __init__(self, model: PosteriorModel, onset: str, horizon: Horizon = None, observation: str = FIELD) -> None:
+    def __init__(self, model: PosteriorModel, onset: str, horizon: Horizon = None, observation: str | None = None) -> None:
         super().__init__(model)
-        self.onset, self.horizon, self.observation = onset, horizon, observation
+        self.onset, self.horizon, self.observation = onset, horizon, observation or FIELD
+        self.by_light = observation is None
+        """Whether whole runs are fitted to the light of the tissue where depth is guessed from the pictures."""
         self.described = {"name": self.name, "onset": onset, "observation": observation, "horizon": horizon}
         """The settings that are not in the model's file."""
         self.sees_sequence = model.inputs[CONTACT] == (FEATURES + SEQUENCE_FEATURES,)
@@ -131,6 +133,7 @@ class NetworkSession(RunSession):
 
     def __init__(self, estimator: NetworkEstimator, clip: ClipInfo) -> None:
         super().__init__(clip, estimator.mechanics, estimator.horizon)
+        self.by_light = estimator.by_light
         self.estimator = estimator
         self._onset_error = onset_error(estimator.onset, clip.fps)
         self._window = FrameWindow(estimator.model.window)

@@ -1,0 +1,53 @@
+"""From a picture to light: the camera's response undone, instruments, highlights and what is too dark left out."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from palpate.data.labels import TISSUE
+
+FINE = 2
+"""Places of the lattice a grid pixel, along an axis."""
+DARKEST, BRIGHTEST = 0.01, 0.98
+"""Light beyond these tells nothing, in shares of white: noise decides it, or the sensor is full."""
+EDGE = 5
+"""Pixels so near to an instrument or to what is no tissue are mixtures [px of a picture 854 wide]."""
+WHITER = 0.12
+"""Highlights are so much bluer than what surrounds them, as a logarithm: they have the lamp's colour, tissue is red."""
+SURROUNDINGS = 31
+"""Width of the square that a highlight is compared with [places of the lattice]."""
+_LEVELS = np.arange(256) / 255
+SRGB = np.where(_LEVELS <= 0.04045, _LEVELS / 12.92, ((_LEVELS + 0.055) / 1.055) ** 2.4).astype(np.float32)
+"""Light that every level of an sRGB picture stands for (IEC 61966-2-1), in shares of white."""
+
+
+def lattice_size(grid_shape: tuple[int, int]) -> tuple[int, int]:
+    """Rows and columns of the lattice over a grid [h, w]."""
+    return FINE * grid_shape[0], FINE * grid_shape[1]
+
+
+def log_light(picture: np.ndarray, labels: np.ndarray, grid_shape: tuple[int, int]) -> np.ndarray:
+    """Logarithm of the light of red and green on a lattice, means over areas of the picture, float32.
+
+    Args:
+        picture: RGB, uint8 [H, W, 3], free of distortion.
+        labels: label map of the same size; an instrument that is not in it counts as tissue.
+        grid_shape: rows and columns of the grid that the lattice divides.
+
+    Returns:
+        Shape as of `lattice_size`; not a number where no tissue is seen, or only a highlight.
+    """
+    size = lattice_size(grid_shape)[::-1]
+    red, green, blue = (cv2.resize(cv2.LUT(picture[..., i], SRGB), size, interpolation=cv2.INTER_AREA) for i in range(3))
+    light = 0.5 * (red + green)
+    reach = 2 * max(1, round(EDGE * picture.shape[1] / 854)) + 1
+    other = cv2.dilate((labels != TISSUE).astype(np.uint8), np.ones((reach, reach), np.uint8))
+    unknown = cv2.resize(other, size, interpolation=cv2.INTER_AREA) > 0
+    unknown |= (light < DARKEST) | (red > BRIGHTEST)
+    hue = np.log(blue + 0.003) - np.log(red + 0.003)
+    levels = np.clip((hue + 4) * (255 / 5), 0, 255).astype(np.uint8)
+    around = cv2.medianBlur(levels, SURROUNDINGS).astype(np.float32) * (5 / 255) - 4
+    highlight = ((hue - around > WHITER) & ~unknown).astype(np.uint8)
+    unknown |= cv2.dilate(highlight, np.ones((3, 3), np.uint8)) > 0
+    return np.where(unknown, np.float32(np.nan), np.log(np.maximum(light, DARKEST)))

@@ -1,0 +1,154 @@
+"""The brightness sequence of a contact: light around it, frame by frame, beside that of the tissue at rest.
+
+Gain and slow changes of the light over the picture are measured on tissue far from the contact and taken off.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from palpate.data.brightness.light import FINE
+
+REACH = 7
+"""Tissue up to so many rows and columns from the contact is compared [grid pixels]."""
+MARGIN = 3
+"""Around that what may come to be seen there is known, too [grid pixels]."""
+KEPT = 8
+"""Frames before a contact whose median is the light at rest."""
+FEWEST_FAR = 500
+"""Fewer places far from the contact don't tell the gain."""
+SPARSE = 3
+"""Every so many places along an axis tell the gain."""
+ASTRAY = 3.0
+"""Far places that differ by more standard deviations are no still tissue."""
+SPREAD = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation."""
+
+
+@dataclass(frozen=True, eq=False)
+class BrightnessSequence:
+    """Light around a contact over a run; N frames, a square of L = FINE·(2·(REACH + MARGIN) + 1) places."""
+
+    times: np.ndarray
+    """Since the onset, shape [N] [s]."""
+    light: np.ndarray
+    """Logarithm of the light, gain taken off, shape [N, L, L], float32; not a number where no tissue is seen."""
+    rest: np.ndarray
+    """The same at rest, shape [L, L]."""
+    noise: float
+    """Standard deviation of the difference of light and rest where tissue is still."""
+
+    def chosen(self, frames: np.ndarray) -> BrightnessSequence:
+        """Some of its frames: a mask [N] or indices."""
+        return dataclasses.replace(self, times=self.times[frames], light=self.light[frames])
+
+
+def slow_change(places: np.ndarray, change: np.ndarray) -> tuple[np.ndarray, float] | None:
+    """Gain and slow changes of the light over the picture, and the standard deviation that they leave.
+
+    Args:
+        places: rows and columns in shares of the picture's larger side, shape [K, 2].
+        change: of the light's logarithm since rest there, shape [K]; not a number where it isn't known.
+
+    Returns:
+        Coefficients of 1, row and column, shape [3], and that; None where too few places are known.
+    """
+    known = np.isfinite(change)
+    terms = np.column_stack([np.ones(len(places)), places])
+    gain, sd = np.zeros(3), np.inf
+    for _ in range(3):
+        if known.sum() < FEWEST_FAR:
+            return None
+        gain = np.linalg.lstsq(terms[known], change[known], rcond=None)[0]
+        left = change - terms @ gain
+        sd = SPREAD * float(np.median(np.abs(left[known])))
+        known = known & (np.abs(left) <= ASTRAY * sd + 1e-12)
+    return gain, sd
+
+
+def change_of_light(light: np.ndarray, rest: np.ndarray) -> np.ndarray | None:
+    """Logarithm of light over that at rest, gain and slow changes taken off; None where they can't be told.
+
+    Args:
+        light, rest: as of `log_light`, of one shape [h, w].
+    """
+    rows, columns = (part / max(rest.shape) for part in np.mgrid[: rest.shape[0], : rest.shape[1]])
+    some = np.s_[::SPARSE, ::SPARSE]
+    change = light - rest
+    found = slow_change(np.column_stack([rows[some].ravel(), columns[some].ravel()]), change[some].ravel())
+    if found is None:
+        return None
+    gain = found[0]
+    return change - (gain[0] + gain[1] * rows + gain[2] * columns)
+
+
+class RestingLight:
+    """The light of tissue at rest: the median of the last frames before a contact."""
+
+    def __init__(self) -> None:
+        self._frames: deque[np.ndarray] = deque(maxlen=KEPT)
+
+    def push(self, light: np.ndarray) -> None:
+        """The next frame out of contact, as of `log_light`."""
+        self._frames.append(light)
+
+    def clear(self) -> None:
+        """Forget what was seen."""
+        self._frames.clear()
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def median(self) -> np.ndarray:
+        """Of the frames, at least one, place by place; not a number where no frame shows tissue."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # places that no frame shows
+            return np.nanmedian(np.stack(self._frames), axis=0)
+
+
+class BrightnessRecorder:
+    """Gathers the brightness sequence of one run of contact.
+
+    Args:
+        rest: light at rest, as of `log_light`.
+        pixel: row and column of the contact [grid pixels].
+    """
+
+    def __init__(self, rest: np.ndarray, pixel: np.ndarray) -> None:
+        first = FINE * (np.asarray(pixel, np.int64) - REACH - MARGIN)
+        side = FINE * (2 * (REACH + MARGIN) + 1)
+        self._window = tuple(np.ix_(first[0] + np.arange(side), first[1] + np.arange(side)))
+        self._inside = (self._window[0] >= 0) & (self._window[0] < rest.shape[0])
+        self._inside = self._inside & (self._window[1] >= 0) & (self._window[1] < rest.shape[1])
+        self._rest = self._cut(rest)
+        rows, columns = (part.ravel() for part in np.mgrid[: rest.shape[0] : SPARSE, : rest.shape[1] : SPARSE])
+        far = (np.abs(np.stack([rows, columns]) - first[:, None] - side // 2) > side // 2).any(axis=0)
+        self._far = rows[far], columns[far]
+        self._far_rest = rest[self._far]
+        self._places = np.stack(self._far, axis=1) / max(rest.shape)
+        self._middle = np.stack(np.broadcast_arrays(1.0, *(part / max(rest.shape) for part in self._window)), axis=-1)
+        self._noise: list[float] = []
+
+    def _cut(self, light: np.ndarray) -> np.ndarray:
+        rows, columns = (np.clip(part, 0, size - 1) for part, size in zip(self._window, light.shape, strict=True))
+        return np.where(self._inside, light[rows, columns], np.nan)
+
+    def frame(self, light: np.ndarray) -> np.ndarray | None:
+        """Light around the contact in a frame, as of `BrightnessSequence`; None where its gain can't be told."""
+        found = slow_change(self._places, light[self._far] - self._far_rest)
+        if found is None:
+            return None
+        gain, sd = found
+        self._noise.append(sd)
+        return (self._cut(light) - self._middle @ gain).astype(np.float32)
+
+    def sequence(self, times: np.ndarray, light: list[np.ndarray]) -> BrightnessSequence:
+        """The sequence of some frames."""
+        stacked = np.stack(light) if light else np.empty((0, *self._rest.shape), np.float32)
+        noise = float(np.median(self._noise)) if self._noise else np.nan
+        return BrightnessSequence(np.asarray(times, np.float64), stacked, self._rest, noise)

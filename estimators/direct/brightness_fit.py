@@ -1,0 +1,157 @@
+"""A contact's brightness fitted from start to verdict: starts, optimum, what it leaves open, estimate."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+
+from palpate.data.contact.interaction import Interaction
+from palpate.estimators.direct.brightness import OTHERS, BrightnessProblem
+from palpate.estimators.direct.contact_fit import AT_BOUND, DELAY_AT_END
+from palpate.estimators.direct.motion import FITTED, about_tissue
+from palpate.estimators.direct.problem import apart, combine, count_modes, distinct, find_optimum
+from palpate.estimators.estimate import Estimate, NoEstimate
+from palpate.physics.identifiability import box_information
+from palpate.physics.mechanics import RECOMMENDED
+from palpate.physics.msd.simulation import simulate
+
+CANDIDATES = 64
+"""Points of a Sobol sequence over the box among which the starts are chosen."""
+DEPTHS = (0.03, 0.06, 0.1)
+"""Largest displacements with which every one of them is tried, in shares of the tissue's distance."""
+ASIDE = (-1.5, 0.0, 1.5)
+"""How far from the middle of what has darkened the dent is tried, by rows and columns [grid pixels]."""
+STARTS = 3
+"""Fits, begun at the candidates that explain the light best."""
+THINNED = 8
+"""Frames with which starts are chosen."""
+FEW, MORE = 5, 8
+"""Evaluations in a round of a start, and of the best one, after which residuals are weighed anew."""
+ROUNDS = 2, 4
+"""Rounds of each."""
+CLIPPED = 0.2
+"""Residuals of starts count as if they were no larger [logarithm of light]."""
+FIRMER = (-1.5, 1.5)
+"""Steps of log k_s, log k_d and log |F| alike from which other optima are looked for: only inertia tells that scale."""
+DAMPING_ERROR, FORCE_ERROR = 0.12, 0.08
+"""Standard deviations of log k_d/k_s and log |F|/k_s by what law, mesh and video coding get wrong alike in all pixels."""
+LEAST_SKILL = 0.5
+"""A press that leaves a larger share of the change of light, root mean square, is no explanation."""
+FEWEST_FRAMES = 3
+WITHIN = 1.5
+"""Frames by which a press may have begun, or ended, before or after the ones in which it was seen to."""
+
+
+def fit_brightness(
+    contact: Interaction, frame_seconds: float, tissue: np.ndarray = RECOMMENDED.log_box
+) -> tuple[Interaction, Estimate, tuple[np.ndarray, np.ndarray]]:
+    """Fit a contact's brightness sequence by a step of a force on a plane.
+
+    Args:
+        contact: with its brightness sequence.
+        frame_seconds: time from frame to frame [s]; the press may have begun and ended WITHIN of it off its frames.
+        tissue: the box of φ, shape [2, 3].
+
+    Returns:
+        The contact on that plane, whose points aren't followed; the estimate; and times since the onset [s] with the
+        simulated motion along the force, [T] each.
+
+    Raises:
+        NoEstimate: too few frames show the light around the contact.
+    """
+    sequence = contact.brightness
+    if sequence is None or len(sequence.times) < FEWEST_FRAMES:
+        raise NoEstimate("Too few frames after the onset show how bright the tissue around the contact is.")
+    mechanics, within = FITTED.matched(frame_seconds), WITHIN * frame_seconds
+    some = np.unique(np.linspace(0, len(sequence.times) - 1, THINNED).round().astype(int))
+    thin = dataclasses.replace(contact, brightness=sequence.chosen(some))
+    problem = BrightnessProblem(thin, mechanics, within, np.zeros(2))
+    led = [_led(problem, start, tissue, FEW, ROUNDS[0]) for start in _starts(problem, tissue)]
+    logs = min(led, key=lambda found: found[0])[1]
+    for _ in range(2):
+        # The mesh of the plane that the first round found.
+        problem = BrightnessProblem(contact, mechanics, within, logs[-OTHERS + 2 : -OTHERS + 4])
+        logs = _led(problem, logs, tissue, MORE, ROUNDS[1] // 2)[1]
+    return problem.press, _concluded(problem, logs, tissue), _simulated(problem, logs)
+
+
+def _simulated(problem: BrightnessProblem, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Times since the onset, and the contact's simulated displacement along the force, [T] each."""
+    motion, press, step = problem.motion, problem.press, problem.motion.mechanics.time_step
+    load = motion.load(logs[:-OTHERS], step, motion.longest)
+    path = simulate(motion.theta(logs), press.mesh, load, motion.mechanics, watch=np.array([press.vertex]))[:, 0]
+    times = motion.within * logs[motion.delays.start] + step * np.arange(len(path) + 1)
+    return times, np.concatenate([[0.0], path @ press.direction])
+
+
+def _starts(problem: BrightnessProblem, tissue: np.ndarray) -> np.ndarray:
+    """All parameters of presses that explain the light best, among many, shape [S, D]."""
+    from scipy.stats.qmc import Sobol  # takes seconds to load
+
+    low, high = problem.box(tissue)
+    logs = tissue[0] + Sobol(3, rng=0).random(CANDIDATES) * (tissue[1] - tissue[0])
+    middle = problem.darkest()
+    found, misfits = [], []
+
+    def tried(start: np.ndarray, moved: np.ndarray) -> float:
+        light = problem.predicted(start, moved, np.empty((*moved.shape, 0)))[0]
+        return float(np.square(np.clip(problem.compared(light)[0], -CLIPPED, CLIPPED)).sum())
+
+    for candidate in logs:
+        press = np.concatenate([candidate, np.zeros(len(low) - OTHERS - 3)])
+        moved = problem.motion.coarse(press)
+        largest = np.linalg.norm(moved, axis=-1).max() / problem.sheet.distance
+        for depth in DEPTHS:
+            factor = depth / max(largest, 1e-12)
+            force = press[2] + math.log(factor)
+            if tissue[0, 2] < force < tissue[1, 2]:
+                start = problem.start(np.concatenate([press[:2], [force], press[3:]]), middle)
+                found.append(start)
+                misfits.append(tried(start, factor * moved))
+    chosen = apart(np.array(found), np.array(misfits), low, high, STARTS)
+    for start in chosen:
+        moved = problem.motion.coarse(start[:-OTHERS])
+        places = [middle + [row, column] for row in ASIDE for column in ASIDE]
+        starts = [problem.start(start[:-OTHERS], place) for place in places]
+        start[:] = min(starts, key=lambda each: tried(each, moved))
+    return chosen
+
+
+def _led(
+    problem: BrightnessProblem, logs: np.ndarray, tissue: np.ndarray, evaluations: int, rounds: int
+) -> tuple[float, np.ndarray]:
+    """How badly parameters explain the light that some rounds of fits lead to, and those parameters."""
+    box = problem.box(tissue)
+    for _ in range(rounds):
+        logs = np.clip(logs, box[0] + 1e-9, box[1] - 1e-9)
+        problem.look(logs)
+        logs = find_optimum(problem, logs, *box, evaluations).logs
+    problem.look(logs)
+    return -problem.skill, logs
+
+
+def _concluded(problem: BrightnessProblem, logs: np.ndarray, tissue: np.ndarray) -> Estimate:
+    """What the light leaves open around parameters that explain it best, and along the scale that only inertia tells."""
+    box, motion = problem.box(tissue), problem.motion
+    prior = box_information(box)
+    starts = [np.concatenate([logs[:3] + step, logs[3:]]) for step in (0.0, *FIRMER)]
+    optima = [find_optimum(problem, np.clip(start, box[0] + 1e-9, box[1] - 1e-9), *box, MORE) for start in starts]
+    mean, covariance, best = combine(distinct(optima), prior)
+    spread = covariance[:3, :3] + np.diag(np.square([0.0, DAMPING_ERROR, FORCE_ERROR]))
+    refuted = ""
+    if problem.skill < LEAST_SKILL:
+        refuted = f"A press leaves {1 - problem.skill:.0%} of how the tissue's brightness changes, so it isn't explained."
+    return Estimate(
+        theta=motion.theta(mean),
+        covariance=spread,
+        information=about_tissue(best.information, prior),
+        noise=problem.noise,
+        misfit=problem.noise / max(problem.sequence.noise, 1e-9),
+        at_bound=np.minimum(best.logs - box[0], box[1] - best.logs)[:3] < AT_BOUND,
+        delays=tuple((motion.within * best.logs[motion.delays]).tolist()),
+        delays_at_end=bool((np.abs(best.logs[motion.delays]) > DELAY_AT_END).any()),
+        modes=count_modes(distinct(optima), prior),
+        refuted=refuted,
+    )

@@ -17,7 +17,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from palpate.common import output
 from palpate.common.files import file_sha256
+from palpate.common.output import LIST
 from palpate.data.depth.normalise import DepthSettings, open_depth
 from palpate.data.masks.class_table import CLASSES
 from palpate.data.masks.sources import MaskClasses, open_masks
@@ -25,7 +27,7 @@ from palpate.data.source.frames import discover, open_source
 from palpate.data.source.layout import ClipLayout
 from palpate.data.synthetic import clip as clips
 from palpate.data.synthetic.__main__ import field_help, main, picture_size
-from palpate.data.synthetic.clip import MARKER, SyntheticClip, clip_seed, folder_start, make_clip, write_clip
+from palpate.data.synthetic.clip import SyntheticClip, clip_seed, folder_start, make_clip, write_clip
 from palpate.data.synthetic.files import open_video
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.training.cholecseg8k import join_folders, list_clips
@@ -193,7 +195,7 @@ def test_a_real_data_set_is_never_overwritten(tmp_path: Path, capsys: pytest.Cap
     options = ["--output", str(tmp_path), "--size", "small", "--frames", "20", "--press-seconds", "0.2", "0.3"]
     assert main([*options, "--overwrite"]) == 1
     told = "".join(capsys.readouterr().err.split())
-    assert f"{tmp_path / 'video01'}hasnosynthetic.jsonofthisprogram;moveitaway" in told
+    assert f"{tmp_path / 'video01'}isnotasthisprogramwroteit;moveitaway" in told
     assert main(options) == 1
     assert [path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()] == [b"precious"]
 
@@ -204,7 +206,7 @@ def test_a_file_that_is_not_as_written_is_named_and_stays(tmp_path: Path, foreig
     path = tmp_path / "video01" / foreign
     path.parent.mkdir(exist_ok=True)
     path.write_bytes(b"precious")
-    with pytest.raises(FileExistsError, match=rf"{foreign} is not as data.synthetic wrote it; move it away"):
+    with pytest.raises(FileExistsError, match=rf"{foreign} is not as this program wrote it; move it away"):
         write_clip(tmp_path, 1, SMALL, 2, overwrite=True)
     assert path.read_bytes() == b"precious"
     assert json.loads((tmp_path / "video01" / "video01_00000" / "truth.json").read_text(encoding="utf-8"))["seed"] == 1
@@ -215,8 +217,8 @@ def test_a_huge_file_in_a_frame_s_place_is_not_read(tmp_path: Path, monkeypatch:
     with frame.open("wb") as file:
         file.truncate(12 * 2**30)
     read = []
-    monkeypatch.setattr(clips, "file_sha256", lambda path: read.append(path.name) or file_sha256(path))
-    with pytest.raises(FileExistsError, match="is not as data"):
+    monkeypatch.setattr(output, "file_sha256", lambda path: read.append(path.name) or file_sha256(path))
+    with pytest.raises(FileExistsError, match=r"frame_3_endo\.png is not as this program wrote it"):
         write_clip(tmp_path, 1, SMALL, 2, overwrite=True)
     assert read
     assert frame.name not in read
@@ -227,9 +229,9 @@ def test_folders_behind_links_and_odd_markers_are_not_ours(tmp_path: Path) -> No
     write_clip(tmp_path, 2, SMALL, 1)
     (tmp_path / "video01").symlink_to(tmp_path / "video02")
     (tmp_path / "video03").mkdir()
-    (tmp_path / "video03" / MARKER).write_text('{"files": ["frame_1_endo.png"]}')
+    (tmp_path / "video03" / LIST).write_text('{"files": ["frame_1_endo.png"]}')
     for number in (1, 3):
-        with pytest.raises(FileExistsError, match=f"video0{number} has no {MARKER} of this program"):
+        with pytest.raises(FileExistsError, match=rf"video0{number}[^ ]* is not as this program wrote it"):
             write_clip(tmp_path, number, SMALL, 2, overwrite=True)
     assert (tmp_path / "video02" / "video02_00000" / "truth.json").is_file()
 
@@ -250,7 +252,7 @@ RUNS = st.tuples(st.just("run"), st.integers(1, 2), st.integers(1, 2), st.boolea
 PUTS = st.tuples(
     st.just("put"),
     st.sampled_from(("video01", "video01/video01_00000", "video02/sub", ".video01.1.partial", ".")),
-    st.sampled_from((MARKER, "truth.json", "frame_0_endo.png", "notes.txt")),
+    st.sampled_from((LIST, "truth.json", "frame_0_endo.png", "notes.txt")),
 )
 
 

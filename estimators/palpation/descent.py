@@ -5,13 +5,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from palpate.estimators.palpation.bench import SHOWN, Bench, Palpation, beside_the_tool
-from palpate.estimators.palpation.material_fit import POISSON, FitSettings, MaterialFit, require_along
+from palpate.estimators.palpation.material_fit import POISSON, FitSettings, MaterialFit, fit_material, require_along
 from palpate.estimators.palpation.registration import placed, register
 from palpate.estimators.palpation.skin import Match, Skin
 from palpate.physics.fem import Equilibrium, NoEquilibrium
@@ -138,3 +138,7 @@ class _Error:
             apart = Match.of(placed(poses[-1], cloud), vertices, skin.triangles).apart
             total += float(np.square(apart).mean())
         return _Found(total, list(rests), poses)
+
+
+OPTIMIZERS: Mapping[str, Callable[..., MaterialFit]] = {"gauss-newton": fit_material, "gradient": descend}
+"""Fits of Young's modulus and Poisson's ratio by name: by exact derivatives, or the paper's numeric descent."""

@@ -23,6 +23,7 @@ from palpate.common.output import LIST
 from palpate.data.depth.normalise import DepthSettings, open_depth
 from palpate.data.masks.class_table import CLASSES
 from palpate.data.masks.sources import MaskClasses, open_masks
+from palpate.data.source import video
 from palpate.data.source.frames import discover, open_source
 from palpate.data.source.layout import ClipLayout
 from palpate.data.synthetic import clip as clips
@@ -149,11 +150,11 @@ def test_the_truth_tells_when_the_force_started(tmp_path: Path) -> None:
 
 
 def test_the_video_shows_the_same_frames(written: Path, clip: SyntheticClip) -> None:
-    video = cv2.VideoCapture(str(written.with_suffix(".mp4")))
+    reader = cv2.VideoCapture(str(written.with_suffix(".mp4")))
     frames = []
-    while (read := video.read())[0]:
+    while (read := reader.read())[0]:
         frames.append(read[1][..., ::-1].astype(float))
-    video.release()
+    reader.release()
     assert len(frames) == 20
     assert np.abs(np.stack(frames) - clip.images).mean() < 6
 
@@ -163,7 +164,7 @@ def test_videos_of_odd_size_lose_their_last_row_and_column(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, without_av: bool
 ) -> None:
     if without_av:
-        monkeypatch.setitem(__import__("sys").modules, "av", None)
+        monkeypatch.setattr(video, "av", None)
     settings = dataclasses.replace(SMALL, width=109, height=63)
     with open_video(tmp_path / "odd.mp4", settings) as add:
         for _ in range(3):

@@ -125,18 +125,8 @@ def _key(place: np.ndarray, angle: float) -> tuple[float, ...]:
 
 def digest(kind: SoftObject, radius: float) -> str:
     """Of all that a table depends on."""
-    inputs = [
-        VERSION,
-        code_digest("kernels"),
-        PLACES,
-        ANGLES.tolist(),
-        LENGTHS,
-        STEPS,
-        MOST_FORCE,
-        radius,
-        asdict(kind),
-    ]
-    return digest_of(inputs)[:16]
+    constants = [VERSION, code_digest("kernels"), PLACES, ANGLES.tolist(), LENGTHS, STEPS, MOST_FORCE]
+    return digest_of([*constants, radius, asdict(kind)])[:16]
 
 
 def open_table(

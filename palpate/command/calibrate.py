@@ -107,7 +107,7 @@ def _palpation(path: Path, optimizer: str, thickness: float | None, output: Path
         output.mkdir(parents=True, exist_ok=True)
     try:
         problem = scene.skin, scene.held, scene.palpations, scene.settings
-        found = OPTIMIZERS[optimizer](*problem, told=lambda line: say(console, line))
+        found = OPTIMIZERS[optimizer](*problem, report=lambda line: say(console, line))
     except (ValueError, NoEquilibrium) as error:
         raise InputError(f"{path}: {error}") from error
     known = optimizer == "gauss-newton"

@@ -78,7 +78,7 @@ model: $(INSTALLED) $(MODEL)/posterior.pt
 	$(call calibrated,$(MODEL),models/weights/contact.onnx,400,60,150,400,1201)
 
 $(MODEL)/posterior.pt: | $(INSTALLED)
-	$(BIN)/python -m estimators.network.training --output $(MODEL)
+	$(BIN)/python train.py fit -c configs/contact.yaml --contact.output $(MODEL)
 
 # The recommended system on pictures of two sizes with three kinds of noise, its networks an eighth as wide as the paper's.
 GAN := runs/gan

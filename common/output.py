@@ -1,6 +1,6 @@
 """Which files this program may replace: those that are still as it wrote them; any other is a user's and stays.
 
-A hidden list in every folder tells them by their hashes.
+A hidden list in every folder holds their hashes. Results of a clip have theirs in their record, `results/store.py`.
 """
 
 from __future__ import annotations
@@ -12,10 +12,12 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 
-from palpate.common.files import as_json, file_sha256, read_file, replacing
+from palpate.common.files import all_below, as_json, file_sha256, read_file, replacing
 
 LIST = ".written-by-palpate.json"
 """Of what this program wrote in its folder: two hashes by name, the earlier file's and the one that took its place."""
+MAX_HASHED_BYTES = 2**28
+"""Larger files of a folder that is written as a whole are recognised by size and time of change."""
 
 
 class ForeignFile(FileExistsError):
@@ -53,19 +55,62 @@ def replacing_own(path: Path) -> Generator[Path]:
         files = _list_of(path.parent)
         # Both are noted before the files change places: an interruption in between leaves one of them.
         files[path.name] = [*_digests(path), *_digests(partial)]
-        with replacing(path.parent / LIST) as listed:
-            listed.write_text(as_json({"program": "palpate", "files": files}, indent=1) + "\n", encoding="utf-8")
+        _write_list(path.parent, files)
+
+
+def list_folder(folder: Path) -> None:
+    """List all that is in a folder and below as written by this program, by relative names."""
+    _write_list(folder, {name: [digest] for name, digest in _content(folder).items()})
+
+
+def require_own_folder(folder: Path) -> None:
+    """Refuse to replace a folder that holds anything that `list_folder` has not listed, or that was changed since.
+
+    Raises:
+        ForeignFile: there is such a file or link, or the folder has no list.
+    """
+    if not os.path.lexists(folder):
+        return
+    listed = {} if folder.is_symlink() else _list_of(folder)
+    if not listed:
+        raise ForeignFile(folder)
+    for name, digest in _content(folder).items():
+        if name != LIST and digest not in listed.get(name, ()):
+            raise ForeignFile(folder / name)
+
+
+def _content(folder: Path) -> dict[str, str]:
+    """Hash of every file in a folder and below, by its relative name; empty for links, empty folders and the like."""
+    content = {}
+    for path in all_below(folder):
+        name = path.relative_to(folder).as_posix()
+        if path.is_file() and not path.is_symlink():
+            state = path.stat()
+            huge = state.st_size > MAX_HASHED_BYTES
+            content[name] = f"{state.st_size} bytes, {state.st_mtime_ns}" if huge else file_sha256(path)
+        elif path.is_symlink() or not path.is_dir() or not any(path.iterdir()):
+            content[name] = ""
+    return content
 
 
 def _is_listed(path: Path) -> bool:
-    """Whether a file is as the list beside it has it; one that has no entry, whatever its size, is not read."""
-    found = _list_of(path.parent).get(path.name)
-    return isinstance(found, list) and any(digest in found for digest in _digests(path))
+    """Whether a file is as its folder's list has it; one that has no entry, whatever its size, is not read."""
+    return is_unchanged(path, _list_of(path.parent).get(path.name))
+
+
+def is_unchanged(path: Path, digests: object) -> bool:
+    """Whether a file has one of these hashes; without any, it is not read."""
+    return isinstance(digests, list) and any(digest in digests for digest in _digests(path))
 
 
 def _digests(path: Path) -> list[str]:
     """Hash of a file; none where there is no file."""
     return [file_sha256(path)] if path.is_file() else []
+
+
+def _write_list(folder: Path, files: dict[str, list[str]]) -> None:
+    with replacing(folder / LIST) as listed:
+        listed.write_text(as_json({"program": "palpate", "files": files}, indent=1) + "\n", encoding="utf-8")
 
 
 def _list_of(folder: Path) -> dict[str, list[str]]:

@@ -19,15 +19,4 @@ session         runs a session over a clip: the one way in which frames become e
 
 from palpate.common.lazy import exported
 
-__getattr__ = exported(
-    __name__,
-    {
-        "palpate.estimators.open": ("EstimatorOptions", "open_estimator"),
-        "palpate.estimators.contract": ("Chosen", "ClipInfo", "Estimator", "Session"),
-        "palpate.estimators.estimate": ("Estimate", "FrameEstimate", "InteractionEstimate", "NoEstimate"),
-        "palpate.estimators.network.estimator": ("NetworkEstimator",),
-        "palpate.estimators.gan": ("GanEstimator",),
-        "palpate.estimators.direct.estimator": ("DirectEstimator",),
-        "palpate.estimators.online.estimator": ("OnlineEstimator",),
-    },
-)
+__getattr__ = exported(__name__, {})

@@ -14,16 +14,4 @@ weights/        the networks that ship with the program, and their model cards
 
 from palpate.common.lazy import exported
 
-__getattr__ = exported(
-    __name__,
-    {
-        "palpate.models.generator": ("Generator",),
-        "palpate.models.discriminator": ("PatchDiscriminator",),
-        "palpate.models.posterior": ("ContactPosterior",),
-        "palpate.models.module": ("PhysicsInformedGAN",),
-        "palpate.models.losses": ("LossWeights",),
-        "palpate.models.calibration": ("Calibration",),
-        "palpate.models.onnx_export": ("export",),
-        "palpate.models.onnx_session": ("ModelFileError", "ParameterModel", "PosteriorModel", "open_model"),
-    },
-)
+__getattr__ = exported(__name__, {})

@@ -25,7 +25,7 @@ FIXED = (
 )
 """Model settings that stay as they were in training: the network's shape, and the meaning of its θ."""
 
-WRITER = "python -m estimators.network.training"
+WRITER = "train.py fit -c configs/contact.yaml"
 """The command that writes pretrained posteriors, for messages."""
 OPTIMIZER_KEYS = {"state", "param_groups"}
 """Keys of an optimiser's state in a checkpoint."""

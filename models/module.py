@@ -59,9 +59,8 @@ class PhysicsInformedGAN(LightningModule):
             covariance from the contact's motion and the window, trained by the evidence bound.
         contact_features: length of the contact's vector, for head posterior; train.py takes it from the data.
         picture: whether head posterior uses the encoder's features; switched off in ablations.
-        pretrained: weights of head posterior that `estimators.network.training` wrote or
-            `estimators.network.calibration` exported, loaded before training; shipped: those that come with the
-            program.
+        pretrained: weights of head posterior that configs/contact.yaml trained or `estimators.network.calibration`
+            exported, loaded before training; shipped: those that come with the program.
         pretrained_rate: share of `learning_rate` at which pretrained heads are trained on; 0 keeps them as they are.
         bounds: admissible box of θ.
         mechanics: constants of the rollout.

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +11,11 @@ from palpate.estimators.contract import ClipInfo, Estimator
 from palpate.estimators.estimate import InteractionEstimate
 from palpate.estimators.open import EstimatorOptions, preparation
 from palpate.estimators.open import open_estimator as open_by_options
-from palpate.estimators.palpation.descent import descend
-from palpate.estimators.palpation.material_fit import MaterialFit, fit_material
+from palpate.estimators.palpation.descent import OPTIMIZERS
+from palpate.estimators.palpation.material_fit import MaterialFit
 from palpate.estimators.palpation.scene import read_scene
 from palpate.estimators.session import estimates_of
-from palpate.planning.cost_table import open_table
+from palpate.planning.cost_table import open_tables
 from palpate.planning.roadmap import EdgeCosts, Plan, find_plan
 from palpate.planning.scene import read_plan_scene
 
@@ -78,16 +76,12 @@ def estimate(
     return [item for item in said if isinstance(item, InteractionEstimate)]
 
 
-OPTIMIZERS: Mapping[str, Callable[..., MaterialFit]] = {"gauss-newton": fit_material, "gradient": descend}
-"""Fits of Young's modulus and Poisson's ratio: by exact derivatives, or the paper's numeric descent."""
-
-
 def calibrate(scene: str | Path, optimizer: str = "gauss-newton") -> MaterialFit:
     """Young's modulus [Pa] and Poisson's ratio from surfaces under known forces (Frank 2010, section IV).
 
     Args:
         scene: YAML file as of `palpate calibrate palpation`.
-        optimizer: one of `OPTIMIZERS`.
+        optimizer: `gauss-newton`, by exact derivatives, or `gradient`, the paper's numeric descent.
 
     Raises:
         InputError: the scene can't be used.
@@ -109,9 +103,5 @@ def plan(scene: str | Path, cache: str | Path, alpha: float | None = None) -> Pl
         InputError: the scene can't be used.
         Blocked: there is no path.
     """
-    read = read_plan_scene(Path(scene))
-    if alpha is not None:
-        read = dataclasses.replace(read, alpha=alpha)
-    Path(cache).mkdir(parents=True, exist_ok=True)
-    tables = {name: open_table(kind, read.tip_radius, Path(cache))[0] for name, kind in read.kinds.items()}
-    return find_plan(EdgeCosts(read, tables))
+    read = read_plan_scene(Path(scene), alpha)
+    return find_plan(EdgeCosts(read, open_tables(read, Path(cache))))

@@ -14,7 +14,7 @@ __getattr__ = exported(
     {
         "palpate.planning.scene": ("PlanScene", "SoftObject", "read_plan_scene"),
         "palpate.planning.press": ("PressCurve", "simulate_press"),
-        "palpate.planning.cost_table": ("CostTable", "open_table"),
+        "palpate.planning.cost_table": ("CostTable", "open_table", "open_tables"),
         "palpate.planning.roadmap": ("Blocked", "Plan", "find_plan"),
     },
 )

@@ -9,6 +9,7 @@ depend on: another scene with the same block finds it.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -19,7 +20,7 @@ from palpate.common.files import digest_of
 from palpate.common.output import replacing_own, require_own
 from palpate.common.provenance import code_digest
 from palpate.planning.press import MOST_FORCE, STEPS, simulate_press
-from palpate.planning.scene import SoftObject
+from palpate.planning.scene import PlanScene, SoftObject
 
 PLACES = 9
 """Along the width, ends included."""
@@ -124,12 +125,12 @@ def _key(place: np.ndarray, angle: float) -> tuple[float, ...]:
 
 def digest(kind: SoftObject, radius: float) -> str:
     """Of all that a table depends on."""
-    told = [VERSION, code_digest("kernels"), PLACES, ANGLES.tolist(), LENGTHS, STEPS, MOST_FORCE, radius, asdict(kind)]
-    return digest_of(told)[:16]
+    constants = [VERSION, code_digest("kernels"), PLACES, ANGLES.tolist(), LENGTHS, STEPS, MOST_FORCE]
+    return digest_of([*constants, radius, asdict(kind)])[:16]
 
 
 def open_table(
-    kind: SoftObject, radius: float, cache: Path, told: Callable[[int, int], None] = lambda done, of: None
+    kind: SoftObject, radius: float, cache: Path, report: Callable[[int, int], None] = lambda done, of: None
 ) -> tuple[CostTable, int]:
     """A block's table from the cache, or simulated and kept there; and how many presses were simulated.
 
@@ -137,11 +138,12 @@ def open_table(
         kind: the block.
         radius: of the tip [m].
         cache: folder.
-        told: is given how many presses are done, of how many.
+        report: is given how many presses are done, of how many.
 
     Raises:
         ForeignFile: a table that is damaged or not this program's lies in the cache.
     """
+    cache.mkdir(parents=True, exist_ok=True)
     path = cache / f"presses-{digest(kind, radius)}.npz"
     require_own(path)  # before minutes of simulation; and what is our own is whole
     if path.exists():
@@ -152,11 +154,29 @@ def open_table(
     work = np.zeros((len(places), LENGTHS))
     for row, (place, angle) in enumerate(zip(places, angles, strict=True)):
         work[row] = simulate_press(kind, radius, place, float(angle)).work_at(lengths)
-        told(row + 1, len(places))
+        report(row + 1, len(places))
     simulated = len(places)
     places, angles, work = completed(kind, places, angles, work)
     table = CostTable(places, angles, lengths, work, kind.size[0] / (PLACES - 1))
-    cache.mkdir(parents=True, exist_ok=True)
     with replacing_own(path) as partial, partial.open("wb") as file:
         np.savez(file, places=places, angles=angles, lengths=lengths, work=work, spacing=table.spacing)
     return table, simulated
+
+
+def open_tables(
+    scene: PlanScene, cache: Path, report: Callable[[str, int, int], None] = lambda kind, done, of: None
+) -> dict[str, CostTable]:
+    """Tables of a scene's kinds of tissue by name, from the cache or simulated and kept there.
+
+    Args:
+        scene: what is to be planned.
+        cache: folder.
+        report: is given a kind's name, how many of its presses have been simulated, and of how many.
+
+    Raises:
+        ForeignFile: see `open_table`.
+    """
+    return {
+        name: open_table(kind, scene.tip_radius, cache, functools.partial(report, name))[0]
+        for name, kind in scene.kinds.items()
+    }

@@ -123,13 +123,11 @@ def _weighed(alpha: float, deformation: np.ndarray, way: np.ndarray) -> np.ndarr
     return np.where(open_ways, alpha * np.where(open_ways, deformation, 0) + (1 - alpha) * way, np.inf)
 
 
-def find_plan(costs: EdgeCosts, seed: int = 0, nodes: int = NODES) -> Plan:
+def find_plan(costs: EdgeCosts) -> Plan:
     """The cheapest way found, of equally cheap ones the shortest.
 
     Args:
         costs: of the scene's lines.
-        seed: of the places that are drawn.
-        nodes: how many are.
 
     Raises:
         Blocked: start or goal lie in tissue or an obstacle or outside, or no line leads there.
@@ -146,8 +144,8 @@ def find_plan(costs: EdgeCosts, seed: int = 0, nodes: int = NODES) -> Plan:
     for name, place in (("start", scene.start), ("goal", scene.goal)):
         if not is_free(place[None])[0]:
             raise Blocked(f"the {name} {place.tolist()} is blocked: the tip would touch something there; move it.")
-    drawn = np.random.default_rng(seed).uniform(scene.area[0], scene.area[1], (4 * nodes, 2))
-    places = np.concatenate([[scene.start, scene.goal], drawn[is_free(drawn)][:nodes]])
+    drawn = np.random.default_rng(0).uniform(scene.area[0], scene.area[1], (4 * NODES, 2))
+    places = np.concatenate([[scene.start, scene.goal], drawn[is_free(drawn)][:NODES]])
     count = min(NEIGHBOURS + 1, len(places))
     _, near = KDTree(places).query(places, k=count)
     pairs = np.stack([np.repeat(np.arange(len(places)), count - 1), near[:, 1:].ravel()], axis=1)

@@ -190,8 +190,12 @@ class PlanScene:
     alpha: float
 
 
-def read_plan_scene(path: Path) -> PlanScene:
+def read_plan_scene(path: Path, alpha: float | None = None) -> PlanScene:
     """Read a scene.
+
+    Args:
+        path: YAML file.
+        alpha: 0 = the shortest path, 1 = the gentlest; None = as the file has it.
 
     Raises:
         InputError: it can't be read, or can't be.
@@ -215,4 +219,4 @@ def read_plan_scene(path: Path) -> PlanScene:
             raise InputError(f"{where}, obstacle {number}: its size is not positive; give width and thickness in m.")
         obstacles.append(Placed(each.centre, each.degrees, (each.size[0] / 2, each.size[1] / 2)))
     places = np.array(file.area), np.array(file.start), np.array(file.goal)
-    return PlanScene(*places, kinds, tissue, obstacles, file.tip_radius, file.alpha)
+    return PlanScene(*places, kinds, tissue, obstacles, file.tip_radius, file.alpha if alpha is None else alpha)

@@ -13,13 +13,4 @@ field_file  stiffness in fields.npz
 
 from palpate.common.lazy import exported
 
-__getattr__ = exported(
-    __name__,
-    {
-        "palpate.results.writer": ("ClipResults",),
-        "palpate.results.store": ("OutputError", "ResultStore", "read_record"),
-        "palpate.results.columns": ("FRAMES", "INTERACTIONS"),
-        "palpate.results.overlay": ("draw_overlay", "open_video"),
-        "palpate.results.plots": ("draw_fits", "draw_summary", "write_figure"),
-    },
-)
+__getattr__ = exported(__name__, {})

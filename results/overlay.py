@@ -1,15 +1,9 @@
-"""The clip with what was found drawn on it: outlines, contact point, force arrow, numbers; and the video file."""
+"""The clip with what was found drawn on it: outlines, contact point, force arrow, numbers."""
 
 from __future__ import annotations
 
-import errno
 import math
-import shutil
 import textwrap
-from collections.abc import Generator
-from contextlib import contextmanager
-from fractions import Fraction
-from pathlib import Path
 from typing import Literal
 
 import cv2
@@ -21,11 +15,6 @@ from palpate.results.columns import UNITS
 from palpate.results.field_overlay import RANGE, draw_field
 from palpate.results.stiffness_overlay import StiffnessMap
 from palpate.results.verdicts import COLORS, FAR, MEANINGS, Color, in_words, is_far, numbers, state
-
-try:
-    import av
-except ImportError:  # the optional extra `video`; without it the overlay is MPEG-4 part 2
-    av = None
 
 WHITE: Color = (255, 255, 255)
 _TISSUE_COLOR: Color = (74, 222, 128)
@@ -225,80 +214,3 @@ def shade(image: np.ndarray, corner: tuple[int, int], size: tuple[int, int], opa
 def _drawable(string: str) -> str:
     """Text without the stand-ins for bytes of file names that are not UTF-8, which OpenCV refuses."""
     return string.encode("utf-8", "replace").decode()
-
-
-def open_video(path: Path, size: tuple[int, int], fps: float) -> H264 | Mpeg4:
-    """A video file to write picture by picture: H.264 through PyAV where it is there (browsers play it), else MPEG-4.
-
-    Args:
-        path: the file, in a folder that exists.
-        size: width and height of the *source* frames; pictures have `canvas_size(size)`.
-        fps: frames a second.
-
-    Raises:
-        OSError: the file can't be written (also from the methods).
-    """
-    kind = H264 if av is not None and H264.encoder in av.codecs_available else Mpeg4
-    return kind(path, canvas_size(size), fps)
-
-
-@contextmanager
-def _told() -> Generator[None]:
-    """Turn the encoder's own errors into file-system errors, as most of them already are."""
-    try:
-        yield
-    except av.FFmpegError as error:  # ty: ignore[missing-union-attribute]  it is there (open_video)
-        if isinstance(error, OSError):
-            raise
-        raise OSError(errno.EIO, f"the video encoder failed ({error.strerror})") from error
-
-
-class H264:
-    """A video written by PyAV."""
-
-    encoder = "libx264"
-
-    def __init__(self, path: Path, size: tuple[int, int], fps: float) -> None:
-        self._container = av.open(str(path), "w", options={"movflags": "+faststart"})  # ty: ignore[missing-union-attribute]  it is there (open_video)
-        rate = Fraction(fps).limit_denominator(1001)
-        self._stream = self._container.add_stream("libx264", rate=rate, options={"preset": "veryfast", "crf": "21"})
-        self._stream.width, self._stream.height = size
-        self._stream.pix_fmt = "yuv420p"
-
-    def write(self, picture: np.ndarray) -> None:
-        """Append a picture, RGB uint8 [H, W, 3]."""
-        with _told():
-            self._container.mux(self._stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))  # ty: ignore[missing-union-attribute]  as above
-
-    def close(self) -> None:
-        """Finish the file."""
-        with _told(), self._container:
-            self._container.mux(self._stream.encode())
-
-
-class Mpeg4:
-    """A video written by OpenCV, which tells of no failure: the finished file is counted."""
-
-    encoder = "mp4v"
-
-    def __init__(self, path: Path, size: tuple[int, int], fps: float) -> None:
-        self._path, self._count = path, 0
-        self._writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*self.encoder), fps, size)  # ty: ignore[missing-attribute]  stubs lack it
-        if not self._writer.isOpened():
-            raise OSError(errno.EIO, "OpenCV can't write an MPEG-4 video there", str(path))
-
-    def write(self, picture: np.ndarray) -> None:
-        """Append a picture, RGB uint8 [H, W, 3]."""
-        self._writer.write(cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
-        self._count += 1
-
-    def close(self) -> None:
-        """Finish the file."""
-        self._writer.release()
-        reader = cv2.VideoCapture(str(self._path))
-        written = round(reader.get(cv2.CAP_PROP_FRAME_COUNT)) if reader.isOpened() else 0
-        reader.release()
-        if written < self._count:
-            full = shutil.disk_usage(self._path.parent).free < 2**16
-            reason = f"only {written} of {self._count} overlay frames were stored"
-            raise OSError(errno.ENOSPC if full else errno.EIO, reason, str(self._path))

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from palpate.common.files import as_json, file_sha256, read_file
-from palpate.common.output import ForeignFile
+from palpate.common.output import ForeignFile, is_unchanged
 
 TABLE, OVERLAY, SUMMARY, RECORD = "parameters.csv", "overlay.mp4", "summary.png", "run.json"
 INTERACTIONS, FIT, FORCES, FIELDS = "interactions.csv", "fit.png", "forces.csv", "fields.npz"
@@ -243,10 +243,9 @@ def _discard(partial: Path) -> None:
 
 def _is_as_recorded(path: Path) -> bool:
     """Whether a file is as the record beside it has it."""
-    recorded = read_record(path.parent).get("files", {}).get(path.name)
-    if not path.is_file():
-        return False
-    return path.name == RECORD or (recorded is not None and file_sha256(path) == recorded)
+    if path.name == RECORD:
+        return path.is_file()
+    return is_unchanged(path, [read_record(path.parent).get("files", {}).get(path.name)])
 
 
 def _require_untouched(folder: Path, names: Iterable[str]) -> None:

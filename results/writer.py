@@ -12,13 +12,14 @@ from pathlib import Path
 from typing import Any
 
 from palpate.data.prepared import PreparedFrame
+from palpate.data.source.video import open_video
 from palpate.estimators.estimate import FrameEstimate, InteractionEstimate, NoEstimate
 from palpate.estimators.force_scale import ClipLength
 from palpate.estimators.known_force import KnownForce
 from palpate.results import columns, store
 from palpate.results.calibrated import CALIBRATED, COMPARED, ClipCalibration
 from palpate.results.field_file import FieldFile
-from palpate.results.overlay import draw_overlay, open_video
+from palpate.results.overlay import canvas_size, draw_overlay
 from palpate.results.plots import MOST_PANELS, draw_comparison, draw_fits, draw_summary, write_figure
 from palpate.results.spool import FrameSpool, Waiting
 from palpate.results.stiffness_overlay import StiffnessMap, stiffness_map
@@ -82,7 +83,7 @@ class ClipResults:
                 self._fields = FieldFile(self._partial / store.FIELDS) if fields else None
                 if self._fields is not None:
                     self._open.callback(self._fields.close)
-                self._video = open_video(self._partial / store.OVERLAY, size, fps) if overlay else None
+                self._video = open_video(self._partial / store.OVERLAY, canvas_size(size), fps) if overlay else None
                 if self._video is not None:
                     self._open.callback(self._video.close)
                 self._waiting = FrameSpool(self._partial) if overlay and maps else None

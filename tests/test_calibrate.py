@@ -98,7 +98,7 @@ def test_where_nothing_is_determined_no_number_is_given(
         path = [Progress(4.6e9, 0.3, 3, 5)]
         return MaterialFit(4.6e9, 0.3, np.diag([1e6, 0.02]), [each.pose], [rest], 3e-4, path)
 
-    monkeypatch.setattr(calibrate, "fit_material", fit)
+    monkeypatch.setitem(calibrate.OPTIMIZERS, "gauss-newton", fit)
     assert calibrate.main(["palpation", str(example_scene), "--output", str(tmp_path)]) == 0
     record = strict(tmp_path / "calibration.json")
     assert record["verdict"] == "nothing determined"

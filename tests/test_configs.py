@@ -11,6 +11,7 @@ import pytest
 import yaml
 
 from palpate.command import train
+from palpate.estimators.network.training import ContactSettings
 from palpate.estimators.online.bounds import PAPER
 from palpate.estimators.online.fitting import BENDINGS
 from palpate.estimators.online.settings import OnlineSettings, load_settings
@@ -20,8 +21,10 @@ from palpate.physics.mechanics import Mechanics
 pytestmark = pytest.mark.filterwarnings("ignore:LightningCLI's args parameter")
 CHECKOUT = Path(__file__).resolve().parents[1]
 ONLINE = CHECKOUT / "configs" / "online.yaml"
-"""No experiment of train.py: settings of an estimator."""
-SHIPPED = [path for path in sorted((CHECKOUT / "configs").glob("*.yaml")) if path != ONLINE]
+"""Settings of an estimator, which no command trains."""
+CONTACT = CHECKOUT / "configs" / "contact.yaml"
+"""Settings of the contact posterior's training, which `fit` takes as well."""
+SHIPPED = [path for path in sorted((CHECKOUT / "configs").glob("*.yaml")) if path not in (ONLINE, CONTACT)]
 
 
 @pytest.fixture
@@ -46,6 +49,14 @@ def test_the_online_estimator_s_file_holds_every_setting_with_its_default():
     values, settings = yaml.safe_load(ONLINE.read_text(encoding="utf-8")), OnlineSettings()
     assert load_settings(ONLINE) == settings
     assert leaves(values).keys() == leaves(dataclasses.asdict(settings)).keys()
+
+
+def test_the_contact_posterior_s_configuration_holds_every_setting_with_its_default(monkeypatch):
+    chosen: list[ContactSettings] = []
+    monkeypatch.setattr(train, "train_contact", chosen.append)
+    assert train.main(["fit", "-c", str(CONTACT), "--contact.output", "elsewhere"]) == 0
+    assert chosen == [ContactSettings(Path("elsewhere"))]
+    assert yaml.safe_load(CONTACT.read_text(encoding="utf-8"))["contact"].keys() == vars(chosen[0]).keys()
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)

@@ -22,7 +22,6 @@ DOORS = {
     "palpate.data.synthetic.__main__": ["-m", "data.synthetic"],
     "palpate.data.cholecseg8k": ["-m", "data.cholecseg8k"],
     "palpate.data.depth.photometric": ["-m", "data.depth.photometric"],
-    "palpate.estimators.network.training": ["-m", "estimators.network.training"],
     "palpate.evaluation.benchmark": ["-m", "evaluation.benchmark"],
     "palpate.estimators.network.calibration": ["-m", "estimators.network.calibration"],
     "palpate.evaluation.ablation.__main__": ["-m", "evaluation.ablation"],

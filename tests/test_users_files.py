@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from palpate.benchmarks import newtons
 from palpate.command import calibrate, infer, plan, train
 from palpate.common.files import replacing
-from palpate.common.output import ForeignFile
+from palpate.common.output import LIST, ForeignFile
 from palpate.data.clip import prepare
 from palpate.data.depth.photometric import write_photometric
 from palpate.data.source.layout import InputError
@@ -55,7 +55,7 @@ ROW = "full-0"
 PLACES = {
     "draw": (
         "video01/notes.txt",
-        "video01/synthetic.json",
+        f"video01/{LIST}",
         *(f"video01/video01_00000/{n}" for n in ("truth.json", "x")),
     ),
     "estimate": ("clip/parameters.csv", "clip/run.json", "clip/notes.txt", ".clip.partial-1/notes.txt"),
@@ -75,7 +75,7 @@ PLACES = {
     "keep_prepared": (".tmp-mine/notes.txt", ".tmp-mine/entry/0.npz", "notes.txt"),
 }
 """Names by which a user may have something where a door writes."""
-KEPT = ("synthetic.json", ".npz", ".ckpt", ".mp4")
+KEPT = (".npz", ".ckpt", ".mp4")
 """Ends of the names of our own files that no user edits in between: what is known by its name alone."""
 
 
@@ -134,7 +134,7 @@ def quick(monkeypatch: pytest.MonkeyPatch, blank_pictures: None) -> None:
     settings = SimpleNamespace(law="corotational")
     tissue = SimpleNamespace(notes=[], skin=None, held=None, palpations=[], settings=settings)
     patch(calibrate, "read_scene", lambda path: tissue)
-    patch(calibrate, "fit_material", lambda *arguments, told: quick_material())
+    monkeypatch.setitem(calibrate.OPTIMIZERS, "gauss-newton", lambda *arguments, report: quick_material())
     patch(calibrate, "_picture", lambda scene, found: Figure((1, 1)))
     patch(Benchmark, "work", staticmethod(lambda trial: [recovery(trial.index)]))
     patch(figures, "figures", lambda scores: [("errors.png", Figure((1, 1)))])
@@ -302,7 +302,7 @@ def test_these_doors_write_where_nothing_is_in_the_way(inputs: Path) -> None:
             run(random.Random(1), inputs / name)
         written[name] = {path.name for path in (inputs / name).rglob("*") if path.is_file()}
     expected = {
-        "draw": {"synthetic.json", "truth.json", "frame_0_endo.png"},
+        "draw": {LIST, "truth.json", "frame_0_endo.png"},
         "estimate": {"run.json", "parameters.csv", "summary.png"},
         "judge_press": {"table.csv", "report.html", "1.png"},
         "judge_foreign": {"table.csv"},

@@ -12,13 +12,4 @@ source    a clip in memory as a FrameSource; contacts: motions without pictures,
 
 from palpate.common.lazy import exported
 
-__getattr__ = exported(
-    __name__,
-    {
-        "palpate.data.synthetic.settings": ("SceneSettings",),
-        "palpate.data.synthetic.clip": ("SyntheticClip", "clip_seed", "make_clip", "write_clip"),
-        "palpate.data.synthetic.scene": ("Scene", "SceneError", "draw_scene"),
-        "palpate.data.synthetic.source": ("SyntheticSource", "open_synthetic"),
-        "palpate.data.synthetic.contacts": ("SimulatedContact", "draw_contacts"),
-    },
-)
+__getattr__ = exported(__name__, {})

@@ -25,6 +25,7 @@ from typing import Any
 from rich.console import Console
 
 from palpate.common.command_line import path_option, progress_bars, say, whole_number
+from palpate.common.output import ForeignFile
 from palpate.data.synthetic.clip import clip_seed, write_clip
 from palpate.data.synthetic.settings import SceneSettings
 
@@ -139,7 +140,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _sentence(error: Exception) -> str:
-    if isinstance(error, OSError) and error.strerror:
+    if isinstance(error, OSError) and error.strerror and not isinstance(error, ForeignFile):
         where = error.filename or "The output"
         return f"{where} can't be written ({error.strerror}); check --output, its rights and its free space."
     return str(error)

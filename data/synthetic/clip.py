@@ -13,7 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from palpate.common.files import all_below, as_json, file_sha256, read_file
+from palpate.common.files import as_json, read_file
+from palpate.common.output import list_folder, require_own_folder
 from palpate.data.source.camera import Camera
 from palpate.data.synthetic.errors import depth_bias, observe_depth, observe_labels, reported_camera, stored_to_depth
 from palpate.data.synthetic.files import open_video, write_frame, write_truth
@@ -24,10 +25,6 @@ from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.slab import SlabMotion, draw_slab
 from palpate.data.synthetic.truth import PressedMotion, TrueMotion, draw_motion
 
-MOST_HASHED_BYTES = 2**28
-"""Files of more bytes are recognised by size and time of change instead of their hash."""
-MARKER = "synthetic.json"
-"""File of a clip's videoNN that lists the files that this program wrote there, each with its hash."""
 FOLDER_FRAMES = 80
 """Frames of a video in one folder of CholecSeg8k, which is named by its first frame."""
 
@@ -162,7 +159,7 @@ def write_clip(
     if not overwrite and all(same) and sum(path.is_dir() for path in target.iterdir()) == presses:
         advance(presses * settings.frames)
         return target / next(iter(folders))
-    _require_own(target)
+    require_own_folder(target)
     if target.exists() and not overwrite:
         raise FileExistsError(
             f"{target} exists and was made with other settings; give another --output or --overwrite."
@@ -182,8 +179,8 @@ def write_clip(
                     add_to_video(frame[0])
                     advance(1)
             write_truth(partial / folder, scene, motion, folders[folder])
-        (partial / MARKER).write_text(as_json({"files": _content(partial)}, indent=1) + "\n", encoding="utf-8")
-        _require_own(target)
+        list_folder(partial)
+        require_own_folder(target)
         _swap(partial, target)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
@@ -201,37 +198,6 @@ def _swap(partial: Path, target: Path) -> None:
         if not target.exists() and earlier.exists():
             os.replace(earlier, target)
     shutil.rmtree(earlier, ignore_errors=True)
-
-
-def _require_own(target: Path) -> None:
-    """Raise a FileExistsError where a clip's videoNN holds anything that is not as this program wrote it."""
-    if not os.path.lexists(target):
-        return
-    try:
-        written = json.loads(read_file(target / MARKER))["files"]
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        written = None
-    if target.is_symlink() or not isinstance(written, dict):
-        raise FileExistsError(f"{target} has no {MARKER} of this program; move it away or give another --output.")
-    for name, digest in _content(target).items():
-        if name != MARKER and written.get(name) != digest:
-            raise FileExistsError(
-                f"{target / name} is not as data.synthetic wrote it; move it away or give another --output."
-            )
-
-
-def _content(folder: Path) -> dict[str, str]:
-    """Hash of every file in a folder and below, by its relative name; empty for links, empty folders and the like."""
-    content = {}
-    for path in all_below(folder):
-        name = path.relative_to(folder).as_posix()
-        if path.is_file() and not path.is_symlink():
-            state = path.stat()
-            huge = state.st_size > MOST_HASHED_BYTES
-            content[name] = f"{state.st_size} bytes, {state.st_mtime_ns}" if huge else file_sha256(path)
-        elif path.is_symlink() or not path.is_dir() or not any(path.iterdir()):
-            content[name] = ""
-    return content
 
 
 def _same_clip(truth: Path, settings: SceneSettings, seed: int) -> bool:

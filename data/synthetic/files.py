@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 from collections.abc import Callable, Generator
-from fractions import Fraction
 from pathlib import Path
 
 import cv2
@@ -13,6 +12,7 @@ import numpy as np
 
 from palpate.common.files import as_json
 from palpate.data.masks.class_table import CLASSES
+from palpate.data.source import video
 from palpate.data.synthetic.errors import reported_camera
 from palpate.data.synthetic.grip import SUBSTEPS, GrippedMotion
 from palpate.data.synthetic.scene import Scene
@@ -163,40 +163,12 @@ def _grip_entries(motion: GrippedMotion) -> dict:
 def open_video(path: Path, settings: SceneSettings) -> Generator[Callable[[np.ndarray], object]]:
     """Open an .mp4 of even size; yields a function that takes RGB frames [H, W, 3].
 
-    H.264 by PyAV where it is installed (browsers play it), else MPEG-4 by OpenCV.
-
     Raises:
         OSError: the file can't be written.
     """
-    size = settings.width // 2 * 2, settings.height // 2 * 2
-    try:
-        import av  # optional: the `video` extra
-    except ImportError:
-        with _opencv_video(path, size, settings.fps) as add:
-            yield add
-        return
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream("libx264", rate=Fraction(settings.fps).limit_denominator(1001))
-        stream.width, stream.height, stream.pix_fmt = *size, "yuv420p"
-        stream.options = {"crf": "18", "preset": "veryfast"}
-
-        def add(image: np.ndarray) -> None:
-            picture = np.ascontiguousarray(image[: size[1], : size[0]])
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
-
-        yield add
-        container.mux(stream.encode())
-
-
-@contextlib.contextmanager
-def _opencv_video(path: Path, size: tuple[int, int], fps: float) -> Generator[Callable[[np.ndarray], object]]:
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), fps, size)
-    if not writer.isOpened():
-        raise OSError(f"{path} can't be written as a video; check the folder's rights and free space.")
-    try:
-        yield lambda image: writer.write(np.ascontiguousarray(image[: size[1], : size[0], ::-1]))
-    finally:
-        writer.release()
+    width, height = settings.width // 2 * 2, settings.height // 2 * 2
+    with contextlib.closing(video.open_video(path, (width, height), settings.fps, crf=18)) as opened:
+        yield lambda image: opened.write(np.ascontiguousarray(image[:height, :width]))
 
 
 def _write_png(stem: Path, suffix: str, pixels: np.ndarray) -> None:

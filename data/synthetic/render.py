@@ -48,14 +48,13 @@ class Renderer:
         self.rays = back_project(np.ones((camera.height, camera.width)), camera)
         whole = (slice(0, camera.height), slice(0, camera.width))
         self.rest_light = self._tissue_light(self.rest, whole)
-        self.outside = _outside_circle(scene) if scene.settings.circle else None
 
     def frame(self, index: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Draw a frame. Frames are drawn in order: the noise goes on from the last one.
 
         Returns:
             RGB picture, shape [H, W, 3], uint8; grey class codes of `data.masks.class_table`, shape [H, W], uint8; true
-            z, shape [H, W], float32 [scene units], 0 outside the endoscope's circle.
+            z, shape [H, W], float32 [scene units].
         """
         picture, labels, depth = self.exact(index)
         return self._digitised(picture), labels, depth
@@ -75,8 +74,6 @@ class Renderer:
             labels[tool.rows, tool.columns] = GREY["grasper"]
             depth[tool.rows, tool.columns] = tool.depth
             light[tool.rows, tool.columns] = tool.light * np.square(EXPOSURE_DISTANCE / tool.depth)[:, None]
-        if self.outside is not None:
-            labels[self.outside], depth[self.outside], light[self.outside] = GREY["background"], 0, 0
         blurred = cv2.GaussianBlur(light.astype(np.float32), (0, 0), 0.15 * self.scene.settings.cell[0] + 0.05)
         return encode_srgb(np.clip(blurred, 0, 1)), labels, depth
 
@@ -129,10 +126,7 @@ class Renderer:
         if self.scene.settings.image_noise > 0:
             noise = self.noise.standard_normal(picture.shape, dtype=np.float32)
             picture = picture + self.scene.settings.image_noise * noise
-        picture = np.clip(picture * 255 + 0.5, 0, 255).astype(np.uint8)
-        if self.outside is not None:
-            picture[self.outside] = 0
-        return picture
+        return np.clip(picture * 255 + 0.5, 0, 255).astype(np.uint8)
 
 
 def encode_srgb(linear: np.ndarray) -> np.ndarray:
@@ -228,11 +222,3 @@ def _bumps(scene: Scene, generator: np.random.Generator) -> np.ndarray:
         for _ in range(2)
     ]
     return np.stack(layers, axis=-1).astype(np.float32)
-
-
-def _outside_circle(scene: Scene) -> np.ndarray:
-    """Pixels outside the endoscope's round picture, shape [H, W], bool."""
-    settings = scene.settings
-    columns = np.arange(settings.width) - scene.camera.cx
-    rows = np.arange(settings.height) - scene.camera.cy
-    return np.hypot(columns, rows[:, None]) > 0.47 * settings.width

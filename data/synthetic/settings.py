@@ -134,8 +134,6 @@ class SceneSettings:
     """Brightness of the highlights on wet tissue at 0.5 scene units, as a share of full scale."""
     tool_in_view: bool = True
     """Draw the tool; otherwise what presses or grips is invisible, such as a probe from behind or a jet of air."""
-    circle: bool = False
-    """Black out pixels outside a round endoscope picture."""
 
     def __post_init__(self) -> None:
         for name, (lowest, highest) in _LIMITS.items():

@@ -9,13 +9,4 @@ cholecseg8k  checks a data set and prepares it; `python -m data.cholecseg8k` is 
 
 from palpate.common.lazy import exported
 
-__getattr__ = exported(
-    __name__,
-    {
-        "palpate.data.training.samples": ("Sample", "SampleSettings", "make_interaction", "make_sample"),
-        "palpate.data.training.splits": ("split_by_video", "split_samples"),
-        "palpate.data.training.batches": ("SampleDataset", "collate"),
-        "palpate.data.training.datamodule": ("ClipDataModule", "LoadingSettings"),
-        "palpate.data.training.preparation": ("prepare_all",),
-    },
-)
+__getattr__ = exported(__name__, {})

@@ -39,8 +39,6 @@ class SampleSettings:
     horizon: int = 1
     """Frames from a sample's current frame to the predicted one; 1 is the paper's, at which most of the change is
     noise. More need observation trajectory."""
-    min_deformation: float = 0.0
-    """Least observed motion of a sample, less the rigid motion [scene units]; 0 keeps all samples."""
     min_clip_deformation: float = 0.0
     """Least motion of a clip's contact from frame to frame, less the rigid motion, root mean square over its pairs
     [scene units]; 0 keeps all clips. Below it the camera moves and nothing deforms. Bini 2026, section 3.1, leaves such
@@ -72,9 +70,8 @@ class SampleSettings:
             )
         if self.onset_within is not None and self.onset_within < 1:
             raise ValueError(f"onset_within is {self.onset_within}; give at least 1, or leave it out.")
-        for name in ("min_deformation", "min_clip_deformation"):
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
-                raise ValueError(f"{name} is {getattr(self, name)}; give a length of at least 0.")
+        if not (math.isfinite(self.min_clip_deformation) and self.min_clip_deformation >= 0):
+            raise ValueError(f"min_clip_deformation is {self.min_clip_deformation}; give a length of at least 0.")
 
 
 @dataclass(frozen=True)
@@ -190,7 +187,7 @@ def builder_of(
     return run
 
 
-def _judge_pair(clip: PreparedClip, frame: int, settings: SampleSettings) -> str:
+def _judge_pair(clip: PreparedClip, frame: int, _: SampleSettings) -> str:
     """Why a frame gives no pair, or an empty string."""
     if not clip.contact[frame]:
         return clip.status[frame]
@@ -198,10 +195,8 @@ def _judge_pair(clip: PreparedClip, frame: int, settings: SampleSettings) -> str
         return "no next frame"
     if not clip.contact[frame + 1]:
         return "next frame not in contact"
-    if not (np.isfinite(clip.displacement[frame]).all() and np.isfinite(clip.backward[frame + 1]).all()):
-        return "contact not followed"
-    motion = _deformations(clip, settings)[frame]
-    return "rigid motion" if np.linalg.norm(motion) < settings.min_deformation else ""
+    followed = np.isfinite(clip.displacement[frame]).all() and np.isfinite(clip.backward[frame + 1]).all()
+    return "" if followed else "contact not followed"
 
 
 def _deformations(clip: PreparedClip, settings: SampleSettings) -> np.ndarray:
@@ -224,15 +219,8 @@ def _judge_run(clip: PreparedClip, frame: int, settings: SampleSettings) -> str:
         return "bad_depth"
     if settings.geometry.smoothing > 0 and not clip.noise[onset] > 0:
         return "noise not known"
-    times = builder_of(clip, onset, settings).build(settings.mechanics).observation.times
-    if len(times) == 0:
-        return "contact not followed"
-    observed = np.searchsorted(clip.times, clip.times[onset] + times - 1e-9)
-    deformation = clip.track_position[observed] - clip.track_position[onset]
-    if settings.geometry.rigid_motion == "keep":
-        drift = np.cumsum(np.nan_to_num(clip.rigid[onset : observed[-1]]), axis=0)
-        deformation = deformation - drift[observed - onset - 1]
-    return "rigid motion" if np.linalg.norm(deformation, axis=1).max() < settings.min_deformation else ""
+    contact = builder_of(clip, onset, settings).build(settings.mechanics)
+    return "" if len(contact.observation) else "contact not followed"
 
 
 def _pair(clip: PreparedClip, frame: int, motion: np.ndarray, settings: SampleSettings) -> Interaction:

@@ -10,6 +10,4 @@ whitening    neighbours' errors made independent, and how many of them are alike
 
 from palpate.common.lazy import exported
 
-__getattr__ = exported(
-    __name__, {"palpate.estimators.grip.lattice": ("GripFrame", "NothingMoves", "SheetFit", "fit_sheet")}
-)
+__getattr__ = exported(__name__, {})

@@ -321,17 +321,8 @@ def lattice_springs(points: np.ndarray, spacing: int) -> np.ndarray:
 
 def smoothness(shape: np.ndarray) -> np.ndarray:
     """Sum of the squared differences between neighbours on a grid of K knots, as a matrix [K, K]."""
-    number = np.arange(int(np.prod(shape))).reshape(tuple(shape))
-    pairs = np.concatenate(
-        [
-            np.column_stack([number[1:].ravel(), number[:-1].ravel()]),
-            np.column_stack([number[:, 1:].ravel(), number[:, :-1].ravel()]),
-        ]
-    )
-    difference = np.zeros((len(pairs), number.size))
-    rows = np.arange(len(pairs))
-    difference[rows, pairs[:, 0]], difference[rows, pairs[:, 1]] = 1, -1
-    return difference.T @ difference
+    rows, columns = (np.diff(np.eye(side), axis=0) for side in shape)
+    return np.kron(rows.T @ rows, np.eye(shape[1])) + np.kron(np.eye(shape[0]), columns.T @ columns)
 
 
 def bilinear(places: np.ndarray, shape: np.ndarray) -> csr_array:

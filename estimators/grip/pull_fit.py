@@ -21,7 +21,7 @@ from palpate.estimators.direct.slab_motion import SLAB_BOUNDS
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.grip.lattice import PIECE, along_last
 from palpate.estimators.grip.pull_motion import PullMotion
-from palpate.estimators.grip.sheet import LEAST_SCALE, LINK, THIRD, SeenFrame
+from palpate.estimators.grip.sheet import LEAST_SCALE, LINK, THIRD, PointGrid, SeenFrame
 from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.physics.fem.slab import Slab
 from palpate.physics.identifiability import box_information
@@ -84,21 +84,12 @@ class _Problem:
     Args:
         slab: the body.
         cell: width and height of a grid pixel, shape [2] [px].
-        points: places at rest, shape [N, 2] [px].
-        distance: from the tool there, shape [N] [px].
-        spacing: of the points' grid [px].
+        grid: the points.
         frames: T of them.
     """
 
-    def __init__(
-        self,
-        slab: Slab,
-        cell: np.ndarray,
-        points: np.ndarray,
-        distance: np.ndarray,
-        spacing: int,
-        frames: Sequence[SeenFrame],
-    ) -> None:
+    def __init__(self, slab: Slab, cell: np.ndarray, grid: PointGrid, frames: Sequence[SeenFrame]) -> None:
+        points, distance, _, spacing = grid
         cells = np.rint(points / spacing).astype(np.int64)
         low, high = (np.array([slab.columns[end], slab.rows[end]]) * cell for end in (0, -1))
         counted = ((points > low + cell) & (points < high)).all(axis=1)
@@ -155,30 +146,20 @@ class _Problem:
             self._weights[self._seen] = student_weights(seen, told + self.scale)
 
 
-def fit_pull(
-    slab: Slab,
-    cell: np.ndarray,
-    points: np.ndarray,
-    distance: np.ndarray,
-    spacing: int,
-    times: np.ndarray,
-    frames: Sequence[SeenFrame],
-) -> PullFit:
+def fit_pull(slab: Slab, cell: np.ndarray, grid: PointGrid, times: np.ndarray, frames: Sequence[SeenFrame]) -> PullFit:
     """Fit a slab to some frames of a grip.
 
     Args:
         slab: the tissue, its contact where the instrument holds it.
         cell: width and height of a grid pixel, shape [2] [px].
-        points: places at rest, on a square grid, shape [N, 2] [px].
-        distance: from the tool there, shape [N] [px].
-        spacing: of the grid [px].
+        grid: the points.
         times: of the frames since rest, rising, shape [T] [s].
         frames: T of them.
 
     Raises:
         NoEstimate: no point is seen on the slab.
     """
-    problem = _Problem(slab, cell, points, distance, spacing, frames)
+    problem = _Problem(slab, cell, grid, frames)
     motions = [PullMotion(slab, cell, problem.places, radius, times) for radius in RADII]
     middle = SLAB_BOUNDS.log_box[:, :2].mean(axis=0)
 

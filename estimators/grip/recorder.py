@@ -22,7 +22,7 @@ from palpate.estimators.estimate import NINETY, GripEstimate, NoEstimate
 from palpate.estimators.grip.lattice import LEAST_FRAMES, LEAST_MOTION, GripFrame, SheetFit, fit_sheet, skill
 from palpate.estimators.grip.pull_fit import fit_pull
 from palpate.estimators.grip.pull_motion import CELLS
-from palpate.estimators.grip.sheet import Measuring, NoSheet, SeenFrame, fit_foundation
+from palpate.estimators.grip.sheet import Measuring, NoSheet, PointGrid, SeenFrame, fit_foundation
 from palpate.estimators.grip.stiffness_field import StiffnessField
 from palpate.estimators.grip.stiffness_fit import fit_stiffness
 from palpate.estimators.model_errors import MODEL_ERRORS
@@ -125,20 +125,23 @@ class GripRecorder:
         pulled = {} if self._slab is None else self._pulled(*self._slab)
         return dataclasses.replace(found, stiffness=self._stiffness(), points=points, moved=moved, **pulled)
 
+    @property
+    def _grid(self) -> PointGrid:
+        follower = self._follower
+        return PointGrid(follower.points.astype(np.float64), follower.distance, follower.hidden, follower.spacing)
+
     def _pulled(self, contact: FrameGeometry, thickness: float) -> dict[str, Any]:
         """Fields of the estimate that a slab tells, the force over time in place of the sheet's."""
         try:
             slab = slab_beneath(contact.mesh, contact.vertex, contact.normal, thickness, CELLS, attached=False, order=2)
         except NoBody as error:
             raise NoEstimate(f"No slab fits under the tissue: {error}") from error
-        follower, (height, width) = self._follower, self._picture.shape[:2]
+        height, width = self._picture.shape[:2]
         cell = np.array([width, height]) / contact.mesh.grid_shape[::-1]
         fit = fit_pull(
             slab,
             cell,
-            follower.points,
-            follower.distance,
-            follower.spacing,
+            self._grid,
             np.array([item.time_s for item in self._kept]),
             [SeenFrame(item.frame.moved, item.noise) for item in self._kept],
         )
@@ -154,10 +157,10 @@ class GripRecorder:
 
     def _stiffness(self) -> StiffnessField | None:
         """Where the tissue is stiffer, by the last frame; None where no sheet can be fitted."""
-        follower, last = self._follower, self._kept[-1]
-        points, seen = follower.points.astype(np.float64), SeenFrame(last.frame.moved.astype(np.float64), last.noise)
+        last = self._kept[-1]
         try:
-            return fit_stiffness(points, follower.distance, follower.hidden, follower.spacing, seen, self._picture)
+            seen = SeenFrame(last.frame.moved.astype(np.float64), last.noise)
+            return fit_stiffness(self._grid, seen, self._picture)
         except NoSheet:
             return None
 
@@ -169,16 +172,15 @@ class GripRecorder:
         """
         follower = self._follower
         seen = [SeenFrame(item.frame.moved, item.noise) for item in self._kept]
-        points = follower.points.astype(np.float64)
 
         def measure(number: int, motion: np.ndarray, which: np.ndarray) -> SeenFrame:
             return SeenFrame(*follower.measured(self._kept[number].shown, motion.astype(np.float32), which))
 
         again = Measuring(follower.everywhere, measure)
         try:
-            fit = fit_foundation(points, follower.distance, follower.hidden, follower.spacing, seen, again)
+            fit = fit_foundation(self._grid, seen, again)
         except NoSheet:
-            held = fit_sheet(points, follower.spacing, frames, background=True)
+            held = fit_sheet(self._grid.points, follower.spacing, frames, background=True)
             pull, pull_sd = held.log_force(frames[-1])
             errors = MODEL_ERRORS.foundation_as_seen, MODEL_ERRORS.force_as_seen
             sd, pull_sd = np.hypot([held.log_anchor_sd, pull_sd], errors)

@@ -82,6 +82,19 @@ class NoSheet(ValueError):
     """Forces at the instrument and a sheet that is alike everywhere don't explain the points to within their noise."""
 
 
+class PointGrid(NamedTuple):
+    """Followed points on a square grid, as they are at rest; N points."""
+
+    points: np.ndarray
+    """Places, shape [N, 2] [px]."""
+    distance: np.ndarray
+    """Distance from the tool, shape [N] [px]."""
+    hidden: np.ndarray
+    """Places of the grid that the tool hides, shape [H, 2] [px]."""
+    spacing: int
+    """Spacing of the grid [px]."""
+
+
 @dataclass(frozen=True, eq=False)
 class SeenFrame:
     """Followed points of one frame; N points."""
@@ -143,7 +156,7 @@ def loaded_cells(points: np.ndarray, distance: np.ndarray, hidden: np.ndarray, s
     """Places of the grid on which forces may act, as numbers of its columns and rows, shape [M, 2].
 
     Every other one of those near the tool, as on a chessboard: the field around them is as free, at an eighth of the
-    work. Under a long shaft half of these. Arguments as of `fit_foundation`.
+    work. Under a long shaft half of these. Arguments as of `PointGrid`.
     """
     loaded = np.rint(np.concatenate([points[distance < LOADED], hidden]) / spacing).astype(np.int64)
     half = loaded[loaded.sum(axis=1) % 2 == 0]
@@ -169,16 +182,12 @@ class SheetProblem:
     """What the frames have in common.
 
     Args:
-        points: at rest, shape [N, 2] [px].
-        distance: from the tool there, shape [N] [px].
-        hidden: places of the grid that the tool hides, shape [H, 2] [px].
-        spacing: of the grid [px].
+        grid: the points.
         reach: of the correlation between neighbours' errors [px].
     """
 
-    def __init__(
-        self, points: np.ndarray, distance: np.ndarray, hidden: np.ndarray, spacing: int, reach: float = REACH
-    ) -> None:
+    def __init__(self, grid: PointGrid, reach: float = REACH) -> None:
+        points, distance, hidden, spacing = grid
         cells = np.rint(points / spacing).astype(np.int64)
         self.counted = np.flatnonzero((distance < DENSE) | (cells % THIRD == 0).all(axis=1))
         """Points that count, shape [n]."""
@@ -320,28 +329,18 @@ class FoundationFit:
     """Its standard deviation, shape [T]; 0 in the last frame."""
 
 
-def fit_foundation(
-    points: np.ndarray,
-    distance: np.ndarray,
-    hidden: np.ndarray,
-    spacing: int,
-    frames: Sequence[SeenFrame],
-    measuring: Measuring | None = None,
-) -> FoundationFit:
+def fit_foundation(grid: PointGrid, frames: Sequence[SeenFrame], measuring: Measuring | None = None) -> FoundationFit:
     """Fit the foundation of an endless sheet to some frames of a grip, in their order in time.
 
     Args:
-        points: places at rest, on a square grid, shape [N, 2] [px].
-        distance: from the tool there, shape [N] [px].
-        hidden: places of the grid that the tool hides there, shape [H, 2] [px].
-        spacing: of the grid [px].
+        grid: the points.
         frames: at least one.
         measuring: how points are measured again where a sheet explains them; None = they aren't.
 
     Raises:
         NoSheet: the points move otherwise, or the instrument hides too much.
     """
-    problem = SheetProblem(points, distance, hidden, spacing)
+    problem = SheetProblem(grid)
     if not 0 < problem.loaded <= MOST_LOADED:
         raise NoSheet(f"Forces may act on {problem.loaded} places; from 1 to {MOST_LOADED} can be told apart.")
     spread = evenly(len(frames), MOST_FITTED)
@@ -353,7 +352,7 @@ def fit_foundation(
     if measuring is not None:
         spread, design = evenly(len(frames), MOST_MEASURED), problem.design(found.log_anchor)
         solved = [problem.solve(design, frames[place]) for place in spread]
-        measured = SheetProblem(points, distance, hidden, spacing, MEASURED_REACH)
+        measured = SheetProblem(grid, MEASURED_REACH)
         again = _measured_again(measured, found._replace(solved=solved), spread, measuring)
         if again is not None:
             judged, (looked, found), error = measured, again, MODEL_ERRORS.foundation_measured

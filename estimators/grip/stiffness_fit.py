@@ -23,7 +23,17 @@ from scipy.optimize import least_squares
 
 from palpate.common.robust import affine_terms, error_scale, student_weights
 from palpate.estimators.grip.lattice import SPREAD, TYPICAL_ANCHOR, bilinear, continued, lattice_springs, smoothness
-from palpate.estimators.grip.sheet import ENERGY, EXCESS, LEAST_SCALE, LINK, MOST_LOADED, TINY, NoSheet, SeenFrame
+from palpate.estimators.grip.sheet import (
+    ENERGY,
+    EXCESS,
+    LEAST_SCALE,
+    LINK,
+    MOST_LOADED,
+    TINY,
+    NoSheet,
+    PointGrid,
+    SeenFrame,
+)
 from palpate.estimators.grip.stiffness_field import MOVES, StiffnessField
 from palpate.physics.sheet import Equilibrium, equilibrium
 
@@ -76,9 +86,8 @@ class _Solved(NamedTuple):
 class _Problem:
     """The sheet around a grip and what is seen of it; arguments as of `fit_stiffness`."""
 
-    def __init__(
-        self, points: np.ndarray, distance: np.ndarray, hidden: np.ndarray, spacing: int, frame: SeenFrame
-    ) -> None:
+    def __init__(self, grid: PointGrid, frame: SeenFrame) -> None:
+        points, distance, hidden, spacing = grid
         far = np.linalg.norm(frame.moved, axis=1)
         moving = np.isfinite(far) & (far > STILL)
         if moving.sum() < LEAST_MOVING:
@@ -203,29 +212,19 @@ class _Problem:
         return numbers, np.linalg.inv(jacobian.T @ jacobian)
 
 
-def fit_stiffness(
-    points: np.ndarray,
-    distance: np.ndarray,
-    hidden: np.ndarray,
-    spacing: int,
-    frame: SeenFrame,
-    picture: np.ndarray,
-) -> StiffnessField:
+def fit_stiffness(grid: PointGrid, frame: SeenFrame, picture: np.ndarray) -> StiffnessField:
     """Fit a field of stiffness to one frame of a grip.
 
     Args:
-        points: places at rest, on a square grid, shape [N, 2] [px].
-        distance: from the tool there, shape [N] [px].
-        hidden: places of the grid that the tool hides there, shape [H, 2] [px].
-        spacing: of the grid [px].
+        grid: the points.
         frame: the one in which the tissue has moved most tells most.
         picture: the one at rest, uint8 [H, W, 3] RGB.
 
     Raises:
         NoSheet: too little moves, or the instrument hides too much.
     """
-    problem = _Problem(points, distance, hidden, spacing, frame)
-    moving = points[np.linalg.norm(frame.moved, axis=1) > MOVES]
+    problem = _Problem(grid, frame)
+    moving = grid.points[np.linalg.norm(frame.moved, axis=1) > MOVES]
     numbers, covariance = problem.fit(problem.mean)
     excess = math.sqrt(problem.scale)
     if excess > EXCESS:

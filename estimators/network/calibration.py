@@ -5,8 +5,8 @@
         --output models/weights/contact.onnx --validation runs/contact/validation runs/contact/fine \
         --pressed runs/contact/pressed [--between runs/contact/between]
 
-The first exports what `estimators.network.training` wrote. The second calibrates any exported posterior, also one that
-`train.py export` wrote, by results of the benchmark with that file.
+The first exports the posterior that `train.py fit -c configs/contact.yaml` wrote. The second calibrates any exported
+posterior, also one that `train.py export` wrote, by results of the benchmark with that file.
 
 `models.calibration_fit` fits the widths once for whole contacts, once for contacts before their release (--pressed),
 and, for a network with an input for how well the instants are known, once for unknown instants (--between). The truth
@@ -169,7 +169,7 @@ def main(arguments: list[str] | None = None) -> int:
     program, text = "python -m estimators.network.calibration", __doc__.split("\n")[0]
     parser = argparse.ArgumentParser(prog=program, description=text)
     source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument("--weights", type=path_option, help="posterior.pt of estimators.network.training, to export")
+    source.add_argument("--weights", type=path_option, help="posterior.pt of configs/contact.yaml, to export")
     source.add_argument("--model", type=path_option, metavar="FILE", help="exported posterior, to calibrate")
     parser.add_argument("--output", type=path_option, required=True, help="ONNX file to write")
     text = "results of evaluation.benchmark --split validation with that file"

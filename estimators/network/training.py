@@ -1,6 +1,6 @@
 """Trains the contact posterior without labels: amortised variational inference on observed contact motions.
 
-    python -m estimators.network.training --output runs/contact [--contacts 3200]
+    palpate train fit -c configs/contact.yaml [--contact.contacts 3200 …]
 
 The loss is the evidence bound: the trajectory residual with its σ is the likelihood, the admissible box the prior (a
 Gaussian with the box's mean and variance). It reads motions, depth-change sequences and noise levels, never θ; of half
@@ -17,12 +17,6 @@ costs more than the network:
 
 from __future__ import annotations
 
-from palpate.common.doors import INTERRUPTED, enter_door, interruptible, run_door
-
-if __name__ == "__main__":
-    enter_door()  # before the slow imports
-
-import argparse
 import dataclasses
 import functools
 import json
@@ -33,6 +27,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import torch
@@ -40,11 +35,11 @@ from rich.console import Console
 from rich.progress import Progress
 from torch import Tensor, nn
 
-from palpate.common.command_line import path_option, progress_bars, say, whole_number
+from palpate.common.command_line import LARGEST_NUMBER, progress_bars
 from palpate.common.files import as_json, read_file
 from palpate.common.output import ForeignFile, replacing_own, require_own
 from palpate.common.provenance import code_digest
-from palpate.common.workers import WorkerLost, run_tasks
+from palpate.common.workers import run_tasks
 from palpate.data.contact.features import FEATURES, contact_features, contact_surroundings
 from palpate.data.contact.interaction import CONTACT, FIELD, Interaction
 from palpate.data.contact.sequence_features import SEQUENCE_FEATURES, sequence_features
@@ -91,6 +86,34 @@ BLUR_SHARES = 0.3, 0.03
 
 class TrainingError(ValueError):
     """There is nothing to train on; the message is a sentence."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ContactSettings:
+    """Settings of a training."""
+
+    output: Path
+    """Folder for the weights and the log."""
+    contacts: int = 3200
+    """Number of simulated contacts."""
+    observation: Literal["field", "contact"] = FIELD
+    """Input of the posterior: the depth of the whole dent, or the contact's motion alone."""
+    rough_steps: int = 800
+    fine_steps: int = 16000
+    bound_steps: int = 2000
+    seed: int = 0
+    """Another seed gives other contacts, weights and errors."""
+    workers: int | None = None
+    """Processes that draw contacts and explain motions; 0 = in this one, None = one a core."""
+
+    def __post_init__(self) -> None:
+        if self.output == Path():
+            raise ValueError("output is empty or the working folder; name a folder for the training alone.")
+        steps = dict.fromkeys(("rough_steps", "fine_steps", "bound_steps"), LEAST_STEPS)
+        for name, least in {"contacts": 1, "seed": 0, "workers": 0, **steps}.items():
+            value = getattr(self, name)
+            if value is not None and not least <= value <= LARGEST_NUMBER:
+                raise ValueError(f"{name} is {value}; give {least} to {LARGEST_NUMBER}.")
 
 
 def widened(contact: Interaction, logs: np.ndarray, blur: float) -> Linearised:
@@ -274,29 +297,7 @@ def make_contacts(
     return found
 
 
-def build_parser() -> argparse.ArgumentParser:
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        prog="python -m estimators.network.training",
-        description=__doc__.split("\n")[0],
-        epilog="Exit status: 0 done; 1 failed; 2 wrong usage; 130 interrupted.",
-    )
-    add = parser.add_argument
-    add("--output", type=path_option, required=True, help=f"folder for {WEIGHTS} and {LOG}")
-    add("--contacts", type=whole_number(1), default=3200, help="motions to train on (default %(default)s)")
-    text = "input of the posterior: the depth of the whole dent, or the contact's motion alone (default %(default)s)"
-    add("--observation", choices=list(INPUT_LENGTHS), default=FIELD, help=text)
-    steps = whole_number(LEAST_STEPS)
-    add("--rough-steps", type=steps, default=800, help="(default %(default)s)")
-    add("--fine-steps", type=steps, default=16000, help="(default %(default)s)")
-    add("--bound-steps", type=steps, default=2000, help="(default %(default)s)")
-    add("--seed", type=whole_number(0), default=0, help="(default %(default)s)")
-    text = "processes that draw contacts and explain motions; 0 = in this one (default: one a core)"
-    add("--workers", type=whole_number(0), default=os.cpu_count(), help=text)
-    return parser
-
-
-def train(options: argparse.Namespace) -> None:
+def train_contact(options: ContactSettings) -> None:
     """Train and save.
 
     Raises:
@@ -353,7 +354,7 @@ def _require_log(path: Path) -> None:
             raise ForeignFile(path)
 
 
-def _trainer(options: argparse.Namespace, progress: Progress) -> Trainer:
+def _trainer(options: ContactSettings, progress: Progress) -> Trainer:
     """The trainer, with depth-change sequences on contacts of which half have unknown instants."""
     made = functools.partial(make_contacts, progress=progress, workers=options.workers)
     if options.observation == CONTACT:
@@ -367,27 +368,23 @@ def _trainer(options: argparse.Namespace, progress: Progress) -> Trainer:
     return Trainer([*parts[0], *parts[1]], options.seed, within)
 
 
-def _prepared_by(options: argparse.Namespace) -> dict[str, object]:
+def _prepared_by(options: ContactSettings) -> dict[str, object]:
     """Everything that the results of the first two stages depend on."""
     names = ("observation", "contacts", "rough_steps", "seed")
     return {"code": code_digest(), **{name: getattr(options, name) for name in names}}
 
 
-def _keep_prepared(path: Path, options: argparse.Namespace, posterior: ContactPosterior, fits: Fits) -> None:
+def _keep_prepared(path: Path, options: ContactSettings, posterior: ContactPosterior, fits: Fits) -> None:
     """Store the results of the first two stages, so that an interrupted training goes on from there."""
-    arrays = {field.name: getattr(fits, field.name) for field in dataclasses.fields(Fits)}
+    arrays = dict(vars(fits))
     sequences = arrays.pop("sequences")
+    arrays |= {} if sequences is None else {f"sequences.{name}": values for name, values in vars(sequences).items()}
     parts = {name: torch.from_numpy(values) for name, values in arrays.items()}
-    if sequences is not None:
-        parts |= {
-            f"sequences.{field.name}": torch.from_numpy(getattr(sequences, field.name))
-            for field in dataclasses.fields(DepthSequences)
-        }
     with replacing_own(path) as partial:
         torch.save({"by": _prepared_by(options), "posterior": posterior.state_dict(), "fits": parts}, partial)
 
 
-def _read_prepared(path: Path, options: argparse.Namespace, posterior: ContactPosterior) -> Fits | None:
+def _read_prepared(path: Path, options: ContactSettings, posterior: ContactPosterior) -> Fits | None:
     """The stored fits, with the stored weights loaded into the posterior; None where none belong to the options."""
     try:
         kept = torch.load(path, map_location="cpu", weights_only=True)
@@ -401,27 +398,3 @@ def _read_prepared(path: Path, options: argparse.Namespace, posterior: ContactPo
         name.removeprefix("sequences."): arrays.pop(name) for name in list(arrays) if name.startswith("sequences.")
     }
     return Fits(**arrays, sequences=DepthSequences(**sequences) if sequences else None)
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """Train as the command line asks for; returns the exit status."""
-    console, options = Console(stderr=True), build_parser().parse_args(arguments)
-    if (options.output / WEIGHTS).exists():
-        text = f"{options.output} holds a finished training; give another --output, or remove that folder."
-        say(console, text, "red")
-        return 2
-    try:
-        with interruptible():
-            train(options)
-    except KeyboardInterrupt:
-        text = f"Interrupted; {options.output} holds no {WEIGHTS}. The same command goes on, after its fits if made."
-        say(console, text, "yellow")
-        return INTERRUPTED
-    except (OSError, TrainingError, WorkerLost) as error:
-        say(console, str(error), "red")
-        return 1
-    return 0
-
-
-if __name__ == "__main__":
-    run_door(main)

@@ -16,15 +16,4 @@ estimator  the door: a sheet or a volume for every run of contact; settings: as 
 
 from palpate.common.lazy import exported
 
-__getattr__ = exported(
-    __name__,
-    {
-        "palpate.estimators.online.matching": ("Chamfer", "Tracks"),
-        "palpate.estimators.online.mapping": ("Mapping", "Residual", "map_residual"),
-        "palpate.estimators.online.bounds": ("Bounds",),
-        "palpate.estimators.online.objective": ("Objective", "Weights"),
-        "palpate.estimators.online.session": ("Method", "Session"),
-        "palpate.estimators.online.settings": ("OnlineSettings", "load_settings"),
-        "palpate.estimators.online.estimator": ("OnlineEstimator",),
-    },
-)
+__getattr__ = exported(__name__, {})

@@ -5,13 +5,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from palpate.estimators.palpation.bench import SHOWN, Bench, Palpation, beside_the_tool
-from palpate.estimators.palpation.material_fit import POISSON, FitSettings, MaterialFit, require_along
+from palpate.estimators.palpation.material_fit import POISSON, FitSettings, MaterialFit, fit_material, require_along
 from palpate.estimators.palpation.registration import placed, register
 from palpate.estimators.palpation.skin import Match, Skin
 from palpate.physics.fem import Equilibrium, NoEquilibrium
@@ -31,14 +31,14 @@ def descend(
     palpations: Sequence[Palpation],
     settings: FitSettings,
     most: int = 400,
-    told: Callable[[str], None] = lambda line: None,
+    report: Callable[[str], None] = lambda line: None,
 ) -> MaterialFit:
     """Gradient descent on (log E, ν), its gradient by forward differences.
 
     The error is equation 3's, summed over points that show no tool: those are chosen once, and the very same are what
     ICP lays onto the simulated surface. ICP makes the error least over the pose, so that differences at the pose of the
     step's beginning are its gradient; points that come and go would roughen it, as would other points to align by. The
-    paper's step length λ is not told: here it is halved until the error falls and doubled afterwards; E in logarithms,
+    paper's step length λ is not given: here it is halved until the error falls and doubled afterwards; E in logarithms,
     because in pascals no step suits both. It begins at the E that is given, and four times stiffer as often as the
     body can't bear the force there, or only turned inside out: the co-rotational law finds rest there, and the descent
     can stay there. The path's first place is where it began, with what softer starts took before. Later steps may pass
@@ -86,7 +86,7 @@ def descend(
             break
         here, values, length = found, aim, 2 * length
         path.append(bench.progress(np.exp(values[0]), values[1]))
-        told(f"step {len(path) - 1}: E {path[-1].young:.4g} Pa, ν {values[1]:.3f}, {bench.solves} solves")
+        report(f"step {len(path) - 1}: E {path[-1].young:.4g} Pa, ν {values[1]:.3f}, {bench.solves} solves")
     path.append(bench.progress(np.exp(values[0]), values[1]))  # with what the last search took
     noise = float(np.sqrt(here.total / len(palpations)))
     return MaterialFit(path[-1].young, path[-1].poisson, np.full((2, 2), np.nan), here.poses, here.rests, noise, path)
@@ -138,3 +138,7 @@ class _Error:
             apart = Match.of(placed(poses[-1], cloud), vertices, skin.triangles).apart
             total += float(np.square(apart).mean())
         return _Found(total, list(rests), poses)
+
+
+OPTIMIZERS: Mapping[str, Callable[..., MaterialFit]] = {"gauss-newton": fit_material, "gradient": descend}
+"""Fits of Young's modulus and Poisson's ratio by name: by exact derivatives, or the paper's numeric descent."""

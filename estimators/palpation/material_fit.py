@@ -133,7 +133,7 @@ def fit_material(
     held: np.ndarray,
     palpations: Sequence[Palpation],
     settings: FitSettings = FitSettings(),
-    told: Callable[[str], None] = lambda line: None,
+    report: Callable[[str], None] = lambda line: None,
 ) -> MaterialFit:
     """Fit E, ν and the poses.
 
@@ -142,7 +142,7 @@ def fit_material(
         held: which components of the nodes are fixed, shape [N, 3], bool.
         palpations: one or several.
         settings: law and start.
-        told: is given a line after every simulation.
+        report: is given a line after every simulation.
 
     Raises:
         NoEquilibrium: the body can't bear the forces at any stiffness that was tried.
@@ -154,7 +154,7 @@ def fit_material(
     _require_along(bench, settings.young, rests)
     young = settings.young / scale
     system = found = _System(bench, _states(bench, rests, scale), np.zeros(2), bench.poses, poisson).solved()
-    path = [_told(bench, young, poisson, found)]
+    path = [_progress(bench, young, poisson, found)]
     steps, trust, stiffer = 0, 1.0, 1.0
     while True:
         aim = stiffer * young / (1 + trust * found.change[0]), poisson + trust * float(found.change[1])
@@ -181,15 +181,15 @@ def fit_material(
         found = system.solved()
         # Close to ν = 0.5 derivatives change with ν, and whole steps go to and fro.
         trust = trust / 2 if steps > 1 and gone @ found.change < -TURNED * gone @ gone else 1.0
-        path.append(_told(bench, young, poisson, found))
-        told(f"step {steps}: E {young:.4g} Pa, ν {poisson:.3f}, {1000 * found.noise:.3g} mm left")
+        path.append(_progress(bench, young, poisson, found))
+        report(f"step {steps}: E {young:.4g} Pa, ν {poisson:.3f}, {1000 * found.noise:.3g} mm left")
         if found.still() or steps == ROUNDS:
             break
     covariance = found.covariance(settings.model_error)
     return MaterialFit(path[-1].young, path[-1].poisson, covariance, found.poses, rests, found.noise, path)
 
 
-def _told(bench: Bench, young: float, poisson: float, found: _System) -> Progress:
+def _progress(bench: Bench, young: float, poisson: float, found: _System) -> Progress:
     """By the derivatives, from what was simulated."""
     return bench.progress(young / (1 + found.change[0]), poisson + found.change[1])
 

@@ -229,16 +229,8 @@ def _palpation(values: dict[str, Any], where: str, folder: Path, extent: _Extent
         told = f"holds {len(points)} points; give the surface as it was seen under the force, {FEWEST} at least"
         raise InputError(f"{printable(folder / each.points)} {told}.")
     _require_body(printable(folder / each.points), points)
-    return Palpation(
-        np.array(each.force),
-        contact,
-        points,
-        np.array(each.pose, np.float64),
-        each.tool_radius,
-        each.hole,
-        each.pose_shift,
-        each.pose_turn,
-    )
+    sizes = each.tool_radius, each.hole, each.pose_shift, each.pose_turn
+    return Palpation(np.array(each.force), contact, points, np.array(each.pose, np.float64), *sizes)
 
 
 def _views(scene: SceneFile, path: Path) -> list[View]:

@@ -30,10 +30,10 @@ from palpate.common.files import as_json
 from palpate.common.output import replacing_own, require_own
 from palpate.data.source.layout import InputError
 from palpate.estimators.estimate import NINETY
-from palpate.estimators.palpation import Indenter, fit_indentation, fit_material, fit_relaxation, read_hold, read_probes
+from palpate.estimators.palpation import Indenter, fit_indentation, fit_relaxation, read_hold, read_probes
 from palpate.estimators.palpation.bench import across, half_as_stiff, surface_distance, surface_error
 from palpate.estimators.palpation.curves import HOLD, kind_of
-from palpate.estimators.palpation.descent import descend
+from palpate.estimators.palpation.descent import OPTIMIZERS
 from palpate.estimators.palpation.material_fit import NOTHING, MaterialFit
 from palpate.estimators.palpation.scene import Scene, read_scene
 from palpate.physics.fem import NoEquilibrium
@@ -59,7 +59,7 @@ def build_parser() -> argparse.ArgumentParser:
     palpation = doors.add_parser("palpation", help="surfaces under forces")
     palpation.add_argument("scene", type=path_option, metavar="SCENE.yaml", help="see docs/reports/palpation.md")
     text = "gauss-newton: exact derivatives (default); gradient: a numeric descent after the paper's"
-    palpation.add_argument("--optimizer", choices=("gauss-newton", "gradient"), default="gauss-newton", help=text)
+    palpation.add_argument("--optimizer", choices=list(OPTIMIZERS), default="gauss-newton", help=text)
     text = "of the sheet that the tissue's surface is on video, told to infer.py --calibration"
     thickness = real_number("a positive number", 1e-6)
     palpation.add_argument("--sheet-thickness", type=thickness, metavar="MM", help=text)
@@ -105,9 +105,9 @@ def _palpation(path: Path, optimizer: str, thickness: float | None, output: Path
         say(console, f"surface: {note}", "yellow")
     with writing(output):  # before what takes minutes
         output.mkdir(parents=True, exist_ok=True)
-    fit = fit_material if optimizer == "gauss-newton" else descend
     try:
-        found = fit(scene.skin, scene.held, scene.palpations, scene.settings, told=lambda line: say(console, line))
+        problem = scene.skin, scene.held, scene.palpations, scene.settings
+        found = OPTIMIZERS[optimizer](*problem, report=lambda line: say(console, line))
     except (ValueError, NoEquilibrium) as error:
         raise InputError(f"{path}: {error}") from error
     known = optimizer == "gauss-newton"

@@ -23,7 +23,7 @@ from palpate.common.files import as_json
 from palpate.common.output import replacing_own, require_own
 from palpate.data.source.layout import InputError
 from palpate.physics.fem import NoEquilibrium
-from palpate.planning import Blocked, find_plan, open_table, read_plan_scene, simulate_press
+from palpate.planning import Blocked, find_plan, open_tables, read_plan_scene, simulate_press
 from palpate.planning.pictures import Pressed, draw_plan, force_along
 from palpate.planning.roadmap import MILLI, EdgeCosts, Plan
 from palpate.planning.scene import PlanScene
@@ -58,9 +58,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         with writing(options.output):
             require_own(*(options.output / name for name in NAMES))
-        scene = read_plan_scene(options.scene)
-        if options.alpha is not None:
-            scene = dataclasses.replace(scene, alpha=options.alpha)
+        scene = read_plan_scene(options.scene, options.alpha)
         return _plan(scene, options.output, options.cache or options.output / "presses", console)
     except (InputError, OutputError) as error:
         say(console, str(error), "red")
@@ -70,17 +68,19 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _plan(scene: PlanScene, output: Path, cache: Path, console: Console) -> int:
-    for folder in (output, cache):  # before what takes minutes
-        with writing(folder):
-            folder.mkdir(parents=True, exist_ok=True)
-    tables = {}
-    for name, kind in scene.kinds.items():
-        with progress_bars(console) as progress, writing(cache):
-            bar = progress.add_task(f"presses on {name}", total=None)
-            tables[name], simulated = open_table(
-                kind, scene.tip_radius, cache, lambda done, of, bar=bar: progress.update(bar, completed=done, total=of)
-            )
-        say(console, f"{name}: {simulated} presses simulated" if simulated else f"{name}: presses found in the cache")
+    with writing(output):  # before what takes minutes
+        output.mkdir(parents=True, exist_ok=True)
+    simulated = dict.fromkeys(scene.kinds, 0)
+    with progress_bars(console) as progress, writing(cache):
+        bars = {name: progress.add_task(f"presses on {name}", total=None) for name in scene.kinds}
+
+        def report(name: str, done: int, of: int) -> None:
+            simulated[name] = done
+            progress.update(bars[name], completed=done, total=of)
+
+        tables = open_tables(scene, cache, report)
+    for name, count in simulated.items():
+        say(console, f"{name}: {count} presses simulated" if count else f"{name}: presses found in the cache")
     begun = time.perf_counter()
     costs = EdgeCosts(scene, tables)
     plan = find_plan(costs)

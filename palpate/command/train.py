@@ -1,8 +1,9 @@
-"""Train, validate, test or export the parameter network, from one configuration file.
+"""Train, validate, test or export the parameter network, or train the contact posterior, from one configuration file.
 
     palpate train fit -c configs/paper.yaml [--trainer.max_epochs 5 …] [--ckpt_path last]
     palpate train validate|test -c configs/paper.yaml --ckpt_path best
     palpate train export -c configs/paper.yaml --ckpt_path best --output parameters.onnx
+    palpate train fit -c configs/contact.yaml [--contact.contacts 3200 …]
 
 `--ckpt_path` is a file, or `best` or `last` of the run folder (`trainer.default_root_dir`), which also gets logs,
 pictures and the evaluation. Exit status: 0 done, 1 failed, 2 wrong usage, 130 interrupted.
@@ -10,6 +11,7 @@ pictures and the evaluation. Exit status: 0 done, 1 failed, 2 wrong usage, 130 i
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import hashlib
 import os
@@ -27,7 +29,7 @@ os.environ.setdefault("DO_NOT_TRACK", "true")
 os.environ.setdefault("MLFLOW_LOGGING_LEVEL", "WARNING")
 
 import yaml
-from jsonargparse import Namespace
+from jsonargparse import ActionConfigFile, Namespace
 from lightning.pytorch import LightningModule, Trainer
 from lightning.pytorch.callbacks import ModelCheckpoint, TQDMProgressBar
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI, SaveConfigCallback
@@ -39,11 +41,13 @@ from mlflow.exceptions import MlflowException
 
 from palpate.common.output import ForeignFile, replacing_own, require_own
 from palpate.common.settings import shown, sound
+from palpate.common.workers import WorkerLost
 from palpate.data.contact.features import FEATURES
 from palpate.data.contact.geometry import GeometrySettings
 from palpate.data.contact.sequence_features import SEQUENCE_FEATURES
 from palpate.data.source.layout import InputError, read_mapping
 from palpate.data.training.datamodule import ClipDataModule
+from palpate.estimators.network.training import WEIGHTS, ContactSettings, TrainingError, train_contact
 from palpate.evaluation.paper.analysis import EvaluationError
 from palpate.evaluation.paper.figures import draw_next_depth
 from palpate.evaluation.paper.report import FILES, write_evaluation
@@ -67,6 +71,9 @@ MAX_SEED = 2**32 - 1
 """Largest seed of numpy's global generator."""
 BASELINE_CONTACTS = 8
 """Training pairs that the constant-θ baseline of the evaluation is fitted on, at most, evenly spaced."""
+
+FAILURES = (InputError, TrainingDiverged, TrainingError, WorkerLost, ParityError, EvaluationError, ForeignFile)
+"""Errors with exit status 1, each of which is a sentence."""
 
 
 class UsageError(ValueError):
@@ -336,11 +343,52 @@ def log_artifact(trainer: Trainer, path: Path, folder: str | None = None) -> Non
             logger.experiment.log_artifact(logger.run_id, str(path), folder)
 
 
+def trains_contact(arguments: list[str]) -> bool:
+    """Whether `fit` is to train the contact posterior: a configuration or an option holds settings of `contact`."""
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("-c", "--config", action="append", default=[])
+    given, others = parser.parse_known_args(arguments)
+    if any(option.startswith("--contact.") for option in others):
+        return True
+    with contextlib.suppress(InputError):  # the parser of the settings says what is wrong with the file
+        return any("contact" in read_mapping(Path(path), "a configuration") for path in given.config)
+    return False
+
+
+def fit_contact(arguments: list[str]) -> None:
+    """Train the contact posterior.
+
+    Args:
+        arguments: command line after `fit`.
+    """
+    parser = SentenceParser(prog="train.py fit", description="Train the contact posterior.", allow_abbrev=False)
+    parser.add_argument("-c", "--config", action=ActionConfigFile, help="Configuration file.")
+    parser.add_class_arguments(ContactSettings, "contact")
+    chosen = parser.parse_args(arguments)
+    try:
+        settings = ContactSettings(**chosen.contact.as_dict())
+    except ValueError as error:  # from the check of a setting
+        raise UsageError(str(error)) from error
+    if (settings.output / WEIGHTS).exists():
+        raise UsageError(f"{settings.output} holds a finished training; give another output, or remove that folder.")
+    try:
+        with interruptible():
+            train_contact(settings)
+    except KeyboardInterrupt:
+        text = f"Interrupted; {settings.output} holds no {WEIGHTS}. The same command goes on, after its fits if made."
+        print(plain(text), file=sys.stderr)
+        raise
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line and return the exit status."""
     warnings.filterwarnings("ignore", message=".*LeafSpec.*")  # Lightning about torch's internals
     disable_possible_user_warnings()  # guesses about worker counts
+    command = sys.argv[1:] if arguments is None else arguments
     try:
+        if command[:1] == ["fit"] and trains_contact(command[1:]):
+            fit_contact(command[1:])
+            return 0
         with interruptible():
             TrainCLI(
                 PhysicsInformedGAN,
@@ -357,7 +405,7 @@ def main(arguments: list[str] | None = None) -> int:
     except (UsageError, CheckpointError, UnstableConfiguration, MisconfigurationException) as error:
         print(plain(f"train.py: {error}"), file=sys.stderr)
         return 2
-    except (InputError, TrainingDiverged, ParityError, EvaluationError, ForeignFile) as error:
+    except FAILURES as error:
         print(plain(f"train.py: {error}"), file=sys.stderr)
         return 1
     except MlflowException as error:  # the database was locked or lost during the run

@@ -15,7 +15,7 @@ from scipy.ndimage import label
 
 from palpate.physics.fem.lattice import fill_cells
 from palpate.physics.fem.refinement import Longest, refine
-from palpate.physics.fem.solid import FACES, qualities
+from palpate.physics.fem.solid import FACES, outer_faces, qualities
 from palpate.physics.fem.surface import areas, nearest, rows_needed
 
 WORST = 0.05
@@ -227,9 +227,7 @@ def _drawn(
     floor: tuple[int, float] | None,
 ) -> tuple[np.ndarray, float]:
     """Nodes with those of the body's surface drawn to a distance from the triangles, inner ones to their neighbours."""
-    faces = tetrahedra[:, FACES].reshape(-1, 3)
-    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
-    bare = faces[first[count == 1]]
+    bare = outer_faces(tetrahedra)
     axis, height = (0, -np.inf) if floor is None else floor
     grounded = np.abs(nodes[:, axis] - height) < 1e-9 * np.ptp(nodes)
     outer = np.unique(bare[~grounded[bare].all(axis=1)])

@@ -11,12 +11,4 @@ sweep_kernel       compiled time steps; adjoint_kernel: back through them; poten
 
 from palpate.common.lazy import exported
 
-__getattr__ = exported(
-    __name__,
-    {
-        "palpate.physics.pbd.body": ("Body", "make_body"),
-        "palpate.physics.pbd.stiffness": ("Stiffness",),
-        "palpate.physics.pbd.simulation": ("Motion", "Stepping", "simulate"),
-        "palpate.physics.pbd.potential": ("Potential",),
-    },
-)
+__getattr__ = exported(__name__, {})

@@ -218,7 +218,7 @@ def test_an_exported_posterior_that_is_none_gets_a_sentence(tmp_path: Path, cont
 
 def test_a_pretrained_posterior_says_how_much_it_is_told(pretrained, checkpoint: Path, tmp_path: Path):
     assert posterior_features(pretrained[0]) == 7
-    with pytest.raises(CheckpointError, match=r"nothing\.pt does not exist; give a file that python -m estimators"):
+    with pytest.raises(CheckpointError, match=r"nothing\.pt does not exist; give a file that train.py fit -c"):
         posterior_features(tmp_path / "nothing.pt")
     torch.save({"entry.weight": [1, 2]}, tmp_path / "list.pt")
     for foreign in (checkpoint, tmp_path / "list.pt"):
@@ -228,7 +228,7 @@ def test_a_pretrained_posterior_says_how_much_it_is_told(pretrained, checkpoint:
 
 def test_a_pretrained_posterior_that_does_not_fit_is_refused(pretrained, checkpoint: Path, tmp_path: Path):
     path, _ = pretrained
-    with pytest.raises(CheckpointError, match=r"nothing\.pt does not exist; give a file that python -m estimators"):
+    with pytest.raises(CheckpointError, match=r"nothing\.pt does not exist; give a file that train.py fit -c"):
         load_posterior(ContactPosterior(7, BOX), tmp_path / "nothing.pt")
     for foreign, size in ((checkpoint, 7), (path, 8)):
         with pytest.raises(CheckpointError, match="holds no contact posterior of this version"):

@@ -1,18 +1,16 @@
-"""What is drawn on a frame, and the video file."""
+"""What is drawn on a frame."""
 
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
 from palpate.estimators.estimate import FrameEstimate
 from palpate.results import overlay
 from palpate.results.columns import UNITS
-from palpate.results.overlay import canvas_size, draw_overlay, open_video, shade, text, text_width, wrap_text
+from palpate.results.overlay import canvas_size, draw_overlay, shade, text, text_width, wrap_text
 from palpate.results.verdicts import COLORS
 from tests.estimators.estimates import frame_in_contact
 
@@ -149,38 +147,3 @@ def test_shade_darkens_only_its_rectangle() -> None:
     shade(image, (5, 5), (10, 10), 0.5)
     assert image[10, 10, 0] == 105
     assert image[4, 10, 0] == image[15, 10, 0] == 200
-
-
-@pytest.mark.parametrize("with_av", [True, False])
-def test_video_keeps_rate_count_and_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, with_av: bool) -> None:
-    if with_av:
-        pytest.importorskip("av")
-    else:
-        monkeypatch.setattr(overlay, "av", None)
-    path = tmp_path / "overlay.mp4"
-    video = open_video(path, (321, 241), 30000 / 1001)
-    for level in range(12):
-        video.write(np.full((482, 642, 3), 20 * level, np.uint8))
-    video.close()
-    assert video.encoder == ("libx264" if with_av else "mp4v")
-    reader = cv2.VideoCapture(str(path))
-    assert reader.get(cv2.CAP_PROP_FRAME_COUNT) == 12
-    assert reader.get(cv2.CAP_PROP_FPS) == pytest.approx(29.97, abs=0.01)
-    frames = [reader.read()[1] for _ in range(12)]
-    assert [abs(float(frame.mean()) - 20 * level) < 6 for level, frame in enumerate(frames)] == [True] * 12
-
-
-@pytest.mark.parametrize("with_av", [True, False])
-def test_missing_folder_is_an_os_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, with_av: bool) -> None:
-    if with_av:
-        pytest.importorskip("av")
-    else:
-        monkeypatch.setattr(overlay, "av", None)
-
-    def attempt() -> None:
-        video = open_video(tmp_path / "nowhere" / "overlay.mp4", SIZE, 25.0)
-        video.write(grey())
-        video.close()
-
-    with pytest.raises(OSError, match=r"write|No such"):
-        attempt()

@@ -17,15 +17,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from palpate.common import output
 from palpate.common.files import file_sha256
+from palpate.common.output import LIST
 from palpate.data.depth.normalise import DepthSettings, open_depth
 from palpate.data.masks.class_table import CLASSES
 from palpate.data.masks.sources import MaskClasses, open_masks
+from palpate.data.source import video
 from palpate.data.source.frames import discover, open_source
 from palpate.data.source.layout import ClipLayout
 from palpate.data.synthetic import clip as clips
 from palpate.data.synthetic.__main__ import field_help, main, picture_size
-from palpate.data.synthetic.clip import MARKER, SyntheticClip, clip_seed, folder_start, make_clip, write_clip
+from palpate.data.synthetic.clip import SyntheticClip, clip_seed, folder_start, make_clip, write_clip
 from palpate.data.synthetic.files import open_video
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.training.cholecseg8k import join_folders, list_clips
@@ -147,11 +150,11 @@ def test_the_truth_tells_when_the_force_started(tmp_path: Path) -> None:
 
 
 def test_the_video_shows_the_same_frames(written: Path, clip: SyntheticClip) -> None:
-    video = cv2.VideoCapture(str(written.with_suffix(".mp4")))
+    reader = cv2.VideoCapture(str(written.with_suffix(".mp4")))
     frames = []
-    while (read := video.read())[0]:
+    while (read := reader.read())[0]:
         frames.append(read[1][..., ::-1].astype(float))
-    video.release()
+    reader.release()
     assert len(frames) == 20
     assert np.abs(np.stack(frames) - clip.images).mean() < 6
 
@@ -161,7 +164,7 @@ def test_videos_of_odd_size_lose_their_last_row_and_column(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, without_av: bool
 ) -> None:
     if without_av:
-        monkeypatch.setitem(__import__("sys").modules, "av", None)
+        monkeypatch.setattr(video, "av", None)
     settings = dataclasses.replace(SMALL, width=109, height=63)
     with open_video(tmp_path / "odd.mp4", settings) as add:
         for _ in range(3):
@@ -193,7 +196,7 @@ def test_a_real_data_set_is_never_overwritten(tmp_path: Path, capsys: pytest.Cap
     options = ["--output", str(tmp_path), "--size", "small", "--frames", "20", "--press-seconds", "0.2", "0.3"]
     assert main([*options, "--overwrite"]) == 1
     told = "".join(capsys.readouterr().err.split())
-    assert f"{tmp_path / 'video01'}hasnosynthetic.jsonofthisprogram;moveitaway" in told
+    assert f"{tmp_path / 'video01'}isnotasthisprogramwroteit;moveitaway" in told
     assert main(options) == 1
     assert [path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()] == [b"precious"]
 
@@ -204,7 +207,7 @@ def test_a_file_that_is_not_as_written_is_named_and_stays(tmp_path: Path, foreig
     path = tmp_path / "video01" / foreign
     path.parent.mkdir(exist_ok=True)
     path.write_bytes(b"precious")
-    with pytest.raises(FileExistsError, match=rf"{foreign} is not as data.synthetic wrote it; move it away"):
+    with pytest.raises(FileExistsError, match=rf"{foreign} is not as this program wrote it; move it away"):
         write_clip(tmp_path, 1, SMALL, 2, overwrite=True)
     assert path.read_bytes() == b"precious"
     assert json.loads((tmp_path / "video01" / "video01_00000" / "truth.json").read_text(encoding="utf-8"))["seed"] == 1
@@ -215,8 +218,8 @@ def test_a_huge_file_in_a_frame_s_place_is_not_read(tmp_path: Path, monkeypatch:
     with frame.open("wb") as file:
         file.truncate(12 * 2**30)
     read = []
-    monkeypatch.setattr(clips, "file_sha256", lambda path: read.append(path.name) or file_sha256(path))
-    with pytest.raises(FileExistsError, match="is not as data"):
+    monkeypatch.setattr(output, "file_sha256", lambda path: read.append(path.name) or file_sha256(path))
+    with pytest.raises(FileExistsError, match=r"frame_3_endo\.png is not as this program wrote it"):
         write_clip(tmp_path, 1, SMALL, 2, overwrite=True)
     assert read
     assert frame.name not in read
@@ -227,9 +230,9 @@ def test_folders_behind_links_and_odd_markers_are_not_ours(tmp_path: Path) -> No
     write_clip(tmp_path, 2, SMALL, 1)
     (tmp_path / "video01").symlink_to(tmp_path / "video02")
     (tmp_path / "video03").mkdir()
-    (tmp_path / "video03" / MARKER).write_text('{"files": ["frame_1_endo.png"]}')
+    (tmp_path / "video03" / LIST).write_text('{"files": ["frame_1_endo.png"]}')
     for number in (1, 3):
-        with pytest.raises(FileExistsError, match=f"video0{number} has no {MARKER} of this program"):
+        with pytest.raises(FileExistsError, match=rf"video0{number}[^ ]* is not as this program wrote it"):
             write_clip(tmp_path, number, SMALL, 2, overwrite=True)
     assert (tmp_path / "video02" / "video02_00000" / "truth.json").is_file()
 
@@ -250,7 +253,7 @@ RUNS = st.tuples(st.just("run"), st.integers(1, 2), st.integers(1, 2), st.boolea
 PUTS = st.tuples(
     st.just("put"),
     st.sampled_from(("video01", "video01/video01_00000", "video02/sub", ".video01.1.partial", ".")),
-    st.sampled_from((MARKER, "truth.json", "frame_0_endo.png", "notes.txt")),
+    st.sampled_from((LIST, "truth.json", "frame_0_endo.png", "notes.txt")),
 )
 
 

@@ -164,15 +164,6 @@ def test_occlusion_hides_its_share_of_the_tissue() -> None:
     np.testing.assert_array_equal(hidden.motion.contact, bare.motion.contact)
 
 
-def test_the_circle_blacks_out_the_corners() -> None:
-    clip = make_clip(dataclasses.replace(SMALL, circle=True, image_noise=0.02), 5)
-    corner = np.s_[:, :8, :8]
-    assert not clip.images[corner].any()
-    assert not clip.depth[corner].any()
-    assert (clip.labels[corner] == GREY["background"]).all()
-    assert clip.depth[:, 60, 107].all()
-
-
 def test_shading_has_no_seam_around_the_moving_region(case: tuple[Scene, TrueMotion, SheetView]) -> None:
     scene, motion, rest = case
     renderer = Renderer(scene, motion, np.random.default_rng(0))

@@ -154,16 +154,6 @@ def test_contact_without_onset_gives_no_trajectory(tmp_path):
     assert left_out == {"onset not observed": 3, "no_tool": 3}
 
 
-def test_rigid_motion_can_be_left_out(tmp_path):
-    folder = write_clip(tmp_path / "clip", shift=1.0, recede=0.0)
-    clip = prepare(folder, SETTINGS, tmp_path / "cache")
-    for settings in (PAIRS, TRAJECTORY):
-        assert list_frames(clip, settings)[0] == [3, 4, 5, 6]
-        frames, left_out = list_frames(clip, replace(settings, min_deformation=0.004))
-        assert frames == []
-        assert left_out["rigid motion"] == 4
-
-
 def test_direction_of_the_observed_motion(clip):
     along = replace(PAIRS, geometry=GeometrySettings(height=48, width=64, force_direction="displacement"))
     sample = make_sample(clip, 4, along)
@@ -195,7 +185,7 @@ def test_a_pairs_course_is_from_rest_to_where_it_is_compared(clip, observation, 
     "wrong",
     [
         {"window": 0},
-        {"min_deformation": float("nan")},
+        {"min_clip_deformation": float("nan")},
         {"onset_within": 0},
         {"horizon": 0, "observation": "trajectory"},
         {"horizon": 2},

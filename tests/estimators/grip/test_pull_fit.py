@@ -12,7 +12,7 @@ from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.grip import pull_fit
 from palpate.estimators.grip.pull_fit import PullFit, _Problem, fit_pull
 from palpate.estimators.grip.pull_motion import PullMotion
-from palpate.estimators.grip.sheet import SeenFrame
+from palpate.estimators.grip.sheet import PointGrid, SeenFrame
 from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.physics.fem import Inertia, Material, simulate
 from palpate.physics.load import Grip
@@ -32,6 +32,12 @@ def grid() -> tuple[np.ndarray, np.ndarray]:
     away = np.maximum(np.abs(places - [120, 242]) - [122, 12], 0)
     distance = np.linalg.norm(away, axis=1)
     return places[distance > 5], distance[distance > 5]
+
+
+def point_grid() -> PointGrid:
+    """The grid, of which no place is hidden."""
+    points, distance = grid()
+    return PointGrid(points, distance, points[:0], SPACING)
 
 
 @functools.lru_cache
@@ -70,7 +76,7 @@ def seen(cells: tuple[int, int, int], noise: float = 0.0) -> list[SeenFrame]:
 
 
 def fitted(frames: list[SeenFrame]) -> PullFit:
-    return fit_pull(slab_of(), CELL, *grid(), SPACING, TIMES, frames)
+    return fit_pull(slab_of(), CELL, point_grid(), TIMES, frames)
 
 
 @pytest.mark.slow
@@ -92,7 +98,7 @@ def test_force_over_young_is_found_again(cells: tuple[int, int, int], monkeypatc
 
 def solved(frames: list[SeenFrame]) -> tuple[_Problem, np.ndarray]:
     """The problem once points are weighted, and the force at the true φ."""
-    problem = _Problem(slab_of(), CELL, *grid(), SPACING, frames)
+    problem = _Problem(slab_of(), CELL, point_grid(), frames)
     motion, logs = PullMotion(slab_of(), CELL, problem.places, 10.0, TIMES), np.log([YOUNG, DAMPING * DENSITY])
     problem.look(motion, logs)
     return problem, problem.solve(motion, logs).force
@@ -119,11 +125,11 @@ def test_unseen_points_count_for_nothing() -> None:
     _, force = solved(wild)
     kept = [SeenFrame(frame.moved[~lost], frame.noise[~lost]) for frame in frames]
     points, distance = grid()
-    other = _Problem(slab_of(), CELL, points[~lost], distance[~lost], SPACING, kept)
+    other = _Problem(slab_of(), CELL, PointGrid(points[~lost], distance[~lost], points[:0], SPACING), kept)
     motion = PullMotion(slab_of(), CELL, other.places, 10.0, TIMES)
     logs = np.log([YOUNG, DAMPING * DENSITY])
     other.look(motion, logs)
     np.testing.assert_allclose(other.solve(motion, logs).force, force, atol=1e-6 * np.abs(force).max())
     nothing = [SeenFrame(np.full_like(frame.moved, np.nan), frame.noise) for frame in frames]
     with pytest.raises(NoEstimate, match="No followed point lies on the slab"):
-        _Problem(slab_of(), CELL, points, distance, SPACING, nothing)
+        _Problem(slab_of(), CELL, point_grid(), nothing)

@@ -160,11 +160,11 @@ def test_a_slab_of_told_thickness_tells_force_over_young(monkeypatch: pytest.Mon
 
     def fits(*given: Any) -> PullFit:
         told["given"] = given
-        return PullFit(np.zeros(2), np.zeros(2), math.log(2e-3), 0.2, given[5] / given[5][-1], 0 * given[5], 0.03)
+        return PullFit(np.zeros(2), np.zeros(2), math.log(2e-3), 0.2, given[3] / given[3][-1], 0 * given[3], 0.03)
 
     monkeypatch.setattr(module, "fit_pull", fits)
     found = run(12, 1.5, thickness=0.05).estimate()
-    slab, cell, points, distance, spacing, times, frames = told["given"]
+    slab, cell, (points, distance, _, spacing), times, frames = told["given"]
     np.testing.assert_allclose(cell, [WIDTH / SIDE, HEIGHT / SIDE])
     assert (len(points), len(times), spacing) == (len(distance), len(frames), 8)
     assert slab.place == (SIDE // 2, SIDE // 2)

@@ -14,6 +14,7 @@ from palpate.estimators.grip.sheet import (
     FoundationFit,
     Measuring,
     NoSheet,
+    PointGrid,
     SeenFrame,
     fit_foundation,
     frame_correlation,
@@ -56,7 +57,7 @@ def seen(dragged: float = 0.0, seed: int = 0, background: float = 0.0, anchor: f
 def fitted(frames: list[SeenFrame]) -> FoundationFit:
     places, distance = grid()
     hidden = distance <= 5
-    return fit_foundation(places[~hidden], distance[~hidden], places[hidden], SPACING, frames)
+    return fit_foundation(PointGrid(places[~hidden], distance[~hidden], places[hidden], SPACING), frames)
 
 
 def true_log_force() -> float:
@@ -88,7 +89,7 @@ def test_points_measured_again_where_the_sheet_says_they_are_undo_a_bias() -> No
         asked.append((number, motion.reshape(-1, 2)[~hidden]))
         return exact[number]
 
-    parts = places[~hidden], distance[~hidden], places[hidden], SPACING, biased
+    parts = PointGrid(places[~hidden], distance[~hidden], places[hidden], SPACING), biased
     without = fit_foundation(*parts)
     found = fit_foundation(*parts, Measuring(places.reshape(40, 60, 2), measure))
     assert abs(found.log_anchor - math.log(ANCHOR)) < 0.01 < abs(without.log_anchor - math.log(ANCHOR))
@@ -109,7 +110,7 @@ def test_frames_that_show_too_few_points_are_left_out_and_most_leave_points_as_f
         gone = np.full_like(exact[number].moved, np.nan)
         return SeenFrame(gone, exact[number].noise) if number < lost else exact[number]
 
-    parts = places[~hidden], distance[~hidden], places[hidden], SPACING, exact
+    parts = PointGrid(places[~hidden], distance[~hidden], places[hidden], SPACING), exact
     found = fit_foundation(*parts, Measuring(places.reshape(40, 60, 2), measure))
     assert abs(found.log_anchor - math.log(ANCHOR)) < 0.01
     if lost == 1:
@@ -141,7 +142,7 @@ def test_a_tool_that_hides_too_much_is_refused() -> None:
     hidden = distance <= 140
     frames = [SeenFrame(np.ones((int((~hidden).sum()), 2)), np.full(int((~hidden).sum()), NOISE))]
     with pytest.raises(NoSheet, match=r"from 1 to 400"):
-        fit_foundation(places[~hidden], distance[~hidden] - 140, places[hidden], SPACING, frames)
+        fit_foundation(PointGrid(places[~hidden], distance[~hidden] - 140, places[hidden], SPACING), frames)
 
 
 def test_what_is_left_and_goes_together_over_many_points_widens_what_is_told() -> None:

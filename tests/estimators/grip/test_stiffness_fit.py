@@ -10,7 +10,7 @@ import pytest
 
 from palpate.data.synthetic.grip import lattice_matrix
 from palpate.estimators.grip import stiffness_fit
-from palpate.estimators.grip.sheet import NoSheet, SeenFrame
+from palpate.estimators.grip.sheet import NoSheet, PointGrid, SeenFrame
 from palpate.estimators.grip.stiffness_field import StiffnessField
 from palpate.estimators.grip.stiffness_fit import _Problem, fit_stiffness
 from palpate.physics.sheet import equilibrium
@@ -41,7 +41,7 @@ def scene(pull: float, seed: int = 0, factor: float = FACTOR) -> tuple[np.ndarra
 def fitted(pull: float = 40.0, **changes) -> tuple[StiffnessField, np.ndarray, np.ndarray]:
     points, distance, hidden, moved = scene(pull, **changes)
     frame = SeenFrame(moved, np.full(len(points), NOISE))
-    return fit_stiffness(points, distance, hidden, SPACING, frame, PICTURE), points, moved
+    return fit_stiffness(PointGrid(points, distance, hidden, SPACING), frame, PICTURE), points, moved
 
 
 def test_a_stiffer_side_is_found_with_intervals_that_hold(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -91,7 +91,7 @@ def test_a_field_is_bilinear_between_its_knots_and_less_sure_there() -> None:
 
 def test_the_slopes_are_those_of_the_residual() -> None:
     points, distance, hidden, moved = scene(40.0)
-    problem = _Problem(points, distance, hidden, SPACING, SeenFrame(moved, np.full(len(points), NOISE)))
+    problem = _Problem(PointGrid(points, distance, hidden, SPACING), SeenFrame(moved, np.full(len(points), NOISE)))
     numbers = problem.mean + 0.1 * np.random.default_rng(1).standard_normal(len(problem.mean))
     problem.look(numbers)
     way = np.random.default_rng(2).standard_normal(len(numbers))
@@ -105,8 +105,8 @@ def test_what_tells_nothing_is_refused() -> None:
     points, distance, hidden, moved = scene(40.0)
     still = SeenFrame(0.01 * moved, np.full(len(points), NOISE))
     with pytest.raises(NoSheet, match="50 are needed"):
-        fit_stiffness(points, distance, hidden, SPACING, still, PICTURE)
+        fit_stiffness(PointGrid(points, distance, hidden, SPACING), still, PICTURE)
     with pytest.raises(NoSheet, match="moves by more than 5 px"):
-        fit_stiffness(points, distance, hidden, SPACING, SeenFrame(0.1 * moved, still.noise), PICTURE)
+        fit_stiffness(PointGrid(points, distance, hidden, SPACING), SeenFrame(0.1 * moved, still.noise), PICTURE)
     with pytest.raises(NoSheet, match="may act on 0 places"):
-        fit_stiffness(points, distance + 100, hidden[:0], SPACING, SeenFrame(moved, still.noise), PICTURE)
+        fit_stiffness(PointGrid(points, distance + 100, hidden[:0], SPACING), SeenFrame(moved, still.noise), PICTURE)

@@ -161,7 +161,7 @@ def test_a_damaged_record_is_one_sentence(tmp_path, text: str | None) -> None:
 def test_weights_that_can_t_be_read_are_one_sentence(tmp_path, capsys, content: bytes) -> None:
     (tmp_path / "bad.pt").write_bytes(content)
     assert main(["--weights", str(tmp_path / "bad.pt"), "--output", str(tmp_path / "out.onnx")]) == 1
-    told = f"{tmp_path / 'bad.pt'} is not a readable checkpoint; give one that python -m estimators.network.training"
+    told = f"{tmp_path / 'bad.pt'} is not a readable checkpoint; give one that train.py fit -c configs/contact.yaml"
     assert capsys.readouterr().err == f"{told} wrote.\n"
     assert not (tmp_path / "out.onnx").exists()
 

@@ -12,6 +12,8 @@ import pytest
 import torch
 from rich.progress import Progress
 
+from palpate.command import train
+from palpate.common.doors import INTERRUPTED
 from palpate.common.output import LIST
 from palpate.common.workers import WorkerLost
 from palpate.data.contact.features import FEATURES, SLOTS
@@ -31,7 +33,6 @@ from palpate.estimators.network.draws import (
 )
 from palpate.estimators.network.fits import BOUNDS, FRAME_S, MECHANICS, SCENES, DepthSequences, Fits, fit_motion
 from palpate.estimators.network.training import (
-    INTERRUPTED,
     PREPARED,
     WEIGHTS,
     Trainer,
@@ -39,7 +40,6 @@ from palpate.estimators.network.training import (
     descend,
     expected_loss,
     fine_loss,
-    main,
     make_contacts,
     widened,
 )
@@ -205,24 +205,24 @@ def test_sequences_and_their_fits_are_the_same_in_processes_of_their_own(with_se
 @pytest.mark.parametrize(
     ("option", "value", "reason"),
     [
-        ("--contacts", "0", "0 is less than 1"),
-        ("--contacts", "many", "is not a whole number"),
-        ("--rough-steps", "3", "3 is less than 4"),
-        ("--fine-steps", "0", "0 is less than 4"),
-        ("--fine-steps", "3", "3 is less than 4"),
-        ("--bound-steps", "3", "3 is less than 4"),
-        ("--seed", "-1", "-1 is less than 0"),
-        ("--seed", str(2**63), "is more than"),
-        ("--workers", "-1", "-1 is less than 0"),
-        ("--observation", "sequence", "invalid choice: 'sequence'"),
+        ("contacts", "0", "contacts is 0; give 1 to"),
+        ("contacts", "many", '"contact.contacts"'),
+        ("contac", "3", "unrecognized arguments: --contact.contac"),
+        ("rough_steps", "3", "rough_steps is 3; give 4 to"),
+        ("fine_steps", "0", "fine_steps is 0; give 4 to"),
+        ("fine_steps", "3", "fine_steps is 3; give 4 to"),
+        ("bound_steps", "3", "bound_steps is 3; give 4 to"),
+        ("seed", "-1", "seed is -1; give 0 to"),
+        ("seed", str(2**63), f"seed is {2**63}; give 0 to {2**63 - 1}."),
+        ("workers", "-1", "workers is -1; give 0 to"),
+        ("output", "", "output is empty or the working folder"),
+        ("observation", "sequence", '"contact.observation"'),
     ],
 )
 def test_numbers_that_would_end_a_training_late_are_refused_at_once(
     option: str, value: str, reason: str, tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(["--output", str(tmp_path / "out"), option, value])
-    assert ended.value.code == 2
+    assert train.main(["fit", "--contact.output", str(tmp_path / "out"), f"--contact.{option}", value]) == 2
     assert reason in " ".join(capsys.readouterr().err.split())
     assert not (tmp_path / "out").exists()
 
@@ -249,8 +249,9 @@ MADE = {"contact": [(0.0, False)], "field": [(0.0, True), (FRAME_S, True)]}
 
 
 def short(folder: Path, observation: str = "contact", *options: str) -> int:
-    steps = [text for stage in ("rough", "fine", "bound") for text in (f"--{stage}-steps", "4")]
-    return main(["--output", str(folder), *steps, "--workers", "0", "--observation", observation, *options])
+    settings = {"output": folder, "rough_steps": 4, "fine_steps": 4, "bound_steps": 4, "workers": 0}
+    given = [f"--contact.{name}={value}" for name, value in (settings | {"observation": observation}).items()]
+    return train.main(["fit", *given, *options])
 
 
 def stages(folder: Path) -> list[tuple[str, int]]:
@@ -312,21 +313,21 @@ def test_fits_of_another_training_are_made_anew(
     made: list[tuple[float, bool]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as patch:
-        patch.setattr(contact_training, "fine_loss", lambda *_: (_ for _ in ()).throw(OSError("The disk is full.")))
+        patch.setattr(contact_training, "fine_loss", lambda *_: (_ for _ in ()).throw(OSError(28, "The disk is full")))
         assert short(tmp_path) == 1
-        assert short(tmp_path, "contact", "--seed", "1") == 1
+        assert short(tmp_path, "contact", "--contact.seed", "1") == 1
         assert len(made) == 2  # of another seed
         (tmp_path / PREPARED).write_bytes((tmp_path / PREPARED).read_bytes()[:1000])
-        assert short(tmp_path, "contact", "--seed", "1") == 1
+        assert short(tmp_path, "contact", "--contact.seed", "1") == 1
         assert len(made) == 2  # not as it was written: it is named and stays
         (tmp_path / PREPARED).unlink()
-        assert short(tmp_path, "contact", "--seed", "1") == 1
+        assert short(tmp_path, "contact", "--contact.seed", "1") == 1
         assert len(made) == 3
         patch.setattr(contact_training, "code_digest", lambda: "other")
-        assert short(tmp_path, "contact", "--seed", "1") == 1
+        assert short(tmp_path, "contact", "--contact.seed", "1") == 1
         assert len(made) == 4  # of another version
     monkeypatch.setattr(contact_training, "code_digest", lambda: "other")
-    assert short(tmp_path, "contact", "--seed", "1") == 0
+    assert short(tmp_path, "contact", "--contact.seed", "1") == 0
     assert len(made) == 4
     assert stages(tmp_path) == steps_of("rough", "rough", "rough", "rough", "fine", "bound")
 
@@ -356,8 +357,8 @@ def test_a_finished_training_is_not_written_over(tmp_path: Path, capsys: pytest.
     ("error", "status", "told"),
     [
         (KeyboardInterrupt(), INTERRUPTED, "Interrupted;"),
-        (WorkerLost("A worker was killed."), 1, "A worker was killed."),
-        (OSError("The disk is full."), 1, "The disk is full."),
+        (WorkerLost("A worker was killed."), 1, "train.py: A worker was killed."),
+        (OSError(28, "The disk is full"), 1, "train.py: The run folder: The disk is full; make room"),
     ],
 )
 def test_what_ends_a_training_is_one_sentence(

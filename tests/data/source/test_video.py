@@ -1,0 +1,47 @@
+"""Video files as they are written, with PyAV and without."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from palpate.data.source import video
+from palpate.data.source.video import open_video
+
+
+@pytest.mark.parametrize("with_av", [True, False])
+def test_video_keeps_rate_count_and_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, with_av: bool) -> None:
+    if with_av:
+        pytest.importorskip("av")
+    else:
+        monkeypatch.setattr(video, "av", None)
+    path = tmp_path / "overlay.mp4"
+    opened = open_video(path, (642, 482), 30000 / 1001)
+    for level in range(12):
+        opened.write(np.full((482, 642, 3), 20 * level, np.uint8))
+    opened.close()
+    assert opened.encoder == ("libx264" if with_av else "mp4v")
+    reader = cv2.VideoCapture(str(path))
+    assert reader.get(cv2.CAP_PROP_FRAME_COUNT) == 12
+    assert reader.get(cv2.CAP_PROP_FPS) == pytest.approx(29.97, abs=0.01)
+    frames = [reader.read()[1] for _ in range(12)]
+    assert [abs(float(frame.mean()) - 20 * level) < 6 for level, frame in enumerate(frames)] == [True] * 12
+
+
+@pytest.mark.parametrize("with_av", [True, False])
+def test_missing_folder_is_an_os_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, with_av: bool) -> None:
+    if with_av:
+        pytest.importorskip("av")
+    else:
+        monkeypatch.setattr(video, "av", None)
+
+    def attempt() -> None:
+        opened = open_video(tmp_path / "nowhere" / "overlay.mp4", (640, 360), 25.0)
+        opened.write(np.full((360, 640, 3), 90, np.uint8))
+        opened.close()
+
+    with pytest.raises(OSError, match=r"write|No such"):
+        attempt()

@@ -17,22 +17,23 @@ from palpate.common.doors import enter_door, run_door
 if __name__ == "__main__":
     enter_door()  # before the slow imports
 
-import argparse
 import datetime
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import yaml
 from rich.console import Console
 
-from palpate.common.command_line import path_option, progress_bars, say, whole_number
+from palpate.common.command_line import progress_bars, say
 from palpate.common.files import replacing
+from palpate.common.settings import LARGEST
 from palpate.estimators.model_errors import FILE, read_entries
 from palpate.estimators.open import FEM, EstimatorOptions
-from palpate.evaluation.harness import Row
+from palpate.evaluation.harness import Row, options, require_within
 from palpate.evaluation.recovery.suites import EVERY, LARGEST_SEED, suite_clip_seed
 from palpate.evaluation.recovery.trial import Trial, run_trial
 
@@ -119,41 +120,52 @@ def write_entries(path: Path, entries: dict[str, dict[str, Any]]) -> None:
         partial.write_text(HEAD + text, encoding="utf-8")
 
 
-def main(arguments: list[str] | None = None) -> int:
+@dataclass(frozen=True)
+class ModelErrors:
+    """What is measured."""
+
+    part: Literal["grip", "pull"]
+    """whose errors"""
+    seed: int
+    """of the clips"""
+    clips: int = 24
+    """clips of each suite"""
+    output: Path = FILE
+    """the file (default: that of the estimators)"""
+
+    def __post_init__(self) -> None:
+        """Raise a ValueError where an option can't be used."""
+        require_within(self, seed=(0, LARGEST_SEED), clips=(1, LARGEST))
+
+    @property
+    def wanted(self) -> list[tuple[str, int]]:
+        """Suites and numbers of the clips."""
+        found = [(suite, index) for suite in PARTS[self.part] for index in range(self.clips)]
+        return [(suite, at) for suite, at in found if self.part == "grip" or EVERY[suite].settings(at).action == "grip"]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
     """Measure a part; returns the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="python -m evaluation.model_errors",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog="Exit status: 0 done, 1 nothing could be measured, 2 wrong usage, 130 interrupted.",
-    )
-    add = parser.add_argument
-    add("--part", choices=list(PARTS), required=True, help="whose errors are measured")
-    add("--clips", type=whole_number(1), default=24, metavar="N", help="clips of each suite (default %(default)s)")
-    add("--seed", type=whole_number(0, LARGEST_SEED), required=True, metavar="N", help="of the clips")
-    add("--output", type=path_option, default=FILE, metavar="FILE", help="the file (default: that of the estimators)")
-    options, console = parser.parse_args(arguments), Console(stderr=True)
-    entries = read_entries(options.output if options.output.exists() else FILE)
+    asked: ModelErrors = options(ModelErrors, arguments, "evaluation.model_errors", __doc__)
+    console = Console(stderr=True)
+    entries = read_entries(asked.output if asked.output.exists() else FILE)
     values = {name: float(entry["value"]) for name, entry in read_entries().items()}
-    numbers = [(suite, index) for suite in PARTS[options.part] for index in range(options.clips)]
-    if options.part == "pull":
-        numbers = [(suite, index) for suite, index in numbers if EVERY[suite].settings(index).action == "grip"]
     rows: list[Row] = []
     with progress_bars(console) as progress:
-        bar = progress.add_task("clips", total=len(numbers))
-        for suite, index in numbers:
-            seed = suite_clip_seed(SPLIT, options.seed, index)
-            rows += run_trial(Trial(index, seed, {suite: {DIRECT: CANDIDATES[options.part]}}))
+        bar = progress.add_task("clips", total=len(asked.wanted))
+        for suite, index in asked.wanted:
+            seed = suite_clip_seed(SPLIT, asked.seed, index)
+            rows += run_trial(Trial(index, seed, {suite: {DIRECT: CANDIDATES[asked.part]}}))
             progress.advance(bar)
-    errors = (grip_errors if options.part == "grip" else pull_errors)(rows, values)
+    errors = (grip_errors if asked.part == "grip" else pull_errors)(rows, values)
     if not errors:
         say(console, "No clip has an estimate that could be compared; give other seeds, or more clips.", "red")
         return 1
-    command = f"python -m evaluation.model_errors --part {options.part} --clips {options.clips} --seed {options.seed}"
-    write_entries(options.output, updated(entries, errors, command, datetime.date.today().isoformat()))
+    command = f"python -m evaluation.model_errors --part {asked.part} --clips {asked.clips} --seed {asked.seed}"
+    write_entries(asked.output, updated(entries, errors, command, datetime.date.today().isoformat()))
     for name, pairs in errors.items():
         say(console, f"{name}: {len(pairs)} clips")
-    say(console, f"written: {options.output}")
+    say(console, f"written: {asked.output}")
     return 0
 
 

@@ -11,7 +11,7 @@ import io
 import re
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -109,6 +109,11 @@ def read_ringing(path: Path) -> Ringing:
     found = least_squares(lambda values: model(values) - fall, guess, x_scale=scales, bounds=(low, high))
     residual = float(np.sqrt(np.mean(found.fun**2))) / size
     return Ringing(mass, float(found.x[3]), float(found.x[2]), residual)
+
+
+def measure_ringing(path: Path) -> dict[str, object]:
+    """A run's ringing as a row; raises InputError as `read_ringing` does."""
+    return {"ringing": asdict(read_ringing(path))}
 
 
 def modal_rates(masses: Sequence[float]) -> np.ndarray:

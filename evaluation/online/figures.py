@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+import pandas as pd
 from matplotlib.figure import Figure
 
-from palpate.common.tables import to_markdown
-from palpate.evaluation.online.compare import BATCH, HORIZON, METHODS, STARTS, Case
+from palpate.evaluation.online.compare import BATCH, HORIZON, METHODS, Case
 from palpate.evaluation.online.sequences import Pull
 
 Cases = Mapping[tuple[str, str, str], Case]
@@ -20,17 +20,17 @@ INSTANTS = (40, 50)
 """Frames from which figure 8 predicts, as the paper's; the last two that were predicted from, where these weren't."""
 
 
-def table(cases: Cases, sequences: list[str]) -> str:
-    """Table II: future gap; keypoints' error [mm] of every method, by sequence and start, as Markdown."""
-    columns = [(sequence, start) for sequence in sequences for start in STARTS]
-    columns = [(s, k) for s, k in columns if any((s, k, method) in cases for method in METHODS)]
+def table(cases: Cases) -> pd.DataFrame:
+    """Table II: future gap; keypoints' error [mm] of every method, by sequence and start."""
+    columns = dict.fromkeys(key[:2] for key in cases)
 
     def cell(sequence: str, start: str, method: str) -> str:
         case = cases.get((sequence, start, method))
         return "" if case is None else f"{1e3 * case.gap.mean():.1f}; {1e3 * case.keypoint.mean():.2f}"
 
-    rows = ([method, *(cell(*column, method) for column in columns)] for method in METHODS)
-    return to_markdown(("method", *(f"{sequence}, {start}" for sequence, start in columns)), rows)
+    return pd.DataFrame(
+        {"method": METHODS} | {f"{s}, {start}": [cell(s, start, method) for method in METHODS] for s, start in columns}
+    )
 
 
 def draw_all(cases: Cases, pulls: Mapping[str, Pull]) -> dict[str, Figure]:

@@ -6,7 +6,7 @@ The sessions that users run are asked of clips of the validation split, and what
 their residuals tell: the rest is the model's. Of every entry of the file that a part measures, `measured` then says the
 root mean square errors, what residuals tell of them, the standard deviation of the model that follows, from how many
 clips, and by which command. Fewer than 20 clips leave `value`, by which the estimators go, as it is. The part grip
-takes the suites retraction, foundation and regions; pull the pulls of the suite fem, by a slab that is told the
+takes the suites retraction, foundation and regions; pull the pulls of the suite fem, by a slab that is given the
 thickness (minutes a clip).
 """
 
@@ -54,9 +54,9 @@ Errors = dict[str, list[tuple[float, float]]]
 """By entry: errors of the clips, and the variances that their residuals tell."""
 
 
-def model_sd(off: float, told: float) -> float:
+def model_sd(off: float, residual: float) -> float:
     """Standard deviation that is left of root mean square errors where residuals tell some, to two digits."""
-    left = math.sqrt(max(off**2 - told**2, 0.0))
+    left = math.sqrt(max(off**2 - residual**2, 0.0))
     return float(f"{left:.2g}")
 
 
@@ -88,14 +88,14 @@ def pull_errors(rows: Sequence[Row], values: Mapping[str, float]) -> Errors:
         if "reaction" not in row:
             continue
         value, sd = row["reaction"]
-        told = max(sd**2 - values["pull_force"] ** 2, 0.0)
-        found.setdefault("pull_force", []).append((math.log(value * row["tissue"][0] / row["true_force"]), told))
+        stated = max(sd**2 - values["pull_force"] ** 2, 0.0)
+        found.setdefault("pull_force", []).append((math.log(value * row["tissue"][0] / row["true_force"]), stated))
         # The last frame's ratio is 1 by definition.
         true, course, deviation = row["curve"][:, :-1]
         size = float(np.square(course).mean())
-        told = float(np.square(deviation).mean()) / size - values["pull_course"] ** 2
+        stated = float(np.square(deviation).mean()) / size - values["pull_course"] ** 2
         found.setdefault("pull_course", []).append(
-            (math.sqrt(float(np.square(course - true).mean()) / size), max(told, 0.0))
+            (math.sqrt(float(np.square(course - true).mean()) / size), max(stated, 0.0))
         )
     return found
 
@@ -105,8 +105,8 @@ def updated(entries: dict[str, dict[str, Any]], errors: Errors, command: str, da
     found = {name: dict(entry) for name, entry in entries.items()}
     for name, pairs in errors.items():
         errors_of, variances = np.transpose(pairs)
-        off, told = (float(f"{math.sqrt(part.mean()):.3g}") for part in (np.square(errors_of), variances))
-        measured = {"off": off, "told": told, "sd": model_sd(off, told), "clips": len(pairs)}
+        off, stated = (float(f"{math.sqrt(part.mean()):.3g}") for part in (np.square(errors_of), variances))
+        measured = {"off": off, "told": stated, "sd": model_sd(off, stated), "clips": len(pairs)}
         found[name]["measured"] = measured | {"command": command, "date": date}
         if len(pairs) >= ENOUGH:
             found[name] |= {"value": measured["sd"], "source": "measured"}

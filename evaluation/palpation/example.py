@@ -4,7 +4,7 @@
     python calibrate.py palpation OUT/scene.yaml --output RESULTS
 
 Writes scene.yaml, rest.obj and seen.csv: a slab of 9 × 9 × 3 cm with E = 10 kPa and ν = 0.42 under a press of 0.5 N,
-seen by a stereo sensor (0.3 mm of noise) whose pose is off by some millimetres, as `synthetic` has it.
+observed by a stereo sensor (0.3 mm of noise) whose pose is off by some millimetres, as `synthetic` has it.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ STYLES = {
     "critical": {"color": "#c77d0a", "marker": "s"},
     "over-damped": {"color": "#3f8f4f", "marker": "^"},
 }
-"""Regimes are told apart by lightness and marker as well."""
+"""Regimes differ by lightness and marker as well."""
 SYMBOLS = ("stiffness $k_s$", "damping $k_d$", "force $|F|$")
 GREY, PALE = "#667085", "#cdd3dc"
 LEVELS = np.linspace(0.02, 0.98, 49)

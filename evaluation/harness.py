@@ -418,7 +418,7 @@ class Measurements:
     keys: ClassVar = ("file",)
     work: ClassVar = staticmethod(measured)
     refused: ClassVar = ()
-    writes: ClassVar = ("table.csv",)
+    writes: ClassVar[Sequence[str]] = ("table.csv",)
 
     @property
     def wanted(self) -> Mapping[str, Callable[[], Row]]:

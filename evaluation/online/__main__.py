@@ -22,7 +22,7 @@ import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 import pandas as pd
@@ -40,6 +40,8 @@ TITLE = "The online estimator on simulated pulls"
 FIGURES = tuple(f"figures/figure_{number}.png" for number in (5, 7, 8, 9))
 Key = tuple[str, str, str]
 Optimizer = Literal["adam", "gauss-newton"]
+SequenceName = Literal["thin-shell-1", "thin-shell-2", "volume-1", "volume-2"]
+Start = Literal["k1", "k2", "k3"]
 
 
 @dataclass(frozen=True)
@@ -75,9 +77,9 @@ class Online:
 
     output: Path
     """folder of the results"""
-    sequences: tuple[Literal["thin-shell-1", "thin-shell-2", "volume-1", "volume-2"], ...] = tuple(SEQUENCES)
+    sequences: tuple[SequenceName, ...] = get_args(SequenceName)
     """which"""
-    starts: tuple[Literal["k1", "k2", "k3"], ...] = tuple(STARTS)
+    starts: tuple[Start, ...] = get_args(Start)
     """stiffness to begin with"""
     methods: tuple[Literal["PBD", "PBD-DiffCloud", "PBD-RM", "PBD-RM-ON"], ...] = METHODS
     """which; PBD-DiffCloud on sheets alone"""

@@ -15,7 +15,7 @@ import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -87,7 +87,7 @@ class Frank(Measurements):
     quick: bool = False
     """one body, one sensor, coarse: to see that it works"""
 
-    writes = ("table.csv", *(f"figures/{name}" for name in FIGURES))
+    writes: ClassVar[Sequence[str]] = ("table.csv", *(f"figures/{name}" for name in FIGURES))
 
     @property
     def wanted(self) -> Mapping[str, Callable[[], Row]]:

@@ -298,20 +298,21 @@ def _gripped(clip: TrueClip, motion: GrippedMotion, answer: list) -> Row:
     contact = np.array([item.contact is True for item in answer if isinstance(item, FrameEstimate)])
     moves = moving_frames(clip.scene, motion)
     found: Row = {"contact_right": float((contact == motion.in_contact)[moves].mean()) if moves.any() else math.nan}
-    run = _grip_of(answer)
-    if isinstance(run, dict):
-        return found | run
-    found |= {"verdict": run.verdict, "skill": run.grip.skill}
+    gripped = _grip_of(answer)
+    if isinstance(gripped, dict):
+        return found | gripped
+    run, grip = gripped
+    found |= {"verdict": run.verdict, "skill": grip.skill}
     if run.onset < motion.onset_frame:
         return found
-    return found | _grip_against_truth(run.onset, run.grip, clip.scene, motion, clip.frames)
+    return found | _grip_against_truth(run.onset, grip, clip.scene, motion, clip.frames)
 
 
-def _grip_of(answer: list) -> InteractionEstimate | Row:
-    """The first run of contact that tells something as a grip, or a row that says why there is none."""
+def _grip_of(answer: list) -> tuple[InteractionEstimate, GripEstimate] | Row:
+    """The first run of contact that has an estimate as a grip, with that, or a row that says why there is none."""
     runs = [item for item in answer if isinstance(item, InteractionEstimate)]
-    missing = {"status": "no estimate", "reason": " ".join(item.detail for item in runs)}
-    return next((item for item in runs if item.grip is not None), missing)
+    missing: Row = {"status": "no estimate", "reason": " ".join(item.detail for item in runs)}
+    return next(((item, item.grip) for item in runs if item.grip is not None), missing)
 
 
 def moving_frames(scene: Scene, motion: GrippedMotion) -> np.ndarray:
@@ -423,8 +424,11 @@ def _true_log(places: np.ndarray, scene: Scene, motion: GrippedMotion) -> np.nda
 
 def _pulled(clip: TrueClip, motion: GrippedSlab, answer: list) -> Row:
     """What is estimated of a pull on a slab."""
-    run = _grip_of(answer)
-    return run if isinstance(run, dict) else _pull_against_truth(run.onset, run.grip, motion, clip.scene)
+    gripped = _grip_of(answer)
+    if isinstance(gripped, dict):
+        return gripped
+    run, grip = gripped
+    return _pull_against_truth(run.onset, grip, motion, clip.scene)
 
 
 def _pull_against_truth(onset: int, grip: GripEstimate, motion: GrippedSlab, scene: Scene) -> Row:

@@ -5,7 +5,7 @@
 The networks are exported with random weights, which cost what trained ones do. Bini 2026, section 4.3, has 1.67 ms for
 encoder and head and 921 ms for the depth network, on a GPU; here all runs on the CPU. The clip is synthetic, as frames
 with stored depth and annotated masks, and as a video without either (photometric depth, automatic masks). A contact is
-one call of the network that ships, with what it is told and how well the simulator explains the motion, on one thread.
+one call of the network that ships, with what it is given and how well the simulator explains the motion, on one thread.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def encoder_and_head(file: Path, threads: int | None) -> float:
 
 
 def one_contact(size: tuple[int, int], onset: str) -> tuple[float, float, float]:
-    """Times of a contact seen whole [ms]: median of all, of it the vector and the network, and the longest of all.
+    """Times of a contact observed whole [ms]: median of all, of it the vector and the network, and the longest of all.
 
     Args:
         size: width and height of the pictures [px].
@@ -131,10 +131,10 @@ def _measure(folder: Path) -> None:
     )
     print_table(("configuration", "1 thread", "all threads"), rows)
     print("\nOne contact by the network that ships, 1 thread [ms]\n")
-    told = ("pictures", "--onset", "median", "of it vector and network", "longest")
+    columns = ("pictures", "--onset", "median", "of it vector and network", "longest")
     measured = ((size, onset, one_contact(size, onset)) for size in SIZES for onset in ONSETS)
     print_table(
-        told, (("x".join(map(str, size)), onset, *(f"{t:.1f}" for t in times)) for size, onset, times in measured)
+        columns, (("x".join(map(str, size)), onset, *(f"{t:.1f}" for t in times)) for size, onset, times in measured)
     )
     print()
     make_clips(["--output", str(folder / "clips"), "--clips", "1", "--frames", str(FRAMES), "--seed", "1"])

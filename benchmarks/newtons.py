@@ -14,27 +14,25 @@ from palpate.common.doors import enter_door, run_door
 if __name__ == "__main__":
     enter_door()  # before the slow imports
 
-import argparse
 import csv
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 import numpy as np
 import yaml
 from rich.console import Console
 
 from palpate.command import infer
-from palpate.common.command_line import path_option, say
+from palpate.common.command_line import say
 from palpate.common.files import all_below
-from palpate.common.output import replacing_own
+from palpate.common.output import replacing_own, require_own
 from palpate.data.source.layout import InputError, read_mapping
 from palpate.estimators.estimate import NINETY, NoEstimate
 from palpate.estimators.force_scale import MASS, ClipLength, PressedRun, scale_by_force
-from palpate.estimators.onset import ONSETS, STAMP
-from palpate.evaluation.file_table import FileTable
+from palpate.evaluation.harness import Report, Row, by_measure, options, show, write
 from palpate.results.store import CALIBRATED, INTERACTIONS, OutputError, writing
 
 NEWTONS = 25.0
@@ -59,45 +57,48 @@ class Truth:
     """A time within the press [s]."""
 
 
-def build_parser() -> argparse.ArgumentParser:
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.newtons",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog="Exit status: 0 done; 1 something could not be; 2 wrong usage; 130 interrupted.",
-    )
-    parser.add_argument("--clips", type=path_option, required=True, metavar="DIR", help="clips of data.synthetic")
-    parser.add_argument("--output", type=path_option, required=True, metavar="OUT", help="folder of the results")
-    text = "clip whose force is known (default: the first)"
-    parser.add_argument("--known", metavar="NAME", help=text)
-    parser.add_argument("--onset", choices=ONSETS, default=STAMP, help="as of infer.py (default: stamp)")
-    return parser
+@dataclass(frozen=True)
+class Newtons:
+    """What is judged."""
+
+    clips: Path
+    """folder of clips of data.synthetic"""
+    output: Path
+    """folder of the results"""
+    known: str | None = None
+    """clip whose force is known (default: the first)"""
+    onset: Literal["stamp", "between"] = "stamp"
+    """as of infer.py"""
+
+    def __post_init__(self) -> None:
+        """Raise a ValueError where too few clips can be judged."""
+        truths = read_truths(self.clips)
+        if len(truths) < 3 or (self.known or next(iter(truths))) not in truths:
+            raise ValueError(
+                f"{self.clips} holds {len(truths)} presses with truth, or not '{self.known}'; give three or more."
+            )
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run infer.py on the clips and judge it; returns the exit status."""
-    parser, console = build_parser(), Console(stderr=True)
-    options: Any = parser.parse_args(arguments)
+    asked: Newtons = options(Newtons, arguments, "benchmarks.newtons", __doc__)
+    console, truths = Console(stderr=True), read_truths(asked.clips)
+    name = asked.known or next(iter(truths))
     try:
-        truths = read_truths(options.clips)
-        name = options.known or next(iter(truths), "")
-        if name not in truths or len(truths) < 3:
-            parser.error(
-                f"{options.clips} holds {len(truths)} presses with truth, or not '{name}'; give three or more."
-            )
-        table = FileTable(options.output, console)
-        path = _write_known(options.output, truths[name])
+        with writing(asked.output):
+            require_own(asked.output / "table.csv")
+        path = _write_known(asked.output, truths[name])
         folders = [str(truth.folder) for truth in truths.values()]
-        given = ["--output", str(options.output / "results"), "--onset", options.onset, "--masks", "annotation"]
+        given = ["--output", str(asked.output / "results"), "--onset", asked.onset, "--masks", "annotation"]
         status = infer.main([*folders, *given, "--no-overlay", "--calibration", str(path)])
         if status not in (0, 1):
             return status
-        judge(options.output / "results", truths, name, table)
+        frame = by_measure(judge(asked.output / "results", truths, name), "file")
+        write(asked.output, Report({"table.csv": frame}))
     except (InputError, OutputError) as error:
         say(console, str(error), "red")
         return 1
-    table.show()
+    show(frame)
     return status
 
 
@@ -122,7 +123,7 @@ def measured_force(truth: Truth) -> float:
 
 def _write_known(output: Path, truth: Truth) -> Path:
     force = measured_force(truth)
-    told = {
+    known = {
         "clip": truth.folder.name,
         "force_N": force,
         "force_sd_N": MEASURED * force,
@@ -131,13 +132,14 @@ def _write_known(output: Path, truth: Truth) -> Path:
     with writing(output):
         output.mkdir(parents=True, exist_ok=True)
         with replacing_own(output / "calibration.yaml") as partial:
-            partial.write_text(yaml.safe_dump(told), encoding="utf-8")
+            partial.write_text(yaml.safe_dump(known), encoding="utf-8")
     return output / "calibration.yaml"
 
 
-def judge(results: Path, truths: dict[str, Truth], known: str, table: FileTable) -> None:
-    """Add what calibrated.csv is worth, and what it would be with every clip's force known in turn."""
-    of_door, runs = [], {}
+def judge(results: Path, truths: dict[str, Truth], known: str) -> list[Row]:
+    """What calibrated.csv is worth, and what it would be with every clip's force known in turn."""
+    found: list[Row] = []
+    of_known, runs = [], {}
     for name, truth in truths.items():
         row, run = _row(results / name / CALIBRATED), _run(results / name / INTERACTIONS)
         if run is not None:
@@ -146,10 +148,10 @@ def judge(results: Path, truths: dict[str, Truth], known: str, table: FileTable)
             continue
         value, low, high = (float(row[f"force{end}"]) for end in ("", "_low", "_high"))
         sure = "force" in row["determined"].split(";")
-        of_door.append((math.log(value / truth.force), low <= truth.force <= high, sure))
-        measures = {"force / truth - 1": value / truth.force - 1, "within the 90 % interval": of_door[-1][1]}
-        table.add(name, measures | {"determined": sure})
-    table.add(f"others, the force of {known} known", _summary(of_door))
+        of_known.append((math.log(value / truth.force), low <= truth.force <= high, sure))
+        measures = {"force / truth - 1": value / truth.force - 1, "within the 90 % interval": of_known[-1][1]}
+        found.append({"file": name, **measures, "determined": sure})
+    found.append({"file": f"others, the force of {known} known", **_summary(of_known)})
     in_turn, pairs = [], []
     for name, run in runs.items():
         try:
@@ -160,17 +162,16 @@ def judge(results: Path, truths: dict[str, Truth], known: str, table: FileTable)
         for other, truth in truths.items():
             if other == name or other not in runs:
                 continue
-            told = scale.of(runs[other], SAME)
-            off = float(told.logs[2]) - math.log(truth.force)
-            spread = told.log_sd
-            inside = spread is not None and abs(off) < NINETY * spread[2]
-            in_turn.append((off, inside, "force" in told.determined))
+            scaled = scale.of(runs[other], SAME)
+            off = float(scaled.logs[2]) - math.log(truth.force)
+            inside = scaled.log_sd is not None and abs(off) < NINETY * scaled.log_sd[2]
+            in_turn.append((off, inside, "force" in scaled.determined))
             pairs.append((name, other))
     measures = _summary(in_turn)
     chance = _over_clips(pairs, [inside for _, inside, _ in in_turn])
     if chance is not None:
         measures["all: 90 % intervals hold, standard deviation"] = chance
-    table.add("others, each clip's force known in turn", measures)
+    return [*found, {"file": "others, each clip's force known in turn", **measures}]
 
 
 def _over_clips(pairs: Sequence[tuple[str, str]], holds: Sequence[bool]) -> float | None:
@@ -187,20 +188,20 @@ def _over_clips(pairs: Sequence[tuple[str, str]], holds: Sequence[bool]) -> floa
     return math.sqrt((len(clips) - 1) * shares.var())
 
 
-def _summary(found: list[tuple[float, bool, bool]]) -> dict[str, object]:
+def _summary(found: list[tuple[float, bool, bool]]) -> Row:
     sure = [(off, inside) for off, inside, determined in found if determined]
-    told: dict[str, object] = {"forces": len(found), "determined": len(sure)}
+    summary: Row = {"forces": len(found), "determined": len(sure)}
     if sure:
         off, inside = (np.array(column) for column in zip(*sure, strict=True))
         error = np.abs(np.expm1(off))
-        told |= {
+        summary |= {
             "determined: median error": float(np.median(error)),
             f"determined: within {NEAR:.0%}": float((error < NEAR).mean()),
             "determined: 90 % intervals hold": float(inside.mean()),
         }
     if found:
-        told["all: 90 % intervals hold"] = float(np.mean([inside for _, inside, _ in found]))
-    return told
+        summary["all: 90 % intervals hold"] = float(np.mean([inside for _, inside, _ in found]))
+    return summary
 
 
 def _row(path: Path) -> dict[str, str] | None:

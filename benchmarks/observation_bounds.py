@@ -5,7 +5,7 @@
 Medians over simulated contacts of the Cramér–Rao bounds (`physics.identifiability`) at a depth noise of 0.001 scene
 units: the end point of the rollout (Bini 2026), the end of the load, the contact's trajectory over the first K frames
 of 25 a second or as long as the tool presses, and the depth of the whole dent, up to so many vertices from the contact;
-where it is said, with the instants of the press unknown within a frame. No training: what has no information has no
+where it is stated, with the instants of the press unknown within a frame. No training: what has no information has no
 estimate.
 """
 
@@ -40,12 +40,12 @@ COLUMNS = ("regime", "observation", "k_s", "k_d", "F", "k_s/k_d", "F/k_d", "dete
 
 
 class Observed(NamedTuple):
-    """What is seen of a contact."""
+    """What is observed of a contact."""
 
     steps: np.ndarray
     """Steps at which it is looked at, shape [K]."""
     reach: int = 0
-    """How far from the contact the depth of every vertex is seen [grid px]; 0 = the contact alone, along all axes."""
+    """How far from the contact every vertex's depth is observed [grid px]; 0 = the contact alone, along all axes."""
     onset: str = STAMP
     """Whether the instants of the press are known, one of `estimators.onset.ONSETS`."""
 
@@ -66,15 +66,15 @@ def observations(contact: SimulatedContact) -> dict[str, Observed]:
     return kinds
 
 
-def limits(contact: SimulatedContact, seen: Observed) -> np.ndarray:
+def limits(contact: SimulatedContact, observed: Observed) -> np.ndarray:
     """Bounds on log k_s, log k_d, log |F|, log k_s/k_d and log F/k_d, shape [5]."""
     pressed = contact.interaction
     apart = np.abs(pressed.mesh.pixels - pressed.mesh.pixels[pressed.vertex]).max(axis=1)
-    vertices, times = np.flatnonzero(apart <= seen.reach), (seen.steps + 1) * FINE_MECHANICS.time_step
+    vertices, times = np.flatnonzero(apart <= observed.reach), (observed.steps + 1) * FINE_MECHANICS.time_step
     motion = PressMotion(pressed, FINE_MECHANICS, vertices, times, FRAME * FINE_MECHANICS.time_step)
     slopes = motion.at(np.concatenate([np.log(np.abs(contact.theta)), np.zeros(2)]))[1]
-    told = slopes[..., 2, :] if seen.reach else slopes
-    information = known(fisher_information(told, NOISE), seen.onset)
+    used = slopes[..., 2, :] if observed.reach else slopes
+    information = known(fisher_information(used, NOISE), observed.onset)
     return np.concatenate([bounds(information), ratio_bounds(information)])
 
 
@@ -83,8 +83,8 @@ def rows_of(regime: Regime, scenes: range) -> list[list[str]]:
     found = defaultdict(list)
     for scene in scenes:
         for contact in draw_contacts(SceneSettings(width=214, height=120, regime=regime), scene, A_SCENE, 0.005):
-            for name, seen in observations(contact).items():
-                found[name].append(limits(contact, seen))
+            for name, observed in observations(contact).items():
+                found[name].append(limits(contact, observed))
     rows = []
     for name, values in found.items():
         cells = [f"{value:.2g}" if value < 100 else "none" for value in np.median(values, axis=0)]

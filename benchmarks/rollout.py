@@ -157,8 +157,8 @@ def require_same(name: str, turn: Turn, baseline: Turn) -> None:
         RuntimeError: trajectory or gradient differ from the baseline's.
     """
     for what, allowed in ALLOWED.items():
-        seen, expected = getattr(turn, what), getattr(baseline, what)
-        difference = np.abs(seen - expected).max() / np.abs(expected).max()
+        found, expected = getattr(turn, what), getattr(baseline, what)
+        difference = np.abs(found - expected).max() / np.abs(expected).max()
         if not difference <= allowed:
             raise RuntimeError(f"{name}: its {what} differs by {difference:.1e} from that of {BASELINE}.")
 

@@ -4,7 +4,7 @@
 
 Synthetic clips of the validation split, each in the suites `clean`, `8bit` and `noisy`. An error is the observed minus
 the simulated displacement at the true θ, on the mesh and under the load that were observed, wrong as they may be. It
-counts in units of the σ that the clip was told to have.
+counts in units of the σ that was stated for the clip.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ def compare(contact: Interaction, scene: Scene, motion: PressedMotion) -> ClipEr
 
 
 def spread(errors: np.ndarray) -> float:
-    """Standard deviation of errors [clips, F, …] within clips, which count alike."""
+    """Standard deviation of errors [clips, F, …] within clips, each of which counts the same."""
     return float(np.sqrt(np.nanvar(errors, axis=1, ddof=1).mean()))
 
 
@@ -118,12 +118,12 @@ def correlation(one: np.ndarray, other: np.ndarray) -> float:
 def rounding_evidence(along: np.ndarray, simulated: np.ndarray) -> float:
     """Log evidence of one true motion for rounded against noisy depth, without the odds before."""
     along, simulated = along[np.isfinite(along)], simulated[np.isfinite(along)]
-    noisy, alike = error_model.log_likelihoods(simulated + along, simulated[None])[1][0]
-    return float(alike - noisy - math.log(error_model.ROUNDED_ODDS))
+    noisy, rounded = error_model.log_likelihoods(simulated + along, simulated[None])[1][0]
+    return float(rounded - noisy - math.log(error_model.ROUNDED_ODDS))
 
 
 def statistics(errors: ClipErrors) -> dict[str, float]:
-    """What is told of one suite; every field has an axis of clips in front."""
+    """What is printed of one suite; every field has an axis of clips in front."""
     along = errors.along
     evidence = [rounding_evidence(*each) for each in zip(along, errors.simulated, strict=True)]
     return {
@@ -139,7 +139,7 @@ def statistics(errors: ClipErrors) -> dict[str, float]:
 
 
 def rounding_rows(errors: ClipErrors) -> list[list[str]]:
-    """How errors of rounding in consecutive frames correlate, by u, beside the theory."""
+    """How errors of rounding in consecutive frames correlate, by u, and the theory's."""
     part = np.abs(np.diff(errors.simulated, axis=1)) / STEP % 1
     bins = np.digitize(part, PARTS)
     rows = []

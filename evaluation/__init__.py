@@ -5,12 +5,11 @@ paper        `train.py test`: table 2, figure 3 and whether training collapsed
 recovery     synthetic clips with known truth against the best that is possible; benchmark: its door
 model_errors what fits get wrong besides what residuals tell, for estimators/model_errors.yaml; a door of its own
 ablation     the trained system without its parts, and the picture some frames ahead; a door of its own
-beside_truth estimates of synthetic clips beside their truth; a door of its own
+beside_truth estimates of synthetic clips compared with their truth; a door of its own
 real         real clips, judged on what was kept back from the fit; a door of its own
 online       the online estimator on simulated pulls, as its paper shows it; a door of its own
 palpation    measured forces on tissue, judged on what was kept back; a door of its own
 foreign      the finite elements on other people's data; a door of its own
-file_table   what every file of a folder gives, as table.csv
 page         Markdown and figures as one HTML page; result_figure: the README's picture, a door of its own
 """
 

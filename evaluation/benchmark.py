@@ -39,9 +39,8 @@ from palpate.estimators.direct.estimator import LEAST_SIGMA
 from palpate.estimators.open import FEM, EstimatorOptions
 from palpate.evaluation.harness import OK, Report, Row, require_within, run
 from palpate.evaluation.page import as_png
-from palpate.evaluation.recovery.constant import constant_estimate
 from palpate.evaluation.recovery.details import detail_table
-from palpate.evaluation.recovery.estimators import CONSTANT, DIRECT, NAMES, Candidate, describe
+from palpate.evaluation.recovery.estimators import CONSTANT, DIRECT, NAMES, Candidate, constant_estimate, describe
 from palpate.evaluation.recovery.grips import grip_table
 from palpate.evaluation.recovery.scores import Bound, Scores, score_all, table
 from palpate.evaluation.recovery.slabs import slab_table
@@ -80,10 +79,10 @@ class Benchmark:
     gan_model: Path | None = None
     """ONNX file of the estimator gan: one estimate a frame"""
     direct_model: Literal["sheet", "fem"] = "sheet"
-    """what direct fits to presses; fem is a slab of finite elements that is told the tissue's thickness, for the suite
+    """what direct fits to presses; fem is a slab of finite elements that is given the tissue's thickness, for the suite
     fem alone"""
     noise: float | None = None
-    """σ that direct is told [scene units] (default: the clip's own)"""
+    """σ that direct is given [scene units] (default: the clip's own)"""
     clips: int = 60
     """clips of each suite, a third a regime"""
     seed: int = 0
@@ -91,7 +90,7 @@ class Benchmark:
     split: Literal["training", "validation", "test"] = "test"
     """stream of seeds"""
     seen: int | Literal["press"] | None = None
-    """only the first N frames after the onset are seen, or with 'press' those in contact (default: one second)"""
+    """only the first N frames after the onset are observed, or with 'press' those in contact (default: one second)"""
     onset: Literal["stamp", "between"] = "stamp"
     """when direct and network take a press to begin: at a frame's stamp (as in most suites) or between"""
     contact: Literal["touching", "motion"] = "touching"
@@ -235,14 +234,14 @@ class Benchmark:
             if part:
                 tables[name] = made(part)
                 shown.append(tables[name])
-        said = [line for scores in judged for line in _said(scores)] + _failures(grips) + _failures(slabs)
+        lines = [line for scores in judged for line in _estimated(scores)] + _failures(grips) + _failures(slabs)
         failed = not found or (bool(presses) and not any(row["status"] == OK for row in presses))
         if failed:
-            said.append(("No clip could be estimated.", "red"))
-        return Report(tables, shown, said, {name: as_png(figure) for name, figure in figures(judged)}, failed=failed)
+            lines.append(("No clip could be estimated.", "red"))
+        return Report(tables, shown, lines, {name: as_png(figure) for name, figure in figures(judged)}, failed=failed)
 
 
-def _said(scores: Scores) -> list[tuple[str, str]]:
+def _estimated(scores: Scores) -> list[tuple[str, str]]:
     """How many clips of a suite were estimated, and why others weren't."""
     count = f"{len(scores.rows)} of {len(scores.rows) + len(scores.failed)} clips estimated"
     text = f"{scores.estimator} on {scores.suite}: {count}, σ {scores.noise[0]:.3g}"
@@ -251,13 +250,13 @@ def _said(scores: Scores) -> list[tuple[str, str]]:
 
 def _failures(rows: Sequence[Row]) -> list[tuple[str, str]]:
     failed = [row for row in rows if row["status"] != OK]
-    said = []
+    lines = []
     for row in failed[:SHOWN_FAILURES]:
         clip = f"{row['suite']}, clip {row['index']} ({row.get('regime', row['action'])})"
-        said.append((f"  {clip}: {row['status']}, {row['reason']}", "yellow"))
+        lines.append((f"  {clip}: {row['status']}, {row['reason']}", "yellow"))
     if len(failed) > SHOWN_FAILURES:
-        said.append((f"  {len(failed)} in all: {dict(Counter(row['status'] for row in failed))}", "yellow"))
-    return said
+        lines.append((f"  {len(failed)} in all: {dict(Counter(row['status'] for row in failed))}", "yellow"))
+    return lines
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -1,4 +1,4 @@
-"""Estimates of synthetic clips beside their truth, as a table a clip.
+"""Estimates of synthetic clips compared with their truth, as a table a clip.
 
     python -m evaluation.beside_truth RESULTS [RESULTS …]
 
@@ -42,7 +42,7 @@ SAME_ONSET = 1.5
 
 
 class NoTruth(ValueError):
-    """Results can't be shown beside the truth; the message is a sentence."""
+    """Results can't be compared with the truth; the message is a sentence."""
 
 
 def true_values(theta: Mapping[str, float]) -> dict[str, float]:
@@ -83,7 +83,7 @@ def read_results(folder: Path) -> tuple[str, dict[str, str], dict[str, float]]:
     for row, begun in zip(rows, onsets, strict=True):
         if row["status"] == "ok" and abs(begun - onset) * fps <= SAME_ONSET:
             return clip.name, row, values
-    runs = " ".join(f"Contact from {begun:.2f} s: {said}" for begun, said in zip(onsets, found, strict=True))
+    runs = " ".join(f"Contact from {begun:.2f} s: {outcome}" for begun, outcome in zip(onsets, found, strict=True))
     raise NoTruth(
         f"{folder} has no estimate of a run of contact that begins at {onset:.2f} s, where it truly does. "
         f"{runs or 'No contact was found.'}"

@@ -8,6 +8,7 @@ continues an interrupted run, and writes what the experiment makes of all rows: 
 from __future__ import annotations
 
 import argparse
+import base64
 import json
 import os
 import re
@@ -20,6 +21,7 @@ from typing import Any, ClassVar, Protocol, get_origin, get_type_hints
 import numpy as np
 import pandas as pd
 from jsonargparse import ArgumentParser, set_parsing_settings
+from matplotlib.figure import Figure
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
@@ -33,7 +35,7 @@ from palpate.common.provenance import code_digest
 from palpate.common.tables import to_cell
 from palpate.common.workers import WorkerLost, run_tasks
 from palpate.data.source.layout import InputError
-from palpate.evaluation.page import render_page
+from palpate.evaluation.page import as_png, render_page
 from palpate.models.onnx_session import ModelFileError
 from palpate.results.store import OutputError, writing
 
@@ -59,7 +61,7 @@ class Report:
     """By the name of their file."""
     shown: Sequence[pd.DataFrame] = ()
     """Printed."""
-    said: Sequence[tuple[str, str]] = ()
+    lines: Sequence[tuple[str, str]] = ()
     """Lines on the terminal, each with its style."""
     figures: Mapping[str, bytes] = field(default_factory=dict)
     """PNG files by their name in figures/."""
@@ -147,10 +149,29 @@ def run(kind: type[Any], arguments: Sequence[str] | None, program: str, document
         return 1
     for frame in report.shown:
         show(frame)
-    for text, style in report.said:
+    for text, style in report.lines:
         say(console, text, style)
     say(console, f"written: {experiment.output}/{', '.join(names)}")
     return status or int(report.failed)
+
+
+def run_named(
+    kinds: Mapping[str, tuple[type[Any], str | None]],
+    arguments: Sequence[str] | None,
+    program: str,
+    documentation: str | None,
+) -> int:
+    """Run the one of several experiments that the first argument names, each given with its text for `--help`.
+
+    Returns:
+        Exit status, as of `run`.
+    """
+    name, *rest = (sys.argv[1:] if arguments is None else arguments) or [""]
+    if name not in kinds:
+        print(documentation if name == "--help" else f"Give one of {', '.join(kinds)}, or --help.", file=sys.stderr)
+        return 0 if name == "--help" else 2
+    kind, text = kinds[name]
+    return run(kind, rest, f"{program} {name}", text)
 
 
 def options(kind: type[Any], arguments: Sequence[str] | None, program: str, documentation: str | None) -> Any:
@@ -364,3 +385,81 @@ def attempted(work: Callable[[], Row]) -> Row:
     except Exception as error:
         reason = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
         return {"status": "error", "reason": reason}
+
+
+def by_measure(rows: Sequence[Row], key: str) -> pd.DataFrame:
+    """Rows as a table with a line for every measure of each: its `key`, the measure's name, and its value."""
+    cells = [(row[key], name, value) for row in rows for name, value in row.items() if name != key]
+    return pd.DataFrame(cells, columns=(key, "measure", "value"))
+
+
+def measured(case: tuple[str, Callable[[], Row]]) -> list[Row]:
+    """Measures of one case, by name, or the sentence that says why there are none: the other cases go on."""
+    name, work = case
+    try:
+        with interruptible():
+            return [{"file": name, **work()}]
+    except Exception as error:
+        reason = str(error) if isinstance(error, ValueError) else f"failed ({type(error).__name__}: {error})"
+        return [{"file": name, "status": reason}]
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """Base of experiments that measure one file, or the like, after the other: table.csv has a row for every measure.
+
+    A measure `figures` holds pictures, PNG in base 64, by their names.
+    """
+
+    output: Path
+    """folder of the results"""
+
+    workers: ClassVar = 0
+    keys: ClassVar = ("file",)
+    work: ClassVar = staticmethod(measured)
+    refused: ClassVar = ()
+    writes: ClassVar[Sequence[str]] = ("table.csv",)
+
+    @property
+    def wanted(self) -> Mapping[str, Callable[[], Row]]:
+        """What is to be measured, by the name of each case, in the order of the table."""
+        raise NotImplementedError
+
+    def record(self) -> Mapping[str, Any]:
+        """What the results depend on besides their names."""
+        return {}
+
+    def cases(self, done: Mapping[tuple, Row], progress: Progress) -> tuple[list[Any], int]:
+        """Those without measures; what failed is tried again."""
+        wanted = self.wanted
+        return [case for case in wanted.items() if "status" in done.get((case[0],), {"status": ""})], len(wanted)
+
+    def tabled(self, rows: Sequence[Row]) -> list[Row]:
+        """Rows as they are in the table, made of those that were measured."""
+        return list(rows)
+
+    def report(self, rows: Mapping[tuple, Row]) -> Report:
+        """The table, the pictures, and what failed."""
+        found = [dict(rows[name,]) for name in self.wanted if (name,) in rows]
+        pictures = [row.pop("figures", {}) for row in found]
+        figures = {name: base64.b64decode(content) for each in pictures for name, content in each.items()}
+        frame = by_measure(self.tabled(found), "file")
+        failed = [(f"{row['file']}: {row['status']}", "red") for row in found if "status" in row]
+        return Report({"table.csv": frame}, [frame], failed, figures, failed=bool(failed))
+
+
+@dataclass(frozen=True)
+class FileMeasurements(Measurements):
+    """Measurements of the files in a folder and below, by their paths there."""
+
+    data: Path
+    """folder of the data"""
+
+    def record(self) -> Mapping[str, Any]:
+        """When every file was changed last."""
+        return {f"file {name}": (self.data / name).lstat().st_mtime_ns for name in self.wanted}
+
+
+def in_base64(figure: Figure) -> str:
+    """A figure as a row keeps it."""
+    return base64.b64encode(as_png(figure)).decode()

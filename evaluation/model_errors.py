@@ -6,7 +6,7 @@ The sessions that users run are asked of clips of the validation split, and what
 their residuals tell: the rest is the model's. Of every entry of the file that a part measures, `measured` then says the
 root mean square errors, what residuals tell of them, the standard deviation of the model that follows, from how many
 clips, and by which command. Fewer than 20 clips leave `value`, by which the estimators go, as it is. The part grip
-takes the suites retraction, foundation and regions; pull the pulls of the suite fem, by a slab that is told the
+takes the suites retraction, foundation and regions; pull the pulls of the suite fem, by a slab that is given the
 thickness (minutes a clip).
 """
 
@@ -17,22 +17,23 @@ from palpate.common.doors import enter_door, run_door
 if __name__ == "__main__":
     enter_door()  # before the slow imports
 
-import argparse
 import datetime
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import yaml
 from rich.console import Console
 
-from palpate.common.command_line import path_option, progress_bars, say, whole_number
+from palpate.common.command_line import progress_bars, say
 from palpate.common.files import replacing
+from palpate.common.settings import LARGEST
 from palpate.estimators.model_errors import FILE, read_entries
 from palpate.estimators.open import FEM, EstimatorOptions
-from palpate.evaluation.harness import Row
+from palpate.evaluation.harness import Row, options, require_within
 from palpate.evaluation.recovery.suites import EVERY, LARGEST_SEED, suite_clip_seed
 from palpate.evaluation.recovery.trial import Trial, run_trial
 
@@ -53,9 +54,9 @@ Errors = dict[str, list[tuple[float, float]]]
 """By entry: errors of the clips, and the variances that their residuals tell."""
 
 
-def model_sd(off: float, told: float) -> float:
+def model_sd(off: float, residual: float) -> float:
     """Standard deviation that is left of root mean square errors where residuals tell some, to two digits."""
-    left = math.sqrt(max(off**2 - told**2, 0.0))
+    left = math.sqrt(max(off**2 - residual**2, 0.0))
     return float(f"{left:.2g}")
 
 
@@ -87,14 +88,14 @@ def pull_errors(rows: Sequence[Row], values: Mapping[str, float]) -> Errors:
         if "reaction" not in row:
             continue
         value, sd = row["reaction"]
-        told = max(sd**2 - values["pull_force"] ** 2, 0.0)
-        found.setdefault("pull_force", []).append((math.log(value * row["tissue"][0] / row["true_force"]), told))
+        stated = max(sd**2 - values["pull_force"] ** 2, 0.0)
+        found.setdefault("pull_force", []).append((math.log(value * row["tissue"][0] / row["true_force"]), stated))
         # The last frame's ratio is 1 by definition.
         true, course, deviation = row["curve"][:, :-1]
         size = float(np.square(course).mean())
-        told = float(np.square(deviation).mean()) / size - values["pull_course"] ** 2
+        stated = float(np.square(deviation).mean()) / size - values["pull_course"] ** 2
         found.setdefault("pull_course", []).append(
-            (math.sqrt(float(np.square(course - true).mean()) / size), max(told, 0.0))
+            (math.sqrt(float(np.square(course - true).mean()) / size), max(stated, 0.0))
         )
     return found
 
@@ -104,8 +105,8 @@ def updated(entries: dict[str, dict[str, Any]], errors: Errors, command: str, da
     found = {name: dict(entry) for name, entry in entries.items()}
     for name, pairs in errors.items():
         errors_of, variances = np.transpose(pairs)
-        off, told = (float(f"{math.sqrt(part.mean()):.3g}") for part in (np.square(errors_of), variances))
-        measured = {"off": off, "told": told, "sd": model_sd(off, told), "clips": len(pairs)}
+        off, stated = (float(f"{math.sqrt(part.mean()):.3g}") for part in (np.square(errors_of), variances))
+        measured = {"off": off, "told": stated, "sd": model_sd(off, stated), "clips": len(pairs)}
         found[name]["measured"] = measured | {"command": command, "date": date}
         if len(pairs) >= ENOUGH:
             found[name] |= {"value": measured["sd"], "source": "measured"}
@@ -119,41 +120,52 @@ def write_entries(path: Path, entries: dict[str, dict[str, Any]]) -> None:
         partial.write_text(HEAD + text, encoding="utf-8")
 
 
-def main(arguments: list[str] | None = None) -> int:
+@dataclass(frozen=True)
+class ModelErrors:
+    """What is measured."""
+
+    part: Literal["grip", "pull"]
+    """whose errors"""
+    seed: int
+    """of the clips"""
+    clips: int = 24
+    """clips of each suite"""
+    output: Path = FILE
+    """the file (default: that of the estimators)"""
+
+    def __post_init__(self) -> None:
+        """Raise a ValueError where an option can't be used."""
+        require_within(self, seed=(0, LARGEST_SEED), clips=(1, LARGEST))
+
+    @property
+    def wanted(self) -> list[tuple[str, int]]:
+        """Suites and numbers of the clips."""
+        found = [(suite, index) for suite in PARTS[self.part] for index in range(self.clips)]
+        return [(suite, at) for suite, at in found if self.part == "grip" or EVERY[suite].settings(at).action == "grip"]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
     """Measure a part; returns the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="python -m evaluation.model_errors",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog="Exit status: 0 done, 1 nothing could be measured, 2 wrong usage, 130 interrupted.",
-    )
-    add = parser.add_argument
-    add("--part", choices=list(PARTS), required=True, help="whose errors are measured")
-    add("--clips", type=whole_number(1), default=24, metavar="N", help="clips of each suite (default %(default)s)")
-    add("--seed", type=whole_number(0, LARGEST_SEED), required=True, metavar="N", help="of the clips")
-    add("--output", type=path_option, default=FILE, metavar="FILE", help="the file (default: that of the estimators)")
-    options, console = parser.parse_args(arguments), Console(stderr=True)
-    entries = read_entries(options.output if options.output.exists() else FILE)
+    asked: ModelErrors = options(ModelErrors, arguments, "evaluation.model_errors", __doc__)
+    console = Console(stderr=True)
+    entries = read_entries(asked.output if asked.output.exists() else FILE)
     values = {name: float(entry["value"]) for name, entry in read_entries().items()}
-    numbers = [(suite, index) for suite in PARTS[options.part] for index in range(options.clips)]
-    if options.part == "pull":
-        numbers = [(suite, index) for suite, index in numbers if EVERY[suite].settings(index).action == "grip"]
     rows: list[Row] = []
     with progress_bars(console) as progress:
-        bar = progress.add_task("clips", total=len(numbers))
-        for suite, index in numbers:
-            seed = suite_clip_seed(SPLIT, options.seed, index)
-            rows += run_trial(Trial(index, seed, {suite: {DIRECT: CANDIDATES[options.part]}}))
+        bar = progress.add_task("clips", total=len(asked.wanted))
+        for suite, index in asked.wanted:
+            seed = suite_clip_seed(SPLIT, asked.seed, index)
+            rows += run_trial(Trial(index, seed, {suite: {DIRECT: CANDIDATES[asked.part]}}))
             progress.advance(bar)
-    errors = (grip_errors if options.part == "grip" else pull_errors)(rows, values)
+    errors = (grip_errors if asked.part == "grip" else pull_errors)(rows, values)
     if not errors:
         say(console, "No clip has an estimate that could be compared; give other seeds, or more clips.", "red")
         return 1
-    command = f"python -m evaluation.model_errors --part {options.part} --clips {options.clips} --seed {options.seed}"
-    write_entries(options.output, updated(entries, errors, command, datetime.date.today().isoformat()))
+    command = f"python -m evaluation.model_errors --part {asked.part} --clips {asked.clips} --seed {asked.seed}"
+    write_entries(asked.output, updated(entries, errors, command, datetime.date.today().isoformat()))
     for name, pairs in errors.items():
         say(console, f"{name}: {len(pairs)} clips")
-    say(console, f"written: {options.output}")
+    say(console, f"written: {asked.output}")
     return 0
 
 

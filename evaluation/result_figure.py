@@ -83,8 +83,8 @@ def main(arguments: list[str] | None = None) -> int:
         estimator = open_estimator("network", onset="stamp")
         clip = open_clip(path, estimator)
         frames = list(clip)
-        said = list(estimates_of(estimator.start(ClipInfo.of(clip)), frames))
-        estimates = [item for item in said if isinstance(item, FrameEstimate)]
+        outputs = list(estimates_of(estimator.start(ClipInfo.of(clip)), frames))
+        estimates = [item for item in outputs if isinstance(item, FrameEstimate)]
         index = truth["release_frame"] - 1
         if estimates[index].estimate is None:
             print("The clip has no estimate; give another --seed.", file=sys.stderr)

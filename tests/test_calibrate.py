@@ -22,7 +22,7 @@ from palpate.evaluation.palpation import example
 from palpate.evaluation.palpation.example import scene_files
 from palpate.evaluation.palpation.synthetic import BODIES, observe, press
 from palpate.physics.fem import Material, find_equilibrium
-from tests.evaluation.palpation.test_door import write_hold, write_probes
+from tests.evaluation.palpation.test_curves import write_hold, write_probes
 
 
 def write_scene(folder: Path, **changed: object) -> Path:

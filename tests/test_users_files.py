@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import functools
 import os
 import random
@@ -35,7 +36,7 @@ from palpate.evaluation.foreign import __main__ as foreign
 from palpate.evaluation.online import __main__ as online
 from palpate.evaluation.online.compare import Case
 from palpate.evaluation.palpation import __main__ as palpation
-from palpate.evaluation.palpation import frank
+from palpate.evaluation.palpation import curves, surfaces
 from palpate.evaluation.real import __main__ as real
 from palpate.evaluation.recovery import figures
 from palpate.planning import cost_table
@@ -62,9 +63,9 @@ PLACES = {
     "judge_press": ("table.csv", "report.html", "figures/1.png", "figures/notes.txt"),
     "judge_foreign": ("table.csv", "notes.txt"),
     "judge_palpation": ("table.csv", "notes.txt"),
-    "judge_frank": ("table.csv", "error_mask.png", "six_forces.png", "notes.txt"),
+    "judge_frank": ("table.csv", "figures/error_mask.png", "figures/six_forces.png", "results.jsonl", "notes.txt"),
     "judge_newtons": ("table.csv", "calibration.yaml", "results/notes.txt"),
-    "judge_online": ("table.csv", "report.html", "figures/figure_5.png", "cases/notes.txt", "cases/x.npz"),
+    "judge_online": ("table.csv", "report.html", "figures/figure_5.png", "results.jsonl", "run.json"),
     "calibrate_curves": ("curves.csv", "notes.txt"),
     "calibrate_palpation": ("calibration.json", "errors.csv", "errors.png", "notes.txt"),
     "plan_way": ("plan.json", "plan.png", "presses/notes.txt"),
@@ -111,14 +112,12 @@ def quick(monkeypatch: pytest.MonkeyPatch, blank_pictures: None) -> None:
     patch(synthetic_clips, "write_truth", quick_truth)
     patch(synthetic_clips, "open_video", lambda path, settings: nullcontext(lambda image: path.write_bytes(b"v")))
     patch(real, "_drawn", lambda case, row: row.update({"frames": 1}))
-    patch(real, "as_png", lambda figure: os.urandom(8))
+    patch(real, "in_base64", lambda figure: base64.b64encode(os.urandom(8)).decode())
     patch(foreign, "judge_pull", lambda path: {"frames": random.random()})
-    patch(palpation, "read_grasp", lambda path: Grasp(np.linspace(0, 9, 19), random.random() - np.arange(19)))
-    patch(frank, "true_press", lambda *arguments: ())
-    patch(frank, "observe", lambda *arguments: None)
-    patch(frank, "_fitted_by", lambda *arguments: (None, None))
-    patch(frank, "_starts", lambda label, *rest: rest[-1].add(label, {"E": random.random()}))
-    patch(frank, "_paper", lambda *arguments: {name: os.urandom(8) for name in frank.FIGURES})
+    patch(curves, "read_grasp", lambda path: Grasp(np.linspace(0, 9, 19), random.random() - np.arange(19)))
+    patch(surfaces, "fit_from", lambda *arguments: {"E": random.random()})
+    drawn = {name: base64.b64encode(os.urandom(8)).decode() for name in surfaces.FIGURES}
+    patch(surfaces, "paper_figures", lambda *arguments: {"figures": drawn})
     truths = {str(number): newtons.Truth(Path(str(number)), 1 + random.random(), 0.5) for number in range(3)}
     patch(newtons, "read_truths", lambda folder: truths)
     patch(newtons.infer, "main", newtons_of(infer.main))
@@ -126,9 +125,8 @@ def quick(monkeypatch: pytest.MonkeyPatch, blank_pictures: None) -> None:
     sequence = SimpleNamespace(block=False, frames=60, pull=lambda particles, points, frames: pull)
     patch(online, "SEQUENCES", {"thin-shell-1": sequence})
     patch(online, "run_case", lambda *arguments: Case(*(np.full(1, random.random()) for _ in range(8)), 0.5, 0.1))
-    patch(online, "told_by", lambda pull: {name: random.random() for name in ("true", "uniform", "exchanged")})
+    patch(online, "field_traces", lambda pull: {name: random.random() for name in ("true", "uniform", "exchanged")})
     patch(online, "draw_all", lambda cases, pulls: {"figure_5.png": Figure((1, 1))})
-    patch(online, "code_digest", lambda: "digest")
     patch(cost_table, "simulate_press", quick_press)
     patch(plan, "simulate_press", quick_press)
     settings = SimpleNamespace(law="corotational")
@@ -194,17 +192,26 @@ def runs_of(inputs: Path) -> dict[str, Run]:
         return foreign.main(["--data", str(inputs / "foreign"), "--output", str(out)])
 
     def judge_palpation(chance: random.Random, out: Path) -> object:
-        return palpation.main(["--data", str(inputs / "forces"), "--output", str(out)])
+        return palpation.main(["curves", "--data", str(inputs / "forces"), "--output", str(out)])
 
     def judge_frank(chance: random.Random, out: Path) -> object:
-        return frank.main(["--quick", "--output", str(out)])
+        return palpation.main(["frank", "--quick", "--output", str(out)])
 
     def judge_newtons(chance: random.Random, out: Path) -> object:
         known = ["--known", chance.choice("012")]
         return newtons.main(["--clips", str(inputs), *known, "--output", str(out)])
 
     def judge_online(chance: random.Random, out: Path) -> object:
-        asked = ["--starts", "k1", "--methods", "PBD", "--every", str(chance.choice((5, 10)))]
+        asked = [
+            "--sequences",
+            "thin-shell-1",
+            "--starts",
+            "k1",
+            "--methods",
+            "PBD",
+            "--every",
+            str(chance.choice((5, 10))),
+        ]
         return online.main([*asked, "--output", str(out)])
 
     def calibrate_curves(chance: random.Random, out: Path) -> object:
@@ -309,7 +316,7 @@ def test_these_doors_write_where_nothing_is_in_the_way(inputs: Path) -> None:
         "judge_palpation": {"table.csv"},
         "judge_frank": {"table.csv", "error_mask.png", "six_forces.png"},
         "judge_newtons": {"table.csv", "calibration.yaml"},
-        "judge_online": {"table.csv", "report.html", "figure_5.png", "thin-shell-1_k1_PBD.npz"},
+        "judge_online": {"table.csv", "report.html", "figure_5.png", "results.jsonl"},
         "calibrate_curves": {"curves.csv"},
         "calibrate_palpation": {"calibration.json", "errors.csv", "errors.png"},
         "plan_way": {"plan.json", "plan.png"},

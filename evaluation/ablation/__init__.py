@@ -2,5 +2,5 @@
 
 terms        generators trained without one term of the loss, the picture or the carried map
 next_depth   the picture some frames ahead, by physics and by a trained generator
-watched      a synthetic clip beside its noise-free truth; generated: what a trained generator makes of it
+watched      a synthetic clip and its noise-free truth; generated: what a trained generator makes of it
 """

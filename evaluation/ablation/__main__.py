@@ -13,23 +13,17 @@ from palpate.common.doors import enter_door, run_door
 if __name__ == "__main__":
     enter_door()  # before the slow imports
 
-import sys
 from collections.abc import Sequence
 
 from palpate.evaluation.ablation import next_depth, terms
-from palpate.evaluation.harness import run
+from palpate.evaluation.harness import run_named
 
 STUDIES = {"terms": (terms.Terms, terms.DOCUMENTATION), "next-depth": (next_depth.NextDepth, next_depth.__doc__)}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the study that the command line asks for; returns the exit status."""
-    name, *rest = (sys.argv[1:] if arguments is None else arguments) or [""]
-    if name not in STUDIES:
-        print(__doc__ if name == "--help" else f"Give one of {', '.join(STUDIES)}, or --help.", file=sys.stderr)
-        return 0 if name == "--help" else 2
-    kind, documentation = STUDIES[name]
-    return run(kind, rest, f"evaluation.ablation {name}", documentation)
+    return run_named(STUDIES, arguments, "evaluation.ablation", __doc__)
 
 
 if __name__ == "__main__":

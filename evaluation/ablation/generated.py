@@ -34,14 +34,16 @@ class TrainedGenerator:
 
     @torch.no_grad()
     def estimate(self, clip: WatchedClip, now: int) -> np.ndarray:
-        """θ from what was seen up to a frame, as a training sample of that frame is told it, shape [3]."""
+        """θ from what was observed up to a frame, as a training sample of that frame has it, shape [3]."""
         features, head = self.generator.encode(self._window(clip, now)), self.generator.head
-        told = None
+        given = None
         if isinstance(head, ContactHead):
-            seen = clip.run.build(self.mechanics, until=clip.since(now))
+            contact = clip.run.build(self.mechanics, until=clip.since(now))
             with_sequence = len(head.posterior.centre) == FEATURES + SEQUENCE_FEATURES
-            told = torch.from_numpy(dent_features(seen, within=0.0) if with_sequence else contact_features(seen))[None]
-        return self.generator.answer(features, told).theta[0].double().numpy()
+            given = torch.from_numpy(
+                dent_features(contact, within=0.0) if with_sequence else contact_features(contact)
+            )[None]
+        return self.generator.answer(features, given).theta[0].double().numpy()
 
     @torch.no_grad()
     def picture(self, clip: WatchedClip, now: int, theta: np.ndarray) -> np.ndarray:

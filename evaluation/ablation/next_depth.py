@@ -3,11 +3,11 @@
 The last depth map is carried along by the rollout of θ (`models.carried_depth`), as the GAN's decoder physics starts
 from it: once with the true θ, once with what the network says in that very frame. Compared with noise-free truth are
 the pixels within reach of the contact whose depth changes by more than twice its noise: mean absolute errors [scene
-units]. The rivals copy the last map, or the mean of all maps so far. When the tool lets go is taken as seen later; the
-estimates don't know it.
+units]. The rivals copy the last map, or the mean of all maps so far. When the tool lets go is taken from later frames;
+the estimates don't know it.
 
-Of a checkpoint of `train.py fit` the same is said: the last map carried by what its own head says, and the picture that
-its decoder makes. The columns `turned` move θ: from the true one to the farthest corner of the box, by which the
+Of a checkpoint of `train.py fit` the same is measured: the last map carried by what its own head says, and the picture
+that its decoder makes. The columns `turned` move θ: from the true one to the farthest corner of the box, by which the
 generated picture and the simulated one (the clip's own integrator, rendered without noise) each change over the
 horizon: their correlation over all pixels that move with either θ, the median of the clips' own, and the generated
 change a unit of the simulated one.
@@ -74,7 +74,7 @@ def trained(checkpoint: Path) -> TrainedGenerator:
 
 
 def next_depth_errors(task: NextDepthTask) -> list[Row]:
-    """Errors of one clip; no pixels where it has no contact whose onset was seen.
+    """Errors of one clip; no pixels where it has no contact whose onset was observed.
 
     Returns:
         A row with `pixels`: how many count, of all its frames; `total`: the sum of their absolute errors, by COPIES,
@@ -89,8 +89,8 @@ def next_depth_errors(task: NextDepthTask) -> list[Row]:
     if clip is None:
         return [named | {"pixels": 0, "total": total}]
     session, frames = opened(task.network).start(clip.info), clip.frames
-    said = [item for frame in frames for item in session.push(frame) if isinstance(item, FrameEstimate)]
-    estimates = {item.frame: item.estimate.theta for item in said if item.estimate is not None}
+    outputs = [item for frame in frames for item in session.push(frame) if isinstance(item, FrameEstimate)]
+    estimates = {item.frame: item.estimate.theta for item in outputs if item.estimate is not None}
     pixels = 0
     for now in clip.instants(task.horizon):
         theta = estimates.get(frames[now].frame.number)

@@ -1,4 +1,4 @@
-"""A synthetic clip as it is seen, frame by frame, beside what truly happens, for this θ or another."""
+"""A synthetic clip as it is observed, frame by frame, and what truly happens, for this θ or another."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class WatchedClip:
     seed: int
     info: ClipInfo
     frames: list[PreparedFrame]
-    """As they are seen."""
+    """As they are observed."""
     truth: list[PreparedFrame]
     """The same without noise, flicker and rounding of the depth."""
     run: InteractionBuilder
@@ -52,7 +52,7 @@ class WatchedClip:
         return [now for now in pressed if self.since(now + horizon) <= MECHANICS.seconds]
 
     def tissue(self, now: int, horizon: int, truth: list[PreparedFrame]) -> np.ndarray:
-        """Where tissue near the contact is seen now and truly so many frames later, shape [h, w], bool."""
+        """Where tissue near the contact is in view now and truly so many frames later, shape [h, w], bool."""
         here, then = self.frames[now], truth[now + horizon]
         near = np.zeros(here.depth.shape, bool)
         near[window_around(self.contact.mesh.pixels[self.contact.vertex])] = True

@@ -1,9 +1,9 @@
-"""What the finite elements find on other people's data, beside the truth.
+"""What the finite elements find on other people's data, compared with the truth.
 
     python -m evaluation.foreign --data DIR --output OUT
 
-Runs on every file that it knows under DIR, by name: `linear*.npz` and `neohookean*.npz` with `liver.msh` and
-`dirichlet-vertices.npy` beside them (a pulled liver of a foreign simulation; minutes each), and `beam_*.csv` (a
+Runs on every file that it knows under DIR, by name: `linear*.npz` and `neohookean*.npz`, with `liver.msh` and
+`dirichlet-vertices.npy` in the same folder (a pulled liver of a foreign simulation; minutes each), and `beam_*.csv` (a
 silicone beam that is let go). Writes table.csv (file, measure, value); what the measures mean is in
 docs/reports/fem.md.
 """
@@ -15,60 +15,48 @@ from palpate.common.doors import enter_door, run_door
 if __name__ == "__main__":
     enter_door()  # before the slow imports
 
-from pathlib import Path
-from typing import Any
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
-from rich.console import Console
-
-from palpate.common.command_line import progress_bars, say
-from palpate.common.doors import INTERRUPTED
 from palpate.common.files import all_below
-from palpate.evaluation.file_table import FileTable, folder_parser
-from palpate.evaluation.foreign.beam import Ringing, judge_beams, read_ringing
+from palpate.evaluation.foreign.beam import Ringing, judge_beams, measure_ringing
 from palpate.evaluation.foreign.liver import MATERIALS, judge_pull
-from palpate.results.store import OutputError
+from palpate.evaluation.harness import FileMeasurements, Row, run
 
 
-def main(arguments: list[str] | None = None) -> int:
+@dataclass(frozen=True)
+class Foreign(FileMeasurements):
+    """Other people's data."""
+
+    def __post_init__(self) -> None:
+        """Raise a ValueError where there is nothing to judge."""
+        if not self.wanted:
+            raise ValueError(
+                f"{self.data} holds none of linear*.npz, neohookean*.npz, beam_*.csv; give --data that does."
+            )
+
+    @functools.cached_property
+    def wanted(self) -> Mapping[str, Callable[[], Row]]:
+        """Beams, then pulls."""
+        found = all_below(self.data) if self.data.is_dir() else []
+        beams = [path for path in found if path.name.startswith("beam_") and path.suffix == ".csv"]
+        pulls = [path for path in found if path.name.startswith(tuple(MATERIALS)) and path.suffix == ".npz"]
+        works = [(path, measure_ringing) for path in beams] + [(path, judge_pull) for path in pulls]
+        return {path.relative_to(self.data).as_posix(): functools.partial(work, path) for path, work in works}
+
+    def tabled(self, rows: Sequence[Row]) -> list[Row]:
+        """In place of beams as they were measured, what their runs say together."""
+        runs = {row["file"]: Ringing(**row["ringing"]) for row in rows if "ringing" in row}
+        judged = judge_beams(runs) if runs else {}
+        failed_beams = [row for row in rows if "status" in row and row["file"].endswith(".csv")]
+        pulls = [row for row in rows if row["file"].endswith(".npz")]
+        return [*failed_beams, *({"file": name, **measures} for name, measures in judged.items()), *pulls]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
     """Judge what lies under a folder; returns the exit status."""
-    parser, console = folder_parser("evaluation.foreign", __doc__), Console(stderr=True)
-    options: Any = parser.parse_args(arguments)
-    found = all_below(options.data) if options.data.is_dir() else []
-    pulls = [path for path in found if path.name.startswith(tuple(MATERIALS)) and path.suffix == ".npz"]
-    beams = [path for path in found if path.name.startswith("beam_") and path.suffix == ".csv"]
-    if not pulls and not beams:
-        parser.error(f"{options.data} holds none of linear*.npz, neohookean*.npz, beam_*.csv; give --data that does.")
-    runs: dict[str, Ringing] = {}
-
-    def read(path: Path, name: str) -> dict[str, object]:
-        runs[name] = read_ringing(path)
-        return {}
-
-    try:
-        table, interrupted = FileTable(options.output, console), False
-        try:
-            with progress_bars(console) as progress:
-                bar = progress.add_task("files", total=len(pulls) + len(beams))
-                for path in beams:
-                    name = path.relative_to(options.data).as_posix()
-                    table.judge(name, lambda path=path, name=name: read(path, name))
-                    progress.advance(bar)
-                if runs:
-                    judged: dict[str, dict[str, object]] = {}
-                    table.judge("silicone beam", lambda: judged.update(judge_beams(runs)) or {})
-                    for name, measures in judged.items():
-                        table.add(name, measures)
-                for path in pulls:
-                    table.judge(path.relative_to(options.data).as_posix(), lambda path=path: judge_pull(path))
-                    progress.advance(bar)
-        except KeyboardInterrupt:
-            say(console, "Interrupted; what is finished is written.", "yellow")
-            interrupted = True
-    except OutputError as error:
-        say(console, str(error), "red")
-        return 1
-    table.show()
-    return INTERRUPTED if interrupted else table.status
+    return run(Foreign, arguments, "evaluation.foreign", __doc__)
 
 
 if __name__ == "__main__":

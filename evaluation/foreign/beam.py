@@ -11,7 +11,7 @@ import io
 import re
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -30,8 +30,8 @@ LENGTHS = (0.1, 0.03, 0.03)
 """[m]."""
 DENSITY, POISSON = 1070.0, 0.499
 MESHES = ((12, 3, 3), (16, 4, 4))
-"""Cells of two meshes of quadratic elements (linear ones lock at this ν), alike but for their size: their rates fall as
-its square and are extrapolated to none."""
+"""Cells of two meshes of quadratic elements (linear ones lock at this ν), which differ in size alone: rates fall as its
+square and are extrapolated to none."""
 FITTED = 0.06
 """Largest mass at the tip of a run that is fitted [kg]: heavier ones are predicted."""
 PUBLISHED = 264e3
@@ -79,8 +79,9 @@ def read_ringing(path: Path) -> Ringing:
             text = io.StringIO(read_file(path, MOST_BYTES).decode("utf-8-sig"))
             table = np.loadtxt(text, delimiter=",", skiprows=1, ndmin=2)
     except (OSError, ValueError, UserWarning) as error:
-        told = reason(error)
-        raise InputError(f"{path.name} is no table of numbers ({told}); give times and markers by columns.") from error
+        raise InputError(
+            f"{path.name} is no table of numbers ({reason(error)}); give times and markers by columns."
+        ) from error
     if table.shape[1] < 1 + 3 * TIP or len(table) < 50 or not (np.abs(table) <= LARGEST).all():
         raise InputError(f"{path.name} has shape {table.shape}; give times and three markers at least, 50 rows.")
     if not (np.diff(table[:, 0]) > 0).all():
@@ -109,6 +110,11 @@ def read_ringing(path: Path) -> Ringing:
     found = least_squares(lambda values: model(values) - fall, guess, x_scale=scales, bounds=(low, high))
     residual = float(np.sqrt(np.mean(found.fun**2))) / size
     return Ringing(mass, float(found.x[3]), float(found.x[2]), residual)
+
+
+def measure_ringing(path: Path) -> dict[str, object]:
+    """A run's ringing as a row; raises InputError as `read_ringing` does."""
+    return {"ringing": asdict(read_ringing(path))}
 
 
 def modal_rates(masses: Sequence[float]) -> np.ndarray:
@@ -161,21 +167,21 @@ def fit_solid(runs: Sequence[Ringing], rates: Mapping[float, float]) -> tuple[fl
         rates: `modal_rates` of these masses.
     """
     masses = [run.mass for run in runs]
-    seen = np.log([[run.frequency, run.decay] for run in runs])
+    measured = np.log([[run.frequency, run.decay] for run in runs])
 
     def off(values: np.ndarray) -> np.ndarray:
         young, ratio, time = np.exp(values)
         solid = float(young), Relaxation(float(ratio), float(time))
         pairs = [ringing_of(solid, rates[mass]) for mass in masses]
         # Decays scatter ten times as much as frequencies do.
-        return ((np.log(pairs) - seen) * [10.0, 1.0]).ravel()
+        return ((np.log(pairs) - measured) * [10.0, 1.0]).ravel()
 
     found = np.exp(least_squares(off, np.log([2e5, 0.3, 0.03])).x)
     return float(found[0]), Relaxation(float(found[1]), float(found[2]))
 
 
 def judge_beams(runs: Mapping[str, Ringing]) -> dict[str, dict[str, object]]:
-    """Measures of every run: what is seen, and of those that are not fitted what is predicted.
+    """Measures of every run: what is measured, and of those that are not fitted what is predicted.
 
     Args:
         runs: by the file's name.

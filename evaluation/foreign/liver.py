@@ -31,7 +31,7 @@ NOISY_EVERY = 10
 """Of how many frames one is fitted again with that noise."""
 ROUNDING = {"linear": 5e-6, "neo_hookean": 8e-7}
 """Standard deviation of the true solutions from exact ones, as they show in a fit's force over the force: on points
-without noise this is all that is left, and it is alike in neighbouring frames."""
+without noise this is all that is left, and it is the same in neighbouring frames."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +70,8 @@ def read_gmsh(path: Path) -> tuple[np.ndarray, np.ndarray]:
         order = {int(row[0]): index for index, row in enumerate(parts["Nodes"])}
         cells = [[order[int(node)] for node in row[-4:]] for row in parts["Elements"] if row[1] == "4"]
     except (OSError, ValueError, IndexError, KeyError) as error:
-        told = reason(error) if isinstance(error, (OSError, UnicodeError)) else "its sections are not as announced"
-        raise InputError(f"{path.name} is no text mesh of Gmsh's format 2 ({told}); export it as that.") from error
+        why = reason(error) if isinstance(error, (OSError, UnicodeError)) else "its sections are not as announced"
+        raise InputError(f"{path.name} is no text mesh of Gmsh's format 2 ({why}); export it as that.") from error
     if not cells:
         raise InputError(f"{path.name} holds no tetrahedra; mesh the volume.")
     return nodes, np.array(cells)
@@ -89,7 +89,7 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
 
 
 def read_pull(path: Path) -> Pull:
-    """A sequence, with the mesh and the held vertices beside it.
+    """A sequence, with the mesh and the held vertices in the same folder.
 
     Raises:
         InputError: a file that is missing or doesn't fit.
@@ -139,7 +139,7 @@ def read_pull(path: Path) -> Pull:
 
 @dataclass(frozen=True)
 class Answer:
-    """One frame's answers beside the truth."""
+    """One frame's answers compared with the truth."""
 
     size: float
     """Of the true force [N]."""
@@ -163,7 +163,7 @@ def answer(fit: SurfaceFit, material: Material, force: np.ndarray) -> Answer:
     floor = ROUNDING[material.law]
     (size, wide), (along, narrow) = fit.magnitude, fit.along(force)
     wide, narrow = float(np.hypot(wide, floor * size)), float(np.hypot(narrow, floor * along))
-    # What is seen depends on F/E alone: E is to the assumed one as the known force to the fitted.
+    # What is observed depends on F/E alone: E is to the assumed one as the known force to the fitted.
     young = float(np.mean(material.young)) * true / along
     return Answer(
         true,
@@ -177,7 +177,7 @@ def answer(fit: SurfaceFit, material: Material, force: np.ndarray) -> Answer:
 
 
 def judge_pull(path: Path, frames: int | None = None) -> dict[str, object]:
-    """Measures of a sequence; frames without force are counted, and only the force that is found there is told.
+    """Measures of a sequence; frames without force are counted, and only the force that is found there is given.
 
     Args:
         path: its file.

@@ -1,4 +1,4 @@
-"""The force on a body whose deformed surface is seen as points, its material known.
+"""The force on a body whose deformed surface is observed as points, its material known.
 
 Frank 2010, section VI, with the residual linearised instead of differentiated numerically: points are matched with the
 closest place of the simulated surface; their distance along its normal is explained by forces on the nodes where
@@ -6,7 +6,7 @@ something pulls, each its even share of a force and a normal part of its own; bo
 Widths of noise and parts are those that the data make most likely (expectation maximisation; Bishop 2006, section
 9.3.4).
 
-What is seen depends on force over Young's modulus alone, so one fit answers for both.
+What is observed depends on force over Young's modulus alone, so one fit answers for both.
 """
 
 from __future__ import annotations
@@ -115,8 +115,8 @@ def fit_surface(
     trust, covariance = STRAIN, np.eye(3)
     for _ in range(ROUNDS):
         residual, jacobian = _residuals(rest, points, slopes)
-        seen = residual + jacobian @ nodal.ravel()
-        mean, root, noise, prior = _posterior(jacobian @ parts, seen, noise, prior, least)
+        observed = residual + jacobian @ nodal.ravel()
+        mean, root, noise, prior = _posterior(jacobian @ parts, observed, noise, prior, least)
         spread = summed.T @ parts @ root
         covariance = spread @ spread.T
         change = parts @ mean - nodal.ravel()
@@ -212,7 +212,7 @@ def _residuals(rest: Equilibrium, points: np.ndarray, slopes: np.ndarray) -> tup
 
 
 def _posterior(
-    jacobian: np.ndarray, seen: np.ndarray, noise: float, prior: float, least: tuple[float, float]
+    jacobian: np.ndarray, observed: np.ndarray, noise: float, prior: float, least: tuple[float, float]
 ) -> tuple[np.ndarray, np.ndarray, float, float]:
     """Mean of the unknowns, a root of their covariance, widths of noise and prior, by expectation maximisation.
 
@@ -220,13 +220,13 @@ def _posterior(
     """
     noise, prior = max(noise, least[0]), max(prior, least[1])
     left, sizes, right = np.linalg.svd(jacobian, full_matrices=False)
-    projected, outside = left.T @ seen, float(np.sum(seen**2) - np.sum((left.T @ seen) ** 2))
+    projected, outside = left.T @ observed, float(np.sum(observed**2) - np.sum((left.T @ observed) ** 2))
     for _ in range(200):
         variance = 1 / (sizes**2 / noise**2 + 1 / prior**2)
         mean = variance * sizes * projected / noise**2
         missing = jacobian.shape[1] - len(sizes)
         left_over = max(outside, 0.0) + float(np.sum((projected - sizes * mean) ** 2 + sizes**2 * variance))
-        following = max(float(np.sqrt(left_over / len(seen))), least[0])
+        following = max(float(np.sqrt(left_over / len(observed))), least[0])
         own = float(np.sqrt((np.sum(mean**2 + variance) + missing * prior**2) / jacobian.shape[1]))
         done, noise, prior = abs(following / noise - 1) < 1e-4, following, max(own, least[1])
         if done:

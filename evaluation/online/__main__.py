@@ -3,8 +3,8 @@
     python -m evaluation.online --output OUT [--sequences thin-shell-1 …] [--starts k1 k2 k3] [--methods PBD …]
         [--match tracks] [--optimizer gauss-newton] [--frames N] [--particles 600] [--points 9000] [--every 10]
 
-Truth is another integrator's on another mesh (evaluation/online/sequences.py). Each of sequence, start and method is a
-file in OUT/cases, so that an interrupted run goes on where it was, and a run of some adds to those that are there.
+Truth is another integrator's on another mesh (evaluation/online/sequences.py). Each sequence, start and method is a
+line of results.jsonl, so that an interrupted run goes on where it was, and a run of some adds to those that are there.
 Writes report.html, table.csv (sequence, start, method, measure, value) and figures/ of all that were asked for. A small
 run: --sequences thin-shell-1 --starts k1 --frames 30 --particles 150 --points 1000.
 """
@@ -16,217 +16,167 @@ from palpate.common.doors import enter_door, run_door
 if __name__ == "__main__":
     enter_door()  # before the slow imports
 
-import argparse
 import dataclasses
-import io
-import zipfile
+import functools
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
-from rich.console import Console
+import pandas as pd
+from rich.progress import Progress
 
-from palpate.common.command_line import path_option, progress_bars, say, whole_number
-from palpate.common.doors import INTERRUPTED, interruptible
-from palpate.common.files import digest_of, read_file
-from palpate.common.output import replacing_own, require_own
-from palpate.common.provenance import code_digest
-from palpate.common.tables import to_csv
-from palpate.evaluation.online.compare import (
-    BATCH,
-    HORIZON,
-    METHODS,
-    OPTIMIZER,
-    STARTS,
-    Case,
-    run_case,
-    summary,
-    told_by,
-)
+from palpate.common.settings import LARGEST
+from palpate.common.tables import to_markdown
+from palpate.evaluation.harness import Report, Row, require_within, run
+from palpate.evaluation.online.compare import BATCH, HORIZON, METHODS, STARTS, Case, field_traces, run_case, summary
 from palpate.evaluation.online.figures import draw_all, table
 from palpate.evaluation.online.sequences import SEQUENCES, Pull
-from palpate.evaluation.page import as_png, render_page
-from palpate.results.store import OutputError, writing
+from palpate.evaluation.page import as_png
 
-COLUMNS = ("sequence", "start", "method", "measure", "value")
 TITLE = "The online estimator on simulated pulls"
 FIGURES = tuple(f"figures/figure_{number}.png" for number in (5, 7, 8, 9))
-MATCHES = ("chamfer", "tracks", "both")
 Key = tuple[str, str, str]
+Optimizer = Literal["adam", "gauss-newton"]
+SequenceName = Literal["thin-shell-1", "thin-shell-2", "volume-1", "volume-2"]
+Start = Literal["k1", "k2", "k3"]
 
 
-def build_parser() -> argparse.ArgumentParser:
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        prog="python -m evaluation.online",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog="Exit status: 0 all done; 1 it could not be written; 2 wrong usage; 130 interrupted.",
-    )
-    add = parser.add_argument
-    add("--output", type=path_option, required=True, metavar="OUT", help="folder of the results")
-    add("--sequences", nargs="+", choices=SEQUENCES, default=list(SEQUENCES), help="which (default: all)")
-    add("--starts", nargs="+", choices=STARTS, default=list(STARTS), help="stiffness to begin with (default: all)")
-    add(
-        "--methods",
-        nargs="+",
-        choices=METHODS,
-        default=list(METHODS),
-        help=f"which (default: all; {BATCH} on sheets alone)",
-    )
-    add("--match", choices=MATCHES, default="tracks", help="what is seen of a frame (default tracks; paper: chamfer)")
-    text = f"of PBD-RM-ON (default {OPTIMIZER}; the paper: adam)"
-    add("--optimizer", choices=("adam", "gauss-newton"), default=OPTIMIZER, help=text)
-    text = "of each sequence, from its beginning (default: all; 60, of thin-shell-2 100)"
-    add("--frames", type=whole_number(HORIZON + 2), metavar="N", help=text)
-    add("--particles", type=whole_number(60, 10_000), default=600, metavar="N", help="about how many (default 600)")
-    add("--points", type=whole_number(50), default=9000, metavar="N", help="of a cloud (default 9000)")
-    add("--every", type=whole_number(1), default=10, metavar="N", help="frames between predictions (default 10)")
-    return parser
+@dataclass(frozen=True)
+class OnlineCase:
+    """One method from one start on a sequence; the fields are those of `Online`."""
+
+    key: Key
+    frames: int
+    match: str
+    optimizer: Optimizer
+    particles: int
+    points: int
+    every: int
 
 
-def case_path(output: Path, key: Key) -> Path:
-    """Where a case lies."""
-    return output / "cases" / f"{'_'.join(key)}.npz"
+@functools.lru_cache(maxsize=len(SEQUENCES))
+def pull_of(sequence: str, particles: int, points: int, frames: int) -> Pull:
+    """A sequence's pull, simulated once a process."""
+    return SEQUENCES[sequence].pull(particles, points, frames)
 
 
-def read_case(path: Path, fingerprint: str) -> Case | None:
-    """A case that was made by the same program with the same settings, else None."""
-    try:
-        with np.load(io.BytesIO(read_file(path)), allow_pickle=False) as stored:
-            if str(stored["of"]) != fingerprint:
-                return None
-            values = {field.name: stored[field.name] for field in dataclasses.fields(Case)}
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-        return None
-    return Case(**{name: value.item() if value.ndim == 0 else value for name, value in values.items()})
+def follow(case: OnlineCase) -> list[Row]:
+    """The row of a case."""
+    sequence, start, method = case.key
+    pull = pull_of(sequence, case.particles, case.points, case.frames)
+    found = run_case(pull, STARTS[start], method, case.match, case.every, case.optimizer)
+    return [{"sequence": sequence, "start": start, "method": method, **dataclasses.asdict(found)}]
 
 
-def write_case(path: Path, case: Case, fingerprint: str) -> None:
-    """Write a case whole or not at all.
+@dataclass(frozen=True)
+class Online:
+    """What is run."""
 
-    Raises:
-        OutputError: it can't be written.
-    """
-    with writing(path.parent):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        content = io.BytesIO()
-        np.savez_compressed(content, of=np.array(fingerprint), **dataclasses.asdict(case))
-        with replacing_own(path) as partial:
-            partial.write_bytes(content.getvalue())
+    output: Path
+    """folder of the results"""
+    sequences: tuple[SequenceName, ...] = get_args(SequenceName)
+    """which"""
+    starts: tuple[Start, ...] = get_args(Start)
+    """stiffness to begin with"""
+    methods: tuple[Literal["PBD", "PBD-DiffCloud", "PBD-RM", "PBD-RM-ON"], ...] = METHODS
+    """which; PBD-DiffCloud on sheets alone"""
+    match: Literal["chamfer", "tracks", "both"] = "tracks"
+    """what is observed of a frame (the paper: chamfer)"""
+    optimizer: Optimizer = "gauss-newton"
+    """of PBD-RM-ON (the paper: adam)"""
+    frames: int | None = None
+    """of each sequence, from its beginning (default: all; 60, of thin-shell-2 100)"""
+    particles: int = 600
+    """about how many"""
+    points: int = 9000
+    """of a cloud"""
+    every: int = 10
+    """frames between predictions"""
 
+    workers: ClassVar = 0
+    keys: ClassVar = ("sequence", "start", "method")
+    work: ClassVar = staticmethod(follow)
+    refused: ClassVar = ()
+    writes: ClassVar = ("table.csv", "report.html", *FIGURES)
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run what is asked for and not there yet, and draw all of it; returns the exit status."""
-    parser, console = build_parser(), Console(stderr=True)
-    options: Any = parser.parse_args(arguments)
-    frames = {name: min(SEQUENCES[name].frames, options.frames or SEQUENCES[name].frames) for name in options.sequences}
-    least = min(frames.values())
-    if options.every + HORIZON > least - 1:
-        parser.error(
-            f"--every {options.every} leaves no prediction {HORIZON} frames ahead within {least} frames; give fewer or "
-            "more --frames."
-        )
-    keys: list[Key] = [
-        (sequence, start, method)
-        for sequence in options.sequences
-        for start in options.starts
-        for method in options.methods
-        if method != BATCH or not SEQUENCES[sequence].block
-    ]
-    if not keys:
-        parser.error(f"{BATCH} runs on sheets alone, as in the paper; give other --sequences or --methods.")
-    settings = {
-        "match": options.match,
-        "optimizer": options.optimizer,
-        "particles": options.particles,
-        "points": options.points,
-    }
-    settings |= {"every": options.every, "code": code_digest()}
-    prints = {name: digest_of({**settings, "frames": count}) for name, count in frames.items()}
-    found: dict[Key, Case] = {}
-    pulls: dict[str, Pull] = {}
-    try:
-        with writing(options.output):  # before the long work
-            require_own(
-                *(options.output / name for name in ("table.csv", "report.html", *FIGURES)),
-                *(case_path(options.output, key) for key in keys),
+    def __post_init__(self) -> None:
+        """Raise a ValueError where options don't belong together."""
+        ranges = {"points": (50, LARGEST), "every": (1, LARGEST), "frames": (HORIZON + 2, LARGEST)}
+        require_within(self, particles=(60, 10_000), **ranges)
+        least = min(self.frames_of.values())
+        if self.every + HORIZON > least - 1:
+            raise ValueError(
+                f"--every {self.every} leaves no prediction {HORIZON} frames ahead within {least} frames; give fewer "
+                "or more --frames."
             )
-        for key in keys:
-            case = read_case(case_path(options.output, key), prints[key[0]])
-            if case is not None:
-                found[key] = case
-        if found:
-            say(console, f"{len(found)} of {len(keys)} cases are there already.")
-        with interruptible(), progress_bars(console) as progress:
-            bar = progress.add_task("frames", total=sum(frames[key[0]] for key in keys))
-            for name in options.sequences:
-                pulls[name] = SEQUENCES[name].pull(options.particles, options.points, frames[name])
-                for key in (key for key in keys if key[0] == name):
-                    if key in found:
-                        progress.advance(bar, frames[name])
-                        continue
-                    progress.update(bar, description=" ".join(key))
-                    case = run_case(
-                        pulls[name],
-                        STARTS[key[1]],
-                        key[2],
-                        options.match,
-                        options.every,
-                        lambda: progress.advance(bar),
-                        options.optimizer,
-                    )
-                    write_case(case_path(options.output, key), case, prints[name])
-                    found[key] = case
-        told = write_report(options.output, {key: found[key] for key in keys}, pulls, options)
-    except OutputError as error:
-        say(console, str(error), "red")
-        return 1
-    except KeyboardInterrupt:
-        say(console, "Interrupted; the cases that are finished are kept.", "yellow")
-        return INTERRUPTED
-    Console().print(told, markup=False, highlight=False, soft_wrap=True)
-    say(console, f"written: {options.output}/table.csv, report.html, figures/")
-    return 0
+        if not self.wanted:
+            raise ValueError(f"{BATCH} runs on sheets alone, as in the paper; give other --sequences or --methods.")
 
+    @property
+    def frames_of(self) -> dict[str, int]:
+        """Frames of each sequence."""
+        return {name: min(SEQUENCES[name].frames, self.frames or SEQUENCES[name].frames) for name in self.sequences}
 
-def write_report(output: Path, cases: dict[Key, Case], pulls: dict[str, Pull], options: argparse.Namespace) -> str:
-    """Write figures, table and page; gives what it says.
+    @property
+    def wanted(self) -> list[Key]:
+        """Sequences, starts and methods."""
+        every = itertools.product(self.sequences, self.starts, self.methods)
+        return [key for key in every if key[2] != BATCH or not SEQUENCES[key[0]].block]
 
-    Raises:
-        OutputError: they can't be written.
-    """
-    claims = list(summary(cases))
-    rows = [
-        dict(zip(COLUMNS, (*key, measure, value), strict=True))
-        for key, case in cases.items()
-        for measure, value in (
-            ("future gap [mm]", 1e3 * float(case.gap.mean())),
-            ("keypoint error [mm]", 1e3 * float(case.keypoint.mean())),
-            ("Chamfer distance [mm]", 1e3 * float(case.chamfer.mean())),
-            ("rank correlation of distances", case.rank),
-            ("step [s]", case.seconds),
+    def record(self) -> Mapping[str, Any]:
+        """What the results depend on."""
+        names = ("match", "optimizer", "particles", "points", "every")
+        found = {name: getattr(self, name) for name in names}
+        return found | {f"frames of {name}": count for name, count in self.frames_of.items()}
+
+    def cases(self, done: Mapping[tuple, Row], progress: Progress) -> tuple[list[OnlineCase], int]:
+        """Those that are not done yet."""
+        rest = self.match, self.optimizer, self.particles, self.points, self.every
+        left = [OnlineCase(key, self.frames_of[key[0]], *rest) for key in self.wanted if key not in done]
+        return left, len(self.wanted)
+
+    def report(self, rows: Mapping[tuple, Row]) -> Report:
+        """Table II, what holds of the paper's claims, and its figures."""
+        names = [field.name for field in dataclasses.fields(Case)]
+        cases = {
+            key: Case(**{name: rows[key].get(name, np.nan) for name in names}) for key in self.wanted if key in rows
+        }
+        pulls = {name: pull_of(name, self.particles, self.points, count) for name, count in self.frames_of.items()}
+        cells = [
+            (*key, measure, value)
+            for key, case in cases.items()
+            for measure, value in (
+                ("future gap [mm]", 1e3 * float(case.gap.mean())),
+                ("keypoint error [mm]", 1e3 * float(case.keypoint.mean())),
+                ("Chamfer distance [mm]", 1e3 * float(case.chamfer.mean())),
+                ("rank correlation of distances", case.rank),
+                ("step [s]", case.seconds),
+            )
+        ]
+        counts = ", ".join(f"{name} {pull.body.count} particles" for name, pull in pulls.items())
+        head = f"Matched: {self.match}; {self.optimizer}. {counts}, clouds of {self.points} points."
+        claims = list(summary(cases))
+        for name, pull in pulls.items():
+            traces = ", ".join(f"{field} {1e3 * off:.2f} mm" for field, off in field_traces(pull).items())
+            claims.append((f"a field's traces, {name}", traces))
+        lines = [f"{name}: {text}" for name, text in claims]
+        gaps = table(cases)
+        figures = {name: as_png(figure) for name, figure in draw_all(cases, pulls).items()}
+        markdown = to_markdown([*gaps.columns], gaps.itertuples(index=False))
+        page = f"# {TITLE}\n\n{head}\n\nFuture gap; keypoint error [mm]:\n\n{markdown}\n\n"
+        page += (
+            "\n".join(f"- {line}" for line in lines) + "\n\n" + "\n".join(f"![{name}]({name})\n" for name in figures)
         )
-    ]
-    pictures = {f"figures/{name}": as_png(figure) for name, figure in draw_all(cases, pulls).items()}
-    counts = ", ".join(f"{name} {pull.body.count} particles" for name, pull in pulls.items())
-    told = f"Matched: {options.match}; {options.optimizer}. {counts}, clouds of {options.points} points.\n\n"
-    told += "Future gap; keypoint error [mm]:\n\n" + table(cases, options.sequences) + "\n\n"
-    seen = {name: told_by(pull) for name, pull in pulls.items()}
-    claims += [
-        (f"a field's traces, {name}", ", ".join(f"{field} {1e3 * off:.2f} mm" for field, off in errors.items()))
-        for name, errors in seen.items()
-    ]
-    told += "\n".join(f"- {name}: {text}" for name, text in claims) + "\n"
-    shown = "\n".join(f"![{name}]({name})\n" for name in pictures)
-    files = {"table.csv": to_csv(rows, COLUMNS, ".6g").encode()}
-    files["report.html"] = render_page(TITLE, f"# {TITLE}\n\n{told}\n{shown}", pictures).encode()
-    with writing(output):
-        (output / "figures").mkdir(parents=True, exist_ok=True)
-        for name, content in (pictures | files).items():
-            with replacing_own(output / name) as partial:
-                partial.write_bytes(content)
-    return told
+        frame = pd.DataFrame(cells, columns=(*self.keys, "measure", "value"))
+        return Report({"table.csv": frame}, [gaps], [(line, "") for line in [head, *lines]], figures, (TITLE, page))
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run what is asked for and not there yet, and draw all of it; returns the exit status."""
+    return run(Online, arguments, "evaluation.online", __doc__)
 
 
 if __name__ == "__main__":

@@ -1,9 +1,15 @@
-"""One method on one pull, as Liang 2024 judges it: Chamfer distance, future gap, keypoints, and the fields found."""
+"""One method on one pull, as Liang 2024 judges it: Chamfer distance, future gap, keypoints, and the fields found.
+
+PBD-DiffCloud fits fields of stiffness to the first frames together, many times over, as Liang 2024 compares it:
+DiffCloud (Sundaresan 2022) simulates a training trajectory from its beginning, compares it with its point clouds, and
+changes the simulation's parameters by the gradient of the sum. Here these are the same fields, within the same bounds
+and by the same optimiser as the online estimator's; followed points count where these are matched.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -11,10 +17,10 @@ import numpy as np
 from scipy.spatial import KDTree
 from scipy.stats import spearmanr
 
-from palpate.estimators.online.matching import Chamfer
+from palpate.estimators.online.adam import Adam
+from palpate.estimators.online.matching import Chamfer, Match
 from palpate.estimators.online.objective import Objective
 from palpate.estimators.online.session import Method, Session
-from palpate.evaluation.online.batch_fit import EPOCHS, FRAMES, fit_batch
 from palpate.evaluation.online.sequences import Pull
 from palpate.physics.pbd.stiffness import Stiffness
 
@@ -24,10 +30,10 @@ STARTS = {"k1": (5.0, 0.015), "k2": (1.0, 0.01), "k3": (0.2, 0.005)}
 """Stiffness of distances and shapes to begin with: the paper's (section III-B), shapes inside its own bound."""
 HORIZON = 10
 """T, frames ahead (section III-D)."""
-OPTIMIZER = "gauss-newton"
-"""Of PBD-RM-ON, where none is asked for."""
+FRAMES, EPOCHS = 30, 25
+"""Of the batch fit's training trajectory, and how often it is gone through (Liang 2024, section III-D)."""
 LEVELS = tuple(0.5 * 2 ** (step / 2) for step in range(6))
-"""Geometric means of the fields that `told_by` compares: 0.5 to 2.8."""
+"""Geometric means of the fields that `field_traces` compares: 0.5 to 2.8."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,22 +70,20 @@ def run_case(
     name: str,
     match: str,
     every: int,
-    said: Callable[[], None],
-    optimizer: Literal["adam", "gauss-newton"] = OPTIMIZER,
+    optimizer: Literal["adam", "gauss-newton"] = "gauss-newton",
     epochs: int = EPOCHS,
 ) -> Case:
     """Follow a pull, and predict from every so many frames.
 
-    Every method's gap is the residual mapping by k⁰ to what is seen, whether it looks at that itself or not.
+    Every method's gap is the residual mapping by k⁰ to what is observed, whether it looks at that itself or not.
 
     Args:
-        pull: what is simulated and seen.
+        pull: what is simulated and observed.
         start: stiffness of distances and shapes to begin with.
         name: one of `METHODS`.
-        match: what is seen: chamfer (the cloud), tracks (followed points) or both. A cloud alone doesn't show tissue
-            that slides within its surface.
+        match: what is observed: chamfer (the cloud), tracks (followed points) or both. A cloud alone doesn't show
+            tissue that slides within its surface.
         every: frames from one prediction to the next.
-        said: called after every frame, for progress.
         optimizer: of PBD-RM-ON.
         epochs: of the batch fit.
     """
@@ -96,9 +100,9 @@ def run_case(
     chamfer, spent, ahead, rows = [], [], [], []
     for frame in range(frames):
         begun = time.perf_counter()
-        told = session.step(pull.places[frame], pull.matches(frame, match))
+        state = session.step(pull.places[frame], pull.matches(frame, match))
         spent.append(time.perf_counter() - begun)
-        chamfer.append(np.sqrt(Chamfer(pull.clouds[frame], pull.seen).slope(told.positions)[0]))
+        chamfer.append(np.sqrt(Chamfer(pull.clouds[frame], pull.seen).slope(state.positions)[0]))
         if frame % every == every - 1 and frame + HORIZON < frames:
             ahead.append(frame)
             states = session.ahead(pull.places[frame + 1 : frame + 1 + HORIZON])
@@ -109,7 +113,6 @@ def run_case(
                     session.fields.shape,
                 )
             )
-        said()
     gap, gaps, last, keypoint, distance, shape = (np.array(values) for values in zip(*rows, strict=True))
     moving, found = pull.moving(), session.fields.distance
     varied = np.ptp(found[moving]) > 1e-9
@@ -117,6 +120,48 @@ def run_case(
     return Case(
         np.array(chamfer), np.array(ahead), gap, gaps, last, keypoint, distance, shape, rank, float(np.median(spent))
     )
+
+
+def fit_batch(
+    objective: Objective,
+    begun: Stiffness,
+    places: np.ndarray,
+    matches: Sequence[Sequence[Match]],
+    rate: float,
+    epochs: int = EPOCHS,
+) -> tuple[Stiffness, np.ndarray]:
+    """Fields after so many epochs.
+
+    Args:
+        objective: how the body is stepped; its other terms don't count.
+        begun: fields to begin with, shape [N].
+        places: where gripped particles are in T frames, from rest on, shape [T, G, 3] [m].
+        matches: what was observed in each of them.
+        rate: Adam's, on logits.
+        epochs: how often.
+
+    Returns:
+        the fields, and the mean over frames of what was left before every epoch, shape [epochs] [mean edges²]: Adam's
+        guard knows no unit.
+    """
+    body, bounds, adam, fields = objective.body, objective.bounds, Adam(rate), begun
+    logits, left = bounds.logits(begun), []
+    share = 1 / (len(matches) * float(body.layout.rest[body.kinds[0]].mean()) ** 2)
+    for _ in range(epochs):
+        motion = objective.stepped(fields, body.rest, places)
+        pulls, total = np.zeros_like(motion.positions), 0.0
+        states, slopes_at = motion.positions[0], pulls[0]
+        for frame, observed in enumerate(matches, start=1):
+            for match in observed:
+                value, slope, _ = match.slope(states[frame])
+                total += share * value
+                slopes_at[frame] += share * slope
+        left.append(total)
+        found = motion.gradient(pulls)
+        slopes = Stiffness(found.distance.sum(axis=0), found.shape.sum(axis=0), 0.0)
+        logits = adam.step(logits, bounds.by_logits(fields, slopes))
+        fields = bounds.fields(logits, float(begun.volume))
+    return fields, np.array(left)
 
 
 def _judged(
@@ -134,8 +179,8 @@ def _judged(
     return float(np.mean(gaps)), np.linalg.norm(residual, axis=1), states[-1], float(np.mean(off))
 
 
-def told_by(pull: Pull) -> dict[str, float]:
-    """What is seen of a field at all: how far a simulation from rest is off the points that are followed.
+def field_traces(pull: Pull) -> dict[str, float]:
+    """What can be observed of a field at all: how far a simulation from rest is off the points that are followed.
 
     With the true field, with a uniform one, and with stiff and soft exchanged, each at the best of `LEVELS`: where the
     first isn't the least, nothing that simulates so can find the field. Means over frames of root mean squares [m].

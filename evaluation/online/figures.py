@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+import pandas as pd
 from matplotlib.figure import Figure
 
-from palpate.common.tables import to_markdown
-from palpate.evaluation.online.compare import BATCH, HORIZON, METHODS, STARTS, Case
+from palpate.evaluation.online.compare import BATCH, HORIZON, METHODS, Case
 from palpate.evaluation.online.sequences import Pull
 
 Cases = Mapping[tuple[str, str, str], Case]
@@ -20,17 +20,17 @@ INSTANTS = (40, 50)
 """Frames from which figure 8 predicts, as the paper's; the last two that were predicted from, where these weren't."""
 
 
-def table(cases: Cases, sequences: list[str]) -> str:
-    """Table II: future gap; keypoints' error [mm] of every method, by sequence and start, as Markdown."""
-    columns = [(sequence, start) for sequence in sequences for start in STARTS]
-    columns = [(s, k) for s, k in columns if any((s, k, method) in cases for method in METHODS)]
+def table(cases: Cases) -> pd.DataFrame:
+    """Table II: future gap; keypoints' error [mm] of every method, by sequence and start."""
+    columns = dict.fromkeys(key[:2] for key in cases)
 
     def cell(sequence: str, start: str, method: str) -> str:
         case = cases.get((sequence, start, method))
         return "" if case is None else f"{1e3 * case.gap.mean():.1f}; {1e3 * case.keypoint.mean():.2f}"
 
-    rows = ([method, *(cell(*column, method) for column in columns)] for method in METHODS)
-    return to_markdown(("method", *(f"{sequence}, {start}" for sequence, start in columns)), rows)
+    return pd.DataFrame(
+        {"method": METHODS} | {f"{s}, {start}": [cell(s, start, method) for method in METHODS] for s, start in columns}
+    )
 
 
 def draw_all(cases: Cases, pulls: Mapping[str, Pull]) -> dict[str, Figure]:
@@ -86,8 +86,8 @@ def _gap_maps(cases: Cases, shown: Mapping[str, str], pulls: Mapping[str, Pull])
             if method not in own or number >= len(instants(own[method])):
                 continue
             case, at = own[method], instants(own[method])[number]
-            told = {"c": 1e3 * case.gaps[at][pulls[sequence].seen], "cmap": "viridis", "vmin": 0, "vmax": most}
-            drawn = axes.scatter(*_places(case.states[at], pulls[sequence]).T, s=18, **told)
+            style = {"c": 1e3 * case.gaps[at][pulls[sequence].seen], "cmap": "viridis", "vmin": 0, "vmax": most}
+            drawn = axes.scatter(*_places(case.states[at], pulls[sequence]).T, s=18, **style)
             axes.set_title(f"{sequence}, {start}\n{method}, t = {1 + case.ahead[at]} + {HORIZON}", fontsize=9)
         if drawn is not None:
             figure.colorbar(drawn, ax=row, shrink=0.8, label="‖Δ‖ of a particle [mm]")
@@ -101,7 +101,7 @@ def instants(case: Case) -> list[int]:
 
 
 def _fields(cases: Cases, shown: Mapping[str, str], pulls: Mapping[str, Pull]) -> Figure:
-    """Distances above, shapes below, at the first, the middle and the last prediction, and the truth beside them."""
+    """Distances above, shapes below, at the first, the middle and the last prediction, and the truth next to them."""
     columns = 1 + min(3, max(len(case.ahead) for case in cases.values()))
     figure = Figure(figsize=(3.2 * columns, 5 * len(shown)), dpi=100, layout="constrained")
     grid = figure.subplots(2 * len(shown), columns, squeeze=False)
@@ -117,11 +117,11 @@ def _fields(cases: Cases, shown: Mapping[str, str], pulls: Mapping[str, Pull]) -
             if name == "distance":
                 panels.append((truth, "truth"))
             most = max(0.1, *(float(np.abs(values).max()) for values, _ in panels))
-            for axes, (values, told) in zip(row, panels, strict=False):
+            for axes, (values, name) in zip(row, panels, strict=False):
                 drawn = axes.scatter(
                     *_places(pull.body.rest, pull).T, c=values[pull.seen], s=30, cmap="coolwarm", vmin=-most, vmax=most
                 )
-                axes.set_title(f"{sequence}, {start}: {told}", fontsize=8)
+                axes.set_title(f"{sequence}, {start}: {name}", fontsize=8)
             for axes in row:
                 axes.set(aspect="equal", xticks=[], yticks=[], frame_on=False)
             figure.colorbar(drawn, ax=row, shrink=0.8, label="log₁₀ over the median")

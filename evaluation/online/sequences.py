@@ -44,7 +44,7 @@ BLOCK_STEPS, SETTLED = 2, 1e-8
 HELD = 0.012
 """Radius of what the gripper holds [m]."""
 NOISE, FOLLOWED, KEYPOINTS = 0.2e-3, 200, 15
-"""Standard deviation of what is seen, by axis [m]; points that are followed; of these, keypoints (section III-D)."""
+"""Standard deviation of observations, by axis [m]; points that are followed; of these, keypoints (section III-D)."""
 
 State = Callable[[np.ndarray], np.ndarray]
 """Displacement [m] of places at rest [P, 3], shape [P, 3]."""
@@ -52,7 +52,7 @@ State = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class Pull:
-    """What is simulated and seen of one; N particles, T frames, m points, P followed ones."""
+    """What is simulated and observed of one; N particles, T frames, m points, P followed ones."""
 
     body: Body
     gripped: np.ndarray
@@ -66,7 +66,7 @@ class Pull:
     shares: csr_array
     """Followed points among the particles, shape [P, N]."""
     tracks: np.ndarray
-    """Where they are seen, shape [T, P, 3] [m]."""
+    """Where they are observed, shape [T, P, 3] [m]."""
     points: np.ndarray
     """Where they truly are, at rest and in every frame, shape [T + 1, P, 3] [m]."""
     keypoints: np.ndarray

@@ -1,11 +1,7 @@
 """Measured forces on tissue and objects, judged on what was kept back from the fits.
 
-probing     force at probes that were left out
-relaxation  the second half of a hold
-grasping    objects grasped several times, and whether they rank as their names say
-synthetic   palpations of bodies with known truth; frank: the paper's experiments on them, a door of its own
-example     a small scene for calibrate.py palpation, with its data
-descents    a numeric descent after the paper's beside Gauss–Newton, in solves
-design      what such palpations can tell at best
-__main__    the door of the rest
+curves      force at left-out probes, the second half of a hold, objects that were grasped several times
+surfaces    Young's modulus and Poisson's ratio of bodies with known truth: Frank 2010, a numeric descent, the bound
+synthetic   palpations of such bodies; example: one as a small scene for calibrate.py palpation, a door of its own
+__main__    the door of the studies
 """

@@ -4,7 +4,7 @@
     python calibrate.py palpation OUT/scene.yaml --output RESULTS
 
 Writes scene.yaml, rest.obj and seen.csv: a slab of 9 × 9 × 3 cm with E = 10 kPa and ν = 0.42 under a press of 0.5 N,
-seen by a stereo sensor (0.3 mm of noise) whose pose is off by some millimetres, as `synthetic` has it.
+observed by a stereo sensor (0.3 mm of noise) whose pose is off by some millimetres, as `synthetic` has it.
 """
 
 from __future__ import annotations
@@ -14,17 +14,18 @@ from palpate.common.doors import enter_door, run_door
 if __name__ == "__main__":
     enter_door()  # before the slow imports
 
-import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import yaml
 from rich.console import Console
 
-from palpate.common.command_line import path_option, say
+from palpate.common.command_line import say
 from palpate.common.output import replacing_own, require_own
 from palpate.estimators.palpation import Palpation
+from palpate.evaluation.harness import options
 from palpate.evaluation.palpation.synthetic import BODIES, TOOL, observe, press
 from palpate.results.store import OutputError, writing
 
@@ -60,27 +61,28 @@ def scene_files(surface: tuple[np.ndarray, np.ndarray], seen: Palpation, held_be
     return scene, "\n".join([*rows, ""]), "\n".join(["x,y,z", *points, ""])
 
 
-def main(arguments: list[str] | None = None) -> int:
+@dataclass(frozen=True)
+class Example:
+    """Where it goes."""
+
+    output: Path
+    """folder of the example"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
     """Write the example; returns the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="python -m evaluation.palpation.example",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog="Exit status: 0 done; 1 it could not be written; 2 wrong usage; 130 interrupted.",
-    )
-    parser.add_argument("--output", type=path_option, required=True, metavar="OUT", help="folder of the example")
-    options: Any = parser.parse_args(arguments)
-    console, output = Console(stderr=True), Path(options.output)
+    output = options(Example, arguments, "evaluation.palpation.example", __doc__).output
+    console = Console(stderr=True)
     try:
         with writing(output):
             require_own(*(output / name for name in FILES))
         truth = press(BODIES["slab"], YOUNG, POISSON, FORCE, PLACE, CELLS, "corotational", SPACING, EDGE)
         seen = observe(*truth, "stereo", SEED, count=POINTS)
         scene, *texts = scene_files((truth[0].vertices, truth[0].triangles), seen, 0.0, 5)
-        told = f"# Lengths in metres. The truth: E = {YOUNG:g} Pa, ν = {POISSON:g}.\n"
+        head = f"# Lengths in metres. The truth: E = {YOUNG:g} Pa, ν = {POISSON:g}.\n"
         with writing(output):
             output.mkdir(parents=True, exist_ok=True)
-            for name, text in zip(FILES, [told + yaml.safe_dump(scene, sort_keys=False), *texts], strict=True):
+            for name, text in zip(FILES, [head + yaml.safe_dump(scene, sort_keys=False), *texts], strict=True):
                 with replacing_own(output / name) as partial:
                     partial.write_text(text, encoding="utf-8")
     except OutputError as error:

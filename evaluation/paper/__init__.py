@@ -2,10 +2,8 @@
 
 report      all files of an evaluation: tables, one HTML page, JSON
 analysis    all numbers of an evaluation
-statistics  means with intervals, paired tests
-baselines   the simulator without a network: no motion, one constant θ
-motion      when a simulated motion has come to rest, and whether it is regular
-collapse    whether the network gives the same θ for every input
+statistics  means with intervals, paired tests, and whether the network gives the same θ for every input
+simulated   no network: no motion, one constant θ; when a motion comes to rest, and whether it is regular
 figures     the pictures
 recovered   compares estimates with the truth of synthetic clips
 readings    simulates the choices that the paper leaves open, at its θ, without any training

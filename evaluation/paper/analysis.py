@@ -11,10 +11,24 @@ import pandas as pd
 import torch
 
 from palpate.data.contact.interaction import Interaction
-from palpate.evaluation.paper.baselines import fit_constant_theta, no_motion_errors, simulate_contacts
-from palpate.evaluation.paper.collapse import as_reported, conclude, spread_of
-from palpate.evaluation.paper.motion import median_share, motion_row, settle
-from palpate.evaluation.paper.statistics import Statistics, compare, describe, format_number, summarise
+from palpate.evaluation.paper.simulated import (
+    fit_constant_theta,
+    median_share,
+    motion_row,
+    no_motion_errors,
+    settle,
+    simulate_contacts,
+)
+from palpate.evaluation.paper.statistics import (
+    Statistics,
+    as_reported,
+    compare,
+    conclude,
+    describe,
+    format_number,
+    spread_of,
+    summarise,
+)
 from palpate.models.records import with_reference_tissue
 from palpate.physics.mechanics import PARAMETERS, REFERENCE_DAMPING, REFERENCE_STIFFNESS, Bounds, Mechanics
 

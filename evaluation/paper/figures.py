@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from palpate.physics.mechanics import REFERENCE_DAMPING, REFERENCE_STIFFNESS, Mechanics
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 PERCENTILES = (10, 25, 50, 75, 90)
 MEDIAN_COLOUR, INNER_COLOUR, OUTER_COLOUR = "#14532d", "#86c59b", "#ecd9b0"
@@ -55,8 +51,6 @@ def draw_response(trajectories: np.ndarray, release: np.ndarray, mechanics: Mech
         mechanics: time step of the rollout.
     """
 
-    from matplotlib.figure import Figure
-
     distance = np.linalg.norm(np.asarray(trajectories, dtype=float), axis=2)
     finite = np.flatnonzero(np.isfinite(distance).all(axis=1))
     order = finite[np.argsort(-distance[finite].max(axis=1), kind="stable")]
@@ -82,8 +76,6 @@ def draw_theta(frames: pd.DataFrame, spread: pd.DataFrame, constant: np.ndarray)
         spread: admissible range (`low`, `high`) by parameter.
         constant: the constant baseline by parameter, shape [3], drawn as a dashed line; not a number = there is none.
     """
-
-    from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11, 6.4), dpi=150, layout="constrained")
     figure.suptitle(f"Estimated parameters by test frame (n = {len(frames)}, clips: {frames['clip'].nunique()})")
@@ -115,8 +107,6 @@ def draw_next_depth(real: np.ndarray, predicted: np.ndarray) -> Figure:
         real: D_t+1, shape [H, W] [scene units], 0 = invalid.
         predicted: output of G_AB, same shape.
     """
-
-    from matplotlib.figure import Figure
 
     figure = Figure(figsize=(13, 2.9), layout="constrained", dpi=100)
     highest = max(float(real.max()), float(predicted.max()))

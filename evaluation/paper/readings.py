@@ -29,7 +29,7 @@ from palpate.common.command_line import whole_number
 from palpate.common.tables import to_markdown
 from palpate.data.synthetic.scene import Scene, draw_scene
 from palpate.data.synthetic.settings import SceneSettings
-from palpate.evaluation.paper.motion import median_share, settle
+from palpate.evaluation.paper.simulated import median_share, settle
 from palpate.evaluation.paper.statistics import format_number
 from palpate.physics.load import Press, held
 from palpate.physics.mechanics import REFERENCE_DAMPING, REFERENCE_STIFFNESS, Mechanics

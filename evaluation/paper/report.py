@@ -17,9 +17,14 @@ from palpate.common.tables import to_markdown
 from palpate.data.contact.interaction import Interaction
 from palpate.evaluation.page import as_png, render_page
 from palpate.evaluation.paper.analysis import NO_MOTION, Evaluation, EvaluationError, Record, analyse
-from palpate.evaluation.paper.collapse import as_reported
 from palpate.evaluation.paper.figures import draw_response, draw_theta
-from palpate.evaluation.paper.statistics import MINIMUM_FOR_WILCOXON, SIGNIFICANCE, Statistics, format_number
+from palpate.evaluation.paper.statistics import (
+    MINIMUM_FOR_WILCOXON,
+    SIGNIFICANCE,
+    Statistics,
+    as_reported,
+    format_number,
+)
 from palpate.physics.mechanics import PARAMETERS, Bounds, Mechanics
 from palpate.results.record import versions
 

@@ -26,7 +26,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
-import pandas as pd
 from matplotlib.figure import Figure
 from rich.progress import Progress
 
@@ -37,15 +36,13 @@ from palpate.data.source.layout import InputError
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.grip.lattice import NothingMoves
 from palpate.estimators.online.settings import FILES, OnlineSettings, load_settings
-from palpate.evaluation.harness import OK, Report, Row, run
-from palpate.evaluation.page import as_png
+from palpate.evaluation.harness import OK, Report, Row, by_measure, in_base64, run
 from palpate.evaluation.real.figures import draw_prediction, draw_press
 from palpate.evaluation.real.predicted import evaluate_prediction
 from palpate.evaluation.real.pressed import evaluate_press
 from palpate.evaluation.real.pulled import PulledClip, evaluate_pull
 from palpate.results.plots import draw_summary
 
-COLUMNS = ("clip", "measure", "value")
 TITLE = "Real clips, judged on what was kept back"
 KNOWN = {
     "recover_tissue": PulledClip(Path("recover_tissue"), ROOT / "configs/layouts/recover_tissue.yaml"),
@@ -72,7 +69,7 @@ def judge(case: RealCase) -> list[Row]:
     row: Row = {"clip": case.name, "status": ""}
     try:
         with interruptible():
-            row["figure"] = base64.b64encode(as_png(_drawn(case, row))).decode()
+            row["figure"] = in_base64(_drawn(case, row))
     except Exception as error:  # of one clip; the others still are judged
         known = isinstance(error, InputError | NoEstimate | NothingMoves)
         unexpected = f"unexpected {type(error).__name__} ({error}); please report it with the clip."
@@ -178,19 +175,13 @@ class Real:
         found = [dict(rows[case.name,]) for case in self.asked if (case.name,) in rows]
         drawn = [base64.b64decode(row.pop("figure")) for row in found if "figure" in row]
         figures = {f"{number}.png": content for number, content in enumerate(drawn, 1)}
-        frame = measures_table(found)
+        frame = by_measure(found, "clip")
         failed = [(f"{row['clip']}: {row['status']}", "red") for row in found if row["status"] != OK]
         lines = [[to_cell(cell, ".3g") for cell in line] for line in frame.itertuples(index=False)]
         shown = "\n".join(f"![Figure {name}]({name})\n" for name in figures)
         note = "> **Not a medical device.** Lengths in pixels; forces in newtons only where some were measured.\n"
-        page = TITLE, f"# {TITLE}\n\n{note}\n{shown}\n{to_markdown(COLUMNS, lines)}\n"
+        page = TITLE, f"# {TITLE}\n\n{note}\n{shown}\n{to_markdown([*frame.columns], lines)}\n"
         return Report({"table.csv": frame}, [frame], failed, figures, page, failed=bool(failed))
-
-
-def measures_table(rows: Sequence[Row]) -> pd.DataFrame:
-    """`table.csv`: a row a clip and measure."""
-    cells = [(row["clip"], name, value) for row in rows for name, value in row.items() if name != "clip"]
-    return pd.DataFrame(cells, columns=COLUMNS)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

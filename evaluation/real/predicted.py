@@ -1,4 +1,4 @@
-"""Gripped tissue predicted some frames ahead: the online estimator beside a sheet of one number.
+"""Gripped tissue predicted some frames ahead: the online estimator and a sheet of one number.
 
 Both see the frames up to one, and of the later ones the tissue at the instrument alone. Skill is 1 - error / motion
 since that frame, root mean squares over the points that are followed in both and that the instrument doesn't hold:
@@ -58,7 +58,7 @@ class Follow:
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """What is said of a clip."""
+    """What is predicted of a clip."""
 
     measures: dict[str, object]
     """Numbers and words by name."""
@@ -117,7 +117,7 @@ def evaluate_prediction(clip: PulledClip, settings: OnlineSettings) -> Predictio
         found = {
             "online": expected,
             "sheet": pulled - resting,
-            # Its displacement from rest as it is, less what is seen by now.
+            # Its displacement from rest as it is, less what is observed by now.
             "sheet from rest": pulled - now[chosen],
         }
         measures[f"points from frame {index}"] = len(chosen)
@@ -167,7 +167,7 @@ def _moves(frame: GripFrame) -> bool:
 def sheet_motion(follow: Follow, frame: GripFrame, ratio: float) -> np.ndarray:
     """Displacement [P, 2] [px] of a sheet of one number whose gripped points move as in a frame.
 
-    It is made of the points that are seen; elsewhere not a number.
+    It is made of the points that are in view; elsewhere not a number.
     """
     seen = np.isfinite(frame.moved).all(axis=1)
     springs = lattice_springs(follow.points[seen].astype(int), follow.spacing)
@@ -179,7 +179,7 @@ def sheet_motion(follow: Follow, frame: GripFrame, ratio: float) -> np.ndarray:
 
 
 def _judged(around: np.ndarray, now: GripFrame, then: GripFrame) -> np.ndarray:
-    """Which of some points [Q] are seen in two frames and gripped in neither, shape [Q], bool."""
+    """Which of some points [Q] are in view in two frames and gripped in neither, shape [Q], bool."""
     return (now.around & then.around)[around]
 
 
@@ -235,7 +235,7 @@ def first_surface(clip: PulledClip, settings: OnlineSettings) -> Surface:
     """The sheet of the first frame that shows an instrument, prepared as the estimator's are.
 
     Raises:
-        InputError: no such frame, no depth, or no tissue with depth beside the tool.
+        InputError: no such frame, no depth, or no tissue with depth next to the tool.
     """
     estimator = OnlineEstimator(settings)
     stream = ClipStream(open_source(clip.path, clip.layout), estimator.preparation(Chosen(clip.layout)))

@@ -41,7 +41,7 @@ FORCES = ("Fx_N", "Fy_N", "Fz_N")
 
 @dataclass(frozen=True, eq=False)
 class Press:
-    """What is said of a press; T frames."""
+    """What is measured of a press; T frames."""
 
     measures: dict[str, object]
     """Numbers and words by name."""
@@ -82,7 +82,7 @@ def evaluate_press(folder: Path, wrench: Path) -> Press:
     judged = slice(fitted[1], min(len(force), len(dent), LAST))
     error = force[judged] - predicted[judged]
     time, time_sd = damping_time(dent, force, fitted)
-    told = bool(time > 0 and time_sd / time < LIMIT)
+    determined = bool(time > 0 and time_sd / time < LIMIT)
     measures: dict[str, object] = {
         "status": "ok",
         "frames fitted": f"{fitted[0]} to {fitted[1] - 1}",
@@ -93,7 +93,7 @@ def evaluate_press(folder: Path, wrench: Path) -> Press:
         "RMS error of the force [N]": float(np.sqrt(np.square(error).mean())),
         "RMS of the force [N]": float(np.sqrt(np.square(force[judged]).mean())),
         "frames within the 90 % intervals": float((np.abs(error) < NINETY * sd[judged]).mean()),
-        "damping time": "determined" if told else "not determined",
+        "damping time": "determined" if determined else "not determined",
     }
     return Press(measures, dent, force, predicted, sd, fitted)
 

@@ -41,14 +41,14 @@ class PulledClip:
 
 @dataclass(frozen=True, eq=False)
 class Pull:
-    """What is said of a clip."""
+    """What is measured of a clip."""
 
     measures: dict[str, object]
     """Numbers and words by name."""
     frames: list[FrameEstimate]
     """One a frame."""
     run: InteractionEstimate
-    """The run of contact that is told of."""
+    """The run of contact that is reported."""
 
 
 def evaluate_pull(clip: PulledClip, measures: dict[str, object]) -> Pull:
@@ -66,9 +66,9 @@ def evaluate_pull(clip: PulledClip, measures: dict[str, object]) -> Pull:
     estimator = open_estimator(EstimatorOptions("direct"))
     stream = ClipStream(open_source(clip.path, clip.layout), estimator.preparation(Chosen(clip.layout)))
     session = estimator.start(ClipInfo.of(stream))
-    said = list(estimates_of(session, stream))
-    frames = [item for item in said if isinstance(item, FrameEstimate)]
-    runs = [item for item in said if isinstance(item, InteractionEstimate)]
+    outputs = list(estimates_of(session, stream))
+    frames = [item for item in outputs if isinstance(item, FrameEstimate)]
+    runs = [item for item in outputs if isinstance(item, InteractionEstimate)]
     measures |= {"frames": len(frames), "frames in contact": sum(item.contact is True for item in frames)}
     known = [item for item in frames if item.contact_probability is not None]
     measures |= {f"contact_frame_{item.frame:04d}": item.contact_probability for item in known}

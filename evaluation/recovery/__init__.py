@@ -1,10 +1,10 @@
 """How well θ is recovered on synthetic clips whose truth is known.
 
 suites      the kinds of clips, and their seeds
-estimators  how each rival is opened; constant: what the rival always says that ignores its input
+estimators  how each rival is opened, and the constant that ignores its input
 trial       one clip against its truth, whatever moves its tissue
-followed    how well points of a grip were followed; grip_bound: what it could have told at best
-bounds      what a contact, and its whole dent, could have told at best
+grip_bound  how well points of a grip were followed, and what it could show at best
+bounds      what a contact, and its whole dent, could show at best
 scores      of presses, errors, coverage and verdicts of many; details: a row a quantity; figures: the pictures
 grips       the table of clips whose tool grips tissue; slabs: of those whose truth are finite elements
 """

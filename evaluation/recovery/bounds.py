@@ -1,4 +1,4 @@
-"""What a contact could have told at best: Fisher information at the truth, of its point and of its whole dent.
+"""What a contact could have shown at best: Fisher information at the truth, of its point and of its whole dent.
 
 All on the true mesh and at the true instants, with two delays of the press as further parameters
 (`estimators.direct.motion`): whoever knows the instants leaves these out, whoever doesn't pays for them. Where the
@@ -69,7 +69,7 @@ def known(information: np.ndarray, onset: str) -> np.ndarray:
 
 
 def _truth(contact: Interaction, scene: Scene, motion: PressedMotion) -> tuple[Interaction, np.ndarray, float]:
-    """The contact as it truly was, its parameters [5] ([4] where no release was seen), and the frame interval [s]."""
+    """The contact as it truly was, its parameters [5] ([4] without an observed release), and the frame interval [s]."""
     within, step = 1 / scene.settings.fps, MECHANICS.time_step
     seconds = (motion.release_frame - motion.onset_frame) * within if contact.released else np.inf
     press = Press.at(scene.vertex, scene.direction, held(seconds / step, MECHANICS.steps))
@@ -98,7 +98,7 @@ def _of_tissue(
         problem: of the truth, with its
         logs: φ and delays.
         motion: the truth.
-        unit: how much information counts as 1 in the problem, about: what is expected of a shape counts beside it.
+        unit: how much information counts as 1 in the problem, about: what is expected of a shape counts as well.
     """
     information = problem.information(_all(problem, logs, motion))
     prior = unit * box_information(problem.motion.box(RECOMMENDED.log_box))
@@ -118,7 +118,7 @@ def _recentred(sequence: DepthSequence, offset: np.ndarray) -> DepthSequence:
 
 
 def _squared(information: np.ndarray) -> np.ndarray:
-    """With the second delay, of which nothing is known where the release was not seen, shape [5, 5]."""
+    """With the second delay, of which nothing is known where the release was not observed, shape [5, 5]."""
     whole = np.zeros((5, 5))
     whole[: len(information), : len(information)] = information
     return whole

@@ -48,7 +48,7 @@ _AVERAGES = {
     **dict.fromkeys(("onset_off", "release_off", "place_off", "warned"), np.mean),
     **dict.fromkeys(("misfit", "seconds"), np.median),
 }
-"""Of numbers of results that are told for all clips together."""
+"""Of numbers of results that are given for all clips together."""
 LEAST_CLIPS = 5
 """Fewer clips give no interval."""
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 from scipy.stats import norm
 
 from palpate.evaluation.recovery.estimators import CONSTANT
@@ -15,16 +17,12 @@ from palpate.evaluation.recovery.suites import REGIMES
 from palpate.physics.identifiability import LIMIT
 from palpate.physics.mechanics import PARAMETERS
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 STYLES = {
     "under-damped": {"color": "#1d4e89", "marker": "o"},
     "critical": {"color": "#c77d0a", "marker": "s"},
     "over-damped": {"color": "#3f8f4f", "marker": "^"},
 }
-"""Regimes are told apart by lightness and marker as well."""
+"""Regimes differ by lightness and marker as well."""
 SYMBOLS = ("stiffness $k_s$", "damping $k_d$", "force $|F|$")
 GREY, PALE = "#667085", "#cdd3dc"
 LEVELS = np.linspace(0.02, 0.98, 49)
@@ -130,8 +128,6 @@ def figures(scores: Sequence[Scores]) -> Iterator[tuple[str, Figure]]:
 
 def _panels(title: str, count: int = 3) -> tuple[Figure, np.ndarray]:
     """An empty figure of panels, up to four in a row."""
-    from matplotlib.figure import Figure
-
     columns, rows = min(4, count), math.ceil(count / 4)
     figure = Figure(figsize=(4 * columns, 4.4 * rows), dpi=150, layout="constrained")
     figure.suptitle(title, fontsize=11)
@@ -148,8 +144,6 @@ def _limits(values: np.ndarray) -> tuple[float, float]:
 
 def _plain_axes(axes: Axes) -> None:
     """No frame at the top and on the right, and plain numbers along logarithmic axes."""
-    from matplotlib.ticker import LogLocator, NullFormatter
-
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(labelsize=8)
     for axis in (axes.xaxis, axes.yaxis):

@@ -2,7 +2,7 @@
 
 A sheet of springs is fitted to pictures of neo-Hookean solids that are pressed, or held and pulled. Its k_s, k_d and F
 are in units of its own, so that ranks are compared, and factors that one common constant doesn't explain. Where
-`direct` fits finite elements instead, told how thick the tissue is, k_s stands for E and k_d for αρ:
+`direct` fits finite elements instead, given how thick the tissue is, k_s stands for E and k_d for αρ:
 
 quantity                                    of
 estimated, explained                        share of the clips with an estimate, and of these whose model check passes
@@ -76,49 +76,49 @@ def _groups(rows: Sequence[Row]) -> dict[str, list[Row]]:
     found = {}
     for name, action in (("pressed", "press"), ("pulled", "grip")):
         found[name] = [row for row in rows if row["action"] == action]
-        told = [row for row in found[name] if "tissue" in row]
-        found[f"{name}, damping by mass"] = [row for row in told if not SlabTissue(*row["tissue"]).branch > 0]
-        found[f"{name}, relaxing"] = [row for row in told if SlabTissue(*row["tissue"]).branch > 0]
+        drawn = [row for row in found[name] if "tissue" in row]
+        found[f"{name}, damping by mass"] = [row for row in drawn if not SlabTissue(*row["tissue"]).branch > 0]
+        found[f"{name}, relaxing"] = [row for row in drawn if SlabTissue(*row["tissue"]).branch > 0]
     return {name: group for name, group in found.items() if group}
 
 
-def _told(rows: Sequence[Row]) -> list[Row]:
+def _estimated(rows: Sequence[Row]) -> list[Row]:
     """Those with an estimate."""
     return [row for row in rows if "estimate" in row or "reaction" in row]
 
 
 def _shares(rows: Sequence[Row]) -> Iterator[Quantity]:
     """Of all clips of a group: what is estimated, explained and determined."""
-    told = _told(rows)
-    yield "estimated", len(rows), len(told) / len(rows)
-    checked = [row["warned"] for row in told if "warned" in row]
+    estimated = _estimated(rows)
+    yield "estimated", len(rows), len(estimated) / len(rows)
+    checked = [row["warned"] for row in estimated if "warned" in row]
     if checked:
         yield "explained", len(checked), checked.count(False) / len(checked)
-        known = sum(row.get("verdict", "") not in ("", "undetermined") for row in told)
-        yield "something determined", len(told), known / len(told)
+        known = sum(row.get("verdict", "") not in ("", "undetermined") for row in estimated)
+        yield "something determined", len(estimated), known / len(estimated)
 
 
 def _compared(rows: Sequence[Row]) -> Iterator[Quantity]:
     """Quantities of those that have an estimate."""
-    told = _told(rows)
-    count = len(told)
+    estimated = _estimated(rows)
+    count = len(estimated)
     if count < LEAST:
         return
-    tissue: Any = SlabTissue(*np.transpose([row["tissue"] for row in told]))  # arrays, shape [n] each
+    tissue: Any = SlabTissue(*np.transpose([row["tissue"] for row in estimated]))  # arrays, shape [n] each
     young, damping = tissue.young, tissue.damping
-    force = np.array([row["true_force"] for row in told])
-    solid = all(row.get("fitted") == FEM for row in told)
-    if "reaction" in told[0]:
-        found, sd = np.stack([row["reaction"] for row in told]).T
+    force = np.array([row["true_force"] for row in estimated])
+    solid = all(row.get("fitted") == FEM for row in estimated)
+    if "reaction" in estimated[0]:
+        found, sd = np.stack([row["reaction"] for row in estimated]).T
         yield from _related("F/k_s", found, "F/E", force / young)
         yield "rank of k_s if F is known and E", count, spearmanr(force / found, young).statistic
         if solid:
             yield from _over_true("F/E", np.log(found / (force / young)), sd)
-        off, sd = curve_errors([row["curve"] for row in told])
+        off, sd = curve_errors([row["curve"] for row in estimated])
         yield "relative force, off", len(off), rms(off)
         yield "relative force, held", len(off), coverage(off, sd)
         return
-    stiffness, viscosity, pressed = np.abs([row["estimate"] for row in told]).T
+    stiffness, viscosity, pressed = np.abs([row["estimate"] for row in estimated]).T
     yield from _related("k_s", stiffness, "E", young)
     yield from _related("F", pressed, "F", force)
     yield from _related("F/k_s", pressed / stiffness, "F/E", force / young)
@@ -135,7 +135,7 @@ def _compared(rows: Sequence[Row]) -> Iterator[Quantity]:
         # In the truth's own units; there may be no damping at all.
         with np.errstate(divide="ignore"):
             off = np.log([stiffness, viscosity, pressed]).T - np.log([young, damping * tissue.density, force]).T
-        covariances = np.array([row["covariance"] for row in told])
+        covariances = np.array([row["covariance"] for row in estimated])
         names = {"stiffness": "E", "force": "F", "force_over_stiffness": "F/E"}
         for combination, name in (names | ({"damping_over_stiffness": "αρ/E"} if by_mass else {})).items():
             powers = np.array(COMBINATIONS[combination])

@@ -33,14 +33,14 @@ damping                         log of damping over stiffness [s]: true, and its
 curve                           force over that of the last frame: true, estimated, its standard deviation, shape [3, T]
 following                       error of a followed point by axis in the last frame, root mean square [px]
 rank, rank_most                 rank correlation of the stiffness field with the true one where tissue moves; of regions
-                                told apart exactly, in any order within each: √(3p(1 - p)), p the share of one
+                                that are separated exactly, in any order within each: √(3p(1 - p)), p the share of one
 held, knots, held_between       share of the field's knots there whose 90 % interval holds the truth; how many they are;
                                 the same share of all followed points there (bilinear between knots, a step is none)
 
 of a slab of finite elements:
 
 tissue                          true numbers in the order of `data.synthetic.slab.SlabTissue`, shape [8]
-true_force                      size of the true force: of a press, or of the pull in the last frame that was looked at
+true_force                      size of the true force: of a press, or of the pull in the last frame that was fitted
 fitted                          what was fitted, one of `estimators.open.MODELS`; of finite elements θ = [E, αρ, F]
 reaction                        of a pull: F/k_s, of finite elements F/E, and the standard deviation of its logarithm
 curve                           as of a grip
@@ -84,8 +84,7 @@ from palpate.estimators.session import estimates_of
 from palpate.evaluation.harness import OK, Row, attempted
 from palpate.evaluation.recovery.bounds import MECHANICS, contact_information, field_information
 from palpate.evaluation.recovery.estimators import Candidate, opened
-from palpate.evaluation.recovery.followed import measure_following
-from palpate.evaluation.recovery.grip_bound import grip_bound
+from palpate.evaluation.recovery.grip_bound import grip_bound, measure_following
 from palpate.evaluation.recovery.suites import EVERY, GRID_SIZE
 
 MOTION = "motion"
@@ -109,16 +108,16 @@ class Trial:
     wanted: Mapping[str, Mapping[str, Candidate]]
     """Suites, each with the estimators that are to be tried, by name; those without any are left out."""
     seen: Horizon = None
-    """Frames after the onset that estimators and bound see; none = one second."""
+    """Frames after the onset that estimators and bound observe; None = one second."""
     size: tuple[int, int] = GRID_SIZE
     """Width and height of pictures of presses on a sheet [px]."""
     contact: Literal["touching", "motion"] = "touching"
-    """How contacts are found; with motion clips are drawn without the tool, and an onset that is a frame off counts."""
+    """How contacts are found; with motion clips are drawn without the tool, and an onset one frame off counts."""
 
 
 @dataclass(frozen=True, eq=False)
 class TrueClip:
-    """A clip as estimators see it, and its truth."""
+    """A clip as estimators observe it, and its truth."""
 
     scene: Scene
     motion: PressedMotion | GrippedMotion | SlabMotion
@@ -176,16 +175,17 @@ def _suite_rows(trial: Trial, suite: str, candidates: Mapping[str, Candidate]) -
 
 
 def _judged(trial: Trial, clip: TrueClip) -> tuple[Row, Compare | None]:
-    """What holds for all estimators alike, and what makes a row of an answer; None where nothing can be compared."""
+    """What holds for all estimators, and what makes a row of an answer; None where nothing can be compared."""
     motion = clip.motion
     if isinstance(motion, GrippedMotion):
         return {}, functools.partial(_gripped, clip, motion)
-    if isinstance(motion, GrippedSlab):
-        return {"tissue": np.array(dataclasses.astuple(motion.tissue))}, functools.partial(_pulled, clip, motion)
-    if isinstance(motion, PressedSlab):
-        force = float(np.abs(motion.force).max())
-        tissue = np.array(dataclasses.astuple(motion.tissue))
-        return {"tissue": tissue, "true_force": force}, functools.partial(_pressed, motion.onset_frame)
+    if isinstance(motion, SlabMotion):
+        known: Row = {"tissue": np.array(dataclasses.astuple(motion.tissue))}
+        if isinstance(motion, PressedSlab):
+            force = float(np.abs(motion.force).max())
+            return known | {"true_force": force}, functools.partial(_pressed, motion.onset_frame)
+        if isinstance(motion, GrippedSlab):
+            return known, functools.partial(_pulled, clip, motion)
     if not isinstance(motion, PressedMotion):
         raise TypeError(f"{type(motion).__name__} is no motion of a suite.")
     contacts = observed_contacts(clip.frames, clip.info, trial.seen)
@@ -269,7 +269,7 @@ def as_stamped(motion: PressedMotion, onset: int) -> PressedMotion:
 
 
 def observed_contacts(frames: Sequence[PreparedFrame], clip: ClipInfo, seen: Horizon = None) -> dict[int, Interaction]:
-    """Every run of contact whose onset was seen and whose tissue was followed, by the frame of its onset.
+    """Every run of contact whose onset was observed and whose tissue was followed, by the frame of its onset.
 
     Args:
         frames: of the whole clip.
@@ -295,21 +295,28 @@ def tracking_errors(contact: Interaction, scene: Scene, motion: PressedMotion) -
 
 def _gripped(clip: TrueClip, motion: GrippedMotion, answer: list) -> Row:
     """What is estimated of a grip."""
-    runs = [item for item in answer if isinstance(item, InteractionEstimate)]
     contact = np.array([item.contact is True for item in answer if isinstance(item, FrameEstimate)])
     moves = moving_frames(clip.scene, motion)
     found: Row = {"contact_right": float((contact == motion.in_contact)[moves].mean()) if moves.any() else math.nan}
-    run = next((item for item in runs if item.grip is not None), None)
-    if run is None:
-        return found | {"status": "no estimate", "reason": " ".join(item.detail for item in runs)}
-    found |= {"verdict": run.verdict, "skill": run.grip.skill}
+    gripped = _grip_of(answer)
+    if isinstance(gripped, dict):
+        return found | gripped
+    run, grip = gripped
+    found |= {"verdict": run.verdict, "skill": grip.skill}
     if run.onset < motion.onset_frame:
         return found
-    return found | _grip_against_truth(run.onset, run.grip, clip.scene, motion, clip.frames)
+    return found | _grip_against_truth(run.onset, grip, clip.scene, motion, clip.frames)
+
+
+def _grip_of(answer: list) -> tuple[InteractionEstimate, GripEstimate] | Row:
+    """The first run of contact that has an estimate as a grip, with that, or a row that says why there is none."""
+    runs = [item for item in answer if isinstance(item, InteractionEstimate)]
+    missing: Row = {"status": "no estimate", "reason": " ".join(item.detail for item in runs)}
+    return next(((item, item.grip) for item in runs if item.grip is not None), missing)
 
 
 def moving_frames(scene: Scene, motion: GrippedMotion) -> np.ndarray:
-    """Frames in which the tool or the tissue it holds moves, shape [F], bool: in others nothing tells of contact."""
+    """Frames in which the tool or the tissue it holds moves, shape [F], bool: in others nothing shows contact."""
     camera, vertex = scene.camera, scene.mesh.vertices[scene.vertex]
     held = vertex[:2] + motion.contact[:, :2]
     place = held / (vertex[2] + motion.contact[:, 2:]) * [camera.fx, camera.fy]
@@ -324,29 +331,25 @@ def _grip_against_truth(
     """Truth, estimate and bound of a run of contact that begins in a frame."""
     cell = np.array(scene.settings.cell)
     used = onset + np.rint(grip.times * scene.settings.fps).astype(int)
-    follower, moved, told = _followed(frames[onset : used[-1] + 1])
+    follower, moved, noise = _followed(frames[onset : used[-1] + 1])
     points = follower.points.astype(np.float64)
     true_moved = np.array([picture_motion(scene, motion, index, points) for index in (onset, *used)])
     true = true_moved[1:] - true_moved[0]
     error = moved[used - onset - 1] - true
-    seen = np.isfinite(error[-1]).all(axis=1)
-    size = float(np.sqrt(np.square(error[-1, seen]).mean()))
-    places = points[seen], follower.distance[seen]
-    followed = measure_following(*places, SPACING, told[seen], error[:, seen])
+    visible = np.isfinite(error[-1]).all(axis=1)
+    size = float(np.sqrt(np.square(error[-1, visible]).mean()))
+    places = points[visible], follower.distance[visible]
+    followed = measure_following(*places, SPACING, noise[visible], error[:, visible])
     log_anchor = math.log(motion.anchor * SPACING**2 / cell.prod())
     relaxation = motion.damping / motion.anchor
-    bound = grip_bound(*places, follower.hidden, SPACING, grip.times, true[:, seen], followed, log_anchor, relaxation)
-    log, sd = log_interval(
-        grip.foundation_over_stiffness, grip.foundation_over_stiffness_low, grip.foundation_over_stiffness_high
+    bound = grip_bound(
+        *places, follower.hidden, SPACING, grip.times, true[:, visible], followed, log_anchor, relaxation
     )
     force = motion.reaction[used] / scene.spacing * cell
     unit = force[-1] / (force[-1] @ force[-1])
-    pull = log_interval(
-        grip.reaction_over_stiffness, grip.reaction_over_stiffness_low, grip.reaction_over_stiffness_high
-    )
     found: Row = {
-        "foundation": np.array([log_anchor, log, sd, bound.foundation]),
-        "force": np.array([math.log(np.linalg.norm(force[-1])), *pull, bound.force]),
+        "foundation": np.array([log_anchor, *log_of(grip, "foundation_over_stiffness"), bound.foundation]),
+        "force": np.array([math.log(np.linalg.norm(force[-1])), *log_of(grip, "reaction_over_stiffness"), bound.force]),
         "damping": np.array([log_anchor + math.log(relaxation), bound.damping]),
         "curve": np.array([force @ unit, grip.force, grip.force_sd]),
         "following": size,
@@ -356,8 +359,9 @@ def _grip_against_truth(
     return found
 
 
-def log_interval(value: float, low: float, high: float) -> tuple[float, float]:
-    """Logarithm and its standard deviation, of a value and the ends of its 90 % interval."""
+def log_of(grip: GripEstimate, name: str) -> tuple[float, float]:
+    """Logarithm of a quantity of a grip and its standard deviation, by the ends of its 90 % interval."""
+    value, low, high = (getattr(grip, name + end) for end in ("", "_low", "_high"))
     return math.log(value), math.log(high / low) / (2 * NINETY)
 
 
@@ -376,8 +380,8 @@ def _followed(frames: Sequence[PreparedFrame]) -> tuple[PointFollower, np.ndarra
     """Points followed through frames as the estimator follows them.
 
     Returns:
-        The follower, displacements since the first frame in those after it [F - 1, N, 2] and the noise told of the last
-        ones [N] [px].
+        The follower, displacements since the first frame in those after it [F - 1, N, 2] and the stated noise of the
+        last ones [N] [px].
     """
     first, *others = [(frame.view[0], frame.view[1] == TOOL) for frame in frames]
     follower, moved = PointFollower(*first), []
@@ -420,26 +424,21 @@ def _true_log(places: np.ndarray, scene: Scene, motion: GrippedMotion) -> np.nda
 
 def _pulled(clip: TrueClip, motion: GrippedSlab, answer: list) -> Row:
     """What is estimated of a pull on a slab."""
-    runs = [item for item in answer if isinstance(item, InteractionEstimate)]
-    run = next((item for item in runs if item.grip is not None), None)
-    if run is None:
-        return {"status": "no estimate", "reason": " ".join(item.detail for item in runs)}
-    return _pull_against_truth(run.onset, run.grip, motion, clip.scene)
+    gripped = _grip_of(answer)
+    if isinstance(gripped, dict):
+        return gripped
+    run, grip = gripped
+    return _pull_against_truth(run.onset, grip, motion, clip.scene)
 
 
 def _pull_against_truth(onset: int, grip: GripEstimate, motion: GrippedSlab, scene: Scene) -> Row:
-    """What is estimated of a pull that was seen from a frame on, beside the truth."""
+    """What is estimated of a pull that was observed from a frame on, compared with the truth."""
     used = onset + np.rint(grip.times * scene.settings.fps).astype(int)
     true = motion.reaction[used]
     size = float(np.linalg.norm(true[-1]))
-    if math.isnan(grip.reaction_over_young):
-        unit = scene.spacing / scene.settings.cell[0]
-        log, sd = log_interval(
-            grip.reaction_over_stiffness, grip.reaction_over_stiffness_low, grip.reaction_over_stiffness_high
-        )
-    else:
-        unit = 1.0
-        log, sd = log_interval(grip.reaction_over_young, grip.reaction_over_young_low, grip.reaction_over_young_high)
+    sheet = math.isnan(grip.reaction_over_young)
+    unit = scene.spacing / scene.settings.cell[0] if sheet else 1.0
+    log, sd = log_of(grip, "reaction_over_stiffness" if sheet else "reaction_over_young")
     return {
         "true_force": size,
         "reaction": np.array([math.exp(log) * unit, sd]),

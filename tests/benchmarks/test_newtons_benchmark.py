@@ -9,12 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from palpate.benchmarks import newtons
 from palpate.benchmarks.newtons import MEASURED, NEWTONS, judge, measured_force, read_truths
 from palpate.estimators.estimate import NINETY, NoEstimate
-from palpate.evaluation.file_table import FileTable
 
 OFF = {"a": 0.0, "b": 0.1, "c": -0.3}
 """Of the logarithms of estimated forces; their standard deviation is told as SD."""
@@ -48,9 +46,8 @@ def judge_three(tmp_path: Path) -> dict[tuple[object, object], object]:
         told = {"force": NEWTONS * force, "determined": "force"}
         told |= {f"force{end}": NEWTONS * force * factor ** math.sqrt(2) for end, factor in ends.items()}
         write_row(tmp_path / "results" / name / "calibrated.csv", told)
-    table = FileTable(tmp_path / "out", Console(stderr=True))
-    judge(tmp_path / "results", read_truths(tmp_path / "clips"), "a", table)
-    return {(row["file"], row["measure"]): row["value"] for row in table.rows}
+    rows = judge(tmp_path / "results", read_truths(tmp_path / "clips"), "a")
+    return {(row["file"], name): value for row in rows for name, value in row.items()}
 
 
 @pytest.fixture

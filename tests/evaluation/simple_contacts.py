@@ -7,7 +7,7 @@ import numpy as np
 import torch
 
 from palpate.data.contact.interaction import Interaction
-from palpate.evaluation.paper.baselines import simulate_contacts
+from palpate.evaluation.paper.simulated import simulate_contacts
 from palpate.models.records import with_reference_tissue
 from palpate.physics.load import Press, held
 from palpate.physics.mechanics import Bounds, Mechanics

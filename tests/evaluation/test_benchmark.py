@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from palpate.common.doors import INTERRUPTED
 from palpate.evaluation.benchmark import Benchmark, main
 from palpate.evaluation.harness import options
-from palpate.evaluation.recovery import constant
+from palpate.evaluation.recovery import estimators
 from palpate.evaluation.recovery.scores import COLUMNS
 from palpate.evaluation.recovery.suites import SUITES
 from tests.evaluation.recovery_cases import off_by, recovery
@@ -31,7 +31,7 @@ def evaluated(monkeypatch):
 
     monkeypatch.setattr(Benchmark, "work", staticmethod(evaluate))
     monkeypatch.setattr("palpate.evaluation.recovery.figures.figures", lambda scores: [])
-    monkeypatch.setattr(constant, "draw_log_theta", lambda task: np.array([-1.0, -3.0, -2.5]) + 0.1 * task[0])
+    monkeypatch.setattr(estimators, "draw_log_theta", lambda task: np.array([-1.0, -3.0, -2.5]) + 0.1 * task[0])
     return seen
 
 
@@ -57,7 +57,7 @@ def test_tables_and_figures_are_written(tmp_path, evaluated, monkeypatch):
 
 
 def test_the_constant_is_fitted_only_where_it_is_asked_for(tmp_path, evaluated, monkeypatch):
-    monkeypatch.setattr(constant, "draw_log_theta", lambda task: pytest.fail("a truth was drawn"))
+    monkeypatch.setattr(estimators, "draw_log_theta", lambda task: pytest.fail("a truth was drawn"))
     assert run(tmp_path) == 0
     rows = read(tmp_path / "table.csv")
     # All stand-in clips have the same θ, which one constant hits.
@@ -227,7 +227,7 @@ def test_all_suites_once_and_in_order():
 
 @pytest.mark.slow
 def test_two_real_clips_in_two_processes(tmp_path, monkeypatch):
-    monkeypatch.setattr(constant, "CLIPS", 3)
+    monkeypatch.setattr(estimators, "CONSTANT_CLIPS", 3)
     arguments = ["--output", str(tmp_path), "--clips", "2", "--workers", "2"]
     assert main([*arguments, "--estimator", "direct", "constant"]) == 0
     rows = [row for row in read(tmp_path / "table.csv") if row["regime"] == "all" and row["estimator"] == "direct"]

@@ -7,37 +7,37 @@ from pathlib import Path
 
 import pytest
 
-from palpate.evaluation.online.__main__ import case_path, main
+from palpate.evaluation.online.__main__ import main
 
 SMALL = ["--sequences", "thin-shell-1", "--starts", "k2", "--frames", "14", "--every", "3"]
 SMALL += ["--particles", "64", "--points", "80", "--match", "tracks"]
 
 
 def test_a_run_goes_on_where_it_was(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
-    told = [*SMALL, "--output", str(tmp_path), "--methods", "PBD"]
-    assert main(told) == 0
-    path = case_path(tmp_path, ("thin-shell-1", "k2", "PBD"))
-    before = path.stat().st_mtime_ns
-    assert main([*told, "PBD-RM", "PBD-RM-ON"]) == 0
-    assert "1 of 3 cases are there already" in " ".join(capsys.readouterr().err.split())
-    assert path.stat().st_mtime_ns == before
+    asked = [*SMALL, "--output", str(tmp_path), "--methods", "PBD"]
+    assert main(asked) == 0
+    path = tmp_path / "results.jsonl"
+    (line,) = path.read_text().splitlines()
+    assert main([*asked, "PBD-RM", "PBD-RM-ON"]) == 0
+    first, *others = path.read_text().splitlines()
+    assert (first, len(others)) == (line, 2)
     with (tmp_path / "table.csv").open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert list(rows[0]) == ["sequence", "start", "method", "measure", "value"]
     assert {row["method"] for row in rows} == {"PBD", "PBD-RM", "PBD-RM-ON"}
     assert all(float(row["value"]) > 0 for row in rows if row["measure"] == "future gap [mm]")
     assert {each.name for each in (tmp_path / "figures").glob("*.png")} == {f"figure_{n}.png" for n in (5, 7, 8, 9)}
-    path.write_bytes(b"mine")
-    assert main(told) == 1
+    (tmp_path / "report.html").write_text("mine")
+    assert main(asked) == 2
     assert "is not as this program wrote it" in " ".join(capsys.readouterr().err.split())
-    assert path.read_bytes() == b"mine"
+    assert (tmp_path / "report.html").read_text() == "mine"
 
 
 def test_the_paper_s_combination_runs(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     """Clouds and Adam, as docs/reports/online.md names the command."""
-    told = [*SMALL, "--match", "chamfer", "--optimizer", "adam", "--methods", "PBD", "PBD-RM-ON"]
-    assert main([*told, "--output", str(tmp_path)]) == 0
-    out = " ".join(capsys.readouterr().out.split())
+    asked = [*SMALL, "--match", "chamfer", "--optimizer", "adam", "--methods", "PBD", "PBD-RM-ON"]
+    assert main([*asked, "--output", str(tmp_path)]) == 0
+    out = " ".join(capsys.readouterr().err.split())
     assert "Matched: chamfer; adam." in out
     assert "distance field against truth: thin-shell-1 k2" in out
 

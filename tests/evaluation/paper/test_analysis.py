@@ -15,7 +15,7 @@ from palpate.evaluation.paper.analysis import (
     analyse_depth,
     describe_depth,
 )
-from palpate.evaluation.paper.baselines import no_motion_errors, simulate_contacts
+from palpate.evaluation.paper.simulated import no_motion_errors, simulate_contacts
 from tests.evaluation.simple_contacts import BOUNDS, MECHANICS, contact, record
 
 SOFT, HARD = np.array([0.2, 0.02, -0.05]), np.array([1.5, 0.15, -0.2])

@@ -8,8 +8,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from palpate.evaluation.paper import baselines
-from palpate.evaluation.paper.baselines import (
+from palpate.evaluation.paper import simulated
+from palpate.evaluation.paper.simulated import (
     fit_constant_theta,
     no_motion_errors,
     simulate_contacts,
@@ -52,7 +52,7 @@ def test_no_motion_error_is_the_simulation_without_force():
 
 
 def test_fit_explains_contacts_that_share_one_theta(monkeypatch):
-    monkeypatch.setattr(baselines, "MAX_ITERATIONS", 40)
+    monkeypatch.setattr(simulated, "MAX_ITERATIONS", 40)
     contacts = [contact(TRUE, vertex=vertex) for vertex in (14, 15, 20)]
     theta, error = fit_constant_theta(contacts, BOUNDS, MECHANICS)
     assert error < 1e-3 * no_motion_errors(contacts, MECHANICS).mean()

@@ -4,8 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from palpate.evaluation.paper.collapse import as_reported, conclude, describe_spread, spread_of
-from palpate.evaluation.paper.statistics import compare
+from palpate.evaluation.paper.statistics import as_reported, compare, conclude, describe_spread, spread_of
 from palpate.physics.mechanics import PARAMETERS, Bounds
 
 BOUNDS = Bounds()

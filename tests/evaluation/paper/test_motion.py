@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from palpate.evaluation.paper.motion import amplification, median_share, motion_row, settle
+from palpate.evaluation.paper.simulated import amplification, median_share, motion_row, settle
 from palpate.physics.mechanics import Mechanics
 from tests.evaluation.simple_contacts import MECHANICS as SHORT
 from tests.evaluation.simple_contacts import contact

@@ -12,7 +12,7 @@ import pytest
 
 from palpate.common.output import LIST
 from palpate.evaluation.harness import options, write
-from palpate.evaluation.real.__main__ import COLUMNS, KNOWN, Real, main
+from palpate.evaluation.real.__main__ import KNOWN, Real, main
 from palpate.evaluation.real.pulled import PulledClip
 from tests.evaluation.real_clips import LAYOUT, pull_clip, ramp, write_press, write_wrench
 
@@ -44,7 +44,7 @@ def rows(output: Path) -> dict[str, dict[str, str]]:
     """Values by clip and measure."""
     with (output / "table.csv").open(encoding="utf-8", newline="") as file:
         table = csv.DictReader(file)
-        assert tuple(table.fieldnames or ()) == COLUMNS == ("clip", "measure", "value")
+        assert tuple(table.fieldnames or ()) == ("clip", "measure", "value")
         found: dict[str, dict[str, str]] = {}
         for row in table:
             found.setdefault(row["clip"], {})[row["measure"]] = row["value"]

@@ -9,13 +9,19 @@ import pytest
 from scipy.linalg import block_diag
 
 from palpate.estimators.grip.sheet import SIZE, load_precision, loaded_cells
-from palpate.evaluation.recovery.followed import Following
-from palpate.evaluation.recovery.grip_bound import GripBound, grip_bound
+from palpate.evaluation.recovery.grip_bound import (
+    Following,
+    GripBound,
+    grip_bound,
+    measure_following,
+    ring_correlation,
+)
 from palpate.physics.endless_sheet import response
 
 SPACING, LOG = 8, np.log(0.2)
 PULLS = np.array([0.6, 1.0])
 TIMES, RELAXATION = np.array([0.1, 0.2]), 0.02
+TRACKED = Following(np.empty(0), 6.0, 0.1, np.array([[1.0, 0.5], [0.5, 1.0]]))
 
 
 def grid() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -128,3 +134,34 @@ def test_an_estimator_that_knows_the_noise_reaches_the_bound() -> None:
     reached = off.std(), np.log(np.linalg.norm(force, axis=0) / size).std()
     # 400 draws tell a standard deviation to within 3.5 %.
     assert reached == pytest.approx(bound()[:2], rel=0.12)
+
+
+def test_drawn_errors_are_measured() -> None:
+    row, column = np.mgrid[:40, :50]
+    points = SPACING * np.column_stack([column.ravel(), row.ravel()]).astype(np.float64)
+    sizes = np.where(np.arange(len(points)) % 5 == 0, 0.8, 0.2)
+    true = Following(sizes, TRACKED.reach, TRACKED.shared, TRACKED.in_time)
+    places = np.linalg.cholesky(true.covariance(points) + 1e-9 * np.eye(len(points)))
+    generator, times = np.random.default_rng(2), np.linalg.cholesky(true.in_time)
+    errors = np.einsum("nm,ts,sma->tna", places, times, generator.normal(size=(2, len(points), 2)))
+    errors[0, :10] = np.nan
+    found = measure_following(points, np.zeros(len(points)), SPACING, 1.7 * sizes, errors)
+    # As far as errors of points are correlated, so many fewer count.
+    np.testing.assert_allclose(found.sizes, sizes, rtol=0.15)
+    assert 0.05 < found.shared < 0.2
+    np.testing.assert_allclose(found.in_time, true.in_time, atol=0.15)
+    even = Following(np.ones(len(points)), TRACKED.reach, TRACKED.shared, TRACKED.in_time)
+    shared = np.linalg.cholesky(even.covariance(points)) @ generator.normal(size=(len(points), 2))
+    again = measure_following(points, np.zeros(len(points)), SPACING, np.ones(len(points)), shared[None])
+    assert abs(again.reach / TRACKED.reach - 1) < 0.2
+
+
+def test_correlation_is_found_ring_by_ring() -> None:
+    row, column = np.mgrid[:30, :30]
+    points = SPACING * np.column_stack([column.ravel(), row.ravel()]).astype(np.float64)
+    wave = np.cos(np.pi * column.ravel() / 3)
+    found = ring_correlation(points, SPACING, np.column_stack([wave, wave]))
+    assert found[0] == 1
+    assert found[3] < -0.2 < 0.2 < found[1]
+    white = np.random.default_rng(3).normal(size=(900, 2))
+    assert np.abs(ring_correlation(points, SPACING, white)[1:10]).max() < 0.1

@@ -15,10 +15,10 @@ from palpate.estimators.estimate import Estimate, InteractionEstimate
 from palpate.estimators.onset import BETWEEN, STAMP
 from palpate.estimators.open import EstimatorOptions
 from palpate.evaluation.harness import Row
-from palpate.evaluation.recovery import constant
+from palpate.evaluation.recovery import estimators
 from palpate.evaluation.recovery import trial as recovery
 from palpate.evaluation.recovery.bounds import MECHANICS, contact_information, known
-from palpate.evaluation.recovery.constant import draw_log_theta
+from palpate.evaluation.recovery.estimators import draw_log_theta
 from palpate.evaluation.recovery.suites import SUITES, suite_clip_seed
 from palpate.evaluation.recovery.trial import Trial, TrueClip, run_trial
 from palpate.physics.identifiability import bounds, fisher_information, log_jacobian
@@ -125,7 +125,7 @@ def test_a_clip_in_three_suites(monkeypatch, truth):
         return truth
 
     monkeypatch.setattr(recovery, "draw_truth", draw)
-    monkeypatch.setattr(constant, "draw_press", draw)
+    monkeypatch.setattr(estimators, "draw_press", draw)
     recovery._truth.cache_clear()
     wanted = {"clean": {"constant": CONSTANT}, "8bit": {"constant": CONSTANT}, "mismatch": {"constant": CONSTANT}}
     clean, rounded, mismatch = run_trial(Trial(2, SEED, wanted | {"noisy": {}}))
@@ -170,7 +170,7 @@ def test_failures_become_results(monkeypatch):
     failing = raising(SceneError("nothing to draw."))
     row = run(monkeypatch, draw_truth=failing)
     assert (row["status"], row["reason"], "theta" in row) == ("no scene", "nothing to draw.", False)
-    monkeypatch.setattr(constant, "draw_press", failing)
+    monkeypatch.setattr(estimators, "draw_press", failing)
     assert draw_log_theta((2, SEED)) is None
 
 

@@ -6,6 +6,8 @@ import dataclasses
 
 import numpy as np
 import pytest
+import skfem
+from skfem.helpers import ddot, sym_grad, trace
 
 from palpate.physics.fem import linear_system
 from palpate.physics.fem.equilibrium import NoEquilibrium, applied, find_equilibrium
@@ -35,6 +37,25 @@ def test_patch_test(law: str, order: int) -> None:
     found = find_equilibrium(body, Material(law, 1e3, 0.4), rim, motion=motion)
     np.testing.assert_allclose(found.displacement, motion, atol=1e-8)
     np.testing.assert_allclose(found.reaction.sum(axis=0), 0, atol=1e-8)
+
+
+def test_the_linear_law_is_scikit_fem_s() -> None:
+    """Another program's assembly and solver, on the same linear tetrahedra."""
+    body = make_solid(*box((1.0, 1.0, 1.0), (3, 3, 3)))
+    held, forces, material = clamped(body), pulled(body), Material("linear", 1e3, 0.4)
+    mu, lam = material.lame
+    basis = skfem.Basis(skfem.MeshTet(body.rest.T, body.elements.T), skfem.ElementVector(skfem.ElementTetP1()))
+
+    @skfem.BilinearForm
+    def stiffness(u, v, _):
+        return lam * trace(sym_grad(u)) * trace(sym_grad(v)) + 2 * mu * ddot(sym_grad(u), sym_grad(v))
+
+    order = np.empty(held.size, int)  # of our components among those of scikit-fem
+    order[basis.nodal_dofs.T.ravel()] = np.arange(held.size)
+    system = skfem.condense(stiffness.assemble(basis), forces.ravel()[order], D=np.flatnonzero(held.ravel()[order]))
+    expected = skfem.solve(*system)[basis.nodal_dofs].T
+    found = find_equilibrium(body, material, held, forces=forces).displacement
+    np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
 
 
 def test_a_bent_bar_takes_its_moment_at_the_order_of_the_elements() -> None:

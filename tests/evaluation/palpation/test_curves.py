@@ -1,4 +1,4 @@
-"""The door judges every table that it knows by its columns, whatever its name, and one bad file costs its own rows."""
+"""Every table is judged that is known by its columns, whatever its name, and one bad file costs its own rows."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from palpate.estimators.palpation.grasp import GraspSlope
 from palpate.evaluation.palpation import __main__ as door
-from palpate.evaluation.palpation.grasping import GraspName, judge_grasps
+from palpate.evaluation.palpation.curves import GraspName, judge_grasps
 from tests.estimators.palpation.test_region import probes
 from tests.estimators.palpation.test_relaxation import ramp_and_hold
 
@@ -44,7 +43,7 @@ def test_every_known_table_gets_its_rows(tmp_path: Path) -> None:
         write_grasp(data / f"{name}.csv", stiffness)
     (data / "bad.csv").write_text("t_s,force_N,displacement_mm\n1,2\n")
     (data / "foreign.csv").write_text("a,b\n1,2\n")
-    assert door.main(["--data", str(data), "--output", str(tmp_path / "out")]) == 1
+    assert door.main(["curves", "--data", str(data), "--output", str(tmp_path / "out")]) == 1
     with (tmp_path / "out" / "table.csv").open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert list(rows[0]) == ["file", "measure", "value"]
@@ -57,10 +56,9 @@ def test_every_known_table_gets_its_rows(tmp_path: Path) -> None:
     assert not [row for row in rows if row["file"] == "foreign.csv"]
 
 
-def test_an_order_that_is_wrong_is_told() -> None:
+def test_an_order_that_is_wrong_is_reported() -> None:
     names = {"a__ball_softest": 0.1, "a__ball_softer": 0.5, "a__ball_hardest": 0.3, "a__cube_harder": 1.0}
-    slopes = {GraspName.of(f"{name}_1"): [GraspSlope(compliance, 0.0, 5)] for name, compliance in names.items()}
-    found = judge_grasps(slopes)
+    found = judge_grasps({GraspName.of(f"{name}_1"): [compliance] for name, compliance in names.items()})
     assert found["a ball: order"] == {
         "objects, softest first as found": "ball_softer < ball_hardest < ball_softest",
         "pairs that rank as named": 1,
@@ -72,5 +70,5 @@ def test_an_order_that_is_wrong_is_told() -> None:
 
 def test_nothing_known_is_wrong_usage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, match="2"):
-        door.main(["--data", str(tmp_path), "--output", str(tmp_path / "out")])
+        door.main(["curves", "--data", str(tmp_path), "--output", str(tmp_path / "out")])
     assert "holds no CSV file" in capsys.readouterr().err

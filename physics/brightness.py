@@ -43,11 +43,12 @@ def log_brightness_slopes(points: np.ndarray, slopes: np.ndarray) -> np.ndarray:
 def _products(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, list[np.ndarray]]:
     """n·p, n·n, p·p, the normals n (of any length) and their factors, derivatives of the points along the grid."""
     factors = np.gradient(points, axis=(-3, -2))
-    normal = np.cross(*factors)
+    normal = _cross(*(factor[..., None] for factor in factors))[..., 0]
     products = (np.einsum("...i,...i->...", *pair) for pair in ((normal, points), (normal, normal), (points, points)))
     return *products, normal, list(factors)
 
 
 def _cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Vector product along the last axis but one."""
-    return np.cross(first, second, axis=-2)
+    """Vector product along the last axis but one; numpy's own takes three times as long on many small vectors."""
+    ahead, behind = [1, 2, 0], [2, 0, 1]
+    return first[..., ahead, :] * second[..., behind, :] - first[..., behind, :] * second[..., ahead, :]

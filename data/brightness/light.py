@@ -39,10 +39,12 @@ def log_light(picture: np.ndarray, labels: np.ndarray, grid_shape: tuple[int, in
         Shape as of `lattice_size`; not a number where no tissue is seen, or only a highlight.
     """
     size = lattice_size(grid_shape)[::-1]
-    red, green, blue = (cv2.resize(cv2.LUT(picture[..., i], SRGB), size, interpolation=cv2.INTER_AREA) for i in range(3))
+    red, green, blue = (
+        cv2.resize(cv2.LUT(picture[..., i], SRGB), size, interpolation=cv2.INTER_AREA) for i in range(3)
+    )
     light = 0.5 * (red + green)
     reach = 2 * max(1, round(EDGE * picture.shape[1] / 854)) + 1
-    other = cv2.dilate((labels != TISSUE).astype(np.uint8), np.ones((reach, reach), np.uint8))
+    other = cv2.dilate(255 * (labels != TISSUE).astype(np.uint8), np.ones((reach, reach), np.uint8))
     unknown = cv2.resize(other, size, interpolation=cv2.INTER_AREA) > 0
     unknown |= (light < DARKEST) | (red > BRIGHTEST)
     hue = np.log(blue + 0.003) - np.log(red + 0.003)

@@ -1,8 +1,8 @@
 """Contacts by the light of the tissue: a press tilts it and pushes it away, so that it darkens beside the instrument.
 
 Light is compared with the median of the frames before, place by place, so that neither albedo nor exposure counts. A
-dent that has come beside an instrument is a press; where nothing has changed, none is. What a pull does to tissue hardly
-shows in its light: that is for `data.contact.evidence`, whose word counts where it is sure.
+dent that has come beside an instrument is a press; where nothing has changed, none is. What a pull does to tissue
+hardly shows in its light: that is for `data.contact.evidence`, whose word counts where it is sure.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from palpate.data.brightness.light import FINE, log_light
-from palpate.data.brightness.sequence import RestingLight, change_of_light
+from palpate.data.brightness.sequence import SPREAD, RestingLight, change_of_light
 from palpate.data.contact.dents import dent_geometry
 from palpate.data.contact.evidence import SURE
 from palpate.data.contact.geometry import GeometrySettings, GeometryStatus
@@ -44,26 +44,28 @@ LEFT = 0.35
 """A press has ended where less than this share of the darkness is left, or the instrument has gone."""
 RECOVERED = 0.03
 """Tissue is at rest again where it is darker by less than this."""
-PRESSED, UNCHANGED = 0.95, "The tissue at the instrument is as bright as at rest, so nothing presses on it."
+PRESSED = 0.95
 """Probability of contact under a press that shows in the light."""
+UNCHANGED = "The tissue at the instrument is as bright as at rest, so nothing presses on it."
+LET_GO = "The instrument has let go of the tissue, whose light returns to that at rest."
 
 
 @dataclass(eq=False)
-class _Held:
-    """A frame that is not decided yet."""
+class _LitFrame:
+    """A frame and how its light differs from that at rest."""
 
     prepared: PreparedFrame
-    light: np.ndarray | None
+    light: np.ndarray
+    """As of `log_light`."""
     change: np.ndarray | None = None
-    """Logarithm of light over that at rest, averaged; not a number where it isn't known."""
+    """Logarithm of light over that at rest, averaged around every place; None where it can't be told, or where so much
+    changes that a dent would not show."""
     dent: tuple[int, int] | None = None
     """Row and column of the darkest place of the lattice beside an instrument; None where nothing has darkened."""
-    quiet: bool = False
-    """Whether the light is so steady that a dent would show."""
 
 
 class LightContacts:
-    """Decides frames, up to four late, by the light of tissue; every frame keeps what is known otherwise.
+    """Decides frames, up to three late, by the light of tissue; every frame keeps what is known otherwise.
 
     Args:
         camera: intrinsics of the grid.
@@ -73,159 +75,136 @@ class LightContacts:
     def __init__(self, camera: Camera, settings: GeometrySettings) -> None:
         self._camera, self._settings = camera, settings
         self._rest = RestingLight()
-        self._held: list[_Held] = []
+        self._waiting: list[_LitFrame] = []
+        """Frames in which a press may have begun."""
         self._place: tuple[int, int] | None = None
         """Row and column [grid pixels] of the dent of the press under way, or that recovers."""
-        self._pressing = False
-        self._deepest = 0.0
-        """Darkest that the tissue there has been since."""
+        self._pressing, self._deepest = False, 0.0
+        """Whether the press still goes on, and how dark the tissue has been since it began."""
 
     def push(self, prepared: PreparedFrame) -> list[PreparedFrame]:
         """The next frame; gives those that are decided, in order."""
-        held = _Held(prepared, None)
-        if prepared.visible:
-            picture, labels = prepared.view
-            held.light = prepared.light = log_light(picture, labels, prepared.depth.shape)
-            if len(self._rest) >= FEWEST_REST:
-                self._compare(held)
-        if held.light is None:
+        if not prepared.visible:
             # Behind a gap the view may be another.
-            return self._given_up(held)
-        self._held.append(held)
+            decided = [*self.finish(), prepared]
+            self._rest.clear()
+            self._place = None
+            return decided
+        prepared.light = log_light(*prepared.view, prepared.depth.shape)
+        lit = _LitFrame(prepared, prepared.light)
+        if len(self._rest) >= FEWEST_REST:
+            self._compare(lit)
         if self._place is not None:
-            self._go_on(held)
-            return self._released(0)
-        dark = [item.dent is not None for item in self._held[-BEGINS:]]
-        if len(dark) == BEGINS and all(dark):
-            self._begin()
-            return self._released(0)
-        return self._released(BEGINS + EARLIER - 1)
+            self._go_on(lit, self._place)
+            return [prepared]
+        self._waiting.append(lit)
+        dents = [one for one in self._waiting[-BEGINS:] if one.dent is not None]
+        if len(dents) < BEGINS:
+            return self._at_rest(len(self._waiting) - (BEGINS + EARLIER - 1))
+        self._place = _centre(dents)
+        decided = self._at_rest(len(self._waiting) - (BEGINS + EARLIER))
+        self._pressing, self._deepest = True, 0.0
+        for one in self._waiting:
+            self._press(one, self._place)
+        decided += [one.prepared for one in self._waiting]
+        self._waiting = []
+        return decided
 
     def finish(self) -> list[PreparedFrame]:
         """The frames that are left at the clip's end."""
-        return self._released(0)
+        return self._at_rest(len(self._waiting))
 
-    def _given_up(self, held: _Held) -> list[PreparedFrame]:
-        decided = [*self._released(0), held.prepared]
-        self._rest.clear()
-        self._place, self._pressing = None, False
-        return decided
+    def _at_rest(self, count: int) -> list[PreparedFrame]:
+        """The first so many frames that wait, in which nothing presses."""
+        done, self._waiting = self._waiting[: max(count, 0)], self._waiting[max(count, 0) :]
+        for lit in done:
+            if lit.dent is None:
+                self._rest.push(lit.light)
+                if lit.change is not None and not lit.prepared.contact_probability >= SURE:
+                    _out_of_contact(lit.prepared, UNCHANGED)
+        return [lit.prepared for lit in done]
 
-    def _released(self, kept: int) -> list[PreparedFrame]:
-        """All frames but the last so many; those without a press are light at rest from now on."""
-        count = len(self._held) - kept
-        done, self._held = self._held[: max(count, 0)], self._held[max(count, 0) :]
-        for held in done:
-            if self._place is None or held.prepared.press is None and not self._pressing and self._recovered(held):
-                self._leave(held)
-        return [held.prepared for held in done]
-
-    def _leave(self, held: _Held) -> None:
-        """A frame in which nothing presses."""
-        prepared = held.prepared
-        self._place = None
-        if held.light is not None and held.dent is None:
-            self._rest.push(held.light)
-        touches = prepared.in_contact or prepared.hovers
-        if held.quiet and held.dent is None and touches and not prepared.contact_probability >= SURE:
-            prepared.status, prepared.detail, prepared.geometry = "no_contact", UNCHANGED, None
-            prepared.contact_probability, prepared.undecided = math.nan, False
-
-    def _recovered(self, held: _Held) -> bool:
-        return held.change is not None and self._darkness(held) < RECOVERED
-
-    def _darkness(self, held: _Held) -> float:
-        """How much darker the dent's place is than at rest, where it is seen around it; 0 where it isn't."""
-        if held.change is None or self._place is None:
-            return 0.0
-        row, column = (FINE * np.array(self._place)).tolist()
-        around = held.change[max(row - 6, 0) : row + 8, max(column - 6, 0) : column + 8]
-        known = around[np.isfinite(around)]
-        return float(-known.min()) if known.size else 0.0
-
-    def _compare(self, held: _Held) -> None:
+    def _compare(self, lit: _LitFrame) -> None:
         """Look for a dent beside an instrument."""
-        change = change_of_light(held.light, self._rest.median())
+        change = change_of_light(lit.light, self._rest.median())
         if change is None:
             return
-        known = np.isfinite(change)
-        weights = cv2.GaussianBlur(known.astype(np.float32), (0, 0), FINE * WIDTH)
-        sums = cv2.GaussianBlur(np.where(known, change, 0).astype(np.float32), (0, 0), FINE * WIDTH)
+        known = np.isfinite(change).astype(np.float32)
+        weights, sums = (
+            cv2.GaussianBlur(part.astype(np.float32), (0, 0), FINE * WIDTH) for part in (known, np.nan_to_num(change))
+        )
         mean = np.where(weights >= LEAST_KNOWN, sums / np.maximum(weights, 1e-6), np.nan)
-        tool = (held.prepared.labels == TOOL).astype(np.uint8)
-        if not tool.any():
-            held.change, held.quiet = mean, True
-            return
-        away = cv2.resize(cv2.distanceTransform(1 - tool, cv2.DIST_L2, 3), mean.shape[::-1])
+        away = distance_from(lit.prepared.labels == TOOL, mean.shape)
         far = mean[(away > FAR) & np.isfinite(mean)]
-        noise = 1.4826 * float(np.median(np.abs(far))) if far.size else math.inf
-        held.quiet = noise < NOISIEST
-        if not held.quiet:
+        noise = SPREAD * float(np.median(np.abs(far))) if far.size else math.inf
+        if noise > NOISIEST:
             return
-        held.change = mean
+        lit.change = mean
         near = np.where((away <= REACH) & np.isfinite(mean), mean, 0.0)
-        if near.min() < -max(DARKER, CLEAR * noise):
-            held.dent = tuple(np.unravel_index(int(np.argmin(near)), near.shape))
+        row, column = divmod(int(np.argmin(near)), near.shape[1])
+        if near[row, column] < -max(DARKER, CLEAR * noise):
+            lit.dent = row, column
 
-    def _begin(self) -> None:
-        """A press has begun in the first of the last frames with a dent, or right before."""
-        first = len(self._held) - BEGINS
-        while first > 0 and self._held[first - 1].dent is not None:
-            first -= 1
-        dark = self._held[first:]
-        self._place = _centre([held.change for held in dark if held.change is not None], dark[-1].dent)
-        self._pressing, self._deepest = True, 0.0
-        earlier = max(first - EARLIER, 0)
-        for held in self._held[:earlier]:
-            place, self._place = self._place, None
-            self._leave(held)
-            self._place = place
-        for held in self._held[earlier:]:
-            self._press(held)
-
-    def _press(self, held: _Held) -> None:
-        prepared = held.prepared
-        row, column = self._place
-        self._deepest = max(self._deepest, self._darkness(held))
+    def _press(self, lit: _LitFrame, place: tuple[int, int]) -> None:
+        """A frame under the press."""
+        prepared, pixel = lit.prepared, place[::-1]
+        self._deepest = max(self._deepest, _darkness(lit, place))
+        prepared.contact_probability, prepared.undecided = PRESSED, False
         try:
-            geometry = dent_geometry(prepared, (column, row), self._camera, self._settings)
+            prepared.geometry = dent_geometry(prepared, pixel, self._camera, self._settings)
         except GeometryStatus as status:
             prepared.status, prepared.detail, prepared.geometry = status.status, status.detail, None
-            return
-        prepared.status, prepared.detail, prepared.geometry = "ok", "", geometry
-        prepared.contact_probability, prepared.undecided = PRESSED, False
-        prepared.press = column, row
+        else:
+            prepared.status, prepared.detail, prepared.press = "ok", "", pixel
 
-    def _go_on(self, held: _Held) -> None:
-        """Whether a press goes on in a frame, has ended, or its dent has recovered."""
-        prepared = held.prepared
-        row, column = self._place
-        tool = np.argwhere(prepared.labels == TOOL)
-        away = float(np.linalg.norm(tool - [row, column], axis=1).min(initial=math.inf))
-        darkness = self._darkness(held)
+    def _go_on(self, lit: _LitFrame, place: tuple[int, int]) -> None:
+        """Whether the press goes on in a frame, has ended, or its dent has recovered."""
+        darkness = _darkness(lit, place)
+        away = distance_from(lit.prepared.labels == TOOL, lit.prepared.labels.shape)[place]
         if self._pressing and away <= REACH and darkness >= LEFT * self._deepest:
-            self._press(held)
+            self._press(lit, place)
             return
         self._pressing = False
-        if prepared.in_contact or prepared.hovers:
-            prepared.status, prepared.geometry = "no_contact", None
-            prepared.detail = "The instrument has let go of the tissue, whose light returns to that at rest."
-            prepared.contact_probability, prepared.undecided = math.nan, False
+        _out_of_contact(lit.prepared, LET_GO)
+        if lit.change is not None and darkness < RECOVERED:
+            self._place = None
 
 
-def _centre(changes: list[np.ndarray], dent: tuple[int, int]) -> tuple[int, int]:
-    """Row and column [grid pixels] of a dent's middle: the weighted mean of what has darkened around its darkest place.
+def distance_from(tool: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Distance from an instrument's mask [h, w] on a lattice over its grid, in the shape asked for [grid pixels].
 
-    Args:
-        changes: logarithms of light over that at rest, of some frames.
-        dent: row and column of the darkest place of the lattice in the last.
+    Infinite where there is none.
     """
-    total = np.nansum([np.clip(np.nan_to_num(change), -1, 0) for change in changes], axis=0)
-    row, column = dent
-    top, left = max(row - 8, 0), max(column - 8, 0)
-    weights = -total[top : row + 9, left : column + 9]
+    if not tool.any():
+        return np.full(shape, np.inf)
+    return cv2.resize(cv2.distanceTransform((~tool).astype(np.uint8), cv2.DIST_L2, 3), shape[::-1])
+
+
+def _out_of_contact(prepared: PreparedFrame, reason: str) -> None:
+    """What outlines take for contact, and light doesn't."""
+    if prepared.in_contact or prepared.hovers:
+        prepared.status, prepared.detail, prepared.geometry = "no_contact", reason, None
+        prepared.contact_probability, prepared.undecided = math.nan, False
+
+
+def _darkness(lit: _LitFrame, place: tuple[int, int]) -> float:
+    """How much darker the tissue around a dent's place [grid pixels] is than at rest; 0 where that isn't known."""
+    if lit.change is None:
+        return 0.0
+    (top, left), reach = (FINE * part for part in place), round(FINE * REACH / 2)
+    around = lit.change[max(top - reach, 0) : top + reach + 1, max(left - reach, 0) : left + reach + 1]
+    return -float(np.nanmin(around)) if np.isfinite(around).any() else 0.0
+
+
+def _centre(dents: list[_LitFrame]) -> tuple[int, int]:
+    """Row and column [grid pixels] of a dent's middle: the weighted mean of what has darkened in some frames."""
+    total = np.sum([np.clip(np.nan_to_num(lit.change), -1, 0) for lit in dents if lit.change is not None], axis=0)
+    row, column = dents[-1].dent or (0, 0)
+    reach = round(FINE * 4)
+    top, left = max(row - reach, 0), max(column - reach, 0)
+    weights = -total[top : row + reach + 1, left : column + reach + 1]
     weights = np.where(weights > 0.3 * weights.max(), weights, 0.0)
-    places = np.stack(np.mgrid[: weights.shape[0], : weights.shape[1]], axis=-1) + [top, left]
-    middle = (weights[..., None] * places).sum(axis=(0, 1)) / max(weights.sum(), 1e-9)
+    places = np.indices(weights.shape).reshape(2, -1) + np.array([[top], [left]])
+    middle = places @ weights.ravel() / max(weights.sum(), 1e-9)
     row, column = np.rint((middle + 0.5) / FINE - 0.5).astype(int).tolist()
     return row, column

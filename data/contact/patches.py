@@ -151,10 +151,10 @@ class Patches:
         place = self._at_rest(moved)
         dense = self._dense(np.concatenate([self.sunk(moved)[..., None], self.shift(moved)], axis=-1))
         gradient = np.stack(
-            [_between(dense, place + half) - _between(dense, place - half) for half in 0.5 * np.eye(2)], axis=-1
+            [between(dense, place + half) - between(dense, place - half) for half in 0.5 * np.eye(2)], axis=-1
         )
         flat = self._shift_slopes(moved, slopes).reshape(*moved.shape[:2], -1)
-        shifting = _between(self._dense(flat), place).reshape(*place.shape, -1)
+        shifting = between(self._dense(flat), place).reshape(*place.shape, -1)
         # What a pixel shows lies at x with x + shift(x) = pixel.
         inverse = np.linalg.inv(np.eye(2) + np.nan_to_num(gradient[..., 1:, :]))
         return np.nan_to_num(-np.einsum("npi,npij,npjd->npd", gradient[..., 0, :], inverse, shifting))
@@ -180,7 +180,7 @@ class Patches:
         if not self.averages:
             return np.zeros((len(moved), self._side**2))
         places = self._at_rest(moved)[:, None] + CROSS[:, None]
-        found = _between(self._dense(self.sunk(moved)[..., None]), places.reshape(len(moved), -1, 2))
+        found = between(self._dense(self.sunk(moved)[..., None]), places.reshape(len(moved), -1, 2))
         found = found.reshape(places.shape[:3])
         return np.sqrt(0.5 * np.square(np.nan_to_num(found[:, 1:] - found[:, :1])).sum(axis=1))
 
@@ -204,7 +204,7 @@ class Patches:
             lattice = np.mgrid[:side, :side].reshape(2, -1).T / 2 + (LARGEST_SHIFT - 1)
             found = _settled(shift, lattice).reshape(-1, side, side, 2)
             places = np.broadcast_to(2 * (samples - (LARGEST_SHIFT - 1)), (len(moved), *samples.shape))
-            place = _between(found, places)
+            place = between(found, places)
         else:
             place = _settled(shift, samples)
         return _nearest(place, self._number()).reshape(len(moved), *self.weights.shape)
@@ -268,7 +268,7 @@ def _bilinear(values, top, left, down, right, channel):
 
 
 @kernel
-def _between(values, place):
+def between(values, place):
     """Values on the square [N, S, S, C] at places (row, column) in every frame [N, Q, 2], bilinear, shape [N, Q, C].
 
     Beyond the square's ends those at the ends; not a number at places, and next to values, that aren't one.

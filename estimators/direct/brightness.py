@@ -1,8 +1,8 @@
 """A contact's brightness as a least-squares problem: light against the simulator and the law of light.
 
 Beside φ and the delays (`estimators.direct.motion`) the parameters are where the dent's middle lies, the tilt of the
-plane that the tissue is taken to be, how far its surface is rounded off, the camera's response as a power, and the share
-of light that reaches tissue whatever its tilt. All but the first have priors. Every frame's gain is marginalised.
+plane that the tissue is taken to be, how far its surface is rounded off, the camera's response as a power, and the
+share of light that reaches tissue whatever its tilt. All of these have priors. Every frame's gain is marginalised.
 Residuals of neighbours and of successive frames belong together; so many fewer of them count as that says.
 """
 
@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import warnings
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from palpate.data.brightness.light import FINE
-from palpate.data.brightness.sequence import BrightnessSequence
+from palpate.data.brightness.sequence import SPREAD, BrightnessSequence
 from palpate.data.contact.interaction import Interaction
 from palpate.estimators.direct.lit_sheet import LitSheet
 from palpate.estimators.direct.motion import PressMotion
@@ -38,15 +39,19 @@ ROUNDING, ROUNDING_SD = 0.53, 0.3
 """Prior of how far the surface is rounded off [grid pixels]: as far as patches of vertices that are a pixel wide, and
 the standard deviation of its logarithm."""
 RESPONSE, AMBIENT = 0.05, 0.05
-"""Standard deviations of the logarithm of the response's power, and of the share of light that comes from everywhere."""
+"""Standard deviations of the logarithm of the response's power, and of the share of light from everywhere."""
 PRIOR_MEAN = np.array([0.0, 0.0, 0.0, 0.0, math.log(ROUNDING), 0.0, 0.0])
 PRIOR_SD = np.array([ASIDE, ASIDE, TILT, TILT, ROUNDING_SD, RESPONSE, AMBIENT])
 LARGEST = np.array([5.0, 5.0, 0.6, 0.6, 1.2, 0.4, 0.4])
 """How far these parameters may lie from the priors' means."""
 OTHERS = len(PRIOR_MEAN)
 """Parameters beside those of the press."""
-LAGS = 8
-"""Residuals this far apart, in places or frames, are independent."""
+LEAST_LIGHT = 1e-3
+"""No tissue is darker than this share of its light at rest."""
+LAGS, CHANCE = 8, 0.05
+"""Residuals farther apart, in places or frames, are independent, and so are those that correlate less."""
+MOVED = 4.0
+"""Light that changes by more standard deviations says how well the press explains it."""
 
 
 class BrightnessProblem:
@@ -85,8 +90,6 @@ class BrightnessProblem:
         self._weight = np.ones_like(self.observed)
         self.noise = max(self.sequence.noise, LEAST_NOISE)
         """Standard deviation of a residual where the law predicts no change."""
-        self.counted = float(np.isfinite(self.observed[:, self._inner]).sum())
-        """How many residuals are independent."""
         self._together = 1.0
         self._known: tuple[np.ndarray, tuple[np.ndarray, np.ndarray]] | None = None
 
@@ -105,26 +108,24 @@ class BrightnessProblem:
         total = gaussian_filter(np.where(known, darker, 0).sum(axis=0), FINE)
         mean = total / np.maximum(gaussian_filter(known.sum(axis=0).astype(np.float64), FINE), 0.1)
         weights = np.where(self.sheet.inner & (mean > 0.5 * mean[self.sheet.inner].max()), mean, 0.0)
-        places = np.stack(np.mgrid[: len(mean), : len(mean)], axis=-1) - 0.5 * (len(mean) - 1)
-        return np.einsum("rc,rci->i", weights, places) / max(weights.sum(), 1e-9) / FINE
+        places = np.indices(mean.shape) - 0.5 * (len(mean) - 1)
+        return np.einsum("rc,irc->i", weights, places) / max(weights.sum(), 1e-9) / FINE
 
-    def predicted(self, logs: np.ndarray, moved: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Logarithm of the light [N, P], of it the law's part, and derivatives of the whole [N, P, D]."""
-        response, ambient = math.exp(logs[-2]), logs[-1]
-        found = self.sheet.shown(moved, slopes, logs[-OTHERS:-2])
-        direct = np.exp(found.change)
-        all_light = np.maximum((1 - ambient) * direct + ambient, 1e-3)
-        change = np.log(all_light)
-        by_change = (response * (1 - ambient) * direct / all_light)[..., None]
-        slopes = np.concatenate(
-            [
-                found.rest_slopes + by_change * found.change_slopes,
-                (response * change)[..., None],
-                (response * (1 - direct) / all_light)[..., None],
-            ],
-            axis=-1,
-        )
-        return found.rest + response * change, response * change, slopes
+    def predicted(self, logs: np.ndarray, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Logarithm of the light at displacements [N, V, 3], and the law's part of it, shape [N, P] each."""
+        rest, change = self.sheet.shown(moved, logs[-OTHERS:-2])
+        law = math.exp(logs[-2]) * np.log(_with_ambient(np.exp(change), logs[-1]))
+        return rest + law, law
+
+    def tangent(self, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Logarithm of the light [N, P], and its derivatives by all parameters [N, P, D]."""
+        found = self.sheet.linearised(*self.motion.at(logs[:-OTHERS]), logs[-OTHERS:-2])
+        response, ambient, direct = math.exp(logs[-2]), logs[-1], np.exp(found.change)
+        light = _with_ambient(direct, ambient)
+        law = response * np.log(light)
+        by_change = (response * (1 - ambient) * direct / light)[..., None] * found.change_slopes
+        by_response, by_ambient = law[..., None], (response * (1 - direct) / light)[..., None]
+        return found.rest + law, np.concatenate([found.rest_slopes + by_change, by_response, by_ambient], axis=-1)
 
     def linearise(self, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Residuals in standard deviations, the priors' behind them, and their derivatives by all parameters [K, D]."""
@@ -133,8 +134,7 @@ class BrightnessProblem:
         return self._known[1]
 
     def _linearise(self, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        moved, by_press = self.motion.at(logs[:-OTHERS])
-        light, _, slopes = self.predicted(logs, moved, by_press)
+        light, slopes = self.tangent(logs)
         residual, weight = self.compared(light)
         slopes = np.where(weight[..., None] > 0, np.nan_to_num(slopes), 0.0)
         # A gain that is unknown takes the weighted mean off, as far as it may reach.
@@ -156,29 +156,27 @@ class BrightnessProblem:
 
     def look(self, logs: np.ndarray) -> None:
         """Measure residuals at parameters near the best: their size, which are outliers, how they belong together."""
-        moved = self.motion.quick(logs[:-OTHERS])
-        light, law, _ = self.predicted(logs, moved, np.empty((*moved.shape, 0)))
-        residual, _ = self.compared(light)
-        known = np.isfinite(light - self.observed) & self._inner
-        middle = np.array([np.median(frame[some]) if some.any() else 0.0 for frame, some in zip(residual, known, strict=True)])
-        residual = np.where(known, residual - middle[:, None], 0.0)
-        relative = RELATIVE * np.abs(np.nan_to_num(law))
-        self.noise = max(1.4826 * float(np.median(np.abs(residual[known]))), LEAST_NOISE) if known.any() else LEAST_NOISE
-        inflated = 1 + np.square(relative / self.noise)
-        scaled = residual / (self.noise * np.sqrt(inflated))
-        self._weight = (FREEDOM + 1) / (FREEDOM + np.square(scaled)) / inflated
-        white = np.where(known, np.sqrt((FREEDOM + 1) / (FREEDOM + np.square(scaled))) * scaled, 0.0)
-        self._together = _together(white.reshape(len(white), *self.sheet.inner.shape), known.reshape(white.shape[0], *self.sheet.inner.shape))
-        self.counted = float(known.sum()) / self._together
-        moving = known & (np.abs(np.nan_to_num(law)) > 3 * self.noise)
-        change = np.nan_to_num(np.where(known, self.observed - self._rest_light(), 0.0))
-        seen = moving | (known & (np.abs(change) > 5 * self.noise))
-        self.skill = 1 - float(np.sqrt(np.square(np.clip(residual[seen], -0.5, 0.5)).mean() / max(np.square(np.clip(change[seen],-2,2)).mean(), 1e-12))) if seen.any() else 0.0
+        light, law = self.predicted(logs, self.motion.quick(logs[:-OTHERS]))
+        residual = np.where(self._inner, light - self.observed, np.nan)
+        known = np.isfinite(residual)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # frames that show nothing
+            residual = np.where(known, residual - np.nanmedian(residual, axis=1, keepdims=True), 0.0)
+        law = np.where(known, law, 0.0)
+        self.noise = max(SPREAD * float(np.median(np.abs(residual[known]))), LEAST_NOISE)
+        inflated = 1 + np.square(RELATIVE * law / self.noise)
+        squares = np.square(residual / self.noise) / inflated
+        student = (FREEDOM + 1) / (FREEDOM + squares)
+        self._weight = student / inflated
+        white = np.where(known, np.sign(residual) * np.sqrt(student * squares), 0.0)
+        shape = (len(white), *self.sheet.inner.shape)
+        self._together = _together(white.reshape(shape), known.reshape(shape))
+        change = np.where(known, self.observed - self.sequence.rest.ravel(), 0.0)
+        moving = (np.abs(law) > MOVED * self.noise) | (np.abs(np.nan_to_num(change)) > MOVED * self.noise)
+        left, whole = (np.square(np.clip(np.nan_to_num(part[moving]), -1, 1)).sum() for part in (residual, change))
+        self.skill = 1 - math.sqrt(left / whole) if whole > 0 else 0.0
         """1 - error / change of the light where it changes: 0 as if nothing had moved."""
         self._known = None
-
-    def _rest_light(self) -> np.ndarray:
-        return np.broadcast_to(self.sequence.rest.ravel(), self.observed.shape)
 
     def residual(self, logs: np.ndarray) -> np.ndarray:
         """The first of `linearise`."""
@@ -189,21 +187,22 @@ class BrightnessProblem:
         return self.linearise(logs)[1]
 
 
+def _with_ambient(direct: np.ndarray, ambient: float) -> np.ndarray:
+    """Light over that at rest, where a share of it reaches tissue whatever its tilt."""
+    return np.maximum((1 - ambient) * direct + ambient, LEAST_LIGHT)
+
+
 def _together(residual: np.ndarray, known: np.ndarray) -> float:
-    """How many residuals [N, L, L] count as one: 1 and twice the sums of their correlations along time and both axes."""
-    square = float(np.square(residual).sum() / max(known.sum(), 1))
-    found = 1.0
-    for axis in range(3):
-        total = 1.0
-        for lag in range(1, min(LAGS, residual.shape[axis] - 1) + 1):
-            ahead, behind = (np.take(a, range(lag, a.shape[axis]), axis) for a in (residual, known)), (
-                np.take(a, range(a.shape[axis] - lag), axis) for a in (residual, known)
-            )
-            (r1, k1), (r2, k2) = tuple(ahead), tuple(behind)
-            pairs = max((k1 & k2).sum(), 1)
-            correlation = float((r1 * r2).sum() / pairs / max(square, 1e-12))
-            if correlation <= 0.05:
+    """How many residuals [N, L, L] count as one: along every axis 1 and twice the sum of their correlations."""
+    square, found = np.square(residual).sum() / max(known.sum(), 1), 1.0
+    for axis in range(residual.ndim):
+        values, seen = np.moveaxis(residual, axis, 0), np.moveaxis(known, axis, 0)
+        along = 1.0
+        for lag in range(1, min(LAGS, len(values) - 1) + 1):
+            pairs = max((seen[lag:] & seen[:-lag]).sum(), 1)
+            correlation = float((values[lag:] * values[:-lag]).sum() / (pairs * max(square, 1e-12)))
+            if correlation <= CHANCE:
                 break
-            total += 2 * correlation
-        found *= total
+            along += 2 * correlation
+        found *= along
     return found

@@ -34,9 +34,9 @@ ROUNDS = 2, 4
 CLIPPED = 0.2
 """Residuals of starts count as if they were no larger [logarithm of light]."""
 FIRMER = (-1.5, 1.5)
-"""Steps of log k_s, log k_d and log |F| alike from which other optima are looked for: only inertia tells that scale."""
-DAMPING_ERROR, FORCE_ERROR = 0.12, 0.08
-"""Standard deviations of log k_d/k_s and log |F|/k_s by what law, mesh and video coding get wrong alike in all pixels."""
+"""Steps of log k_s, log k_d and log |F| from which other optima are looked for: only inertia tells their scale."""
+DAMPING_ERROR, FORCE_ERROR = 0.18, 0.18
+"""Standard deviations of log k_d/k_s and log |F|/k_s by what law, mesh and video coding get wrong in all pixels."""
 LEAST_SKILL = 0.5
 """A press that leaves a larger share of the change of light, root mean square, is no explanation."""
 FEWEST_FRAMES = 3
@@ -96,8 +96,8 @@ def _starts(problem: BrightnessProblem, tissue: np.ndarray) -> np.ndarray:
     found, misfits = [], []
 
     def tried(start: np.ndarray, moved: np.ndarray) -> float:
-        light = problem.predicted(start, moved, np.empty((*moved.shape, 0)))[0]
-        return float(np.square(np.clip(problem.compared(light)[0], -CLIPPED, CLIPPED)).sum())
+        left = problem.compared(problem.predicted(start, moved)[0])[0]
+        return float(np.square(np.clip(left, -CLIPPED, CLIPPED)).sum())
 
     for candidate in logs:
         press = np.concatenate([candidate, np.zeros(len(low) - OTHERS - 3)])
@@ -113,7 +113,7 @@ def _starts(problem: BrightnessProblem, tissue: np.ndarray) -> np.ndarray:
     chosen = apart(np.array(found), np.array(misfits), low, high, STARTS)
     for start in chosen:
         moved = problem.motion.coarse(start[:-OTHERS])
-        places = [middle + [row, column] for row in ASIDE for column in ASIDE]
+        places = middle + np.stack(np.meshgrid(ASIDE, ASIDE), axis=-1).reshape(-1, 2)
         starts = [problem.start(start[:-OTHERS], place) for place in places]
         start[:] = min(starts, key=lambda each: tried(each, moved))
     return chosen
@@ -133,16 +133,18 @@ def _led(
 
 
 def _concluded(problem: BrightnessProblem, logs: np.ndarray, tissue: np.ndarray) -> Estimate:
-    """What the light leaves open around parameters that explain it best, and along the scale that only inertia tells."""
+    """What the light leaves open around parameters that explain it best, and along the scale that inertia tells."""
     box, motion = problem.box(tissue), problem.motion
     prior = box_information(box)
     starts = [np.concatenate([logs[:3] + step, logs[3:]]) for step in (0.0, *FIRMER)]
-    optima = [find_optimum(problem, np.clip(start, box[0] + 1e-9, box[1] - 1e-9), *box, MORE) for start in starts]
+    optima = [find_optimum(problem, np.clip(start, box[0] + 1e-9, box[1] - 1e-9), *box, FEW) for start in starts]
     mean, covariance, best = combine(distinct(optima), prior)
     spread = covariance[:3, :3] + np.diag(np.square([0.0, DAMPING_ERROR, FORCE_ERROR]))
     refuted = ""
     if problem.skill < LEAST_SKILL:
-        refuted = f"A press leaves {1 - problem.skill:.0%} of how the tissue's brightness changes, so it isn't explained."
+        refuted = (
+            f"A press leaves {1 - problem.skill:.0%} of how the tissue's brightness changes, so it isn't explained."
+        )
     return Estimate(
         theta=motion.theta(mean),
         covariance=spread,

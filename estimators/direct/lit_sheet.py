@@ -14,7 +14,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from palpate.data.brightness.light import FINE
 from palpate.data.brightness.sequence import MARGIN, REACH
-from palpate.data.contact.patches import _between as between
+from palpate.data.contact.patches import between as between_vertices
 from palpate.data.contact.patches import focal_length
 from palpate.physics.brightness import log_brightness, log_brightness_slopes
 from palpate.physics.mesh import Mesh, grid_mesh
@@ -38,6 +38,29 @@ class Shown(NamedTuple):
     """Derivatives of the first by all parameters, shape [N, P, D]."""
     change_slopes: np.ndarray
     """Of the second."""
+
+
+class _Seen(NamedTuple):
+    """Which tissue pixels show; N frames, P = L² pixels, C columns, the displacement first."""
+
+    normal: np.ndarray
+    """Of the plane, shape [3]."""
+    field: np.ndarray
+    """Displacements on the square of vertices, turned with the plane, shape [N, S, S, 3, 1]."""
+    values: np.ndarray
+    """What moves, at the places that pixels show, shape [N, P, 3, C]."""
+    place: np.ndarray
+    """Where these lay at rest, rows and columns on the square of vertices, shape [N, P, 2]."""
+    rays: np.ndarray
+    """Rays through them, shape [N, P, 3]."""
+    depth: np.ndarray
+    """z of the plane there, shape [N, P]."""
+    flat: np.ndarray
+    """z of the plane along the pixels' own rays, shape [L, L]."""
+    at_rest: np.ndarray
+    """log(cos θ/r²) of the plane at the places, shape [N, P]."""
+    below: np.ndarray
+    """How much deeper than that the pixels' tissue lies, shape [N, L, L]."""
 
 
 class LitSheet:
@@ -84,7 +107,7 @@ class LitSheet:
         """The plane as a mesh on the pixels of another."""
         valid = np.zeros(mesh.grid_shape, bool)
         valid[tuple(mesh.pixels.T)] = True
-        rays = self.rays(np.stack(np.mgrid[: valid.shape[0], : valid.shape[1]], axis=-1).astype(np.float64))
+        rays = self.rays(np.moveaxis(np.indices(valid.shape), 0, -1).astype(np.float64))
         with np.errstate(divide="ignore", invalid="ignore"):
             depth = self._depth(rays, self.normal)
         return grid_mesh(rays * depth[..., None], valid & (depth > 0))
@@ -109,78 +132,99 @@ class LitSheet:
         found[:, self._cells[0], self._cells[1]] = values
         return found
 
-    def shown(self, moved: np.ndarray, slopes: np.ndarray, others: np.ndarray) -> Shown:
-        """What all pixels show.
+    def shown(self, moved: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Logarithm of the light that pixels' tissue had at rest, and of that which it has now over that, [N, P] each.
 
         Args:
             moved: displacements of the vertices, shape [N, V, 3].
-            slopes: their derivatives by D' parameters, shape [N, V, 3, D'].
             others: how far the dent lies aside (rows, columns) [grid pixels], the plane's tilt (right, down), and the
                 logarithm of how far the surface is rounded off [grid pixels], shape [5].
+        """
+        seen = self._seen(moved[..., None], others)
+        surface = _rounded(seen.below[..., None], np.exp(others[4]))[..., 0] + seen.flat
+        lit = log_brightness(self._rays * surface[..., None]).reshape(len(moved), -1)
+        return self._carried(seen.place)[..., 0], lit - seen.at_rest
+
+    def linearised(self, moved: np.ndarray, slopes: np.ndarray, others: np.ndarray) -> Shown:
+        """The same with derivatives by all parameters.
+
+        Args:
+            moved, others: as of `shown`.
+            slopes: derivatives of the displacements by D' parameters, shape [N, V, 3, D'].
 
         Returns:
-            With derivatives by the D' parameters, then by those five.
+            With derivatives by the D' parameters, then by the five others.
         """
-        aside, tilt, rounding = others[:2], others[2:4], np.exp(others[4])
-        normal, frames = self.normal_at(tilt), len(moved)
-        turn = _rotation(self.normal, normal)
-        field = self.dense(np.concatenate([moved[..., None], slopes], axis=-1))
-        field = np.einsum("ij,nrcjd->nrcid", turn, field).reshape(frames, SIDE, SIDE, -1)
-        pixels, pixel_rays = self._places.reshape(-1, 2), self._rays.reshape(-1, 3)
-        still = np.ascontiguousarray(field.reshape(frames, SIDE, SIDE, 3, -1)[..., 0])
+        tilt, rounding, frames = others[2:4], np.exp(others[4]), len(moved)
+        seen = self._seen(np.concatenate([moved[..., None], slopes], axis=-1), others)
+        still, at, rays, depth = (
+            np.ascontiguousarray(seen.field[..., 0]),
+            seen.place - others[:2],
+            seen.rays,
+            seen.depth,
+        )
+        away, by_motion = seen.values[..., 0], seen.values[..., 1:]
+        gradient = np.stack([between(still, at + step) - away for step in DIFFERENCE * np.eye(2)], axis=-1) / DIFFERENCE
+        # How the point moves that a place at rest becomes, by the place itself: [N, P, 3, 2].
+        ray_slopes = np.zeros((3, 2))
+        ray_slopes[1, 0], ray_slopes[0, 1] = 1 / self.focal
+        depth_slopes = -depth[..., None] * (seen.normal @ ray_slopes) / (rays @ seen.normal)[..., None]
+        by_place = rays[..., None] * depth_slopes[..., None, :] + depth[..., None, None] * ray_slopes + gradient
+        by_all = np.concatenate([by_motion, -gradient, self._by_tilt(rays, depth, away, tilt)], axis=-1)
+        # A pixel goes on showing what lies on its own ray.
+        pixel_rays = self._rays.reshape(-1, 3)[:, :2, None]
+        off_ray = by_place[..., :2, :] - pixel_rays * by_place[..., 2:, :]
+        shifted = -np.linalg.solve(off_ray, by_all[..., :2, :] - pixel_rays * by_all[..., 2:, :])
+        deeper = np.einsum("npi,npid->npd", by_place[..., 2, :], shifted) + by_all[..., 2, :]
+        flat_slopes = self._depth_by_tilt(self._rays, seen.flat, tilt)
+        deeper[..., -2:] -= flat_slopes.reshape(-1, 2)
+        below = np.concatenate([seen.below[..., None], deeper.reshape(*seen.below.shape, -1)], axis=-1)
+        rounded = _rounded(below, rounding)
+        rounder = (_rounded(below[..., :1], rounding * np.exp(DIFFERENCE)) - rounded[..., :1]) / DIFFERENCE
+        points = self._rays * (rounded[..., 0] + seen.flat)[..., None]
+        rounded[..., -2:] += flat_slopes
+        surface_slopes = np.concatenate([rounded[..., 1:], rounder], axis=-1)
+        lit = log_brightness(points).reshape(frames, -1)
+        law_slopes = log_brightness_slopes(points, self._rays[..., None] * surface_slopes[..., None, :])
+        law_slopes = law_slopes.reshape(*lit.shape, -1)
+        by_place, by_tilt = self._rest_slopes(rays, depth, seen.normal, tilt, ray_slopes, depth_slopes)
+        law_slopes[..., :-1] -= np.einsum("npi,npid->npd", by_place, shifted)
+        law_slopes[..., -3:-1] -= by_tilt
+        carried = self._carried(seen.place, DIFFERENCE)
+        texture = (carried[..., 1:] - carried[..., :1]) / DIFFERENCE
+        carried_slopes = np.zeros_like(law_slopes)
+        carried_slopes[..., :-1] = np.einsum("npi,npid->npd", texture, shifted)
+        return Shown(carried[..., 0], lit - seen.at_rest, np.nan_to_num(carried_slopes), law_slopes)
+
+    def _seen(self, moving: np.ndarray, others: np.ndarray) -> _Seen:
+        """Which tissue pixels show, from displacements and whatever else moves with them, shape [N, V, 3, C]."""
+        aside, normal, frames = others[:2], self.normal_at(others[2:4]), len(moving)
+        field = np.einsum("ij,nrcjd->nrcid", _rotation(self.normal, normal), self.dense(moving))
+        still = field[..., 0]
+        pixels = self._places.reshape(-1, 2)
         place = np.broadcast_to(pixels, (frames, *pixels.shape)).copy()
         for _ in range(ITERATIONS):
             away = between(still, place - aside)
             rays = self.rays(place + self._first)
-            beyond = self._depth(rays, normal) + away[..., 2]
             across = away[..., :2] - rays[..., :2] * away[..., 2:]
+            beyond = self._depth(rays, normal) + away[..., 2]
             place = pixels - self.focal * across[..., ::-1] / beyond[..., None]
-        values = between(field, place - aside).reshape(*place.shape[:2], 3, -1)
-        away, by_motion = values[..., 0], values[..., 1:]
-        gradient = np.stack([between(still, place - aside + step) - away for step in DIFFERENCE * np.eye(2)], axis=-1)
-        gradient /= DIFFERENCE
+        values = between(field.reshape(frames, SIDE, SIDE, -1), place - aside).reshape(*place.shape[:2], 3, -1)
         rays = self.rays(place + self._first)
         depth = self._depth(rays, normal)
-        # How the point moves that a place at rest becomes, by the place itself: [N, P, 3, 2].
-        ray_slopes = np.zeros((3, 2))
-        ray_slopes[1, 0], ray_slopes[0, 1] = 1 / self.focal
-        depth_slopes = -depth[..., None] * (normal @ ray_slopes) / (rays @ normal)[..., None]
-        by_place = rays[..., None] * depth_slopes[..., None, :] + depth[..., None, None] * ray_slopes + gradient
-        by_tilt = self._by_tilt(rays, depth, away, tilt)
-        slopes = np.concatenate([by_motion, -gradient, by_tilt], axis=-1)
-        # A pixel goes on showing what lies on its own ray.
-        off_ray = by_place[..., :2, :] - pixel_rays[:, :2, None] * by_place[..., 2:, :]
-        shifted = -np.linalg.solve(off_ray, slopes[..., :2, :] - pixel_rays[:, :2, None] * slopes[..., 2:, :])
-        deeper = np.einsum("npi,npid->npd", by_place[..., 2, :], shifted) + slopes[..., 2, :]
-        side = len(self._places)
         flat = self._depth(self._rays, normal)
-        flat_slopes = self._depth_by_tilt(self._rays, flat, tilt)
-        deeper[..., -2:] -= flat_slopes.reshape(-1, 2)
-        below = ((depth + away[..., 2]).reshape(frames, side, side) - flat)[..., None]
-        below = np.concatenate([below, deeper.reshape(frames, side, side, -1)], axis=-1)
-        rounded = _rounded(below, rounding)
-        rounder = (_rounded(below[..., :1], rounding * np.exp(DIFFERENCE)) - rounded[..., :1]) / DIFFERENCE
-        surface = rounded[..., 0] + flat
-        rounded[..., -2:] += flat_slopes
-        by_all = np.concatenate([rounded[..., 1:], rounder], axis=-1)
-        points, rays_on = self._rays * surface[..., None], self._rays
-        lit = log_brightness(points).reshape(frames, -1)
-        lit_slopes = log_brightness_slopes(points, rays_on[..., None] * by_all[..., None, :])
-        lit_slopes = lit_slopes.reshape(frames, side**2, -1)
-        at_rest, rest_slopes = self._at_rest(rays, depth, normal, tilt, ray_slopes, depth_slopes)
-        law_slopes = lit_slopes.copy()
-        law_slopes[..., :-1] -= np.einsum("npi,npid->npd", rest_slopes[..., :2], shifted)
-        law_slopes[..., -3:-1] -= rest_slopes[..., 2:]
-        scaled = place * FINE + 0.5 * (FINE - 1)
-        light = np.broadcast_to(self._rest[None, :, :, None], (frames, side, side, 1))
-        known = between(light, scaled)
-        steps = FINE * DIFFERENCE * np.eye(2)
-        texture = [(between(light, scaled + step) - known)[..., 0] / DIFFERENCE for step in steps]
-        carried = np.zeros_like(law_slopes)
-        carried[..., :-1] = np.einsum("npi,npid->npd", np.stack(texture, axis=-1), shifted)
-        return Shown(known[..., 0], lit - at_rest, np.nan_to_num(carried), law_slopes)
+        square = np.einsum("npi,npi->np", rays, rays)
+        at_rest = np.log(np.abs(rays @ normal)) - 1.5 * np.log(square) - 2 * np.log(depth)
+        below = (depth + values[..., 2, 0]).reshape(frames, *flat.shape) - flat
+        return _Seen(normal, np.moveaxis(field, -1, 0)[0][..., None], values, place, rays, depth, flat, at_rest, below)
 
-    def _at_rest(
+    def _carried(self, place: np.ndarray, step: float = 0.0) -> np.ndarray:
+        """Light at rest of places [N, P, 2]; with a step, that a step down and to the right as well, [N, P, 1 or 3]."""
+        light = np.broadcast_to(self._rest[None, :, :, None], (len(place), *self._rest.shape, 1))
+        steps = [np.zeros(2), *(step * np.eye(2) if step else ())]
+        return np.concatenate([between(light, (place + each) * FINE + 0.5 * (FINE - 1)) for each in steps], axis=-1)
+
+    def _rest_slopes(
         self,
         rays: np.ndarray,
         depth: np.ndarray,
@@ -189,14 +233,12 @@ class LitSheet:
         ray_slopes: np.ndarray,
         depth_slopes: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """log(cos θ/r²) of the plane along rays [N, P, 3], and its derivatives by the place and the tilt [N, P, 4]."""
-        square, facing = np.einsum("npi,npi->np", rays, rays), rays @ normal
-        found = np.log(np.abs(facing)) - 1.5 * np.log(square) - 2 * np.log(depth)
-        by_place = (normal @ ray_slopes) / facing[..., None] - 3 * (rays @ ray_slopes) / square[..., None]
-        by_place = by_place - 2 * depth_slopes / depth[..., None]
-        turned = rays @ self._normal_slopes(tilt) / facing[..., None]
+        """Derivatives of log(cos θ/r²) of the plane along rays [N, P, 3], by the place and by the tilt, [N, P, 2]."""
+        square, facing = np.einsum("npi,npi->np", rays, rays), (rays @ normal)[..., None]
+        by_place = (normal @ ray_slopes) / facing - 3 * (rays @ ray_slopes) / square[..., None]
+        turned = rays @ self._normal_slopes(tilt) / facing
         by_tilt = turned - 2 * self._depth_by_tilt(rays, depth, tilt) / depth[..., None]
-        return found, np.concatenate([by_place, by_tilt], axis=-1)
+        return by_place - 2 * depth_slopes / depth[..., None], by_tilt
 
     def _normal_slopes(self, tilt: np.ndarray) -> np.ndarray:
         """Derivatives of the normal by the tilt, shape [3, 2]."""
@@ -216,6 +258,11 @@ class LitSheet:
         plane = rays[..., None] * self._depth_by_tilt(rays, depth, tilt)[..., None, :]
         axes = np.cross(normal, slopes.T)
         return plane + np.stack([np.cross(axis, away) for axis in axes], axis=-1)
+
+
+def between(values: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Values on a square [N, S, S, C] at places (row, column) in every frame [N, P, 2], bilinear, shape [N, P, C]."""
+    return between_vertices(np.ascontiguousarray(values), np.ascontiguousarray(places))
 
 
 def _distance(mesh: Mesh, pixel: np.ndarray) -> float:

@@ -54,7 +54,9 @@ class NetworkEstimator(ModelEstimator):
     name = "network"
     model: PosteriorModel
 
-    def __init__(self, model: PosteriorModel, onset: str, horizon: Horizon = None, observation: str | None = None) -> None:
+    def __init__(
+        self, model: PosteriorModel, onset: str, horizon: Horizon = None, observation: str | None = None
+    ) -> None:
         super().__init__(model)
         self.onset, self.horizon, self.observation = onset, horizon, observation or FIELD
         self.by_light = observation is None

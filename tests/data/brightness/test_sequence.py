@@ -1,0 +1,64 @@
+"""Brightness sequences: light at rest, gain taken off, noise as it is."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from palpate.data.brightness.light import FINE
+from palpate.data.brightness.sequence import MARGIN, REACH, BrightnessRecorder, RestingLight, change_of_light
+
+SHAPE = (120, 160)
+SIDE = FINE * (2 * (REACH + MARGIN) + 1)
+
+
+def texture() -> np.ndarray:
+    return np.random.default_rng(1).normal(-1, 0.3, SHAPE)
+
+
+def test_rest_is_the_median_of_what_was_seen():
+    rest = RestingLight()
+    for value in (1.0, 5.0, 2.0, np.nan):
+        rest.push(np.full(SHAPE, value))
+    assert len(rest) == 4
+    np.testing.assert_allclose(rest.median(), 2.0)
+    rest.clear()
+    assert len(rest) == 0
+
+
+def test_gain_and_a_slope_over_the_picture_are_taken_off_and_a_dent_stays():
+    rest, noise = texture(), np.random.default_rng(2).normal(0, 0.01, SHAPE)
+    rows, columns = np.indices(SHAPE) / 160
+    dent = np.zeros(SHAPE)
+    dent[58:66, 76:84] = -0.5
+    light = rest + 0.2 - 0.1 * rows + 0.05 * columns + dent + noise
+    np.testing.assert_allclose(change_of_light(light, rest), dent + noise, atol=0.003)
+    recorder = BrightnessRecorder(rest, np.array([30, 40]))
+    found = recorder.sequence(np.array([0.04]), [recorder.frame(light)])
+    first = FINE * (np.array([30, 40]) - REACH - MARGIN)
+    window = np.s_[first[0] : first[0] + SIDE, first[1] : first[1] + SIDE]
+    np.testing.assert_allclose(found.light[0] - found.rest, (dent + noise)[window], atol=0.003)
+    assert abs(found.noise - 0.01) < 0.001
+
+
+def test_what_lies_outside_the_picture_is_not_known():
+    recorder = BrightnessRecorder(texture(), np.array([2, 3]))
+    found = recorder.frame(texture())
+    outside = FINE * (REACH + MARGIN - np.array([2, 3]))
+    assert np.isnan(found[: outside[0]]).all()
+    assert np.isnan(found[:, : outside[1]]).all()
+    assert np.isfinite(found[outside[0] :, outside[1] :]).all()
+
+
+def test_a_frame_that_shows_too_little_tells_no_gain():
+    light = texture()
+    light[:, 20:] = np.nan
+    assert BrightnessRecorder(texture(), np.array([30, 40])).frame(light) is None
+    assert change_of_light(np.full(SHAPE, np.nan), texture()) is None
+
+
+def test_some_frames_of_a_sequence():
+    recorder = BrightnessRecorder(texture(), np.array([30, 40]))
+    frames = [recorder.frame(texture() + gain) for gain in (0.0, 0.1, 0.2)]
+    found = recorder.sequence(np.array([0.1, 0.2, 0.3]), frames).chosen(np.array([0, 2]))
+    np.testing.assert_array_equal(found.times, [0.1, 0.3])
+    assert found.light.shape == (2, SIDE, SIDE)

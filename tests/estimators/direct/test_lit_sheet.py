@@ -1,0 +1,92 @@
+"""A pressed plane under a light at the camera: what pixels show, and how that depends on every parameter."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from palpate.data.brightness.light import FINE
+from palpate.data.brightness.sequence import MARGIN, REACH
+from palpate.data.source.camera import Camera, back_project
+from palpate.estimators.direct.lit_sheet import SIDE, LitSheet
+from palpate.physics.brightness import log_brightness
+from palpate.physics.mesh import grid_mesh
+
+CAMERA = Camera(fx=185.0, fy=185.0, cx=106.5, cy=59.5, width=214, height=120)
+PLAIN = np.array([0.0, 0.0, 0.0, 0.0, np.log(0.53)])
+
+
+def lit(tilt=(0.0, 0.0), rest: np.ndarray | None = None) -> LitSheet:
+    """Of tissue at z = 0.6, pressed at row 50 and column 80."""
+    mesh = grid_mesh(back_project(np.full((120, 214), 0.6), CAMERA), np.ones((120, 214), bool))
+    side = FINE * SIDE
+    rest = np.zeros((side, side)) if rest is None else rest
+    return LitSheet(mesh, int(np.flatnonzero((mesh.pixels == [50, 80]).all(axis=1))[0]), rest, np.array(tilt))
+
+
+def dented(sheet: LitSheet, depth: float, width: float = 2.0) -> np.ndarray:
+    """Displacements of its vertices along the normal, a Gaussian of so many grid pixels, shape [1, V, 3]."""
+    away = sheet.mesh.pixels[sheet.vertices] - sheet.pixel
+    shape = depth * np.exp(-0.5 * np.square(away).sum(axis=1) / width**2)
+    return -shape[None, :, None] * sheet.normal
+
+
+def test_at_rest_nothing_changes_and_every_pixel_shows_itself():
+    texture = np.random.default_rng(1).normal(size=(FINE * SIDE, FINE * SIDE))
+    sheet = lit((0.2, -0.1), texture)
+    rest, change = sheet.shown(np.zeros((2, len(sheet.vertices), 3)), PLAIN + np.array([0, 0, 0.2, -0.1, 0]))
+    inner = sheet.inner.ravel()
+    np.testing.assert_allclose(rest[:, inner], np.tile(texture.ravel()[inner], (2, 1)), atol=1e-9)
+    np.testing.assert_allclose(change[:, inner], 0, atol=1e-4)  # differences in perspective
+
+
+def test_a_shallow_dent_darkens_as_the_surface_itself_says():
+    sheet, width = lit(), 3.0
+    _, change = sheet.shown(dented(sheet, 0.004, width), np.array([0, 0, 0, 0, np.log(0.05)]))
+    # The same surface, written down on the lattice.
+    places = (np.arange(FINE * SIDE) + 0.5) / FINE - 0.5 - REACH - MARGIN
+    rows, columns = np.meshgrid(places, places, indexing="ij")
+    rays = sheet.rays(np.stack([rows, columns], axis=-1) + sheet.pixel)
+    normal = sheet.normal
+    plane = sheet.distance * (sheet.ray @ normal) / (rays @ normal)
+    sunk = 0.004 * np.exp(-0.5 * (rows**2 + columns**2) / width**2)
+    expected = log_brightness(rays * (plane + sunk)[..., None]) - log_brightness(rays * plane[..., None])
+    found = change.reshape(expected.shape)[sheet.inner]
+    # Between vertices the surface is taken as straight.
+    np.testing.assert_allclose(found, expected[sheet.inner], atol=0.1 * np.abs(expected).max())
+    assert expected.min() < -0.03
+
+
+def test_a_dent_that_lies_aside_is_the_same_dent_elsewhere():
+    sheet = lit()
+    moved = dented(sheet, 0.01)
+    side = FINE * SIDE
+    here, there = (
+        sheet.shown(moved, PLAIN + np.array([*aside, 0, 0, 0]))[1].reshape(side, side) for aside in ((0, 0), (2, -1))
+    )
+    shifted = np.roll(here, (2 * FINE, -FINE), axis=(0, 1))
+    assert np.abs(there - here)[sheet.inner].max() > 0.1
+    np.testing.assert_allclose(there[12:-12, 12:-12], shifted[12:-12, 12:-12], atol=0.02)
+
+
+@pytest.mark.parametrize("tilt", [(0.0, 0.0), (0.15, -0.2)])
+def test_derivatives_by_every_parameter(tilt):
+    generator = np.random.default_rng(5)
+    sheet = lit(tilt, generator.normal(size=(FINE * SIDE, FINE * SIDE)))
+    moved, slopes = dented(sheet, 0.02), dented(sheet, 0.05, 1.5)[..., None]
+    others = np.array([0.3, -0.4, tilt[0] + 0.05, tilt[1] - 0.03, np.log(0.6)])
+    found = sheet.linearised(moved, slopes, others)
+    np.testing.assert_allclose(found.change, sheet.shown(moved, others)[1], atol=1e-12)
+    whole = found.rest_slopes + found.change_slopes
+    step = 1e-6
+    for index in range(6):
+        if index == 0:
+            pair = [sheet.shown(moved + sign * step * slopes[..., 0], others) for sign in (1, -1)]
+        else:
+            change = step * np.eye(5)[index - 1]
+            pair = [sheet.shown(moved, others + sign * change) for sign in (1, -1)]
+        numeric = (sum(pair[0]) - sum(pair[1])) / (2 * step)
+        known = sheet.inner.ravel() & np.isfinite(numeric[0])
+        off = np.linalg.norm((whole[0, :, index] - numeric[0])[known]) / np.linalg.norm(numeric[0][known])
+        # Differences along the grid cross the edges of its cells here and there.
+        assert off < 0.05, index

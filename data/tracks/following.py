@@ -109,7 +109,7 @@ class PointFollower:
         """Which are seen, shape [N]."""
         self.noise = np.zeros(len(self.points))
         """Standard deviation of their places by axis, or of where they were last seen, shape [N] [px]."""
-        self._linker, self._count = Linker(gray.shape, self._grid, spacing), 0
+        self._linker, self._count = Linker(self._grid, spacing), 0
         self._first = self._before = self._linker.prepared(gray)
         self._patterns = patterns(gray, self.points)
         self.shown = _shown(picture, tool)
@@ -151,7 +151,7 @@ class PointFollower:
             which: numbers of the points that are measured; others are not found.
         """
         points = self.points[which]
-        found = measure(self._rest, fine(*shown[:3]), points, self._linker.dense(motion))
+        found = measure(self._rest, fine(*shown[:3]), points, self._linker.dense(motion, shown.gray.shape))
         edge = values_at(shown.edge, points + np.nan_to_num(found.moved)) | (self.distance[which] < EDGED)
         moved, noise = np.full(self.points.shape, np.nan), np.full(len(self.points), np.nan)
         moved[which], noise[which] = found.moved, np.hypot(found.noise, DRAGGED * edge)

@@ -7,6 +7,8 @@ pictures of the whole size without their local mean, which changes with the ligh
 
 from __future__ import annotations
 
+import functools
+from collections import deque
 from typing import NamedTuple
 
 import cv2
@@ -43,6 +45,8 @@ class Prepared(NamedTuple):
     """The same, rounded, uint8 [H, W]."""
     rough: np.ndarray
     """Of a quarter of the size, uint8."""
+    shares: np.ndarray
+    """Width and height of the whole picture over those of the small one, float32 [2]."""
 
 
 class Links(NamedTuple):
@@ -51,21 +55,20 @@ class Links(NamedTuple):
     places: np.ndarray
     """Shape [N, 2] [px]."""
     returned: np.ndarray
-    """How far from where they began the way back ends, shape [N] [px]. It is not filtered: both ways would share what
-    the filter does, and tell less of how a place errs."""
+    """How far from where they began the way back ends, shape [N] [px]; infinite for a place on no grid that is not found
+    both ways. It is not filtered: both ways would share what the filter does, and tell less of how a place errs."""
 
 
 class Linker:
-    """Links pictures of one size.
+    """Links pictures, two of one size at a time; what the latest pictures need for that is computed once.
 
     Args:
-        shape: of the pictures (height, width) [px].
         grid: which places of a grid are linked, bool [rows, columns], N of them; None = the places are on no grid, and
             their motion is not filtered.
         spacing: of the grid [px]; infinite where windows are small against it.
     """
 
-    def __init__(self, shape: tuple[int, ...], grid: np.ndarray | None = None, spacing: float = np.inf) -> None:
+    def __init__(self, grid: np.ndarray | None = None, spacing: float = np.inf) -> None:
         self._flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST)
         self._flow.setFinestScale(0)
         self._flow.setPatchStride(STRIDE)
@@ -75,25 +78,28 @@ class Linker:
         """Its shape, and where in it the places are."""
         # Windows and filter widen what dies away within tens of pixels by variance/2 · ∇²: of 2·filter - this none.
         self._wider = float(np.sqrt(2 * SMOOTH**2 + WINDOW**2 / 12 / spacing**2))
-        height, width = shape
         self._spacing = spacing
-        self._pixels = np.moveaxis(np.mgrid[:height, :width], 0, -1)[..., ::-1].astype(np.float32)
-        self._size = max(width // COARSE, LEAST), max(height // COARSE, LEAST)
-        # Shrinking by a whole number costs a tenth, at up to three pixels along two edges.
-        self._covered = tuple(
-            min(side * COARSE, whole) for side, whole in zip(self._size, (width, height), strict=True)
-        )
-        self._shares = (np.array(self._covered) / self._size).astype(np.float32)
-        """Of the whole pictures over the small ones."""
+        self._latest: deque[tuple[np.ndarray, Prepared]] = deque(maxlen=2)
+        """Pictures that were prepared last."""
+        self._flows: deque[tuple[Prepared, Prepared, np.ndarray]] = deque(maxlen=2)
+        """Rough flows that were computed last: of one pair there and back."""
 
     def prepared(self, picture: np.ndarray) -> Prepared:
         """A picture, uint8 [H, W]."""
+        for known, prepared in self._latest:
+            if known is picture:
+                return prepared
         fine = cv2.addWeighted(
             picture, 1, cv2.boxFilter(picture, cv2.CV_32F, (LOCAL, LOCAL)), -1, GREY, dtype=cv2.CV_32F
         )
-        width, height = self._covered
-        small = cv2.resize(picture[:height, :width], self._size, interpolation=cv2.INTER_AREA)
-        return Prepared(fine, _rounded(fine), small)
+        height, width = picture.shape
+        size = max(width // COARSE, LEAST), max(height // COARSE, LEAST)
+        # Shrinking by a whole number costs a tenth, at up to three pixels along two edges.
+        covered = min(size[0] * COARSE, width), min(size[1] * COARSE, height)
+        small = cv2.resize(picture[: covered[1], : covered[0]], size, interpolation=cv2.INTER_AREA)
+        prepared = Prepared(fine, _rounded(fine), small, (np.array(covered) / size).astype(np.float32))
+        self._latest.append((picture, prepared))
+        return prepared
 
     def link(
         self,
@@ -114,10 +120,12 @@ class Linker:
         if not len(places):
             return _no_links()
         here = places.astype(np.float32)
-        step = self._filtered(_step(one, other, here, self._rough(one, other, here))[0], seen, apart)
+        step, found = _step(one, other, here, self._rough(one, other, here))
+        step = self._filtered(step, seen, apart)
         there = here + step
-        back = _step(other, one, there, self._rough(other, one, there))[0]
-        return Links(there, _length(step + back))
+        back, returned = _step(other, one, there, self._rough(other, one, there))
+        known = (found & returned) | (self._grid is not None)
+        return Links(there, np.where(known, _length(step + back), np.float32(np.inf)))
 
     def refine(
         self, one: Prepared, other: Prepared, places: np.ndarray, motion: np.ndarray, apart: np.ndarray
@@ -135,27 +143,30 @@ class Linker:
         if not len(places):
             return _no_links()
         here = places.astype(np.float32)
-        field = self.dense(motion)
-        fine = _sampled(other.fine, field + self._pixels)
-        bent = Prepared(fine, _rounded(fine), other.rough)
+        field = self.dense(motion, one.fine.shape)
+        fine = _sampled(other.fine, field + _pixels(one.fine.shape))
+        bent = other._replace(fine=fine, exact=_rounded(fine))
         left, found = _step(one, bent, here, np.zeros_like(here))
         back, returned = _step(bent, one, here + left, -left)
         off = np.where(found & returned, _length(left + back), np.inf).astype(np.float32)
         step = left + _sampled(field, (here + left)[:, None])[:, 0]
         return Links(here + self._filtered(step, found, apart), off)
 
-    def dense(self, motion: np.ndarray) -> np.ndarray:
-        """Motion of the grid at every pixel, smooth, float32 [H, W, 2]."""
-        height, width = self._pixels.shape[:2]
+    def dense(self, motion: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+        """Motion of the grid at every pixel of a picture of a shape (H, W), smooth, float32 [H, W, 2]."""
+        height, width = shape
         grid_per_pixel = np.array([[1 / self._spacing, 0, -1], [0, 1 / self._spacing, -1]])
         flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
         return cv2.warpAffine(motion, grid_per_pixel, (width, height), flags=flags, borderMode=cv2.BORDER_REPLICATE)
 
     def _rough(self, one: Prepared, other: Prepared, places: np.ndarray) -> np.ndarray:
         """How far places move, shape [N, 2] [px], by flow of the small pictures, bilinear between its pixels."""
-        flow = self._flow.calc(one.rough, other.rough, None)  # ty: ignore[no-matching-overload]  None is a guess
-        flow = cv2.GaussianBlur(flow, (0, 0), BLUR)
-        return _sampled(flow, ((places + 0.5) / self._shares - 0.5)[:, None])[:, 0] * self._shares
+        flow = next((flow for first, second, flow in self._flows if first is one and second is other), None)
+        if flow is None:
+            flow = self._flow.calc(one.rough, other.rough, None)  # ty: ignore[no-matching-overload]  None is a guess
+            flow = cv2.GaussianBlur(flow, (0, 0), BLUR)
+            self._flows.append((one, other, flow))
+        return _sampled(flow, ((places + 0.5) / one.shares - 0.5)[:, None])[:, 0] * one.shares
 
     def _filtered(self, step: np.ndarray, seen: np.ndarray | None, apart: np.ndarray | None = None) -> np.ndarray:
         """Motion [N, 2] with that of those neighbours on the grid that are seen; by itself where there are none.
@@ -185,6 +196,13 @@ class Linker:
 
 def _no_links() -> Links:
     return Links(np.zeros((0, 2), np.float32), np.zeros(0, np.float32))
+
+
+@functools.lru_cache(maxsize=1)
+def _pixels(shape: tuple[int, int]) -> np.ndarray:
+    """Places (column, row) of all pixels of a picture, float32 [H, W, 2]."""
+    height, width = shape
+    return np.moveaxis(np.mgrid[:height, :width], 0, -1)[..., ::-1].astype(np.float32)
 
 
 def _rounded(picture: np.ndarray) -> np.ndarray:

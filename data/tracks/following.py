@@ -7,13 +7,14 @@ neighbours, the way back, and the first picture's pattern all say so.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
 
 from palpate.data.tracks.linking import Linker, patterns, resemblance
-from palpate.data.tracks.measuring import Measured, fine, measure
+from palpate.data.tracks.measuring import Fine, Measured, fine, measure
 
 SPACING = 8
 """Of the grid of points [px]."""
@@ -62,17 +63,55 @@ def tool_distance(tool: np.ndarray) -> np.ndarray:
     return cv2.distanceTransform((~tool).astype(np.uint8), cv2.DIST_L2, 5)
 
 
-class Shown(NamedTuple):
-    """A picture in which points may be measured again."""
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """A picture in which points are followed, at most WIDEST wide and high."""
 
     gray: np.ndarray
     """uint8 [H, W]."""
     least: np.ndarray
     """The least of a pixel's channels, by which highlights show, uint8 [H, W]."""
-    tissue: np.ndarray
-    """Where a followed point may be, bool [H, W]."""
-    edge: np.ndarray
-    """Where a window holds the tool's edge, bool [H, W]."""
+    lit: np.ndarray
+    """Where the picture shows anything, bool [H, W]."""
+    tool: np.ndarray
+    """Mask of the tool, bool [H, W]."""
+
+    @classmethod
+    def of(cls, picture: np.ndarray, tool: np.ndarray) -> Shown:
+        """A picture of any size, uint8 [H, W, 3] RGB, with its mask of the tool, bool [H, W]."""
+        picture, tool = shrunk(picture, tool)
+        red, green, blue = cv2.split(picture)
+        least = cv2.min(cv2.min(red, green), blue)
+        return cls(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), least, lit_field(picture), tool)
+
+    @cached_property
+    def away(self) -> np.ndarray:
+        """Distance of every pixel from the tool, as of `tool_distance`."""
+        return tool_distance(self.tool)
+
+    @cached_property
+    def tissue(self) -> np.ndarray:
+        """Where a followed point may be, bool [H, W]: lit, away from the tool and from the picture's edge."""
+        offsets = np.arange(-TOUCHED, TOUCHED + 1)
+        disc = (np.hypot(*np.meshgrid(offsets, offsets)) <= TOUCHED).astype(np.uint8)
+        found = self.lit & (cv2.dilate(self.tool.astype(np.uint8), disc) == 0)
+        inner = np.zeros_like(found)
+        inside = slice(BORDER + 1, -BORDER - 1)
+        inner[inside, inside] = found[inside, inside]
+        return inner
+
+    @cached_property
+    def edge(self) -> np.ndarray:
+        """Where a window holds the tool's edge, bool [H, W]."""
+        # A square costs a tenth of a disc.
+        return cv2.dilate(self.tool.astype(np.uint8), np.ones((2 * EDGED + 1, 2 * EDGED + 1), np.uint8)) > 0
+
+
+def lattice(shape: tuple[int, ...], spacing: int) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of a grid of points in a picture of a shape (H, W), a spacing from its edges, [rows, columns]."""
+    height, width = shape
+    rows, columns = np.mgrid[spacing : height - spacing : spacing, spacing : width - spacing : spacing]
+    return rows, columns
 
 
 class PointFollower:
@@ -85,12 +124,11 @@ class PointFollower:
     """
 
     def __init__(self, picture: np.ndarray, tool: np.ndarray, spacing: int = SPACING) -> None:
-        picture, tool = shrunk(picture, tool)
-        gray = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
-        height, width = gray.shape
-        rows, columns = np.mgrid[spacing : height - spacing : spacing, spacing : width - spacing : spacing]
-        away, lit = tool_distance(tool), lit_field(picture)
-        self._grid = (away[rows, columns] > MARGIN) & lit[rows, columns]
+        self.shown = Shown.of(picture, tool)
+        """The last picture."""
+        gray, away = self.shown.gray, self.shown.away
+        rows, columns = lattice(gray.shape, spacing)
+        self._grid = (away[rows, columns] > MARGIN) & self.shown.lit[rows, columns]
         self.everywhere = np.stack([columns, rows], axis=-1)
         """Places of the whole grid, of those without a point, too, shape [rows, columns, 2] (column, row) [px]."""
         rows_all, columns_all = rows, columns
@@ -112,9 +150,7 @@ class PointFollower:
         self._linker, self._count = Linker(self._grid, spacing), 0
         self._first = self._before = self._linker.prepared(gray)
         self._patterns = patterns(gray, self.points)
-        self.shown = _shown(picture, tool)
-        """The last picture."""
-        self._rest = fine(*self.shown[:3])
+        self._rest = _fine(self.shown)
 
     @property
     def moved(self) -> np.ndarray:
@@ -128,10 +164,9 @@ class PointFollower:
 
     def step(self, picture: np.ndarray, tool: np.ndarray) -> None:
         """Follow the points into the next picture, with its tool's mask."""
-        picture, tool = shrunk(picture, tool)
         apart = ~values_at(self.shown.edge, self.place)
-        self.shown = _shown(picture, tool)
-        gray, _, tissue, edge = self.shown
+        self.shown = Shown.of(picture, tool)
+        gray, tissue, edge = self.shown.gray, self.shown.tissue, self.shown.edge
         before, self._before = self._before, self._linker.prepared(gray)
         place, returned = self._linker.link(before, self._before, self.place, self.followed, apart)
         self.followed &= (returned < CHECK) & values_at(tissue, place)
@@ -151,7 +186,7 @@ class PointFollower:
             which: numbers of the points that are measured; others are not found.
         """
         points = self.points[which]
-        found = measure(self._rest, fine(*shown[:3]), points, self._linker.dense(motion, shown.gray.shape))
+        found = measure(self._rest, _fine(shown), points, self._linker.dense(motion, shown.gray.shape))
         edge = values_at(shown.edge, points + np.nan_to_num(found.moved)) | (self.distance[which] < EDGED)
         moved, noise = np.full(self.points.shape, np.nan), np.full(len(self.points), np.nan)
         moved[which], noise[which] = found.moved, np.hypot(found.noise, DRAGGED * edge)
@@ -211,28 +246,8 @@ def shrunk(picture: np.ndarray, tool: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return cv2.resize(picture, size, interpolation=cv2.INTER_AREA), small
 
 
-def _shown(picture: np.ndarray, tool: np.ndarray) -> Shown:
-    """A picture and its mask."""
-    red, green, blue = cv2.split(picture)
-    least = cv2.min(cv2.min(red, green), blue)
-    return Shown(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), least, _tissue(picture, tool), _beside(tool))
-
-
-def _tissue(picture: np.ndarray, tool: np.ndarray) -> np.ndarray:
-    """Where a followed point may be, bool [H, W]: lit, away from the tool and from the picture's edge."""
-    offsets = np.arange(-TOUCHED, TOUCHED + 1)
-    disc = (np.hypot(*np.meshgrid(offsets, offsets)) <= TOUCHED).astype(np.uint8)
-    found = lit_field(picture) & (cv2.dilate(tool.astype(np.uint8), disc) == 0)
-    inner = np.zeros_like(found)
-    inside = slice(BORDER + 1, -BORDER - 1)
-    inner[inside, inside] = found[inside, inside]
-    return inner
-
-
-def _beside(tool: np.ndarray) -> np.ndarray:
-    """Where a window holds the tool's edge, bool [H, W]."""
-    # A square costs a tenth of a disc.
-    return cv2.dilate(tool.astype(np.uint8), np.ones((2 * EDGED + 1, 2 * EDGED + 1), np.uint8)) > 0
+def _fine(shown: Shown) -> Fine:
+    return fine(shown.gray, shown.least, shown.tissue)
 
 
 def values_at(picture: np.ndarray, place: np.ndarray) -> np.ndarray:

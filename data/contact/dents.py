@@ -14,7 +14,14 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from palpate.data.contact.depth_change import LEAST_REST, SCALES, DepthChange, RestingTissue, picture_motion
+from palpate.data.contact.depth_change import (
+    LEAST_REST,
+    SCALES,
+    DepthChange,
+    RestingTissue,
+    grid_motion,
+    picture_motion,
+)
 from palpate.data.contact.geometry import (
     FrameGeometry,
     GeometrySettings,
@@ -23,8 +30,11 @@ from palpate.data.contact.geometry import (
     smooth_rest,
     tissue_mesh,
 )
+from palpate.data.labels import TOOL
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.camera import Camera, back_project
+from palpate.data.tracks.following import Shown
+from palpate.data.tracks.linking import Linker
 from palpate.physics.mesh import contact_normal, nearest_vertex
 
 EARLIER, LATE = 3, 8
@@ -118,6 +128,9 @@ class DentContacts:
         self._camera, self._settings = camera, settings
         self._rest = RestingTissue()
         self._waiting: deque[_Waiting] = deque()
+        self._linker = Linker()
+        self._shown: Shown | None = None
+        """Picture of the latest frame."""
         self._dent: _Dent | None = None
 
     def push(self, frame: PreparedFrame) -> list[PreparedFrame]:
@@ -130,7 +143,7 @@ class DentContacts:
             self._rest, self._dent = RestingTissue(), None
             if frame.status != "no_contact":
                 return [*decided, frame]
-        motion = picture_motion(self._waiting[-1].prepared, frame) if self._waiting else np.eye(3)
+        motion = self._motion(frame)
         self._rest.move(motion)
         for item in self._waiting:
             item.motion = motion @ item.motion
@@ -145,6 +158,14 @@ class DentContacts:
         while len(self._waiting) > (EARLIER if self._dent is None else LATE):
             decided.append(self._first())
         return decided
+
+    def _motion(self, frame: PreparedFrame) -> np.ndarray:
+        """Motion of the picture on the grid from the frame before to this one, shape [3, 3]."""
+        picture, labels = frame.view
+        before, self._shown = self._shown, Shown.of(picture, labels == TOOL)
+        if before is None or not self._waiting:
+            return np.eye(3)
+        return grid_motion(picture_motion(self._linker, before, self._shown), before, frame)
 
     def finish(self) -> list[PreparedFrame]:
         """The frames that are left at the clip's end."""

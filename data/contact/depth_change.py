@@ -1,7 +1,6 @@
 """How much deeper tissue lies than at rest, in a frame of a picture that may move.
 
-From frame to frame the picture's affine motion is followed (pyramidal Lucas and Kanade, Bouguet 2001), and the frames
-at rest go with it. What a moving camera or a changing scale adds to the depth is smooth over the picture, and so is a
+From frame to frame the picture's affine motion is followed (`data.tracks`), and the frames at rest go with it. What a moving camera or a changing scale adds to the depth is smooth over the picture, and so is a
 depth network's bias: both are taken off. The noise is what the change is spread by over the picture, and at least what
 one frame's depth varies by from pixel to pixel: rounded depth hardly changes while tissue is still, and then in steps.
 """
@@ -19,6 +18,9 @@ from palpate.data.contact.geometry import LEAST_NOISE
 from palpate.data.contact.outlines import inside, near
 from palpate.data.labels import TISSUE, TOOL
 from palpate.data.prepared import PreparedFrame
+from palpate.data.tracks.background import Background, background_motion
+from palpate.data.tracks.following import Shown, lattice, values_at
+from palpate.data.tracks.linking import Linker
 
 MOST_REST, LEAST_REST = 8, 3
 """Frames at rest that are remembered; fewer don't tell what tissue was like."""
@@ -36,8 +38,8 @@ DEEPEST = 0.1
 """A larger change of depth is the sensor's error [scene units]."""
 ROUNDS, ASTRAY = 3, 3.0
 """Rounds of the fit of what the camera changes, and standard deviations beyond which a pixel doesn't belong to it."""
-CORNERS, WINDOW, FEWEST = 150, 15, 12
-"""Points that a picture's motion is told by, the width of their windows [grid px], and how few are too few."""
+SPACING, POINTS = 4, 300
+"""Distance of the points that tell a picture's motion [px], and about how many of them are followed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,21 +141,25 @@ def _blur(values: np.ndarray, scale: float) -> np.ndarray:
     return cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR)
 
 
-def picture_motion(before: PreparedFrame, after: PreparedFrame) -> np.ndarray:
-    """Affine motion of most of the picture on the grid, (u, v, 1) to (u, v, 1), shape [3, 3]; none where untold."""
-    first, second = _grey(before), _grey(after)
-    corners = cv2.goodFeaturesToTrack(first, CORNERS, 0.01, 4)
-    if corners is None:
+def grid_motion(background: Background | None, shown: Shown, prepared: PreparedFrame) -> np.ndarray:
+    """Motion of a frame's picture on its grid, (u, v, 1) to (u, v, 1), shape [3, 3]; none where it isn't known.
+
+    Args:
+        background: the same in the picture that is followed.
+        shown: that picture.
+        prepared: the frame.
+    """
+    if background is None:
         return np.eye(3)
-    moved, found, _ = cv2.calcOpticalFlowPyrLK(first, second, corners, corners.copy(), winSize=(WINDOW, WINDOW))
-    kept = found.ravel() > 0
-    if kept.sum() < FEWEST:
-        return np.eye(3)
-    affine, _ = cv2.estimateAffine2D(corners[kept], moved[kept], ransacReprojThreshold=0.5)
-    return np.eye(3) if affine is None else np.vstack([affine, [0.0, 0.0, 1.0]])
+    height, width = np.divide(shown.gray.shape, prepared.depth.shape)
+    pixels = np.array([[width, 0, (width - 1) / 2], [0, height, (height - 1) / 2], [0, 0, 1]])
+    return np.linalg.inv(pixels) @ (np.eye(3) + np.vstack([background.affine.T, np.zeros(3)])) @ pixels
 
 
-def _grey(prepared: PreparedFrame) -> np.ndarray:
-    """Grey picture on the grid, uint8."""
-    grey = cv2.cvtColor(prepared.frame.picture, cv2.COLOR_RGB2GRAY)
-    return cv2.resize(grey, prepared.depth.shape[::-1], interpolation=cv2.INTER_AREA)
+def picture_motion(linker: Linker, before: Shown, after: Shown) -> Background | None:
+    """Affine motion of most of a picture without a tool; None where it isn't known."""
+    row, column = (part.ravel() for part in lattice(before.gray.shape, SPACING))
+    places = np.column_stack([column, row])[values_at(before.tissue, np.column_stack([column, row]))]
+    places = places[:: max(1, len(places) // POINTS)]
+    step, known = linker.followed(before.gray, after.gray, places)
+    return background_motion(places[known], step[known])

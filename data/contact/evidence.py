@@ -13,18 +13,20 @@ may have met the tissue: contact is then undecided, and was so in the frame in w
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from palpate.data.contact.coupling import Beside, log_ratio
-from palpate.data.contact.depth_change import RestingTissue, picture_motion
+from palpate.data.contact.depth_change import RestingTissue, grid_motion
 from palpate.data.contact.geometry import FrameGeometry
 from palpate.data.contact.outlines import near
 from palpate.data.labels import TOOL
 from palpate.data.prepared import PreparedFrame
-from palpate.data.tracks.following import lit_field, shrunk, tool_distance
+from palpate.data.tracks.background import FITS, LEAST_NOISE, MEDIAN_LENGTH, Background, background_motion
+from palpate.data.tracks.following import Shown, lattice, values_at
+from palpate.data.tracks.linking import Linker
 
 PRIOR = 0.7
 """Probability that a tool whose outline touches tissue touches it, before anything has moved."""
@@ -61,44 +63,18 @@ LEAST_TOOL = 60
 """Parts of a mask with fewer pixels are no tool."""
 TOOL_POINTS, BACKGROUND_POINTS = 150, 300
 """Points that are followed in a tip, and in the background, at most."""
-FEWEST_TOOL, FEWEST_BACKGROUND = 8, 30
-"""Fewer say nothing of their motion."""
-WINDOW, NARROW = 15, 11
-"""Width of the windows that are compared, in tissue and in the tool [px]."""
-LEVELS = 3
-"""Of the pyramid, beyond the picture itself: motion up to some 50 px."""
-TEXTURE = 1e-3
-"""Least eigenvalue of a window's gradients; below it the window is too smooth to be followed."""
-RETURNED = 1.0
-"""Largest distance to where following backwards takes a point [px]."""
-ASTRAY = 3.0
-"""Points that move otherwise by more standard deviations are no background."""
-BLOCK = 64
-"""Width of the squares whose points share what the background's motion leaves [px]."""
-LEAST_NOISE = 0.1
-"""Of following, by axis [px]."""
-FITS = 6
-"""Rounds of robust fits."""
-MEDIAN_LENGTH = 1.1774
-"""Median length of a plane normal vector of unit standard deviation by axis."""
+FEWEST_TOOL = 8
+"""Fewer say nothing of its motion."""
 SPREAD = 0.35
 """A tip moves as one where half of its points are within this share of their common motion, or within 1 px."""
 
 
-@dataclass(frozen=True, eq=False)
-class View:
-    """A picture at most `data.tracks.following.WIDEST` wide and high, as it is compared with the next."""
+class View(NamedTuple):
+    """A picture as it is compared with a later one."""
 
-    grey: np.ndarray
-    """uint8 [H, W]."""
-    tool: np.ndarray
-    """Mask of the tool, bool [H, W]."""
-    lit: np.ndarray
-    """Where the picture shows anything, bool [H, W]."""
-    away: np.ndarray
-    """Distance from the tool, [H, W] [px]."""
+    shown: Shown
     prepared: PreparedFrame | None = None
-    """The frame with its depth; None where depth isn't looked at."""
+    """The frame with its depth; None where depth does not count."""
 
 
 class ContactEvidence:
@@ -112,7 +88,7 @@ class ContactEvidence:
     """
 
     def __init__(self, near: float = math.inf, *, measured: bool = True) -> None:
-        self._near, self._measured = near, measured
+        self._near, self._measured, self._linker = near, measured, Linker()
         self._reference: View | None = None
         """The frame that frames are compared with until the tool has gone far enough."""
         self._age = 0
@@ -173,7 +149,7 @@ class ContactEvidence:
             picture: uint8 [H, W, 3] RGB.
             tool: its mask of the tool, bool [H, W].
         """
-        return self._push(_view(picture, tool))
+        return self._push(View(Shown.of(picture, tool)))
 
     def _begin(self, view: View) -> None:
         """Compare the next frames with this one."""
@@ -184,11 +160,11 @@ class ContactEvidence:
         share = 1 / (1 + math.exp(-self._odds))
         self._odds = _log_odds(share + CHANGE * (PRIOR - share))
         before, hovered = self._reference, self._speed > 0
-        tips = [] if before is None else seen_beside(before, view)
+        tips, background = ([], None) if before is None else observed_motion(self._linker, before.shown, view.shown)
         self._age += 1
         way = max((tip.tool for tip in tips), key=np.linalg.norm, default=np.full(2, math.nan))
         stands = hovered and bool(np.linalg.norm(way - self._way) < STANDS * self._speed)
-        sunk = self._measured and before is not None and bool(tips) and _has_sunk(before, view)
+        sunk = self._measured and before is not None and background is not None and _has_sunk(before, view, background)
         # Tissue that doesn't move says nothing beside a tool that doesn't move either.
         said = 0.0 if stands else float(np.clip(_said(tips), -STRONGEST, STRONGEST))
         if stands or (hovered and (sunk or not tips)):
@@ -207,15 +183,10 @@ class ContactEvidence:
         return probability
 
 
-def _view(picture: np.ndarray, tool: np.ndarray, prepared: PreparedFrame | None = None) -> View:
-    picture, tool = shrunk(picture, tool)
-    return View(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), tool, lit_field(picture), tool_distance(tool), prepared)
-
-
 def _frame_view(prepared: PreparedFrame) -> View:
-    """Of a frame that is visible, with its depth."""
+    """View of a frame that is visible, with its depth."""
     picture, labels = prepared.view
-    return _view(picture, labels == TOOL, prepared)
+    return View(Shown.of(picture, labels == TOOL), prepared)
 
 
 def _log_odds(probability: float) -> float:
@@ -228,12 +199,12 @@ def _said(tips: list[Beside]) -> float:
     return max((log_ratio(tip) for tip, length in zip(tips, way, strict=True) if length >= max(way) / 2), default=0.0)
 
 
-def _has_sunk(before: View, after: View) -> bool:
+def _has_sunk(before: View, after: View, background: Background) -> bool:
     """Whether the tissue beside the tool lies deeper than it did, against the tissue around; where depth is known."""
     if before.prepared is None or after.prepared is None:
         return False
     rest = RestingTissue()
-    rest.push(before.prepared, picture_motion(before.prepared, after.prepared))
+    rest.push(before.prepared, grid_motion(background, before.shown, before.prepared))
     change = rest.change(after.prepared, least=1)
     if change is None:
         return False
@@ -242,19 +213,16 @@ def _has_sunk(before: View, after: View) -> bool:
     return bool(largest > max(SINKS, ELSEWHERE * sigmas[~near(tool, 2 * DENT)].max(initial=0.0)))
 
 
-def seen_beside(before: View, after: View) -> list[Beside]:
-    """How every tool's tip and the tissue beside it moved from one picture to a later one.
+def observed_motion(linker: Linker, before: Shown, after: Shown) -> tuple[list[Beside], Background | None]:
+    """How every tool's tip and the tissue beside it moved from one picture to a later one, and the background's motion.
 
     Returns:
-        One a tool whose motion is known; none where the background's isn't.
+        One a tool whose motion is known, and the background's motion; none where that isn't known.
     """
     tips = _tips(before)
     if not tips:
-        return []
-    height, width = before.grey.shape
-    row, column = (
-        part.ravel() for part in np.mgrid[SPACING : height - SPACING : SPACING, SPACING : width - SPACING : SPACING]
-    )
+        return [], None
+    row, column = (part.ravel() for part in lattice(before.gray.shape, SPACING))
     usable = (before.away[row, column] > GUARD) & before.lit[row, column]
     places = np.column_stack([column, row])[usable]
     distance = before.away[places[:, 1], places[:, 0]] - GUARD
@@ -265,24 +233,24 @@ def seen_beside(before: View, after: View) -> list[Beside]:
     owner[distance > RING] = -1
     used = np.union1d(far, np.flatnonzero(owner >= 0))
     places, distance, owner = places[used], distance[used], owner[used]
-    step, followed = _followed(before, after, places, WINDOW)
-    background = _background(places[followed & (owner < 0)], step[followed & (owner < 0)])
+    step, followed = linker.followed(before.gray, after.gray, places)
+    background = background_motion(places[followed & (owner < 0)], step[followed & (owner < 0)])
     if background is None:
-        return []
-    affine, noise, background_sd = background
-    there = np.rint(places + step).astype(int).clip(0, [width - 1, height - 1])
-    followed &= after.away[there[:, 1], there[:, 0]] > GUARD / 2
-    moved = step - _terms(places) @ affine
+        return [], None
+    followed &= values_at(after.away, np.rint(places + step)) > GUARD / 2
+    moved = step - background.at(places)
     found = []
     for index, tip in enumerate(tips):
-        motion = _tool_motion(before, after, tip, affine)
+        places = tip[:: max(1, len(tip) // TOOL_POINTS)]
+        step, known = linker.followed(before.gray, after.gray, places)
+        motion = _tool_motion((step - background.at(places))[known])
         if motion is not None:
             beside = followed & (owner == index)
-            found.append(Beside(moved[beside], distance[beside], SPACING, *motion, noise, background_sd))
-    return found
+            found.append(Beside(moved[beside], distance[beside], SPACING, *motion, background.noise, background.error))
+    return found, background
 
 
-def _nearest(places: np.ndarray, tips: list[np.ndarray], view: View) -> np.ndarray:
+def _nearest(places: np.ndarray, tips: list[np.ndarray], view: Shown) -> np.ndarray:
     """Index of the tip in which the tool's pixel lies that is nearest to a place, shape [N]; -1 for a shaft."""
     owner = np.full(view.tool.shape, -1)
     for index, tip in enumerate(tips):
@@ -295,29 +263,7 @@ def _nearest(places: np.ndarray, tips: list[np.ndarray], view: View) -> np.ndarr
     return by_label[label[places[:, 1], places[:, 0]]]
 
 
-def _background(places: np.ndarray, step: np.ndarray) -> tuple[np.ndarray, float, float] | None:
-    """Affine motion of most of some points [3, 2], the points' own noise about it, and its error, alike nearby [px]."""
-    if len(places) < FEWEST_BACKGROUND:
-        return None
-    terms, kept = _terms(places), np.ones(len(places), bool)
-    for _ in range(FITS):
-        affine = np.linalg.lstsq(terms[kept], step[kept], rcond=None)[0]
-        left = step - terms @ affine
-        length = np.linalg.norm(left, axis=1)
-        kept = length < ASTRAY * max(np.median(length[kept]) / MEDIAN_LENGTH, LEAST_NOISE)
-    # Moving tissue that is no background shall not count for all of it.
-    scale = ASTRAY * max(np.median(length) / MEDIAN_LENGTH, LEAST_NOISE)
-    left = left.clip(-scale, scale)
-    _, block, count = np.unique(places // BLOCK, axis=0, return_inverse=True, return_counts=True)
-    block = block.ravel()
-    shared = np.column_stack([np.bincount(block, weights=part) for part in left.T]) / count[:, None]
-    own = np.linalg.norm((left - shared[block])[count[block] >= 3], axis=1)
-    noise = float(np.median(own)) / MEDIAN_LENGTH if len(own) else 0.0
-    error = math.sqrt(np.mean(np.square(shared)))
-    return affine, max(noise, LEAST_NOISE), max(error, LEAST_NOISE / 2)
-
-
-def _tips(view: View) -> list[np.ndarray]:
+def _tips(view: Shown) -> list[np.ndarray]:
     """Places (column, row) in the free end of every tool, [P, 2] each; in all of a tool that enters nowhere."""
     edge = cv2.dilate((~view.lit).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
     edge[[0, 1, 2, -3, -2, -1]] = edge[:, [0, 1, 2, -3, -2, -1]] = True
@@ -335,11 +281,8 @@ def _tips(view: View) -> list[np.ndarray]:
     return tips
 
 
-def _tool_motion(before: View, after: View, tip: np.ndarray, affine: np.ndarray) -> tuple[np.ndarray, float] | None:
-    """Displacement of a tip [P, 2] less the background's there [2], and its spread [px]; None where it isn't known."""
-    places = tip[:: max(1, len(tip) // TOOL_POINTS)]
-    step, followed = _followed(before, after, places, NARROW)
-    moved = (step - _terms(places) @ affine)[followed]
+def _tool_motion(moved: np.ndarray) -> tuple[np.ndarray, float] | None:
+    """Common displacement [2] of a tip's points [N, 2] less the background's, and its spread [px]; None if unknown."""
     if len(moved) < FEWEST_TOOL:
         return None
     middle = np.median(moved, axis=0)
@@ -350,34 +293,3 @@ def _tool_motion(before: View, after: View, tip: np.ndarray, affine: np.ndarray)
     if spread > max(SPREAD * np.linalg.norm(middle), 1.0):
         return None
     return middle, spread / MEDIAN_LENGTH
-
-
-def _terms(places: np.ndarray) -> np.ndarray:
-    """Of an affine motion, shape [N, 3]."""
-    return np.column_stack([places, np.ones(len(places))]).astype(np.float64)
-
-
-def _followed(before: View, after: View, places: np.ndarray, window: int) -> tuple[np.ndarray, np.ndarray]:
-    """Displacements of places [N, 2] (column, row) from one picture to the other, and which of them are known [N]."""
-    if not len(places):
-        return np.zeros((0, 2)), np.zeros(0, bool)
-
-    def moved(one: np.ndarray, two: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        there, found, _ = cv2.calcOpticalFlowPyrLK(
-            one,
-            two,
-            points,
-            points.copy(),
-            winSize=(window, window),
-            maxLevel=LEVELS,
-            criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03),
-            minEigThreshold=TEXTURE,
-        )
-        return there, found
-
-    start = np.ascontiguousarray(places[:, None], np.float32)
-    there, found = moved(before.grey, after.grey, start)
-    back, returned = moved(after.grey, before.grey, there)
-    known = (found.ravel() > 0) & (returned.ravel() > 0)
-    known &= np.linalg.norm((back - start)[:, 0], axis=1) < RETURNED
-    return (there - start)[:, 0].astype(np.float64), known

@@ -27,10 +27,10 @@ from palpate.data.contact.tissue_points import (
     reference_pixels,
     rigid_motion,
 )
-from palpate.data.contact.tracking import TissueTracker
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.data.source.camera import Camera
+from palpate.data.tracks.tissue import TissueTracker
 
 LOST = "The tissue that was touched first is not followed here or has no depth; nothing of its motion is observed."
 FRAYED = (
@@ -207,7 +207,7 @@ class ContactMotion:
         self, source: PreparedFrame, target: PreparedFrame, pixel: np.ndarray, template: TissueTemplate
     ) -> np.ndarray:
         """Place of a followed point in the next picture: by flow, corrected by its template; NaN where it is lost."""
-        moved = self._step(source, target, pixel[None])[0]
+        moved = self._tracker.near(source.view, target.view, pixel)
         found = template.locate(*target.view, moved) if np.isfinite(moved).all() else None
         return moved if found is None else found
 
@@ -221,13 +221,9 @@ class ContactMotion:
             return np.full(3, math.nan)
         grid = picture_to_grid(pixel, before.depth.shape, self.size)
         pixels = grid_to_picture(reference_pixels(before.depth, before.labels, grid), before.depth.shape, self.size)
-        moved = self._step(before, after, pixels)
+        moved = self._tracker.each(before.view, after.view, pixels)
         place = self._lift(pixel[None], before)[0]
         return rigid_motion(self._lift_smooth(pixels, before), self._lift_smooth(moved, after), place)
-
-    def _step(self, source: PreparedFrame, target: PreparedFrame, pixels: np.ndarray) -> np.ndarray:
-        (first, first_labels), (second, second_labels) = source.view, target.view
-        return self._tracker.step(first, second, first_labels, second_labels, pixels)
 
     def _lift(self, pixels: np.ndarray, prepared: PreparedFrame) -> np.ndarray:
         """Points [P, 3] of full-picture pixels [P, 2]."""

@@ -29,6 +29,10 @@ WINDOW, STEPS, ENOUGH = 9, 4, 0.02
 [px]. A window of 9 px costs less than one of 7."""
 ASTRAY = 3.0
 """Steps that lead farther by axis are not believed [px]."""
+RETURNED = 1.0
+"""Largest distance to where the way back takes a place that is followed for itself [px]."""
+LEVELS = 2
+"""Of its pyramid where a place is on no grid: a small instrument moves otherwise than the small pictures say around it."""
 SMOOTH = 1.0
 """Standard deviation of the filter over the motion of neighbouring places [grid spacings]."""
 REACH, STEP = 6, 3
@@ -120,12 +124,26 @@ class Linker:
         if not len(places):
             return _no_links()
         here = places.astype(np.float32)
-        step, found = _step(one, other, here, self._rough(one, other, here))
+        levels = LEVELS if self._grid is None else 0
+        step, found = _step(one, other, here, self._rough(one, other, here), levels)
         step = self._filtered(step, seen, apart)
         there = here + step
-        back, returned = _step(other, one, there, self._rough(other, one, there))
+        back, returned = _step(other, one, there, self._rough(other, one, there), levels)
         known = (found & returned) | (self._grid is not None)
         return Links(there, np.where(known, _length(step + back), np.float32(np.inf)))
+
+    def followed(self, one: np.ndarray, other: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How far places of one picture move to another one, each for itself.
+
+        Args:
+            one, other: the pictures, uint8 [H, W].
+            places: on no grid, shape [N, 2] (column, row) [px].
+
+        Returns:
+            Displacements, shape [N, 2] [px]; and which are found there and back, to within RETURNED, bool [N].
+        """
+        there, returned = self.link(self.prepared(one), self.prepared(other), places)
+        return there.astype(np.float64) - places, returned < RETURNED
 
     def refine(
         self, one: Prepared, other: Prepared, places: np.ndarray, motion: np.ndarray, apart: np.ndarray
@@ -220,8 +238,13 @@ def _length(vectors: np.ndarray) -> np.ndarray:
     return np.hypot(*vectors.T)
 
 
-def _step(one: Prepared, other: Prepared, places: np.ndarray, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How far places [N, 2] move, near a guess [N, 2] [px], and where that is found, bool [N]; else as guessed."""
+def _step(
+    one: Prepared, other: Prepared, places: np.ndarray, guess: np.ndarray, levels: int = 0
+) -> tuple[np.ndarray, np.ndarray]:
+    """How far places [N, 2] move, near a guess [N, 2] [px], and where that is found, bool [N]; else as guessed.
+
+    Every level of a pyramid beyond the pictures themselves doubles how far from the guess that may be (Bouguet 2001).
+    """
     near = (places + guess).astype(np.float32)
     there, found, _ = cv2.calcOpticalFlowPyrLK(
         one.exact,
@@ -229,12 +252,12 @@ def _step(one: Prepared, other: Prepared, places: np.ndarray, guess: np.ndarray)
         places,
         near.copy(),
         winSize=(WINDOW, WINDOW),
-        maxLevel=0,
+        maxLevel=levels,
         criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, STEPS, ENOUGH),
         # What else it gives is not used; eigenvalues it knows anyway, how far the pictures differ costs a third more.
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW | cv2.OPTFLOW_LK_GET_MIN_EIGENVALS,
     )
-    believed = (found[:, 0] > 0) & (np.abs(there - near).max(axis=1) < ASTRAY)
+    believed = (found[:, 0] > 0) & (np.abs(there - near).max(axis=1) < ASTRAY * 2**levels)
     return np.where(believed[:, None], there, near) - places, believed
 
 

@@ -22,6 +22,8 @@ from palpate.data.synthetic.clip import SyntheticClip, make_clip, synthetic_clip
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.source import open_synthetic
 from palpate.data.synthetic.truth import PressedMotion
+from palpate.data.tracks.following import Shown
+from palpate.data.tracks.linking import Linker
 from palpate.estimators.contract import ClipInfo
 from palpate.evaluation.recovery.trial import observed_contacts
 
@@ -222,12 +224,16 @@ def test_the_picture_s_motion_is_followed() -> None:
     zoom = np.array([[1.02, 0, 1.5], [0, 1.02, -0.8]])
     moved = cv2.warpAffine(before.frame.picture, zoom, (WIDTH, HEIGHT), flags=cv2.INTER_CUBIC)
     after.frame = dataclasses.replace(after.frame, image=moved)
-    told = changes.picture_motion(before, after)
+
+    def motion(before: PreparedFrame, after: PreparedFrame) -> np.ndarray:
+        one, other = (Shown.of(frame.frame.picture, np.zeros((HEIGHT, WIDTH), bool)) for frame in (before, after))
+        return changes.grid_motion(changes.picture_motion(Linker(), one, other), one, before)
+
     corners = np.array([[5.0, 5, 1], [75, 5, 1], [40, 55, 1]]).T
-    np.testing.assert_allclose((told @ corners)[:2], zoom @ corners, atol=0.25)
+    np.testing.assert_allclose((motion(before, after) @ corners)[:2], zoom @ corners, atol=0.25)
     blank = dataclasses.replace(after.frame, image=np.zeros_like(moved))
     after.frame = blank
-    np.testing.assert_array_equal(changes.picture_motion(after, before), np.eye(3))
+    np.testing.assert_array_equal(motion(after, before), np.eye(3))
 
 
 def test_a_contact_lies_on_the_mesh() -> None:

@@ -31,8 +31,10 @@ ASTRAY = 3.0
 """Steps that lead farther by axis are not believed [px]."""
 RETURNED = 1.0
 """Largest distance to where the way back takes a place that is followed for itself [px]."""
-LEVELS = 2
-"""Of its pyramid where a place is on no grid: a small instrument moves otherwise than the small pictures say around it."""
+LEVELS, WIDER, TEXTURE = 2, 15, 1e-3
+"""The same for places on no grid, which no neighbours correct: levels of the pyramid beyond the pictures themselves, since
+a small instrument moves otherwise than the small pictures say around it; width of the windows [px]; and least eigenvalue
+of their gradients, below which they are too smooth."""
 SMOOTH = 1.0
 """Standard deviation of the filter over the motion of neighbouring places [grid spacings]."""
 REACH, STEP = 6, 3
@@ -124,12 +126,12 @@ class Linker:
         if not len(places):
             return _no_links()
         here = places.astype(np.float32)
-        levels = LEVELS if self._grid is None else 0
-        step, found = _step(one, other, here, self._rough(one, other, here), levels)
+        alone = self._grid is None
+        step, found = _step(one, other, here, self._rough(one, other, here), alone=alone)
         step = self._filtered(step, seen, apart)
         there = here + step
-        back, returned = _step(other, one, there, self._rough(other, one, there), levels)
-        known = (found & returned) | (self._grid is not None)
+        back, returned = _step(other, one, there, self._rough(other, one, there), alone=alone)
+        known = (found & returned) | (not alone)
         return Links(there, np.where(known, _length(step + back), np.float32(np.inf)))
 
     def followed(self, one: np.ndarray, other: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -239,20 +241,23 @@ def _length(vectors: np.ndarray) -> np.ndarray:
 
 
 def _step(
-    one: Prepared, other: Prepared, places: np.ndarray, guess: np.ndarray, levels: int = 0
+    one: Prepared, other: Prepared, places: np.ndarray, guess: np.ndarray, *, alone: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
     """How far places [N, 2] move, near a guess [N, 2] [px], and where that is found, bool [N]; else as guessed.
 
-    Every level of a pyramid beyond the pictures themselves doubles how far from the guess that may be (Bouguet 2001).
+    Places that are alone are on no grid. Every level of their pyramid doubles how far from the guess they may be found
+    (Bouguet 2001).
     """
+    window, levels = (WIDER, LEVELS) if alone else (WINDOW, 0)
     near = (places + guess).astype(np.float32)
     there, found, _ = cv2.calcOpticalFlowPyrLK(
         one.exact,
         other.exact,
         places,
         near.copy(),
-        winSize=(WINDOW, WINDOW),
+        winSize=(window, window),
         maxLevel=levels,
+        minEigThreshold=TEXTURE if alone else 1e-4,
         criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, STEPS, ENOUGH),
         # What else it gives is not used; eigenvalues it knows anyway, how far the pictures differ costs a third more.
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW | cv2.OPTFLOW_LK_GET_MIN_EIGENVALS,

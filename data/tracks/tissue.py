@@ -19,7 +19,7 @@ RADII = (8.0, 16.0, 32.0)
 tool's edge count only where nothing else is left."""
 SPACING = 4
 """Distance of the places in it that are followed [px]."""
-LEAST_PLACES = 5
+LEAST_PLACES = 8
 """Fewest places whose median motion is taken."""
 _OFFSETS = np.mgrid[-8:9, -8:9].reshape(2, -1).T * float(SPACING)
 

@@ -19,7 +19,6 @@ from palpate.data.contact.outlines import frayed_share, inside, uncover
 from palpate.data.contact.refinement import REFINE_FRAMES, ContactRun, picture_pixel, settle_run
 from palpate.data.contact.rest_depth import RestDepth
 from palpate.data.contact.surface import smooth_surface
-from palpate.data.contact.template import TissueTemplate
 from palpate.data.contact.tissue_points import (
     grid_to_picture,
     lift,
@@ -30,7 +29,7 @@ from palpate.data.contact.tissue_points import (
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.data.source.camera import Camera
-from palpate.data.tracks.tissue import TissueTracker
+from palpate.data.tracks.tissue import TissueTemplate, TissueTracker
 
 LOST = "The tissue that was touched first is not followed here or has no depth; nothing of its motion is observed."
 FRAYED = (
@@ -108,7 +107,7 @@ class ContactMotion:
     def settle(self) -> None:
         """Decide where a young run's contact presses; nothing about the frames linked so far changes after that."""
         if self._run is not None:
-            settle_run(self._run, self.size, self._lift)
+            settle_run(self._run, self.size, self._lift, self._tracker)
 
     def _grow_older(self, run: ContactRun, latest: PreparedFrame) -> None:
         if run.young is None or latest is run.onset:
@@ -184,7 +183,7 @@ class ContactMotion:
                 if share > FRAYED_SHARE:
                     onset.detail = FRAYED.format(share=share)
         pixel = picture_pixel(onset, self.size)
-        template = TissueTemplate(*onset.view, pixel)
+        template = self._tracker.template(onset.view, pixel)
         young = [] if math.isfinite(onset.contact.noise) and onset.press is None else None
         return ContactRun(onset, pixel, template, np.zeros(3), young)
 
@@ -200,7 +199,7 @@ class ContactMotion:
         if not source.in_contact:
             return np.full(3, math.nan)
         pixel = picture_pixel(source, self.size)
-        moved = self._follow(source, target, pixel, TissueTemplate(*source.view, pixel))
+        moved = self._follow(source, target, pixel, self._tracker.template(source.view, pixel))
         return (self._lift(moved[None], target) - self._lift(pixel[None], source))[0]
 
     def _follow(
@@ -208,8 +207,7 @@ class ContactMotion:
     ) -> np.ndarray:
         """Place of a followed point in the next picture: by flow, corrected by its template; NaN where it is lost."""
         moved = self._tracker.near(source.view, target.view, pixel)
-        found = template.locate(*target.view, moved) if np.isfinite(moved).all() else None
-        return moved if found is None else found
+        return self._tracker.again(template, target.view, moved) if np.isfinite(moved).all() else moved
 
     def _rigid(self, before: PreparedFrame, after: PreparedFrame) -> np.ndarray:
         """Motion that the contact would have if it moved with the tissue far from it, shape [3]; NaN if not known."""

@@ -9,9 +9,9 @@ import numpy as np
 
 from palpate.data.contact.geometry import TISSUE, TOOL, move_contact
 from palpate.data.contact.outlines import near, uncover
-from palpate.data.contact.template import TissueTemplate
 from palpate.data.contact.tissue_points import grid_to_picture, picture_to_grid
 from palpate.data.prepared import PreparedFrame
+from palpate.data.tracks.tissue import TissueTemplate, TissueTracker
 
 REFINE_REACH = 3
 """The tissue that yields most is looked for this far from where the contact was detected, and from the outline where
@@ -124,7 +124,12 @@ def _largest(changes: np.ndarray, needed: np.ndarray, share: np.ndarray, noise: 
     return int(np.argmax(np.where(alike, mean, -np.inf)))
 
 
-def settle_run(run: ContactRun, size: tuple[int, int], lift: Callable[[np.ndarray, PreparedFrame], np.ndarray]) -> None:
+def settle_run(
+    run: ContactRun,
+    size: tuple[int, int],
+    lift: Callable[[np.ndarray, PreparedFrame], np.ndarray],
+    tracker: TissueTracker,
+) -> None:
     """Move a young run's contact to the nearby tissue that has yielded most, and follow that; a settled one stays.
 
     Depth noise shifts the closest pair of points by a pixel or two, and a point load makes a dent hardly wider.
@@ -133,6 +138,7 @@ def settle_run(run: ContactRun, size: tuple[int, int], lift: Callable[[np.ndarra
         run: its young frames are forgotten.
         size: (width, height) of the full picture [px].
         lift: points [P, 3] of full-picture pixels [P, 2] in a frame.
+        tracker: takes the template of the contact's new place.
     """
     young, run.young = run.young, None
     if young is None:
@@ -148,7 +154,7 @@ def settle_run(run: ContactRun, size: tuple[int, int], lift: Callable[[np.ndarra
     for prepared, pixel, drift in young:
         prepared.track_position = lift((pixel + moved - contact)[None], prepared)[0] - drift
     run.pixel = run.pixel + moved - contact
-    run.template = TissueTemplate(*run.onset.view, moved)
+    run.template = tracker.template(run.onset.view, moved)
 
 
 def picture_pixel(prepared: PreparedFrame, size: tuple[int, int]) -> np.ndarray:

@@ -34,7 +34,6 @@ from palpate.data.labels import TOOL
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.camera import Camera, back_project
 from palpate.data.tracks.following import Shown
-from palpate.data.tracks.linking import Linker
 from palpate.physics.mesh import contact_normal, nearest_vertex
 
 EARLIER, LATE = 3, 8
@@ -128,7 +127,6 @@ class DentContacts:
         self._camera, self._settings = camera, settings
         self._rest = RestingTissue()
         self._waiting: deque[_Waiting] = deque()
-        self._linker = Linker()
         self._shown: Shown | None = None
         """Picture of the latest frame."""
         self._dent: _Dent | None = None
@@ -165,7 +163,7 @@ class DentContacts:
         before, self._shown = self._shown, Shown.of(picture, labels == TOOL)
         if before is None or not self._waiting:
             return np.eye(3)
-        return grid_motion(picture_motion(self._linker, before, self._shown), before, frame)
+        return grid_motion(picture_motion(before, self._shown), before, frame)
 
     def finish(self) -> list[PreparedFrame]:
         """The frames that are left at the clip's end."""

@@ -20,7 +20,7 @@ from palpate.data.labels import TISSUE, TOOL
 from palpate.data.prepared import PreparedFrame
 from palpate.data.tracks.background import Background, background_motion
 from palpate.data.tracks.following import Shown, lattice, values_at
-from palpate.data.tracks.linking import Linker
+from palpate.data.tracks.linking import followed
 
 MOST_REST, LEAST_REST = 8, 3
 """Frames at rest that are remembered; fewer don't tell what tissue was like."""
@@ -156,10 +156,10 @@ def grid_motion(background: Background | None, shown: Shown, prepared: PreparedF
     return np.linalg.inv(pixels) @ (np.eye(3) + np.vstack([background.affine.T, np.zeros(3)])) @ pixels
 
 
-def picture_motion(linker: Linker, before: Shown, after: Shown) -> Background | None:
+def picture_motion(before: Shown, after: Shown) -> Background | None:
     """Affine motion of most of a picture without a tool; None where it isn't known."""
     row, column = (part.ravel() for part in lattice(before.gray.shape, SPACING))
     places = np.column_stack([column, row])[values_at(before.tissue, np.column_stack([column, row]))]
     places = places[:: max(1, len(places) // POINTS)]
-    step, known = linker.followed(before.gray, after.gray, places)
+    step, known = followed(before.gray, after.gray, places)
     return background_motion(places[known], step[known])

@@ -26,7 +26,7 @@ from palpate.data.labels import TOOL
 from palpate.data.prepared import PreparedFrame
 from palpate.data.tracks.background import FITS, LEAST_NOISE, MEDIAN_LENGTH, Background, background_motion
 from palpate.data.tracks.following import Shown, lattice, values_at
-from palpate.data.tracks.linking import Linker
+from palpate.data.tracks.linking import followed
 
 PRIOR = 0.7
 """Probability that a tool whose outline touches tissue touches it, before anything has moved."""
@@ -65,6 +65,8 @@ TOOL_POINTS, BACKGROUND_POINTS = 150, 300
 """Points that are followed in a tip, and in the background, at most."""
 FEWEST_TOOL = 8
 """Fewer say nothing of its motion."""
+NARROW = 11
+"""Width of the windows that are compared in the tool, so small that they don't mix tool and tissue [px]."""
 SPREAD = 0.35
 """A tip moves as one where half of its points are within this share of their common motion, or within 1 px."""
 
@@ -88,7 +90,7 @@ class ContactEvidence:
     """
 
     def __init__(self, near: float = math.inf, *, measured: bool = True) -> None:
-        self._near, self._measured, self._linker = near, measured, Linker()
+        self._near, self._measured = near, measured
         self._reference: View | None = None
         """The frame that frames are compared with until the tool has gone far enough."""
         self._age = 0
@@ -160,11 +162,11 @@ class ContactEvidence:
         share = 1 / (1 + math.exp(-self._odds))
         self._odds = _log_odds(share + CHANGE * (PRIOR - share))
         before, hovered = self._reference, self._speed > 0
-        tips, background = ([], None) if before is None else observed_motion(self._linker, before.shown, view.shown)
+        tips, background = ([], None) if before is None else observed_motion(before.shown, view.shown)
         self._age += 1
         way = max((tip.tool for tip in tips), key=np.linalg.norm, default=np.full(2, math.nan))
         stands = hovered and bool(np.linalg.norm(way - self._way) < STANDS * self._speed)
-        sunk = self._measured and before is not None and background is not None and _has_sunk(before, view, background)
+        sunk = self._measured and before is not None and bool(tips) and _has_sunk(before, view, background)
         # Tissue that doesn't move says nothing beside a tool that doesn't move either.
         said = 0.0 if stands else float(np.clip(_said(tips), -STRONGEST, STRONGEST))
         if stands or (hovered and (sunk or not tips)):
@@ -199,7 +201,7 @@ def _said(tips: list[Beside]) -> float:
     return max((log_ratio(tip) for tip, length in zip(tips, way, strict=True) if length >= max(way) / 2), default=0.0)
 
 
-def _has_sunk(before: View, after: View, background: Background) -> bool:
+def _has_sunk(before: View, after: View, background: Background | None) -> bool:
     """Whether the tissue beside the tool lies deeper than it did, against the tissue around; where depth is known."""
     if before.prepared is None or after.prepared is None:
         return False
@@ -213,7 +215,7 @@ def _has_sunk(before: View, after: View, background: Background) -> bool:
     return bool(largest > max(SINKS, ELSEWHERE * sigmas[~near(tool, 2 * DENT)].max(initial=0.0)))
 
 
-def observed_motion(linker: Linker, before: Shown, after: Shown) -> tuple[list[Beside], Background | None]:
+def observed_motion(before: Shown, after: Shown) -> tuple[list[Beside], Background | None]:
     """How every tool's tip and the tissue beside it moved from one picture to a later one, and the background's motion.
 
     Returns:
@@ -233,21 +235,23 @@ def observed_motion(linker: Linker, before: Shown, after: Shown) -> tuple[list[B
     owner[distance > RING] = -1
     used = np.union1d(far, np.flatnonzero(owner >= 0))
     places, distance, owner = places[used], distance[used], owner[used]
-    step, followed = linker.followed(before.gray, after.gray, places)
-    background = background_motion(places[followed & (owner < 0)], step[followed & (owner < 0)])
+    step, known = followed(before.gray, after.gray, places)
+    background = background_motion(places[known & (owner < 0)], step[known & (owner < 0)])
     if background is None:
         return [], None
-    followed &= values_at(after.away, np.rint(places + step)) > GUARD / 2
+    known &= values_at(after.away, np.rint(places + step)) > GUARD / 2
     moved = step - background.at(places)
-    found = []
+    beside_tips = []
     for index, tip in enumerate(tips):
         places = tip[:: max(1, len(tip) // TOOL_POINTS)]
-        step, known = linker.followed(before.gray, after.gray, places)
-        motion = _tool_motion((step - background.at(places))[known])
+        step, found = followed(before.gray, after.gray, places, NARROW)
+        motion = _tool_motion((step - background.at(places))[found])
         if motion is not None:
-            beside = followed & (owner == index)
-            found.append(Beside(moved[beside], distance[beside], SPACING, *motion, background.noise, background.error))
-    return found, background
+            beside = known & (owner == index)
+            beside_tips.append(
+                Beside(moved[beside], distance[beside], SPACING, *motion, background.noise, background.error)
+            )
+    return beside_tips, background
 
 
 def _nearest(places: np.ndarray, tips: list[np.ndarray], view: Shown) -> np.ndarray:

@@ -1,6 +1,7 @@
 """Where the places of one picture are in another one, checked forwards and backwards.
 
-Dense inverse search flow (Kroeger 2016, OpenCV's DIS) of pictures of a quarter of the size tells roughly where, or what
+Hundreds of places on a grid are followed together (`Linker`), few ones each for itself (`followed`). For the former,
+dense inverse search flow (Kroeger 2016, OpenCV's DIS) of pictures of a quarter of the size tells roughly where, or what
 is known already does; a few steps of Lucas and Kanade's method (1981) at the places themselves tell it exactly, in
 pictures of the whole size without their local mean, which changes with the light. The check is Kalal 2010's.
 """
@@ -8,7 +9,6 @@ pictures of the whole size without their local mean, which changes with the ligh
 from __future__ import annotations
 
 import functools
-from collections import deque
 from typing import NamedTuple
 
 import cv2
@@ -27,14 +27,15 @@ GREY = 128
 WINDOW, STEPS, ENOUGH = 9, 4, 0.02
 """Of Lucas-Kanade: width of its windows [px], its most steps, of which more follow noise, and the last one's length
 [px]. A window of 9 px costs less than one of 7."""
+ALONE, LEVELS = 15, 3
+"""The same for places that are followed each for itself: width of the windows [px], and levels of their pyramid beyond the
+picture itself, for motion up to some 50 px."""
+TEXTURE = 1e-3
+"""Least eigenvalue of such a window's gradients; below it the window is too smooth to be followed."""
+RETURNED = 1.0
+"""Largest distance to where following backwards takes such a place [px]."""
 ASTRAY = 3.0
 """Steps that lead farther by axis are not believed [px]."""
-RETURNED = 1.0
-"""Largest distance to where the way back takes a place that is followed for itself [px]."""
-LEVELS, WIDER, TEXTURE = 2, 15, 1e-3
-"""The same for places on no grid, which no neighbours correct: levels of the pyramid beyond the pictures themselves, since
-a small instrument moves otherwise than the small pictures say around it; width of the windows [px]; and least eigenvalue
-of their gradients, below which they are too smooth."""
 SMOOTH = 1.0
 """Standard deviation of the filter over the motion of neighbouring places [grid spacings]."""
 REACH, STEP = 6, 3
@@ -61,12 +62,12 @@ class Links(NamedTuple):
     places: np.ndarray
     """Shape [N, 2] [px]."""
     returned: np.ndarray
-    """How far from where they began the way back ends, shape [N] [px]; infinite for a place on no grid that is not found
-    both ways. It is not filtered: both ways would share what the filter does, and tell less of how a place errs."""
+    """How far from where they began the way back ends, shape [N] [px]. It is not filtered: both ways would share what
+    the filter does, and tell less of how a place errs."""
 
 
 class Linker:
-    """Links pictures, two of one size at a time; what the latest pictures need for that is computed once.
+    """Links pictures, two of one size at a time.
 
     Args:
         grid: which places of a grid are linked, bool [rows, columns], N of them; None = the places are on no grid, and
@@ -85,16 +86,9 @@ class Linker:
         # Windows and filter widen what dies away within tens of pixels by variance/2 · ∇²: of 2·filter - this none.
         self._wider = float(np.sqrt(2 * SMOOTH**2 + WINDOW**2 / 12 / spacing**2))
         self._spacing = spacing
-        self._latest: deque[tuple[np.ndarray, Prepared]] = deque(maxlen=2)
-        """Pictures that were prepared last."""
-        self._flows: deque[tuple[Prepared, Prepared, np.ndarray]] = deque(maxlen=2)
-        """Rough flows that were computed last: of one pair there and back."""
 
     def prepared(self, picture: np.ndarray) -> Prepared:
         """A picture, uint8 [H, W]."""
-        for known, prepared in self._latest:
-            if known is picture:
-                return prepared
         fine = cv2.addWeighted(
             picture, 1, cv2.boxFilter(picture, cv2.CV_32F, (LOCAL, LOCAL)), -1, GREY, dtype=cv2.CV_32F
         )
@@ -103,9 +97,7 @@ class Linker:
         # Shrinking by a whole number costs a tenth, at up to three pixels along two edges.
         covered = min(size[0] * COARSE, width), min(size[1] * COARSE, height)
         small = cv2.resize(picture[: covered[1], : covered[0]], size, interpolation=cv2.INTER_AREA)
-        prepared = Prepared(fine, _rounded(fine), small, (np.array(covered) / size).astype(np.float32))
-        self._latest.append((picture, prepared))
-        return prepared
+        return Prepared(fine, _rounded(fine), small, (np.array(covered) / size).astype(np.float32))
 
     def link(
         self,
@@ -126,26 +118,10 @@ class Linker:
         if not len(places):
             return _no_links()
         here = places.astype(np.float32)
-        alone = self._grid is None
-        step, found = _step(one, other, here, self._rough(one, other, here), alone=alone)
-        step = self._filtered(step, seen, apart)
+        step = self._filtered(_step(one, other, here, self._rough(one, other, here))[0], seen, apart)
         there = here + step
-        back, returned = _step(other, one, there, self._rough(other, one, there), alone=alone)
-        known = (found & returned) | (not alone)
-        return Links(there, np.where(known, _length(step + back), np.float32(np.inf)))
-
-    def followed(self, one: np.ndarray, other: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """How far places of one picture move to another one, each for itself.
-
-        Args:
-            one, other: the pictures, uint8 [H, W].
-            places: on no grid, shape [N, 2] (column, row) [px].
-
-        Returns:
-            Displacements, shape [N, 2] [px]; and which are found there and back, to within RETURNED, bool [N].
-        """
-        there, returned = self.link(self.prepared(one), self.prepared(other), places)
-        return there.astype(np.float64) - places, returned < RETURNED
+        back = _step(other, one, there, self._rough(other, one, there))[0]
+        return Links(there, _length(step + back))
 
     def refine(
         self, one: Prepared, other: Prepared, places: np.ndarray, motion: np.ndarray, apart: np.ndarray
@@ -181,11 +157,8 @@ class Linker:
 
     def _rough(self, one: Prepared, other: Prepared, places: np.ndarray) -> np.ndarray:
         """How far places move, shape [N, 2] [px], by flow of the small pictures, bilinear between its pixels."""
-        flow = next((flow for first, second, flow in self._flows if first is one and second is other), None)
-        if flow is None:
-            flow = self._flow.calc(one.rough, other.rough, None)  # ty: ignore[no-matching-overload]  None is a guess
-            flow = cv2.GaussianBlur(flow, (0, 0), BLUR)
-            self._flows.append((one, other, flow))
+        flow = self._flow.calc(one.rough, other.rough, None)  # ty: ignore[no-matching-overload]  None is a guess
+        flow = cv2.GaussianBlur(flow, (0, 0), BLUR)
         return _sampled(flow, ((places + 0.5) / one.shares - 0.5)[:, None])[:, 0] * one.shares
 
     def _filtered(self, step: np.ndarray, seen: np.ndarray | None, apart: np.ndarray | None = None) -> np.ndarray:
@@ -240,30 +213,58 @@ def _length(vectors: np.ndarray) -> np.ndarray:
     return np.hypot(*vectors.T)
 
 
-def _step(
-    one: Prepared, other: Prepared, places: np.ndarray, guess: np.ndarray, *, alone: bool = False
-) -> tuple[np.ndarray, np.ndarray]:
-    """How far places [N, 2] move, near a guess [N, 2] [px], and where that is found, bool [N]; else as guessed.
-
-    Places that are alone are on no grid. Every level of their pyramid doubles how far from the guess they may be found
-    (Bouguet 2001).
-    """
-    window, levels = (WIDER, LEVELS) if alone else (WINDOW, 0)
+def _step(one: Prepared, other: Prepared, places: np.ndarray, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How far places [N, 2] move, near a guess [N, 2] [px], and where that is found, bool [N]; else as guessed."""
     near = (places + guess).astype(np.float32)
     there, found, _ = cv2.calcOpticalFlowPyrLK(
         one.exact,
         other.exact,
         places,
         near.copy(),
-        winSize=(window, window),
-        maxLevel=levels,
-        minEigThreshold=TEXTURE if alone else 1e-4,
+        winSize=(WINDOW, WINDOW),
+        maxLevel=0,
         criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, STEPS, ENOUGH),
         # What else it gives is not used; eigenvalues it knows anyway, how far the pictures differ costs a third more.
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW | cv2.OPTFLOW_LK_GET_MIN_EIGENVALS,
     )
-    believed = (found[:, 0] > 0) & (np.abs(there - near).max(axis=1) < ASTRAY * 2**levels)
+    believed = (found[:, 0] > 0) & (np.abs(there - near).max(axis=1) < ASTRAY)
     return np.where(believed[:, None], there, near) - places, believed
+
+
+def followed(
+    one: np.ndarray, other: np.ndarray, places: np.ndarray, window: int = ALONE
+) -> tuple[np.ndarray, np.ndarray]:
+    """How far places of one picture move to another one, each for itself (pyramidal Lucas and Kanade, Bouguet 2001).
+
+    Args:
+        one, other: the pictures, uint8 [H, W].
+        places: shape [N, 2] (column, row) [px].
+        window: width of the windows that are compared [px].
+
+    Returns:
+        Displacements, shape [N, 2] [px]; and which of them are known, bool [N].
+    """
+    if not len(places):
+        return np.zeros((0, 2)), np.zeros(0, bool)
+
+    def moved(one: np.ndarray, two: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        there, found, _ = cv2.calcOpticalFlowPyrLK(
+            one,
+            two,
+            points,
+            points.copy(),
+            winSize=(window, window),
+            maxLevel=LEVELS,
+            criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03),
+            minEigThreshold=TEXTURE,
+        )
+        return there, found.ravel() > 0
+
+    start = np.ascontiguousarray(places[:, None], np.float32)
+    there, found = moved(one, other, start)
+    back, returned = moved(other, one, there)
+    near = np.linalg.norm((back - start)[:, 0], axis=1) < RETURNED
+    return (there - start)[:, 0].astype(np.float64), found & returned & near
 
 
 def patterns(picture: np.ndarray, places: np.ndarray) -> np.ndarray:

@@ -14,14 +14,14 @@ import numpy as np
 
 from palpate.data.labels import TISSUE, TOOL
 from palpate.data.tracks.following import EDGED, Shown, shrunk, values_at
-from palpate.data.tracks.linking import Linker
+from palpate.data.tracks.linking import followed
 
 RADII = (8.0, 16.0, 32.0)
 """Radii of the neighbourhood of a point, the wider ones where too little of the narrower can be followed [px]. Places at
 the tool's edge count only where nothing else is left."""
 SPACING = 4
 """Distance of the places in it that are followed [px]."""
-LEAST_PLACES = 8
+LEAST_PLACES = 12
 """Fewest places whose median motion is taken."""
 HALF_WIDTH = 32
 """Half side of the patch by which a point is found again [px]."""
@@ -41,7 +41,6 @@ class TissueTracker:
     """Moves tissue points of one clip between its pictures; points are (u, v) in pixels of the full pictures."""
 
     def __init__(self) -> None:
-        self._linker = Linker()
         self._latest: deque[tuple[np.ndarray, Shown, np.ndarray]] = deque(maxlen=2)
         """Pictures, as they are followed, and where these show tissue."""
 
@@ -84,7 +83,7 @@ class TissueTracker:
     def _followed(self, source: View, target: View, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Displacements of places [N, 2], which of them are followed on tissue [N], and how far the tool is [N]."""
         (one, tissue), (other, _) = self._shown(source), self._shown(target)
-        step, known = self._linker.followed(one.gray, other.gray, places)
+        step, known = followed(one.gray, other.gray, places)
         here, there = np.rint(places), np.rint(places + step)
         known &= np.isfinite(_within(tissue, places)[:, 0]) & values_at(tissue, here)
         # What lands under the tool would be the tool's own motion.

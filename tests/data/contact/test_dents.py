@@ -23,7 +23,6 @@ from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.source import open_synthetic
 from palpate.data.synthetic.truth import PressedMotion
 from palpate.data.tracks.following import Shown
-from palpate.data.tracks.linking import Linker
 from palpate.estimators.contract import ClipInfo
 from palpate.evaluation.recovery.trial import observed_contacts
 
@@ -227,7 +226,7 @@ def test_the_picture_s_motion_is_followed() -> None:
 
     def motion(before: PreparedFrame, after: PreparedFrame) -> np.ndarray:
         one, other = (Shown.of(frame.frame.picture, np.zeros((HEIGHT, WIDTH), bool)) for frame in (before, after))
-        return changes.grid_motion(changes.picture_motion(Linker(), one, other), one, before)
+        return changes.grid_motion(changes.picture_motion(one, other), one, before)
 
     corners = np.array([[5.0, 5, 1], [75, 5, 1], [40, 55, 1]]).T
     np.testing.assert_allclose((motion(before, after) @ corners)[:2], zoom @ corners, atol=0.25)

@@ -13,7 +13,7 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from palpate.data.tracks.linking import Linker, patterns, resemblance
+from palpate.data.tracks.linking import Linker, flat, patterns, resemblance
 from palpate.data.tracks.measuring import Fine, Measured, fine, measure
 
 SPACING = 8
@@ -88,6 +88,11 @@ class Shown:
     def away(self) -> np.ndarray:
         """Distance of every pixel from the tool, as of `tool_distance`."""
         return tool_distance(self.tool)
+
+    @cached_property
+    def flat(self) -> np.ndarray:
+        """The grey picture without its local mean, uint8 [H, W]."""
+        return flat(self.gray)
 
     @cached_property
     def tissue(self) -> np.ndarray:

@@ -89,9 +89,7 @@ class Linker:
 
     def prepared(self, picture: np.ndarray) -> Prepared:
         """A picture, uint8 [H, W]."""
-        fine = cv2.addWeighted(
-            picture, 1, cv2.boxFilter(picture, cv2.CV_32F, (LOCAL, LOCAL)), -1, GREY, dtype=cv2.CV_32F
-        )
+        fine = _flat(picture)
         height, width = picture.shape
         size = max(width // COARSE, LEAST), max(height // COARSE, LEAST)
         # Shrinking by a whole number costs a tenth, at up to three pixels along two edges.
@@ -189,6 +187,16 @@ class Linker:
 
 def _no_links() -> Links:
     return Links(np.zeros((0, 2), np.float32), np.zeros(0, np.float32))
+
+
+def flat(picture: np.ndarray) -> np.ndarray:
+    """A picture, uint8 [H, W], without its local mean, which changes with the light."""
+    return _rounded(_flat(picture))
+
+
+def _flat(picture: np.ndarray) -> np.ndarray:
+    mean = cv2.boxFilter(picture, cv2.CV_32F, (LOCAL, LOCAL))
+    return cv2.addWeighted(picture, 1, mean, -1, GREY, dtype=cv2.CV_32F)
 
 
 @functools.lru_cache(maxsize=1)

@@ -14,15 +14,15 @@ import numpy as np
 
 from palpate.data.labels import TISSUE, TOOL
 from palpate.data.tracks.following import EDGED, Shown, shrunk, values_at
-from palpate.data.tracks.linking import followed
+from palpate.data.tracks.linking import WINDOW, followed
 
 RADII = (8.0, 16.0, 32.0)
 """Radii of the neighbourhood of a point, the wider ones where too little of the narrower can be followed [px]. Places at
 the tool's edge count only where nothing else is left."""
 SPACING = 4
 """Distance of the places in it that are followed [px]."""
-LEAST_PLACES = 12
-"""Fewest places whose median motion is taken."""
+LEAST_PLACES, LEAST_FOLLOWED = 8, 0.2
+"""Fewest places whose median motion is taken, and least share of the tissue's places there: by chance, fewer are."""
 HALF_WIDTH = 32
 """Half side of the patch by which a point is found again [px]."""
 REACH = 8
@@ -56,18 +56,19 @@ class TissueTracker:
         """
         if not np.isfinite(point).all():
             return np.full(2, np.nan)
-        step, known, away = self._followed(source, target, self._small(source, point) + _OFFSETS)
+        step, away = self._followed(source, target, self._small(source, point) + _OFFSETS)
         distance = np.linalg.norm(_OFFSETS, axis=1)
         for least, radius in (*((EDGED, radius) for radius in RADII), (0, RADII[-1])):
-            used = known & (away > least) & (distance <= radius)
-            if used.sum() >= LEAST_PLACES:
-                return _within(target[1], point + np.median(step[used], axis=0) * self._scale(source))
+            around = step[(away > least) & (distance <= radius)]
+            used = around[np.isfinite(around).all(axis=1)]
+            if len(used) >= max(LEAST_PLACES, LEAST_FOLLOWED * len(around)):
+                return _within(target[1], point + np.median(used, axis=0) * self._scale(source))
         return np.full(2, np.nan)
 
     def each(self, source: View, target: View, points: np.ndarray) -> np.ndarray:
         """Where points [P, 2] of one picture are in another one, each for itself; not a number where they are lost."""
-        step, known, _ = self._followed(source, target, self._small(source, points))
-        return np.where(known[:, None], _within(target[1], points + step * self._scale(source)), np.nan)
+        step, _ = self._followed(source, target, self._small(source, points))
+        return _within(target[1], points + step * self._scale(source))
 
     def template(self, view: View, point: np.ndarray) -> TissueTemplate:
         """What the tissue around a point [2] of a picture looks like."""
@@ -80,14 +81,14 @@ class TissueTracker:
         found = template.locate(shown.gray, tissue & (shown.away > EDGED), self._small(view, near))
         return near if found is None else (found + 0.5) * self._scale(view) - 0.5
 
-    def _followed(self, source: View, target: View, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Displacements of places [N, 2], which of them are followed on tissue [N], and how far the tool is [N]."""
+    def _followed(self, source: View, target: View, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Displacements of places [N, 2], not a number where they are lost; how far the tool is [N], -1 off tissue."""
         (one, tissue), (other, _) = self._shown(source), self._shown(target)
-        step, known = followed(one.gray, other.gray, places)
-        here, there = np.rint(places), np.rint(places + step)
-        known &= np.isfinite(_within(tissue, places)[:, 0]) & values_at(tissue, here)
+        step, known = followed(one.flat, other.flat, places, WINDOW)
+        usable = np.isfinite(_within(tissue, places)[:, 0]) & values_at(tissue, np.rint(places))
         # What lands under the tool would be the tool's own motion.
-        return step, known & ~values_at(other.tool, there), values_at(one.away, here)
+        known &= usable & ~values_at(other.tool, np.rint(places + step))
+        return np.where(known[:, None], step, np.nan), np.where(usable, values_at(one.away, np.rint(places)), -1.0)
 
     def _shown(self, view: View) -> tuple[Shown, np.ndarray]:
         """A picture as it is followed, and where it shows tissue; those of the latest two are remembered."""

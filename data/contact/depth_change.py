@@ -1,8 +1,9 @@
-"""How much deeper tissue lies than at rest, in a frame of a picture that may move.
+"""How much deeper than at rest tissue lies in a frame, while the picture may move.
 
-From frame to frame the picture's affine motion is followed (`data.tracks`), and the frames at rest go with it. What a moving camera or a changing scale adds to the depth is smooth over the picture, and so is a
-depth network's bias: both are taken off. The noise is what the change is spread by over the picture, and at least what
-one frame's depth varies by from pixel to pixel: rounded depth hardly changes while tissue is still, and then in steps.
+The picture's affine motion is followed from frame to frame (`data.tracks`), and the frames at rest go with it. What a
+moving camera or a changing scale adds to the depth is smooth over the picture, and so is a depth network's bias: both
+are subtracted. The noise is the change's spread over the picture, and at least what one frame's depth varies by from
+pixel to pixel: rounded depth hardly changes while tissue is still, and then in steps.
 """
 
 from __future__ import annotations
@@ -22,10 +23,10 @@ from palpate.data.tracks.background import Background, background_motion
 from palpate.data.tracks.following import Shown, lattice, values_at
 from palpate.data.tracks.linking import followed
 
-MOST_REST, LEAST_REST = 8, 3
-"""Frames at rest that are remembered; fewer don't tell what tissue was like."""
-LEAST_PIXELS = 200
-"""Fewer pixels of tissue tell neither the camera's motion nor the noise."""
+MAX_REST, MIN_REST = 8, 3
+"""Frames at rest that are remembered; fewer don't determine the tissue's shape at rest."""
+MIN_PIXELS = 200
+"""Fewer pixels of tissue determine neither the camera's motion nor the noise."""
 SCALES = (0.0, 1.0, 2.0)
 """Changes are looked at over these widths: standard deviations of a blur [grid px]."""
 WIDE = 12.0
@@ -34,12 +35,12 @@ ROUGH = 2.0
 """A frame's own noise at a scale is what differs from a blur so much wider [grid px]."""
 COVERED = 0.5
 """Least share of a blur's weight that must lie on tissue."""
-DEEPEST = 0.1
+MAX_CHANGE = 0.1
 """A larger change of depth is the sensor's error [scene units]."""
-ROUNDS, ASTRAY = 3, 3.0
+ITERATIONS, OUTLIER = 3, 3.0
 """Rounds of the fit of what the camera changes, and standard deviations beyond which a pixel doesn't belong to it."""
 SPACING, POINTS = 4, 300
-"""Distance of the points that tell a picture's motion [px], and about how many of them are followed."""
+"""Distance of the points that give a picture's motion [px], and about how many of them are followed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +62,7 @@ class RestingTissue:
     """Depth of the tissue in the latest frames at rest, carried along with the picture."""
 
     def __init__(self) -> None:
-        self._frames: deque[tuple[np.ndarray, np.ndarray, np.ndarray]] = deque(maxlen=MOST_REST)
+        self._frames: deque[tuple[np.ndarray, np.ndarray, np.ndarray]] = deque(maxlen=MAX_REST)
         """Depth, where it is tissue's, and the affine motion since, shapes [h, w], [h, w] and [3, 3]."""
 
     def __len__(self) -> int:
@@ -77,21 +78,21 @@ class RestingTissue:
         for index, (depth, tissue, since) in enumerate(self._frames):
             self._frames[index] = depth, tissue, motion @ since
 
-    def change(self, prepared: PreparedFrame, least: int = LEAST_REST) -> DepthChange | None:
+    def change(self, prepared: PreparedFrame, least: int = MIN_REST) -> DepthChange | None:
         """Compare the latest frame; None where fewer than `least` frames at rest, or too few pixels, are known."""
         if len(self._frames) < least:
             return None
         total, count = np.zeros(prepared.depth.shape), np.zeros(prepared.depth.shape)
         for depth, tissue, since in self._frames:
-            moved, seen = (
+            moved, visible = (
                 cv2.warpAffine(part, since[:2], depth.shape[::-1], flags=cv2.INTER_LINEAR) for part in (depth, tissue)
             )
-            used = seen > 0.999
+            used = visible > 0.999
             total[used] += moved[used]
             count[used] += 1
         rest = total / np.maximum(count, 1)
-        known = inside(_tissue(prepared) & (count > 0)) & (np.abs(prepared.depth - rest) < DEEPEST)
-        return depth_change(prepared.depth, rest, known) if known.sum() >= LEAST_PIXELS else None
+        known = inside(_tissue(prepared) & (count > 0)) & (np.abs(prepared.depth - rest) < MAX_CHANGE)
+        return depth_change(prepared.depth, rest, known) if known.sum() >= MIN_PIXELS else None
 
 
 def _tissue(prepared: PreparedFrame) -> np.ndarray:
@@ -108,7 +109,7 @@ def depth_change(depth: np.ndarray, rest: np.ndarray, known: np.ndarray) -> Dept
     contrast, noise = [], []
     for scale in SCALES:
         deeper = _blurred(change, known, scale)
-        # Beside a bump tissue hasn't sunk.
+        # Next to a bump tissue hasn't sunk.
         contrast.append(deeper - np.maximum(around, 0))
         rough = _blurred(depth, known, scale) - _blurred(depth, known, scale + ROUGH)
         rough -= _blurred(np.nan_to_num(rough), known & np.isfinite(rough), WIDE)
@@ -119,7 +120,7 @@ def depth_change(depth: np.ndarray, rest: np.ndarray, known: np.ndarray) -> Dept
 def _camera_change(change: np.ndarray, rest: np.ndarray, places: np.ndarray) -> np.ndarray:
     """What a moving camera or a changing scale adds to the depth of P pixels, all shapes [P] but places' [P, 2]."""
     terms = np.column_stack([np.ones(len(rest)), rest, rest[:, None] * places])
-    return trimmed_fit(terms, change, ROUNDS, ASTRAY)
+    return trimmed_fit(terms, change, ITERATIONS, OUTLIER)
 
 
 def _blurred(values: np.ndarray, known: np.ndarray, scale: float) -> np.ndarray:

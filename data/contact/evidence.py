@@ -1,10 +1,9 @@
-"""Contact by evidence: does the tissue beside the tool's tip move with the tool, or sink under it?
+"""Contact by evidence: does the tissue next to the tool's tip move with the tool, or sink under it?
 
 Outlines that touch in a picture say little: a tool that passes over tissue touches it there, too. From one picture
-to a later one, points in the tool's tip, beside it and far from it are followed (pyramidal Lucas and Kanade, Bouguet
-2001, in windows so small that they don't mix tool and tissue; the check is Kalal 2010's), and `data.contact.coupling`
-weighs what they say. A press moves tissue along the line of sight: depth that has grown beside the tool speaks for
-contact, too. A two-state hidden Markov chain adds it up over the frames.
+to a later one, points in the tool's tip, next to it and far from it are followed (`data.tracks.linking`), and
+`data.contact.coupling` gives the likelihood ratio of their motion. A press moves tissue along the line of sight: depth
+that has grown next to the tool speaks for contact, too. A two-state hidden Markov chain adds it up over the frames.
 
 Tissue that stays where it is speaks against contact only while the tool moves. A tool that hovered and comes to a stand
 may have met the tissue: contact is then undecided, and was so in the frame in which the tool arrived.
@@ -18,13 +17,13 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from palpate.data.contact.coupling import Beside, log_ratio
+from palpate.data.contact.coupling import TipMotion, log_ratio
 from palpate.data.contact.depth_change import RestingTissue, grid_motion
 from palpate.data.contact.geometry import FrameGeometry
 from palpate.data.contact.outlines import near
 from palpate.data.labels import TOOL
 from palpate.data.prepared import PreparedFrame
-from palpate.data.tracks.background import FITS, LEAST_NOISE, MEDIAN_LENGTH, Background, background_motion
+from palpate.data.tracks.background import ITERATIONS, LEAST_NOISE, MEDIAN_LENGTH, Background, background_motion
 from palpate.data.tracks.following import Shown, lattice, values_at
 from palpate.data.tracks.linking import followed
 
@@ -32,21 +31,21 @@ PRIOR = 0.7
 """Probability that a tool whose outline touches tissue touches it, before anything has moved."""
 THRESHOLD = 0.5
 """Below this probability a tool hovers."""
-WAY, LONGEST = 5.0, 10
+MAX_WAY, MAX_AGE = 5.0, 10
 """Frames are compared with one and the same until the tool has gone so far [px], or for so many frames: what parallax
 adds goes to and fro with the camera."""
 CHANGE = 0.03
 """Share by which the probability returns to PRIOR in a frame: contacts begin and end."""
-STRONGEST = 5.0
-"""What one frame says counts for so much at most [logarithm of odds]."""
+MAX_LOG_ODDS = 5.0
+"""Largest change of the logarithm of the odds by one frame."""
 STANDS = 0.25
 """A tool that hovered has come to a stand where it moves by less than this share of its speed until then."""
 SINKS = 6.0
-"""The tissue beside a tool has sunk where its depth has grown by so many standard deviations."""
+"""The tissue next to a tool has sunk where its depth has grown by so many standard deviations."""
 ELSEWHERE = 1.5
 """And by so many times what it has grown by anywhere far from the tool."""
-SURE = 0.9
-"""Below this probability it is outlines that say that a tool touches: nothing has moved that would tell."""
+CERTAIN = 0.9
+"""Below this probability contact is known from outlines alone: nothing has moved that would confirm it."""
 HOVERS = "The tissue beside the tool does not move with it, so it hovers (probability of contact {:.2f})."
 
 SPACING = 8
@@ -56,14 +55,14 @@ GUARD = 8.0
 DENT = 10
 """Tissue that a tool presses sinks within this distance of its mask [grid px]."""
 RING = 100.0
-"""Points nearer than this beyond the guard band are beside the tool, others are the background [px]."""
+"""Points nearer than this beyond the guard band are next to the tool, others are the background [px]."""
 TIP = 96.0
 """Part of a tool that may touch: this far back from the end which is farthest from where it enters [px]."""
-LEAST_TOOL = 60
+MIN_TOOL_PIXELS = 60
 """Parts of a mask with fewer pixels are no tool."""
 TOOL_POINTS, BACKGROUND_POINTS = 150, 300
 """Points that are followed in a tip, and in the background, at most."""
-FEWEST_TOOL = 8
+MIN_TOOL_POINTS = 8
 """Fewer say nothing of its motion."""
 NARROW = 11
 """Width of the windows that are compared in the tool, so small that they don't mix tool and tissue [px]."""
@@ -86,7 +85,7 @@ class ContactEvidence:
         near: no farther from tissue in depth, a tool that was apart from it and then is at it in the picture has come
             to it [scene units].
         measured: whether depth is measured, so that tissue that sinks shows in it. Depth that is guessed from pictures
-            changes with the light and the view, and most beside a tool.
+            changes with the light and the view, and most next to a tool.
     """
 
     def __init__(self, near: float = math.inf, *, measured: bool = True) -> None:
@@ -96,7 +95,7 @@ class ContactEvidence:
         self._age = 0
         """Frames since then."""
         self._odds = _log_odds(PRIOR)
-        """Of contact, by what was seen up to then."""
+        """Log odds of contact, by what was observed up to then."""
         self._number = -1
         """Of the frame that was judged last."""
         self._apart = self._came = False
@@ -104,7 +103,7 @@ class ContactEvidence:
         self._way, self._speed = np.zeros(2), 0.0
         """How far the tool has gone since the reference [px], and its speed when it hovered last [px a frame]."""
         self._undecided = False
-        """Whether the tool hovered, and nothing that was seen since then tells whether it touches."""
+        """Whether the tool hovered, and nothing observed since then decides whether it touches."""
         self._arrives = False
         """Whether the tool may have come to the tissue in the frame before, although it moved until then."""
         self._hovering: tuple[PreparedFrame, FrameGeometry] | None = None
@@ -142,7 +141,7 @@ class ContactEvidence:
         if probability < THRESHOLD:
             self._hovering = prepared, prepared.contact
             prepared.status, prepared.detail, prepared.geometry = "no_contact", HOVERS.format(probability), None
-        prepared.undecided = self._undecided and THRESHOLD <= probability < SURE
+        prepared.undecided = self._undecided and THRESHOLD <= probability < CERTAIN
 
     def push(self, picture: np.ndarray, tool: np.ndarray) -> float:
         """Probability of contact in the next frame, whose tool is at tissue in the picture.
@@ -167,17 +166,17 @@ class ContactEvidence:
         way = max((tip.tool for tip in tips), key=np.linalg.norm, default=np.full(2, math.nan))
         stands = hovered and bool(np.linalg.norm(way - self._way) < STANDS * self._speed)
         sunk = self._measured and before is not None and bool(tips) and _has_sunk(before, view, background)
-        # Tissue that doesn't move says nothing beside a tool that doesn't move either.
-        said = 0.0 if stands else float(np.clip(_said(tips), -STRONGEST, STRONGEST))
+        # Tissue that doesn't move says nothing next to a tool that doesn't move either.
+        ratio = 0.0 if stands else float(np.clip(_ratio_of_tips(tips), -MAX_LOG_ODDS, MAX_LOG_ODDS))
         if stands or (hovered and (sunk or not tips)):
             self._odds, self._undecided = _log_odds(PRIOR), True
-        odds = self._odds + min(said + (STRONGEST if sunk else 0.0), STRONGEST)
+        odds = self._odds + min(ratio + (MAX_LOG_ODDS if sunk else 0.0), MAX_LOG_ODDS)
         probability = 1 / (1 + math.exp(-odds))
         self._arrives = stands or (sunk and probability >= THRESHOLD)
         length = float(np.linalg.norm(way))
         self._speed = length / self._age if probability < THRESHOLD else 0.0
         self._undecided &= probability >= THRESHOLD
-        if not tips or self._age == LONGEST or length > WAY or (stands and self._age > 1):
+        if not tips or self._age == MAX_AGE or length > MAX_WAY or (stands and self._age > 1):
             self._begin(view)
             self._odds = odds
         else:
@@ -195,14 +194,14 @@ def _log_odds(probability: float) -> float:
     return math.log(probability / (1 - probability))
 
 
-def _said(tips: list[Beside]) -> float:
+def _ratio_of_tips(tips: list[TipMotion]) -> float:
     """The logarithm of the likelihood ratio that any of the tips says which move most; the others say little."""
     way = [float(np.linalg.norm(tip.tool)) for tip in tips]
     return max((log_ratio(tip) for tip, length in zip(tips, way, strict=True) if length >= max(way) / 2), default=0.0)
 
 
 def _has_sunk(before: View, after: View, background: Background | None) -> bool:
-    """Whether the tissue beside the tool lies deeper than it did, against the tissue around; where depth is known."""
+    """Whether the tissue next to the tool lies deeper than it did, against the tissue around; where depth is known."""
     if before.prepared is None or after.prepared is None:
         return False
     rest = RestingTissue()
@@ -215,8 +214,8 @@ def _has_sunk(before: View, after: View, background: Background | None) -> bool:
     return bool(largest > max(SINKS, ELSEWHERE * sigmas[~near(tool, 2 * DENT)].max(initial=0.0)))
 
 
-def observed_motion(before: Shown, after: Shown) -> tuple[list[Beside], Background | None]:
-    """How every tool's tip and the tissue beside it moved from one picture to a later one, and the background's motion.
+def observed_motion(before: Shown, after: Shown) -> tuple[list[TipMotion], Background | None]:
+    """How every tool's tip, the tissue next to it and the background moved from one picture to a later one.
 
     Returns:
         One a tool whose motion is known, and the background's motion; none where that isn't known.
@@ -230,7 +229,7 @@ def observed_motion(before: Shown, after: Shown) -> tuple[list[Beside], Backgrou
     distance = before.away[places[:, 1], places[:, 0]] - GUARD
     far = np.flatnonzero(distance > RING)
     far = far[:: max(1, len(far) // BACKGROUND_POINTS)]
-    # Every point is beside the tip that it is nearest to, or a shaft.
+    # Every point belongs to the tip that it is nearest to, or to a shaft.
     owner = _nearest(places, tips, before)
     owner[distance > RING] = -1
     used = np.union1d(far, np.flatnonzero(owner >= 0))
@@ -241,17 +240,17 @@ def observed_motion(before: Shown, after: Shown) -> tuple[list[Beside], Backgrou
         return [], None
     known &= values_at(after.away, np.rint(places + step)) > GUARD / 2
     moved = step - background.at(places)
-    beside_tips = []
+    motions = []
     for index, tip in enumerate(tips):
         places = tip[:: max(1, len(tip) // TOOL_POINTS)]
         step, found = followed(before.gray, after.gray, places, NARROW)
         motion = _tool_motion((step - background.at(places))[found])
         if motion is not None:
-            beside = known & (owner == index)
-            beside_tips.append(
-                Beside(moved[beside], distance[beside], SPACING, *motion, background.noise, background.error)
+            around = known & (owner == index)
+            motions.append(
+                TipMotion(moved[around], distance[around], SPACING, *motion, background.noise, background.error)
             )
-    return beside_tips, background
+    return motions, background
 
 
 def _nearest(places: np.ndarray, tips: list[np.ndarray], view: Shown) -> np.ndarray:
@@ -274,7 +273,7 @@ def _tips(view: Shown) -> list[np.ndarray]:
     count, number, stats, _ = cv2.connectedComponentsWithStats(view.tool.astype(np.uint8))
     tips = []
     for index in range(1, count):
-        if stats[index, cv2.CC_STAT_AREA] < LEAST_TOOL:
+        if stats[index, cv2.CC_STAT_AREA] < MIN_TOOL_PIXELS:
             continue
         part = np.argwhere(number == index)
         entry = part[edge[part[:, 0], part[:, 1]]]
@@ -287,10 +286,10 @@ def _tips(view: Shown) -> list[np.ndarray]:
 
 def _tool_motion(moved: np.ndarray) -> tuple[np.ndarray, float] | None:
     """Common displacement [2] of a tip's points [N, 2] less the background's, and its spread [px]; None if unknown."""
-    if len(moved) < FEWEST_TOOL:
+    if len(moved) < MIN_TOOL_POINTS:
         return None
     middle = np.median(moved, axis=0)
-    for _ in range(FITS):
+    for _ in range(ITERATIONS):
         off = np.linalg.norm(moved - middle, axis=1)
         middle = np.median(moved[off <= max(2 * np.median(off), LEAST_NOISE)], axis=0)
     spread = float(np.median(np.linalg.norm(moved - middle, axis=1)))

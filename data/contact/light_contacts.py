@@ -16,7 +16,7 @@ import numpy as np
 from palpate.data.brightness.light import FINE, log_light
 from palpate.data.brightness.sequence import RestingLight, change_of_light
 from palpate.data.contact.dents import dent_geometry
-from palpate.data.contact.evidence import SURE
+from palpate.data.contact.evidence import CERTAIN
 from palpate.data.contact.geometry import GeometrySettings, GeometryStatus
 from palpate.data.labels import TOOL
 from palpate.data.prepared import PreparedFrame
@@ -116,7 +116,7 @@ class LightContacts:
         count = len(self._held) - kept
         done, self._held = self._held[: max(count, 0)], self._held[max(count, 0) :]
         for held in done:
-            if self._place is None or held.prepared.press is None and not self._pressing and self._recovered(held):
+            if self._place is None or (held.prepared.press is None and not self._pressing and self._recovered(held)):
                 self._leave(held)
         return [held.prepared for held in done]
 
@@ -127,7 +127,7 @@ class LightContacts:
         if held.light is not None and held.dent is None:
             self._rest.push(held.light)
         touches = prepared.in_contact or prepared.hovers
-        if held.quiet and held.dent is None and touches and not prepared.contact_probability >= SURE:
+        if held.quiet and held.dent is None and touches and not prepared.contact_probability >= CERTAIN:
             prepared.status, prepared.detail, prepared.geometry = "no_contact", UNCHANGED, None
             prepared.contact_probability, prepared.undecided = math.nan, False
 

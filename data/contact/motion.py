@@ -37,7 +37,7 @@ FRAYED = (
     "rest; where and when contact began is less certain."
 )
 FRAYED_SHARE = 0.05
-"""More of the tissue beside the tool in front of the tissue at rest is worth a sentence."""
+"""More of the tissue next to the tool in front of the tissue at rest is worth a sentence."""
 DENTED = "Contact begins while tissue is or may be dented from an earlier one, so its shape at rest isn't known."
 REST_SECONDS = 1.0
 """Tissue that isn't followed counts as being at rest again so long after it was touched last [s]."""
@@ -135,7 +135,7 @@ class ContactMotion:
             run.pixel = moved if np.isfinite(run.drift).all() else np.full(2, math.nan)
 
     def _update_run(self, before: PreparedFrame, after: PreparedFrame) -> None:
-        """Begin a run at a contact after frames that were seen without one; end it some time after its release."""
+        """Begin a run at a contact after frames known to be without one; end it some time after its release."""
         index = after.frame.index
         missing = math.inf if self._last_contact is None else index - self._last_contact - 1
         if not after.in_contact:

@@ -1,4 +1,4 @@
-"""The camera's own motion, and a breathing background's, taken off what tissue does."""
+"""The motion of the camera, or of a breathing background, and tissue's motion less that."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from palpate.common.robust import affine_motion
 
 FAR = 60.0
 """Points farther from the tool than this percentile are the background [%]."""
-LEAST = 6
+MIN_FAR = 6
 """Fewer such points determine no affine motion."""
-FEWEST = 30
+MIN_FITTED = 30
 """Fewer points say nothing of how well it is known."""
-FITS = 6
+ITERATIONS = 6
 """Rounds of robust fits."""
-ASTRAY = 3.0
+OUTLIER = 3.0
 """Points that move otherwise by more standard deviations are no background."""
 BLOCK = 64
 """Width of the squares whose points share what the background's motion leaves [px]."""
@@ -49,16 +49,16 @@ def background_motion(places: np.ndarray, step: np.ndarray) -> Background | None
         places: of the points in the first picture, shape [N, 2] (column, row) [px].
         step: their displacements, shape [N, 2] [px].
     """
-    if len(places) < FEWEST:
+    if len(places) < MIN_FITTED:
         return None
     terms, kept = _terms(places), np.ones(len(places), bool)
-    for _ in range(FITS):
+    for _ in range(ITERATIONS):
         affine = np.linalg.lstsq(terms[kept], step[kept], rcond=None)[0]
         left = step - terms @ affine
         length = np.linalg.norm(left, axis=1)
-        kept = length < ASTRAY * max(np.median(length[kept]) / MEDIAN_LENGTH, LEAST_NOISE)
+        kept = length < OUTLIER * max(np.median(length[kept]) / MEDIAN_LENGTH, LEAST_NOISE)
     # Moving tissue that is no background shall not count for all of it.
-    scale = ASTRAY * max(np.median(length) / MEDIAN_LENGTH, LEAST_NOISE)
+    scale = OUTLIER * max(np.median(length) / MEDIAN_LENGTH, LEAST_NOISE)
     left = left.clip(-scale, scale)
     _, block, count = np.unique(places // BLOCK, axis=0, return_inverse=True, return_counts=True)
     block = block.ravel()
@@ -89,6 +89,6 @@ def without_background(points: np.ndarray, moved: np.ndarray, distance: np.ndarr
         distance: from the tool at rest, shape [N] [px].
     """
     far = far_points(moved, distance)
-    if far.sum() < LEAST:
+    if far.sum() < MIN_FAR:
         return moved
     return moved - affine_motion(points, moved, far, points)

@@ -33,22 +33,22 @@ RELINKED = 3
 """Every so many pictures are linked to the first one [frames]."""
 FOUND = 4.0
 """A link to the first picture counts where it ends so near to where the point is expected [px]."""
-ALIKE = 0.8
+MIN_RESEMBLANCE = 0.8
 """And where the patterns around the point resemble each other so much."""
 NOISE, RETURNED = 0.1, 0.4
 """Standard deviation of a link by axis: √(NOISE² + (RETURNED · distance to where the way back ends)²) [px]."""
 STRAINED = 0.5
 """And of a link to the first picture where motion changes by its own size from place to place [px]: windows turn and
 stretch, and what is bent back by a field of motion is never quite straight."""
-WIDEST = 854
+MAX_SIDE = 854
 """Wider or higher pictures are shrunk to this before their points are followed, which would take too long [px]."""
 DARK = 20
 """Of 255: where no channel is brighter there is no picture, outside an endoscope's round field."""
 RIM = 15
 """Width of the square by which the picture's field is shrunk [px]."""
 REACHES = ((2, 1.0, 1), (8, 1e-2, 4), (32, 1e-4, 16))
-"""Standard deviations [points] and weights of the kernels by which seen neighbours tell the motion of a lost point, and
-how much coarser their grids may be."""
+"""Standard deviations [points] and weights of the kernels by which followed neighbours give the motion of a lost point,
+and how much coarser their grids may be."""
 
 
 def lit_field(picture: np.ndarray) -> np.ndarray:
@@ -65,7 +65,7 @@ def tool_distance(tool: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """A picture in which points are followed, at most WIDEST wide and high."""
+    """A picture in which points are followed, at most MAX_SIDE wide and high."""
 
     gray: np.ndarray
     """uint8 [H, W]."""
@@ -113,14 +113,14 @@ class Shown:
 
 
 def lattice(shape: tuple[int, ...], spacing: int) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns of a grid of points in a picture of a shape (H, W), a spacing from its edges, [rows, columns]."""
+    """Rows and columns of a grid of points in a picture of a shape (H, W), a spacing from its edges."""
     height, width = shape
     rows, columns = np.mgrid[spacing : height - spacing : spacing, spacing : width - spacing : spacing]
     return rows, columns
 
 
 class PointFollower:
-    """Points on tissue from the first picture on; all in pixels of a picture at most WIDEST wide and high.
+    """Points on tissue from the first picture on; all in pixels of a picture at most MAX_SIDE wide and high.
 
     Args:
         picture: the first one, uint8 [H, W, 3] RGB.
@@ -147,11 +147,11 @@ class PointFollower:
         self.hidden = np.column_stack([columns_all[near], rows_all[near]]).astype(np.float64)
         """Places of the grid that the tool hides there, shape [H, 2] [px]."""
         self.place = self.points.copy()
-        """Where they are now, or were last seen, shape [N, 2] [px]."""
+        """Where they are now, or were followed last, shape [N, 2] [px]."""
         self.followed = np.ones(len(self.points), bool)
-        """Which are seen, shape [N]."""
+        """Which are followed now, shape [N]."""
         self.noise = np.zeros(len(self.points))
-        """Standard deviation of their places by axis, or of where they were last seen, shape [N] [px]."""
+        """Standard deviation of their places by axis, or of where they were followed last, shape [N] [px]."""
         self._linker, self._count = Linker(self._grid, spacing), 0
         self._first = self._before = self._linker.prepared(gray)
         self._patterns = patterns(gray, self.points)
@@ -159,12 +159,12 @@ class PointFollower:
 
     @property
     def moved(self) -> np.ndarray:
-        """Displacement since the first picture, shape [N, 2] [px]; not a number where a point is not seen."""
+        """Displacement since the first picture, shape [N, 2] [px]; not a number where a point is lost."""
         return np.where(self.followed[:, None], self.place - self.points, np.nan).astype(np.float64)
 
     @property
     def expected(self) -> np.ndarray:
-        """Where the points are now, lost ones where their neighbours' motion tells, shape [N, 2] [px]."""
+        """Where the points are now, lost ones by their neighbours' motion, shape [N, 2] [px]."""
         return self._expected(self._filled())
 
     def step(self, picture: np.ndarray, tool: np.ndarray) -> None:
@@ -175,13 +175,13 @@ class PointFollower:
         before, self._before = self._before, self._linker.prepared(gray)
         place, returned = self._linker.link(before, self._before, self.place, self.followed, apart)
         self.followed &= (returned < CHECK) & values_at(tissue, place)
-        self._see(place, self.followed, np.square(self.noise) + _variance(returned, values_at(edge, place)))
+        self._take(place, self.followed, np.square(self.noise) + _variance(returned, values_at(edge, place)))
         self._count += 1
         if self._count % RELINKED == 0 and self.followed.any():
             self._relink(gray, tissue, edge)
 
     def measured(self, shown: Shown, motion: np.ndarray, which: np.ndarray) -> Measured:
-        """Some points in a picture where a model tells their motion; none is averaged with its neighbours'.
+        """Some points in a picture where a model gives their motion; none is averaged with its neighbours'.
 
         Those at the tool's edge count as noisy all the same: a mask may be some pixels too narrow.
 
@@ -205,10 +205,10 @@ class PointFollower:
         place, returned = self._linker.refine(self._first, self._before, self.points, motion, ~dragged)
         off = np.linalg.norm(place - self.points - expected, axis=1)
         good = (returned < CHECK) & (off < FOUND) & values_at(tissue, place)
-        good &= resemblance(self._patterns, patterns(gray, place)) > ALIKE
+        good &= resemblance(self._patterns, patterns(gray, place)) > MIN_RESEMBLANCE
         self.followed = self.followed | good
         strained = np.square(STRAINED * self._slopes(motion))
-        self._see(place, good, _variance(returned, values_at(edge, place) | (self.distance < EDGED)) + strained)
+        self._take(place, good, _variance(returned, values_at(edge, place) | (self.distance < EDGED)) + strained)
 
     def _slopes(self, motion: np.ndarray) -> np.ndarray:
         """By how much motion of the whole grid [rows, columns, 2] changes from place to place, shape [N]."""
@@ -220,12 +220,12 @@ class PointFollower:
         """Places from the motion of the whole grid."""
         return np.where(self.followed[:, None], self.place, self.points + around[self._grid])
 
-    def _see(self, place: np.ndarray, seen: np.ndarray, variance: np.ndarray) -> None:
-        self.place = np.where(seen[:, None], place, self.place).astype(np.float32)
-        self.noise = np.where(seen, np.sqrt(variance), self.noise)
+    def _take(self, place: np.ndarray, found: np.ndarray, variance: np.ndarray) -> None:
+        self.place = np.where(found[:, None], place, self.place).astype(np.float32)
+        self.noise = np.where(found, np.sqrt(variance), self.noise)
 
     def _filled(self) -> np.ndarray:
-        """Motion of the whole grid, of what is not seen by its neighbours, float32 [rows, columns, 2] [px]."""
+        """Motion of the whole grid, of lost points by their neighbours', float32 [rows, columns, 2] [px]."""
         weight = np.zeros(self._grid.shape, np.float32)
         weight[self._grid] = self.followed
         motion = np.zeros((*self._grid.shape, 3), np.float32)
@@ -241,9 +241,9 @@ class PointFollower:
 
 
 def shrunk(picture: np.ndarray, tool: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A picture and its mask, at most WIDEST wide and high."""
+    """A picture and its mask, at most MAX_SIDE wide and high."""
     height, width = tool.shape
-    share = WIDEST / max(height, width)
+    share = MAX_SIDE / max(height, width)
     if share >= 1:
         return picture, tool
     size = max(round(width * share), 1), max(round(height * share), 1)

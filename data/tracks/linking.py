@@ -1,9 +1,9 @@
-"""Where the places of one picture are in another one, checked forwards and backwards.
+"""Where the places of one picture are in another one, checked forwards and backwards (Kalal 2010).
 
-Hundreds of places on a grid are followed together (`Linker`), few ones each for itself (`followed`). For the former,
-dense inverse search flow (Kroeger 2016, OpenCV's DIS) of pictures of a quarter of the size tells roughly where, or what
-is known already does; a few steps of Lucas and Kanade's method (1981) at the places themselves tell it exactly, in
-pictures of the whole size without their local mean, which changes with the light. The check is Kalal 2010's.
+A few places are followed each for itself by pyramidal Lucas and Kanade (`followed`; Bouguet 2001). Hundreds on a grid
+are followed together (`Linker`): dense inverse search flow (Kroeger 2016, OpenCV's DIS) of pictures of a quarter of the
+size gives their motion roughly, or what is known already does; a few steps of Lucas and Kanade's method (1981) at the
+places themselves give it exactly, in pictures of the whole size without their local mean, which changes with the light.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-COARSE, LEAST = 4, 16
+COARSE, MIN_SIDE = 4, 16
 """Of DIS: how much smaller its pictures are, which it refuses below some width [px]."""
 STRIDE, DESCENTS = 5, 12
 """Of DIS: distance of its patches [px], and steps of each; its finest scale is the small picture's own."""
@@ -24,17 +24,17 @@ LOCAL = 15
 """Width of the square whose mean is taken off the picture [px]."""
 GREY = 128
 """Of 255: what is added then."""
-WINDOW, STEPS, ENOUGH = 9, 4, 0.02
+WINDOW, STEPS, LAST_STEP = 9, 4, 0.02
 """Of Lucas-Kanade: width of its windows [px], its most steps, of which more follow noise, and the last one's length
 [px]. A window of 9 px costs less than one of 7."""
 ALONE, LEVELS = 15, 3
-"""The same for places that are followed each for itself: width of the windows [px], and levels of their pyramid beyond the
-picture itself, for motion up to some 50 px."""
+"""The same for places that are followed each for itself: width of the windows [px], and levels of their pyramid beyond
+the picture itself, for motion up to some 50 px."""
 TEXTURE = 1e-3
 """Least eigenvalue of such a window's gradients; below it the window is too smooth to be followed."""
 RETURNED = 1.0
 """Largest distance to where following backwards takes such a place [px]."""
-ASTRAY = 3.0
+MAX_STEP = 3.0
 """Steps that lead farther by axis are not believed [px]."""
 SMOOTH = 1.0
 """Standard deviation of the filter over the motion of neighbouring places [grid spacings]."""
@@ -91,7 +91,7 @@ class Linker:
         """A picture, uint8 [H, W]."""
         fine = _flat(picture)
         height, width = picture.shape
-        size = max(width // COARSE, LEAST), max(height // COARSE, LEAST)
+        size = max(width // COARSE, MIN_SIDE), max(height // COARSE, MIN_SIDE)
         # Shrinking by a whole number costs a tenth, at up to three pixels along two edges.
         covered = min(size[0] * COARSE, width), min(size[1] * COARSE, height)
         small = cv2.resize(picture[: covered[1], : covered[0]], size, interpolation=cv2.INTER_AREA)
@@ -102,7 +102,7 @@ class Linker:
         one: Prepared,
         other: Prepared,
         places: np.ndarray,
-        seen: np.ndarray | None = None,
+        counted: np.ndarray | None = None,
         apart: np.ndarray | None = None,
     ) -> Links:
         """Where places of one picture are in the other.
@@ -110,13 +110,13 @@ class Linker:
         Args:
             one, other: the pictures.
             places: shape [N, 2] (column, row) [px].
-            seen: which of them count for their neighbours' motion, bool [N]; None = all.
+            counted: which of them count for their neighbours' motion, bool [N]; None = all.
             apart: which are away from an instrument's edge, bool [N]; those there count only for one another.
         """
         if not len(places):
             return _no_links()
         here = places.astype(np.float32)
-        step = self._filtered(_step(one, other, here, self._rough(one, other, here))[0], seen, apart)
+        step = self._filtered(_step(one, other, here, self._rough(one, other, here))[0], counted, apart)
         there = here + step
         back = _step(other, one, there, self._rough(other, one, there))[0]
         return Links(there, _length(step + back))
@@ -159,14 +159,14 @@ class Linker:
         flow = cv2.GaussianBlur(flow, (0, 0), BLUR)
         return _sampled(flow, ((places + 0.5) / one.shares - 0.5)[:, None])[:, 0] * one.shares
 
-    def _filtered(self, step: np.ndarray, seen: np.ndarray | None, apart: np.ndarray | None = None) -> np.ndarray:
-        """Motion [N, 2] with that of those neighbours on the grid that are seen; by itself where there are none.
+    def _filtered(self, step: np.ndarray, counted: np.ndarray | None, apart: np.ndarray | None = None) -> np.ndarray:
+        """Motion [N, 2] with that of those neighbours on the grid that count; by itself where there are none.
 
         Places at an instrument's edge, which drags them along, don't count for those that are apart from it.
         """
         if self._grid is None:
             return step
-        shown = np.ones(len(step), bool) if seen is None else seen
+        shown = np.ones(len(step), bool) if counted is None else counted
         everywhere = self._among(step, shown)
         return everywhere if apart is None else np.where(apart[:, None], self._among(step, shown & apart), everywhere)
 
@@ -231,11 +231,11 @@ def _step(one: Prepared, other: Prepared, places: np.ndarray, guess: np.ndarray)
         near.copy(),
         winSize=(WINDOW, WINDOW),
         maxLevel=0,
-        criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, STEPS, ENOUGH),
+        criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, STEPS, LAST_STEP),
         # What else it gives is not used; eigenvalues it knows anyway, how far the pictures differ costs a third more.
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW | cv2.OPTFLOW_LK_GET_MIN_EIGENVALS,
     )
-    believed = (found[:, 0] > 0) & (np.abs(there - near).max(axis=1) < ASTRAY)
+    believed = (found[:, 0] > 0) & (np.abs(there - near).max(axis=1) < MAX_STEP)
     return np.where(believed[:, None], there, near) - places, believed
 
 

@@ -1,8 +1,8 @@
 """Follows tissue points from frame to frame, so that the same piece of tissue is observed and not the tool's motion.
 
 Bini 2026 (section 3.2) compares contact points that are detected anew in each frame; these slide over the tissue with
-the tool. Here a point moves as most of the tissue around it does, which is followed by `data.tracks.linking`. That drifts
-from frame to frame; so the point is found again by what the tissue around it looked like, too.
+the tool. Here a point moves as most of the tissue around it does, which is followed by `data.tracks.linking`. That
+drifts from frame to frame, so the point is also found again by what the tissue around it looked like.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from palpate.data.tracks.following import EDGED, Shown, shrunk, values_at
 from palpate.data.tracks.linking import WINDOW, followed
 
 RADII = (8.0, 16.0, 32.0)
-"""Radii of the neighbourhood of a point, the wider ones where too little of the narrower can be followed [px]. Places at
-the tool's edge count only where nothing else is left."""
+"""Radii of the neighbourhood of a point, the wider ones where too little of the narrower can be followed [px]. Places
+at the tool's edge count only where nothing else is left."""
 SPACING = 4
 """Distance of the places in it that are followed [px]."""
 LEAST_PLACES, LEAST_FOLLOWED = 8, 0.2

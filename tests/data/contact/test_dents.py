@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from palpate.data.contact import depth_change as changes
-from palpate.data.contact.dents import EARLIER, EARLY, LATE, LEAST_REST, RECOVERS, DentContacts, dent_geometry
+from palpate.data.contact.dents import EARLIER, EARLY, LATE, MIN_REST, RECOVERS, DentContacts, dent_geometry
 from palpate.data.contact.depth_sequence import REACH
 from palpate.data.contact.geometry import NO_DENT, GeometrySettings, GeometryStatus, RestTissue
 from palpate.data.contact.interaction import Interaction
@@ -181,7 +181,7 @@ def test_a_press_on_its_way_through_a_gap_or_the_end_goes_on() -> None:
     frames = [frame(index, 0.01 * (index > 7), number=index + (index > 11)) for index in range(20)]
     told = [item for given in frames for item in finder.push(given)] + finder.finish()
     assert [item.in_contact for item in told] == contacts(7, 11, 20)
-    rested = LEAST_REST + EARLIER
+    rested = MIN_REST + EARLIER
     early = [index < rested or 12 <= index < 12 + rested for index in range(20)]
     assert [item.detail == EARLY for item in told] == early
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from palpate.data.tracks.linking import (
-    ASTRAY,
     GREY,
     LOCAL,
+    MAX_STEP,
     REACH,
     STEP,
     WINDOW,
@@ -110,7 +110,7 @@ def test_what_leads_astray_is_not_found() -> None:
     assert np.isinf(returned).all()
     wide = np.stack(np.meshgrid(np.arange(20.0, 150, 5), np.arange(20.0, 110, 5)), axis=-1).reshape(-1, 2)
     places, returned = linker.refine(one, other, wide, still, np.ones(len(wide), bool))
-    assert np.abs(places - wide).max() <= ASTRAY
+    assert np.abs(places - wide).max() <= MAX_STEP
     assert np.isinf(returned).any()
 
 

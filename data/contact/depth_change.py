@@ -159,8 +159,8 @@ def grid_motion(background: Background | None, shown: Shown, prepared: PreparedF
 
 def picture_motion(before: Shown, after: Shown) -> Background | None:
     """Affine motion of most of a picture without a tool; None where it isn't known."""
-    row, column = (part.ravel() for part in lattice(before.gray.shape, SPACING))
-    places = np.column_stack([column, row])[values_at(before.tissue, np.column_stack([column, row]))]
+    places = lattice(before.gray.shape, SPACING).reshape(-1, 2)
+    places = places[values_at(before.tissue, places)]
     places = places[:: max(1, len(places) // POINTS)]
     step, known = followed(before.gray, after.gray, places)
     return background_motion(places[known], step[known])

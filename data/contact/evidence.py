@@ -12,7 +12,6 @@ may have met the tissue: contact is then undecided, and was so in the frame in w
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -70,14 +69,6 @@ SPREAD = 0.35
 """A tip moves as one where half of its points are within this share of their common motion, or within 1 px."""
 
 
-class View(NamedTuple):
-    """A picture as it is compared with a later one."""
-
-    shown: Shown
-    prepared: PreparedFrame | None = None
-    """The frame with its depth; None where depth does not count."""
-
-
 class ContactEvidence:
     """One clip's probability of contact, frame by frame; a frame's is made of it and the frames before.
 
@@ -90,7 +81,7 @@ class ContactEvidence:
 
     def __init__(self, near: float = math.inf, *, measured: bool = True) -> None:
         self._near, self._measured = near, measured
-        self._reference: View | None = None
+        self._reference: tuple[Shown, PreparedFrame] | None = None
         """The frame that frames are compared with until the tool has gone far enough."""
         self._age = 0
         """Frames since then."""
@@ -126,10 +117,10 @@ class ContactEvidence:
             self._came = True
         self._number, self._apart = number, apart
         if apart and prepared.visible:
-            self._begin(_frame_view(prepared))
+            self._begin(_shown(prepared), prepared)
         if not prepared.in_contact:
             return
-        probability = self._push(_frame_view(prepared))
+        probability = self._push(_shown(prepared), prepared)
         # A tool that was seen to come to the tissue has met it: a narrow dent hardly moves what is around it.
         met = self._came and not prepared.distance > self._near
         probability = prepared.contact_probability = max(probability, PRIOR if met else 0.0)
@@ -143,29 +134,20 @@ class ContactEvidence:
             prepared.status, prepared.detail, prepared.geometry = "no_contact", HOVERS.format(probability), None
         prepared.undecided = self._undecided and THRESHOLD <= probability < CERTAIN
 
-    def push(self, picture: np.ndarray, tool: np.ndarray) -> float:
-        """Probability of contact in the next frame, whose tool is at tissue in the picture.
-
-        Args:
-            picture: uint8 [H, W, 3] RGB.
-            tool: its mask of the tool, bool [H, W].
-        """
-        return self._push(View(Shown.of(picture, tool)))
-
-    def _begin(self, view: View) -> None:
+    def _begin(self, shown: Shown, prepared: PreparedFrame) -> None:
         """Compare the next frames with this one."""
-        self._reference, self._age, self._way = view, 0, np.zeros(2)
+        self._reference, self._age, self._way = (shown, prepared), 0, np.zeros(2)
 
-    def _push(self, view: View) -> float:
-        """The same of a picture that is ready to be compared."""
+    def _push(self, shown: Shown, prepared: PreparedFrame) -> float:
+        """Probability of contact in the next frame, whose tool is at tissue in the picture."""
         share = 1 / (1 + math.exp(-self._odds))
         self._odds = _log_odds(share + CHANGE * (PRIOR - share))
         before, hovered = self._reference, self._speed > 0
-        tips, background = ([], None) if before is None else observed_motion(before.shown, view.shown)
+        tips, background = ([], None) if before is None else observed_motion(before[0], shown)
         self._age += 1
         way = max((tip.tool for tip in tips), key=np.linalg.norm, default=np.full(2, math.nan))
         stands = hovered and bool(np.linalg.norm(way - self._way) < STANDS * self._speed)
-        sunk = self._measured and before is not None and bool(tips) and _has_sunk(before, view, background)
+        sunk = self._measured and before is not None and bool(tips) and _has_sunk(*before, prepared, background)
         # Tissue that doesn't move says nothing next to a tool that doesn't move either.
         ratio = 0.0 if stands else float(np.clip(_ratio_of_tips(tips), -MAX_LOG_ODDS, MAX_LOG_ODDS))
         if stands or (hovered and (sunk or not tips)):
@@ -177,17 +159,11 @@ class ContactEvidence:
         self._speed = length / self._age if probability < THRESHOLD else 0.0
         self._undecided &= probability >= THRESHOLD
         if not tips or self._age == MAX_AGE or length > MAX_WAY or (stands and self._age > 1):
-            self._begin(view)
+            self._begin(shown, prepared)
             self._odds = odds
         else:
             self._way = way
         return probability
-
-
-def _frame_view(prepared: PreparedFrame) -> View:
-    """View of a frame that is visible, with its depth."""
-    picture, labels = prepared.view
-    return View(Shown.of(picture, labels == TOOL), prepared)
 
 
 def _log_odds(probability: float) -> float:
@@ -200,16 +176,26 @@ def _ratio_of_tips(tips: list[TipMotion]) -> float:
     return max((log_ratio(tip) for tip, length in zip(tips, way, strict=True) if length >= max(way) / 2), default=0.0)
 
 
-def _has_sunk(before: View, after: View, background: Background | None) -> bool:
-    """Whether the tissue next to the tool lies deeper than it did, against the tissue around; where depth is known."""
-    if before.prepared is None or after.prepared is None:
-        return False
+def _shown(prepared: PreparedFrame) -> Shown:
+    """The picture of a frame that is visible."""
+    picture, labels = prepared.view
+    return Shown.of(picture, labels == TOOL)
+
+
+def _has_sunk(shown: Shown, before: PreparedFrame, after: PreparedFrame, background: Background | None) -> bool:
+    """Whether the tissue next to the tool lies deeper than it did, against the tissue around; where depth is known.
+
+    Args:
+        shown: picture of the frame before.
+        before, after: the frames.
+        background: motion of the picture between them.
+    """
     rest = RestingTissue()
-    rest.push(before.prepared, grid_motion(background, before.shown, before.prepared))
-    change = rest.change(after.prepared, least=1)
+    rest.push(before, grid_motion(background, shown, before))
+    change = rest.change(after, least=1)
     if change is None:
         return False
-    tool, sigmas = after.prepared.labels == TOOL, change.sigmas()
+    tool, sigmas = after.labels == TOOL, change.sigmas()
     largest = sigmas[near(tool, DENT)].max(initial=0.0)
     return bool(largest > max(SINKS, ELSEWHERE * sigmas[~near(tool, 2 * DENT)].max(initial=0.0)))
 
@@ -223,10 +209,10 @@ def observed_motion(before: Shown, after: Shown) -> tuple[list[TipMotion], Backg
     tips = _tips(before)
     if not tips:
         return [], None
-    row, column = (part.ravel() for part in lattice(before.gray.shape, SPACING))
-    usable = (before.away[row, column] > GUARD) & before.lit[row, column]
-    places = np.column_stack([column, row])[usable]
-    distance = before.away[places[:, 1], places[:, 0]] - GUARD
+    places = lattice(before.gray.shape, SPACING).reshape(-1, 2)
+    distance = values_at(before.away, places) - GUARD
+    usable = (distance > 0) & values_at(before.lit, places)
+    places, distance = places[usable], distance[usable]
     far = np.flatnonzero(distance > RING)
     far = far[:: max(1, len(far) // BACKGROUND_POINTS)]
     # Every point belongs to the tip that it is nearest to, or to a shaft.

@@ -74,12 +74,6 @@ def _terms(places: np.ndarray) -> np.ndarray:
     return np.column_stack([places, np.ones(len(places))]).astype(np.float64)
 
 
-def far_points(moved: np.ndarray, distance: np.ndarray) -> np.ndarray:
-    """Which of some points with displacements [N, 2] and distances [N] from the tool are the background, bool [N]."""
-    known = np.asarray(np.isfinite(moved).all(axis=1))
-    return known & (distance > np.percentile(distance[known], FAR)) if known.any() else known
-
-
 def without_background(points: np.ndarray, moved: np.ndarray, distance: np.ndarray) -> np.ndarray:
     """Displacement less the affine motion of the points farthest from the tool, shape [N, 2] [px].
 
@@ -88,7 +82,8 @@ def without_background(points: np.ndarray, moved: np.ndarray, distance: np.ndarr
         moved: displacements, shape [N, 2] [px]; not a number where a point is lost.
         distance: from the tool at rest, shape [N] [px].
     """
-    far = far_points(moved, distance)
+    known = np.asarray(np.isfinite(moved).all(axis=1))
+    far = known & (distance > np.percentile(distance[known], FAR)) if known.any() else known
     if far.sum() < MIN_FAR:
         return moved
     return moved - affine_motion(points, moved, far, points)

@@ -112,11 +112,11 @@ class Shown:
         return cv2.dilate(self.tool.astype(np.uint8), np.ones((2 * EDGED + 1, 2 * EDGED + 1), np.uint8)) > 0
 
 
-def lattice(shape: tuple[int, ...], spacing: int) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns of a grid of points in a picture of a shape (H, W), a spacing from its edges."""
+def lattice(shape: tuple[int, ...], spacing: int) -> np.ndarray:
+    """Places of a grid in a picture of a shape (H, W), a spacing from its edges, [rows, columns, 2] (column, row)."""
     height, width = shape
-    rows, columns = np.mgrid[spacing : height - spacing : spacing, spacing : width - spacing : spacing]
-    return rows, columns
+    grid = np.mgrid[spacing : height - spacing : spacing, spacing : width - spacing : spacing]
+    return np.moveaxis(grid[::-1], 0, -1)
 
 
 class PointFollower:
@@ -132,19 +132,17 @@ class PointFollower:
         self.shown = Shown.of(picture, tool)
         """The last picture."""
         gray, away = self.shown.gray, self.shown.away
-        rows, columns = lattice(gray.shape, spacing)
-        self._grid = (away[rows, columns] > MARGIN) & self.shown.lit[rows, columns]
-        self.everywhere = np.stack([columns, rows], axis=-1)
+        self.everywhere = lattice(gray.shape, spacing)
         """Places of the whole grid, of those without a point, too, shape [rows, columns, 2] (column, row) [px]."""
-        rows_all, columns_all = rows, columns
-        rows, columns = rows[self._grid], columns[self._grid]
+        columns, rows = np.moveaxis(self.everywhere, -1, 0)
+        near = away[rows, columns] <= MARGIN
+        self._grid = ~near & self.shown.lit[rows, columns]
         self.spacing = spacing
-        self.points = np.column_stack([columns, rows]).astype(np.float32)
+        self.points = self.everywhere[self._grid].astype(np.float32)
         """Where they are in the first picture, shape [N, 2] (column, row) [px]."""
-        self.distance = away[rows, columns]
+        self.distance = values_at(away, self.points)
         """From the tool there, shape [N] [px]."""
-        near = away[rows_all, columns_all] <= MARGIN
-        self.hidden = np.column_stack([columns_all[near], rows_all[near]]).astype(np.float64)
+        self.hidden = self.everywhere[near].astype(np.float64)
         """Places of the grid that the tool hides there, shape [H, 2] [px]."""
         self.place = self.points.copy()
         """Where they are now, or were followed last, shape [N, 2] [px]."""

@@ -24,14 +24,9 @@ LOCAL = 15
 """Width of the square whose mean is taken off the picture [px]."""
 GREY = 128
 """Of 255: what is added then."""
-WINDOW, STEPS, LAST_STEP = 9, 4, 0.02
-"""Of Lucas-Kanade: width of its windows [px], its most steps, of which more follow noise, and the last one's length
-[px]. A window of 9 px costs less than one of 7."""
-ALONE, LEVELS = 15, 3
-"""The same for places that are followed each for itself: width of the windows [px], and levels of their pyramid beyond
-the picture itself, for motion up to some 50 px."""
-TEXTURE = 1e-3
-"""Least eigenvalue of such a window's gradients; below it the window is too smooth to be followed."""
+WINDOW, ALONE = 9, 15
+"""Width of Lucas and Kanade's windows for places whose motion is roughly known, and for those that are followed each
+for itself [px]. A window of 9 px costs less than one of 7."""
 RETURNED = 1.0
 """Largest distance to where following backwards takes such a place [px]."""
 MAX_STEP = 3.0
@@ -40,6 +35,22 @@ SMOOTH = 1.0
 """Standard deviation of the filter over the motion of neighbouring places [grid spacings]."""
 REACH, STEP = 6, 3
 """Of a pattern around a point, to either side, and between its samples [px]."""
+
+
+class _Search(NamedTuple):
+    """How Lucas and Kanade's method goes."""
+
+    levels: int
+    """Levels of the pyramid beyond the picture itself; with three of them motion is found up to some 50 px."""
+    steps: int
+    """Most steps on every level; where motion is roughly known, more of them follow noise."""
+    last_step: float
+    """Length of the step after which there is no other [px]."""
+    texture: float
+    """Least eigenvalue of a window's gradients; below it the window is too smooth to be followed."""
+
+
+KNOWN_ROUGHLY, UNKNOWN = _Search(0, 4, 0.02, 1e-4), _Search(3, 10, 0.03, 1e-3)
 
 
 class Prepared(NamedTuple):
@@ -138,12 +149,12 @@ class Linker:
             return _no_links()
         here = places.astype(np.float32)
         field = self.dense(motion, one.fine.shape)
-        fine = _sampled(other.fine, field + _pixels(one.fine.shape))
+        fine = sampled(other.fine, field + _pixels(one.fine.shape))
         bent = other._replace(fine=fine, exact=_rounded(fine))
         left, found = _step(one, bent, here, np.zeros_like(here))
         back, returned = _step(bent, one, here + left, -left)
         off = np.where(found & returned, _length(left + back), np.inf).astype(np.float32)
-        step = left + _sampled(field, (here + left)[:, None])[:, 0]
+        step = left + sampled(field, (here + left)[:, None])[:, 0]
         return Links(here + self._filtered(step, found, apart), off)
 
     def dense(self, motion: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
@@ -157,7 +168,7 @@ class Linker:
         """How far places move, shape [N, 2] [px], by flow of the small pictures, bilinear between its pixels."""
         flow = self._flow.calc(one.rough, other.rough, None)  # ty: ignore[no-matching-overload]  None is a guess
         flow = cv2.GaussianBlur(flow, (0, 0), BLUR)
-        return _sampled(flow, ((places + 0.5) / one.shares - 0.5)[:, None])[:, 0] * one.shares
+        return sampled(flow, ((places + 0.5) / one.shares - 0.5)[:, None])[:, 0] * one.shares
 
     def _filtered(self, step: np.ndarray, counted: np.ndarray | None, apart: np.ndarray | None = None) -> np.ndarray:
         """Motion [N, 2] with that of those neighbours on the grid that count; by itself where there are none.
@@ -211,7 +222,7 @@ def _rounded(picture: np.ndarray) -> np.ndarray:
     return cv2.addWeighted(picture, 1, picture, 0, 0, dtype=cv2.CV_8U)
 
 
-def _sampled(picture: np.ndarray, places: np.ndarray) -> np.ndarray:
+def sampled(picture: np.ndarray, places: np.ndarray) -> np.ndarray:
     """Values of a picture [H, W, …] at places [h, w, 2] (column, row) [px], bilinear, shape [h, w, …]."""
     columns, rows = cv2.split(places)
     return cv2.remap(picture, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
@@ -221,21 +232,30 @@ def _length(vectors: np.ndarray) -> np.ndarray:
     return np.hypot(*vectors.T)
 
 
+def _lucas_kanade(
+    one: np.ndarray, other: np.ndarray, places: np.ndarray, near: np.ndarray, window: int, search: _Search
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where places [N, 2] of one picture are in another one, beginning at `near`, [N, 2]; which are found, bool [N]."""
+    there, found, _ = cv2.calcOpticalFlowPyrLK(
+        one,
+        other,
+        places,
+        near.copy(),
+        winSize=(window, window),
+        maxLevel=search.levels,
+        criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, search.steps, search.last_step),
+        # What else it gives is not used; eigenvalues it knows anyway, how far the pictures differ costs a third more.
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW | cv2.OPTFLOW_LK_GET_MIN_EIGENVALS,
+        minEigThreshold=search.texture,
+    )
+    return there, found[:, 0] > 0
+
+
 def _step(one: Prepared, other: Prepared, places: np.ndarray, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """How far places [N, 2] move, near a guess [N, 2] [px], and where that is found, bool [N]; else as guessed."""
     near = (places + guess).astype(np.float32)
-    there, found, _ = cv2.calcOpticalFlowPyrLK(
-        one.exact,
-        other.exact,
-        places,
-        near.copy(),
-        winSize=(WINDOW, WINDOW),
-        maxLevel=0,
-        criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, STEPS, LAST_STEP),
-        # What else it gives is not used; eigenvalues it knows anyway, how far the pictures differ costs a third more.
-        flags=cv2.OPTFLOW_USE_INITIAL_FLOW | cv2.OPTFLOW_LK_GET_MIN_EIGENVALS,
-    )
-    believed = (found[:, 0] > 0) & (np.abs(there - near).max(axis=1) < MAX_STEP)
+    there, found = _lucas_kanade(one.exact, other.exact, places, near, WINDOW, KNOWN_ROUGHLY)
+    believed = found & (np.abs(there - near).max(axis=1) < MAX_STEP)
     return np.where(believed[:, None], there, near) - places, believed
 
 
@@ -255,24 +275,10 @@ def followed(
     if not len(places):
         return np.zeros((0, 2)), np.zeros(0, bool)
 
-    def moved(one: np.ndarray, two: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        there, found, _ = cv2.calcOpticalFlowPyrLK(
-            one,
-            two,
-            points,
-            points.copy(),
-            winSize=(window, window),
-            maxLevel=LEVELS,
-            criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03),
-            minEigThreshold=TEXTURE,
-        )
-        return there, found.ravel() > 0
-
-    start = np.ascontiguousarray(places[:, None], np.float32)
-    there, found = moved(one, other, start)
-    back, returned = moved(other, one, there)
-    near = np.linalg.norm((back - start)[:, 0], axis=1) < RETURNED
-    return (there - start)[:, 0].astype(np.float64), found & returned & near
+    start = places.astype(np.float32)
+    there, found = _lucas_kanade(one, other, start, start, window, UNKNOWN)
+    back, returned = _lucas_kanade(other, one, there, there, window, UNKNOWN)
+    return (there - start).astype(np.float64), found & returned & (_length(back - start) < RETURNED)
 
 
 def patterns(picture: np.ndarray, places: np.ndarray) -> np.ndarray:

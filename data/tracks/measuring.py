@@ -13,6 +13,8 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from palpate.data.tracks.linking import sampled
+
 SMOOTH = 0.8
 """Standard deviation of the filter over pictures, between whose pixels values are linear [px]. (OpenCV's cubic ones
 take a third off small motions: they don't keep a ramp.)"""
@@ -99,7 +101,7 @@ def _steps(
     place = points[:, None] + offsets
     column, row = np.moveaxis(np.clip(place, 0, size - 1), -1, 0)
     there = (place + motion[row, column]).astype(np.float32)
-    visible = _sampled(other.plain, there) > 1 - 1e-3
+    visible = sampled(other.plain, there) > 1 - 1e-3
     visible &= ((there >= 0) & (there <= size - 1) & (place >= 0) & (place < size)).all(axis=-1)
     weight = one.plain[row, column] * visible
     total = np.maximum(weight.sum(axis=1), 1.0)
@@ -114,10 +116,10 @@ def _steps(
     normal = np.einsum("nka,nkb->nab", weighted, slope) + np.eye(2)
     left = np.zeros((len(points), 2), np.float32)
     for _ in range(STEPS):
-        off = shown - against_mean(_sampled(other.gray, there + left[:, None]))
+        off = shown - against_mean(sampled(other.gray, there + left[:, None]))
         step = np.linalg.solve(normal, np.einsum("nka,nk->na", weighted, off)[..., None])[..., 0]
         left += np.clip(step, -MAX_STEP, MAX_STEP).astype(np.float32)
-    last = against_mean(_sampled(other.gray, there + left[:, None]))
+    last = against_mean(sampled(other.gray, there + left[:, None]))
     unlike = (weight * np.square(shown - last)).sum(axis=1) / total
     sizes = [(weight * np.square(values)).sum(axis=1) for values in (shown, last)]
     correlation = (weight * shown * last).sum(axis=1) / np.sqrt(
@@ -129,9 +131,3 @@ def _steps(
     )
     moved = motion[points[:, 1], points[:, 0]] + left
     return moved.astype(np.float64), variance, unlike, found
-
-
-def _sampled(picture: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Values of a picture [H, W] at places [n, k, 2] (column, row) [px], linear between pixels, shape [n, k]."""
-    columns, rows = cv2.split(places)
-    return cv2.remap(picture, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)

@@ -66,8 +66,10 @@ def drawn(
 
 
 def probabilities(views: list[View]) -> np.ndarray:
-    evidence = ContactEvidence()
-    return np.array([evidence.push(picture, tool) for picture, tool in views])
+    evidence, frames = ContactEvidence(), [prepared(number, view) for number, view in enumerate(views)]
+    for frame in frames:
+        evidence.judge(frame)
+    return np.array([frame.contact_probability for frame in frames])
 
 
 def line(step: tuple[float, float], count: int = 8) -> np.ndarray:

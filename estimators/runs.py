@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from palpate.data.brightness.sequence import RestingLight
-from palpate.data.contact.evidence import SURE
+from palpate.data.contact.evidence import CERTAIN
 from palpate.data.contact.geometry import FrameGeometry
 from palpate.data.contact.interaction import ContactFrame, Horizon, Interaction, InteractionBuilder
 from palpate.data.contact.tissue_points import grid_to_picture
@@ -68,7 +68,7 @@ class Run:
     @property
     def passed(self) -> bool:
         """Whether the tool only passed over the tissue: it hovered all the time, and contact was never likely."""
-        return self.hovered and not self.undecided and not self.contact >= SURE
+        return self.hovered and not self.undecided and not self.contact >= CERTAIN
 
     def add(self, current: PreparedFrame) -> None:
         """Add a frame of the run, in contact or followed after it."""
@@ -88,7 +88,7 @@ class Run:
         if self.passed:
             return PASSED
         if self.builder is None:
-            doubt = UNDECIDED if self.undecided and not self.contact >= SURE else ""
+            doubt = UNDECIDED if self.undecided and not self.contact >= CERTAIN else ""
             return f"{doubt} {self.detail or NO_ONSET}".strip()
         return f"{self.detail} {NOT_FOLLOWED}".strip()
 
@@ -279,7 +279,7 @@ def frame_estimate(
     """
     frame, contact = prepared.frame, prepared.geometry
     outlines = ""
-    if contact is not None and prepared.track_start < 0 and prepared.contact_probability < SURE:
+    if contact is not None and prepared.track_start < 0 and prepared.contact_probability < CERTAIN:
         outlines = UNDECIDED if prepared.undecided else OUTLINES_ALONE
     missing = NOT_SHOWN if contact is not None and lengths[0] is None and not whole else ""
     u, v = None, None

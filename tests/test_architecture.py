@@ -50,7 +50,7 @@ LIGHT_DOORS = {
     "palpate.command.infer": "palpate.estimators.direct.sampling",
     "palpate.command.plan": "palpate.planning.roadmap",
     "palpate.data.synthetic.__main__": "palpate.data.synthetic.truth",
-    "palpate.data.cholecseg8k": "palpate.data.contact.tracking",
+    "palpate.data.cholecseg8k": "palpate.data.tracks.linking",
 }
 """Programs that run where no network is trained, and something that each of them reaches."""
 HEAVY = (

@@ -5,7 +5,6 @@ surface        smooth tissue behind noisy depth, and the noise; rest_depth: its 
 dents          contact by a dent alone, no tool being seen; depth_change: how much deeper than at rest tissue lies
 evidence       whether tissue moves with the tool, frame by frame; coupling: how likely what was seen is if it does
 motion         the contact's motion from frame to frame and since its onset
-tracking       tissue points followed by optical flow; template: found again by their look
 tissue_points  places in a picture as points in space; refinement: where a young contact presses
 depth_sequence  depth around a contact from frame to frame; patches: which of the mesh's vertices its pixels show
 interaction    the frames of a run of contact as mesh, load, observation and depth-change sequence
@@ -25,7 +24,6 @@ __getattr__ = exported(
             "frame_geometry",
         ),
         "palpate.data.contact.motion": ("ContactMotion",),
-        "palpate.data.contact.tracking": ("TissueTracker",),
         "palpate.data.contact.interaction": ("ContactFrame", "Interaction", "InteractionBuilder"),
         "palpate.data.contact.features": ("contact_features",),
     },

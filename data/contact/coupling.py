@@ -1,4 +1,4 @@
-"""Does the tissue beside a tool move with the tool or with the background? A likelihood ratio for one step in time.
+"""Does the tissue next to a tool move with the tool or with the background? A likelihood ratio for one step in time.
 
 Two hypotheses of how tissue at a distance d from the tool moves while the tool moves by u, all less the background's
 motion: by c·exp(-d/λ)·u, as tissue does that the tool holds or presses, or not at all. Both know that a mask may leave
@@ -17,22 +17,22 @@ COUPLING = (0.4, 0.6, 0.8, 1.0)
 REACH = (40.0, 80.0, 160.0)
 """Candidates of λ [px]."""
 HELD = 0.6
-"""Share of the points beside a tool in contact that follow it; the others may be other tissue, in front or behind."""
+"""Share of the points next to a tool in contact that follow it; the others may be other tissue, in front or behind."""
 LEAKED = 0.1
 """Share of the points that a mask may leave to the tissue although they are the tool's."""
-ASTRAY = 0.05
+OUTLIERS = 0.05
 """Share of the points that move anyhow."""
-ALIKE = 50.0
-"""Points nearer to each other than this share what the models leave unexplained [px]."""
-FEWEST = 15
-"""Fewer points beside the tool tell nothing."""
-MOST = 120
-"""So many of them are looked at, evenly spread; each of them counts for more."""
+CORRELATION_LENGTH = 50.0
+"""Distance below which points share what the models leave unexplained [px]."""
+MIN_POINTS = 15
+"""Fewer points next to the tool decide nothing."""
+MAX_POINTS = 120
+"""At most so many of them are used, evenly spread; each then counts for more."""
 TOOL_SPREAD = 0.15
 """Standard deviation of a leaked tool pixel's motion about u, as a share of |u|: tools turn, jaws close."""
 HELD_SPREAD = 0.25
-"""The same of held tissue about what its distance says, as a share of that."""
-TINY = 1e-300
+"""Standard deviation of held tissue's motion about what its distance implies, as a share of that."""
+MIN_DENSITY = 1e-300
 """Least density, whose logarithm is finite."""
 _AXIS = np.array([-1.8, -0.9, 0.0, 0.9, 1.8])
 _OFFSETS = np.column_stack([np.repeat(_AXIS, len(_AXIS)), np.tile(_AXIS, len(_AXIS))])
@@ -42,48 +42,48 @@ _LOG_WEIGHTS = np.add.outer(_AXIS_LOG_WEIGHTS, _AXIS_LOG_WEIGHTS).ravel()
 
 
 @dataclass(frozen=True, eq=False)
-class Beside:
-    """How a tool's tip and N tissue points beside it moved from one frame to the next, the background's motion off."""
+class TipMotion:
+    """How a tool's tip and N tissue points next to it moved between two frames, less the background's motion."""
 
     moved: np.ndarray
     """Displacement of the tissue points, shape [N, 2] [px]."""
     distance: np.ndarray
-    """From the tool, beyond the guard band, shape [N] [px]."""
+    """Their distance from the tool, beyond the guard band, shape [N] [px]."""
     spacing: float
-    """Of the points [px]."""
+    """Distance of neighbouring points [px]."""
     tool: np.ndarray
     """u, displacement of the tip, shape [2] [px]."""
     tool_sd: float
-    """Its standard deviation by axis [px]."""
+    """Standard deviation of u by axis [px]."""
     noise: float
     """Standard deviation of a point's own displacement by axis [px]."""
     background_sd: float
-    """Standard deviation by axis of the background's motion about the one that was taken off, alike nearby [px]."""
+    """Standard deviation by axis of the background's motion about the one subtracted, common to neighbours [px]."""
 
 
-def log_ratio(seen: Beside) -> float:
-    """Logarithm of how much likelier the motion is if the tissue moves with the tool; 0 where nothing tells.
+def log_ratio(observed: TipMotion) -> float:
+    """Logarithm of how much likelier the motion is if the tissue moves with the tool; 0 where nothing decides.
 
     Where the tool hardly moves against the background, both say the same.
     """
-    if len(seen.moved) < FEWEST:
+    if len(observed.moved) < MIN_POINTS:
         return 0.0
-    every = max(1, len(seen.moved) // MOST)
-    moved, distance = seen.moved[::every], seen.distance[::every]
-    # Points that are alike count as one.
-    weight = min(1.0, (seen.spacing / ALIKE) ** 2) * len(seen.moved) / len(moved)
-    errors = seen.background_sd * _OFFSETS
-    tool, motion = seen.tool - errors, moved - errors[:, None]
+    every = max(1, len(observed.moved) // MAX_POINTS)
+    moved, distance = observed.moved[::every], observed.distance[::every]
+    # Correlated points count as one.
+    weight = min(1.0, (observed.spacing / CORRELATION_LENGTH) ** 2) * len(observed.moved) / len(moved)
+    errors = observed.background_sd * _OFFSETS
+    tool, motion = observed.tool - errors, moved - errors[:, None]
     square, along, way = (motion**2).sum(-1), (motion * tool[:, None]).sum(-1), (tool**2).sum(1)[:, None]
-    own = seen.noise**2 + seen.background_sd**2
-    leaked = _density(square - 2 * along + way, own + seen.tool_sd**2 + TOOL_SPREAD**2 * way)
-    still = (1 - LEAKED - ASTRAY) * _density(square, own) + LEAKED * leaked
-    still += ASTRAY * _density(square, 4 * (own + way))
+    own = observed.noise**2 + observed.background_sd**2
+    leaked = _density(square - 2 * along + way, own + observed.tool_sd**2 + TOOL_SPREAD**2 * way)
+    still = (1 - LEAKED - OUTLIERS) * _density(square, own) + LEAKED * leaked
+    still += OUTLIERS * _density(square, 4 * (own + way))
     # The part that holds moves as the tip does, but for an error along its way.
     length = np.sqrt(way).clip(1e-9)
     logs = []
     for off, log_weight in zip(_AXIS, _AXIS_LOG_WEIGHTS, strict=True):
-        longer = 1 + off * seen.tool_sd / length
+        longer = 1 + off * observed.tool_sd / length
         for reach in REACH:
             for coupling in COUPLING:
                 share = coupling * np.exp(-distance / reach) * longer
@@ -97,4 +97,4 @@ def log_ratio(seen: Beside) -> float:
 
 def _density(square: np.ndarray, variance: np.ndarray | float) -> np.ndarray:
     """Of a normal distribution in the plane, at squared distances from its mean [px²]; never 0."""
-    return np.exp(-square / (2 * variance)) / (2 * np.pi * variance) + TINY
+    return np.exp(-square / (2 * variance)) / (2 * np.pi * variance) + MIN_DENSITY

@@ -1,8 +1,8 @@
-"""Contact by a dent alone: tissue that sinks at one place, whatever presses it there and whether or not that is seen.
+"""Contact by a dent alone: tissue that sinks at one place, whatever presses it there, in view or not.
 
 In every frame the depth is compared with that of frames at rest before it (`data.contact.depth_change`). A dent shows a
 frame after the force has begun, so the onset is the last frame without it; and it becomes shallower a frame after the
-force has ended, so the release is the last frame before that. Frames wait until both can be told.
+force has ended, so the release is the last frame before that. Frames wait until both are known.
 """
 
 from __future__ import annotations
@@ -14,7 +14,14 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from palpate.data.contact.depth_change import LEAST_REST, SCALES, DepthChange, RestingTissue, picture_motion
+from palpate.data.contact.depth_change import (
+    MIN_REST,
+    SCALES,
+    DepthChange,
+    RestingTissue,
+    grid_motion,
+    picture_motion,
+)
 from palpate.data.contact.geometry import (
     FrameGeometry,
     GeometrySettings,
@@ -23,8 +30,10 @@ from palpate.data.contact.geometry import (
     smooth_rest,
     tissue_mesh,
 )
+from palpate.data.labels import TOOL
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.camera import Camera, back_project
+from palpate.data.tracks.following import Shown
 from palpate.physics.mesh import contact_normal, nearest_vertex
 
 EARLIER, LATE = 3, 8
@@ -34,13 +43,13 @@ CLEAR, SHOWN = 6.0, 4.0
 """A dent is clear, and is there at all, at so many standard deviations."""
 NEAR = 2
 """From frame to frame a dent's deepest place stays within so many rows and columns [grid px]."""
-MOST_SHARE = 0.1
+MAX_SHARE = 0.1
 """A dent whose inner half covers a larger share of the tissue isn't local."""
 FALLEN = 0.08
 """A dent that is clearly, and by this share, shallower than it was is released: a sheet hardly swings under a load."""
 PEAK_SHARE, PEAK_NOISE = 0.03, 2.0
 """Depths within this share of the deepest, or so many standard deviations, are as deep."""
-EARLY = "Too few frames at rest were seen before this one to tell a dent."
+EARLY = "Too few frames at rest came before this one to recognise a dent."
 RECOVERS = "The dent of the press before has not gone yet."
 RECOVERY_SECONDS = 1.0
 """After this time what is left of a dent counts as the tissue's shape at rest [s]."""
@@ -90,7 +99,7 @@ class _Waiting:
     recovers: bool = False
     """Whether the dent of a press that has ended is still in it."""
     depth: np.ndarray = field(default_factory=lambda: np.full(len(SCALES), np.nan))
-    """Of the dent there, shape [S] [scene units]; not a number where it isn't seen."""
+    """Of the dent there, shape [S] [scene units]; not a number where it isn't visible."""
 
 
 @dataclass(eq=False)
@@ -118,6 +127,8 @@ class DentContacts:
         self._camera, self._settings = camera, settings
         self._rest = RestingTissue()
         self._waiting: deque[_Waiting] = deque()
+        self._shown: Shown | None = None
+        """Picture of the latest frame."""
         self._dent: _Dent | None = None
 
     def push(self, frame: PreparedFrame) -> list[PreparedFrame]:
@@ -125,17 +136,17 @@ class DentContacts:
         decided = []
         last = self._waiting[-1].prepared if self._waiting else None
         if frame.status != "no_contact" or (last is not None and frame.frame.number - last.frame.number != 1):
-            # A press that goes on unseen has no known release, and tissue may be another behind the gap.
+            # A press that goes on out of view has no known release, and tissue may be another behind the gap.
             decided += self.finish()
             self._rest, self._dent = RestingTissue(), None
             if frame.status != "no_contact":
                 return [*decided, frame]
-        motion = picture_motion(self._waiting[-1].prepared, frame) if self._waiting else np.eye(3)
+        motion = self._motion(frame)
         self._rest.move(motion)
         for item in self._waiting:
             item.motion = motion @ item.motion
         change = self._rest.change(frame)
-        if len(self._rest) < LEAST_REST:
+        if len(self._rest) < MIN_REST:
             frame.detail = EARLY
         self._waiting.append(_Waiting(frame, change))
         if self._dent is None:
@@ -145,6 +156,14 @@ class DentContacts:
         while len(self._waiting) > (EARLIER if self._dent is None else LATE):
             decided.append(self._first())
         return decided
+
+    def _motion(self, frame: PreparedFrame) -> np.ndarray:
+        """Motion of the picture on the grid from the frame before to this one, shape [3, 3]."""
+        picture, labels = frame.view
+        before, self._shown = self._shown, Shown.of(picture, labels == TOOL)
+        if before is None or not self._waiting:
+            return np.eye(3)
+        return grid_motion(picture_motion(before, self._shown), before, frame)
 
     def finish(self) -> list[PreparedFrame]:
         """The frames that are left at the clip's end."""
@@ -186,7 +205,7 @@ class DentContacts:
             earlier.append(item)
         start = len(self._waiting) - len(earlier) - 1
         if start >= 0:
-            # The camera sees a dent one frame after the force has begun.
+            # A dent shows in the frame after the one in which the force began.
             self._waiting[start].place = there
         for item in earlier:
             item.depth = _depth(item, item.place)
@@ -229,7 +248,7 @@ class DentContacts:
 
 
 def _depth(item: _Waiting, place: tuple[int, int] | None) -> np.ndarray:
-    """Of a dent in a frame over all scales, shape [S] [scene units]; not a number where its place isn't seen."""
+    """Of a dent in a frame over all scales, shape [S] [scene units]; not a number where its place isn't visible."""
     if item.change is None or place is None:
         return np.full(len(SCALES), np.nan)
     return item.change.contrast[:, *place]
@@ -263,4 +282,4 @@ def _window(values: np.ndarray, place: tuple[int, int]) -> np.ndarray:
 def _is_local(sigmas: np.ndarray, place: tuple[int, int]) -> bool:
     """Whether what is at least half as deep as a place, and joined to it, is a small share of the tissue."""
     _, number = cv2.connectedComponents((sigmas >= 0.5 * sigmas[place]).astype(np.uint8))
-    return (number == number[place]).sum() <= MOST_SHARE * np.isfinite(sigmas).sum()
+    return (number == number[place]).sum() <= MAX_SHARE * np.isfinite(sigmas).sum()

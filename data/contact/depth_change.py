@@ -1,9 +1,9 @@
-"""How much deeper tissue lies than at rest, in a frame of a picture that may move.
+"""How much deeper than at rest tissue lies in a frame, while the picture may move.
 
-From frame to frame the picture's affine motion is followed (pyramidal Lucas and Kanade, Bouguet 2001), and the frames
-at rest go with it. What a moving camera or a changing scale adds to the depth is smooth over the picture, and so is a
-depth network's bias: both are taken off. The noise is what the change is spread by over the picture, and at least what
-one frame's depth varies by from pixel to pixel: rounded depth hardly changes while tissue is still, and then in steps.
+The picture's affine motion is followed from frame to frame (`data.tracks`), and the frames at rest go with it. What a
+moving camera or a changing scale adds to the depth is smooth over the picture, and so is a depth network's bias: both
+are subtracted. The noise is the change's spread over the picture, and at least what one frame's depth varies by from
+pixel to pixel: rounded depth hardly changes while tissue is still, and then in steps.
 """
 
 from __future__ import annotations
@@ -19,11 +19,14 @@ from palpate.data.contact.geometry import LEAST_NOISE
 from palpate.data.contact.outlines import inside, near
 from palpate.data.labels import TISSUE, TOOL
 from palpate.data.prepared import PreparedFrame
+from palpate.data.tracks.background import Background, background_motion
+from palpate.data.tracks.following import Shown, lattice, values_at
+from palpate.data.tracks.linking import followed
 
-MOST_REST, LEAST_REST = 8, 3
-"""Frames at rest that are remembered; fewer don't tell what tissue was like."""
-LEAST_PIXELS = 200
-"""Fewer pixels of tissue tell neither the camera's motion nor the noise."""
+MAX_REST, MIN_REST = 8, 3
+"""Frames at rest that are remembered; fewer don't determine the tissue's shape at rest."""
+MIN_PIXELS = 200
+"""Fewer pixels of tissue determine neither the camera's motion nor the noise."""
 SCALES = (0.0, 1.0, 2.0)
 """Changes are looked at over these widths: standard deviations of a blur [grid px]."""
 WIDE = 12.0
@@ -32,12 +35,12 @@ ROUGH = 2.0
 """A frame's own noise at a scale is what differs from a blur so much wider [grid px]."""
 COVERED = 0.5
 """Least share of a blur's weight that must lie on tissue."""
-DEEPEST = 0.1
+MAX_CHANGE = 0.1
 """A larger change of depth is the sensor's error [scene units]."""
-ROUNDS, ASTRAY = 3, 3.0
+ITERATIONS, OUTLIER = 3, 3.0
 """Rounds of the fit of what the camera changes, and standard deviations beyond which a pixel doesn't belong to it."""
-CORNERS, WINDOW, FEWEST = 150, 15, 12
-"""Points that a picture's motion is told by, the width of their windows [grid px], and how few are too few."""
+SPACING, POINTS = 4, 300
+"""Distance of the points that give a picture's motion [px], and about how many of them are followed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +62,7 @@ class RestingTissue:
     """Depth of the tissue in the latest frames at rest, carried along with the picture."""
 
     def __init__(self) -> None:
-        self._frames: deque[tuple[np.ndarray, np.ndarray, np.ndarray]] = deque(maxlen=MOST_REST)
+        self._frames: deque[tuple[np.ndarray, np.ndarray, np.ndarray]] = deque(maxlen=MAX_REST)
         """Depth, where it is tissue's, and the affine motion since, shapes [h, w], [h, w] and [3, 3]."""
 
     def __len__(self) -> int:
@@ -75,21 +78,21 @@ class RestingTissue:
         for index, (depth, tissue, since) in enumerate(self._frames):
             self._frames[index] = depth, tissue, motion @ since
 
-    def change(self, prepared: PreparedFrame, least: int = LEAST_REST) -> DepthChange | None:
+    def change(self, prepared: PreparedFrame, least: int = MIN_REST) -> DepthChange | None:
         """Compare the latest frame; None where fewer than `least` frames at rest, or too few pixels, are known."""
         if len(self._frames) < least:
             return None
         total, count = np.zeros(prepared.depth.shape), np.zeros(prepared.depth.shape)
         for depth, tissue, since in self._frames:
-            moved, seen = (
+            moved, visible = (
                 cv2.warpAffine(part, since[:2], depth.shape[::-1], flags=cv2.INTER_LINEAR) for part in (depth, tissue)
             )
-            used = seen > 0.999
+            used = visible > 0.999
             total[used] += moved[used]
             count[used] += 1
         rest = total / np.maximum(count, 1)
-        known = inside(_tissue(prepared) & (count > 0)) & (np.abs(prepared.depth - rest) < DEEPEST)
-        return depth_change(prepared.depth, rest, known) if known.sum() >= LEAST_PIXELS else None
+        known = inside(_tissue(prepared) & (count > 0)) & (np.abs(prepared.depth - rest) < MAX_CHANGE)
+        return depth_change(prepared.depth, rest, known) if known.sum() >= MIN_PIXELS else None
 
 
 def _tissue(prepared: PreparedFrame) -> np.ndarray:
@@ -106,7 +109,7 @@ def depth_change(depth: np.ndarray, rest: np.ndarray, known: np.ndarray) -> Dept
     contrast, noise = [], []
     for scale in SCALES:
         deeper = _blurred(change, known, scale)
-        # Beside a bump tissue hasn't sunk.
+        # Next to a bump tissue hasn't sunk.
         contrast.append(deeper - np.maximum(around, 0))
         rough = _blurred(depth, known, scale) - _blurred(depth, known, scale + ROUGH)
         rough -= _blurred(np.nan_to_num(rough), known & np.isfinite(rough), WIDE)
@@ -117,7 +120,7 @@ def depth_change(depth: np.ndarray, rest: np.ndarray, known: np.ndarray) -> Dept
 def _camera_change(change: np.ndarray, rest: np.ndarray, places: np.ndarray) -> np.ndarray:
     """What a moving camera or a changing scale adds to the depth of P pixels, all shapes [P] but places' [P, 2]."""
     terms = np.column_stack([np.ones(len(rest)), rest, rest[:, None] * places])
-    return trimmed_fit(terms, change, ROUNDS, ASTRAY)
+    return trimmed_fit(terms, change, ITERATIONS, OUTLIER)
 
 
 def _blurred(values: np.ndarray, known: np.ndarray, scale: float) -> np.ndarray:
@@ -139,21 +142,25 @@ def _blur(values: np.ndarray, scale: float) -> np.ndarray:
     return cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR)
 
 
-def picture_motion(before: PreparedFrame, after: PreparedFrame) -> np.ndarray:
-    """Affine motion of most of the picture on the grid, (u, v, 1) to (u, v, 1), shape [3, 3]; none where untold."""
-    first, second = _grey(before), _grey(after)
-    corners = cv2.goodFeaturesToTrack(first, CORNERS, 0.01, 4)
-    if corners is None:
+def grid_motion(background: Background | None, shown: Shown, prepared: PreparedFrame) -> np.ndarray:
+    """Motion of a frame's picture on its grid, (u, v, 1) to (u, v, 1), shape [3, 3]; none where it isn't known.
+
+    Args:
+        background: the same in the picture that is followed.
+        shown: that picture.
+        prepared: the frame.
+    """
+    if background is None:
         return np.eye(3)
-    moved, found, _ = cv2.calcOpticalFlowPyrLK(first, second, corners, corners.copy(), winSize=(WINDOW, WINDOW))
-    kept = found.ravel() > 0
-    if kept.sum() < FEWEST:
-        return np.eye(3)
-    affine, _ = cv2.estimateAffine2D(corners[kept], moved[kept], ransacReprojThreshold=0.5)
-    return np.eye(3) if affine is None else np.vstack([affine, [0.0, 0.0, 1.0]])
+    height, width = np.divide(shown.gray.shape, prepared.depth.shape)
+    pixels = np.array([[width, 0, (width - 1) / 2], [0, height, (height - 1) / 2], [0, 0, 1]])
+    return np.linalg.inv(pixels) @ (np.eye(3) + np.vstack([background.affine.T, np.zeros(3)])) @ pixels
 
 
-def _grey(prepared: PreparedFrame) -> np.ndarray:
-    """Grey picture on the grid, uint8."""
-    grey = cv2.cvtColor(prepared.frame.picture, cv2.COLOR_RGB2GRAY)
-    return cv2.resize(grey, prepared.depth.shape[::-1], interpolation=cv2.INTER_AREA)
+def picture_motion(before: Shown, after: Shown) -> Background | None:
+    """Affine motion of most of a picture without a tool; None where it isn't known."""
+    places = lattice(before.gray.shape, SPACING).reshape(-1, 2)
+    places = places[values_at(before.tissue, places)]
+    places = places[:: max(1, len(places) // POINTS)]
+    step, known = followed(before.gray, after.gray, places)
+    return background_motion(places[known], step[known])

@@ -1,6 +1,7 @@
 """The depth-change sequence of a dent: how the depth around a contact changes, frame by frame, and how noisy that is.
 
-A contact is one point of a dent; its surroundings sink with it and tell far more (docs/reports/identifiability.md).
+A contact is one point of a dent; its surroundings sink with it and determine far more
+(docs/reports/identifiability.md).
 Pixels stay where they are while tissue moves: which of the mesh's vertices a pixel shows is for `data.contact.patches`
 to say.
 """
@@ -19,15 +20,15 @@ from palpate.physics.mesh import Mesh
 
 REACH = 7
 """Pixels up to so many rows and columns from the contact are compared: `python -m benchmarks.observation_bounds` prints
-what they tell beside what more and fewer do."""
+how much they determine, compared with more and with fewer."""
 FAR = 25
 """The depth's noise and the camera's motion are measured at least so far from the contact [grid pixels]."""
-LEAST_FAR = 200
-"""Fewer such pixels tell neither."""
-ASTRAY = 4.0
+MIN_FAR = 200
+"""Fewer such pixels determine neither."""
+OUTLIER = 4.0
 """Changes from frame to frame that are larger than this many standard deviations aren't noise."""
 STILL_SHARE = 0.1
-"""A part of the noise that stays the same over time is told from none where it is this share of the other, in
+"""A part of the noise that stays the same over time is distinguished from none where it is this share of the other, in
 variance."""
 ROUNDED = 0.5
 """Errors that stay belong to rounding where those that are new are less than this share of them."""
@@ -35,10 +36,10 @@ CHANCE = 3.0
 """Correlations of neighbouring pixels' noise below so many standard deviations of none's are chance. At 854x480 pixels
 of the grid share pixels of the picture, and 0.05 is none."""
 REST_SHARE, REST_LENGTH = 0.1, 5.0
-"""Standard deviation of the rest surface's error [σ], and the distance over which it is alike [grid pixels]."""
+"""Standard deviation of the rest surface's error [σ], and its correlation length [grid pixels]."""
 REST_KEPT = 0.99
 """Share of its variance that is taken into account."""
-FARTHEST_ALIKE = 12
+MAX_CORRELATED = 12
 """Noise of pixels farther apart than this is independent [grid pixels]."""
 
 
@@ -74,7 +75,7 @@ class DepthSequence:
     """Since the onset, shape [N] [s]."""
     change: np.ndarray
     """Depth less that at rest, the camera's motion taken off, the contact's pixel in the middle, shape [N, S, S],
-    float32 [scene units]; not a number where no tissue is seen."""
+    float32 [scene units]; not a number where no tissue is visible."""
     noise: SequenceNoise
     size: tuple[int, int]
     """Width and height of the picture that was brought to the grid [px]."""
@@ -125,28 +126,28 @@ class SequenceRecorder:
             depth: z, shape [h, w] [scene units], 0 = invalid.
             labels: label map, shape [h, w].
         """
-        seen = np.where((labels == TISSUE) & (depth > 0), depth, np.nan)
+        visible = np.where((labels == TISSUE) & (depth > 0), depth, np.nan)
         # Scale and tilt are the camera's or the depth network's; they are relative to the distance.
-        far, rest = seen[tuple(self._far.T)], self._rest[tuple(self._far.T)]
+        far, rest = visible[tuple(self._far.T)], self._rest[tuple(self._far.T)]
         known = np.isfinite(far)
         relative = np.where(known, far / rest - 1, 0.0)
         for _ in range(3):
-            if known.sum() < LEAST_FAR:
+            if known.sum() < MIN_FAR:
                 return None
             motion = np.linalg.lstsq(self._columns[known], relative[known], rcond=None)[0]
             left = relative - self._columns @ motion
-            known &= np.abs(left) <= ASTRAY * np.sqrt(np.mean(np.square(left[known]))) + 1e-12
+            known &= np.abs(left) <= OUTLIER * np.sqrt(np.mean(np.square(left[known]))) + 1e-12
         self._measure(np.where(np.isfinite(far), left * rest, np.nan))
         rows, columns = np.mgrid[-REACH : REACH + 1, -REACH : REACH + 1] / FAR
         moved = motion[0] + motion[1] * rows + motion[2] * columns
-        window = np.pad(seen, REACH, constant_values=np.nan)[window_around(self._centre + REACH)]
+        window = np.pad(visible, REACH, constant_values=np.nan)[window_around(self._centre + REACH)]
         return (window - self._window * (1 + moved)).astype(np.float32)
 
     def _measure(self, left: np.ndarray) -> None:
         """Measure the noise: errors of the far pixels [Q], and what is new since the frame before."""
         first = self._before is None
         values, largest = (left, 1.0) if first else (left - self._before, math.sqrt(2))
-        products, pairs = self._products(values, largest * ASTRAY * self._noise)
+        products, pairs = self._products(values, largest * OUTLIER * self._noise)
         self._pairs.append(pairs)
         if first:
             self._still = products
@@ -166,7 +167,7 @@ class SequenceRecorder:
 
     @property
     def noise(self) -> SequenceNoise:
-        """As measured so far; all of it counts as new in every frame where one frame alone was seen."""
+        """As measured so far; all of it counts as new in every frame where there is one frame alone."""
         return self._noise_of(len(self._changes))
 
     def _noise_of(self, count: int) -> SequenceNoise:
@@ -178,9 +179,9 @@ class SequenceRecorder:
         new = min(0.5 * changes[0], total)
         still = total - new
         if still < STILL_SHARE * new:
-            return SequenceNoise(self._noise, 0.0, _alike(changes, later))
-        in_time = _alike(changes, later) if new > STILL_SHARE * still else 1.0
-        return SequenceNoise(math.sqrt(new), math.sqrt(still), in_time, _alike(self._still - 0.5 * changes, first))
+            return SequenceNoise(self._noise, 0.0, _correlated(changes, later))
+        in_time = _correlated(changes, later) if new > STILL_SHARE * still else 1.0
+        return SequenceNoise(math.sqrt(new), math.sqrt(still), in_time, _correlated(self._still - 0.5 * changes, first))
 
     def sequence(self, times: np.ndarray, changes: list[np.ndarray], known: int) -> DepthSequence:
         """The sequence of some frames, its noise as measured in the first frame and so many `known` ones after it."""
@@ -195,17 +196,17 @@ def window_around(centre: np.ndarray) -> tuple[slice, slice]:
     return np.s_[row - REACH : row + REACH + 1, column - REACH : column + REACH + 1]
 
 
-def _alike(products: np.ndarray, pairs: int) -> float:
+def _correlated(products: np.ndarray, pairs: int) -> float:
     """How many pixels count as one, from mean square and products with both neighbours, shape [3], of so many pairs.
 
     The correlation of noise that was blurred by a Gaussian falls as ρ^(k²).
     """
-    square, *beside = products
+    square, *neighbours = products
     found = 1.0
-    for product in beside if square > 0 else ():
+    for product in neighbours if square > 0 else ():
         correlation = min(product / square, 0.999)
         if correlation > CHANCE / math.sqrt(max(pairs, 1)):
-            found *= 1 + 2 * float(np.power(correlation, np.arange(1, FARTHEST_ALIKE + 1) ** 2).sum())
+            found *= 1 + 2 * float(np.power(correlation, np.arange(1, MAX_CORRELATED + 1) ** 2).sum())
     return found
 
 

@@ -1,10 +1,9 @@
-"""Contact by evidence: does the tissue beside the tool's tip move with the tool, or sink under it?
+"""Contact by evidence: does the tissue next to the tool's tip move with the tool, or sink under it?
 
 Outlines that touch in a picture say little: a tool that passes over tissue touches it there, too. From one picture
-to a later one, points in the tool's tip, beside it and far from it are followed (pyramidal Lucas and Kanade, Bouguet
-2001, in windows so small that they don't mix tool and tissue; the check is Kalal 2010's), and `data.contact.coupling`
-weighs what they say. A press moves tissue along the line of sight: depth that has grown beside the tool speaks for
-contact, too. A two-state hidden Markov chain adds it up over the frames.
+to a later one, points in the tool's tip, next to it and far from it are followed (`data.tracks.linking`), and
+`data.contact.coupling` gives the likelihood ratio of their motion. A press moves tissue along the line of sight: depth
+that has grown next to the tool speaks for contact, too. A two-state hidden Markov chain adds it up over the frames.
 
 Tissue that stays where it is speaks against contact only while the tool moves. A tool that hovered and comes to a stand
 may have met the tissue: contact is then undecided, and was so in the frame in which the tool arrived.
@@ -13,38 +12,39 @@ may have met the tissue: contact is then undecided, and was so in the frame in w
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
-from palpate.data.contact.coupling import Beside, log_ratio
-from palpate.data.contact.depth_change import RestingTissue, picture_motion
+from palpate.data.contact.coupling import TipMotion, log_ratio
+from palpate.data.contact.depth_change import RestingTissue, grid_motion
 from palpate.data.contact.geometry import FrameGeometry
 from palpate.data.contact.outlines import near
 from palpate.data.labels import TOOL
 from palpate.data.prepared import PreparedFrame
-from palpate.data.tracks.following import lit_field, shrunk, tool_distance
+from palpate.data.tracks.background import ITERATIONS, LEAST_NOISE, MEDIAN_LENGTH, Background, background_motion
+from palpate.data.tracks.following import Shown, lattice, values_at
+from palpate.data.tracks.linking import followed
 
 PRIOR = 0.7
 """Probability that a tool whose outline touches tissue touches it, before anything has moved."""
 THRESHOLD = 0.5
 """Below this probability a tool hovers."""
-WAY, LONGEST = 5.0, 10
+MAX_WAY, MAX_AGE = 5.0, 10
 """Frames are compared with one and the same until the tool has gone so far [px], or for so many frames: what parallax
 adds goes to and fro with the camera."""
 CHANGE = 0.03
 """Share by which the probability returns to PRIOR in a frame: contacts begin and end."""
-STRONGEST = 5.0
-"""What one frame says counts for so much at most [logarithm of odds]."""
+MAX_LOG_ODDS = 5.0
+"""Largest change of the logarithm of the odds by one frame."""
 STANDS = 0.25
 """A tool that hovered has come to a stand where it moves by less than this share of its speed until then."""
 SINKS = 6.0
-"""The tissue beside a tool has sunk where its depth has grown by so many standard deviations."""
+"""The tissue next to a tool has sunk where its depth has grown by so many standard deviations."""
 ELSEWHERE = 1.5
 """And by so many times what it has grown by anywhere far from the tool."""
-SURE = 0.9
-"""Below this probability it is outlines that say that a tool touches: nothing has moved that would tell."""
+CERTAIN = 0.9
+"""Below this probability contact is known from outlines alone: nothing has moved that would confirm it."""
 HOVERS = "The tissue beside the tool does not move with it, so it hovers (probability of contact {:.2f})."
 
 SPACING = 8
@@ -54,51 +54,19 @@ GUARD = 8.0
 DENT = 10
 """Tissue that a tool presses sinks within this distance of its mask [grid px]."""
 RING = 100.0
-"""Points nearer than this beyond the guard band are beside the tool, others are the background [px]."""
+"""Points nearer than this beyond the guard band are next to the tool, others are the background [px]."""
 TIP = 96.0
 """Part of a tool that may touch: this far back from the end which is farthest from where it enters [px]."""
-LEAST_TOOL = 60
+MIN_TOOL_PIXELS = 60
 """Parts of a mask with fewer pixels are no tool."""
 TOOL_POINTS, BACKGROUND_POINTS = 150, 300
 """Points that are followed in a tip, and in the background, at most."""
-FEWEST_TOOL, FEWEST_BACKGROUND = 8, 30
-"""Fewer say nothing of their motion."""
-WINDOW, NARROW = 15, 11
-"""Width of the windows that are compared, in tissue and in the tool [px]."""
-LEVELS = 3
-"""Of the pyramid, beyond the picture itself: motion up to some 50 px."""
-TEXTURE = 1e-3
-"""Least eigenvalue of a window's gradients; below it the window is too smooth to be followed."""
-RETURNED = 1.0
-"""Largest distance to where following backwards takes a point [px]."""
-ASTRAY = 3.0
-"""Points that move otherwise by more standard deviations are no background."""
-BLOCK = 64
-"""Width of the squares whose points share what the background's motion leaves [px]."""
-LEAST_NOISE = 0.1
-"""Of following, by axis [px]."""
-FITS = 6
-"""Rounds of robust fits."""
-MEDIAN_LENGTH = 1.1774
-"""Median length of a plane normal vector of unit standard deviation by axis."""
+MIN_TOOL_POINTS = 8
+"""Fewer say nothing of its motion."""
+NARROW = 11
+"""Width of the windows that are compared in the tool, so small that they don't mix tool and tissue [px]."""
 SPREAD = 0.35
 """A tip moves as one where half of its points are within this share of their common motion, or within 1 px."""
-
-
-@dataclass(frozen=True, eq=False)
-class View:
-    """A picture at most `data.tracks.following.WIDEST` wide and high, as it is compared with the next."""
-
-    grey: np.ndarray
-    """uint8 [H, W]."""
-    tool: np.ndarray
-    """Mask of the tool, bool [H, W]."""
-    lit: np.ndarray
-    """Where the picture shows anything, bool [H, W]."""
-    away: np.ndarray
-    """Distance from the tool, [H, W] [px]."""
-    prepared: PreparedFrame | None = None
-    """The frame with its depth; None where depth isn't looked at."""
 
 
 class ContactEvidence:
@@ -108,17 +76,17 @@ class ContactEvidence:
         near: no farther from tissue in depth, a tool that was apart from it and then is at it in the picture has come
             to it [scene units].
         measured: whether depth is measured, so that tissue that sinks shows in it. Depth that is guessed from pictures
-            changes with the light and the view, and most beside a tool.
+            changes with the light and the view, and most next to a tool.
     """
 
     def __init__(self, near: float = math.inf, *, measured: bool = True) -> None:
         self._near, self._measured = near, measured
-        self._reference: View | None = None
+        self._reference: tuple[Shown, PreparedFrame] | None = None
         """The frame that frames are compared with until the tool has gone far enough."""
         self._age = 0
         """Frames since then."""
         self._odds = _log_odds(PRIOR)
-        """Of contact, by what was seen up to then."""
+        """Log odds of contact, by what was observed up to then."""
         self._number = -1
         """Of the frame that was judged last."""
         self._apart = self._came = False
@@ -126,7 +94,7 @@ class ContactEvidence:
         self._way, self._speed = np.zeros(2), 0.0
         """How far the tool has gone since the reference [px], and its speed when it hovered last [px a frame]."""
         self._undecided = False
-        """Whether the tool hovered, and nothing that was seen since then tells whether it touches."""
+        """Whether the tool hovered, and nothing observed since then decides whether it touches."""
         self._arrives = False
         """Whether the tool may have come to the tissue in the frame before, although it moved until then."""
         self._hovering: tuple[PreparedFrame, FrameGeometry] | None = None
@@ -149,10 +117,10 @@ class ContactEvidence:
             self._came = True
         self._number, self._apart = number, apart
         if apart and prepared.visible:
-            self._begin(_frame_view(prepared))
+            self._begin(_shown(prepared), prepared)
         if not prepared.in_contact:
             return
-        probability = self._push(_frame_view(prepared))
+        probability = self._push(_shown(prepared), prepared)
         # A tool that was seen to come to the tissue has met it: a narrow dent hardly moves what is around it.
         met = self._came and not prepared.distance > self._near
         probability = prepared.contact_probability = max(probability, PRIOR if met else 0.0)
@@ -164,125 +132,114 @@ class ContactEvidence:
         if probability < THRESHOLD:
             self._hovering = prepared, prepared.contact
             prepared.status, prepared.detail, prepared.geometry = "no_contact", HOVERS.format(probability), None
-        prepared.undecided = self._undecided and THRESHOLD <= probability < SURE
+        prepared.undecided = self._undecided and THRESHOLD <= probability < CERTAIN
 
-    def push(self, picture: np.ndarray, tool: np.ndarray) -> float:
-        """Probability of contact in the next frame, whose tool is at tissue in the picture.
-
-        Args:
-            picture: uint8 [H, W, 3] RGB.
-            tool: its mask of the tool, bool [H, W].
-        """
-        return self._push(_view(picture, tool))
-
-    def _begin(self, view: View) -> None:
+    def _begin(self, shown: Shown, prepared: PreparedFrame) -> None:
         """Compare the next frames with this one."""
-        self._reference, self._age, self._way = view, 0, np.zeros(2)
+        self._reference, self._age, self._way = (shown, prepared), 0, np.zeros(2)
 
-    def _push(self, view: View) -> float:
-        """The same of a picture that is ready to be compared."""
+    def _push(self, shown: Shown, prepared: PreparedFrame) -> float:
+        """Probability of contact in the next frame, whose tool is at tissue in the picture."""
         share = 1 / (1 + math.exp(-self._odds))
         self._odds = _log_odds(share + CHANGE * (PRIOR - share))
         before, hovered = self._reference, self._speed > 0
-        tips = [] if before is None else seen_beside(before, view)
+        tips, background = ([], None) if before is None else observed_motion(before[0], shown)
         self._age += 1
         way = max((tip.tool for tip in tips), key=np.linalg.norm, default=np.full(2, math.nan))
         stands = hovered and bool(np.linalg.norm(way - self._way) < STANDS * self._speed)
-        sunk = self._measured and before is not None and bool(tips) and _has_sunk(before, view)
-        # Tissue that doesn't move says nothing beside a tool that doesn't move either.
-        said = 0.0 if stands else float(np.clip(_said(tips), -STRONGEST, STRONGEST))
+        sunk = self._measured and before is not None and bool(tips) and _has_sunk(*before, prepared, background)
+        # Tissue that doesn't move says nothing next to a tool that doesn't move either.
+        ratio = 0.0 if stands else float(np.clip(_ratio_of_tips(tips), -MAX_LOG_ODDS, MAX_LOG_ODDS))
         if stands or (hovered and (sunk or not tips)):
             self._odds, self._undecided = _log_odds(PRIOR), True
-        odds = self._odds + min(said + (STRONGEST if sunk else 0.0), STRONGEST)
+        odds = self._odds + min(ratio + (MAX_LOG_ODDS if sunk else 0.0), MAX_LOG_ODDS)
         probability = 1 / (1 + math.exp(-odds))
         self._arrives = stands or (sunk and probability >= THRESHOLD)
         length = float(np.linalg.norm(way))
         self._speed = length / self._age if probability < THRESHOLD else 0.0
         self._undecided &= probability >= THRESHOLD
-        if not tips or self._age == LONGEST or length > WAY or (stands and self._age > 1):
-            self._begin(view)
+        if not tips or self._age == MAX_AGE or length > MAX_WAY or (stands and self._age > 1):
+            self._begin(shown, prepared)
             self._odds = odds
         else:
             self._way = way
         return probability
 
 
-def _view(picture: np.ndarray, tool: np.ndarray, prepared: PreparedFrame | None = None) -> View:
-    picture, tool = shrunk(picture, tool)
-    return View(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), tool, lit_field(picture), tool_distance(tool), prepared)
-
-
-def _frame_view(prepared: PreparedFrame) -> View:
-    """Of a frame that is visible, with its depth."""
-    picture, labels = prepared.view
-    return _view(picture, labels == TOOL, prepared)
-
-
 def _log_odds(probability: float) -> float:
     return math.log(probability / (1 - probability))
 
 
-def _said(tips: list[Beside]) -> float:
+def _ratio_of_tips(tips: list[TipMotion]) -> float:
     """The logarithm of the likelihood ratio that any of the tips says which move most; the others say little."""
     way = [float(np.linalg.norm(tip.tool)) for tip in tips]
     return max((log_ratio(tip) for tip, length in zip(tips, way, strict=True) if length >= max(way) / 2), default=0.0)
 
 
-def _has_sunk(before: View, after: View) -> bool:
-    """Whether the tissue beside the tool lies deeper than it did, against the tissue around; where depth is known."""
-    if before.prepared is None or after.prepared is None:
-        return False
+def _shown(prepared: PreparedFrame) -> Shown:
+    """The picture of a frame that is visible."""
+    picture, labels = prepared.view
+    return Shown.of(picture, labels == TOOL)
+
+
+def _has_sunk(shown: Shown, before: PreparedFrame, after: PreparedFrame, background: Background | None) -> bool:
+    """Whether the tissue next to the tool lies deeper than it did, against the tissue around; where depth is known.
+
+    Args:
+        shown: picture of the frame before.
+        before, after: the frames.
+        background: motion of the picture between them.
+    """
     rest = RestingTissue()
-    rest.push(before.prepared, picture_motion(before.prepared, after.prepared))
-    change = rest.change(after.prepared, least=1)
+    rest.push(before, grid_motion(background, shown, before))
+    change = rest.change(after, least=1)
     if change is None:
         return False
-    tool, sigmas = after.prepared.labels == TOOL, change.sigmas()
+    tool, sigmas = after.labels == TOOL, change.sigmas()
     largest = sigmas[near(tool, DENT)].max(initial=0.0)
     return bool(largest > max(SINKS, ELSEWHERE * sigmas[~near(tool, 2 * DENT)].max(initial=0.0)))
 
 
-def seen_beside(before: View, after: View) -> list[Beside]:
-    """How every tool's tip and the tissue beside it moved from one picture to a later one.
+def observed_motion(before: Shown, after: Shown) -> tuple[list[TipMotion], Background | None]:
+    """How every tool's tip, the tissue next to it and the background moved from one picture to a later one.
 
     Returns:
-        One a tool whose motion is known; none where the background's isn't.
+        One a tool whose motion is known, and the background's motion; none where that isn't known.
     """
     tips = _tips(before)
     if not tips:
-        return []
-    height, width = before.grey.shape
-    row, column = (
-        part.ravel() for part in np.mgrid[SPACING : height - SPACING : SPACING, SPACING : width - SPACING : SPACING]
-    )
-    usable = (before.away[row, column] > GUARD) & before.lit[row, column]
-    places = np.column_stack([column, row])[usable]
-    distance = before.away[places[:, 1], places[:, 0]] - GUARD
+        return [], None
+    places = lattice(before.gray.shape, SPACING).reshape(-1, 2)
+    distance = values_at(before.away, places) - GUARD
+    usable = (distance > 0) & values_at(before.lit, places)
+    places, distance = places[usable], distance[usable]
     far = np.flatnonzero(distance > RING)
     far = far[:: max(1, len(far) // BACKGROUND_POINTS)]
-    # Every point is beside the tip that it is nearest to, or a shaft.
+    # Every point belongs to the tip that it is nearest to, or to a shaft.
     owner = _nearest(places, tips, before)
     owner[distance > RING] = -1
     used = np.union1d(far, np.flatnonzero(owner >= 0))
     places, distance, owner = places[used], distance[used], owner[used]
-    step, followed = _followed(before, after, places, WINDOW)
-    background = _background(places[followed & (owner < 0)], step[followed & (owner < 0)])
+    step, known = followed(before.gray, after.gray, places)
+    background = background_motion(places[known & (owner < 0)], step[known & (owner < 0)])
     if background is None:
-        return []
-    affine, noise, background_sd = background
-    there = np.rint(places + step).astype(int).clip(0, [width - 1, height - 1])
-    followed &= after.away[there[:, 1], there[:, 0]] > GUARD / 2
-    moved = step - _terms(places) @ affine
-    found = []
+        return [], None
+    known &= values_at(after.away, np.rint(places + step)) > GUARD / 2
+    moved = step - background.at(places)
+    motions = []
     for index, tip in enumerate(tips):
-        motion = _tool_motion(before, after, tip, affine)
+        places = tip[:: max(1, len(tip) // TOOL_POINTS)]
+        step, found = followed(before.gray, after.gray, places, NARROW)
+        motion = _tool_motion((step - background.at(places))[found])
         if motion is not None:
-            beside = followed & (owner == index)
-            found.append(Beside(moved[beside], distance[beside], SPACING, *motion, noise, background_sd))
-    return found
+            around = known & (owner == index)
+            motions.append(
+                TipMotion(moved[around], distance[around], SPACING, *motion, background.noise, background.error)
+            )
+    return motions, background
 
 
-def _nearest(places: np.ndarray, tips: list[np.ndarray], view: View) -> np.ndarray:
+def _nearest(places: np.ndarray, tips: list[np.ndarray], view: Shown) -> np.ndarray:
     """Index of the tip in which the tool's pixel lies that is nearest to a place, shape [N]; -1 for a shaft."""
     owner = np.full(view.tool.shape, -1)
     for index, tip in enumerate(tips):
@@ -295,36 +252,14 @@ def _nearest(places: np.ndarray, tips: list[np.ndarray], view: View) -> np.ndarr
     return by_label[label[places[:, 1], places[:, 0]]]
 
 
-def _background(places: np.ndarray, step: np.ndarray) -> tuple[np.ndarray, float, float] | None:
-    """Affine motion of most of some points [3, 2], the points' own noise about it, and its error, alike nearby [px]."""
-    if len(places) < FEWEST_BACKGROUND:
-        return None
-    terms, kept = _terms(places), np.ones(len(places), bool)
-    for _ in range(FITS):
-        affine = np.linalg.lstsq(terms[kept], step[kept], rcond=None)[0]
-        left = step - terms @ affine
-        length = np.linalg.norm(left, axis=1)
-        kept = length < ASTRAY * max(np.median(length[kept]) / MEDIAN_LENGTH, LEAST_NOISE)
-    # Moving tissue that is no background shall not count for all of it.
-    scale = ASTRAY * max(np.median(length) / MEDIAN_LENGTH, LEAST_NOISE)
-    left = left.clip(-scale, scale)
-    _, block, count = np.unique(places // BLOCK, axis=0, return_inverse=True, return_counts=True)
-    block = block.ravel()
-    shared = np.column_stack([np.bincount(block, weights=part) for part in left.T]) / count[:, None]
-    own = np.linalg.norm((left - shared[block])[count[block] >= 3], axis=1)
-    noise = float(np.median(own)) / MEDIAN_LENGTH if len(own) else 0.0
-    error = math.sqrt(np.mean(np.square(shared)))
-    return affine, max(noise, LEAST_NOISE), max(error, LEAST_NOISE / 2)
-
-
-def _tips(view: View) -> list[np.ndarray]:
+def _tips(view: Shown) -> list[np.ndarray]:
     """Places (column, row) in the free end of every tool, [P, 2] each; in all of a tool that enters nowhere."""
     edge = cv2.dilate((~view.lit).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
     edge[[0, 1, 2, -3, -2, -1]] = edge[:, [0, 1, 2, -3, -2, -1]] = True
     count, number, stats, _ = cv2.connectedComponentsWithStats(view.tool.astype(np.uint8))
     tips = []
     for index in range(1, count):
-        if stats[index, cv2.CC_STAT_AREA] < LEAST_TOOL:
+        if stats[index, cv2.CC_STAT_AREA] < MIN_TOOL_PIXELS:
             continue
         part = np.argwhere(number == index)
         entry = part[edge[part[:, 0], part[:, 1]]]
@@ -335,49 +270,15 @@ def _tips(view: View) -> list[np.ndarray]:
     return tips
 
 
-def _tool_motion(before: View, after: View, tip: np.ndarray, affine: np.ndarray) -> tuple[np.ndarray, float] | None:
-    """Displacement of a tip [P, 2] less the background's there [2], and its spread [px]; None where it isn't known."""
-    places = tip[:: max(1, len(tip) // TOOL_POINTS)]
-    step, followed = _followed(before, after, places, NARROW)
-    moved = (step - _terms(places) @ affine)[followed]
-    if len(moved) < FEWEST_TOOL:
+def _tool_motion(moved: np.ndarray) -> tuple[np.ndarray, float] | None:
+    """Common displacement [2] of a tip's points [N, 2] less the background's, and its spread [px]; None if unknown."""
+    if len(moved) < MIN_TOOL_POINTS:
         return None
     middle = np.median(moved, axis=0)
-    for _ in range(FITS):
+    for _ in range(ITERATIONS):
         off = np.linalg.norm(moved - middle, axis=1)
         middle = np.median(moved[off <= max(2 * np.median(off), LEAST_NOISE)], axis=0)
     spread = float(np.median(np.linalg.norm(moved - middle, axis=1)))
     if spread > max(SPREAD * np.linalg.norm(middle), 1.0):
         return None
     return middle, spread / MEDIAN_LENGTH
-
-
-def _terms(places: np.ndarray) -> np.ndarray:
-    """Of an affine motion, shape [N, 3]."""
-    return np.column_stack([places, np.ones(len(places))]).astype(np.float64)
-
-
-def _followed(before: View, after: View, places: np.ndarray, window: int) -> tuple[np.ndarray, np.ndarray]:
-    """Displacements of places [N, 2] (column, row) from one picture to the other, and which of them are known [N]."""
-    if not len(places):
-        return np.zeros((0, 2)), np.zeros(0, bool)
-
-    def moved(one: np.ndarray, two: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        there, found, _ = cv2.calcOpticalFlowPyrLK(
-            one,
-            two,
-            points,
-            points.copy(),
-            winSize=(window, window),
-            maxLevel=LEVELS,
-            criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03),
-            minEigThreshold=TEXTURE,
-        )
-        return there, found
-
-    start = np.ascontiguousarray(places[:, None], np.float32)
-    there, found = moved(before.grey, after.grey, start)
-    back, returned = moved(after.grey, before.grey, there)
-    known = (found.ravel() > 0) & (returned.ravel() > 0)
-    known &= np.linalg.norm((back - start)[:, 0], axis=1) < RETURNED
-    return (there - start)[:, 0].astype(np.float64), known

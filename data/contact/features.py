@@ -1,7 +1,7 @@
-"""What a network is told about one contact: its motion since the onset and the mesh around it, as one vector.
+"""What a network is given of one contact: its motion since the onset and the mesh around it, as one vector.
 
 Built the same way for training and for inference. Lengths are in units of the mesh's spacing at the contact, in which
-the sheet's equations know no other scale than F; the noise and the spacing itself come beside.
+the sheet's equations know no other scale than F; the noise and the spacing itself are given as well.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from palpate.physics.mesh import Mesh
 FRAME_RATE = 25.0
 """Motion is resampled to this rate [1/s]."""
 SLOTS = 25
-"""Instants after the onset that are told: one second."""
+"""Instants after the onset that are given: one second."""
 NEIGHBOURS = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
 """(row, column) offsets of the pixels around the contact."""
 FARTHEST_RIM = 32
@@ -27,7 +27,7 @@ FEATURES = 4 * SLOTS + 4 * len(NEIGHBOURS) + len(NEIGHBOURS) + 4
 REFERENCE_SPACING = 0.0027
 """A usual spacing of the mesh at the contact [scene units]."""
 KNOWN, LOADED = (tuple(range(first * SLOTS, (first + 1) * SLOTS)) for first in (2, 3))
-"""Places in the vector that are 1 for instants that were seen, and for those seen under load."""
+"""Places in the vector that are 1 for instants that were observed, and for those observed under load."""
 LOG_NOISE = FEATURES - 4, FEATURES - 3
 """Places in the vector whose sum is the logarithm of the noise over REFERENCE_SPACING."""
 
@@ -72,7 +72,7 @@ def contact_features(contact: Interaction, surroundings: Surroundings | None = N
 
 
 def slot_times() -> np.ndarray:
-    """Times since the onset that are told, shape [SLOTS] [s]."""
+    """Times since the onset that are given, shape [SLOTS] [s]."""
     return np.arange(1, SLOTS + 1) / FRAME_RATE
 
 
@@ -83,7 +83,7 @@ def join_features(
 
     Args:
         along: motion against the force's direction over the spacing, shape [B, SLOTS].
-        known, loaded: whether an instant was seen, and was under load, shapes [B, SLOTS].
+        known, loaded: whether an instant was observed, and was under load, shapes [B, SLOTS].
         around: `Surroundings.vector`, shape [B, 40].
         spacing: of the meshes, shape [B] [scene units].
         noise: of every observed coordinate, shape [B] [scene units].

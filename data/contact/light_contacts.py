@@ -16,7 +16,7 @@ import numpy as np
 from palpate.data.brightness.light import FINE, log_light
 from palpate.data.brightness.sequence import SPREAD, RestingLight, change_of_light
 from palpate.data.contact.dents import dent_geometry
-from palpate.data.contact.evidence import SURE
+from palpate.data.contact.evidence import CERTAIN
 from palpate.data.contact.geometry import GeometrySettings, GeometryStatus
 from palpate.data.labels import TOOL
 from palpate.data.prepared import PreparedFrame
@@ -120,7 +120,7 @@ class LightContacts:
         for lit in done:
             if lit.dent is None:
                 self._rest.push(lit.light)
-                if lit.change is not None and not lit.prepared.contact_probability >= SURE:
+                if lit.change is not None and not lit.prepared.contact_probability >= CERTAIN:
                     _out_of_contact(lit.prepared, UNCHANGED)
         return [lit.prepared for lit in done]
 

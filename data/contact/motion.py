@@ -19,7 +19,6 @@ from palpate.data.contact.outlines import frayed_share, inside, uncover
 from palpate.data.contact.refinement import REFINE_FRAMES, ContactRun, picture_pixel, settle_run
 from palpate.data.contact.rest_depth import RestDepth
 from palpate.data.contact.surface import smooth_surface
-from palpate.data.contact.template import TissueTemplate
 from palpate.data.contact.tissue_points import (
     grid_to_picture,
     lift,
@@ -27,10 +26,10 @@ from palpate.data.contact.tissue_points import (
     reference_pixels,
     rigid_motion,
 )
-from palpate.data.contact.tracking import TissueTracker
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.data.source.camera import Camera
+from palpate.data.tracks.tissue import TissueTemplate, TissueTracker
 
 LOST = "The tissue that was touched first is not followed here or has no depth; nothing of its motion is observed."
 FRAYED = (
@@ -38,7 +37,7 @@ FRAYED = (
     "rest; where and when contact began is less certain."
 )
 FRAYED_SHARE = 0.05
-"""More of the tissue beside the tool in front of the tissue at rest is worth a sentence."""
+"""More of the tissue next to the tool in front of the tissue at rest is worth a sentence."""
 DENTED = "Contact begins while tissue is or may be dented from an earlier one, so its shape at rest isn't known."
 REST_SECONDS = 1.0
 """Tissue that isn't followed counts as being at rest again so long after it was touched last [s]."""
@@ -108,7 +107,7 @@ class ContactMotion:
     def settle(self) -> None:
         """Decide where a young run's contact presses; nothing about the frames linked so far changes after that."""
         if self._run is not None:
-            settle_run(self._run, self.size, self._lift)
+            settle_run(self._run, self.size, self._lift, self._tracker)
 
     def _grow_older(self, run: ContactRun, latest: PreparedFrame) -> None:
         if run.young is None or latest is run.onset:
@@ -136,7 +135,7 @@ class ContactMotion:
             run.pixel = moved if np.isfinite(run.drift).all() else np.full(2, math.nan)
 
     def _update_run(self, before: PreparedFrame, after: PreparedFrame) -> None:
-        """Begin a run at a contact after frames that were seen without one; end it some time after its release."""
+        """Begin a run at a contact after frames known to be without one; end it some time after its release."""
         index = after.frame.index
         missing = math.inf if self._last_contact is None else index - self._last_contact - 1
         if not after.in_contact:
@@ -184,7 +183,7 @@ class ContactMotion:
                 if share > FRAYED_SHARE:
                     onset.detail = FRAYED.format(share=share)
         pixel = picture_pixel(onset, self.size)
-        template = TissueTemplate(*onset.view, pixel)
+        template = self._tracker.template(onset.view, pixel)
         young = [] if math.isfinite(onset.contact.noise) and onset.press is None else None
         return ContactRun(onset, pixel, template, np.zeros(3), young)
 
@@ -200,16 +199,15 @@ class ContactMotion:
         if not source.in_contact:
             return np.full(3, math.nan)
         pixel = picture_pixel(source, self.size)
-        moved = self._follow(source, target, pixel, TissueTemplate(*source.view, pixel))
+        moved = self._follow(source, target, pixel, self._tracker.template(source.view, pixel))
         return (self._lift(moved[None], target) - self._lift(pixel[None], source))[0]
 
     def _follow(
         self, source: PreparedFrame, target: PreparedFrame, pixel: np.ndarray, template: TissueTemplate
     ) -> np.ndarray:
         """Place of a followed point in the next picture: by flow, corrected by its template; NaN where it is lost."""
-        moved = self._step(source, target, pixel[None])[0]
-        found = template.locate(*target.view, moved) if np.isfinite(moved).all() else None
-        return moved if found is None else found
+        moved = self._tracker.near(source.view, target.view, pixel)
+        return self._tracker.again(template, target.view, moved) if np.isfinite(moved).all() else moved
 
     def _rigid(self, before: PreparedFrame, after: PreparedFrame) -> np.ndarray:
         """Motion that the contact would have if it moved with the tissue far from it, shape [3]; NaN if not known."""
@@ -221,13 +219,9 @@ class ContactMotion:
             return np.full(3, math.nan)
         grid = picture_to_grid(pixel, before.depth.shape, self.size)
         pixels = grid_to_picture(reference_pixels(before.depth, before.labels, grid), before.depth.shape, self.size)
-        moved = self._step(before, after, pixels)
+        moved = self._tracker.each(before.view, after.view, pixels)
         place = self._lift(pixel[None], before)[0]
         return rigid_motion(self._lift_smooth(pixels, before), self._lift_smooth(moved, after), place)
-
-    def _step(self, source: PreparedFrame, target: PreparedFrame, pixels: np.ndarray) -> np.ndarray:
-        (first, first_labels), (second, second_labels) = source.view, target.view
-        return self._tracker.step(first, second, first_labels, second_labels, pixels)
 
     def _lift(self, pixels: np.ndarray, prepared: PreparedFrame) -> np.ndarray:
         """Points [P, 3] of full-picture pixels [P, 2]."""

@@ -1,4 +1,4 @@
-"""What a mask's outline can't tell, told by the depth beside it: outlines are off by a pixel or two.
+"""On which side of a mask's outline a pixel is, by the depth around it: outlines are off by a pixel or two.
 
 A tool lies between the camera and the tissue. So depth says on which side of a frayed outline a pixel is: what it shows
 in front of the tissue is tool, and what lies behind the tissue around it is no tool.
@@ -15,7 +15,7 @@ FRAY = 2
 """Outlines are uncertain by this much [grid pixels]."""
 BESIDE = 4
 """The tool's outline takes its depth from the tool within this many rows and columns [grid pixels]."""
-MOST_BEHIND = 0.25
+MAX_BEHIND = 0.25
 """A larger share of the tool's outline isn't the bottom of a dent."""
 CLEARLY = 3.0
 """A depth lies clearly behind others from this many standard deviations of its noise."""
@@ -48,13 +48,13 @@ def uncover(depth: np.ndarray, labels: np.ndarray, noise: float) -> np.ndarray:
     around = cv2.dilate(tissue, np.ones((2 * FRAY + 1,) * 2, np.uint8))
     outline = (labels == TOOL) & (around > 0) & (depth > 0)
     behind = outline & (depth > around + CLEARLY * noise)
-    if behind.sum() > MOST_BEHIND * outline.sum():
+    if behind.sum() > MAX_BEHIND * outline.sum():
         return labels
     return np.where(behind, np.uint8(TISSUE), labels)
 
 
 def tool_depth(depth: np.ndarray, tool: np.ndarray) -> np.ndarray:
-    """Depth in which the tool's outline lies as near as the tool beside it, shape [h, w] [scene units].
+    """Depth in which the tool's outline lies as near as the tool next to it, shape [h, w] [scene units].
 
     A pixel of a frayed outline shows what is behind the tool, and makes a hovering tool seem to touch it.
 
@@ -88,7 +88,7 @@ def frayed_share(depth: np.ndarray, labels: np.ndarray, rest: np.ndarray, noise:
     Returns:
         0 to 1; 0 where no tissue is near the tool.
     """
-    beside = (labels == TISSUE) & (depth > 0) & (rest > 0) & near(labels == TOOL)
-    if not beside.any():
+    outline = (labels == TISSUE) & (depth > 0) & (rest > 0) & near(labels == TOOL)
+    if not outline.any():
         return 0.0
-    return float((depth < rest - 2 * CLEARLY * noise)[beside].mean())
+    return float((depth < rest - 2 * CLEARLY * noise)[outline].mean())

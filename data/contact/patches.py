@@ -13,7 +13,7 @@ from palpate.data.contact.depth_sequence import REACH
 from palpate.physics.jit import inlined, kernel
 from palpate.physics.mesh import Mesh
 
-LARGEST_SHIFT = 2
+MAX_SHIFT = 2
 """Patches that come from farther away than this are not known [grid pixels]."""
 ITERATIONS = 12
 """To find what a sample shows; tissue that shifts by s grid pixels a pixel needs log(SETTLED)/log(s) of them."""
@@ -21,13 +21,13 @@ EXACT = 1e-3
 """No more of them once it has settled to this [grid pixels]."""
 SETTLED = 0.05
 """What still moves by more than this in the last of them lies in a fold [grid pixels]."""
-MOST_SAMPLES = 6
+MAX_SAMPLES = 6
 """Of larger pictures as many places a pixel of the grid, evenly spread, stand for its pixels along an axis."""
 
 ALL = np.s_[:]
 CROSS = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 """A pixel and its neighbours."""
-ENOUGH = 1000
+FOCAL_VERTICES = 1000
 """Vertices that tell the focal lengths."""
 
 
@@ -45,7 +45,7 @@ class Patches:
     def __init__(self, mesh: Mesh, vertex: int, size: tuple[int, int], reach: int = REACH, parts: int = 1) -> None:
         self.size, self._side = size, 2 * reach + 1
         pixels = np.arange(-reach, reach + 1)
-        reach += LARGEST_SHIFT
+        reach += MAX_SHIFT
         offsets = mesh.pixels - mesh.pixels[vertex]
         rows, columns = np.abs(offsets).T
         self.vertices = np.flatnonzero((rows <= reach) & (columns <= reach))
@@ -71,7 +71,7 @@ class Patches:
 
     def own(self) -> np.ndarray:
         """The vertex in every pixel at rest, as a place among the V, shape [P]; -1 where none is known."""
-        return self._number()[LARGEST_SHIFT:-LARGEST_SHIFT, LARGEST_SHIFT:-LARGEST_SHIFT].ravel()
+        return self._number()[MAX_SHIFT:-MAX_SHIFT, MAX_SHIFT:-MAX_SHIFT].ravel()
 
     def _number(self) -> np.ndarray:
         """The same on the whole square of pixels around the contact, shape [S, S]."""
@@ -186,7 +186,7 @@ class Patches:
 
     def _at_rest(self, moved: np.ndarray) -> np.ndarray:
         """Where what the pixels' middles show lay at rest, shape [N, P, 2]; themselves in folds, and out of sight."""
-        middle = np.mgrid[: self._side, : self._side].reshape(2, -1).T + float(LARGEST_SHIFT)
+        middle = np.mgrid[: self._side, : self._side].reshape(2, -1).T + float(MAX_SHIFT)
         place = _settled(self._dense(self.shift(moved)), middle)
         return np.where(np.isfinite(place), place, middle)
 
@@ -201,9 +201,9 @@ class Patches:
         if self.averages:
             # Between samples half a pixel apart it hardly bends, and they are far fewer.
             side = 2 * (self._side + 1) + 1
-            lattice = np.mgrid[:side, :side].reshape(2, -1).T / 2 + (LARGEST_SHIFT - 1)
+            lattice = np.mgrid[:side, :side].reshape(2, -1).T / 2 + (MAX_SHIFT - 1)
             found = _settled(shift, lattice).reshape(-1, side, side, 2)
-            places = np.broadcast_to(2 * (samples - (LARGEST_SHIFT - 1)), (len(moved), *samples.shape))
+            places = np.broadcast_to(2 * (samples - (MAX_SHIFT - 1)), (len(moved), *samples.shape))
             place = between(found, places)
         else:
             place = _settled(shift, samples)
@@ -237,10 +237,10 @@ def footprint(cells: np.ndarray, count: int, pixels: int, parts: int = 1) -> tup
     size = pixels / count
     if size > 1 and parts > 1:
         middles, shares = footprint(cells, count, pixels)
-        within = ((np.arange(parts) + 0.5) / parts - 0.5) / min(size, MOST_SAMPLES)
+        within = ((np.arange(parts) + 0.5) / parts - 0.5) / min(size, MAX_SAMPLES)
         return (middles[:, :, None] + within).reshape(len(cells), -1), np.repeat(shares / parts, parts, axis=1)
-    if size <= 1 or size > MOST_SAMPLES:
-        each = 1 if size <= 1 else MOST_SAMPLES
+    if size <= 1 or size > MAX_SAMPLES:
+        each = 1 if size <= 1 else MAX_SAMPLES
         inside = (np.arange(each) + 0.5) / each - 0.5
         return cells[:, None] + inside, np.full((len(cells), each), 1 / each)
     begin, end = cells * size, (cells + 1) * size
@@ -331,7 +331,7 @@ def _nearest(place, number):
 
 def focal_length(mesh: Mesh) -> np.ndarray:
     """Focal lengths along x and y, from the places of the mesh's vertices in its grid, shape [2] [grid pixels]."""
-    some = np.s_[:: max(1, len(mesh.vertices) // ENOUGH)]  # all lie on the same two lines
+    some = np.s_[:: max(1, len(mesh.vertices) // FOCAL_VERTICES)]  # all lie on the same two lines
     rays = mesh.vertices[some, :2].astype(np.float64) / mesh.vertices[some, 2:]
     places = mesh.pixels[some, ::-1].astype(np.float64)
     rays, places = rays - rays.mean(axis=0), places - places.mean(axis=0)

@@ -9,9 +9,9 @@ import numpy as np
 
 from palpate.data.contact.geometry import TISSUE, TOOL, move_contact
 from palpate.data.contact.outlines import near, uncover
-from palpate.data.contact.template import TissueTemplate
 from palpate.data.contact.tissue_points import grid_to_picture, picture_to_grid
 from palpate.data.prepared import PreparedFrame
+from palpate.data.tracks.tissue import TissueTemplate, TissueTracker
 
 REFINE_REACH = 3
 """The tissue that yields most is looked for this far from where the contact was detected, and from the outline where
@@ -20,9 +20,9 @@ REFINE_SIGMA = 3.5
 """Its mean change must exceed this many standard deviations."""
 IN_FRONT = 5.0
 """Depth so many standard deviations nearer than the tissue at rest is the tool's."""
-ALIKE = 2.0
+SAME_SIGMAS = 2.0
 """Mean changes whose difference is below this many of its standard deviations count as the same."""
-ALIKE_SHARE = 0.25
+SAME_SHARE = 0.25
 """So do those that differ by less than this share: the tip of the tool that presses goes about as deep as the dent."""
 REFINE_FRAMES = 5
 """Frames after the onset that decide where the contact is."""
@@ -30,7 +30,7 @@ REFINE_FRAMES = 5
 
 @dataclass
 class ContactRun:
-    """A run of contact whose onset was seen, and the tissue point that is followed from it."""
+    """A run of contact whose onset was observed, and the tissue point that is followed from it."""
 
     onset: PreparedFrame
     """The first frame in contact."""
@@ -61,9 +61,9 @@ def pressed_pixel(
             place, where many more pixels are looked at.
     """
     mesh, (u, v), noise = onset.contact.mesh, onset.contact.pixel, onset.contact.noise
-    beside = near(onset.labels == TISSUE, REFINE_REACH) & near(onset.labels == TOOL, REFINE_REACH)
+    outline = near(onset.labels == TISSUE, REFINE_REACH) & near(onset.labels == TOOL, REFINE_REACH)
     close = (np.abs(mesh.pixels - (v, u)) <= REFINE_REACH).all(axis=1)
-    chosen = np.flatnonzero((close | (beside[tuple(mesh.pixels.T)] & onset.contact.touching)) & ~mesh.rim)
+    chosen = np.flatnonzero((close | (outline[tuple(mesh.pixels.T)] & onset.contact.touching)) & ~mesh.rim)
     if len(chosen) == 0 or not later:
         return None
     changes, bare = (np.stack(parts) for parts in zip(*(_changes(onset, chosen, *item) for item in later), strict=True))
@@ -92,8 +92,8 @@ def _changes(
     inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
     rows, columns = rows.clip(0, height - 1), columns.clip(0, width - 1)
     labels = uncover(prepared.depth, prepared.labels, onset.contact.noise)
-    seen = inside & (labels[rows, columns] == TISSUE) & (prepared.depth[rows, columns] > 0)
-    changes = np.where(seen, prepared.depth[rows, columns] - away - mesh.vertices[chosen, 2], np.nan)
+    visible = inside & (labels[rows, columns] == TISSUE) & (prepared.depth[rows, columns] > 0)
+    changes = np.where(visible, prepared.depth[rows, columns] - away - mesh.vertices[chosen, 2], np.nan)
     return changes, inside & (prepared.labels[rows, columns] == TISSUE)
 
 
@@ -104,7 +104,7 @@ def _largest(changes: np.ndarray, needed: np.ndarray, share: np.ndarray, noise: 
     the tool that presses goes as deep.
 
     Args:
-        changes: shape [frames, P] [scene units]; not a number where a vertex wasn't seen.
+        changes: shape [frames, P] [scene units]; not a number where a vertex wasn't visible.
         needed: what a single change must exceed, shape [P]; the mean of n less by √n.
         share: of the frames in which the mask shows the vertex as tissue, shape [P].
         noise: standard deviation of a change.
@@ -118,13 +118,18 @@ def _largest(changes: np.ndarray, needed: np.ndarray, share: np.ndarray, noise: 
     # Dents grow: only frames that show both vertices compare them.
     behind = changes[:, np.argmax(np.where(clear, mean, -np.inf))][:, None] - changes
     common = np.isfinite(behind).sum(axis=0)
-    least = ALIKE * noise * np.sqrt(2 * common) + ALIKE_SHARE * common * np.nanmax(mean[clear])
-    alike = clear & (np.nansum(behind, axis=0) <= least) & (common > 0)
-    alike &= share == share[alike].max()
-    return int(np.argmax(np.where(alike, mean, -np.inf)))
+    least = SAME_SIGMAS * noise * np.sqrt(2 * common) + SAME_SHARE * common * np.nanmax(mean[clear])
+    equal = clear & (np.nansum(behind, axis=0) <= least) & (common > 0)
+    equal &= share == share[equal].max()
+    return int(np.argmax(np.where(equal, mean, -np.inf)))
 
 
-def settle_run(run: ContactRun, size: tuple[int, int], lift: Callable[[np.ndarray, PreparedFrame], np.ndarray]) -> None:
+def settle_run(
+    run: ContactRun,
+    size: tuple[int, int],
+    lift: Callable[[np.ndarray, PreparedFrame], np.ndarray],
+    tracker: TissueTracker,
+) -> None:
     """Move a young run's contact to the nearby tissue that has yielded most, and follow that; a settled one stays.
 
     Depth noise shifts the closest pair of points by a pixel or two, and a point load makes a dent hardly wider.
@@ -133,6 +138,7 @@ def settle_run(run: ContactRun, size: tuple[int, int], lift: Callable[[np.ndarra
         run: its young frames are forgotten.
         size: (width, height) of the full picture [px].
         lift: points [P, 3] of full-picture pixels [P, 2] in a frame.
+        tracker: takes the template of the contact's new place.
     """
     young, run.young = run.young, None
     if young is None:
@@ -148,7 +154,7 @@ def settle_run(run: ContactRun, size: tuple[int, int], lift: Callable[[np.ndarra
     for prepared, pixel, drift in young:
         prepared.track_position = lift((pixel + moved - contact)[None], prepared)[0] - drift
     run.pixel = run.pixel + moved - contact
-    run.template = TissueTemplate(*run.onset.view, moved)
+    run.template = tracker.template(run.onset.view, moved)
 
 
 def picture_pixel(prepared: PreparedFrame, size: tuple[int, int]) -> np.ndarray:

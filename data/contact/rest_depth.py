@@ -14,7 +14,7 @@ from palpate.data.prepared import PreparedFrame
 
 FRAMES = 8
 """Frames before a contact whose depths are averaged."""
-LARGEST_SHIFT = 3.0
+MAX_SHIFT = 3.0
 """Frames in which the picture lay farther from where it lies at the contact are left out [grid pixels]."""
 
 
@@ -37,31 +37,32 @@ class RestDepth:
         """Depth of the first frame in contact with its tissue averaged over the remembered frames.
 
         A frame is moved by the shift of the picture between the two, and by the median difference of the depths, so
-        that a slowly moving camera does no harm. Beside the tool, whose frayed outline may count as tissue, the
+        that a slowly moving camera does no harm. Next to the tool, whose frayed outline may count as tissue, the
         remembered frames alone count where they show the tissue.
 
-        Tissue is known that is seen now or was seen where the tool is now: a hole in the mesh where the tool presses
-        would change how the tissue answers. So would an edge of the tissue behind the tool that is taken for hidden.
+        Tissue is known that is visible now, or was visible where the tool is now: a hole in the mesh where the tool
+        presses would change how the tissue answers. So would an edge of the tissue behind the tool that is taken for
+        hidden.
         """
         tissue, tool = (onset.labels == TISSUE) & (onset.depth > 0), onset.labels == TOOL
         total, count = np.where(tissue, onset.depth, 0).astype(np.float64), tissue.astype(np.float64)
-        grey, beside, beyond = _grey(onset), tissue & near(tool), np.zeros_like(tissue)
+        grey, outline, beyond = _grey(onset), tissue & near(tool), np.zeros_like(tissue)
         for before, depth, valid, other in self._frames:
             shift, _ = cv2.phaseCorrelate(before, grey)
-            if max(abs(shift[0]), abs(shift[1])) > LARGEST_SHIFT:
+            if max(abs(shift[0]), abs(shift[1])) > MAX_SHIFT:
                 continue
             move = np.array([[1, 0, round(shift[0])], [0, 1, round(shift[1])]], np.float64)
-            moved, seen, ended = (
+            moved, visible, ended = (
                 cv2.warpAffine(part, move, depth.shape[::-1], flags=cv2.INTER_NEAREST)
                 for part in (depth, valid.astype(np.uint8), other.astype(np.uint8))
             )
-            seen, beyond = seen > 0, beyond | (ended > 0)
-            shared = tissue & seen
+            visible, beyond = visible > 0, beyond | (ended > 0)
+            shared = tissue & visible
             if shared.any():
-                used = shared | (tool & seen)
+                used = shared | (tool & visible)
                 total[used] += moved[used] + np.median(onset.depth[shared] - moved[shared])
                 count[used] += 1
-        alone = beside & (count > 1)
+        alone = outline & (count > 1)
         total[alone] -= onset.depth[alone]
         count[alone] -= 1
         known = count > 0

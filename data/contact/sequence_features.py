@@ -1,4 +1,4 @@
-"""What a network is told about a dent's sequence: how much of a few shapes it holds at every instant, as one vector.
+"""What a network is given of a dent's sequence: the amounts of a few shapes in it at every instant, as one vector.
 
 A sheet of equal springs answers a point load with a function of its graph Laplacian L, so that its dents lie in the
 span of the static answers of sheets with elastic foundations, (L + α)⁻¹δ. With six of them the bounds of 12 simulated
@@ -26,11 +26,11 @@ MARGIN = 13
 """The sheet that the shapes are computed on ends so far beyond the depth-change sequence [grid pixels]."""
 RIDGE = 1e-3
 """Keeps shapes that hidden pixels leave undetermined small."""
-LEAST_SEEN = 0.4
+MIN_VISIBLE = 0.4
 """Of a depth-change sequence's pixels, in a frame that counts."""
 ROUNDED = 1.4
-"""A network that sees sequences is told of so many times the noise where depth was rounded: errors of still tissue are
-then the same in all frames and in neighbouring pixels, and tell as little as fewer, larger ones."""
+"""Factor by which the noise is larger that a network with sequences is given where depth was rounded: errors of still
+tissue are then the same in all frames and in neighbouring pixels, and inform as little as fewer, larger ones."""
 LARGE = 40.0
 """A large amount of a shape, in units of the mesh's spacing."""
 SEQUENCE_FEATURES = 2 * SLOTS * SHAPES + 2
@@ -64,16 +64,16 @@ def shape_amounts(change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Amounts of the shapes that explain a depth-change sequence best, and how errors of its pixels spread in them.
 
     Args:
-        change: shape [N, P]; not a number where nothing is seen.
+        change: shape [N, P]; not a number where nothing is visible.
 
     Returns:
         Amounts, shape [N, SHAPES]; and factors L of their covariances L·Lᵀ for independent errors of variance 1,
         shape [N, SHAPES, SHAPES].
     """
-    shapes, seen = dent_shapes(), np.isfinite(change)
-    normal = np.einsum("np,pi,pj->nij", seen.astype(np.float64), shapes, shapes) + RIDGE * np.eye(SHAPES)
+    shapes, visible = dent_shapes(), np.isfinite(change)
+    normal = np.einsum("np,pi,pj->nij", visible.astype(np.float64), shapes, shapes) + RIDGE * np.eye(SHAPES)
     inverse = np.linalg.inv(normal)
-    amounts = np.einsum("nij,nj->ni", inverse, np.where(seen, change, 0.0) @ shapes)
+    amounts = np.einsum("nij,nj->ni", inverse, np.where(visible, change, 0.0) @ shapes)
     return amounts, np.linalg.cholesky(inverse)
 
 
@@ -95,8 +95,8 @@ def motion_in_sequence(contact: Interaction) -> np.ndarray:
     return moved
 
 
-def told_noise(contact: Interaction) -> float:
-    """σ that networks are told of a contact [scene units], more where depth was rounded."""
+def network_noise(contact: Interaction) -> float:
+    """σ of a contact that networks are given [scene units], larger where depth was rounded."""
     sequence = contact.sequence
     return contact.noise * (ROUNDED if sequence is not None and sequence.noise.rounded else 1.0)
 
@@ -108,7 +108,7 @@ def dent_features(contact: Interaction, within: float) -> np.ndarray:
         contact: with or without a depth-change sequence.
         within: as of `sequence_features`.
     """
-    sequence, noise = contact.sequence, told_noise(contact)
+    sequence, noise = contact.sequence, network_noise(contact)
     shown = dataclasses.replace(contact, observation=contact.observation.moved(motion_in_sequence(contact), noise))
     around = contact_surroundings(contact)
     return np.concatenate([contact_features(shown, around), sequence_features(sequence, around.spacing, noise, within)])
@@ -118,39 +118,39 @@ def sequence_features(sequence: DepthSequence | None, spacing: float, noise: flo
     """The vector of a depth-change sequence, shape [SEQUENCE_FEATURES], float32.
 
     Args:
-        depth-change sequence: of a contact; None where it has none.
+        sequence: depth-change sequence of a contact; None where it has none.
         spacing: of its mesh [scene units].
         noise: of every pixel [scene units].
         within: the press began, and ended, at most so long before or after the time stamps [s].
     """
-    amounts, told = np.zeros((SLOTS, SHAPES)), False
+    amounts, present = np.zeros((SLOTS, SHAPES)), False
     if sequence is not None:
         change = sequence.change.reshape(len(sequence.times), (2 * REACH + 1) ** 2)
-        kept = np.isfinite(change).mean(axis=1) >= LEAST_SEEN
-        told = bool(kept.any())
-        if told:
+        kept = np.isfinite(change).mean(axis=1) >= MIN_VISIBLE
+        present = bool(kept.any())
+        if present:
             found, times = shape_amounts(change[kept])[0], sequence.times[kept]
             slots = slot_times()
             start = np.concatenate([[0.0], times])
             columns = [np.interp(slots, start, np.concatenate([[0.0], column])) for column in found.T]
             amounts = np.stack(columns, axis=1) * (slots <= times[-1] + 1e-9)[:, None]
-    arguments = amounts[None], np.array([spacing]), np.array([noise]), np.array([within]), np.array([told])
+    arguments = amounts[None], np.array([spacing]), np.array([noise]), np.array([within]), np.array([present])
     return join_sequence_features(*arguments)[0]
 
 
 def join_sequence_features(
-    amounts: np.ndarray, spacing: np.ndarray, noise: np.ndarray, within: np.ndarray, told: np.ndarray
+    amounts: np.ndarray, spacing: np.ndarray, noise: np.ndarray, within: np.ndarray, present: np.ndarray
 ) -> np.ndarray:
     """Vectors of many depth-change sequences, shape [B, SEQUENCE_FEATURES], float32.
 
     Args:
-        amounts: of the shapes at every slot, 0 where not seen, shape [B, SLOTS, SHAPES] [scene units].
+        amounts: of the shapes at every slot, 0 where not visible, shape [B, SLOTS, SHAPES] [scene units].
         spacing, noise: shapes [B] [scene units].
         within: of the instants, shape [B] [s].
-        told: whether there is a depth-change sequence, shape [B], bool.
+        present: whether there is a depth-change sequence, shape [B], bool.
     """
-    relative = amounts * told[:, None, None] / spacing[:, None, None]
+    relative = amounts * present[:, None, None] / spacing[:, None, None]
     scaled = np.arcsinh(relative / (2 * (noise / spacing)[:, None, None])) / 5
-    flags = within / slot_times()[0], told
+    flags = within / slot_times()[0], present
     parts = [part.reshape(len(amounts), -1) for part in (relative / LARGE, scaled, *flags)]
     return np.concatenate(parts, axis=1).astype(np.float32)

@@ -18,8 +18,8 @@ LEAST_WEIGHT = 1e-6
 def smooth_surface(depth: np.ndarray, tissue: np.ndarray, smoothing: float) -> tuple[np.ndarray, float]:
     """Depth of the tissue by a plane fitted around every pixel with Gaussian weights (local linear regression).
 
-    A plane cuts off what is curved: on synthetic tissue 0.2 of a depth noise of 0.001 where the tool touches, in all
-    frames alike. So the same fit to what it left is added (twicing, Tukey 1977), whose bias is of higher order.
+    A plane cuts off what is curved: on synthetic tissue 0.2 of a depth noise of 0.001 where the tool touches, the
+    same in all frames. So the same fit to what it left is added (twicing, Tukey 1977), whose bias is of higher order.
 
     Args:
         depth: z, shape [h, w] [scene units].

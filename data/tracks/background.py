@@ -1,6 +1,9 @@
-"""The camera's own motion, and a breathing background's, taken off what tissue does."""
+"""The motion of the camera, or of a breathing background, and tissue's motion less that."""
 
 from __future__ import annotations
+
+import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -8,14 +11,67 @@ from palpate.common.robust import affine_motion
 
 FAR = 60.0
 """Points farther from the tool than this percentile are the background [%]."""
-LEAST = 6
+MIN_FAR = 6
 """Fewer such points determine no affine motion."""
+MIN_FITTED = 30
+"""Fewer points say nothing of how well it is known."""
+ITERATIONS = 6
+"""Rounds of robust fits."""
+OUTLIER = 3.0
+"""Points that move otherwise by more standard deviations are no background."""
+BLOCK = 64
+"""Width of the squares whose points share what the background's motion leaves [px]."""
+LEAST_NOISE = 0.1
+"""Of following, by axis [px]."""
+MEDIAN_LENGTH = 1.1774
+"""Median length of a plane normal vector of unit standard deviation by axis."""
 
 
-def far_points(moved: np.ndarray, distance: np.ndarray) -> np.ndarray:
-    """Which of some points with displacements [N, 2] and distances [N] from the tool are the background, bool [N]."""
-    known = np.asarray(np.isfinite(moved).all(axis=1))
-    return known & (distance > np.percentile(distance[known], FAR)) if known.any() else known
+class Background(NamedTuple):
+    """The affine motion of most of a picture."""
+
+    affine: np.ndarray
+    """Displacement at (column, row, 1) [px], shape [3, 2]."""
+    noise: float
+    """Standard deviation by axis of the displacement of points about it, each for itself [px]."""
+    error: float
+    """Standard deviation by axis of what the motion leaves and neighbouring points share [px]."""
+
+    def at(self, places: np.ndarray) -> np.ndarray:
+        """Displacement at places [N, 2] (column, row) [px], shape [N, 2]."""
+        return _terms(places) @ self.affine
+
+
+def background_motion(places: np.ndarray, step: np.ndarray) -> Background | None:
+    """Affine motion of most of some points, by least squares without those far off; None where they are too few.
+
+    Args:
+        places: of the points in the first picture, shape [N, 2] (column, row) [px].
+        step: their displacements, shape [N, 2] [px].
+    """
+    if len(places) < MIN_FITTED:
+        return None
+    terms, kept = _terms(places), np.ones(len(places), bool)
+    for _ in range(ITERATIONS):
+        affine = np.linalg.lstsq(terms[kept], step[kept], rcond=None)[0]
+        left = step - terms @ affine
+        length = np.linalg.norm(left, axis=1)
+        kept = length < OUTLIER * max(np.median(length[kept]) / MEDIAN_LENGTH, LEAST_NOISE)
+    # Moving tissue that is no background shall not count for all of it.
+    scale = OUTLIER * max(np.median(length) / MEDIAN_LENGTH, LEAST_NOISE)
+    left = left.clip(-scale, scale)
+    _, block, count = np.unique(places // BLOCK, axis=0, return_inverse=True, return_counts=True)
+    block = block.ravel()
+    shared = np.column_stack([np.bincount(block, weights=part) for part in left.T]) / count[:, None]
+    own = np.linalg.norm((left - shared[block])[count[block] >= 3], axis=1)
+    noise = float(np.median(own)) / MEDIAN_LENGTH if len(own) else 0.0
+    error = math.sqrt(np.mean(np.square(shared)))
+    return Background(affine, max(noise, LEAST_NOISE), max(error, LEAST_NOISE / 2))
+
+
+def _terms(places: np.ndarray) -> np.ndarray:
+    """Terms of an affine motion at places [N, 2], shape [N, 3]."""
+    return np.column_stack([places, np.ones(len(places))]).astype(np.float64)
 
 
 def without_background(points: np.ndarray, moved: np.ndarray, distance: np.ndarray) -> np.ndarray:
@@ -26,7 +82,8 @@ def without_background(points: np.ndarray, moved: np.ndarray, distance: np.ndarr
         moved: displacements, shape [N, 2] [px]; not a number where a point is lost.
         distance: from the tool at rest, shape [N] [px].
     """
-    far = far_points(moved, distance)
-    if far.sum() < LEAST:
+    known = np.asarray(np.isfinite(moved).all(axis=1))
+    far = known & (distance > np.percentile(distance[known], FAR)) if known.any() else known
+    if far.sum() < MIN_FAR:
         return moved
     return moved - affine_motion(points, moved, far, points)

@@ -7,13 +7,14 @@ neighbours, the way back, and the first picture's pattern all say so.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
 
-from palpate.data.tracks.linking import Linker, patterns, resemblance
-from palpate.data.tracks.measuring import Measured, fine, measure
+from palpate.data.tracks.linking import Linker, flat, patterns, resemblance
+from palpate.data.tracks.measuring import Fine, Measured, fine, measure
 
 SPACING = 8
 """Of the grid of points [px]."""
@@ -32,22 +33,22 @@ RELINKED = 3
 """Every so many pictures are linked to the first one [frames]."""
 FOUND = 4.0
 """A link to the first picture counts where it ends so near to where the point is expected [px]."""
-ALIKE = 0.8
+MIN_RESEMBLANCE = 0.8
 """And where the patterns around the point resemble each other so much."""
 NOISE, RETURNED = 0.1, 0.4
 """Standard deviation of a link by axis: √(NOISE² + (RETURNED · distance to where the way back ends)²) [px]."""
 STRAINED = 0.5
 """And of a link to the first picture where motion changes by its own size from place to place [px]: windows turn and
 stretch, and what is bent back by a field of motion is never quite straight."""
-WIDEST = 854
+MAX_SIDE = 854
 """Wider or higher pictures are shrunk to this before their points are followed, which would take too long [px]."""
 DARK = 20
 """Of 255: where no channel is brighter there is no picture, outside an endoscope's round field."""
 RIM = 15
 """Width of the square by which the picture's field is shrunk [px]."""
 REACHES = ((2, 1.0, 1), (8, 1e-2, 4), (32, 1e-4, 16))
-"""Standard deviations [points] and weights of the kernels by which seen neighbours tell the motion of a lost point, and
-how much coarser their grids may be."""
+"""Standard deviations [points] and weights of the kernels by which followed neighbours give the motion of a lost point,
+and how much coarser their grids may be."""
 
 
 def lit_field(picture: np.ndarray) -> np.ndarray:
@@ -62,21 +63,64 @@ def tool_distance(tool: np.ndarray) -> np.ndarray:
     return cv2.distanceTransform((~tool).astype(np.uint8), cv2.DIST_L2, 5)
 
 
-class Shown(NamedTuple):
-    """A picture in which points may be measured again."""
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """A picture in which points are followed, at most MAX_SIDE wide and high."""
 
     gray: np.ndarray
     """uint8 [H, W]."""
     least: np.ndarray
     """The least of a pixel's channels, by which highlights show, uint8 [H, W]."""
-    tissue: np.ndarray
-    """Where a followed point may be, bool [H, W]."""
-    edge: np.ndarray
-    """Where a window holds the tool's edge, bool [H, W]."""
+    lit: np.ndarray
+    """Where the picture shows anything, bool [H, W]."""
+    tool: np.ndarray
+    """Mask of the tool, bool [H, W]."""
+
+    @classmethod
+    def of(cls, picture: np.ndarray, tool: np.ndarray) -> Shown:
+        """A picture of any size, uint8 [H, W, 3] RGB, with its mask of the tool, bool [H, W]."""
+        picture, tool = shrunk(picture, tool)
+        red, green, blue = cv2.split(picture)
+        least = cv2.min(cv2.min(red, green), blue)
+        return cls(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), least, lit_field(picture), tool)
+
+    @cached_property
+    def away(self) -> np.ndarray:
+        """Distance of every pixel from the tool, as of `tool_distance`."""
+        return tool_distance(self.tool)
+
+    @cached_property
+    def flat(self) -> np.ndarray:
+        """The grey picture without its local mean, uint8 [H, W]."""
+        return flat(self.gray)
+
+    @cached_property
+    def tissue(self) -> np.ndarray:
+        """Where a followed point may be, bool [H, W]: lit, away from the tool and from the picture's edge."""
+        offsets = np.arange(-TOUCHED, TOUCHED + 1)
+        disc = (np.hypot(*np.meshgrid(offsets, offsets)) <= TOUCHED).astype(np.uint8)
+        found = self.lit & (cv2.dilate(self.tool.astype(np.uint8), disc) == 0)
+        inner = np.zeros_like(found)
+        inside = slice(BORDER + 1, -BORDER - 1)
+        inner[inside, inside] = found[inside, inside]
+        return inner
+
+    @cached_property
+    def edge(self) -> np.ndarray:
+        """Where a window holds the tool's edge, bool [H, W]."""
+        # A square costs a tenth of a disc.
+        return cv2.dilate(self.tool.astype(np.uint8), np.ones((2 * EDGED + 1, 2 * EDGED + 1), np.uint8)) > 0
+
+
+def lattice(shape: tuple[int, ...], spacing: int) -> np.ndarray:
+    """Places of a grid in a picture of a shape (H, W), a spacing from its edges, [rows, columns, 2] (column, row)."""
+    height, width = shape
+    grid = np.mgrid[spacing : height - spacing : spacing, spacing : width - spacing : spacing]
+    return np.moveaxis(grid[::-1], 0, -1)
 
 
 class PointFollower:
-    """Points on tissue from the first picture on; all in pixels of a picture at most WIDEST wide and high.
+    """Points on tissue from the first picture on; all in pixels of a picture at most MAX_SIDE wide and high.
 
     Args:
         picture: the first one, uint8 [H, W, 3] RGB.
@@ -85,63 +129,57 @@ class PointFollower:
     """
 
     def __init__(self, picture: np.ndarray, tool: np.ndarray, spacing: int = SPACING) -> None:
-        picture, tool = shrunk(picture, tool)
-        gray = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
-        height, width = gray.shape
-        rows, columns = np.mgrid[spacing : height - spacing : spacing, spacing : width - spacing : spacing]
-        away, lit = tool_distance(tool), lit_field(picture)
-        self._grid = (away[rows, columns] > MARGIN) & lit[rows, columns]
-        self.everywhere = np.stack([columns, rows], axis=-1)
+        self.shown = Shown.of(picture, tool)
+        """The last picture."""
+        gray, away = self.shown.gray, self.shown.away
+        self.everywhere = lattice(gray.shape, spacing)
         """Places of the whole grid, of those without a point, too, shape [rows, columns, 2] (column, row) [px]."""
-        rows_all, columns_all = rows, columns
-        rows, columns = rows[self._grid], columns[self._grid]
+        columns, rows = np.moveaxis(self.everywhere, -1, 0)
+        near = away[rows, columns] <= MARGIN
+        self._grid = ~near & self.shown.lit[rows, columns]
         self.spacing = spacing
-        self.points = np.column_stack([columns, rows]).astype(np.float32)
+        self.points = self.everywhere[self._grid].astype(np.float32)
         """Where they are in the first picture, shape [N, 2] (column, row) [px]."""
-        self.distance = away[rows, columns]
+        self.distance = values_at(away, self.points)
         """From the tool there, shape [N] [px]."""
-        near = away[rows_all, columns_all] <= MARGIN
-        self.hidden = np.column_stack([columns_all[near], rows_all[near]]).astype(np.float64)
+        self.hidden = self.everywhere[near].astype(np.float64)
         """Places of the grid that the tool hides there, shape [H, 2] [px]."""
         self.place = self.points.copy()
-        """Where they are now, or were last seen, shape [N, 2] [px]."""
+        """Where they are now, or were followed last, shape [N, 2] [px]."""
         self.followed = np.ones(len(self.points), bool)
-        """Which are seen, shape [N]."""
+        """Which are followed now, shape [N]."""
         self.noise = np.zeros(len(self.points))
-        """Standard deviation of their places by axis, or of where they were last seen, shape [N] [px]."""
-        self._linker, self._count = Linker(gray.shape, self._grid, spacing), 0
+        """Standard deviation of their places by axis, or of where they were followed last, shape [N] [px]."""
+        self._linker, self._count = Linker(self._grid, spacing), 0
         self._first = self._before = self._linker.prepared(gray)
         self._patterns = patterns(gray, self.points)
-        self.shown = _shown(picture, tool)
-        """The last picture."""
-        self._rest = fine(*self.shown[:3])
+        self._rest = _fine(self.shown)
 
     @property
     def moved(self) -> np.ndarray:
-        """Displacement since the first picture, shape [N, 2] [px]; not a number where a point is not seen."""
+        """Displacement since the first picture, shape [N, 2] [px]; not a number where a point is lost."""
         return np.where(self.followed[:, None], self.place - self.points, np.nan).astype(np.float64)
 
     @property
     def expected(self) -> np.ndarray:
-        """Where the points are now, lost ones where their neighbours' motion tells, shape [N, 2] [px]."""
+        """Where the points are now, lost ones by their neighbours' motion, shape [N, 2] [px]."""
         return self._expected(self._filled())
 
     def step(self, picture: np.ndarray, tool: np.ndarray) -> None:
         """Follow the points into the next picture, with its tool's mask."""
-        picture, tool = shrunk(picture, tool)
         apart = ~values_at(self.shown.edge, self.place)
-        self.shown = _shown(picture, tool)
-        gray, _, tissue, edge = self.shown
+        self.shown = Shown.of(picture, tool)
+        gray, tissue, edge = self.shown.gray, self.shown.tissue, self.shown.edge
         before, self._before = self._before, self._linker.prepared(gray)
         place, returned = self._linker.link(before, self._before, self.place, self.followed, apart)
         self.followed &= (returned < CHECK) & values_at(tissue, place)
-        self._see(place, self.followed, np.square(self.noise) + _variance(returned, values_at(edge, place)))
+        self._take(place, self.followed, np.square(self.noise) + _variance(returned, values_at(edge, place)))
         self._count += 1
         if self._count % RELINKED == 0 and self.followed.any():
             self._relink(gray, tissue, edge)
 
     def measured(self, shown: Shown, motion: np.ndarray, which: np.ndarray) -> Measured:
-        """Some points in a picture where a model tells their motion; none is averaged with its neighbours'.
+        """Some points in a picture where a model gives their motion; none is averaged with its neighbours'.
 
         Those at the tool's edge count as noisy all the same: a mask may be some pixels too narrow.
 
@@ -151,7 +189,7 @@ class PointFollower:
             which: numbers of the points that are measured; others are not found.
         """
         points = self.points[which]
-        found = measure(self._rest, fine(*shown[:3]), points, self._linker.dense(motion))
+        found = measure(self._rest, _fine(shown), points, self._linker.dense(motion, shown.gray.shape))
         edge = values_at(shown.edge, points + np.nan_to_num(found.moved)) | (self.distance[which] < EDGED)
         moved, noise = np.full(self.points.shape, np.nan), np.full(len(self.points), np.nan)
         moved[which], noise[which] = found.moved, np.hypot(found.noise, DRAGGED * edge)
@@ -165,10 +203,10 @@ class PointFollower:
         place, returned = self._linker.refine(self._first, self._before, self.points, motion, ~dragged)
         off = np.linalg.norm(place - self.points - expected, axis=1)
         good = (returned < CHECK) & (off < FOUND) & values_at(tissue, place)
-        good &= resemblance(self._patterns, patterns(gray, place)) > ALIKE
+        good &= resemblance(self._patterns, patterns(gray, place)) > MIN_RESEMBLANCE
         self.followed = self.followed | good
         strained = np.square(STRAINED * self._slopes(motion))
-        self._see(place, good, _variance(returned, values_at(edge, place) | (self.distance < EDGED)) + strained)
+        self._take(place, good, _variance(returned, values_at(edge, place) | (self.distance < EDGED)) + strained)
 
     def _slopes(self, motion: np.ndarray) -> np.ndarray:
         """By how much motion of the whole grid [rows, columns, 2] changes from place to place, shape [N]."""
@@ -180,12 +218,12 @@ class PointFollower:
         """Places from the motion of the whole grid."""
         return np.where(self.followed[:, None], self.place, self.points + around[self._grid])
 
-    def _see(self, place: np.ndarray, seen: np.ndarray, variance: np.ndarray) -> None:
-        self.place = np.where(seen[:, None], place, self.place).astype(np.float32)
-        self.noise = np.where(seen, np.sqrt(variance), self.noise)
+    def _take(self, place: np.ndarray, found: np.ndarray, variance: np.ndarray) -> None:
+        self.place = np.where(found[:, None], place, self.place).astype(np.float32)
+        self.noise = np.where(found, np.sqrt(variance), self.noise)
 
     def _filled(self) -> np.ndarray:
-        """Motion of the whole grid, of what is not seen by its neighbours, float32 [rows, columns, 2] [px]."""
+        """Motion of the whole grid, of lost points by their neighbours', float32 [rows, columns, 2] [px]."""
         weight = np.zeros(self._grid.shape, np.float32)
         weight[self._grid] = self.followed
         motion = np.zeros((*self._grid.shape, 3), np.float32)
@@ -201,9 +239,9 @@ class PointFollower:
 
 
 def shrunk(picture: np.ndarray, tool: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A picture and its mask, at most WIDEST wide and high."""
+    """A picture and its mask, at most MAX_SIDE wide and high."""
     height, width = tool.shape
-    share = WIDEST / max(height, width)
+    share = MAX_SIDE / max(height, width)
     if share >= 1:
         return picture, tool
     size = max(round(width * share), 1), max(round(height * share), 1)
@@ -211,28 +249,8 @@ def shrunk(picture: np.ndarray, tool: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return cv2.resize(picture, size, interpolation=cv2.INTER_AREA), small
 
 
-def _shown(picture: np.ndarray, tool: np.ndarray) -> Shown:
-    """A picture and its mask."""
-    red, green, blue = cv2.split(picture)
-    least = cv2.min(cv2.min(red, green), blue)
-    return Shown(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), least, _tissue(picture, tool), _beside(tool))
-
-
-def _tissue(picture: np.ndarray, tool: np.ndarray) -> np.ndarray:
-    """Where a followed point may be, bool [H, W]: lit, away from the tool and from the picture's edge."""
-    offsets = np.arange(-TOUCHED, TOUCHED + 1)
-    disc = (np.hypot(*np.meshgrid(offsets, offsets)) <= TOUCHED).astype(np.uint8)
-    found = lit_field(picture) & (cv2.dilate(tool.astype(np.uint8), disc) == 0)
-    inner = np.zeros_like(found)
-    inside = slice(BORDER + 1, -BORDER - 1)
-    inner[inside, inside] = found[inside, inside]
-    return inner
-
-
-def _beside(tool: np.ndarray) -> np.ndarray:
-    """Where a window holds the tool's edge, bool [H, W]."""
-    # A square costs a tenth of a disc.
-    return cv2.dilate(tool.astype(np.uint8), np.ones((2 * EDGED + 1, 2 * EDGED + 1), np.uint8)) > 0
+def _fine(shown: Shown) -> Fine:
+    return fine(shown.gray, shown.least, shown.tissue)
 
 
 def values_at(picture: np.ndarray, place: np.ndarray) -> np.ndarray:

@@ -1,18 +1,20 @@
-"""Where the places of one picture are in another one, checked forwards and backwards.
+"""Where the places of one picture are in another one, checked forwards and backwards (Kalal 2010).
 
-Dense inverse search flow (Kroeger 2016, OpenCV's DIS) of pictures of a quarter of the size tells roughly where, or what
-is known already does; a few steps of Lucas and Kanade's method (1981) at the places themselves tell it exactly, in
-pictures of the whole size without their local mean, which changes with the light. The check is Kalal 2010's.
+A few places are followed each for itself by pyramidal Lucas and Kanade (`followed`; Bouguet 2001). Hundreds on a grid
+are followed together (`Linker`): dense inverse search flow (Kroeger 2016, OpenCV's DIS) of pictures of a quarter of the
+size gives their motion roughly, or what is known already does; a few steps of Lucas and Kanade's method (1981) at the
+places themselves give it exactly, in pictures of the whole size without their local mean, which changes with the light.
 """
 
 from __future__ import annotations
 
+import functools
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-COARSE, LEAST = 4, 16
+COARSE, MIN_SIDE = 4, 16
 """Of DIS: how much smaller its pictures are, which it refuses below some width [px]."""
 STRIDE, DESCENTS = 5, 12
 """Of DIS: distance of its patches [px], and steps of each; its finest scale is the small picture's own."""
@@ -22,15 +24,33 @@ LOCAL = 15
 """Width of the square whose mean is taken off the picture [px]."""
 GREY = 128
 """Of 255: what is added then."""
-WINDOW, STEPS, ENOUGH = 9, 4, 0.02
-"""Of Lucas-Kanade: width of its windows [px], its most steps, of which more follow noise, and the last one's length
-[px]. A window of 9 px costs less than one of 7."""
-ASTRAY = 3.0
+WINDOW, ALONE = 9, 15
+"""Width of Lucas and Kanade's windows for places whose motion is roughly known, and for those that are followed each
+for itself [px]. A window of 9 px costs less than one of 7."""
+RETURNED = 1.0
+"""Largest distance to where following backwards takes such a place [px]."""
+MAX_STEP = 3.0
 """Steps that lead farther by axis are not believed [px]."""
 SMOOTH = 1.0
 """Standard deviation of the filter over the motion of neighbouring places [grid spacings]."""
 REACH, STEP = 6, 3
 """Of a pattern around a point, to either side, and between its samples [px]."""
+
+
+class _Search(NamedTuple):
+    """How Lucas and Kanade's method goes."""
+
+    levels: int
+    """Levels of the pyramid beyond the picture itself; with three of them motion is found up to some 50 px."""
+    steps: int
+    """Most steps on every level; where motion is roughly known, more of them follow noise."""
+    last_step: float
+    """Length of the step after which there is no other [px]."""
+    texture: float
+    """Least eigenvalue of a window's gradients; below it the window is too smooth to be followed."""
+
+
+KNOWN_ROUGHLY, UNKNOWN = _Search(0, 4, 0.02, 1e-4), _Search(3, 10, 0.03, 1e-3)
 
 
 class Prepared(NamedTuple):
@@ -43,6 +63,8 @@ class Prepared(NamedTuple):
     """The same, rounded, uint8 [H, W]."""
     rough: np.ndarray
     """Of a quarter of the size, uint8."""
+    shares: np.ndarray
+    """Width and height of the whole picture over those of the small one, float32 [2]."""
 
 
 class Links(NamedTuple):
@@ -56,16 +78,15 @@ class Links(NamedTuple):
 
 
 class Linker:
-    """Links pictures of one size.
+    """Links pictures, two of one size at a time.
 
     Args:
-        shape: of the pictures (height, width) [px].
         grid: which places of a grid are linked, bool [rows, columns], N of them; None = the places are on no grid, and
             their motion is not filtered.
         spacing: of the grid [px]; infinite where windows are small against it.
     """
 
-    def __init__(self, shape: tuple[int, ...], grid: np.ndarray | None = None, spacing: float = np.inf) -> None:
+    def __init__(self, grid: np.ndarray | None = None, spacing: float = np.inf) -> None:
         self._flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST)
         self._flow.setFinestScale(0)
         self._flow.setPatchStride(STRIDE)
@@ -75,32 +96,24 @@ class Linker:
         """Its shape, and where in it the places are."""
         # Windows and filter widen what dies away within tens of pixels by variance/2 · ∇²: of 2·filter - this none.
         self._wider = float(np.sqrt(2 * SMOOTH**2 + WINDOW**2 / 12 / spacing**2))
-        height, width = shape
         self._spacing = spacing
-        self._pixels = np.moveaxis(np.mgrid[:height, :width], 0, -1)[..., ::-1].astype(np.float32)
-        self._size = max(width // COARSE, LEAST), max(height // COARSE, LEAST)
-        # Shrinking by a whole number costs a tenth, at up to three pixels along two edges.
-        self._covered = tuple(
-            min(side * COARSE, whole) for side, whole in zip(self._size, (width, height), strict=True)
-        )
-        self._shares = (np.array(self._covered) / self._size).astype(np.float32)
-        """Of the whole pictures over the small ones."""
 
     def prepared(self, picture: np.ndarray) -> Prepared:
         """A picture, uint8 [H, W]."""
-        fine = cv2.addWeighted(
-            picture, 1, cv2.boxFilter(picture, cv2.CV_32F, (LOCAL, LOCAL)), -1, GREY, dtype=cv2.CV_32F
-        )
-        width, height = self._covered
-        small = cv2.resize(picture[:height, :width], self._size, interpolation=cv2.INTER_AREA)
-        return Prepared(fine, _rounded(fine), small)
+        fine = _flat(picture)
+        height, width = picture.shape
+        size = max(width // COARSE, MIN_SIDE), max(height // COARSE, MIN_SIDE)
+        # Shrinking by a whole number costs a tenth, at up to three pixels along two edges.
+        covered = min(size[0] * COARSE, width), min(size[1] * COARSE, height)
+        small = cv2.resize(picture[: covered[1], : covered[0]], size, interpolation=cv2.INTER_AREA)
+        return Prepared(fine, _rounded(fine), small, (np.array(covered) / size).astype(np.float32))
 
     def link(
         self,
         one: Prepared,
         other: Prepared,
         places: np.ndarray,
-        seen: np.ndarray | None = None,
+        counted: np.ndarray | None = None,
         apart: np.ndarray | None = None,
     ) -> Links:
         """Where places of one picture are in the other.
@@ -108,13 +121,13 @@ class Linker:
         Args:
             one, other: the pictures.
             places: shape [N, 2] (column, row) [px].
-            seen: which of them count for their neighbours' motion, bool [N]; None = all.
+            counted: which of them count for their neighbours' motion, bool [N]; None = all.
             apart: which are away from an instrument's edge, bool [N]; those there count only for one another.
         """
         if not len(places):
             return _no_links()
         here = places.astype(np.float32)
-        step = self._filtered(_step(one, other, here, self._rough(one, other, here))[0], seen, apart)
+        step = self._filtered(_step(one, other, here, self._rough(one, other, here))[0], counted, apart)
         there = here + step
         back = _step(other, one, there, self._rough(other, one, there))[0]
         return Links(there, _length(step + back))
@@ -135,18 +148,18 @@ class Linker:
         if not len(places):
             return _no_links()
         here = places.astype(np.float32)
-        field = self.dense(motion)
-        fine = _sampled(other.fine, field + self._pixels)
-        bent = Prepared(fine, _rounded(fine), other.rough)
+        field = self.dense(motion, one.fine.shape)
+        fine = sampled(other.fine, field + _pixels(one.fine.shape))
+        bent = other._replace(fine=fine, exact=_rounded(fine))
         left, found = _step(one, bent, here, np.zeros_like(here))
         back, returned = _step(bent, one, here + left, -left)
         off = np.where(found & returned, _length(left + back), np.inf).astype(np.float32)
-        step = left + _sampled(field, (here + left)[:, None])[:, 0]
+        step = left + sampled(field, (here + left)[:, None])[:, 0]
         return Links(here + self._filtered(step, found, apart), off)
 
-    def dense(self, motion: np.ndarray) -> np.ndarray:
-        """Motion of the grid at every pixel, smooth, float32 [H, W, 2]."""
-        height, width = self._pixels.shape[:2]
+    def dense(self, motion: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+        """Motion of the grid at every pixel of a picture of a shape (H, W), smooth, float32 [H, W, 2]."""
+        height, width = shape
         grid_per_pixel = np.array([[1 / self._spacing, 0, -1], [0, 1 / self._spacing, -1]])
         flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
         return cv2.warpAffine(motion, grid_per_pixel, (width, height), flags=flags, borderMode=cv2.BORDER_REPLICATE)
@@ -155,16 +168,16 @@ class Linker:
         """How far places move, shape [N, 2] [px], by flow of the small pictures, bilinear between its pixels."""
         flow = self._flow.calc(one.rough, other.rough, None)  # ty: ignore[no-matching-overload]  None is a guess
         flow = cv2.GaussianBlur(flow, (0, 0), BLUR)
-        return _sampled(flow, ((places + 0.5) / self._shares - 0.5)[:, None])[:, 0] * self._shares
+        return sampled(flow, ((places + 0.5) / one.shares - 0.5)[:, None])[:, 0] * one.shares
 
-    def _filtered(self, step: np.ndarray, seen: np.ndarray | None, apart: np.ndarray | None = None) -> np.ndarray:
-        """Motion [N, 2] with that of those neighbours on the grid that are seen; by itself where there are none.
+    def _filtered(self, step: np.ndarray, counted: np.ndarray | None, apart: np.ndarray | None = None) -> np.ndarray:
+        """Motion [N, 2] with that of those neighbours on the grid that count; by itself where there are none.
 
         Places at an instrument's edge, which drags them along, don't count for those that are apart from it.
         """
         if self._grid is None:
             return step
-        shown = np.ones(len(step), bool) if seen is None else seen
+        shown = np.ones(len(step), bool) if counted is None else counted
         everywhere = self._among(step, shown)
         return everywhere if apart is None else np.where(apart[:, None], self._among(step, shown & apart), everywhere)
 
@@ -187,12 +200,29 @@ def _no_links() -> Links:
     return Links(np.zeros((0, 2), np.float32), np.zeros(0, np.float32))
 
 
+def flat(picture: np.ndarray) -> np.ndarray:
+    """A picture, uint8 [H, W], without its local mean, which changes with the light."""
+    return _rounded(_flat(picture))
+
+
+def _flat(picture: np.ndarray) -> np.ndarray:
+    mean = cv2.boxFilter(picture, cv2.CV_32F, (LOCAL, LOCAL))
+    return cv2.addWeighted(picture, 1, mean, -1, GREY, dtype=cv2.CV_32F)
+
+
+@functools.lru_cache(maxsize=1)
+def _pixels(shape: tuple[int, int]) -> np.ndarray:
+    """Places (column, row) of all pixels of a picture, float32 [H, W, 2]."""
+    height, width = shape
+    return np.moveaxis(np.mgrid[:height, :width], 0, -1)[..., ::-1].astype(np.float32)
+
+
 def _rounded(picture: np.ndarray) -> np.ndarray:
     """A picture as uint8, 0 or 255 where it is darker or brighter."""
     return cv2.addWeighted(picture, 1, picture, 0, 0, dtype=cv2.CV_8U)
 
 
-def _sampled(picture: np.ndarray, places: np.ndarray) -> np.ndarray:
+def sampled(picture: np.ndarray, places: np.ndarray) -> np.ndarray:
     """Values of a picture [H, W, …] at places [h, w, 2] (column, row) [px], bilinear, shape [h, w, …]."""
     columns, rows = cv2.split(places)
     return cv2.remap(picture, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
@@ -202,22 +232,53 @@ def _length(vectors: np.ndarray) -> np.ndarray:
     return np.hypot(*vectors.T)
 
 
+def _lucas_kanade(
+    one: np.ndarray, other: np.ndarray, places: np.ndarray, near: np.ndarray, window: int, search: _Search
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where places [N, 2] of one picture are in another one, beginning at `near`, [N, 2]; which are found, bool [N]."""
+    there, found, _ = cv2.calcOpticalFlowPyrLK(
+        one,
+        other,
+        places,
+        near.copy(),
+        winSize=(window, window),
+        maxLevel=search.levels,
+        criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, search.steps, search.last_step),
+        # What else it gives is not used; eigenvalues it knows anyway, how far the pictures differ costs a third more.
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW | cv2.OPTFLOW_LK_GET_MIN_EIGENVALS,
+        minEigThreshold=search.texture,
+    )
+    return there, found[:, 0] > 0
+
+
 def _step(one: Prepared, other: Prepared, places: np.ndarray, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """How far places [N, 2] move, near a guess [N, 2] [px], and where that is found, bool [N]; else as guessed."""
     near = (places + guess).astype(np.float32)
-    there, found, _ = cv2.calcOpticalFlowPyrLK(
-        one.exact,
-        other.exact,
-        places,
-        near.copy(),
-        winSize=(WINDOW, WINDOW),
-        maxLevel=0,
-        criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, STEPS, ENOUGH),
-        # What else it gives is not used; eigenvalues it knows anyway, how far the pictures differ costs a third more.
-        flags=cv2.OPTFLOW_USE_INITIAL_FLOW | cv2.OPTFLOW_LK_GET_MIN_EIGENVALS,
-    )
-    believed = (found[:, 0] > 0) & (np.abs(there - near).max(axis=1) < ASTRAY)
+    there, found = _lucas_kanade(one.exact, other.exact, places, near, WINDOW, KNOWN_ROUGHLY)
+    believed = found & (np.abs(there - near).max(axis=1) < MAX_STEP)
     return np.where(believed[:, None], there, near) - places, believed
+
+
+def followed(
+    one: np.ndarray, other: np.ndarray, places: np.ndarray, window: int = ALONE
+) -> tuple[np.ndarray, np.ndarray]:
+    """How far places of one picture move to another one, each for itself (pyramidal Lucas and Kanade, Bouguet 2001).
+
+    Args:
+        one, other: the pictures, uint8 [H, W].
+        places: shape [N, 2] (column, row) [px].
+        window: width of the windows that are compared [px].
+
+    Returns:
+        Displacements, shape [N, 2] [px]; and which of them are known, bool [N].
+    """
+    if not len(places):
+        return np.zeros((0, 2)), np.zeros(0, bool)
+
+    start = places.astype(np.float32)
+    there, found = _lucas_kanade(one, other, start, start, window, UNKNOWN)
+    back, returned = _lucas_kanade(other, one, there, there, window, UNKNOWN)
+    return (there - start).astype(np.float64), found & returned & (_length(back - start) < RETURNED)
 
 
 def patterns(picture: np.ndarray, places: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Where points are in a picture when a model tells their motion to within a pixel or so.
+"""Where points are in a picture when a model gives their motion to within a pixel or so.
 
 Lucas and Kanade's method (1981) in windows that leave out what is no tissue: an instrument drags windows along that
 hold its edge, and highlights stay where light and surface want them, whatever the tissue does. What is left of the
@@ -13,18 +13,20 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from palpate.data.tracks.linking import sampled
+
 SMOOTH = 0.8
 """Standard deviation of the filter over pictures, between whose pixels values are linear [px]. (OpenCV's cubic ones
 take a third off small motions: they don't keep a ramp.)"""
-HALF, STEPS, ASTRAY = 10, 2, 3.0
+HALF, STEPS, MAX_STEP = 10, 2, 3.0
 """Windows reach so far to either side [px]; steps of Gauss and Newton's; what leads farther by axis is not believed
 [px]."""
 NARROW, BRIGHT, RARE, AROUND = 21, 30, 3.0, 2
 """Highlights are less than so wide [px], and brighter in all channels than what is around, by so much (of 255) and so
 many times what half of the pixels are; pixels so near to them are left out, too [px]."""
-SHARE, ALIKE, UNLIKE = 0.6, 0.8, 5.0
-"""A point is found where at least such a share of its window is seen, windows are so alike (their correlation), and
-differ by less than so many times the median (mean squares): those that hold something else settle anywhere."""
+MIN_SHARE, MIN_CORRELATION, MAX_DIFFERENCE = 0.6, 0.8, 5.0
+"""A point is found where at least this share of its window is visible, the windows' correlation is above this, and
+their mean square difference is below so many times the median: windows that hold something else settle anywhere."""
 CORRELATED = 6.0
 """By which factor the variance of a point is larger than if windows differed independently from pixel to pixel: of 12
 pictures of six drawn grips, in which it is so for the surest tenth of points (0.04 px) as for the least sure (0.12)."""
@@ -82,10 +84,10 @@ def measure(one: Fine, other: Fine, points: np.ndarray, motion: np.ndarray) -> M
         _steps(one, other, piece.astype(np.int64), motion, slopes)
         for piece in np.array_split(points, -(-len(points) // AT_ONCE))
     ]
-    moved, told, unlike, found = (np.concatenate(part) for part in zip(*pieces, strict=True))
+    moved, variance, unlike, found = (np.concatenate(part) for part in zip(*pieces, strict=True))
     typical = float(np.median(unlike[found])) if found.any() else 0.0
-    found &= unlike <= UNLIKE * typical
-    noise = np.sqrt(CORRELATED * np.maximum(unlike, typical) * told)
+    found &= unlike <= MAX_DIFFERENCE * typical
+    noise = np.sqrt(CORRELATED * np.maximum(unlike, typical) * variance)
     return Measured(np.where(found[:, None], moved, np.nan), noise)
 
 
@@ -99,9 +101,9 @@ def _steps(
     place = points[:, None] + offsets
     column, row = np.moveaxis(np.clip(place, 0, size - 1), -1, 0)
     there = (place + motion[row, column]).astype(np.float32)
-    seen = _sampled(other.plain, there) > 1 - 1e-3
-    seen &= ((there >= 0) & (there <= size - 1) & (place >= 0) & (place < size)).all(axis=-1)
-    weight = one.plain[row, column] * seen
+    visible = sampled(other.plain, there) > 1 - 1e-3
+    visible &= ((there >= 0) & (there <= size - 1) & (place >= 0) & (place < size)).all(axis=-1)
+    weight = one.plain[row, column] * visible
     total = np.maximum(weight.sum(axis=1), 1.0)
 
     def against_mean(values: np.ndarray) -> np.ndarray:
@@ -110,24 +112,22 @@ def _steps(
     shown = against_mean(one.gray[row, column])
     slope = np.stack([against_mean(axis[row, column]) for axis in slopes], axis=-1)
     weighted = slope * weight[..., None]
-    # Without contrast nothing is told; so small a number is noise's.
+    # Without contrast nothing is determined; so small a number is noise's.
     normal = np.einsum("nka,nkb->nab", weighted, slope) + np.eye(2)
     left = np.zeros((len(points), 2), np.float32)
     for _ in range(STEPS):
-        off = shown - against_mean(_sampled(other.gray, there + left[:, None]))
+        off = shown - against_mean(sampled(other.gray, there + left[:, None]))
         step = np.linalg.solve(normal, np.einsum("nka,nk->na", weighted, off)[..., None])[..., 0]
-        left += np.clip(step, -ASTRAY, ASTRAY).astype(np.float32)
-    last = against_mean(_sampled(other.gray, there + left[:, None]))
+        left += np.clip(step, -MAX_STEP, MAX_STEP).astype(np.float32)
+    last = against_mean(sampled(other.gray, there + left[:, None]))
     unlike = (weight * np.square(shown - last)).sum(axis=1) / total
     sizes = [(weight * np.square(values)).sum(axis=1) for values in (shown, last)]
-    alike = (weight * shown * last).sum(axis=1) / np.sqrt(np.maximum(sizes[0] * sizes[1], np.finfo(np.float32).tiny))
-    told = 0.5 * np.trace(np.linalg.inv(normal), axis1=1, axis2=2)
-    found = (total >= SHARE * len(offsets)) & (alike > ALIKE) & (np.abs(left).max(axis=1) < ASTRAY)
+    correlation = (weight * shown * last).sum(axis=1) / np.sqrt(
+        np.maximum(sizes[0] * sizes[1], np.finfo(np.float32).tiny)
+    )
+    variance = 0.5 * np.trace(np.linalg.inv(normal), axis1=1, axis2=2)
+    found = (
+        (total >= MIN_SHARE * len(offsets)) & (correlation > MIN_CORRELATION) & (np.abs(left).max(axis=1) < MAX_STEP)
+    )
     moved = motion[points[:, 1], points[:, 0]] + left
-    return moved.astype(np.float64), told, unlike, found
-
-
-def _sampled(picture: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Values of a picture [H, W] at places [n, k, 2] (column, row) [px], linear between pixels, shape [n, k]."""
-    columns, rows = cv2.split(places)
-    return cv2.remap(picture, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return moved.astype(np.float64), variance, unlike, found

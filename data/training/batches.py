@@ -17,7 +17,7 @@ from palpate.data.contact.depth_sequence import REACH, smooth_errors
 from palpate.data.contact.features import contact_features
 from palpate.data.contact.interaction import Interaction
 from palpate.data.contact.patches import Patches
-from palpate.data.contact.sequence_features import dent_features, told_noise
+from palpate.data.contact.sequence_features import dent_features, network_noise
 from palpate.data.training.samples import Sample, SampleSettings, make_sample
 from palpate.data.training.splits import Place
 from palpate.physics.msd.batch import DepthBatch, MeshBatch, ObservationBatch, PressBatch
@@ -138,6 +138,6 @@ def _sequence_parts(contact: Interaction) -> tuple[Patches, np.ndarray, np.ndarr
 
 def _sequence_noise(contact: Interaction) -> float:
     """σ of every pixel's error [scene units]; larger where errors are correlated in time, as of fewer pixels."""
-    sequence, noise = contact.sequence, told_noise(contact)
+    sequence, noise = contact.sequence, network_noise(contact)
     correlated = sequence is not None and len(sequence.times) and not sequence.noise.rounded
     return noise * math.sqrt(sequence.noise.alike_in_time) if correlated else noise

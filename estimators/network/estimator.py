@@ -11,7 +11,7 @@ import numpy as np
 
 from palpate.data.contact.features import FEATURES, contact_features
 from palpate.data.contact.interaction import FIELD, Horizon, Interaction, InteractionBuilder
-from palpate.data.contact.sequence_features import SEQUENCE_FEATURES, dent_features, told_noise
+from palpate.data.contact.sequence_features import SEQUENCE_FEATURES, dent_features, network_noise
 from palpate.data.prepared import PreparedFrame
 from palpate.data.windows import FrameWindow
 from palpate.estimators.contract import ClipInfo, Output
@@ -121,7 +121,7 @@ class NetworkEstimator(ModelEstimator):
             theta=theta_of(mean),
             covariance=covariance,
             information=information,
-            noise=told_noise(contact) if self.sees_sequence else contact.noise,
+            noise=network_noise(contact) if self.sees_sequence else contact.noise,
             misfit=misfit,
             largest_misfit=largest_misfit(len(contact.observation)),
             at_bound=np.minimum(mean - box[0], box[1] - mean) < BOUND_MARGIN * (box[1] - box[0]),

@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 
 from palpate.data.contact import coupling as module
-from palpate.data.contact.coupling import FEWEST, Beside, log_ratio
+from palpate.data.contact.coupling import MIN_POINTS, TipMotion, log_ratio
 
 WAY = np.array([3.0, -1.0])
 
 
-def ring(coupling: float = 0.0, reach: float = 80.0, *, tool: np.ndarray = WAY, leak: float = 0.0) -> Beside:
+def ring(coupling: float = 0.0, reach: float = 80.0, *, tool: np.ndarray = WAY, leak: float = 0.0) -> TipMotion:
     """Points on a grid around a tip, with noise of 0.1 px; those nearer than `leak` move as the tool does."""
     column, row = np.meshgrid(np.arange(-108.0, 109, 8), np.arange(-108.0, 109, 8))
     distance = np.hypot(column, row).ravel() - 8
     distance = distance[(distance > 0) & (distance < 100)]
     share = np.where(distance < leak, 1.0, coupling * np.exp(-distance / reach))
     noise = np.random.default_rng(0).normal(0, 0.1, (len(distance), 2))
-    return Beside(share[:, None] * tool + noise, distance, 8.0, tool, 0.05, 0.1, 0.1)
+    return TipMotion(share[:, None] * tool + noise, distance, 8.0, tool, 0.05, 0.1, 0.1)
 
 
 @pytest.mark.parametrize("coupling", [0.5, 0.7, 1.0])
@@ -40,7 +40,7 @@ def test_a_tool_that_does_not_move_tells_nothing() -> None:
 
 def test_too_few_points_tell_nothing() -> None:
     few = ring()
-    few = dataclasses.replace(few, moved=few.moved[: FEWEST - 1], distance=few.distance[: FEWEST - 1])
+    few = dataclasses.replace(few, moved=few.moved[: MIN_POINTS - 1], distance=few.distance[: MIN_POINTS - 1])
     assert log_ratio(few) == 0.0
 
 
@@ -63,10 +63,10 @@ def test_it_is_the_ratio_of_marginal_likelihoods(monkeypatch: pytest.MonkeyPatch
     """A brute-force twin: every sum written out."""
     monkeypatch.setattr(module, "REACH", (50.0, 90.0))
     monkeypatch.setattr(module, "COUPLING", (0.5, 1.0))
-    seen = ring(0.6)
-    seen = dataclasses.replace(seen, moved=seen.moved[:20], distance=seen.distance[:20], tool_sd=0.3)
-    weight = (seen.spacing / module.ALIKE) ** 2
-    own = seen.noise**2 + seen.background_sd**2
+    observed = ring(0.6)
+    observed = dataclasses.replace(observed, moved=observed.moved[:20], distance=observed.distance[:20], tool_sd=0.3)
+    weight = (observed.spacing / module.CORRELATION_LENGTH) ** 2
+    own = observed.noise**2 + observed.background_sd**2
 
     def density(off: np.ndarray, variance: float) -> float:
         return math.exp(-(off[0] ** 2 + off[1] ** 2) / (2 * variance)) / (2 * math.pi * variance)
@@ -76,23 +76,25 @@ def test_it_is_the_ratio_of_marginal_likelihoods(monkeypatch: pytest.MonkeyPatch
     held, apart = 0.0, 0.0
     for one, first in zip(axis, gauss, strict=True):
         for two, second in zip(axis, gauss, strict=True):
-            error = seen.background_sd * np.array([one, two])
-            prior, tool = first * second / sum(gauss) ** 2, seen.tool - error
+            error = observed.background_sd * np.array([one, two])
+            prior, tool = first * second / sum(gauss) ** 2, observed.tool - error
             way = float(tool @ tool)
             still = []
-            for moved in seen.moved - error:
-                leaked = density(moved - tool, own + seen.tool_sd**2 + module.TOOL_SPREAD**2 * way)
-                plain = (1 - module.LEAKED - module.ASTRAY) * density(moved, own)
-                still.append(plain + module.LEAKED * leaked + module.ASTRAY * density(moved, 4 * (own + way)))
+            for moved in observed.moved - error:
+                leaked = density(moved - tool, own + observed.tool_sd**2 + module.TOOL_SPREAD**2 * way)
+                plain = (1 - module.LEAKED - module.OUTLIERS) * density(moved, own)
+                still.append(plain + module.LEAKED * leaked + module.OUTLIERS * density(moved, 4 * (own + way)))
             apart += prior * math.exp(weight * sum(map(math.log, still)))
             for three, third in zip(axis, gauss, strict=True):
-                longer = 1 + three * seen.tool_sd / math.sqrt(way)
+                longer = 1 + three * observed.tool_sd / math.sqrt(way)
                 for reach in (50.0, 90.0):
                     for coupling in (0.5, 1.0):
                         total = 0.0
-                        for moved, distance, other in zip(seen.moved - error, seen.distance, still, strict=True):
+                        for moved, distance, other in zip(
+                            observed.moved - error, observed.distance, still, strict=True
+                        ):
                             share = coupling * math.exp(-distance / reach) * longer
                             found = density(moved - share * tool, own + (module.HELD_SPREAD * share) ** 2 * way)
                             total += math.log(module.HELD * found + (1 - module.HELD) * other)
                         held += prior * third / sum(gauss) / 4 * math.exp(weight * total)
-    assert log_ratio(seen) == pytest.approx(math.log(held / apart), abs=1e-9)
+    assert log_ratio(observed) == pytest.approx(math.log(held / apart), abs=1e-9)

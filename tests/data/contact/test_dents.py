@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from palpate.data.contact import depth_change as changes
-from palpate.data.contact.dents import EARLIER, EARLY, LATE, LEAST_REST, RECOVERS, DentContacts, dent_geometry
+from palpate.data.contact.dents import EARLIER, EARLY, LATE, MIN_REST, RECOVERS, DentContacts, dent_geometry
 from palpate.data.contact.depth_sequence import REACH
 from palpate.data.contact.geometry import NO_DENT, GeometrySettings, GeometryStatus, RestTissue
 from palpate.data.contact.interaction import Interaction
@@ -22,6 +22,7 @@ from palpate.data.synthetic.clip import SyntheticClip, make_clip, synthetic_clip
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.source import open_synthetic
 from palpate.data.synthetic.truth import PressedMotion
+from palpate.data.tracks.following import Shown
 from palpate.estimators.contract import ClipInfo
 from palpate.evaluation.recovery.trial import observed_contacts
 
@@ -180,7 +181,7 @@ def test_a_press_on_its_way_through_a_gap_or_the_end_goes_on() -> None:
     frames = [frame(index, 0.01 * (index > 7), number=index + (index > 11)) for index in range(20)]
     told = [item for given in frames for item in finder.push(given)] + finder.finish()
     assert [item.in_contact for item in told] == contacts(7, 11, 20)
-    rested = LEAST_REST + EARLIER
+    rested = MIN_REST + EARLIER
     early = [index < rested or 12 <= index < 12 + rested for index in range(20)]
     assert [item.detail == EARLY for item in told] == early
 
@@ -222,12 +223,16 @@ def test_the_picture_s_motion_is_followed() -> None:
     zoom = np.array([[1.02, 0, 1.5], [0, 1.02, -0.8]])
     moved = cv2.warpAffine(before.frame.picture, zoom, (WIDTH, HEIGHT), flags=cv2.INTER_CUBIC)
     after.frame = dataclasses.replace(after.frame, image=moved)
-    told = changes.picture_motion(before, after)
+
+    def motion(before: PreparedFrame, after: PreparedFrame) -> np.ndarray:
+        one, other = (Shown.of(frame.frame.picture, np.zeros((HEIGHT, WIDTH), bool)) for frame in (before, after))
+        return changes.grid_motion(changes.picture_motion(one, other), one, before)
+
     corners = np.array([[5.0, 5, 1], [75, 5, 1], [40, 55, 1]]).T
-    np.testing.assert_allclose((told @ corners)[:2], zoom @ corners, atol=0.25)
+    np.testing.assert_allclose((motion(before, after) @ corners)[:2], zoom @ corners, atol=0.25)
     blank = dataclasses.replace(after.frame, image=np.zeros_like(moved))
     after.frame = blank
-    np.testing.assert_array_equal(changes.picture_motion(after, before), np.eye(3))
+    np.testing.assert_array_equal(motion(after, before), np.eye(3))
 
 
 def test_a_contact_lies_on_the_mesh() -> None:

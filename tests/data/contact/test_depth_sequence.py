@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
 from palpate.data.contact.depth_sequence import (
     FAR,
-    LEAST_FAR,
+    MIN_FAR,
     REACH,
     REST_KEPT,
     REST_LENGTH,
@@ -128,7 +128,7 @@ def test_too_little_far_tissue_tells_nothing_of_the_camera() -> None:
     labels = labels.astype(np.uint8)
     made = recorder()
     assert made.frame(REST, labels) is None
-    labels[0, : LEAST_FAR - 100] = labels[-1, :99] = TISSUE
+    labels[0, : MIN_FAR - 100] = labels[-1, :99] = TISSUE
     assert made.frame(REST, labels) is None
     labels[-1, 99] = TISSUE
     assert made.frame(REST, labels) is not None

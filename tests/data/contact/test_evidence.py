@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from palpate.data.clip import ClipStream
-from palpate.data.contact.evidence import PRIOR, SURE, THRESHOLD, ContactEvidence
+from palpate.data.contact.evidence import CERTAIN, PRIOR, THRESHOLD, ContactEvidence
 from palpate.data.labels import TISSUE, TOOL
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
@@ -66,8 +66,10 @@ def drawn(
 
 
 def probabilities(views: list[View]) -> np.ndarray:
-    evidence = ContactEvidence()
-    return np.array([evidence.push(picture, tool) for picture, tool in views])
+    evidence, frames = ContactEvidence(), [prepared(number, view) for number, view in enumerate(views)]
+    for frame in frames:
+        evidence.judge(frame)
+    return np.array([frame.contact_probability for frame in frames])
 
 
 def line(step: tuple[float, float], count: int = 8) -> np.ndarray:
@@ -81,24 +83,24 @@ def test_a_tool_that_passes_hovers_and_one_that_holds_is_in_contact(step: tuple[
     late = 1 if np.hypot(*step) > 1 else 4  # slow ones take longer to tell
     assert (passes[late:] < THRESHOLD).all()
     assert (holds[1:] > THRESHOLD).all()
-    assert holds[-1] > SURE
+    assert holds[-1] > CERTAIN
 
 
 def test_a_camera_that_moves_everything_changes_nothing() -> None:
     camera = np.cumsum(np.random.default_rng(0).normal(0, 4, (8, 2)), axis=0)
     assert (probabilities(drawn(line((3, 1)), camera=camera))[1:] < THRESHOLD).all()
-    assert probabilities(drawn(line((3, 1)), 0.9, camera=camera))[-1] > SURE
+    assert probabilities(drawn(line((3, 1)), 0.9, camera=camera))[-1] > CERTAIN
 
 
 def test_where_nothing_moves_it_stays_what_outlines_say() -> None:
     still = probabilities(drawn(line((0, 0))))
-    assert ((still > THRESHOLD) & (still < SURE)).all()
+    assert ((still > THRESHOLD) & (still < CERTAIN)).all()
 
 
 @pytest.mark.parametrize("leak", [3, 6])
 def test_tool_pixels_that_the_mask_leaves_to_the_tissue_do_not_fake_contact(leak: int) -> None:
     assert (probabilities(drawn(line((3, 1)), leak=leak))[1:] < THRESHOLD).all()
-    assert probabilities(drawn(line((3, 1)), 0.9, leak=leak))[-1] > SURE
+    assert probabilities(drawn(line((3, 1)), 0.9, leak=leak))[-1] > CERTAIN
 
 
 def test_what_is_told_changes_within_two_frames() -> None:
@@ -195,10 +197,10 @@ def test_tissue_that_sinks_beside_a_tool_is_pressed() -> None:
     """Where depth is measured; what is guessed from pictures leaves it undecided."""
     frames = pressing(0.004)
     assert [frame.hovers for frame in frames] == [False] + [True] * 3 + [False] * 5
-    assert [frame.contact_probability > SURE for frame in frames] == [False] * 5 + [True] * 4
+    assert [frame.contact_probability > CERTAIN for frame in frames] == [False] * 5 + [True] * 4
     assert [frame.undecided for frame in frames] == [False] * 4 + [True] + [False] * 4
     guessed = pressing(0.004, measured=False)
-    assert all(frame.undecided and frame.contact_probability < SURE for frame in guessed[4:])
+    assert all(frame.undecided and frame.contact_probability < CERTAIN for frame in guessed[4:])
 
 
 def test_tissue_that_sinks_under_a_sliding_tool_is_not_passed_over() -> None:
@@ -270,7 +272,7 @@ def test_no_pressed_frame_of_a_demo_clip_is_called_hovering(tmp_path: Path) -> N
         passing = [frame.hovers for frame in frames if not pressed[frame.frame.index]]
         assert sum(passing) == 8  # the tool is in view, and its motion is known
         if path == folder:
-            assert max(frame.contact_probability for frame in frames if pressed[frame.frame.index]) > SURE
+            assert max(frame.contact_probability for frame in frames if pressed[frame.frame.index]) > CERTAIN
 
 
 @pytest.mark.slow
@@ -279,7 +281,7 @@ def test_real_tools_that_hold_tissue_are_in_contact(real_data: Path, wider: int)
     """Whether masks are a few pixels too wide or too narrow."""
     pull = probabilities(changed(recover(real_data), wider) if wider else recover(real_data))
     assert (pull > THRESHOLD).all()
-    assert (pull[2:] > SURE).all()
+    assert (pull[2:] > CERTAIN).all()
     grasp = cholecystectomy(real_data, 149, 160)
     grasp = probabilities(
         [(picture, cv2.dilate(tool.astype(np.uint8), np.ones((3, 3))) > 0) for picture, tool in grasp]

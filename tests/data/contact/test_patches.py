@@ -8,7 +8,7 @@ import pytest
 
 from palpate.data.contact.depth_sequence import REACH
 from palpate.data.contact.interaction import Interaction
-from palpate.data.contact.patches import LARGEST_SHIFT, MOST_SAMPLES, Patches, focal_length, footprint
+from palpate.data.contact.patches import MAX_SAMPLES, MAX_SHIFT, Patches, focal_length, footprint
 from palpate.data.source.camera import Camera, back_project
 from palpate.data.synthetic.clip import draw_press, synthetic_clip
 from palpate.data.synthetic.scene import Scene
@@ -132,10 +132,10 @@ def test_a_picture_no_larger_than_the_grid_has_one_sample(pixels: int) -> None:
 
 def test_of_much_larger_pictures_some_places_stand_for_all() -> None:
     middles, shares = footprint(np.arange(10, 20), 60, 60 * 17)
-    assert shares.shape == (10, MOST_SAMPLES)
-    np.testing.assert_allclose(shares, 1 / MOST_SAMPLES)
+    assert shares.shape == (10, MAX_SAMPLES)
+    np.testing.assert_allclose(shares, 1 / MAX_SAMPLES)
     np.testing.assert_allclose(middles.mean(axis=1), np.arange(10, 20))
-    np.testing.assert_allclose(np.diff(np.sort(middles.ravel())), 1 / MOST_SAMPLES)
+    np.testing.assert_allclose(np.diff(np.sort(middles.ravel())), 1 / MAX_SAMPLES)
 
 
 @pytest.mark.parametrize("size", SIZES)
@@ -157,7 +157,7 @@ def test_samples_have_the_shares_of_both_axes(size: tuple[int, int]) -> None:
 def test_patches_are_all_that_pixels_can_show() -> None:
     patches, mesh = patches_of()
     apart = np.abs(mesh.pixels - CENTRE).max(axis=1)
-    np.testing.assert_array_equal(patches.vertices, np.flatnonzero(apart <= REACH + LARGEST_SHIFT))
+    np.testing.assert_array_equal(patches.vertices, np.flatnonzero(apart <= REACH + MAX_SHIFT))
 
 
 def test_shifts_are_those_of_the_cameras_picture() -> None:
@@ -235,11 +235,11 @@ def test_patches_that_all_shift_alike_are_shown_so_far_on(size: tuple[int, int],
 
 def test_what_comes_from_too_far_away_is_not_known() -> None:
     patches, mesh = patches_of()
-    far = LARGEST_SHIFT + 2
+    far = MAX_SHIFT + 2
     moved = shifting(patches, mesh, np.broadcast_to([0.0, far], (1, len(patches.vertices), 2)))
     covering = patches.covering(moved).reshape(SIDE, SIDE)
-    assert (covering[:, far - LARGEST_SHIFT :] >= 0).all()
-    assert (covering[:, : far - LARGEST_SHIFT] == -1).all()
+    assert (covering[:, far - MAX_SHIFT :] >= 0).all()
+    assert (covering[:, : far - MAX_SHIFT] == -1).all()
 
 
 def test_half_a_pixel_of_shift_shows_half_of_each() -> None:
@@ -259,7 +259,7 @@ def test_what_a_sample_shows_lies_nearest_to_where_it_came_from(size: tuple[int,
     apart = np.hypot(*rest.T)
     shift = -0.4 * rest * np.exp(-0.5 * (apart / 4) ** 2)[:, None]
     covering = patches.covering(shifting(patches, mesh, shift[None]))[0]
-    reach = REACH + LARGEST_SHIFT
+    reach = REACH + MAX_SHIFT
     dense = shift.reshape(2 * reach + 1, 2 * reach + 1, 2)
     fine = np.linspace(0, 2 * reach, 16 * 2 * reach + 1)
     corner = np.minimum(fine.astype(int), 2 * reach - 1)

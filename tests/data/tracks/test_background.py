@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from palpate.data.tracks.background import LEAST, without_background
+from palpate.data.tracks.background import MIN_FAR, without_background
 
 AFFINE = np.array([[0.02, -0.01], [0.015, 0.03], [2.0, -5.0]])
 """Motion by column, by row, and everywhere."""
@@ -59,7 +59,7 @@ def test_too_few_points_determine_nothing() -> None:
     points, distance, moved = points[chosen], distance[chosen], carried(points)[chosen]
     np.testing.assert_allclose(without_background(points, moved, distance), 0, atol=1e-9)
     few = slice(0, 12)
-    assert (distance[few] > np.percentile(distance[few], 60)).sum() == LEAST - 1
+    assert (distance[few] > np.percentile(distance[few], 60)).sum() == MIN_FAR - 1
     np.testing.assert_array_equal(without_background(points[few], moved[few], distance[few]), moved[few])
 
 

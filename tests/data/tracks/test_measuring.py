@@ -110,8 +110,8 @@ def test_told_noise_is_the_errors_whatever_pictures_noise_is(size: float) -> Non
     pictures = (
         grainy(dull(picture), size, seed) for seed, picture in enumerate((texture(), exactly_shifted(0.3, 0.2)))
     )
-    told = measure(*map(prepared, pictures), POINTS, STILL)
-    off = (told.moved - [0.3, 0.2]) / told.noise[:, None]
+    variance = measure(*map(prepared, pictures), POINTS, STILL)
+    off = (variance.moved - [0.3, 0.2]) / variance.noise[:, None]
     assert 0.55 < np.sqrt(np.nanmean(np.square(off))) < 1.0
 
 

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from palpate.data.contact import tracking
-from palpate.data.contact.tracking import TissueTracker
+from palpate.data.tracks import linking
+from palpate.data.tracks.tissue import TissueTracker
 
 HEIGHT, WIDTH = 240, 320
 
@@ -28,14 +28,29 @@ def shifted(image: np.ndarray, du: float, dv: float) -> np.ndarray:
 
 
 TISSUE = np.ones((HEIGHT, WIDTH), np.uint8)
+
+
 POINTS = np.array([[100.0, 120.0], [201.5, 80.25]])
+
+
+def followed(
+    first: np.ndarray,
+    second: np.ndarray,
+    labels_first: np.ndarray,
+    labels_second: np.ndarray,
+    points: np.ndarray,
+    tracker: TissueTracker | None = None,
+) -> np.ndarray:
+    """Points by the tissue around them."""
+    tracker = TissueTracker() if tracker is None else tracker
+    return np.array([tracker.near((first, labels_first), (second, labels_second), point) for point in points])
 
 
 @settings(max_examples=15, deadline=None)
 @given(st.floats(-9, 9), st.floats(-9, 9), st.integers(0, 5))
 def test_translation_is_followed_below_a_third_of_a_pixel(du, dv, seed):
     image = texture(seed)
-    moved = TissueTracker().step(image, shifted(image, du, dv), TISSUE, TISSUE, POINTS)
+    moved = followed(image, shifted(image, du, dv), TISSUE, TISSUE, POINTS)
     assert np.abs(moved - POINTS - [du, dv]).max() < 0.3
 
 
@@ -45,7 +60,7 @@ def test_local_deformation_is_followed_where_it_is():
     bump = 4 * np.exp(-((u - 100) ** 2 + (v - 120) ** 2) / (2 * 35.0**2)).astype(np.float32)
     # The inverse warp moves the top of the bump by d = 4 exp(-d²/2450) = 3.97 px.
     deformed = cv2.remap(image, u, v - bump, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
-    moved = TissueTracker().step(image, deformed, TISSUE, TISSUE, np.array([[100.0, 120.0], [280.0, 30.0]]))
+    moved = followed(image, deformed, TISSUE, TISSUE, np.array([[100.0, 120.0], [280.0, 30.0]]))
     assert moved[0] == pytest.approx([100, 123.97], abs=0.3)
     assert moved[1] == pytest.approx([280, 30], abs=0.3)
 
@@ -63,7 +78,7 @@ def test_moving_tool_does_not_drag_static_tissue(speed):
 
     (first, labels_first), (second, labels_second) = scene(0), scene(speed)
     contact = np.array([[163.0 + speed, 115.0]])
-    moved = TissueTracker().step(first, second, labels_first, labels_second, contact)
+    moved = followed(first, second, labels_first, labels_second, contact)
     assert np.abs(moved - contact).max() < 0.5
 
 
@@ -71,15 +86,15 @@ def test_swapped_arguments_lead_back():
     image = texture(2)
     following = shifted(image, 3.4, -2.2)
     tracker = TissueTracker()
-    moved = tracker.step(image, following, TISSUE, TISSUE, POINTS)
-    back = tracker.step(following, image, TISSUE, TISSUE, moved)
+    moved = followed(image, following, TISSUE, TISSUE, POINTS, tracker)
+    back = followed(following, image, TISSUE, TISSUE, moved, tracker)
     assert np.abs(back - POINTS).max() < 0.3
 
 
 def test_point_that_leaves_the_picture_is_lost():
     image = texture(4)
     points = np.array([[4.0, 120.0], [90, 90]])
-    moved = TissueTracker().step(image, shifted(image, -8, 0), TISSUE, TISSUE, points)
+    moved = followed(image, shifted(image, -8, 0), TISSUE, TISSUE, points)
     assert np.isfinite(moved).all(axis=1).tolist() == [False, True]
     assert np.isnan(moved[0]).all()
 
@@ -89,13 +104,22 @@ def test_point_without_tissue_around_is_lost():
     labels = TISSUE.copy()
     labels[80:170, 60:150] = 0
     points = np.array([[105.0, 125.0], [250.0, 200.0], [np.nan, 3]])
-    moved = TissueTracker().step(image, image, labels, labels, points)
+    moved = followed(image, image, labels, labels, points)
     assert np.isfinite(moved).all(axis=1).tolist() == [False, True, False]
 
 
 def test_unrelated_pictures_fail_the_forward_backward_check(monkeypatch):
     rng = np.random.default_rng(0)
     first, second = (rng.integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8) for _ in range(2))
-    monkeypatch.setattr(tracking, "CONSISTENCY", 0.2)
-    moved = TissueTracker().step(first, second, TISSUE, TISSUE, POINTS)
+    monkeypatch.setattr(linking, "RETURNED", 0.2)
+    moved = followed(first, second, TISSUE, TISSUE, POINTS)
     assert np.isnan(moved).all()
+
+
+def test_points_that_are_followed_each_for_itself_are_lost_each_for_itself():
+    image, labels = texture(6), TISSUE.copy()
+    labels[:, :90] = 0
+    points = np.array([[80.0, 120.0], [100.0, 120.0], [201.5, 80.25], [316.0, 100.0]])
+    moved = TissueTracker().each((image, labels), (shifted(image, 6, -3), labels), points)
+    assert np.isfinite(moved).all(axis=1).tolist() == [False, True, True, False]
+    assert np.abs(moved[1:3] - points[1:3] - [6, -3]).max() < 0.3

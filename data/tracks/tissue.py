@@ -1,0 +1,187 @@
+"""Follows tissue points from frame to frame, so that the same piece of tissue is observed and not the tool's motion.
+
+Bini 2026 (section 3.2) compares contact points that are detected anew in each frame; these slide over the tissue with
+the tool. Here a point moves as most of the tissue around it does, which is followed by `data.tracks.linking`. That
+drifts from frame to frame, so the point is also found again by what the tissue around it looked like.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import cv2
+import numpy as np
+
+from palpate.data.labels import TISSUE, TOOL
+from palpate.data.tracks.following import EDGED, Shown, shrunk, values_at
+from palpate.data.tracks.linking import WINDOW, followed
+
+RADII = (8.0, 16.0, 32.0)
+"""Radii of the neighbourhood of a point, the wider ones where too little of the narrower can be followed [px]. Places
+at the tool's edge count only where nothing else is left."""
+SPACING = 4
+"""Distance of the places in it that are followed [px]."""
+LEAST_PLACES, LEAST_FOLLOWED = 8, 0.2
+"""Fewest places whose median motion is taken, and least share of the tissue's places there: by chance, fewer are."""
+HALF_WIDTH = 32
+"""Half side of the patch by which a point is found again [px]."""
+REACH = 8
+"""Largest correction along each axis [px]."""
+LEAST_SHARE = 0.3
+"""Share of the patch's pixels that must be tissue, and not at the tool's edge, in both pictures."""
+LEAST_CORRELATION = 0.7
+"""Weaker matches are no match."""
+_OFFSETS = np.mgrid[-8:9, -8:9].reshape(2, -1).T * float(SPACING)
+
+View = tuple[np.ndarray, np.ndarray]
+"""Picture, uint8 [H, W, 3] RGB, and its label map, [H, W]."""
+
+
+class TissueTracker:
+    """Moves tissue points of one clip between its pictures; points are (u, v) in pixels of the full pictures."""
+
+    def __init__(self) -> None:
+        self._latest: deque[tuple[np.ndarray, Shown, np.ndarray]] = deque(maxlen=2)
+        """Pictures, as they are followed, and where these show tissue."""
+
+    def near(self, source: View, target: View, point: np.ndarray) -> np.ndarray:
+        """Where the tissue around a point [2] of one picture takes it in another one.
+
+        Args:
+            source, target: the pictures with their labels.
+            point: in the first of them.
+
+        Returns:
+            Shape [2]; not a number where too little tissue is followed.
+        """
+        if not np.isfinite(point).all():
+            return np.full(2, np.nan)
+        step, away = self._followed(source, target, self._small(source, point) + _OFFSETS)
+        distance = np.linalg.norm(_OFFSETS, axis=1)
+        for least, radius in (*((EDGED, radius) for radius in RADII), (0, RADII[-1])):
+            around = step[(away > least) & (distance <= radius)]
+            used = around[np.isfinite(around).all(axis=1)]
+            if len(used) >= max(LEAST_PLACES, LEAST_FOLLOWED * len(around)):
+                return _within(target[1], point + np.median(used, axis=0) * self._scale(source))
+        return np.full(2, np.nan)
+
+    def each(self, source: View, target: View, points: np.ndarray) -> np.ndarray:
+        """Where points [P, 2] of one picture are in another one, each for itself; not a number where they are lost."""
+        step, _ = self._followed(source, target, self._small(source, points))
+        return _within(target[1], points + step * self._scale(source))
+
+    def template(self, view: View, point: np.ndarray) -> TissueTemplate:
+        """What the tissue around a point [2] of a picture looks like."""
+        shown, tissue = self._shown(view)
+        return TissueTemplate(shown.gray, tissue & (shown.away > EDGED), self._small(view, point))
+
+    def again(self, template: TissueTemplate, view: View, near: np.ndarray) -> np.ndarray:
+        """The point of a template in another picture, close to `near` [2], or `near` itself where nothing matches."""
+        shown, tissue = self._shown(view)
+        found = template.locate(shown.gray, tissue & (shown.away > EDGED), self._small(view, near))
+        return near if found is None else (found + 0.5) * self._scale(view) - 0.5
+
+    def _followed(self, source: View, target: View, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Displacements of places [N, 2], not a number where they are lost; how far the tool is [N], -1 off tissue."""
+        (one, tissue), (other, _) = self._shown(source), self._shown(target)
+        step, known = followed(one.flat, other.flat, places, WINDOW)
+        usable = np.isfinite(_within(tissue, places)[:, 0]) & values_at(tissue, np.rint(places))
+        # What lands under the tool would be the tool's own motion.
+        known &= usable & ~values_at(other.tool, np.rint(places + step))
+        return np.where(known[:, None], step, np.nan), np.where(usable, values_at(one.away, np.rint(places)), -1.0)
+
+    def _shown(self, view: View) -> tuple[Shown, np.ndarray]:
+        """A picture as it is followed, and where it shows tissue; those of the latest two are remembered."""
+        picture, labels = view
+        for known, shown, tissue in self._latest:
+            if known is picture:
+                return shown, tissue
+        shown, tissue = Shown.of(picture, labels == TOOL), shrunk(picture, labels == TISSUE)[1]
+        self._latest.append((picture, shown, tissue))
+        return shown, tissue
+
+    def _scale(self, view: View) -> np.ndarray:
+        """Width and height of a picture over those of the one in which its points are followed, [2]."""
+        return np.divide(view[1].shape[::-1], self._shown(view)[0].gray.shape[::-1])
+
+    def _small(self, view: View, points: np.ndarray) -> np.ndarray:
+        """Points [..., 2] in pixels of the picture in which they are followed."""
+        return (points + 0.5) / self._scale(view) - 0.5
+
+
+class TissueTemplate:
+    """A patch of tissue that is found again by normalised correlation, pixels of the tool left out in both frames."""
+
+    def __init__(self, picture: np.ndarray, usable: np.ndarray, point: np.ndarray) -> None:
+        """
+        Args:
+            picture: uint8, shape [H, W].
+            usable: where it shows tissue away from the tool, shape [H, W].
+            point: (u, v) [px].
+        """
+        self._offset = point - np.rint(point)
+        self._patch, self._usable = _crop(picture, usable, np.rint(point).astype(int), HALF_WIDTH)
+
+    def locate(self, picture: np.ndarray, usable: np.ndarray, near: np.ndarray) -> np.ndarray | None:
+        """The point in another picture, within REACH of `near` (u, v), or None where nothing matches well.
+
+        Returns:
+            (u, v) [px], to a fraction of a pixel.
+        """
+        centre = np.rint(near - self._offset).astype(int)
+        score = _correlation(self._patch, self._usable, *_crop(picture, usable, centre, HALF_WIDTH + REACH))
+        row, column = np.unravel_index(np.argmax(score), score.shape)
+        inside = 0 < row < 2 * REACH and 0 < column < 2 * REACH
+        if not inside or score[row, column] < LEAST_CORRELATION:
+            return None
+        across = _peak(score[row, column - 1 : column + 2])
+        down = _peak(score[row - 1 : row + 2, column])
+        return centre + self._offset + (column + across - REACH, row + down - REACH)
+
+
+def _crop(picture: np.ndarray, usable: np.ndarray, centre: np.ndarray, radius: int) -> tuple[np.ndarray, np.ndarray]:
+    """Square around a pixel of a picture, float32, and of the mask of usable pixels; outside there are none."""
+    left, top = centre + radius
+    window = np.s_[top : top + 2 * radius + 1, left : left + 2 * radius + 1]
+    return np.pad(picture, 2 * radius)[window].astype(np.float32), np.pad(usable, 2 * radius)[window]
+
+
+def _correlation(patch: np.ndarray, known: np.ndarray, picture: np.ndarray, usable: np.ndarray) -> np.ndarray:
+    """Normalised correlation of a patch at every shift within a larger picture, over the pixels usable in both.
+
+    Args:
+        patch, known: grey values and usable pixels of the patch, shape [2R+1, 2R+1].
+        picture, usable: the same of the picture, shape [S, S].
+
+    Returns:
+        Shape [S-2R, S-2R]; -1 where too few pixels are usable.
+    """
+    # Around the patch's mean, so that single precision loses nothing to the square of a large mean.
+    middle = float(patch[known].mean()) if known.any() else 0.0
+    ours, theirs = known.astype(np.float32), usable.astype(np.float32)
+    first, second = (patch - middle) * ours, (picture - middle) * theirs
+
+    def total(large: np.ndarray, small: np.ndarray) -> np.ndarray:
+        return cv2.matchTemplate(large, small, cv2.TM_CCORR).astype(np.float64)
+
+    count = np.rint(total(theirs, ours))
+    safe = np.maximum(count, 1)
+    mean_first, mean_second = total(theirs, first) / safe, total(second, ours) / safe
+    covariance = total(second, first) / safe - mean_first * mean_second
+    spread = (total(theirs, first * first) / safe - mean_first**2) * (
+        total(second * second, ours) / safe - mean_second**2
+    )
+    enough = (count >= LEAST_SHARE * patch.size) & (spread > 1e-6)
+    return np.where(enough, covariance / np.sqrt(np.where(enough, spread, 1)), -1)
+
+
+def _peak(values: np.ndarray) -> float:
+    """Place of a parabola's peak through three values at -1, 0, 1."""
+    curvature = values[0] - 2 * values[1] + values[2]
+    return 0.0 if curvature >= 0 else float(np.clip(0.5 * (values[0] - values[2]) / curvature, -0.5, 0.5))
+
+
+def _within(picture: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Points [..., 2] that lie in a picture [H, W], others not a number."""
+    inside = ((points >= -0.5) & (points < np.array(picture.shape[::-1]) - 0.5)).all(axis=-1, keepdims=True)
+    return np.where(inside, points, np.nan)

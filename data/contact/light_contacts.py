@@ -38,8 +38,9 @@ NOISIEST = 0.03
 """Where the light changes by more, tissue moves all over or the light flickers: nothing can be said."""
 BEGINS = 3
 """Successive frames with a dent that make a press."""
-EARLIER = 1
-"""Frames by which a press begins before its dent shows beside the instrument."""
+EARLIER, EARLIEST = 1, 3
+"""Frames by which a press begins before its dent shows beside the instrument; at most, if the instrument has come to
+the tissue by then."""
 LEFT = 0.35
 """A press has ended where less than this share of the darkness is left, or the instrument has gone."""
 RECOVERED = 0.03
@@ -65,7 +66,7 @@ class _LitFrame:
 
 
 class LightContacts:
-    """Decides frames, up to three late, by the light of tissue; every frame keeps what is known otherwise.
+    """Decides frames, up to five late, by the light of tissue; every frame keeps what is known otherwise.
 
     Args:
         camera: intrinsics of the grid.
@@ -100,9 +101,11 @@ class LightContacts:
         self._waiting.append(lit)
         dents = [one for one in self._waiting[-BEGINS:] if one.dent is not None]
         if len(dents) < BEGINS:
-            return self._at_rest(len(self._waiting) - (BEGINS + EARLIER - 1))
+            return self._at_rest(len(self._waiting) - (BEGINS + EARLIEST - 1))
         self._place = _centre(dents)
-        decided = self._at_rest(len(self._waiting) - (BEGINS + EARLIER))
+        earlier = [one.prepared.in_contact for one in self._waiting[-BEGINS - 2 : -BEGINS - EARLIEST - 1 : -1]]
+        arrived = (earlier.index(False) if False in earlier else len(earlier)) + EARLIER
+        decided = self._at_rest(len(self._waiting) - BEGINS - arrived)
         self._pressing, self._deepest = True, 0.0
         for one in self._waiting:
             self._press(one, self._place)

@@ -1,0 +1,144 @@
+"""Presses in plain videos: drawn clips as MP4 alone, through the session that users open, compared with their truth.
+
+    python -m evaluation.plain_video --seed 77 --clips 8 --output runs/plain_video
+
+Nothing but the video is given: masks are automatic, depth is guessed, and the light of the tissue is what is measured.
+Lengths and forces count in the tissue's distance, which no plain video tells. table.csv has the measures of every clip,
+summary.csv those of all: how often frames under a press are found and others aren't, and of every quantity how many
+clips determine it, the median error of its logarithm there, and how often its 90 % interval holds the truth.
+"""
+
+from __future__ import annotations
+
+from palpate.common.doors import enter_door, run_door
+
+if __name__ == "__main__":
+    enter_door()  # before the slow imports
+
+import functools
+import math
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from palpate.api import open_clip, open_estimator
+from palpate.common.settings import LARGEST
+from palpate.data.synthetic.clip import clip_seed, draw_truth, write_clip
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.data.synthetic.truth import PressedMotion, damping_ratio, regime_of
+from palpate.estimators.contract import ClipInfo
+from palpate.estimators.estimate import COMBINATIONS, NINETY, REPORTED, FrameEstimate, InteractionEstimate
+from palpate.estimators.session import estimates_of
+from palpate.evaluation.harness import Measurements, Report, Row, require_within, run
+from palpate.evaluation.recovery.suites import LARGEST_SEED
+
+LENGTHS = {"force": 1, "force_over_stiffness": 1}
+"""Quantities that count in lengths, with their power."""
+SAME_ONSET = 2
+"""A run of contact is the true one where it begins within so many frames of it."""
+
+
+def measured_video(seed: int, frames: int) -> Row:
+    """Measures of one drawn press."""
+    estimator, settings = open_estimator("direct"), SceneSettings(frames=frames)
+    scene, truth = draw_truth(settings, seed)
+    assert isinstance(truth, PressedMotion)
+    with tempfile.TemporaryDirectory() as folder:
+        clip = write_clip(Path(folder), 1, settings, seed)
+        stream = open_clip(clip.with_suffix(".mp4"), estimator)
+        found = list(estimates_of(estimator.start(ClipInfo.of(stream)), stream))
+    contact = np.array([output.contact is True for output in found if isinstance(output, FrameEstimate)])
+    pressed = truth.in_contact
+    # Nothing has moved yet in the frame in which the press begins, and dents recover after it.
+    judged = np.arange(len(pressed)) != truth.onset_frame
+    row: Row = {
+        "regime": regime_of(damping_ratio(truth.theta[0], truth.theta[1], settings.mass)),
+        "pressed_frames": int((pressed & judged).sum()),
+        "pressed_found": int((pressed & judged & contact).sum()),
+        "other_frames": int((~pressed & judged).sum()),
+        "other_found": int((~pressed & judged & contact).sum()),
+    }
+    runs = [output for output in found if isinstance(output, InteractionEstimate)]
+    right = [run for run in runs if abs(run.onset_frame - truth.onset_frame) <= SAME_ONSET and run.estimate is not None]
+    distance = float(scene.mesh.vertices[scene.vertex, 2])
+    return row | (compared(right[0], truth.theta, distance) if right else {"verdict": "no_estimate"})
+
+
+def compared(found: InteractionEstimate, theta: np.ndarray, distance: float) -> Row:
+    """Errors of the logarithm of every quantity, with their standard deviations, and which are determined."""
+    estimate, contact = found.estimate, found.interaction
+    assert estimate is not None
+    assert contact is not None
+    scale = math.log(float(contact.mesh.vertices[contact.vertex, 2]) / distance)
+    row: Row = {"verdict": estimate.verdict}
+    for name in REPORTED:
+        powers = np.array(COMBINATIONS[name])
+        off = powers @ np.log(np.abs(estimate.theta / theta)) - LENGTHS.get(name, 0) * scale
+        row |= {f"{name}_error": float(off), f"{name}_determined": int(name in estimate.determined)}
+        row[f"{name}_sd"] = float(math.sqrt(max(powers @ estimate.covariance @ powers, 0.0)))
+    return row
+
+
+@dataclass(frozen=True)
+class PlainVideo(Measurements):
+    """What is drawn."""
+
+    seed: int = 77
+    """of the clips"""
+    clips: int = 8
+    """how many"""
+    frames: int = 32
+    """of each clip"""
+
+    writes = ("table.csv", "summary.csv")
+
+    def __post_init__(self) -> None:
+        """Raise a ValueError where an option can't be used."""
+        require_within(self, seed=(0, LARGEST_SEED), clips=(1, LARGEST), frames=(16, LARGEST))
+
+    @property
+    def wanted(self) -> Mapping[str, Callable[[], Row]]:
+        """Every clip by its number."""
+        seeds = [clip_seed(self.seed, index) for index in range(self.clips)]
+        return {str(at): functools.partial(measured_video, seed, self.frames) for at, seed in enumerate(seeds)}
+
+    def record(self) -> Mapping[str, Any]:
+        """Seed and length of the clips."""
+        return {"seed": self.seed, "frames": self.frames}
+
+    def report(self, rows: Mapping[tuple, Row]) -> Report:
+        """The measures of every clip, and those of all."""
+        report = super().report(rows)
+        summary = summarised([rows[name,] for name in self.wanted if (name,) in rows and "status" not in rows[name,]])
+        return Report({**report.tables, "summary.csv": summary}, [summary], report.lines, failed=report.failed)
+
+
+def summarised(rows: Sequence[Row]) -> pd.DataFrame:
+    """Frames found and quantities determined over all clips, a line each."""
+    lines = []
+    for name in ("pressed", "other"):
+        found, frames = (sum(row[f"{name}_{end}"] for row in rows) for end in ("found", "frames"))
+        lines.append({"measure": f"{name} frames called contact", "count": found, "of": frames})
+    for name in REPORTED:
+        known = [row for row in rows if row.get(f"{name}_determined")]
+        errors, sds = (np.array([row[f"{name}_{end}"] for row in known]) for end in ("error", "sd"))
+        line: Row = {"measure": name, "count": len(known), "of": len(rows)}
+        if known:
+            line |= {"median error": float(np.median(np.abs(errors)))}
+            line |= {"held": float(np.mean(np.abs(errors) <= NINETY * sds))}
+        lines.append(line)
+    return pd.DataFrame(lines)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure the clips; returns the exit status."""
+    return run(PlainVideo, arguments, "evaluation.plain_video", __doc__)
+
+
+if __name__ == "__main__":
+    run_door(main)

@@ -2,9 +2,9 @@
 
 geometry       depth and labels to clouds, contact pair, mesh and normal; outlines: their doubtful rims
 surface        smooth tissue behind noisy depth, and the noise; rest_depth: its shape before it was touched
-dents          contact by a dent alone, no tool being seen; depth_change: how much deeper than at rest tissue lies
-evidence       whether tissue moves with the tool, frame by frame; coupling: how likely what was seen is if it does
-light_contacts  whether tissue darkens beside the tool, as it does under a press
+dents          contact by a dent alone, without a tool in view; depth_change: how much deeper than at rest tissue lies
+evidence       whether tissue moves with the tool, frame by frame; coupling: likelihood ratio of its motion if it does
+light_contacts  whether tissue darkens next to the tool, as it does under a press
 motion         the contact's motion from frame to frame and since its onset
 tissue_points  places in a picture as points in space; refinement: where a young contact presses
 depth_sequence  depth around a contact from frame to frame; patches: which of the mesh's vertices its pixels show

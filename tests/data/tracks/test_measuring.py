@@ -106,7 +106,7 @@ def test_highlights_that_stay_hold_no_window_back() -> None:
 
 
 @pytest.mark.parametrize("size", [2.0, 8.0])
-def test_told_noise_is_the_errors_whatever_pictures_noise_is(size: float) -> None:
+def test_the_noise_is_the_errors_whatever_pictures_noise_is(size: float) -> None:
     pictures = (
         grainy(dull(picture), size, seed) for seed, picture in enumerate((texture(), exactly_shifted(0.3, 0.2)))
     )

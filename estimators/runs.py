@@ -52,6 +52,8 @@ class Run:
         """Whether the run begins or goes on in a frame where contact is not decided."""
         self.builder: InteractionBuilder | None = None
         """Builder of the interaction from its observations; None where the onset was not observed."""
+        self.lit = rest_light is not None
+        """Whether its light is compared with that at rest; it may be a pull, then, as nothing else is measured."""
         self.note(first)
         contact = first.geometry
         if contact is not None and first.track_start == frame.index:
@@ -181,7 +183,7 @@ class RunSession:
 
     def _follows(self, run: Run) -> bool:
         """Whether the motion around the instrument may be needed: a run without an onset has no other observation."""
-        return run.builder is None
+        return run.builder is None or (self.by_light and run.lit)
 
     def _ended(self, run: Run | None) -> Iterator[InteractionEstimate]:
         """Yield the record of a run that has ended: of the press, and of the grip where the press is undetermined."""

@@ -72,8 +72,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     add("--onset", choices=ONSETS, help=text)
     text = (
-        "of direct and network: the depth of all visible tissue around the contact (field, default), or the motion of "
-        "the one point that the tool touched first (contact)"
+        "of direct and network: the depth of all visible tissue around the contact (field, default where depth is "
+        "given), the motion of the one point that the tool touched first (contact), or, of direct, how the tissue's "
+        "light changes (brightness, default where depth is guessed from the pictures)"
     )
     add("--observation", choices=OBSERVATIONS, help=text)
     text = (

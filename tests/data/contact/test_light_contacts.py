@@ -1,0 +1,90 @@
+"""Contact by the light of tissue: dents beside an instrument, nothing beside one that hovers, and what lies between."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from palpate.data.brightness.light import SRGB
+from palpate.data.contact.geometry import GeometrySettings
+from palpate.data.contact.light_contacts import LightContacts
+from palpate.data.labels import TISSUE, TOOL
+from palpate.data.prepared import PreparedFrame
+from palpate.data.source.camera import Camera
+from palpate.data.source.frames import Frame
+
+GRID = (60, 80)
+CAMERA = Camera(fx=70.0, fy=70.0, cx=39.5, cy=29.5, width=80, height=60)
+DENT = (34, 40)
+"""Row and column [grid pixels]; the instrument ends right above it."""
+
+
+def prepared(index: int, darkness: float = 0.0, tool: bool = True, gain: float = 1.0) -> PreparedFrame:
+    """A frame of textured tissue, an instrument that comes from above, and a dent below its tip."""
+    texture = np.exp(0.2 * np.random.default_rng(7).normal(size=GRID)).repeat(4, axis=0).repeat(4, axis=1)
+    rows, columns = (np.indices((240, 320)) + 0.5) / 4 - 0.5
+    dent = np.exp(-0.5 * (np.square(rows - DENT[0]) + np.square(columns - DENT[1])) / 2.5**2)
+    light = 0.6 * gain * texture * np.exp(-darkness * dent)
+    labels = np.full((240, 320), TISSUE, np.uint8)
+    if tool:
+        labels[: 4 * 32, 150:174] = TOOL
+    noise = np.random.default_rng(index).normal(0, 0.004, (240, 320, 1))
+    picture = np.searchsorted(SRGB, np.clip(light[..., None] * [0.7, 0.3, 0.2] + noise, 0, 0.97)).astype(np.uint8)
+    picture[labels == TOOL] = 140
+    status = "ok" if tool else "no_tool"
+    frame = Frame(index, index, index / 25, picture)
+    found = PreparedFrame(frame, status, "", np.full(GRID, 0.6, np.float32), labels[2::4, 2::4], labels)
+    found.contact_probability = 0.7 if tool else np.nan
+    return found
+
+
+def decided(frames: list[PreparedFrame]) -> list[PreparedFrame]:
+    contacts = LightContacts(CAMERA, GeometrySettings(height=60, width=80))
+    found = [each for frame in frames for each in contacts.push(frame)]
+    return found + contacts.finish()
+
+
+def test_a_dent_is_a_press_where_it_is_and_as_long_as_it_lasts():
+    darkness = [0.0] * 8 + [0.1, 0.3, 0.4, 0.4, 0.4] + [0.02, 0.0, 0.0]
+    frames = decided([prepared(index, dark, tool=4 <= index < 13) for index, dark in enumerate(darkness)])
+    assert [frame.frame.index for frame in frames] == list(range(16))
+    pressed = [frame.frame.index for frame in frames if frame.press is not None]
+    # The last frame without a dent may be the first of the press, and the instrument was there three frames before.
+    assert pressed[-1] == 12
+    assert 5 <= pressed[0] <= 8
+    assert pressed == list(range(pressed[0], 13))
+    u, v = frames[10].press
+    assert abs(u - DENT[1]) <= 1
+    assert 0 <= v - DENT[0] <= 2  # the instrument hides its upper half
+    assert frames[10].contact_probability > 0.9
+    assert [frame.status for frame in frames[13:]] == ["no_tool"] * 3
+
+
+@pytest.mark.parametrize("gain", [1.0, 0.7, 1.3])
+def test_an_instrument_beside_tissue_that_stays_as_bright_does_not_touch(gain):
+    """Whatever the exposure does."""
+    frames = decided([prepared(index, tool=index >= 4, gain=gain if index >= 6 else 1.0) for index in range(14)])
+    # The light at rest is known from the eighth frame on.
+    assert [frame.status for frame in frames[8:]] == ["no_contact"] * 6
+    assert "as bright as at rest" in frames[8].detail
+    assert not any(frame.press for frame in frames)
+
+
+def test_motion_that_is_sure_of_contact_keeps_its_word():
+    frames = [prepared(index, tool=index >= 4) for index in range(14)]
+    for frame in frames[8:]:
+        frame.contact_probability = 0.99
+    assert [frame.status for frame in decided(frames)[8:]] == ["ok"] * 6
+
+
+def test_without_a_view_of_rest_nothing_is_said():
+    frames = decided([prepared(index, 0.4) for index in range(3)])
+    assert [frame.status for frame in frames] == ["ok"] * 3
+
+
+def test_a_gap_forgets_the_press():
+    frames = [prepared(index, 0.4 if index >= 8 else 0.0, tool=index >= 4) for index in range(12)]
+    blind = PreparedFrame(frames[0].frame, "unreadable", "", np.zeros(GRID, np.float32), np.zeros(GRID, np.uint8))
+    found = decided([*frames, blind, *[prepared(index, 0.4) for index in range(13, 16)]])
+    assert found[11].press is not None
+    assert all(frame.press is None for frame in found[12:])

@@ -41,6 +41,11 @@ LARGEST_SLAB_ERROR = 0.1
 """Share of the motion around a grip; a slab that leaves more of it is refuted: drawn pulls leave 0.005 to 0.03."""
 
 
+BY_LIGHT = (
+    "by the brightness of the tissue, for want of measured depth: lengths and forces are relative to its distance"
+)
+
+
 class NoEstimate(ValueError):
     """A contact can't be estimated; the message is a sentence that says why."""
 
@@ -84,6 +89,8 @@ class Estimate:
     view_angle: float | None = None
     """Angle between the contact's direction and the line of sight [degrees] (see estimators.oblique); None = not
     known."""
+    by_light: bool = False
+    """Whether the light of the tissue was observed instead of its depth, so that lengths count in its distance."""
     refuted: str = ""
     """Sentence on another model that explains the motion better; empty where none is known."""
 
@@ -115,7 +122,8 @@ class Estimate:
         """The verdict's reason in words (see physics.identifiability.describe)."""
         if not self.explained:
             return "nothing is determined, because the model does not explain the motion"
-        return "" if self.told_verdict else describe(self.verdict_information)
+        described = "" if self.told_verdict else describe(self.verdict_information)
+        return f"{described}; {BY_LIGHT}" if self.by_light else described
 
     @property
     def verdict_information(self) -> np.ndarray:

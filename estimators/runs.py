@@ -28,7 +28,7 @@ PASSED = "No contact: the instrument moves, and the tissue next to it does not m
 OUTLINES_ALONE = "Contact by outlines alone: nothing has moved yet that would show whether tissue moves with the tool."
 NOT_SHOWN = "No displacement: the onset of contact was not observed, or lies beyond the model's horizon."
 NOT_FOLLOWED = "The tissue at the contact could not be followed after its onset."
-BY_LIGHT = "By the brightness of the tissue, for want of measured depth; lengths and forces are up to its distance."
+WHOLE = "Whole runs of contact are fitted, when they have ended: see interactions.csv."
 FULL_ARROW = 0.3
 """Length of the drawn arrow of the largest admissible force, as a share of the contact point's depth."""
 
@@ -207,7 +207,7 @@ class RunSession:
                 start = time.perf_counter()
                 contact, found, simulated = fit_brightness(contact, 1 / self.clip.fps)
                 self.seconds["fit"] += time.perf_counter() - start
-                doubts = f"{BY_LIGHT} {found.refuted}".strip()
+                doubts = found.refuted
             else:
                 found, simulated, doubts = self._whole(contact)
         except NoEstimate as reason:

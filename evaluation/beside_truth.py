@@ -37,6 +37,8 @@ from palpate.results.store import INTERACTIONS, RECORD
 
 UNIT = {"damping_over_stiffness": "s"}
 """Of quantities that are not in scene units alone."""
+IN_LENGTHS = ("force", "force_over_stiffness")
+"""Quantities that count in the clip's unit of length."""
 SAME_ONSET = 1.5
 """A run of contact is the true one where it begins within so many frames of it."""
 
@@ -91,7 +93,11 @@ def read_results(folder: Path) -> tuple[str, dict[str, str], dict[str, float]]:
 
 
 def table_of(name: str, row: Mapping[str, str], truth: Mapping[str, float]) -> Table:
-    """Every quantity with its estimate, interval and truth; numbers of what is not determined are not shown."""
+    """Every quantity with its estimate, interval and truth; numbers of what is not determined are not shown.
+
+    A video alone tells lengths, and forces with them, in a unit of its own only: these aren't judged.
+    """
+    own_unit = () if Path(name).suffix == "" else IN_LENGTHS
     title = f"{name}: {row['verdict']}; normalised units, not N/m or N"
     table = Table("quantity", "estimate", "90 % interval", "truth", "", title=plain(title))
     determined = row["determined"].split(";")
@@ -103,7 +109,8 @@ def table_of(name: str, row: Mapping[str, str], truth: Mapping[str, float]) -> T
             cells[1] = f"{float(estimate):.3g}"
             if low and high:
                 held = float(low) <= truth[quantity] <= float(high)
-                cells[2], cells[4] = f"{float(low):.3g} to {float(high):.3g}", "held" if held else "missed"
+                judged = "in another unit" if quantity in own_unit else "held" if held else "missed"
+                cells[2], cells[4] = f"{float(low):.3g} to {float(high):.3g}", judged
         table.add_row(*map(Text, cells))
     return table
 

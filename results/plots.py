@@ -388,7 +388,8 @@ def _draw_motion(axes: Axes, run: InteractionEstimate | None) -> None:
     contact, estimate, (simulated_times, simulated) = run.interaction, run.estimate, run.simulated
     sign, times = np.sign(estimate.theta[2]), contact.observation.times
     at, far = _far(contact, run.simulated, estimate.noise)
-    axes.errorbar(times, sign * contact.along, estimate.noise, fmt="o", ms=5, color=OBSERVED, label="observed ± σ")
+    if np.isfinite(contact.along).any():  # the light of the tissue follows no point
+        axes.errorbar(times, sign * contact.along, estimate.noise, fmt="o", ms=5, color=OBSERVED, label="observed ± σ")
     axes.plot(simulated_times, sign * simulated, "-", lw=2, color=SIMULATED, label="simulated with the fit")
     if far.any():
         axes.plot(times[far], sign * at[far], "x", ms=9, mew=2, color=FAR_COLOR, label="far from the observed one")

@@ -155,5 +155,6 @@ def _concluded(problem: BrightnessProblem, logs: np.ndarray, tissue: np.ndarray)
         delays=tuple((motion.within * best.logs[motion.delays]).tolist()),
         delays_at_end=bool((np.abs(best.logs[motion.delays]) > DELAY_AT_END).any()),
         modes=count_modes(distinct(optima), prior),
+        by_light=True,
         refuted=refuted,
     )

@@ -33,7 +33,7 @@ from palpate.estimators.direct.slab_motion import DENSITY, LAW, POISSON, SLAB_BO
 from palpate.estimators.estimate import Estimate, NoEstimate
 from palpate.estimators.oblique import remark
 from palpate.estimators.onset import onset_error
-from palpate.estimators.runs import Run, RunSession, frame_estimate
+from palpate.estimators.runs import WHOLE, Run, RunSession, frame_estimate
 from palpate.physics.load import held
 from palpate.physics.mechanics import PARAMETERS, RECOMMENDED, Bounds, Mechanics
 from palpate.physics.msd.simulation import simulate
@@ -41,8 +41,6 @@ from palpate.physics.msd.simulation import simulate
 LEAST_SIGMA = 3e-5
 """A smaller σ is refused [scene units]: that is the fitted simulator's own error (docs/reports/identifiability.md),
 which would be taken for motion of the tissue."""
-WHOLE = "This estimator fits whole runs of contact: see interactions.csv."
-"""The depth of all visible tissue around the contact, or the motion of the one point that the tool touched first."""
 LEAST_OBSERVATIONS = 3
 """Frames after the onset in which the tissue was followed."""
 

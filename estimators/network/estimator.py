@@ -20,7 +20,7 @@ from palpate.estimators.model_settings import ModelEstimator
 from palpate.estimators.network.misfit import compared, largest_misfit
 from palpate.estimators.oblique import effective_misfit, is_oblique, remark, view_angle, widened
 from palpate.estimators.onset import onset_error, onset_perturbations
-from palpate.estimators.runs import Run, RunSession, force_arrow, frame_estimate
+from palpate.estimators.runs import WHOLE, Run, RunSession, force_arrow, frame_estimate
 from palpate.models.onnx_session import CONTACT, ModelFileError, PosteriorModel
 from palpate.physics.load import Press, held
 from palpate.physics.mechanics import Mechanics, theta_of
@@ -197,6 +197,8 @@ class NetworkSession(RunSession):
     def _frame(self, frame: PreparedFrame, run: Run | None, depth: np.ndarray | None) -> FrameEstimate:
         if frame.geometry is None or run is None:
             return frame_estimate(frame, self.clip)
+        if self.by_light and run.lit:
+            return frame_estimate(frame, self.clip, doubts=WHOLE, whole=True)
         if run.builder is None:
             return frame_estimate(frame, self.clip, verdict="undetermined")
         contact = run.builder.build(self.mechanics, until=frame.frame.time_s - run.time_s)

@@ -52,6 +52,10 @@ class ModelErrors:
     """Of its d/E, there."""
     firm_force: float
     """Of its F/E, there."""
+    brightness_damping: float
+    """Of k_d/k_s by brightness: law, mesh, and what a video's coding leaves out, alike in all pixels."""
+    brightness_force: float
+    """Of its F/k_s."""
 
 
 def read_entries(path: Path = FILE) -> dict[str, dict[str, Any]]:

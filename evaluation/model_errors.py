@@ -7,7 +7,7 @@ their residuals tell: the rest is the model's. Of every entry of the file that a
 root mean square errors, what residuals tell of them, the standard deviation of the model that follows, from how many
 clips, and by which command. Fewer than 20 clips leave `value`, by which the estimators go, as it is. The part grip
 takes the suites retraction, foundation and regions; pull the pulls of the suite fem, by a slab that is given the
-thickness (minutes a clip).
+thickness (minutes a clip); video presses in plain videos (`evaluation.plain_video`, half a minute a clip).
 """
 
 from __future__ import annotations
@@ -34,15 +34,19 @@ from palpate.common.settings import LARGEST
 from palpate.estimators.model_errors import FILE, read_entries
 from palpate.estimators.open import FEM, EstimatorOptions
 from palpate.evaluation.harness import Row, options, require_within
+from palpate.evaluation.plain_video import measured_video
 from palpate.evaluation.recovery.suites import EVERY, LARGEST_SEED, suite_clip_seed
 from palpate.evaluation.recovery.trial import Trial, run_trial
 
 SPLIT = "validation"
-PARTS = {"grip": ("retraction", "foundation", "regions"), "pull": ("fem",)}
+VIDEO = "video"
+PARTS = {"grip": ("retraction", "foundation", "regions"), "pull": ("fem",), VIDEO: (VIDEO,)}
 """Suites of every part."""
 DIRECT = "direct"
 CANDIDATES = {"grip": EstimatorOptions(DIRECT, threads=1), "pull": EstimatorOptions(DIRECT, Path(FEM), threads=1)}
 """Who estimates the clips of a part."""
+FRAMES = 32
+"""Of a plain video."""
 ENOUGH = 20
 """So many clips change a value: a standard deviation is then known to a sixth."""
 HEAD = (
@@ -100,6 +104,20 @@ def pull_errors(rows: Sequence[Row], values: Mapping[str, float]) -> Errors:
     return found
 
 
+def video_errors(rows: Sequence[Row], values: Mapping[str, float]) -> Errors:
+    """Errors of both ratios of presses in plain videos; arguments as of `grip_errors`."""
+    found: Errors = {}
+    for name, quantity in (
+        ("brightness_damping", "damping_over_stiffness"),
+        ("brightness_force", "force_over_stiffness"),
+    ):
+        for row in rows:
+            if row.get(f"{quantity}_determined"):
+                stated = max(row[f"{quantity}_sd"] ** 2 - values[name] ** 2, 0.0)
+                found.setdefault(name, []).append((row[f"{quantity}_error"], stated))
+    return found
+
+
 def updated(entries: dict[str, dict[str, Any]], errors: Errors, command: str, date: str) -> dict[str, dict[str, Any]]:
     """Entries with what was measured; their values are that where enough clips were."""
     found = {name: dict(entry) for name, entry in entries.items()}
@@ -124,7 +142,7 @@ def write_entries(path: Path, entries: dict[str, dict[str, Any]]) -> None:
 class ModelErrors:
     """What is measured."""
 
-    part: Literal["grip", "pull"]
+    part: Literal["grip", "pull", "video"]
     """whose errors"""
     seed: int
     """of the clips"""
@@ -141,7 +159,7 @@ class ModelErrors:
     def wanted(self) -> list[tuple[str, int]]:
         """Suites and numbers of the clips."""
         found = [(suite, index) for suite in PARTS[self.part] for index in range(self.clips)]
-        return [(suite, at) for suite, at in found if self.part == "grip" or EVERY[suite].settings(at).action == "grip"]
+        return [(suite, at) for suite, at in found if self.part != "pull" or EVERY[suite].settings(at).action == "grip"]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -155,9 +173,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         bar = progress.add_task("clips", total=len(asked.wanted))
         for suite, index in asked.wanted:
             seed = suite_clip_seed(SPLIT, asked.seed, index)
-            rows += run_trial(Trial(index, seed, {suite: {DIRECT: CANDIDATES[asked.part]}}))
+            if suite == VIDEO:
+                rows.append(measured_video(seed, FRAMES))
+            else:
+                rows += run_trial(Trial(index, seed, {suite: {DIRECT: CANDIDATES[asked.part]}}))
             progress.advance(bar)
-    errors = (grip_errors if asked.part == "grip" else pull_errors)(rows, values)
+    errors = {"grip": grip_errors, "pull": pull_errors, VIDEO: video_errors}[asked.part](rows, values)
     if not errors:
         say(console, "No clip has an estimate that could be compared; give other seeds, or more clips.", "red")
         return 1

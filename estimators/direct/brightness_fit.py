@@ -13,6 +13,7 @@ from palpate.estimators.direct.contact_fit import AT_BOUND, DELAY_AT_END
 from palpate.estimators.direct.motion import FITTED, about_tissue
 from palpate.estimators.direct.problem import apart, combine, count_modes, distinct, find_optimum
 from palpate.estimators.estimate import Estimate, NoEstimate
+from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.physics.identifiability import box_information
 from palpate.physics.mechanics import RECOMMENDED
 from palpate.physics.msd.simulation import simulate
@@ -35,8 +36,6 @@ CLIPPED = 0.2
 """Residuals of starts count as if they were no larger [logarithm of light]."""
 FIRMER = (-1.5, 1.5)
 """Steps of log k_s, log k_d and log |F| from which other optima are looked for: only inertia tells their scale."""
-DAMPING_ERROR, FORCE_ERROR = 0.18, 0.18
-"""Standard deviations of log k_d/k_s and log |F|/k_s by what law, mesh and video coding get wrong in all pixels."""
 LEAST_SKILL = 0.5
 """A press that leaves a larger share of the change of light, root mean square, is no explanation."""
 FEWEST_FRAMES = 3
@@ -139,7 +138,9 @@ def _concluded(problem: BrightnessProblem, logs: np.ndarray, tissue: np.ndarray)
     starts = [np.concatenate([logs[:3] + step, logs[3:]]) for step in (0.0, *FIRMER)]
     optima = [find_optimum(problem, np.clip(start, box[0] + 1e-9, box[1] - 1e-9), *box, FEW) for start in starts]
     mean, covariance, best = combine(distinct(optima), prior)
-    spread = covariance[:3, :3] + np.diag(np.square([0.0, DAMPING_ERROR, FORCE_ERROR]))
+    spread = covariance[:3, :3] + np.diag(
+        np.square([0.0, MODEL_ERRORS.brightness_damping, MODEL_ERRORS.brightness_force])
+    )
     refuted = ""
     if problem.skill < LEAST_SKILL:
         refuted = (

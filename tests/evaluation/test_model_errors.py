@@ -11,7 +11,16 @@ import pytest
 from palpate.estimators.model_errors import FILE, MODEL_ERRORS, read_entries
 from palpate.evaluation import model_errors as module
 from palpate.evaluation.harness import Row
-from palpate.evaluation.model_errors import ENOUGH, grip_errors, main, model_sd, pull_errors, updated, write_entries
+from palpate.evaluation.model_errors import (
+    ENOUGH,
+    grip_errors,
+    main,
+    model_sd,
+    pull_errors,
+    updated,
+    video_errors,
+    write_entries,
+)
 from palpate.evaluation.recovery.trial import Trial
 
 VALUES = vars(MODEL_ERRORS)
@@ -55,6 +64,21 @@ def test_what_the_model_gets_wrong_is_found(kind: str, model: float) -> None:
     few = updated(read_entries(), grip_errors(rows[: ENOUGH - 1], VALUES), "a command", "today")[f"foundation_{kind}"]
     assert few["value"] == VALUES[f"foundation_{kind}"]
     assert few["measured"]["clips"] == ENOUGH - 1
+
+
+def test_videos_tell_both_ratios() -> None:
+    generator = np.random.default_rng(3)
+    rows: list[Row] = [{"verdict": "no_estimate"}]
+    for _ in range(400):
+        row: Row = {}
+        for name, kind in (("damping_over_stiffness", "damping"), ("force_over_stiffness", "force")):
+            row |= {f"{name}_error": generator.normal(0, math.hypot(0.25, 0.1)), f"{name}_determined": 1}
+            row[f"{name}_sd"] = math.hypot(VALUES[f"brightness_{kind}"], 0.1)
+        rows.append(row)
+    entries = updated(read_entries(), video_errors(rows, VALUES), "a command", "today")
+    for kind in ("damping", "force"):
+        assert entries[f"brightness_{kind}"]["value"] == pytest.approx(0.25, rel=0.1)
+        assert entries[f"brightness_{kind}"]["measured"]["told"] == pytest.approx(0.1, rel=0.01)
 
 
 def test_pulls_tell_force_over_young_and_its_course() -> None:

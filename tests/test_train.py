@@ -201,7 +201,7 @@ def test_head_posterior_starts_pretrained_and_resumes_without_the_file(
             torch.testing.assert_close(weights[f"{generator}.head.posterior.{name}"], value, atol=1e-6, rtol=1e-6)
     missing = [*arguments, str(tmp_path / "nothing.pt"), "--trainer.max_epochs", "2"]
     said = refused(capsys, *missing, "--trainer.default_root_dir", tmp_path / "run")
-    assert "nothing.pt does not exist; give a file that python -m estimators" in said
+    assert "nothing.pt does not exist; give a file that train.py fit" in said
     assert train.main([*missing, "--ckpt_path", "last"]) == 0
     assert last(config.parent / "posterior")["epoch"] == 1
     assert train.main(["test", "-c", str(config), "-c", str(told), "--ckpt_path", "last"]) == 0

@@ -15,13 +15,14 @@ from palpate.common.doors import interruptible
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
-_LIMITS = (
+LIMITS = (
     "OMP_NUM_THREADS",
     "OPENBLAS_NUM_THREADS",
     "MKL_NUM_THREADS",
     "NUMBA_NUM_THREADS",
     "OPENCV_FOR_THREADS_NUM",
 )
+"""Variables by which libraries, when they are loaded, are told how many native threads to use."""
 
 
 class WorkerLost(RuntimeError):
@@ -71,12 +72,12 @@ def _as_workers_start() -> Generator[None]:
     And let them never see Ctrl-C, not even while they import: this one decides what comes of it.
     """
     before = dict(os.environ)
-    os.environ.update(dict.fromkeys(_LIMITS, "1"))
+    os.environ.update(dict.fromkeys(LIMITS, "1"))
     signals = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, signals)
-        for name in _LIMITS:
+        for name in LIMITS:
             del os.environ[name]
         os.environ.update(before)

@@ -8,6 +8,13 @@ from pathlib import Path
 
 import pytest
 
+from palpate.common.workers import LIMITS
+
+if "PYTEST_XDIST_WORKER" in os.environ:
+    # One native thread for each of the test processes and what they start: where processes have together more threads
+    # than the machine has cores, OpenMP's wait for each other in loops, and torch takes up to a hundred times as long.
+    os.environ.update(dict.fromkeys(LIMITS, "1"))
+
 CHECKOUT = Path(__file__).resolve().parents[1]
 
 

@@ -17,6 +17,7 @@ import pytest
 from palpate.physics import jit
 from palpate.physics.jit import Kernel, say_slow
 from palpate.physics.mechanics import Mechanics
+from palpate.physics.msd.grid_layout import MOBILE
 from palpate.physics.msd.simulation import simulate, simulate_sensitivities
 from tests.physics.sheets import gripped, pressed, sheet, whole_field
 
@@ -117,50 +118,79 @@ def test_without_any_folder_to_write_to_it_compiles_all_the_same(monkeypatch):
     assert asked == [False]
 
 
+SMALL = """
+    from palpate.physics.jit import kernel
+    from palpate.physics.msd.grid_layout import MOBILE
+
+
+    @kernel
+    def scaled(values):
+        total = values[0] - values[0]
+        for value in values:
+            total += MOBILE * value * value
+        return total
+"""
+
+
 @pytest.fixture
 def copied(tmp_path) -> Path:
-    """A checkout of the simulator of its own, without compiled code."""
+    """A checkout of the simulator of its own, without compiled code, and with a kernel that is compiled in no time."""
     for room in ("palpate", "common", "physics"):
         shutil.copytree(ROOT / room, tmp_path / room, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    (tmp_path / "physics" / "msd" / "small.py").write_text(textwrap.dedent(SMALL))
     return tmp_path
 
 
 SHOW = """
     import numpy as np
-    from test_jit import ARGUMENTS
     from palpate.physics import jit
-    from palpate.physics.msd import simulation as msd_kernel
+    from palpate.physics.msd.small import scaled
     assert jit.__file__.startswith(FOLDER)
-    print(jit.code_folder())
-    print(msd_kernel.simulate(*ARGUMENTS, dtype=np.TYPE)[-1].tolist())
+    print(jit.code_folder(), flush=True)
+    input()
+    print(float(scaled(np.arange(1, 4) / np.TYPE(3))))
 """
 
 
 def start(checkout: Path, dtype: str = "float32", **environment: str) -> subprocess.Popen:
-    """A process that computes ARGUMENTS with a checkout's simulator and prints its folder and the end point."""
-    paths = os.pathsep.join(map(str, (checkout, ROOT / "tests" / "physics", ROOT)))
+    """A process that computes with a checkout's kernel, which uses a constant of another file, as soon as it may.
+
+    It prints the folder of the compiled code, waits for a line, and prints the result.
+    """
     return subprocess.Popen(
         [sys.executable, "-c", textwrap.dedent(SHOW).replace("FOLDER", repr(str(checkout))).replace("TYPE", dtype)],
         cwd=checkout,
-        env={**os.environ, "PYTHONPATH": paths, **environment},
+        env={**os.environ, "PYTHONPATH": str(checkout), **environment},
+        stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
     )
 
 
-def shown(process: subprocess.Popen) -> tuple[str, np.ndarray]:
-    output, errors = process.communicate(timeout=300)
-    assert process.returncode == 0, errors
-    folder, values = output.splitlines()
-    return folder, np.array(eval(values))
+def shown(*processes: subprocess.Popen) -> list[tuple[str, float]]:
+    """Folders and results of processes that begin to compile at once."""
+    folders = [process.stdout.readline().strip() for process in processes]
+    for process in processes:
+        process.stdin.write("\n")
+        process.stdin.flush()
+    ends = [process.communicate(timeout=300) for process in processes]
+    assert [process.returncode for process in processes] == [0] * len(processes), ends
+    return [(folder, float(output)) for folder, (output, _) in zip(folders, ends, strict=True)]
+
+
+def expected(dtype: str, mobile: int = MOBILE) -> float:
+    """What the copied kernel computes, with its constant."""
+    return pytest.approx(mobile * 14 / 9, rel=1e-6 if dtype == "float32" else 1e-14)
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(not jit.COMPILED, reason="numba isn't installed")
 def test_code_does_not_outlive_a_constant_of_another_file(copied):
-    folder, before = shown(start(copied))
+    assert MOBILE == 9
+    [(folder, before)] = shown(start(copied))
+    assert before == expected("float32")
     layout = copied / "physics" / "msd" / "grid_layout.py"
     text = layout.read_text()
     moved = text.replace(
@@ -168,23 +198,21 @@ def test_code_does_not_outlive_a_constant_of_another_file(copied):
     )
     assert moved != text
     layout.write_text(moved)
-    changed_folder, after = shown(start(copied))
+    [(changed_folder, after)] = shown(start(copied))
     assert changed_folder != folder
-    np.testing.assert_array_equal(after, before)
+    assert after == expected("float32", 3)
     layout.write_text(text)
-    assert shown(start(copied))[0] == folder
+    assert shown(start(copied)) == [(folder, before)]
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(not jit.COMPILED, reason="numba isn't installed")
 def test_processes_that_start_together_and_find_no_code_compute_the_same(copied):
     kinds = ["float32", "float64", "float32", "float64"]
-    results = [shown(process)[1] for process in [start(copied, kind) for kind in kinds]]
-    again = [shown(start(copied, kind))[1] for kind in kinds[:2]]
-    for kind, result in zip(kinds, results, strict=True):
-        np.testing.assert_array_equal(result, again[kinds.index(kind)])
-    np.testing.assert_allclose(again[0], again[1], rtol=1e-4)
-    np.testing.assert_allclose(again[1], simulate(*ARGUMENTS, dtype=np.float64)[-1], rtol=1e-12)
+    results = shown(*(start(copied, kind) for kind in kinds))
+    again = shown(*(start(copied, kind) for kind in kinds[:2]))
+    assert results == again + again
+    assert [value for _, value in again] == [expected(kind) for kind in kinds[:2]]
 
 
 @pytest.mark.slow
@@ -192,11 +220,10 @@ def test_processes_that_start_together_and_find_no_code_compute_the_same(copied)
 def test_a_checkout_that_cannot_be_written_keeps_its_code_elsewhere_or_nowhere(copied, tmp_path):
     (copied / "physics" / "__pycache__").write_text("a file where the folder would be: nothing can be kept here")
     home = tmp_path / "home"
-    folder, expected = shown(start(copied, XDG_CACHE_HOME=str(home)))
-    assert Path(folder).is_relative_to(home)
-    assert any(Path(folder).rglob("*.nbc"))
     blocked = tmp_path / "blocked"
     blocked.write_text("")
-    folder, seen = shown(start(copied, XDG_CACHE_HOME=str(blocked)))
-    assert folder == "None"
-    np.testing.assert_array_equal(seen, expected)
+    (folder, value), (nowhere, same) = shown(*(start(copied, XDG_CACHE_HOME=str(place)) for place in (home, blocked)))
+    assert Path(folder).is_relative_to(home)
+    assert any(Path(folder).rglob("*.nbc"))
+    assert nowhere == "None"
+    assert value == same == expected("float32")

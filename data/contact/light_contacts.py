@@ -80,6 +80,8 @@ class LightContacts:
         """Frames in which a press may have begun."""
         self._place: tuple[int, int] | None = None
         """Row and column [grid pixels] of the dent of the press under way, or that recovers."""
+        self._free = False
+        """Whether the light at rest is that of tissue without an instrument at it; else one may press all along."""
         self._pressing, self._deepest = False, 0.0
         """Whether the press still goes on, and how dark the tissue has been since it began."""
 
@@ -89,7 +91,7 @@ class LightContacts:
             # Behind a gap the view may be another.
             decided = [*self.finish(), prepared]
             self._rest.clear()
-            self._place = None
+            self._place, self._free = None, False
             return decided
         prepared.light = log_light(*prepared.view, prepared.depth.shape)
         lit = _LitFrame(prepared, prepared.light)
@@ -123,7 +125,8 @@ class LightContacts:
         for lit in done:
             if lit.dent is None:
                 self._rest.push(lit.light)
-                if lit.change is not None and not lit.prepared.contact_probability >= CERTAIN:
+                self._free |= not lit.prepared.in_contact
+                if self._free and lit.change is not None and not lit.prepared.contact_probability >= CERTAIN:
                     _out_of_contact(lit.prepared, UNCHANGED)
         return [lit.prepared for lit in done]
 

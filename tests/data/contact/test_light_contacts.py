@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -34,7 +36,8 @@ def prepared(index: int, darkness: float = 0.0, tool: bool = True, gain: float =
     status = "ok" if tool else "no_tool"
     frame = Frame(index, index, index / 25, picture)
     found = PreparedFrame(frame, status, "", np.full(GRID, 0.6, np.float32), labels[2::4, 2::4], labels)
-    found.contact_probability = 0.7 if tool else np.nan
+    if tool:  # outlines touch; what they tell beyond that is not looked at
+        found.geometry, found.contact_probability = SimpleNamespace(), 0.7
     return found
 
 
@@ -80,6 +83,10 @@ def test_motion_that_is_sure_of_contact_keeps_its_word():
 def test_without_a_view_of_rest_nothing_is_said():
     frames = decided([prepared(index, 0.4) for index in range(3)])
     assert [frame.status for frame in frames] == ["ok"] * 3
+
+
+def test_an_instrument_that_was_there_all_along_may_press_all_along():
+    assert [frame.status for frame in decided([prepared(index) for index in range(14)])] == ["ok"] * 14
 
 
 def test_a_gap_forgets_the_press():

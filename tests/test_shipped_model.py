@@ -86,7 +86,7 @@ def test_rows_carry_uncertainty_and_verdict(results) -> None:
 def test_a_press_at_a_known_instant_is_known_better(results, tmp_path) -> None:
     """Real presses begin between frames, which is what intervals allow for unless told otherwise."""
     rows, record, clip = results
-    assert record["estimator"] == {"name": "network", "onset": "between", "observation": "field", "horizon": None}
+    assert record["estimator"] == {"name": "network", "onset": "between", "observation": "auto", "horizon": None}
     model = ["--model", record["model"]["path"]]
     assert main([str(clip), "--output", str(tmp_path), "--no-overlay", "--onset", "stamp", *model]) == 0
     with (tmp_path / clip.name / "parameters.csv").open() as file:

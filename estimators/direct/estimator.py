@@ -90,7 +90,7 @@ class DirectEstimator:
         model = {"mechanics": dataclasses.asdict(mechanics), "bounds": dataclasses.asdict(bounds)}
         if thickness is not None:
             model |= {"slab": {"thickness": thickness, "law": LAW, "poisson": POISSON, "density": DENSITY}}
-        seen = {"onset": onset, "observation": observation, "horizon": horizon}
+        seen = {"onset": onset, "observation": observation or "auto", "horizon": horizon}
         self.described = {"name": self.name, **seen, "noise": noise, **model}
         """All that the fits depend on beside the clip."""
         self.log_box = bounds.log_box

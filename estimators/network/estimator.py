@@ -61,7 +61,7 @@ class NetworkEstimator(ModelEstimator):
         self.onset, self.horizon, self.observation = onset, horizon, observation or FIELD
         self.by_light = observation is None
         """Whether whole runs are fitted to the light of the tissue where depth is guessed from the pictures."""
-        self.described = {"name": self.name, "onset": onset, "observation": observation, "horizon": horizon}
+        self.described = {"name": self.name, "onset": onset, "observation": observation or "auto", "horizon": horizon}
         """The settings that are not in the model's file."""
         self.sees_sequence = model.inputs[CONTACT] == (FEATURES + SEQUENCE_FEATURES,)
         """Whether the network takes the depth-change sequence, and how well the instants of the press are known."""

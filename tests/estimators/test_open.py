@@ -20,7 +20,7 @@ def test_what_an_estimator_is_opened_with_is_in_its_description(name: str) -> No
 def test_what_is_looked_at_can_be_chosen(name: str) -> None:
     usual = open_estimator(EstimatorOptions(name))
     point = open_estimator(EstimatorOptions(name, observation="contact"))
-    assert usual.observation == usual.described["observation"] == "field"
+    assert usual.described["observation"] == "auto"  # depth where it is given, else light
     assert point.observation == "contact"
     assert point.described == usual.described | {"observation": "contact"}
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import dataclasses
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -612,8 +613,8 @@ def test_an_interruption_while_pictures_are_drawn_leaves_nothing_half_written(
 def test_real_clip_directly(real_data: Path, tmp_path: Path) -> None:
     """Judged: the grasper holds the gallbladder from frame 149 on, and pulls aslant.
 
-    Of a press ten noisy frames tell nothing; the motion around the grip tells how the force changes. How firmly the
-    tissue is attached is not known under a camera that moves: far tissue may be pulled along, or carried.
+    No press explains how the tissue's light changes; the motion around the grip tells how the force changes. How firmly
+    the tissue is attached is not known under a camera that moves: far tissue may be pulled along, or carried.
     """
     arguments = [str(real_data / "cholecseg8k"), "--output", str(tmp_path), "--estimator", "direct", "--onset", "stamp"]
     assert infer.main(arguments) == 0
@@ -622,8 +623,7 @@ def test_real_clip_directly(real_data: Path, tmp_path: Path) -> None:
     assert (row["verdict"], row["determined"]) == ("relative_force", "relative_force")
     assert row["foundation_over_stiffness"] == row["reaction_over_stiffness"] == ""
     assert float(row["skill"]) > 0.4
-    assert "to the line of sight, so its dent may hide its own bottom; intervals are widened" in row["detail"]
-    assert "lies at the end of the stiffness's admissible range" in row["detail"]
+    assert re.search("A press leaves (9[0-9]|100)% of how the tissue's brightness changes", row["detail"])
 
 
 @pytest.mark.slow

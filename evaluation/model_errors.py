@@ -31,6 +31,7 @@ from rich.console import Console
 from palpate.common.command_line import progress_bars, say
 from palpate.common.files import replacing
 from palpate.common.settings import LARGEST
+from palpate.data.synthetic.settings import SceneSettings
 from palpate.estimators.model_errors import FILE, read_entries
 from palpate.estimators.open import FEM, EstimatorOptions
 from palpate.evaluation.harness import Row, options, require_within
@@ -174,7 +175,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for suite, index in asked.wanted:
             seed = suite_clip_seed(SPLIT, asked.seed, index)
             if suite == VIDEO:
-                rows.append(measured_video(seed, FRAMES))
+                rows.append(measured_video(SceneSettings(frames=FRAMES), seed))
             else:
                 rows += run_trial(Trial(index, seed, {suite: {DIRECT: CANDIDATES[asked.part]}}))
             progress.advance(bar)

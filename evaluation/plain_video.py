@@ -1,7 +1,10 @@
-"""Presses in plain videos: drawn clips as MP4 alone, through the session that users open, compared with their truth.
+"""Plain videos: drawn clips as MP4 alone, through the session that users open, compared with their truth.
 
-    python -m evaluation.plain_video --seed 77 --clips 8 --output runs/plain_video
+    python -m evaluation.plain_video --suite video --look endoscope --seed 77 --clips 8 --output runs/plain_video
 
+Suites: `video` (presses), `video-moving` (presses, the camera turns), `video-hover` (an instrument that passes over
+tissue and never touches) and `video-pull`. With `--look endoscope` pictures are drawn by another law than the
+estimator's (`data.synthetic.endoscope`), and coded more coarsely.
 Nothing but the video is given: masks are automatic, depth is guessed, and the light of the tissue is what is measured.
 Lengths and forces count in the tissue's distance, which no plain video tells. table.csv has the measures of every clip,
 summary.csv those of all: how often frames under a press are found and others aren't, and of every quantity how many
@@ -15,13 +18,14 @@ from palpate.common.doors import enter_door, run_door
 if __name__ == "__main__":
     enter_door()  # before the slow imports
 
+import dataclasses
 import functools
 import math
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -41,13 +45,23 @@ LENGTHS = {"force": 1, "force_over_stiffness": 1}
 """Quantities that count in lengths, with their power."""
 SAME_ONSET = 2
 """A run of contact is the true one where it begins within so many frames of it."""
+SUITES: Mapping[str, Mapping[str, Any]] = {
+    "video": {},
+    "video-moving": {"turning_deg": 0.5},
+    "video-hover": {"action": "grip", "onset_fraction": (1.0, 1.0)},
+    "video-pull": {"action": "grip"},
+}
+"""Fields of SceneSettings that make each suite."""
+HEIGHTS = {854: 480, 1280: 720}
+"""Of pictures by their width [px]."""
+QUALITY = {"matte": 18, "endoscope": 23}
+"""Constant rate factor of the videos."""
 
 
-def measured_video(seed: int, frames: int) -> Row:
-    """Measures of one drawn press."""
-    estimator, settings = open_estimator("direct"), SceneSettings(frames=frames)
+def measured_video(settings: SceneSettings, seed: int) -> Row:
+    """Measures of one drawn clip."""
+    estimator = open_estimator("direct")
     scene, truth = draw_truth(settings, seed)
-    assert isinstance(truth, PressedMotion)
     with tempfile.TemporaryDirectory() as folder:
         clip = write_clip(Path(folder), 1, settings, seed)
         stream = open_clip(clip.with_suffix(".mp4"), estimator)
@@ -57,13 +71,21 @@ def measured_video(seed: int, frames: int) -> Row:
     # Nothing has moved yet in the frame in which the press begins, and dents recover after it.
     judged = np.arange(len(pressed)) != truth.onset_frame
     row: Row = {
-        "regime": regime_of(damping_ratio(truth.theta[0], truth.theta[1], settings.mass)),
         "pressed_frames": int((pressed & judged).sum()),
         "pressed_found": int((pressed & judged & contact).sum()),
         "other_frames": int((~pressed & judged).sum()),
         "other_found": int((~pressed & judged & contact).sum()),
     }
     runs = [output for output in found if isinstance(output, InteractionEstimate)]
+    if not isinstance(truth, PressedMotion):
+        pulls = [run.grip for run in runs if run.grip is not None]
+        best = max(pulls, key=lambda grip: grip.skill, default=None)
+        verdicts = [run.verdict for run in runs if run.verdict not in ("", "undetermined")]
+        return row | {
+            "verdict": ";".join(verdicts) or "undetermined",
+            "skill": math.nan if best is None else best.skill,
+        }
+    row["regime"] = regime_of(damping_ratio(truth.theta[0], truth.theta[1], settings.mass))
     right = [run for run in runs if abs(run.onset_frame - truth.onset_frame) <= SAME_ONSET and run.estimate is not None]
     distance = float(scene.mesh.vertices[scene.vertex, 2])
     return row | (compared(right[0], truth.theta, distance) if right else {"verdict": "no_estimate"})
@@ -88,6 +110,12 @@ def compared(found: InteractionEstimate, theta: np.ndarray, distance: float) -> 
 class PlainVideo(Measurements):
     """What is drawn."""
 
+    suite: Literal["video", "video-moving", "video-hover", "video-pull"] = "video"
+    """what the clips show"""
+    look: Literal["matte", "endoscope"] = "matte"
+    """by which law pictures are drawn"""
+    width: Literal[854, 1280] = 854
+    """of the pictures, 480 or 720 pixels high"""
     seed: int = 77
     """of the clips"""
     clips: int = 8
@@ -104,12 +132,20 @@ class PlainVideo(Measurements):
     @property
     def wanted(self) -> Mapping[str, Callable[[], Row]]:
         """Every clip by its number."""
-        seeds = [clip_seed(self.seed, index) for index in range(self.clips)]
-        return {str(at): functools.partial(measured_video, seed, self.frames) for at, seed in enumerate(seeds)}
+        return {
+            str(index): functools.partial(measured_video, self.settings, clip_seed(self.seed, index))
+            for index in range(self.clips)
+        }
+
+    @property
+    def settings(self) -> SceneSettings:
+        """What the clips are drawn from."""
+        size: dict[str, Any] = {"width": self.width, "height": HEIGHTS[self.width], "frames": self.frames}
+        return SceneSettings(**size, look=self.look, video_quality=QUALITY[self.look], **SUITES[self.suite])
 
     def record(self) -> Mapping[str, Any]:
-        """Seed and length of the clips."""
-        return {"seed": self.seed, "frames": self.frames}
+        """What the clips are drawn from."""
+        return {**dataclasses.asdict(self.settings), "seed": self.seed}
 
     def report(self, rows: Mapping[tuple, Row]) -> Report:
         """The measures of every clip, and those of all."""
@@ -124,10 +160,11 @@ def summarised(rows: Sequence[Row]) -> pd.DataFrame:
     for name in ("pressed", "other"):
         found, frames = (sum(row[f"{name}_{end}"] for row in rows) for end in ("found", "frames"))
         lines.append({"measure": f"{name} frames called contact", "count": found, "of": frames})
-    for name in REPORTED:
-        known = [row for row in rows if row.get(f"{name}_determined")]
+    pressed = [row for row in rows if "regime" in row]
+    for name in REPORTED if pressed else ():
+        known = [row for row in pressed if row.get(f"{name}_determined")]
         errors, sds = (np.array([row[f"{name}_{end}"] for row in known]) for end in ("error", "sd"))
-        line: Row = {"measure": name, "count": len(known), "of": len(rows)}
+        line: Row = {"measure": name, "count": len(known), "of": len(pressed)}
         if known:
             line |= {"median error": float(np.median(np.abs(errors)))}
             line |= {"held": float(np.mean(np.abs(errors) <= NINETY * sds))}

@@ -167,7 +167,7 @@ def open_video(path: Path, settings: SceneSettings) -> Generator[Callable[[np.nd
         OSError: the file can't be written.
     """
     width, height = settings.width // 2 * 2, settings.height // 2 * 2
-    with contextlib.closing(video.open_video(path, (width, height), settings.fps, crf=18)) as opened:
+    with contextlib.closing(video.open_video(path, (width, height), settings.fps, settings.video_quality)) as opened:
         yield lambda image: opened.write(np.ascontiguousarray(image[:height, :width]))
 
 

@@ -40,9 +40,9 @@ class Renderer:
         self.scene, self.motion = scene, motion
         self.noise = generator.spawn(1)[0]
         self.rest = rest_view(scene)
-        self.rest_labels = _rest_labels(scene, generator)
-        self.albedo = _albedo(scene, self.rest_labels, generator)
-        self.bumps = _bumps(scene, generator)
+        self.rest_labels = rest_labels(scene, generator)
+        self.albedo = reflectance(scene, self.rest_labels, generator)
+        self.bumps = bumps(scene, generator)
         self.fat_course = generator.uniform(size=(2, 2))
         camera = scene.camera
         self.rays = back_project(np.ones((camera.height, camera.width)), camera)
@@ -90,7 +90,7 @@ class Renderer:
         bumps = cv2.remap(self.bumps, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
         rays = self.rays[outer]
         points = rays * _smooth(view.depth[outer], 0.6 * self.scene.settings.cell[0])[..., None]
-        normals = _normals(points)
+        normals = surface_normals(points)
         distance_square = np.einsum("ijk,ijk->ij", points, points)
         towards = -points / np.sqrt(distance_square)[..., None]
         facing = np.clip(np.einsum("ijk,ijk->ij", normals, towards), 0.02, 1)
@@ -144,15 +144,15 @@ def _smooth(depth: np.ndarray, sigma: float) -> np.ndarray:
     return depth if sigma < 1 else cv2.GaussianBlur(depth, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
 
 
-def _normals(points: np.ndarray) -> np.ndarray:
-    """Unit normals towards the camera of a grid of points, shape [h, w, 3]."""
+def surface_normals(points: np.ndarray) -> np.ndarray:
+    """Unit normals towards the camera of a grid of points, both of shape [h, w, 3]."""
     down, across = np.gradient(points, axis=(0, 1))
     normals = np.cross(down, across)
     normals *= np.where(np.einsum("ijk,ijk->ij", normals, points) > 0, -1, 1)[..., None]
     return normals / np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-20)
 
 
-def _rest_labels(scene: Scene, generator: np.random.Generator) -> np.ndarray:
+def rest_labels(scene: Scene, generator: np.random.Generator) -> np.ndarray:
     """Class codes of the sheet at rest: the organ, liver around it, abdominal wall in one corner."""
     settings = scene.settings
     columns, rows = np.meshgrid(
@@ -168,7 +168,7 @@ def _rest_labels(scene: Scene, generator: np.random.Generator) -> np.ndarray:
     return labels
 
 
-def _albedo(scene: Scene, labels: np.ndarray, generator: np.random.Generator) -> np.ndarray:
+def reflectance(scene: Scene, labels: np.ndarray, generator: np.random.Generator) -> np.ndarray:
     """Linear RGB reflectance of the sheet at rest, shape [H, W, 3], float32: mottled tissue with vessels."""
     shape = labels.shape
     albedo = np.empty((*shape, 3), np.float32)
@@ -214,7 +214,7 @@ def _vessels(shape: tuple[int, int], cell: float, generator: np.random.Generator
     return cv2.GaussianBlur(canvas, (0, 0), 0.2 * cell + 0.2).astype(np.float32) / 255
 
 
-def _bumps(scene: Scene, generator: np.random.Generator) -> np.ndarray:
+def bumps(scene: Scene, generator: np.random.Generator) -> np.ndarray:
     """Fine relief that breaks up highlights: offsets of the normal's x and y, shape [H, W, 2], float32."""
     shape, cell = (scene.settings.height, scene.settings.width), scene.settings.cell[0]
     layers = [

@@ -134,6 +134,15 @@ class SceneSettings:
     """Brightness of the highlights on wet tissue at 0.5 scene units, as a share of full scale."""
     tool_in_view: bool = True
     """Draw the tool; otherwise what presses or grips is invisible, such as a probe from behind or a jet of air."""
+    look: Literal["matte", "endoscope"] = "matte"
+    """How pictures are lit: matte tissue, its light at the lens, which is the law that estimators assume; or rough,
+    wet, translucent tissue under a ring of lamps that throw shadows, with vignetting, an exposure that follows, smoke,
+    and a camera's own response."""
+    turning_deg: float = 0.0
+    """How far the camera turns to and fro about its lens within a second or two [degrees]; what truth says of places
+    holds before that."""
+    video_quality: int = 18
+    """Constant rate factor of the video file (H.264): 18 is hardly to be told from the pictures, 23 usual, 28 poor."""
 
     def __post_init__(self) -> None:
         for name, (lowest, highest) in _LIMITS.items():
@@ -221,5 +230,7 @@ _LIMITS = {
     "occlusion": (0, 0.8),
     "image_noise": (0, 0.5),
     "highlights": (0, 5),
+    "turning_deg": (0, 10),
+    "video_quality": (0, 51),
 }
 """Smallest and largest value of each number, and of both ends of each range."""

@@ -1,4 +1,4 @@
-"""Presses in plain videos: the summary of given rows, and one drawn press from its MP4 alone."""
+"""Plain videos: the summary of given rows, and one drawn press from its MP4 alone."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ import math
 
 import pytest
 
-from palpate.evaluation.plain_video import measured_video, summarised
+from palpate.data.synthetic.clip import clip_seed
+from palpate.evaluation.plain_video import SUITES, PlainVideo, measured_video, summarised
 
 
 def test_summary_counts_what_is_determined_and_held():
-    frames = {"pressed_frames": 9, "pressed_found": 8, "other_frames": 22, "other_found": 1}
+    frames = {"regime": "over-damped", "pressed_frames": 9, "pressed_found": 8, "other_frames": 22, "other_found": 1}
     known = {"force_determined": 1, "force_sd": 0.1}
     rows = [frames | known | {"force_error": error} for error in (0.05, -0.15, 0.4)] + [frames]
     found = summarised(rows).set_index("measure")
@@ -23,15 +24,30 @@ def test_summary_counts_what_is_determined_and_held():
     assert math.isnan(found.loc["damping", "held"])
 
 
-@pytest.mark.slow
-def test_a_press_is_found_and_its_ratios_determined_from_a_video_alone():
-    """The demo's third clip, under-damped: everything is determined, and every interval holds."""
-    from palpate.data.synthetic.clip import clip_seed
+def test_every_suite_has_settings_of_its_own(tmp_path):
+    found = {suite: PlainVideo(output=tmp_path, suite=suite, look="endoscope", width=1280).settings for suite in SUITES}
+    assert len(set(map(str, found.values()))) == len(SUITES) == 4
+    assert {(each.width, each.height, each.look, each.video_quality) for each in found.values()} == {
+        (1280, 720, "endoscope", 23)
+    }
+    assert found["video-moving"].turning_deg > 0
 
-    found = measured_video(clip_seed(1, 2), 32)
+
+@pytest.mark.slow
+def test_an_instrument_that_passes_over_rough_tissue_with_its_shadows_touches_nothing(tmp_path):
+    settings = PlainVideo(output=tmp_path, suite="video-hover", look="endoscope", frames=24).settings
+    found = measured_video(settings, clip_seed(601, 0))
+    assert (found["pressed_frames"], found["other_frames"], found["other_found"]) == (0, 24, 0)
+    assert found["verdict"] == "undetermined"
+
+
+@pytest.mark.slow
+def test_a_press_is_found_and_its_ratios_determined_from_a_video_alone(tmp_path):
+    """The demo's third clip, under-damped: everything is determined, and every interval holds."""
+    found = measured_video(PlainVideo(output=tmp_path).settings, clip_seed(1, 2))
     assert found["verdict"] == "determined"
     assert found["pressed_found"] == found["pressed_frames"] == 8
-    assert found["other_found"] <= 1
+    assert found["other_found"] == 0
     for name in ("stiffness", "damping", "force", "damping_over_stiffness", "force_over_stiffness"):
         assert found[f"{name}_determined"]
         assert abs(found[f"{name}_error"]) < min(1.645 * found[f"{name}_sd"], 0.25), name

@@ -20,6 +20,7 @@ from palpate.data.contact.coupling import TipMotion, log_ratio
 from palpate.data.contact.depth_change import RestingTissue, grid_motion
 from palpate.data.contact.geometry import FrameGeometry
 from palpate.data.contact.outlines import near
+from palpate.data.contact.tips import tool_tips
 from palpate.data.labels import TOOL
 from palpate.data.prepared import PreparedFrame
 from palpate.data.tracks.background import ITERATIONS, LEAST_NOISE, MEDIAN_LENGTH, Background, background_motion
@@ -206,7 +207,7 @@ def observed_motion(before: Shown, after: Shown) -> tuple[list[TipMotion], Backg
     Returns:
         One a tool whose motion is known, and the background's motion; none where that isn't known.
     """
-    tips = _tips(before)
+    tips = tool_tips(before.tool, before.lit, TIP, MIN_TOOL_PIXELS)
     if not tips:
         return [], None
     places = lattice(before.gray.shape, SPACING).reshape(-1, 2)
@@ -250,24 +251,6 @@ def _nearest(places: np.ndarray, tips: list[np.ndarray], view: Shown) -> np.ndar
     by_label = np.full(label.max() + 1, -1)
     by_label[label[view.tool]] = owner[view.tool]
     return by_label[label[places[:, 1], places[:, 0]]]
-
-
-def _tips(view: Shown) -> list[np.ndarray]:
-    """Places (column, row) in the free end of every tool, [P, 2] each; in all of a tool that enters nowhere."""
-    edge = cv2.dilate((~view.lit).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-    edge[[0, 1, 2, -3, -2, -1]] = edge[:, [0, 1, 2, -3, -2, -1]] = True
-    count, number, stats, _ = cv2.connectedComponentsWithStats(view.tool.astype(np.uint8))
-    tips = []
-    for index in range(1, count):
-        if stats[index, cv2.CC_STAT_AREA] < MIN_TOOL_PIXELS:
-            continue
-        part = np.argwhere(number == index)
-        entry = part[edge[part[:, 0], part[:, 1]]]
-        if len(entry):
-            away = np.linalg.norm(part - entry.mean(axis=0), axis=1)
-            part = part[away > away.max() - TIP]
-        tips.append(part[:, ::-1])
-    return tips
 
 
 def _tool_motion(moved: np.ndarray) -> tuple[np.ndarray, float] | None:

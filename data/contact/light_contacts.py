@@ -1,13 +1,16 @@
 """Contacts by the light of the tissue: a press tilts it and pushes it away, so that it darkens beside the instrument.
 
 Light is compared with the median of the frames before, place by place, so that neither albedo nor exposure counts. A
-dent that has come beside an instrument is a press; where nothing has changed, none is. What a pull does to tissue
-hardly shows in its light: that is for `data.contact.evidence`, whose word counts where it is sure.
+dent that has come next to an instrument is a press, and so is one that an instrument has hidden and leaves behind;
+where nothing has changed, none is. What a pull does to tissue hardly shows in its light: that is for
+`data.contact.evidence`, whose word counts where it is sure.
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -18,29 +21,42 @@ from palpate.data.brightness.sequence import SPREAD, RestingLight, change_of_lig
 from palpate.data.contact.dents import dent_geometry
 from palpate.data.contact.evidence import CERTAIN
 from palpate.data.contact.geometry import GeometrySettings, GeometryStatus
+from palpate.data.contact.tips import tool_tips
 from palpate.data.labels import TOOL
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.camera import Camera
+from palpate.data.tracks.following import lit_field
 
 WIDTH = 1.0
 """Standard deviation of the weights with which changes are averaged [grid pixels]."""
 LEAST_KNOWN = 0.3
 """Share of those weights that must lie on tissue."""
+TIP, LEAST_TIP = 6.0, 6
+"""How much of an instrument's free end may press [grid pixels], and the smallest mask of one [grid pixels²]."""
 REACH = 6.0
-"""A press darkens tissue this near to the instrument's mask [grid pixels]."""
+"""A press darkens tissue this near to it [grid pixels]."""
+STILL, SHADOW, SHADOWS = 1.5, 1.5, 8
+"""An instrument stands that moves less from frame to frame [grid pixels]. What has darkened next to it while it moved
+is its shadow: a dent is darker than the shadow of so many frames before, by this factor."""
 FAR = 12.0
-"""Farther from it the change's noise is measured [grid pixels]."""
+"""Farther from an instrument the change's noise is measured [grid pixels]."""
 DARKER, CLEAR = 0.04, 6.0
 """A dent is at least so much darker than at rest, as a logarithm, and by so many standard deviations of the noise."""
-FEWEST_REST = 2
-"""Frames out of contact from which the light at rest is known."""
+BRIGHTER = 0.5
+"""A press brightens no tissue by more than this share of what it darkens other tissue by; tissue that is pulled along
+shows its texture elsewhere, and does both."""
+FIRST, FEWEST_REST = 6, 3
+"""So many frames are waited for at first, of which the earliest, so many, are taken to show tissue at rest."""
 NOISIEST = 0.03
 """Where the light changes by more, tissue moves all over or the light flickers: nothing can be said."""
 BEGINS = 3
 """Successive frames with a dent that make a press."""
-EARLIER, EARLIEST = 1, 3
-"""Frames by which a press begins before its dent shows beside the instrument; at most, if the instrument has come to
-the tissue by then."""
+EARLIER, EARLIEST, HIDDEN_FOR = 1, 3, 8
+"""Frames by which a press begins before its dent shows next to the instrument; at most, if the instrument has come to
+the tissue by then; and at most where the instrument hides the dent's middle."""
+BARED, ARRIVED, HELD = 2, 4.0, 20
+"""Successive frames that show a dent where an instrument was, how near it was then [grid pixels], and how many frames
+are decided only when it has gone."""
 LEFT = 0.35
 """A press has ended where less than this share of the darkness is left, or the instrument has gone."""
 RECOVERED = 0.03
@@ -58,15 +74,29 @@ class _LitFrame:
     prepared: PreparedFrame
     light: np.ndarray
     """As of `log_light`."""
+    away: np.ndarray
+    """Distance of every place of the lattice from instruments [grid pixels]."""
+    near: np.ndarray
+    """The same from their free ends."""
+    tip: np.ndarray
+    """Middle of the free end, row and column [grid pixels]; not a number where there is none."""
+    stands: bool = False
+    """Whether it is where it was in the frame before."""
     change: np.ndarray | None = None
     """Logarithm of light over that at rest, averaged around every place; None where it can't be told, or where so much
     changes that a dent would not show."""
     dent: tuple[int, int] | None = None
-    """Row and column of the darkest place of the lattice beside an instrument; None where nothing has darkened."""
+    """Row and column of the darkest place of the lattice next to an instrument; None where nothing has darkened."""
+    bared: tuple[int, int] | None = None
+    """The same where an instrument was in a frame that waits, and isn't now."""
+    darkness: float = 0.0
+    """How much darker than at rest the darkest place next to an instrument is."""
 
 
 class LightContacts:
-    """Decides frames, up to five late, by the light of tissue; every frame keeps what is known otherwise.
+    """Decides frames by the light of tissue, as soon as an instrument at it has gone; others five late.
+
+    Every frame keeps what is known otherwise.
 
     Args:
         camera: intrinsics of the grid.
@@ -76,6 +106,8 @@ class LightContacts:
     def __init__(self, camera: Camera, settings: GeometrySettings) -> None:
         self._camera, self._settings = camera, settings
         self._rest = RestingLight()
+        self._first: list[_LitFrame] = []
+        """Frames before which none shows tissue at rest, until there are enough to tell."""
         self._waiting: list[_LitFrame] = []
         """Frames in which a press may have begun."""
         self._place: tuple[int, int] | None = None
@@ -84,6 +116,10 @@ class LightContacts:
         """Whether the light at rest is that of tissue without an instrument at it; else one may press all along."""
         self._pressing, self._deepest = False, 0.0
         """Whether the press still goes on, and how dark the tissue has been since it began."""
+        self._tip = np.full(2, np.nan)
+        """Where the instrument was in the frame before."""
+        self._shadows: deque[float] = deque(maxlen=SHADOWS)
+        """How dark the tissue was next to an instrument while it moved."""
 
     def push(self, prepared: PreparedFrame) -> list[PreparedFrame]:
         """The next frame; gives those that are decided, in order."""
@@ -92,21 +128,57 @@ class LightContacts:
             decided = [*self.finish(), prepared]
             self._rest.clear()
             self._place, self._free = None, False
+            self._shadows.clear()
             return decided
         prepared.light = log_light(*prepared.view, prepared.depth.shape)
-        lit = _LitFrame(prepared, prepared.light)
+        lit = _lit(prepared, prepared.light)
+        lit.stands = bool(np.linalg.norm(lit.tip - self._tip) < STILL)
+        self._tip = lit.tip
+        if len(self._rest):
+            return self._decided(lit)
+        self._first.append(lit)
+        return self._begin() if len(self._first) == FIRST else []
+
+    def _begin(self) -> list[PreparedFrame]:
+        """The first frames, by the light of the earliest of them."""
+        first, self._first = self._first, []
+        for lit in first[:FEWEST_REST]:
+            self._rest.push(lit.light)
+            self._free |= not lit.prepared.in_contact
+        return [prepared for lit in first for prepared in self._decided(lit)]
+
+    def _decided(self, lit: _LitFrame) -> list[PreparedFrame]:
+        """The frames that one more decides, in order."""
         if len(self._rest) >= FEWEST_REST:
             self._compare(lit)
         if self._place is not None:
             self._go_on(lit, self._place)
-            return [prepared]
+            return [lit.prepared]
         self._waiting.append(lit)
         dents = [one for one in self._waiting[-BEGINS:] if one.dent is not None]
-        if len(dents) < BEGINS:
-            return self._at_rest(len(self._waiting) - (BEGINS + EARLIEST - 1))
-        self._place = _centre(dents)
-        earlier = [one.prepared.in_contact for one in self._waiting[-BEGINS - 2 : -BEGINS - EARLIEST - 1 : -1]]
-        arrived = (earlier.index(False) if False in earlier else len(earlier)) + EARLIER
+        if len(dents) == BEGINS:
+            return self._begun(dents)
+        bared = [one for one in self._waiting[-BARED:] if one.bared is not None]
+        if len(bared) == BARED:
+            return self._over(bared)
+        return self._at_rest(len(self._waiting) - self._held())
+
+    def _held(self) -> int:
+        """How many of the frames that wait are not decided yet."""
+        least = BEGINS + EARLIEST - 1
+        at = [index for index, one in enumerate(self._waiting) if one.prepared.in_contact or one.prepared.hovers]
+        if not at or len(self._waiting) - 1 - at[-1] > BARED:
+            return least
+        return max(least, min(len(self._waiting) - at[0], HELD))
+
+    def _begun(self, dents: list[_LitFrame]) -> list[PreparedFrame]:
+        """The frames that wait, where the last of them show a dent."""
+        self._place = _centre([(one.change, one.dent) for one in dents])
+        if _is_half_hidden(dents[0]):
+            hidden = [_is_at(one, self._place) for one in self._waiting[-BEGINS - 2 : -BEGINS - HIDDEN_FOR - 1 : -1]]
+        else:
+            hidden = [one.prepared.in_contact for one in self._waiting[-BEGINS - 2 : -BEGINS - EARLIEST - 1 : -1]]
+        arrived = (hidden.index(False) if False in hidden else len(hidden)) + EARLIER
         decided = self._at_rest(len(self._waiting) - BEGINS - arrived)
         self._pressing, self._deepest = True, 0.0
         for one in self._waiting:
@@ -115,9 +187,30 @@ class LightContacts:
         self._waiting = []
         return decided
 
+    def _over(self, bared: list[_LitFrame]) -> list[PreparedFrame]:
+        """The frames that wait, where the last of them show the dent that an instrument has left behind."""
+        place = _centre([(one.change, one.bared) for one in bared])
+        last = len(self._waiting) - BARED
+        while last and not _is_at(self._waiting[last - 1], place):
+            last -= 1
+        first = last
+        while first and _is_at(self._waiting[first - 1], place):
+            first -= 1
+        if first == last:
+            return self._at_rest(len(self._waiting) - self._held())
+        decided, pressed = self._at_rest(first), last - first
+        for one in self._waiting[:pressed]:
+            self._press(one, place)
+        self._place, self._pressing = place, False
+        for one in self._waiting[pressed:]:
+            self._go_on(one, place)
+        decided += [one.prepared for one in self._waiting]
+        self._waiting = []
+        return decided
+
     def finish(self) -> list[PreparedFrame]:
         """The frames that are left at the clip's end."""
-        return self._at_rest(len(self._waiting))
+        return self._begin() + self._at_rest(len(self._waiting))
 
     def _at_rest(self, count: int) -> list[PreparedFrame]:
         """The first so many frames that wait, in which nothing presses."""
@@ -131,7 +224,7 @@ class LightContacts:
         return [lit.prepared for lit in done]
 
     def _compare(self, lit: _LitFrame) -> None:
-        """Look for a dent beside an instrument."""
+        """Look for a dent next to an instrument, or where one was."""
         change = change_of_light(lit.light, self._rest.median())
         if change is None:
             return
@@ -140,16 +233,21 @@ class LightContacts:
             cv2.GaussianBlur(part.astype(np.float32), (0, 0), FINE * WIDTH) for part in (known, np.nan_to_num(change))
         )
         mean = np.where(weights >= LEAST_KNOWN, sums / np.maximum(weights, 1e-6), np.nan)
-        away = distance_from(lit.prepared.labels == TOOL, mean.shape)
-        far = mean[(away > FAR) & np.isfinite(mean)]
+        far = mean[(lit.away > FAR) & np.isfinite(mean)]
         noise = SPREAD * float(np.median(np.abs(far))) if far.size else math.inf
         if noise > NOISIEST:
             return
         lit.change = mean
-        near = np.where((away <= REACH) & np.isfinite(mean), mean, 0.0)
-        row, column = divmod(int(np.argmin(near)), near.shape[1])
-        if near[row, column] < -max(DARKER, CLEAR * noise):
-            lit.dent = row, column
+        least = max(DARKER, CLEAR * noise, SHADOW * max(self._shadows, default=0.0))
+        place, lit.darkness, dark = _darkest(mean, lit.near <= REACH)
+        if not lit.stands:
+            self._shadows.append(lit.darkness)
+        elif dark and lit.darkness > least:
+            lit.dent = place
+        was = [one.near <= ARRIVED for one in self._waiting]
+        if was:
+            place, darkness, dark = _darkest(mean, np.any(was, axis=0) & (lit.away > REACH))
+            lit.bared = place if dark and darkness > max(DARKER, CLEAR * noise) else None
 
     def _press(self, lit: _LitFrame, place: tuple[int, int]) -> None:
         """A frame under the press."""
@@ -166,7 +264,7 @@ class LightContacts:
     def _go_on(self, lit: _LitFrame, place: tuple[int, int]) -> None:
         """Whether the press goes on in a frame, has ended, or its dent has recovered."""
         darkness = _darkness(lit, place)
-        away = distance_from(lit.prepared.labels == TOOL, lit.prepared.labels.shape)[place]
+        away = lit.away[FINE * place[0], FINE * place[1]]
         if self._pressing and away <= REACH and darkness >= LEFT * self._deepest:
             self._press(lit, place)
             return
@@ -174,6 +272,17 @@ class LightContacts:
         _out_of_contact(lit.prepared, LET_GO)
         if lit.change is not None and darkness < RECOVERED:
             self._place = None
+
+
+def _lit(prepared: PreparedFrame, light: np.ndarray) -> _LitFrame:
+    """A frame and where its instruments are; nothing is compared yet."""
+    tool, ends = prepared.labels == TOOL, np.zeros(prepared.labels.shape, bool)
+    field = cv2.resize(lit_field(prepared.frame.picture).astype(np.uint8), tool.shape[::-1]) > 0
+    tips = tool_tips(tool, field, TIP, LEAST_TIP)
+    for tip in tips:
+        ends[tip[:, 1], tip[:, 0]] = True
+    middle = max(tips, key=len).mean(axis=0)[::-1] if tips else np.full(2, np.nan)
+    return _LitFrame(prepared, light, distance_from(tool, light.shape), distance_from(ends, light.shape), middle)
 
 
 def distance_from(tool: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
@@ -202,10 +311,38 @@ def _darkness(lit: _LitFrame, place: tuple[int, int]) -> float:
     return -float(np.nanmin(around)) if np.isfinite(around).any() else 0.0
 
 
-def _centre(dents: list[_LitFrame]) -> tuple[int, int]:
-    """Row and column [grid pixels] of a dent's middle: the weighted mean of what has darkened in some frames."""
-    total = np.sum([np.clip(np.nan_to_num(lit.change), -1, 0) for lit in dents if lit.change is not None], axis=0)
-    row, column = dents[-1].dent or (0, 0)
+def _is_at(lit: _LitFrame, place: tuple[int, int]) -> bool:
+    """Whether an instrument is at a place [grid pixels]."""
+    return bool(lit.near[FINE * place[0], FINE * place[1]] <= ARRIVED)
+
+
+def _is_half_hidden(lit: _LitFrame) -> bool:
+    """Whether a frame's dent is darkest right next to what doesn't show."""
+    if lit.change is None or lit.dent is None:
+        return False
+    row, column = lit.dent
+    around = lit.change[max(row - FINE, 0) : row + FINE + 1, max(column - FINE, 0) : column + FINE + 1]
+    return bool(np.isnan(around).any())
+
+
+def _darkest(change: np.ndarray, where: np.ndarray) -> tuple[tuple[int, int], float, bool]:
+    """Row and column of the darkest of some places of the lattice, how much darker than at rest it is, and whether they
+    darken rather than brighten.
+    """
+    found = np.where(where & np.isfinite(change), change, 0.0)
+    row, column = divmod(int(np.argmin(found)), found.shape[1])
+    darkness = -float(found[row, column])
+    return (row, column), darkness, float(found.max()) < BRIGHTER * darkness
+
+
+def _centre(dents: Sequence[tuple[np.ndarray | None, tuple[int, int] | None]]) -> tuple[int, int]:
+    """Row and column [grid pixels] of a dent's middle: the weighted mean of what has darkened in some frames.
+
+    Args:
+        dents: the change of every frame's light, and its darkest place.
+    """
+    total = np.sum([np.clip(np.nan_to_num(change), -1, 0) for change, _ in dents if change is not None], axis=0)
+    row, column = dents[-1][1] or (0, 0)
     reach = round(FINE * 4)
     top, left = max(row - reach, 0), max(column - reach, 0)
     weights = -total[top : row + reach + 1, left : column + reach + 1]

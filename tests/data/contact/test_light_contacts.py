@@ -95,3 +95,37 @@ def test_a_gap_forgets_the_press():
     found = decided([*frames, blind, *[prepared(index, 0.4) for index in range(13, 16)]])
     assert found[11].press is not None
     assert all(frame.press is None for frame in found[12:])
+
+
+def test_a_press_under_the_instrument_is_told_by_what_it_leaves_behind():
+    """The instrument covers the dent while it presses, and the dent recovers slowly when it has gone."""
+    darkness = [0.0] * 8 + [0.0] * 6 + [0.4, 0.3, 0.2, 0.1, 0.05, 0.0]
+    frames = decided([prepared(index, dark, tool=8 <= index < 14) for index, dark in enumerate(darkness)])
+    assert [frame.frame.index for frame in frames] == list(range(20))
+    assert [frame.frame.index for frame in frames if frame.press is not None] == list(range(8, 14))
+    u, v = frames[10].press
+    assert abs(u - DENT[1]) <= 1
+    assert abs(v - DENT[0]) <= 1
+    assert [frame.status for frame in frames[14:]] == ["no_tool"] * 6
+
+
+def test_a_shadow_that_comes_with_the_instrument_is_no_press():
+    """It is as dark while the instrument moves as when it stands."""
+    frames = []
+    for index in range(16):
+        frame = prepared(index, 0.0 if index < 6 else 0.3, tool=index >= 6)
+        if 6 <= index < 10:  # the instrument comes from the right
+            shift = 4 * 4 * (10 - index)
+            frame.frame.picture[:] = np.roll(frame.frame.picture, shift, axis=1)
+            frame.picture_labels[:] = np.roll(frame.picture_labels, shift, axis=1)
+            frame.labels = frame.picture_labels[2::4, 2::4]
+        frames.append(frame)
+    assert not any(frame.press for frame in decided(frames))
+
+
+def test_tissue_that_is_pulled_along_brightens_as_well_and_is_no_press():
+    frames = [prepared(index, tool=index >= 4) for index in range(14)]
+    for index, frame in enumerate(frames[8:], start=1):
+        rows = np.s_[4 * 33 : 4 * 40, 4 * 34 : 4 * 46]
+        frame.frame.picture[rows] = np.roll(frame.frame.picture, (0, 4 * index), axis=(0, 1))[rows]
+    assert not any(frame.press for frame in decided(frames))

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from palpate.data.brightness.registration import View
 from palpate.data.contact.geometry import FrameGeometry
 from palpate.data.source.frames import Frame
 
@@ -45,6 +46,8 @@ class PreparedFrame:
     """Whether the tool hovered before, and since then neither motion nor depth tells whether it touches."""
     light: np.ndarray | None = None
     """Logarithm of the tissue's light, as of `data.brightness.light.log_light`; None where it isn't looked at."""
+    light_view: View | None = None
+    """The view in which that light lies on its lattice; None = the frame's own, of a camera that stands still."""
     press: tuple[int, int] | None = None
     """Grid pixel (u, v) of the dent by whose darkening a press was found; None where outlines tell the contact."""
     distance: float = math.nan

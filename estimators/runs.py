@@ -105,13 +105,17 @@ class RunTracker:
 
     def __init__(self, clip: ClipInfo, seconds: float) -> None:
         self._clip, self._seconds = clip, seconds
-        self._light = RestingLight()
+        self._light, self._reference = RestingLight(), 0
+        """Light at rest, and the number of the picture in whose view it is."""
         self.current: Run | None = None
         """The current run, after its release as well, as long as its tissue is followed."""
 
     def push(self, frame: PreparedFrame) -> Run | None:
         """Pass the next frame; returns the run that has ended before it, or None."""
         ended = self._push(frame)
+        if frame.light_view is not None and frame.light_view.reference != self._reference:
+            self._reference = frame.light_view.reference
+            self._light.clear()
         if self.current is None and frame.light is not None:
             self._light.push(frame.light)
         return ended
@@ -253,6 +257,7 @@ def contact_frame(frame: PreparedFrame) -> ContactFrame:
         frame.depth,
         frame.labels,
         frame.light,
+        frame.light_view,
     )
 
 

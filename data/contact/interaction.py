@@ -13,6 +13,7 @@ from typing import Literal
 
 import numpy as np
 
+from palpate.data.brightness.registration import View
 from palpate.data.brightness.sequence import BrightnessRecorder, BrightnessSequence
 from palpate.data.contact.depth_sequence import DepthSequence, SequenceRecorder
 from palpate.data.contact.geometry import GeometrySettings, force_direction
@@ -125,6 +126,8 @@ class ContactFrame:
     """Label map on the grid, shape [h, w]."""
     light: np.ndarray | None = None
     """Logarithm of the tissue's light, as of `data.brightness.light.log_light`; None where it isn't looked at."""
+    light_view: View | None = None
+    """The view in which that light lies on its lattice; None = the frame's own, of a camera that stands still."""
 
 
 class InteractionBuilder:
@@ -173,7 +176,10 @@ class InteractionBuilder:
         self._recorder = SequenceRecorder(mesh, vertex, self.noise, size) if size is not None and known else None
         self._sequence: list[tuple[int, float, np.ndarray]] = []
         self._sequence_of(onset)
-        self._light = None if rest_light is None else BrightnessRecorder(rest_light, mesh.pixels[vertex])
+        pixel, view = mesh.pixels[vertex], onset.light_view
+        pixel = pixel if view is None else np.rint(view.moved(pixel)).astype(np.int64)
+        self._light = None if rest_light is None else BrightnessRecorder(rest_light, pixel)
+        self._reference = None if view is None else view.reference
         self._brightness: list[tuple[int, float, np.ndarray]] = []
 
     def add(self, frame: ContactFrame) -> None:
@@ -192,7 +198,10 @@ class InteractionBuilder:
         change = self._sequence_of(frame)
         if change is not None:
             self._sequence.append((index, since, change))
-        light = None if self._light is None or frame.light is None else self._light.frame(frame.light)
+        reference = None if frame.light_view is None else frame.light_view.reference
+        if self._light is None or frame.light is None or reference != self._reference:
+            return
+        light = self._light.frame(frame.light)
         if light is not None:
             self._brightness.append((index, since, light))
 

@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 
 from palpate.data.brightness.light import FINE, log_light
+from palpate.data.brightness.registration import Registration, View
 from palpate.data.brightness.sequence import SPREAD, RestingLight, change_of_light
 from palpate.data.contact.dents import dent_geometry
 from palpate.data.contact.evidence import CERTAIN
@@ -73,7 +74,9 @@ class _LitFrame:
 
     prepared: PreparedFrame
     light: np.ndarray
-    """As of `log_light`."""
+    """As of `log_light`, in the view of the reference, as all that follows."""
+    view: View
+    """The frame's own view."""
     away: np.ndarray
     """Distance of every place of the lattice from instruments [grid pixels]."""
     near: np.ndarray
@@ -106,6 +109,9 @@ class LightContacts:
     def __init__(self, camera: Camera, settings: GeometrySettings) -> None:
         self._camera, self._settings = camera, settings
         self._rest = RestingLight()
+        self._registration: Registration | None = None
+        self._view: View | None = None
+        """Of the frame before."""
         self._first: list[_LitFrame] = []
         """Frames before which none shows tissue at rest, until there are enough to tell."""
         self._waiting: list[_LitFrame] = []
@@ -125,19 +131,29 @@ class LightContacts:
         """The next frame; gives those that are decided, in order."""
         if not prepared.visible:
             # Behind a gap the view may be another.
-            decided = [*self.finish(), prepared]
-            self._rest.clear()
-            self._place, self._free = None, False
-            self._shadows.clear()
-            return decided
-        prepared.light = log_light(*prepared.view, prepared.depth.shape)
-        lit = _lit(prepared, prepared.light)
+            return [*self._forget(), prepared]
+        if self._registration is None:
+            self._registration = Registration(prepared.depth.shape)
+        view, picture, labels = self._registration.push(*prepared.view)
+        another = self._view is not None and view.reference != self._view.reference
+        prepared.light, prepared.light_view = log_light(picture, labels, prepared.depth.shape), view
+        self._view = view
+        decided = self._forget() if another else []
+        lit = _lit(prepared, prepared.light, view, picture, labels)
         lit.stands = bool(np.linalg.norm(lit.tip - self._tip) < STILL)
         self._tip = lit.tip
         if len(self._rest):
-            return self._decided(lit)
+            return decided + self._decided(lit)
         self._first.append(lit)
-        return self._begin() if len(self._first) == FIRST else []
+        return decided + (self._begin() if len(self._first) == FIRST else [])
+
+    def _forget(self) -> list[PreparedFrame]:
+        """Decide what waits; what comes next can't be compared with it."""
+        decided = self.finish()
+        self._rest.clear()
+        self._shadows.clear()
+        self._place, self._free = None, False
+        return decided
 
     def _begin(self) -> list[PreparedFrame]:
         """The first frames, by the light of the earliest of them."""
@@ -251,7 +267,9 @@ class LightContacts:
 
     def _press(self, lit: _LitFrame, place: tuple[int, int]) -> None:
         """A frame under the press."""
-        prepared, pixel = lit.prepared, place[::-1]
+        prepared = lit.prepared
+        row, column = np.rint(lit.view.back(np.array(place))).astype(int).tolist()
+        pixel = column, row
         self._deepest = max(self._deepest, _darkness(lit, place))
         prepared.contact_probability, prepared.undecided = PRESSED, False
         try:
@@ -274,15 +292,17 @@ class LightContacts:
             self._place = None
 
 
-def _lit(prepared: PreparedFrame, light: np.ndarray) -> _LitFrame:
-    """A frame and where its instruments are; nothing is compared yet."""
-    tool, ends = prepared.labels == TOOL, np.zeros(prepared.labels.shape, bool)
-    field = cv2.resize(lit_field(prepared.frame.picture).astype(np.uint8), tool.shape[::-1]) > 0
+def _lit(prepared: PreparedFrame, light: np.ndarray, view: View, picture: np.ndarray, labels: np.ndarray) -> _LitFrame:
+    """A frame and where its instruments are; nothing is compared yet. Picture and labels are those of the reference."""
+    size = prepared.labels.shape[::-1]
+    tool = cv2.resize((labels == TOOL).astype(np.uint8), size, interpolation=cv2.INTER_NEAREST_EXACT) > 0
+    ends = np.zeros(tool.shape, bool)
+    field = cv2.resize(lit_field(picture).astype(np.uint8), size) > 0
     tips = tool_tips(tool, field, TIP, LEAST_TIP)
     for tip in tips:
         ends[tip[:, 1], tip[:, 0]] = True
     middle = max(tips, key=len).mean(axis=0)[::-1] if tips else np.full(2, np.nan)
-    return _LitFrame(prepared, light, distance_from(tool, light.shape), distance_from(ends, light.shape), middle)
+    return _LitFrame(prepared, light, view, distance_from(tool, light.shape), distance_from(ends, light.shape), middle)
 
 
 def distance_from(tool: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:

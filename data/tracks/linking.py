@@ -260,7 +260,7 @@ def _step(one: Prepared, other: Prepared, places: np.ndarray, guess: np.ndarray)
 
 
 def followed(
-    one: np.ndarray, other: np.ndarray, places: np.ndarray, window: int = ALONE
+    one: np.ndarray, other: np.ndarray, places: np.ndarray, window: int = ALONE, near: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """How far places of one picture move to another one, each for itself (pyramidal Lucas and Kanade, Bouguet 2001).
 
@@ -268,6 +268,7 @@ def followed(
         one, other: the pictures, uint8 [H, W].
         places: shape [N, 2] (column, row) [px].
         window: width of the windows that are compared [px].
+        near: about where they are in the other picture, shape [N, 2] [px]; None = where they were.
 
     Returns:
         Displacements, shape [N, 2] [px]; and which of them are known, bool [N].
@@ -276,8 +277,9 @@ def followed(
         return np.zeros((0, 2)), np.zeros(0, bool)
 
     start = places.astype(np.float32)
-    there, found = _lucas_kanade(one, other, start, start, window, UNKNOWN)
-    back, returned = _lucas_kanade(other, one, there, there, window, UNKNOWN)
+    guess = start if near is None else near.astype(np.float32)
+    there, found = _lucas_kanade(one, other, start, guess, window, UNKNOWN)
+    back, returned = _lucas_kanade(other, one, there, there + start - guess, window, UNKNOWN)
     return (there - start).astype(np.float64), found & returned & (_length(back - start) < RETURNED)
 
 

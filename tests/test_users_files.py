@@ -9,6 +9,7 @@ import random
 import subprocess
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext, suppress
+from dataclasses import asdict
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -29,10 +30,10 @@ from palpate.data.synthetic import __main__ as synthetic
 from palpate.data.synthetic import clip as synthetic_clips
 from palpate.estimators.palpation.curves import Grasp
 from palpate.estimators.palpation.material_fit import NOTHING
+from palpate.evaluation import foreign
 from palpate.evaluation.ablation import terms
 from palpate.evaluation.benchmark import Benchmark
 from palpate.evaluation.benchmark import main as measure
-from palpate.evaluation.foreign import __main__ as foreign
 from palpate.evaluation.online import __main__ as online
 from palpate.evaluation.online.compare import Case
 from palpate.evaluation.palpation import __main__ as palpation
@@ -85,7 +86,7 @@ def inputs(tmp_path: Path) -> Path:
     write_clip(tmp_path / "clips" / "clip", 4, 2)
     write_tiny(tmp_path / "tiny", frames=2)
     (tmp_path / "foreign").mkdir()
-    (tmp_path / "foreign" / "linear_a.npz").touch()
+    (tmp_path / "foreign" / "beam_gravity.csv").touch()
     rows = [f"1,0,0,0,{depth},{depth}" for depth in range(5)]
     (tmp_path / "probes.csv").write_text("\n".join(["probe,contact_x,contact_y,contact_z,depth_mm,fn_N", *rows]))
     (tmp_path / "forces").mkdir()
@@ -113,7 +114,8 @@ def quick(monkeypatch: pytest.MonkeyPatch, blank_pictures: None) -> None:
     patch(synthetic_clips, "open_video", lambda path, settings: nullcontext(lambda image: path.write_bytes(b"v")))
     patch(real, "_drawn", lambda case, row: row.update({"frames": 1}))
     patch(real, "in_base64", lambda figure: base64.b64encode(os.urandom(8)).decode())
-    patch(foreign, "judge_pull", lambda path: {"frames": random.random()})
+    patch(foreign, "judge_beams", lambda runs: {"beam": {"E (Pa)": random.random()}})
+    patch(foreign, "measure_ringing", lambda path: {"ringing": asdict(foreign.Ringing(0.0, 7.7, 2.5, 0.0))})
     patch(curves, "read_grasp", lambda path: Grasp(np.linspace(0, 9, 19), random.random() - np.arange(19)))
     patch(surfaces, "fit_from", lambda *arguments: {"E": random.random()})
     drawn = {name: base64.b64encode(os.urandom(8)).decode() for name in surfaces.FIGURES}

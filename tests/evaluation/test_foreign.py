@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import csv
 import os
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from palpate.data.source.layout import InputError
-from palpate.evaluation.foreign import beam
-from palpate.evaluation.foreign.beam import (
+from palpate.evaluation import foreign
+from palpate.evaluation.foreign import (
     Ringing,
     fit_solid,
     judge_beams,
@@ -21,9 +23,21 @@ from palpate.evaluation.foreign.beam import (
     tip_mass,
 )
 from palpate.physics.fem import Relaxation
-from tests.evaluation.foreign.pulls import write_beam
 
 SOLID = 2.2e5, Relaxation(0.3, 0.04)
+
+
+def write_beam(path: Path, frequency: float, decay: float) -> Path:
+    """A tip at 100 Hz that is held, let go after half a second, and creeps a little."""
+    times = np.arange(500) / 100
+    since = np.maximum(times - 0.5, 0)
+    fall = 0.006 * np.exp(-decay * since) * np.cos(2 * np.pi * frequency * since) + 4e-4 * np.exp(-since / 0.9)
+    columns = [times]
+    for marker in range(6):
+        columns += [0.05 + (fall if marker < 3 else 0 * fall), np.full(500, 0.02 * marker), np.full(500, 0.07)]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    np.savetxt(path, np.column_stack(columns), delimiter=",", header="t_s," + "m," * 18, comments="")
+    return path
 
 
 def test_frequency_and_decay_are_measured_beside_a_creep(tmp_path: Path) -> None:
@@ -44,7 +58,7 @@ def test_the_names_tell_the_mass() -> None:
 
 def test_a_beams_rate_is_close_to_bernoullis(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without a mass, and with one far heavier than the beam, a spring 3 E I/L³; shear makes both softer."""
-    monkeypatch.setattr(beam, "MESHES", ((4, 1, 1), (8, 2, 2)))
+    monkeypatch.setattr(foreign, "MESHES", ((4, 1, 1), (8, 2, 2)))
     light, heavy = modal_rates([0.0, 10.0])
     width, length = 0.03, 0.1
     assert light == pytest.approx(3.516**2 * width**2 / 12 / (1070 * length**4), rel=0.15)
@@ -52,7 +66,7 @@ def test_a_beams_rate_is_close_to_bernoullis(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_rates_extrapolated_from_two_meshes_are_those_of_a_finer_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(beam, "MESHES", ((8, 2, 2), (12, 3, 3)))
+    monkeypatch.setattr(foreign, "MESHES", ((8, 2, 2), (12, 3, 3)))
     finer = mesh_rates([0.0, 0.101], (16, 4, 4))
     coarse = mesh_rates([0.0, 0.101], (12, 3, 3))
     left = modal_rates([0.0, 0.101]) - finer
@@ -71,7 +85,7 @@ def test_a_standard_linear_solid_rings_as_its_modulus_says() -> None:
 
 
 def test_the_solid_is_found_and_the_kept_run_predicted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(beam, "MESHES", ((2, 1, 1), (4, 2, 2)))
+    monkeypatch.setattr(foreign, "MESHES", ((2, 1, 1), (4, 2, 2)))
     masses = (0.0, 0.052, 0.101)
     rates = dict(zip(masses, modal_rates(masses), strict=True))
     runs = {f"{mass}": Ringing(mass, *ringing_of(SOLID, rate), 0.0) for mass, rate in rates.items()}
@@ -124,6 +138,50 @@ def test_a_beam_at_rest_does_not_ring(tmp_path: Path) -> None:
     np.savetxt(path, table, delimiter=",", header="t", comments="")
     with pytest.raises(InputError, match="ends where it began"):
         read_ringing(path)
+
+
+def table(folder: Path) -> dict[tuple[str, str], str]:
+    with (folder / "table.csv").open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == ["file", "measure", "value"]
+    return {(row["file"], row["measure"]): row["value"] for row in rows}
+
+
+def test_every_file_gets_its_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    data = tmp_path / "data"
+    write_beam(data / "beam" / "beam_gravity_a.csv", 7.7, 2.5)
+    write_beam(data / "beam" / "beam_load52_a.csv", 4.3, 1.5)
+    write_beam(data / "beam" / "beam_load101_a.csv", 3.3, 1.1)
+    (data / "beam" / "beam_load20.csv").write_text("nothing")
+    monkeypatch.setattr(foreign, "MESHES", ((4, 1, 1), (8, 2, 2)))
+    assert foreign.main(["--data", str(data), "--output", str(tmp_path / "out")]) == 1
+    found = table(tmp_path / "out")
+    assert "beam_load20.csv" in found["beam/beam_load20.csv", "status"]
+    assert abs(float(found["beam/beam_load101_a.csv", "frequency error"])) < 0.1
+    assert ("beam, fitted together", "E (Pa)") in found
+
+
+def test_an_unexpected_error_costs_one_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("beam_gravity.csv", "beam_load52.csv"):
+        (tmp_path / name).touch()
+
+    def judge(path: Path) -> dict[str, object]:
+        if path.name == "beam_gravity.csv":
+            raise ZeroDivisionError("by nothing")
+        return {"ringing": asdict(Ringing(0.052, 4.3, 1.5, 0.0))}
+
+    monkeypatch.setattr(foreign, "measure_ringing", judge)
+    monkeypatch.setattr(foreign, "MESHES", ((2, 1, 1), (4, 2, 2)))
+    assert foreign.main(["--data", str(tmp_path), "--output", str(tmp_path / "out")]) == 1
+    found = table(tmp_path / "out")
+    assert found["beam_gravity.csv", "status"] == "failed (ZeroDivisionError: by nothing)"
+    assert found["beam_load52.csv", "frequency (Hz)"] == "4.3"
+
+
+def test_nothing_known_is_wrong_usage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        foreign.main(["--data", str(tmp_path), "--output", str(tmp_path / "out")])
+    assert "holds no beam_" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -1,4 +1,9 @@
-"""A clamped silicone beam that is let go, with a mass at its tip: Young's modulus from some runs, motion of another.
+"""The finite elements on other people's data: a clamped silicone beam that is let go, with a mass at its tip.
+
+    python -m evaluation.foreign --data DIR --output OUT
+
+Runs on every `beam_*.csv` under DIR and writes table.csv (file, measure, value): Young's modulus from some runs, and
+the motion of others; what the measures mean is in docs/reports/fem.md.
 
 The first mode's frequency and decay of every run are measured; those of runs up to `FITTED` fit a standard linear
 solid, whose complex modulus is E (1 + γ iωτ/(1 + iωτ)) (Findley 1976, section 5.3), on a finite-element model of it.
@@ -7,10 +12,16 @@ Other masses are then predicted.
 
 from __future__ import annotations
 
+from palpate.common.doors import enter_door, run_door
+
+if __name__ == "__main__":
+    enter_door()  # before the slow imports
+
+import functools
 import io
 import re
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -19,10 +30,11 @@ from scipy.optimize import least_squares
 from scipy.sparse import diags_array
 from scipy.sparse.linalg import eigsh
 
-from palpate.common.files import read_file
+from palpate.common.files import all_below, read_file
 from palpate.common.settings import LARGEST
 from palpate.data.source.layout import InputError
 from palpate.data.source.table import MOST_BYTES, reason
+from palpate.evaluation.harness import FileMeasurements, Row, run
 from palpate.physics.fem import Material, Relaxation, box, make_solid
 from palpate.physics.fem.laws import respond
 
@@ -112,7 +124,7 @@ def read_ringing(path: Path) -> Ringing:
     return Ringing(mass, float(found.x[3]), float(found.x[2]), residual)
 
 
-def measure_ringing(path: Path) -> dict[str, object]:
+def measure_ringing(path: Path) -> Row:
     """A run's ringing as a row; raises InputError as `read_ringing` does."""
     return {"ringing": asdict(read_ringing(path))}
 
@@ -193,24 +205,24 @@ def judge_beams(runs: Mapping[str, Ringing]) -> dict[str, dict[str, object]]:
     young, relaxation = fit_solid(fitted, rates) if enough else (KNOWN[0], Relaxation(*KNOWN[1:]))
     found: dict[str, dict[str, object]] = {}
     own: dict[str, float] = {}
-    for name, run in runs.items():
-        rate = rates[run.mass]
-        own[name] = (2 * np.pi * run.frequency) ** 2 / rate
+    for name, each in runs.items():
+        rate = rates[each.mass]
+        own[name] = (2 * np.pi * each.frequency) ** 2 / rate
         measures: dict[str, object] = {
-            "tip mass (kg)": run.mass,
-            "frequency (Hz)": run.frequency,
-            "decay (1/s)": run.decay,
-            "residual / amplitude": run.residual,
+            "tip mass (kg)": each.mass,
+            "frequency (Hz)": each.frequency,
+            "decay (1/s)": each.decay,
+            "residual / amplitude": each.residual,
             "E of this run, dynamic (Pa)": own[name],
             "E of this run / published - 1": own[name] / PUBLISHED - 1,
         }
-        if run.mass > FITTED:
+        if each.mass > FITTED:
             frequency, decay = ringing_of((young, relaxation), rate)
             measures |= {
                 "predicted frequency (Hz)": frequency,
                 "predicted decay (1/s)": decay,
-                "frequency error": frequency / run.frequency - 1,
-                "decay error": decay / run.decay - 1,
+                "frequency error": frequency / each.frequency - 1,
+                "decay error": decay / each.decay - 1,
                 "predicted from": "gravity and load52 here" if enough else "the fit that comes along",
             }
         found[name] = measures
@@ -225,3 +237,36 @@ def judge_beams(runs: Mapping[str, Ringing]) -> dict[str, dict[str, object]]:
             "relaxation time (s)": relaxation.time,
         }
     return found
+
+
+@dataclass(frozen=True)
+class Foreign(FileMeasurements):
+    """Other people's data."""
+
+    def __post_init__(self) -> None:
+        """Raise a ValueError where there is nothing to judge."""
+        if not self.wanted:
+            raise ValueError(f"{self.data} holds no beam_*.csv; give --data that does.")
+
+    @functools.cached_property
+    def wanted(self) -> Mapping[str, Callable[[], Row]]:
+        """The runs of beams."""
+        found = all_below(self.data) if self.data.is_dir() else []
+        beams = [path for path in found if path.name.startswith("beam_") and path.suffix == ".csv"]
+        return {path.relative_to(self.data).as_posix(): functools.partial(measure_ringing, path) for path in beams}
+
+    def tabled(self, rows: Sequence[Row]) -> list[Row]:
+        """In place of beams as they were measured, what their runs say together."""
+        runs = {row["file"]: Ringing(**row["ringing"]) for row in rows if "ringing" in row}
+        judged = judge_beams(runs) if runs else {}
+        failed = [row for row in rows if "status" in row]
+        return [*failed, *({"file": name, **measures} for name, measures in judged.items())]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Judge what lies under a folder; returns the exit status."""
+    return run(Foreign, arguments, "evaluation.foreign", __doc__)
+
+
+if __name__ == "__main__":
+    run_door(main)

@@ -1,12 +1,8 @@
 """What is timed or measured once, against what; each is run by `python -m benchmarks.NAME`.
 
-rollout             the differentiable rollout against plain torch
-inference           where the time of inference goes: encoder and head alone, and every stage of infer.py
-training_step       where the time of a training step goes
-newtons             forces of synthetic clips in newtons, of which the force of one is known
-observation_bounds  what each kind of observation can tell about θ
-tracking_errors     errors of tracked contacts, for the direct estimator's error model
-automatic_masks     automatic masks against annotation
-photometric_depth   photometric depth against stereo depth and truth
-shared              what all of them need: command line, timing, a table, the machine
+rollout        the differentiable rollout against plain torch
+inference      where the time of inference goes: encoder and head alone, and every stage of infer.py
+training_step  where the time of a training step goes
+newtons        forces of synthetic clips in newtons, of which the force of one is known
+shared         what all of them need: command line, timing, a table, the machine
 """

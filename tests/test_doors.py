@@ -36,13 +36,9 @@ DOORS = {
     "palpate.evaluation.result_figure": ["-m", "evaluation.result_figure"],
     "palpate.evaluation.model_errors": ["-m", "evaluation.model_errors"],
     "palpate.evaluation.real.__main__": ["-m", "evaluation.real"],
-    "palpate.benchmarks.automatic_masks": ["-m", "benchmarks.automatic_masks"],
     "palpate.benchmarks.inference": ["-m", "benchmarks.inference"],
     "palpate.benchmarks.newtons": ["-m", "benchmarks.newtons"],
-    "palpate.benchmarks.observation_bounds": ["-m", "benchmarks.observation_bounds"],
-    "palpate.benchmarks.photometric_depth": ["-m", "benchmarks.photometric_depth"],
     "palpate.benchmarks.rollout": ["-m", "benchmarks.rollout"],
-    "palpate.benchmarks.tracking_errors": ["-m", "benchmarks.tracking_errors"],
     "palpate.benchmarks.training_step": ["-m", "benchmarks.training_step"],
 }
 INTERRUPTING = """

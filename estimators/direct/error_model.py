@@ -1,7 +1,8 @@
 """How the errors of a tracked contact belong together from frame to frame: what a posterior must know beside their σ.
 
-`python -m benchmarks.tracking_errors` measures it on 240 synthetic clips with known truth (validation split):
-errors lie along the viewing ray (0.05 σ across it, 0.14 σ where depth was rounded to 8 bits), and
+A program removed since (`benchmarks/tracking_errors.py` of commit 00dabdb) measured it on 240 synthetic clips with
+known truth (validation split): errors lie along the viewing ray (0.05 σ across it, 0.14 σ where depth was rounded to
+8 bits), and
 
 - the rest position is off by 0.04 σ (`clean`, `noisy`) to 0.09 σ (`8bit`), in all frames alike;
 - noise is independent otherwise (correlations of 0.02 at most between frames up to four apart);

@@ -112,7 +112,6 @@ paper: $(INSTALLED)
 	$(REPRODUCE) --ckpt_path last
 	$(subst fit,test,$(REPRODUCE)) --ckpt_path best
 	$(BIN)/python -m evaluation.paper.recovered $(PAPER)/training/evaluation $(PAPER)/clips
-	$(BIN)/python -m evaluation.paper.readings
 
 clean:
 	rm -rf .venv runs build *.egg-info

@@ -31,7 +31,6 @@ DOORS = {
     "palpate.evaluation.online.__main__": ["-m", "evaluation.online"],
     "palpate.evaluation.palpation.__main__": ["-m", "evaluation.palpation"],
     "palpate.evaluation.palpation.example": ["-m", "evaluation.palpation.example"],
-    "palpate.evaluation.paper.readings": ["-m", "evaluation.paper.readings"],
     "palpate.evaluation.paper.recovered": ["-m", "evaluation.paper.recovered"],
     "palpate.evaluation.result_figure": ["-m", "evaluation.result_figure"],
     "palpate.evaluation.model_errors": ["-m", "evaluation.model_errors"],

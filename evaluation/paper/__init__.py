@@ -6,7 +6,6 @@ statistics  means with intervals, paired tests, and whether the network gives th
 simulated   no network: no motion, one constant θ; when a motion comes to rest, and whether it is regular
 figures     the pictures
 recovered   compares estimates with the truth of synthetic clips
-readings    simulates the choices that the paper leaves open, at its θ, without any training
 """
 
 from palpate.common.lazy import exported

@@ -61,7 +61,7 @@ PLACES = {
         *(f"video01/video01_00000/{n}" for n in ("truth.json", "x")),
     ),
     "estimate": ("clip/parameters.csv", "clip/run.json", "clip/notes.txt", ".clip.partial-1/notes.txt"),
-    "judge_press": ("table.csv", "report.html", "figures/1.png", "figures/notes.txt"),
+    "judge_pull": ("table.csv", "report.html", "figures/1.png", "figures/notes.txt"),
     "judge_foreign": ("table.csv", "notes.txt"),
     "judge_palpation": ("table.csv", "notes.txt"),
     "judge_frank": ("table.csv", "figures/error_mask.png", "figures/six_forces.png", "results.jsonl", "notes.txt"),
@@ -187,8 +187,8 @@ def runs_of(inputs: Path) -> dict[str, Run]:
         arguments = [str(inputs / "clips"), "--output", str(out), "--model", model, "--no-overlay", *asked]
         return infer.main(arguments)
 
-    def judge_press(chance: random.Random, out: Path) -> object:
-        return real.main(["--pressed", str(inputs), "--wrench", str(inputs / "w.csv"), "--output", str(out)])
+    def judge_pull(chance: random.Random, out: Path) -> object:
+        return real.main(["--pulled", str(inputs), "--output", str(out)])
 
     def judge_foreign(chance: random.Random, out: Path) -> object:
         return foreign.main(["--data", str(inputs / "foreign"), "--output", str(out)])
@@ -241,7 +241,7 @@ def runs_of(inputs: Path) -> dict[str, Run]:
     def keep_prepared(chance: random.Random, out: Path) -> object:
         return prepare(inputs / "tiny", SETTINGS, out)
 
-    every = (draw, estimate, judge_press, judge_foreign, judge_palpation, benchmark, train_network, train_row)
+    every = (draw, estimate, judge_pull, judge_foreign, judge_palpation, benchmark, train_network, train_row)
     measured = (judge_frank, judge_newtons, judge_online, calibrate_curves, calibrate_palpation, plan_way)
     return {run.__name__: run for run in (*every, *measured, write_depth, keep_prepared)}
 
@@ -313,7 +313,7 @@ def test_these_doors_write_where_nothing_is_in_the_way(inputs: Path) -> None:
     expected = {
         "draw": {LIST, "truth.json", "frame_0_endo.png"},
         "estimate": {"run.json", "parameters.csv", "summary.png"},
-        "judge_press": {"table.csv", "report.html", "1.png"},
+        "judge_pull": {"table.csv", "report.html", "1.png"},
         "judge_foreign": {"table.csv"},
         "judge_palpation": {"table.csv"},
         "judge_frank": {"table.csv", "error_mask.png", "six_forces.png"},

@@ -2,6 +2,5 @@
 
 pulled    tissue that an instrument holds and moves: what the session that users run says of it
 predicted the same tissue ahead from a few frames, by the online estimator and by a sheet of one number
-pressed   a dent of known force: how well the force of later frames is predicted
-figures   predictions and presses as pictures; __main__: the door
+figures   predictions as pictures; __main__: the door
 """

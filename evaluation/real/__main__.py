@@ -2,14 +2,13 @@
 
     python -m evaluation.real --data DIR --output OUT
     python -m evaluation.real --pulled CLIP [--layout YAML] [--estimator direct|online] [--settings YAML] --output OUT
-    python -m evaluation.real --pressed FOLDER --wrench CSV --output OUT
 
 --data runs every known clip under a folder (docs/reports/real.md). A pulled clip shows tissue that an instrument holds
 and moves: the table has what the session of `infer.py --estimator direct` says of it, its skill in frames that were not
 fitted included; `contact_frame_N` is the probability that tissue moves with the instrument. With `--estimator online`
-it is predicted ten frames ahead instead, by stiffness place by place and by a sheet of one number. A pressed one is a
-folder with `depth/` and a table of the force. Writes table.csv (clip, measure, value), figures/ and
-report.html; the same command judges again what could not be judged. Not a medical device.
+it is predicted ten frames ahead instead, by stiffness place by place and by a sheet of one number. Writes table.csv
+(clip, measure, value), figures/ and report.html; the same command judges again what could not be judged. Not a medical
+device.
 """
 
 from __future__ import annotations
@@ -37,9 +36,8 @@ from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.grip.lattice import NothingMoves
 from palpate.estimators.online.settings import FILES, OnlineSettings, load_settings
 from palpate.evaluation.harness import OK, Report, Row, by_measure, in_base64, run
-from palpate.evaluation.real.figures import draw_prediction, draw_press
+from palpate.evaluation.real.figures import draw_prediction
 from palpate.evaluation.real.predicted import evaluate_prediction
-from palpate.evaluation.real.pressed import evaluate_press
 from palpate.evaluation.real.pulled import PulledClip, evaluate_pull
 from palpate.results.plots import draw_summary
 
@@ -49,7 +47,6 @@ KNOWN = {
     "video01_00080": PulledClip(Path("cholecseg8k/video01/video01_00080")),
 }
 """Pulled clips, below the data's folder."""
-PRESSED = "pressed_membrane"
 
 
 @dataclass(frozen=True)
@@ -57,9 +54,7 @@ class RealCase:
     """A clip, and how it is judged."""
 
     name: str
-    pulled: PulledClip | None = None
-    pressed: tuple[Path, Path] | None = None
-    """Folder of a press, and the table of its force."""
+    pulled: PulledClip
     online: OnlineSettings | None = None
     """Of the estimator that predicts a pulled clip ahead; None = the session of direct is asked."""
 
@@ -78,12 +73,6 @@ def judge(case: RealCase) -> list[Row]:
 
 
 def _drawn(case: RealCase, row: Row) -> Figure:
-    if case.pressed is not None:
-        press = evaluate_press(*case.pressed)
-        row |= press.measures
-        return draw_press(press)
-    if case.pulled is None:
-        raise TypeError("A case is pulled or pressed.")
     if case.online is not None:
         prediction = evaluate_prediction(case.pulled, case.online)
         row |= prediction.measures
@@ -109,10 +98,6 @@ class Real:
     """of pulled clips: direct, as infer.py runs it, or online, ahead from frames 3, 4 and 5"""
     settings: Path | None = None
     """of online (default: as configs/online.yaml)"""
-    pressed: Path | None = None
-    """a press with depth"""
-    wrench: Path | None = None
-    """its force, a table of one row a frame"""
 
     asked: list[RealCase] = field(init=False, repr=False, compare=False)
     """What to do."""
@@ -125,8 +110,6 @@ class Real:
         """Raise a ValueError where options don't belong together, or a file of settings can't be used."""
         if self.layout is not None and self.pulled is None:
             raise ValueError(f"--layout {self.layout} is of a clip of --pulled; give both, or leave it out.")
-        if (self.pressed is None) != (self.wrench is None):
-            raise ValueError("--pressed and --wrench belong together; give both.")
         if self.settings is not None and self.estimator != "online":
             raise ValueError(f"--settings {self.settings} is for --estimator online; leave it out.")
         online = OnlineSettings() if self.settings is None else load_settings(self.settings)
@@ -135,26 +118,20 @@ class Real:
                 raise ValueError(f"{self.settings} names a file of {name}, which is for infer.py; leave it out here.")
         object.__setattr__(self, "asked", list(self._cases(online if self.estimator == "online" else None)))
         if not self.asked:
-            where = "" if self.data is None else f"; {self.data} holds none of {', '.join([*KNOWN, PRESSED])}"
-            raise ValueError(f"there is nothing to judge{where}. Give --data, --pulled or --pressed.")
+            where = "" if self.data is None else f"; {self.data} holds none of {', '.join(KNOWN)}"
+            raise ValueError(f"there is nothing to judge{where}. Give --data or --pulled.")
 
     def _cases(self, online: OnlineSettings | None) -> Iterator[RealCase]:
-        clips: list[tuple[str, dict[str, Any]]] = []
+        clips = []
         if self.data is not None:
-            for name, clip in KNOWN.items():
-                if (self.data / clip.path).exists():
-                    clips.append((name, {"pulled": PulledClip(self.data / clip.path, clip.layout_file)}))
-            folder = self.data / PRESSED
-            wrenches = sorted(folder.glob("wrench_*.csv"))
-            clips += [(f"{PRESSED}, {path.stem}", {"pressed": (folder, path)}) for path in wrenches]
+            below = {name: PulledClip(self.data / clip.path, clip.layout_file) for name, clip in KNOWN.items()}
+            clips += [(name, clip) for name, clip in below.items() if clip.path.exists()]
         if self.pulled is not None:
-            clips.append((self.pulled.resolve().name, {"pulled": PulledClip(self.pulled, self.layout)}))
-        if self.pressed is not None and self.wrench is not None:
-            clips.append((self.pressed.resolve().name, {"pressed": (self.pressed, self.wrench)}))
+            clips.append((self.pulled.resolve().name, PulledClip(self.pulled, self.layout)))
         names: Counter[str] = Counter()
         for name, clip in clips:
             names[name] += 1
-            yield RealCase(f"{name} ({names[name]})" if names[name] > 1 else name, online=online, **clip)
+            yield RealCase(f"{name} ({names[name]})" if names[name] > 1 else name, clip, online)
 
     @property
     def writes(self) -> list[str]:

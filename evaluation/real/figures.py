@@ -6,13 +6,11 @@ import cv2
 import numpy as np
 from matplotlib.figure import Figure
 
-from palpate.estimators.estimate import NINETY
 from palpate.evaluation.real.predicted import Prediction
-from palpate.evaluation.real.pressed import Press
 
 ARROWS = 5
 """Every so many points along an axis get an arrow."""
-OBSERVED, EXPECTED, BAND = "#ffd166", "#00c2ff", "#bcd9f5"
+OBSERVED, EXPECTED = "#ffd166", "#00c2ff"
 
 
 def draw_prediction(found: Prediction) -> Figure:
@@ -42,19 +40,4 @@ def draw_prediction(found: Prediction) -> Figure:
     ]
     axes[2].axis("off")
     axes[2].text(0, 1, "\n".join(lines), va="top", family="monospace", fontsize=7.5, transform=axes[2].transAxes)
-    return figure
-
-
-def draw_press(found: Press) -> Figure:
-    """Measured and predicted force over time."""
-    figure = Figure(figsize=(9, 4.2), dpi=100, layout="constrained")
-    axes = figure.subplots()
-    frames = np.arange(len(found.predicted))
-    low, high = found.predicted - NINETY * found.sd, found.predicted + NINETY * found.sd
-    axes.fill_between(frames, low, high, color=BAND, lw=0, label="90 % interval")
-    axes.plot(frames, found.predicted, label="predicted from the dent")
-    axes.plot(np.arange(len(found.force)), found.force, "k.", ms=4, label="measured")
-    axes.axvspan(found.fitted[0], found.fitted[1] - 1, color="#ecd9b0", alpha=0.6, lw=0, label="fitted")
-    axes.set(xlabel="frame", ylabel="force [N]", xlim=(40, min(len(frames), 130)))
-    axes.legend(fontsize=8)
     return figure

@@ -1,14 +1,12 @@
-"""Drawn clips of tissue that is pulled or pressed, written as a user has them."""
+"""Drawn clips of tissue that is pulled, written as a user has them."""
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from palpate.evaluation.real.pressed import BLUR, UNIT
 from palpate.evaluation.real.pulled import PulledClip
 from tests.inference_inputs import encode
 
@@ -20,10 +18,6 @@ REACH = 45.0
 """How far motion reaches from the tip [px]."""
 WAY = np.array([-7.0, 3.5])
 """Of the grip, from the first picture to the last [px]."""
-DENT = 60, 80, 12.0
-"""Height and width of a press's pictures, and the standard deviation of its dent [px]."""
-REST_MM = 100.0
-"""Depth where nothing is pressed [mm]."""
 
 
 def tissue_motion(places: np.ndarray, share: float) -> np.ndarray:
@@ -90,35 +84,3 @@ def pull_clip(folder: Path, shares: np.ndarray) -> PulledClip:
 def write(path: Path, picture: np.ndarray) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(encode(picture))
-
-
-def deep(dent: float, size: tuple[int, int] = DENT[:2]) -> np.ndarray:
-    """Depth picture with a dent towards the camera [mm], as stored, whose deepest point a blur leaves `dent` deep."""
-    row, column = np.mgrid[: size[0], : size[1]]
-    square = DENT[2] ** 2
-    away = np.square(row - size[0] // 2) + np.square(column - size[1] // 2)
-    peak = dent * (square + BLUR**2) / square
-    return np.rint((REST_MM - peak * np.exp(-away / (2 * square))) / UNIT).astype(np.uint16)
-
-
-def write_press(folder: Path, dent: np.ndarray) -> Path:
-    """A folder with `depth/`, one picture a frame; dents in mm."""
-    for index, value in enumerate(dent):
-        write(folder / "depth" / f"{index}.png", deep(float(value)))
-    return folder
-
-
-def write_wrench(path: Path, force: np.ndarray, zero: tuple[float, ...] = (0.4, -1.2, 2.0)) -> Path:
-    """A table of the force along one direction, above what the sensor shows at rest [N]."""
-    along = np.array([2.0, -1.0, 2.0]) / 3
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", newline="", encoding="utf-8") as file:
-        table = csv.writer(file)
-        table.writerow(["frame", "Fx_N", "Fy_N", "Fz_N"])
-        table.writerows([index, *row] for index, row in enumerate(np.asarray(zero) + force[:, None] * along))
-    return path
-
-
-def ramp(frames: int, slope: float = 0.25) -> np.ndarray:
-    """Nothing until frame 56, then deeper by as much in every frame, and held from frame 80 on [mm]."""
-    return slope * np.clip(np.arange(frames) - 56, 0, 24)

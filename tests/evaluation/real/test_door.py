@@ -13,22 +13,19 @@ import pytest
 from palpate.common.output import LIST
 from palpate.evaluation.harness import options, write
 from palpate.evaluation.real.__main__ import KNOWN, Real, main
-from palpate.evaluation.real.pulled import PulledClip
-from tests.evaluation.real_clips import LAYOUT, pull_clip, ramp, write_press, write_wrench
+from palpate.evaluation.real.pulled import Pull, PulledClip, evaluate_pull
+from tests.evaluation.real_clips import pull_clip
 
-FACTOR = 0.35
 STILL = np.zeros(9)
 PULLED = np.linspace(0, 3, 13)
 
 
 @pytest.fixture(scope="module")
 def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A pull, a clip where nothing moves, and a press."""
+    """Two pulls, and a clip where nothing moves."""
     folder = tmp_path_factory.mktemp("inputs")
-    pull_clip(folder / "pull", PULLED)
-    pull_clip(folder / "still", STILL)
-    write_press(folder / "press", ramp(90))
-    write_wrench(folder / "wrench.csv", FACTOR * ramp(90) + np.random.default_rng(0).normal(0, 0.01, 90))
+    for name, shares in {"pull": PULLED, "other": PULLED, "still": STILL}.items():
+        pull_clip(folder / name, shares)
     return folder
 
 
@@ -36,8 +33,11 @@ def pulled(inputs: Path, name: str) -> list[str]:
     return ["--pulled", str(inputs / name), "--layout", str(inputs / f"{name}.yaml")]
 
 
-def pressed(inputs: Path, wrench: str = "wrench.csv") -> list[str]:
-    return ["--pressed", str(inputs / "press"), "--wrench", str(inputs / wrench)]
+def known(monkeypatch: pytest.MonkeyPatch, inputs: Path, *names: str) -> list[str]:
+    """Clips below the data's folder."""
+    clips = {name: PulledClip(Path(name), inputs / f"{name}.yaml") for name in names}
+    monkeypatch.setattr("palpate.evaluation.real.__main__.KNOWN", clips)
+    return ["--data", str(inputs)]
 
 
 def rows(output: Path) -> dict[str, dict[str, str]]:
@@ -51,17 +51,18 @@ def rows(output: Path) -> dict[str, dict[str, str]]:
     return found
 
 
-def test_two_clips_are_judged(inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
-    assert main([*pulled(inputs, "pull"), *pressed(inputs), "--output", str(tmp_path)]) == 0
+def test_two_known_clips_are_judged(
+    inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    assert main([*known(monkeypatch, inputs, "pull", "other", "absent"), "--output", str(tmp_path)]) == 0
     found = rows(tmp_path)
-    assert list(found) == ["pull", "press"]
-    assert found["pull"]["status"] == found["press"]["status"] == "ok"
-    assert float(found["pull"]["skill in frames kept back"]) > 0.5
-    assert float(found["press"]["force over dent [N/mm]"]) == pytest.approx(FACTOR, rel=0.01)
-    assert found["press"]["damping time"] == "not determined"
+    assert list(found) == ["pull", "other"]
+    for each in found.values():
+        assert each["status"] == "ok"
+        assert float(each["skill in frames kept back"]) > 0.5
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "Not a medical device" in page
-    assert "<td>force over dent [N/mm]</td>" in page
+    assert "<td>skill in frames kept back</td>" in page
     for name in ("1.png", "2.png"):
         content = (tmp_path / "figures" / name).read_bytes()
         picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
@@ -78,33 +79,35 @@ def test_two_clips_are_judged(inputs: Path, tmp_path: Path, capsys: pytest.Captu
     ]
     told = capsys.readouterr()
     assert f"written: {tmp_path}/table.csv, report.html, figures/" in told.err
-    assert "force over dent" in told.out
+    assert "skill in frames kept back" in told.out
 
 
 def test_an_interruption_keeps_what_is_finished(
     inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
+    def interrupt(clip: PulledClip, row: dict) -> Pull:
+        if clip.path.name == "other":
+            raise KeyboardInterrupt
+        return evaluate_pull(clip, row)
 
-    monkeypatch.setattr("palpate.evaluation.real.__main__.evaluate_press", interrupt)
-    assert main([*pulled(inputs, "pull"), *pressed(inputs), "--output", str(tmp_path / "part")]) == 130
+    monkeypatch.setattr("palpate.evaluation.real.__main__.evaluate_pull", interrupt)
+    assert main([*known(monkeypatch, inputs, "pull", "other"), "--output", str(tmp_path / "part")]) == 130
     assert list(rows(tmp_path / "part")) == ["pull"]
     assert "Interrupted; what is finished is kept" in capsys.readouterr().err
-    assert main([*pressed(inputs), "--output", str(tmp_path / "nothing")]) == 130
+    assert main([*pulled(inputs, "other"), "--output", str(tmp_path / "nothing")]) == 130
     assert not (tmp_path / "nothing" / "table.csv").exists()
 
 
 def test_a_clip_where_nothing_moves_is_a_sentence_and_the_other_is_judged(
-    inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+    inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
-    assert main([*pulled(inputs, "still"), *pressed(inputs), "--output", str(tmp_path)]) == 1
+    assert main([*known(monkeypatch, inputs, "still", "pull"), "--output", str(tmp_path)]) == 1
     sentence = "In 0 of 8 frames the tissue moves with the instrument by more than 1 px"
     found = rows(tmp_path)
     contact = [f"contact_frame_{index:04d}" for index in range(9)]
     assert list(found["still"]) == ["status", "frames", "frames in contact", *contact]
     assert sentence in found["still"]["status"]
-    assert float(found["press"]["force over dent [N/mm]"]) == pytest.approx(FACTOR, rel=0.01)
+    assert found["pull"]["status"] == "ok"
     assert [path.name for path in (tmp_path / "figures").glob("*.png")] == ["1.png"]
     assert sentence in (tmp_path / "report.html").read_text(encoding="utf-8")
     told = capsys.readouterr().err
@@ -115,53 +118,34 @@ def test_a_clip_where_nothing_moves_is_a_sentence_and_the_other_is_judged(
 def test_what_nobody_expected_of_a_clip_is_a_sentence_and_the_other_is_judged(
     inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
-    def fail(*_: object) -> None:
-        raise ZeroDivisionError("of something")
+    def fail(clip: PulledClip, row: dict) -> Pull:
+        if clip.path.name == "pull":
+            raise ZeroDivisionError("of something")
+        return evaluate_pull(clip, row)
 
     monkeypatch.setattr("palpate.evaluation.real.__main__.evaluate_pull", fail)
-    assert main([*pulled(inputs, "pull"), *pressed(inputs), "--output", str(tmp_path)]) == 1
+    assert main([*known(monkeypatch, inputs, "pull", "other"), "--output", str(tmp_path)]) == 1
     found = rows(tmp_path)
     told = "unexpected ZeroDivisionError (of something); please report it with the clip."
     assert found["pull"]["status"] == told
-    assert found["press"]["status"] == "ok"
+    assert found["other"]["status"] == "ok"
     assert "pull: unexpected ZeroDivisionError" in capsys.readouterr().err
 
 
 def test_a_clip_that_can_t_be_read_is_a_sentence(inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
-    assert main([*pressed(inputs, "no.csv"), "--output", str(tmp_path)]) == 1
-    assert "no.csv is no table of forces" in rows(tmp_path)["press"]["status"]
-    assert "press: " in capsys.readouterr().err
+    assert main([*pulled(inputs, "other")[:3], str(inputs / "no.yaml"), "--output", str(tmp_path)]) == 1
+    assert "no.yaml" in rows(tmp_path)["other"]["status"]
+    assert "other: " in capsys.readouterr().err
     assert (tmp_path / "report.html").is_file()
     assert not (tmp_path / "figures").exists()
-
-
-def test_known_clips_are_found_below_a_folder(inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    data = tmp_path / "data"
-    data.mkdir()
-    (data / "recover_tissue").symlink_to(inputs / "pull")
-    layout = tmp_path / "layout.yaml"
-    layout.write_text(LAYOUT)
-    monkeypatch.setitem(KNOWN, "recover_tissue", PulledClip(Path("recover_tissue"), layout))
-    (data / "pressed_membrane").symlink_to(inputs / "press")
-    for rows_known in (73, 90):
-        write_wrench(inputs / "press" / f"wrench_{rows_known}.csv", FACTOR * ramp(rows_known))
-    assert main(["--data", str(data), "--output", str(tmp_path / "out")]) == 0
-    found = rows(tmp_path / "out")
-    assert list(found) == ["recover_tissue", "pressed_membrane, wrench_73", "pressed_membrane, wrench_90"]
-    assert float(found["recover_tissue"]["skill in frames kept back"]) > 0.5
-    judged = [found[f"pressed_membrane, wrench_{known}"]["frames judged"] for known in (73, 90)]
-    assert judged == ["67 to 72", "73 to 89"]
-    assert len(list((tmp_path / "out" / "figures").glob("*.png"))) == 3
 
 
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        ([], "there is nothing to judge. Give --data, --pulled or --pressed."),
-        (["--data", "{empty}"], "{empty} holds none of " + ", ".join([*KNOWN, "pressed_membrane"])),
+        ([], "there is nothing to judge. Give --data or --pulled."),
+        (["--data", "{empty}"], "{empty} holds none of " + ", ".join(KNOWN)),
         (["--layout", "a.yaml"], "--layout a.yaml is of a clip of --pulled; give both, or leave it out."),
-        (["--pressed", "a"], "--pressed and --wrench belong together; give both."),
-        (["--wrench", "a.csv"], "--pressed and --wrench belong together; give both."),
     ],
 )
 def test_wrong_usage_is_a_sentence(
@@ -180,7 +164,7 @@ def test_an_output_that_can_t_be_written_is_a_sentence(
     inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
     (tmp_path / "file").write_text("")
-    assert main([*pressed(inputs), "--output", str(tmp_path / "file")]) == 2
+    assert main([*pulled(inputs, "pull"), "--output", str(tmp_path / "file")]) == 2
     told = capsys.readouterr().err
     assert "is a file; give a folder as --output" in told
     assert "written:" not in told
@@ -193,7 +177,7 @@ def test_a_user_s_file_in_the_output_is_named_before_the_work_and_stays(
     path = tmp_path / "out" / name
     path.parent.mkdir(parents=True)
     path.write_text("precious")
-    command = [*pressed(inputs), "--output", str(tmp_path / "out")]
+    command = [*pulled(inputs, "pull"), "--output", str(tmp_path / "out")]
     assert main(command) == 2
     said = f"{path} is not as this program wrote it; move it away or choose another place."
     assert said in " ".join(capsys.readouterr().err.replace("\n", "").split()).replace("- ", "-")
@@ -215,9 +199,9 @@ def test_names_and_numbers_are_written_as_they_are(tmp_path: Path) -> None:
     assert "<td>0.333</td>" in page
 
 
-def test_two_clips_of_one_name_are_both_judged(tmp_path: Path) -> None:
-    real = chosen(tmp_path, "--pulled", "a/clip", "--pressed", "b/clip", "--wrench", "w.csv")
-    assert [case.name for case in real.asked] == ["clip", "clip (2)"]
+def test_two_clips_of_one_name_are_both_judged(inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = chosen(tmp_path, *known(monkeypatch, inputs, "pull"), "--pulled", "a/pull")
+    assert [case.name for case in real.asked] == ["pull", "pull (2)"]
 
 
 def chosen(output: Path, *arguments: str) -> Real:

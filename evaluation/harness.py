@@ -406,9 +406,9 @@ def measured(case: tuple[str, Callable[[], Row]]) -> list[Row]:
 
 @dataclass(frozen=True)
 class Measurements:
-    """Base of experiments that measure one file, or the like, after the other: table.csv has a row for every measure.
+    """Base of experiments that measure one file, or the like, after the other; table.csv has a row for every measure.
 
-    A measure `figures` holds pictures, PNG in base 64, by their names.
+    `wanted` names the cases.
     """
 
     output: Path
@@ -439,13 +439,11 @@ class Measurements:
         return list(rows)
 
     def report(self, rows: Mapping[tuple, Row]) -> Report:
-        """The table, the pictures, and what failed."""
-        found = [dict(rows[name,]) for name in self.wanted if (name,) in rows]
-        pictures = [row.pop("figures", {}) for row in found]
-        figures = {name: base64.b64decode(content) for each in pictures for name, content in each.items()}
+        """The table, and what failed."""
+        found = [rows[name,] for name in self.wanted if (name,) in rows]
         frame = by_measure(self.tabled(found), "file")
         failed = [(f"{row['file']}: {row['status']}", "red") for row in found if "status" in row]
-        return Report({"table.csv": frame}, [frame], failed, figures, failed=bool(failed))
+        return Report({"table.csv": frame}, [frame], failed, failed=bool(failed))
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,6 @@
 
     python -m evaluation.palpation curves --data DIR --output OUT
     python -m evaluation.palpation frank --output OUT [--body ball|slab] [--quick]
-    python -m evaluation.palpation descents --output OUT [--body ball|slab]
-    python -m evaluation.palpation design --output OUT
 
 Writes table.csv (file, measure, value), and prints it; what is finished is kept, and the same command continues.
 """
@@ -23,8 +21,6 @@ from palpate.evaluation.palpation import curves, surfaces
 STUDIES = {
     "curves": (curves.Curves, curves.__doc__),
     "frank": (surfaces.Frank, surfaces.__doc__),
-    "descents": (surfaces.Descents, surfaces.Descents.__doc__),
-    "design": (surfaces.Design, surfaces.Design.__doc__),
 }
 
 

@@ -1,4 +1,4 @@
-"""One method on one pull, as Liang 2024 judges it: Chamfer distance, future gap, keypoints, and the fields found.
+"""One method on one pull, as Liang 2024 judges it: Chamfer distance, future gap, keypoints, and its Table II.
 
 PBD-DiffCloud fits fields of stiffness to the first frames together, many times over, as Liang 2024 compares it:
 DiffCloud (Sundaresan 2022) simulates a training trajectory from its beginning, compares it with its point clouds, and
@@ -9,11 +9,12 @@ and by the same optimiser as the online estimator's; followed points count where
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import pandas as pd
 from scipy.spatial import KDTree
 from scipy.stats import spearmanr
 
@@ -24,6 +25,8 @@ from palpate.estimators.online.session import Method, Session
 from palpate.evaluation.online.sequences import Pull
 from palpate.physics.pbd.stiffness import Stiffness
 
+Key = tuple[str, str, str]
+"""Sequence, start and method."""
 BATCH = "PBD-DiffCloud"
 METHODS = ("PBD", BATCH, "PBD-RM", "PBD-RM-ON")
 STARTS = {"k1": (5.0, 0.015), "k2": (1.0, 0.01), "k3": (0.2, 0.005)}
@@ -32,13 +35,11 @@ HORIZON = 10
 """T, frames ahead (section III-D)."""
 FRAMES, EPOCHS = 30, 25
 """Of the batch fit's training trajectory, and how often it is gone through (Liang 2024, section III-D)."""
-LEVELS = tuple(0.5 * 2 ** (step / 2) for step in range(6))
-"""Geometric means of the fields that `field_traces` compares: 0.5 to 2.8."""
 
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """One method from one start; T frames, N particles, J frames from which is predicted."""
+    """One method from one start; T frames, J frames from which is predicted."""
 
     chamfer: np.ndarray
     """Chamfer distance of the state to the cloud: the root of both ways' mean squared distances added, shape [T] [m].
@@ -47,17 +48,9 @@ class Case:
     """Frames from which is predicted, shape [J]."""
     gap: np.ndarray
     """Mean norm of the residual mapping 1 to 10 frames ahead (equation 10), shape [J] [m]."""
-    gaps: np.ndarray
-    """Length of the residual at every particle 10 frames ahead, shape [J, N] [m]."""
-    states: np.ndarray
-    """States predicted so far ahead, shape [J, N, 3] [m]."""
     keypoint: np.ndarray
     """Mean distance of keypoints to where they are predicted, over 1 to 10 frames ahead, shape [J] [m]; equation 11 has
     that of the tenth."""
-    distance: np.ndarray
-    """Stiffness of distances in these frames, shape [J, N]."""
-    shape: np.ndarray
-    """Of shapes, likewise."""
     rank: float
     """Spearman's correlation of the last distance field with truth where tissue moves; of a uniform field NaN."""
     seconds: float
@@ -106,20 +99,12 @@ def run_case(
         if frame % every == every - 1 and frame + HORIZON < frames:
             ahead.append(frame)
             states = session.ahead(pull.places[frame + 1 : frame + 1 + HORIZON])
-            rows.append(
-                (
-                    *_judged(pull, objective, states, frame, nearest, match),
-                    session.fields.distance,
-                    session.fields.shape,
-                )
-            )
-    gap, gaps, last, keypoint, distance, shape = (np.array(values) for values in zip(*rows, strict=True))
+            rows.append(_judged(pull, objective, states, frame, nearest, match))
+    gap, keypoint = np.transpose(rows)
     moving, found = pull.moving(), session.fields.distance
     varied = np.ptp(found[moving]) > 1e-9
     rank = float(spearmanr(found[moving], pull.stiffness[moving]).statistic) if varied else float("nan")
-    return Case(
-        np.array(chamfer), np.array(ahead), gap, gaps, last, keypoint, distance, shape, rank, float(np.median(spent))
-    )
+    return Case(np.array(chamfer), np.array(ahead), gap, keypoint, rank, float(np.median(spent)))
 
 
 def fit_batch(
@@ -166,37 +151,28 @@ def fit_batch(
 
 def _judged(
     pull: Pull, objective: Objective, states: np.ndarray, frame: int, nearest: np.ndarray, match: str
-) -> tuple[float, np.ndarray, np.ndarray, float]:
-    """Gap, its map and the state at the end, and the keypoints' error, of states [10, N, 3] after a frame."""
+) -> tuple[float, float]:
+    """Gap and the keypoints' error of states [10, N, 3] after a frame."""
     gaps, off = [], []
-    residual = np.zeros_like(states[0])
     for at, state in enumerate(states, start=frame + 1):
-        residual = objective.mapped(state, pull.matches(at, match)).deformation
-        gaps.append(np.linalg.norm(residual))
+        gaps.append(np.linalg.norm(objective.mapped(state, pull.matches(at, match)).deformation))
         moved = state[nearest] - pull.body.rest[nearest]
         true = pull.points[at + 1, pull.keypoints] - pull.points[0, pull.keypoints]
         off.append(np.linalg.norm(moved - true, axis=1).mean())
-    return float(np.mean(gaps)), np.linalg.norm(residual, axis=1), states[-1], float(np.mean(off))
+    return float(np.mean(gaps)), float(np.mean(off))
 
 
-def field_traces(pull: Pull) -> dict[str, float]:
-    """What can be observed of a field at all: how far a simulation from rest is off the points that are followed.
+def table(cases: Mapping[Key, Case]) -> pd.DataFrame:
+    """Table II: future gap; keypoints' error [mm] of every method, by sequence and start."""
+    columns = dict.fromkeys(key[:2] for key in cases)
 
-    With the true field, with a uniform one, and with stiff and soft exchanged, each at the best of `LEVELS`: where the
-    first isn't the least, nothing that simulates so can find the field. Means over frames of root mean squares [m].
-    """
-    objective, shape = Objective(pull.body, pull.gripped), np.full(pull.body.count, STARTS["k2"][1])
-    found = {}
-    for name, power in (("true", 1), ("uniform", 0), ("exchanged", -1)):
-        field = pull.stiffness**power
-        off = []
-        for level in LEVELS:
-            fields = Stiffness(level * field / np.exp(np.log(field).mean()), shape)
-            states = objective.stepped(fields, pull.body.rest, pull.places).positions[0, 1:]
-            apart = np.stack([pull.shares @ state for state in states]) - pull.points[1:]
-            off.append(float(np.sqrt((apart**2).sum(axis=2).mean(axis=1)).mean()))
-        found[name] = min(off)
-    return found
+    def cell(sequence: str, start: str, method: str) -> str:
+        case = cases.get((sequence, start, method))
+        return "" if case is None else f"{1e3 * case.gap.mean():.1f}; {1e3 * case.keypoint.mean():.2f}"
+
+    return pd.DataFrame(
+        {"method": METHODS} | {f"{s}, {start}": [cell(s, start, method) for method in METHODS] for s, start in columns}
+    )
 
 
 def orders(gaps: dict[str, float]) -> bool:
@@ -204,7 +180,7 @@ def orders(gaps: dict[str, float]) -> bool:
     return gaps["PBD"] > gaps["PBD-RM"] > gaps["PBD-RM-ON"]
 
 
-def summary(cases: dict[tuple[str, str, str], Case]) -> Iterator[tuple[str, str]]:
+def summary(cases: Mapping[Key, Case]) -> Iterator[tuple[str, str]]:
     """What of the paper's claims holds, a name and a sentence each; of what was run alone.
 
     Args:

@@ -11,7 +11,7 @@ from scipy.sparse import eye_array
 from palpate.estimators.online.matching import Chamfer, Tracks
 from palpate.estimators.online.objective import Objective
 from palpate.estimators.online.session import Method, Session
-from palpate.evaluation.online.compare import BATCH, HORIZON, STARTS, Case, field_traces, fit_batch, run_case, summary
+from palpate.evaluation.online.compare import BATCH, HORIZON, STARTS, Case, fit_batch, run_case, summary
 from palpate.evaluation.online.sequences import SEQUENCES, Pull
 from palpate.physics.pbd.stiffness import Stiffness
 from tests.physics.pbd.particles import sheet
@@ -38,13 +38,11 @@ def test_a_case_is_what_its_session_does(pull: Pull) -> None:
     for frame in range(3):
         session.step(pull.places[frame], [])
     states = session.ahead(pull.places[3 : 3 + HORIZON])
-    np.testing.assert_array_equal(case.states[0], states[-1])
     gaps = [
         np.linalg.norm(objective.mapped(state, pull.matches(at, "both")).deformation)
         for at, state in enumerate(states, start=3)
     ]
     assert case.gap[0] == pytest.approx(np.mean(gaps))
-    assert np.linalg.norm(case.gaps[0]) == pytest.approx(gaps[-1])
     near = [np.linalg.norm(pull.body.rest - point, axis=1).argmin() for point in pull.points[0, pull.keypoints]]
     errors = [
         np.linalg.norm((state - pull.body.rest)[near] - (pull.points[at + 1] - pull.points[0])[pull.keypoints], axis=1)
@@ -57,14 +55,6 @@ def test_a_case_is_what_its_session_does(pull: Pull) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["thin-shell-1", "volume-1"])
-def test_what_is_seen_tells_the_true_field_from_others(name: str) -> None:
-    """Of fields at their best levels, the true one leaves least, the exchanged one most."""
-    off = field_traces(SEQUENCES[name].pull(600, 50, SEQUENCES[name].frames))
-    assert 1.2 * off["true"] < off["uniform"] < off["exchanged"]
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["thin-shell-1", "volume-1", "volume-2"])
 def test_stiff_and_soft_exchanged_are_found_exchanged(name: str) -> None:
     """A field that looks alike whatever the truth, as stiffer towards the gripper, ranks well with one of two."""
@@ -74,14 +64,9 @@ def test_stiff_and_soft_exchanged_are_found_exchanged(name: str) -> None:
 
 
 def test_only_methods_that_fit_change_the_field(pull: Pull) -> None:
-    fields = {}
     for name in (BATCH, "PBD-RM", "PBD-RM-ON"):
         case = run_case(pull, STARTS["k3"], name, "tracks", EVERY, epochs=2)
-        fields[name] = case.distance[-1]
-        assert np.isnan(case.rank) == (name == "PBD-RM")
-    np.testing.assert_array_equal(fields["PBD-RM"], STARTS["k3"][0])
-    assert np.ptp(fields[BATCH]) > 0
-    assert np.ptp(fields["PBD-RM-ON"]) > 0
+        assert np.isnan(case.rank) == (name == "PBD-RM")  # of a uniform field there is none
 
 
 def uniform(distance: float) -> Stiffness:
@@ -108,7 +93,7 @@ def test_epochs_bring_fields_nearer_to_what_was_observed(kind: str) -> None:
 
 def case_of(gap: float, rank: float) -> Case:
     one = np.ones(1)
-    return Case(one, one, gap * one, one, one, one, one, one, rank, 1.0)
+    return Case(one, one, gap * one, one, rank, 1.0)
 
 
 def test_the_paper_s_claims_are_counted() -> None:

@@ -7,10 +7,7 @@ units]. The rivals copy the last map, or the mean of all maps so far. When the t
 the estimates don't know it.
 
 Of a checkpoint of `train.py fit` the same is measured: the last map carried by what its own head says, and the picture
-that its decoder makes. The columns `turned` move θ: from the true one to the farthest corner of the box, by which the
-generated picture and the simulated one (the clip's own integrator, rendered without noise) each change over the
-horizon: their correlation over all pixels that move with either θ, the median of the clips' own, and the generated
-change a unit of the simulated one.
+that its decoder makes.
 """
 
 from __future__ import annotations
@@ -23,11 +20,9 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 import pandas as pd
-import torch
 from rich.progress import Progress
 
 from palpate.common.settings import LARGEST
-from palpate.data.synthetic.scene import SceneError
 from palpate.estimators.estimate import FrameEstimate
 from palpate.estimators.onset import STAMP
 from palpate.estimators.open import EstimatorOptions
@@ -39,13 +34,10 @@ from palpate.evaluation.recovery.estimators import opened
 from palpate.evaluation.recovery.suites import LARGEST_SEED, SUITES, suite_clip_seed
 from palpate.models.checkpoint import CheckpointError
 from palpate.models.onnx_session import SHIPPED, open_model
-from palpate.models.records import farthest_corner
 from palpate.results.record import sha256_of
 
 NOISES = 2.0
 """Pixels count whose depth changes by more than so many times its noise."""
-FEWEST = 3
-"""Pixels of a clip that a correlation is worth."""
 COPIES = ("last map copied", "mean map copied")
 CARRIED = ("carried by the true θ", "carried by the network's θ")
 GENERATED = ("carried by its own θ", "generated")
@@ -77,10 +69,8 @@ def next_depth_errors(task: NextDepthTask) -> list[Row]:
     """Errors of one clip; no pixels where it has no contact whose onset was observed.
 
     Returns:
-        A row with `pixels`: how many count, of all its frames; `total`: the sum of their absolute errors, by COPIES,
-        CARRIED and, of a trained generator, GENERATED [scene units]; and `turned`: of how much further the depth of P
-        pixels that move changes with the true θ than with another, generated x and simulated y, P and the sums of x, y,
-        x², y² and xy, shape [6].
+        A row with `pixels`: how many count, of all its frames; and `total`: the sum of their absolute errors, by
+        COPIES, CARRIED and, of a trained generator, GENERATED [scene units].
     """
     named: Row = {"suite": task.suite, "index": task.index}
     generator = None if task.checkpoint is None else trained(task.checkpoint)
@@ -105,8 +95,7 @@ def next_depth_errors(task: NextDepthTask) -> list[Row]:
             made.append(generator.picture(clip, now, by[-1]))
         counted, errors = absolute_errors(clip, now, task.horizon, made)
         pixels, total = pixels + counted, total + errors
-    found = named | {"pixels": pixels, "total": total}
-    return [found if generator is None else found | {"turned": moments(turned(clip, generator))}]
+    return [named | {"pixels": pixels, "total": total}]
 
 
 def copies(clip: WatchedClip, now: int) -> list[np.ndarray]:
@@ -118,31 +107,8 @@ def absolute_errors(clip: WatchedClip, now: int, horizon: int, made: Sequence[np
     """How many pixels count, and the sums of their absolute errors in each of the maps made of them, shape [len]."""
     later = clip.truth[now + horizon].depth
     moved = np.abs(later - clip.truth[now].depth) > NOISES * clip.contact.noise
-    counted = clip.tissue(now, horizon, clip.truth) & moved
+    counted = clip.tissue(now, horizon) & moved
     return int(counted.sum()), np.array([np.abs(depth - later)[counted].sum() for depth in made])
-
-
-def turned(clip: WatchedClip, generator: TrainedGenerator) -> np.ndarray:
-    """How the depth of pixels changes from one θ to the farthest corner of the box: generated, and simulated.
-
-    Returns:
-        Shape [2, P] [scene units]; empty where that corner can't be simulated.
-    """
-    horizon, head = generator.horizon, generator.generator.head
-    theta = torch.tensor(clip.motion.theta[None])
-    corner = farthest_corner(theta, head.lower.double(), head.upper.double())[0].numpy()
-    try:
-        other = clip.truth_at(corner)
-    except SceneError:
-        return np.empty((2, 0))
-    pairs = []
-    for now in clip.instants(horizon):
-        changes = [truth[now + horizon].depth - truth[now].depth for truth in (clip.truth, other)]
-        tissue = clip.tissue(now, horizon, clip.truth) & clip.tissue(now, horizon, other)
-        moved = np.max(np.abs(changes), axis=0) > NOISES * clip.contact.noise
-        pictures = [generator.picture(clip, now, each) for each in (clip.motion.theta, corner)]
-        pairs.append([np.subtract(*both)[tissue & moved] for both in (pictures, changes)])
-    return np.concatenate(pairs, axis=1) if pairs else np.empty((2, 0))
 
 
 @dataclass(frozen=True)
@@ -224,25 +190,5 @@ def table(rows: Sequence[Row]) -> pd.DataFrame:
         cells |= dict(zip(names, mean.tolist(), strict=True))
         copied = max(float(mean[: len(COPIES)].min()), 1e-12)
         cells |= {f"{name} / better copy": cells[name] / copied for name in names[len(COPIES) :]}
-        turned = [row["turned"] for row in own if "turned" in row and row["turned"][0] >= FEWEST]
-        if turned:
-            every = np.sum(turned, axis=0)
-            cells["turned, correlation"] = correlation(every)
-            cells["turned, median of clips"] = float(np.median([correlation(each) for each in turned]))
-            cells["turned, slope"] = float(every[5] / every[4])
         found.append(cells)
     return pd.DataFrame(found)
-
-
-def moments(pairs: np.ndarray) -> np.ndarray:
-    """How many pairs [2, P] there are, and their sums of x, y, x², y² and xy, shape [6]."""
-    first, second = pairs
-    sums = pairs.sum(axis=1), np.square(pairs).sum(axis=1)
-    return np.array([pairs.shape[1], *sums[0], *sums[1], (first * second).sum()])
-
-
-def correlation(sums: np.ndarray) -> float:
-    """Of pairs, from their `moments`."""
-    count, first, second, first_squared, second_squared, product = sums
-    variances = (count * first_squared - first**2) * (count * second_squared - second**2)
-    return float((count * product - first * second) / np.sqrt(variances))

@@ -1,4 +1,4 @@
-"""A synthetic clip as it is observed, frame by frame, and what truly happens, for this θ or another."""
+"""A synthetic clip as it is observed, frame by frame, and what truly happens."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from palpate.data.prepared import PreparedFrame
 from palpate.data.synthetic.clip import draw_press, synthetic_clip
 from palpate.data.synthetic.scene import Scene, SceneError
 from palpate.data.synthetic.source import PREPARE, open_synthetic
-from palpate.data.synthetic.truth import PressedMotion, simulate_motion
+from palpate.data.synthetic.truth import PressedMotion
 from palpate.estimators.contract import ClipInfo
 from palpate.estimators.runs import RunTracker
 from palpate.evaluation.recovery.bounds import MECHANICS
@@ -28,9 +28,7 @@ FIRST = 2
 class WatchedClip:
     """A clip of a suite whose contact was found where it is."""
 
-    scene: Scene
     motion: PressedMotion
-    seed: int
     info: ClipInfo
     frames: list[PreparedFrame]
     """As they are observed."""
@@ -51,30 +49,12 @@ class WatchedClip:
         pressed = [now for now in frames if self.frames[now].in_contact]
         return [now for now in pressed if self.since(now + horizon) <= MECHANICS.seconds]
 
-    def tissue(self, now: int, horizon: int, truth: list[PreparedFrame]) -> np.ndarray:
+    def tissue(self, now: int, horizon: int) -> np.ndarray:
         """Where tissue near the contact is in view now and truly so many frames later, shape [h, w], bool."""
-        here, then = self.frames[now], truth[now + horizon]
+        here, then = self.frames[now], self.truth[now + horizon]
         near = np.zeros(here.depth.shape, bool)
         near[window_around(self.contact.mesh.pixels[self.contact.vertex])] = True
         return near & (here.labels == TISSUE) & (then.labels == TISSUE) & (here.depth > 0) & (then.depth > 0)
-
-    def truth_at(self, theta: np.ndarray) -> list[PreparedFrame]:
-        """What the same press would truly have looked like with another θ [3], on even springs.
-
-        Raises:
-            SceneError: that motion can't be integrated.
-        """
-        return _observed(_quiet(self.scene), self.motion_at(theta), self.seed)[0]
-
-    def motion_at(self, theta: np.ndarray) -> PressedMotion:
-        """How the tissue would truly have moved.
-
-        Raises:
-            SceneError: that can't be integrated.
-        """
-        motion = self.motion
-        instants = motion.onset_frame, motion.release_frame, None, motion.delay, motion.release_delay
-        return simulate_motion(self.scene, theta, *instants)
 
 
 def watch(suite: str, index: int, seed: int) -> WatchedClip | None:
@@ -100,13 +80,9 @@ def watch(suite: str, index: int, seed: int) -> WatchedClip | None:
     contact = run.builder.build(MECHANICS)
     if not len(contact.observation):
         return None
-    truth, _ = _observed(_quiet(scene), motion, seed)
-    return WatchedClip(scene, motion, seed, info, frames, truth, run.builder, contact)
-
-
-def _quiet(scene: Scene) -> Scene:
-    settings = dataclasses.replace(scene.settings, depth_noise=0.0, scale_flicker=0.0, depth_bits=16)
-    return dataclasses.replace(scene, settings=settings)
+    quiet = dataclasses.replace(scene.settings, depth_noise=0.0, scale_flicker=0.0, depth_bits=16)
+    truth, _ = _observed(dataclasses.replace(scene, settings=quiet), motion, seed)
+    return WatchedClip(motion, info, frames, truth, run.builder, contact)
 
 
 def _observed(scene: Scene, motion: PressedMotion, seed: int) -> tuple[list[PreparedFrame], ClipInfo]:

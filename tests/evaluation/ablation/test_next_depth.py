@@ -11,7 +11,7 @@ import pytest
 from palpate.estimators.onset import STAMP
 from palpate.estimators.open import EstimatorOptions
 from palpate.evaluation.ablation.__main__ import main
-from palpate.evaluation.ablation.next_depth import NextDepthTask, correlation, moments, next_depth_errors, table
+from palpate.evaluation.ablation.next_depth import NextDepthTask, next_depth_errors, table
 from palpate.evaluation.harness import Row
 from palpate.evaluation.recovery.suites import suite_clip_seed
 from palpate.models.onnx_session import SHIPPED
@@ -42,7 +42,7 @@ def test_a_row_is_the_mean_over_pixels_and_its_ratios() -> None:
 
 @pytest.mark.slow
 def test_a_generator_that_adds_nothing_to_physics_is_as_good(tmp_path: Path) -> None:
-    """With the shipped head it says what the network says, and moving θ moves its picture as it moves the truth."""
+    """With the shipped head it says what the network says."""
     seed = suite_clip_seed("validation", 0, 3)
     network = EstimatorOptions("network", model=SHIPPED, onset=STAMP, threads=1)
     checkpoint = write_checkpoint(tmp_path / "last.ckpt")
@@ -50,22 +50,6 @@ def test_a_generator_that_adds_nothing_to_physics_is_as_good(tmp_path: Path) -> 
     _, _, _, network_s, own, generated = found["total"]
     assert own == pytest.approx(network_s, rel=0.01)
     assert generated == pytest.approx(own, rel=0.01)
-    assert found["turned"][0] > 100
-    assert correlation(found["turned"]) > 0.9
-
-
-def test_the_correlation_is_over_pixels_and_the_median_over_clips() -> None:
-    simulated = np.array([1.0, 2.0, 3.0, 4.0])
-    found = rows_of("clean", *[(1, [1.0] * 6)] * 4)
-    for row, factor in zip(found, (0.5, 0.5, -0.5), strict=False):
-        row["turned"] = moments(np.stack([factor * simulated, simulated]))
-    found[3]["turned"] = moments(np.empty((2, 0)))
-    both = np.concatenate([0.5 * simulated, 0.5 * simulated, -0.5 * simulated]), np.tile(simulated, 3)
-    (row,) = table(found).to_dict("records")
-    assert row["turned, correlation"] == pytest.approx(np.corrcoef(both)[0, 1])
-    assert row["turned, median of clips"] == pytest.approx(1)
-    assert row["turned, slope"] == pytest.approx(0.5 / 3)
-    assert "turned, slope" not in table(found[3:])
 
 
 def test_a_generator_for_other_frames_is_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
@@ -81,7 +65,7 @@ def test_the_door_writes_a_row_a_suite(tmp_path: Path) -> None:
     assert main([*command, "--checkpoint", checkpoint, "--output", str(tmp_path / "out")]) == 0
     found = pd.read_csv(tmp_path / "out" / "table.csv")
     assert found["suite"].tolist() == ["clean", "8bit"]
-    assert {"generated / better copy", "turned, correlation"} <= set(found.columns)
+    assert "generated / better copy" in found.columns
 
 
 def test_a_model_that_is_none_is_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:

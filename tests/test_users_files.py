@@ -28,7 +28,7 @@ from palpate.data.depth.photometric import write_photometric
 from palpate.data.source.layout import InputError
 from palpate.data.synthetic import __main__ as synthetic
 from palpate.data.synthetic import clip as synthetic_clips
-from palpate.estimators.palpation.curves import Grasp
+from palpate.estimators.palpation.curves import HOLD
 from palpate.estimators.palpation.material_fit import NOTHING
 from palpate.evaluation import foreign
 from palpate.evaluation.ablation import terms
@@ -90,7 +90,7 @@ def inputs(tmp_path: Path) -> Path:
     rows = [f"1,0,0,0,{depth},{depth}" for depth in range(5)]
     (tmp_path / "probes.csv").write_text("\n".join(["probe,contact_x,contact_y,contact_z,depth_mm,fn_N", *rows]))
     (tmp_path / "forces").mkdir()
-    (tmp_path / "forces" / "grasp.csv").write_text("force_N,gripper_width_m\n")
+    (tmp_path / "forces" / "hold.csv").write_text("t_s,force_N,displacement_mm\n")
     for name, slope in (("first", 0.1), ("second", 0.2)):
         write_model(tmp_path / f"{name}.onnx", slope=(slope, 0.0, 0.0))
     settings = {
@@ -116,7 +116,7 @@ def quick(monkeypatch: pytest.MonkeyPatch, blank_pictures: None) -> None:
     patch(real, "in_base64", lambda figure: base64.b64encode(os.urandom(8)).decode())
     patch(foreign, "judge_beams", lambda runs: {"beam": {"E (Pa)": random.random()}})
     patch(foreign, "measure_ringing", lambda path: {"ringing": asdict(foreign.Ringing(0.0, 7.7, 2.5, 0.0))})
-    patch(curves, "read_grasp", lambda path: Grasp(np.linspace(0, 9, 19), random.random() - np.arange(19)))
+    monkeypatch.setitem(curves.JUDGES, HOLD, lambda path: {"peak force (N)": random.random()})
     patch(surfaces, "fit_from", lambda *arguments: {"E": random.random()})
     patch(surfaces, "fit_six", lambda *arguments: {"E": random.random()})
     truths = {str(number): newtons.Truth(Path(str(number)), 1 + random.random(), 0.5) for number in range(3)}

@@ -1,15 +1,13 @@
 """What measured forces tell, judged on what was kept back from the fits.
 
 Judges every CSV file under --data whose columns it knows, whatever its name: probes of a region (probe, contact_x …,
-depth_mm, fn_N), indentations that are held (t_s, force_N, displacement_mm), grasps (force_N, gripper_width_m; the name
-gives day and object). Writes table.csv (file, measure, value); what the measures mean is in docs/reports/palpation.md.
+depth_mm, fn_N) and indentations that are held (t_s, force_N, displacement_mm). Writes table.csv (file, measure, value);
+what the measures mean is in docs/reports/palpation.md.
 """
 
 from __future__ import annotations
 
 import functools
-import re
-from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,22 +19,17 @@ from palpate.estimators.estimate import NINETY
 from palpate.estimators.palpation import (
     Hold,
     Probe,
-    fit_grasp,
     fit_region,
     fit_relaxation,
-    read_grasp,
     read_hold,
     read_probes,
 )
-from palpate.estimators.palpation.curves import HOLD, KINDS, PROBES, kind_of
+from palpate.estimators.palpation.curves import HOLD, PROBES, kind_of
 from palpate.estimators.palpation.region import LEAST_PROBES
 from palpate.evaluation.harness import FileMeasurements, Row
 
 FOLDS = 5
 """Parts of a region, each of which is left out once."""
-ORDER = ("softest", "softer", "soft", "medium", "hard", "harder", "hardest")
-"""Words of a name that rank it, softest first."""
-COMPLIANCE = "compliance (mm/N)"
 SUMMARISED = {
     "probing": (
         "that over the mean stiffness's, random fifths",
@@ -55,7 +48,7 @@ class Curves(FileMeasurements):
     def __post_init__(self) -> None:
         """Raise a ValueError where there is nothing to judge."""
         if not self.wanted:
-            known = "; ".join(", ".join(columns) for columns in KINDS)
+            known = "; ".join(", ".join(columns) for columns in JUDGES)
             raise ValueError(
                 f"{self.data} holds no CSV file with the columns of any of: {known}. Give --data that does."
             )
@@ -65,21 +58,15 @@ class Curves(FileMeasurements):
         """What each file shows whose columns are known."""
         below = all_below(self.data) if self.data.is_dir() else []
         kinds = {path: kind_of(path) for path in below if path.suffix.lower() == ".csv"}
-        judges = {PROBES: judge_probing, HOLD: judge_relaxation}
         return {
-            path.relative_to(self.data).as_posix(): functools.partial(judges.get(kind, judge_grasp), path)
+            path.relative_to(self.data).as_posix(): functools.partial(JUDGES[kind], path)
             for path, kind in kinds.items()
-            if kind is not None
+            if kind in JUDGES
         }
 
     def tabled(self, rows: Sequence[Row]) -> list[Row]:
-        """Also the grasps of every object and day, and medians over the files of a kind."""
-        compliances: dict[GraspName, list[float]] = defaultdict(list)
-        for row in rows:
-            if COMPLIANCE in row:
-                compliances[GraspName.of(Path(row["file"]).stem)].append(row[COMPLIANCE])
-        grasps = [{"file": name, **measures} for name, measures in judge_grasps(compliances).items()]
-        return [*rows, *grasps, *medians(rows)]
+        """Also medians over the files of a kind."""
+        return [*rows, *medians(rows)]
 
 
 def medians(rows: Sequence[Row]) -> list[Row]:
@@ -162,72 +149,5 @@ def judge_relaxation(path: Path) -> Row:
     return found | {"force that remains in the end / at once": fit_relaxation(hold).relaxed_share}
 
 
-def judge_grasp(path: Path) -> Row:
-    """Slope of one grasp.
-
-    Raises:
-        ValueError: the file can't be read, or tells no slope.
-    """
-    slope = fit_grasp(read_grasp(path))
-    return {"slope 2 to 8 N (N/mm)": slope.stiffness, COMPLIANCE: slope.compliance, "its sd": slope.sd}
-
-
-@dataclass(frozen=True)
-class GraspName:
-    """What a file's name says, such as 2023-12-06__green_ball_softer_1.csv."""
-
-    day: str
-    """Before the double underscore; empty where there is none."""
-    thing: str
-    """The object, without the number of the grasp."""
-
-    @classmethod
-    def of(cls, stem: str) -> GraspName:
-        """Of a file name without its ending."""
-        day, split, thing = stem.rpartition("__")
-        return cls(day if split else "", re.sub(r"[_-]?\d+$", "", thing))
-
-    @property
-    def rank(self) -> int | None:
-        """Place in ORDER; None where no word says it."""
-        words = [word for word in re.split(r"[_\W]+", self.thing.lower()) if word in ORDER]
-        return ORDER.index(words[0]) if words else None
-
-    @property
-    def family(self) -> str:
-        """The kind of thing: only balls are softer than balls. The last word that is none of ORDER."""
-        words = [word for word in re.split(r"[_\W]+", self.thing.lower()) if word and word not in ORDER]
-        return words[-1] if words else self.thing
-
-
-def judge_grasps(compliances: Mapping[GraspName, list[float]]) -> dict[str, Row]:
-    """Measures by object and day, and by kind and day whether its objects rank as named.
-
-    Args:
-        compliances: of all grasps of an object on a day [mm/N].
-    """
-    found: dict[str, Row] = {}
-    medians = {name: float(np.median(grasps)) for name, grasps in compliances.items()}
-    for name, grasps in compliances.items():
-        found[f"{name.day} {name.thing}".strip()] = {
-            "grasps": len(grasps),
-            "slope 2 to 8 N, median (N/mm)": 1 / medians[name] if medians[name] > 0 else float("inf"),
-            "compliance, median (mm/N)": medians[name],
-        }
-    ranked = [name for name in medians if name.rank is not None]
-    for day, family in sorted({(name.day, name.family) for name in ranked}):
-        group = [name for name in ranked if (name.day, name.family) == (day, family)]
-        named = sorted(group, key=lambda name: (name.rank, name.thing))
-        pairs = [(one, two) for i, one in enumerate(named) for two in named[i + 1 :] if one.rank != two.rank]
-        if not pairs:
-            continue
-        right = sum(medians[one] > medians[two] for one, two in pairs)
-        found[f"{day} {family}: order".strip()] = {
-            "objects, softest first as found": " < ".join(
-                name.thing for name in sorted(group, key=lambda name: -medians[name])
-            ),
-            "pairs that rank as named": right,
-            "pairs": len(pairs),
-            "all rank as named": "yes" if right == len(pairs) else "no",
-        }
-    return found
+JUDGES = {PROBES: judge_probing, HOLD: judge_relaxation}
+"""By the columns of a table."""

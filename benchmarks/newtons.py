@@ -4,7 +4,7 @@
 
 DIR holds clips of data.synthetic, whose truth is taken to be 25 N a unit of force; the known force is off by a draw of
 2 %. Runs infer.py into OUT/results, and writes table.csv (file, measure, value): how far the forces of the other clips
-are off in calibrated.csv, whether their 90 % intervals hold, and the same with each clip's force known in turn.
+are off in calibrated.csv, and whether their 90 % intervals hold.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ if __name__ == "__main__":
 
 import csv
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -30,16 +29,13 @@ from palpate.common.command_line import say
 from palpate.common.files import all_below
 from palpate.common.output import replacing_own, require_own
 from palpate.data.source.layout import InputError, read_mapping
-from palpate.estimators.estimate import NINETY, NoEstimate
-from palpate.estimators.force_scale import MASS, ClipLength, PressedRun, scale_by_force
 from palpate.evaluation.harness import Report, Row, by_measure, options, show, write
-from palpate.results.store import CALIBRATED, INTERACTIONS, OutputError, writing
+from palpate.results.store import CALIBRATED, OutputError, writing
 
 NEWTONS = 25.0
 """A unit of force."""
 MEASURED = 0.02
 """Standard deviation of the logarithm of a measured force."""
-SAME = ClipLength(1.0, stored=True)
 NEAR = 0.2
 """Error of a force that is wanted, where it is determined."""
 INTO = 0.25
@@ -137,71 +133,30 @@ def _write_known(output: Path, truth: Truth) -> Path:
 
 
 def judge(results: Path, truths: dict[str, Truth], known: str) -> list[Row]:
-    """What calibrated.csv is worth, and what it would be with every clip's force known in turn."""
+    """What calibrated.csv is worth: every other clip's force, and all of them together."""
     found: list[Row] = []
-    of_known, runs = [], {}
+    errors, insides, sures = [], [], []
     for name, truth in truths.items():
-        row, run = _row(results / name / CALIBRATED), _run(results / name / INTERACTIONS)
-        if run is not None:
-            runs[name] = run
+        row = _row(results / name / CALIBRATED)
         if name == known or row is None or not row["force"]:
             continue
         value, low, high = (float(row[f"force{end}"]) for end in ("", "_low", "_high"))
-        sure = "force" in row["determined"].split(";")
-        of_known.append((math.log(value / truth.force), low <= truth.force <= high, sure))
-        measures = {"force / truth - 1": value / truth.force - 1, "within the 90 % interval": of_known[-1][1]}
-        found.append({"file": name, **measures, "determined": sure})
-    found.append({"file": f"others, the force of {known} known", **_summary(of_known)})
-    in_turn, pairs = [], []
-    for name, run in runs.items():
-        try:
-            scale = scale_by_force([run], [(run.onset_frame, measured_force(truths[name]), MEASURED)], MASS, name)
-        except NoEstimate:
-            continue
-        scale = scale.elsewhere(SAME, SAME)
-        for other, truth in truths.items():
-            if other == name or other not in runs:
-                continue
-            scaled = scale.of(runs[other], SAME)
-            off = float(scaled.logs[2]) - math.log(truth.force)
-            inside = scaled.log_sd is not None and abs(off) < NINETY * scaled.log_sd[2]
-            in_turn.append((off, inside, "force" in scaled.determined))
-            pairs.append((name, other))
-    measures = _summary(in_turn)
-    chance = _over_clips(pairs, [inside for _, inside, _ in in_turn])
-    if chance is not None:
-        measures["all: 90 % intervals hold, standard deviation"] = chance
-    return [*found, {"file": "others, each clip's force known in turn", **measures}]
-
-
-def _over_clips(pairs: Sequence[tuple[str, str]], holds: Sequence[bool]) -> float | None:
-    """Standard deviation of the share of pairs that hold: they share clips, so that one is left out at a time.
-
-    The jackknife (Efron & Tibshirani 1993, chapter 11); None where a clip is in all pairs, so that none is left.
-    """
-    ends, held = np.array(pairs).reshape(-1, 2), np.array(holds)
-    clips = np.unique(ends)
-    left = [held[(ends != clip).all(axis=1)] for clip in clips]
-    if not left or not all(map(len, left)):
-        return None
-    shares = np.array([each.mean() for each in left])
-    return math.sqrt((len(clips) - 1) * shares.var())
-
-
-def _summary(found: list[tuple[float, bool, bool]]) -> Row:
-    sure = [(off, inside) for off, inside, determined in found if determined]
-    summary: Row = {"forces": len(found), "determined": len(sure)}
-    if sure:
-        off, inside = (np.array(column) for column in zip(*sure, strict=True))
-        error = np.abs(np.expm1(off))
+        errors.append(value / truth.force - 1)
+        insides.append(low <= truth.force <= high)
+        sures.append("force" in row["determined"].split(";"))
+        measures = {"force / truth - 1": errors[-1], "within the 90 % interval": insides[-1]}
+        found.append({"file": name, **measures, "determined": sures[-1]})
+    error, inside, sure = np.abs(errors), np.array(insides), np.array(sures, bool)
+    summary: Row = {"forces": len(error), "determined": int(sure.sum())}
+    if sure.any():
         summary |= {
-            "determined: median error": float(np.median(error)),
-            f"determined: within {NEAR:.0%}": float((error < NEAR).mean()),
-            "determined: 90 % intervals hold": float(inside.mean()),
+            "determined: median error": float(np.median(error[sure])),
+            f"determined: within {NEAR:.0%}": float((error[sure] < NEAR).mean()),
+            "determined: 90 % intervals hold": float(inside[sure].mean()),
         }
-    if found:
-        summary["all: 90 % intervals hold"] = float(np.mean([inside for _, inside, _ in found]))
-    return summary
+    if len(error):
+        summary["all: 90 % intervals hold"] = float(inside.mean())
+    return [*found, {"file": f"others, the force of {known} known", **summary}]
 
 
 def _row(path: Path) -> dict[str, str] | None:
@@ -211,18 +166,6 @@ def _row(path: Path) -> dict[str, str] | None:
     with path.open(encoding="utf-8", newline="") as stream:
         rows = list(csv.DictReader(stream))
     return rows[0] if len(rows) == 1 else None
-
-
-def _run(path: Path) -> PressedRun | None:
-    """A clip's press as interactions.csv has it: each parameter's error, as if they were independent."""
-    row = _row(path)
-    if row is None or not row["force_low"] or row["verdict"] == "undetermined":
-        return None
-    names = ("stiffness", "damping", "force")
-    logs = np.log([float(row[name]) for name in names])
-    widths = [math.log(float(row[f"{name}_high"]) / float(row[f"{name}_low"])) / (2 * NINETY) for name in names]
-    spread, begin = np.diag(np.square(widths)), float(row["onset_time_s"])
-    return PressedRun(int(row["onset_frame"]), begin, begin, logs, spread, spread, True)
 
 
 if __name__ == "__main__":

@@ -61,7 +61,7 @@ class Curves(FileMeasurements):
         return {
             path.relative_to(self.data).as_posix(): functools.partial(JUDGES[kind], path)
             for path, kind in kinds.items()
-            if kind in JUDGES
+            if kind is not None and kind in JUDGES
         }
 
     def tabled(self, rows: Sequence[Row]) -> list[Row]:
@@ -149,5 +149,5 @@ def judge_relaxation(path: Path) -> Row:
     return found | {"force that remains in the end / at once": fit_relaxation(hold).relaxed_share}
 
 
-JUDGES = {PROBES: judge_probing, HOLD: judge_relaxation}
+JUDGES: dict[tuple[str, ...], Callable[[Path], Row]] = {PROBES: judge_probing, HOLD: judge_relaxation}
 """By the columns of a table."""

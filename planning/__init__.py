@@ -3,7 +3,7 @@
 scene      the file that names tissue, obstacles, start and goal, and where straight lines meet them
 press      what it takes to push the tip into a piece of tissue, simulated
 cost_table such presses, cached for a piece of tissue and generalised by a kernel
-roadmap    probabilistic road map and A*
+roadmap    probabilistic road map and the cheapest way through it
 pictures   the plan drawn
 """
 

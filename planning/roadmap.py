@@ -1,19 +1,19 @@
 """A probabilistic road map over places of the tip, and the cheapest way through it.
 
-Kavraki 1996 and A* (Hart 1968), with the cost of Frank 2010's equation 5, α·deformation + (1 - α)·way. Of ways that
-cost the same the shorter is taken, since at α = 1 all that touch nothing cost 0: a price is the pair of cost and way,
-added component by component and compared in this order. The price of the straight line that is left, were it free, is
-A*'s heuristic; it is consistent in this order, so that the way found is the best of the map. Afterwards places are left
-out as long as that lowers the price.
+Kavraki 1996 and Dijkstra 1959, with the cost of Frank 2010's equation 5, α·deformation + (1 - α)·way. Of ways that
+cost the same the shorter is taken, since at α = 1 all that touch nothing cost 0: the search adds a minute part of the
+way to the cost, and whole ways are compared by the pair of cost and way. Afterwards places are left out as long as that
+lowers this price.
 """
 
 from __future__ import annotations
 
-import heapq
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import KDTree
 
 from palpate.planning.cost_table import CostTable
@@ -24,8 +24,8 @@ MILLI = 1000.0
 DIGITS = 9
 """To which the deformation by a line is rounded [mJ], so that errors of rounding in the table decide no tie."""
 
-Price = tuple[float, float]
-"""Cost and way [mm] of a line or of a whole way; compared as tuples are."""
+TIE = 1e-12
+"""Part of the way [mm] that counts as cost in the search: less than DIGITS tell apart over half a metre."""
 
 
 class Blocked(ValueError):
@@ -46,8 +46,8 @@ class Plan:
     """α·deformation + (1 - α)·way."""
 
     @property
-    def price(self) -> Price:
-        """What ways are compared by."""
+    def price(self) -> tuple[float, float]:
+        """What ways are compared by, as tuples are: cost, then way."""
         return self.cost, self.way
 
 
@@ -153,48 +153,27 @@ def find_plan(costs: EdgeCosts) -> Plan:
     starts, ends = np.take(places, one, axis=0), np.take(places, two, axis=0)
     way = MILLI * np.linalg.norm(ends - starts, axis=1)
     cost = _weighed(scene.alpha, costs.deformation(starts, ends), way)
-    edges: list[list[tuple[int, Price]]] = [[] for _ in places]
-    for first, last, *price in zip(one.tolist(), two.tolist(), cost.tolist(), way.tolist(), strict=True):
-        if np.isfinite(price[0]):
-            edges[first].append((last, (price[0], price[1])))
-            edges[last].append((first, (price[0], price[1])))
-    straight = MILLI * np.linalg.norm(places - scene.goal, axis=1)
-    chain = _shortest(edges, [((1 - scene.alpha) * each, each) for each in straight.tolist()])
+    chain = _shortest(len(places), one, two, cost, way)
     if chain is None:
         raise Blocked("the goal can't be reached: obstacles close every way to it; move it or open one.")
     return _shortened(costs, places[chain])
 
 
-def _shortest(edges: list[list[tuple[int, Price]]], left: list[Price]) -> list[int] | None:
-    """A* from node 0 to node 1; None = there is no way.
+def _shortest(count: int, one: np.ndarray, two: np.ndarray, cost: np.ndarray, way: np.ndarray) -> list[int] | None:
+    """The cheapest chain of nodes from 0 to 1, of equally cheap ones the shortest; None = there is no way.
 
     Args:
-        edges: of every node, where each leads and its price.
-        left: of every node, a lower bound on the price from there on that is consistent.
+        count: of nodes.
+        one, two: nodes that each line joins, shape [E].
+        cost, way: of each line, infinite where it is closed, shape [E].
     """
-    best, before = {0: (0.0, 0.0)}, {0: 0}
-    waiting = [(left[0], 0)]
-    done: set[int] = set()
-    while waiting:
-        _, node = heapq.heappop(waiting)
-        if node == 1:
-            chain = [1]
-            while chain[-1] != 0:
-                chain.append(before[chain[-1]])
-            return chain[::-1]
-        if node in done:
-            continue
-        done.add(node)
-        for other, price in edges[node]:
-            total = _sum(best[node], price)
-            if other not in best or total < best[other]:
-                best[other], before[other] = total, node
-                heapq.heappush(waiting, (_sum(total, left[other]), other))
-    return None
-
-
-def _sum(one: Price, two: Price) -> Price:
-    return one[0] + two[0], one[1] + two[1]
+    passable = np.isfinite(cost)
+    prices = (cost + TIE * way)[passable], (one[passable], two[passable])
+    before = dijkstra(coo_array(prices, (count, count)).tocsr(), directed=False, indices=0, return_predecessors=True)[1]
+    chain = [1]
+    while chain[-1] > 0:
+        chain.append(int(before[chain[-1]]))
+    return chain[::-1] if chain[-1] == 0 else None
 
 
 def _shortened(costs: EdgeCosts, places: np.ndarray) -> Plan:

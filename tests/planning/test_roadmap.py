@@ -72,7 +72,7 @@ def test_equally_deep_presses_are_compared_by_their_length_too() -> None:
 
 
 @pytest.mark.parametrize("free", [0.0, 0.5])
-def test_a_star_finds_what_trying_all_finds(free: float) -> None:
+def test_the_search_finds_what_trying_all_finds(free: float) -> None:
     """Prices compared as pairs; `free` is the share of lines that cost nothing, where the way decides."""
     chance = np.random.default_rng(0)
     for _ in range(20):
@@ -82,9 +82,8 @@ def test_a_star_finds_what_trying_all_finds(free: float) -> None:
         work = np.triu(chance.uniform(0, 2, apart.shape) * (chance.uniform(size=apart.shape) >= free), 1)
         price = share * apart + (work + work.T) * apart
         pairs = [[(price[i, j].item(), apart[i, j].item()) for j in range(7)] for i in range(7)]
-        edges = [[(j, pairs[i][j]) for j in range(7) if j != i] for i in range(7)]
-        left = np.linalg.norm(places - places[1], axis=1)
-        chain = _shortest(edges, [(share * each, each) for each in left.tolist()])
+        one, two = np.triu_indices(7, 1)
+        chain = _shortest(7, one, two, price[one, two], apart[one, two])
         ways = [(0, *middle, 1) for n in range(6) for middle in itertools.permutations(range(2, 7), n)]
         best = min(np.sum([pairs[a][b] for a, b in itertools.pairwise(way)], axis=0).tolist() for way in ways)
         assert chain is not None

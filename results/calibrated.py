@@ -46,6 +46,7 @@ COMPARED: dict[str, str] = {
     "known": "1 where the measured force told the scale, and nothing is to be learnt from the comparison",
 }
 """Columns of `compared.csv`, in order; written where forces were measured."""
+NUMBERS = ("measured_N", "estimated", "estimated_low", "estimated_high")
 NEWTONS, NORMALISED = "N", "scene units"
 LEAST_COMPARED = 3
 """Forces, of which scale and correlation are told."""
@@ -182,12 +183,11 @@ class ClipCalibration:
         span = self.calibration.fields.known_s or (math.inf, -math.inf)
         found = []
         for curve in self.curves:
-            for time, measured, force, low, high in zip(
-                curve.times, self.measured.at(curve.times), curve.force, curve.low, curve.high, strict=True
-            ):
-                values = {"onset_frame": curve.onset_frame, "time_s": float(time), "measured_N": float(measured)}
-                values |= {"estimated": float(force), "estimated_low": float(low), "estimated_high": float(high)}
-                found.append(values | {"estimated_unit": curve.unit, "known": bool(span[0] <= time <= span[1])})
+            columns = curve.times, self.measured.at(curve.times), curve.force, curve.low, curve.high
+            for row in np.column_stack(columns).tolist():
+                values = dict(zip(("time_s", *NUMBERS), row, strict=True))
+                known = span[0] <= row[0] <= span[1]
+                found.append(values | {"onset_frame": curve.onset_frame, "estimated_unit": curve.unit, "known": known})
         return found
 
     def record(self) -> dict[str, Any]:
@@ -195,13 +195,8 @@ class ClipCalibration:
         found: dict[str, Any] = {"files": [str(path.resolve()) for path in self.calibration.files]}
         if self.scale is not None and self.length is not None:
             told = self.scale
-            found["scale"] = {
-                "log_newtons": told.log,
-                "variance": told.variance,
-                "alike": told.alike,
-                "source": told.source,
-                "metric": told.metric,
-            }
+            kept = {name: getattr(told, name) for name in ("variance", "alike", "source", "metric")}
+            found["scale"] = {"log_newtons": told.log, **kept}
             found["length"] = vars(self.length).copy()
         if self.reason:
             found["reason"] = self.reason
@@ -216,12 +211,8 @@ def carried_from(record: dict[str, Any]) -> tuple[ForceScale, ClipLength] | str:
     if "scale" not in told:
         return str(told.get("reason", ""))
     scale = told["scale"]
-    return (
-        ForceScale(
-            scale["log_newtons"], scale["variance"], scale["alike"], scale["source"], {}, metric=scale["metric"]
-        ),
-        ClipLength(**told["length"]),
-    )
+    carried = scale["log_newtons"], scale["variance"], scale["alike"], scale["source"]
+    return ForceScale(*carried, {}, metric=scale["metric"]), ClipLength(**told["length"])
 
 
 def physical_values(told: Physical, source: str) -> dict[str, Any]:
@@ -243,15 +234,13 @@ def physical_values(told: Physical, source: str) -> dict[str, Any]:
 
 def _press_curve(run: PressedRun, times: np.ndarray, scale: ForceScale | None, length: ClipLength) -> Curve:
     """A press's force, constant while it acts."""
-    unknown = np.full(len(times), np.nan)
-    if scale is None:
-        return Curve(run.onset_frame, times, np.full(len(times), math.exp(run.logs[2])), unknown, unknown, NORMALISED)
-    told = scale.of(run, length)
-    force, spread = math.exp(told.logs[2]), told.log_sd
-    ends = (unknown, unknown)
-    if spread is not None:
-        ends = tuple(np.full(len(times), force * math.exp(sign * NINETY * spread[2])) for sign in (-1, 1))
-    return Curve(run.onset_frame, times, np.full(len(times), force), *ends, NEWTONS)
+    log, sd, unit = run.logs[2], math.nan, NORMALISED
+    if scale is not None:
+        told = scale.of(run, length)
+        log, sd, unit = told.logs[2], math.nan if told.log_sd is None else told.log_sd[2], NEWTONS
+    values = math.exp(log), math.exp(log - NINETY * sd), math.exp(log + NINETY * sd)
+    force, low, high = (np.full(len(times), value) for value in values)
+    return Curve(run.onset_frame, times, force, low, high, unit)
 
 
 def agreement(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -260,8 +249,7 @@ def agreement(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     found: dict[str, Any] = {"forces": len(some)}
     if len(some) < LEAST_COMPARED or len({row["estimated_unit"] for row in some}) > 1:
         return found
-    names = ("measured_N", "estimated", "estimated_low", "estimated_high")
-    measured, estimated, low, high = np.array([[row[name] for name in names] for row in some]).T
+    measured, estimated, low, high = np.array([[row[name] for name in NUMBERS] for row in some]).T
     if estimated.any():
         found["measured_over_estimated"] = float(measured @ estimated / (estimated @ estimated))
     if np.ptp(measured) > 0 and np.ptp(estimated) > 1e-9 * np.abs(estimated).max():

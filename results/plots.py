@@ -10,7 +10,7 @@ import warnings
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -81,7 +81,11 @@ def draw_summary(
     """
     estimated = any(estimate.estimate is not None for estimate in estimates)
     heights = [1.1, 2.8, 2.8, 2.8, 3.0] if estimated else [2.2]
-    gripped = [(run, run.told) for run in runs if isinstance(run.told, FieldEstimate) or _grip_tells(run)]
+    gripped = [
+        (run, run.told)
+        for run in runs
+        if isinstance(run.told, FieldEstimate) or (isinstance(run.told, GripEstimate) and run.told.determined)
+    ]
     figure, rows = _figure([*heights, *[4.0] * len(gripped)], title, subtitle)
     strip, *panels = rows[: len(heights)]
     for axes in panels:
@@ -123,27 +127,20 @@ def draw_fits(runs: Sequence[InteractionEstimate], counts: Counter[str], title: 
         told += f" {len(runs)} are drawn, interactions.csv has all."
     panels = list(runs) or [None]
     words = [_told_of_run(run) for run in panels]
-    motions = [
-        run is not None and (run.simulated is not None or isinstance(run.told, (GripEstimate, FieldEstimate)))
-        for run in panels
-    ]
-    mapped = [
-        run is not None
-        and (
-            isinstance(run.told, FieldEstimate)
-            or (isinstance(run.told, GripEstimate) and run.told.stiffness is not None)
-        )
-        for run in panels
-    ]
-    heights = [
-        0.9 + 0.2 * len(_lines(text)) + 2.8 * motion + 1.2 * field
-        for (_, text, _), motion, field in zip(words, motions, mapped, strict=True)
-    ]
+    heights = [_height(run, sentences) for run, (_, sentences, _) in zip(panels, words, strict=True)]
     figure, rows = _figure(heights, title, told)
     for axes, words_of, run in zip(rows, words, panels, strict=True):
         _head(axes, *words_of)
         _draw_motion(axes, run)
     return figure
+
+
+def _height(run: InteractionEstimate | None, sentences: str) -> float:
+    """Of a run's panel [inches]: its words, its motion, and its map."""
+    told = None if run is None else run.told
+    motion = isinstance(told, GripEstimate | FieldEstimate) or (run is not None and run.simulated is not None)
+    field = isinstance(told, FieldEstimate) or (isinstance(told, GripEstimate) and told.stiffness is not None)
+    return 0.9 + 0.2 * len(_lines(sentences)) + 2.8 * motion + 1.2 * field
 
 
 def draw_comparison(measured: KnownForce, curves: Sequence[Curve], known: KnownForce | None, title: str) -> Figure:
@@ -282,6 +279,17 @@ def _finish(axes: Axes, label: str, quantity: str) -> None:
     axes.grid(color=GRID, lw=0.8)
 
 
+def _label(axes: Axes, quantity: str, place: Literal["best", "upper left"] = "best", size: float = 10) -> None:
+    """A quantity over a contact's time: names of the axes, a legend and a grid."""
+    axes.set(xlabel="time since the first frame in contact [s]", ylabel=quantity)
+    axes.legend(loc=place, framealpha=0.85, fontsize=size)
+    axes.grid(color=GRID, lw=0.8)
+
+
+def _draw_curve(axes: Axes, times: np.ndarray, values: np.ndarray, color: str, label: str) -> None:
+    axes.plot(times, values, "o-", ms=4, lw=1, color=color, label=label)
+
+
 def _draw_states(axes: Axes, edges: np.ndarray, estimates: Sequence[FrameEstimate], below: float) -> None:
     """What is said first about every frame, as a strip of colours with their counts, `below` [lines] under it."""
     states = np.array([state(estimate) for estimate in estimates])
@@ -332,8 +340,8 @@ def _draw_displacements(axes: Axes, times: np.ndarray, estimates: Sequence[Frame
     """Observed and simulated displacement, crosses where they are far from each other."""
     observed, simulated = (_column(estimates, f"{name}_displacement") for name in ("observed", "simulated"))
     far = np.where([is_far(estimate) for estimate in estimates], simulated, np.nan)
-    axes.plot(times, observed, "o-", ms=4, lw=1, color=OBSERVED, label="observed")
-    axes.plot(times, simulated, "o-", ms=4, lw=1, color=SIMULATED, label="simulated")
+    _draw_curve(axes, times, observed, OBSERVED, "observed")
+    _draw_curve(axes, times, simulated, SIMULATED, "simulated")
     axes.plot(times, far, "x", ms=9, mew=2, color=FAR_COLOR, label="far from the observed one")
     axes.set_ylim(0, _top(observed, simulated))
 
@@ -396,10 +404,8 @@ def _draw_motion(axes: Axes, run: InteractionEstimate | None) -> None:
     release = contact.load_seconds + (*estimate.delays, 0.0, 0.0)[1]
     if contact.released and release < times[-1]:
         axes.axvline(release, color=RELEASE, lw=1.5, ls="--", label=f"release, {release:.3f} s")
-    axes.set(xlim=(0, 1.01 * times[-1]), xlabel="time since the first frame in contact [s]")
-    axes.set_ylabel("displacement along the force\n[scene units (normalised)]")
-    axes.legend(framealpha=0.85, fontsize=10)
-    axes.grid(color=GRID, lw=0.8)
+    axes.set_xlim(0, 1.01 * times[-1])
+    _label(axes, "displacement along the force\n[scene units (normalised)]")
 
 
 def _far(contact: Interaction, simulated: tuple[np.ndarray, np.ndarray], noise: float) -> tuple[np.ndarray, np.ndarray]:
@@ -418,9 +424,7 @@ def _draw_grip(axes: Axes, grip: GripEstimate) -> None:
     low, high = grip.force - NINETY * grip.force_sd, grip.force + NINETY * grip.force_sd
     axes.fill_between(grip.times, low, high, color=SIMULATED, alpha=0.25, lw=0, label="90 % interval")
     axes.plot(grip.times, grip.force, "o-", ms=4, lw=1.5, color=SIMULATED, label="force along that of the last frame")
-    axes.set(xlabel="time since the first frame in contact [s]", ylabel="force at the grip\nover the last one [1]")
-    axes.legend(loc="upper left", framealpha=0.85, fontsize=10)
-    axes.grid(color=GRID, lw=0.8)
+    _label(axes, "force at the grip\nover the last one [1]", "upper left")
 
 
 def _draw_stiffness(axes: Axes, field: StiffnessField) -> None:
@@ -444,27 +448,16 @@ def _draw_stiffness(axes: Axes, field: StiffnessField) -> None:
     axes.set_title(told if known.any() else "stiffness: unknown everywhere", loc="left", fontsize=10, color=INK)
 
 
-def _grip_tells(run: InteractionEstimate) -> bool:
-    return isinstance(run.told, GripEstimate) and bool(run.told.determined)
-
-
 def _draw_explained(axes: Axes, found: FieldEstimate) -> None:
     """How far tissue moved and by how much the simulation missed that, a frame; and both in the last one."""
     whole, axes = axes, axes.inset_axes((0.04, 0, 0.46, 1))
     whole.set_axis_off()
     observed, predicted, left = found.course.T
-    axes.plot(found.times, observed, "o-", ms=4, lw=1, color=OBSERVED, label="observed")
-    axes.plot(
-        found.times, predicted, "o-", ms=4, lw=1, color=SIMULATED, label="simulated, moved by the instrument alone"
-    )
+    _draw_curve(axes, found.times, observed, OBSERVED, "observed")
+    _draw_curve(axes, found.times, predicted, SIMULATED, "simulated, moved by the instrument alone")
     axes.fill_between(found.times, 0, left, color=FAR_COLOR, alpha=0.2, lw=0, label="difference of both")
-    axes.set(
-        xlabel="time since the first frame in contact [s]",
-        ylabel="motion of the tissue around\n(root mean square) [px]",
-    )
     axes.set_ylim(0, 1.25 * _top(observed, predicted, left))
-    axes.legend(loc="upper left", framealpha=0.85, fontsize=10)
-    axes.grid(color=GRID, lw=0.8)
+    _label(axes, "motion of the tissue around\n(root mean square) [px]", "upper left")
     shown = _picture_axes(whole.inset_axes((0.54, 0, 0.46, 1)), found.picture)
     apart = max(1, round(len(found.points) / MOST_ARROWS))
     seen = np.flatnonzero(np.isfinite(found.observed).all(axis=1))[::apart]
@@ -485,25 +478,22 @@ def _draw_field(axes: Axes, found: FieldEstimate) -> None:
     names = ("distance_stiffness", "shape_stiffness")
     rows = found.numbers
     axes.axhline(LEAST_SKILL, color=FAR_COLOR, lw=1, ls="--", label=f"least that counts, {LEAST_SKILL:.0%}")
-    axes.plot(found.times, rows["skill"], "o-", ms=4, lw=1, color=SIMULATED, label="motion explained so far")
+    _draw_curve(axes, found.times, rows["skill"], SIMULATED, "motion explained so far")
     kinds = list(zip(names, FIELD_COLORS, ("against stretch", "against bending"), strict=True))
     for (_, color, label), share in zip(kinds, ("field_known", "shape_known"), strict=True):
         axes.plot(found.times, rows[share], "s-", ms=3, lw=1, color=color, label=f"particles determined {label}")
-    axes.set(ylim=(-0.05, 1.6), yticks=np.linspace(0, 1, 5), ylabel="share [1]")
-    panels = [axes]
+    axes.set(ylim=(-0.05, 1.6), yticks=np.linspace(0, 1, 5), xlim=(found.times[0], max(found.times[-1], 1e-3)))
+    _label(axes, "share [1]", "upper left", 8.5)
     if found.determined:
-        panels.append(whole.inset_axes((0.37, 0, 0.22, 1)))
+        course = whole.inset_axes((0.37, 0, 0.22, 1))
         for name, color, label in kinds:
             low, middle, high = (rows[f"{name}{end}"] for end in ("_low", "", "_high"))
             if np.isnan(middle).all():
                 continue
-            panels[1].plot(found.times, middle, "o-", ms=4, lw=1, color=color, label=f"{label}, median")
-            panels[1].fill_between(found.times, low, high, color=color, alpha=0.2, lw=0, label="10 to 90 %")
-        panels[1].set(yscale="log", ylabel="stiffness where it is\ndetermined [relative]")
-    for panel in panels:
-        panel.set(xlim=(found.times[0], max(found.times[-1], 1e-3)), xlabel="time since the first frame in contact [s]")
-        panel.legend(loc="upper left" if panel is axes else "best", framealpha=0.85, fontsize=8.5)
-        panel.grid(color=GRID, lw=0.8)
+            _draw_curve(course, found.times, middle, color, f"{label}, median")
+            course.fill_between(found.times, low, high, color=color, alpha=0.2, lw=0, label="10 to 90 %")
+        course.set(yscale="log", xlim=axes.get_xlim())
+        _label(course, "stiffness where it is\ndetermined [relative]", size=8.5)
     shape = not found.last.known.any() and found.last.shape_known.any()
     _draw_particles(whole.inset_axes((0.62, 0, 0.34, 1)), found, shape=bool(shape))
 

@@ -2,5 +2,5 @@
 
 pulled    tissue that an instrument holds and moves: what the session that users run says of it
 predicted the same tissue ahead from a few frames, by the online estimator and by a sheet of one number
-figures   predictions as pictures; __main__: the door
+__main__  the door
 """

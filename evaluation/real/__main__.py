@@ -25,7 +25,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
-from matplotlib.figure import Figure
 from rich.progress import Progress
 
 from palpate.common.doors import interruptible
@@ -36,7 +35,6 @@ from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.grip.lattice import NothingMoves
 from palpate.estimators.online.settings import FILES, OnlineSettings, load_settings
 from palpate.evaluation.harness import OK, Report, Row, by_measure, in_base64, run
-from palpate.evaluation.real.figures import draw_prediction
 from palpate.evaluation.real.predicted import evaluate_prediction
 from palpate.evaluation.real.pulled import PulledClip, evaluate_pull
 from palpate.results.plots import draw_summary
@@ -64,22 +62,17 @@ def judge(case: RealCase) -> list[Row]:
     row: Row = {"clip": case.name, "status": ""}
     try:
         with interruptible():
-            row["figure"] = in_base64(_drawn(case, row))
+            if case.online is None:
+                pull = evaluate_pull(case.pulled, row)
+                row |= pull.measures
+                row["figure"] = in_base64(draw_summary(pull.frames, runs=[pull.run], title=case.name))
+            else:
+                row |= evaluate_prediction(case.pulled, case.online)
     except Exception as error:  # of one clip; the others still are judged
         known = isinstance(error, InputError | NoEstimate | NothingMoves)
         unexpected = f"unexpected {type(error).__name__} ({error}); please report it with the clip."
         row["status"] = str(error) if known else unexpected
     return [row]
-
-
-def _drawn(case: RealCase, row: Row) -> Figure:
-    if case.online is not None:
-        prediction = evaluate_prediction(case.pulled, case.online)
-        row |= prediction.measures
-        return draw_prediction(prediction)
-    pull = evaluate_pull(case.pulled, row)
-    row |= pull.measures
-    return draw_summary(pull.frames, runs=[pull.run], title=case.name)
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,7 @@ from palpate.estimators.online.driven import DrivenTissue
 from palpate.estimators.online.estimator import OnlineEstimator
 from palpate.estimators.online.settings import OnlineSettings
 from palpate.estimators.online.surface import Surface, make_surface
+from palpate.evaluation.harness import Row
 from palpate.evaluation.real.pulled import PulledClip
 from palpate.physics.sheet import equilibrium
 
@@ -52,32 +53,10 @@ class Follow:
     """From the tool there, shape [N] [px]."""
     frames: list[GripFrame]
     """T of them."""
-    pictures: tuple[np.ndarray, np.ndarray]
-    """The first and the last, RGB."""
 
 
-@dataclass(frozen=True, eq=False)
-class Prediction:
-    """What is predicted of a clip."""
-
-    measures: dict[str, object]
-    """Numbers and words by name."""
-    follow: Follow
-    points: np.ndarray
-    """Judged points of the last prediction in the first picture, shape [Q, 2] [px]."""
-    begun: np.ndarray
-    """Where they were in the frame from which is predicted, likewise."""
-    seen: np.ndarray
-    """Their displacement since then, shape [Q, 2] [px]."""
-    expected: np.ndarray
-    """As the online estimator predicted it, likewise."""
-    fields: tuple[np.ndarray, np.ndarray, np.ndarray]
-    """Places of the particles in the first picture [N, 2] [px], their stiffness against stretch [N] by then, and where
-    that is known [N]."""
-
-
-def evaluate_prediction(clip: PulledClip, settings: OnlineSettings) -> Prediction:
-    """Follow, step on frame by frame, predict, and judge.
+def evaluate_prediction(clip: PulledClip, settings: OnlineSettings) -> Row:
+    """Follow, step on frame by frame, predict, and judge: what is measured, by name.
 
     Raises:
         InputError: the clip can't be read, is too short, or shows no tool or no tissue with depth.
@@ -87,9 +66,8 @@ def evaluate_prediction(clip: PulledClip, settings: OnlineSettings) -> Predictio
     if len(follow.frames) < min(FROM) + AHEAD:
         raise InputError(f"{clip.path} has fewer than {min(FROM) + AHEAD + 1} usable frames; give more of them.")
     surface = first_surface(clip, settings)
-    measures: dict[str, object] = {"status": "ok", "estimator": "online", "particles": surface.body.count}
+    measures: Row = {"status": "ok", "estimator": "online", "particles": surface.body.count}
     skills: dict[str, list[float]] = {"online": [], "sheet": [], "sheet from rest": []}
-    judged = begun = seen = expected = np.empty((0, 2))
     tissue = DrivenTissue(surface, follow.points, follow.distance, settings)
     for index in FROM:
         if index + AHEAD > len(follow.frames):
@@ -112,10 +90,8 @@ def evaluate_prediction(clip: PulledClip, settings: OnlineSettings) -> Predictio
         ahead = tissue.ahead(np.stack([item.moved for item in later]))[-1]
         ratio = sheet_ratio(follow, follow.frames[:index])
         resting, pulled = (sheet_motion(follow, each, ratio)[chosen] for each in (frame, later[-1]))
-        judged, seen, expected = follow.points[chosen], since, (ahead - held)[used]
-        begun = judged + now[chosen]
         found = {
-            "online": expected,
+            "online": (ahead - held)[used],
             "sheet": pulled - resting,
             # Its displacement from rest as it is, less what is observed by now.
             "sheet from rest": pulled - now[chosen],
@@ -126,14 +102,17 @@ def evaluate_prediction(clip: PulledClip, settings: OnlineSettings) -> Predictio
         if tissue.fit is not None:
             measures |= {f"fitted {name} by frame {index}": value for name, value in tissue.fit._asdict().items()}
         for name, motion in found.items():
-            skills[name].append(1 - length(motion - since) / length(since))
+            skills[name].append(skill(motion, since))
             measures[f"skill from frame {index}, {name}"] = skills[name][-1]
     if not skills["online"]:
         raise InputError(f"{clip.path}: fewer than {LEAST_POINTS} points are followed {AHEAD} frames on.")
     measures |= {f"skill of {name}, mean": float(np.mean(values)) for name, values in skills.items()}
-    measures["known particles"] = float(tissue.known.mean())
-    fields = tuple(each[surface.seen] for each in (surface.pixels, tissue.session.fields.distance, tissue.known))
-    return Prediction(measures, follow, judged, begun, seen, expected, fields)
+    return measures | {"known particles": float(tissue.known.mean())}
+
+
+def skill(expected: np.ndarray, moved: np.ndarray) -> float:
+    """1 - error / motion of expected displacements of points that moved so [Q, 2]."""
+    return 1 - length(expected - moved) / length(moved)
 
 
 def sheet_ratio(follow: Follow, frames: Sequence[GripFrame]) -> float:
@@ -199,11 +178,10 @@ def follow_clip(clip: PulledClip) -> Follow:
     """
     follower: PointFollower | None = None
     moved = list[np.ndarray]()
-    first = picture = np.zeros((0, 0, 3), np.uint8)
     for current, tool in read_views(clip):
         picture, tool = shrunk(current, tool)
         if follower is None and tool.any():
-            first, follower = picture, PointFollower(picture, tool)
+            follower = PointFollower(picture, tool)
         elif follower is not None:
             follower.step(picture, tool)
             moved.append(follower.moved)
@@ -212,7 +190,7 @@ def follow_clip(clip: PulledClip) -> Follow:
     used = follower.distance > MARGIN
     away = follower.distance[used]
     frames = [GripFrame(item[used], np.isfinite(item[used]).all(axis=1) & (away < DRIVEN)) for item in moved]
-    return Follow(follower.points[used], follower.spacing, away, frames, (first, picture))
+    return Follow(follower.points[used], follower.spacing, away, frames)
 
 
 def read_views(clip: PulledClip) -> Iterator[tuple[np.ndarray, np.ndarray]]:

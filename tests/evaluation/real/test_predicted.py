@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,11 +16,11 @@ from palpate.evaluation.real.predicted import (
     AHEAD,
     RATIOS,
     Follow,
-    Prediction,
     evaluate_prediction,
     first_surface,
     sheet_motion,
     sheet_ratio,
+    skill,
 )
 from palpate.evaluation.real.pulled import PulledClip
 from tests.evaluation.real_clips import SIZE, pull_clip, tool_mask
@@ -35,15 +36,14 @@ def clip(tmp_path_factory: pytest.TempPathFactory) -> PulledClip:
 
 
 @pytest.fixture(scope="module")
-def found(clip: PulledClip) -> Prediction:
+def found(clip: PulledClip) -> dict[str, Any]:
     return evaluate_prediction(clip, SETTINGS)
 
 
 def square() -> Follow:
     """Points on a grid beside a tool at the left."""
     points = SPACING * np.stack(np.meshgrid(np.arange(1, 15), np.arange(1, 12)), axis=-1).reshape(-1, 2).astype(float)
-    pictures = np.zeros((1, 1, 3), np.uint8), np.zeros((1, 1, 3), np.uint8)
-    return Follow(points, SPACING, points[:, 0], [], pictures)
+    return Follow(points, SPACING, points[:, 0], [])
 
 
 def pulled(follow: Follow, way: float) -> GripFrame:
@@ -83,14 +83,17 @@ def test_the_first_frame_s_sheet_lies_on_its_tissue(clip: PulledClip) -> None:
     assert len(surface.gripped) > 3
 
 
-def test_skill_is_one_less_error_over_motion_since(found: Prediction) -> None:
-    told = found.measures
+def test_skill_is_one_less_error_over_motion() -> None:
+    moved = np.array([[3.0, 4.0], [0.0, 5.0]])
+    assert skill(moved + np.array([0.0, 2.0]), moved) == pytest.approx(1 - 2 / 5)
+    assert skill(0 * moved, moved) == 0
+
+
+def test_both_are_judged_by_the_same_points(found: dict[str, Any]) -> None:
+    told = found
     assert (told["status"], told["estimator"]) == ("ok", "online")
-    assert told["points from frame 3"] == len(found.points) > 100
-    motion = np.sqrt(np.square(found.seen).sum(axis=1).mean())
-    error = np.sqrt(np.square(found.seen - found.expected).sum(axis=1).mean())
-    assert told["motion since frame 3 [px]"] == pytest.approx(motion)
-    assert told["skill from frame 3, online"] == pytest.approx(1 - error / motion)
+    assert told["points from frame 3"] > 100
+    assert told["motion since frame 3 [px]"] > 1
     assert told["skill of online, mean"] == told["skill from frame 3, online"]
     assert told["skill from frame 3, online"] > 0.2
     assert told["skill from frame 3, sheet"] > 0.3
@@ -103,7 +106,7 @@ def test_what_can_t_be_predicted_is_a_sentence(tmp_path: Path) -> None:
         evaluate_prediction(short, SETTINGS)
 
 
-def test_the_door_writes_skill_and_a_picture(clip: PulledClip, tmp_path: Path) -> None:
+def test_the_door_writes_skill(clip: PulledClip, tmp_path: Path) -> None:
     (tmp_path / "online.yaml").write_text("particles: 200\nmethod: {name: PBD}\n")
     told = ["--settings", str(tmp_path / "online.yaml")]
     told += ["--pulled", str(clip.path), "--layout", str(clip.layout_file)]
@@ -114,16 +117,12 @@ def test_the_door_writes_skill_and_a_picture(clip: PulledClip, tmp_path: Path) -
     assert f'{name},"skill from frame 3, online",' in table
     assert f"{name},known particles,0\n" in table.replace("\r", "")  # PBD sees nothing
     assert f'{name},"skill of sheet from rest, mean",' in table
-    assert len((tmp_path / "figures" / "1.png").read_bytes()) > 10_000
 
 
-def test_a_volume_is_predicted_by_what_is_seen_of_it(clip: PulledClip, found: Prediction) -> None:
+def test_a_volume_is_predicted_by_what_is_seen_of_it(clip: PulledClip, found: dict[str, Any]) -> None:
     thick = evaluate_prediction(clip, OnlineSettings(particles=200, thickness=0.1))
-    places, stiffness, known = thick.fields
-    assert thick.measures["particles"] >= 2 * len(places)
-    assert len(places) == len(stiffness) == len(known)
-    assert thick.measures["points from frame 3"] == pytest.approx(found.measures["points from frame 3"], rel=0.2)
-    assert thick.measures["skill from frame 3, online"] > 0.4
+    assert thick["points from frame 3"] == pytest.approx(found["points from frame 3"], rel=0.2)
+    assert thick["skill from frame 3, online"] > 0.4
 
 
 def test_settings_that_can_t_be_used_end_in_a_sentence(

@@ -3,7 +3,7 @@
 report      all files of an evaluation: tables, one HTML page, JSON
 analysis    all numbers of an evaluation
 statistics  means with intervals, paired tests, and whether the network gives the same θ for every input
-simulated   no network: no motion, one constant θ; when a motion comes to rest, and whether it is regular
+simulated   no network: no motion, one constant θ; when a motion comes to rest
 figures     the pictures
 recovered   compares estimates with the truth of synthetic clips
 """

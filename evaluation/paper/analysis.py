@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import torch
 
 from palpate.data.contact.interaction import Interaction
 from palpate.evaluation.paper.simulated import (
@@ -29,7 +28,6 @@ from palpate.evaluation.paper.statistics import (
     spread_of,
     summarise,
 )
-from palpate.models.records import with_reference_tissue
 from palpate.physics.mechanics import PARAMETERS, REFERENCE_DAMPING, REFERENCE_STIFFNESS, Bounds, Mechanics
 
 Record = Mapping[str, Any]
@@ -84,7 +82,7 @@ class Evaluation:
     settling: pd.DataFrame
     """Settling of every test frame under the predicted and the reference θ."""
     motion: pd.DataFrame
-    """Settling and regularity of these simulations in numbers."""
+    """Settling and peaks of these simulations in numbers."""
     spread: pd.DataFrame
     """Spread of the estimates by parameter."""
     constant: np.ndarray
@@ -146,19 +144,19 @@ def analyse(
 
     load_steps = np.array([contact.load.factor.sum().round() for contact in contacts], dtype=int)
     simulated = {
-        REFERENCE: (with_reference_tissue(torch.from_numpy(theta)).numpy(), settle(reference, load_steps, mechanics)),
-        PREDICTED: (theta, settle(predicted, load_steps, mechanics)),
+        REFERENCE: settle(reference, load_steps, mechanics),
+        PREDICTED: settle(predicted, load_steps, mechanics),
     }
-    motion = {name: motion_row(settling, own, contacts, mechanics) for name, (own, settling) in simulated.items()}
+    motion = {name: motion_row(settling) for name, settling in simulated.items()}
     for name, trajectories in ((REFERENCE, reference), (PREDICTED, predicted)):
         motion[name]["median of highest peak"] = median_share(trajectories)
-    settling = {name: frames[["clip", "frame"]].join(settling) for name, (_, settling) in simulated.items()}
+    settling = {name: frames[["clip", "frame"]].join(each) for name, each in simulated.items()}
 
     motions = [(one.observation.times.tobytes(), one.moved.tobytes()) for one in contacts]
     observed = set(zip(clips, motions, strict=True))
     spread = spread_of(frames, bounds, len(observed))
     return Evaluation(
-        frames=frames.join(simulated[PREDICTED][1]),
+        frames=frames.join(simulated[PREDICTED]),
         trajectories=predicted,
         summaries={name: summarise(values, clips) for name, values in errors.items()},
         comparisons=comparisons,

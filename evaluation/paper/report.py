@@ -183,11 +183,10 @@ def reading_tables(found: Evaluation, contacts: int) -> dict[str, str]:
             "Tests and BCa intervals take frames as independent, and frames of one clip are not. 10,000 resamples.",
         ),
         "motion": _table(
-            "When do the simulations settle, and are they regular?",
+            "When do the simulations settle?",
             found.motion,
             "Settling time: from release until the displacement stays within 5 % of its peak, of those that settled "
             "within the simulated horizon; the others are counted.",
-            "Chaotic: changing F by 1e-4 of itself moves the trajectory by over 100 times that, relative to its peak.",
             "A peak over 1 scene unit is a displacement larger than the scene is deep.",
             "Median of highest peak: how high figure 3b's median rises. Bini 2026, section 4.2, has 0.63 to 0.65 on "
             "its own data, and rest within 0.9 s.",

@@ -144,14 +144,12 @@ class Whitened:
 
 
 class GripBound(NamedTuple):
-    """Least standard deviations of logarithms."""
+    """Least standard deviations of logarithms, as if it were known that nothing is damped."""
 
     foundation: float
-    """Of foundation over stiffness, as if it were known that nothing is damped."""
+    """Of foundation over stiffness."""
     force: float
-    """Of what holds the tissue in the last frame over stiffness, likewise."""
-    damping: float
-    """Of damping over stiffness, the foundation unknown."""
+    """Of what holds the tissue in the last frame over stiffness."""
 
 
 def grip_bound(
@@ -159,27 +157,20 @@ def grip_bound(
     distance: np.ndarray,
     hidden: np.ndarray,
     spacing: int,
-    times: np.ndarray,
     moved: np.ndarray,
     following: Following,
     log_anchor: float,
-    relaxation: float,
 ) -> GripBound:
     """Bounds of a grip in a clip.
-
-    Damping counts to first order, K u + k_d u̇ = f without inertia: u = K⁻¹ f - k_d K⁻² ḟ, and -K⁻² is what the
-    foundation does. By its logarithm the motion changes as by log foundation, with relaxation · ḟ in the place of f.
 
     Args:
         points: places at rest of the points in view in the last frame, on a square grid, shape [n, 2] [px].
         distance: from the tool there, shape [n] [px].
         hidden: places of the grid that the tool hides there, shape [H, 2] [px].
         spacing: of the grid [px].
-        times: of the frames, shape [T], at least two [s].
         moved: where they truly are since rest, shape [T, n, 2] [px].
         following: of these points.
         log_anchor: true log of foundation over stiffness.
-        relaxation: true damping over foundation [s].
     """
     cells = np.rint(points / spacing).astype(np.int64)
     loaded = loaded_cells(points, distance, hidden, spacing)
@@ -189,17 +180,15 @@ def grip_bound(
     kept = Whitened.of(following.covariance(points), np.hstack([answer[apart], terms]), load_precision(answer, loaded))
     more, less = (response(math.exp(log_anchor + step), SIZE)[apart] for step in (STEP, -STEP))
     loads = kept.explained(np.moveaxis(moved, 0, 1))[0][: len(loaded)]
-    pulls = np.stack([loads, relaxation * np.gradient(loads, times, axis=1)], axis=-1)
-    follows, left = kept.explained(np.tensordot((more - less) / (2 * STEP), pulls, 1))
+    follows, left = kept.explained(np.tensordot((more - less) / (2 * STEP), loads, 1))
     # Frames whose errors are correlated in time: the same nuisances, free in each of them, take the same from all.
-    information = np.einsum("ntap,ts,nsaq->pq", left, np.linalg.inv(following.in_time), left)
+    information = np.einsum("nta,ts,nsa->", left, np.linalg.inv(following.in_time), left)
     force = loads[:, -1].sum(axis=0)
     along = force / (force @ force)
-    # The force follows the foundation where both are estimated; where nothing is damped, that alone.
-    bent = along @ follows[: len(loaded), -1, :, 0].sum(axis=0)
-    variance = 1 / information[0, 0]
+    # The force follows the foundation where both are estimated.
+    bent = along @ follows[: len(loaded), -1].sum(axis=0)
+    variance = 1 / float(information)
     return GripBound(
         math.sqrt(variance),
         math.sqrt(bent**2 * variance + (along @ along) * kept.sum_variance),
-        math.sqrt(np.linalg.inv(information)[1, 1]) if np.linalg.det(information) > 0 else math.inf,
     )

@@ -15,7 +15,6 @@ import pandas as pd
 
 from palpate.evaluation.harness import Row
 from palpate.evaluation.recovery.scores import coverage, rms
-from palpate.physics.identifiability import LIMIT
 
 COLUMNS = ("suite", "quantity", "n", "rmse", "bound", "ratio", "coverage90", "value")
 
@@ -50,13 +49,6 @@ def _quantities(rows: Sequence[Row], suite: str) -> Iterator[Row]:
             error, least = rms(log - true), rms(bound)
             cells = {"rmse": error, "bound": least, "ratio": error / least, "coverage90": coverage(log - true, sd)}
             yield {"quantity": f"{name} over stiffness", "n": len(true), **cells}
-    if of("damping"):
-        bounds = np.array(of("damping"))[:, 1]
-        # Of a clip that tells nothing the bound may be as large as it likes.
-        name = "damping over stiffness, bound of the median clip"
-        yield {"quantity": name, "n": len(bounds), "bound": np.median(bounds)}
-        share = float((bounds < LIMIT).mean())
-        yield {"quantity": "clips that could tell damping over stiffness", "n": len(bounds), "value": share}
     if of("curve"):
         off, sd = curve_errors(of("curve"))
         yield {"quantity": "relative force", "n": len(off), "rmse": rms(off), "coverage90": coverage(off, sd)}

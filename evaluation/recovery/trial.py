@@ -29,7 +29,6 @@ contact_right                   share of the frames in which something moves who
 skill                           as estimated
 foundation, force               log of foundation, and of the force in the last frame, over stiffness: true, estimated,
                                 its standard deviation and bound, shape [4]
-damping                         log of damping over stiffness [s]: true, and its bound, shape [2]; nothing estimates it
 curve                           force over that of the last frame: true, estimated, its standard deviation, shape [3, T]
 following                       error of a followed point by axis in the last frame, root mean square [px]
 rank, rank_most                 rank correlation of the stiffness field with the true one where tissue moves; of regions
@@ -341,16 +340,12 @@ def _grip_against_truth(
     places = points[visible], follower.distance[visible]
     followed = measure_following(*places, SPACING, noise[visible], error[:, visible])
     log_anchor = math.log(motion.anchor * SPACING**2 / cell.prod())
-    relaxation = motion.damping / motion.anchor
-    bound = grip_bound(
-        *places, follower.hidden, SPACING, grip.times, true[:, visible], followed, log_anchor, relaxation
-    )
+    bound = grip_bound(*places, follower.hidden, SPACING, true[:, visible], followed, log_anchor)
     force = motion.reaction[used] / scene.spacing * cell
     unit = force[-1] / (force[-1] @ force[-1])
     found: Row = {
         "foundation": np.array([log_anchor, *log_of(grip, "foundation_over_stiffness"), bound.foundation]),
         "force": np.array([math.log(np.linalg.norm(force[-1])), *log_of(grip, "reaction_over_stiffness"), bound.force]),
-        "damping": np.array([log_anchor + math.log(relaxation), bound.damping]),
         "curve": np.array([force @ unit, grip.force, grip.force_sd]),
         "following": size,
     }

@@ -38,7 +38,6 @@ def recovery(index: int, error: float, **changes) -> Row:
         "verdict": "foundation",
         "foundation": foundation,
         "force": foundation + 8.0,
-        "damping": np.array([-9.0, 0.4 - error]),
         "curve": curve,
         **changes,
     }
@@ -52,8 +51,6 @@ def test_the_table_holds_errors_against_bounds() -> None:
     assert (found["n"], found["rmse"], found["bound"]) == (2, pytest.approx(error), pytest.approx(0.05))
     assert found["ratio"] == pytest.approx(error / 0.05)
     assert found["coverage90"] == 0.5  # 0.1 lies within 1.645 · 0.1, 0.2 does not
-    assert table["retraction", "damping over stiffness, bound of the median clip"]["bound"] == pytest.approx(0.45)
-    assert table["retraction", "clips that could tell damping over stiffness"]["value"] == 0.5
     curve = table["retraction", "relative force"]
     assert (curve["n"], curve["coverage90"]) == (4, 0.5)
     assert table["retraction", "clips whose foundation is determined"]["value"] == 1

@@ -37,7 +37,7 @@ from palpate.data.contact.interaction import CONTACT
 from palpate.data.depth.normalise import MOST_THREADS
 from palpate.estimators.direct.estimator import LEAST_SIGMA
 from palpate.estimators.open import FEM, EstimatorOptions
-from palpate.evaluation.harness import OK, Report, Row, require_within, run
+from palpate.evaluation.harness import OK, Experiment, Report, Row, require_within, run
 from palpate.evaluation.page import as_png
 from palpate.evaluation.recovery.details import detail_table
 from palpate.evaluation.recovery.estimators import CONSTANT, DIRECT, NAMES, Candidate, constant_estimate, describe
@@ -65,11 +65,9 @@ Name = Literal["direct", "gan", "network", "constant"]
 
 
 @dataclass(frozen=True)
-class Benchmark:
+class Benchmark(Experiment):
     """What is measured."""
 
-    output: Path
-    """folder of the results"""
     suite: tuple[str, ...] = ("clean",)
     """suites, or all of presses"""
     estimator: tuple[Name, ...] = (DIRECT,)
@@ -109,7 +107,6 @@ class Benchmark:
 
     keys: ClassVar = ("suite", "index", "estimator")
     work: ClassVar = staticmethod(run_trial)
-    refused: ClassVar = ()
     writes: ClassVar = ("table.csv", "details.csv", "grips.csv", "slabs.csv")
 
     def __post_init__(self) -> None:

@@ -13,10 +13,10 @@ import json
 import os
 import re
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, get_origin, get_type_hints
+from typing import Any, ClassVar, get_origin, get_type_hints
 
 import numpy as np
 import pandas as pd
@@ -71,41 +71,52 @@ class Report:
     """Whether the program ends with status 1."""
 
 
-class Experiment(Protocol):
-    """What `run` runs. Its fields are options; it raises a ValueError where they don't belong together."""
+@dataclass(frozen=True)
+class Experiment:
+    """What `run` runs. Its fields are options; it raises a ValueError where they don't belong together.
+
+    A field `workers` is the number of processes; 0 = in this one, as without it.
+    """
 
     output: Path
-    workers: int
-    keys: ClassVar[tuple[str, ...]]
+    """folder of the results"""
+
+    keys: ClassVar[tuple[str, ...]] = ("file",)
     """Fields of a row that tell it from all others; every row begins with the first of them."""
     work: ClassVar[Callable[[Any], list[Row]]]
     """From a case to its rows, importable by its name; a case that breaks something has a row that says so."""
-    refused: ClassVar[tuple[type[Exception], ...]]
+    refused: ClassVar[tuple[type[Exception], ...]] = ()
     """What else ends it with a sentence."""
+    writes: ClassVar[Sequence[str]] = ("table.csv",)
+    """Names of files that are known before the work, where no user's file may be."""
 
     @property
-    def writes(self) -> Sequence[str]:
-        """Names of files that are known before the work, where no user's file may be."""
-        ...
+    def wanted(self) -> Collection[Any]:
+        """Keys of the cases, where each has one row."""
+        raise NotImplementedError
+
+    def case(self, key: Any) -> Any:
+        """The case of a key, as `work` takes it."""
+        raise NotImplementedError
 
     def record(self) -> Mapping[str, Any]:
         """What results depend on, as `Store` takes it."""
-        ...
+        return {}
 
     def cases(self, done: Mapping[tuple, Row], progress: Progress) -> tuple[list[Any], int]:
         """The cases that are left, and how many there are in all."""
-        ...
+        return [self.case(key) for key in self.wanted if key not in done], len(self.wanted)
 
     def report(self, rows: Mapping[tuple, Row]) -> Report:
         """What is written of all rows in the folder, which may be more than this run asks for."""
-        ...
+        raise NotImplementedError
 
 
-def run(kind: type[Any], arguments: Sequence[str] | None, program: str, documentation: str | None) -> int:
+def run(kind: type[Experiment], arguments: Sequence[str] | None, program: str, documentation: str | None) -> int:
     """Run an experiment from the command line.
 
     Args:
-        kind: a dataclass that is an `Experiment`.
+        kind: which.
         arguments: of the command line; None = the program's own.
         program: how a user calls it.
         documentation: for `--help`.
@@ -130,7 +141,7 @@ def run(kind: type[Any], arguments: Sequence[str] | None, program: str, document
         with interruptible(), progress_bars(console) as progress:
             cases, total = experiment.cases(store.rows, progress)
             bar = progress.add_task("cases", total=total, completed=total - len(cases))
-            for rows in run_tasks(kind.work, cases, experiment.workers):
+            for rows in run_tasks(kind.work, cases, getattr(experiment, "workers", 0)):
                 store.append(rows)
                 progress.advance(bar)
     except KeyboardInterrupt:
@@ -156,7 +167,7 @@ def run(kind: type[Any], arguments: Sequence[str] | None, program: str, document
 
 
 def run_named(
-    kinds: Mapping[str, tuple[type[Any], str | None]],
+    kinds: Mapping[str, tuple[type[Experiment], str | None]],
     arguments: Sequence[str] | None,
     program: str,
     documentation: str | None,
@@ -405,29 +416,18 @@ def measured(case: tuple[str, Callable[[], Row]]) -> list[Row]:
 
 
 @dataclass(frozen=True)
-class Measurements:
+class Measurements(Experiment):
     """Base of experiments that measure one file, or the like, after the other; table.csv has a row for every measure.
 
     `wanted` names the cases.
     """
 
-    output: Path
-    """folder of the results"""
-
-    workers: ClassVar = 0
-    keys: ClassVar = ("file",)
     work: ClassVar = staticmethod(measured)
-    refused: ClassVar = ()
-    writes: ClassVar[Sequence[str]] = ("table.csv",)
 
     @property
     def wanted(self) -> Mapping[str, Callable[[], Row]]:
         """What is to be measured, by the name of each case, in the order of the table."""
         raise NotImplementedError
-
-    def record(self) -> Mapping[str, Any]:
-        """What the results depend on besides their names."""
-        return {}
 
     def cases(self, done: Mapping[tuple, Row], progress: Progress) -> tuple[list[Any], int]:
         """Those without measures; what failed is tried again."""

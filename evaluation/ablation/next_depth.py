@@ -20,7 +20,6 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 import pandas as pd
-from rich.progress import Progress
 
 from palpate.common.settings import LARGEST
 from palpate.estimators.estimate import FrameEstimate
@@ -28,7 +27,7 @@ from palpate.estimators.onset import STAMP
 from palpate.estimators.open import EstimatorOptions
 from palpate.evaluation.ablation.generated import TrainedGenerator, carried_ahead
 from palpate.evaluation.ablation.watched import WatchedClip, watch
-from palpate.evaluation.harness import Report, Row, require_within
+from palpate.evaluation.harness import Experiment, Report, Row, require_within
 from palpate.evaluation.recovery.bounds import MECHANICS
 from palpate.evaluation.recovery.estimators import opened
 from palpate.evaluation.recovery.suites import LARGEST_SEED, SUITES, suite_clip_seed
@@ -112,11 +111,9 @@ def absolute_errors(clip: WatchedClip, now: int, horizon: int, made: Sequence[np
 
 
 @dataclass(frozen=True)
-class NextDepth:
+class NextDepth(Experiment):
     """Which clips, how far ahead, and what is judged."""
 
-    output: Path
-    """folder of the results"""
     suite: tuple[str, ...] = ("clean", "noisy")
     """suites of presses"""
     clips: int = 30
@@ -137,7 +134,6 @@ class NextDepth:
     keys: ClassVar = ("suite", "index")
     work: ClassVar = staticmethod(next_depth_errors)
     refused: ClassVar = (CheckpointError,)
-    writes: ClassVar = ("table.csv",)
 
     def __post_init__(self) -> None:
         """Raise a ValueError where an option can't be used."""
@@ -160,20 +156,19 @@ class NextDepth:
         return found | {"model": open_model(self.model, 1).sha256, "checkpoint": checkpoint}
 
     @property
-    def _wanted(self) -> list[tuple[str, int]]:
+    def wanted(self) -> list[tuple[str, int]]:
+        """Every clip of every suite."""
         return [(suite, index) for suite in self.suite for index in range(self.clips)]
 
-    def cases(self, done: Mapping[tuple, Row], progress: Progress) -> tuple[list[NextDepthTask], int]:
-        """Every clip of every suite."""
+    def case(self, key: tuple[str, int]) -> NextDepthTask:
+        """A clip."""
         network = EstimatorOptions("network", model=self.model, onset=STAMP, threads=1)
-        seeds = [suite_clip_seed(self.split, self.seed, index) for index in range(self.clips)]
-        judged = self.horizon, network, self.checkpoint
-        left = [NextDepthTask(suite, at, seeds[at], *judged) for suite, at in self._wanted if (suite, at) not in done]
-        return left, len(self._wanted)
+        seed = suite_clip_seed(self.split, self.seed, key[1])
+        return NextDepthTask(*key, seed, self.horizon, network, self.checkpoint)
 
     def report(self, rows: Mapping[tuple, Row]) -> Report:
         """A row a suite."""
-        found = [rows[key] for key in self._wanted if key in rows]
+        found = [rows[key] for key in self.wanted if key in rows]
         frame = table(found)
         return Report({"table.csv": frame}, [frame])
 

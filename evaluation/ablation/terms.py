@@ -29,7 +29,7 @@ from palpate.estimators.network.training import LEAST_STEPS, TrainingError
 from palpate.evaluation.ablation.generated import TrainedGenerator
 from palpate.evaluation.ablation.next_depth import absolute_errors, copies
 from palpate.evaluation.ablation.watched import WatchedClip, watch
-from palpate.evaluation.harness import Report, Row, require_within
+from palpate.evaluation.harness import Experiment, Report, Row, require_within
 from palpate.evaluation.recovery.bounds import MECHANICS
 from palpate.evaluation.recovery.suites import suite_clip_seed
 from palpate.models.checkpoint import CheckpointError
@@ -183,11 +183,9 @@ def train_and_judge(case: TermsCase) -> list[Row]:
 
 
 @dataclass(frozen=True)
-class Terms:
+class Terms(Experiment):
     """What is trained, and on which clips it is judged."""
 
-    output: Path
-    """folder of the results"""
     clips: Path
     """folder of clips with truth that generators are trained on, as python -m data.synthetic writes"""
     rows: tuple[str, ...] = tuple(ROWS)
@@ -201,11 +199,9 @@ class Terms:
     seed: int = 0
     """another seed gives other judged clips"""
 
-    workers: ClassVar = 0
     keys: ClassVar = ("row", "turn", "suite")
     work: ClassVar = staticmethod(train_and_judge)
     refused: ClassVar = (CheckpointError, TrainingError)
-    writes: ClassVar = ("table.csv",)
 
     def __post_init__(self) -> None:
         """Raise a ValueError where an option can't be used."""

@@ -21,15 +21,13 @@ import functools
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 import pandas as pd
-from rich.progress import Progress
 
 from palpate.common.settings import LARGEST
-from palpate.evaluation.harness import Report, Row, require_within, run
+from palpate.evaluation.harness import Experiment, Report, Row, require_within, run
 from palpate.evaluation.online.compare import BATCH, HORIZON, METHODS, STARTS, Case, Key, run_case, summary, table
 from palpate.evaluation.online.sequences import SEQUENCES, Pull
 
@@ -66,11 +64,9 @@ def follow(case: OnlineCase) -> list[Row]:
 
 
 @dataclass(frozen=True)
-class Online:
+class Online(Experiment):
     """What is run."""
 
-    output: Path
-    """folder of the results"""
     sequences: tuple[SequenceName, ...] = get_args(SequenceName)
     """which"""
     starts: tuple[Start, ...] = get_args(Start)
@@ -90,10 +86,8 @@ class Online:
     every: int = 10
     """frames between predictions"""
 
-    workers: ClassVar = 0
     keys: ClassVar = ("sequence", "start", "method")
     work: ClassVar = staticmethod(follow)
-    refused: ClassVar = ()
     writes: ClassVar = ("table.csv", "table_2.csv")
 
     def __post_init__(self) -> None:
@@ -126,11 +120,10 @@ class Online:
         found = {name: getattr(self, name) for name in names}
         return found | {f"frames of {name}": count for name, count in self.frames_of.items()}
 
-    def cases(self, done: Mapping[tuple, Row], progress: Progress) -> tuple[list[OnlineCase], int]:
-        """Those that are not done yet."""
+    def case(self, key: Key) -> OnlineCase:
+        """One method from one start on a sequence."""
         rest = self.match, self.optimizer, self.particles, self.points, self.every
-        left = [OnlineCase(key, self.frames_of[key[0]], *rest) for key in self.wanted if key not in done]
-        return left, len(self.wanted)
+        return OnlineCase(key, self.frames_of[key[0]], *rest)
 
     def report(self, rows: Mapping[tuple, Row]) -> Report:
         """Table II, and what holds of the paper's claims."""

@@ -34,7 +34,7 @@ from palpate.data.source.layout import InputError
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.grip.lattice import NothingMoves
 from palpate.estimators.online.settings import FILES, OnlineSettings, load_settings
-from palpate.evaluation.harness import OK, Report, Row, by_measure, in_base64, run
+from palpate.evaluation.harness import OK, Experiment, Report, Row, by_measure, in_base64, run
 from palpate.evaluation.real.predicted import evaluate_prediction
 from palpate.evaluation.real.pulled import PulledClip, evaluate_pull
 from palpate.results.plots import draw_summary
@@ -76,11 +76,9 @@ def judge(case: RealCase) -> list[Row]:
 
 
 @dataclass(frozen=True)
-class Real:
+class Real(Experiment):
     """What is judged."""
 
-    output: Path
-    """folder of the results"""
     data: Path | None = None
     """folder of the known clips"""
     pulled: Path | None = None
@@ -94,10 +92,8 @@ class Real:
 
     asked: list[RealCase] = field(init=False, repr=False, compare=False)
     """What to do."""
-    workers: ClassVar = 0
     keys: ClassVar = ("clip",)
     work: ClassVar = staticmethod(judge)
-    refused: ClassVar = ()
 
     def __post_init__(self) -> None:
         """Raise a ValueError where options don't belong together, or a file of settings can't be used."""
@@ -127,7 +123,7 @@ class Real:
             yield RealCase(f"{name} ({names[name]})" if names[name] > 1 else name, clip, online)
 
     @property
-    def writes(self) -> list[str]:
+    def writes(self) -> list[str]:  # ty: ignore[incompatible-property-override]  nobody sets it
         """Files of the results."""
         return ["table.csv", "report.html", *(f"figures/{number}.png" for number in range(1, len(self.asked) + 1))]
 

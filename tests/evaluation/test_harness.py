@@ -11,11 +11,11 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 import pandas as pd
 import pytest
-from rich.progress import Progress
 
 from palpate.common.doors import INTERRUPTED
 from palpate.evaluation.harness import (
     RESULTS,
+    Experiment,
     Report,
     Row,
     Store,
@@ -162,11 +162,9 @@ def square(case: int) -> list[Row]:
 
 
 @dataclass(frozen=True)
-class Squares:
+class Squares(Experiment):
     """Numbers."""
 
-    output: Path
-    """folder"""
     numbers: tuple[int, ...] = (2, 4)
     """some of them"""
     unit_name: Literal["m", "mm"] = "m"
@@ -176,11 +174,8 @@ class Squares:
     most: float | None = None
     """limit"""
 
-    workers: ClassVar = 0
     keys: ClassVar = ("number",)
     work: ClassVar = staticmethod(square)
-    refused: ClassVar = ()
-    writes: ClassVar = ("table.csv",)
 
     def __post_init__(self) -> None:
         require_within(self, most=(0, 1))
@@ -188,8 +183,12 @@ class Squares:
     def record(self) -> Mapping[str, Any]:
         return {"unit": self.unit_name}
 
-    def cases(self, done: Mapping[tuple, Row], progress: Progress) -> tuple[list[int], int]:
-        return [number for number in self.numbers if (number,) not in done], len(self.numbers)
+    @property
+    def wanted(self) -> list[tuple[int]]:
+        return [(number,) for number in self.numbers]
+
+    def case(self, key: tuple[int]) -> int:
+        return key[0]
 
     def report(self, rows: Mapping[tuple, Row]) -> Report:
         found = [rows[number,] for number in self.numbers if (number,) in rows]

@@ -44,13 +44,7 @@ from palpate.evaluation.recovery.estimators import CONSTANT, DIRECT, NAMES, Cand
 from palpate.evaluation.recovery.grips import grip_table
 from palpate.evaluation.recovery.scores import Bound, Scores, score_all, table
 from palpate.evaluation.recovery.slabs import slab_table
-from palpate.evaluation.recovery.suites import (
-    EVERY,
-    GRID_SIZE,
-    LARGEST_SEED,
-    SUITES,
-    suite_clip_seed,
-)
+from palpate.evaluation.recovery.suites import EVERY, GRID_SIZE, LARGEST_SEED, SUITES, suite_clip_seed
 from palpate.evaluation.recovery.trial import MOTION, Trial, run_trial
 
 LARGEST_SIZE = 4096

@@ -51,12 +51,7 @@ def draw_field(canvas: np.ndarray, field: ParticleField, factor: float, labels: 
 
 
 def painted(
-    canvas: np.ndarray,
-    places: np.ndarray,
-    faces: np.ndarray,
-    values: np.ndarray,
-    middle: float,
-    largest: float = RANGE,
+    canvas: np.ndarray, places: np.ndarray, faces: np.ndarray, values: np.ndarray, middle: float, largest: float = RANGE
 ) -> np.ndarray:
     """A copy of the canvas with coloured triangles.
 

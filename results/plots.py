@@ -233,11 +233,7 @@ def write_figure(path: Path, figure: Figure) -> None:
         figure.savefig(path)
 
 
-def _figure(
-    heights: Sequence[float],
-    title: str,
-    subtitle: str,
-) -> tuple[Figure, Sequence[Axes]]:
+def _figure(heights: Sequence[float], title: str, subtitle: str) -> tuple[Figure, Sequence[Axes]]:
     """A figure with one panel of each height [inches] below the other, a title above and a footer below them."""
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine

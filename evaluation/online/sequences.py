@@ -30,8 +30,9 @@ FINE, FINE_CELLS = 41, (16, 13, 4)
 """Nodes along a sheet's side; cells of a block."""
 STIFF = 3.0
 """Of the stiff part, over the soft one."""
-DIAGONAL, BEND = 0.5, 0.05
-"""Stiffness of springs along diagonals and against bending, over that of rows."""
+SPRINGS = ((1, 0, 1.0), (0, 1, 1.0), (1, 1, 0.5), (1, -1, 0.5), (2, 0, 0.05), (0, 2, 0.05))
+"""Of a sheet's net: nodes to the right and up, and stiffness over that of rows: along rows, along diagonals, and
+against bending."""
 DRAG = 1 / 0.005**2
 """Of a sheet's area, over the stiffness of its soft springs [frames/m²]: 1 a particle, 5 mm apart."""
 YOUNG, POISSON = 5e3, 0.45
@@ -190,14 +191,7 @@ def _sheet_states(path: np.ndarray, stiff: Callable[[np.ndarray], np.ndarray]) -
     """Of a net that flows down its energy, in steps of Euler's well within what is stable."""
     rest, at = _grid(FINE, FINE, (SIDE, SIDE))
     pairs, weights = [], []
-    for right, up, weight in (
-        (1, 0, 1.0),
-        (0, 1, 1.0),
-        (1, 1, DIAGONAL),
-        (1, -1, DIAGONAL),
-        (2, 0, BEND),
-        (0, 2, BEND),
-    ):
+    for right, up, weight in SPRINGS:
         here = at[: FINE - right, max(-up, 0) : FINE - max(up, 0)]
         there = at[right:, max(up, 0) : FINE - max(-up, 0)]
         pairs.append(np.column_stack([here.ravel(), there.ravel()]))

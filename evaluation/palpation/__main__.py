@@ -18,10 +18,7 @@ from collections.abc import Sequence
 from palpate.evaluation.harness import run_named
 from palpate.evaluation.palpation import curves, surfaces
 
-STUDIES = {
-    "curves": (curves.Curves, curves.__doc__),
-    "frank": (surfaces.Frank, surfaces.__doc__),
-}
+STUDIES = {"curves": (curves.Curves, curves.__doc__), "frank": (surfaces.Frank, surfaces.__doc__)}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -16,14 +16,7 @@ import numpy as np
 
 from palpate.common.files import all_below
 from palpate.estimators.estimate import NINETY
-from palpate.estimators.palpation import (
-    Hold,
-    Probe,
-    fit_region,
-    fit_relaxation,
-    read_hold,
-    read_probes,
-)
+from palpate.estimators.palpation import Hold, Probe, fit_region, fit_relaxation, read_hold, read_probes
 from palpate.estimators.palpation.curves import HOLD, PROBES, kind_of
 from palpate.estimators.palpation.region import LEAST_PROBES
 from palpate.evaluation.harness import FileMeasurements, Row

@@ -188,7 +188,4 @@ def grip_bound(
     # The force follows the foundation where both are estimated.
     bent = along @ follows[: len(loaded), -1].sum(axis=0)
     variance = 1 / float(information)
-    return GripBound(
-        math.sqrt(variance),
-        math.sqrt(bent**2 * variance + (along @ along) * kept.sum_variance),
-    )
+    return GripBound(math.sqrt(variance), math.sqrt(bent**2 * variance + (along @ along) * kept.sum_variance))

@@ -128,11 +128,7 @@ _ALL = (
         "focal length 10 % too long: a field of view that was guessed, 55 instead of 60 degrees",
         {"depth_noise": CLEAN_NOISE, "focal_error": 1.1},
     ),
-    Suite(
-        "occlusion",
-        "a fifth of the tissue behind drifting fat",
-        {"depth_noise": CLEAN_NOISE, "occlusion": 0.2},
-    ),
+    Suite("occlusion", "a fifth of the tissue behind drifting fat", {"depth_noise": CLEAN_NOISE, "occlusion": 0.2}),
     Suite(
         "mismatch",
         "tissue that isn't the fitted model: stiffness varies by 30 % over some pixels, and in every other clip the "

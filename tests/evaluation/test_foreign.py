@@ -101,8 +101,7 @@ def test_the_solid_is_found_and_the_kept_run_predicted(monkeypatch: pytest.Monke
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
-    [("t,a\n1,x\n", "no table of numbers"), ("t,a\n1,2\n", "has shape"), (None, "no table")],
+    ("text", "said"), [("t,a\n1,x\n", "no table of numbers"), ("t,a\n1,2\n", "has shape"), (None, "no table")]
 )
 def test_other_tables_are_refused(text: str | None, said: str, tmp_path: Path) -> None:
     path = tmp_path / "beam_gravity.csv"

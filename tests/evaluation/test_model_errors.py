@@ -88,15 +88,7 @@ def test_pulls_tell_force_over_young_and_its_course() -> None:
     row = {"tissue": tissue, "true_force": 4.0, "reaction": reaction, "curve": course}
     found = pull_errors([row], VALUES)
     assert found["pull_force"] == [pytest.approx((math.log(1.3), 0.05**2))]
-    assert found["pull_course"] == [
-        pytest.approx(
-            (
-                0.1 / 1.1,
-                VALUES["pull_course"] ** 2 * (1 / 1.21 - 1),
-            ),
-            abs=0.003,
-        )
-    ]
+    assert found["pull_course"] == [pytest.approx((0.1 / 1.1, VALUES["pull_course"] ** 2 * (1 / 1.21 - 1)), abs=0.003)]
 
 
 def test_the_command_writes_what_it_measures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -161,11 +161,7 @@ def test_warnings_name_sources_the_model_was_not_trained_on(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(
-    ("calibration", "told"),
-    [
-        (Calibration(), [UNCALIBRATED]),
-        (Calibration(Widths(power=(1.0, 0.8, 1.0))), []),
-    ],
+    ("calibration", "told"), [(Calibration(), [UNCALIBRATED]), (Calibration(Widths(power=(1.0, 0.8, 1.0))), [])]
 )
 def test_intervals_that_were_never_calibrated_are_warned_of(
     calibration: Calibration, told: list[str], tmp_path: Path

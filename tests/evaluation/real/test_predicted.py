@@ -128,14 +128,7 @@ def test_a_volume_is_predicted_by_what_is_seen_of_it(clip: PulledClip, found: di
 def test_settings_that_can_t_be_used_end_in_a_sentence(
     clip: PulledClip, tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
-    told = [
-        "--pulled",
-        str(clip.path),
-        "--settings",
-        str(tmp_path / "online.yaml"),
-        "--output",
-        str(tmp_path / "out"),
-    ]
+    told = ["--pulled", str(clip.path), "--settings", str(tmp_path / "online.yaml"), "--output", str(tmp_path / "out")]
     for text, extra, sentence in (
         ("pins: pins.png\n", ["--estimator", "online"], "online.yaml names a file of pins, which is for infer.py"),
         ("speed: 1\n", ["--estimator", "online"], "has the unknown key 'speed'"),

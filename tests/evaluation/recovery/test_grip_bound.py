@@ -9,13 +9,7 @@ import pytest
 from scipy.linalg import block_diag
 
 from palpate.estimators.grip.sheet import SIZE, load_precision, loaded_cells
-from palpate.evaluation.recovery.grip_bound import (
-    Following,
-    GripBound,
-    grip_bound,
-    measure_following,
-    ring_correlation,
-)
+from palpate.evaluation.recovery.grip_bound import Following, GripBound, grip_bound, measure_following, ring_correlation
 from palpate.physics.endless_sheet import response
 
 SPACING, LOG = 8, np.log(0.2)

@@ -17,9 +17,7 @@ from palpate.evaluation.recovery.scores import (
     score,
     score_all,
 )
-from palpate.evaluation.recovery.scores import (
-    table as table_of,
-)
+from palpate.evaluation.recovery.scores import table as table_of
 from tests.evaluation.recovery_cases import BY_CONTACT, off_by, recovery
 
 

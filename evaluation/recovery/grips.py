@@ -2,7 +2,7 @@
 
 The very session that users run is asked (estimator `direct`). Errors of the foundation and of the force are compared
 with the Cramér–Rao bound (`evaluation.recovery.grip_bound`) of somebody who knows the sheet and how well each point is
-followed in the clip, which is measured: followed minus true place (`evaluation.recovery.followed`).
+followed in the clip, which is measured: followed minus true place (`evaluation.recovery.grip_truth`).
 """
 
 from __future__ import annotations

@@ -57,13 +57,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from scipy.ndimage import map_coordinates
-from scipy.spatial import KDTree
-from scipy.stats import spearmanr
 
 from palpate.common.doors import interruptible
 from palpate.data.contact.interaction import Horizon, Interaction
-from palpate.data.labels import TOOL
 from palpate.data.prepared import PreparedFrame
 from palpate.data.synthetic.clip import draw_truth, synthetic_clip
 from palpate.data.synthetic.grip import GrippedMotion
@@ -72,10 +68,8 @@ from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.slab import GrippedSlab, PressedSlab, SlabMotion
 from palpate.data.synthetic.source import PREPARE, open_synthetic
 from palpate.data.synthetic.truth import PressedMotion
-from palpate.data.tracks.following import SPACING, PointFollower
 from palpate.estimators.contract import ClipInfo
-from palpate.estimators.estimate import NINETY, Estimate, FrameEstimate, GripEstimate, InteractionEstimate
-from palpate.estimators.grip.stiffness_field import StiffnessField
+from palpate.estimators.estimate import Estimate, FrameEstimate, InteractionEstimate
 from palpate.estimators.oblique import is_oblique
 from palpate.estimators.open import FEM, EstimatorOptions
 from palpate.estimators.runs import RunTracker
@@ -83,16 +77,11 @@ from palpate.estimators.session import estimates_of
 from palpate.evaluation.harness import OK, Row, attempted
 from palpate.evaluation.recovery.bounds import MECHANICS, contact_information, field_information
 from palpate.evaluation.recovery.estimators import Candidate, opened
-from palpate.evaluation.recovery.grip_bound import grip_bound, measure_following
+from palpate.evaluation.recovery.grip_truth import gripped, pulled
 from palpate.evaluation.recovery.suites import EVERY, GRID_SIZE
 
 MOTION = "motion"
 """How contacts are found where no tool is in view: by their dents."""
-STIRRED = 1.0
-"""Tool or tissue moves where either has gone so far since the frame before [px]."""
-MOVED = 5.0
-"""A stiffness field is judged where tissue moves by more than this [px]."""
-
 Compare = Callable[[Any], Row]
 """From what a session says of a clip, or a constant, to what is known then."""
 
@@ -177,14 +166,14 @@ def _judged(trial: Trial, clip: TrueClip) -> tuple[Row, Compare | None]:
     """What holds for all estimators, and what makes a row of an answer; None where nothing can be compared."""
     motion = clip.motion
     if isinstance(motion, GrippedMotion):
-        return {}, functools.partial(_gripped, clip, motion)
+        return {}, functools.partial(gripped, clip.frames, clip.scene, motion)
     if isinstance(motion, SlabMotion):
         known: Row = {"tissue": np.array(dataclasses.astuple(motion.tissue))}
         if isinstance(motion, PressedSlab):
             force = float(np.abs(motion.force).max())
             return known | {"true_force": force}, functools.partial(_pressed, motion.onset_frame)
         if isinstance(motion, GrippedSlab):
-            return known, functools.partial(_pulled, clip, motion)
+            return known, functools.partial(pulled, clip.scene, motion)
     if not isinstance(motion, PressedMotion):
         raise TypeError(f"{type(motion).__name__} is no motion of a suite.")
     contacts = observed_contacts(clip.frames, clip.info, trial.seen)
@@ -290,154 +279,3 @@ def tracking_errors(contact: Interaction, scene: Scene, motion: PressedMotion) -
     """
     frames = motion.onset_frame + np.rint(contact.observation.times * scene.settings.fps).astype(int)
     return (contact.moved - motion.contact[frames]) @ scene.direction
-
-
-def _gripped(clip: TrueClip, motion: GrippedMotion, answer: list) -> Row:
-    """What is estimated of a grip."""
-    contact = np.array([item.contact is True for item in answer if isinstance(item, FrameEstimate)])
-    moves = moving_frames(clip.scene, motion)
-    found: Row = {"contact_right": float((contact == motion.in_contact)[moves].mean()) if moves.any() else math.nan}
-    gripped = _grip_of(answer)
-    if isinstance(gripped, dict):
-        return found | gripped
-    run, grip = gripped
-    found |= {"verdict": run.verdict, "skill": grip.skill}
-    if run.onset < motion.onset_frame:
-        return found
-    return found | _grip_against_truth(run.onset, grip, clip.scene, motion, clip.frames)
-
-
-def _grip_of(answer: list) -> tuple[InteractionEstimate, GripEstimate] | Row:
-    """The first run of contact that has an estimate as a grip, with that, or a row that says why there is none."""
-    runs = [item for item in answer if isinstance(item, InteractionEstimate)]
-    missing: Row = {"status": "no estimate", "reason": " ".join(item.detail for item in runs)}
-    return next(((item, item.grip) for item in runs if item.grip is not None), missing)
-
-
-def moving_frames(scene: Scene, motion: GrippedMotion) -> np.ndarray:
-    """Frames in which the tool or the tissue it holds moves, shape [F], bool: in others nothing shows contact."""
-    camera, vertex = scene.camera, scene.mesh.vertices[scene.vertex]
-    held = vertex[:2] + motion.contact[:, :2]
-    place = held / (vertex[2] + motion.contact[:, 2:]) * [camera.fx, camera.fy]
-    tip = place + motion.course * scene.settings.cell
-    steps = np.maximum(*(np.linalg.norm(np.diff(way, axis=0), axis=1) for way in (place, tip)))
-    return np.append(False, steps > STIRRED)
-
-
-def _grip_against_truth(
-    onset: int, grip: GripEstimate, scene: Scene, motion: GrippedMotion, frames: Sequence[PreparedFrame]
-) -> Row:
-    """Truth, estimate and bound of a run of contact that begins in a frame."""
-    cell = np.array(scene.settings.cell)
-    used = onset + np.rint(grip.times * scene.settings.fps).astype(int)
-    follower, moved, noise = _followed(frames[onset : used[-1] + 1])
-    points = follower.points.astype(np.float64)
-    true_moved = np.array([picture_motion(scene, motion, index, points) for index in (onset, *used)])
-    true = true_moved[1:] - true_moved[0]
-    error = moved[used - onset - 1] - true
-    visible = np.isfinite(error[-1]).all(axis=1)
-    size = float(np.sqrt(np.square(error[-1, visible]).mean()))
-    places = points[visible], follower.distance[visible]
-    followed = measure_following(*places, SPACING, noise[visible], error[:, visible])
-    log_anchor = math.log(motion.anchor * SPACING**2 / cell.prod())
-    bound = grip_bound(*places, follower.hidden, SPACING, true[:, visible], followed, log_anchor)
-    force = motion.reaction[used] / scene.spacing * cell
-    unit = force[-1] / (force[-1] @ force[-1])
-    found: Row = {
-        "foundation": np.array([log_anchor, *log_of(grip, "foundation_over_stiffness"), bound.foundation]),
-        "force": np.array([math.log(np.linalg.norm(force[-1])), *log_of(grip, "reaction_over_stiffness"), bound.force]),
-        "curve": np.array([force @ unit, grip.force, grip.force_sd]),
-        "following": size,
-    }
-    if scene.settings.regions > 1 and grip.stiffness is not None:
-        found |= _field(grip.stiffness, points, true[-1], scene, motion)
-    return found
-
-
-def log_of(grip: GripEstimate, name: str) -> tuple[float, float]:
-    """Logarithm of a quantity of a grip and its standard deviation, by the ends of its 90 % interval."""
-    value, low, high = (getattr(grip, name + end) for end in ("", "_low", "_high"))
-    return math.log(value), math.log(high / low) / (2 * NINETY)
-
-
-def picture_motion(scene: Scene, motion: GrippedMotion, frame: int, points: np.ndarray) -> np.ndarray:
-    """True displacement in the picture of tissue points [N, 2] (column, row at rest) in a frame, shape [N, 2] [px]."""
-    rest = scene.mesh.vertices.astype(np.float64)
-    moved, camera = rest + motion.field[frame], scene.camera
-    shift = [camera.fx, camera.fy] * (moved[:, :2] / moved[:, 2:] - rest[:, :2] / rest[:, 2:])
-    grid = np.zeros((*scene.mesh.grid_shape, 2))
-    grid[tuple(scene.mesh.pixels.T)] = shift
-    place = (points[:, ::-1] + 0.5) / np.array(scene.settings.cell)[::-1] - 0.5
-    return np.stack([map_coordinates(grid[..., axis], place.T, order=1, mode="nearest") for axis in (0, 1)], axis=1)
-
-
-def _followed(frames: Sequence[PreparedFrame]) -> tuple[PointFollower, np.ndarray, np.ndarray]:
-    """Points followed through frames as the estimator follows them.
-
-    Returns:
-        The follower, displacements since the first frame in those after it [F - 1, N, 2] and the stated noise of the
-        last ones [N] [px].
-    """
-    first, *others = [(frame.view[0], frame.view[1] == TOOL) for frame in frames]
-    follower, moved = PointFollower(*first), []
-    for picture, tool in others:
-        follower.step(picture, tool)
-        moved.append(follower.moved)
-    return follower, np.array(moved), follower.noise
-
-
-def _field(
-    found: StiffnessField, points: np.ndarray, true: np.ndarray, scene: Scene, motion: GrippedMotion
-) -> dict[str, float]:
-    """How a fitted stiffness field compares with the true one where tissue moves, at its knots and at points [N]."""
-    moves = np.linalg.norm(true, axis=1) > MOVED
-    apart, nearest = KDTree(points).query(found.knots)
-    at_knots = found.knots[moves[nearest] & (apart < SPACING)]
-
-    def off(places: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-        log, sd = found.at(places)
-        truth, middle = _true_log(places, scene, motion), _true_log(found.moving, scene, motion).mean()
-        held = np.abs(log - truth + middle) < NINETY * sd
-        return log, truth, float(held.mean()) if len(places) else math.nan
-
-    log, truth, held_between = off(points[moves])
-    stiffer = float((truth > (motion.log_stiffness.max() + motion.log_stiffness.min()) / 2).mean())
-    return {
-        "rank": float(spearmanr(log, truth).statistic),
-        "rank_most": math.sqrt(3 * stiffer * (1 - stiffer)),
-        "held": off(at_knots)[2],
-        "held_between": held_between,
-        "knots": len(at_knots),
-    }
-
-
-def _true_log(places: np.ndarray, scene: Scene, motion: GrippedMotion) -> np.ndarray:
-    """True log stiffness at places [N, 2] (column, row) [px], shape [N]."""
-    cells = (places[:, ::-1] + 0.5) / np.array(scene.settings.cell)[::-1] - 0.5
-    return map_coordinates(motion.log_stiffness, cells.T, order=1, mode="nearest")
-
-
-def _pulled(clip: TrueClip, motion: GrippedSlab, answer: list) -> Row:
-    """What is estimated of a pull on a slab."""
-    gripped = _grip_of(answer)
-    if isinstance(gripped, dict):
-        return gripped
-    run, grip = gripped
-    return _pull_against_truth(run.onset, grip, motion, clip.scene)
-
-
-def _pull_against_truth(onset: int, grip: GripEstimate, motion: GrippedSlab, scene: Scene) -> Row:
-    """What is estimated of a pull that was observed from a frame on, compared with the truth."""
-    used = onset + np.rint(grip.times * scene.settings.fps).astype(int)
-    true = motion.reaction[used]
-    size = float(np.linalg.norm(true[-1]))
-    sheet = math.isnan(grip.reaction_over_young)
-    unit = scene.spacing / scene.settings.cell[0] if sheet else 1.0
-    log, sd = log_of(grip, "reaction_over_stiffness" if sheet else "reaction_over_young")
-    return {
-        "true_force": size,
-        "reaction": np.array([math.exp(log) * unit, sd]),
-        "curve": np.array([true @ true[-1] / size**2, grip.force, grip.force_sd]),
-        "verdict": grip.verdict,
-        "warned": not grip.explained,
-    }

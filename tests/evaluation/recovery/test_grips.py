@@ -17,9 +17,10 @@ from palpate.estimators.grip.stiffness_field import StiffnessField
 from palpate.estimators.open import EstimatorOptions
 from palpate.evaluation.harness import Row
 from palpate.evaluation.recovery import trial
+from palpate.evaluation.recovery.grip_truth import compare_fields, moving_frames, picture_motion, true_log
 from palpate.evaluation.recovery.grips import grip_table
 from palpate.evaluation.recovery.suites import GRIP_SUITES
-from palpate.evaluation.recovery.trial import Trial, moving_frames, picture_motion, run_trial
+from palpate.evaluation.recovery.trial import Trial, run_trial
 
 SMALL = {
     "width": 214, "height": 120, "frames": 10, "action": "grip", "onset_fraction": (0.0, 0.0), "spread": (12.0, 12.0),
@@ -67,20 +68,20 @@ def test_a_stiffness_field_is_compared_where_tissue_moves() -> None:
     true = 5 * picture_motion(scene, motion, 9, points)  # of a picture five times as wide, say
     moves = np.linalg.norm(true, axis=1) > 5
     shape, low, extent = (25, 13), points.min(axis=0), np.ptp(points, axis=0)
-    log = trial._true_log(points, scene, motion)
+    log = true_log(points, scene, motion)
     # Knots lie at the points, columns outside: the truth itself, and all but a knot of what moves known exactly.
     knots = log.reshape(row.shape).T.ravel()
     sure = 1e-4 * np.eye(len(knots))
     picture = np.zeros((120, 214, 3), np.uint8)
     field = StiffnessField(shape, low, extent, knots, sure, 9 * sure, 0.0, points[moves], 0.0, picture)
-    found = trial._field(field, points, true, scene, motion)
+    found = compare_fields(field, points, true, scene, motion)
     assert (found["rank"], found["held"], found["knots"]) == (pytest.approx(1), 1, moves.sum())
     share = (log[moves] > 0.5 * (motion.log_stiffness.max() + motion.log_stiffness.min())).mean()
     assert found["rank_most"] == pytest.approx(math.sqrt(3 * share * (1 - share)))
     off = knots.copy()
     place = np.flatnonzero(moves.reshape(row.shape).T.ravel())[0]
     off[place] += 1.0
-    told = trial._field(dataclasses.replace(field, log_stiffness=off), points, true, scene, motion)
+    told = compare_fields(dataclasses.replace(field, log_stiffness=off), points, true, scene, motion)
     # The others are off, too, because their mean is.
     assert told["rank"] < 1
     assert told["held"] <= 1 - 1 / moves.sum()

@@ -15,6 +15,7 @@ from palpate.estimators.open import EstimatorOptions
 from palpate.evaluation.benchmark import Benchmark
 from palpate.evaluation.harness import Row
 from palpate.evaluation.recovery import trial
+from palpate.evaluation.recovery.grip_truth import pull_against_truth
 from palpate.evaluation.recovery.slabs import slab_table
 from palpate.evaluation.recovery.suites import SLAB_SUITES, suite_clip_seed
 from palpate.evaluation.recovery.trial import Trial, run_trial
@@ -173,11 +174,11 @@ def test_of_a_pull_force_over_young_is_taken_where_it_is_told() -> None:
     sheet = GripEstimate(0.02, 0.015, 0.027, 0.6, 0.1, times, times, 0 * times, 30.0, 27.0, 33.0)
     scene = SimpleNamespace(settings=SimpleNamespace(fps=25.0, cell=(4.0, 4.0)), spacing=0.002)
     motion = SimpleNamespace(reaction=np.array([[0.0, 0.0], [0.3, 0.4], [0.6, 0.8]]))
-    told = trial._pull_against_truth(0, sheet, motion, scene)  # ty: ignore[invalid-argument-type]  what is read
+    told = pull_against_truth(0, sheet, motion, scene)  # ty: ignore[invalid-argument-type]  what is read
     assert told["reaction"] == pytest.approx([30 * 0.002 / 4, math.log(33 / 27) / (2 * NINETY)])
     ends = {"reaction_over_young_low": 1e-3, "reaction_over_young_high": 4e-3}
     solid = dataclasses.replace(sheet, reaction_over_young=2e-3, **ends)
-    told = trial._pull_against_truth(0, solid, motion, scene)  # ty: ignore[invalid-argument-type]  what is read
+    told = pull_against_truth(0, solid, motion, scene)  # ty: ignore[invalid-argument-type]  what is read
     assert told["reaction"] == pytest.approx([2e-3, math.log(4) / (2 * NINETY)])
     assert (told["true_force"], told["verdict"]) == (pytest.approx(1.0), "reaction")
 

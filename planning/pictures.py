@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SAMPLES = 400
-"""Of a way, beside the places where a simulated force is known."""
+"""Of a way, in addition to the places where a simulated force is known."""
 ROUNDING = 1e-9
 """Of places on a way [m]."""
 

@@ -1,4 +1,4 @@
-"""Newtons of one clip: calibrated.csv, a row a run of contact, and what was measured beside what is estimated."""
+"""Newtons of one clip: calibrated.csv, a row a run of contact, and measured forces compared with estimated ones."""
 
 from __future__ import annotations
 
@@ -43,18 +43,18 @@ COMPARED: dict[str, str] = {
     "estimated_low": "lower end of its 90 % interval; empty: not known",
     "estimated_high": "upper end of its 90 % interval",
     "estimated_unit": "N, or scene units where nothing tells newtons",
-    "known": "1 where the measured force told the scale, and nothing is to be learnt from the comparison",
+    "known": "1 where the measured force gave the scale, and nothing is to be learnt from the comparison",
 }
 """Columns of `compared.csv`, in order; written where forces were measured."""
 NUMBERS = ("measured_N", "estimated", "estimated_low", "estimated_high")
 NEWTONS, NORMALISED = "N", "scene units"
 LEAST_COMPARED = 3
-"""Forces, of which scale and correlation are told."""
+"""Forces, of which scale and correlation are given."""
 
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """An estimated force over time beside the measured one; T instants."""
+    """An estimated force over time; T instants."""
 
     onset_frame: int
     times: np.ndarray
@@ -117,9 +117,9 @@ class ClipCalibration:
     def add(self, run: InteractionEstimate) -> None:
         """The next run of contact."""
         self._runs.append((run.onset_frame, run.onset_time_s, PressedRun.of(run)))
-        told = run.told
-        if self.known is not None and isinstance(told, GripEstimate) and "relative_force" in told.determined:
-            self._grips.append((run.onset_frame, run.onset_time_s + told.times, told.force, told.force_sd))
+        found = run.told
+        if self.known is not None and isinstance(found, GripEstimate) and "relative_force" in found.determined:
+            self._grips.append((run.onset_frame, run.onset_time_s + found.times, found.force, found.force_sd))
 
     def conclude(self, length: ClipLength) -> None:
         """Say all in newtons, after the last run of contact."""
@@ -177,7 +177,7 @@ class ClipCalibration:
         return found
 
     def compared_rows(self) -> list[dict[str, Any]]:
-        """Estimated forces beside measured ones by column of COMPARED."""
+        """Estimated and measured forces by column of COMPARED."""
         if self.measured is None:
             return []
         span = self.calibration.fields.known_s or (math.inf, -math.inf)
@@ -194,9 +194,8 @@ class ClipCalibration:
         """What run.json keeps: where newtons come from, and how well estimates agree with what was measured."""
         found: dict[str, Any] = {"files": [str(path.resolve()) for path in self.calibration.files]}
         if self.scale is not None and self.length is not None:
-            told = self.scale
-            kept = {name: getattr(told, name) for name in ("variance", "alike", "source", "metric")}
-            found["scale"] = {"log_newtons": told.log, **kept}
+            kept = {name: getattr(self.scale, name) for name in ("variance", "alike", "source", "metric")}
+            found["scale"] = {"log_newtons": self.scale.log, **kept}
             found["length"] = vars(self.length).copy()
         if self.reason:
             found["reason"] = self.reason
@@ -207,22 +206,22 @@ class ClipCalibration:
 
 def carried_from(record: dict[str, Any]) -> tuple[ForceScale, ClipLength] | str:
     """Scale and length that the record of another clip holds, or why there is none."""
-    told = record.get("calibration") or {}
-    if "scale" not in told:
-        return str(told.get("reason", ""))
-    scale = told["scale"]
+    kept = record.get("calibration") or {}
+    if "scale" not in kept:
+        return str(kept.get("reason", ""))
+    scale = kept["scale"]
     carried = scale["log_newtons"], scale["variance"], scale["alike"], scale["source"]
-    return ForceScale(*carried, {}, metric=scale["metric"]), ClipLength(**told["length"])
+    return ForceScale(*carried, {}, metric=scale["metric"]), ClipLength(**kept["length"])
 
 
-def physical_values(told: Physical, source: str) -> dict[str, Any]:
+def physical_values(physical: Physical, source: str) -> dict[str, Any]:
     """Numbers of a run by column of CALIBRATED; uncertainties that nobody knows are missing."""
-    per = "m" if told.metric else "scene unit"
+    per = "m" if physical.metric else "scene unit"
     units = dict(zip(PARAMETERS, (f"N/{per}", f"N·s/{per}", "N"), strict=True))
-    spread = told.log_sd
-    found: dict[str, Any] = {"determined": ";".join(told.determined)}
+    spread = physical.log_sd
+    found: dict[str, Any] = {"determined": ";".join(physical.determined)}
     for index, name in enumerate(PARAMETERS):
-        value = math.exp(told.logs[index])
+        value = math.exp(physical.logs[index])
         found |= {name: value, f"{name}_unit": f"{units[name]}, by {source}"}
         if spread is not None:
             log_sd = float(spread[index])
@@ -236,8 +235,8 @@ def _press_curve(run: PressedRun, times: np.ndarray, scale: ForceScale | None, l
     """A press's force, constant while it acts."""
     log, sd, unit = run.logs[2], math.nan, NORMALISED
     if scale is not None:
-        told = scale.of(run, length)
-        log, sd, unit = told.logs[2], math.nan if told.log_sd is None else told.log_sd[2], NEWTONS
+        physical = scale.of(run, length)
+        log, sd, unit = physical.logs[2], math.nan if physical.log_sd is None else physical.log_sd[2], NEWTONS
     values = math.exp(log), math.exp(log - NINETY * sd), math.exp(log + NINETY * sd)
     force, low, high = (np.full(len(times), value) for value in values)
     return Curve(run.onset_frame, times, force, low, high, unit)
@@ -264,7 +263,7 @@ def agreement(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 def comparison_sentence(found: dict[str, Any]) -> str:
     """The same in words."""
-    told = [f"{found['forces']} measured forces beside estimates"]
+    parts = [f"{found['forces']} measured forces compared with estimates"]
     for name, text in (
         ("measured_over_estimated", "measured over estimated {:.3g}"),
         ("correlation", "correlation {:.2f}"),
@@ -272,5 +271,5 @@ def comparison_sentence(found: dict[str, Any]) -> str:
         ("within_90_percent_intervals", "{:.0%} within 90 % intervals"),
     ):
         if name in found:
-            told.append(text.format(found[name]))
-    return ", ".join(told)
+            parts.append(text.format(found[name]))
+    return ", ".join(parts)

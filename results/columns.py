@@ -155,22 +155,22 @@ def row(columns: Mapping[str, str], values: Mapping[str, Any]) -> list[str]:
 
 def interaction_values(run: InteractionEstimate) -> dict[str, Any]:
     """What is known of a run of contact, by column."""
-    estimate, contact, told = run.estimate, run.interaction, run.told
+    estimate, contact, output = run.estimate, run.interaction, run.told
     found = vars(run) | {"frames": 0 if contact is None else len(contact.observation), "status": "no_estimate"}
     if estimate is not None:
         stuck = [name for name, at_end in zip(PARAMETERS, estimate.at_bound, strict=True) if at_end]
         delays = dict(zip(("delay_s", "release_delay_s"), estimate.delays, strict=False))
         found |= vars(estimate) | estimate.numbers() | delays
-        found |= {"explanation": estimate.explanation if told is estimate else "", "at_bound": " ".join(stuck)}
-    if isinstance(told, GripEstimate):
+        found |= {"explanation": estimate.explanation if output is estimate else "", "at_bound": " ".join(stuck)}
+    if isinstance(output, GripEstimate):
         # The force over a spring's stiffness leans on the foundation.
-        leaning = ("reaction_over_stiffness",) if "foundation_over_stiffness" in told.determined else ()
-        known = [name for name in GRIP if name.startswith((*told.determined, *leaning, "skill"))]
-        found |= {name: getattr(told, name) for name in known} | {"frames": len(told.times)}
-    if isinstance(told, FieldEstimate):
-        found |= {"skill": told.skill, "explanation": told.explanation, "frames": len(told.times)}
-    if told is not None:
-        found |= {"status": "ok", "verdict": told.verdict, "determined": ";".join(told.determined)}
+        leaning = ("reaction_over_stiffness",) if "foundation_over_stiffness" in output.determined else ()
+        known = [name for name in GRIP if name.startswith((*output.determined, *leaning, "skill"))]
+        found |= {name: getattr(output, name) for name in known} | {"frames": len(output.times)}
+    if isinstance(output, FieldEstimate):
+        found |= {"skill": output.skill, "explanation": output.explanation, "frames": len(output.times)}
+    if output is not None:
+        found |= {"status": "ok", "verdict": output.verdict, "determined": ";".join(output.determined)}
     return found
 
 
@@ -180,11 +180,11 @@ def force_rows(run: InteractionEstimate, known: KnownForce) -> list[dict[str, An
     Raises:
         NoEstimate: the known force tells nothing of this run.
     """
-    told = run.told
-    if not isinstance(told, GripEstimate) or "relative_force" not in told.determined:
+    grip = run.told
+    if not isinstance(grip, GripEstimate) or "relative_force" not in grip.determined:
         return []
-    times = run.onset_time_s + told.times
-    curve = predict_force(known.at(times), told.force, told.force_sd)
+    times = run.onset_time_s + grip.times
+    curve = predict_force(known.at(times), grip.force, grip.force_sd)
     return [
         {
             "onset_frame": run.onset_frame,

@@ -120,7 +120,7 @@ def _number_lines(estimate: FrameEstimate) -> list[tuple[str, str]]:
         ("displacement, simulated", estimate.simulated_displacement),
         ("displacement, observed", estimate.observed_displacement),
     )
-    found = [(names.get(symbol, symbol), told) for symbol, told in numbers(estimate.verdict, estimate.values)]
+    found = [(names.get(symbol, symbol), value) for symbol, value in numbers(estimate.verdict, estimate.values)]
     likely = (
         []
         if estimate.contact_probability is None
@@ -131,15 +131,15 @@ def _number_lines(estimate: FrameEstimate) -> list[tuple[str, str]]:
 
 def _notes(estimate: FrameEstimate) -> list[str]:
     """Small print under the numbers: what they can't say, why there are none, and their unit."""
-    told = [MEANINGS[estimate.verdict]] if estimate.verdict else []
-    told += [f"The simulated displacement is {FAR}."] if is_far(estimate) else []
-    told += [estimate.detail] if estimate.detail else []
+    notes = [MEANINGS[estimate.verdict]] if estimate.verdict else []
+    notes += [f"The simulated displacement is {FAR}."] if is_far(estimate) else []
+    notes += [estimate.detail] if estimate.detail else []
     if estimate.field is not None:
-        told.append(_told_of_field(estimate.field))
+        notes.append(_told_of_field(estimate.field))
     if estimate.estimate is None:
-        return told
+        return notes
     unsure = estimate.verdict != "determined" and "stiffness_low" in estimate.values
-    return [*told, f"{'Ranges are 90 % intervals. ' if unsure else ''}Unit: {UNITS['stiffness']}."]
+    return [*notes, f"{'Ranges are 90 % intervals. ' if unsure else ''}Unit: {UNITS['stiffness']}."]
 
 
 def _told_of_field(field: ParticleField) -> str:

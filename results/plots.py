@@ -53,7 +53,7 @@ MOST_PANELS = 12
 CELLS = 16
 """Across a picture of surface errors, in each of which points' distances are averaged."""
 BESIDE = 1.5
-"""Radius of what is beside the tool in it, over that of its hole."""
+"""Radius of what is next to the tool in it, over that of its hole."""
 NO_RUNS: Counter[str] = Counter()
 MAP_STEP, MAP_RANGE = 4, 3.0
 """Of maps of stiffness: side of their squares [px], and the largest ratio that has a colour of its own."""
@@ -92,12 +92,12 @@ def draw_summary(
         axes.sharex(strip)
     for axes in rows[: len(heights) - 1]:
         axes.tick_params(labelbottom=False)
-    for axes, (run, told) in zip(rows[len(heights) :], gripped, strict=True):
+    for axes, (run, found) in zip(rows[len(heights) :], gripped, strict=True):
         axes.set_title("\n".join(_lines(_told_of_run(run)[0], 120)), loc="left", fontsize=12)
-        if isinstance(told, GripEstimate):
-            _draw_grip(axes, told)
-        elif isinstance(told, FieldEstimate):
-            _draw_field(axes, told)
+        if isinstance(found, GripEstimate):
+            _draw_grip(axes, found)
+        elif isinstance(found, FieldEstimate):
+            _draw_field(axes, found)
     times = _column(estimates, "time_s")
     interval = max(float(np.median(np.diff(times))), 1e-3) if len(times) > 1 else 0.04
     edges = np.append(times, times[-1] + interval) if len(times) else np.array([0.0, 1.0])
@@ -122,13 +122,13 @@ def draw_fits(runs: Sequence[InteractionEstimate], counts: Counter[str], title: 
         title: name of the clip.
     """
     total = counts.total()
-    told = f"Runs of contact: {total}, with an estimate: {total - counts['no_estimate']}."
+    subtitle = f"Runs of contact: {total}, with an estimate: {total - counts['no_estimate']}."
     if len(runs) < total:
-        told += f" {len(runs)} are drawn, interactions.csv has all."
+        subtitle += f" {len(runs)} are drawn, interactions.csv has all."
     panels = list(runs) or [None]
     words = [_told_of_run(run) for run in panels]
     heights = [_height(run, sentences) for run, (_, sentences, _) in zip(panels, words, strict=True)]
-    figure, rows = _figure(heights, title, told)
+    figure, rows = _figure(heights, title, subtitle)
     for axes, words_of, run in zip(rows, words, panels, strict=True):
         _head(axes, *words_of)
         _draw_motion(axes, run)
@@ -137,36 +137,36 @@ def draw_fits(runs: Sequence[InteractionEstimate], counts: Counter[str], title: 
 
 def _height(run: InteractionEstimate | None, sentences: str) -> float:
     """Of a run's panel [inches]: its words, its motion, and its map."""
-    told = None if run is None else run.told
-    motion = isinstance(told, GripEstimate | FieldEstimate) or (run is not None and run.simulated is not None)
-    field = isinstance(told, FieldEstimate) or (isinstance(told, GripEstimate) and told.stiffness is not None)
+    found = None if run is None else run.told
+    motion = isinstance(found, GripEstimate | FieldEstimate) or (run is not None and run.simulated is not None)
+    field = isinstance(found, FieldEstimate) or (isinstance(found, GripEstimate) and found.stiffness is not None)
     return 0.9 + 0.2 * len(_lines(sentences)) + 2.8 * motion + 1.2 * field
 
 
 def draw_comparison(measured: KnownForce, curves: Sequence[Curve], known: KnownForce | None, title: str) -> Figure:
-    """Draw measured forces beside estimated ones over time.
+    """Draw measured and estimated forces over time.
 
     Args:
         measured: all that was measured.
         curves: estimated.
-        known: those that told the scale.
+        known: those that gave the scale.
         title: name of the clip.
     """
     unit = curves[0].unit if curves else "N"
-    told = "Measured forces beside estimates." if curves else "No force was estimated where forces were measured."
-    figure, (axes,) = _figure([4.5], title, told)
+    subtitle = "Measured and estimated forces." if curves else "No force was estimated where forces were measured."
+    figure, (axes,) = _figure([4.5], title, subtitle)
     axes.plot(measured.times, measured.force, color=OBSERVED, label="measured [N]")
     if known is not None:
-        axes.plot(known.times, known.force, color=RELEASE, linewidth=4, alpha=0.4, label="which told the scale")
-    beside = axes if unit == "N" else axes.twinx()
+        axes.plot(known.times, known.force, color=RELEASE, linewidth=4, alpha=0.4, label="which gave the scale")
+    other = axes if unit == "N" else axes.twinx()
     for index, curve in enumerate(curves):
         name = f"estimated [{curve.unit}]" if not index else None
-        beside.plot(curve.times, curve.force, color=SIMULATED, label=name)
+        other.plot(curve.times, curve.force, color=SIMULATED, label=name)
         if np.isfinite(curve.low).all():
-            beside.fill_between(curve.times, curve.low, curve.high, color=SIMULATED, alpha=0.15, linewidth=0)
+            other.fill_between(curve.times, curve.low, curve.high, color=SIMULATED, alpha=0.15, linewidth=0)
     axes.set(xlabel="time [s]", ylabel="force [N]")
-    if beside is not axes:
-        beside.set_ylabel(f"estimated force [{unit}]", color=SIMULATED)
+    if other is not axes:
+        other.set_ylabel(f"estimated force [{unit}]", color=SIMULATED)
     figure.legend(loc="outside upper right", ncols=3, frameon=False)
     return figure
 
@@ -197,15 +197,15 @@ def draw_surface_errors(
     layout = ConstrainedLayoutEngine(rect=(0, 0.12, 1, 0.8))  # between title and footer
     figure = Figure(figsize=(4.6 * len(panels) + 1, 6.2), dpi=100, layout=layout)
     figure.text(0.01, 0.98, "\n".join(_lines(title, 45 * len(panels))), va="top", fontsize=14, color=INK)
-    beside, drawn = np.linalg.norm(places, axis=1) < BESIDE * hole, []
+    near, drawn = np.linalg.norm(places, axis=1) < BESIDE * hole, []
     rows = figure.subplots(1, len(panels), squeeze=False, sharex=True, sharey=True)[0]
     for axes, (name, distance) in zip(rows, panels.items(), strict=True):
         seen = np.isfinite(distance)
         drawn.append(axes.hexbin(*places[seen].T, C=distance[seen], gridsize=CELLS, cmap="RdBu_r", linewidths=0.2))
         axes.add_patch(Circle((0, 0), hole, fill=False, linestyle="--", color=MUTED))
         axes.add_patch(Circle((0, 0), BESIDE * hole, fill=False, linestyle=":", color=MUTED))
-        mean = float(np.mean(distance[seen & beside])) if (seen & beside).any() else np.nan
-        axes.set_title(f"{name}\n{mean:+.2f} mm beside the tool", fontsize=12)
+        mean = float(np.mean(distance[seen & near])) if (seen & near).any() else np.nan
+        axes.set_title(f"{name}\n{mean:+.2f} mm next to the tool", fontsize=12)
         axes.set(xlabel="across the force [mm]", aspect="equal")
     rows[0].set_ylabel("across the force [mm]")
     limit = max(float(np.abs(np.quantile(np.asarray(each.get_array()), (0.02, 0.98))).max()) for each in drawn)
@@ -215,7 +215,7 @@ def draw_surface_errors(
     scale = (
         f"All panels on one scale of ± {limit:.2f} mm, means over cells; > 0: measured outside the simulated surface."
     )
-    circles = "Dashed: what the tool hides, left out. Dotted: beside the tool."
+    circles = "Dashed: what the tool hides, left out. Dotted: next to the tool."
     footer = "\n".join([*_lines(f"{scale} {circles}", 60 * len(panels)), NOTICE])
     figure.text(0.01, 0.02, footer, va="bottom", fontsize=10, color=MUTED)
     return figure
@@ -313,10 +313,12 @@ def _told(estimates: Sequence[FrameEstimate], runs: Counter[str]) -> tuple[str, 
         found = ", ".join(f"{in_words(name)} on {runs[name]}" for name in COLORS if runs[name])
         heading, counts = f"{found} of {runs.total()} runs of contact; {among}", runs
     far, remarks = sum(map(is_far, touching)), [row for row in touching or estimates if row.detail]
-    told = [f"The simulated displacement is {FAR} on {far} of these frames (×)."] if far else []
+    sentences = [f"The simulated displacement is {FAR} on {far} of these frames (×)."] if far else []
     if remarks:
-        told.append(f"Frames with a remark: {len(remarks)}; the last, frame {remarks[-1].frame}: {remarks[-1].detail}")
-    return heading, " ".join(told), next(iter(counts)) if len(counts) == 1 else ""
+        sentences.append(
+            f"Frames with a remark: {len(remarks)}; the last, frame {remarks[-1].frame}: {remarks[-1].detail}"
+        )
+    return heading, " ".join(sentences), next(iter(counts)) if len(counts) == 1 else ""
 
 
 def _draw_parameter(axes: Axes, times: np.ndarray, estimates: Sequence[FrameEstimate], name: str, color: str) -> None:
@@ -363,8 +365,8 @@ def _told_of_run(run: InteractionEstimate | None) -> tuple[str, str, str]:
     if estimate is None:
         return f"no estimate: {place}", run.detail, "no_estimate"
     doubtful = estimate.verdict == "determined" and run.detail != ""
-    told = "doubtful" if doubtful else estimate.verdict
-    values = ", ".join(" ".join(pair) for pair in numbers(told, estimate.numbers()))
+    sure = "doubtful" if doubtful else estimate.verdict
+    values = ", ".join(" ".join(pair) for pair in numbers(sure, estimate.numbers()))
     sentences = [run.detail]
     if run.simulated is not None and run.interaction is not None:
         _, far = _far(run.interaction, run.simulated, estimate.noise)
@@ -372,10 +374,10 @@ def _told_of_run(run: InteractionEstimate | None) -> tuple[str, str, str]:
         sentences += [f"The simulated displacement is {FAR} on {far.sum()} of {among} frames (×)."] if far.any() else []
     if np.isfinite(estimate.misfit):
         sentences.append(f"Misfit {estimate.misfit:.2g} (1: it fits); {estimate.explanation}.")
-    if estimate.covariance is not None and told != "determined":
+    if estimate.covariance is not None and sure != "determined":
         sentences.append("Ranges are 90 % intervals.")
     heading = f"{estimate.verdict}{', but doubtful' if doubtful else ''}: {place}, {values}"
-    return heading, " ".join(filter(None, sentences)), told
+    return heading, " ".join(filter(None, sentences)), sure
 
 
 def _draw_motion(axes: Axes, run: InteractionEstimate | None) -> None:
@@ -440,8 +442,8 @@ def _draw_stiffness(axes: Axes, field: StiffnessField) -> None:
     if known.any():
         _ratio_bar(axes, drawn)
     axes.set(xlim=(0, width), ylim=(height, 0))
-    told = "stiffness over the mean of what moves, if attached\nalike everywhere; darkened: unknown"
-    axes.set_title(told if known.any() else "stiffness: unknown everywhere", loc="left", fontsize=10, color=INK)
+    title = "stiffness over the mean of what moves, if attached\nhomogeneously; darkened: unknown"
+    axes.set_title(title if known.any() else "stiffness: unknown everywhere", loc="left", fontsize=10, color=INK)
 
 
 def _draw_explained(axes: Axes, found: FieldEstimate) -> None:
@@ -509,10 +511,10 @@ def _draw_particles(axes: Axes, found: FieldEstimate, *, shape: bool) -> None:
             alpha=0.8, edgecolors="none", antialiased=False,
         )  # fmt: skip
         _ratio_bar(axes, drawn)
-        told = f"stiffness against {what} over its median; darkened: not determined"
+        title = f"stiffness against {what} over its median; darkened: not determined"
     else:
-        told = "stiffness: determined nowhere"
-    axes.set_title(told, loc="left", fontsize=10, color=INK)
+        title = "stiffness: determined nowhere"
+    axes.set_title(title, loc="left", fontsize=10, color=INK)
 
 
 def _picture_axes(axes: Axes, picture: np.ndarray, darkened: float = 0.0) -> Axes:
@@ -524,7 +526,7 @@ def _picture_axes(axes: Axes, picture: np.ndarray, darkened: float = 0.0) -> Axe
 
 
 def _ratio_bar(axes: Axes, drawn: Any) -> None:
-    """A scale of ratios beside a map."""
+    """A scale of ratios next to a map."""
     ends = np.array([1 / MAP_RANGE, 0.5, 1, 2, MAP_RANGE])
     bar = axes.figure.colorbar(drawn, cax=axes.inset_axes((1.02, 0, 0.03, 1)), ticks=ends, extend="both")
     bar.set_ticklabels([f"×{digits(end, 2)}" for end in ends])

@@ -139,10 +139,10 @@ def build_record(
 def describe(record: Mapping[str, Any]) -> str:
     """One line about what made a clip's results, for its summary."""
     given, model = record["input"], record["model"]
-    told = "" if model is None else f", {Path(model['path']).name} ({model['sha256'][:8]})"
+    network = "" if model is None else f", {Path(model['path']).name} ({model['sha256'][:8]})"
     return (
         f"{given['frames']} frames, {given['width']}×{given['height']}, {given['fps']:.4g} fps · "
-        f"estimator {record['estimator']['name']}{told} · "
+        f"estimator {record['estimator']['name']}{network} · "
         f"depth {record['depth_model']['identity'].split(':')[0]} · masks {record['masks']['source']}"
     )
 
@@ -174,7 +174,7 @@ def warnings_of(
     if contact == "motion":
         found.append(
             "contact here means that a dent comes: depth that wanders, or an instrument that draws back and that no "
-            "mask shows, looks alike; see in the overlay whether something presses there"
+            "mask shows, looks the same; see in the overlay whether something presses there"
         )
     elif sources["masks"] == "automatic":
         found.append(

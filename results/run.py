@@ -131,9 +131,9 @@ class Batch:
         task = progress.add_task(f"{place} {plain(source.name)[:36]}", total=source.length or None)
         try:
             known = self.known if newtons is None else newtons.known
-            told = {"overlay": self.options.overlay, "known": known, "calibration": newtons, "fields": self.fields}
-            told["maps"] = self.estimator.name in MAPPING
-            written = ClipResults(folder, source.size, source.fps, **told)
+            options = {"overlay": self.options.overlay, "known": known, "calibration": newtons, "fields": self.fields}
+            options["maps"] = self.estimator.name in MAPPING
+            written = ClipResults(folder, source.size, source.fps, **options)
             with written as results:
                 clip, started = ClipStream(source, self.settings), time.perf_counter()
                 session = self.estimator.start(ClipInfo.of(clip))
@@ -151,10 +151,10 @@ class Batch:
             progress.remove_task(task)
         if self._has_known_force(path):
             self.carried = folder
-        told = (
+        compared = (
             [] if newtons is None or newtons.measured is None else [comparison_sentence(newtons.record()["comparison"])]
         )
-        for warning in [*record["warnings"], *told]:
+        for warning in [*record["warnings"], *compared]:
             say(self.console, f"{source.name}: {warning}")
         for reason, count in results.unexplained.most_common(MOST_REASONS):
             say(self.console, f"{source.name}: no estimate of {count} of {results.counts.total()} contacts: {reason}")
@@ -231,10 +231,10 @@ class Batch:
             return self._failure(path, error)
 
     def _failure(self, path: Path, error: Exception) -> Outcome:
-        told = sentence_of(error)
+        text = sentence_of(error)
         if not isinstance(error, (ValueError, OSError)):
-            told = f"unexpected {type(error).__name__} ({told}); run with --debug and report what it prints."
-        sentence = told if printable(path) in told else f"{printable(path)}: {told}"
+            text = f"unexpected {type(error).__name__} ({text}); run with --debug and report what it prints."
+        sentence = text if printable(path) in text else f"{printable(path)}: {text}"
         say(self.console, f"failed: {sentence}")
         return Outcome(path.name, FAILED, sentence)
 
@@ -244,15 +244,15 @@ def sentence_of(error: Exception) -> str:
     return in_options(str(error)) or type(error).__name__
 
 
-def in_options(told: str) -> str:
+def in_options(text: str) -> str:
     """Sentences in this program's words: settings are options here."""
     for setting, option in WORDS.items():
-        told = told.replace(setting, option)
-    return told
+        text = text.replace(setting, option)
+    return text
 
 
 def counts_of(record: Mapping[str, Any]) -> dict[str, int]:
-    """What the closing table tells of a clip: runs of contact by verdict, then frames by verdict or status."""
+    """What the closing table says of a clip: runs of contact by verdict, then frames by verdict or status."""
     contacts = {f"contacts {name}": count for name, count in record.get("contacts", {}).items()}
     frames = {name: count for name, count in record.get("statuses", {}).items() if name != "ok"}
     verdicts = record.get("verdicts", {})

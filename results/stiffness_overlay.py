@@ -49,7 +49,7 @@ class StiffnessMap:
         self._times = np.concatenate([[0.0], grip.times]) + start
         self._points, self._moved = grip.points, np.concatenate([np.zeros_like(grip.moved[:1]), grip.moved])
         self.note = UNKNOWN if not len(self._faces) else KNOWN if field.tells else f"{KNOWN} {LOOSE}"
-        """What a picture says beside it."""
+        """What a picture says about it."""
 
     def shows(self, time: float) -> bool:
         """Whether a time stamp lies within the motion that was fitted [s]."""

@@ -98,7 +98,7 @@ class ResultStore:
             tempfile.TemporaryFile(dir=output).close()
 
     def folder(self, name: str, origin: Path) -> Path:
-        """Folder of the clip `name` that comes from `origin`, with what a killed run left beside it settled.
+        """Folder of the clip `name` that comes from `origin`, with what a killed run left next to it settled.
 
         Its name, or its name with a mark when another clip's results, or anything that is not ours, are there.
 
@@ -166,7 +166,7 @@ def read_record(folder: Path) -> dict[str, Any]:
 
 
 def write_record(folder: Path, record: Mapping[str, Any]) -> None:
-    """Store a run record, and the hashes of the files that lie beside it, as JSON."""
+    """Store a run record, and the hashes of the files that lie next to it, as JSON."""
     files = {name: file_sha256(folder / name) for name in WRITTEN if name != RECORD and (folder / name).is_file()}
     document = as_json({**record, "files": files}, indent=2, ensure_ascii=False)
     # File names that are not UTF-8 become \udcXX, which is JSON's own way to write them.
@@ -180,7 +180,7 @@ def own_files(folder: Path) -> list[str]:
 
 
 def partial_folder(folder: Path) -> Path:
-    """Make the hidden folder beside the final one in which this process gathers the results."""
+    """Make the hidden folder next to the final one in which this process gathers the results."""
     partial = folder.with_name(f".{folder.name}.partial-{os.getpid()}")
     partial.mkdir()
     (partial / MARKER).touch()
@@ -214,7 +214,7 @@ def publish(partial: Path, folder: Path) -> None:
 
 
 def settle(folder: Path) -> None:
-    """Clear what this process or a killed one left beside this folder; what it had finished is moved to its place.
+    """Clear what this process or a killed one left next to this folder; what it had finished is moved to its place.
 
     Raises:
         OutputError: see `publish`.
@@ -242,7 +242,7 @@ def _discard(partial: Path) -> None:
 
 
 def _is_as_recorded(path: Path) -> bool:
-    """Whether a file is as the record beside it has it."""
+    """Whether a file is as the record next to it has it."""
     if path.name == RECORD:
         return path.is_file()
     return is_unchanged(path, [read_record(path.parent).get("files", {}).get(path.name)])

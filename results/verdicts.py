@@ -72,12 +72,12 @@ def numbers(verdict: str, values: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Symbol and text of every parameter there is, as sure as the verdict lets it be.
 
     With its standard deviation where it is determined, else its 90 % interval, and a dash where neither is known. The
-    ratios are told where only they are determined; a model that doesn't tell what is gets two digits.
+    ratios are given where only they are determined; a model that doesn't say what is gets two digits.
 
     Args:
         values: of a frame or a run of contact, by column.
     """
-    told = []
+    found = []
     for name in PARAMETERS:
         value, spread, low, high = (values.get(f"{name}{end}") for end in ("", "_sd", "_low", "_high"))
         if value is None:
@@ -87,8 +87,8 @@ def numbers(verdict: str, values: Mapping[str, Any]) -> list[tuple[str, str]]:
             text = f"{digits(value, 3)} ± {digits(spread, 2)}"
         elif low is not None and high is not None:
             text = f"{digits(low, 2)} to {digits(high, 2)}"
-        told.append((SYMBOLS[name], text))
+        found.append((SYMBOLS[name], text))
     if verdict == "ratios":
         for name in ("damping_over_stiffness", "force_over_stiffness"):
-            told.append((SYMBOLS[name], f"{digits(values[name], 2)} ± {digits(values[f'{name}_sd'], 1)}"))
-    return told
+            found.append((SYMBOLS[name], f"{digits(values[name], 2)} ± {digits(values[f'{name}_sd'], 1)}"))
+    return found

@@ -28,7 +28,7 @@ from palpate.results.verdicts import in_words, state
 
 
 class ClipResults:
-    """Writes one clip's results into a hidden folder beside the final one, and moves it there when all is done.
+    """Writes one clip's results into a hidden folder next to the final one, and moves it there when all is done.
 
     Use as a context manager; leaving it without `finish` removes what was written and leaves earlier results alone.
 
@@ -173,8 +173,8 @@ class ClipResults:
             self._draw_waiting(None)
             self._open.close()
             runs = ", ".join(f"{count} {in_words(name)}" for name, count in self.counts.items())
-            told = f"{subtitle} · runs of contact: {runs or 'none'}"
-            summary = draw_summary(self.estimates, self.counts, self.drawn, title=title, subtitle=told)
+            described = f"{subtitle} · runs of contact: {runs or 'none'}"
+            summary = draw_summary(self.estimates, self.counts, self.drawn, title=title, subtitle=described)
             write_figure(self._partial / store.SUMMARY, summary)
             write_figure(self._partial / store.FIT, draw_fits(self.drawn, self.counts, title))
             if self.calibration is not None:

@@ -24,7 +24,7 @@ AVERAGES = {
     "contact_right": "moving frames whose contact is right",
     "following": "error of following in the last frame, RMS [px]",
     "rank": "rank correlation of the stiffness field, mean",
-    "rank_most": "that of regions told apart exactly, in any order within each",
+    "rank_most": "that of regions separated exactly, in any order within each",
     "held_between": "points of the stiffness field within the 90 % intervals",
 }
 """Numbers of rows whose mean is in the table, and how it is called there."""

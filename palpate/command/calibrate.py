@@ -5,7 +5,7 @@
 
 palpation   Young's modulus and Poisson's ratio from a surface, and forces with the deformed surfaces that they leave
             (Frank 2010). Writes calibration.json, errors.csv, the distance of every point from the fitted surface, and
-            errors.png, where these lie, beside those of a body half as stiff.
+            errors.png, where these lie, next to those of a body half as stiff.
 curves      a modulus [kPa] for every probe where the indenter is stated, a stiffness [N/mm] otherwise, from tables of
             probes (probe, contact_x …, depth_mm, fn_N); a relaxation from tables of a hold (t_s, force_N,
             displacement_mm). Writes curves.csv.
@@ -60,7 +60,7 @@ def build_parser() -> argparse.ArgumentParser:
     palpation.add_argument("scene", type=path_option, metavar="SCENE.yaml", help="see docs/reports/palpation.md")
     text = "gauss-newton: exact derivatives (default); gradient: a numeric descent after the paper's"
     palpation.add_argument("--optimizer", choices=list(OPTIMIZERS), default="gauss-newton", help=text)
-    text = "of the sheet that the tissue's surface is on video, told to infer.py --calibration"
+    text = "of the sheet that the tissue's surface is on video, for infer.py --calibration"
     thickness = real_number("a positive number", 1e-6)
     palpation.add_argument("--sheet-thickness", type=thickness, metavar="MM", help=text)
     curves = doors.add_parser("curves", help="forces over depth or time")
@@ -154,7 +154,7 @@ def _palpation(path: Path, optimizer: str, thickness: float | None, output: Path
 
 
 def _picture(scene: Scene, found: MaterialFit) -> Figure:
-    """What the first palpation's simulation leaves, beside that of half as stiff a body where that bears the force."""
+    """What the first palpation's simulation leaves, next to that of half as stiff a body where that bears the force."""
     each, pose, softer = scene.palpations[0], found.poses[0], None
     fitted = 1000 * surface_distance(scene.skin, found.rests[0], each, pose)
     with suppress(NoEquilibrium):

@@ -109,7 +109,8 @@ def test_measured_forces_beside_estimated_ones(tmp_path: Path) -> None:
     assert found["within_90_percent_intervals"] == 0.0
     assert "correlation" not in found  # nothing changes
     assert comparison_sentence(found) == (
-        "8 measured forces beside estimates, measured over estimated 1.25, RMS error 0.5 N, 0% within 90 % intervals"
+        "8 measured forces compared with estimates, measured over estimated 1.25, RMS error 0.5 N, "
+        "0% within 90 % intervals"
     )
 
 

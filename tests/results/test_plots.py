@@ -467,6 +467,6 @@ def test_surface_errors_share_a_scale_on_which_half_the_stiffness_shows() -> Non
     assert reached[0] < 0.6 * reached[1]
     beside = (away >= 16) & (away < 24)
     names = [axes.get_title() for axes in panels]
-    assert names[0] == f"as fitted\n{fitted[beside].mean():+.2f} mm beside the tool"
-    assert names[2] == f"half as stiff less as fitted\n{dent[beside].mean():+.2f} mm beside the tool"
+    assert names[0] == f"as fitted\n{fitted[beside].mean():+.2f} mm next to the tool"
+    assert names[2] == f"half as stiff less as fitted\n{dent[beside].mean():+.2f} mm next to the tool"
     assert len(draw_surface_errors(places, fitted, None, 16.0, "a press").axes) == 2

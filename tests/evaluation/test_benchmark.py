@@ -1,7 +1,5 @@
 """The benchmark's command: options, resuming, exit status, and one real run."""
 
-import csv
-
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -13,6 +11,7 @@ from palpate.evaluation.recovery import estimators
 from palpate.evaluation.recovery.scores import COLUMNS
 from palpate.evaluation.recovery.suites import SUITES
 from tests.evaluation.recovery_cases import off_by, recovery
+from tests.tables import read_rows
 
 
 @pytest.fixture
@@ -39,15 +38,10 @@ def run(output, *arguments, clips=6):
     return main(["--output", str(output), "--workers", "0", "--clips", str(clips), *arguments])
 
 
-def read(path):
-    with path.open() as file:
-        return list(csv.DictReader(file))
-
-
 def test_tables_and_figures_are_written(tmp_path, evaluated, monkeypatch):
     monkeypatch.setattr("palpate.evaluation.recovery.figures.figures", lambda scores: [("recovery.png", Figure())])
     assert run(tmp_path, "--suite", "clean", "8bit", "--estimator", "direct", "constant") == 0
-    rows = read(tmp_path / "table.csv")
+    rows = read_rows(tmp_path / "table.csv")
     assert tuple(rows[0]) == COLUMNS
     assert {(row["estimator"], row["suite"]) for row in rows} == {
         (estimator, suite) for estimator in ("direct", "constant") for suite in ("clean", "8bit")
@@ -59,7 +53,7 @@ def test_tables_and_figures_are_written(tmp_path, evaluated, monkeypatch):
 def test_the_constant_is_fitted_only_where_it_is_asked_for(tmp_path, evaluated, monkeypatch):
     monkeypatch.setattr(estimators, "draw_log_theta", lambda task: pytest.fail("a truth was drawn"))
     assert run(tmp_path) == 0
-    rows = read(tmp_path / "table.csv")
+    rows = read_rows(tmp_path / "table.csv")
     # All stand-in clips have the same θ, which one constant hits.
     assert [float(row["constant_rmse_log"]) for row in rows if row["n"] != "0"] == pytest.approx([0] * 23, abs=1e-9)
 
@@ -75,7 +69,7 @@ def test_a_second_run_does_only_what_is_left(tmp_path, evaluated):
     evaluated.clear()
     run(tmp_path, "--suite", "noisy", clips=2)
     assert sorted(evaluated) == [0, 1]
-    assert {row["suite"] for row in read(tmp_path / "table.csv")} == {"noisy"}
+    assert {row["suite"] for row in read_rows(tmp_path / "table.csv")} == {"noisy"}
 
 
 def test_an_interrupted_run_keeps_and_shows_what_is_done(tmp_path, evaluated, monkeypatch, capsys):
@@ -89,7 +83,7 @@ def test_an_interrupted_run_keeps_and_shows_what_is_done(tmp_path, evaluated, mo
     monkeypatch.setattr(Benchmark, "work", staticmethod(interrupted))
     assert run(tmp_path) == INTERRUPTED
     assert "same command continues" in capsys.readouterr().err
-    assert next(row for row in read(tmp_path / "table.csv") if row["regime"] == "all")["n"] == "3"
+    assert next(row for row in read_rows(tmp_path / "table.csv") if row["regime"] == "all")["n"] == "3"
     monkeypatch.setattr(Benchmark, "work", staticmethod(finished))
     evaluated.clear()
     assert run(tmp_path) == 0
@@ -111,26 +105,6 @@ def test_failed_clips_are_shown_and_no_error(tmp_path, monkeypatch, evaluated, c
     )
     assert run(tmp_path / "none", clips=2) == 1
     assert "No clip could be estimated" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        (("--estimator", "network"), "give its file as --model FILE"),
-        (("--gan-model", "x.onnx"), "of no use without --estimator gan"),
-        (("--estimator", "gan", "--seen", "5"), "--seen is of no use to gan"),
-        (("--direct-model", "fem"), "--direct-model fem is for --suite fem --estimator direct"),
-        (
-            ("--contact", "motion", "--suite", "hover"),
-            "--contact motion is for direct and network on suites of presses",
-        ),
-    ],
-)
-def test_options_that_do_not_belong_together_are_wrong_usage(tmp_path, arguments, sentence, capsys):
-    with pytest.raises(SystemExit) as stop:
-        run(tmp_path, *arguments)
-    assert stop.value.code == 2
-    assert sentence in capsys.readouterr().err
 
 
 def test_pictures_of_another_size_are_another_folder_s(tmp_path, evaluated, monkeypatch, capsys):
@@ -166,7 +140,7 @@ def test_the_bound_is_chosen_after_the_clips_were_measured(tmp_path, evaluated):
     found = []
     for bound in ((), ("--bound", "field"), ("--bound", "contact")):
         assert run(tmp_path, *bound) == 0
-        rows = {(row["regime"], row["parameter"]): row for row in read(tmp_path / "table.csv")}
+        rows = {(row["regime"], row["parameter"]): row for row in read_rows(tmp_path / "table.csv")}
         found.append(float(rows["all", "damping"]["bound_log"]))
     assert found == pytest.approx([0.05, 0.05, 0.1])
     assert sorted(evaluated) == [0, 1, 2, 3, 4, 5]
@@ -192,6 +166,14 @@ def test_another_seeds_folder_is_refused(tmp_path, evaluated, capsys):
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
+        (("--estimator", "network"), "give its file as --model FILE"),
+        (("--gan-model", "x.onnx"), "of no use without --estimator gan"),
+        (("--estimator", "gan", "--seen", "5"), "--seen is of no use to gan"),
+        (("--direct-model", "fem"), "--direct-model fem is for --suite fem --estimator direct"),
+        (
+            ("--contact", "motion", "--suite", "hover"),
+            "--contact motion is for direct and network on suites of presses",
+        ),
         (("--suite", "dirty"), "--suite dirty is no suite; give clean, 8bit, noisy"),
         (("--seed", "-1"), "--seed: -1 is less than 0"),
         (("--seed", str(2**32)), "is more than 4294967295"),
@@ -212,7 +194,9 @@ def test_another_seeds_folder_is_refused(tmp_path, evaluated, capsys):
         (("--bound", "sequence"), "sequence"),
     ],
 )
-def test_an_option_that_takes_something_else_is_wrong_usage(tmp_path, arguments, sentence, capsys):
+def test_options_that_take_something_else_or_do_not_belong_together_are_wrong_usage(
+    tmp_path, arguments, sentence, capsys
+):
     with pytest.raises(SystemExit) as stop:
         run(tmp_path, *arguments)
     assert stop.value.code == 2
@@ -230,7 +214,7 @@ def test_two_real_clips_in_two_processes(tmp_path, monkeypatch):
     monkeypatch.setattr(estimators, "CONSTANT_CLIPS", 3)
     arguments = ["--output", str(tmp_path), "--clips", "2", "--workers", "2"]
     assert main([*arguments, "--estimator", "direct", "constant"]) == 0
-    rows = [row for row in read(tmp_path / "table.csv") if row["regime"] == "all" and row["estimator"] == "direct"]
+    rows = [row for row in read_rows(tmp_path / "table.csv") if row["regime"] == "all" and row["estimator"] == "direct"]
     force = next(row for row in rows if row["parameter"] == "force/damping")
     assert force["n"] == "2"
     assert float(force["rmse_log"]) < float(force["constant_rmse_log"])

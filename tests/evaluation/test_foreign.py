@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import os
 from dataclasses import asdict
 from pathlib import Path
@@ -23,6 +22,7 @@ from palpate.evaluation.foreign import (
     tip_mass,
 )
 from palpate.physics.fem import Relaxation
+from tests.tables import read_measures
 
 SOLID = 2.2e5, Relaxation(0.3, 0.04)
 
@@ -139,13 +139,6 @@ def test_a_beam_at_rest_does_not_ring(tmp_path: Path) -> None:
         read_ringing(path)
 
 
-def table(folder: Path) -> dict[tuple[str, str], str]:
-    with (folder / "table.csv").open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    assert list(rows[0]) == ["file", "measure", "value"]
-    return {(row["file"], row["measure"]): row["value"] for row in rows}
-
-
 def test_every_file_gets_its_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     data = tmp_path / "data"
     write_beam(data / "beam" / "beam_gravity_a.csv", 7.7, 2.5)
@@ -154,7 +147,7 @@ def test_every_file_gets_its_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     (data / "beam" / "beam_load20.csv").write_text("nothing")
     monkeypatch.setattr(foreign, "MESHES", ((4, 1, 1), (8, 2, 2)))
     assert foreign.main(["--data", str(data), "--output", str(tmp_path / "out")]) == 1
-    found = table(tmp_path / "out")
+    found = read_measures(tmp_path / "out" / "table.csv")
     assert "beam_load20.csv" in found["beam/beam_load20.csv", "status"]
     assert abs(float(found["beam/beam_load101_a.csv", "frequency error"])) < 0.1
     assert ("beam, fitted together", "E (Pa)") in found
@@ -172,7 +165,7 @@ def test_an_unexpected_error_costs_one_file(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setattr(foreign, "measure_ringing", judge)
     monkeypatch.setattr(foreign, "MESHES", ((2, 1, 1), (4, 2, 2)))
     assert foreign.main(["--data", str(tmp_path), "--output", str(tmp_path / "out")]) == 1
-    found = table(tmp_path / "out")
+    found = read_measures(tmp_path / "out" / "table.csv")
     assert found["beam_gravity.csv", "status"] == "failed (ZeroDivisionError: by nothing)"
     assert found["beam_load52.csv", "frequency (Hz)"] == "4.3"
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,7 @@ import pytest
 import palpate
 from palpate.command import infer
 from palpate.data.synthetic.clip import write_clip
+from tests.tables import read_rows
 from tests.test_infer import SCENE
 
 
@@ -24,8 +24,7 @@ def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_estimate_gives_the_numbers_that_the_program_writes(clip: Path, tmp_path: Path, name: str) -> None:
     found = palpate.estimate(clip, name)
     assert infer.main([str(clip), "--output", str(tmp_path), "--estimator", name, "--no-overlay"]) == 0
-    with (tmp_path / clip.name / "interactions.csv").open(encoding="utf-8", newline="") as stream:
-        rows = list(csv.DictReader(stream))
+    rows = read_rows(tmp_path / clip.name / "interactions.csv")
     assert [run.onset_frame for run in found] == [int(row["onset_frame"]) for row in rows]
     assert [run.verdict for run in found] == [row["verdict"] for row in rows]
     for run, row in zip(found, rows, strict=True):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import math
 from pathlib import Path
@@ -31,6 +30,7 @@ from palpate.results.plots import draw_comparison
 from palpate.results.store import own_files
 from palpate.results.writer import ClipResults
 from tests.estimators.estimates import GOOD, NONE
+from tests.tables import read_rows
 
 UNKNOWN, METRIC = ClipLength(1.0), ClipLength(0.5, 0.5)
 LATER = dataclasses.replace(GOOD, onset=30, onset_frame=30, onset_time_s=1.2)
@@ -166,8 +166,7 @@ def test_the_tables_are_written_and_are_the_program_s_own(tmp_path: Path) -> Non
         output.calibrate(UNKNOWN)
         output.finish({"program": "infer.py"}, title="clip", subtitle="")
     for name, columns, count in (("calibrated.csv", CALIBRATED, 1), ("compared.csv", COMPARED, 8)):
-        with (tmp_path / "clip" / name).open(newline="") as stream:
-            rows = list(csv.DictReader(stream))
+        rows = read_rows(tmp_path / "clip" / name)
         assert tuple(rows[0]) == tuple(columns)
         assert len(rows) == count
         assert name in own_files(tmp_path / "clip")

@@ -25,6 +25,7 @@ from palpate.results.writer import ClipResults
 from tests.estimators.estimates import GOOD, NONE, frame_in_contact
 from tests.results.fields import PULL
 from tests.results.test_stiffness_overlay import field_of, grip_of
+from tests.tables import read_rows
 
 SIZE = (64, 48)
 FRAME = PreparedFrame(
@@ -46,19 +47,14 @@ def write_clip(folder: Path, fingerprint: str = "abc", *, overlay: bool = True) 
         output.finish(record, title="clip", subtitle="")
 
 
-def rows(path: Path) -> list[dict[str, str]]:
-    with path.open(encoding="utf-8", newline="") as stream:
-        return list(csv.DictReader(stream))
-
-
 def test_folder_is_complete_or_not_there(tmp_path: Path) -> None:
     folder = tmp_path / "clip"
     write_clip(folder)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["clip"]
     assert sorted(path.name for path in folder.iterdir()) == NAMES
     assert json.loads((folder / "run.json").read_text())["fingerprint"] == "abc"
-    assert [row["force"] for row in rows(folder / "parameters.csv")] == ["2"]
-    assert [(row["onset_frame"], row["force"]) for row in rows(folder / "interactions.csv")] == [("7", "0.1")]
+    assert [row["force"] for row in read_rows(folder / "parameters.csv")] == ["2"]
+    assert [(row["onset_frame"], row["force"]) for row in read_rows(folder / "interactions.csv")] == [("7", "0.1")]
 
 
 @pytest.mark.usefixtures("blank_pictures")
@@ -82,13 +78,13 @@ def test_a_known_force_tells_that_of_all_frames_in_newtons(tmp_path: Path) -> No
         for item in (run, NONE, late):
             output.add(item)
         output.finish({"program": PROGRAM}, title="clip", subtitle="")
-    found = rows(tmp_path / "clip" / "forces.csv")
+    found = read_rows(tmp_path / "clip" / "forces.csv")
     assert tuple(found[0]) == tuple(FORCES)
     assert [float(row["time_s"]) for row in found] == pytest.approx(0.5 + times)
     assert [float(row["force_N"]) for row in found] == pytest.approx(3 * times / 0.8)
     assert [row["known_N"] != "" for row in found] == [True] * 4 + [False] * 4
     assert all(float(row["force_N_low"]) <= float(row["force_N"]) <= float(row["force_N_high"]) for row in found)
-    said = [row["detail"] for row in rows(tmp_path / "clip" / "interactions.csv")]
+    said = [row["detail"] for row in read_rows(tmp_path / "clip" / "interactions.csv")]
     assert "force" not in said[0]
     assert said[2].endswith("The force is known in 0 frames that move; 3 are needed for the other frames.")
     assert "forces.csv" in own_files(tmp_path / "clip")
@@ -226,7 +222,7 @@ def test_fields_that_are_not_explained_or_not_determined_are_gathered_as_doubts(
     assert first.startswith("contact from frame 1: The fit does not explain the motion: tissue simulated under the")
     assert "leaves 100% of the motion (65% at most count as explained), so no stiffness is given or coloured." in first
     assert "leaves 40% of the motion, but no place's stiffness is determined" in second
-    found = rows(tmp_path / "clip" / "interactions.csv")
+    found = read_rows(tmp_path / "clip" / "interactions.csv")
     assert [(row["status"], row["verdict"], row["determined"]) for row in found[:2]] == [
         ("ok", "stiffness_ratios", "stiffness_ratios"),
         ("ok", "undetermined", ""),

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
 import pytest
 
 from palpate.evaluation.online.__main__ import main
+from tests.tables import read_rows
 
 SMALL = ["--sequences", "thin-shell-1", "--starts", "k2", "--frames", "14", "--every", "3"]
 SMALL += ["--particles", "64", "--points", "80", "--match", "tracks"]
@@ -21,8 +21,7 @@ def test_a_run_goes_on_where_it_was(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert main([*asked, "PBD-RM", "PBD-RM-ON"]) == 0
     first, *others = path.read_text().splitlines()
     assert (first, len(others)) == (line, 2)
-    with (tmp_path / "table.csv").open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+    rows = read_rows(tmp_path / "table.csv")
     assert list(rows[0]) == ["sequence", "start", "method", "measure", "value"]
     assert {row["method"] for row in rows} == {"PBD", "PBD-RM", "PBD-RM-ON"}
     assert all(float(row["value"]) > 0 for row in rows if row["measure"] == "future gap [mm]")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
 import pytest
@@ -10,6 +9,7 @@ import pytest
 from palpate.evaluation.palpation import __main__ as door
 from tests.estimators.palpation.test_region import probes
 from tests.estimators.palpation.test_relaxation import ramp_and_hold
+from tests.tables import read_measures
 
 
 def write_probes(path: Path) -> None:
@@ -35,14 +35,11 @@ def test_every_known_table_gets_its_rows(tmp_path: Path) -> None:
     (data / "bad.csv").write_text("t_s,force_N,displacement_mm\n1,2\n")
     (data / "foreign.csv").write_text("a,b\n1,2\n")
     assert door.main(["curves", "--data", str(data), "--output", str(tmp_path / "out")]) == 1
-    with (tmp_path / "out" / "table.csv").open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    assert list(rows[0]) == ["file", "measure", "value"]
-    found = {(row["file"], row["measure"]): row["value"] for row in rows}
+    found = read_measures(tmp_path / "out" / "table.csv")
     assert float(found["whatever.csv", "that over the mean stiffness's, random fifths"]) < 0.5
     assert float(found["deeper/some name.CSV", "second half off, rms / peak"]) < 0.05
     assert "bad.csv" in found["bad.csv", "status"]
-    assert not [row for row in rows if row["file"] == "foreign.csv"]
+    assert "foreign.csv" not in {name for name, _ in found}
 
 
 def test_nothing_known_is_wrong_usage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

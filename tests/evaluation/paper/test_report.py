@@ -1,6 +1,5 @@
 """The files of an evaluation: complete, consistent with each other, readable, and never half written."""
 
-import csv
 import json
 import math
 from html.parser import HTMLParser
@@ -15,6 +14,7 @@ from palpate.evaluation.paper.analysis import REGIMES, EvaluationError
 from palpate.evaluation.paper.report import COMPARISONS, ERRORS, write_evaluation
 from palpate.evaluation.paper.statistics import format_number
 from tests.evaluation.simple_contacts import BOUNDS, MECHANICS, contact, record
+from tests.tables import read_rows
 
 SOFT, HARD = np.array([0.2, 0.02, -0.05]), np.array([1.5, 0.15, -0.2])
 NAMES = {"table2.md", "table2.csv", "collapse.md", "collapse.csv", "settling.csv", "figure3.png", "theta.png",
@@ -33,11 +33,6 @@ def records():
 def written(records, tmp_path_factory):
     folder = tmp_path_factory.mktemp("evaluation") / "new" / "folder"
     return write_evaluation(records, [contact(SOFT), contact(HARD)], MECHANICS, BOUNDS, folder)
-
-
-def _rows(path):
-    with path.open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
 
 
 def _content(path):
@@ -61,13 +56,13 @@ def test_json_holds_all_numbers_without_nan(written):
     assert content["bounds"]["force"] == [-0.5, 0.0]
     assert content["motion"]["predicted θ"]["not finite"] == 0
     assert np.shape(content["trajectories"]) == (9, 40, 3)
-    assert len(content["settling"]) == len(_rows(written["settling.csv"])) > 9  # a row has a key of its own
+    assert len(content["settling"]) == len(read_rows(written["settling.csv"])) > 9  # a row has a key of its own
     assert content["versions"]["numpy"] == np.__version__
 
 
 def test_tables_and_json_agree(written):
     summaries = _content(written["evaluation.json"])["summaries"]
-    means = {row["regime"]: row["value"] for row in _rows(written["table2.csv"]) if row["quantity"] == "mean"}
+    means = {row["regime"]: row["value"] for row in read_rows(written["table2.csv"]) if row["quantity"] == "mean"}
     assert {name: float(value) for name, value in means.items()} == pytest.approx(
         {name: summary["mean"]["value"] for name, summary in summaries.items()}
     )
@@ -75,8 +70,8 @@ def test_tables_and_json_agree(written):
 
 
 def test_table_2_has_every_statistic_in_full_precision(written):
-    rows = {(row["regime"], row["compared_with"], row["quantity"]): row for row in _rows(written["table2.csv"])}
-    errors = np.array([float(row["error_predicted"]) for row in _rows(written["per_frame.csv"])])
+    rows = {(row["regime"], row["compared_with"], row["quantity"]): row for row in read_rows(written["table2.csv"])}
+    errors = np.array([float(row["error_predicted"]) for row in read_rows(written["per_frame.csv"])])
     assert float(rows["predicted θ", "", "mean"]["value"]) == pytest.approx(errors.mean(), rel=1e-12)
     assert float(rows["predicted θ", "", "sd"]["value"]) == pytest.approx(errors.std(ddof=1), rel=1e-12)
     interval = rows["predicted θ", "", "interval"]
@@ -87,8 +82,8 @@ def test_table_2_has_every_statistic_in_full_precision(written):
         assert f"| {label} | " in text
 
 
-def test_per_frame_rows(written, records):
-    rows = _rows(written["per_frame.csv"])
+def test_per_frameread_rows(written, records):
+    rows = read_rows(written["per_frame.csv"])
     assert [(row["clip"], row["frame"]) for row in rows[:4]] == [
         ("hard", "0"),
         ("hard", "1"),
@@ -105,7 +100,7 @@ def test_per_frame_rows(written, records):
 
 
 def test_settling_rows_name_what_did_not_settle(written):
-    rows = _rows(written["settling.csv"])
+    rows = read_rows(written["settling.csv"])
     assert len(rows) == 18
     assert {row["state"] for row in rows} <= {"settled", "not reached", "not finite"}
     for row in rows:
@@ -114,7 +109,7 @@ def test_settling_rows_name_what_did_not_settle(written):
 
 
 def test_spread_by_parameter(written):
-    rows = _rows(written["collapse.csv"])
+    rows = read_rows(written["collapse.csv"])
     assert ",".join(rows[0]) == (
         "parameter,mean,sd,minimum,maximum,low,high,sd_of_range,sd_of_mean,between_clips_sd,within_clips_sd,at_bound,"
         "verdict"

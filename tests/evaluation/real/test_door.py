@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import csv
 from pathlib import Path
 
 import cv2
@@ -15,6 +14,7 @@ from palpate.evaluation.harness import options, write
 from palpate.evaluation.real.__main__ import KNOWN, Real, main
 from palpate.evaluation.real.pulled import Pull, PulledClip, evaluate_pull
 from tests.evaluation.real_clips import pull_clip
+from tests.tables import read_measures
 
 STILL = np.zeros(9)
 PULLED = np.linspace(0, 3, 13)
@@ -42,12 +42,9 @@ def known(monkeypatch: pytest.MonkeyPatch, inputs: Path, *names: str) -> list[st
 
 def rows(output: Path) -> dict[str, dict[str, str]]:
     """Values by clip and measure."""
-    with (output / "table.csv").open(encoding="utf-8", newline="") as file:
-        table = csv.DictReader(file)
-        assert tuple(table.fieldnames or ()) == ("clip", "measure", "value")
-        found: dict[str, dict[str, str]] = {}
-        for row in table:
-            found.setdefault(row["clip"], {})[row["measure"]] = row["value"]
+    found: dict[str, dict[str, str]] = {}
+    for (clip, measure), value in read_measures(output / "table.csv").items():
+        found.setdefault(clip, {})[measure] = value
     return found
 
 

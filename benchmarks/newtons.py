@@ -29,7 +29,8 @@ from palpate.common.command_line import say
 from palpate.common.files import all_below
 from palpate.common.output import replacing_own, require_own
 from palpate.data.source.layout import InputError, read_mapping
-from palpate.evaluation.harness import Report, Row, by_measure, options, show, write
+from palpate.evaluation.harness import Report, Row, by_measure, show, write
+from palpate.evaluation.options import options
 from palpate.results.store import CALIBRATED, OutputError, writing
 
 NEWTONS = 25.0

@@ -34,7 +34,8 @@ from palpate.common.settings import LARGEST
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.estimators.model_errors import FILE, read_entries
 from palpate.estimators.open import FEM, EstimatorOptions
-from palpate.evaluation.harness import Row, options, require_within
+from palpate.evaluation.harness import Row
+from palpate.evaluation.options import options, require_within
 from palpate.evaluation.plain_video import measured_video
 from palpate.evaluation.recovery.suites import EVERY, LARGEST_SEED, suite_clip_seed
 from palpate.evaluation.recovery.trial import Trial, run_trial

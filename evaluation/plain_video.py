@@ -38,7 +38,8 @@ from palpate.data.synthetic.truth import PressedMotion, damping_ratio, regime_of
 from palpate.estimators.contract import ClipInfo
 from palpate.estimators.estimate import COMBINATIONS, NINETY, REPORTED, FrameEstimate, InteractionEstimate
 from palpate.estimators.session import estimates_of
-from palpate.evaluation.harness import Measurements, Report, Row, require_within, run
+from palpate.evaluation.harness import Measurements, Report, Row, run
+from palpate.evaluation.options import require_within
 from palpate.evaluation.recovery.suites import LARGEST_SEED
 
 LENGTHS = {"force": 1, "force_over_stiffness": 1}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import functools
 import os
 import random
@@ -115,7 +114,7 @@ def quick(monkeypatch: pytest.MonkeyPatch, blank_pictures: None) -> None:
     patch(synthetic_clips, "open_video", lambda path, settings: nullcontext(lambda image: path.write_bytes(b"v")))
     patch(real, "evaluate_pull", lambda clip, row: Pull({"status": "ok"}, [], cast(Any, None)))
     patch(real, "draw_summary", lambda *arguments, **options: None)
-    patch(real, "in_base64", lambda figure: base64.b64encode(os.urandom(8)).decode())
+    patch(real, "as_png", lambda figure: os.urandom(8))
     patch(foreign, "judge_beams", lambda runs: {"beam": {"E (Pa)": random.random()}})
     patch(foreign, "measure_ringing", lambda path: {"ringing": asdict(foreign.Ringing(0.0, 7.7, 2.5, 0.0))})
     monkeypatch.setitem(curves.JUDGES, HOLD, lambda path: {"peak force (N)": random.random()})

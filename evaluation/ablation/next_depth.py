@@ -27,7 +27,8 @@ from palpate.estimators.onset import STAMP
 from palpate.estimators.open import EstimatorOptions
 from palpate.evaluation.ablation.generated import TrainedGenerator, carried_ahead
 from palpate.evaluation.ablation.watched import WatchedClip, watch
-from palpate.evaluation.harness import Experiment, Report, Row, require_within
+from palpate.evaluation.harness import Experiment, Report, Row
+from palpate.evaluation.options import require_within
 from palpate.evaluation.recovery.bounds import MECHANICS
 from palpate.evaluation.recovery.estimators import opened
 from palpate.evaluation.recovery.suites import LARGEST_SEED, SUITES, suite_clip_seed

@@ -25,7 +25,7 @@ from rich.console import Console
 from palpate.common.command_line import say
 from palpate.common.output import replacing_own, require_own
 from palpate.estimators.palpation import Palpation
-from palpate.evaluation.harness import options
+from palpate.evaluation.options import options
 from palpate.evaluation.palpation.synthetic import BODIES, TOOL, observe, press
 from palpate.results.store import OutputError, writing
 

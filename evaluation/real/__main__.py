@@ -34,7 +34,8 @@ from palpate.data.source.layout import InputError
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.grip.lattice import NothingMoves
 from palpate.estimators.online.settings import FILES, OnlineSettings, load_settings
-from palpate.evaluation.harness import OK, Experiment, Report, Row, by_measure, in_base64, run
+from palpate.evaluation.harness import OK, Experiment, Report, Row, by_measure, run
+from palpate.evaluation.page import as_png
 from palpate.evaluation.real.predicted import evaluate_prediction
 from palpate.evaluation.real.pulled import PulledClip, evaluate_pull
 from palpate.results.plots import draw_summary
@@ -65,7 +66,8 @@ def judge(case: RealCase) -> list[Row]:
             if case.online is None:
                 pull = evaluate_pull(case.pulled, row)
                 row |= pull.measures
-                row["figure"] = in_base64(draw_summary(pull.frames, runs=[pull.run], title=case.name))
+                figure = draw_summary(pull.frames, runs=[pull.run], title=case.name)
+                row["figure"] = base64.b64encode(as_png(figure)).decode()
             else:
                 row |= evaluate_prediction(case.pulled, case.online)
     except Exception as error:  # of one clip; the others still are judged

@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 
 from palpate.common.doors import INTERRUPTED
 from palpate.evaluation.benchmark import Benchmark, main
-from palpate.evaluation.harness import options
+from palpate.evaluation.options import options
 from palpate.evaluation.recovery import estimators
 from palpate.evaluation.recovery.scores import COLUMNS
 from palpate.evaluation.recovery.suites import SUITES

@@ -21,12 +21,11 @@ from palpate.evaluation.harness import (
     Store,
     attempted,
     csv_of,
-    options,
     read_results,
-    require_within,
     run,
     write,
 )
+from palpate.evaluation.options import options, require_within
 from palpate.results.store import OutputError
 from tests.evaluation.recovery_cases import recovery
 

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from palpate.common.output import LIST
-from palpate.evaluation.harness import options, write
+from palpate.evaluation.harness import write
+from palpate.evaluation.options import options
 from palpate.evaluation.real.__main__ import KNOWN, Real, main
 from palpate.evaluation.real.pulled import Pull, PulledClip, evaluate_pull
 from tests.evaluation.real_clips import pull_clip

@@ -29,21 +29,9 @@ from palpate.estimators.estimate import FrameEstimate
 from palpate.estimators.known_force import read_forces
 from palpate.estimators.open import DEPTH, EstimatorOptions, open_estimator, preparation
 from palpate.estimators.session import estimates_of
+from palpate.results import store
 from palpate.results.calibrated import ClipCalibration, carried_from, comparison_sentence
 from palpate.results.record import build_record, depends_on, describe, fingerprint_of, model_of
-from palpate.results.store import (
-    CALIBRATED,
-    COMPARED,
-    COMPARISON,
-    FIELDS,
-    FORCES,
-    OVERLAY,
-    PROGRAM,
-    WRITTEN,
-    ResultStore,
-    is_up_to_date,
-    read_record,
-)
 from palpate.results.writer import ClipResults
 
 WORDS = {
@@ -92,18 +80,9 @@ class Batch:
         self.calibration = None if options.calibration is None else read_calibration(options.calibration)
         self.carried: Path | None = None
         """Folder of the results of the clip with the known force, once it is done."""
-        self.estimator = open_estimator(
-            EstimatorOptions(
-                options.estimator,
-                options.model,
-                options.onset,
-                options.observation,
-                options.noise,
-                settings=options.settings,
-                threads=options.threads or None,
-                thickness=options.thickness,
-            )
-        )
+        names = ("model", "onset", "observation", "noise", "settings", "thickness")
+        given = {name: getattr(options, name) for name in names}
+        self.estimator = open_estimator(EstimatorOptions(options.estimator, threads=options.threads or None, **given))
         if self.calibration is not None and self.estimator.name == "online":
             raise ValueError("--calibration is for estimators of forces; --estimator online knows none, leave it out.")
         if self.calibration is not None and self.known is not None:
@@ -112,7 +91,7 @@ class Batch:
             )
         chosen = ("masks", "layout", "camera", "contact", "smoothing", *DEPTH)
         self.settings = preparation(self.estimator, **{name: getattr(options, name) for name in chosen})
-        self.store = ResultStore(options.output)
+        self.store = store.ResultStore(options.output)
         self.fields = self.estimator.name == "online"
 
     def process(self, path: Path, progress: Progress, place: str) -> Outcome:
@@ -123,11 +102,11 @@ class Batch:
         if self.known is not None:
             causes["known_force"] = file_sha256(self.options.known_force)
         newtons = None if self.calibration is None else self._newtons(self.calibration, path, causes)
-        if is_up_to_date(folder, fingerprint_of(causes), self._files(newtons), overwrite=self.options.overwrite):
+        if store.is_up_to_date(folder, fingerprint_of(causes), self._files(newtons), overwrite=self.options.overwrite):
             if self._has_known_force(path):
                 self.carried = folder
             say(self.console, f"{source.name}: up to date in {folder}; --overwrite computes it again")
-            return Outcome(source.name, UP_TO_DATE, str(folder), counts_of(read_record(folder)))
+            return Outcome(source.name, UP_TO_DATE, str(folder), counts_of(store.read_record(folder)))
         task = progress.add_task(f"{place} {plain(source.name)[:36]}", total=source.length or None)
         try:
             known = self.known if newtons is None else newtons.known
@@ -204,7 +183,7 @@ class Batch:
         causes["calibration"] = [file_sha256(file) for file in calibration.files]
         if self._is_home(path) or not calibration.of_one_clip:
             return ClipCalibration(calibration, self._is_home(path))
-        record = {} if self.carried is None else read_record(self.carried)
+        record = {} if self.carried is None else store.read_record(self.carried)
         causes["calibrated_by"] = record.get("fingerprint")
         return ClipCalibration(calibration, False, carried_from(record))
 
@@ -212,9 +191,9 @@ class Batch:
         """Names of what is written for a clip."""
         compared = newtons is not None and newtons.measured is not None
         known = self.known if newtons is None else newtons.known
-        wanted = {OVERLAY: self.options.overlay, FORCES: known is not None, FIELDS: self.fields}
-        wanted |= {CALIBRATED: newtons is not None, COMPARED: compared, COMPARISON: compared}
-        return [name for name in WRITTEN if wanted.get(name, True)]
+        wanted = {store.OVERLAY: self.options.overlay, store.FORCES: known is not None, store.FIELDS: self.fields}
+        wanted |= {store.CALIBRATED: newtons is not None, store.COMPARED: compared, store.COMPARISON: compared}
+        return [name for name in store.WRITTEN if wanted.get(name, True)]
 
     def attempt(self, path: Path, progress: Progress, place: str) -> Outcome:
         """Process a clip; whatever goes wrong with it is said in one sentence, and the batch goes on.
@@ -287,7 +266,7 @@ def run(options: argparse.Namespace) -> int:
         batch = Batch(options, console)
         paths, outcomes = batch.clips()
     except (ValueError, OSError) as error:
-        say(console, f"{PROGRAM}: {sentence_of(error)}")
+        say(console, f"{store.PROGRAM}: {sentence_of(error)}")
         return 2
     if not paths:
         return 2

@@ -47,12 +47,12 @@ demo: $(INSTALLED)
 	@echo "results:  $(DEMO)/results/*/ (parameters.csv, interactions.csv, overlay.mp4, summary.png, fit.png, run.json)"
 	@ls -1 $(DEMO)/results/*/parameters.csv $(DEMO)/results/*/overlay.mp4 $(DEMO)/results/*/summary.png
 	@echo
-	@echo "One clip beside its truth: by the shipped network, by the one just trained, and by fitting the simulator"
+	@echo "One clip compared with its truth: by the shipped network, by the one just trained, and by fitting the simulator"
 	@echo "(infer.py --estimator direct):"
-	@$(BIN)/python -m evaluation.beside_truth $(foreach run,results trained fits,$(DEMO)/$(run)/$(notdir $(VIDEO)))
+	@$(BIN)/python -m evaluation.compare_with_truth $(foreach run,results trained fits,$(DEMO)/$(run)/$(notdir $(VIDEO)))
 	@echo
 	@echo "The same clip from its video file alone, with depth and masks estimated, lengths up to the depth's scale:"
-	@$(BIN)/python -m evaluation.beside_truth $(DEMO)/results/$(notdir $(VIDEO))-* || test $$? -eq 1  # 1: says why not
+	@$(BIN)/python -m evaluation.compare_with_truth $(DEMO)/results/$(notdir $(VIDEO))-* || test $$? -eq 1  # 1: says why not
 
 bench: $(INSTALLED)
 	$(BIN)/python -m benchmarks.rollout

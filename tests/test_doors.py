@@ -25,7 +25,7 @@ DOORS = {
     "palpate.evaluation.benchmark": ["-m", "evaluation.benchmark"],
     "palpate.estimators.network.calibration": ["-m", "estimators.network.calibration"],
     "palpate.evaluation.ablation.__main__": ["-m", "evaluation.ablation"],
-    "palpate.evaluation.beside_truth": ["-m", "evaluation.beside_truth"],
+    "palpate.evaluation.compare_with_truth": ["-m", "evaluation.compare_with_truth"],
     "palpate.evaluation.plain_video": ["-m", "evaluation.plain_video"],
     "palpate.evaluation.foreign": ["-m", "evaluation.foreign"],
     "palpate.evaluation.online.__main__": ["-m", "evaluation.online"],

@@ -31,7 +31,7 @@ from palpate.common.settings import LARGEST
 from palpate.common.tables import to_markdown
 from palpate.data.source.table import MOST_BYTES, reason
 from palpate.estimators.estimate import COMBINATIONS, REPORTED
-from palpate.evaluation.beside_truth import true_values
+from palpate.evaluation.compare_with_truth import true_values
 from palpate.evaluation.paper.statistics import format_number
 from palpate.physics.mechanics import PARAMETERS
 

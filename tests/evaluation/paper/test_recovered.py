@@ -1,4 +1,4 @@
-"""Estimates beside the truth of synthetic clips: factors, ranks, and what is said of files that are none."""
+"""Estimates compared with the truth of synthetic clips: factors, ranks, and what is said of files that are none."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Estimates of synthetic clips compared with their truth, as a table a clip.
 
-    python -m evaluation.beside_truth RESULTS [RESULTS …]
+    python -m evaluation.compare_with_truth RESULTS [RESULTS …]
 
 RESULTS are folders that `infer.py` wrote, of frame folders that `python -m data.synthetic` drew, or of their video
 files. Exit status: 0 all shown; 1 some are of no such clip, or have no estimate of its run of contact; 2 wrong usage.
@@ -117,7 +117,7 @@ def table_of(name: str, row: Mapping[str, str], truth: Mapping[str, float]) -> T
 
 def main(arguments: list[str] | None = None) -> int:
     """Print the tables; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m evaluation.beside_truth", description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(prog="python -m evaluation.compare_with_truth", description=__doc__.split("\n")[0])
     parser.add_argument("results", nargs="+", type=path_option, metavar="RESULTS", help="folder of infer.py")
     options: Any = parser.parse_args(arguments)
     console, status = Console(), 0

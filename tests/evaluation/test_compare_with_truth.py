@@ -1,4 +1,4 @@
-"""Estimates beside the truth: numbers of what is determined only, and whether the interval holds."""
+"""Estimates compared with the truth: numbers of what is determined only, and whether the interval holds."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from palpate.evaluation.beside_truth import main, true_values
+from palpate.evaluation.compare_with_truth import main, true_values
 
 THETA = {"stiffness": 0.4, "damping": 0.02, "force": -0.05}
 ROW = {

@@ -1,7 +1,6 @@
 """The online estimator (Liang 2024): a simulated state is taken to what was seen, and its stiffness to fit.
 
 matching   how far particles are from what was seen: Chamfer distance to a cloud, followed points
-nearest    nearest neighbours on a surface, by a flat grid
 mapping    the residual deformation that takes a state to what was seen, and its adjoint
 objective  gap, history and smoothness, with their slopes by the fields of stiffness
 bounds     sigmoid bounds on the fields; adam, gauss_newton: the optimisers

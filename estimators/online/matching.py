@@ -1,21 +1,14 @@
-"""How far particles are from what was seen of them: squared distances with gradients, both kinds behind one face."""
+"""How far particles are from what was observed of them: squared distances with gradients.
+
+`slope` of either term of the residual mapping gives its value [m²], its gradient [N, 3] [m], and its second derivatives
+by one axis [N, N], the same for all three and none below 0. Once its pairs are fixed a term is quadratic in positions.
+"""
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 from scipy.sparse import csr_array
-
-from palpate.estimators.online.nearest import gathered, grid_of
-
-
-class Match(Protocol):
-    """A term of the residual mapping; once its pairs are fixed it is quadratic in the positions."""
-
-    def slope(self, points: np.ndarray) -> tuple[float, np.ndarray, csr_array]:
-        """Value [m²], gradient [N, 3] [m], and second derivatives of one axis [N, N], alike for all three, none < 0."""
-        ...
+from scipy.spatial import KDTree
 
 
 class Chamfer:
@@ -39,21 +32,27 @@ class Chamfer:
         if len(seen) == 0:
             raise ValueError("no particle is seen, so there is nothing to match with the cloud.")
         self.cloud, self.seen = np.asarray(cloud, np.float64), np.asarray(seen, np.int64)
-        self._grid = grid_of(self.cloud)
+        self._tree = KDTree(self.cloud)
 
     def slope(self, points: np.ndarray) -> tuple[float, np.ndarray, csr_array]:
-        """As `Match` says."""
+        """Value, gradient and second derivatives.
+
+        Raises:
+            ValueError: a position that is not finite.
+        """
         shown = points[self.seen]
-        out, there = self._grid.nearest(shown)
-        cloud = self._grid.points  # in an order that keeps neighbours together, which is faster
-        back, here = grid_of(shown).nearest(cloud)
-        own, others = len(shown), len(cloud)
-        counts, drawn = gathered(cloud, here, own)
+        if not np.isfinite(shown).all():
+            raise ValueError("a point to match is not finite: what is simulated has diverged.")
+        out, there = self._tree.query(shown)
+        back, here = KDTree(shown).query(self.cloud)
+        own, others = len(shown), len(self.cloud)
+        counts = np.bincount(here, minlength=own)
+        drawn = np.stack([np.bincount(here, axis, minlength=own) for axis in self.cloud.T], axis=1)
         gradient, weight = np.zeros_like(points), np.zeros(len(points))
         gradient[self.seen] = 2 * (shown - self.cloud[there]) / own + 2 * (counts[:, None] * shown - drawn) / others
         weight[self.seen] = 2 / own + 2 * counts / others
         curved = csr_array((weight, np.arange(len(points)), np.arange(len(points) + 1)))
-        return float(out.mean() + back.mean()), gradient, curved
+        return float(np.square(out).mean() + np.square(back).mean()), gradient, curved
 
 
 class Tracks:
@@ -78,7 +77,10 @@ class Tracks:
         self._curved = (2 / len(self.observed) * (self.places.T @ self.places)).tocsr()
 
     def slope(self, points: np.ndarray) -> tuple[float, np.ndarray, csr_array]:
-        """As `Match` says."""
+        """Value, gradient and second derivatives."""
         apart = self.places @ points - self.observed
         count = len(apart)
         return float((apart * apart).sum() / count), 2 / count * (self.places.T @ apart), self._curved
+
+
+Match = Chamfer | Tracks

@@ -7,6 +7,8 @@ import numpy as np
 from palpate.physics.jit import kernel
 
 _SWEEPS = 40
+_AXES = np.cross(np.eye(3)[:, None], -np.eye(3))
+"""[e_a]×, shape [3, 3, 3]."""
 
 
 def rotations(gradient: np.ndarray) -> np.ndarray:
@@ -34,10 +36,16 @@ def spins(gradient: np.ndarray, rotation: np.ndarray) -> np.ndarray:
         gradient: F, shape [..., 3, 3].
         rotation: its R, likewise.
     """
-    flat, turn = (np.ascontiguousarray(values.reshape(-1, 3, 3), np.float64) for values in (gradient, rotation))
-    slope = np.empty((len(flat), 9, 9))
-    _spin(flat, turn, slope)
-    return slope.reshape(*gradient.shape[:-2], 9, 9)
+    stretch = np.swapaxes(rotation, -1, -2) @ gradient
+    stretch = (stretch + np.swapaxes(stretch, -1, -2)) / 2
+    trace = np.trace(stretch, axis1=-2, axis2=-1)
+    matrix = trace[..., None, None] * np.eye(3) - stretch
+    # Turned inside out with two stretches alike the rotation jumps, and has no derivative.
+    jumps = np.abs(np.linalg.det(matrix)) <= 1e-14 * np.abs(trace) ** 3
+    inverse = np.linalg.inv(np.where(jumps[..., None, None], np.eye(3), matrix))
+    inverse[jumps] = 0
+    turned = (rotation[..., None, :, :] @ _AXES).reshape(*rotation.shape[:-2], 3, 9)
+    return np.swapaxes(turned, -1, -2) @ inverse @ turned
 
 
 @kernel
@@ -70,43 +78,3 @@ def _rotate(gradient: np.ndarray, rotation: np.ndarray, done: np.ndarray) -> Non
             if change < 1e-28:
                 done[n] = True
                 break
-
-
-@kernel
-def _spin(gradient: np.ndarray, rotation: np.ndarray, slope: np.ndarray) -> None:
-    """∂R/∂F [N, 9, 9] at gradients and their rotations [N, 3, 3]."""
-    solved, inverse = np.empty((3, 3)), np.empty((3, 3))
-    turned = np.empty((3, 9))
-    for n in range(len(gradient)):
-        trace = 0.0
-        for i in range(3):
-            for j in range(3):
-                total = 0.0
-                for k in range(3):
-                    total += rotation[n, k, i] * gradient[n, k, j] + rotation[n, k, j] * gradient[n, k, i]
-                solved[i, j] = -0.5 * total
-            trace -= solved[i, i]
-        for i in range(3):
-            solved[i, i] += trace
-        determinant = 0.0
-        for i in range(3):
-            for j in range(3):
-                a, b, c, d = (i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3
-                inverse[i, j] = solved[a, c] * solved[b, d] - solved[a, d] * solved[b, c]
-        for j in range(3):
-            determinant += solved[0, j] * inverse[0, j]
-        if abs(determinant) < 1e-14 * abs(trace) ** 3 or determinant == 0.0:
-            determinant = np.inf  # turned inside out with two stretches alike: the rotation jumps there
-        for a in range(3):  # R [e_a]×, row by row
-            b, c = (a + 1) % 3, (a + 2) % 3
-            for i in range(3):
-                turned[a, 3 * i + a] = 0.0
-                turned[a, 3 * i + b] = rotation[n, i, c]
-                turned[a, 3 * i + c] = -rotation[n, i, b]
-        for p in range(9):
-            for q in range(9):
-                total = 0.0
-                for a in range(3):
-                    for b in range(3):
-                        total += turned[a, p] * inverse[a, b] * turned[b, q]
-                slope[n, p, q] = total / determinant

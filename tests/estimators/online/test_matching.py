@@ -47,6 +47,9 @@ def test_bad_input_is_said():
             Chamfer(cloud, SEEN)
     with pytest.raises(ValueError, match="no particle is seen"):
         Chamfer(CLOUD, np.empty(0, int))
+    for value in (np.nan, np.inf, -np.inf):
+        with pytest.raises(ValueError, match="not finite"):
+            Chamfer(CLOUD, SEEN).slope(np.where(np.arange(20)[:, None] == 7, value, POINTS))
     with pytest.raises(ValueError, match="observed has shape"):
         Tracks(csr_array(SHARES), np.zeros((3, 3)))
     with pytest.raises(ValueError, match="none of the followed points"):

@@ -28,7 +28,7 @@ REST_SHARE = 0.1
 CUT_SHARES = 0.5, 0.2
 """Shares of samples that end under the tool, as in live frames, and anywhere before the second is over."""
 SEQUENCE_SHARE = 0.85
-"""Share of samples whose features include the depth-change sequence, where there is one."""
+"""Share of samples whose features include the depth-change sequence."""
 DELAY_RANGE = 2.0
 """Width of every delay's range, from -1 to 1, in units of `within`."""
 MAX_REST_SLOPE = 0.004
@@ -69,7 +69,7 @@ class Drawn:
     """Simulated observations of contacts, with the parabola of their log likelihood; B samples."""
 
     features: np.ndarray
-    """Input of the network, shape [B, FEATURES], with sequences [B, FEATURES + SEQUENCE_FEATURES], float32."""
+    """Input of the network, shape [B, FEATURES + SEQUENCE_FEATURES], float32."""
     logs: np.ndarray
     """φ that explains each motion without its errors, shape [B, 3]."""
     information: np.ndarray
@@ -99,28 +99,24 @@ def draw_observed(
     slopes = fits.slopes[index] * (known / noise[:, None])[..., None]
     information = np.einsum("btp,btq->bpq", slopes, slopes)
     pull = np.einsum("btp,bt->bp", slopes, error * known / noise[:, None])
-    sequences = fits.sequences
-    if sequences is not None:
-        with_sequence = generator.random(count) < SEQUENCE_SHARE
-        sequence_errors = draw_sequence_errors(sequences, index, noise, generator)
-        # The contact's own pixel belongs to the depth-change sequence: it has the sequence's error, and may show
-        # neighbouring tissue as well.
-        error[with_sequence] = (sequences.middle[index] - motion + sequence_errors.middle)[with_sequence]
-        noise = np.where(with_sequence & (noise == ROUNDING_NOISE), ROUNDED * noise, noise)
-        more, pulled = sequence_information(
-            sequences.slopes[index], sequences.factors[index], sequence_errors.amounts, noise, known
-        )
-        information[with_sequence], pull[with_sequence] = more[with_sequence], pulled[with_sequence]
+    with_sequence = generator.random(count) < SEQUENCE_SHARE
+    errors = draw_sequence_errors(fits, index, noise, generator)
+    # The contact's own pixel belongs to the depth-change sequence: it has the sequence's error, and may show
+    # neighbouring tissue as well.
+    error[with_sequence] = (fits.middle[index] - motion + errors.middle)[with_sequence]
+    noise = np.where(with_sequence & (noise == ROUNDING_NOISE), ROUNDED * noise, noise)
+    more, pulled = sequence_information(fits.amount_slopes[index], fits.factors[index], errors.amounts, noise, known)
+    information[with_sequence], pull[with_sequence] = more[with_sequence], pulled[with_sequence]
     within = fits.within[index]
     along = (motion + error) / spacing[:, None]
-    features = join_features(along, known, loaded * known, fits.around[index], spacing, noise)
-    if sequences is not None:
-        amounts = (sequences.amounts[index] + sequence_errors.amounts) * known[..., None]
-        more = join_sequence_features(amounts, spacing, noise, within, with_sequence)
-        features = np.concatenate([features, more], axis=1)
+    amounts = (fits.amounts[index] + errors.amounts) * known[..., None]
+    features = [
+        join_features(along, known, loaded * known, fits.around[index], spacing, noise),
+        join_sequence_features(amounts, spacing, noise, within, with_sequence),
+    ]
     logs = fits.logs[index]
     information, pull = without_delays(information, pull, logs[:, 3:])
-    return Drawn(features, logs[:, :3], information, pull)
+    return Drawn(np.concatenate(features, axis=1), logs[:, :3], information, pull)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -139,7 +135,7 @@ def draw_sequence_errors(
     """Errors of depth-change sequences: noise, or rounding where the noise is that of rounding, and the rest surface's.
 
     Args:
-        depth-change sequences: all sequences.
+        sequences: all depth-change sequences.
         index: indices of the sequences to draw for, shape [B].
         noise: standard deviation of every pixel, shape [B] [scene units].
     """
@@ -209,8 +205,6 @@ def without_delays(information: np.ndarray, pull: np.ndarray, delays: np.ndarray
         delays: the delays that explain the motions, shape [B, D - 3]; their prior is centred at 0.
     """
     count = delays.shape[1]
-    if not count:
-        return information, pull
     prior = 12 / DELAY_RANGE**2
     cross = np.linalg.solve(information[:, 3:, 3:] + prior * np.eye(count), information[:, 3:, :3])
     left = information[:, :3, :3] - np.einsum("bdp,bdq->bpq", information[:, 3:, :3], cross)

@@ -10,6 +10,7 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from operator import itemgetter
+from typing import NamedTuple
 
 import numpy as np
 
@@ -42,8 +43,24 @@ NOMINAL_NOISE = 1e-3
 
 
 @dataclasses.dataclass(frozen=True)
-class Fits:
-    """N contacts with the parameters that explain their motions, as arrays; D parameters: φ, and two delays or none."""
+class DepthSequences:
+    """Depth-change sequences without noise of N contacts, P pixels each, as arrays."""
+
+    change: np.ndarray
+    """Depth change, shape [N, SLOTS, P], float16 [scene units]; not a number where the tool is."""
+    amounts: np.ndarray
+    """Amounts of the dent's shapes in the change, shape [N, SLOTS, SHAPES] [scene units]."""
+    amount_slopes: np.ndarray
+    """Derivatives of the amounts by the parameters, shape [N, SLOTS, SHAPES, D]."""
+    factors: np.ndarray
+    """Factors of the amounts' error covariances, as `shape_amounts` gives them, shape [N, SLOTS, SHAPES, SHAPES]."""
+    middle: np.ndarray
+    """The contact's motion in its own pixel, as in `Fits.motion`, shape [N, SLOTS] [scene units]."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Fits(DepthSequences):
+    """N contacts with the PARAMETERS D that explain their motions, as arrays."""
 
     motion: np.ndarray
     """Motion against the force's direction at the slots, without noise, shape [N, SLOTS] [scene units]."""
@@ -59,68 +76,40 @@ class Fits:
     """Spacing of the mesh at the contact, shape [N] [scene units]."""
     within: np.ndarray
     """Largest delay of the press's instants, shape [N] [s]; where it is 0 the delays are 0 and have no derivatives."""
-    sequences: DepthSequences | None = None
-    """Depth-change sequences of the same contacts."""
 
     @classmethod
-    def of(
-        cls,
-        contacts: Sequence[Interaction],
-        logs: Sequence[np.ndarray],
-        slopes: Sequence[np.ndarray],
-        within: Sequence[float] | None = None,
-        sequences: DepthSequences | None = None,
-    ) -> Fits:
-        """Make the arrays from contacts without noise, with each one's parameters [D] and slopes [SLOTS, D]."""
+    def of(cls, contacts: Sequence[Interaction], fitted: Sequence[Fitted], within: Sequence[float]) -> Fits:
+        """Make the arrays from contacts without noise, the fit of each, and the largest delay of its instants [s]."""
         slots, surroundings = slot_times() + 1e-9, [contact_surroundings(contact) for contact in contacts]
+        names = [name for name in Fitted._fields if name != "rms"]
         return cls(
             motion=np.stack([-(contact.moved @ contact.direction) for contact in contacts]).astype(np.float64),
-            logs=np.stack(logs),
-            slopes=np.stack(slopes),
             loaded=np.stack([slots <= contact.load_seconds + 2e-9 for contact in contacts]) * 1.0,
             around=np.stack([item.vector for item in surroundings]),
             spacing=np.array([item.spacing for item in surroundings]),
-            within=np.zeros(len(surroundings)) if within is None else np.asarray(within, np.float64),
-            sequences=sequences,
+            within=np.asarray(within, np.float64),
+            **{name: np.stack([getattr(fit, name) for fit in fitted]) for name in names},
         )
 
 
-@dataclasses.dataclass(frozen=True)
-class DepthSequences:
-    """Depth-change sequences without noise of N contacts, P pixels each, as arrays."""
+class Fitted(NamedTuple):
+    """What explains one contact; other arrays as of `Fits`, without N."""
 
-    change: np.ndarray
-    """Depth change, shape [N, SLOTS, P], float16 [scene units]; not a number where the tool is."""
-    amounts: np.ndarray
-    """Amounts of the dent's shapes in the change, shape [N, SLOTS, SHAPES] [scene units]."""
+    logs: np.ndarray
     slopes: np.ndarray
-    """Derivatives of the amounts by the parameters, shape [N, SLOTS, SHAPES, D]."""
+    rms: float
+    """Root mean square residual [scene units]."""
+    change: np.ndarray
+    amounts: np.ndarray
+    amount_slopes: np.ndarray
     factors: np.ndarray
-    """Factors of the amounts' error covariances, as `shape_amounts` gives them, shape [N, SLOTS, SHAPES, SHAPES]."""
     middle: np.ndarray
-    """The contact's motion in its own pixel, as in `Fits.motion`, shape [N, SLOTS] [scene units]."""
-
-
-def observed_exactly(contact: Interaction) -> ContactProblem:
-    """The problem of explaining a motion without noise."""
-    return ContactProblem(contact, MECHANICS, NOMINAL_NOISE)
 
 
 def motion_slopes(problem: ContactProblem, logs: np.ndarray) -> np.ndarray:
     """Derivatives of the motion against the force's direction by its parameters [D], shape [SLOTS, D] [scene units]."""
     jacobian = NOMINAL_NOISE * problem.jacobian(logs).reshape(-1, 3, len(logs))
     return -np.einsum("tdp,d->tp", jacobian, problem.direction)
-
-
-def fit_motion(task: tuple[Interaction, np.ndarray]) -> tuple[np.ndarray, np.ndarray, float]:
-    """φ [3] that explains a motion, its slopes along the force [SLOTS, 3], and the RMS residual [scene units].
-
-    Args:
-        task: the contact without noise, and the start of the fit [3].
-    """
-    problem = observed_exactly(task[0])
-    best, rms = _explained(problem, task[1])
-    return best, motion_slopes(problem, best), rms
 
 
 def _explained(problem: ContactProblem, start: np.ndarray) -> tuple[np.ndarray, float]:
@@ -140,14 +129,11 @@ def _explained(problem: ContactProblem, start: np.ndarray) -> tuple[np.ndarray, 
     return best, rms
 
 
-def fit_sequence(task: tuple[Interaction, np.ndarray, float]) -> tuple[np.ndarray, np.ndarray, float, tuple]:
-    """`fit_motion` for a contact with a depth-change sequence, whose instants may be unknown.
+def fit_sequence(task: tuple[Interaction, np.ndarray, float]) -> Fitted:
+    """Explain a contact with a depth-change sequence, whose instants may be unknown.
 
     Args:
         task: the contact without noise, the start of the fit [3], and the largest delay of its instants [s].
-
-    Returns:
-        Parameters [5], slopes [SLOTS, 5], RMS residual [scene units], and the arrays of `DepthSequences` without N.
     """
     contact, start, within = task
     problem = ContactProblem(contact, MECHANICS, NOMINAL_NOISE, within)
@@ -159,8 +145,8 @@ def fit_sequence(task: tuple[Interaction, np.ndarray, float]) -> tuple[np.ndarra
     amounts, factors = shape_amounts(change)
     slopes = np.einsum("tij,tkj,pk,tpd->tid", factors, factors, dent_shapes(), tangent)
     middle = -(motion_in_sequence(contact).astype(np.float64) @ contact.direction)
-    parts = change.astype(np.float16), amounts, _padded(slopes), factors, middle
-    return _padded(best), _padded(motion_slopes(problem, best)), rms, parts
+    by_parameters = _padded(best), _padded(motion_slopes(problem, best))
+    return Fitted(*by_parameters, rms, change.astype(np.float16), amounts, _padded(slopes), factors, middle)
 
 
 def _padded(values: np.ndarray) -> np.ndarray:

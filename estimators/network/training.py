@@ -27,7 +27,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import torch
@@ -41,7 +40,7 @@ from palpate.common.output import ForeignFile, replacing_own, require_own
 from palpate.common.provenance import code_digest
 from palpate.common.workers import run_tasks
 from palpate.data.contact.features import FEATURES, contact_features, contact_surroundings
-from palpate.data.contact.interaction import CONTACT, FIELD, Interaction
+from palpate.data.contact.interaction import Interaction
 from palpate.data.contact.sequence_features import SEQUENCE_FEATURES, sequence_features
 from palpate.data.synthetic.contacts import SimulatedContact, draw_contacts
 from palpate.data.synthetic.settings import SceneSettings
@@ -53,9 +52,7 @@ from palpate.estimators.network.fits import (
     FRAME_S,
     MECHANICS,
     SCENES,
-    DepthSequences,
     Fits,
-    fit_motion,
     fit_sequence,
 )
 from palpate.models.evidence import box_prior, covering, preconditioned
@@ -65,8 +62,6 @@ from palpate.physics.likelihood import Likelihood, Linearised
 
 WEIGHTS, LOG, PREPARED = "posterior.pt", "training.jsonl", "prepared.pt"
 """Files of the output folder; at the end the first appears and the last is removed."""
-INPUT_LENGTHS = {FIELD: FEATURES + SEQUENCE_FEATURES, CONTACT: FEATURES}
-"""Length of the network's input by its kind: with the depth-change sequence, or the contact's motion alone."""
 CONTACTS_A_SCENE = 8
 LEAST_STEPS = 4
 """Fewest steps of a stage: its learning rate rises over three steps, and falls."""
@@ -96,8 +91,6 @@ class ContactSettings:
     """Folder for the weights and the log."""
     contacts: int = 3200
     """Number of simulated contacts."""
-    observation: Literal["field", "contact"] = FIELD
-    """Input of the posterior: the depth of the whole dent, or the contact's motion alone."""
     rough_steps: int = 800
     fine_steps: int = 16000
     bound_steps: int = 2000
@@ -126,22 +119,18 @@ def widened(contact: Interaction, logs: np.ndarray, blur: float) -> Linearised:
 class Trainer:
     """The posterior and its training on a fixed set of contacts."""
 
-    def __init__(self, contacts: list[SimulatedContact], seed: int, within: Sequence[float] | None = None) -> None:
+    def __init__(self, contacts: list[SimulatedContact], within: Sequence[float], seed: int) -> None:
         """
         Args:
-            contacts: with depth-change sequences where the posterior takes them.
+            contacts: with depth-change sequences.
+            within: largest error of each contact's instants [s].
             seed: another seed gives other weights and errors.
-            within: largest error of each contact's instants [s]; None = no error.
         """
         torch.manual_seed(seed)
-        self.contacts = contacts
-        self.within = [0.0] * len(contacts) if within is None else list(within)
-        self.sequences = contacts[0].interaction.sequence is not None
+        self.contacts, self.within = contacts, within
         self.generator = np.random.default_rng([seed, 17])
         self.surroundings = [contact_surroundings(contact.interaction) for contact in contacts]
-        self.posterior = ContactPosterior(
-            INPUT_LENGTHS[FIELD if self.sequences else CONTACT], torch.tensor(BOUNDS.log_box)
-        )
+        self.posterior = new_posterior()
         sample = [self.draw() for _ in range(SCALE_SAMPLES)]
         self.posterior.standardise(torch.tensor(np.stack([features for _, features in sample])))
         self.threads = ThreadPoolExecutor()
@@ -156,11 +145,9 @@ class Trainer:
 
     def features(self, contact: Interaction, index: int) -> np.ndarray:
         """The network's input for a contact in the first two stages, which leave the depth-change sequence out."""
-        motion = contact_features(contact, self.surroundings[index])
-        if not self.sequences:
-            return motion
-        spacing = self.surroundings[index].spacing
-        return np.concatenate([motion, sequence_features(None, spacing, contact.noise, self.within[index])])
+        around = self.surroundings[index]
+        more = sequence_features(None, around.spacing, contact.noise, self.within[index])
+        return np.concatenate([contact_features(contact, around), more])
 
     def rough_loss(self, done: float) -> Tensor:
         """The evidence bound by rollouts at the means, a scalar; `done` is the finished share of the stage's steps."""
@@ -194,28 +181,23 @@ class Trainer:
         with torch.no_grad():
             starts = self.posterior.eval()(torch.from_numpy(np.stack(quiet)))[0].double().numpy()
         self.posterior.train()
-        tasks: list[tuple] = list(zip(contacts, starts, self.within, strict=True))
-        if self.sequences:
-            fitted = run_tasks(fit_sequence, tasks, workers, ordered=True)
-        else:
-            fitted = run_tasks(fit_motion, [task[:2] for task in tasks], workers, ordered=True)
-        found: list[tuple] = list(progress.track(fitted, len(tasks), description="fits"))
-        kept = [index for index, item in enumerate(found) if item[2] <= EXPLAINED]
+        tasks = list(zip(contacts, starts, self.within, strict=True))
+        fitted = run_tasks(fit_sequence, tasks, workers, ordered=True)
+        found = list(progress.track(fitted, len(tasks), description="fits"))
+        kept = [item for item in zip(contacts, found, self.within, strict=True) if item[1].rms <= EXPLAINED]
         print(f"{len(kept)} of {len(found)} motions explained to {EXPLAINED:g}")
         if not kept:
             raise TrainingError("No motion could be explained; give more --contacts.")
-        sequences = None
-        if self.sequences:
-            sequences = DepthSequences(
-                *(np.stack(part) for part in zip(*(found[index][3] for index in kept), strict=True))
-            )
-        logs, slopes = zip(*(found[index][:2] for index in kept), strict=True)
-        within = [self.within[index] for index in kept]
-        fits = Fits.of([contacts[index] for index in kept], logs, slopes, within, sequences)
-        if self.sequences:  # the first stage had none of these inputs
-            examples = torch.from_numpy(draw_observed(fits, SCALE_SAMPLES, self.generator).features)
-            self.posterior.standardise(examples, least=LEAST_SCALE, first=FEATURES)
+        fits = Fits.of(*zip(*kept, strict=True))
+        # The first stage had none of the sequence's inputs.
+        examples = torch.from_numpy(draw_observed(fits, SCALE_SAMPLES, self.generator).features)
+        self.posterior.standardise(examples, least=LEAST_SCALE, first=FEATURES)
         return fits
+
+
+def new_posterior() -> ContactPosterior:
+    """The untrained posterior of a contact's motion and its depth-change sequence."""
+    return ContactPosterior(FEATURES + SEQUENCE_FEATURES, torch.tensor(BOUNDS.log_box))
 
 
 def fine_loss(posterior: ContactPosterior, drawn: Drawn) -> Tensor:
@@ -265,13 +247,13 @@ def _tensor(values) -> Tensor:
     return torch.as_tensor(np.asarray(values), dtype=torch.float32)
 
 
-def _scene_contacts(task: tuple[SceneSettings, int, float, bool]) -> list[SimulatedContact]:
-    settings, seed, within, sequence = task
-    return draw_contacts(settings, seed, CONTACTS_A_SCENE, MECHANICS.time_step, within, sequence)
+def _scene_contacts(task: tuple[SceneSettings, int, float]) -> list[SimulatedContact]:
+    settings, seed, within = task
+    return draw_contacts(settings, seed, CONTACTS_A_SCENE, MECHANICS.time_step, within, sequence=True)
 
 
 def make_contacts(
-    count: int, seed: int, progress: Progress, workers: int | None = None, within: float = 0.0, sequence: bool = False
+    count: int, seed: int, progress: Progress, workers: int | None = None, within: float = 0.0
 ) -> list[SimulatedContact]:
     """About `count` contacts of many scenes, the regimes in turn, as in the benchmark.
 
@@ -280,7 +262,7 @@ def make_contacts(
         seed: another seed gives other scenes.
         progress: display for the progress bar.
         workers: number of processes; None = one a core, 0 = in this one.
-        within, depth-change sequence: as in `draw_contacts`.
+        within: as in `draw_contacts`.
 
     Raises:
         TrainingError: no contact could be drawn.
@@ -288,7 +270,7 @@ def make_contacts(
     """
     seeds = np.random.SeedSequence((seed, 0xC0)).generate_state(-(-count // CONTACTS_A_SCENE)).tolist()
     turns = [dataclasses.replace(SCENES, regime=regime) for regime in REGIMES]
-    tasks = [(turns[number % len(turns)], scene, within, sequence) for number, scene in enumerate(seeds)]
+    tasks = [(turns[number % len(turns)], scene, within) for number, scene in enumerate(seeds)]
     drawn = run_tasks(_scene_contacts, tasks, workers, ordered=True)
     scenes = progress.track(drawn, len(tasks), description="scenes")
     found = [contact for contacts in scenes for contact in contacts]
@@ -311,7 +293,7 @@ def train_contact(options: ContactSettings) -> None:
     require_own(options.output / WEIGHTS, options.output / PREPARED)
     _require_log(options.output / LOG)
     with progress_bars(Console()) as progress, (options.output / LOG).open("a") as log:
-        posterior = ContactPosterior(INPUT_LENGTHS[options.observation], torch.tensor(BOUNDS.log_box))
+        posterior = new_posterior()
 
         def stage(name: str, network: nn.Module, loss_of: Callable[[int], Tensor], steps: int, rate: float) -> None:
             losses = progress.track(descend(network, loss_of, steps, rate), steps, description=name)
@@ -356,30 +338,24 @@ def _require_log(path: Path) -> None:
 
 def _trainer(options: ContactSettings, progress: Progress) -> Trainer:
     """The trainer, with depth-change sequences on contacts of which half have unknown instants."""
-    made = functools.partial(make_contacts, progress=progress, workers=options.workers)
-    if options.observation == CONTACT:
-        return Trainer(made(options.contacts, options.seed), options.seed)
     half = -(-options.contacts // 2)
     parts = [
-        made(half, options.seed, sequence=True),
-        made(half, options.seed + SEED_OFFSET, within=FRAME_S, sequence=True),
+        make_contacts(half, options.seed + offset, progress, options.workers, within)
+        for offset, within in ((0, 0.0), (SEED_OFFSET, FRAME_S))
     ]
     within = [0.0] * len(parts[0]) + [FRAME_S] * len(parts[1])
-    return Trainer([*parts[0], *parts[1]], options.seed, within)
+    return Trainer([*parts[0], *parts[1]], within, options.seed)
 
 
 def _prepared_by(options: ContactSettings) -> dict[str, object]:
     """Everything that the results of the first two stages depend on."""
-    names = ("observation", "contacts", "rough_steps", "seed")
+    names = ("contacts", "rough_steps", "seed")
     return {"code": code_digest(), **{name: getattr(options, name) for name in names}}
 
 
 def _keep_prepared(path: Path, options: ContactSettings, posterior: ContactPosterior, fits: Fits) -> None:
     """Store the results of the first two stages, so that an interrupted training goes on from there."""
-    arrays = dict(vars(fits))
-    sequences = arrays.pop("sequences")
-    arrays |= {} if sequences is None else {f"sequences.{name}": values for name, values in vars(sequences).items()}
-    parts = {name: torch.from_numpy(values) for name, values in arrays.items()}
+    parts = {name: torch.from_numpy(values) for name, values in vars(fits).items()}
     with replacing_own(path) as partial:
         torch.save({"by": _prepared_by(options), "posterior": posterior.state_dict(), "fits": parts}, partial)
 
@@ -393,8 +369,4 @@ def _read_prepared(path: Path, options: ContactSettings, posterior: ContactPoste
         posterior.load_state_dict(kept["posterior"])
     except (OSError, RuntimeError, EOFError, KeyError, TypeError, pickle.UnpicklingError):
         return None
-    arrays = {name: values.numpy() for name, values in kept["fits"].items()}
-    sequences = {
-        name.removeprefix("sequences."): arrays.pop(name) for name in list(arrays) if name.startswith("sequences.")
-    }
-    return Fits(**arrays, sequences=DepthSequences(**sequences) if sequences else None)
+    return Fits(**{name: values.numpy() for name, values in kept["fits"].items()})

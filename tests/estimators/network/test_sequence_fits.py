@@ -49,7 +49,7 @@ def test_sequence_information_is_that_of_the_whole_covariance() -> None:
     noise = np.array([1e-3, 5e-4, 3e-3])
     errors = 1e-3 * generator.normal(size=sequences.amounts.shape)
     known = (np.arange(SLOTS) < np.array([[SLOTS], [7], [2]])).astype(float)
-    information, pull = sequence_information(sequences.slopes, sequences.factors, errors, noise, known)
+    information, pull = sequence_information(sequences.amount_slopes, sequences.factors, errors, noise, known)
     smooth = dent_shapes().T @ smooth_errors(1.0)
     for index, seen in enumerate(known.sum(axis=1).astype(int)):
         covariance = np.kron(np.ones((seen, seen)), smooth @ smooth.T)
@@ -57,7 +57,7 @@ def test_sequence_information_is_that_of_the_whole_covariance() -> None:
             part = slice(slot * SHAPES, (slot + 1) * SHAPES)
             covariance[part, part] += sequences.factors[index, slot] @ sequences.factors[index, slot].T
         covariance *= noise[index] ** 2
-        slopes = sequences.slopes[index, :seen].reshape(-1, PARAMETERS)
+        slopes = sequences.amount_slopes[index, :seen].reshape(-1, PARAMETERS)
         whole = slopes.T @ np.linalg.solve(covariance, slopes)
         np.testing.assert_allclose(information[index], whole, rtol=1e-6, atol=1e-7 * whole.max())
         expected = slopes.T @ np.linalg.solve(covariance, errors[index, :seen].ravel())
@@ -85,13 +85,6 @@ def test_without_delays_is_the_schur_complement(count: int) -> None:
         # The optimum of ½|slopes·d - errors|² + ½·prior·|delays + d's|², in φ.
         optimum = np.linalg.solve(weighed, pull[index] - np.concatenate([np.zeros(3), prior * delays[index]]))
         np.testing.assert_allclose(np.linalg.solve(found[index], pulled[index]), optimum[:3], rtol=1e-8)
-
-
-def test_without_any_delay_nothing_changes() -> None:
-    information, pull = np.eye(3)[None], np.ones((1, 3))
-    found = without_delays(information, pull, np.zeros((1, 0)))
-    np.testing.assert_array_equal(found[0], information)
-    np.testing.assert_array_equal(found[1], pull)
 
 
 def test_drawn_errors_have_the_covariance_of_the_pixels() -> None:
@@ -145,7 +138,7 @@ def test_an_exact_sequence_is_explained(pressed: SimulatedContact, within: float
             SceneSettings(width=214, height=120, regime="critical"), 5, 1, MECHANICS.time_step, 0.0, sequence=True
         )[0]
         start, contact = np.log(np.abs(contact.theta)), contact.interaction
-    logs, slopes, rms, (change, amounts, tangents, factors, middle) = fit_sequence((contact, start, within))
+    logs, slopes, rms, change, amounts, tangents, factors, middle = fit_sequence((contact, start, within))
     np.testing.assert_allclose(logs[:3], start, atol=0.05)
     assert rms < 2e-4
     assert (logs.shape, slopes.shape) == ((PARAMETERS,), (SLOTS, PARAMETERS))

@@ -31,7 +31,7 @@ from palpate.estimators.network.draws import (
     draw_known,
     draw_observed,
 )
-from palpate.estimators.network.fits import BOUNDS, FRAME_S, MECHANICS, SCENES, DepthSequences, Fits, fit_motion
+from palpate.estimators.network.fits import BOUNDS, FRAME_S, MECHANICS, PARAMETERS, SCENES, Fits, fit_sequence
 from palpate.estimators.network.training import (
     PREPARED,
     WEIGHTS,
@@ -41,33 +41,37 @@ from palpate.estimators.network.training import (
     expected_loss,
     fine_loss,
     make_contacts,
+    new_posterior,
     widened,
 )
 from palpate.physics.identifiability import LIMIT, bounds
 
+CRITICAL = SceneSettings(width=214, height=120, regime="critical")
+MADE = [0.0, FRAME_S]
+"""How well instants are known in both halves of a training's contacts."""
+
 
 @pytest.fixture(scope="module")
 def contacts() -> list[SimulatedContact]:
-    """A few contacts of two scenes."""
-    settings = SceneSettings(width=214, height=120, regime="critical")
-    return [contact for seed in (1, 2) for contact in draw_contacts(settings, seed, 4, MECHANICS.time_step)]
+    """A few contacts of two scenes, whose instants are known to a frame only."""
+    drawn = [draw_contacts(CRITICAL, seed, 4, MECHANICS.time_step, FRAME_S, sequence=True) for seed in (1, 2)]
+    return [contact for contacts in drawn for contact in contacts]
 
 
 @pytest.fixture(scope="module")
-def with_sequence() -> list[SimulatedContact]:
-    """Two contacts with depth-change sequences, of the second of which the instants are known to a frame only."""
-    settings = SceneSettings(width=214, height=120, regime="critical")
-    return [draw_contacts(settings, 3, 1, MECHANICS.time_step, within, sequence=True)[0] for within in (0.0, FRAME_S)]
+def unsure() -> list[SimulatedContact]:
+    """Two contacts, of the second of which the instants are known to a frame only."""
+    return [draw_contacts(CRITICAL, 3, 1, MECHANICS.time_step, within, sequence=True)[0] for within in MADE]
 
 
-def test_a_fit_explains_its_motion(contacts: list[SimulatedContact]) -> None:
+def test_a_fit_explains_its_motion(unsure: list[SimulatedContact]) -> None:
     """From a poor start: θ within the integrators' difference, and slopes that predict the effect of another θ."""
-    contact = contacts[0]
-    logs, slopes, rms = fit_motion((contact.interaction, BOUNDS.log_box.mean(axis=0)))
-    assert rms < 1e-4
-    np.testing.assert_allclose(logs, np.log(np.abs(contact.theta)), atol=0.05)
-    assert slopes.shape == (SLOTS, 3)
-    assert (slopes[:, 2] > 0).all()  # more force, more motion
+    contact = unsure[0]
+    fit = fit_sequence((contact.interaction, BOUNDS.log_box.mean(axis=0), 0.0))
+    assert fit.rms < 1e-4
+    np.testing.assert_allclose(fit.logs[:3], np.log(np.abs(contact.theta)), atol=0.05)
+    assert fit.slopes.shape == (SLOTS, PARAMETERS)
+    assert (fit.slopes[:, 2] > 0).all()  # more force, more motion
 
 
 def test_drawn_errors_are_as_large_as_said() -> None:
@@ -110,11 +114,11 @@ def test_a_wider_noise_level_tells_less(contacts: list[SimulatedContact]) -> Non
     np.testing.assert_allclose(narrow.information, 4 * wide.information, rtol=1e-6)
 
 
-def fitted(contacts: list[SimulatedContact]) -> Fits:
+@pytest.fixture(scope="module")
+def fits(contacts: list[SimulatedContact]) -> Fits:
     """Around what explains each, found from the truth."""
-    found = [fit_motion((contact.interaction, np.log(np.abs(contact.theta)))) for contact in contacts]
-    logs, slopes, _ = zip(*found, strict=True)
-    return Fits.of([contact.interaction for contact in contacts], logs, slopes)
+    tasks = [(contact.interaction, np.log(np.abs(contact.theta)), FRAME_S) for contact in contacts]
+    return Fits.of([task[0] for task in tasks], list(map(fit_sequence, tasks)), [FRAME_S] * len(tasks))
 
 
 def descended(network: torch.nn.Module, loss: Callable[[], torch.Tensor], steps: int) -> None:
@@ -122,12 +126,12 @@ def descended(network: torch.nn.Module, loss: Callable[[], torch.Tensor], steps:
 
 
 @pytest.mark.slow
-def test_the_fine_stage_learns(contacts: list[SimulatedContact]) -> None:
+def test_the_fine_stage_learns(fits: Fits) -> None:
     """On eight contacts, two hundred steps bring the estimates nearer to what explains the motions.
 
     Those that were seen for a second: most windows that end under the tool tell too little to come near.
     """
-    posterior, fits = Trainer(contacts, 0).posterior, fitted(contacts)
+    posterior = new_posterior()
     generator = np.random.default_rng(1)
     held_out = draw_observed(fits, 400, np.random.default_rng(5), np.ones_like)
 
@@ -142,12 +146,12 @@ def test_the_fine_stage_learns(contacts: list[SimulatedContact]) -> None:
 
 
 @pytest.mark.slow
-def test_the_expected_bound_learns_and_leaves_the_posterior_alone(contacts: list[SimulatedContact]) -> None:
+def test_the_expected_bound_learns_and_leaves_the_posterior_alone(fits: Fits) -> None:
     """On eight contacts, four hundred steps tell how well each was seen, under noise that was not drawn before.
 
     Half as many are enough for contacts that were seen to their end.
     """
-    posterior, fits = Trainer(contacts, 0).posterior, fitted(contacts)
+    posterior = new_posterior()
     generator = np.random.default_rng(1)
     drawn = draw_observed(fits, 400, np.random.default_rng(5))
     features, true = torch.from_numpy(drawn.features), bounds(drawn.information)
@@ -177,7 +181,7 @@ def test_contacts_are_of_every_regime() -> None:
 
 
 @pytest.mark.slow
-def test_contacts_and_fits_are_the_same_in_processes_of_their_own(contacts: list[SimulatedContact]) -> None:
+def test_contacts_and_fits_are_the_same_in_processes_of_their_own(unsure: list[SimulatedContact]) -> None:
     """Equal to the last bit, and in order: a training does not depend on how many cores there are."""
     here, there = (make_contacts(12, 3, Progress(disable=True), workers) for workers in (0, 2))
     assert len(here) == len(there) == 16  # two scenes
@@ -185,21 +189,11 @@ def test_contacts_and_fits_are_the_same_in_processes_of_their_own(contacts: list
         assert np.array_equal(one.theta, other.theta)
         assert np.array_equal(one.interaction.moved, other.interaction.moved)
         assert np.array_equal(one.interaction.mesh.vertices, other.interaction.mesh.vertices)
-    fits, same = (Trainer(contacts, 0).fit(Progress(disable=True), workers) for workers in (0, 2))
-    assert len(fits.logs) > 0
-    for field in dataclasses.fields(Fits):
-        assert np.array_equal(getattr(fits, field.name), getattr(same, field.name))
-
-
-@pytest.mark.slow
-def test_sequences_and_their_fits_are_the_same_in_processes_of_their_own(with_sequence: list[SimulatedContact]) -> None:
-    fits, same = (Trainer(with_sequence, 0, [0.0, FRAME_S]).fit(Progress(disable=True), workers) for workers in (0, 2))
+    fits, same = (Trainer(unsure, MADE, 0).fit(Progress(disable=True), workers) for workers in (0, 2))
     assert fits.logs.shape == (2, 5)
     assert fits.within.tolist() == [0.0, FRAME_S]
-    for holder, other, kind in ((fits, same, Fits), (fits.sequences, same.sequences, DepthSequences)):
-        for field in dataclasses.fields(kind):
-            if field.name != "sequences":
-                np.testing.assert_array_equal(getattr(holder, field.name), getattr(other, field.name))
+    for field in dataclasses.fields(Fits):
+        np.testing.assert_array_equal(getattr(fits, field.name), getattr(same, field.name))
 
 
 @pytest.mark.parametrize(
@@ -216,7 +210,6 @@ def test_sequences_and_their_fits_are_the_same_in_processes_of_their_own(with_se
         ("seed", str(2**63), f"seed is {2**63}; give 0 to {2**63 - 1}."),
         ("workers", "-1", "workers is -1; give 0 to"),
         ("output", "", "output is empty or the working folder"),
-        ("observation", "sequence", '"contact.observation"'),
     ],
 )
 def test_numbers_that_would_end_a_training_late_are_refused_at_once(
@@ -228,15 +221,13 @@ def test_numbers_that_would_end_a_training_late_are_refused_at_once(
 
 
 @pytest.fixture
-def made(
-    contacts: list[SimulatedContact], with_sequence: list[SimulatedContact], monkeypatch: pytest.MonkeyPatch
-) -> list[tuple[float, bool]]:
-    """How contacts were asked for: drawing takes no time, and steps hardly any."""
+def made(unsure: list[SimulatedContact], monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """How well instants are known of contacts that were asked for: drawing takes no time, and steps hardly any."""
     asked = []
 
-    def make(*_: object, within: float = 0.0, sequence: bool = False, **__: object) -> list[SimulatedContact]:
-        asked.append((within, sequence))
-        return [with_sequence[within > 0]] if sequence else contacts[:2]
+    def make(*given) -> list[SimulatedContact]:
+        asked.append(given[-1])
+        return [unsure[given[-1] > 0]]
 
     monkeypatch.setattr(contact_training, "make_contacts", make)
     monkeypatch.setattr(contact_training, "ROUGH_BATCH", 8)
@@ -244,14 +235,9 @@ def made(
     return asked
 
 
-MADE = {"contact": [(0.0, False)], "field": [(0.0, True), (FRAME_S, True)]}
-"""Contacts whose instants are known, and with depth-change sequences as many whose instants aren't."""
-
-
-def short(folder: Path, observation: str = "contact", *options: str) -> int:
+def short(folder: Path, *options: str) -> int:
     settings = {"output": folder, "rough_steps": 4, "fine_steps": 4, "bound_steps": 4, "workers": 0}
-    given = [f"--contact.{name}={value}" for name, value in (settings | {"observation": observation}).items()]
-    return train.main(["fit", *given, *options])
+    return train.main(["fit", *(f"--contact.{name}={value}" for name, value in settings.items()), *options])
 
 
 def stages(folder: Path) -> list[tuple[str, int]]:
@@ -264,26 +250,18 @@ def steps_of(*names: str) -> list[tuple[str, int]]:
     return [(name, step) for name in names for step in (1, 2, 3, 4)]
 
 
-@pytest.mark.parametrize(("observation", "told"), [("contact", FEATURES), ("field", FEATURES + SEQUENCE_FEATURES)])
-def test_a_training_leaves_its_weights_and_its_record(
-    observation: str, told: int, made: list[tuple[float, bool]], tmp_path: Path
-) -> None:
-    assert short(tmp_path / "out", observation) == 0
-    assert made == MADE[observation]
+def test_a_training_leaves_its_weights_and_its_record(made: list[float], tmp_path: Path) -> None:
+    assert short(tmp_path / "out") == 0
+    assert made == MADE
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [LIST, "posterior.pt", "training.jsonl"]
     assert stages(tmp_path / "out") == steps_of("rough", "fine", "bound")
     weights = torch.load(tmp_path / "out" / "posterior.pt", weights_only=True)
     assert all(torch.isfinite(value).all() for value in weights.values())
-    assert weights["entry.weight"].shape[1] == told
+    assert weights["entry.weight"].shape[1] == FEATURES + SEQUENCE_FEATURES
 
 
-@pytest.mark.parametrize("observation", ["contact", "field"])
 def test_a_training_that_was_interrupted_after_its_fits_goes_on_from_them(
-    observation: str,
-    made: list[tuple[float, bool]],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture,
+    made: list[float], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
     """To the same weights, to the last bit, as without the interruption."""
 
@@ -291,16 +269,16 @@ def test_a_training_that_was_interrupted_after_its_fits_goes_on_from_them(
         raise KeyboardInterrupt
 
     whole, parts = tmp_path / "whole", tmp_path / "parts"
-    assert short(whole, observation) == 0
+    assert short(whole) == 0
     made.clear()
     with monkeypatch.context() as patch:
         patch.setattr(contact_training, "expected_loss", interrupt)
-        assert short(parts, observation) == INTERRUPTED
+        assert short(parts) == INTERRUPTED
     assert "The same command goes on, after its fits if made." in " ".join(capsys.readouterr().err.split())
     assert sorted(path.name for path in parts.iterdir()) == [LIST, PREPARED, "training.jsonl"]
-    assert made == MADE[observation]
-    assert short(parts, observation) == 0
-    assert made == MADE[observation]  # and no others
+    assert made == MADE
+    assert short(parts) == 0
+    assert made == MADE  # and no others
     assert stages(parts) == steps_of("rough", "fine", "fine", "bound")
     assert not (parts / PREPARED).exists()
     expected, found = (torch.load(folder / WEIGHTS, weights_only=True) for folder in (whole, parts))
@@ -310,25 +288,25 @@ def test_a_training_that_was_interrupted_after_its_fits_goes_on_from_them(
 
 
 def test_fits_of_another_training_are_made_anew(
-    made: list[tuple[float, bool]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    made: list[float], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as patch:
         patch.setattr(contact_training, "fine_loss", lambda *_: (_ for _ in ()).throw(OSError(28, "The disk is full")))
         assert short(tmp_path) == 1
-        assert short(tmp_path, "contact", "--contact.seed", "1") == 1
-        assert len(made) == 2  # of another seed
+        assert short(tmp_path, "--contact.seed", "1") == 1
+        assert len(made) == 4  # of another seed
         (tmp_path / PREPARED).write_bytes((tmp_path / PREPARED).read_bytes()[:1000])
-        assert short(tmp_path, "contact", "--contact.seed", "1") == 1
-        assert len(made) == 2  # not as it was written: it is named and stays
+        assert short(tmp_path, "--contact.seed", "1") == 1
+        assert len(made) == 4  # not as it was written: it is named and stays
         (tmp_path / PREPARED).unlink()
-        assert short(tmp_path, "contact", "--contact.seed", "1") == 1
-        assert len(made) == 3
+        assert short(tmp_path, "--contact.seed", "1") == 1
+        assert len(made) == 6
         patch.setattr(contact_training, "code_digest", lambda: "other")
-        assert short(tmp_path, "contact", "--contact.seed", "1") == 1
-        assert len(made) == 4  # of another version
+        assert short(tmp_path, "--contact.seed", "1") == 1
+        assert len(made) == 8  # of another version
     monkeypatch.setattr(contact_training, "code_digest", lambda: "other")
-    assert short(tmp_path, "contact", "--contact.seed", "1") == 0
-    assert len(made) == 4
+    assert short(tmp_path, "--contact.seed", "1") == 0
+    assert len(made) == 8
     assert stages(tmp_path) == steps_of("rough", "rough", "rough", "rough", "fine", "bound")
 
 
@@ -365,7 +343,7 @@ def test_what_ends_a_training_is_one_sentence(
     error: BaseException,
     status: int,
     told: str,
-    made: list[tuple[float, bool]],
+    made: list[float],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture,
@@ -383,10 +361,10 @@ def test_what_ends_a_training_is_one_sentence(
     assert len((tmp_path / "training.jsonl").read_text().splitlines()) == 4  # of the stage before
 
 
-def test_nothing_to_train_on_is_told(contacts: list[SimulatedContact], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_to_train_on_is_told(unsure: list[SimulatedContact], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(contact_training, "EXPLAINED", -1.0)
     with pytest.raises(TrainingError, match="No motion could be explained"):
-        Trainer(contacts[:2], 0).fit(Progress(disable=True), 0)
-    monkeypatch.setattr(contact_training, "draw_contacts", lambda *_: [])
+        Trainer(unsure, MADE, 0).fit(Progress(disable=True), 0)
+    monkeypatch.setattr(contact_training, "draw_contacts", lambda *_, **__: [])
     with pytest.raises(TrainingError, match="No contact could be drawn"):
         make_contacts(8, 0, Progress(disable=True), 0)

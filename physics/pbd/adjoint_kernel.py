@@ -143,27 +143,14 @@ def _shapes_back(layout, weight, inverse_mass, kept, slope, along, change, pull,
 
 @kernel
 def sweep_adjoint(
-    layout,
-    weight,
-    inverse_mass,
-    rest,
-    speed,
-    gripped,
-    path,
-    numbers,
-    acceleration,
-    iterations,
-    turn,
-    motion,
-    pulls,
-    slopes,
+    layout, weight, inverse_mass, rest, gripped, path, foundation, iterations, turn, motion, pulls, slopes
 ):
     """Go back through `sweep_forward` and gather the derivatives of Σ pulls·motion.
 
     Every step is repeated from the positions before it, with what its sweeps met kept; then they are gone back through.
 
     Args:
-        layout … acceleration, iterations: as given to `sweep_forward`.
+        layout … iterations: as given to `sweep_forward`.
         turn: quaternions to begin at, [B, P, 4]; used up.
         motion: what it wrote.
         pulls: derivatives by it, [B, T + 1, N, 3]; used up.
@@ -176,50 +163,26 @@ def sweep_adjoint(
     shapes = np.empty((iterations, turn.shape[1], 15))
     slope = np.empty((iterations, members, 3))
     along, change = np.empty((members, 3)), np.empty((members, 3))
-    points, before = np.zeros((count, 3)), np.zeros((count, 3))
+    points = np.zeros((count, 3))
     multipliers, pulled = np.zeros(constraints), np.zeros(constraints)
-    by_speed = np.zeros_like(speed)
     for b in range(batch):
         for t in range(steps - 1, -1, -1):
-            if t > 0:
-                for particle in range(count):
-                    for axis in range(3):
-                        moved = motion[b, t, particle, axis] - motion[b, t - 1, particle, axis]
-                        before[particle, axis] = moved / numbers[0]
-            else:
-                before[:] = speed[b]
-            begun(motion[b, t], before, inverse_mass, rest, numbers, acceleration, gripped, path[b, t], points)
+            begun(motion[b, t], inverse_mass, rest, foundation, gripped, path[b, t], points)
             multipliers[:] = 0
             for index in range(iterations):
                 kept = distances[index], volumes[index], shapes[index]
                 sweep(layout, weight[b], inverse_mass, points, multipliers, turn[b], slope[index], kept, True)
             pull = pulls[b, t + 1]
-            for particle in range(count):  # v = (x - x before)/Δt, which the step after this one began with
-                for axis in range(3):
-                    pull[particle, axis] += by_speed[b, particle, axis] / numbers[0]
-                    pulls[b, t, particle, axis] -= by_speed[b, particle, axis] / numbers[0]
             pulled[:] = 0
             for index in range(iterations - 1, -1, -1):
-                _shapes_back(
-                    layout,
-                    weight[b],
-                    inverse_mass,
-                    shapes[index],
-                    slope[index],
-                    along,
-                    change,
-                    pull,
-                    pulled,
-                    slopes[b],
-                )
-                _volumes_back(layout, weight[b], inverse_mass, volumes[index], pull, pulled, slopes[b])
-                _distances_back(layout, weight[b], inverse_mass, distances[index], pull, pulled, slopes[b])
+                back = pull, pulled, slopes[b]
+                _shapes_back(layout, weight[b], inverse_mass, shapes[index], slope[index], along, change, *back)
+                _volumes_back(layout, weight[b], inverse_mass, volumes[index], *back)
+                _distances_back(layout, weight[b], inverse_mass, distances[index], *back)
             for index in range(gripped.shape[0]):  # where they are doesn't depend on anything
                 for axis in range(3):
                     pull[gripped[index], axis] = 0.0
             for particle in range(count):
-                free = 1.0 if inverse_mass[particle] > 0 else 0.0
-                left = 1.0 - numbers[2] * inverse_mass[particle]  # the rest of its way is the foundation's
+                left = 1.0 - foundation * inverse_mass[particle]  # the rest of its way is the foundation's
                 for axis in range(3):
                     pulls[b, t, particle, axis] += left * pull[particle, axis]
-                    by_speed[b, particle, axis] = free * left * numbers[0] * numbers[1] * pull[particle, axis]

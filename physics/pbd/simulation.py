@@ -30,10 +30,6 @@ class Stepping:
     """Δt [s]. The paper doesn't give it, nor the mass: k counts in units of m/Δt², which is 1 here."""
     iterations: int = 20
     """Sweeps over all constraints a step; the paper doesn't give them."""
-    keep: float = 0.0
-    """Share of the velocity that a step begins with: 1 is XPBD, 0 the paper's, whose state is positions alone."""
-    acceleration: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Of all free particles: gravity [m/s²]."""
     foundation: float = 0.0
     """Stiffness that holds every particle to its rest [N/m]: tissue lies on other tissue. The paper has none."""
 
@@ -43,12 +39,8 @@ class Stepping:
             raise ValueError(f"time_step is {self.time_step}; give a positive number of seconds.")
         if self.iterations < 1:
             raise ValueError(f"iterations is {self.iterations}; give 1 at least.")
-        if not 0 <= self.keep <= 1:
-            raise ValueError(f"keep is {self.keep}; give a share from 0 to 1.")
         if not (self.foundation >= 0 and math.isfinite(self.foundation)):
             raise ValueError(f"foundation is {self.foundation}; give 0 or more.")
-        if len(self.acceleration) != 3 or not all(map(math.isfinite, self.acceleration)):
-            raise ValueError(f"acceleration is {self.acceleration}; give three finite numbers.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,9 +81,10 @@ def simulate(
     stepping: Stepping,
     *,
     start: np.ndarray | None = None,
-    speed: np.ndarray | None = None,
 ) -> Motion:
     """Step bodies on, one step for each of the grip's (Liang 2024, equation 3, by sweeps of Gauss–Seidel).
+
+    A state is positions alone, as in the paper: no velocity is kept from one step to the next.
 
     B is the number of grips, of fields or of starts, whichever is more than one; one of any serves all.
 
@@ -102,31 +95,26 @@ def simulate(
             number: of steps that nothing grips in.
         stepping: how.
         start: positions to begin at, shape [B, N, 3] or [N, 3] [m]; None = rest.
-        speed: velocities there, likewise [m/s]; None = none.
 
     Raises:
         ValueError: shapes that don't fit, gripped particles that don't exist, numbers that are not finite.
     """
     gripped, path = _paths(grips, body)
     weight = spread(body, fields) * stepping.time_step**2
-    begun = _states("start", body.rest if start is None else start, body)
-    moving = _states("speed", np.zeros_like(body.rest) if speed is None else speed, body)
-    sizes = {len(weight), len(path), len(begun), len(moving)} - {1}
+    begun = _states(body.rest if start is None else start, body)
+    sizes = {len(weight), len(path), len(begun)} - {1}
     if len(sizes) > 1:
-        raise ValueError(f"fields, grips, starts and speeds are of {sorted(sizes)}; give as many of each, or one.")
+        raise ValueError(f"fields, grips and starts are of {sorted(sizes)}; give as many of each, or one.")
     batch = max(sizes, default=1)
-    weight, path, begun, moving = (
-        np.array(np.broadcast_to(values, (batch, *values.shape[1:])), order="C")
-        for values in (weight, path, begun, moving)
+    weight, path, begun = (
+        np.array(np.broadcast_to(values, (batch, *values.shape[1:])), order="C") for values in (weight, path, begun)
     )
     positions = np.empty((batch, path.shape[1] + 1, body.count, 3))
     positions[:, 0] = begun
     foundation = float(stepping.foundation * stepping.time_step**2)
-    numbers = (float(stepping.time_step), float(stepping.keep), foundation)
-    acceleration = np.asarray(stepping.acceleration, np.float64)
     inverse_mass = body.inverse_mass(gripped)
     inverse_mass /= 1 + inverse_mass * foundation
-    arguments = (weight, inverse_mass, body.rest, moving, gripped, path, numbers, acceleration, stepping.iterations)
+    arguments = (weight, inverse_mass, body.rest, gripped, path, foundation, stepping.iterations)
     if not COMPILED:
         say_slow()
     sweep_forward(body.layout, *arguments, unturned(body, batch), positions)
@@ -146,13 +134,13 @@ def _paths(grips: Grip | Sequence[Grip] | int, body: Body) -> tuple[np.ndarray, 
     return gripped, body.rest[gripped] + np.stack([row.displacement.astype(np.float64) for row in rows])
 
 
-def _states(name: str, values: np.ndarray, body: Body) -> np.ndarray:
-    """Positions or velocities of all particles, shape [B, N, 3]."""
+def _states(values: np.ndarray, body: Body) -> np.ndarray:
+    """Positions of all particles, shape [B, N, 3]."""
     found = np.asarray(values, np.float64)
     if found.ndim == 2:
         found = found[None]
     if found.ndim != 3 or found.shape[1:] != body.rest.shape:
-        raise ValueError(f"{name} has shape {np.shape(values)}; give {body.rest.shape}, or a batch of it.")
+        raise ValueError(f"start has shape {np.shape(values)}; give {body.rest.shape}, or a batch of it.")
     if not np.isfinite(found).all():
-        raise ValueError(f"{name} holds a number that is not finite.")
+        raise ValueError("start holds a number that is not finite.")
     return found

@@ -24,19 +24,15 @@ from palpate.physics.pbd.constraint_kernel import (
 
 
 @inlined
-def begun(before, speed, inverse_mass, rest, numbers, acceleration, gripped, places, points):
-    """Where a step's sweeps begin: free particles carried on, gripped ones placed; written to `points` [N, 3].
+def begun(before, inverse_mass, rest, foundation, gripped, places, points):
+    """Where a step's sweeps begin: free particles where they were, gripped ones placed; written to `points` [N, 3].
 
     The foundation is part of the inertia: both are squares of one particle's way, whose sum is one such square.
     """
-    time_step, keep, foundation = numbers
     for particle in range(points.shape[0]):
-        free = 1.0 if inverse_mass[particle] > 0 else 0.0
         back = foundation * inverse_mass[particle]
         for axis in range(3):
-            carried = time_step * keep * speed[particle, axis] + time_step * time_step * acceleration[axis]
-            ahead = before[particle, axis] + free * carried
-            points[particle, axis] = ahead + back * (rest[particle, axis] - ahead)
+            points[particle, axis] = before[particle, axis] + back * (rest[particle, axis] - before[particle, axis])
     for index in range(gripped.shape[0]):
         for axis in range(3):
             points[gripped[index], axis] = places[index, axis]
@@ -124,9 +120,7 @@ def sweep(layout, weight, inverse_mass, points, multipliers, turn, slope, kept, 
 
 
 @kernel
-def sweep_forward(
-    layout, weight, inverse_mass, rest, speed, gripped, path, numbers, acceleration, iterations, turn, motion
-):
+def sweep_forward(layout, weight, inverse_mass, rest, gripped, path, foundation, iterations, turn, motion):
     """Step B bodies on.
 
     Args:
@@ -134,11 +128,9 @@ def sweep_forward(
         weight: k Δt² of every constraint, [B, K].
         inverse_mass: of a particle with its foundation, 1/(m + f Δt²), [N].
         rest: where the foundation pulls to, [N, 3].
-        speed: velocities at the start, [B, N, 3].
         gripped: particles, [G].
         path: where they are after each step, [B, T, G, 3].
-        numbers: Δt, share of the velocity that is kept, f Δt².
-        acceleration: [3].
+        foundation: f Δt².
         iterations: sweeps a step.
         turn: quaternions of the shapes to begin at, [B, P, 4]; used up.
         motion: positions, the start filled in; out: after each step, [B, T + 1, N, 3].
@@ -147,15 +139,10 @@ def sweep_forward(
     slope = np.empty_like(layout.offsets)
     multipliers = np.zeros(layout.rest.shape[0])
     kept = np.empty((0, 5)), np.empty((0, 11)), np.empty((0, 15))
-    now = np.zeros_like(speed[0])
     for b in range(batch):
-        now[:] = speed[b]
         for t in range(steps):
-            points, before = motion[b, t + 1], motion[b, t]
-            begun(before, now, inverse_mass, rest, numbers, acceleration, gripped, path[b, t], points)
+            points = motion[b, t + 1]
+            begun(motion[b, t], inverse_mass, rest, foundation, gripped, path[b, t], points)
             multipliers[:] = 0
             for _ in range(iterations):
                 sweep(layout, weight[b], inverse_mass, points, multipliers, turn[b], slope, kept, False)
-            for particle in range(now.shape[0]):
-                for axis in range(3):
-                    now[particle, axis] = (points[particle, axis] - before[particle, axis]) / numbers[0]

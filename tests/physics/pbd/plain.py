@@ -57,9 +57,8 @@ def project(body: Body, positions: np.ndarray, multipliers: np.ndarray, weight: 
 
 
 def steps(
-    body: Body, stiffness: np.ndarray, start: np.ndarray, speed: np.ndarray, gripped: np.ndarray, path: np.ndarray,
-    how: Stepping,
-) -> Iterator[np.ndarray]:  # fmt: skip
+    body: Body, stiffness: np.ndarray, start: np.ndarray, gripped: np.ndarray, path: np.ndarray, how: Stepping
+) -> Iterator[np.ndarray]:
     """Positions after each step [N, 3], by the constraints' stiffness [K], gripped particles along a path [T, G, 3]."""
     free = (body.inverse_mass(gripped) > 0)[:, None]
     # ½ m|x - a|²/Δt² + ½ f|x - r|² is ½ (m + f Δt²)|x - b|²/Δt² and a constant, b the weighted mean.
@@ -67,13 +66,9 @@ def steps(
     inverse_mass = body.inverse_mass(gripped) * (1 - back)
     positions = start.copy()
     for places in path:
-        before = positions.copy()
-        carried = how.time_step * how.keep * speed + how.time_step**2 * np.array(how.acceleration)
-        positions += np.where(free, carried, 0.0)
         positions += np.where(free, back[:, None], 0.0) * (body.rest - positions)
         positions[gripped] = places
         multipliers = np.zeros(len(body.layout.rest))
         for _ in range(how.iterations):
             project(body, positions, multipliers, stiffness * how.time_step**2, inverse_mass)
-        speed = (positions - before) / how.time_step
         yield positions.copy()

@@ -97,7 +97,7 @@ def test_a_pulled_chain_stretches_by_its_springs_compliance():
     along = (body.edges < count).all(axis=1) & (np.diff(body.edges, axis=1)[:, 0] == 1)
     weights[: len(body.edges)][along] = stiffness
     path = np.tile(line[-1] - [0, pull, 0], (150, 1, 1))
-    *_, found = steps(body, weights, body.rest, np.array([count - 1]), path, Stepping(time_step=2.0))
+    *_, found = steps(body, weights, body.rest, np.array([count - 1]), path, Stepping(time_step=0.7))
     np.testing.assert_allclose(-np.diff(found[:count, 1]) - 1, pull / stiffness / (1 / stiffness).sum(), rtol=1e-3)
 
 

@@ -26,7 +26,7 @@ REFERENCE_DAMPING = 0.127
 
 MOST_STEPS = 20_000
 """A longer rollout is a mistake: 100 s of motion by default."""
-CHOICES = {"scheme": ("euler", "dkd"), "damping": ("implicit", "explicit"), "boundary": ("fixed", "free")}
+SCHEMES = "euler", "dkd"
 
 
 class UnstableConfiguration(ValueError):
@@ -46,13 +46,10 @@ class Mechanics:
     load_steps: int = 50
     """Steps during which the force acts, from the start (the first quarter), unless an observation says otherwise."""
     scheme: Literal["euler", "dkd"] = "euler"
-    """Semi-implicit Euler (the paper's, order 1) or drift–kick–drift (order 2, exact damping, same cost)."""
-    damping: Literal["implicit", "explicit"] = "implicit"
-    """Euler's damping: implicit is stable for every k_d ≥ 0, explicit (the paper's) only below 2m/Δt."""
-    boundary: Literal["fixed", "free"] = "fixed"
-    """Whether the mesh's rim is held. The contact vertex never is."""
-    anchor: float = 0.0
-    """Spring from every vertex to its rest position, as a multiple of k_s (1 reads equation 9 literally)."""
+    """Semi-implicit Euler (the paper's, order 1) or drift–kick–drift (order 2, exact damping, same cost).
+
+    Euler's damping is implicit, stable for every k_d ≥ 0; the paper's explicit one diverges from 2m/Δt on.
+    """
     window_error: float = 0.0
     """Relative error of the contact's trajectory that compiled rollouts may trade for speed; 0 computes it exactly."""
 
@@ -67,13 +64,8 @@ class Mechanics:
             raise ValueError(f"mechanics.steps is {self.steps}; give 1 to {MOST_STEPS}.")
         if not 0 <= self.load_steps <= self.steps:
             raise ValueError(f"mechanics.load_steps is {self.load_steps}; give 0 to {self.steps} (mechanics.steps).")
-        for name, choices in CHOICES.items():
-            if getattr(self, name) not in choices:
-                raise ValueError(f"mechanics.{name} is {getattr(self, name)!r}; choose {' or '.join(choices)}.")
-        if self.scheme == "dkd" and self.damping == "explicit":
-            raise ValueError("mechanics.scheme dkd damps exactly; leave mechanics.damping at implicit with it.")
-        if not (math.isfinite(self.anchor) and self.anchor >= 0):
-            raise ValueError(f"mechanics.anchor is {self.anchor}; give a number of at least 0.")
+        if self.scheme not in SCHEMES:
+            raise ValueError(f"mechanics.scheme is {self.scheme!r}; choose {' or '.join(SCHEMES)}.")
         if not 0 <= self.window_error < 1:
             raise ValueError(f"mechanics.window_error is {self.window_error}; give 0 (exact) or a share below 1.")
 
@@ -185,16 +177,16 @@ def highest_frequency(springs: np.ndarray, vertex_count: int, stiffness: float, 
         largest = float(eigsh(signless, k=1, which="LA", v0=start, tol=1e-3, return_eigenvectors=False)[0]) * 1.001
     else:
         largest = 2.0 * float(degree.max(initial=0))
-    return math.sqrt((largest + mechanics.anchor) * stiffness / mechanics.mass)
+    return math.sqrt(largest * stiffness / mechanics.mass)
 
 
 def require_stable(springs: np.ndarray, vertex_count: int, bounds: Bounds, mechanics: Mechanics) -> None:
     """Refuse an admissible box that the integrator can't follow on this mesh.
 
     Raises:
-        UnstableConfiguration: Δt·ω_max ≥ 2 at the largest admissible k_s, or explicit damping with k_d ≥ 2m/Δt.
+        UnstableConfiguration: Δt·ω_max ≥ 2 at the largest admissible k_s.
     """
-    stiffness, damping = bounds.stiffness[1], bounds.damping[1]
+    stiffness = bounds.stiffness[1]
     frequency = highest_frequency(springs, vertex_count, stiffness, mechanics)
     product = mechanics.time_step * frequency
     if product >= 2:
@@ -203,10 +195,4 @@ def require_stable(springs: np.ndarray, vertex_count: int, bounds: Bounds, mecha
             f"bounds.stiffness allows k_s = {stiffness:g}, where Δt·ω_max = {product:.2f} on this mesh of "
             f"{vertex_count} vertices and must stay below 2; lower the bound under {allowed:.3g} "
             f"or mechanics.time_step under {2 / frequency:.3g} s."
-        )
-    limit = 2 * mechanics.mass / mechanics.time_step
-    if mechanics.damping == "explicit" and damping >= limit:
-        raise UnstableConfiguration(
-            f"bounds.damping allows k_d = {damping:g}, and explicit damping diverges from 2m/Δt = {limit:g} on; "
-            "set mechanics.damping to implicit or lower the bound."
         )

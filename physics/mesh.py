@@ -29,7 +29,7 @@ class Mesh:
     springs: np.ndarray
     """Unique edges of the triangles, shape [S, 2], int32, the smaller index first."""
     rim: np.ndarray
-    """Vertices held when ``Mechanics.boundary`` is "fixed", shape [N], bool; edges against the occluder aren't rim."""
+    """Vertices that are held, unless they are pressed, shape [N], bool; edges against the occluder aren't rim."""
     pixels: np.ndarray
     """Row and column of every vertex in the grid, shape [N, 2], int32."""
     grid_shape: tuple[int, int]

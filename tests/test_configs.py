@@ -76,9 +76,7 @@ def test_paper_configuration_is_the_paper_s(load):
     assert vars(model.weights) == {"gan": 1.0, "cycle": 10.0, "identity": 1.0, "physics": 2.0, "regularisation": 0.1}
     assert (model.learning_rate, tuple(model.betas)) == (2e-4, (0.5, 0.999))
     assert (model.bounds.lower, model.bounds.upper) == ((0.0, 0.0, -10.0), (1.0, 1.0, 0.0))
-    assert model.mechanics == Mechanics(
-        mass=0.001, time_step=0.005, steps=200, load_steps=50, damping="implicit", boundary="fixed"
-    )
+    assert model.mechanics == Mechanics(mass=0.001, time_step=0.005, steps=200, load_steps=50)
     assert cli.trainer.max_epochs == 100
     assert (data.loading.batch_size, data.loading.fractions, data.preparation.depth.bits) == (2, (0.7, 0.2, 0.1), 8)
     assert (data.samples.window, data.samples.observation) == (1, "final")
@@ -112,7 +110,6 @@ STATED = {
     "model.mechanics.steps": 200,
     "model.mechanics.load_steps": 50,
     "model.mechanics.scheme": "euler",
-    "model.mechanics.damping": "explicit",
     "data.samples.observation": "final",
     "data.loading.batch_size": 2,
     "data.loading.fractions": [0.7, 0.2, 0.1],
@@ -136,7 +133,7 @@ STATED = {
 """What Bini 2026 states, by the fields of paper.yaml."""
 OURS = {"seed_everything", "trainer.default_root_dir", "trainer.accelerator", "trainer.devices", "data.root"}
 """Fields that say where and on what to run."""
-IN_CODE = {"resizing", "holes", "depth", "discriminator", "no contact"}
+IN_CODE = {"damping", "rim", "anchor", "resizing", "holes", "depth", "discriminator", "no contact"}
 """Departures that no field can undo."""
 ONLINE_STATED = {
     "particles": 600,

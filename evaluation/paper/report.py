@@ -270,7 +270,7 @@ line. Right: zoomed to the estimates.*
 ## How this was made
 
 - Simulation: mass–spring–damper on the tissue mesh of the frame, {mechanics.steps} steps of {mechanics.time_step:g} s,
-  mass {mechanics.mass:g} a vertex, {mechanics.damping} damping, {mechanics.boundary} rim, anchor {mechanics.anchor:g};
+  mass {mechanics.mass:g} a vertex, implicit damping, a fixed rim;
   the load ends when the observation's contact ends.
 - Error: mean over the observed steps of the squared distance between simulated and observed displacement of the
   contact vertex (Bini 2026, equation 14) [scene units²].

@@ -39,7 +39,7 @@ class MeshBatch:
     springs: Tensor
     """Indices into the joined vertices, shape [ΣS, 2], int64."""
     rim: Tensor
-    """Vertices held with a fixed boundary, shape [ΣN], bool."""
+    """Vertices that are held, shape [ΣN], bool."""
     pixels: Tensor
     """Row and column in the grid, shape [ΣN, 2], int64."""
     vertex_offsets: Tensor

@@ -100,7 +100,7 @@ def _decay(
     # The response after τ steps has degree τ: as many nodes give its coefficients exactly.
     nodes = np.cos(np.pi * (np.arange(horizon + 1) + 0.5) / (horizon + 1))
     step = integrator(damping, mechanics)
-    pull = mechanics.time_step * step.kick * stiffness * (eigenvalue + mechanics.anchor) * (1 - nodes) / 2
+    pull = mechanics.time_step * step.kick * stiffness * eigenvalue * (1 - nodes) / 2
     now, before = np.full_like(nodes, mechanics.time_step), np.zeros_like(nodes)
     responses = [before, now]
     with np.errstate(all="ignore"):

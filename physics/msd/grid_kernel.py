@@ -86,9 +86,9 @@ def _drift(state, displacement, velocity, value, time_step, tiny):
 @inlined
 def _kick_tangent(state, springs, i, turned, keep, pull, own_keep, own_pull, before, force, numbers, pitch):
     """New v̇ and u̇ of a vertex along one axis for one parameter, by which keep and pull have slopes of their own."""
-    _, _, _, _, _, time_step, anchor, _, tiny, _ = numbers
+    _, _, _, _, _, time_step, _, tiny, _ = numbers
     moved = i + turned + THREE * pitch
-    bend = _net(springs, i + turned) - anchor * state[moved]
+    bend = _net(springs, i + turned)
     value = keep * state[moved + NINE * pitch] + pull * bend + own_keep * before + own_pull * force
     _drift(state, moved, moved + NINE * pitch, value, time_step, tiny)
 
@@ -96,11 +96,11 @@ def _kick_tangent(state, springs, i, turned, keep, pull, own_keep, own_pull, bef
 @inlined
 def _kick_axis(state, springs, i, free, numbers, pitch, sensitive):
     """New velocities and displacements of a vertex along one axis; i = axis·pitch + column, free = 1 if it moves."""
-    stiffness, keep, kick, keep_slope, kick_slope, time_step, anchor, _, tiny, _ = numbers
+    stiffness, keep, kick, keep_slope, kick_slope, time_step, _, tiny, _ = numbers
     keep, kick, none = keep * free, kick * free, keep - keep
     keep_slope, kick_slope = keep_slope * free, kick_slope * free
     pull = kick * stiffness
-    force = _net(springs, i) - anchor * state[i]
+    force = _net(springs, i)
     before = state[i + THREE * pitch]
     _drift(state, i, i + THREE * pitch, keep * before + pull * force, time_step, tiny)
     if sensitive:
@@ -180,7 +180,7 @@ def _step(state, forces, layout, radius, numbers, pitch, sensitive):
 def _press(state, load, step, force, numbers, pitch, sensitive):
     """Add the load's impulse at the pressed vertices; `force` is F."""
     factor, pressed, push = load
-    _, _, kick, _, kick_slope, time_step, _, _, _, _ = numbers
+    _, _, kick, _, kick_slope, time_step, _, _, _ = numbers
     for index in range(pressed.shape[0]):
         for axis in range(3):
             share = factor[step] * push[index, axis]
@@ -229,7 +229,7 @@ def specialised(pitch: int, sensitive: bool) -> Callable:
             load: share of F in each step, [T]; places of pressed vertices, [P]; weight·direction of each, [P, 3].
             watched: places of vertices, [M].
             force: F.
-            numbers: k_s, keep, kick and the latter two's slopes by k_d, Δt, anchor, lag, tiny, guard.
+            numbers: k_s, keep, kick and the latter two's slopes by k_d, Δt, lag, tiny, guard.
             path: out, displacement of the watched vertices, [T, M, 3].
             slopes: out, its derivatives by θ where they are carried along, [T, M, 3, 3].
         """
@@ -238,6 +238,6 @@ def specialised(pitch: int, sensitive: bool) -> Callable:
         for step in range(radii.shape[0]):
             _step(state, forces, layout, radii[step], numbers, *fixed)
             _press(state, load, step, force, numbers, *fixed)
-            _show(state, watched, step, numbers[7], path, slopes, *fixed)
+            _show(state, watched, step, numbers[6], path, slopes, *fixed)
 
     return rollout

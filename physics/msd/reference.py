@@ -53,9 +53,6 @@ def integrator(damping: float | np.ndarray, mechanics: Mechanics) -> Integrator:
         share = np.where(small, power(ratio, SHARE), -np.expm1(-safe) / safe)
         slope = np.where(small, power(ratio, SHARE[1:] * np.arange(1, 10)), ((safe + 1) * np.exp(-safe) - 1) / safe**2)
         return Integrator(keep, step * share, -step * keep, step**2 * slope, mechanics.time_step / 2)
-    if mechanics.damping == "explicit":
-        ones = np.ones_like(ratio)
-        return Integrator(1 - ratio, step * ones, -step * ones, 0 * ones, 0.0)
     keep = 1 / (1 + ratio)
     return Integrator(keep, step * keep, -step * keep**2, -(step**2) * keep**2, 0.0)
 
@@ -85,9 +82,9 @@ def spring_force(displacement: np.ndarray, rest: np.ndarray, springs: np.ndarray
     return (elongation / length)[:, None] * current
 
 
-def free_vertices(mesh: Mesh, load: Load, mechanics: Mechanics) -> np.ndarray:
-    """Vertices that move by themselves, shape [N], bool: all but gripped ones and a fixed rim; pressed ones always."""
-    free = ~mesh.rim if mechanics.boundary == "fixed" else np.ones(len(mesh.vertices), dtype=bool)
+def free_vertices(mesh: Mesh, load: Load) -> np.ndarray:
+    """Vertices that move by themselves, shape [N], bool: all but gripped ones and the rim; pressed ones always."""
+    free = ~mesh.rim
     free[load.vertices] = isinstance(load, Press)
     return free
 
@@ -115,11 +112,11 @@ def steps(
     dtype = theta.dtype
     stiffness, damping, force = theta
     keep, kick, keep_slope, kick_slope, lag = (dtype.type(value) for value in integrator(damping, mechanics))
-    time_step, anchor = dtype.type(mechanics.time_step), dtype.type(mechanics.anchor)
+    time_step = dtype.type(mechanics.time_step)
     vertices = mesh.vertices.astype(dtype)
     rest = vertices[mesh.springs[:, 1]] - vertices[mesh.springs[:, 0]]
     gather = _incidence(mesh, dtype)
-    mobile = free_vertices(mesh, load, mechanics).astype(dtype)[:, None]
+    mobile = free_vertices(mesh, load).astype(dtype)[:, None]
     push, factors = np.zeros_like(vertices), np.zeros(load.steps, dtype)
     if isinstance(load, Press):
         factors = load.factor.astype(dtype)
@@ -132,11 +129,11 @@ def steps(
     for index, factor in enumerate(factors):
         if isinstance(load, Grip):
             displacement[load.vertices] = during[index]
-        unit = gather @ spring_force(displacement, rest, mesh.springs) - anchor * displacement
+        unit = gather @ spring_force(displacement, rest, mesh.springs)
         total = stiffness * unit + factor * force * push
         if sensitive:
             turns = spring_tangents(displacement, moved, rest, mesh.springs)
-            by_theta = stiffness * (np.stack([gather @ turn for turn in turns]) - anchor * moved)
+            by_theta = stiffness * np.stack([gather @ turn for turn in turns])
             by_theta[0] += unit
             own = np.stack([np.zeros_like(unit), keep_slope * velocity + kick_slope * total, kick * factor * push])
             speed = mobile * (keep * speed + kick * by_theta + own)

@@ -159,7 +159,7 @@ def _farthest(case: Case, vertices: np.ndarray) -> int:
 def _layout(case: Case, reach: Reach, radii: np.ndarray) -> GridLayout | None:
     """What lies within reach; None where the mesh is no grid."""
     far = max(int(radii.max()) + 1, *reach)
-    mobile = reference.free_vertices(case.mesh, case.load, case.mechanics)
+    mobile = reference.free_vertices(case.mesh, case.load)
     return grid_layout(case.mesh, case.load.vertex, mobile, far, case.theta.dtype)
 
 
@@ -178,14 +178,14 @@ def _within(
 
 
 def _numbers(case: Case, press: Press) -> tuple:
-    """k_s, keep, kick, the latter two's slopes by k_d, Δt, anchor, lag, tiny and guard, in the case's precision."""
+    """k_s, keep, kick, the latter two's slopes by k_d, Δt, lag, tiny and guard, in the case's precision."""
     mechanics, dtype = case.mechanics, case.theta.dtype
     step = reference.integrator(case.theta[1], mechanics)
     # Twelve digits below one step's impulse nothing is left of single precision. In double, only denormals go.
     impulse = float(step.kick * np.abs(case.theta[2]) * np.abs(press.factor).max(initial=0.0))
     tiny = max(1e-12 * impulse, 1e-30) if dtype == np.float32 else 1e-200
     values = (case.theta[0], step.keep, step.kick, step.keep_slope, step.kick_slope, mechanics.time_step)
-    return tuple(dtype.type(value) for value in (*values, mechanics.anchor, step.lag, tiny, reference.NORM_GUARD))
+    return tuple(dtype.type(value) for value in (*values, step.lag, tiny, reference.NORM_GUARD))
 
 
 def _case(theta, mesh, load, mechanics, watch, dtype) -> Case:

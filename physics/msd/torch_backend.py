@@ -40,8 +40,6 @@ def integrator(damping: Tensor, mechanics: Mechanics) -> tuple[Tensor, Tensor, f
         series = 1 - ratio / 2 * (1 - ratio / 3 * (1 - ratio / 4 * (1 - ratio / 5)))
         share = torch.where(small, series, -torch.expm1(-safe) / safe)
         return torch.exp(-ratio), step * share, mechanics.time_step / 2
-    if mechanics.damping == "explicit":
-        return 1 - ratio, torch.full_like(ratio, step), 0.0
     return 1 / (1 + ratio), step / (1 + ratio), 0.0
 
 
@@ -124,12 +122,11 @@ def edge_steps(theta: Tensor, mesh, watched: Tensor, load, mechanics: Mechanics)
     first, second = mesh.springs.unbind(dim=1)
     rest = vertices[second] - vertices[first]
     rest_length = torch.sqrt((rest * rest).sum(dim=1, keepdim=True) + NORM_GUARD)
-    mobile, push = _acting(mesh, load, mechanics, theta.dtype)
+    mobile, push = _acting(mesh, load, theta.dtype)
 
     def elastic(displacement: Tensor) -> Tensor:
         pull = stiffness[first] * spring_force(displacement[second] - displacement[first], rest, rest_length, 1)
-        total = torch.zeros_like(vertices).index_add(0, first, pull).index_add(0, second, -pull)
-        return total - mechanics.anchor * stiffness * displacement if mechanics.anchor else total
+        return torch.zeros_like(vertices).index_add(0, first, pull).index_add(0, second, -pull)
 
     factors = load.factor.to(theta.dtype)[sample].unsqueeze(1).unbind(dim=2)
     for displacement in _steps(elastic, damping, mobile[:, None], push * force, factors, mechanics):
@@ -154,11 +151,11 @@ def grid_steps(theta: Tensor, mesh, watched: Tensor, load, mechanics: Mechanics)
 
     vertices = planes(mesh.vertices.to(theta.dtype))
     springs = _stencil(mesh, place, vertices)
-    mobile, push = _acting(mesh, load, mechanics, theta.dtype)
+    mobile, push = _acting(mesh, load, theta.dtype)
     stiffness, damping, force = (theta[:, index, None, None, None] for index in range(3))
 
     def elastic(displacement: Tensor) -> Tensor:
-        total = -mechanics.anchor * displacement
+        total = torch.zeros_like(displacement)
         for (down, right), link, rest, rest_length in springs:
             near, far = displacement[..., : height - down, : width - right], displacement[..., down:, right:]
             pull = link * spring_force(far - near, rest, rest_length, 1)
@@ -172,15 +169,14 @@ def grid_steps(theta: Tensor, mesh, watched: Tensor, load, mechanics: Mechanics)
         yield displacement.permute(0, 2, 3, 1)[shown]
 
 
-def _acting(mesh, load, mechanics: Mechanics, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
+def _acting(mesh, load, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
     """1 where a vertex of the joined meshes may move (a pressed one always), [ΣN]; its weight·direction, [ΣN, 3]."""
     sizes = load.offsets.diff()
     sample = torch.repeat_interleave(torch.arange(len(sizes), device=sizes.device), sizes)
     loaded = places("load", load.vertices, mesh.vertex_offsets[sample], mesh.vertex_offsets[sample + 1])
-    free = ~mesh.rim if mechanics.boundary == "fixed" else torch.ones_like(mesh.rim)
     push = mesh.vertices.new_zeros(mesh.vertices.shape, dtype=dtype)
     shares = load.weights.to(dtype)[:, None] * load.direction.to(dtype)[sample]
-    return free.index_fill(0, loaded, True).to(dtype), push.index_add(0, loaded, shares)
+    return (~mesh.rim).index_fill(0, loaded, True).to(dtype), push.index_add(0, loaded, shares)
 
 
 def _steps(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from palpate.physics.load import Grip, Press, held
@@ -23,6 +25,11 @@ def sheet(height: int = 10, width: int = 10, spacing: float = 0.01, keep: float 
     z = 0.5 + 0.3 * spacing * np.sin(column / 1.7) + 0.2 * spacing * np.cos(row / 1.3)
     points = np.stack([column * spacing, row * spacing, z], -1).astype(np.float32)
     return grid_mesh(points, np.ones((height, width), dtype=bool), max_edge=10 * spacing, keep=keep)
+
+
+def loose(mesh: Mesh) -> Mesh:
+    """The same with no rim that is held."""
+    return dataclasses.replace(mesh, rim=np.zeros_like(mesh.rim))
 
 
 def hand_mesh(vertices, springs, rim=None, triangles=()) -> Mesh:
@@ -64,10 +71,10 @@ def whole_field(theta, mesh: Mesh, load, mechanics, **options) -> np.ndarray:
     return simulate(theta, mesh, load, mechanics, watch=np.arange(len(mesh.vertices)), **options)
 
 
-def position_form_force(displacement: np.ndarray, mesh: Mesh, stiffness: float, anchor: float = 0.0) -> np.ndarray:
+def position_form_force(displacement: np.ndarray, mesh: Mesh, stiffness: float) -> np.ndarray:
     """Elastic force [N, 3] written the textbook way, k (|d| − |d₀|) d/|d| a spring, one spring after the other."""
     rest = mesh.vertices.astype(np.float64)
-    force = -anchor * stiffness * displacement
+    force = np.zeros_like(displacement)
     for first, second in mesh.springs:
         current = rest[second] + displacement[second] - rest[first] - displacement[first]
         length, rest_length = np.linalg.norm(current), np.linalg.norm(rest[second] - rest[first])

@@ -17,7 +17,7 @@ from palpate.physics.msd.batch import MeshBatch
 from palpate.physics.msd.rollouts import rollout, rollout_sensitivities
 from palpate.physics.msd.simulation import simulate_sensitivities
 from tests.physics.batches import batch_of, joined
-from tests.physics.sheets import hand_mesh, pressed, sheet
+from tests.physics.sheets import hand_mesh, loose, pressed, sheet
 
 LOADS = {
     "vertex": lambda meshes: [
@@ -39,13 +39,8 @@ BACKENDS = [
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize(
     "mechanics",
-    [
-        Mechanics(),
-        Mechanics(scheme="dkd"),
-        Mechanics(boundary="free", anchor=0.5),
-        Mechanics(damping="explicit"),
-    ],
-    ids=["default", "dkd", "anchored", "explicit"],
+    [Mechanics(), Mechanics(scheme="dkd")],
+    ids=["euler", "dkd"],
 )
 @pytest.mark.parametrize("kind", ["vertex", "patch"])
 def test_backends_equal_numpy_over_a_mixed_batch(kind, mechanics, backend):
@@ -128,13 +123,13 @@ box = st.tuples(*(st.floats(low, high) for low, high in zip(Bounds().lower, Boun
 @given(
     theta=box,
     scheme=st.sampled_from(["euler", "dkd"]),
-    boundary=st.sampled_from(["fixed", "free"]),
+    mesh=st.sampled_from([sheet(7, 7), loose(sheet(7, 7))]),
     backend=st.sampled_from(["auto", "torch"]),
 )
-def test_implicit_damping_is_finite_on_the_whole_box(theta, scheme, boundary, backend):
-    mesh, load = batch_of([sheet(7, 7)], [24])
+def test_motion_is_finite_on_the_whole_box(theta, scheme, mesh, backend):
+    mesh, load = batch_of([mesh], [24])
     values = torch.tensor([theta], dtype=torch.float32, requires_grad=True)
-    trajectory = rollout(values, mesh, load, Mechanics(scheme=scheme, boundary=boundary), backend)
+    trajectory = rollout(values, mesh, load, Mechanics(scheme=scheme), backend)
     assert trajectory.shape == (1, 200, 3)
     assert torch.isfinite(trajectory).all()
 
@@ -145,7 +140,7 @@ def test_gradient_is_finite_at_rest_without_stiffness_and_with_coincident_vertic
     joined, load = batch_of([mesh], [0])
     for values in ([0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.5, 0.1, -1.0]):
         theta = torch.tensor([values], requires_grad=True)
-        rollout(theta, joined, load, Mechanics(boundary="free"), backend).square().sum().backward()
+        rollout(theta, joined, load, Mechanics(), backend).square().sum().backward()
         assert torch.isfinite(theta.grad).all()
 
 

@@ -24,6 +24,7 @@ from tests.physics.sheets import (
     energy,
     gripped,
     hand_mesh,
+    loose,
     position_form_force,
     pressed,
     sheet,
@@ -51,7 +52,7 @@ def solve(mesh, load, theta, mechanics, course, corners) -> np.ndarray:
         corners: times at which it is not smooth, the first 0 and the last at the end or later.
     """
     stiffness, damping, force = theta
-    held = (mesh.rim if mechanics.boundary == "fixed" else np.zeros(len(mesh.rim), dtype=bool)).copy()
+    held = mesh.rim.copy()
     held[load.vertices] = isinstance(load, Grip)
     count = len(mesh.vertices)
 
@@ -63,7 +64,7 @@ def solve(mesh, load, theta, mechanics, course, corners) -> np.ndarray:
 
     def derivative(time, state):
         displacement, velocity = state.reshape(2, count, 3)
-        total = position_form_force(place(displacement, time), mesh, stiffness, mechanics.anchor) - damping * velocity
+        total = position_form_force(place(displacement, time), mesh, stiffness) - damping * velocity
         if isinstance(load, Press):
             total[load.vertices] += course(time) * force * np.outer(load.weights, load.direction)
         total[held] = 0
@@ -115,7 +116,7 @@ def test_single_mass_approaches_the_continuous_closed_form(scheme):
 @pytest.mark.parametrize(("held", "inertia"), [(False, 0.0005), (True, 0.001)])
 def test_two_masses_on_a_spring_have_the_closed_form_frequency(held, inertia):
     # Load along the axis for one step; then ω = √(k/μ), μ = m/2 for two free masses and m with one held.
-    stiffness, mechanics = 0.5, Mechanics(time_step=1e-4, steps=6000, load_steps=1, boundary="fixed")
+    stiffness, mechanics = 0.5, Mechanics(time_step=1e-4, steps=6000, load_steps=1)
     mesh = hand_mesh([[0, 0, 1], [0.1, 0, 1]], [[0, 1]], rim=[False, held])
     load = press_on(mesh, 0, X, mechanics)
     field = whole_field([stiffness, 0.0, 0.1], mesh, load, mechanics, dtype=np.float64)
@@ -175,16 +176,6 @@ def test_order_of_convergence_on_a_sheet(kind):
         assert first < (0.1 if order == 1 else 0.02)
 
 
-def test_anchor_springs_agree_with_the_adaptive_integrator():
-    mesh, vertex = sheet(5, 5), 12
-    mechanics = Mechanics(time_step=2.5e-4, steps=400, load_steps=100, anchor=0.3, boundary="free", scheme="dkd")
-    direction, theta = contact_normal(mesh, vertex), (0.6, 0.01, -0.02)
-    load = press_on(mesh, vertex, direction, mechanics)
-    seen = whole_field(theta, mesh, load, mechanics, dtype=np.float64)
-    exact = solve(mesh, load, theta, mechanics, lambda time: float(time < 0.025), [0, 0.025, 0.1])
-    np.testing.assert_allclose(seen, exact, atol=1e-3 * np.abs(exact).max())
-
-
 def test_held_vertices_stay_and_the_contact_vertex_moves_even_on_the_rim():
     mesh = sheet(6, 7)
     corner = 0
@@ -195,12 +186,12 @@ def test_held_vertices_stay_and_the_contact_vertex_moves_even_on_the_rim():
     kept[corner] = False
     assert not field[:, kept].any()
     assert np.abs(field[:, corner]).max() > 0
-    free = whole_field([0.5, 0.1, -0.1], mesh, load, Mechanics(boundary="free"))
+    free = whole_field([0.5, 0.1, -0.1], loose(mesh), load, Mechanics())
     assert np.abs(free[-1, kept]).max() > 0
 
 
 def test_momentum_of_a_free_undamped_mesh_is_the_impulse():
-    mesh, mechanics = sheet(7, 8), Mechanics(boundary="free", load_steps=50)
+    mesh, mechanics = loose(sheet(7, 8)), Mechanics(load_steps=50)
     direction = contact_normal(mesh, 20)
     load = press_on(mesh, 20, direction, mechanics)
     field = whole_field([0.8, 0.0, -0.05], mesh, load, mechanics, dtype=np.float64)
@@ -236,24 +227,18 @@ def test_energy_without_load(scheme):
     assert damped[-1] < 0.01 * damped[0]
 
 
-def test_explicit_damping_diverges_beyond_its_limit_and_implicit_never():
+def test_strong_damping_never_diverges():
+    """Three times what explicit damping would bear, 2m/Δt."""
     mesh = sheet(6, 6)
-    limit = 2 * 0.001 / 0.005
-    explicit = Mechanics(damping="explicit")
     load = pressed(mesh, 14, 50, 200, Z)
-    below = simulate([0.5, 0.9 * limit, -0.1], mesh, load, explicit, dtype=np.float64)
-    beyond = simulate([0.5, 1.3 * limit, -0.1], mesh, load, explicit, dtype=np.float64)
-    implicit = simulate([0.5, 1.3 * limit, -0.1], mesh, load, Mechanics(), dtype=np.float64)
-    assert np.abs(below).max() < 1
-    assert np.abs(beyond[-1]).max() > 1e3
-    assert np.abs(implicit).max() < 1
+    assert np.abs(simulate([0.5, 1.2, -0.1], mesh, load, Mechanics(), dtype=np.float64)).max() < 1
 
 
 def test_coincident_vertices_and_no_stiffness_are_safe():
     mesh = hand_mesh([[0, 0, 1], [0, 0, 1], [0.01, 0, 1]], [[0, 1], [0, 2], [1, 2]])
     load = pressed(mesh, 0, 50, 200, X)
     for theta in ([0.5, 0.1, -0.1], [0.0, 0.0, -0.1], [0.0, 0.0, 0.0]):
-        assert np.isfinite(whole_field(theta, mesh, load, Mechanics(boundary="free"))).all()
+        assert np.isfinite(whole_field(theta, mesh, load, Mechanics())).all()
     free_fall = simulate([0.0, 0.0, -0.1], mesh, load, Mechanics(), dtype=np.float64)[:, 0]
     steps = np.arange(1, 51)
     np.testing.assert_allclose(free_fall[:50], -100 * 0.005**2 * steps * (steps + 1) / 2, rtol=1e-12)
@@ -299,13 +284,13 @@ def flat_sheet(height: int = 8, width: int = 9):
 
 
 @pytest.mark.parametrize("scheme", ["euler", "dkd"])
-@pytest.mark.parametrize("boundary", ["fixed", "free"])
-def test_an_affine_grip_of_the_rim_moves_the_inside_affinely(boundary, scheme):
+@pytest.mark.parametrize("mesh", [flat_sheet(), loose(flat_sheet())], ids=["fixed", "free"])
+def test_an_affine_grip_of_the_rim_moves_the_inside_affinely(mesh, scheme):
     """Stretched, sheared and tilted: opposite springs of an inner vertex then pull alike, whatever the strain."""
-    mesh, mechanics = flat_sheet(), Mechanics(scheme=scheme, boundary=boundary)
+    mechanics = Mechanics(scheme=scheme)
     affine = np.array([[0.2, 0.03, 0.0], [-0.02, 0.15, 0.0], [0.1, -0.05, 0.0]])
     goal = mesh.vertices.astype(np.float64) @ affine.T
-    rim = np.flatnonzero(mesh.rim)
+    rim = np.flatnonzero(flat_sheet().rim)
     way = smooth_path(mechanics.time_step * np.arange(1, 1201), 0.2)
     grip = Grip(rim, way[:, None, None] * goal[rim])
     theta = (0.8, 0.02, 0.0)
@@ -318,11 +303,11 @@ def test_an_affine_grip_of_the_rim_moves_the_inside_affinely(boundary, scheme):
 @pytest.mark.parametrize(("scheme", "order"), [("euler", 1), ("dkd", 2)])
 def test_work_becomes_energy_and_heat(scheme, order):
     """Work of the load = elastic and kinetic energy + ∫ k_d·v², up to an error that falls with the scheme's order."""
-    mesh, stiffness, damping, errors = sheet(8, 8), 0.8, 0.02, []
+    mesh, stiffness, damping, errors = loose(sheet(8, 8)), 0.8, 0.02, []
     refinements = [1, 2, 4, 8]
     for factor in refinements:
         steps, step = 60 * factor, 0.002 / factor
-        mechanics = Mechanics(time_step=step, scheme=scheme, boundary="free")
+        mechanics = Mechanics(time_step=step, scheme=scheme)
         theta = (stiffness, damping, -0.05)
         course = ramped(15 * factor, 30 * factor, 10 * factor, steps)
         load = Press.on_patch(mesh, 27, 2.5, contact_normal(mesh, 27), course)
@@ -346,7 +331,7 @@ ISLANDS[:, 8:10] = False
 
 
 @pytest.mark.parametrize("keep", [1.0, 0.5])
-@pytest.mark.parametrize("mechanics", [Mechanics(), Mechanics(scheme="dkd", anchor=0.1)], ids=["euler", "dkd"])
+@pytest.mark.parametrize("mechanics", [Mechanics(), Mechanics(scheme="dkd")], ids=["euler", "dkd"])
 @pytest.mark.parametrize("kind", ["vertex", "patch", "grip"])
 def test_derivatives_equal_differences_wherever_one_looks(kind, mechanics, keep):
     """Watched: in the load, beside it, further off, on the held rim, and on an island that nothing connects with it."""
@@ -403,6 +388,7 @@ MESHES = {
     "grid": sheet(9, 8),
     "holes": grid_mesh(surface(14, 17), HOLES, max_edge=1.0),
     "shuffled": shuffled(grid_mesh(surface(14, 17), HOLES, max_edge=1.0)),
+    "free": loose(sheet(9, 8)),
     "neck": grid_mesh(surface(11, 15), NECK, max_edge=1.0),
     "one": hand_mesh([[0, 0, 1]], []),
     "two": hand_mesh([[0, 0, 1], [0.1, 0, 1]], [[0, 1]], [False, True]),
@@ -410,9 +396,8 @@ MESHES = {
 }
 MECHANICS = {
     "default": (Mechanics(), 200),
-    "dkd": (Mechanics(scheme="dkd", anchor=0.3), 200),
-    "free": (Mechanics(boundary="free"), 31),
-    "explicit": (Mechanics(damping="explicit"), 200),
+    "dkd": (Mechanics(scheme="dkd"), 200),
+    "short": (Mechanics(), 31),
     "window": (Mechanics(window_error=1e-6), 200),
     "one step": (Mechanics(), 1),
     "two steps": (Mechanics(scheme="dkd"), 2),

@@ -13,7 +13,7 @@ from tests.physics.batches import batch_of
 from tests.physics.sheets import sheet, surface
 
 
-@pytest.mark.parametrize("mechanics", [Mechanics(), Mechanics(scheme="dkd", anchor=0.3)])
+@pytest.mark.parametrize("mechanics", [Mechanics(), Mechanics(scheme="dkd")])
 def test_stencil_equals_edge_list(mechanics):
     valid = torch.rand(9, 8, generator=torch.Generator().manual_seed(0)).numpy() > 0.1
     mesh, load = batch_of([grid_mesh(surface(9, 8), valid, max_edge=1.0), sheet(9, 8)], [20, 30], [20, 50])
